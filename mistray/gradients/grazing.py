@@ -118,8 +118,8 @@ class Grazing:
         turning = -along / bend
         there = it.local + turning * local
         place = dr.select(extent.w > 0, there.z, dr.sqrt(dr.fma(there.x, there.x, there.y * there.y)))
-        for here, family in self._table.implicit.members(s, steep):
-            numbers = self._table.implicit.numbers(family, s, here)
+        for here, family in self._table.families.members(s, steep):
+            numbers = self._table.families.numbers(family, s, here)
             place = dr.select(here, family.coordinate(*there, numbers), place)
         inside = (place > extent.x) & (place < extent.y)
         grazes = steep & inside & (turning > 0) & (dr.abs(bend) * extent.z > FLAT * length)
@@ -158,8 +158,8 @@ class Grazing:
             bend = dr.select(aspheric, dr.select(usable, (after - before) / (2 * h), 0), bend)
             size = dr.sqrt(dr.fma(dr.square(steepness), q.x * q.x + q.y * q.y, 1))
             length = dr.select(aspheric, size, length)
-        for here, family in table.implicit.members(s, active):
-            numbers, h = table.implicit.numbers(family, s, here), CLOSE_BY * outer
+        for here, family in table.families.members(s, active):
+            numbers, h = table.families.numbers(family, s, here), CLOSE_BY * outer
             before, at, after = (mi.Vector3f(*family.gradient(*(q + t * d), numbers)) for t in (-h, mi.Float(0), h))
             along = dr.select(here, 0.5 * dr.dot(at, d), along)
             bend = dr.select(here, 0.25 * dr.dot(after - before, d) / h, bend)

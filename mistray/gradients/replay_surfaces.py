@@ -192,7 +192,7 @@ class ReplaySurfaces:
         numbers["cone"] = self._place(s, active).w > 0
         numbers["families"] = [
             (here, family, dict(zip(family.numbers, (numbers[name] for name in OWN), strict=False)))
-            for here, family in self.table.implicit.members(s, active)
+            for here, family in self.table.families.members(s, active)
         ]
         for key, some in (("coefficients", rows), ("still", self._still)):
             known = [order for order, name in enumerate(COEFFICIENTS, 1) if name in some.names]

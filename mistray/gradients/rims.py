@@ -87,7 +87,7 @@ class RimRecorder(Recorder):
             for rim, zone in piece.zone_widths(width).items():
                 column = SIDES.index(rim) % 2
                 bounds[i, column], bounds[i, 2 + column] = (high, low)[column], zone
-        self._implicit = table.implicit
+        self._families = table.families
         self._bounds, self._kinds = upload(mi.Float, bounds), upload(mi.UInt32, kinds)
         self.paths = BranchRecorder(capacity, max_events, points_only=True)
         self.rim = dr.zeros(mi.UInt32, capacity)
@@ -141,8 +141,8 @@ class RimRecorder(Recorder):
         rho = dr.sqrt(dr.fma(q.x, q.x, q.y * q.y))
         along = dr.select(kind == ROUND, rho, dr.select(kind == ENDS, q.z, dr.abs(q.x)))
         across = dr.select(kind == RECTANGLE, -dr.abs(q.y), along)
-        for here, family in self._implicit.members(s, active):
-            place = family.coordinate(*q, self._implicit.numbers(family, s, here))
+        for here, family in self._families.members(s, active):
+            place = family.coordinate(*q, self._families.numbers(family, s, here))
             along, across = dr.select(here, place, along), dr.select(here, place, across)
         to_first, to_second = dr.maximum(bounds.x - along, 0), dr.maximum(across - bounds.y, 0)
         near_first, near_second = active & (to_first < bounds.z), active & (to_second < bounds.w)

@@ -167,7 +167,7 @@ def interact(
         value = dr.select(aspheric, 2 * (sag(r2, *shape) - q.z), value)
         across, along_z = dr.select(aspheric, 2 * slope, across), dr.select(aspheric, -1, along_z)
     families = [
-        (here, family, table.implicit.numbers(family, s, here)) for here, family in table.implicit.members(s, active)
+        (here, family, table.families.numbers(family, s, here)) for here, family in table.families.members(s, active)
     ]
     for here, family, numbers in families:
         value = dr.select(here, family.residual(*q, numbers), value)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
@@ -18,9 +18,12 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.materials import refractive_index
 from mistray.physics.geometry.crossing import meeting
+from mistray.physics.geometry.outline import Outline
 from mistray.physics.geometry.paraxial import ParaxialSystem
 from mistray.physics.geometry.pose import rotation
 from mistray.physics.geometry.sag import conic_end, sag
+from mistray.physics.sags.terms import check_names
+from mistray.physics.sags.terms import sag as freeform_sag
 from mistray.prescription.coating import BLACK, Coating, check_name
 from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.naming import scattering, shared_coatings, shared_scatter
@@ -66,7 +69,7 @@ class Placed:
 
 @dataclass(frozen=True)
 class Surface(Placed):
-    """One optical surface: a conic of revolution with even polynomial terms, clipped by radii or by a rectangle.
+    """One optical surface: a conic with polynomial terms or any other sag, clipped by radii or by any outline.
 
     Attributes
     ----------
@@ -82,6 +85,10 @@ class Surface(Placed):
         Outer and inner clear radius, mm.
     half_width, half_height : float or None
         Rectangular clip in x and y instead of ``semi_diameter``, mm.
+    sag : mapping of str to float
+        Numbers that make it a freeform, beside those above: see `mistray.physics.sags.terms`.
+    outline : Outline or None
+        Any outline instead of ``semi_diameter`` and half sizes, in the frame of the vertex.
     front, back : str
         Materials on the -z and the +z side; see `mistray.materials`.
     coating : Coating or None
@@ -105,6 +112,8 @@ class Surface(Placed):
     inner_semi_diameter: float = 0.0
     half_width: float | None = None
     half_height: float | None = None
+    sag: Mapping[str, float] = field(default_factory=dict)
+    outline: Outline | None = None
     front: str = "air"
     back: str = "air"
     coating: Coating | None = None
@@ -116,12 +125,17 @@ class Surface(Placed):
     def __post_init__(self) -> None:
         check_name(self.name)
         rectangle = (self.half_width, self.half_height)
-        if (self.semi_diameter is None) == (None in rectangle):
+        ways = [self.semi_diameter is not None, None not in rectangle, self.outline is not None]
+        if sum(ways) != 1 or (rectangle != (None, None) and not ways[1]):
             raise MistrayError(
                 f"surface '{self.name}': semi_diameter = {self.semi_diameter} with half_width, half_height = "
-                f"{rectangle}; "
-                "give either semi_diameter or both half sizes"
+                f"{rectangle} and {'an' if ways[2] else 'no'} outline; give either semi_diameter, both half sizes or "
+                "an outline"
             )
+        owner = f"surface '{self.name}'"
+        check_names({"curvature", "conic", *self.sag}, owner)
+        if self.outline is not None:
+            self.outline.check(owner)
         for key in ("semi_diameter", "half_width", "half_height"):
             value = getattr(self, key)
             if value is not None and not 0 < value < math.inf:
@@ -137,7 +151,7 @@ class Surface(Placed):
                 "a20) are supported"
             )
         end = conic_end(self.curvature, self.conic)
-        if self.outer_radius >= end:
+        if self.outer_radius >= end and not self.freeform:
             raise MistrayError(
                 f"surface '{self.name}': clear radius {self.outer_radius:g} mm; its conic ends at {end:.6g} mm "
                 f"(radius {self.radius:g} mm, conic {self.conic:g}), make the surface smaller"
@@ -149,16 +163,32 @@ class Surface(Placed):
         return 0.0 if self.radius == 0 or math.isinf(self.radius) else 1.0 / self.radius
 
     @property
+    def freeform(self) -> bool:
+        """Whether it needs the `freeform` plugin: another sag than an even asphere's, or an outline."""
+        return bool(self.sag) or self.outline is not None
+
+    @property
+    def sag_numbers(self) -> dict[str, float]:
+        """All numbers of its sag, by their names in `mistray.physics.sags.terms`."""
+        even = {f"a{2 * i}": a for i, a in enumerate(self.coefficients, start=2) if a}
+        return {"curvature": self.curvature, "conic": self.conic, **even, **self.sag}
+
+    @property
     def outer_radius(self) -> float:
-        """Greatest distance of a point of the surface from its axis, mm."""
+        """Greatest distance of a point of the surface from its axis, mm; of an outline of its box."""
         if self.semi_diameter is not None:
             return self.semi_diameter
+        if self.outline is not None:
+            x0, x1, y0, y1 = self.outline.bounds()
+            return math.hypot(max(abs(x0), abs(x1)), max(abs(y0), abs(y1)))
         assert self.half_width is not None
         assert self.half_height is not None
         return math.hypot(self.half_width, self.half_height)
 
     def z_at(self, r: Any) -> Any:
-        """World z in mm at radius ``r`` (float or array) of a coaxial surface."""
+        """World z in mm at radius ``r`` (float or array) of a coaxial surface; of a freeform at (0, r)."""
+        if self.sag:
+            return self.z + freeform_sag(np.zeros_like(r), r, self.sag_numbers)
         return self.z + sag(r * r, self.curvature, self.conic, self.coefficients)
 
     @property
@@ -404,7 +434,7 @@ class Prescription:
                     f"prescription '{self.name}': {count} shapes are called '{name}'; give each its own name"
                 )
         self.shared_scatter()
-        optical = [s for s in (*self.surfaces, self.detector) if s is not None and s.coaxial]
+        optical = [s for s in (*self.surfaces, self.detector) if s is not None and s.coaxial and s.outline is None]
         for a, b in combinations(optical, 2):
             _check_crossing(a, b)
 

@@ -13,6 +13,7 @@ from xml.sax.saxutils import escape, quoteattr
 from mistray._variant import ensure_variant
 from mistray.errors import MistrayError
 from mistray.materials import resolved
+from mistray.physics.geometry.outline import Outline
 from mistray.prescription.coating import Coating
 from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.model import Detector, Placed, Source, Structure, Surface
@@ -85,7 +86,7 @@ def _labels(shape: Shape) -> dict[str, Value]:
     return labels
 
 
-def _surface(s: Surface) -> _Node:
+def _surface(s: Surface, mechanics: bool = False) -> _Node:
     properties: dict[str, Value] = {}
     if s.curvature:
         properties["radius"] = s.radius
@@ -96,6 +97,9 @@ def _surface(s: Surface) -> _Node:
         value = getattr(s, key)
         if value:
             properties[key] = value
+    if s.freeform:
+        properties |= {key: float(value) for key, value in s.sag.items()} | _outline(s.outline)
+        properties |= {"mechanics": True} if mechanics else {}
     children: tuple[_Node, ...] = (_interface(s),)
     if isinstance(s, Detector):
         film: dict[str, Value] = {"width": s.pixels[0], "height": s.pixels[1], "component_format": "float32"}
@@ -103,14 +107,25 @@ def _surface(s: Surface) -> _Node:
         children += (
             _Node("sensor", "irradiancemeter", children=(_Node("film", "hdrfilm", None, film, None, (box,)),)),
         )
-    return _Node("shape", "asphere", s.name, properties | _labels(s), s, children)
+    return _Node("shape", "freeform" if s.freeform else "asphere", s.name, properties | _labels(s), s, children)
+
+
+def _outline(outline: Outline | None) -> dict[str, Value]:
+    """The figures of an outline, less what is 0 anyway."""
+    found: dict[str, Value] = {}
+    for k, figure in enumerate(outline.figures if outline else (), start=1):
+        found[f"clip_{k}"] = figure.sign + figure.kind
+        for name, value in zip(figure.names, figure.values, strict=True):
+            if value or name not in ("x", "y", "angle_deg"):
+                found[f"clip_{k}_{name}"] = float(value)
+    return found
 
 
 def _shape(s: Shape) -> _Node:
     if isinstance(s, MeshStructure):
         properties: dict[str, Value] = {"filename": s.file}
         return _Node("shape", "part_mesh", s.name, properties | _labels(s), None, (_interface(s),))
-    return _surface(s) if isinstance(s, Surface) else _structure(s)
+    return _surface(s, mechanics=True) if isinstance(s, Surface) else _structure(s)
 
 
 def _structure(s: Structure) -> _Node:

@@ -13,10 +13,10 @@ from mistray.recorders.start_rays import StartRays, generators
 from mistray.sampling.outlines import detector_area
 from mistray.sampling.space_filling import curve_points
 from mistray.settings import BATCHES
+from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.host_points import lambertian_directions, surface_points
 from mistray.surfaces.host_rays import first_hit
 from mistray.surfaces.optics import BACK_MEDIUM_SHIFT, FRONT_MEDIUM_SHIFT, MEDIUM_MASK, OPAQUE
-from mistray.surfaces.sag_surface import SagSurface
 from mistray.surfaces.surfaces import SurfaceTable
 
 FROM_BACK = 1 / 16  # share of the rays that start on the side away from the light of the design

@@ -15,16 +15,14 @@ import mitsuba as mi
 
 from mistray.physics.geometry.sag import sag, sag_derivative
 from mistray.surfaces.crossings import AxisRay, stretch
+from mistray.surfaces.families.first_zero import first_zero
 from mistray.surfaces.surface import SELF_HIT
 
 if TYPE_CHECKING:
-    from mistray.surfaces.sag_surface import SagSurface
+    from mistray.surfaces.families.sag_surface import SagSurface
     from mistray.surfaces.surfaces import SurfaceTable
 
 INTERVALS = 12  # pieces in which a crossing is looked for, where the ray could meet the surface more than once
-ITERATIONS = 24
-# Newton steps end when one is this small, in units of the aperture; a last one then squares the error
-CONVERGED = 1e-3
 
 
 class AsphereSearch:
@@ -164,68 +162,7 @@ class AsphereSearch:
             return height, d.z - 2 * sag_derivative(r2, *shape) * dr.fma(x, d.x, y * d.y)
 
         monotonic = dr.square(d.z) > dr.square(slope) * ray.dd
-        stride = length / INTERVALS
-        f0, g0 = f(mi.Float(0))
-        f0 = dr.select(own, dr.mulsign(mi.Float(1e-30), g0), f0)  # on the surface: the sign is the one it leaves with
-
-        def sign(v: mi.Float) -> mi.Float:
-            return dr.mulsign(mi.Float(1), v)
-
-        # More than 8 parameters: the state of the loop
-        def step(s, fs, gs, lo, hi, flo, fhi, found, going):  # type: ignore[no-untyped-def]
-            t = dr.minimum(s + stride, length)
-            ft, gt = f(t)
-            crossed = sign(ft) != sign(fs)
-            # f turns round inside of the interval: does its extremum reach beyond zero?
-            dips = ~crossed & (gs * fs < 0) & (gt * ft > 0)
-            turn = dr.clip(s + (t - s) * gs / dr.select(dips, gs - gt, 1), s, t)
-            fm, _ = f(turn)
-            dips &= sign(fm) != sign(ft)
-            now = going & (crossed | dips)
-            lo, flo = dr.select(now, s, lo), dr.select(now, fs, flo)
-            hi, fhi = dr.select(now, dr.select(crossed, t, turn), hi), dr.select(now, dr.select(crossed, ft, fm), fhi)
-            return t, ft, gt, lo, hi, flo, fhi, found | now, going & ~now & (t < length)
-
-        # A monotonic f rises or falls as z does: it comes to zero, or grows away from it
-        ahead = sign(f0) != sign(d.z)
-        zero = mi.Float(0)
-        _, _, _, lo, hi, flo, fhi, found, _ = dr.while_loop(
-            (zero, f0, g0, zero, length, zero, zero, active & monotonic & ahead, active & ~monotonic),
-            lambda *v: v[8],
-            step,
-            labels=("s", "fs", "gs", "lo", "hi", "flo", "fhi", "found", "going"),
-            mode="symbolic",
-            label="bracket",
-        )
-        side = sign(dr.select(monotonic, f0, flo))
-
-        def newton(i, s, lo, hi, ends, found, going):  # type: ignore[no-untyped-def]
-            fs, gs = f(s)
-            before = sign(fs) == side
-            lo, hi = dr.select(before, s, lo), dr.select(before, hi, s)
-            # The end of a monotonic stretch is a bracket only if f has another sign there
-            ends &= before
-            missed = ends & (s >= length)
-            trial = s - fs / gs
-            inside = (trial >= lo) & (trial <= hi)
-            new = dr.select(inside, trial, dr.select(ends & (trial > hi), length, 0.5 * (lo + hi)))
-            going = going & ~missed & (dr.abs(new - s) > CONVERGED * size) & (i < ITERATIONS)
-            return i + 1, dr.select(missed, s, new), lo, hi, ends, found & ~missed, going
-
-        chord = dr.clip(lo + (hi - lo) * flo / dr.select(flo == fhi, 1, flo - fhi), lo, hi)
-        guess = dr.select(monotonic, dr.clip(-f0 / g0, 0, length), dr.select(own & (lo == 0), 0.5 * (lo + hi), chord))
-        _, s, _, _, _, found, _ = dr.while_loop(
-            (mi.UInt32(0), guess, lo, hi, mi.Bool(monotonic), mi.Bool(found), mi.Bool(found)),
-            lambda *v: v[6],
-            newton,
-            labels=("i", "s", "lo", "hi", "ends", "found", "going"),
-            mode="symbolic",
-            label="newton",
-        )
-        last_f, last_g = f(s)
-        last_step = last_f / last_g
-        found &= dr.abs(last_step) < CONVERGED * size  # not where the steps ended at the rim, short of a crossing
-        s -= last_step
+        s, found = first_zero(f, d.z, monotonic, length, size, own, active, INTERVALS)
         x, y = dr.fma(s, d.x, o.x), dr.fma(s, d.y, o.y)
         r2 = dr.fma(x, x, y * y)
         inside = r2 <= outer2

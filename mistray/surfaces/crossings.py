@@ -13,8 +13,8 @@ from mistray.physics.geometry.sag import in_proportion, sag, sag_derivative
 from mistray.surfaces.extrema import larger, smaller
 
 if TYPE_CHECKING:
-    from mistray.surfaces.cone import Cone
-    from mistray.surfaces.sag_surface import SagSurface
+    from mistray.surfaces.families.cone import Cone
+    from mistray.surfaces.families.sag_surface import SagSurface
     from mistray.surfaces.surface import Surface
 
 ONE_STEP = 1e-6  # error after one Newton step that is small enough, in units of the aperture

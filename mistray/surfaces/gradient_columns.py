@@ -7,9 +7,9 @@ from collections.abc import Mapping
 DISPLACEMENT, ROTATION = ("x", "y", "z"), ("tilt_x", "tilt_y", "tilt_z")
 POSE = (*DISPLACEMENT, *ROTATION)
 COEFFICIENTS = tuple(f"a{order}" for order in range(4, 21, 2))
-OWN = tuple(f"own_{k}" for k in range(1, 9))
+OWN = tuple(f"own_{k}" for k in range(1, 129))
 # By surface, in its own frame at the vertex: displacement (mm) and rotation (rad) about its axes; curvature (1/mm),
-# conic and aspheric coefficients; radius at the vertex (mm) and dr/dz of a cone; numbers of a family of one's own
+# conic and aspheric coefficients; radius at the vertex (mm) and dr/dz of a cone; numbers of a family by a formula
 SHAPE_COLUMNS = (
     *POSE,
     *("curvature", "conic", *COEFFICIENTS),

@@ -19,7 +19,7 @@ import mitsuba as mi
 from mistray.surfaces.aspheres import AsphereSearch
 from mistray.surfaces.crossings import FAR, AxisRay, asphere_entry, mild_asphere
 from mistray.surfaces.extrema import smaller
-from mistray.surfaces.sag_surface import SagSurface
+from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.surface import NO_SURFACE, RECTANGLE, Surface
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.tree_search import TreeSearch

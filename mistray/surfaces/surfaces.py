@@ -26,9 +26,9 @@ from mistray.errors import MistrayError
 from mistray.physics.geometry.sag import in_proportion
 from mistray.ranges import FILM_PIXELS, FILM_SIDE
 from mistray.surfaces.bodies import Bodies
-from mistray.surfaces.implicit_surface import ImplicitTable
+from mistray.surfaces.families.sag_surface import SagSurface
+from mistray.surfaces.family_table import FamilyTable
 from mistray.surfaces.optics import ASPHERIC, DETECTOR, STOCK, WALL, Optics
-from mistray.surfaces.sag_surface import SagSurface
 from mistray.surfaces.shell_tree import ShellTree, many
 from mistray.surfaces.surface import Surface
 from mistray.surfaces.upload import upload
@@ -212,7 +212,7 @@ class SurfaceTable:
             piece.index, piece.frame, piece.axis, piece.z = i, frame, axis, float(local[2])
             vertices[i], rotations[i] = position, self.frames[frame]
         self.axes = list(axes)
-        self.implicit = ImplicitTable(self.pieces, self.count)
+        self.families = FamilyTable(self.pieces, self.count)
         looped = many(self.pieces)
         self.tree = ShellTree(self.pieces, looped, self.frames, self.axes) if looped else None
         self.vertices, self.rotations = vertices, rotations

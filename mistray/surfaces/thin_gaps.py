@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from mistray.physics.geometry.sag import conic_end
-from mistray.surfaces.sag_surface import SagSurface
+from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.surfaces import SurfaceTable
 
 ROUNDINGS = 4  # of a position: a gap that is thicker passes its light

@@ -9,7 +9,7 @@ import numpy as np
 from mistray.surfaces.aspheres import AsphereSearch
 from mistray.surfaces.crossings import FAR, AxisRay, Numbers
 from mistray.surfaces.extrema import larger, smaller
-from mistray.surfaces.sag_surface import SagSurface
+from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.surface import NO_SURFACE, Surface
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload

@@ -11,8 +11,8 @@ from mistray.errors import MistrayError
 from mistray.physics.geometry.sag import in_proportion, sag
 from mistray.plugins.shapes.revolution import POSE, RELATIVE, Revolution, float_property, grid
 from mistray.ranges import FINITE, RADIUS_MM, SIZE_MM, Range
+from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.gradient_columns import COEFFICIENTS
-from mistray.surfaces.sag_surface import SagSurface
 
 # Of the ray tree's numbers, 1/mm and mm: single precision with room for products
 MOST = FINITE.high

@@ -11,8 +11,8 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.plugins.shapes.revolution import POSE, RELATIVE, Revolution, float_property
 from mistray.ranges import PLACE_MM, RADIUS_MM
-from mistray.surfaces.cone import Cone
-from mistray.surfaces.sag_surface import SagSurface
+from mistray.surfaces.families.cone import Cone
+from mistray.surfaces.families.sag_surface import SagSurface
 
 if TYPE_CHECKING:
     from mistray.surfaces.surface import Surface

@@ -11,8 +11,8 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.physics._arrays import arctan2, sqrt
 from mistray.plugins.shapes.revolution import Revolution, float_property
+from mistray.surfaces.families.implicit_surface import PROFILE, ImplicitSurface
 from mistray.surfaces.gradient_columns import OWN
-from mistray.surfaces.implicit_surface import PROFILE, ImplicitSurface
 
 __all__ = ["Implicit", "arctan2", "sqrt"]
 

@@ -18,7 +18,7 @@ from mistray.gradients.geometry_gradient import (
     shape_parameters,
 )
 from mistray.settings import BATCHES
-from mistray.surfaces.cone import Cone
+from mistray.surfaces.families.cone import Cone
 from mistray.surfaces.gradient_columns import GEOMETRY
 from mistray.surfaces.surfaces import SurfaceTable
 

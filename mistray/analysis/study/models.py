@@ -12,8 +12,8 @@ from mistray.analysis.study.first_order import FirstOrder, first_order
 from mistray.analysis.study.step import Fact, StudyStep, count_of
 from mistray.sampling.design_path import DesignPath
 from mistray.sampling.sources import scene_sources
+from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.optics import OPAQUE, WALL
-from mistray.surfaces.sag_surface import SagSurface
 from mistray.surfaces.surfaces import SurfaceTable
 
 UNDERFILL = 0.99  # radius of the source over that of the pupil, below which the source is said not to fill it

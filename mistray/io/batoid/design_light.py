@@ -86,10 +86,13 @@ class DesignLight:
         return np.array(points), arrives, interfaces
 
     def beam_radius(self, interface: Any) -> float:
-        """Largest distance from the middle of a baffle at which batoid's rays meet it, in any of its turns, m."""
+        """Largest distance from the middle of an interface at which batoid's rays meet it, in any of its turns, m."""
         local = _local(interface, self._points)
-        there = local[np.nanmax(np.abs(local[..., 2]), axis=1) < SAME_PLANE]
-        return (1 + MARGIN) * float(np.nanmax(np.hypot(there[..., 0], there[..., 1])))
+        there = [step is not None and step.name == interface.name for step in self._interfaces]
+        if type(interface.surface).__name__ == "Plane":  # as one of several names
+            there = list(np.nanmax(np.abs(local[..., 2]), axis=1) < SAME_PLANE)
+        at = local[np.array(there)]
+        return (1 + MARGIN) * float(np.nanmax(np.hypot(at[..., 0], at[..., 1])))
 
     def crossings(self, interface: Any) -> Rings:
         """(inner, outer) radii in the plane of a baffle between which arriving light crosses it out of turn, m."""

@@ -14,7 +14,7 @@ Baffles are open where the light of the design crosses them out of turn, see `ba
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,8 +24,10 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.io.batoid.design_light import DesignLight, without
 from mistray.io.batoid.file import read_optic
+from mistray.io.batoid.obscurations import clear_outline, is_open, opaque_outlines
+from mistray.physics.geometry.outline import Figure, Outline
 from mistray.physics.geometry.pose import fixed_angles_deg
-from mistray.prescription.coating import Coating
+from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.geometry import barrel
 from mistray.prescription.model import Detector, Prescription, Source, Structure, Surface
 
@@ -34,6 +36,8 @@ if TYPE_CHECKING:
 
 M_TO_MM = 1e3
 _PIXELS = (512, 512)
+SAME_AXIS = 1e-9  # by which surfaces of a tube may lie beside its axis, in units of their radius
+SEEN = 400  # points each way at which a plate is looked for
 
 
 def from_batoid(
@@ -51,8 +55,8 @@ def from_batoid(
         Usually a CompoundOptic, for example ``batoid.Optic.fromYaml("LSST_r.yaml")``, or a YAML file of one. A file is
         checked before batoid reads it, see `mistray.io.batoid.file`: use the path where you do not know who
         wrote the file, because ``fromYaml`` runs what it finds there. Understood: Mirror,
-        RefractiveInterface, Lens, CompoundOptic, Detector, Baffle; Plane, Sphere, Paraboloid, Quadric, Asphere;
-        ClearCircle, ClearAnnulus, ObscCircle, ObscAnnulus and unions of the last two on baffles.
+        RefractiveInterface, Lens, CompoundOptic, Detector, Baffle; Plane, Sphere, Paraboloid, Quadric, Asphere,
+        Zernike, Tilted and sums of them; every obscuration.
     wavelength_nm : float
         Vacuum wavelength; media become constant indices.
     reflectance : float or None
@@ -193,41 +197,54 @@ class _Reader:
         group, self.group = self.group, []
         if len(group) < 2:
             return
-        for surface in group:
-            if not surface.coaxial:
-                raise MistrayError(
-                    f"batoid element '{surface.name}': its lens group is off the z axis or tilted; only coaxial "
-                    "groups can be closed"
-                )
-        if self.direction[2] < 0:
-            group.reverse()
         taken = sum(piece.part == "barrel" for piece in self.structures)
-        self.structures += barrel(group, first_space=taken + 1)
+        if all(surface.coaxial for surface in group):
+            if self.direction[2] < 0:
+                group.reverse()
+            self.structures += barrel(group, first_space=taken + 1)
+            return
+        frame = group[0].to_world()
+        local = []
+        for surface in group:
+            matrix = np.linalg.inv(frame) @ surface.to_world()
+            if max(np.abs(matrix[:2, 3]).max(), np.abs(matrix[:2, 2]).max()) > SAME_AXIS * surface.outer_radius:
+                self._note(f"lens group of '{surface.name}': its surfaces have no common axis; it has no tube")
+                return
+            local.append(replace(surface, x=0.0, y=0.0, z=float(matrix[2, 3]), tilt_deg=(0.0, 0.0, 0.0)))
+        if self.direction @ frame[:3, 2] < 0:
+            local.reverse()
+        place = {key: getattr(group[0], key) for key in ("x", "y", "z", "tilt_deg")}
+        self.structures += [replace(piece, **place) for piece in barrel(local, first_space=taken + 1)]
 
     def _shape(self, interface: Any) -> dict[str, Any]:
         """Figure and clear aperture of an optical surface, mm."""
-        surface = interface.surface
-        kind = type(surface).__name__
         shape: dict[str, Any] = {}
-        if kind in ("Sphere", "Paraboloid", "Quadric", "Asphere"):
-            shape["radius"] = float(surface.R) * M_TO_MM
-            shape["conic"] = -1.0 if kind == "Paraboloid" else float(getattr(surface, "conic", 0.0))
-        elif kind != "Plane":
-            raise MistrayError(
-                f"batoid element '{interface.name}': surface {kind} has no counterpart; use Plane, Sphere, "
-                "Paraboloid, Quadric or Asphere"
-            )
-        if kind == "Asphere":
-            coefficients = dict(enumerate((float(a) for a in surface.coefs), start=surface.imin))
-            if coefficients.pop(1, 0.0):
+        sag: dict[str, float] = {}
+        surface = interface.surface
+        for part in surface.surfaces if type(surface).__name__ == "Sum" else (surface,):
+            kind = type(part).__name__
+            if kind in ("Sphere", "Paraboloid", "Quadric", "Asphere") and "radius" not in shape:
+                shape["radius"] = float(part.R) * M_TO_MM
+                shape["conic"] = -1.0 if kind == "Paraboloid" else float(getattr(part, "conic", 0.0))
+            elif kind == "Tilted":
+                sag |= {"slope_x": float(part.tanx), "slope_y": float(part.tany)}
+            elif kind == "Zernike" and not part.R_inner:
+                sag |= {f"zernike_{j}": float(c) * M_TO_MM for j, c in enumerate(part.coef) if j and c}
+                sag["zernike_radius"] = float(part.R_outer) * M_TO_MM
+            elif kind != "Plane":
                 raise MistrayError(
-                    f"batoid element '{interface.name}': its r² coefficient has no counterpart; fold it into R"
+                    f"batoid element '{interface.name}': surface {kind} has no counterpart here; use one conic, "
+                    "Zernikes over a full disc and Tilted"
                 )
-            orders = range(2, max(coefficients, default=1) + 1)
-            shape["coefficients"] = tuple(coefficients.get(i, 0.0) * M_TO_MM ** (1 - 2 * i) for i in orders)
-        return shape | self._aperture(interface)
+            if kind == "Asphere":
+                coefficients = dict(enumerate((float(a) for a in part.coefs), start=part.imin))
+                if first := coefficients.pop(1, 0.0):
+                    sag["a2"] = first / M_TO_MM
+                orders = range(2, max(coefficients, default=1) + 1)
+                shape["coefficients"] = tuple(coefficients.get(i, 0.0) * M_TO_MM ** (1 - 2 * i) for i in orders)
+        return shape | ({"sag": sag} if sag else {}) | self._aperture(interface)
 
-    def _aperture(self, interface: Any) -> dict[str, float]:
+    def _aperture(self, interface: Any) -> dict[str, Any]:
         o = self.batoid.obscuration
         obscuration = interface.obscuration
         original = obscuration.original if isinstance(obscuration, o.ObscNegation) else None
@@ -235,10 +252,13 @@ class _Reader:
             return {"semi_diameter": original.radius * M_TO_MM}
         if isinstance(original, o.ObscAnnulus) and original.x == original.y == 0:
             return {"semi_diameter": original.outer * M_TO_MM, "inner_semi_diameter": original.inner * M_TO_MM}
-        raise MistrayError(
-            f"batoid element '{interface.name}': obscuration {_kind(obscuration)} has no counterpart; use a centred "
-            "ClearCircle or ClearAnnulus"
-        )
+        radius = self.light.beam_radius(interface)
+        if obscuration is None:
+            self._note(
+                f"surface '{interface.name}': no aperture is known; it ends with the beam, at {radius * M_TO_MM:.6g} mm"
+            )
+            return {"semi_diameter": radius * M_TO_MM}
+        return {"outline": clear_outline(obscuration, radius, f"batoid element '{interface.name}'")}
 
     def _placing(self, interface: Any) -> dict[str, Any]:
         x, y, z = (float(value) * M_TO_MM for value in interface.coordSys.origin)
@@ -263,45 +283,86 @@ class _Reader:
             )
         return Coating(R=float(both[0].reflectivity), T=float(both[0].transmissivity))
 
-    def _baffle(self, name: str, interface: Any) -> list[Structure]:
-        """Opaque rings of a baffle, less those that stand there already: batoid lists one per passage of light."""
+    def _baffle(self, name: str, interface: Any) -> list[Structure | Surface]:
+        """Opaque plates of a baffle, less those that stand there already: batoid lists one per passage of light."""
         if type(interface.surface).__name__ != "Plane":
             raise MistrayError(f"batoid element '{interface.name}': only plane baffles have a counterpart; remove it")
-        whole = self._rings(interface, interface.obscuration)
-        rings = without(whole, self.light.crossings(interface))
+        if interface.obscuration is None:
+            return []
         placing = self._placing(interface)
+        plates = self._rings(name, interface, placing)
+        if plates is None:
+            plates = self._plates(name, interface, placing)
+        return [
+            plate
+            for k, plate in enumerate(plates)
+            if not any(_same_place(plate, other) for other in (*self.structures, *plates[:k]))
+        ]
+
+    def _rings(self, name: str, interface: Any, placing: dict[str, Any]) -> list[Structure | Surface] | None:
+        """Centred rings; None if the obscuration has other parts."""
+        whole = self._centred(interface, interface.obscuration)
+        if whole is None:
+            return None
+        rings = without(whole, self.light.crossings(interface))
         if rings != whole:
             left = " and ".join(f"{inner * M_TO_MM:.6g} … {outer * M_TO_MM:.6g} mm" for inner, outer in rings)
-            self._note(
-                f"baffle '{interface.name}': light that reaches the detector crosses it out of turn; "
-                + (f"what is left of its plate is {left}" if rings else "it is left out")
+            self._note_cut(interface, f"what is left of its plate is {left}" if rings else "it is left out")
+        return [
+            Structure(
+                name if len(rings) == 1 else f"{name}_{number}",
+                outer * M_TO_MM,
+                0.0,
+                inner * M_TO_MM,
+                0.0,
+                part=name,
+                **placing,
             )
-        result: list[Structure] = []
-        for number, (inner, outer) in enumerate(rings, start=1):
-            ring_name = name if len(rings) == 1 else f"{name}_{number}"
-            ring = Structure(ring_name, outer * M_TO_MM, 0.0, inner * M_TO_MM, 0.0, part=name, **placing)
-            if not any(
-                _same_place(ring, other) for other in (*self.structures, *result) if isinstance(other, Structure)
-            ):
-                result.append(ring)
-        return result
+            for number, (inner, outer) in enumerate(rings, start=1)
+        ]
+
+    def _plates(self, name: str, interface: Any, placing: dict[str, Any]) -> list[Structure | Surface]:
+        """Plates of any outline."""
+        owner = f"batoid element '{interface.name}'"
+        end = self.light.beam_radius(interface)
+        if is_open(interface.obscuration):
+            self._note(f"baffle '{interface.name}': it ends with the beam, at {end * M_TO_MM:.6g} mm")
+        outlines = opaque_outlines(interface.obscuration, end, owner)
+        holes = self.light.crossings(interface)
+        if holes:
+            text = " and ".join(f"{inner * M_TO_MM:.6g} … {outer * M_TO_MM:.6g} mm" for inner, outer in holes)
+            self._note_cut(interface, f"its parts are open at {text}")
+        for inner, outer in holes:
+            outlines = [cut for outline in outlines for cut in _without_ring(outline, inner, outer)]
+        outlines = [outline for outline in outlines if outline.sample(SEEN)[0].size]
+        return [
+            Surface(
+                name if len(outlines) == 1 else f"{name}_{number}",
+                outline=outline,
+                coating=BLACK,
+                part=name,
+                **placing,
+            )
+            for number, outline in enumerate(outlines, start=1)
+        ]
+
+    def _note_cut(self, interface: Any, what: str) -> None:
+        self._note(f"baffle '{interface.name}': light that reaches the detector crosses it out of turn; {what}")
 
     def _note(self, text: str) -> None:
         if text not in self.notes:
             self.notes.append(text)
 
-    def _rings(self, interface: Any, obscuration: Any) -> list[tuple[float, float]]:
-        """(inner, outer) radii in metres of what is opaque."""
+    def _centred(self, interface: Any, obscuration: Any) -> list[tuple[float, float]] | None:
+        """(inner, outer) radii in metres of what is opaque; None if that is no set of centred rings."""
         o = self.batoid.obscuration
         if isinstance(obscuration, o.ObscUnion):
-            return [ring for item in obscuration.items for ring in self._rings(interface, item)]
+            parts = [self._centred(interface, item) for item in obscuration.items]
+            return None if None in parts else [ring for part in parts for ring in part or ()]
         clear = isinstance(obscuration, o.ObscNegation)
         circle = obscuration.original if clear else obscuration
         if not isinstance(circle, o.ObscCircle | o.ObscAnnulus) or circle.x or circle.y:
-            raise MistrayError(
-                f"batoid element '{interface.name}': obscuration {_kind(obscuration)} has no counterpart; use "
-                "centred circles and annuli"
-            )
+            return None
         inner, outer = (0.0, circle.radius) if isinstance(circle, o.ObscCircle) else (circle.inner, circle.outer)
         if not clear:
             return [(inner, outer)]
@@ -319,15 +380,18 @@ class _Reader:
         return [(0.0, inner)] * (inner > 0) + [(outer, end)] * (end > outer)
 
 
-def _kind(obscuration: Any) -> str:
-    """Class names of an obscuration, short enough for a message."""
-    original = getattr(obscuration, "original", None)
-    return type(obscuration).__name__ + (f" of {_kind(original)}" if original is not None else "")
+def _without_ring(outline: Outline, inner: float, outer: float) -> list[Outline]:
+    """What is left of an outline (mm) without a centred ring (m), in two parts."""
+    parts = [Outline((*outline.figures, Figure("circle", "-", sizes=(outer * M_TO_MM,))))]
+    if inner > 0:
+        parts.append(Outline((*outline.figures, Figure("circle", "&", sizes=(inner * M_TO_MM,)))))
+    return parts
 
 
 def _id(name: str) -> str:
     return str(name).replace(".", "_")
 
 
-def _same_place(a: Structure, b: Structure) -> bool:
-    return all(getattr(a, key) == getattr(b, key) for key in ("r0", "z0", "r1", "z1", "x", "y", "z", "tilt_deg"))
+def _same_place(a: Any, b: Any) -> bool:
+    keys = ("r0", "z0", "r1", "z1") if isinstance(a, Structure) else ("outline",)
+    return type(a) is type(b) and all(getattr(a, key) == getattr(b, key) for key in (*keys, "x", "y", "z", "tilt_deg"))

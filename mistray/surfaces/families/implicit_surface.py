@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.surfaces.families.implicit_crossing import ImplicitNumbers, first_crossing
+from mistray.surfaces.families.sag_surface import azimuth
 from mistray.surfaces.gradient_columns import HIGH, LOW, OWN
-from mistray.surfaces.implicit_crossing import ImplicitNumbers, first_crossing
-from mistray.surfaces.sag_surface import azimuth
 from mistray.surfaces.surface import ENDS, Opening, Surface
-from mistray.surfaces.upload import upload
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mistray.surfaces.crossings import AxisRay
 
 PROFILE = 2001  # points of the profile that bounds and areas come from
@@ -196,41 +192,3 @@ class ImplicitSurface(Surface):
 
     def crossing(self, ray: AxisRay, numbers: ImplicitNumbers, own: mi.Bool) -> mi.Float:
         return first_crossing(ray, self.family, numbers, own)
-
-
-class ImplicitTable:
-    """
-    Implicit surfaces in tables of the device; without any, it is false and adds nothing to a kernel.
-
-    Parameters
-    ----------
-    pieces : sequence of Surface
-        All analytic surfaces.
-    count : int
-        Number of all surfaces.
-    """
-
-    def __init__(self, pieces: Sequence[Surface], count: int) -> None:
-        own = [piece for piece in pieces if isinstance(piece, ImplicitSurface)]
-        self.families = list(dict.fromkeys(piece.family for piece in own))
-        numbers, rows = np.zeros(count, dtype=np.uint32), np.zeros((count, len(OWN)))
-        for piece in own:
-            numbers[piece.index] = 1 + self.families.index(piece.family)
-            rows[piece.index, : len(piece.values)] = list(piece.values.values())
-        if own:
-            self._numbers, self._rows = upload(mi.UInt32, numbers), upload(mi.Float, rows)
-
-    def __bool__(self) -> bool:
-        return bool(self.families)
-
-    def members(self, s: mi.UInt32, active: mi.Bool) -> Iterator[tuple[mi.Bool, Any]]:
-        """For each family, which of the surfaces s belong to it."""
-        number = dr.gather(mi.UInt32, self._numbers, s, active) if self.families else None
-        for k, family in enumerate(self.families, start=1):
-            yield active & (number == k), family
-
-    def numbers(self, family: Any, s: mi.UInt32, here: mi.Bool) -> dict[str, mi.Float]:
-        """The numbers of the surfaces s of a family, by name."""
-        vectors = [dr.gather(mi.Vector4f, self._rows, len(OWN) // 4 * s + k, here) for k in range(len(OWN) // 4)]
-        values = (vector[k] for vector in vectors for k in range(4))
-        return dict(zip(family.numbers, values, strict=False))

@@ -17,7 +17,7 @@ import mitsuba as mi
 from mistray.surfaces.crossings import AxisRay, stretch
 
 if TYPE_CHECKING:
-    from mistray.surfaces.implicit_surface import ImplicitSurface
+    from mistray.surfaces.families.implicit_surface import ImplicitSurface
 
 INTERVALS = 32
 MOST_TRIES = 3 * INTERVALS  # intervals, and what is left of them behind a crossing that was passed

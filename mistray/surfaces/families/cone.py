@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from mistray.surfaces.crossings import cone_crossing
+from mistray.surfaces.families.sag_surface import azimuth, quadric_crossings
 from mistray.surfaces.gradient_columns import HIGH, LOW
-from mistray.surfaces.sag_surface import azimuth, quadric_crossings
 from mistray.surfaces.surface import ENDS, Opening, Surface
 
 if TYPE_CHECKING:

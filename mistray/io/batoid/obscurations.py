@@ -1,0 +1,131 @@
+"""batoid's obscurations as outlines, in mm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from mistray.errors import MistrayError
+from mistray.physics.geometry.outline import Figure, Outline
+
+M_TO_MM = 1e3
+
+
+def clear_outline(obscuration: Any, radius: float, owner: str) -> Outline:
+    """
+    What an obscuration on a surface leaves clear.
+
+    Parameters
+    ----------
+    obscuration : batoid.obscuration.Obscuration or None
+    radius : float
+        Of the surface where the obscuration gives it no end, m.
+    owner : str
+        For messages.
+    """
+    figures = _figures(obscuration, radius, owner, clear=True)
+    if figures[0].sign == "-":
+        figures = [Figure("circle", sizes=(radius * M_TO_MM,)), *figures]
+    return Outline(tuple(figures))
+
+
+def opaque_outlines(obscuration: Any, radius: float, owner: str) -> list[Outline]:
+    """
+    What an obscuration covers, one outline for each of its parts; they may overlap.
+
+    Parameters
+    ----------
+    obscuration : batoid.obscuration.Obscuration or None
+    radius : float
+        Where it ends if it has no end of its own, m.
+    owner : str
+        For messages.
+    """
+    found = []
+    for part in _parts(obscuration):
+        figures = _figures(part, radius, owner, clear=False)
+        if figures[0].sign == "-":
+            figures = [Figure("circle", sizes=(radius * M_TO_MM,)), *figures]
+        found.append(Outline(tuple(figures)))
+    return found
+
+
+def is_open(obscuration: Any) -> bool:
+    """Whether an obscuration covers all but an opening, so that it has no end of its own."""
+    kind = type(obscuration).__name__
+    if kind == "ObscUnion":
+        return any(is_open(item) for item in obscuration.items)
+    return kind in ("ObscNegation", "ObscRay")
+
+
+def _parts(obscuration: Any) -> Iterator[Any]:
+    if type(obscuration).__name__ == "ObscUnion":
+        for item in obscuration.items:
+            yield from _parts(item)
+    elif obscuration is not None:
+        yield obscuration
+
+
+def _figures(obscuration: Any, radius: float, owner: str, clear: bool) -> list[Figure]:
+    """Figures of what is clear, or of what is covered."""
+    kind = type(obscuration).__name__
+    if obscuration is None:
+        return [Figure("circle", "+" if clear else "-", sizes=(radius * M_TO_MM,))]
+    if kind == "ObscNegation":
+        return _figures(obscuration.original, radius, owner, not clear)
+    if kind == "ObscUnion" and clear:  # clear where none of them covers
+        figures: list[Figure] = []
+        for item in sorted(obscuration.items, key=lambda item: not is_open(item)):
+            figures += _within(_figures(item, radius, owner, clear=True), figures, owner)
+        return figures
+    if kind == "ObscIntersection" and not clear:
+        figures = []
+        for item in obscuration.items:
+            figures += _within(_figures(item, radius, owner, clear=False), figures, owner)
+        return figures
+    if kind == "ObscAnnulus":
+        outer, inner = (_circle(obscuration, value) for value in (obscuration.outer, obscuration.inner))
+        if not clear:
+            return [_signed(outer, "+"), *([_signed(inner, "-")] if obscuration.inner > 0 else [])]
+        return [_signed(outer, "-"), _signed(inner, "+")] if obscuration.inner > 0 else [_signed(outer, "-")]
+    figure = _single(obscuration, kind, radius, owner)
+    return [_signed(figure, "-" if clear else "+")]
+
+
+def _within(parts: list[Figure], before: list[Figure], owner: str) -> list[Figure]:
+    """Figures that cut away from others: what the first of them adds becomes what stays."""
+    if not before:
+        return parts
+    if any(figure.sign == "+" for figure in parts[1:]):
+        raise MistrayError(f"{owner}: what its obscuration leaves clear is no list of figures; split the obscuration")
+    return [_signed(figure, "&") if figure.sign == "+" else figure for figure in parts]
+
+
+def _single(obscuration: Any, kind: str, radius: float, owner: str) -> Figure:
+    if kind == "ObscCircle":
+        return _circle(obscuration, obscuration.radius)
+    if kind == "ObscRectangle":
+        sizes = (0.5 * obscuration.width * M_TO_MM, 0.5 * obscuration.height * M_TO_MM)
+        angle = math.degrees(obscuration.theta)
+        return Figure("rectangle", "+", obscuration.x * M_TO_MM, obscuration.y * M_TO_MM, angle, sizes)
+    if kind == "ObscPolygon":
+        corners = [float(v) * M_TO_MM for corner in zip(obscuration.xs, obscuration.ys, strict=True) for v in corner]
+        if corners[:2] == corners[-2:]:
+            corners = corners[:-2]
+        return Figure("polygon", sizes=tuple(corners))
+    if kind == "ObscRay":  # half a strip, as long as the surface needs
+        x, y, theta = obscuration.x, obscuration.y, obscuration.theta
+        half = 0.5 * (radius + math.hypot(x, y))
+        middle = x + half * math.cos(theta), y + half * math.sin(theta)
+        sizes = (half * M_TO_MM, 0.5 * obscuration.width * M_TO_MM)
+        return Figure("rectangle", "+", middle[0] * M_TO_MM, middle[1] * M_TO_MM, math.degrees(theta), sizes)
+    raise MistrayError(f"{owner}: obscuration {kind} has no counterpart; use circles, rectangles, polygons and rays")
+
+
+def _circle(obscuration: Any, radius: float) -> Figure:
+    return Figure("circle", "+", obscuration.x * M_TO_MM, obscuration.y * M_TO_MM, sizes=(radius * M_TO_MM,))
+
+
+def _signed(figure: Figure, sign: str) -> Figure:
+    return Figure(figure.kind, sign, figure.x, figure.y, figure.angle_deg, figure.sizes)

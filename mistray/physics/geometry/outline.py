@@ -1,0 +1,283 @@
+"""Outlines of surfaces: circles, ellipses, rectangles and polygons, added, cut away and intersected.
+
+An outline is a list of figures in the plane across the axis, taken one after the other: the first one stands, or is
+missing from the whole plane if its sign is "-"; a later one is added ("+"), cut away ("-") or all that stays ("&").
+A spider in an annulus is "+circle", "-circle" and a "-rectangle" for each vane.
+
+`contains` takes floats, NumPy arrays or Dr.Jit arrays, so that the tracing kernel and the host share one formula.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from mistray.errors import MistrayError
+
+SIGNS = ("+", "-", "&")
+# Numbers of the figures beside x, y (mm) and angle_deg; a polygon has x1, y1, x2, y2, …
+SIZES = {"circle": ("radius",), "ellipse": ("half_width", "half_height"), "rectangle": ("half_width", "half_height")}
+KINDS = (*SIZES, "polygon")
+MOST_FIGURES, MOST_CORNERS = 64, 64
+ALL = 1e30  # half size, mm, of what has no bounds
+
+
+@dataclass(frozen=True)
+class Figure:
+    """
+    One figure of an outline.
+
+    Attributes
+    ----------
+    kind : str
+        "circle", "ellipse", "rectangle" or "polygon".
+    sign : str
+        "+", "-" or "&".
+    x, y : float
+        Its place, mm.
+    angle_deg : float
+        Turned by this about its place, from x to y.
+    sizes : tuple of float
+        Radius; half width and half height; or x1, y1, x2, y2, … of the corners; mm.
+    """
+
+    kind: str
+    sign: str = "+"
+    x: float = 0.0
+    y: float = 0.0
+    angle_deg: float = 0.0
+    sizes: tuple[float, ...] = ()
+
+    def check(self, owner: str) -> None:
+        """
+        Raise if it is no figure.
+
+        Raises
+        ------
+        MistrayError
+            Of an unknown kind or sign, of sizes that are none, of a polygon that crosses itself.
+        """
+        if self.kind not in KINDS or self.sign not in SIGNS:
+            raise MistrayError(f"{owner}: '{self.sign}{self.kind}' is no figure; use + - or & and one of {KINDS}")
+        numbers = (self.x, self.y, self.angle_deg, *self.sizes)
+        if not all(math.isfinite(v) for v in numbers):
+            raise MistrayError(f"{owner}: {self.kind} with {numbers}; all of its numbers must be finite")
+        if self.kind == "polygon":
+            self._check_polygon(owner)
+        elif len(self.sizes) != len(SIZES[self.kind]) or min(self.sizes) <= 0:
+            raise MistrayError(
+                f"{owner}: {self.kind} of {self.sizes} mm; it needs {', '.join(SIZES[self.kind])} above 0"
+            )
+
+    def _check_polygon(self, owner: str) -> None:
+        count = len(self.sizes) // 2
+        if len(self.sizes) % 2 or not 3 <= count <= MOST_CORNERS:
+            raise MistrayError(
+                f"{owner}: polygon of {len(self.sizes)} numbers; it needs x and y of 3 to {MOST_CORNERS} corners"
+            )
+        corners = self.corners
+        for i, j in combinations(range(count), 2):
+            a, b, c, d = corners[i], corners[(i + 1) % count], corners[j], corners[(j + 1) % count]
+            beside = (i + 1) % count == j or (j + 1) % count == i
+            if not beside and _cross(a, b, c, d):
+                raise MistrayError(f"{owner}: polygon crosses itself, sides {i + 1} and {j + 1}; sort its corners")
+        if abs(_area(corners)) <= 1e-12 * max(float(np.ptp(corners, axis=0).max()), 1e-300) ** 2:
+            raise MistrayError(f"{owner}: polygon without area; correct its corners")
+
+    @property
+    def corners(self) -> np.ndarray:
+        """(n, 2) corners of a polygon or of the box of another figure, in its own frame, mm."""
+        if self.kind == "polygon":
+            return np.array(self.sizes, dtype=np.float64).reshape(-1, 2)
+        a, b = self.sizes if len(self.sizes) == 2 else 2 * self.sizes
+        return np.array([(-a, -b), (a, -b), (a, b), (-a, b)])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its numbers, in the order of `values`."""
+        if self.kind == "polygon":
+            return ("x", "y", "angle_deg", *(f"{c}{k + 1}" for k in range(len(self.sizes) // 2) for c in "xy"))
+        return ("x", "y", "angle_deg", *SIZES[self.kind])
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """Its numbers."""
+        return (self.x, self.y, self.angle_deg, *self.sizes)
+
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Least and greatest x, least and greatest y, mm."""
+        c, s = math.cos(math.radians(self.angle_deg)), math.sin(math.radians(self.angle_deg))
+        if self.kind in ("circle", "ellipse"):
+            a, b = self.sizes if len(self.sizes) == 2 else 2 * self.sizes
+            wide, high = math.hypot(a * c, b * s), math.hypot(a * s, b * c)
+            return self.x - wide, self.x + wide, self.y - high, self.y + high
+        u, v = self.corners.T
+        x, y = self.x + c * u - s * v, self.y + s * u + c * v
+        return float(x.min()), float(x.max()), float(y.min()), float(y.max())
+
+    def contains(self, x: Any, y: Any, n: Mapping[str, Any]) -> Any:
+        """Whether it holds points; `n` its numbers by name, with "cos" and "sin" of the angle."""
+        u, v = x - n["x"], y - n["y"]
+        if self.kind == "circle":
+            return u * u + v * v <= n["radius"] * n["radius"]
+        if self.angle_deg:
+            u, v = u * n["cos"] + v * n["sin"], v * n["cos"] - u * n["sin"]
+        if self.kind == "ellipse":
+            u, v = u / n["half_width"], v / n["half_height"]
+            return u * u + v * v <= 1
+        if self.kind == "rectangle":
+            return (abs(u) <= n["half_width"]) & (abs(v) <= n["half_height"])
+        count = len(self.sizes) // 2
+        inside = None
+        for k in range(count):  # how often a line to the right crosses the sides
+            (x0, y0), (x1, y1) = ((n[f"x{j + 1}"], n[f"y{j + 1}"]) for j in (k, (k + 1) % count))
+            low, high = y0 <= v, y1 <= v
+            left = (x1 - x0) * (v - y0) - (u - x0) * (y1 - y0) > 0
+            crossed = (low & ~high & left) | (~low & high & ~left)
+            inside = crossed if inside is None else inside ^ crossed
+        return inside
+
+
+@dataclass(frozen=True)
+class Outline:
+    """
+    Figures one after the other.
+
+    Attributes
+    ----------
+    figures : tuple of Figure
+    """
+
+    figures: tuple[Figure, ...]
+
+    def check(self, owner: str) -> None:
+        """
+        Raise if there is no surface within it.
+
+        Raises
+        ------
+        MistrayError
+            Of a figure that is none, of too many, of an outline that has no bounds or holds nothing.
+        """
+        if not 1 <= len(self.figures) <= MOST_FIGURES:
+            raise MistrayError(f"{owner}: an outline of {len(self.figures)} figures; use 1 to {MOST_FIGURES}")
+        for figure in self.figures:
+            figure.check(owner)
+        x0, x1, y0, y1 = self.bounds()
+        if max(x1 - x0, y1 - y0) >= ALL:
+            raise MistrayError(f"{owner}: its outline has no bounds; begin with a figure that is not cut away")
+        if not (x1 > x0 and y1 > y0) or not self.sample(200)[0].size:
+            raise MistrayError(f"{owner}: its outline holds nothing; correct its figures")
+
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Box that holds it, mm: least and greatest x, least and greatest y."""
+        box = (-ALL, ALL, -ALL, ALL)
+        for number, figure in enumerate(self.figures):
+            own = figure.bounds()
+            if figure.sign == "+":
+                box = own if number == 0 else _around(box, own)
+            elif figure.sign == "&":
+                box = (max(box[0], own[0]), min(box[1], own[1]), max(box[2], own[2]), min(box[3], own[3]))
+        return box
+
+    def sample(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Points inside, of a grid of count × count over the box; mm."""
+        x0, x1, y0, y1 = self.bounds()
+        along = (np.arange(count) + 0.5) / count
+        x, y = np.meshgrid(x0 + (x1 - x0) * along, y0 + (y1 - y0) * along)
+        inside = self.contains(x, y)
+        return x[inside], y[inside]
+
+    def numbers(self) -> dict[str, float]:
+        """All of its numbers by name, such as "clip_1_radius"."""
+        return {
+            f"clip_{k}_{name}": value
+            for k, figure in enumerate(self.figures, start=1)
+            for name, value in zip(figure.names, figure.values, strict=True)
+        }
+
+    def turns(self) -> dict[str, float]:
+        """Cosines and sines of the angles, as `contains` takes them."""
+        found: dict[str, float] = {}
+        for k, figure in enumerate(self.figures, start=1):
+            if figure.angle_deg:
+                angle = math.radians(figure.angle_deg)
+                found |= {f"clip_{k}_cos": math.cos(angle), f"clip_{k}_sin": math.sin(angle)}
+        return found
+
+    def with_numbers(self, numbers: Mapping[str, float]) -> Outline:
+        """The same figures with other numbers."""
+        figures = []
+        for k, figure in enumerate(self.figures, start=1):
+            x, y, angle, *sizes = (numbers[f"clip_{k}_{name}"] for name in figure.names)
+            figures.append(Figure(figure.kind, figure.sign, x, y, angle, tuple(sizes)))
+        return Outline(tuple(figures))
+
+    @property
+    def form(self) -> tuple[tuple[str, str, int, bool], ...]:
+        """What the code that asks for it hangs on."""
+        return tuple((f.kind, f.sign, len(f.sizes), bool(f.angle_deg)) for f in self.figures)
+
+    def contains(self, x: Any, y: Any, numbers: Mapping[str, Any] | None = None) -> Any:
+        """
+        Whether points lie within it, NaN does not.
+
+        Parameters
+        ----------
+        x, y : float or array
+            mm.
+        numbers : mapping of str to float or array, optional
+            Those of `numbers` and `turns`; by default its own.
+        """
+        known = self.numbers() | self.turns() if numbers is None else numbers
+        inside: Any = None
+        for k, figure in enumerate(self.figures, start=1):
+            start = f"clip_{k}_"
+            own = {name[len(start) :]: value for name, value in known.items() if name.startswith(start)}
+            here = figure.contains(x, y, own)
+            if inside is None:
+                inside = ~here if figure.sign == "-" else here
+            elif figure.sign == "+":
+                inside = inside | here
+            else:
+                inside = inside & (~here if figure.sign == "-" else here)
+        return inside
+
+
+def circle(radius: float, inner: float = 0.0, x: float = 0.0, y: float = 0.0) -> Outline:
+    """A circle or an annulus; mm."""
+    hole = (Figure("circle", "-", x, y, sizes=(inner,)),) if inner > 0 else ()
+    return Outline((Figure("circle", "+", x, y, sizes=(radius,)), *hole))
+
+
+def rectangle(half_width: float, half_height: float, x: float = 0.0, y: float = 0.0, angle_deg: float = 0.0) -> Outline:
+    """A rectangle; mm."""
+    return Outline((Figure("rectangle", "+", x, y, angle_deg, (half_width, half_height)),))
+
+
+def polygon(corners: Sequence[Sequence[float]]) -> Outline:
+    """A polygon by its corners (x, y), mm."""
+    return Outline((Figure("polygon", sizes=tuple(float(v) for corner in corners for v in corner)),))
+
+
+def _around(a: tuple[float, ...], b: tuple[float, ...]) -> tuple[float, float, float, float]:
+    return min(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), max(a[3], b[3])
+
+
+def _area(corners: np.ndarray) -> float:
+    x, y = corners.T
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+def _cross(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> bool:
+    """Whether two stretches cross."""
+
+    def side(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> float:
+        return float((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]))
+
+    return side(a, b, c) * side(a, b, d) < 0 and side(c, d, a) * side(c, d, b) < 0

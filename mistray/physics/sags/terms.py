@@ -1,0 +1,179 @@
+"""The sag of a surface by named numbers: a conic, or one for x and one for y, and all that is added to it.
+
+Every number has a name, the same in scene files, prescriptions and gradients. Lengths in mm; r² = x² + y².
+
+=============================== ============ ==========================================================================
+name                            unit         what it adds
+=============================== ============ ==========================================================================
+curvature, conic                1/mm, 1      the conic c r²/(1 + √(1 - (1 + k) c² r²)); of y alone with the next two
+curvature_x, conic_x            1/mm, 1      a biconic (ISO 10110-19): (cx x² + cy y²)/(1 + √(1 - (1 + kx) cx² x² -
+                                             (1 + ky) cy² y²)); a cylinder if one of both curvatures is 0
+toroid_curvature                1/mm         the profile of y (curvature, conic, a2 …) turned about the line parallel
+                                             to y at the distance of its inverse from the vertex
+slope_x, slope_y                1            a tilt: slope_x x + slope_y y
+a2, a4 … a30                    mm^(1-order) even asphere: r^order (of y in a toroid)
+r1, r2 … r30                    mm^(1-order) odd or extended asphere: r^order
+xy_1_0 … xy_12_12               mm^(1-i-j)   x^i y^j
+zernike_1 … zernike_231         mm           standard Zernike polynomials over ``zernike_radius``
+fringe_1 … fringe_37            mm           Fringe Zernike polynomials over ``fringe_radius``
+qbfs_0 … , qcon_0 …             mm           Forbes's polynomials over ``q_radius``; qbfs with the curvature
+chebyshev_0_0 … chebyshev_20_20 mm           T_i(x/chebyshev_x) T_j(y/chebyshev_y)
+=============================== ============ ==========================================================================
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from mistray.errors import MistrayError
+from mistray.physics.sags.forbes import qbfs, qcon
+from mistray.physics.sags.zernike import LAST_FRINGE, LAST_STANDARD, fringe, standard
+
+# Names, and the power of the length in their unit
+FIXED = {
+    "curvature": -1, "conic": 0, "curvature_x": -1, "conic_x": 0, "toroid_curvature": -1, "slope_x": 0, "slope_y": 0,
+    "zernike_radius": 1, "fringe_radius": 1, "q_radius": 1, "chebyshev_x": 1, "chebyshev_y": 1,
+}  # fmt: skip
+MOST_EVEN, MOST_RADIAL, MOST_XY, MOST_CHEBYSHEV, MOST_Q = 30, 30, 12, 20, 20
+_NUMBERED = re.compile(r"(a|r|xy|zernike|fringe|qbfs|qcon|chebyshev)(?:_)?(\d+)(?:_(\d+))?")
+_NEEDS = {
+    "zernike": ("zernike_radius",), "fringe": ("fringe_radius",), "qbfs": ("q_radius",), "qcon": ("q_radius",),
+    "chebyshev": ("chebyshev_x", "chebyshev_y"),
+}  # fmt: skip
+
+Numbers = Mapping[str, float]
+
+
+def length_power(name: str) -> int | None:
+    """Power of the length in the unit of a number of a sag; None: there is no such number."""
+    if name in FIXED:
+        return FIXED[name]
+    found = _numbered(name)
+    if found is None:
+        return None
+    kind, i, j = found
+    return {"a": 1 - i, "r": 1 - i, "xy": 1 - i - (j or 0)}.get(kind, 1)
+
+
+def _numbered(name: str) -> tuple[str, int, int | None] | None:
+    """Family and one or two orders of a coefficient's name."""
+    match = _NUMBERED.fullmatch(name)
+    if match is None:
+        return None
+    kind, i, j = match[1], int(match[2]), None if match[3] is None else int(match[3])
+    known = {
+        "a": j is None and i % 2 == 0 and 2 <= i <= MOST_EVEN,
+        "r": j is None and 1 <= i <= MOST_RADIAL,
+        "xy": j is not None and i + (j or 0) >= 1 and max(i, j or 0) <= MOST_XY,
+        "zernike": j is None and 1 <= i <= LAST_STANDARD,
+        "fringe": j is None and 1 <= i <= LAST_FRINGE,
+        "qbfs": j is None and i <= MOST_Q,
+        "qcon": j is None and i <= MOST_Q,
+        "chebyshev": j is not None and max(i, j or 0) <= MOST_CHEBYSHEV,
+    }[kind]
+    written = f"{kind}{i}" if kind in "ar" else f"{kind}_{i}" + ("" if j is None else f"_{j}")
+    return (kind, i, j) if known and written == name else None
+
+
+def check_names(names: Iterable[str], owner: str) -> None:
+    """
+    Raise if a sag cannot be made of numbers of these names.
+
+    Raises
+    ------
+    MistrayError
+        Of an unknown name, or of one whose radius is missing.
+    """
+    names = set(names)
+    for name in sorted(names):
+        if length_power(name) is None:
+            raise MistrayError(f"{owner}: '{name}' is no number of a sag; see mistray.physics.sags.terms")
+        kind = (_numbered(name) or ("",))[0]
+        for needed in _NEEDS.get(kind, ()):
+            if needed not in names:
+                raise MistrayError(f"{owner}: {name} needs {needed} (mm); add it")
+    if "conic_x" in names and not {"curvature_x", "toroid_curvature"} & names:
+        raise MistrayError(f"{owner}: conic_x needs curvature_x (1/mm); add it")
+    if {"curvature_x", "toroid_curvature"} <= names:
+        raise MistrayError(f"{owner}: curvature_x with toroid_curvature; give one of them")
+
+
+def sag(x: np.ndarray, y: np.ndarray, n: Numbers) -> np.ndarray:
+    """
+    Sag along +z, mm, at points of the vertex frame; NaN where a conic has ended.
+
+    Parameters
+    ----------
+    x, y : ndarray
+        mm, of shapes that go together.
+    n : mapping of str to float
+        Numbers by name, those of this module's table; what is missing is 0.
+    """
+    x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
+    families: dict[str, dict[tuple[int, int], float]] = {}
+    for name, value in n.items():
+        found = _numbered(name)
+        if found is not None and value:
+            families.setdefault(found[0], {})[found[1], found[2] or 0] = value
+    with np.errstate(all="ignore"):
+        even = families.pop("a", {})
+        total = _base(x, y, n, even if "toroid_curvature" in n else {})
+        total = total + n.get("slope_x", 0.0) * x + n.get("slope_y", 0.0) * y
+        r2 = x * x + y * y
+        if "toroid_curvature" not in n:
+            total = total + _powers(r2, even, 2)
+        total = total + _powers(np.sqrt(r2), families.pop("r", {}), 1)
+        for kind, terms in families.items():
+            total = total + _added(kind, x, y, n, terms)
+    return np.asarray(total)
+
+
+def _powers(base: np.ndarray, terms: Mapping[tuple[int, int], float], step: int) -> np.ndarray:
+    """Σ a base^(order/step), without powers that leave float64's range while their products do not."""
+    total = np.zeros_like(base)
+    for (order, _), amount in terms.items():
+        root = np.sign(amount) * np.abs(amount) ** (step / order)
+        total = total + np.sign(amount) * np.abs(root * base) ** (order // step)
+    return total
+
+
+def _base(x: np.ndarray, y: np.ndarray, n: Numbers, even: Mapping[tuple[int, int], float]) -> np.ndarray:
+    c, k = n.get("curvature", 0.0), n.get("conic", 0.0)
+    if "toroid_curvature" in n:
+        profile = c * y * y / (1 + np.sqrt(1 - (1 + k) * c * c * y * y)) + _powers(y * y, even, 2)
+        # R - √((R - f)² - x²) = (f (2 - f/R) + x²/R) / (1 + √((1 - f/R)² - x²/R²)), for any R
+        turn = n["toroid_curvature"]
+        left = 1 - turn * profile
+        return np.asarray(
+            (profile * (2 - turn * profile) + turn * x * x)
+            / (1 + np.sign(left) * np.sqrt(left * left - (turn * x) ** 2))
+        )
+    cx, kx = (n.get("curvature_x", c), n.get("conic_x", 0.0)) if "curvature_x" in n else (c, k)
+    if "curvature_x" not in n:
+        r2 = x * x + y * y
+        return np.asarray(c * r2 / (1 + np.sqrt(1 - (1 + k) * c * c * r2)))
+    root = np.sqrt(1 - (1 + kx) * (cx * x) ** 2 - (1 + k) * (c * y) ** 2)
+    return np.asarray((cx * x * x + c * y * y) / (1 + root))
+
+
+def _added(kind: str, x: np.ndarray, y: np.ndarray, n: Numbers, terms: dict[tuple[int, int], float]) -> np.ndarray:
+    if kind == "xy":
+        return np.asarray(sum(a * x**i * y**j for (i, j), a in terms.items()))
+    if kind == "chebyshev":
+        table = np.zeros((1 + max(i for i, _ in terms), 1 + max(j for _, j in terms)))
+        for place, a in terms.items():
+            table[place] = a
+        return np.asarray(chebyshev.chebval2d(x / n["chebyshev_x"], y / n["chebyshev_y"], table))
+    single = {i: a for (i, _), a in terms.items()}
+    if kind in ("zernike", "fringe"):
+        radius = n[f"{kind}_radius"]
+        return (standard if kind == "zernike" else fringe)(x / radius, y / radius, single)
+    r2 = x * x + y * y
+    u2 = r2 / n["q_radius"] ** 2
+    if kind == "qcon":
+        return qcon(u2, single)
+    return np.asarray(qbfs(u2, single) / np.sqrt(1 - n.get("curvature", 0.0) ** 2 * r2))

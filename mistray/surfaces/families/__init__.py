@@ -1,0 +1,1 @@
+"""Families of analytic surfaces: each answers what a trace asks, in a file of its own."""

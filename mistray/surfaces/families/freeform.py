@@ -1,0 +1,260 @@
+"""Surfaces of any sag within any outline; the normal points to +z."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.physics.geometry.outline import Outline
+from mistray.surfaces.families.freeform_crossing import first_crossing
+from mistray.surfaces.families.freeform_sag import LocalSag
+from mistray.surfaces.gradient_columns import OWN
+from mistray.surfaces.surface import ROUND, Opening, Surface
+
+if TYPE_CHECKING:
+    from mistray.surfaces.crossings import AxisRay
+
+GRID = 101  # points each way of an outline, at which sags are measured
+STEEPER = 1.02  # than the steepest point of the grid
+MARGIN = 1e-3  # by which bounds are wider, in units of the extent
+SAMPLES = 96  # of a line, between which crossings are looked for on the host
+HALVINGS = 50
+MOST_CROSSINGS = 6
+PARTS = 16  # of a patch each way, for its area
+
+
+@dataclass(kw_only=True)
+class Freeform(Surface):
+    """
+    A surface z = sag(x, y) within an outline; F = z - sag.
+
+    Attributes
+    ----------
+    local : LocalSag
+        The sag, about the middle of the outline.
+    outline : Outline
+        About the same point.
+    half : (2,) float
+        Half sizes of its box, mm.
+    slope : float
+        No part is steeper than this.
+    outermost : float
+        No part is farther from the middle than this, mm.
+    """
+
+    local: LocalSag
+    outline: Outline
+    half: tuple[float, float]
+    slope: float
+    outermost: float
+
+    @classmethod
+    def of(cls, local: LocalSag, outline: Outline, half: tuple[float, float], wall: bool = False) -> Freeform:
+        """A surface by its sag and its outline, both about the middle of the outline."""
+        x, y = outline.sample(GRID)
+        z, across, along = local.sag.evaluate(x, y, local.numbers)
+        steepest = float(np.max(np.hypot(across, along)))
+        beside = steepest * 2 * max(half) / GRID  # between the points of the grid
+        beside += MARGIN * max(float(np.ptp(z)), 1e-6 * max(half))
+        return cls(
+            sign=1.0,
+            z_range=(float(z.min()) - beside, float(z.max()) + beside),
+            wall=wall,
+            local=local,
+            outline=outline,
+            half=half,
+            slope=STEEPER * steepest,
+            outermost=_reach(outline, half),
+        )
+
+    # ---- facts
+
+    @property
+    def family(self) -> Any:
+        """What the kernel's code for its sag hangs on."""
+        return self.local.sag
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The numbers of its sag, by name."""
+        return self.local.numbers
+
+    @property
+    def size(self) -> float:
+        return self.outermost
+
+    @property
+    def least_radius(self) -> float:
+        return 0.0
+
+    @property
+    def sort(self) -> tuple[object, ...]:
+        return type(self), self.local.sag, self.outline.form
+
+    @property
+    def columns(self) -> dict[str, float]:
+        return dict(zip(OWN, (self.values[name] for name in self.family.numbers), strict=False))
+
+    @property
+    def opening(self) -> Opening:
+        """The box of its outline, or its outer circle."""
+        if self._round:
+            return Opening(0.0, (self.size, self.size))
+        return Opening(0.0, self.half, rectangular=True)
+
+    @property
+    def _round(self) -> bool:
+        first = self.outline.figures[0]
+        return first.kind == "circle" and all(figure.sign == "-" for figure in self.outline.figures[1:])
+
+    @property
+    def detector_half(self) -> tuple[float, float]:
+        return self.half
+
+    # ---- rays on the host
+
+    def crossings(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+        found = np.full((len(o), MOST_CROSSINGS), np.nan)
+        middle = -np.einsum("ij,ij->i", o, d)
+        reach = 1.01 * np.hypot(self.size, np.abs(self.z_range).max())
+        off2 = np.einsum("ij,ij->i", o, o) - middle**2
+        rays = np.flatnonzero(off2 < reach**2)
+        half = np.sqrt(reach**2 - off2[rays])
+        t = middle[rays, None] + half[:, None] * np.linspace(-1, 1, SAMPLES)
+
+        def height(t: np.ndarray, rays: np.ndarray) -> np.ndarray:
+            q = o[rays][:, None] + t[..., None] * d[rays][:, None]
+            return self.residual(q.reshape(-1, 3)).reshape(t.shape)
+
+        f = height(t, rays)
+        row, place = np.nonzero(np.sign(f[:, :-1]) * np.sign(f[:, 1:]) <= 0)
+        low, high, before = t[row, place], t[row, place + 1], f[row, place]
+        some = (before != 0) | (place == 0)
+        row, place, low, high, before = row[some], place[some], low[some], high[some], before[some]
+        for _ in range(HALVINGS):
+            half_way = 0.5 * (low + high)
+            first = np.sign(height(half_way[:, None], rays[row])[:, 0]) == np.sign(before)
+            low, high = np.where(first, half_way, low), np.where(first, high, half_way)
+        number = np.arange(len(row)) - np.searchsorted(row, row)
+        kept = number < MOST_CROSSINGS
+        found[rays[row[kept]], number[kept]] = 0.5 * (low + high)[kept]
+        return found
+
+    def inside(self, q: np.ndarray) -> np.ndarray:
+        return np.asarray(self.outline.contains(q[:, 0], q[:, 1]))
+
+    def _sag(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        x, y = np.clip(x, -self.half[0], self.half[0]), np.clip(y, -self.half[1], self.half[1])
+        z, across, along = self.local.sag.evaluate(x, y, self.values)
+        return tuple(np.broadcast_to(v, np.shape(x)) for v in (z, across, along))  # type: ignore[return-value]
+
+    def residual(self, q: np.ndarray) -> np.ndarray:
+        return np.asarray(q[:, 2] - self._sag(q[:, 0], q[:, 1])[0])
+
+    def gradient(self, q: np.ndarray) -> np.ndarray:
+        _, across, along = self._sag(q[:, 0], q[:, 1])
+        return 0.5 * np.stack([-across, -along, np.ones(len(q))], axis=1)
+
+    # ---- points and areas
+
+    @cached_property
+    def _cells(self) -> tuple[np.ndarray, np.ndarray]:
+        """Points (n, 2) of the outline in a grid, and the sum of their areas up to each, from 0 to 1."""
+        x, y = self.outline.sample(2 * GRID)
+        weight = np.cumsum(self._stretch(x, y))
+        return np.stack([x, y], axis=1), weight / weight[-1]
+
+    def _stretch(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Area of the surface over that of its projection along its axis."""
+        _, across, along = self._sag(x, y)
+        return np.asarray(np.sqrt(1 + across**2 + along**2))
+
+    def points(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        places, share = self._cells
+        number = np.minimum(np.searchsorted(share, u), len(share) - 1)
+        before = np.where(number, share[number - 1], 0.0)
+        offset = np.stack([(u - before) / (share[number] - before), v], axis=1) - 0.5
+        step = np.array(self.half) / GRID  # of a cell
+        moved = places[number] + offset * step
+        inside = self.outline.contains(moved[:, 0], moved[:, 1])[:, None]
+        x, y = np.where(inside, moved, places[number]).T
+        return np.stack([x, y, self._sag(x, y)[0]], axis=1)
+
+    def unit_square(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return 0.5 + 0.5 * q[:, 0] / self.half[0], 0.5 + 0.5 * q[:, 1] / self.half[1]
+
+    def areas(self, first: int, second: int) -> np.ndarray:
+        a, b = ((np.arange(count * PARTS) + 0.5) / (count * PARTS) for count in (first, second))
+        x, y = np.meshgrid(self.half[0] * (2 * a - 1), self.half[1] * (2 * b - 1), indexing="ij")
+        area = np.where(self.outline.contains(x, y), self._stretch(x, y), 0.0)
+        cell = 4 * self.half[0] * self.half[1] / (first * second * PARTS**2)
+        return np.asarray(cell * area.reshape(first, PARTS, second, PARTS).sum(axis=(1, 3)))
+
+    def hull(self, polygon: np.ndarray) -> np.ndarray:
+        corners = np.array([[x, y] for x in (-1.0, 1.0) for y in (-1.0, 1.0)]) * self.half
+        flat = self.size * polygon if self._round else corners
+        return np.concatenate([np.column_stack([flat, np.full(len(flat), z)]) for z in self.z_range])
+
+    # ---- rims
+
+    @property
+    def rim_coordinate(self) -> int:
+        return ROUND
+
+    @property
+    def rim_sizes(self) -> dict[int, float]:
+        return {}
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        return 0.0, self.size
+
+    def rim_point(self, rim: int) -> np.ndarray:
+        raise NotImplementedError("an outline has no circular rims")
+
+    def tangent(self, point: np.ndarray) -> np.ndarray:
+        raise NotImplementedError("an outline has no profile")
+
+    def on_profile(self, point: np.ndarray) -> tuple[float, float, float, float]:
+        return point[0], 0.0, self.size, np.inf  # it takes part in no contact
+
+    # ---- kernel
+
+    def numbers(self) -> dict[str, mi.Float]:
+        return {name: dr.opaque(mi.Float, value) for name, value in self.kernel_values().items()}
+
+    def kernel_values(self) -> Mapping[str, Any]:
+        return {
+            **self.values,
+            **self.outline.numbers(),
+            **self.outline.turns(),
+            "z": self.z,
+            "z_low": self.z_range[0],
+            "z_high": self.z_range[1],
+            "size2": self.size**2,
+            "slope2": self.slope**2,
+            "self_hit": self.self_hit,
+            "half_x": self.half[0],
+            "half_y": self.half[1],
+        }
+
+    def crossing(self, ray: AxisRay, numbers: dict[str, mi.Float], own: mi.Bool) -> mi.Float:
+        return first_crossing(ray, self.local.sag, self.outline, numbers, own)
+
+
+def _reach(outline: Outline, half: tuple[float, float]) -> float:
+    """Greatest distance from the middle, mm."""
+    box = float(np.hypot(*half))
+    if outline.figures[0].sign == "-":
+        return box
+    figures = [figure for figure in outline.figures if figure.sign == "+"]
+    round_only = all(figure.kind in ("circle", "ellipse") for figure in figures)
+    if not round_only:
+        return box
+    return min(box, max(float(np.hypot(figure.x, figure.y)) + max(figure.sizes) for figure in figures))

@@ -1,0 +1,216 @@
+"""The sag of a freeform as the kernel has it: a quadric and a departure in Chebyshev polynomials, about its middle.
+
+In a frame whose origin lies on the surface, at the middle of its outline, a quadric cx x² + cy y² + A z² = 2 z of the
+vertex frame is
+
+    C(x, y) - 2 B z + A z² = 0,   C = cx x² + cy y² + 2 (lx x + ly y),   z = C / (B + √(B² - A C)),
+
+so that an off-axis piece keeps the digits of its own size, however far away its vertex is. Odd powers of the distance
+from the vertex, which no polynomial comes close to, stand beside the departure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from mistray.physics._arrays import sqrt
+from mistray.physics.geometry.departure import Departure, Form
+from mistray.physics.sags.terms import FIXED, MOST_RADIAL, length_power, sag
+from mistray.surfaces.extrema import larger
+
+QUADRIC = ("cx", "cy", "a", "b", "lx", "ly")
+BOX = ("ix", "iy")
+VERTEX = ("vx", "vy", "per_size", "at_middle")
+NEAREST = 1e-12  # square of the distance from the vertex, in units of the size, that stands for 0
+ENDED = 1e-6  # of B²: a conic that has ended goes on as steep as there, so that rays beside it find their way
+PROBE = 1e-3  # stands for a number that is 0, in units of the size: it keeps its derivative
+ENOUGH = 2e-9  # error of a departure that is small enough, in units of the size
+TOO_MUCH = 1e-6  # error that is reported, the same
+
+
+@dataclass(frozen=True)
+class FreeformSag:
+    """
+    What the code of a freeform hangs on; F = z - sag(x, y).
+
+    Attributes
+    ----------
+    curved : bool
+        Its quadric is no plane.
+    form : Form
+        Of its departure.
+    odd : tuple of int
+        Its odd powers of the distance from the vertex.
+    """
+
+    curved: bool
+    form: Form
+    odd: tuple[int, ...] = ()
+
+    @cached_property
+    def numbers(self) -> tuple[str, ...]:
+        """Names of its numbers."""
+        return (*QUADRIC, *BOX, *self._coefficients, *(VERTEX if self.odd else ()), *(f"odd_{k}" for k in self.odd))
+
+    @cached_property
+    def _coefficients(self) -> tuple[str, ...]:
+        return tuple(f"c{k}" for k in range(len(self.form.terms) if self.form.degree >= 0 else 0))
+
+    def evaluate(self, x: Any, y: Any, n: Mapping[str, Any]) -> tuple[Any, Any, Any]:
+        """Sag (mm) and its slopes in x and y, for NumPy or Dr.Jit arrays; NaN on the host where it has ended."""
+        across, along = n["cx"] * x + n["lx"], n["cy"] * y + n["ly"]
+        if self.curved:
+            c = x * (across + n["lx"]) + y * (along + n["ly"])
+            root = _root(n["b"] * n["b"] - n["a"] * c)
+            z, across, along = c / (n["b"] + root), across / root, along / root
+        else:
+            z = (x * n["lx"] + y * n["ly"]) / n["b"]
+            across, along = across / n["b"], along / n["b"]
+        if self.form.degree >= 0:
+            u, v = x * n["ix"], y * n["iy"]
+            more, by_u, by_v = self.form.evaluate(u, v, [n[name] for name in self._coefficients])
+            z, across, along = z + more, across + by_u * n["ix"], along + by_v * n["iy"]
+        if self.odd:
+            u, v = (x + n["vx"]) * n["per_size"], (y + n["vy"]) * n["per_size"]
+            r2 = u * u + v * v + NEAREST
+            power, order = sqrt(r2), 1
+            z = z - n["at_middle"]
+            for k in self.odd:
+                while order < k:
+                    power, order = power * r2, order + 2
+                part = n[f"odd_{k}"] * power
+                steep = k * part / r2 * n["per_size"]
+                z, across, along = z + part, across + steep * u, along + steep * v
+        return z, across, along
+
+    def residual(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
+        """F, mm."""
+        return z - self.evaluate(x, y, n)[0]
+
+    def gradient(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> tuple[Any, Any, Any]:
+        """The derivatives of F by x, y and z."""
+        _, across, along = self.evaluate(x, y, n)
+        return -across, -along, 1.0
+
+    def coordinate(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
+        """Distance from the middle, mm."""
+        return sqrt(x * x + y * y)
+
+
+def _root(square: Any) -> Any:
+    if isinstance(square, np.ndarray | np.generic | float):
+        with np.errstate(invalid="ignore"):
+            return np.sqrt(square)
+    return dr.sqrt(larger(square, ENDED))
+
+
+@dataclass(frozen=True)
+class LocalSag:
+    """
+    A sag about the middle of its outline, in float64.
+
+    Attributes
+    ----------
+    sag : FreeformSag
+    numbers : dict of str to float
+        By the names of `sag`.
+    origin : (3,) float
+        The middle in the vertex frame, mm.
+    error, slope_error : float
+        How far it is from the sag that it stands for, mm, and in slope.
+    """
+
+    sag: FreeformSag
+    numbers: dict[str, float]
+    origin: tuple[float, float, float]
+    error: float
+    slope_error: float
+
+    @classmethod
+    def of(
+        cls, n: Mapping[str, float], middle: tuple[float, float], half: tuple[float, float], x: Any, y: Any
+    ) -> LocalSag:
+        """
+        A sag over a box.
+
+        Parameters
+        ----------
+        n : mapping of str to float
+            Its numbers, see `mistray.physics.sags.terms`.
+        middle, half : (2,) float
+            Of the box in the vertex frame, mm.
+        x, y : (n,) float64
+            Points of the outline in the vertex frame, mm.
+        """
+        size = float(np.hypot(*half))
+        probe = {
+            name: value or (0.0 if name in FIXED else PROBE * size ** length_power(name))  # type: ignore[operator]
+            for name, value in n.items()
+        }
+        form = cls._at(probe, middle, half, x, y, None).sag
+        return cls._at(n, middle, half, x, y, form)
+
+    def moved(
+        self, n: Mapping[str, float], middle: tuple[float, float], half: tuple[float, float], x: Any, y: Any
+    ) -> LocalSag:
+        """The same with other numbers and code of the same form."""
+        return self._at(n, middle, half, x, y, self.sag)
+
+    @classmethod
+    def _at(
+        cls,
+        n: Mapping[str, float],
+        middle: tuple[float, float],
+        half: tuple[float, float],
+        x: Any,
+        y: Any,
+        form: FreeformSag | None,
+    ) -> LocalSag:
+        ox, oy = middle
+        quadric = _quadric(n)
+        z0 = float(quadric_sag(ox, oy, *quadric))
+        cx, cy, a = quadric
+        base = {"cx": cx, "cy": cy, "a": a, "b": 1 - a * z0, "lx": cx * ox, "ly": cy * oy}
+        at_middle = float(sag(np.array(ox), np.array(oy), n))
+        size = float(np.hypot(*half))
+        powers = {k: n[f"r{k}"] for k in range(1, MOST_RADIAL + 1, 2) if f"r{k}" in n}
+        odd = {f"odd_{k}": amount * size**k for k, amount in powers.items()}
+        if odd:
+            r = np.sqrt((ox * ox + oy * oy) / size**2 + NEAREST)
+            base |= {"vx": ox, "vy": oy, "per_size": 1 / size}
+            base |= {"at_middle": sum(amount * r**k for k, amount in zip(powers, odd.values(), strict=True)), **odd}
+        own = FreeformSag(bool(cx or cy), Form(), tuple(powers))
+
+        def departure(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+            return np.asarray(sag(x + ox, y + oy, n) - at_middle - own.evaluate(x, y, base)[0])
+
+        found = Departure.of(departure, half, x - ox, y - oy, ENOUGH * size, form.form if form else None)
+        whole = FreeformSag(own.curved if form is None else form.curved, found.form, own.odd)
+        box = {"ix": 1 / found.half[0], "iy": 1 / found.half[1]}
+        coefficients = {f"c{k}": float(c) for k, c in enumerate(found.coefficients)}
+        return cls(whole, base | box | coefficients, (ox, oy, at_middle), found.error, found.slope_error)
+
+
+def _quadric(n: Mapping[str, float]) -> tuple[float, float, float]:
+    """Curvatures in x and y and the factor of z² of the quadric that a sag starts from."""
+    c, k = n.get("curvature", 0.0), n.get("conic", 0.0)
+    if "toroid_curvature" in n:
+        cx, kx = n["toroid_curvature"], 0.0
+    elif "curvature_x" in n:
+        cx, kx = n["curvature_x"], n.get("conic_x", 0.0)
+    else:
+        return c, c, c * (1 + k)
+    both = [c * (1 + k), cx * (1 + kx)]
+    return cx, c, both[0] if not cx else both[1] if not c else 0.5 * sum(both)
+
+
+def quadric_sag(x: Any, y: Any, cx: float, cy: float, a: float) -> Any:
+    """Sag of a quadric in the frame of its vertex, mm."""
+    c = cx * x * x + cy * y * y
+    return c / (1 + np.sqrt(1 - a * c))

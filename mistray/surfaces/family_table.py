@@ -1,0 +1,58 @@
+"""Surfaces whose F is a formula of their family, in tables of the device."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.surfaces.surface import Surface
+from mistray.surfaces.upload import upload
+
+
+class FamilyTable:
+    """
+    Families of surfaces; without any, it is false and adds nothing to a kernel.
+
+    A piece has `family` and `values` where its F is a formula of its own: the family has `numbers`, the names of its
+    values, and `residual`, `gradient` and `coordinate`.
+
+    Parameters
+    ----------
+    pieces : sequence of Surface
+        All analytic surfaces.
+    count : int
+        Number of all surfaces.
+    """
+
+    def __init__(self, pieces: Sequence[Surface], count: int) -> None:
+        own: list[Any] = [piece for piece in pieces if hasattr(piece, "family")]
+        self.families = list(dict.fromkeys(piece.family for piece in own))
+        self._vectors = -(-max((len(family.numbers) for family in self.families), default=0) // 4)
+        numbers, rows = np.zeros(count, dtype=np.uint32), np.zeros((count, 4 * self._vectors))
+        for piece in own:
+            numbers[piece.index] = 1 + self.families.index(piece.family)
+            values = [piece.values[name] for name in piece.family.numbers]
+            rows[piece.index, : len(values)] = values
+        if own:
+            self._numbers, self._rows = upload(mi.UInt32, numbers), upload(mi.Float, rows)
+
+    def __bool__(self) -> bool:
+        return bool(self.families)
+
+    def members(self, s: mi.UInt32, active: mi.Bool) -> Iterator[tuple[mi.Bool, Any]]:
+        """For each family, which of the surfaces s belong to it."""
+        number = dr.gather(mi.UInt32, self._numbers, s, active) if self.families else None
+        for k, family in enumerate(self.families, start=1):
+            yield active & (number == k), family
+
+    def numbers(self, family: Any, s: mi.UInt32, here: mi.Bool) -> dict[str, mi.Float]:
+        """The numbers of the surfaces s of a family, by name."""
+        vectors = [
+            dr.gather(mi.Vector4f, self._rows, self._vectors * s + k, here) for k in range(-(-len(family.numbers) // 4))
+        ]
+        values = (vector[k] for vector in vectors for k in range(4))
+        return dict(zip(family.numbers, values, strict=False))

@@ -1,0 +1,290 @@
+"""Plugin `freeform`: a surface of any sag within any outline, traced analytically by the ray tree."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.physics.geometry.outline import KINDS, MOST_FIGURES, SIGNS, SIZES, Figure, Outline
+from mistray.physics.sags.terms import FIXED, check_names, length_power, sag
+from mistray.plugins.shapes.revolution import POSE, RELATIVE, Revolution, float_property
+from mistray.ranges import FINITE, PLACE_MM, Range
+from mistray.surfaces.families.freeform import Freeform
+from mistray.surfaces.families.freeform_sag import TOO_MUCH, LocalSag
+from mistray.surfaces.families.outline_mesh import outline_mesh
+from mistray.surfaces.gradient_columns import OWN, declare_columns
+
+NUMBER = Range(-1e300, 1e300)
+RADII = {"radius": "curvature", "radius_x": "curvature_x", "toroid_radius": "toroid_curvature"}
+SECTION = 129  # points of the section that `profile` is taken from
+SAMPLES = 61  # of the outline each way, at which the kernel's sag is compared
+Shorthand = ("semi_diameter", "inner_semi_diameter", "half_width", "half_height")
+
+
+class FreeformShape(Revolution):
+    r"""
+    Surface of any sag within any outline (:monosp:`freeform`).
+
+    Biconics, toroids, cylinders, Zernike and other polynomials, off-axis pieces, apertures with spiders, segments. The
+    sag is a sum, in the frame of the vertex: a conic of ``curvature`` and ``conic``, and all numbers of
+    `mistray.physics.sags.terms` that are given. The normal points to +z; the side at -z is the ``front`` of the nested
+    ``interface``, the side at +z its ``back``.
+
+    The outline is made of figures in the plane across the axis, one after the other. The first one stands; ``+`` adds
+    a figure, ``-`` cuts one away, ``&`` keeps what lies in both. They may lie anywhere: a piece of a parabola far off
+    its axis keeps the digits of its own size, because the ray tree works about the middle of the outline.
+
+    ========================= ============ ======== ========= ======================================================
+    parameter                 unit         range    default   meaning
+    ========================= ============ ======== ========= ======================================================
+    curvature, conic          1/mm, 1      ±        0         of the conic, or of y alone (differentiable)
+    radius                    mm           ±        plane     instead of ``curvature``; 0 or inf is a plane
+    curvature_x, conic_x      1/mm, 1      ±        none      biconic or cylinder; or ``radius_x`` (differentiable)
+    toroid_curvature          1/mm         ±        none      toroid; or ``toroid_radius`` (differentiable)
+    a2, a4 … a30              mm^(1-order) ±        0         even asphere (differentiable)
+    r1, r2 … r30              mm^(1-order) ±        0         odd asphere (differentiable)
+    xy_i_j                    mm^(1-i-j)   ±        0         x^i y^j, to xy_12_12 (differentiable)
+    zernike_j, fringe_j       mm           ±        0         with ``zernike_radius``, ``fringe_radius``
+                                                              (differentiable)
+    qbfs_m, qcon_m            mm           ±        0         Forbes's polynomials with ``q_radius`` (differentiable)
+    chebyshev_i_j             mm           ±        0         with ``chebyshev_x``, ``chebyshev_y`` (differentiable)
+    slope_x, slope_y          1            ±        0         a tilt in the sag (differentiable)
+    semi_diameter             mm           > 0      none      a centred circle instead of figures
+    inner_semi_diameter       mm           ≥ 0      0         a hole in it
+    half_width, half_height   mm           > 0      none      a centred rectangle instead of figures
+    clip_1, clip_2 …          string                none      sign and kind of a figure: ``+circle``, ``-rectangle``,
+                                                              ``&ellipse``, ``+polygon``
+    clip_k_x, clip_k_y        mm           ±        0         place of figure k
+    clip_k_angle_deg          deg          ±        0         figure k is turned by this, from x to y
+    clip_k_radius             mm           > 0                of a circle
+    clip_k_half_width,        mm           > 0                of a rectangle or an ellipse
+    clip_k_half_height
+    clip_k_x1, clip_k_y1 …    mm           ±                  corners of a polygon, in turn
+    to_world                  mm           rigid    identity  position and orientation of the vertex frame
+    x, y, z                   mm           ±        0         displacement along the axes of this frame
+                                                              (differentiable)
+    tilt_x, tilt_y, tilt_z    deg          ±        0         right-handed rotations about these axes, as of `asphere`
+                                                              (differentiable)
+    part                      string                shape id  name of the object the surface belongs to
+    space                     integer               -1        optical space, for grouping in reports
+    mechanics                 boolean               false     whether it counts as mechanics: a plate, a spider
+    (nested) bsdf             bsdf                  required  an ``interface``
+    (nested) sensor           sensor                none      an ``irradiancemeter``: makes this shape the detector
+    ========================= ============ ======== ========= ======================================================
+
+    The ray tree has the sag as a quadric and a departure from it in Chebyshev polynomials of degree 20 at most; a
+    surface whose sag is farther than 1e-6 of its size from that is refused.
+
+    .. code-block:: xml
+
+        <shape type="freeform" id="M1">
+            <float name="radius" value="-2000"/> <float name="conic" value="-1"/>
+            <string name="clip_1" value="+circle"/>
+            <float name="clip_1_y" value="300"/> <float name="clip_1_radius" value="100"/>
+            <bsdf type="interface"> <float name="R" value="0.98"/> <boolean name="mirror" value="true"/> </bsdf>
+        </shape>
+
+    .. code-block:: python
+
+        {"type": "freeform", "radius": 80.0, "zernike_6": 0.01, "zernike_radius": 12.0, "semi_diameter": 12.0,
+         "bsdf": {"type": "interface", "back": "N-BK7"}}
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        self._start(props)
+        self.mechanics = bool(props.get("mechanics", False))
+        owner = f"shape '{self.name}'"
+        given = {key for key in list(props.keys()) if length_power(key) is not None or key in RADII}
+        values = {"curvature": 0.0, "conic": 0.0}
+        for key in sorted(given, key=_order):
+            value = float_property(props, key)
+            if key in RADII:
+                if RADII[key] in given:
+                    raise MistrayError(f"{owner}: give {key} or {RADII[key]}, not both")
+                key, value = RADII[key], 0.0 if value == 0 or math.isinf(value) else 1.0 / value
+            values[key] = value
+        check_names(values, owner)
+        self._forms = self._figures(props, values)
+        self.in_double = tuple(key for key in values if key not in ("curvature", "conic"))
+        self.ranges = dict.fromkeys(values, NUMBER) | {"curvature": FINITE, "conic": FINITE}
+        declare_columns(dict.fromkeys(values, OWN))
+        self._finish(props, values)
+
+    def _figures(self, props: mi.Properties, values: dict[str, float]) -> list[tuple[str, str, int]]:
+        """Sign, kind and number of sizes of each figure, whose numbers are added to `values`."""
+        owner = f"shape '{self.name}'"
+        short = [key for key in Shorthand if key in props]
+        clips = [k for k in range(1, MOST_FIGURES + 1) if f"clip_{k}" in props]
+        if bool(short) == bool(clips) or clips != list(range(1, len(clips) + 1)):
+            raise MistrayError(
+                f"{owner}: it needs semi_diameter, or half_width and half_height, or an outline clip_1, clip_2, …"
+            )
+        if short:
+            return self._shorthand(props, values, short)
+        forms = []
+        for k in clips:
+            text = str(props[f"clip_{k}"]).strip()
+            sign, kind = (text[:1], text[1:].strip()) if text[:1] in SIGNS else ("+", text)
+            if kind not in KINDS:
+                raise MistrayError(f"{owner}: clip_{k} is '{text}'; use + - or & and one of {', '.join(KINDS)}")
+            names = ["x", "y", "angle_deg"]
+            corners = 1
+            while kind == "polygon" and f"clip_{k}_x{corners}" in props:
+                names += [f"x{corners}", f"y{corners}"]
+                corners += 1
+            names += SIZES.get(kind, ())
+            for name in names:
+                default = 0.0 if name in ("x", "y", "angle_deg") else None
+                if default is None and f"clip_{k}_{name}" not in props:
+                    raise MistrayError(f"{owner}: {kind} clip_{k} needs clip_{k}_{name}; add it")
+                values[f"clip_{k}_{name}"] = float_property(props, f"clip_{k}_{name}", default)
+            forms.append((sign, kind, len(names) - 3))
+        return forms
+
+    def _shorthand(
+        self, props: mi.Properties, values: dict[str, float], short: list[str]
+    ) -> list[tuple[str, str, int]]:
+        if set(short) not in (
+            {"semi_diameter"},
+            {"semi_diameter", "inner_semi_diameter"},
+            {"half_width", "half_height"},
+        ):
+            raise MistrayError(
+                f"shape '{self.name}': {', '.join(short)}; give either semi_diameter or both half_width and half_height"
+            )
+        values |= {key: float_property(props, key) for key in short}
+        return []
+
+    # ---- outline and sag
+
+    @property
+    def outline(self) -> Outline:
+        """The outline in the vertex frame."""
+        return self._outline(self.values)
+
+    def _outline(self, v: Mapping[str, float]) -> Outline:
+        if "semi_diameter" in v:
+            figures = [Figure("circle", sizes=(v["semi_diameter"],))]
+            if v.get("inner_semi_diameter"):
+                figures.append(Figure("circle", "-", sizes=(v["inner_semi_diameter"],)))
+            return Outline(tuple(figures))
+        if "half_width" in v:
+            return Outline((Figure("rectangle", sizes=(v["half_width"], v["half_height"])),))
+        forms = [Figure(kind, sign, sizes=(0.0,) * sizes) for sign, kind, sizes in self._forms]
+        return Outline(tuple(forms)).with_numbers(v)
+
+    @property
+    def _sag_numbers(self) -> dict[str, float]:
+        return {key: value for key, value in self.values.items() if length_power(key) is not None}
+
+    def check(self) -> None:
+        owner = f"shape '{self.name}'"
+        outline = self.outline
+        outline.check(owner)
+        x0, x1, y0, y1 = outline.bounds()
+        # Held while differences are taken, so that a sag's numbers alone change its columns
+        self._middle = (0.5 * (x0 + x1), 0.5 * (y0 + y1))
+        self._half = (0.5 * (x1 - x0), 0.5 * (y1 - y0))
+        self._samples = outline.sample(SAMPLES)
+        for key, value in self._sag_numbers.items():
+            if key.endswith("_radius") or key in ("chebyshev_x", "chebyshev_y"):
+                PLACE_MM.check(key, value, owner)
+                if not value > 0:
+                    raise MistrayError(f"{owner}: {key} is {value:g} mm; it must be greater than 0")
+        if not np.isfinite(self.height(*self._samples)).all():
+            raise MistrayError(f"{owner}: its sag ends or folds within its outline; reduce the outline or a curvature")
+        self._local = self._local_sag(self._sag_numbers)
+        size = math.hypot(*self._half)
+        if self._local.error > TOO_MUCH * size:
+            raise MistrayError(
+                f"{owner}: single precision has its sag to {self._local.error:.2g} mm only; reduce the outline or the "
+                "orders of its sag"
+            )
+
+    def _local_sag(self, numbers: Mapping[str, float]) -> LocalSag:
+        return LocalSag.of(numbers, self._middle, self._half, *self._samples)
+
+    def height(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Sag over the vertex plane at points of the vertex frame, mm, float64."""
+        return sag(x, y, self._sag_numbers)
+
+    def surface(self, values: Mapping[str, float]) -> Freeform:  # type: ignore[override]
+        numbers = {key: values[key] for key in self._sag_numbers}
+        local = (
+            self._local
+            if numbers == self._sag_numbers
+            else self._local.moved(numbers, self._middle, self._half, *self._samples)
+        )
+        ox, oy = self._middle
+        outline = Outline(
+            tuple(
+                Figure(f.kind, f.sign, f.x - ox, f.y - oy, f.angle_deg, f.sizes) for f in self._outline(values).figures
+            )
+        )
+        return Freeform.of(local, outline, self._half, self.mechanics)
+
+    def vertex_frame(self, values: Mapping[str, float], matrix: np.ndarray) -> np.ndarray:  # type: ignore[override]
+        """Frame of the middle of the outline."""
+        frame = np.array(matrix)
+        ox, oy = self._middle
+        numbers = {key: values[key] for key in self._sag_numbers}
+        frame[:3, 3] += matrix[:3, :3] @ (ox, oy, float(sag(np.array(ox), np.array(oy), numbers)))
+        return frame
+
+    @property
+    def differentiable(self) -> tuple[str, ...]:
+        """The numbers of the sag and the pose; the outline has no derivative yet."""
+        held = ("zernike_radius", "fringe_radius", "q_radius", "chebyshev_x", "chebyshev_y")
+        if len(self._local.sag.numbers) > len(OWN):
+            return POSE
+        return (*(key for key in self._sag_numbers if key not in held), *POSE)
+
+    def step(self, name: str) -> float:
+        if name in POSE:
+            return super().step(name)
+        return float(RELATIVE * math.hypot(*self._half) ** (length_power(name) or 0))
+
+    # ---- what stock integrators and drawings see
+
+    @property
+    def sheet(self) -> bool:
+        return True
+
+    @property
+    def figure(self) -> str:
+        return "freeform"
+
+    @property
+    def outer_radius(self) -> float:
+        """Largest distance of the surface from its vertex's axis, mm."""
+        return math.hypot(*self._middle) + math.hypot(*self._half)
+
+    @property
+    def flipped(self) -> bool:
+        return False
+
+    def profile(self, count: int = 65) -> np.ndarray:
+        """Section through the middle along y: y and z in the vertex frame, mm."""
+        y = np.linspace(self._middle[1] - self._half[1], self._middle[1] + self._half[1], count)
+        return np.column_stack([y, self.height(np.full(count, self._middle[0]), y)])
+
+    def _local_mesh(self) -> tuple[np.ndarray, np.ndarray]:
+        points, faces = outline_mesh(self.outline)
+        z = self.height(points[:, 0], points[:, 1])
+        # A conic may end on the rim itself, by a rounding
+        inner = np.array(self._middle) + (1 - 1e-9) * (points - self._middle)
+        z = np.where(np.isfinite(z), z, self.height(inner[:, 0], inner[:, 1]))
+        return np.column_stack([points, z]), faces
+
+
+def _order(name: str) -> tuple[int, str]:
+    """The base before the coefficients, these in the order of their numbers."""
+    digits = "".join(f"{int(part):04d}" if part.isdigit() else part for part in name.replace("_", " ").split())
+    return (0 if name in FIXED or name in RADII else 1, digits)
+
+
+mi.register_shape("freeform", lambda props: FreeformShape(props))
