@@ -97,6 +97,8 @@ class Surface(Placed):
         Models that scatter a part of the light; they add.
     mirror : bool
         The design path reflects here, so that this reflection is no ghost.
+    meets : str
+        "both", or "+z" or "-z": light that goes the other way along its axis goes through a freeform.
     part : str or None
         Object that the surface belongs to; ``None``: its own name.
     space : int
@@ -119,6 +121,7 @@ class Surface(Placed):
     coating: Coating | None = None
     scatter: tuple[Scatter, ...] = ()
     mirror: bool = False
+    meets: str = "both"
     part: str | None = None
     space: int = -1
 
@@ -165,7 +168,7 @@ class Surface(Placed):
     @property
     def freeform(self) -> bool:
         """Whether it needs the `freeform` plugin: another sag than an even asphere's, or an outline."""
-        return bool(self.sag) or self.outline is not None
+        return bool(self.sag) or self.outline is not None or self.meets != "both"
 
     @property
     def sag_numbers(self) -> dict[str, float]:

@@ -100,6 +100,7 @@ def _surface(s: Surface, mechanics: bool = False) -> _Node:
     if s.freeform:
         properties |= {key: float(value) for key, value in s.sag.items()} | _outline(s.outline)
         properties |= {"mechanics": True} if mechanics else {}
+        properties |= {"meets": s.meets} if s.meets != "both" else {}
     children: tuple[_Node, ...] = (_interface(s),)
     if isinstance(s, Detector):
         film: dict[str, Value] = {"width": s.pixels[0], "height": s.pixels[1], "component_format": "float32"}

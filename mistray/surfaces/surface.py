@@ -1,7 +1,7 @@
 """What a trace asks of an analytic surface. Each family of surfaces answers in a file of its own.
 
-`mistray.surfaces.families.sag_surface` has planes, conics and aspheres, `cone` cones and tubes, `freeform` all else, and
-`mistray.surfaces.families.implicit_surface` what users define by a formula.
+`mistray.surfaces.families.sag_surface` has planes, conics and aspheres, `cone` cones and tubes, `freeform` all other
+sags, and `mistray.surfaces.families.implicit_surface` what users define by a formula.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from mistray.surfaces.gradient_columns import OWN, declare_columns
 
 NUMBER = Range(-1e300, 1e300)
 RADII = {"radius": "curvature", "radius_x": "curvature_x", "toroid_radius": "toroid_curvature"}
-SECTION = 129  # points of the section that `profile` is taken from
+WAYS = {"both": 0, "+z": 1, "-z": -1}
 SAMPLES = 61  # of the outline each way, at which the kernel's sag is compared
 Shorthand = ("semi_diameter", "inner_semi_diameter", "half_width", "half_height")
 
@@ -72,6 +72,8 @@ class FreeformShape(Revolution):
     part                      string                shape id  name of the object the surface belongs to
     space                     integer               -1        optical space, for grouping in reports
     mechanics                 boolean               false     whether it counts as mechanics: a plate, a spider
+    meets                     string                both      the light that meets it: ``both`` ways along its z axis,
+                                                              ``+z`` or ``-z``; light the other way goes through
     (nested) bsdf             bsdf                  required  an ``interface``
     (nested) sensor           sensor                none      an ``irradiancemeter``: makes this shape the detector
     ========================= ============ ======== ========= ======================================================
@@ -98,6 +100,10 @@ class FreeformShape(Revolution):
         self._start(props)
         self.mechanics = bool(props.get("mechanics", False))
         owner = f"shape '{self.name}'"
+        meets = str(props.get("meets", "both"))
+        if meets not in WAYS:
+            raise MistrayError(f"{owner}: meets is '{meets}'; use {', '.join(WAYS)}")
+        self._way = WAYS[meets]
         given = {key for key in list(props.keys()) if length_power(key) is not None or key in RADII}
         values = {"curvature": 0.0, "conic": 0.0}
         for key in sorted(given, key=_order):
@@ -225,7 +231,7 @@ class FreeformShape(Revolution):
                 Figure(f.kind, f.sign, f.x - ox, f.y - oy, f.angle_deg, f.sizes) for f in self._outline(values).figures
             )
         )
-        return Freeform.of(local, outline, self._half, self.mechanics)
+        return Freeform.of(local, outline, self._half, self.mechanics, self._way)
 
     def vertex_frame(self, values: Mapping[str, float], matrix: np.ndarray) -> np.ndarray:  # type: ignore[override]
         """Frame of the middle of the outline."""

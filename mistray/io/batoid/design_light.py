@@ -9,10 +9,12 @@ batoid knows only the opening reaches as far out as the beam that it is to shade
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
+
+from mistray.errors import MistrayError
 
 RADII, RAYS_AROUND = 40, 60  # of the bundles, as batoid lays them out
 SMALL_ANGLE, LARGEST_FIELD = 1e-4, math.radians(10.0)
@@ -60,14 +62,14 @@ class DesignLight:
 
     def _trace(self, theta_x: float, theta_y: float) -> tuple[np.ndarray, np.ndarray, list[Any]]:
         batoid, optic = self._batoid, self._optic
-        size = float(optic.pupilSize)
+        outer, inner = pupil(optic)
         rays = batoid.RayVector.asPolar(
             backDist=getattr(optic, "backDist", None),
             medium=getattr(optic, "inMedium", None),
             stopSurface=getattr(optic, "stopSurface", None),
             coordSys=optic.coordSys,
-            outer=size / 2,
-            inner=size / 2 * (getattr(optic, "pupilObscuration", None) or 0.0),
+            outer=outer,
+            inner=inner,
             wavelength=self._wavelength,
             theta_x=theta_x,
             theta_y=theta_y,
@@ -87,21 +89,46 @@ class DesignLight:
 
     def beam_radius(self, interface: Any) -> float:
         """Largest distance from the middle of an interface at which batoid's rays meet it, in any of its turns, m."""
+        return (1 + MARGIN) * self.beam_ring(interface)[1]
+
+    def beam_ring(self, interface: Any) -> tuple[float, float]:
+        """Least and largest distance from the middle of an interface at which batoid's rays meet it, m."""
         local = _local(interface, self._points)
         there = [step is not None and step.name == interface.name for step in self._interfaces]
         if type(interface.surface).__name__ == "Plane":  # as one of several names
             there = list(np.nanmax(np.abs(local[..., 2]), axis=1) < SAME_PLANE)
         at = local[np.array(there)]
-        return (1 + MARGIN) * float(np.nanmax(np.hypot(at[..., 0], at[..., 1])))
+        radius = np.hypot(at[..., 0], at[..., 1])
+        return float(np.nanmin(radius)), float(np.nanmax(radius))
 
-    def crossings(self, interface: Any) -> Rings:
-        """(inner, outer) radii in the plane of a baffle between which arriving light crosses it out of turn, m."""
+    def way(self, interface: Any) -> int:
+        """Along z of a baffle, +1 or -1: which way light goes that meets it in its turn."""
+        number = next(k for k, step in enumerate(self._interfaces) if step is not None and step.name == interface.name)
+        before = _local(interface, self._points[number - 1])[:, 2]
+        return -1 if float(np.nanmean(before)) > 0 else 1
+
+    def crossings(self, interface: Any, way: int = 0) -> Rings:
+        """
+        Where arriving light crosses the plane of a baffle out of turn.
+
+        Parameters
+        ----------
+        interface : batoid.Baffle
+        way : int
+            Only of light that goes this way along its z; 0: of all light.
+
+        Returns
+        -------
+        list of (float, float)
+            Inner and outer radius, m.
+        """
         found = []
         for number in range(len(self._points) - 1):
             a, b = (_local(interface, self._points[k][self._arrives]) for k in (number, number + 1))
             with np.errstate(invalid="ignore", divide="ignore"):
                 t = a[:, 2] / (a[:, 2] - b[:, 2])
                 through = (a[:, 2] * b[:, 2] < 0) & (np.minimum(abs(a[:, 2]), abs(b[:, 2])) > SAME_PLANE)
+                through &= (b[:, 2] - a[:, 2]) * way >= 0
             if not through.any():
                 continue
             at = (a + t[:, None] * (b - a))[through]
@@ -113,6 +140,41 @@ class DesignLight:
                 inner, outer = 0.0, max(outer, *(float(end.outRadius) for end in ends))
             found.append((inner, outer))
         return found
+
+
+def pupil(optic: Any) -> tuple[float, float]:
+    """
+    Outer and inner radius of the beam, m.
+
+    An optic without a pupilSize, such as a projector, is filled up to its narrowest aperture ahead of the first mirror.
+
+    Raises
+    ------
+    MistrayError
+        If there is none.
+    """
+    size = getattr(optic, "pupilSize", None)
+    if size:
+        return size / 2, size / 2 * (getattr(optic, "pupilObscuration", None) or 0.0)
+    radii = []
+    for interface in interfaces(optic):
+        if type(interface).__name__ == "Mirror":
+            break
+        original = getattr(interface.obscuration, "original", None)
+        if original is not None and type(original).__name__ in ("ObscCircle", "ObscAnnulus"):
+            radii.append(float(getattr(original, "radius", None) or original.outer))
+    if not radii:
+        raise MistrayError(f"batoid element '{optic.name}': it has no pupilSize; set it, in metres")
+    return min(radii), 0.0
+
+
+def interfaces(optic: Any) -> Iterator[Any]:
+    """All interfaces in the order of light."""
+    for item in getattr(optic, "items", (optic,)):
+        if hasattr(item, "items"):
+            yield from interfaces(item)
+        else:
+            yield item
 
 
 def without(rings: Iterable[tuple[float, float]], holes: Rings) -> Rings:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.io.batoid.design_light import DesignLight, without
+from mistray.io.batoid.design_light import MARGIN, DesignLight, pupil, without
 from mistray.io.batoid.file import read_optic
 from mistray.io.batoid.obscurations import clear_outline, is_open, opaque_outlines
 from mistray.physics.geometry.outline import Figure, Outline
@@ -116,9 +116,7 @@ def _elements(optic: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _source(optic: Any, wavelength_nm: float) -> Source:
-    size = getattr(optic, "pupilSize", None)
-    if not size:
-        raise MistrayError(f"batoid element '{optic.name}': it has no pupilSize; set it, in metres")
+    outer, inner = pupil(optic)
     stop = getattr(optic, "stopSurface", None)
     origin = np.zeros(3) if stop is None else np.asarray(stop.coordSys.origin)
     x, y, z = (float(value) * M_TO_MM for value in origin)
@@ -127,8 +125,8 @@ def _source(optic: Any, wavelength_nm: float) -> Source:
         y=y,
         z=z,
         tilt_deg=(0.0, 180.0, 0.0),
-        radius=size / 2 * M_TO_MM,
-        inner_radius=size * (getattr(optic, "pupilObscuration", None) or 0.0) / 2 * M_TO_MM,
+        radius=outer * M_TO_MM,
+        inner_radius=inner * M_TO_MM,
         plane="axis",
         wavelength_nm=(float(wavelength_nm),),
     )
@@ -164,7 +162,7 @@ class _Reader:
             self.structures += self._baffle(name, interface)
         elif kind == "Mirror":
             self.close_group()
-            shape = self._shape(interface) | self._placing(interface)
+            shape = self._with_hole(interface, self._shape(interface)) | self._placing(interface)
             index = self._index(interface.inMedium)
             self.surfaces.append(
                 Surface(name, **shape, front=index, back=index, coating=self._mirror_coating(interface), mirror=True)
@@ -218,6 +216,10 @@ class _Reader:
 
     def _shape(self, interface: Any) -> dict[str, Any]:
         """Figure and clear aperture of an optical surface, mm."""
+        return self._figure(interface) | self._aperture(interface)
+
+    def _figure(self, interface: Any) -> dict[str, Any]:
+        """Figure of a surface, mm."""
         shape: dict[str, Any] = {}
         sag: dict[str, float] = {}
         surface = interface.surface
@@ -242,7 +244,19 @@ class _Reader:
                     sag["a2"] = first / M_TO_MM
                 orders = range(2, max(coefficients, default=1) + 1)
                 shape["coefficients"] = tuple(coefficients.get(i, 0.0) * M_TO_MM ** (1 - 2 * i) for i in orders)
-        return shape | ({"sag": sag} if sag else {}) | self._aperture(interface)
+        return shape | ({"sag": sag} if sag else {})
+
+    def _with_hole(self, interface: Any, shape: dict[str, Any]) -> dict[str, Any]:
+        """A round mirror, open in the middle where light goes through it on its way to the detector."""
+        if "semi_diameter" not in shape or shape.get("inner_semi_diameter"):
+            return shape
+        holes = [(inner, outer) for inner, outer in self.light.crossings(interface)]
+        used = self.light.beam_ring(interface)[0]
+        if not holes or not holes[0][1] < used:
+            return shape
+        hole = max(outer for _, outer in holes if outer < used) * M_TO_MM
+        self._note(f"mirror '{interface.name}': light goes through its middle; it has a hole of {hole:.6g} mm radius")
+        return shape | {"inner_semi_diameter": hole}
 
     def _aperture(self, interface: Any) -> dict[str, Any]:
         o = self.batoid.obscuration
@@ -254,10 +268,12 @@ class _Reader:
             return {"semi_diameter": original.outer * M_TO_MM, "inner_semi_diameter": original.inner * M_TO_MM}
         radius = self.light.beam_radius(interface)
         if obscuration is None:
+            inner = (1 - MARGIN) * self.light.beam_ring(interface)[0] * M_TO_MM
+            hole = {"inner_semi_diameter": inner} if inner > 0.1 * radius * M_TO_MM else {}
             self._note(
                 f"surface '{interface.name}': no aperture is known; it ends with the beam, at {radius * M_TO_MM:.6g} mm"
             )
-            return {"semi_diameter": radius * M_TO_MM}
+            return {"semi_diameter": radius * M_TO_MM} | hole
         return {"outline": clear_outline(obscuration, radius, f"batoid element '{interface.name}'")}
 
     def _placing(self, interface: Any) -> dict[str, Any]:
@@ -285,12 +301,11 @@ class _Reader:
 
     def _baffle(self, name: str, interface: Any) -> list[Structure | Surface]:
         """Opaque plates of a baffle, less those that stand there already: batoid lists one per passage of light."""
-        if type(interface.surface).__name__ != "Plane":
-            raise MistrayError(f"batoid element '{interface.name}': only plane baffles have a counterpart; remove it")
         if interface.obscuration is None:
             return []
         placing = self._placing(interface)
-        plates = self._rings(name, interface, placing)
+        flat = type(interface.surface).__name__ == "Plane"
+        plates = self._rings(name, interface, placing) if flat else None
         if plates is None:
             plates = self._plates(name, interface, placing)
         return [
@@ -328,10 +343,17 @@ class _Reader:
         if is_open(interface.obscuration):
             self._note(f"baffle '{interface.name}': it ends with the beam, at {end * M_TO_MM:.6g} mm")
         outlines = opaque_outlines(interface.obscuration, end, owner)
-        holes = self.light.crossings(interface)
+        # It shades as in its turn: light that comes the other way goes through
+        way = self.light.way(interface)
+        holes = self.light.crossings(interface, way)
         if holes:
             text = " and ".join(f"{inner * M_TO_MM:.6g} … {outer * M_TO_MM:.6g} mm" for inner, outer in holes)
             self._note_cut(interface, f"its parts are open at {text}")
+        if len(self.light.crossings(interface)) > len(holes):
+            self._note(f"baffle '{interface.name}': light comes through it the other way; it shades one way only")
+        else:
+            way = 0
+        shape = {key: value for key, value in self._figure(interface).items()}
         for inner, outer in holes:
             outlines = [cut for outline in outlines for cut in _without_ring(outline, inner, outer)]
         outlines = [outline for outline in outlines if outline.sample(SEEN)[0].size]
@@ -339,7 +361,9 @@ class _Reader:
             Surface(
                 name if len(outlines) == 1 else f"{name}_{number}",
                 outline=outline,
+                meets={0: "both", 1: "+z", -1: "-z"}[way],
                 coating=BLACK,
+                **shape,
                 part=name,
                 **placing,
             )

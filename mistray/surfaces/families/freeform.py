@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 GRID = 101  # points each way of an outline, at which sags are measured
 STEEPER = 1.02  # than the steepest point of the grid
 MARGIN = 1e-3  # by which bounds are wider, in units of the extent
+SLAB = 2e-3  # by which the kernel's slab is thicker on each side, in units of the size
 SAMPLES = 96  # of a line, between which crossings are looked for on the host
 HALVINGS = 50
 MOST_CROSSINGS = 6
@@ -46,6 +47,8 @@ class Freeform(Surface):
         No part is steeper than this.
     outermost : float
         No part is farther from the middle than this, mm.
+    way : int
+        +1 or -1: only light that goes this way along its axis meets it; 0: all light does.
     """
 
     local: LocalSag
@@ -53,9 +56,12 @@ class Freeform(Surface):
     half: tuple[float, float]
     slope: float
     outermost: float
+    way: int = 0
 
     @classmethod
-    def of(cls, local: LocalSag, outline: Outline, half: tuple[float, float], wall: bool = False) -> Freeform:
+    def of(
+        cls, local: LocalSag, outline: Outline, half: tuple[float, float], wall: bool = False, way: int = 0
+    ) -> Freeform:
         """A surface by its sag and its outline, both about the middle of the outline."""
         x, y = outline.sample(GRID)
         z, across, along = local.sag.evaluate(x, y, local.numbers)
@@ -71,6 +77,7 @@ class Freeform(Surface):
             half=half,
             slope=STEEPER * steepest,
             outermost=_reach(outline, half),
+            way=way,
         )
 
     # ---- facts
@@ -95,7 +102,7 @@ class Freeform(Surface):
 
     @property
     def sort(self) -> tuple[object, ...]:
-        return type(self), self.local.sag, self.outline.form
+        return type(self), self.local.sag, self.outline.form, self.way
 
     @property
     def columns(self) -> dict[str, float]:
@@ -124,7 +131,7 @@ class Freeform(Surface):
         middle = -np.einsum("ij,ij->i", o, d)
         reach = 1.01 * np.hypot(self.size, np.abs(self.z_range).max())
         off2 = np.einsum("ij,ij->i", o, o) - middle**2
-        rays = np.flatnonzero(off2 < reach**2)
+        rays = np.flatnonzero((off2 < reach**2) & (d[:, 2] * self.way >= 0))
         half = np.sqrt(reach**2 - off2[rays])
         t = middle[rays, None] + half[:, None] * np.linspace(-1, 1, SAMPLES)
 
@@ -235,8 +242,9 @@ class Freeform(Surface):
             **self.outline.numbers(),
             **self.outline.turns(),
             "z": self.z,
-            "z_low": self.z_range[0],
-            "z_high": self.z_range[1],
+            # Thicker than the rounding of a ray that comes from afar
+            "z_low": self.z_range[0] - SLAB * self.size,
+            "z_high": self.z_range[1] + SLAB * self.size,
             "size2": self.size**2,
             "slope2": self.slope**2,
             "self_hit": self.self_hit,
@@ -245,7 +253,7 @@ class Freeform(Surface):
         }
 
     def crossing(self, ray: AxisRay, numbers: dict[str, mi.Float], own: mi.Bool) -> mi.Float:
-        return first_crossing(ray, self.local.sag, self.outline, numbers, own)
+        return first_crossing(ray, self, numbers, own)
 
 
 def _reach(outline: Outline, half: tuple[float, float]) -> float:

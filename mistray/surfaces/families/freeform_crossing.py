@@ -12,24 +12,21 @@ from mistray.surfaces.crossings import AxisRay, stretch
 from mistray.surfaces.families.first_zero import first_zero
 
 if TYPE_CHECKING:
-    from mistray.physics.geometry.outline import Outline
-    from mistray.surfaces.families.freeform_sag import FreeformSag
+    from mistray.surfaces.families.freeform import Freeform
 
 INTERVALS = 16  # pieces in which a crossing is looked for, where the ray could meet the surface more than once
 MOST_PASSES = 4  # crossings outside of the outline that a ray may leave behind
 
 
-def first_crossing(
-    ray: AxisRay, sag: FreeformSag, outline: Outline, n: Mapping[str, mi.Float], own: mi.Bool
-) -> mi.Float:
+def first_crossing(ray: AxisRay, piece: Freeform, n: Mapping[str, mi.Float], own: mi.Bool) -> mi.Float:
     """
     Distance to the first crossing within the outline, mm; infinite if there is none.
 
     Parameters
     ----------
     ray : AxisRay
-    sag : FreeformSag
-    outline : Outline
+    piece : Freeform
+        Its forms; its numbers are not looked at.
     n : mapping of str to mi.Float
         Numbers of the sag and the outline, and z, z_low, z_high, size2, slope2, self_hit, half_x and half_y.
     own : mi.Bool
@@ -39,6 +36,9 @@ def first_crossing(
     monotonic = dr.square(ray.dz) > n["slope2"] * ray.dd
     # A ray steeper than the surface is anywhere cannot come back to it
     some = (end > start) & ~(own & monotonic)
+    if piece.way:
+        some &= ray.dz * piece.way > 0
+    sag, outline = piece.local.sag, piece.outline
 
     def search(start: mi.Float, end: mi.Float) -> mi.Float:
         x0, y0 = ray.lateral(start)
