@@ -112,8 +112,9 @@ class Telescope:
         order = {names: row.order for names, row in ours.items()}
         forward, _ = self.coated.traceSplit(self._rays(origin, direction), minFlux=1e-4)
         theirs: dict[Names, Sums] = {}
+        known = set(self.sequence)
         for bundle in forward:
-            names = tuple(bundle.path)
+            names = tuple(name for name in bundle.path if name in known)  # without baffles
             order.setdefault(names, len(self._turns(names)))
             if order[names] <= 2:
                 theirs[names] = _sums(bundle, bundle.flux, run.rays)

@@ -17,7 +17,9 @@ import numpy as np
 from mistray.errors import MistrayError
 
 RADII, RAYS_AROUND = 40, 60  # of the bundles, as batoid lays them out
-SMALL_ANGLE, LARGEST_FIELD = 1e-4, math.radians(10.0)
+SMALL_ANGLE, LARGEST_FIELD, UNKNOWN_FIELD = 1e-4, math.radians(10.0), math.radians(1.0)
+FIELDS = (0.25, 0.5, 0.75, 1.0)  # of the edge, at which bundles are traced
+GAP = 0.15  # of the radius of a hole: what is left within it by chance, between the bundles
 SAME_PLANE = 1e-9  # distance of a ray's point from a plane that it lies on, m
 MARGIN = 1e-3  # by which holes are wider than the rays that were traced, and plates than their beam
 
@@ -33,16 +35,19 @@ class DesignLight:
     batoid : module
     optic : batoid.Optic
     wavelength_nm : float
+    edge : float, optional
+        Of the field, rad; by default where the centroid lies on the rim of the detector.
 
     Notes
     -----
-    The edge of the field is where the centroid lies on the rim of the detector. All lengths are in metres.
+    All lengths are in metres.
     """
 
-    def __init__(self, batoid: Any, optic: Any, wavelength_nm: float) -> None:
+    def __init__(self, batoid: Any, optic: Any, wavelength_nm: float, edge: float | None = None) -> None:
         self._batoid, self._optic, self._wavelength = batoid, optic, wavelength_nm * 1e-9
-        edge = self._edge_of_field()
-        fields = {(0.0, 0.0), (edge, 0.0), (-edge, 0.0), (0.0, edge), (0.0, -edge)}
+        edge = self._edge_of_field() if edge is None else edge
+        steps = [sign * edge * share for share in FIELDS for sign in (-1, 1)]
+        fields = {(0.0, 0.0), *((step, 0.0) for step in steps), *((0.0, step) for step in steps)}
         # Points (stations, rays, 3) of the bundles on one interface after the other, and whether they arrive
         traced = [self._trace(*field) for field in sorted(fields)]
         self._interfaces = traced[0][2]
@@ -55,7 +60,7 @@ class DesignLight:
             points, arrives, interfaces = self._trace(0.0, theta)
             radius = getattr(interfaces[-1], "outRadius", None)
             if not radius or not arrives.any():
-                return 0.0
+                return 0.0 if radius else UNKNOWN_FIELD
             height = abs(float(np.mean(_local(interfaces[-1], points[-1])[arrives, 1])))
             theta = min(theta * float(radius) / height if height > 0 else math.inf, LARGEST_FIELD)
         return theta
@@ -115,7 +120,7 @@ class DesignLight:
         ----------
         interface : batoid.Baffle
         way : int
-            Only of light that goes this way along its z; 0: of all light.
+            Only of light that goes this way along its z, or is between lenses; 0: of all light.
 
         Returns
         -------
@@ -128,15 +133,16 @@ class DesignLight:
             with np.errstate(invalid="ignore", divide="ignore"):
                 t = a[:, 2] / (a[:, 2] - b[:, 2])
                 through = (a[:, 2] * b[:, 2] < 0) & (np.minimum(abs(a[:, 2]), abs(b[:, 2])) > SAME_PLANE)
-                through &= (b[:, 2] - a[:, 2]) * way >= 0
+            ends = self._interfaces[number : number + 2]
+            tube = all(type(end).__name__ in ("RefractiveInterface", "Detector") for end in ends)
+            through &= tube | ((b[:, 2] - a[:, 2]) * way >= 0)
             if not through.any():
                 continue
             at = (a + t[:, None] * (b - a))[through]
             radius = np.hypot(at[:, 0], at[:, 1])
             inner, outer = (1 - MARGIN) * float(radius.min()), (1 + MARGIN) * float(radius.max())
-            ends = self._interfaces[number : number + 2]
-            if all(type(end).__name__ in ("RefractiveInterface", "Detector") for end in ends):
-                # Within a tube: the plate must not reach into it
+            inner = inner if inner > GAP * outer else 0.0
+            if tube:  # the plate must not reach into it
                 inner, outer = 0.0, max(outer, *(float(end.outRadius) for end in ends))
             found.append((inner, outer))
         return found

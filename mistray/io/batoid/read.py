@@ -13,6 +13,7 @@ Baffles are open where the light of the design crosses them out of turn, see `ba
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -29,7 +30,7 @@ from mistray.physics.geometry.outline import Figure, Outline
 from mistray.physics.geometry.pose import fixed_angles_deg
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.geometry import barrel
-from mistray.prescription.model import Detector, Prescription, Source, Structure, Surface
+from mistray.prescription.model import Detector, Placed, Prescription, Source, Structure, Surface
 
 if TYPE_CHECKING:
     import batoid
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 M_TO_MM = 1e3
 _PIXELS = (512, 512)
 SAME_AXIS = 1e-9  # by which surfaces of a tube may lie beside its axis, in units of their radius
+LARGEST_HOLE = 0.8  # in a mirror, in units of its radius
 SEEN = 400  # points each way at which a plate is looked for
 
 
@@ -46,6 +48,7 @@ def from_batoid(
     wavelength_nm: float,
     reflectance: float | None = None,
     baffle_radius: float | None = None,
+    field_deg: float | None = None,
 ) -> Prescription:
     """Read a batoid telescope.
 
@@ -65,6 +68,9 @@ def from_batoid(
     baffle_radius : float or None
         Outer radius in mm of baffles that batoid describes by their opening alone. ``None``: they reach as far as the
         beam that they shade.
+    field_deg : float or None
+        Edge of the field, whose light decides how large surfaces without an aperture are and where baffles are open.
+        ``None``: where the centroid lies on the rim of the detector, or 1° if that has none.
 
     Returns
     -------
@@ -86,7 +92,7 @@ def from_batoid(
     if isinstance(optic, str | Path):
         optic = read_optic(optic)
     source = _source(optic, wavelength_nm)
-    reader = _Reader(batoid, optic, wavelength_nm, reflectance, baffle_radius)
+    reader = _Reader(batoid, optic, wavelength_nm, reflectance, baffle_radius, field_deg)
     for element in _elements(optic):
         reader.add(element)
     reader.close_group()
@@ -141,6 +147,7 @@ class _Reader:
     wavelength_nm: float
     reflectance: float | None
     baffle_radius: float | None
+    field_deg: float | None
     surfaces: list[Surface] = field(default_factory=list)
     structures: list[Structure | Surface] = field(default_factory=list)
     detector: Detector | None = None
@@ -151,7 +158,8 @@ class _Reader:
     @cached_property
     def light(self) -> DesignLight:
         """The light of the design, for the baffles."""
-        return DesignLight(self.batoid, self.optic, self.wavelength_nm)
+        edge = None if self.field_deg is None else math.radians(self.field_deg)
+        return DesignLight(self.batoid, self.optic, self.wavelength_nm, edge)
 
     def add(self, element: tuple[str, Any]) -> None:
         """Convert one interface."""
@@ -250,11 +258,9 @@ class _Reader:
         """A round mirror, open in the middle where light goes through it on its way to the detector."""
         if "semi_diameter" not in shape or shape.get("inner_semi_diameter"):
             return shape
-        holes = [(inner, outer) for inner, outer in self.light.crossings(interface)]
-        used = self.light.beam_ring(interface)[0]
-        if not holes or not holes[0][1] < used:
+        hole = max((outer for _, outer in self.light.crossings(interface)), default=0.0) * M_TO_MM
+        if not 0 < hole < LARGEST_HOLE * shape["semi_diameter"]:
             return shape
-        hole = max(outer for _, outer in holes if outer < used) * M_TO_MM
         self._note(f"mirror '{interface.name}': light goes through its middle; it has a hole of {hole:.6g} mm radius")
         return shape | {"inner_semi_diameter": hole}
 
@@ -269,7 +275,8 @@ class _Reader:
         radius = self.light.beam_radius(interface)
         if obscuration is None:
             inner = (1 - MARGIN) * self.light.beam_ring(interface)[0] * M_TO_MM
-            hole = {"inner_semi_diameter": inner} if inner > 0.1 * radius * M_TO_MM else {}
+            mirror = type(interface).__name__ == "Mirror"
+            hole = {"inner_semi_diameter": inner} if mirror and inner > 0 else {}
             self._note(
                 f"surface '{interface.name}': no aperture is known; it ends with the beam, at {radius * M_TO_MM:.6g} mm"
             )
@@ -304,6 +311,8 @@ class _Reader:
         if interface.obscuration is None:
             return []
         placing = self._placing(interface)
+        if self._is_hole(interface, placing):
+            return []
         flat = type(interface.surface).__name__ == "Plane"
         plates = self._rings(name, interface, placing) if flat else None
         if plates is None:
@@ -313,6 +322,22 @@ class _Reader:
             for k, plate in enumerate(plates)
             if not any(_same_place(plate, other) for other in (*self.structures, *plates[:k]))
         ]
+
+    def _is_hole(self, interface: Any, placing: dict[str, Any]) -> bool:
+        """Whether a baffle in the plane of a flat mirror is the hole in this mirror, which gets it then."""
+        original = getattr(interface.obscuration, "original", None)
+        if not isinstance(original, self.batoid.obscuration.ObscCircle) or original.x or original.y:
+            return False
+        here = Placed(**placing).to_world()
+        for number, mirror in enumerate(self.surfaces):
+            apart = np.linalg.inv(mirror.to_world()) @ here
+            same = abs(apart[2, 3]) < SAME_AXIS * mirror.outer_radius and abs(apart[2, 2]) > 1 - SAME_AXIS
+            if same and mirror.mirror and not mirror.curvature and not mirror.freeform:
+                hole = original.radius * M_TO_MM
+                self.surfaces[number] = replace(mirror, inner_semi_diameter=hole)
+                self._note(f"baffle '{interface.name}': it is the hole of {hole:.6g} mm radius in '{mirror.name}'")
+                return True
+        return False
 
     def _rings(self, name: str, interface: Any, placing: dict[str, Any]) -> list[Structure | Surface] | None:
         """Centred rings; None if the obscuration has other parts."""
