@@ -112,7 +112,8 @@ def _reason(text: str, element: Element, source: Path | dict[str, Any]) -> str:
     unknown = dict(re.findall(r"- \w+ \"([^\"]+)\": (.*)", text)) if "unreferenced" in text else {}
     known = parameters(element.plugin)
     if not unknown and known:
-        strange = {key: value for key, value in element.values.items() if key not in known}
+        forms = {_numbered(name) for name in known}
+        strange = {key: value for key, value in element.values.items() if _numbered(key) not in forms}
         unknown = {key: value for key, value in strange.items() if difflib.get_close_matches(key, known)}
     if unknown:
         key, value = next(iter(unknown.items()))
@@ -207,6 +208,11 @@ def parameters(plugin: str) -> list[str]:
             if rules == 2 and "===" not in line and not line.startswith(" " * 12):
                 names += [name for part in cell.split(",") for name in _spelled_out(part.strip())]
     return names
+
+
+def _numbered(name: str) -> str:
+    """A name with # for each of its numbers, or for the letter that stands for it: ``xy_i_j``."""
+    return re.sub(r"\d+", "#", re.sub(r"_[ijkm](?=_|$)", "_#", name))
 
 
 def _spelled_out(name: str) -> list[str]:

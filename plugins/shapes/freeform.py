@@ -56,14 +56,14 @@ class FreeformShape(Revolution):
     semi_diameter             mm           > 0      none      a centred circle instead of figures
     inner_semi_diameter       mm           ≥ 0      0         a hole in it
     half_width, half_height   mm           > 0      none      a centred rectangle instead of figures
-    clip_1, clip_2 …          string                none      sign and kind of a figure: ``+circle``, ``-rectangle``,
+    clip_1, clip_2, …         string                none      sign and kind of a figure: ``+circle``, ``-rectangle``,
                                                               ``&ellipse``, ``+polygon``
     clip_k_x, clip_k_y        mm           ±        0         place of figure k
     clip_k_angle_deg          deg          ±        0         figure k is turned by this, from x to y
     clip_k_radius             mm           > 0                of a circle
     clip_k_half_width,        mm           > 0                of a rectangle or an ellipse
     clip_k_half_height
-    clip_k_x1, clip_k_y1 …    mm           ±                  corners of a polygon, in turn
+    clip_k_x1, clip_k_y1, …   mm           ±                  corners of a polygon, in turn
     to_world                  mm           rigid    identity  position and orientation of the vertex frame
     x, y, z                   mm           ±        0         displacement along the axes of this frame
                                                               (differentiable)

@@ -1,0 +1,228 @@
+"""Freeforms: their sags and outlines against float64 formulas, an asphere, and what they refuse."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import mistray
+from mistray import MistrayError
+from mistray.physics.geometry.outline import Figure, Outline, polygon
+from mistray.physics.sags.terms import sag
+from mistray.physics.sags.zernike import fringe_orders, noll_orders, polynomial
+from mistray.surfaces.intersect import Intersector
+from mistray.surfaces.surfaces import SurfaceTable
+
+pytestmark = pytest.mark.quick
+
+GLASS = {"type": "interface", "back": "N-BK7"}
+SAGS: dict[str, dict[str, float]] = {
+    "biconic": {"curvature": 1 / 60, "conic": 0.3, "curvature_x": -1 / 90, "conic_x": -1.2},
+    "cylinder": {"curvature": 0.0, "curvature_x": 1 / 40},
+    "toroid": {"curvature": 1 / 60, "toroid_curvature": 1 / 45, "a4": 1e-6},
+    "zernike": {"curvature": 1 / 80, "zernike_6": 0.02, "zernike_7": -0.01, "zernike_22": 2e-3, "zernike_radius": 11.0},
+    "fringe": {"curvature": 1 / 80, "fringe_5": 0.02, "fringe_16": 4e-3, "fringe_radius": 11.0},
+    "xy": {"curvature": 1 / 80, "xy_2_1": 3e-5, "xy_0_3": -2e-5, "xy_4_2": 1e-8},
+    "chebyshev": {"chebyshev_2_0": 0.05, "chebyshev_3_2": 0.01, "chebyshev_x": 12.0, "chebyshev_y": 13.0},
+    "odd": {"curvature": 1 / 80, "r3": 2e-5, "r5": 1e-8, "a4": 1e-6},
+    "qcon": {"curvature": 1 / 80, "conic": -0.5, "qcon_0": 0.05, "qcon_3": -0.01, "q_radius": 11.0},
+    "qbfs": {"curvature": 1 / 80, "qbfs_0": 0.05, "qbfs_2": -0.01, "q_radius": 11.0},
+    "tilted": {"slope_x": 0.1, "slope_y": -0.05},
+}
+
+
+def scene(shape: dict[str, Any], **more: Any) -> Any:
+    """A shape before a detector."""
+    film = {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}}
+    return mistray.load(
+        {
+            "type": "scene",
+            "integrator": {"type": "straylight"},
+            "source": {"type": "collimated", "radius": 8.0, "wavelength_nm": 550.0, "distance": 20.0},
+            "shape": {"bsdf": GLASS, **shape},
+            "detector": {
+                "type": "asphere",
+                "half_width": 30.0,
+                "half_height": 30.0,
+                "to_world": mi.ScalarTransform4f().translate([0, 0, 60]),
+                "bsdf": {"type": "interface", "front": "N-BK7", "back": "N-BK7", "R": 0.0},
+                "sensor": {"type": "irradiancemeter", "film": film},
+            },
+            **more,
+        }
+    )
+
+
+def kernel_hits(scene: Any, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Distances and ids of the nearest hits by the kernel."""
+    table = SurfaceTable(scene, 550.0)
+    none = dr.full(mi.UInt32, 0xFFFFFFFF, len(o))
+    along = mi.Vector3f(*(mi.Float(np.ascontiguousarray(c, dtype=np.float32)) for c in d.T))
+    t, s = Intersector(table).nearest(table.upload_points(o), along, none, dr.full(mi.Bool, True, len(o)))
+    return np.array(t), [table.ids[i] if i < len(table.ids) else "" for i in np.array(s)]
+
+
+@pytest.mark.parametrize("name", SAGS)
+def test_hits_are_those_of_the_formula(name: str) -> None:
+    numbers, rng = SAGS[name], np.random.default_rng(1)
+    o = np.column_stack([rng.uniform(-6, 6, (40, 2)), np.full(40, -20.0)])
+    d = np.column_stack([rng.uniform(-0.15, 0.15, (40, 2)), np.ones(40)])
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    t, ids = kernel_hits(scene({"type": "freeform", "semi_diameter": 10.0, **numbers}), o, d)
+
+    def height(s: float, k: int) -> float:
+        x, y, z = o[k] + s * d[k]
+        return float(z - sag(np.array(x), np.array(y), numbers))
+
+    for k in range(40):
+        exact = brentq(height, 12.0, 30.0, args=(k,), xtol=1e-12)
+        x, y, _ = o[k] + exact * d[k]
+        if math.hypot(x, y) < 9.99:
+            assert ids[k] == "shape"
+            assert t[k] == pytest.approx(exact, abs=2e-5)  # a few digits of float32 at 20 mm
+        elif math.hypot(x, y) > 10.01:
+            assert ids[k] != "shape"
+
+
+def test_a_freeform_is_the_asphere_of_the_same_numbers() -> None:
+    numbers = {"radius": 50.0, "conic": -0.5, "a4": 1e-6, "semi_diameter": 10.0}
+    found = [mistray.trace(scene({"type": kind, **numbers}), rays=20_000, seed=3) for kind in ("asphere", "freeform")]
+    a, b = (next(iter(t.paths)) for t in found)
+    assert a.power_W == pytest.approx(b.power_W, rel=1e-6)
+    assert a.rms_radius_mm == pytest.approx(b.rms_radius_mm, rel=1e-5)
+    assert all(abs(t.energy.closure) < 1e-5 for t in found)
+
+
+def test_an_off_axis_piece_keeps_its_digits() -> None:
+    """A parabola images the axis' direction onto its focus, 10 m away, from a piece of 20 mm far beside its axis."""
+    focal = 10_000.0
+    piece = {
+        "type": "freeform", "radius": -2 * focal, "conic": -1.0,
+        "clip_1": "+circle", "clip_1_y": 3000.0, "clip_1_radius": 10.0,
+        "bsdf": {"type": "interface", "R": 1.0, "mirror": True},
+    }  # fmt: skip
+    middle = -(3000.0**2) / (4 * focal)
+    film = {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}}
+    loaded = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "straylight"},
+            "source": {
+                "type": "collimated", "radius": 8.0, "wavelength_nm": 550.0, "distance": 50.0,
+                "to_world": mi.ScalarTransform4f().translate([0, 3000, middle]),
+            },
+            "mirror": piece,
+            "detector": {
+                "type": "asphere", "half_width": 1.0, "half_height": 1.0,
+                "to_world": mi.ScalarTransform4f().translate([0, 0, -focal]),
+                "bsdf": {"type": "interface", "R": 0.0},
+                "sensor": {"type": "irradiancemeter", "film": film},
+            },
+        }
+    )  # fmt: skip
+    t = mistray.trace(loaded, rays=5000, seed=1)
+    image = next(iter(t.paths))
+    assert image.power_W == pytest.approx(t.energy.launched_W, rel=1e-6)
+    assert image.rms_radius_mm < 3e-3  # single precision over 10 m
+
+
+OUTLINE = Outline(
+    (
+        Figure("circle", "+", sizes=(10.0,)),
+        Figure("circle", "-", 1.0, 0.5, sizes=(3.0,)),
+        Figure("rectangle", "-", 0.0, 4.0, 30.0, (8.0, 0.5)),
+        Figure("ellipse", "&", 0.0, 0.0, 20.0, (11.0, 8.0)),
+        Figure("polygon", "+", sizes=(8.0, 8.0, 14.0, 8.0, 11.0, 12.0, 11.0, 9.5)),
+    )
+)
+
+
+def test_the_kernel_keeps_to_an_outline() -> None:
+    """Against figures written out here."""
+    rng = np.random.default_rng(2)
+    x, y = rng.uniform(-14, 14, (2, 4000))
+    c, s = math.cos(math.radians(30)), math.sin(math.radians(30))
+    inside = (x * x + y * y <= 100) & ((x - 1) ** 2 + (y - 0.5) ** 2 > 9)
+    inside &= ~((abs(x * c + (y - 4) * s) <= 8) & (abs((y - 4) * c - x * s) <= 0.5))
+    c, s = math.cos(math.radians(20)), math.sin(math.radians(20))
+    inside &= ((x * c + y * s) / 11) ** 2 + ((y * c - x * s) / 8) ** 2 <= 1
+    triangles = [((8, 8), (14, 8), (11, 9.5)), ((14, 8), (11, 12), (11, 9.5))]
+    for triangle in triangles:
+        sides = [
+            (q[0] - p[0]) * (y - p[1]) - (x - p[0]) * (q[1] - p[1]) > 0
+            for p, q in zip(triangle, (*triangle[1:], triangle[0]), strict=True)
+        ]
+        inside |= np.all(sides, axis=0)
+    np.testing.assert_array_equal(OUTLINE.contains(x, y), inside)
+    shape: dict[str, Any] = {"type": "freeform", "curvature": 1 / 100}
+    shape |= OUTLINE.numbers()
+    shape |= {f"clip_{k}": figure.sign + figure.kind for k, figure in enumerate(OUTLINE.figures, start=1)}
+    o = np.column_stack([x, y, np.full(len(x), -20.0)])
+    _, ids = kernel_hits(scene(shape), o, np.tile([0.0, 0.0, 1.0], (len(x), 1)))
+    assert np.mean((np.array(ids) == "shape") != inside) < 1e-3  # but for points within the rounding of a rim
+
+
+def test_light_the_other_way_goes_through() -> None:
+    o = np.array([[0.0, 0.0, -5.0], [0.0, 0.0, 5.0]])
+    d = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    for meets, hits in (("both", ["shape", "shape"]), ("+z", ["shape", ""]), ("-z", ["detector", "shape"])):
+        _, ids = kernel_hits(scene({"type": "freeform", "semi_diameter": 2.0, "meets": meets}), o, d)
+        assert ids == hits
+
+
+def test_zernikes_are_orthogonal_and_in_order() -> None:
+    assert [noll_orders(j) for j in (1, 2, 3, 4, 5, 6, 11, 22)] == [
+        (0, 0), (1, 1), (1, -1), (2, 0), (2, -2), (2, 2), (4, 0), (6, 0),
+    ]  # fmt: skip
+    assert [fringe_orders(j) for j in (1, 4, 9, 16, 25, 36, 37)] == [(2 * k, 0) for k in range(7)]
+    x, y = np.meshgrid(*2 * [np.linspace(-1, 1, 801)])
+    disc = x * x + y * y <= 1
+    a, b = (polynomial(*noll_orders(j), x[disc], y[disc]) for j in (8, 16))
+    assert abs(np.mean(a * b)) < 1e-2 * math.sqrt(np.mean(a * a) * np.mean(b * b))
+
+
+def test_the_kernels_numbers_move_as_the_formula_does() -> None:
+    numbers = {"curvature": 1 / 80, "zernike_6": 0.02, "zernike_7": 0.0, "zernike_11": 1e-3, "zernike_radius": 11.0}
+
+    shape = scene({"type": "freeform", "semi_diameter": 10.0, **numbers}).shapes()
+    piece = next(s for s in shape if s.id() == "shape")
+    assert set(numbers) - {"zernike_radius"} <= set(piece.differentiable)
+    x, y = np.random.default_rng(5).uniform(-6, 6, (2, 50))
+    for name in ("curvature", "zernike_6", "zernike_7"):
+        step = piece.step(name)
+        more, less = (piece.surface({**piece.values, name: piece.values[name] + s * step}) for s in (1, -1))
+        found = (more._sag(x, y)[0] - less._sag(x, y)[0]) / (2 * step)
+        high, low = (sag(x, y, {**numbers, name: numbers[name] + s * step}) for s in (1, -1))
+        formula = (high - low) / (2 * step)
+        np.testing.assert_allclose(found, formula, rtol=1e-4, atol=1e-4 * np.abs(formula).max())
+
+
+@pytest.mark.parametrize(
+    ("numbers", "named"),
+    [
+        ({"clip_1": "+polygon", "clip_1_x1": 0.0, "clip_1_y1": 0.0}, "polygon"),
+        ({"clip_1": "+hexagon"}, "hexagon"),
+        ({"clip_1": "-circle", "clip_1_radius": 3.0}, "bounds"),
+        ({"clip_1": "+circle", "clip_1_radius": -1.0}, "circle"),
+        ({"semi_diameter": 10.0, "zernike_4": 0.1}, "zernike_radius"),
+        ({"semi_diameter": 10.0, "curvature": 0.2}, "sag"),
+        ({"semi_diameter": 10.0, "clip_1": "+circle", "clip_1_radius": 3.0}, "semi_diameter"),
+        ({"semi_diameter": 10.0, "meets": "left"}, "left"),
+        ({"semi_diameter": 20.0, "curvature": 1 / 21, "toroid_curvature": -1 / 21}, "single precision"),
+    ],
+)
+def test_bad_input_names_the_shape(numbers: dict[str, Any], named: str) -> None:
+    with pytest.raises(MistrayError, match="shape") as error:
+        scene({"type": "freeform", **numbers})
+    assert named in str(error.value)
+
+
+def test_a_polygon_that_crosses_itself() -> None:
+    with pytest.raises(MistrayError, match="crosses itself"):
+        polygon([(0, 0), (4, 4), (4, 0), (0, 4)]).check("shape 'p'")
