@@ -53,11 +53,11 @@ class Parameter:
 
     @property
     def names(self) -> list[str]:
-        """Single names: ``a4 … a8`` is a4, a6, a8 for even aspheres; a nested object has none."""
+        """Single names: ``a4 … a8`` is a4, a6, a8 for even aspheres, ``xy_i_j`` stays; a nested object has none."""
         found = []
         for part in (part.strip() for part in self.name.split(",")):
             if span := re.fullmatch(r"([a-z]+)(\d+) … \1(\d+)", part):
-                found += [f"{span[1]}{i}" for i in range(int(span[2]), int(span[3]) + 1, 2)]
+                found += [f"{span[1]}{i}" for i in range(int(span[2]), int(span[3]) + 1, 2 if span[1] == "a" else 1)]
             elif re.fullmatch(r"\w+", part):
                 found.append(part)
         return found

@@ -22,6 +22,7 @@ NUMBER = Range(-1e300, 1e300)
 RADII = {"radius": "curvature", "radius_x": "curvature_x", "toroid_radius": "toroid_curvature"}
 WAYS = {"both": 0, "+z": 1, "-z": -1}
 SAMPLES = 61  # of the outline each way, at which the kernel's sag is compared
+LENGTHS = ("zernike_radius", "fringe_radius", "q_radius", "chebyshev_x", "chebyshev_y")
 Shorthand = ("semi_diameter", "inner_semi_diameter", "half_width", "half_height")
 
 
@@ -38,32 +39,38 @@ class FreeformShape(Revolution):
     a figure, ``-`` cuts one away, ``&`` keeps what lies in both. They may lie anywhere: a piece of a parabola far off
     its axis keeps the digits of its own size, because the ray tree works about the middle of the outline.
 
-    ========================= ============ ======== ========= ======================================================
+    ========================= ============ ======== ========= ==========================================================
     parameter                 unit         range    default   meaning
-    ========================= ============ ======== ========= ======================================================
+    ========================= ============ ======== ========= ==========================================================
     curvature, conic          1/mm, 1      ±        0         of the conic, or of y alone (differentiable)
     radius                    mm           ±        plane     instead of ``curvature``; 0 or inf is a plane
-    curvature_x, conic_x      1/mm, 1      ±        none      biconic or cylinder; or ``radius_x`` (differentiable)
-    toroid_curvature          1/mm         ±        none      toroid; or ``toroid_radius`` (differentiable)
+    curvature_x, conic_x      1/mm, 1      ±        none      biconic or cylinder (differentiable)
+    radius_x                  mm           ±        none      instead of ``curvature_x``
+    toroid_curvature          1/mm         ±        none      toroid (differentiable)
+    toroid_radius             mm           ±        none      instead of ``toroid_curvature``
     a2, a4 … a30              mm^(1-order) ±        0         even asphere (differentiable)
     r1, r2 … r30              mm^(1-order) ±        0         odd asphere (differentiable)
     xy_i_j                    mm^(1-i-j)   ±        0         x^i y^j, to xy_12_12 (differentiable)
-    zernike_j, fringe_j       mm           ±        0         with ``zernike_radius``, ``fringe_radius``
-                                                              (differentiable)
-    qbfs_m, qcon_m            mm           ±        0         Forbes's polynomials with ``q_radius`` (differentiable)
-    chebyshev_i_j             mm           ±        0         with ``chebyshev_x``, ``chebyshev_y`` (differentiable)
+    zernike_j                 mm           ±        0         standard Zernike polynomials, j = 1 … 231 (differentiable)
+    zernike_radius            mm           > 0      none      that they need
+    fringe_j                  mm           ±        0         Fringe Zernike polynomials, j = 1 … 37 (differentiable)
+    fringe_radius             mm           > 0      none      that they need
+    qbfs_m, qcon_m            mm           ±        0         Forbes's polynomials, m = 0 … 20 (differentiable)
+    q_radius                  mm           > 0      none      that they need
+    chebyshev_i_j             mm           ±        0         Chebyshev polynomials, to chebyshev_20_20 (differentiable)
+    chebyshev_x, chebyshev_y  mm           > 0      none      half sizes that they need
     slope_x, slope_y          1            ±        0         a tilt in the sag (differentiable)
     semi_diameter             mm           > 0      none      a centred circle instead of figures
     inner_semi_diameter       mm           ≥ 0      0         a hole in it
     half_width, half_height   mm           > 0      none      a centred rectangle instead of figures
-    clip_1, clip_2, …         string                none      sign and kind of a figure: ``+circle``, ``-rectangle``,
+    clip_k                    string                none      sign and kind of figure k: ``+circle``, ``-rectangle``,
                                                               ``&ellipse``, ``+polygon``
     clip_k_x, clip_k_y        mm           ±        0         place of figure k
     clip_k_angle_deg          deg          ±        0         figure k is turned by this, from x to y
-    clip_k_radius             mm           > 0                of a circle
-    clip_k_half_width,        mm           > 0                of a rectangle or an ellipse
-    clip_k_half_height
-    clip_k_x1, clip_k_y1, …   mm           ±                  corners of a polygon, in turn
+    clip_k_radius             mm           > 0      none      of a circle
+    clip_k_half_width         mm           > 0      none      of a rectangle or an ellipse
+    clip_k_half_height        mm           > 0      none      of a rectangle or an ellipse
+    clip_k_x1, clip_k_y1, …   mm           ±        none      corners of a polygon, in turn
     to_world                  mm           rigid    identity  position and orientation of the vertex frame
     x, y, z                   mm           ±        0         displacement along the axes of this frame
                                                               (differentiable)
@@ -76,7 +83,7 @@ class FreeformShape(Revolution):
                                                               ``+z`` or ``-z``; light the other way goes through
     (nested) bsdf             bsdf                  required  an ``interface``
     (nested) sensor           sensor                none      an ``irradiancemeter``: makes this shape the detector
-    ========================= ============ ======== ========= ======================================================
+    ========================= ============ ======== ========= ==========================================================
 
     The ray tree has the sag as a quadric and a departure from it in Chebyshev polynomials of degree 20 at most; a
     surface whose sag is farther than 1e-6 of its size from that is refused.
@@ -197,7 +204,7 @@ class FreeformShape(Revolution):
         self._half = (0.5 * (x1 - x0), 0.5 * (y1 - y0))
         self._samples = outline.sample(SAMPLES)
         for key, value in self._sag_numbers.items():
-            if key.endswith("_radius") or key in ("chebyshev_x", "chebyshev_y"):
+            if key in LENGTHS:
                 PLACE_MM.check(key, value, owner)
                 if not value > 0:
                     raise MistrayError(f"{owner}: {key} is {value:g} mm; it must be greater than 0")
@@ -242,12 +249,11 @@ class FreeformShape(Revolution):
         return frame
 
     @property
-    def differentiable(self) -> tuple[str, ...]:
-        """The numbers of the sag and the pose; the outline has no derivative yet."""
-        held = ("zernike_radius", "fringe_radius", "q_radius", "chebyshev_x", "chebyshev_y")
+    def held(self) -> set[str]:
+        """The radii of polynomials and the outline; all of a sag that needs more numbers than there are columns."""
         if len(self._local.sag.numbers) > len(OWN):
-            return POSE
-        return (*(key for key in self._sag_numbers if key not in held), *POSE)
+            return set(self.values) - set(POSE)
+        return {key for key in self.values if key not in POSE and (key in LENGTHS or length_power(key) is None)}
 
     def step(self, name: str) -> float:
         if name in POSE:

@@ -109,9 +109,15 @@ class Revolution(mi.Mesh):
         return matrix
 
     @property
+    def held(self) -> set[str]:
+        """Names of the parameters that have no derivative."""
+        return set()
+
+    @property
     def differentiable(self) -> tuple[str, ...]:
         """Names of the parameters that have a derivative."""
-        return tuple(self.values)
+        held = self.held
+        return tuple(key for key in self.values if key not in held)
 
     def step(self, name: str) -> float:
         """Step of differences by a parameter, in its unit."""
@@ -155,8 +161,11 @@ class Revolution(mi.Mesh):
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
         mi.Mesh.traverse(self, callback)
-        for key, value in self.__dict__.get("parameters", {}).items():
-            callback.put(key, value, mi.ParamFlags.Differentiable | mi.ParamFlags.Discontinuous)
+        given = self.__dict__.get("parameters", {})
+        held = self.held if given else set()
+        for key, value in given.items():
+            kind = mi.ParamFlags.NonDifferentiable if key in held else mi.ParamFlags.Differentiable
+            callback.put(key, value, kind | mi.ParamFlags.Discontinuous)
 
     def parameters_changed(self, keys: list[str] = []) -> None:  # noqa: B006  (Mitsuba's own signature)
         given = {key: float(dr.detach(value)[0]) for key, value in self.__dict__.get("parameters", {}).items()}

@@ -40,8 +40,8 @@ def message(function, *arguments, **keywords):
     [
         ({"semi_diameter": -5.0}, "surface 'x': semi_diameter = -5 mm; it must be greater than 0"),
         ({"semi_diameter": math.nan}, "semi_diameter = nan"),
-        ({}, "give either semi_diameter or both half sizes"),
-        ({"half_width": 1.0}, "give either semi_diameter or both half sizes"),
+        ({}, "give either semi_diameter, both half sizes or an outline"),
+        ({"half_width": 1.0}, "give either semi_diameter, both half sizes or an outline"),
         ({"semi_diameter": 1.0, "half_width": 1.0, "half_height": 1.0}, "give either"),
         ({"semi_diameter": 1.0, "inner_semi_diameter": 1.0}, "between 0 and the outer radius 1 mm"),
         ({"semi_diameter": 1.0, "coefficients": (0.0,) * 10}, "at most 9"),

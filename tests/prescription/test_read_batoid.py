@@ -141,19 +141,37 @@ def test_lens_that_light_crosses_downwards():
     assert float(apochromat.surfaces[0].front) > 1.3
 
 
+def plate_of_glass(surface, obscuration=None):
+    """One interface ahead of a detector."""
+    front = batoid.optic.RefractiveInterface(surface, name="front", obscuration=obscuration)
+    front.inMedium, front.outMedium = batoid.ConstMedium(1.0), batoid.ConstMedium(1.5)
+    screen = batoid.optic.Detector(
+        batoid.Plane(), name="D", coordSys=batoid.CoordSys(origin=np.array([0, 0, -1.0])), inMedium=front.outMedium
+    )
+    optic = batoid.CompoundOptic([front, screen], name="glass")
+    optic.pupilSize, optic.sphereRadius, optic.backDist = 0.2, 1.0, 1.0
+    return optic
+
+
 @pytest.mark.parametrize(
-    ("file", "wanted"),
+    ("surface", "obscuration", "wanted"),
     [
-        ("DECam.yaml", "'FILTER_OBSTRUCTION': obscuration ObscPolygon"),
-        ("HSC.yaml", "'FEU': obscuration ObscRectangle"),
-        ("Rubin_v3.14_r.yaml", "'L1_entrance': surface Sum"),
-        ("LSST_r_noobsc.yaml", "'M1': obscuration NoneType"),
-        ("SDSS.yaml", "'L1S1': its r² coefficient has no counterpart"),
+        (batoid.Bicubic([-1, 0, 1], [-1, 0, 1], np.zeros((3, 3))), None, "'front': surface Bicubic"),
+        (batoid.Zernike([0, 0, 0, 1e-6], R_outer=1.0, R_inner=0.3), None, "'front': surface Zernike"),
+        (batoid.Sum([batoid.Sphere(2.0), batoid.Sphere(3.0)]), None, "'front': surface Sphere"),
+        (
+            batoid.Plane(),
+            batoid.ObscUnion(
+                batoid.ObscNegation(batoid.ObscCircle(1.0)),
+                batoid.ObscAnnulus(0.2, 0.3),
+            ),
+            "'front': what its obscuration leaves clear",
+        ),
     ],
 )
-def test_what_has_no_counterpart_is_named(file, wanted):
+def test_what_has_no_counterpart_is_named(surface, obscuration, wanted):
     with pytest.raises(MistrayError, match=wanted) as caught:
-        from_batoid(batoid.Optic.fromYaml(file), wavelength_nm=550.0)
+        from_batoid(plate_of_glass(surface, obscuration), wavelength_nm=550.0)
     assert "\n" not in str(caught.value)
 
 
@@ -196,9 +214,11 @@ def test_baffles():
     assert all(s.name != "hole" for s in narrow.structures)
     with pytest.raises(MistrayError, match="'hole': its opening is 500 mm"):
         from_batoid(optic, wavelength_nm=500.0, baffle_radius=400.0)
-    optic.pupilSize = None
+    # Neither a pupil nor an opening ahead of a mirror
+    closed = plate_of_glass(batoid.Plane())
+    closed.pupilSize = None
     with pytest.raises(MistrayError, match="no pupilSize"):
-        from_batoid(optic, wavelength_nm=500.0, baffle_radius=2500.0)
+        from_batoid(closed, wavelength_nm=500.0)
 
 
 def prime_focus(cage_radius: float) -> object:

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from scipy.fft import dctn
 
 DEGREES = (2, 4, 6, 8, 10, 12, 14, 16, 20)
 OVERLAP = 1.002  # of the box, so that rounding does not leave it
@@ -180,10 +179,10 @@ def _table(sag: Sag, half: tuple[float, float], degree: int, x: np.ndarray, y: n
     nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
     values = sag(half[0] * nodes[:, None], half[1] * nodes[None, :])
     if np.isfinite(values).all():
-        table = dctn(values, type=2) / count**2
+        basis = chebyshev.chebvander(nodes, degree)
+        table = basis.T @ values @ basis * (4 / count**2)
         table[0] /= 2
         table[:, 0] /= 2
-        table = table[: degree + 1, : degree + 1]
         return np.where(np.add.outer(np.arange(degree + 1), np.arange(degree + 1)) <= degree, table, 0.0)
     # The corners of the box have no sag: least squares over the outline
     exact = sag(x, y)

@@ -16,11 +16,12 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.special import eval_jacobi
 
 
 def qcon(x: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
     """Σ a_m Qcon_m(x), times x²; terms by m = 0, 1, …."""
+    from scipy.special import eval_jacobi  # takes longer to import than all else of a sag
+
     total = np.zeros(np.shape(x))
     for m, amount in terms.items():
         total = total + amount * eval_jacobi(m, 0, 4, 2 * np.asarray(x) - 1)
