@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Sequence
@@ -226,6 +227,12 @@ def step(scene: FrozenScene, key: str) -> float:
         return float(np.degrees(MOVE))
     if name == "curvature":
         return MOVE / size
-    if name == "conic":
+    if name in ("conic", "conic_x"):
         return 10 * MOVE
-    return MOVE * size ** (1 - int(name[1:]))
+    if name in ("curvature_x", "toroid_curvature"):
+        return MOVE / size
+    if name.startswith(("zernike", "fringe", "q", "chebyshev")):
+        return MOVE * size
+    if name.startswith("slope"):
+        return MOVE
+    return float(MOVE * size ** (1 - sum(int(order) for order in re.findall(r"\d+", name))))

@@ -10,7 +10,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics.geometry.outline import KINDS, MOST_FIGURES, SIGNS, SIZES, Figure, Outline
-from mistray.physics.sags.terms import FIXED, check_names, length_power, sag
+from mistray.physics.sags.terms import FIXED, LENGTHS, check_names, length_power, sag
 from mistray.plugins.shapes.revolution import POSE, RELATIVE, Revolution, float_property
 from mistray.ranges import FINITE, PLACE_MM, Range
 from mistray.surfaces.families.freeform import Freeform
@@ -22,7 +22,6 @@ NUMBER = Range(-1e300, 1e300)
 RADII = {"radius": "curvature", "radius_x": "curvature_x", "toroid_radius": "toroid_curvature"}
 WAYS = {"both": 0, "+z": 1, "-z": -1}
 SAMPLES = 61  # of the outline each way, at which the kernel's sag is compared
-LENGTHS = ("zernike_radius", "fringe_radius", "q_radius", "chebyshev_x", "chebyshev_y")
 Shorthand = ("semi_diameter", "inner_semi_diameter", "half_width", "half_height")
 
 

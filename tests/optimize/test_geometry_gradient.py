@@ -11,7 +11,7 @@ a move by the size of the surface.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import mitsuba as mi
@@ -76,7 +76,73 @@ def solid() -> Case:
     return Case(small_text(front, detector, radius=8.0), settings)
 
 
+# Two lens systems of freeforms, by the numbers of each surface's sag
+FREEFORMS: dict[str, dict[str, dict[str, float]]] = {
+    "freeforms": {
+        "biconic": {"curvature": 1 / 60, "conic": 0.3, "curvature_x": 1 / 90, "conic_x": -1.2},
+        "toroid": {"curvature": -1 / 90, "toroid_curvature": -1 / 70, "a4": 1e-6},
+        "zernike": {
+            "curvature": 1 / 80, "zernike_6": 0.02, "zernike_7": -0.01, "zernike_22": 2e-3, "zernike_radius": 13.0
+        },
+        "fringe": {"curvature": -1 / 90, "fringe_5": 0.02, "fringe_16": 4e-3, "fringe_radius": 13.0},
+        "xy": {"curvature": 1 / 80, "xy_2_1": 3e-5, "xy_0_3": -2e-5, "xy_4_2": 1e-8},
+        "chebyshev": {"chebyshev_2_0": 0.05, "chebyshev_3_2": 0.01, "chebyshev_x": 14.0, "chebyshev_y": 15.0},
+    },
+    "more freeforms": {
+        "odd": {"curvature": 1 / 60, "r3": 2e-5, "r5": 1e-8, "a4": 1e-6},
+        "cylinder": {"curvature": 0.0, "curvature_x": -1 / 90},
+        "qcon": {"curvature": 1 / 80, "conic": -0.5, "qcon_0": 0.05, "qcon_3": -0.01, "q_radius": 13.0},
+        "qbfs": {"curvature": -1 / 90, "qbfs_0": 0.05, "qbfs_2": -0.01, "q_radius": 13.0},
+        "tilted": {"slope_x": 0.05, "slope_y": -0.02, "curvature": 1 / 200},
+        "plain": {"curvature": -1 / 150},
+    },
+}  # fmt: skip
+OUTLINES = (
+    {"semi_diameter": 12.0},
+    {"half_width": 10.0, "half_height": 11.0},
+    {"clip_1": "+ellipse", "clip_1_half_width": 12.0, "clip_1_half_height": 10.5, "clip_1_angle_deg": 20.0,
+     "clip_2": "-circle", "clip_2_x": 3.0, "clip_2_radius": 0.5},
+)  # fmt: skip
+
+
+def freeforms(name: str) -> Case:
+    """Three lenses, all of whose surfaces are freeforms within all kinds of outlines."""
+    shapes = []
+    for k, (kind, numbers) in enumerate(FREEFORMS[name].items()):
+        sides = ("air", "1.6") if k % 2 == 0 else ("1.6", "air")
+        outline = {key: value for key, value in OUTLINES[k % 3].items() if not isinstance(value, str)}
+        shape = shape_xml("freeform", kind, 8.0 * k, interface_xml(*sides), **numbers, **outline)
+        words = "".join(
+            f'<string name="{key}" value="{value}"/>'
+            for key, value in OUTLINES[k % 3].items()
+            if isinstance(value, str)
+        )
+        shapes.append(shape.replace("<transform", words + "<transform", 1))
+    detector = shape_xml("asphere", "detector", 70.0, sensor=True, half_width=30.0, half_height=30.0)
+    settings = {"rays": 300, "field_deg": 3.0, "seed": 8, **TRACED, "flux_threshold": 2e-4}
+    return Case(small_text(*shapes, detector, radius=7.0), settings)
+
+
+def off_axis_mirror() -> Case:
+    """A piece of a paraboloid far beside its axis, with Zernikes and a tilt on it, and a detector near its focus."""
+    mirror = shape_xml(
+        "freeform", "mirror", 0.0, interface_xml(R=0.9, mirror=True), curvature=-1 / 2000, conic=-1.0, zernike_5=1e-3,
+        zernike_radius=400.0, clip_1_x=140.0, clip_1_y=300.0, clip_1_radius=60.0,
+    )  # fmt: skip
+    mirror = mirror.replace("<transform", '<string name="clip_1" value="+circle"/><transform', 1)
+    glass = [
+        shape_xml("asphere", f"window_{k}", -900.0 - 5 * k, interface_xml(*sides), semi_diameter=60.0)
+        for k, sides in enumerate((("1.5", "air"), ("air", "1.5")))
+    ]
+    detector = shape_xml("asphere", "detector", -960.0, sensor=True, half_width=40.0, half_height=40.0)
+    text = small_text(mirror, *glass, detector, radius=50.0)
+    place = '<transform name="to_world"><translate x="140" y="300" z="-1500"/></transform></emitter>'
+    return Case(text.replace("</emitter>", place), {"rays": 400, "seed": 9, **TRACED, "azimuth_deg": 0.0})
+
+
 CASES = {
+    **{name: partial(freeforms, name) for name in FREEFORMS},
+    "off-axis mirror": off_axis_mirror,
     "solid": solid,
     "singlet": singlet,
     "triplet": triplet,
@@ -84,7 +150,16 @@ CASES = {
     "phone camera": phone_camera,
 }
 # The keys that are looked at one by one; all of them together are in `TestDirections`
+FIXED_NUMBERS = ("zernike_radius", "fringe_radius", "q_radius", "chebyshev_x", "chebyshev_y")
 KEYS = {
+    **{
+        name: [
+            *(f"{kind}.{key}" for kind, numbers in system.items() for key in numbers if key not in FIXED_NUMBERS),
+            *(f"{kind}.{key}" for kind in list(system)[1::2] for key in POSE),
+        ]
+        for name, system in FREEFORMS.items()
+    },
+    "off-axis mirror": [f"mirror.{name}" for name in (*POSE, "curvature", "conic", "zernike_5")],
     "solid": [
         *(f"{shape}.{name}" for shape in ("front", "detector") for name in (*POSE, "curvature", "conic", "a4")),
         *("front.bsdf.n_back_shift", "front.bsdf.R", "front.bsdf.T", "detector.bsdf.R"),

@@ -18,6 +18,7 @@ from typing import Protocol
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from .freeform import Freeform
 from .geometry import Array, Asphere, Frustum, Mask, Plane, Sphere, Surface
 from .glass import absorption_per_mm
 from .interface import Interface, interact
@@ -169,6 +170,8 @@ class FrozenScene:
             return replace(own, curvature=curvature, conic=conic, coefficients=tuple(p for p in powers if p[1]))
         if isinstance(own, Frustum):
             return Frustum(*(self.number(f"{shape_id}.{name}") for name in ("r0", "z0", "r1", "z1")))
+        if isinstance(own, Freeform):
+            return replace(own, numbers={name: self.number(f"{shape_id}.{name}") for name in own.numbers})
         return own
 
     def cross(self, shape_id: str, origin: Array, direction: Array, near: Array) -> Array:
@@ -266,6 +269,8 @@ def _implicit(surface: Surface, p: Array) -> tuple[Array, Array]:
         radius = np.hypot(p[:, 0], p[:, 1])
         across = m_r * p[:, :2] / np.maximum(radius, 1e-300)[:, None]
         return m_r * radius + m_z * p[:, 2] - k, np.column_stack([across, np.full(len(p), m_z)])
+    if isinstance(surface, Freeform):
+        return surface.implicit(p)
     if isinstance(surface, Sphere):
         return 0.5 * (np.sum(p * p, axis=1) - surface.radius**2), p
     assert isinstance(surface, Plane)
@@ -295,6 +300,8 @@ def read_frozen(source: str | Path, wavelength_nm: float | None = None) -> Froze
         if isinstance(shape.surface, Frustum):
             for part in ("r0", "z0", "r1", "z1"):
                 numbers[f"{name}.{part}"] = np.array([float(getattr(shape.surface, part))])
+        if isinstance(shape.surface, Freeform):
+            numbers |= {f"{name}.{part}": np.array([value]) for part, value in shape.surface.numbers.items()}
         found = _nested(nodes[name], named, name)
         key, node = found[0] if found else (f"{name}.bsdf", None)
         interface_keys[name] = key

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .freeform import Freeform
 from .geometry import Array, Asphere, Frustum, Mask, Plane, Sphere, Surface
 from .glass import refractive_index
 from .interface import ABSORBER, CoatingTable, Interface
@@ -216,10 +217,14 @@ class _Reader:
         kind = node.attrib["type"]
         values, matrix = self._values(node), self._transform(node)
         builders = {"asphere": _asphere, "frustum": _frustum, "rectangle": _rectangle, "disk": _disk, "sphere": _sphere}
-        if kind not in builders:
+        own = {key: value for key, value in values.items() if key not in LABELS}
+        if kind == "freeform":
+            surface: Surface = Freeform.of(own)
+            pose = _rigid(shape_id, matrix)
+        elif kind in builders:
+            surface, pose = builders[kind](shape_id, {key: float(value) for key, value in own.items()}, matrix)
+        else:
             raise ValueError(f"oracle knows no shape type {kind!r} ({shape_id})")
-        numbers = {key: float(value) for key, value in values.items() if key not in LABELS}
-        surface, pose = builders[kind](shape_id, numbers, matrix)
         sensors = [s for s in self._nested(node, "sensor") if s.attrib["type"] == "irradiancemeter"]
         part = str(values.get("part", shape_id))
         return SceneShape(

@@ -38,6 +38,7 @@ FIXED = {
     "curvature": -1, "conic": 0, "curvature_x": -1, "conic_x": 0, "toroid_curvature": -1, "slope_x": 0, "slope_y": 0,
     "zernike_radius": 1, "fringe_radius": 1, "q_radius": 1, "chebyshev_x": 1, "chebyshev_y": 1,
 }  # fmt: skip
+LENGTHS = ("zernike_radius", "fringe_radius", "q_radius", "chebyshev_x", "chebyshev_y")  # over which polynomials go
 MOST_EVEN, MOST_RADIAL, MOST_XY, MOST_CHEBYSHEV, MOST_Q = 30, 30, 12, 20, 20
 _NUMBERED = re.compile(r"(a|r|xy|zernike|fringe|qbfs|qcon|chebyshev)(?:_)?(\d+)(?:_(\d+))?")
 _NEEDS = {

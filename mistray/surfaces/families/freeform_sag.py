@@ -21,7 +21,7 @@ import numpy as np
 
 from mistray.physics._arrays import sqrt
 from mistray.physics.geometry.departure import Departure, Form
-from mistray.physics.sags.terms import FIXED, MOST_RADIAL, length_power, sag
+from mistray.physics.sags.terms import FIXED, LENGTHS, MOST_RADIAL, length_power, sag
 from mistray.surfaces.extrema import larger
 
 QUADRIC = ("cx", "cy", "a", "b", "lx", "ly")
@@ -148,12 +148,7 @@ class LocalSag:
         x, y : (n,) float64
             Points of the outline in the vertex frame, mm.
         """
-        size = float(np.hypot(*half))
-        probe = {
-            name: value or (0.0 if name in FIXED else PROBE * size ** length_power(name))  # type: ignore[operator]
-            for name, value in n.items()
-        }
-        form = cls._at(probe, middle, half, x, y, None).sag
+        form = cls._at(_probe(n, float(np.hypot(*half))), middle, half, x, y, None).sag
         return cls._at(n, middle, half, x, y, form)
 
     def moved(
@@ -197,6 +192,20 @@ class LocalSag:
         return cls(whole, base | box | coefficients, (ox, oy, at_middle), found.error, found.slope_error)
 
 
+def _probe(n: Mapping[str, float], size: float) -> dict[str, float]:
+    """Numbers like those of a sag, none of which is 0 or equals another: its form holds whatever they become."""
+    twofold = "curvature_x" in n or "toroid_curvature" in n
+    found = {}
+    for k, (name, value) in enumerate(n.items()):
+        step = PROBE * size ** (length_power(name) or 0)
+        if name not in FIXED:
+            found[name] = value or step
+        else:
+            unlike = twofold and name not in LENGTHS
+            found[name] = (value * (1 - (k + 1) * PROBE) or step) if unlike else value
+    return found
+
+
 def _quadric(n: Mapping[str, float]) -> tuple[float, float, float]:
     """Curvatures in x and y and the factor of z² of the quadric that a sag starts from."""
     c, k = n.get("curvature", 0.0), n.get("conic", 0.0)
@@ -206,8 +215,10 @@ def _quadric(n: Mapping[str, float]) -> tuple[float, float, float]:
         cx, kx = n["curvature_x"], n.get("conic_x", 0.0)
     else:
         return c, c, c * (1 + k)
-    both = [c * (1 + k), cx * (1 + kx)]
-    return cx, c, both[0] if not cx else both[1] if not c else 0.5 * sum(both)
+    # Between those of both profiles, so that it is that of a cylinder's own and changes smoothly
+    largest = max(abs(c), abs(cx)) or 1.0
+    u, v = (c / largest) ** 2, (cx / largest) ** 2
+    return cx, c, (u * c * (1 + k) + v * cx * (1 + kx)) / ((u + v) or 1.0)
 
 
 def quadric_sag(x: Any, y: Any, cx: float, cy: float, a: float) -> Any:
