@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +10,14 @@ from number_fuzz import NASTY_XML, Try, Worker
 from oracles.small_scenes import interface_xml, shape_xml
 from test_plugin_pages import BLACK_BSDF, BRACKET_PLY, MANUALS
 
+BENT = {"z": 5.0, "curvature": 0.01}
+SQUARE = {"clip_1": "+rectangle", "clip_1_half_width": 4.0, "clip_1_half_height": 4.0}
+TRIANGLE = {"clip_1": "+polygon", "clip_1_x1": -4.0, "clip_1_y1": -4.0, "clip_1_x2": 4.0, "clip_1_y2": -3.0,
+            "clip_1_x3": 1.0, "clip_1_y3": 4.0}  # fmt: skip
 # Plugin → its numbers, as ordinary as can be
 NUMBERS: dict[str, dict[str, Any]] = {
     "asphere": {"semi_diameter": 4.0},
+    "freeform": BENT | SQUARE,
     "frustum": {"r0": 4.0, "r1": 4.0, "z0": 1.0, "z1": 2.0},
     "part_mesh": {"filename": "bracket.ply"},
     "abg": {"A": 0.01, "B": 0.001, "g": 2.0},
@@ -37,6 +43,27 @@ NUMBERS: dict[str, dict[str, Any]] = {
 INSTEAD: dict[tuple[str, str], dict[str, Any]] = {
     ("asphere", "half_width"): {"half_height": 2.0},
     ("asphere", "half_height"): {"half_width": 2.0},
+    **{("freeform", name): {"z": 5.0, **SQUARE} for name in ("radius", "curvature_x", "toroid_curvature")},
+    ("freeform", "radius_x"): {"z": 5.0, **SQUARE},
+    ("freeform", "toroid_radius"): {"z": 5.0, **SQUARE},
+    ("freeform", "conic_x"): BENT | SQUARE | {"curvature_x": -0.01},
+    ("freeform", "zernike_5"): BENT | SQUARE | {"zernike_radius": 4.0},
+    ("freeform", "zernike_radius"): BENT | SQUARE | {"zernike_5": 0.01},
+    ("freeform", "fringe_5"): BENT | SQUARE | {"fringe_radius": 4.0},
+    ("freeform", "fringe_radius"): BENT | SQUARE | {"fringe_5": 0.01},
+    ("freeform", "qbfs_5"): BENT | SQUARE | {"q_radius": 4.0},
+    ("freeform", "qcon_5"): BENT | SQUARE | {"q_radius": 4.0},
+    ("freeform", "q_radius"): BENT | SQUARE | {"qcon_5": 0.01},
+    ("freeform", "chebyshev_5_5"): BENT | SQUARE | {"chebyshev_x": 5.0, "chebyshev_y": 5.0},
+    ("freeform", "chebyshev_x"): BENT | SQUARE | {"chebyshev_5_5": 0.01, "chebyshev_y": 5.0},
+    ("freeform", "chebyshev_y"): BENT | SQUARE | {"chebyshev_5_5": 0.01, "chebyshev_x": 5.0},
+    ("freeform", "semi_diameter"): BENT,
+    ("freeform", "inner_semi_diameter"): BENT | {"semi_diameter": 4.0},
+    ("freeform", "half_width"): BENT | {"half_height": 4.0},
+    ("freeform", "half_height"): BENT | {"half_width": 4.0},
+    ("freeform", "clip_1_radius"): BENT | {"clip_1": "+circle"},
+    ("freeform", "clip_1_x1"): BENT | TRIANGLE,
+    ("freeform", "clip_1_y1"): BENT | TRIANGLE,
     ("harvey_shack", "rms_nm"): {"l": 0.01, "s": -1.5},
     ("k_correlation", "reference_nm"): NUMBERS["k_correlation"] | {"band_limited": True},
     ("particulate", "coverage_percent"): {},
@@ -102,6 +129,8 @@ def scene_with(plugin: str, name: str = "", text: str = "", kind: str = "float")
     extra = ""
     if plugin in ("frustum", "part_mesh"):
         extra = f'<shape type="{plugin}" id="wall">{inside[plugin]}{BLACK}</shape>'
+    elif plugin == "freeform":
+        extra = f'<shape type="{plugin}" id="bent">{inside[plugin]}{interface_xml("air", "air")}</shape>'
     elif plugin == "target":
         extra = f'<shape type="disk" id="aim"><bsdf type="target">{inside["target"]}</bsdf></shape>'
     elif plugin == "rectangle":
@@ -123,7 +152,21 @@ def scene_with(plugin: str, name: str = "", text: str = "", kind: str = "float")
 
 
 # What the manual says of parameters that are numbers
-NUMERIC = ("1", "1/mm", "1/sr", "mm", "mm^(1-order)", "deg", "degree", "nm", "um", "%", "W/mm²", "integer")
+NUMERIC = (
+    "1",
+    "1/mm",
+    "1/sr",
+    "mm",
+    "mm^(1-order)",
+    "mm^(1-i-j)",
+    "deg",
+    "degree",
+    "nm",
+    "um",
+    "%",
+    "W/mm²",
+    "integer",
+)
 BLACK = '<bsdf type="interface"><float name="R" value="0"/></bsdf>'
 SCENE = scene_with("abg")
 STUDY = """
@@ -252,7 +295,7 @@ TRACED = ("ghosts", "try.xml", "--json", "--rays", "200")
 def scene_tries() -> list[Try]:
     """Every number of every plugin with every nasty value; the only word of its arguments is the text of the scene."""
     places: list[tuple[str, str, str, str]] = [
-        (manual.plugin, name, "{}", "float")
+        (manual.plugin, re.sub(r"_[ijkm](?=_|$)", lambda m: "_1" if m[0] == "_k" else "_5", name), "{}", "float")
         for manual in MANUALS
         for parameter in manual.parameters
         if parameter.unit in NUMERIC
