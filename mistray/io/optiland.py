@@ -7,16 +7,17 @@ is read, not how it was entered. Here each surface is decentred alone, from a fr
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.io.conventions import figure, turns_deg
+from mistray.physics.geometry.outline import Figure, Outline, circle, polygon, rectangle
 from mistray.prescription.sequential.materials import same_material
 from mistray.prescription.sequential.table import (
     ApertureKind,
-    ClearAperture,
     Decentre,
     FieldKind,
     Row,
@@ -154,18 +155,37 @@ def _aperture(number: int, surface: Any, unread: list[Unread]) -> dict[str, Any]
     kind = type(aperture).__name__
     if aperture is None:
         return {}
-    if kind in ("RadialAperture", "OffsetRadialAperture"):
-        inner, outer = _float(aperture.r_min), _float(aperture.r_max)
-        x, y = _float(getattr(aperture, "offset_x", 0.0)), _float(getattr(aperture, "offset_y", 0.0))
-        if inner or x or y:
-            return {"aperture": ClearAperture(inner=inner, outer=outer, x=x, y=y)}
-        return {"semi_diameter": outer, "semi_diameter_fixed": True}
-    if kind == "RectangularAperture":
-        x0, x1, y0, y1 = (_float(getattr(aperture, key)) for key in ("x_min", "x_max", "y_min", "y_max"))
-        half: dict[str, Any] = {"half_width": (x1 - x0) / 2, "half_height": (y1 - y0) / 2}
-        return {"aperture": ClearAperture(kind="rectangle", **half, x=(x0 + x1) / 2, y=(y0 + y1) / 2)}
+    outline = _outline(aperture)
+    if outline is not None:
+        ring = outline.annulus
+        if ring and not ring[1]:
+            return {"semi_diameter": ring[0], "semi_diameter_fixed": True}
+        return {"aperture": outline}
     unread.append(Unread(0, f"surface {number}: aperture {kind}", "it has no counterpart: nothing is clipped there"))
     return {}
+
+
+def _outline(aperture: Any) -> Outline | None:
+    """The outline that an aperture of optiland is; None if it is none of figures."""
+    kind = type(aperture).__name__
+    x, y = (_float(getattr(aperture, f"offset_{axis}", 0.0)) for axis in "xy")
+    if kind in ("RadialAperture", "OffsetRadialAperture"):
+        return circle(_float(aperture.r_max), _float(aperture.r_min), x, y)
+    if kind == "RectangularAperture":
+        x0, x1, y0, y1 = (_float(getattr(aperture, key)) for key in ("x_min", "x_max", "y_min", "y_max"))
+        return rectangle((x1 - x0) / 2, (y1 - y0) / 2, (x0 + x1) / 2, (y0 + y1) / 2)
+    if kind == "EllipticalAperture":
+        return Outline((Figure("ellipse", "+", x, y, sizes=(_float(aperture.a), _float(aperture.b))),))
+    if kind == "PolygonAperture":
+        corners = zip(np.asarray(aperture.x, float).ravel(), np.asarray(aperture.y, float).ravel(), strict=True)
+        return polygon([(float(u), float(v)) for u, v in corners])
+    sign = {"UnionAperture": "+", "IntersectionAperture": "&", "DifferenceAperture": "-"}.get(kind)
+    if sign is None:
+        return None
+    first, second = _outline(aperture.a), _outline(aperture.b)
+    if first is None or second is None or len(second.figures) > 1:
+        return None
+    return Outline((*first.figures, replace(second.figures[0], sign=sign)))
 
 
 def _material(medium: Any, wavelengths_nm: tuple[float, ...]) -> str:

@@ -13,8 +13,9 @@ from typing import Any
 from mistray.errors import MistrayError
 from mistray.io.codev.rows import CodevSurface, rows_of
 from mistray.io.conventions import figure, object_na, squeezed
+from mistray.physics.geometry.outline import Figure, Outline, circle
 from mistray.prescription.sequential.materials import same_material
-from mistray.prescription.sequential.table import ApertureKind, ClearAperture, FieldKind, Row, Sequential, Unread
+from mistray.prescription.sequential.table import ApertureKind, FieldKind, Row, Sequential, Unread
 
 _UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3, "in": 25.4, "inches": 25.4, "ft": 304.8}
 _MODES = {"decenter": "", "dec and return": "DAR", "reverse": "REV", "bend": "BEN"}
@@ -26,6 +27,7 @@ _FIELDS: dict[tuple[str, str], FieldKind] = {
 }
 _INFINITE = 1e9
 _MODES_OF_LIGHT = ("transmit", "reflect", "dummy", "phantom")  # phantom: a coordinate break of a Zemax file
+_FIGURES = {"Rectangular": "rectangle", "Elliptical": "ellipse"}
 
 
 def from_rayoptics(model: Any) -> Sequential:
@@ -151,7 +153,7 @@ def _surface(what: str, interface: Any) -> CodevSurface:
 
 
 def _apertures(number: int, interface: Any, unit: float, unread: list[Unread]) -> dict[str, Any]:
-    """The first clear aperture, or without one the round edge of the body; the radius for drawing is not used."""
+    """What all clear apertures share, or without one the round edge of the body; the drawn radius is not used."""
     result: dict[str, Any] = {}
     edges = getattr(interface, "edge_apertures", ())
     clear = getattr(interface, "clear_apertures", ())
@@ -162,19 +164,27 @@ def _apertures(number: int, interface: Any, unit: float, unread: list[Unread]) -
         else:
             reason = "the edge of the body; edges are generated from clear apertures"
             unread.append(Unread(0, f"interface {number}: edge {type(aperture).__name__}", reason))
+    shown: Outline | None = None
     for aperture in clear:
         kind = type(aperture).__name__
         x, y = float(aperture.x_offset) * unit, float(aperture.y_offset) * unit
-        if result or kind not in ("Circular", "Rectangular") or aperture.rotation:
-            reason = "it has no counterpart, or another one is there before it: nothing is clipped by it"
-            unread.append(Unread(0, f"interface {number}: aperture {kind}", reason))
-        elif kind == "Circular" and not (x or y):
-            result = {"semi_diameter": float(aperture.radius) * unit, "semi_diameter_fixed": True}
-        elif kind == "Circular":
-            result = {"aperture": ClearAperture(outer=float(aperture.radius) * unit, x=x, y=y)}
+        angle = float(aperture.rotation)
+        if kind == "Circular":
+            outline = circle(float(aperture.radius) * unit, x=x, y=y)
+        elif kind in _FIGURES:
+            sizes = (float(aperture.x_half_width) * unit, float(aperture.y_half_width) * unit)
+            outline = Outline((Figure(_FIGURES[kind], "+", x, y, angle, sizes),))
         else:
-            half = {"half_width": aperture.x_half_width * unit, "half_height": aperture.y_half_width * unit}
-            result = {"aperture": ClearAperture(kind="rectangle", **half, x=x, y=y)}
+            reason = "it has no counterpart: nothing is clipped by it"
+            unread.append(Unread(0, f"interface {number}: aperture {kind}", reason))
+            continue
+        shown = (
+            outline if shown is None else Outline((*shown.figures, *(replace(f, sign="&") for f in outline.figures)))
+        )
+    if shown is not None and shown.annulus:
+        return {"semi_diameter": shown.annulus[0], "semi_diameter_fixed": True}
+    if shown is not None:
+        result["aperture"] = shown
     return result
 
 

@@ -13,11 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.physics.geometry.outline import Outline, circle, rectangle
 from mistray.physics.geometry.pose import moved
+from mistray.physics.sags.terms import half_turned
 from mistray.prescription.coating import Coating
 from mistray.prescription.model import Detector, Prescription, Surface
 from mistray.prescription.sequential.rays import Array, passes, trace
-from mistray.prescription.sequential.table import ClearAperture, Decentre, Row, Sequential
+from mistray.prescription.sequential.table import Decentre, Row, Sequential
 
 _TINY = 1e-9  # mm and radians below which a displacement or a turn is rounding
 _DECIMALS = 12  # of thicknesses in mm and tilts in degrees, beyond which they are rounding
@@ -130,6 +132,8 @@ class _Walk:
             )
         flip = -1.0 if against else 1.0
         semi_diameter, fixed, aperture = _clip(surface)
+        if against and aperture is not None:
+            aperture = aperture.half_turned()
         self._place(
             pose,
             Row(
@@ -139,6 +143,7 @@ class _Walk:
                 radius=flip * surface.radius if surface.curvature else math.inf,
                 conic=surface.conic,
                 coefficients=tuple(flip * a for a in surface.coefficients),
+                sag=half_turned(surface.sag) if against else surface.sag,
                 material="air" if image else self.material if surface.mirror else behind,
                 mirror=surface.mirror,
                 semi_diameter=semi_diameter,
@@ -269,8 +274,9 @@ def _widest_beam(lens: Sequential) -> tuple[float, int]:
             if row.kind != "surface":
                 continue
             shape = row
-            if row.aperture is not None and row.aperture.inner:  # the hole of a mirror is no limit of its beam
-                shape = replace(row, aperture=replace(row.aperture, inner=0.0))
+            ring = row.aperture.annulus if row.aperture is not None else None
+            if ring:  # the hole of a mirror is no limit of its beam
+                shape = replace(row, aperture=circle(ring[0]))
             stopped = np.flatnonzero(~passes(shape, points[place]))
             if stopped.size and stopped[0] < through:
                 through, limit = int(stopped[0]), place
@@ -288,21 +294,21 @@ def _widest_beam(lens: Sequential) -> tuple[float, int]:
 
 
 def _reach(row: Row) -> float:
-    aperture = row.aperture
-    if aperture is not None and aperture.kind == "rectangle":
-        return min(aperture.half_width, aperture.half_height)
-    return row.semi_diameter or 0.0
+    sides = row.aperture.sides if row.aperture is not None else None
+    return min(sides) if sides else row.semi_diameter or 0.0
 
 
-def _clip(surface: Surface) -> tuple[float, bool, ClearAperture | None]:
+def _clip(surface: Surface) -> tuple[float, bool, Outline | None]:
     """Semi-diameter, whether it stops light, and the aperture of a row."""
+    if surface.outline is not None:
+        return surface.outer_radius, False, surface.outline
     if surface.semi_diameter is None:
         assert surface.half_width is not None
         assert surface.half_height is not None
         width, height = surface.half_width, surface.half_height
-        return surface.outer_radius, False, ClearAperture(kind="rectangle", half_width=width, half_height=height)
+        return surface.outer_radius, False, rectangle(width, height)
     outer, inner = surface.semi_diameter, surface.inner_semi_diameter
-    return outer, not inner, ClearAperture(inner=inner, outer=outer) if inner else None
+    return outer, not inner, circle(outer, inner) if inner else None
 
 
 def _coating_name(coating: Coating) -> str:

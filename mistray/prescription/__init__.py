@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
+from mistray.physics.geometry.outline import Figure, Outline
 from mistray.prescription.baffles.cassegrain import CassegrainBaffles, cassegrain_baffles
 from mistray.prescription.baffles.tube import BaffleTube, hood_length, vane_tube
 from mistray.prescription.baffles.two_stage import TwoStageBaffle, two_stage_baffle
@@ -14,7 +15,7 @@ from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.model import Detector, Prescription, Source, Stop, Structure, Surface
 from mistray.prescription.scatter import Scatter
 from mistray.prescription.sequential.first_order import FirstOrder
-from mistray.prescription.sequential.table import ClearAperture, Decentre, Row, Sequential, Unread
+from mistray.prescription.sequential.table import Decentre, Row, Sequential, Unread
 
 if TYPE_CHECKING:
     from mistray.io import (
@@ -34,12 +35,13 @@ __all__ = [
     "BaffleTube",
     "Built",
     "CassegrainBaffles",
-    "ClearAperture",
     "Coating",
     "Decentre",
     "Detector",
+    "Figure",
     "FirstOrder",
     "MeshStructure",
+    "Outline",
     "Prescription",
     "Row",
     "Scatter",

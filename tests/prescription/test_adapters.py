@@ -15,11 +15,12 @@ from mistray.io.conventions import figure, object_na, turns_deg
 from mistray.io.optiland import from_optiland
 from mistray.io.rayoptics import from_rayoptics
 from mistray.materials import complex_index, refractive_index
+from mistray.physics.geometry.outline import circle
 from mistray.physics.geometry.sag import sag
 from mistray.prescription.sequential.first_order import first_order
 from mistray.prescription.sequential.materials import same_material
 from mistray.prescription.sequential.rays import motion, trace
-from mistray.prescription.sequential.table import ClearAperture, Decentre, Row, Sequential
+from mistray.prescription.sequential.table import Decentre, Row, Sequential
 
 
 def by_name(name: str):
@@ -170,7 +171,7 @@ def test_a_lens_of_optiland_has_the_same_rays(optiland):
     assert found.wavelengths_nm == pytest.approx((587.6, 486.1))
     assert [row.material for row in found.rows[:3]] == ["N-BK7", "air", "air"]
     assert found.rows[2].mirror
-    assert found.rows[2].aperture == ClearAperture(inner=0.1, outer=20)
+    assert found.rows[2].aperture == circle(20, 0.1)
     assert found.rows[0].label == "window"
     assert found.rows[0].stop
     positions, directions = (values.reshape(-1, 3) for values in peer_lenses.starts(found))

@@ -10,7 +10,8 @@ import pytest
 from sequential_lenses import by_name, lens, newtonian, triplet
 
 from mistray import MistrayError
-from mistray.prescription import ClearAperture, Coating, Decentre, Row, Structure, Surface, Unread
+from mistray.physics.geometry.outline import circle, rectangle
+from mistray.prescription import Coating, Decentre, Row, Structure, Surface, Unread
 from mistray.prescription.closing.system import build, to_prescription
 from mistray.prescription.scene_file import beside
 from mistray.prescription.sequential.rays import to_world, trace
@@ -136,18 +137,19 @@ def test_rays_of_the_table_meet_the_surfaces_of_the_prescription():
 
 def test_stated_apertures_become_plates_and_clips():
     rows = list(newtonian().rows)
-    rows[0] = replace(rows[0], aperture=ClearAperture(outer=30.0, obscures=True))
-    rows[1] = replace(rows[1], aperture=ClearAperture(inner=20.0, outer=110.0))
-    rows[3] = replace(rows[3], aperture=ClearAperture(kind="rectangle", half_width=25.0, half_height=40.0))
+    rows[0] = replace(rows[0], obscuration=circle(30.0))
+    rows[1] = replace(rows[1], aperture=circle(110.0, 20.0))
+    rows[3] = replace(rows[3], aperture=rectangle(25.0, 40.0))
     shapes = by_name(to_prescription(newtonian().with_rows(rows)))
     assert (shapes["sky_obscuration"].semi_diameter, shapes["sky_obscuration"].coating) == (30.0, Coating(R=0.0))
     assert (shapes["primary"].semi_diameter, shapes["primary"].inner_semi_diameter) == (110.0, 20.0)
     assert (shapes["flat"].half_width, shapes["flat"].half_height) == (25.0, 40.0)
     assert "flat_rim" not in shapes
-    rows = [replace(triplet().rows[0], aperture=ClearAperture(outer=2.0, y=1.0, obscures=True)), *triplet().rows[1:]]
+    rows = [replace(triplet().rows[0], obscuration=circle(2.0, y=1.0)), *triplet().rows[1:]]
     patch = by_name(to_prescription(triplet().with_rows(rows)))["S1_obscuration"]
-    # Flat, before the deepest point of the surface below it, at r = 0
-    assert (patch.y, patch.z) == pytest.approx((1.0, -1e-3))
+    # 1 µm before the surface, on its figure
+    assert (patch.outline, patch.z) == (circle(2.0, y=1.0), pytest.approx(-1e-3))
+    assert (patch.radius, patch.conic) == (rows[0].radius, rows[0].conic)
 
 
 def test_coatings_come_by_name():
@@ -255,13 +257,13 @@ def test_a_tilted_group_is_closed_in_its_own_frame():
 
 def test_the_stop_has_the_apertures_that_the_file_states():
     rows = list(triplet().rows)
-    rows[4] = replace(rows[4], aperture=ClearAperture(inner=0.5, outer=3.0))
+    rows[4] = replace(rows[4], aperture=circle(3.0, 0.5))
     shapes = by_name(to_prescription(triplet().with_rows(rows)))
     assert shapes["stop_front"].r1 == 3.0
     disc = shapes["S5_obscuration"]
     assert (disc.semi_diameter, disc.z) == pytest.approx((0.5, shapes["stop_front"].z0), abs=1e-9)
     assert "S5_aperture" not in shapes
-    slit = ClearAperture(kind="rectangle", half_width=1.0, half_height=3.0)
+    slit = rectangle(1.0, 3.0)
     rows[4] = replace(rows[4], aperture=slit)
     shapes = by_name(to_prescription(triplet().with_rows(rows)))
     assert shapes["S5_frame_left"].x + shapes["S5_frame_left"].half_width == pytest.approx(-1.0)
@@ -269,7 +271,7 @@ def test_the_stop_has_the_apertures_that_the_file_states():
 
 def test_an_obscuration_stands_in_the_material_before_its_surface():
     rows = list(triplet().rows)
-    rows[1] = replace(rows[1], aperture=ClearAperture(outer=1.0, obscures=True))
+    rows[1] = replace(rows[1], obscuration=circle(1.0))
     patch = by_name(to_prescription(triplet().with_rows(rows)))["S2_obscuration"]
     assert (patch.front, patch.back) == ("1.62041", "1.62041")
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from mistray import MistrayError
-from mistray.prescription import ClearAperture, Decentre, Row, Sequential
+from mistray.physics.geometry.outline import circle
+from mistray.prescription import Decentre, Row, Sequential
 from mistray.prescription.sequential.edge_rays import edge_rays, launch
 from mistray.prescription.sequential.first_order import first_order
 from mistray.prescription.sequential.rays import trace
@@ -199,7 +200,7 @@ def test_no_ray_reaches_the_image():
 
 
 def test_apertures_that_no_sampled_ray_passes_do_not_hide_the_lens():
-    ring = ClearAperture(inner=0.5, outer=1.0)
+    ring = circle(1.0, 0.5)
     rows = (Row(6, stop=True), Row(7, radius=20.0, thickness=1.0, material="1.5", aperture=ring), Row(8, kind="image"))
     rays = edge_rays(Sequential("ring", rows, aperture=3.0))
     assert np.isfinite(rays.positions[-1]).all()

@@ -13,9 +13,10 @@ from mistray.io.codev.commands import commands
 from mistray.io.codev.glasses import table_material
 from mistray.io.codev.read import read_codev
 from mistray.materials import refractive_index
+from mistray.physics.geometry.outline import ALL, Figure, Outline, circle, rectangle
 from mistray.prescription.sequential.first_order import first_order, paraxial_system
 from mistray.prescription.sequential.rays import to_world, trace
-from mistray.prescription.sequential.table import ClearAperture, Sequential
+from mistray.prescription.sequential.table import Sequential
 
 pytestmark = pytest.mark.quick
 
@@ -214,24 +215,29 @@ def test_dar_returns_and_rev_undoes(lens):
         ("CIR CLR 3; CIR EDG 4", {"semi_diameter": 3, "semi_diameter_fixed": True}, 1),
         ("CIR EDG 4", {"semi_diameter": 4}, 0),
         ("CIR 3; CIR 4", {"semi_diameter": 4, "semi_diameter_fixed": True}, 1),
-        ("CIR 3; ADY 1", {"aperture": ClearAperture(outer=3, y=1)}, 0),
-        ("REX 2; REY 1; ADX -1", {"aperture": ClearAperture(kind="rectangle", half_width=2, half_height=1, x=-1)}, 0),
-        ("REY 1; ARO 10", {"aperture": ClearAperture(kind="rectangle", half_height=1)}, 1),
+        ("CIR 3; ADY 1", {"aperture": circle(3, y=1)}, 0),
+        ("REX 2; REY 1; ADX -1", {"aperture": rectangle(2, 1, x=-1)}, 0),
+        ("REY 1; ARO 10", {"aperture": rectangle(ALL, 1, angle_deg=10)}, 0),
+        ("CIR 3; REX 2; REY 9", {"aperture": Outline((*circle(3).figures, Figure("rectangle", "&", sizes=(2, 9))))}, 0),
+        ("CIR 3; CIR OBS 1; ADY OBS 2", {"semi_diameter": 3, "semi_diameter_fixed": True,
+                                         "obscuration": circle(1, y=2)}, 0),
         ("ELX 2; ELY 2", {"semi_diameter": 2, "semi_diameter_fixed": True}, 0),
-        ("ELX 2; ELY 1", {}, 2),
+        ("ELX 2; ELY 1", {"aperture": Outline((Figure("ellipse", sizes=(2, 1)),))}, 0),
         ("CIR 3; CIR HOL 1", {"semi_diameter": 3, "semi_diameter_fixed": True,
-                              "aperture": ClearAperture(inner=1, outer=3)}, 0),
+                              "aperture": circle(3, 1)}, 0),
         ("CIR 3; CIR OBS L'A' 1", {"semi_diameter": 3, "semi_diameter_fixed": True,
-                                   "aperture": ClearAperture(outer=1, obscures=True)}, 0),
-        ("CIR HOL 1; CIR OBS 2", {"aperture": ClearAperture(inner=1)}, 1),
+                                   "obscuration": circle(1)}, 0),
+        ("CIR HOL 1; CIR OBS 2", {"aperture": Outline((Figure("circle", "-", sizes=(1,)),)),
+                                  "obscuration": circle(2)}, 0),
         ("REX EDG 3; REY EDG 2", {}, 2),
     ],
 )  # fmt: skip
 def test_apertures(lens, text, expected, unread):
     found = lens(system(f"S 10 2\n{text}\nS 0 5"))
     row = found.rows[0]
-    given = {key: getattr(row, key) for key in ("semi_diameter", "semi_diameter_fixed", "aperture")}
-    assert given == {"semi_diameter": None, "semi_diameter_fixed": False, "aperture": None} | expected
+    given = {key: getattr(row, key) for key in ("semi_diameter", "semi_diameter_fixed", "aperture", "obscuration")}
+    none = {"semi_diameter": None, "semi_diameter_fixed": False, "aperture": None, "obscuration": None}
+    assert given == none | expected
     assert len(found.unread) == unread
 
 
@@ -324,8 +330,12 @@ def test_what_a_file_leaves_out_is_noted(lens):
         (system("S 10 x"), "line 6: 'S 10 x': 'x' is no number"),
         (system("S 10 nan"), "'nan' is no number"),
         (system("S 10 1\nA 1e999"), "'1e999' is no number"),
-        (system("S 10 1\nCYL"), "line 7: 'CYL' on surface 1: cylinders and toroids have no counterpart; remove it"),
-        (system("S 10 1\nS 10 1\nSPS ODD"), "line 8: 'SPS ODD' on surface 2: this kind of surface has no counterpart"),
+        (system("S 10 1\nSPS ODD"), "line 7: 'SPS ODD': of special surfaces XYP is read"),
+        (system("S 10 1\nSCO C4"), "line 7: 'SCO C4': it needs a coefficient and a value"),
+        (system("S 10 1\nSPS XYP\nSCO C4 1"), "NRADIUS 0"),
+        (system("S 10 1\nSPS XYP 5\nSCO Q 1"), "SCO Q"),
+        (system("S 10 1\nXTO\nXDE 1"), "XTO that is tilted"),
+        (system("S 10 1\nS 10 1\nUDS"), "line 8: 'UDS' on surface 2: this kind of surface has no counterpart"),
         (system("S 10 1\nDIF DOE"), "line 7: 'DIF DOE' on surface 1: diffracting"),
         (system("S 10 1\nCUF 0.1"), "Fresnel"),
         (system("ZOO 3\nS 10 1"), "zoom"),

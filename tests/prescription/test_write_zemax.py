@@ -15,12 +15,25 @@ from mistray.errors import MistrayError
 from mistray.io.to_sequential import to_sequential
 from mistray.io.zemax.read import read_zemax
 from mistray.io.zemax.write import write_zemax
+from mistray.physics.geometry.outline import ALL, Figure, Outline, circle, rectangle
 from mistray.prescription import Coating, Detector, Prescription, Source, Stop, Surface
 from mistray.prescription.sequential.rays import frames, to_world, trace
-from mistray.prescription.sequential.table import ClearAperture, Decentre, Row, Sequential
+from mistray.prescription.sequential.table import Decentre, Row, Sequential
 from mistray.scenes.newtonian.prescription import build as newtonian
 
 pytestmark = pytest.mark.quick
+
+# Type of a file, and what a row of it may have beside a conic
+FREEFORMS = {
+    "ODDASPHE": {"sag": {"r1": 1e-3, "r3": -2e-5}, "coefficients": (1e-6,)},
+    "XASPHERE": {"coefficients": (1e-6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1e-20)},
+    "TOROIDAL": {"sag": {"toroid_curvature": 0.01, "a2": 1e-3}, "coefficients": (1e-6,)},
+    "BICONICX": {"sag": {"curvature_x": -0.02, "conic_x": 0.3}},
+    "SZERNSAG": {"sag": {"zernike_1": 0.1, "zernike_22": 0.01, "zernike_radius": 7.0}, "coefficients": (1e-6,)},
+    "FZERNSAG": {"sag": {"fringe_37": 0.01, "fringe_radius": 7.0}},
+    "XPOLYNOM": {"sag": {"xy_1_0": 0.1, "xy_2_3": 1e-5, "xy_0_2": 1e-3}},
+    "TILTSURF": {"sag": {"slope_x": 0.1, "slope_y": -0.2}},
+}
 
 IMAGE = Row(9, kind="image")
 
@@ -69,10 +82,10 @@ def test_everything_of_a_lens_comes_back(tmp_path):
         Row(1, label="Öffnung front", radius=51.5, conic=-0.7, coefficients=(1e-6, 0.0, 3e-12), thickness=4.0,
             material="schott/SF5", semi_diameter=11.0, semi_diameter_fixed=True, coating="AR"),
         Row(2, radius=-80.0, thickness=3.0, material="nd=1.53 Vd=56 k=0", semi_diameter=10.5),
-        Row(3, thickness=1.0, stop=True, semi_diameter=5.0, aperture=ClearAperture(inner=1.5, outer=5.0)),
+        Row(3, thickness=1.0, stop=True, semi_diameter=5.0, aperture=circle(5.0, 1.5)),
         Row(4, radius=-200.0, mirror=True, thickness=-30.0, semi_diameter=math.hypot(9.0, 11.0),
-            aperture=ClearAperture(kind="rectangle", half_width=8.0, half_height=9.0, x=1.0, y=-2.0)),
-        Row(5, thickness=-2.0, material="1.5", semi_diameter=6.0, aperture=ClearAperture(outer=2.0, obscures=True)),
+            aperture=rectangle(8.0, 9.0, x=1.0, y=-2.0)),
+        Row(5, thickness=-2.0, material="1.5", semi_diameter=6.0, obscuration=circle(2.0)),
         Row(6, kind="image", radius=90.0, semi_diameter=7.0),
     )  # fmt: skip
     lens = Sequential(
@@ -125,23 +138,29 @@ def test_telecentric_object_space_comes_back(tmp_path):
 
 
 def test_what_a_file_cannot_say_is_told(tmp_path):
-    slit = ClearAperture(kind="rectangle", half_height=1.0)
-    hole = ClearAperture(inner=1.0)
-    spot = ClearAperture(outer=1.0, obscures=True)
+    slit = rectangle(ALL, 1.0)
+    hole = Outline((Figure("circle", "-", sizes=(1.0,)),))
+    spot = circle(1.0)
     cases = (
         (Row(1, aperture=slit), "surface 1: its slit, as it has no rim", None),
-        (Row(1, aperture=slit, semi_diameter=5.0), None, replace(slit, half_width=5.0)),
+        (Row(1, aperture=slit, semi_diameter=5.0), None, rectangle(5.0, 1.0)),
         (Row(1, aperture=hole), "surface 1: its hole of radius 1 mm", None),
-        (Row(1, aperture=hole, semi_diameter=5.0), None, replace(hole, outer=5.0)),
-        (Row(1, aperture=spot, semi_diameter=5.0, semi_diameter_fixed=True), "its edge stops no light", spot),
-        (Row(1, aperture=spot, semi_diameter=5.0), None, spot),
+        (Row(1, aperture=hole, semi_diameter=5.0), None, circle(5.0, 1.0)),
+        (
+            Row(1, obscuration=spot, semi_diameter=5.0, semi_diameter_fixed=True),
+            "its edge stops no light",
+            (None, spot),
+        ),
+        (Row(1, obscuration=spot, semi_diameter=5.0), None, (None, spot)),
         (Row(1, coating="FILES/COATING.DAT:my AR"), "coating 'my AR': its name is written with '_'", None),
         (Row(1, coating="AR"), None, None),
     )
     for row, loss, aperture in cases:
         lost = write_zemax(Sequential("lens", (row, IMAGE), aperture=1.0), tmp_path / "lens.zmx")
         assert [loss in each for each in lost] == [True] if loss else lost == (), row
-        assert read_zemax(tmp_path / "lens.zmx").rows[0].aperture == aperture
+        clear, opaque = aperture if isinstance(aperture, tuple) else (aperture, None)
+        back = read_zemax(tmp_path / "lens.zmx").rows[0]
+        assert (back.aperture, back.obscuration) == (clear, opaque)
 
 
 def test_more_wavelengths_than_a_file_holds(tmp_path):
@@ -208,11 +227,23 @@ def test_glasses(material, wavelengths, line, loss, tmp_path):
         assert index[0] == pytest.approx(index[1], rel=1e-9)
 
 
-def test_terms_beyond_r16_are_refused(tmp_path):
-    rows = (Row(1, label="front", coefficients=(0.0,) * 7 + (1e-20,)), IMAGE)
-    with pytest.raises(MistrayError, match=r"surface 1 'front'.*r\^18.*fit it again"):
+def test_a_sag_that_no_type_has_is_refused(tmp_path):
+    rows = (Row(1, label="front", sag={"curvature_x": 0.1, "r3": 1e-3}), IMAGE)
+    with pytest.raises(MistrayError, match=r"surface 1 'front'.*r3"):
         write_zemax(Sequential("lens", rows, aperture=1.0), tmp_path / "lens.zmx")
-    assert not (tmp_path / "lens.zmx").exists()
+
+
+@pytest.mark.parametrize("kind", sorted(FREEFORMS))
+def test_freeforms_come_back(kind, tmp_path):
+    row = Row(1, radius=80.0, conic=-0.5, semi_diameter=5.0, **FREEFORMS[kind])
+    if kind == "TILTSURF":
+        row = replace(row, radius=math.inf, conic=0.0)
+    write_zemax(Sequential("lens", (row, IMAGE), aperture=1.0), tmp_path / "lens.zmx")
+    text = (tmp_path / "lens.zmx").read_text(encoding="utf-8")
+    assert f"TYPE {kind}\n" in text
+    back = read_zemax(tmp_path / "lens.zmx").rows[0]
+    assert back.sag_numbers == pytest.approx(row.sag_numbers, rel=1e-12)
+    assert (back.radius, back.conic) == (row.radius, row.conic)
 
 
 def test_newtonian_by_hand():

@@ -19,8 +19,7 @@ ORDERS = "ABCDEFGHJ"
 """Names of the coefficients of r⁴, r⁶, … r²⁰."""
 
 CHANGES_THE_LENS = {
-    **dict.fromkeys(("CYL", "XTO", "YTO", "RDX", "CUX"), "cylinders and toroids have no counterpart"),
-    **dict.fromkeys(("AAS", "SPS", "SPL", "ZRN", "UDS", "UD1", "UD2"), "this kind of surface has no counterpart"),
+    **dict.fromkeys(("SPL", "ZRN", "UDS", "UD1", "UD2"), "this kind of surface has no counterpart"),
     **dict.fromkeys(("DIF", "GRT", "HOE", "GRS"), "diffracting surfaces are not traced"),
     **dict.fromkeys(("MOD", "MFL", "MRD"), "a lens module has no surfaces to trace"),
     **dict.fromkeys(("GRI", "URN", "INC"), "media whose index varies are not traced"),

@@ -2,15 +2,16 @@
 
 Read are the system data (DIM, EPD, FNO, NA, NAO, TEL, WL, WTW, REF, XAN YAN, XOB YOB, XIM YIM, XRI YRI, VUX VLX VUY
 VLY, TIT, RDM, PRV … END) and the surfaces: ``S``, ``SO``, ``SI`` with curvature or radius, thickness and glass; RDY,
-CUY, THI, GLA, RMD, STO, SLB; SPH, CON, ASP with K and A … J; CIR, REX, REY, ELX, ELY (clear, EDG, OBS, HOL) with ADX,
-ADY; XDE … CDE with DAR, REV, BEN. Every other command is either refused, because the lens would be another one without
-it, or listed in `Sequential.unread`.
+CUY, THI, GLA, RMD, STO, SLB; SPH, CON, ASP with K and A … J; CYL, YTO, XTO, AAS and SPS XYP, see `sags`; CIR, REX, REY,
+ELX, ELY (clear, EDG, OBS, HOL) with ADX, ADY, ARO; XDE … CDE with DAR, REV, BEN. Every other command is either refused,
+because the lens would be another one without it, or listed in `Sequential.unread`.
 
 What commands mean, from O'Shea and Bentley (see `codev_lines`), and from designs whose images are known:
 
 - ADE and BDE turn left-handed about x and y, CDE right-handed about z, in this order, after the shift.
 - DAR: the later surfaces stand as if there had been no move. REV: the surface is not moved, the later ones are, by the
   inverse. BEN: behind the mirror the axis is that of the reflected axial ray.
+- Clear apertures of a surface clip together. ARO turns them about their own middle, right-handed about z like CDE.
 - The thickness of SI is a defocus: it adds to the thickness before the image.
 - An object 1e9 units away or farther is at infinity.
 """
@@ -27,6 +28,7 @@ from mistray.errors import MistrayError
 from mistray.io.codev.commands import CHANGES_THE_LENS, HAS_NO_EFFECT, ORDERS, Command, commands
 from mistray.io.codev.glasses import CodevGlasses, table_material
 from mistray.io.codev.rows import CodevSurface, rows_of
+from mistray.io.codev.sags import ANAMORPHIC, KINDS
 from mistray.io.conventions import object_na, squeezed
 from mistray.materials import refractive_index
 from mistray.materials.agf import decode
@@ -36,6 +38,7 @@ from mistray.read_file import read_file
 _UNITS_MM = {"M": 1.0, "C": 10.0, "I": 25.4}
 _INFINITE = 1e9
 _SURFACE = re.compile(r"S(\d{0,6}|[OI])")
+_APERTURES = ("CLR", "EDG", "OBS", "HOL")
 _QUALIFIER = re.compile(r"S(\d{1,6}|[OIS])(?:\.\.(\d{1,6}|I))?", re.IGNORECASE)
 _FIELD_KINDS: dict[str, FieldKind] = {
     "AN": "angle_deg",
@@ -265,6 +268,11 @@ class _Reader:
             "RMD": self._take_glass,
             "STO": self._take_stop,
             "SLB": self._take_label,
+            **dict.fromkeys(("CUX", "RDX"), self._take_across),
+            **dict.fromkeys(("KX", *ANAMORPHIC), self._take_extra),
+            **dict.fromkeys(("CYL", "XTO", "YTO", "AAS"), self._take_kind),
+            "SPS": self._take_special,
+            "SCO": self._take_special_number,
             "K": self._take_conic,
             **dict.fromkeys(ORDERS, self._take_coefficient),
             **dict.fromkeys(("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE"), self._take_move),
@@ -284,7 +292,7 @@ class _Reader:
             if name in takers:
                 takers[name](surface, replace(command, words=(name, *words)))
             elif name == "SPH":
-                surface.conic, surface.coefficients = 0.0, {}
+                surface.conic, surface.coefficients, surface.kind = 0.0, {}, ""
         return True
 
     def _meant(self, match: re.Match[str]) -> list[CodevSurface]:
@@ -337,6 +345,33 @@ class _Reader:
     def _take_coefficient(self, surface: CodevSurface, command: Command) -> None:
         surface.coefficients[ORDERS.index(command.name)] = command.number()
 
+    def _take_across(self, surface: CodevSurface, command: Command) -> None:
+        value = command.number()
+        surface.curvature_x = _inverse(value) if command.name == "RDX" else value
+
+    def _take_extra(self, surface: CodevSurface, command: Command) -> None:
+        surface.extra[command.name] = command.number()
+
+    def _take_kind(self, surface: CodevSurface, command: Command) -> None:
+        surface.kind = command.name
+
+    def _take_special(self, surface: CodevSurface, command: Command) -> None:
+        kind = command.words[1].upper() if len(command.words) > 1 else ""
+        if kind not in KINDS:
+            raise MistrayError(f"'{command.text}': of special surfaces XYP is read; convert it, or fit an asphere")
+        surface.kind = kind
+        if len(command.words) > 2:
+            surface.extra["NRADIUS"] = command.number(1)
+
+    def _take_special_number(self, surface: CodevSurface, command: Command) -> None:
+        if len(command.words) < 3:
+            raise MistrayError(f"'{command.text}': it needs a coefficient and a value, as in SCO C4 1e-3")
+        name, value = command.words[1].upper(), command.number(1)
+        if name == "K":
+            surface.conic = value
+        else:
+            surface.extra[name] = value
+
     def _take_move(self, surface: CodevSurface, command: Command) -> None:
         surface.moves[command.name[0]] = command.number()
 
@@ -346,7 +381,7 @@ class _Reader:
     def _take_aperture(self, surface: CodevSurface, command: Command) -> None:
         words = [word for word in command.words[1:] if not re.match(r"L'", word, re.IGNORECASE)]
         kind = "CLR"
-        if words and words[0].upper() in ("CLR", "EDG", "OBS", "HOL"):
+        if words and words[0].upper() in _APERTURES:
             kind = words.pop(0).upper()
         value = replace(command, words=(command.name, *words)).positive()
         known = surface.apertures.setdefault(kind, {})
@@ -355,11 +390,9 @@ class _Reader:
         known[command.name] = value, command
 
     def _take_offset(self, surface: CodevSurface, command: Command) -> None:
-        value = command.number()
-        if command.name == "ARO":
-            self._skip(command, "apertures that are turned have no counterpart; it is not turned")
-        else:
-            surface.offset[command.name[-1]] = value
+        words = list(command.words[1:])
+        kind = words.pop(0).upper() if words and words[0].upper() in _APERTURES else ""
+        surface.offset[kind + command.name[-1]] = replace(command, words=(command.name, *words)).number()
 
     def _note(self, text: str) -> None:
         if text not in self.notes:
@@ -445,7 +478,7 @@ class _Reader:
 
     def _unread_of_ends(self) -> None:
         """What the object's surface says beside its distance."""
-        if self.object.curvature or self.object.moves or self.object.apertures:
+        if self.object.curvature or self.object.kind or self.object.moves or self.object.apertures:
             self.unread.append(
                 Unread(self.object.line, "SO", "the object is taken for plane, unmoved and without an aperture")
             )

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+from mistray.errors import MistrayError
 from mistray.io.codev.commands import Command
-from mistray.prescription.sequential.table import ClearAperture, Decentre, Row, Unread
+from mistray.io.codev.sags import sag_of
+from mistray.physics.geometry.outline import ALL, Figure, Outline
+from mistray.prescription.sequential.table import Decentre, Row, Unread
 
 
 @dataclass
@@ -25,6 +28,11 @@ class CodevSurface:
     label : str
     coefficients : dict of int to float
         0: of r⁴, 1: of r⁶, …
+    kind : str
+        "" or one of `sags.KINDS`.
+    curvature_x : float
+    extra : dict of str to float
+        Numbers of the kind.
     moves : dict of str to float
         By the first letters of XDE … CDE.
     mode : str
@@ -32,7 +40,7 @@ class CodevSurface:
     apertures : dict
         "CLR", "EDG", "OBS" or "HOL" → "CIR", "REX", … → size and where it stands.
     offset : dict of str to float
-        Of the aperture, "X" and "Y".
+        Of the apertures, "X" and "Y", and "O", degrees by which they are turned; "CLRX" of those of a kind alone.
     """
 
     line: int
@@ -43,6 +51,9 @@ class CodevSurface:
     label: str = ""
     conic: float = 0.0
     coefficients: dict[int, float] = field(default_factory=dict)
+    kind: str = ""
+    curvature_x: float = 0.0
+    extra: dict[str, float] = field(default_factory=dict)
     moves: dict[str, float] = field(default_factory=dict)
     mode: str = ""
     apertures: dict[str, dict[str, tuple[float, Command]]] = field(default_factory=dict)
@@ -75,18 +86,28 @@ def rows_of(
         coefficients.pop()
     ahead, behind = _moves(surface, unit_mm)
     thickness = surface.thickness * unit_mm
+    sag = sag_of(surface.kind, surface.curvature_x, surface.conic, surface.extra, unit_mm) if surface.kind else {}
+    clips = _apertures(surface, unit_mm, unread)
+    curvature = surface.curvature
+    if surface.kind == "XTO":  # a YTO in a frame that is turned by 90 degrees
+        if ahead or behind:
+            raise MistrayError(f"surface {number}: an XTO that is tilted or decentred is not read; make it a YTO")
+        ahead = Decentre(tilt_deg=(0.0, 0.0, 90.0), returns=True)
+        curvature, sag = surface.curvature_x, {"toroid_curvature": surface.curvature / unit_mm}
+        clips |= {key: clips[key].turned(-90.0) for key in ("aperture", "obscuration") if clips.get(key)}
     row = Row(
         number,
         label=surface.label,
-        radius=unit_mm / surface.curvature if surface.curvature else math.inf,
+        radius=unit_mm / curvature if curvature else math.inf,
         conic=surface.conic,
         coefficients=tuple(coefficients),
+        sag=sag,
         thickness=0.0 if behind else thickness,
         material=material,
         mirror=surface.mirror,
         decentre=ahead,
         line=surface.line,
-        **(_apertures(surface, unit_mm, unread) | more),
+        **(clips | more),
     )
     if behind is None:
         return [row]
@@ -117,51 +138,50 @@ def _moves(surface: CodevSurface, unit_mm: float) -> tuple[Decentre | None, Dece
 
 
 def _apertures(surface: CodevSurface, unit_mm: float, unread: list[Unread]) -> dict[str, Any]:
-    """Semi-diameter and aperture of a row; what does not fit into one of each is listed."""
+    """Semi-diameter, aperture and obscuration of a row."""
     given = {kind: {key: pair[0] * unit_mm for key, pair in s.items()} for kind, s in surface.apertures.items()}
-    x, y = (surface.offset.get(axis, 0.0) * unit_mm for axis in "XY")
     result: dict[str, Any] = {}
 
     def skip(kind: str, reason: str) -> None:
         for _, command in surface.apertures.get(kind, {}).values():
             unread.append(Unread(command.line, command.text, reason))
 
-    clear, hole, obscuration = (_outline(given.get(kind, {})) for kind in ("CLR", "HOL", "OBS"))
-    edge = given.get("EDG", {}).get("CIR")
-    for kind, outline in (("CLR", clear), ("HOL", hole), ("OBS", obscuration)):
-        if kind in given and outline is None:
-            skip(kind, "an elliptical aperture has no counterpart: nothing is clipped there")
-    if clear and "outer" in clear and not (x or y):
-        result = {"semi_diameter": clear["outer"], "semi_diameter_fixed": True}
-    elif clear:
-        result = {"aperture": ClearAperture(**clear, x=x, y=y)}
-    elif edge and not (x or y):
-        result = {"semi_diameter": edge}
+    def figures(kind: str) -> list[Figure]:
+        x, y, angle = (surface.offset.get(kind + axis, surface.offset.get(axis, 0.0)) for axis in "XYO")
+        return [
+            replace(f, x=x * unit_mm, y=y * unit_mm, angle_deg=0.0 if f.kind == "circle" else angle)
+            for f in _figures(given.get(kind, {}))
+        ]
+
+    clear, holes, opaque = (figures(kind) for kind in ("CLR", "HOL", "OBS"))
+    shape = [replace(f, sign="&" if k else "+") for k, f in enumerate(clear)] + [replace(f, sign="-") for f in holes]
+    if shape:
+        outline = Outline(tuple(shape))
+        ring = outline.annulus
+        if clear and ring:
+            result = {"semi_diameter": ring[0], "semi_diameter_fixed": True}
+        if not (ring and ring[1] == 0):
+            result["aperture"] = outline
+    edge = figures("EDG")
     if clear:
         skip("EDG", "the edge of the body; edges are generated from clear apertures")
-    elif "semi_diameter" not in result:
+    elif edge and Outline((edge[0],)).annulus:
+        result["semi_diameter"] = edge[0].sizes[0]
+    else:
         skip("EDG", "the edge of the body is not round; edges are generated from clear apertures")
-    if hole:
-        if "outer" in hole and "aperture" not in result and not (x or y):
-            result["aperture"] = ClearAperture(inner=hole["outer"], outer=result.get("semi_diameter", math.inf))
-        else:
-            skip("HOL", "a hole that is not round, or beside another aperture, has no counterpart: the surface is full")
-    if obscuration:
-        if "aperture" not in result:
-            shift: dict[str, Any] = {} if clear else {"x": x, "y": y}
-            result["aperture"] = ClearAperture(**obscuration, **shift, obscures=True)
-        else:
-            skip("OBS", "one aperture a surface is kept: this obscuration stops nothing")
+    if opaque:
+        result["obscuration"] = Outline(tuple(opaque))
     return result
 
 
-def _outline(sizes: dict[str, float]) -> dict[str, Any] | None:
-    """Arguments of a `ClearAperture`; None if there is none or it is an ellipse."""
+def _figures(sizes: dict[str, float]) -> list[Figure]:
+    """Figures of the sizes of one kind of aperture, about the origin."""
+    found = []
     if "CIR" in sizes:
-        return {"outer": sizes["CIR"]}
+        found.append(Figure("circle", sizes=(sizes["CIR"],)))
     if "REX" in sizes or "REY" in sizes:
-        half = {"half_width": sizes.get("REX", math.inf), "half_height": sizes.get("REY", math.inf)}
-        return {"kind": "rectangle", **half}
-    if "ELX" in sizes and sizes["ELX"] == sizes.get("ELY"):
-        return {"outer": sizes["ELX"]}
-    return None
+        found.append(Figure("rectangle", sizes=(sizes.get("REX", ALL), sizes.get("REY", ALL))))
+    if "ELX" in sizes or "ELY" in sizes:
+        a, b = (sizes.get(key, sizes.get(other, 0.0)) for key, other in (("ELX", "ELY"), ("ELY", "ELX")))
+        found.append(Figure("ellipse", sizes=(a, b)) if a != b else Figure("circle", sizes=(a,)))
+    return found

@@ -1,19 +1,21 @@
 """Reader for sequential lenses of Zemax OpticStudio (.zmx).
 
-Surfaces ``STANDARD`` (conics), ``EVENASPH`` and ``COORDBRK``; a lens with another type is refused. See `zemax_system`
-for the lines of the system, `zemax_glass` for glasses and `zemax_lines` for the lines that have no effect.
+Surface types are those of `mistray.io.zemax.sags` and ``COORDBRK``; a lens with another type is refused. See `system`
+for the lines of the system, `glasses` for glasses and `lines` for the lines that have no effect.
 
 =========================  ========================================================================================
 ``CURV c``                 curvature, per lens unit
 ``DISZ t``                 to the next surface; INFINITY for a distant object
 ``CONI k``                 conic constant
-``PARM i v``               EVENASPH: coefficient of r^2i; COORDBRK: decentre x, y, tilt about x, y, z, order
-``GLAS …``                 see `zemax_glass`; MIRROR reflects; without it air follows, and behind a coordinate break
+``PARM i v``, ``XDAT``     see `sags`; COORDBRK: decentre x, y, tilt about x, y, z, order
+``GLAS …``                 see `glasses`; MIRROR reflects; without it air follows, and behind a coordinate break
                            what was before it
 ``DIAM s f …``             clear semi-diameter; 0 where rays decide
 ``CLAP i o``, ``OBSC``     circular aperture or obscuration between two radii
 ``FLAP``                   the semi-diameter is an aperture
 ``SQAP x y``, ``SQOB``     rectangular aperture or obscuration, half widths
+``ELAP x y``, ``ELOB``     elliptical aperture or obscuration, half axes
+``SPID w n``               spider: n arms of width w from the middle, the first along x
 ``OBDC x y``               centre of the aperture
 ``COAT name``              of a coating file
 ``COMM text``, ``STOP``    name; aperture stop
@@ -33,6 +35,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from mistray.coatings import read_coating_file
 from mistray.coatings.zemax import CoatingFile
@@ -40,21 +43,23 @@ from mistray.errors import MistrayError
 from mistray.io.conventions import object_na
 from mistray.io.zemax.glasses import Glasses
 from mistray.io.zemax.lines import Line, Section, read_sections
+from mistray.io.zemax.sags import KINDS, Numbers, figure_of
 from mistray.io.zemax.system import System, read_system
 from mistray.materials import refractive_index
-from mistray.prescription.sequential.table import ClearAperture, Decentre, Row, Sequential, Unread
+from mistray.physics.geometry.outline import MOST_FIGURES, Figure, Outline, circle
+from mistray.prescription.sequential.table import Decentre, Row, Sequential, Unread
 
-_TYPES = ("STANDARD", "EVENASPH", "COORDBRK")
-_EVEN_TERMS = 8
-_FIT = "fit an EVENASPH to it"
-_ROUND = "only surfaces of revolution are read, model it as STANDARD or EVENASPH or leave it out"
 _REMEDIES = {
-    **dict.fromkeys(("ODDASPHE", "XASPHERE", "QED_TYPE"), _FIT),
-    **dict.fromkeys(("TOROIDAL", "BICONICX", "IRREGULA", "XPOLYNOM", "SZERNSAG", "TILTSURF"), _ROUND),
     **dict.fromkeys(("DGRATING", "BINARY_1", "BINARY_2"), "diffracting surfaces are not traced, leave it out"),
     "PARAXIAL": "put the real surfaces of that lens in its place",
     "NONSEQCO": "a non-sequential component has no order of surfaces, bring it in as STEP",
 }
+_SPIDER = 4.0  # length of an arm by the drawn radius
+_SPIDER_MM = 1e4  # the same where none is drawn
+_FIGURES = {
+    "CLAP": "circle", "OBSC": "circle", "SQAP": "rectangle", "SQOB": "rectangle", "ELAP": "ellipse", "ELOB": "ellipse",
+}  # fmt: skip
+_OBSCURATIONS = ("OBSC", "SQOB", "ELOB", "SPID")
 _APERTURES = ("CLAP", "OBSC", "SQAP", "SQOB", "ELAP", "ELOB", "SPID", "UDAD", "UDOB", "UDAP", "USAP")
 
 
@@ -172,9 +177,9 @@ class _Reader:
         assert head is not None
         kind = section.take("TYPE")
         name = kind.words[0].upper() if kind and kind.words else "STANDARD"
-        if name not in _TYPES:
+        if name not in KINDS and name != "COORDBRK":
             assert kind is not None
-            remedy = _REMEDIES.get(name, f"mistray knows {', '.join(_TYPES)}, use one of them")
+            remedy = _REMEDIES.get(name, f"mistray knows {', '.join(KINDS)} and COORDBRK, use one of them")
             raise kind.error(f"surface {number} is of type '{kind.word(0)}'; {remedy}")
         comment = section.take("COMM")
         label = comment.text[len("COMM") :].strip() if comment else ""
@@ -199,78 +204,42 @@ class _Reader:
 
     def _break(self, number: int, section: Section, before: str) -> Row:
         section.take_all("CURV", "CONI", "DIAM")
-        values = self._parameters(section, 6)
-        return Row(number, kind="coordinate_break", material=before, decentre=self._decentre(values))
+        n = Numbers.of(section, self.unit)
+        decentre = self._decentre([n.take(place) for place in range(1, 7)])
+        self._rest(n, "COORDBRK")
+        return Row(number, kind="coordinate_break", material=before, decentre=decentre)
 
     def _decentre(self, values: Sequence[float]) -> Decentre:
         """Of x, y, the three tilts and the order."""
         x, y, *tilt, order = values
         return Decentre(x=x * self.unit, y=y * self.unit, tilt_deg=(tilt[0], tilt[1], tilt[2]), tilt_first=order != 0)
 
-    def _parameters(self, section: Section, count: int) -> list[float]:
-        """PARM 1 to `count`; others must be 0."""
-        values = [0.0] * count
-        seen: dict[int, Line] = {}
-        for line in section.take_all("PARM"):
-            place, value = line.whole(0, "the number of the parameter"), line.value(1, "its value")
-            if place in seen:
-                raise line.error(f"parameter {place} is there already, on line {seen[place].number}; remove one")
-            seen[place] = line
-            if 1 <= place <= count:
-                values[place - 1] = value
-            elif value:
-                self.unread.append(line.unread(f"{section.name} has {count or 'no'} parameters"))
-        return values
+    def _rest(self, n: Numbers, kind: str) -> None:
+        """List the numbers that a type does not know."""
+        self.unread += [line.unread(f"{n.owner}: {kind} has no {what}") for what, line in n.left()]
 
     def _surface(self, number: int, section: Section, before: str, image: bool, name: str) -> Row:
-        curvature = self._first(section, "CURV") / self.unit
-        conic = self._first(section, "CONI")
-        coefficients: tuple[float, ...] = ()
-        if name == "EVENASPH":
-            curvature, conic, coefficients = self._asphere(number, section, curvature, conic)
-        else:
-            self._parameters(section, 0)
+        head = section.head
+        assert head is not None
+        n = Numbers.of(section, self.unit)
+        figure = figure_of(name, n, self._first(section, "CURV"), self._first(section, "CONI"), head)
+        self._rest(n, name)
         material, mirror = self._glass(section, before, image)
-        semi_diameter, fixed, aperture = self._aperture(section)
         return Row(
             number,
             kind="image" if image else "surface",
-            radius=1 / curvature if curvature else math.inf,
-            conic=conic,
-            coefficients=coefficients,
             material=material,
             mirror=mirror,
             stop=bool(section.take("STOP")),
-            semi_diameter=semi_diameter,
-            semi_diameter_fixed=fixed,
-            aperture=aperture,
             coating=self._coating(section),
             decentre=self._before(section),
+            **figure,
+            **self._aperture(section),
         )
 
     def _first(self, section: Section, key: str) -> float:
         line = section.take(key)
         return 0.0 if line is None else line.value(0)
-
-    def _asphere(
-        self, number: int, section: Section, curvature: float, conic: float
-    ) -> tuple[float, float, tuple[float, ...]]:
-        """Curvature, conic constant and (a4, …, a16); a term in r² is put into the conic where that is exact."""
-        values = self._parameters(section, _EVEN_TERMS)
-        scaled = [value * self.unit ** (1 - 2 * power) for power, value in enumerate(values, 1)]
-        if scaled[0]:
-            # c r²/2 + a2 r² is a paraboloid again; a plane is one with c = 0
-            if curvature and conic != -1:
-                assert section.head is not None
-                raise section.head.error(
-                    f"surface {number} has a term in r² beside radius {1 / curvature:g} mm and conic {conic:g}; "
-                    "mistray has terms from r⁴ on, fit the surface again without it"
-                )
-            curvature, conic = curvature + 2 * scaled[0], -1.0
-        higher = scaled[1:]
-        while higher and not higher[-1]:
-            higher.pop()
-        return curvature, conic, tuple(higher)
 
     def _glass(self, section: Section, before: str, image: bool) -> tuple[str, bool]:
         line = section.take("GLAS")
@@ -283,8 +252,8 @@ class _Reader:
             return before, True
         return self.glasses.material(line, self.materials), False
 
-    def _aperture(self, section: Section) -> tuple[float | None, bool, ClearAperture | None]:
-        """Clear semi-diameter, whether it stops light, and the aperture that the file states."""
+    def _aperture(self, section: Section) -> dict[str, Any]:
+        """Clear semi-diameter of a row, whether it stops light, and the apertures that the file states."""
         diameter = section.take("DIAM")
         drawn = abs(diameter.value(0, "a semi-diameter")) * self.unit if diameter else 0.0
         floating = section.take("FLAP")
@@ -297,39 +266,56 @@ class _Reader:
             inner, outer = (abs(floating.value(k, "two radii")) * self.unit for k in (0, 1))
             if inner and not inner < outer:
                 raise floating.error(f"radii {inner:g} and {outer:g} mm; the second must be the greater one")
-            hole = ClearAperture(inner=inner, outer=outer, x=x, y=y) if inner or x or y else None
-            return (drawn or outer or None), hole is None, hole
-        aperture = self._stated(lines[0], x, y) if lines else None
+            hole = circle(outer, inner, x, y) if inner or x or y else None
+            return {"semi_diameter": drawn or outer or None, "semi_diameter_fixed": hole is None, "aperture": hole}
+        stated = self._stated(lines[0], x, y, drawn) if lines else None
         if centre is not None and not lines and (x or y):
             self.unread.append(centre.unread("centre of an aperture that the surface does not have"))
-        if aperture is None or aperture.obscures:
-            return drawn or None, False, aperture
-        reach = math.hypot(x, y)
-        if aperture.kind == "circle":
-            reach += aperture.outer
-        else:
-            reach = math.hypot(abs(x) + aperture.half_width, abs(y) + aperture.half_height)
-        return reach, aperture.kind == "circle" and not (x or y or aperture.inner), aperture
+        if stated is None or lines[0].key in _OBSCURATIONS:
+            return {"semi_diameter": drawn or None, "obscuration": stated}
+        x0, x1, y0, y1 = stated.bounds()
+        (first, *more) = stated.figures
+        reach = math.hypot(x, y) + first.sizes[0] if first.kind == "circle" else math.hypot(max(-x0, x1), max(-y0, y1))
+        fixed = stated.annulus is not None and not more
+        return {"semi_diameter": reach, "semi_diameter_fixed": fixed, "aperture": stated}
 
-    def _stated(self, line: Line, x: float, y: float) -> ClearAperture | None:
-        ellipse = line.key in ("ELAP", "ELOB")
-        if not ellipse and line.key not in ("CLAP", "OBSC", "SQAP", "SQOB"):
-            what = "spider" if line.key == "SPID" else "aperture of a user's file"
-            self.unread.append(line.unread(f"{what}: it stops no light here, the surface keeps its semi-diameter"))
+    def _stated(self, line: Line, x: float, y: float, drawn: float) -> Outline | None:
+        """What a line of an aperture or an obscuration describes."""
+        if line.key not in _FIGURES and line.key != "SPID":
+            self.unread.append(
+                line.unread("aperture of a user's file: it stops no light here, the surface keeps its semi-diameter")
+            )
             return None
-        first, second = (abs(line.value(k, "two lengths")) * self.unit for k in (0, 1))
-        obscures = line.key in ("OBSC", "SQOB", "ELOB")
-        if line.key in ("CLAP", "OBSC") or (ellipse and first == second):
-            inner, outer = (0.0, first) if ellipse else (first, second)
-            if not inner < outer:
-                raise line.error(f"radii {inner:g} and {outer:g} mm; the second must be the greater one")
-            return ClearAperture(inner=inner, outer=outer, x=x, y=y, obscures=obscures)
-        if line.key in ("SQAP", "SQOB"):
-            if not min(first, second) > 0:
-                raise line.error(f"half widths {first:g} and {second:g} mm; both must be greater than 0")
-            return ClearAperture(kind="rectangle", half_width=first, half_height=second, x=x, y=y, obscures=obscures)
-        self.unread.append(line.unread("ellipse: it stops no light here, the surface keeps its semi-diameter"))
-        return None
+        first = abs(line.value(0, "two numbers")) * self.unit
+        if line.key == "SPID":
+            return self._spider(line, first, x, y, drawn)
+        second = abs(line.value(1, "two lengths")) * self.unit
+        kind = _FIGURES[line.key]
+        if kind == "circle":
+            if not first < second:
+                raise line.error(f"radii {first:g} and {second:g} mm; the second must be the greater one")
+            return circle(second, first, x, y)
+        if not min(first, second) > 0:
+            raise line.error(f"half widths {first:g} and {second:g} mm; both must be greater than 0")
+        if kind == "ellipse" and first == second:
+            return circle(first, 0.0, x, y)
+        return Outline((Figure(kind, "+", x, y, sizes=(first, second)),))
+
+    def _spider(self, line: Line, width: float, x: float, y: float, drawn: float) -> Outline | None:
+        arms = line.whole(1, "the number of arms")
+        if not (width > 0 and 1 <= arms <= MOST_FIGURES - 2):
+            raise line.error(f"{arms} arms of {width:g} mm; give 1 to {MOST_FIGURES - 2} of a width above 0")
+        half = 0.5 * (_SPIDER * drawn or _SPIDER_MM)
+        angles = [360.0 * k / arms for k in range(arms)]
+        return Outline(
+            tuple(
+                Figure(
+                    "rectangle", "+", x + half * math.cos(math.radians(a)), y + half * math.sin(math.radians(a)), a,
+                    (half, 0.5 * width),
+                )
+                for a in angles
+            )
+        )  # fmt: skip
 
     def _coating(self, section: Section) -> str:
         line = section.take("COAT")

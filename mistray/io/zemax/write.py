@@ -18,14 +18,15 @@ from pathlib import Path
 
 from mistray.errors import MistrayError
 from mistray.io.zemax.glasses import SYNONYMS
+from mistray.io.zemax.sags import type_of
 from mistray.io.zemax.system import MOST_WAVELENGTHS
 from mistray.materials import LINE_C_NM, LINE_D_NM, LINE_F_NM, refractive_index, source
 from mistray.materials.catalogue import MAKERS
 from mistray.materials.spec import AbbeNumber, Constant, Name, Spec, UserFile, parse
+from mistray.physics.geometry.outline import ALL
 from mistray.prescription.sequential.table import Decentre, Row, Sequential
 from mistray.replace_file import replace_file
 
-_EVEN_TERMS = 7  # r⁴ … r¹⁶
 _INFRARED = ("GERMANIUM", "SILICON", "ZNSE")  # these are not in Zemax's catalogue MISC
 # A Vd of 0 means "no dispersion" to OpticStudio and a division by zero to others. In light of the d line alone no
 # program looks at Vd, so that there one stands that all can divide by and that `read_zemax` knows.
@@ -165,14 +166,8 @@ class _Writer:
             extra.append(f"COMM {_one_line(row.label)}")
         if row.conic:
             extra.append(f"CONI {_number(row.conic)}")
-        if any(row.coefficients[_EVEN_TERMS:]):
-            raise MistrayError(
-                f"surface {row.number} '{row.label}': its polynomial goes to r^{2 * len(row.coefficients) + 2}; even "
-                "aspheres of .zmx files end at r^16, fit it again with fewer terms"
-            )
-        terms = row.coefficients[:_EVEN_TERMS]
-        if any(terms):
-            extra += [f"PARM {place} {_number(value)}" for place, value in enumerate((0.0, *terms), 1)]
+        kind, numbers = type_of(row)
+        extra += numbers
         if row.mirror:
             extra.append("GLAS MIRROR 0 0 1.5 40 0 0 0 0 0 0")
         elif row.kind == "surface":
@@ -184,7 +179,6 @@ class _Writer:
                 self._lose(f"coating '{name}': its name is written with '_' for blanks")
         extra += self._aperture(row)
         curvature = 0.0 if row.radius == 0 else 1 / row.radius
-        kind = "EVENASPH" if any(terms) else "STANDARD"
         return self._block(kind, thickness=0.0 if row.kind == "image" else thickness, curvature=curvature, extra=extra)
 
     def _aperture(self, row: Row) -> list[str]:
@@ -193,28 +187,39 @@ class _Writer:
         size = self.lens.aperture / 2 if floats else row.semi_diameter
         if size is not None:
             lines.append(f'DIAM {_number(size)} {int(row.semi_diameter_fixed or floats)} 0 0 1 ""')
-        aperture = row.aperture
-        if aperture is None:
+        outline, obscures = row.aperture, False
+        if outline is None or (row.obscuration is not None and outline.annulus and not row.semi_diameter_fixed):
+            outline, obscures = row.obscuration, row.obscuration is not None
+        elif row.obscuration is not None:
+            self._lose(f"surface {row.number}: its obscuration, as .zmx files have one aperture a surface")
+        if obscures and (row.semi_diameter_fixed or row.aperture is not None):
+            self._lose(f"surface {row.number}: its edge stops no light, as .zmx files have one aperture a surface")
+        if outline is None:
             if row.semi_diameter_fixed and size is not None:
                 lines.append(f"FLAP 0 {_number(size)} 0")
             return lines
-        if row.semi_diameter_fixed and aperture.obscures:
-            self._lose(f"surface {row.number}: its edge stops no light, as .zmx files have one aperture a surface")
-        if aperture.kind == "circle":
-            outer = aperture.outer if math.isfinite(aperture.outer) else size
+        first, *more = outline.figures
+        hole = more[0].sizes[0] if more else 0.0
+        inside_out = first.sign == "-"  # a hole in what has no end of its own
+        rings = all(f.kind == "circle" and (f.x, f.y) == (first.x, first.y) for f in outline.figures)
+        if first.kind == "circle" and rings and len(more) < 2 and all(f.sign == "-" for f in more):
+            inner, outer = (first.sizes[0], size) if inside_out else (hole, first.sizes[0])
             if outer is None:
-                self._lose(f"surface {row.number}: its hole of radius {aperture.inner:g} mm, as it has no rim")
+                self._lose(f"surface {row.number}: its hole of radius {inner:g} mm, as it has no rim")
                 return lines
-            lines.append(f"{'OBSC' if aperture.obscures else 'CLAP'} {_number(aperture.inner)} {_number(outer)} 0")
-        else:
-            key = "SQOB" if aperture.obscures else "SQAP"
-            sides = [half if math.isfinite(half) else size for half in (aperture.half_width, aperture.half_height)]
+            lines.append(f"{'OBSC' if obscures else 'CLAP'} {_number(inner)} {_number(outer)} 0")
+        elif first.kind in ("rectangle", "ellipse") and not more and not first.angle_deg and not inside_out:
+            key = {"rectangle": ("SQAP", "SQOB"), "ellipse": ("ELAP", "ELOB")}[first.kind][obscures]
+            sides = [half if half < ALL else size for half in first.sizes]
             if None in sides:
                 self._lose(f"surface {row.number}: its slit, as it has no rim that ends it")
                 return lines
             lines.append(f"{key} {' '.join(_number(side) for side in sides if side is not None)} 0")
-        if aperture.x or aperture.y:
-            lines.append(f"OBDC {_number(aperture.x)} {_number(aperture.y)}")
+        else:
+            self._lose(f"surface {row.number}: its {'obscuration' if obscures else 'aperture'} of several figures")
+            return lines
+        if first.x or first.y:
+            lines.append(f"OBDC {_number(first.x)} {_number(first.y)}")
         return lines
 
     def _glass(self, material: str, where: str) -> list[str]:

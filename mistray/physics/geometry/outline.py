@@ -185,6 +185,75 @@ class Outline:
                 box = (max(box[0], own[0]), min(box[1], own[1]), max(box[2], own[2]), min(box[3], own[3]))
         return box
 
+    @property
+    def bounded(self) -> bool:
+        """Whether a box holds it."""
+        x0, x1, y0, y1 = self.bounds()
+        return max(x1 - x0, y1 - y0) < ALL
+
+    @property
+    def annulus(self) -> tuple[float, float] | None:
+        """Outer and inner radius (0: no hole) of a circle or an annulus about the origin, mm; None if it is none."""
+        first, *more = self.figures
+        if first.sign != "+" or any(f.kind != "circle" or f.x or f.y for f in self.figures):
+            return None
+        if len(more) > 1 or any(f.sign != "-" for f in more):
+            return None
+        return first.sizes[0], more[0].sizes[0] if more else 0.0
+
+    @property
+    def sides(self) -> tuple[float, float] | None:
+        """Half width and half height of a rectangle about the origin, along x and y, mm; None if it is none."""
+        first = self.figures[0]
+        if len(self.figures) > 1 or first.kind != "rectangle" or first.sign != "+" or first.x or first.y:
+            return None
+        return (first.sizes[0], first.sizes[1]) if not first.angle_deg else None
+
+    def within(self, radius: float) -> Outline:
+        """What of it lies within a circle about the origin, mm."""
+        figures = [Figure("circle", sizes=(radius,))]
+        first, *more = self.figures
+        figures.append(
+            first if first.sign == "-" else Figure(first.kind, "&", first.x, first.y, first.angle_deg, first.sizes)
+        )
+        return Outline((*figures, *more))
+
+    def around(self, radius: float) -> Outline | None:
+        """What lies outside of it and within a circle about the origin; None where that is no list of figures."""
+        if self.figures[0].sign != "+" or any(f.sign == "&" for f in self.figures):
+            return None
+        signs = {"+": "-", "-": "+"}
+        rest = [Figure(f.kind, signs[f.sign], f.x, f.y, f.angle_deg, f.sizes) for f in self.figures]
+        return Outline((Figure("circle", sizes=(radius,)), *rest))
+
+    def half_turned(self) -> Outline:
+        """The same after half a turn of its frame about y, which reverses x."""
+
+        def turned(f: Figure) -> Figure:
+            sizes = f.sizes if f.kind != "polygon" else tuple(v * (-1) ** (k + 1) for k, v in enumerate(f.sizes))
+            return Figure(f.kind, f.sign, -f.x, f.y, -f.angle_deg, sizes)
+
+        return Outline(tuple(map(turned, self.figures)))
+
+    def turned(self, angle_deg: float) -> Outline:
+        """The same, turned about the origin from x to y."""
+        c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
+        return Outline(
+            tuple(
+                Figure(f.kind, f.sign, c * f.x - s * f.y, s * f.x + c * f.y, f.angle_deg + angle_deg, f.sizes)
+                for f in self.figures
+            )
+        )
+
+    def touches(self, x: np.ndarray, y: np.ndarray, slack: float) -> np.ndarray:
+        """Whether points lie within it or no farther than `slack` (mm) from it; if that is negative, well within."""
+        step = abs(slack)
+        found = self.contains(x, y)
+        for dx, dy in ((step, 0.0), (-step, 0.0), (0.0, step), (0.0, -step)):
+            near = self.contains(x + dx, y + dy)
+            found = found | near if slack > 0 else found & near
+        return np.asarray(found)
+
     def sample(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Points inside, of a grid of count × count over the box; mm."""
         x0, x1, y0, y1 = self.bounds()

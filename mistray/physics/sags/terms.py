@@ -133,6 +133,56 @@ def sag(x: np.ndarray, y: np.ndarray, n: Numbers) -> np.ndarray:
     return np.asarray(total)
 
 
+def half_turned(n: Numbers) -> dict[str, float]:
+    """The numbers of the same surface after half a turn of its frame about y, which reverses x and z."""
+    x, y = np.array(0.3), np.array(0.4)
+    found = {}
+    for name, value in n.items():
+        if name in LENGTHS or name in ("conic", "conic_x"):
+            found[name] = value
+        elif name in FIXED and not name.startswith("slope"):
+            found[name] = -value
+        else:
+            alone = {name: 1.0, **dict.fromkeys(LENGTHS, 1.0)}
+            found[name] = -value * float(np.sign(sag(-x, y, alone) * sag(x, y, alone)))
+    return found
+
+
+def slopes(x: np.ndarray, y: np.ndarray, n: Numbers, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Derivatives of the sag by x and y, from differences of the fourth order.
+
+    Parameters
+    ----------
+    x, y, n
+        As of `sag`.
+    step : float
+        mm; of a thousandth of the surface's size, errors are near 1e-12.
+    """
+    places = ((1, 8.0), (-1, -8.0), (2, -1.0), (-2, 1.0))
+    across = sum(w * sag(x + k * step, y, n) for k, w in places)
+    along = sum(w * sag(x, y + k * step, n) for k, w in places)
+    return np.asarray(across / (12 * step)), np.asarray(along / (12 * step))
+
+
+def vertex_curvatures(n: Numbers, step: float) -> tuple[float, float]:
+    """
+    Curvatures of a sag in x and y at the vertex, 1/mm, without odd powers of r, which have none there.
+
+    Parameters
+    ----------
+    n : mapping of str to float
+    step : float
+        Of the differences, mm.
+    """
+    smooth = {name: value for name, value in n.items() if not (name[0] == "r" and name[1:].isdigit())}
+    zero = np.zeros(1)
+    middle = sag(zero, zero, smooth)
+    both = ((step + zero, zero), (zero, step + zero))
+    found = [(sag(x, y, smooth) + sag(-x, -y, smooth) - 2 * middle) / step**2 for x, y in both]
+    return float(found[0][0]), float(found[1][0])
+
+
 def _powers(base: np.ndarray, terms: Mapping[tuple[int, int], float], step: int) -> np.ndarray:
     """Σ a base^(order/step), without powers that leave float64's range while their products do not."""
     total = np.zeros_like(base)

@@ -6,7 +6,8 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from mistray.physics.geometry.sag import sag
+from mistray.physics.geometry.outline import Outline, circle
+from mistray.physics.geometry.sag import conic_end
 from mistray.prescription.coating import BLACK
 from mistray.prescription.geometry import detector_frame
 from mistray.prescription.model import Detector, Structure, Surface
@@ -16,47 +17,42 @@ from mistray.prescription.sequential.table import Row
 Shape = Surface | Structure
 
 _IN_FRONT_MM = 1e-3
+_FIGURE_END = 0.999  # of the radius at which a conic ends
 _PLATE = 1.25  # outer radius of a plate by that of its opening, where nothing in the lens is larger
 
 
-def own_clip(row: Row) -> tuple[dict[str, Any], str]:
+def own_clip(row: Row) -> dict[str, Any]:
     """
-    The clip that a row's own apertures give its surface.
+    The clip that a row's own apertures give its surface: arguments of `Surface`, empty where nothing is stated.
 
-    Returns
-    -------
-    clip : dict
-        ``semi_diameter`` or ``half_width`` and ``half_height``, and ``inner_semi_diameter`` of a mirror; empty where
-        nothing is stated.
-    note : str
-        What differs from the file, "" if nothing.
+    An ``outline`` may have no bounds, so that the surface ends by its radius. What a lens has no glass in is opaque
+    there, see `aperture_pieces`; a mirror has a hole.
     """
     fixed = row.semi_diameter if row.semi_diameter_fixed else None
     own: dict[str, Any] = {} if fixed is None else {"semi_diameter": fixed}
-    aperture = row.aperture
-    if aperture is None or aperture.obscures:
-        return own, ""
-    off = math.hypot(aperture.x, aperture.y)
-    note = ""
-    if off > 0:
-        note = (
-            f"surface {row.number}: its aperture is centred at ({aperture.x:g}, {aperture.y:g}) mm; here the surface "
-            "is the ring or disc around its vertex that holds it"
-        )
-    x, y = abs(aperture.x), abs(aperture.y)
-    if aperture.kind == "rectangle":
-        sides = {"half_width": aperture.half_width + x, "half_height": aperture.half_height + y}
-        if not all(map(math.isfinite, sides.values())):
-            return own, f"surface {row.number}: its rectangular aperture has no end on one side and is left out"
-        nearest = math.hypot(max(x - aperture.half_width, 0.0), max(y - aperture.half_height, 0.0))
-        if row.mirror and nearest > 0:
-            return {"semi_diameter": math.hypot(*sides.values()), "inner_semi_diameter": nearest}, note
-        return sides, note
-    if math.isfinite(aperture.outer):
-        own["semi_diameter"] = min(own.get("semi_diameter", math.inf), aperture.outer + off)
-    if row.mirror and (off > aperture.outer or (aperture.inner > 0 and off == 0)):
-        own["inner_semi_diameter"] = off - aperture.outer if off else aperture.inner
-    return own, note
+    aperture, _ = _clear_and_opaque(row)
+    if aperture is None:
+        return own
+    ring, sides = aperture.annulus, aperture.sides
+    if ring:
+        own["semi_diameter"] = min(own.get("semi_diameter", math.inf), ring[0])
+        return own | ({"inner_semi_diameter": ring[1]} if ring[1] else {})
+    if sides and aperture.bounded and fixed is None:
+        return {"half_width": sides[0], "half_height": sides[1]}
+    hole = aperture.figures[0]
+    if len(aperture.figures) == 1 and (hole.sign, hole.kind, hole.x, hole.y) == ("-", "circle", 0.0, 0.0):
+        return own | {"inner_semi_diameter": hole.sizes[0]}
+    return {"outline": aperture if fixed is None else aperture.within(fixed)}
+
+
+def _clear_and_opaque(row: Row) -> tuple[Outline | None, list[Outline]]:
+    """Where a surface is, and what stops light on it: of a lens also the holes that its aperture ends with."""
+    opaque = [] if row.obscuration is None else [row.obscuration]
+    figures = () if row.aperture is None else row.aperture.figures
+    while figures and not row.mirror and figures[-1].sign == "-":
+        opaque.append(Outline((replace(figures[-1], sign="+"),)))
+        figures = figures[:-1]
+    return (Outline(figures) if figures else None), opaque
 
 
 def aperture_pieces(
@@ -83,51 +79,58 @@ def aperture_pieces(
     -------
     pieces, notes
     """
-    aperture = row.aperture
+    clear, opaque = _clear_and_opaque(row)
+    before = -_IN_FRONT_MM if ahead else _IN_FRONT_MM
     pieces: list[Shape] = []
     notes: list[str] = []
-    before = -_IN_FRONT_MM if ahead else _IN_FRONT_MM
-    if aperture is not None and aperture.obscures:
-        pieces.append(_patch(row, f"{name}_obscuration", before if on_surface else 0.0, ahead))
-    elif aperture is not None and aperture.kind == "circle" and aperture.inner > 0 and not (on_surface and row.mirror):
-        disc = replace(row, aperture=replace(aperture, inner=0.0, outer=aperture.inner, obscures=True))
-        pieces.append(_patch(disc, f"{name}_obscuration", before if on_surface else 0.0, ahead))
-    if on_surface:
-        return [replace(piece, front=material, back=material) for piece in pieces], notes
-    opening, x, y = row.semi_diameter if row.semi_diameter_fixed else None, 0.0, 0.0
-    if aperture is not None and not aperture.obscures:
-        x, y = aperture.x, aperture.y
-        if aperture.kind == "rectangle":
-            window = Detector(half_width=aperture.half_width, half_height=aperture.half_height)
-            outer = max(widest, _PLATE * window.outer_radius)
-            frame = detector_frame(window, outer, name=f"{name}_frame")
-            pieces += [replace(piece, x=piece.x + x, y=piece.y + y) for piece in frame]
-        elif math.isfinite(aperture.outer):
-            opening = min(opening or math.inf, aperture.outer)
-    if opening:
-        outer = max(widest, _PLATE * opening)
-        pieces.append(Structure(f"{name}_aperture", outer, 0.0, opening, 0.0, x=x, y=y, part=f"{name}_aperture"))
-        if curvature(row) or row.coefficients:
+    for number, outline in enumerate(opaque):
+        own_name = f"{name}_obscuration" + (f"_{number + 1}" if number else "")
+        pieces.append(_patch(row, own_name, before if on_surface else 0.0, outline, widest))
+    fixed = row.semi_diameter if row.semi_diameter_fixed else None
+    if not on_surface and (clear is not None or fixed):
+        if clear is None:
+            assert fixed is not None
+            clear, fixed = circle(fixed), None
+        pieces += _plate(row.number, name, clear, widest, notes)
+        if fixed:
+            pieces += _plate(row.number, f"{name}_rim", circle(fixed), widest, notes)
+        if curvature(row) or row.coefficients or row.sag:
             notes.append(f"surface {row.number}: the plate of its aperture is flat, the surface is not")
     return [replace(piece, front=material, back=material) for piece in pieces], notes
 
 
-def _patch(row: Row, name: str, z: float, ahead: bool) -> Surface:
-    """An opaque patch on the figure of a row; flat, in front of it, where it is off the axis."""
-    aperture = row.aperture
-    assert aperture is not None
-    clip: dict[str, Any]
-    if aperture.kind == "circle":
-        clip = {"semi_diameter": aperture.outer, "inner_semi_diameter": aperture.inner}
-        reach = aperture.outer
-    else:
-        clip = {"half_width": aperture.half_width, "half_height": aperture.half_height}
-        reach = math.hypot(aperture.half_width, aperture.half_height)
-    off = math.hypot(aperture.x, aperture.y)
-    if off == 0:
-        own: dict[str, Any] = {"radius": row.radius, "conic": row.conic, "coefficients": row.coefficients}
-        return Surface(name, z=z, coating=BLACK, **clip, **own)
-    radii = (max(0.0, off - reach), off + reach)
-    heights = [float(sag(r * r, curvature(row), row.conic, row.coefficients)) for r in radii]
-    z += min(heights) if ahead else max(heights)
-    return Surface(name, x=aperture.x, y=aperture.y, z=z, coating=BLACK, **clip)
+def _plate(number: int, name: str, clear: Outline, widest: float, notes: list[str]) -> list[Shape]:
+    """Flat opaque faces around an opening."""
+    first = clear.figures[0]
+    if not clear.bounded:
+        notes.append(f"surface {number}: its aperture has no end on one side; a plate of {widest:.6g} mm ends it")
+        clear = clear.within(widest)
+    if len(clear.figures) == 1 and first.kind == "circle":
+        outer = max(widest, _PLATE * first.sizes[0])
+        own = f"{name}_aperture"
+        return [Structure(own, outer, 0.0, first.sizes[0], 0.0, x=first.x, y=first.y, part=own)]
+    if len(clear.figures) == 1 and first.kind == "rectangle" and not first.angle_deg:
+        window = Detector(half_width=first.sizes[0], half_height=first.sizes[1])
+        frame = detector_frame(window, max(widest, _PLATE * window.outer_radius), name=f"{name}_frame")
+        return [replace(piece, x=piece.x + first.x, y=piece.y + first.y) for piece in frame]
+    x0, x1, y0, y1 = clear.bounds()
+    around = clear.around(max(widest, _PLATE * math.hypot(max(-x0, x1), max(-y0, y1))))
+    if around is None:
+        notes.append(f"surface {number}: the part of its aperture that two figures share has no plate around it")
+        return []
+    return [Surface(f"{name}_aperture", outline=around, coating=BLACK, part=f"{name}_aperture")]
+
+
+def _patch(row: Row, name: str, z: float, opaque: Outline, widest: float) -> Surface:
+    """An opaque patch on the figure of a row."""
+    own: dict[str, Any] = {"radius": row.radius, "conic": row.conic, "coefficients": row.coefficients, "sag": row.sag}
+    ring, sides = opaque.annulus, opaque.sides
+    if ring and opaque.bounded:
+        return Surface(name, z=z, coating=BLACK, semi_diameter=ring[0], inner_semi_diameter=ring[1], **own)
+    reach = min(max(widest, row.semi_diameter or 0.0), _FIGURE_END * conic_end(curvature(row), row.conic))
+    x0, x1, y0, y1 = opaque.bounds()
+    if math.hypot(max(-x0, x1), max(-y0, y1)) > reach:
+        return Surface(name, z=z, coating=BLACK, outline=opaque.within(reach), **own)
+    if sides:
+        return Surface(name, z=z, coating=BLACK, half_width=sides[0], half_height=sides[1], **own)
+    return Surface(name, z=z, coating=BLACK, outline=opaque, **own)

@@ -8,7 +8,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from mistray.physics.geometry.sag import sag
 from mistray.prescription.closing.edges import Closing, on_axis, placed
 from mistray.prescription.closing.mirrors import beam_shares, percent
 from mistray.prescription.closing.shadows import met_at
@@ -209,4 +208,4 @@ def _profile(shape: Surface | Structure) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _sag(surface: Surface, r: np.ndarray) -> np.ndarray:
-    return np.asarray(sag(r * r, surface.curvature, surface.conic, surface.coefficients))
+    return np.asarray(surface.z_at(r) - surface.z)

@@ -1,79 +1,21 @@
-"""Mirrors of a sequential lens where the world is not sequential: cut off their axis, holes in them, beams they block.
-
-A surface has its edges about its own axis alone. A piece of a plane or of a sphere has an axis of its own anywhere, so
-that it can stand off the axis of the lens. A piece of another figure cannot: it becomes the ring or disc about the
-vertex that holds it, and how much of the beam it blocks is reported.
-"""
+"""Mirrors of a sequential lens where the world is not sequential: pieces off their axis, holes, beams they block."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mistray.physics.geometry.sag import sag
+from mistray.physics.geometry.outline import Outline, circle
 from mistray.prescription.closing.shadows import met_at
-from mistray.prescription.sequential.rays import curvature
-from mistray.prescription.sequential.table import ClearAperture, Row
 
 if TYPE_CHECKING:
     from mistray.prescription.closing.surfaces import OpticalSurfaces
     from mistray.prescription.model import Surface
 
 _FULL_HOLE = 0.9  # of a mirror's radius: a greater hole would leave no mirror
-_RIM = 361
 _ALL = 0.995  # share of the beam above which no light is left
-
-
-@np.errstate(over="ignore", divide="ignore", invalid="ignore")  # huge numbers have no piece
-def off_axis_piece(row: Row) -> tuple[np.ndarray, dict[str, Any]] | None:
-    """
-    A piece of a plane or of a sphere about its own middle.
-
-    Parameters
-    ----------
-    row : Row
-
-    Returns
-    -------
-    frame : (4, 4) float64
-        Of the piece, to that of the row.
-    clip : dict
-        Of its `Surface`: of a plane exactly the aperture of the row; of a sphere, where the axis is another one, the
-        smallest disc or rectangle that holds it.
-    None
-        If the row is no mirror with an aperture off its vertex, or its figure has but one axis.
-    """
-    aperture, c = row.aperture, curvature(row)
-    if aperture is None or aperture.obscures or not row.mirror or math.hypot(aperture.x, aperture.y) == 0:
-        return None
-    if any(row.coefficients) or (c and row.conic):
-        return None
-    rim = _rim(aperture, outer=True)
-    if not (np.all(np.isfinite(rim)) and np.all(np.hypot(*rim.T) * abs(c) < 1)):
-        return None
-    height = float(sag(aperture.x**2 + aperture.y**2, c, 0.0))
-    turn, middle = np.eye(3), np.array([aperture.x, aperture.y, height])
-    axis = np.array([-c * aperture.x, -c * aperture.y, 1 - c * height])
-    # The shortest turn from z to the axis through the middle
-    cross = np.array([[0, 0, axis[0]], [0, 0, axis[1]], [-axis[0], -axis[1], 0]])
-    turn += cross + cross @ cross / (1 + axis[2])
-    frame = np.eye(4)
-    frame[:3, :3], frame[:3, 3] = turn, middle
-
-    def seen(points: np.ndarray) -> np.ndarray:
-        heights = sag(np.sum(points * points, axis=1), c, 0.0)
-        return np.asarray(((np.column_stack([points, heights]) - middle) @ turn)[:, :2])
-
-    own = seen(rim)
-    if aperture.kind == "rectangle":
-        return frame, {"half_width": float(np.abs(own[:, 0]).max()), "half_height": float(np.abs(own[:, 1]).max())}
-    clip = {"semi_diameter": float(np.hypot(*own.T).max())}
-    if aperture.inner > 0:
-        clip["inner_semi_diameter"] = float(np.hypot(*seen(_rim(aperture, outer=False)).T).min())
-    return frame, clip
 
 
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # huge numbers reach nothing
@@ -152,23 +94,24 @@ def _drilled(table: OpticalSurfaces, k: int, mirror: Surface, free: float, legs:
 
 def _free_middle(table: OpticalSurfaces, k: int, mirror: Surface) -> float:
     """Radius within which a mirror that is used off its axis gets no light, mm; 0 if light falls around its vertex."""
-    frame = mirror.to_world()
+    own = footprint(table, k, mirror.to_world())
+    return float(np.hypot(*own.T).min()) * (1 - table.margin) if beside_vertex(own) else 0.0
+
+
+def footprint(table: OpticalSurfaces, k: int, frame: np.ndarray) -> np.ndarray:
+    """Points (n, 2) at which the beam meets a row, in the frame of its surface, mm."""
     own = (table.beam_and_rim[k + 1] - frame[:3, 3]) @ frame[:3, :2]
-    own = own[np.isfinite(own[:, 0])]
-    if not len(own):
-        return 0.0
-    azimuth = np.sort(np.arctan2(own[:, 1], own[:, 0]))
-    widest_gap = np.diff(azimuth, append=azimuth[0] + 2 * np.pi).max()
-    return float(np.hypot(*own.T).min()) * (1 - table.margin) if widest_gap > np.pi else 0.0
+    return np.asarray(own[np.isfinite(own[:, 0])])
 
 
-def _rim(aperture: ClearAperture, outer: bool) -> np.ndarray:
-    """Points (n, 2) along the edge of an aperture in the frame of its row, mm."""
-    t = np.linspace(0.0, 2 * np.pi, _RIM)
-    if aperture.kind == "circle":
-        points = (aperture.outer if outer else aperture.inner) * np.column_stack([np.cos(t), np.sin(t)])
-    else:
-        square = np.column_stack([np.cos(t), np.sin(t)])
-        square /= np.abs(square).max(axis=1, keepdims=True)
-        points = square * [aperture.half_width, aperture.half_height]
-    return np.asarray(points + np.array([aperture.x, aperture.y]))
+def beside_vertex(points: np.ndarray) -> bool:
+    """Whether points (n, 2) lie on one side of the origin."""
+    azimuth = np.sort(np.arctan2(points[:, 1], points[:, 0]))
+    return bool(len(points) and np.diff(azimuth, append=azimuth[0] + 2 * np.pi).max() > np.pi)
+
+
+def piece_beside_vertex(points: np.ndarray, margin: float) -> Outline:
+    """A disc that holds points (n, 2) in mm, and `margin` of its radius more."""
+    x, y = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    radius = float(np.hypot(*(points - (x, y)).T).max()) * (1 + margin)
+    return circle(radius, x=float(x), y=float(y))

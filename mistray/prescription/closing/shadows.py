@@ -67,7 +67,9 @@ def met_at(row: Row, surface: Surface, start: Array, end: Array) -> Array:
         s = distance(row, a, heading)
         x, y = (a + s[:, None] * heading)[:, :2].T
         r = np.hypot(x, y)
-        if surface.half_width is not None and surface.half_height is not None:
+        if surface.outline is not None:
+            within = surface.outline.contains(x, y)
+        elif surface.half_width is not None and surface.half_height is not None:
             within = (np.abs(x) < surface.half_width) & (np.abs(y) < surface.half_height)
         else:
             within = (r < surface.outer_radius) & (r >= surface.inner_semi_diameter)

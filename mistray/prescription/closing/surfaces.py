@@ -12,10 +12,11 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics.geometry.crossing import SAMPLES, meeting
+from mistray.physics.geometry.outline import Outline
 from mistray.physics.geometry.sag import conic_end
 from mistray.prescription.closing.apertures import own_clip
 from mistray.prescription.closing.edges import meets_plane, on_axis, placed
-from mistray.prescription.closing.mirrors import off_axis_piece
+from mistray.prescription.closing.mirrors import beside_vertex, footprint, piece_beside_vertex
 from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import is_gas
 from mistray.prescription.model import Surface
@@ -105,20 +106,20 @@ class OpticalSurfaces:
             front, back = (self.before[k], self.behind[k]) if self.aheads[k] else (self.behind[k], self.before[k])
             if row.mirror:
                 front = back = self.before[k]
-            piece = off_axis_piece(row)
             surface = Surface(
                 self.names[k],
                 radius=row.radius,
                 conic=row.conic,
                 coefficients=_trimmed(row.coefficients),
+                sag=row.sag,
                 front=front,
                 back=back,
                 coating=self._coating(row),
                 mirror=row.mirror,
                 part=own_part,
-                **(piece[1] if piece else self._clear(k)),
+                **self._clear(k),
             )
-            surface = placed(surface, self.frames[k] @ piece[0] if piece else self._off_its_lens(k, surface))
+            surface = placed(surface, self._off_its_lens(k, surface))
             again = next((j for j, other in self.surfaces.items() if _same(other, surface)), None)
             if again is None:
                 self.surfaces[k] = surface
@@ -182,11 +183,20 @@ class OpticalSurfaces:
     def _clear(self, k: int) -> dict[str, Any]:
         """The clip of a surface."""
         row, reach = self.lens.rows[k], float(self.rays.reach[k])
-        clip, note = own_clip(row)
-        if note:
-            self.notes.append(note)
-        if "half_width" in clip:
-            return clip
+        clip = own_clip(row)
+        outline: Outline | None = clip.pop("outline", None)
+        if "half_width" in clip or (outline is not None and outline.bounded):
+            return clip if outline is None else {"outline": outline}
+        if row.mirror and outline is None and "semi_diameter" not in clip:
+            points = footprint(self, k, self.frames[k])
+            if beside_vertex(points):
+                piece = piece_beside_vertex(points, self.margin)
+                (disc,) = piece.figures
+                self.notes.append(
+                    f"mirror of surface {row.number}: the beam meets it beside its vertex; it is a disc of radius "
+                    f"{disc.sizes[0]:.6g} mm about ({disc.x:.6g}, {disc.y:.6g}) mm"
+                )
+                return {"outline": piece}
         if "semi_diameter" in clip:
             radius = clip["semi_diameter"]
         elif k == stop_place(self.lens) and row.stop and not self.lens.telecentric:
@@ -201,7 +211,7 @@ class OpticalSurfaces:
         if radius >= end:
             self.notes.append(f"surface {row.number}: clear radius {radius:.6g} mm; its conic ends at {end:.6g} mm")
             radius = end * _INSIDE_CONIC
-        return {**clip, "semi_diameter": radius}
+        return {**clip, "semi_diameter": radius} if outline is None else {"outline": outline.within(radius)}
 
     def _coating(self, row: Row) -> Coating | None:
         bare = _MIRROR if row.mirror else None
@@ -296,5 +306,5 @@ def _same(a: Surface, b: Surface) -> bool:
 
 
 def _same_figure(a: Surface, b: Surface) -> bool:
-    equal = all(getattr(a, key) == getattr(b, key) for key in ("radius", "conic", "coefficients"))
+    equal = all(getattr(a, key) == getattr(b, key) for key in ("radius", "conic", "coefficients", "sag", "outline"))
     return equal and bool(np.allclose(a.to_world()[:3, 2:], b.to_world()[:3, 2:], rtol=0, atol=_ROUND_OFF_MM))

@@ -17,6 +17,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.materials.mate import shown
 from mistray.physics.geometry.crossing import meeting
+from mistray.physics.geometry.outline import Outline
 from mistray.prescription.closing.apertures import aperture_pieces
 from mistray.prescription.closing.bores import add_bores
 from mistray.prescription.closing.edges import EDGES, Closing, Edges, Item, StopPlane, mirror_back, on_axis, placed
@@ -189,7 +190,9 @@ def _without_shadows(
         segments.append((start, stop))
         row = table.lens.rows[end - 1]
         if row.kind != "image" and np.any(
-            np.isfinite(met_at(replace(table.lens.rows[-1], radius=math.inf, coefficients=()), detector, start, stop))
+            np.isfinite(
+                met_at(replace(table.lens.rows[-1], radius=math.inf, coefficients=(), sag={}), detector, start, stop)
+            )
         ):
             table.notes.append(f"the detector stands in the beam on its way to surface {row.number}")
     spaces = shadowing_spaces(structures, segments)
@@ -211,8 +214,8 @@ def _plates(table: OpticalSurfaces, k: int) -> list[Surface | Structure]:
         return []
     if table.is_stop_plane(k):  # its round opening is that of the stop
         own = row.aperture
-        if own is not None and own.centred_circle:
-            own = replace(own, outer=math.inf)
+        if own is not None and own.annulus:
+            own = Outline(own.figures[1:]) if own.figures[1:] else None
         row = replace(row, semi_diameter_fixed=False, aperture=own)
     widest = max((surface.outer_radius for surface in table.surfaces.values()), default=0.0)
     pieces, notes = aperture_pieces(row, table.names[k], k in table.surfaces, table.aheads[k], widest, table.before[k])
@@ -226,13 +229,21 @@ def _mirror_backs(table: OpticalSurfaces, detector: Detector) -> list[Surface | 
     for k, mirror in table.surfaces.items():
         known = any(piece.part == mirror.part for piece in result)
         if mirror.mirror and is_gas(mirror.front) and not known and mirror.name not in table.patches:
-            body = mirror_back(mirror, table.aheads[k], _MIRROR_THICKNESS * mirror.outer_radius)
+            body = mirror_back(mirror, table.aheads[k], _MIRROR_THICKNESS * _half_size(mirror))
             cut = next((other for other in (*others, *result) if _cross(body[0], other)), None)
             if cut is None:
                 result += body
             else:
                 table.notes.append(f"mirror '{mirror.name}' has no rear: it would cut '{cut.name}'")
     return result
+
+
+def _half_size(surface: Surface) -> float:
+    """Clear radius, or half the diagonal of the box of an outline, mm."""
+    if surface.outline is None:
+        return surface.outer_radius
+    x0, x1, y0, y1 = surface.outline.bounds()
+    return 0.5 * math.hypot(x1 - x0, y1 - y0)
 
 
 def _cross(a: Surface | Structure, b: Surface | Structure) -> bool:
@@ -254,7 +265,7 @@ def _detector(table: OpticalSurfaces, half: tuple[float, float] | None) -> Detec
             size = _SMALLEST_DETECTOR * scale
             table.notes.append(f"the image is a point: the detector is made {2 * size:.4g} mm wide")
         half = (size, size)
-    if curvature(row) or row.coefficients:
+    if curvature(row) or row.coefficients or row.sag:
         table.notes.append(f"the image surface is curved (radius {row.radius:g} mm) in the file, the detector is flat")
     last = max(table.surfaces, default=-1)
     if last >= 0 and np.allclose(table.frames[last][:3, 3], frame[:3, 3], rtol=0, atol=COVER_MM / 10):

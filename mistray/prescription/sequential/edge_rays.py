@@ -255,7 +255,8 @@ def _stop_radius(lens: Sequential, data: FirstOrder) -> float:
     """Where the marginal ray on the axis really meets the stop; its paraxial radius where that ray is lost."""
     stop = stop_place(lens)
     row = lens.rows[stop]
-    stated = row.aperture.outer if row.stop and row.aperture and row.aperture.centred_circle else math.inf
+    opening = row.aperture.annulus if row.stop and row.aperture else None
+    stated = opening[0] if opening else math.inf
     if row.stop and row.semi_diameter_fixed and row.semi_diameter is not None:
         return min(stated, row.semi_diameter)
     if lens.aperture_kind == "stop_diameter":

@@ -14,9 +14,11 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics.geometry.paraxial import ParaxialSystem
+from mistray.physics.sags.terms import vertex_curvatures
 from mistray.prescription.sequential.rays import curvature, indices
-from mistray.prescription.sequential.table import Sequential
+from mistray.prescription.sequential.table import Row, Sequential
 
+_STEP = 1e-3  # of the differences that give the curvature of a freeform, in units of its radius
 _NONE = 1e-12  # slope per mm of height below which light is taken for collimated, 1/mm
 
 
@@ -124,9 +126,15 @@ def paraxial_system(lens: Sequential, wavelength_nm: float | None = None) -> tup
     for row in lens.rows:
         sign.append(-sign[-1] if row.mirror else sign[-1])
     z = np.concatenate([[0.0], np.cumsum([row.thickness for row in lens.rows[:-1]])])
-    # The polynomial terms begin at r⁴: they have no power
-    bends = [curvature(row) if row.kind == "surface" else 0.0 for row in lens.rows]
+    bends = [_paraxial_curvature(row) if row.kind == "surface" else 0.0 for row in lens.rows]
     return ParaxialSystem(bends, list(z), list(indices(lens, wavelength_nm) * np.array(sign))), np.array(sign)
+
+
+def _paraxial_curvature(row: Row) -> float:
+    """Curvature at the vertex, 1/mm; of a freeform that in y, as lens design programs take it."""
+    if not row.sag:
+        return curvature(row)
+    return vertex_curvatures(row.sag_numbers, _STEP * (row.semi_diameter or 1.0))[1]
 
 
 def stop_place(lens: Sequential) -> int:

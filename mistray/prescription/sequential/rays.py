@@ -15,6 +15,7 @@ from mistray.errors import MistrayError
 from mistray.materials import refractive_index
 from mistray.physics.geometry.pose import moved, rotation
 from mistray.physics.geometry.sag import sag, sag_derivative
+from mistray.physics.sags import terms as sags
 from mistray.prescription.sequential.table import Decentre, Row, Sequential
 
 Array = npt.NDArray[np.float64]
@@ -23,6 +24,8 @@ _ITERATIONS = 60
 _TOLERANCE = 1e-13  # of the size of the numbers, where a Newton step ends
 _ON_SURFACE_MM = 1e-7
 _ON_RIM_MM = 1e-6  # rays that touch a rim pass
+_STEP = 1e-3  # of the differences that give the slopes of a freeform, in units of its size
+_SMALLEST_MM = 1e-6
 
 
 def frames(lens: Sequential) -> Array:
@@ -174,7 +177,7 @@ def distance(row: Row, position: Array, direction: Array) -> Array:
         b = w - c * (x * u + y * v)
         root = np.sqrt(b * b - a * c * (x * x + y * y))
         step = c * (x * x + y * y) / (b + np.copysign(root, w))
-        if row.coefficients:
+        if row.coefficients or row.sag:
             step = _newton(row, (x, y), direction, np.where(np.isfinite(step), step, 0.0))
         else:
             r2 = (x + step * u) ** 2 + (y + step * v) ** 2
@@ -209,29 +212,32 @@ def passes(row: Row, position: Array) -> npt.NDArray[np.bool_]:
     result = np.isfinite(x)
     if row.semi_diameter_fixed and row.semi_diameter is not None:
         result &= np.hypot(x, y) <= row.semi_diameter + _ON_RIM_MM
-    aperture = row.aperture
-    if aperture is not None:
-        x, y = x - aperture.x, y - aperture.y
-        slack = -_ON_RIM_MM if aperture.obscures else _ON_RIM_MM
-        if aperture.kind == "circle":
-            r = np.hypot(x, y)
-            inside = ((r >= aperture.inner - slack) | (aperture.inner == 0)) & (r <= aperture.outer + slack)
-        else:
-            inside = (np.abs(x) <= aperture.half_width + slack) & (np.abs(y) <= aperture.half_height + slack)
-        result &= inside != aperture.obscures
+    if row.aperture is not None:
+        result &= row.aperture.touches(x, y, _ON_RIM_MM)
+    if row.obscuration is not None:
+        result &= ~row.obscuration.touches(x, y, -_ON_RIM_MM)
     return result
+
+
+def height_and_slopes(row: Row, x: Array, y: Array) -> tuple[Array, Array, Array]:
+    """Sag of a row at points of its frame, mm, and its derivatives by x and y; NaN where its conic has ended."""
+    if row.sag:
+        numbers = row.sag_numbers
+        size = max(float(np.nanmax(np.hypot(x, y), initial=0.0)), 1e-3 * (row.semi_diameter or 0.0), _SMALLEST_MM)
+        return (sags.sag(x, y, numbers), *sags.slopes(x, y, numbers, _STEP * size))
+    r2 = x * x + y * y
+    d = sag_derivative(r2, curvature(row), row.conic, row.coefficients)
+    return sag(r2, curvature(row), row.conic, row.coefficients), 2 * x * d, 2 * y * d
 
 
 def _newton(row: Row, start: tuple[Array, Array], direction: Array, step: Array) -> Array:
     """Distance from points of the tangent plane to an asphere; NaN where there is no convergence."""
-    c, (x0, y0), (u, v, w) = curvature(row), start, direction.T
+    (x0, y0), (u, v, w) = start, direction.T
     error = np.full_like(step, np.inf)
     for _ in range(_ITERATIONS):
         x, y = x0 + step * u, y0 + step * v
-        r2 = x * x + y * y
-        gap = step * w - sag(r2, c, row.conic, row.coefficients)
-        slope = w - 2 * (x * u + y * v) * sag_derivative(r2, c, row.conic, row.coefficients)
-        change = gap / slope
+        height, across, along = height_and_slopes(row, x, y)
+        change = (step * w - height) / (w - u * across - v * along)
         step = step - change
         error = np.abs(change) / (1 + np.abs(step))
         if not np.any(error > _TOLERANCE):
@@ -244,8 +250,8 @@ def _bent(row: Row, position: Array, direction: Array, before: float, behind: fl
     """Directions after reflection or refraction, n sin θ kept; NaN at total reflection."""
     x, y = position[:, 0], position[:, 1]
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        d = sag_derivative(x * x + y * y, curvature(row), row.conic, row.coefficients)
-        normal = np.stack([-2 * x * d, -2 * y * d, np.ones_like(x)], axis=1)
+        _, across, along = height_and_slopes(row, x, y)
+        normal = np.stack([-across, -along, np.ones_like(x)], axis=1)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         cosine = np.sum(normal * direction, axis=1)
         if row.mirror:

@@ -13,11 +13,12 @@ negative there, and materials are those that light passes through.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Literal
 
 from mistray.errors import MistrayError
+from mistray.physics.geometry.outline import Outline
 
 Kind = Literal["surface", "coordinate_break", "image"]
 ApertureKind = Literal["entrance_pupil_diameter", "f_number", "object_na", "stop_diameter"]
@@ -69,40 +70,6 @@ class Decentre:
     returns: bool = False
 
 
-@dataclass(frozen=True, kw_only=True)
-class ClearAperture:
-    """
-    What a surface lets pass, where the file says so explicitly.
-
-    Attributes
-    ----------
-    kind : str
-        "circle" (radii ``inner`` and ``outer``) or "rectangle" (half sides).
-    inner, outer : float
-        mm.
-    half_width, half_height : float
-        mm, along x and y.
-    x, y : float
-        Centre in the frame of the surface, mm.
-    obscures : bool
-        Light is stopped inside of it instead of outside.
-    """
-
-    kind: Literal["circle", "rectangle"] = "circle"
-    inner: float = 0.0
-    outer: float = math.inf
-    half_width: float = math.inf
-    half_height: float = math.inf
-    x: float = 0.0
-    y: float = 0.0
-    obscures: bool = False
-
-    @property
-    def centred_circle(self) -> bool:
-        """Whether it is an opening whose rim is a circle about the vertex."""
-        return self.kind == "circle" and self.x == self.y == 0 and not self.obscures
-
-
 @dataclass(frozen=True)
 class Row:
     """
@@ -116,8 +83,8 @@ class Row:
         "surface", "coordinate_break" or "image" (the last row).
     label : str
         Comment or name in the file; "" without.
-    radius, conic, coefficients
-        As in `Surface`: mm, ``inf`` is a plane; (a4, a6, …).
+    radius, conic, coefficients, sag
+        As in `Surface`: mm, ``inf`` is a plane; (a4, a6, …); numbers of a freeform by name.
     thickness : float
         To the next row along z, mm; negative after an odd number of mirrors.
     material : str
@@ -128,7 +95,10 @@ class Row:
         Clear semi-diameter of the file, mm; None where it gives none, so that rays decide.
     semi_diameter_fixed : bool
         It is an aperture that stops light, not a drawing size.
-    aperture : ClearAperture or None
+    aperture : Outline or None
+        Where the file says explicitly what the surface lets pass or reflects, in its frame, mm. It may have no bounds.
+    obscuration : Outline or None
+        What stops light on it.
     coating : str
         Its name in the file; "" without.
     decentre : Decentre or None
@@ -144,16 +114,24 @@ class Row:
     radius: float = math.inf
     conic: float = 0.0
     coefficients: tuple[float, ...] = ()
+    sag: Mapping[str, float] = field(default_factory=dict)
     thickness: float = 0.0
     material: str = "air"
     mirror: bool = False
     stop: bool = False
     semi_diameter: float | None = None
     semi_diameter_fixed: bool = False
-    aperture: ClearAperture | None = None
+    aperture: Outline | None = None
+    obscuration: Outline | None = None
     coating: str = ""
     decentre: Decentre | None = None
     line: int = 0
+
+    @property
+    def sag_numbers(self) -> dict[str, float]:
+        """All numbers of its sag, by their names in `mistray.physics.sags.terms`."""
+        even = {f"a{2 * i}": a for i, a in enumerate(self.coefficients, start=2) if a}
+        return {"curvature": 1 / self.radius if self.radius else 0.0, "conic": self.conic, **even, **self.sag}
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,259 @@
+"""Surface types of Zemax OpticStudio as sags: what their parameters (PARM) and extra data (XDAT) mean.
+
+Formulas and places of the numbers: OpticStudio's manual, "Sequential Surfaces" (Lens Data Editor), in lens units; ρ = r
+over the normalisation radius.
+
+===========  ==========================================================================================================
+EVENASPH     PARM i: of r^2i
+ODDASPHE     PARM i: of r^i
+XASPHERE     XDAT 1 number of terms, 2 radius, then of ρ², ρ⁴, …
+TOROIDAL     PARM 1 radius of rotation (0 is a plane: a cylinder), PARM i: of y^(2i-2); XDAT as of SZERNSAG
+BICONICX     PARM 1 radius in x (0 is a plane), 2 conic constant in x
+SZERNSAG     PARM i: of r^2i; XDAT 1 number of terms, 2 radius, then those of the standard Zernike polynomials
+FZERNSAG     the same with Fringe Zernike polynomials
+XPOLYNOM     XDAT 1 number of terms, 2 radius, then of x, y, x², xy, y², x³, … over the radius
+TILTSURF     PARM 1 slope in x, 2 slope in y; the surface has no curvature
+===========  ==========================================================================================================
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from mistray.errors import MistrayError
+from mistray.io.zemax.lines import Line, Section
+from mistray.physics.sags.terms import length_power
+from mistray.prescription.sequential.table import Row
+
+MOST_PARAMETERS, MOST_EXTRA = 12, 241
+_EVEN_TERMS, _ODD_TERMS, _TOROID_TERMS = 8, 8, 7
+_HIGHEST_EVEN = 20  # order that a surface of revolution takes
+
+
+@dataclass
+class Numbers:
+    """
+    The numbers of a surface, in lens units.
+
+    Attributes
+    ----------
+    owner : str
+        For messages.
+    parameters, extra : dict of int to float
+        PARM and XDAT by their numbers; a type takes what it knows, so that the rest can be reported.
+    lines : dict of (str, int) to Line
+        Where they stand.
+    unit : float
+        mm.
+    """
+
+    owner: str
+    unit: float
+    parameters: dict[int, float] = field(default_factory=dict)
+    extra: dict[int, float] = field(default_factory=dict)
+    lines: dict[tuple[str, int], Line] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, section: Section, unit: float) -> Numbers:
+        """Those of a section, whose lines are taken."""
+        found = cls(section.name, unit)
+        for key, values, most in (("PARM", found.parameters, MOST_PARAMETERS), ("XDAT", found.extra, MOST_EXTRA)):
+            for line in section.take_all(key):
+                place, value = line.whole(0, "the number of the parameter"), line.value(1, "its value")
+                if place in values:
+                    first = found.lines[key, place]
+                    raise line.error(f"parameter {place} is there already, on line {first.number}; remove one")
+                if not 0 <= place <= most:
+                    raise line.error(f"parameter {place} of {section.name}; they are numbered from 1 to {most}")
+                values[place] = value
+                found.lines[key, place] = line
+        return found
+
+    def take(self, place: int) -> float:
+        """A parameter, 0 where there is none."""
+        return self.parameters.pop(place, 0.0)
+
+    def series(self) -> tuple[float, list[float]]:
+        """Normalisation radius (lens units, 1 where there are no terms) and terms of the extra data."""
+        count = self.extra.pop(1, 0.0)
+        radius = self.extra.pop(2, 0.0)
+        terms = [self.extra.pop(2 + k, 0.0) for k in range(1, int(max(count, 0.0)) + 1)]
+        while terms and not terms[-1]:
+            terms.pop()
+        if terms and not radius > 0:
+            line = self.lines.get(("XDAT", 2)) or self.lines["XDAT", 1]
+            raise line.error(f"{self.owner} has {len(terms)} terms over a radius of {radius:g}; give one above 0")
+        return radius or 1.0, terms
+
+    def left(self) -> list[tuple[str, Line]]:
+        """Numbers that are not 0 and that nobody took, as "parameter 3", with their lines."""
+        rest = [("PARM", place) for place, value in self.parameters.items() if value]
+        rest += [("XDAT", place) for place, value in self.extra.items() if value]
+        return [(f"{'parameter' if key == 'PARM' else 'extra datum'} {n}", self.lines[key, n]) for key, n in rest]
+
+
+def _even(n: Numbers) -> dict[str, float]:
+    return {f"a{2 * i}": n.take(i) for i in range(1, _EVEN_TERMS + 1)}
+
+
+def _odd(n: Numbers) -> dict[str, float]:
+    return {f"{'r' if i % 2 else 'a'}{i}": n.take(i) for i in range(1, _ODD_TERMS + 1)}
+
+
+def _extended(n: Numbers) -> dict[str, float]:
+    radius, terms = n.series()
+    return {f"a{2 * i}": _scaled(term, radius, 2 * i) for i, term in enumerate(terms, 1)}
+
+
+def _toroid(n: Numbers) -> dict[str, float]:
+    radius = n.take(1)
+    profile = {f"a{2 * i}": n.take(i + 1) for i in range(1, _TOROID_TERMS + 1)}
+    return {"toroid_curvature": 1 / radius if radius else 0.0, **profile, **_zernikes(n, "zernike")}
+
+
+def _biconic(n: Numbers) -> dict[str, float]:
+    radius, conic = n.take(1), n.take(2)
+    return {"curvature_x": 1 / radius if radius else 0.0, "conic_x": conic}
+
+
+def _zernikes(n: Numbers, kind: str) -> dict[str, float]:
+    radius, terms = n.series()
+    found = {f"{kind}_{j}": term for j, term in enumerate(terms, 1) if term}
+    return found | ({f"{kind}_radius": radius} if found else {})
+
+
+def _polynomial(n: Numbers) -> dict[str, float]:
+    radius, terms = n.series()
+    orders = [(total - j, j) for total in range(1, 21) for j in range(total + 1)]
+    return {f"xy_{i}_{j}": _scaled(t, radius, i + j) for (i, j), t in zip(orders, terms, strict=False) if t}
+
+
+def _scaled(term: float, radius: float, order: int) -> float:
+    return term / radius**order
+
+
+KINDS: dict[str, Any] = {
+    "STANDARD": lambda n: {},
+    "EVENASPH": _even,
+    "ODDASPHE": _odd,
+    "XASPHERE": _extended,
+    "TOROIDAL": _toroid,
+    "BICONICX": _biconic,
+    "SZERNSAG": lambda n: _even(n) | _zernikes(n, "zernike"),
+    "FZERNSAG": lambda n: _even(n) | _zernikes(n, "fringe"),
+    "XPOLYNOM": _polynomial,
+    "TILTSURF": lambda n: {"slope_x": n.take(1), "slope_y": n.take(2)},
+}
+
+
+def figure_of(kind: str, n: Numbers, curvature: float, conic: float, head: Line) -> dict[str, Any]:
+    """
+    Radius, conic, coefficients and sag of a `Row`, in mm.
+
+    Parameters
+    ----------
+    kind : str
+        One of `KINDS`.
+    n : Numbers
+        What the type does not know is left in it.
+    curvature, conic : float
+        1/lens unit and 1.
+    head : Line
+        Of the surface, for messages.
+    """
+    curved = 0.0 if kind == "TILTSURF" else curvature / n.unit
+    found = {
+        name: value * n.unit ** (length_power(name) or 0)
+        for name, value in KINDS[kind](n).items()
+        if value or name in ("curvature_x", "toroid_curvature")
+    }
+    for name in found:
+        if length_power(name) is None:
+            raise head.error(f"{n.owner}: mistray has no term {name}; leave it out")
+    if found.get("a2") and set(found) <= {f"a{i}" for i in range(2, 31, 2)} and (not curved or conic == -1):
+        # c r²/2 + a2 r² is a paraboloid again; a plane is one with c = 0
+        curved, conic = curved + 2 * found.pop("a2"), -1.0
+    orders = range(4, max((int(name[1:]) for name in found if name[0] == "a"), default=2) + 1, 2)
+    coefficients = [found.pop(f"a{order}", 0.0) for order in orders if order <= _HIGHEST_EVEN]
+    return {
+        "radius": 1 / curved if curved else math.inf,
+        "conic": conic,
+        "coefficients": tuple(coefficients),
+        "sag": found,
+    }
+
+
+def type_of(row: Row) -> tuple[str, list[str]]:
+    """
+    The type of a row without units, and its lines PARM and XDAT.
+
+    Raises
+    ------
+    MistrayError
+        If no type of `KINDS` has all terms of its sag.
+    """
+    even = {f"a{2 * i}": a for i, a in enumerate(row.coefficients, start=2) if a}
+    given = {name: value for name, value in {**even, **row.sag}.items() if value or name in _SHAPES}
+    heads = {name.split("_")[0] if "_" in name else name.rstrip("0123456789") for name in given}
+    numbers: dict[int, float] = {}
+    extra: dict[int, float] = {}
+    kind = "STANDARD"
+    if "curvature_x" in given:
+        kind = "BICONICX"
+        curvature = given.pop("curvature_x")
+        numbers = {1: 1 / curvature if curvature else 0.0, 2: given.pop("conic_x", 0.0)}
+    elif "toroid_curvature" in given:
+        kind = "TOROIDAL"
+        curvature = given.pop("toroid_curvature")
+        numbers = {1: 1 / curvature if curvature else 0.0}
+        numbers |= {i + 1: given.pop(f"a{2 * i}", 0.0) for i in range(1, _TOROID_TERMS + 1)}
+        extra = _written_zernikes(given, "zernike")
+    elif heads & {"zernike", "fringe"}:
+        name = "zernike" if "zernike" in heads else "fringe"
+        kind = "SZERNSAG" if name == "zernike" else "FZERNSAG"
+        numbers = {i: given.pop(f"a{2 * i}", 0.0) for i in range(1, _EVEN_TERMS + 1)}
+        extra = _written_zernikes(given, name)
+    elif "r" in heads:
+        kind = "ODDASPHE"
+        numbers = {i: given.pop(f"{'r' if i % 2 else 'a'}{i}", 0.0) for i in range(1, _ODD_TERMS + 1)}
+    elif "xy" in heads:
+        kind, extra = "XPOLYNOM", _written_polynomial(given)
+    elif "slope" in heads and not row.radius < math.inf:
+        kind, numbers = "TILTSURF", {1: given.pop("slope_x", 0.0), 2: given.pop("slope_y", 0.0)}
+    elif any(given.get(f"a{order}") for order in range(2 * _EVEN_TERMS + 2, 31, 2)):
+        kind = "XASPHERE"
+        last = max(int(name[1:]) for name in given) // 2
+        extra = {1: float(last), 2: 1.0, **{2 + i: given.pop(f"a{2 * i}", 0.0) for i in range(1, last + 1)}}
+    elif given:
+        kind, numbers = "EVENASPH", {i: given.pop(f"a{2 * i}", 0.0) for i in range(1, _EVEN_TERMS + 1)}
+    if given:
+        raise MistrayError(
+            f"surface {row.number} '{row.label}': no surface type of .zmx files has {', '.join(sorted(given))} beside "
+            "the rest of its sag; fit it again with fewer terms"
+        )
+    while numbers and not numbers[max(numbers)]:
+        numbers.pop(max(numbers))
+    lines = [f"PARM {place} {value:.16g}" for place, value in sorted(numbers.items())]
+    return kind, lines + [f"XDAT {place} {value:.16g} 0 0 1" for place, value in sorted(extra.items())]
+
+
+_SHAPES = ("curvature_x", "toroid_curvature")
+
+
+def _written_zernikes(given: dict[str, float], kind: str) -> dict[int, float]:
+    """Extra data of Zernike polynomials, whose numbers are taken from `given`."""
+    terms = {int(name.rpartition("_")[2]): name for name in given if name.startswith(f"{kind}_") and name[-1].isdigit()}
+    radius = given.pop(f"{kind}_radius", 1.0)
+    if not terms:
+        return {}
+    found = {2 + j: given.pop(name) for j, name in terms.items()}
+    return {1: float(max(terms)), 2: radius} | {place: found.get(place, 0.0) for place in range(3, max(found) + 1)}
+
+
+def _written_polynomial(given: dict[str, float]) -> dict[int, float]:
+    orders = [(total - j, j) for total in range(1, 21) for j in range(total + 1)]
+    found = {k: given.pop(f"xy_{i}_{j}") for k, (i, j) in enumerate(orders, 1) if f"xy_{i}_{j}" in given}
+    last = max(found)
+    return {1: float(last), 2: 1.0} | {2 + k: found.get(k, 0.0) for k in range(1, last + 1)}
