@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -14,37 +15,28 @@ from mistray.prescription.sequential.table import Sequential
 _ROUND_OFF = 1e-12
 
 
-def figure(
-    what: str, radius: float, conic: float, even_terms: Sequence[float]
-) -> tuple[float, float, tuple[float, ...]]:
+def figure(radius: float, conic: float, even_terms: Sequence[float]) -> dict[str, Any]:
     """
-    Radius, conic and (a4, a6, …) of a surface whose polynomial begins at r².
+    Radius, conic, coefficients and sag of a `Row` whose polynomial begins at r².
 
-    A plane with an r² term is the paraboloid of radius 1/(2 a2); with a radius there is no such identity.
+    A plane with an r² term is the paraboloid of radius 1/(2 a2); with a radius the term stays in the sag.
 
     Parameters
     ----------
-    what : str
-        The surface, for the message.
     radius, conic : float
         mm; ``inf`` is a plane.
     even_terms : sequence of float
         Coefficients of r², r⁴, …
-
-    Raises
-    ------
-    MistrayError
-        If there is an r² term beside a radius.
     """
-    terms = [float(term) for term in even_terms]
-    if terms and terms[0]:
-        if math.isfinite(radius):
-            raise MistrayError(f"{what}: its r² term {terms[0]:g} beside a radius has no counterpart; make it 0")
-        radius, conic = 1 / (2 * terms[0]), -1.0
-    higher = terms[1:]
+    first, *higher = [float(term) for term in even_terms] or [0.0]
+    sag = {}
+    if first and math.isfinite(radius):
+        sag["a2"] = first
+    elif first:
+        radius, conic = 1 / (2 * first), -1.0
     while higher and higher[-1] == 0:
         higher.pop()
-    return radius, conic, tuple(higher)
+    return {"radius": radius, "conic": conic, "coefficients": tuple(higher), "sag": sag}
 
 
 def turns_deg(rotation: np.ndarray) -> tuple[float, float, float]:

@@ -15,6 +15,8 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.io.conventions import figure, turns_deg
 from mistray.physics.geometry.outline import Figure, Outline, circle, polygon, rectangle
+from mistray.physics.sags.terms import sag
+from mistray.physics.sags.zernike import LAST_STANDARD, noll_orders, standard
 from mistray.prescription.sequential.materials import same_material
 from mistray.prescription.sequential.table import (
     ApertureKind,
@@ -136,18 +138,111 @@ def from_optiland(optic: Any) -> Sequential:
 
 
 def _figure(name: str, number: int, surface: Any) -> dict[str, Any]:
-    """Radius, conic and coefficients of a row."""
+    """Radius, conic, coefficients and sag of a row."""
     geometry = surface.geometry
     what, kind = f"optiland lens '{name}', surface {number}", type(geometry).__name__
-    if kind not in ("Plane", "StandardGeometry", "EvenAsphere"):
-        raise MistrayError(f"{what}: {kind} has no counterpart; use a plane, a conic or an even asphere")
     interaction = getattr(surface.interaction_model, "interaction_type", "")
     if interaction != "refractive_reflective":
         raise MistrayError(f"{what}: its interaction '{interaction}' has no counterpart; let it refract or reflect")
-    radius = _float(geometry.radius)
-    terms = [_float(term) for term in geometry.coefficients] if kind == "EvenAsphere" else []
-    radius, conic, coefficients = figure(what, radius, _float(getattr(geometry, "k", 0.0)), terms)
-    return {"radius": radius, "conic": conic, "coefficients": coefficients}
+    if kind not in _SAGS:
+        raise MistrayError(f"{what}: {kind} has no counterpart; use one of {', '.join(_SAGS)}")
+    if kind == "EvenAsphere":
+        found = figure(_float(geometry.radius), _float(geometry.k), [_float(term) for term in geometry.coefficients])
+    else:
+        conic = _float(getattr(geometry, "k", 0.0))
+        found = {"radius": _float(geometry.radius), "conic": conic} | _SAGS[kind](geometry)
+    if kind not in ("Plane", "StandardGeometry"):
+        _check(what, kind, geometry, Row(number, **found))
+    return found
+
+
+def _check(what: str, kind: str, geometry: Any, row: Row) -> None:
+    """Compare sags at points of a disc: optiland has several conventions for one name."""
+    reach = 0.3 * _float(getattr(geometry, "norm_radius", 0.0) or getattr(geometry, "norm_x", 0.0) or 10.0)
+    reach = min(reach, 0.3 * abs(row.radius)) if row.radius else reach
+    angle = np.linspace(0.3, 6.2, 12)
+    x, y = reach * np.cos(angle) * np.linspace(0.2, 1, 12), reach * np.sin(angle) * np.linspace(0.2, 1, 12)
+    ours, theirs = sag(x, y, row.sag_numbers), np.asarray(geometry.sag(x, y), dtype=np.float64)
+    worst = float(np.abs(ours - theirs).max())
+    if not worst <= _SAME_SAG * max(float(np.abs(theirs).max()), 1e-3 * reach):
+        raise MistrayError(f"{what}: optiland's {kind} is another surface by {worst:.2g} mm; use a polynomial")
+
+
+def _toroid(g: Any) -> dict[str, Any]:
+    sweep, radius = _float(g.R_rot), _float(g.R_yz)
+    terms = {f"a{2 * i}": _float(a) for i, a in enumerate(np.ravel(g.coeffs_poly_y), 1) if a}
+    curvature = 0.0 if not sweep or math.isinf(sweep) else 1 / sweep
+    return {"radius": radius, "conic": _float(g.k_yz), "sag": {"toroid_curvature": curvature, **terms}}
+
+
+def _biconic(g: Any) -> dict[str, Any]:
+    return {
+        "radius": 1 / _float(g.cy) if _float(g.cy) else math.inf,
+        "conic": _float(g.ky),
+        "sag": {"curvature_x": _float(g.cx), "conic_x": _float(g.kx)},
+    }
+
+
+def _odd(g: Any) -> dict[str, Any]:
+    terms = {f"{'r' if i % 2 else 'a'}{i}": _float(a) for i, a in enumerate(g.coefficients, 1) if _float(a)}
+    return {"sag": terms}
+
+
+def _table(g: Any, name: str) -> dict[str, float]:
+    """Coefficients of a table by two orders."""
+    found = {}
+    for i, row in enumerate(g.coefficients):
+        for j, value in enumerate(np.ravel(row)):
+            if _float(value):
+                found[f"{name}_{i}_{j}"] = _float(value)
+    return found
+
+
+def _chebyshev(g: Any) -> dict[str, Any]:
+    table = _table(g, "chebyshev")
+    return {"sag": table | ({"chebyshev_x": _float(g.norm_x), "chebyshev_y": _float(g.norm_y)} if table else {})}
+
+
+def _zernike(g: Any) -> dict[str, Any]:
+    """Its polynomials, whatever their order and norm, as standard ones: those of the same n and m by their values."""
+    radius = _float(g.norm_radius)
+    orders = {noll_orders(j): j for j in range(1, LAST_STANDARD + 1)}
+    found: dict[str, float] = {}
+    for (n, m), coefficient in zip(g.zernike.indices, np.ravel(g.zernike.coeffs), strict=False):
+        amount, order = _float(coefficient), (int(n), int(m))
+        if not amount:
+            continue
+        if order not in orders:
+            raise MistrayError(f"optiland's Zernike polynomial {order} is beyond the {LAST_STANDARD} known ones")
+        # At one point, where neither the radial part nor its angular part is 0
+        rho, phi = 0.93, 0.4 / max(abs(order[1]), 1)
+        theirs = _float(g.zernike.get_term(amount, *order, np.array([rho]), np.array([phi])))
+        j = orders[order]
+        ours = float(standard(np.array(rho * math.cos(phi)), np.array(rho * math.sin(phi)), {j: 1.0}))
+        name = f"zernike_{j}"
+        found[name] = found.get(name, 0.0) + theirs / ours
+    return {"sag": found | ({"zernike_radius": radius} if found else {})}
+
+
+def _forbes(g: Any) -> dict[str, Any]:
+    terms = {f"qbfs_{int(m)}": _float(a) for m, a in g.radial_terms.items() if _float(a)}
+    return {"sag": terms | ({"q_radius": _float(g.norm_radius)} if terms else {})}
+
+
+_SAGS: dict[str, Any] = {
+    "Plane": lambda g: {},
+    "StandardGeometry": lambda g: {},
+    "EvenAsphere": None,
+    "OddAsphere": _odd,
+    "ToroidalGeometry": _toroid,
+    "BiconicGeometry": _biconic,
+    "PolynomialGeometry": lambda g: {"sag": _table(g, "xy")},
+    "ChebyshevPolynomialGeometry": _chebyshev,
+    "ZernikePolynomialGeometry": _zernike,
+    "ForbesQNormalSlopeGeometry": _forbes,
+    "ForbesQbfsGeometry": _forbes,
+}
+_SAME_SAG = 1e-9
 
 
 def _aperture(number: int, surface: Any, unread: list[Unread]) -> dict[str, Any]:

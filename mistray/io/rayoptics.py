@@ -127,21 +127,32 @@ def _surface(what: str, interface: Any) -> CodevSurface:
     """Figure, mode and moves of an interface, in units of the model."""
     profile: Any = getattr(interface, "profile", interface)  # a thin lens has none
     kind = type(profile).__name__
-    if kind not in ("Spherical", "Conic", "EvenPolynomial"):
-        raise MistrayError(f"{what}: {kind} has no counterpart; use a sphere, a conic or an even polynomial")
+    if kind not in ("Spherical", "Conic", "EvenPolynomial", "RadialPolynomial", "YToroid"):
+        raise MistrayError(f"{what}: {kind} has no counterpart; use a conic, a polynomial of r or a YToroid")
     if getattr(interface, "phase_element", None) is not None:
         raise MistrayError(f"{what}: diffracting surfaces are not traced; remove its phase element")
     if interface.interact_mode not in _MODES_OF_LIGHT:
         raise MistrayError(f"{what}: its mode '{interface.interact_mode}' has no counterpart; it transmits or reflects")
-    terms = list(profile.coefs) if kind == "EvenPolynomial" else []
+    terms = [float(a) for a in getattr(profile, "coefs", ())]
     curvature = float(profile.cv)
-    radius = 1 / curvature if curvature else math.inf
-    radius, conic, coefficients = figure(what, radius, float(getattr(profile, "cc", 0.0)), terms)
+    found = figure(1 / curvature if curvature else math.inf, float(getattr(profile, "cc", 0.0)), [0.0])
+    extra: dict[str, float] = {}
+    if kind == "EvenPolynomial":
+        found = figure(found["radius"], found["conic"], terms)
+        extra = {name.upper(): value for name, value in found["sag"].items()}
+    elif kind == "RadialPolynomial":
+        extra = {f"{'R' if i % 2 else 'A'}{i}": a for i, a in enumerate(terms, 1) if a}
+    elif kind == "YToroid":
+        found["coefficients"] = terms[1:]
+        extra = {"A2": terms[0]} if terms and terms[0] else {}
     surface = CodevSurface(
         0,
-        curvature=0.0 if math.isinf(radius) else 1 / radius,
-        conic=conic,
-        coefficients=dict(enumerate(coefficients)),
+        curvature=0.0 if math.isinf(found["radius"]) else 1 / found["radius"],
+        conic=found["conic"],
+        coefficients=dict(enumerate(found["coefficients"])),
+        kind="YTO" if kind == "YToroid" else "ODD" if extra else "",
+        curvature_x=float(getattr(profile, "cR", 0.0)),
+        extra=extra,
         mirror=interface.interact_mode == "reflect",
         label=str(interface.label or ""),
     )

@@ -171,7 +171,10 @@ class Freeform:
         u2 = r2 / n["q_radius"] ** 2
         if kind == "qcon":
             return u2 * u2 * QCON[i](u2)
-        return u2 * (1 - u2) / np.sqrt(1 - n.get("curvature", 0.0) ** 2 * r2) * QBFS[i](u2)
+        # Over the cosine of the angle between the conic's normal and the axis, 1/√(1 + (dz/dr)²)
+        c, k = n.get("curvature", 0.0), n.get("conic", 0.0)
+        slope2 = c * c * r2 / (1 - (1 + k) * c * c * r2)
+        return u2 * (1 - u2) * np.sqrt(1 + slope2) * QBFS[i](u2)
 
     def slopes(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Derivatives of the sag, by complex steps."""

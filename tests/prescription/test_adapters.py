@@ -17,6 +17,7 @@ from mistray.io.rayoptics import from_rayoptics
 from mistray.materials import complex_index, refractive_index
 from mistray.physics.geometry.outline import circle
 from mistray.physics.geometry.sag import sag
+from mistray.physics.sags.terms import sag as freeform_sag
 from mistray.prescription.sequential.first_order import first_order
 from mistray.prescription.sequential.materials import same_material
 from mistray.prescription.sequential.rays import motion, trace
@@ -33,13 +34,13 @@ def by_name(name: str):
 
 
 def test_a_plane_with_an_r2_term_is_a_paraboloid():
-    radius, conic, coefficients = figure("x", math.inf, 0.0, [2e-3, 1e-6, 0.0])
-    assert (radius, conic, coefficients) == (250, -1, (1e-6,))
-    assert sag(100.0, 1 / radius, conic, coefficients) == pytest.approx(2e-3 * 100 + 1e-6 * 100**2, rel=1e-14)
-    assert figure("x", 50.0, -0.3, [0.0, 1e-6]) == (50, -0.3, (1e-6,))
-    assert figure("x", 50.0, -0.3, []) == (50, -0.3, ())
-    with pytest.raises(MistrayError, match=r"x: its r² term 0.002 beside a radius"):
-        figure("x", 50.0, 0.0, [2e-3])
+    found = figure(math.inf, 0.0, [2e-3, 1e-6, 0.0])
+    assert found == {"radius": 250, "conic": -1, "coefficients": (1e-6,), "sag": {}}
+    expected = 2e-3 * 100 + 1e-6 * 100**2
+    assert sag(100.0, 1 / found["radius"], found["conic"], found["coefficients"]) == pytest.approx(expected, rel=1e-14)
+    assert figure(50.0, -0.3, [0.0, 1e-6]) == {"radius": 50, "conic": -0.3, "coefficients": (1e-6,), "sag": {}}
+    assert figure(50.0, -0.3, []) == {"radius": 50, "conic": -0.3, "coefficients": (), "sag": {}}
+    assert figure(50.0, 0.0, [2e-3])["sag"] == {"a2": 2e-3}
 
 
 @pytest.mark.parametrize("angles", [(0, 0, 0), (10, 20, 30), (-170, 60, 5), (45, 0, 0)])
@@ -101,8 +102,29 @@ def test_what_rayoptics_has_and_we_do_not():
     diffracting["seq_model"].ifcs[1].phase_element = peers.rayoptics("oprops.doe").DiffractiveElement()
     with pytest.raises(MistrayError, match=r"interface 1: diffracting surfaces are not traced"):
         from_rayoptics(diffracting)
-    with pytest.raises(MistrayError, match=r"interface \d: \w*Toroid has no counterpart"):
-        from_rayoptics(model_of("HoO-V2C18Ex46.zmx"))
+    profiles = peers.rayoptics("elem.profiles")
+    diffracting = model_of("CODV_32327.seq")
+    diffracting["seq_model"].ifcs[1].profile = profiles.XToroid(r=50.0, rR=60.0)
+    with pytest.raises(MistrayError, match=r"interface 1: XToroid has no counterpart"):
+        from_rayoptics(diffracting)
+
+
+@pytest.mark.parametrize(
+    ("kind", "numbers"),
+    [
+        ("EvenPolynomial", {"r": 50.0, "cc": -0.4, "coefs": [1e-3, 1e-6, 0.0, 1e-12]}),
+        ("RadialPolynomial", {"r": 50.0, "cc": -0.4, "coefs": [1e-3, 2e-3, -1e-5, 1e-6]}),
+        ("YToroid", {"r": 50.0, "rR": 80.0, "cc": 0.2, "coefs": [1e-3, 1e-6]}),
+    ],
+)
+def test_profiles_of_rayoptics(kind, numbers):
+    model = model_of("CODV_32327.seq")
+    profile = getattr(peers.rayoptics("elem.profiles"), kind)(**numbers)
+    model["seq_model"].ifcs[1].profile = profile
+    row = from_rayoptics(model).rows[0]
+    points = np.random.default_rng(1).uniform(-3, 3, (20, 2))
+    theirs = [float(profile.sag(x, y)) for x, y in points]
+    assert freeform_sag(*points.T, row.sag_numbers) == pytest.approx(np.array(theirs), abs=1e-9)
 
 
 def test_edges_of_rayoptics_are_drawn_or_listed():
@@ -226,12 +248,87 @@ def test_an_aperture_of_optiland_is_as_wide_here(optiland, kind):
         assert from_optiland(optic).telecentric
 
 
+FREEFORMS = {
+    "odd_asphere": {"radius": 60.0, "conic": -0.4, "coefficients": [1e-3, 2e-4, -1e-5, 1e-6]},
+    "polynomial": {"radius": 60.0, "coefficients": np.array([[0, 1e-3, 2e-4], [-2e-3, 1e-4, 0], [3e-4, 0, 1e-7]])},
+    "chebyshev": {
+        "radius": 60.0, "conic": 0.3, "coefficients": np.array([[0, 0.01, 0.02], [0.03, 0.01, 0]]), "norm_x": 9.0,
+        "norm_y": 8.0,
+    },
+    "toroidal": {"radius": 60.0, "radius_y": -90.0, "conic": 0.3, "toroidal_coeffs_poly_y": [1e-4, 1e-6]},
+    "zernike, noll": {"zernike_type": "noll"},
+    "zernike, fringe": {"zernike_type": "fringe"},
+    "zernike, standard": {"zernike_type": "standard"},
+    "forbes_qbfs": {
+        "radius": 60.0, "conic": -0.7, "radial_terms": {0: 0.1, 1: -0.03, 4: 0.01}, "norm_radius": 9.0,
+    },
+    "biconic, cylinder": {"radius_x": np.inf, "radius_y": 80.0, "conic_y": -0.5},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", FREEFORMS)
+def test_freeforms_of_optiland_have_the_same_rays(optiland, kind):
+    optic = optiland("freeform")
+    numbers = dict(FREEFORMS[kind])
+    if kind.startswith("zernike"):
+        numbers |= {"radius": 60.0, "norm_radius": 9.0, "coefficients": np.linspace(0.003, -0.002, 15)}
+    optic.surfaces.add(index=0, thickness=np.inf)
+    optic.surfaces.add(
+        index=1, surface_type=kind.partition(",")[0], thickness=4, material="N-BK7", is_stop=True, **numbers
+    )
+    optic.surfaces.add(index=2, radius=-70, thickness=50)
+    optic.surfaces.add(index=3)
+    optic.set_aperture(aperture_type="EPD", value=10)
+    optic.fields.set_type("angle")
+    optic.fields.add(y=2)
+    optic.wavelengths.add(value=0.5876, is_primary=True)
+    found = from_optiland(optic)
+    assert found.rows[0].sag
+    rng = np.random.default_rng(2)
+    positions = np.column_stack([rng.uniform(-4, 4, (40, 2)), np.full(40, -5.0)])
+    directions = np.column_stack([rng.uniform(-0.1, 0.1, (40, 2)), np.ones(40)])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    rays = peers.optiland("rays").RealRays(*positions.T, *directions.T, np.ones(40), np.full(40, 0.5876))
+    optic.surfaces.trace(rays)
+    hits, onward = trace(found, positions, directions, 587.6)
+    assert np.stack([rays.x, rays.y], axis=1) == pytest.approx(hits[-1][:, :2], abs=1e-6)
+    assert np.stack([rays.L, rays.M, rays.N], axis=1) == pytest.approx(onward[-1], abs=1e-7)
+
+
+def test_apertures_of_optiland(optiland):
+    physical = peers.optiland("physical_apertures")
+    points = np.random.default_rng(3).uniform(-6, 6, (400, 2))
+    for aperture in (
+        physical.EllipticalAperture(a=4, b=2, offset_x=1, offset_y=-1),
+        physical.PolygonAperture(x=[-4, 3, 5, 0], y=[-3, -4, 2, 5]),
+        physical.RadialAperture(r_max=5) - physical.RectangularAperture(-1, 2, -3, 1),
+        physical.RadialAperture(r_max=5) & physical.EllipticalAperture(a=3, b=6),
+        physical.RadialAperture(r_max=2) | physical.RectangularAperture(1, 5, -1, 1),
+    ):
+        optic = mirror_and_lens(optiland)
+        list(optic.surfaces)[3].aperture = aperture
+        found = from_optiland(optic)
+        assert not found.unread
+        theirs = np.asarray(aperture.contains(*points.T))
+        assert (found.rows[2].aperture.contains(*points.T) == theirs).all(), aperture
+
+
 def test_what_optiland_has_and_we_do_not(optiland):
     optic = mirror_and_lens(optiland)
     optic.set_aperture(aperture_type="imageFNO", value=5)
     assert from_optiland(optic).aperture_kind == "f_number"
     list(optic.surfaces)[4].geometry.coefficients[0] = 1e-3
-    with pytest.raises(MistrayError, match=r"optiland lens 'bench', surface 4: its r² term 0.001 beside a radius"):
+    assert from_optiland(optic).rows[3].sag == {"a2": 1e-3}
+    # optiland adds two conics, one of x and one of y, which is no biconic of the standard
+    optic = optiland("sum")
+    optic.surfaces.add(index=0, thickness=np.inf)
+    optic.surfaces.add(index=1, surface_type="biconic", radius_x=50.0, radius_y=80.0, thickness=30, is_stop=True)
+    optic.surfaces.add(index=2)
+    optic.set_aperture(aperture_type="EPD", value=8)
+    optic.fields.set_type("angle")
+    optic.fields.add(y=0)
+    optic.wavelengths.add(value=0.5876, is_primary=True)
+    with pytest.raises(MistrayError, match=r"surface 1: optiland's BiconicGeometry is another surface by"):
         from_optiland(optic)
     with pytest.raises(MistrayError, match="it needs a surface, a wavelength and an aperture"):
         from_optiland(optiland("empty"))

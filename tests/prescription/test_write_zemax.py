@@ -32,6 +32,7 @@ FREEFORMS = {
     "SZERNSAG": {"sag": {"zernike_1": 0.1, "zernike_22": 0.01, "zernike_radius": 7.0}, "coefficients": (1e-6,)},
     "FZERNSAG": {"sag": {"fringe_37": 0.01, "fringe_radius": 7.0}},
     "XPOLYNOM": {"sag": {"xy_1_0": 0.1, "xy_2_3": 1e-5, "xy_0_2": 1e-3}},
+    "QED_TYPE": {"sag": {"qbfs_0": 0.1, "qbfs_3": -1e-3, "q_radius": 7.0}},
     "TILTSURF": {"sag": {"slope_x": 0.1, "slope_y": -0.2}},
 }
 

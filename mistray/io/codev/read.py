@@ -28,7 +28,7 @@ from mistray.errors import MistrayError
 from mistray.io.codev.commands import CHANGES_THE_LENS, HAS_NO_EFFECT, ORDERS, Command, commands
 from mistray.io.codev.glasses import CodevGlasses, table_material
 from mistray.io.codev.rows import CodevSurface, rows_of
-from mistray.io.codev.sags import ANAMORPHIC, KINDS
+from mistray.io.codev.sags import ANAMORPHIC
 from mistray.io.conventions import object_na, squeezed
 from mistray.materials import refractive_index
 from mistray.materials.agf import decode
@@ -357,7 +357,7 @@ class _Reader:
 
     def _take_special(self, surface: CodevSurface, command: Command) -> None:
         kind = command.words[1].upper() if len(command.words) > 1 else ""
-        if kind not in KINDS:
+        if kind != "XYP":
             raise MistrayError(f"'{command.text}': of special surfaces XYP is read; convert it, or fit an asphere")
         surface.kind = kind
         if len(command.words) > 2:

@@ -6,6 +6,7 @@ files that CODE V wrote have them. With c the curvature in y (CUY, RDY) and cx t
 - ``YTO`` and ``CYL``: the profile in y with K, A, B, … turned about a line parallel to y at 1/cx.
 - ``XTO``: the profile in x with K, A, B, … turned about a line parallel to x at 1/c.
 - ``AAS``: a biconic with K and KX, and AR ((1 - AP) x² + (1 + AP) y²)² + BR ((1 - BP) x² + (1 + BP) y²)³ + ….
+- ``ODD``: of no command; R1, A2, R3 … are coefficients of r, r², r³ …, as other programs have them.
 - ``SPS XYP``: a conic and Σ Cj (x/r)^m (y/r)^n with r = NRADIUS; C2 is of x, C3 of y, C4 of x², C5 of xy, ….
 """
 
@@ -17,7 +18,7 @@ from collections.abc import Mapping
 
 from mistray.errors import MistrayError
 
-KINDS = ("YTO", "XTO", "CYL", "AAS", "XYP")
+KINDS = ("YTO", "XTO", "CYL", "AAS", "XYP", "ODD")
 ANAMORPHIC = tuple(f"{letter}{what}" for letter in "ABCD" for what in "RP")
 _XYP_TERM = re.compile(r"C(\d{1,3})")
 _ORDERS = [(total - j, j) for total in range(11) for j in range(total + 1)]
@@ -46,7 +47,9 @@ def sag_of(kind: str, curvature_x: float, conic: float, extra: Mapping[str, floa
         Of an unknown coefficient, or a missing or impossible NRADIUS.
     """
     if kind in ("YTO", "CYL", "XTO"):
-        return {"toroid_curvature": curvature_x / unit}
+        return {"toroid_curvature": curvature_x / unit} | _powers(extra, unit)
+    if kind == "ODD":
+        return _powers(extra, unit)
     if kind == "AAS":
         found = {"curvature_x": curvature_x / unit, "conic_x": extra.get("KX", 0.0)}
         for n, letter in enumerate("ABCD", start=2):
@@ -67,3 +70,9 @@ def sag_of(kind: str, curvature_x: float, conic: float, extra: Mapping[str, floa
         i, j = _ORDERS[int(place[1]) - 1]
         found[f"xy_{i}_{j}"] = value * unit / (radius * unit) ** (i + j)
     return found
+
+
+def _powers(extra: Mapping[str, float], unit: float) -> dict[str, float]:
+    """Coefficients of powers by the names of `Row.sag`."""
+    powers = {name.lower(): value for name, value in extra.items() if re.fullmatch(r"[AR]\d+", name)}
+    return {name: value * unit ** (1 - int(name[1:])) for name, value in powers.items()}

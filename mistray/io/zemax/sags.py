@@ -12,6 +12,7 @@ BICONICX     PARM 1 radius in x (0 is a plane), 2 conic constant in x
 SZERNSAG     PARM i: of r^2i; XDAT 1 number of terms, 2 radius, then those of the standard Zernike polynomials
 FZERNSAG     the same with Fringe Zernike polynomials
 XPOLYNOM     XDAT 1 number of terms, 2 radius, then of x, y, x², xy, y², x³, … over the radius
+QED_TYPE     XDAT 1 type (0: Qbfs), 2 number of terms, 3 radius, then those of Forbes's polynomials
 TILTSURF     PARM 1 slope in x, 2 slope in y; the surface has no curvature
 ===========  ==========================================================================================================
 """
@@ -130,6 +131,16 @@ def _polynomial(n: Numbers) -> dict[str, float]:
     return {f"xy_{i}_{j}": _scaled(t, radius, i + j) for (i, j), t in zip(orders, terms, strict=False) if t}
 
 
+def _forbes(n: Numbers) -> dict[str, float]:
+    kind = n.extra.pop(1, 0.0)
+    if kind:
+        raise n.lines["XDAT", 1].error(f"{n.owner} is a Q asphere of type {kind:g}; type 0, Qbfs, is read")
+    n.extra = {place - 1: value for place, value in n.extra.items()}
+    n.lines = {(key, place - (key == "XDAT")): line for (key, place), line in n.lines.items()}
+    radius, terms = n.series()
+    return {f"qbfs_{m}": term for m, term in enumerate(terms) if term} | ({"q_radius": radius} if terms else {})
+
+
 def _scaled(term: float, radius: float, order: int) -> float:
     return term / radius**order
 
@@ -144,6 +155,7 @@ KINDS: dict[str, Any] = {
     "SZERNSAG": lambda n: _even(n) | _zernikes(n, "zernike"),
     "FZERNSAG": lambda n: _even(n) | _zernikes(n, "fringe"),
     "XPOLYNOM": _polynomial,
+    "QED_TYPE": _forbes,
     "TILTSURF": lambda n: {"slope_x": n.take(1), "slope_y": n.take(2)},
 }
 
@@ -215,6 +227,10 @@ def type_of(row: Row) -> tuple[str, list[str]]:
         kind = "SZERNSAG" if name == "zernike" else "FZERNSAG"
         numbers = {i: given.pop(f"a{2 * i}", 0.0) for i in range(1, _EVEN_TERMS + 1)}
         extra = _written_zernikes(given, name)
+    elif "qbfs" in heads:
+        kind, last = "QED_TYPE", max(int(name[5:]) for name in given if name.startswith("qbfs_"))
+        terms = {4 + m: given.pop(f"qbfs_{m}", 0.0) for m in range(last + 1)}
+        extra = {1: 0.0, 2: float(last + 1), 3: given.pop("q_radius"), **terms}
     elif "r" in heads:
         kind = "ODDASPHE"
         numbers = {i: given.pop(f"{'r' if i % 2 else 'a'}{i}", 0.0) for i in range(1, _ODD_TERMS + 1)}

@@ -5,9 +5,10 @@ efficient computational methods for axially symmetric optical aspheres", Opt. Ex
 distance from the axis in units of `radius` and x = u²:
 
     Qcon:  u⁴ Σ a_m Qcon_m(x),             Qcon_m the Jacobi polynomials P_m^(0,4)(2x - 1)
-    Qbfs:  u² (1 - u²)/√(1 - c² ρ²) Σ a_m Qbfs_m(x)
+    Qbfs:  u² (1 - u²)/cos γ Σ a_m Qbfs_m(x),  cos² γ = (1 - (1 + k) c² ρ²)/(1 - k c² ρ²)
 
-The Qbfs have slopes, along the normals of the sphere of curvature c, that are orthogonal with the weight 1/√(x - x²).
+γ is the slope of the conic of curvature c and constant k from which the asphere departs along its normals; Forbes has
+a sphere, k = 0. The Qbfs have slopes, along these normals, that are orthogonal with the weight 1/√(x - x²).
 """
 
 from __future__ import annotations

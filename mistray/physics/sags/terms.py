@@ -16,7 +16,7 @@ r1, r2 … r30                    mm^(1-order) odd or extended asphere: r^order
 xy_1_0 … xy_12_12               mm^(1-i-j)   x^i y^j
 zernike_1 … zernike_231         mm           standard Zernike polynomials over ``zernike_radius``
 fringe_1 … fringe_37            mm           Fringe Zernike polynomials over ``fringe_radius``
-qbfs_0 … , qcon_0 …             mm           Forbes's polynomials over ``q_radius``; qbfs with the curvature
+qbfs_0 … , qcon_0 …             mm           Forbes's polynomials over ``q_radius``; qbfs along the conic's normal
 chebyshev_0_0 … chebyshev_20_20 mm           T_i(x/chebyshev_x) T_j(y/chebyshev_y)
 =============================== ============ ==========================================================================
 """
@@ -227,4 +227,6 @@ def _added(kind: str, x: np.ndarray, y: np.ndarray, n: Numbers, terms: dict[tupl
     u2 = r2 / n["q_radius"] ** 2
     if kind == "qcon":
         return qcon(u2, single)
-    return np.asarray(qbfs(u2, single) / np.sqrt(1 - n.get("curvature", 0.0) ** 2 * r2))
+    c2, conic = n.get("curvature", 0.0) ** 2, n.get("conic", 0.0)
+    # Along the axis it is more than along the normal of the conic
+    return np.asarray(qbfs(u2, single) * np.sqrt((1 - conic * c2 * r2) / (1 - (1 + conic) * c2 * r2)))
