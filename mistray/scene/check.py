@@ -133,7 +133,8 @@ def _crosses(shape: Any, axis: _Axis) -> bool:
     """Whether a shape that is no asphere of an axis may change the material on it; rings and tubes about it do not."""
     if shape.bsdf().opaque or any(item.shape.id() == shape.id() for item in axis.placed):
         return False
-    return not (getattr(shape, "mechanics", False) and axis.sign(shape) and shape.profile()[:, 0].min() > 0)
+    around = hasattr(shape, "profile") and shape.profile()[:, 0].min() > 0
+    return not (getattr(shape, "mechanics", False) and axis.sign(shape) and around)
 
 
 def _check_materials(axis: _Axis) -> None:

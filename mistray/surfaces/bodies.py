@@ -57,6 +57,11 @@ class Bodies:
             u = (np.stack(np.meshgrid(*2 * [np.arange(ACROSS)]), axis=-1).reshape(-1, 2) + 0.5) / ACROSS
             found = shape.sample_position(0.0, mi.Point2f(*(upload(mi.Float, column) for column in u.T)))
             return tuple(np.array(v, dtype=np.float64).T for v in (found.p, found.n))  # type: ignore[return-value]
+        if not hasattr(shape, "profile"):
+            u, v = (np.stack(np.meshgrid(*2 * [np.arange(ACROSS)]), axis=-1).reshape(-1, 2).T + 0.5) / ACROSS
+            frame = shape.vertex_frame(shape.values, shape.matrix)
+            points = table.pieces[surface].points(u, v) @ frame[:3, :3].T + frame[:3, 3]
+            return points, normals(table, surface, points)
         r, z = shape.profile(PROFILE)[1::2].T
         phi = 2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
         local = np.stack([np.outer(np.sin(phi), r), np.outer(np.cos(phi), r), np.tile(z, (AZIMUTHS, 1))], axis=-1)

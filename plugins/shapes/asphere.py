@@ -9,7 +9,8 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics.geometry.sag import in_proportion, sag
-from mistray.plugins.shapes.revolution import POSE, RELATIVE, Revolution, float_property, grid
+from mistray.plugins.shapes.formula_shape import POSE, RELATIVE, float_property, grid
+from mistray.plugins.shapes.revolution import Revolution
 from mistray.ranges import FINITE, RADIUS_MM, SIZE_MM, Range
 from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.gradient_columns import COEFFICIENTS

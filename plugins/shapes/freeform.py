@@ -11,7 +11,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.physics.geometry.outline import KINDS, MOST_FIGURES, SIGNS, SIZES, Figure, Outline
 from mistray.physics.sags.terms import FIXED, LENGTHS, check_names, length_power, sag
-from mistray.plugins.shapes.revolution import POSE, RELATIVE, Revolution, float_property
+from mistray.plugins.shapes.formula_shape import POSE, RELATIVE, FormulaShape, float_property
 from mistray.ranges import FINITE, PLACE_MM, Range
 from mistray.surfaces.families.freeform import Freeform
 from mistray.surfaces.families.freeform_sag import TOO_MUCH, LocalSag
@@ -25,7 +25,7 @@ SAMPLES = 61  # of the outline each way, at which the kernel's sag is compared
 Shorthand = ("semi_diameter", "inner_semi_diameter", "half_width", "half_height")
 
 
-class FreeformShape(Revolution):
+class FreeformShape(FormulaShape):
     r"""
     Surface of any sag within any outline (:monosp:`freeform`).
 
@@ -273,15 +273,6 @@ class FreeformShape(Revolution):
     def outer_radius(self) -> float:
         """Largest distance of the surface from its vertex's axis, mm."""
         return math.hypot(*self._middle) + math.hypot(*self._half)
-
-    @property
-    def flipped(self) -> bool:
-        return False
-
-    def profile(self, count: int = 65) -> np.ndarray:
-        """Section through the middle along y: y and z in the vertex frame, mm."""
-        y = np.linspace(self._middle[1] - self._half[1], self._middle[1] + self._half[1], count)
-        return np.column_stack([y, self.height(np.full(count, self._middle[0]), y)])
 
     def _local_mesh(self) -> tuple[np.ndarray, np.ndarray]:
         points, faces = outline_mesh(self.outline)

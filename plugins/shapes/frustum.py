@@ -9,7 +9,8 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.plugins.shapes.revolution import POSE, RELATIVE, Revolution, float_property
+from mistray.plugins.shapes.formula_shape import POSE, RELATIVE, float_property
+from mistray.plugins.shapes.revolution import Revolution
 from mistray.ranges import PLACE_MM, RADIUS_MM
 from mistray.surfaces.families.cone import Cone
 from mistray.surfaces.families.sag_surface import SagSurface

@@ -10,7 +10,8 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics._arrays import arctan2, sqrt
-from mistray.plugins.shapes.revolution import Revolution, float_property
+from mistray.plugins.shapes.formula_shape import float_property
+from mistray.plugins.shapes.revolution import Revolution
 from mistray.surfaces.families.implicit_surface import PROFILE, ImplicitSurface
 from mistray.surfaces.gradient_columns import OWN
 

@@ -8,7 +8,7 @@ import mitsuba as mi
 
 from mistray._mitsuba_compat import mesh_arrays, write_mesh
 from mistray.errors import MistrayError
-from mistray.plugins.shapes.revolution import check_reach, rigid_motion
+from mistray.plugins.shapes.formula_shape import check_reach, rigid_motion
 from mistray.ranges import SPACE
 
 

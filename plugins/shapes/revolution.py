@@ -1,142 +1,20 @@
-"""What the shapes `asphere` and `frustum` have in common: a mesh for Mitsuba, a formula for the ray tree."""
+"""Surfaces of revolution: a generatrix in the plane of r and z, turned about the local z axis."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
-
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 
-from mistray._mitsuba_compat import write_mesh
-from mistray.errors import MistrayError
-from mistray.physics.geometry.pose import moved
-from mistray.ranges import AZIMUTH_DEG, PLACE_MM, SPACE, Range
-from mistray.surfaces.gradient_columns import POSE, declare_columns
+from mistray.plugins.shapes.formula_shape import FormulaShape
 
-if TYPE_CHECKING:
-    from mistray.surfaces.surface import Surface
-
-POSE_RANGES = {**dict.fromkeys(POSE[:3], PLACE_MM), **dict.fromkeys(POSE[3:], AZIMUTH_DEG)}
-FARTHEST_MM = PLACE_MM.high  # from the origin; single precision goes on to 1e38
 AZIMUTHS = 96  # facets around the axis of the mesh that stock integrators see
-# Steps of differences. Displacements are linear; of a tilt the relative error is its square in rad, 3e-10 / 6
-MM, DEGREES = 1.0, 1e-3
-RELATIVE = 1e-5  # of all other parameters, in units of the surface's size
 
 
-class Revolution(mi.Mesh):
-    """
-    Base class of surfaces of revolution about the local z axis.
-
-    A subclass calls `_start` and `_finish` from its constructor and provides `check`, `profile`, `outer_radius`,
-    `flipped`, and `surface`, what the ray tree knows of it. The named parameters in `values` (floats, on the host) are
-    exposed to `mi.traverse` as differentiable ``mi.Float``, those named in `in_double` as ``mi.Float64``; an update
-    reads them back, checks them and makes the mesh again.
-
-    Attributes
-    ----------
-    values : dict of str to float
-        The parameters, those of the subclass and then `POSE`.
-    base : (4, 4) float64
-        The frame that ``to_world`` gives.
-    detects : bool
-        Whether a sensor is nested. The mesh then has its normals towards the front, where the light comes from.
-    """
-
-    columns: Mapping[str, tuple[str, ...]] = {}
-    """What each parameter moves, beside the pose; see `mistray.surfaces.gradient_columns`."""
-    in_double: tuple[str, ...] = ()
-    ranges: Mapping[str, Range]
-    values: dict[str, float]
-
-    def __init_subclass__(cls) -> None:
-        super().__init_subclass__()
-        declare_columns(cls.columns)
-
-    def _start(self, props: mi.Properties) -> None:
-        self.name = str(props.id())
-        self.part = str(props.get("part", self.name))
-        self.space = SPACE.check("space", props.get("space", -1), f"shape '{self.name}'")
-        self.base = rigid_motion(props, self.name, "set the size by parameters")
-
-    def _finish(self, props: mi.Properties, values: dict[str, float]) -> None:
-        self.values = values | {key: float_property(props, key, 0.0) for key in POSE}
-        objects = (props[key] for key in list(props.keys()) if props.type(key) == mi.Properties.Type.Object)
-        self.detects = any(isinstance(item, mi.Sensor) for item in objects)
-        self._check_all()
-        self.parameters = {
-            key: (mi.Float64 if key in self.in_double else mi.Float)(value) for key, value in self.values.items()
-        }
-        vertices, faces = self._checked_mesh()
-        mi.Mesh.__init__(self, self.name, len(vertices), len(faces), props)
-        write_mesh(self, vertices, faces)
-        if hasattr(self.bsdf(), "carried"):
-            self.bsdf().carried(self, self.detects)
-
-    def _check_all(self) -> None:
-        for key, value in self.values.items():
-            (POSE_RANGES.get(key) or self.ranges[key]).check(key, value, f"shape '{self.name}'")
-        self.check()
-
-    def check(self) -> None:
-        """Raise `MistrayError` if a value is impossible."""
-        raise NotImplementedError
+class Revolution(FormulaShape):
+    """Base class of surfaces of revolution about the local z axis; a subclass also provides `profile`."""
 
     def profile(self, count: int = 65) -> np.ndarray:
         """Generatrix as (count, 2) float64: r and z in the local frame, mm."""
         raise NotImplementedError
-
-    @property
-    def matrix(self) -> np.ndarray:
-        """The frame of the surface, displaced and tilted: (4, 4) float64 to the world, mm."""
-        return moved(self.base, *(self.values[key] for key in POSE))
-
-    @property
-    def outer_radius(self) -> float:
-        """Largest distance of the surface from its axis, mm."""
-        raise NotImplementedError
-
-    @staticmethod
-    def surface(values: Mapping[str, float]) -> Surface:
-        """What the ray tree knows of a surface with these parameters, in the frame of its vertex."""
-        raise NotImplementedError
-
-    @staticmethod
-    def vertex_frame(values: Mapping[str, float], matrix: np.ndarray) -> np.ndarray:
-        """Frame of the vertex, (4, 4) float64, of a surface with these parameters in the frame `matrix`."""
-        return matrix
-
-    @property
-    def held(self) -> set[str]:
-        """Names of the parameters that have no derivative."""
-        return set()
-
-    @property
-    def differentiable(self) -> tuple[str, ...]:
-        """Names of the parameters that have a derivative."""
-        held = self.held
-        return tuple(key for key in self.values if key not in held)
-
-    def step(self, name: str) -> float:
-        """Step of differences by a parameter, in its unit."""
-        if name in POSE:
-            return DEGREES if name.startswith("tilt") else MM
-        return RELATIVE * self.outer_radius
-
-    @property
-    def figure(self) -> str:
-        """What it is, in a word or two."""
-        return type(self).__name__.lower()
-
-    mechanics = True
-    """Whether it is made and mounted as mechanics are, with their tolerances; else as optics."""
-
-    @property
-    def sheet(self) -> bool:
-        """Whether it lies across its axis, so that its outline is all there is to aim at."""
-        return False
 
     @property
     def flipped(self) -> bool:
@@ -145,56 +23,6 @@ class Revolution(mi.Mesh):
 
     def _local_mesh(self) -> tuple[np.ndarray, np.ndarray]:
         return revolve(self.profile(), self.flipped)
-
-    def _checked_mesh(self) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices in world space, mm, and faces; raises `MistrayError` where numbers leave all measure."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            vertices, faces = self._tessellate()
-            check_reach(vertices, self.name)
-        return vertices, faces
-
-    def _tessellate(self) -> tuple[np.ndarray, np.ndarray]:
-        vertices, faces = self._local_mesh()
-        matrix = self.matrix
-        # A stock sensor looks along the normals of its mesh
-        return vertices @ matrix[:3, :3].T + matrix[:3, 3], faces[:, ::-1] if self.detects else faces
-
-    def traverse(self, callback: mi.TraversalCallback) -> None:
-        mi.Mesh.traverse(self, callback)
-        given = self.__dict__.get("parameters", {})
-        held = self.held if given else set()
-        for key, value in given.items():
-            kind = mi.ParamFlags.NonDifferentiable if key in held else mi.ParamFlags.Differentiable
-            callback.put(key, value, kind | mi.ParamFlags.Discontinuous)
-
-    def parameters_changed(self, keys: list[str] = []) -> None:  # noqa: B006  (Mitsuba's own signature)
-        given = {key: float(dr.detach(value)[0]) for key, value in self.__dict__.get("parameters", {}).items()}
-        # Compared as rounded, so that what was not touched keeps the digits of the scene
-        changed = {
-            key: value
-            for key, value in given.items()
-            if (not keys or key in keys) and value != self._rounded(key, self.values[key])
-        }
-        if not changed:
-            mi.Mesh.parameters_changed(self, keys)
-            return
-        before, self.values = self.values, self.values | changed
-        try:
-            self._check_all()
-        except MistrayError:
-            self.values = before
-            for key in changed:
-                self.parameters[key][0] = before[key]
-            raise
-        write_mesh(self, *self._checked_mesh())
-
-    def _rounded(self, key: str, value: float) -> float:
-        """A value as the parameter holds it."""
-        return value if key in self.in_double else float(np.float32(value))
-
-    def to_string(self) -> str:
-        inside = ", ".join(f"{key} = {value:g}" for key, value in self.values.items() if value)
-        return f"{type(self).__name__}[id = {self.name}, {inside}]"
 
 
 def revolve(profile: np.ndarray, flipped: bool = False, azimuths: int = AZIMUTHS) -> tuple[np.ndarray, np.ndarray]:
@@ -226,42 +54,3 @@ def revolve(profile: np.ndarray, flipped: bool = False, azimuths: int = AZIMUTHS
     outer = np.stack([a, d, b], axis=-1)[profile[:-1, 0] > 0]
     faces = np.concatenate([inner.reshape(-1, 3), outer.reshape(-1, 3)]).astype(np.uint32)
     return vertices, faces[:, ::-1] if flipped else faces
-
-
-def grid(half_width: float, half_height: float, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Triangulated rectangle of count × count cells: xy (n, 2) float64 and faces (m, 3) uint32, normals towards +z."""
-    x, y = np.meshgrid(
-        np.linspace(-half_width, half_width, count + 1), np.linspace(-half_height, half_height, count + 1)
-    )
-    i, j = np.meshgrid(np.arange(count), np.arange(count), indexing="ij")
-    a = (i * (count + 1) + j).ravel()
-    b, c, d = a + 1, a + count + 1, a + count + 2
-    faces = np.concatenate([np.column_stack([a, b, d]), np.column_stack([a, d, c])]).astype(np.uint32)
-    return np.column_stack([x.ravel(), y.ravel()]), faces
-
-
-def rigid_motion(props: mi.Properties, name: str, remedy: str) -> np.ndarray:
-    """``to_world`` of a shape as (4, 4) float64; raises where it scales, shears or mirrors, with the remedy."""
-    to_world = props.get("to_world", mi.ScalarTransform4f())
-    matrix = np.array(to_world.matrix, dtype=np.float64).reshape(4, 4)
-    rotation = matrix[:3, :3]
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5) or np.linalg.det(rotation) < 0:
-        raise MistrayError(f"shape '{name}': to_world scales, shears or mirrors; use a rigid motion and {remedy}")
-    return matrix
-
-
-def check_reach(vertices: np.ndarray, name: str) -> None:
-    """Raise where vertices of a shape, mm in world space, leave all measure."""
-    farthest = float(np.abs(vertices).max())
-    if not farthest < FARTHEST_MM:
-        raise MistrayError(
-            f"shape '{name}': it reaches {farthest:g} mm from the origin; correct its sizes or its place"
-        )
-
-
-def float_property(props: mi.Properties, key: str, default: Any = None) -> float:
-    """A property as float; integers are accepted, anything else raises a `MistrayError` that names it."""
-    value = props.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, int | float) or np.isnan(value):
-        raise MistrayError(f"shape '{props.id()}': {key} is {value!r}; it must be a number")
-    return float(value)

@@ -243,7 +243,7 @@ def test_a_q_asphere_of_a_vendor_is_sharp():
 
 
 def test_a_toroid_corrects_the_astigmatism_of_a_schiefspiegler():
-    """Handbook of Optics, volume 2, chapter 18, example 46: a sphere of the same curvature in y leaves 20 times more."""
+    """Handbook of Optics, volume 2, chapter 18, example 46: a sphere of the same curvature in y leaves far more."""
     found = lens("HoO-V2C18Ex46.zmx")
     (number,) = [k for k, row in enumerate(found.rows) if row.sag]
     rows = list(found.rows)

@@ -197,7 +197,7 @@ def _extent(shape: Any) -> tuple[tuple[float, float], tuple[float, float], str]:
         low, high = (np.array(corner, dtype=np.float64) for corner in (shape.bbox().min, shape.bbox().max))
         nearest = np.hypot(*np.maximum(np.maximum(low[:2], -high[:2]), 0.0))
         furthest = np.hypot(*np.maximum(np.abs(low[:2]), np.abs(high[:2])))
-        return (float(low[2]), float(high[2])), (float(nearest), float(furthest)), "mesh"
+        return (float(low[2]), float(high[2])), (float(nearest), float(furthest)), getattr(shape, "figure", "mesh")
     profile = shape.profile()
     z = float(shape.matrix[2, 3]) + profile[:, 1] * float(shape.matrix[2, 2])
     r = profile[:, 0]
