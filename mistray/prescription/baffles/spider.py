@@ -1,0 +1,105 @@
+"""The spider that holds a secondary mirror: vanes of some thickness and depth, whose sides glint at grazing angles."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.physics.geometry.pose import fixed_angles_deg
+from mistray.prescription.baffles.tube import check_positive
+from mistray.prescription.coating import BLACK, Coating
+from mistray.prescription.model import Surface
+from mistray.prescription.scatter import Scatter
+
+DECIMALS = 9  # of places (mm) and angles (degrees)
+
+
+# More than 8 parameters: each is one dimension of the part
+def spider(
+    name: str,
+    *,
+    vanes: int,
+    inner_radius: float,
+    outer_radius: float,
+    thickness: float,
+    depth: float,
+    z: float,
+    offset: float = 0.0,
+    start_deg: float = 90.0,
+    coating: Coating | None = BLACK,
+    scatter: tuple[Scatter, ...] = (),
+) -> tuple[Surface, ...]:
+    """
+    The faces of all vanes: their two sides, and the edges towards the sky and away from it.
+
+    Parameters
+    ----------
+    name : str
+        Of the part; faces are ``<name>_<k>_front``, ``_rear``, ``_left`` and ``_right`` for vane k = 1, 2, ….
+    vanes : int
+        How many, at equal angles.
+    inner_radius, outer_radius : float
+        Where a vane begins and ends, mm, measured along it.
+    thickness, depth : float
+        Across the vane and along z, mm.
+    z : float
+        Of the edges towards -z, mm.
+    offset : float
+        Distance by which the middle plane of each vane passes beside the axis, mm: tangential vanes.
+    start_deg : float
+        Azimuth of the first vane from x to y, degrees.
+    coating, scatter
+        Of all faces.
+
+    Returns
+    -------
+    tuple of Surface
+        For `Prescription.structures`.
+
+    Raises
+    ------
+    MistrayError
+        If a dimension is not above 0, or vanes overlap at their inner end.
+    """
+    owner = f"spider '{name}'"
+    check_positive(owner, outer_radius=outer_radius, thickness=thickness, depth=depth)
+    if not (isinstance(vanes, int) and vanes >= 1):
+        raise MistrayError(f"{owner}: vanes = {vanes}; it must be a whole number of at least 1")
+    if not 0 <= inner_radius < outer_radius:
+        raise MistrayError(
+            f"{owner}: inner_radius = {inner_radius:g} mm; it must lie between 0 and the outer radius "
+            f"{outer_radius:g} mm"
+        )
+    least = 0.5 * thickness / math.tan(math.pi / vanes) if vanes > 2 else 0.0
+    if math.hypot(inner_radius, offset) < least:
+        raise MistrayError(
+            f"{owner}: its vanes overlap within {least:.6g} mm; begin them farther out or make them thinner"
+        )
+    faces = []
+    half, middle = 0.5 * (outer_radius - inner_radius), 0.5 * (outer_radius + inner_radius)
+    common: dict[str, Any] = {"coating": coating, "scatter": scatter, "part": name}
+    up = np.array([0.0, 0.0, 1.0])
+    for k in range(vanes):
+        angle = math.radians(start_deg + 360.0 * k / vanes)
+        along = np.array([math.cos(angle), math.sin(angle), 0.0])
+        aside = np.array([-math.sin(angle), math.cos(angle), 0.0])
+        centre = middle * along + offset * aside + z * up
+        edge, side = np.column_stack([along, aside, up]), np.column_stack([along, up, -aside])
+        for face, turn, at, size in (
+            ("front", edge, centre, thickness),
+            ("rear", edge, centre + depth * up, thickness),
+            ("left", side, centre + 0.5 * depth * up + 0.5 * thickness * aside, depth),
+            ("right", side, centre + 0.5 * depth * up - 0.5 * thickness * aside, depth),
+        ):
+            x, y, height = (round(float(v), DECIMALS) + 0.0 for v in at)
+            tilt = [round(v, DECIMALS) + 0.0 for v in fixed_angles_deg(turn)]
+            faces.append(
+                Surface(
+                    f"{name}_{k + 1}_{face}", x=x, y=y, z=height, tilt_deg=(tilt[0], tilt[1], tilt[2]), half_width=half,
+                    half_height=0.5 * size, **common,
+                )  # fmt: skip
+            )
+    return tuple(faces)

@@ -1,0 +1,1 @@
+"""Cassegrain telescope whose primary mirror consists of 18 hexagons."""
