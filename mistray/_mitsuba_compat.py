@@ -11,6 +11,7 @@ import os.path
 from typing import TYPE_CHECKING, Any
 
 from mistray.errors import MistrayError
+from mistray.interrupts import importing
 
 if TYPE_CHECKING:
     import numpy as np
@@ -37,7 +38,8 @@ def import_mitsuba() -> Any:
         Mitsuba is missing, broken or of another release.
     """
     try:
-        mi = importlib.import_module("mitsuba")
+        with importing():
+            mi = importlib.import_module("mitsuba")
     except (ImportError, NameError) as error:  # drjit 1.5 follows its ImportError by a NameError
         reason = str(error.__context__ or error)
         raise MistrayError(f"mitsuba cannot be imported ({reason}); {import_remedy(reason)}") from None

@@ -20,7 +20,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 PATIENCE = 0.7  # s that a block of `later` has at most, where it asks `end_overdue`
 
-_count = _held = 0
+_count = _held = _importing = 0
 _first = math.inf  # when the first signal came
 
 
@@ -34,7 +34,7 @@ def note(*_: Any) -> None:
     global _count, _first
     _count += 1
     _first = min(_first, time.monotonic())
-    if not _held or _count > 1:
+    if not _importing and (not _held or _count > 1):
         raise KeyboardInterrupt
 
 
@@ -72,6 +72,25 @@ def forget() -> None:
     """Begin anew: no signal has come."""
     global _count, _first
     _count, _first = 0, math.inf
+
+
+@contextlib.contextmanager
+def importing() -> Iterator[None]:
+    """
+    Let signals of a command wait until a library is imported, however many: half imported it would abort the process.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        At the end, if one has come.
+    """
+    global _importing
+    _importing += 1
+    try:
+        yield
+    finally:
+        _importing -= 1
+    check()
 
 
 @contextlib.contextmanager

@@ -130,9 +130,9 @@ def test_scenes_are_loaded_one_shape_after_the_other(monkeypatch: pytest.MonkeyP
     this one waits for Dr.Jit. That has ended in a segmentation fault.
     """
     depth = {"now": 0, "most": 0}
-    from mistray.plugins.shapes import revolution
+    from mistray.plugins.shapes import formula_shape
 
-    write = revolution.write_mesh
+    write = formula_shape.write_mesh
 
     def watched(*arguments: Any) -> None:
         depth["now"] += 1
@@ -140,7 +140,7 @@ def test_scenes_are_loaded_one_shape_after_the_other(monkeypatch: pytest.MonkeyP
         write(*arguments)
         depth["now"] -= 1
 
-    monkeypatch.setattr(revolution, "write_mesh", watched)
+    monkeypatch.setattr(formula_shape, "write_mesh", watched)
     for _ in range(3):
         mistray.load("newtonian")
     assert depth["most"] == 1

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 
 from mistray.cli.arguments import INTERRUPTED
-from mistray.cli.signals import ignore, watched
+from mistray.cli.signals import ignore, leave_at_once, watched
 from mistray.interrupts import requested
 
 __all__ = ["main"]
@@ -14,6 +14,13 @@ __all__ = ["main"]
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command, see `mistray.cli.program.main`, from the first moment on with a handler of Ctrl-C."""
+    code = _run(argv)
+    if argv is None and code == INTERRUPTED:
+        leave_at_once(code)
+    return code
+
+
+def _run(argv: Sequence[str] | None) -> int:
     with watched(process_ends=argv is None):
         try:
             from mistray.cli import program

@@ -2,8 +2,9 @@
 
 from typing import TYPE_CHECKING, Any
 
-from mistray.physics.geometry.outline import Figure, Outline
+from mistray.physics.geometry.outline import Figure, Outline, circle, polygon, rectangle
 from mistray.prescription.baffles.cassegrain import CassegrainBaffles, cassegrain_baffles
+from mistray.prescription.baffles.spider import spider
 from mistray.prescription.baffles.tube import BaffleTube, hood_length, vane_tube
 from mistray.prescription.baffles.two_stage import TwoStageBaffle, two_stage_baffle
 from mistray.prescription.baffles.vanes import Vane, VaneEdge
@@ -56,6 +57,7 @@ __all__ = [
     "VaneEdge",
     "barrel",
     "cassegrain_baffles",
+    "circle",
     "detector_frame",
     "first_order_zones",
     "from_batoid",
@@ -67,9 +69,12 @@ __all__ = [
     "hood_length",
     "lens_edge",
     "lit_zones",
+    "polygon",
     "read_codev",
     "read_zemax",
+    "rectangle",
     "seen_zones",
+    "spider",
     "to_prescription",
     "to_sequential",
     "two_stage_baffle",

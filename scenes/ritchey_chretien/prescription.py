@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, Structure, Surface
-from mistray.prescription.baffles.spider import spider
+from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, Structure, Surface, spider
 
 PRIMARY_FOCAL_LENGTH, PRIMARY_RADIUS, HOLE_RADIUS = 1500.0, 250.0, 75.0
 SECONDARY_DISTANCE, SECONDARY_RADIUS = 1080.0, 80.0

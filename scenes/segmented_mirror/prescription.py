@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from mistray.physics.geometry.outline import polygon
-from mistray.prescription import Coating, Detector, Prescription, Source, Structure, Surface
+from mistray.prescription import Coating, Detector, Prescription, Source, Structure, Surface, polygon
 
 FLAT_TO_FLAT, GAP = 1320.0, 7.0
 FOCAL_LENGTH, SECONDARY_DISTANCE, BACK_FOCUS = 8000.0, 7170.0, 1500.0

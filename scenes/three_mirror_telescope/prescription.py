@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from mistray.physics.geometry.outline import rectangle
-from mistray.prescription import Coating, Detector, Prescription, Source, Structure, Surface
+from mistray.prescription import Coating, Detector, Prescription, Source, Structure, Surface, rectangle
 
 MIRROR = Coating(R=0.97)
 BLACK = Coating(R=0.0)

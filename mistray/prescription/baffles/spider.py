@@ -96,10 +96,6 @@ def spider(
         ):
             x, y, height = (round(float(v), DECIMALS) + 0.0 for v in at)
             tilt = [round(v, DECIMALS) + 0.0 for v in fixed_angles_deg(turn)]
-            faces.append(
-                Surface(
-                    f"{name}_{k + 1}_{face}", x=x, y=y, z=height, tilt_deg=(tilt[0], tilt[1], tilt[2]), half_width=half,
-                    half_height=0.5 * size, **common,
-                )  # fmt: skip
-            )
+            own: dict[str, Any] = {"x": x, "y": y, "z": height, "tilt_deg": (tilt[0], tilt[1], tilt[2])}
+            faces.append(Surface(f"{name}_{k + 1}_{face}", half_width=half, half_height=0.5 * size, **own, **common))
     return tuple(faces)
