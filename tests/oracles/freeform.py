@@ -131,7 +131,14 @@ class Freeform:
             numbers = {key.removeprefix(start + "_"): float(value) for key, value in own.items()}
             figures.append(Figure(text[0], text[1:], numbers))
         whole = cls({key: float(value) for key, value in given.items()}, tuple(figures), (0, 0, 0, 0), way)
-        return cls(whole.numbers, whole.figures, _box(figures[0]), way)
+        boxes = np.array([_box(figure) for figure in figures if figure.sign == "+"])
+        box = (
+            *boxes[:, 0:1].min(axis=0),
+            *boxes[:, 1:2].max(axis=0),
+            *boxes[:, 2:3].min(axis=0),
+            *boxes[:, 3:].max(axis=0),
+        )
+        return cls(whole.numbers, whole.figures, tuple(map(float, box)), way)  # type: ignore[arg-type]
 
     def sag(self, x: Array, y: Array) -> Array:
         """mm; complex x and y for slopes."""
