@@ -43,6 +43,7 @@ TRACES: dict[str, dict[str, Any]] = {
     "newtonian_scatter": {"rays": 4000, "splitting": "one"},
     "cassegrain": {"rays": 4000},
     "two_stage_baffle": {"rays": 4000},
+    "three_mirror_telescope": {"rays": 4000},
     "plate_and_wall": {"rays": 8000, "below_threshold": "roulette"},
 }
 PSTS: dict[str, dict[str, Any]] = {

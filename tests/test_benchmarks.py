@@ -319,4 +319,4 @@ def test_same_numbers_uses_every_kind_of_plugin():
         return {kind for file in files for kind in re.findall('type="([a-z_]+)"', file.read_text())}
 
     assert kinds(TRACES) == kinds(folder.parent.name for folder in (ROOT / "scenes").glob("*/scene.xml"))
-    assert len(TRACES) == 10
+    assert len(TRACES) == 11

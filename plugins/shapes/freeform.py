@@ -98,8 +98,14 @@ class FreeformShape(FormulaShape):
 
     .. code-block:: python
 
-        {"type": "freeform", "radius": 80.0, "zernike_6": 0.01, "zernike_radius": 12.0, "semi_diameter": 12.0,
-         "bsdf": {"type": "interface", "back": "N-BK7"}}
+        {
+            "type": "freeform",
+            "radius": 80.0,
+            "zernike_6": 0.01,
+            "zernike_radius": 12.0,
+            "semi_diameter": 12.0,
+            "bsdf": {"type": "interface", "back": "N-BK7"},
+        }
     """
 
     def __init__(self, props: mi.Properties) -> None:

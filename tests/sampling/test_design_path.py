@@ -13,6 +13,7 @@ from oracles.scene_xml import read_scene
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
+from mistray.physics.sags.terms import sag
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.outlines import outline
 from mistray.surfaces.host_points import surface_points
@@ -34,11 +35,21 @@ def test_design_paths_of_the_scenes(path):
     scene = mistray.load(path)
     table = table_of(scene)
     found = find_design_path(table, scene)
+    if path.parent.name == "segmented_mirror":  # there is no segment in the middle, and no one order of surfaces
+        assert found is None
+        return
     surfaces = [*prescription.surfaces, prescription.detector]
     assert [table.ids[step.surface] for step in found.steps] == [surface.name for surface in surfaces]
     assert [step.reflects for step in found.steps] == [surface.mirror for surface in surfaces]
     for step, surface in zip(found.steps, surfaces, strict=True):
-        np.testing.assert_allclose(step.point, [surface.x, surface.y, surface.z], atol=1e-9 * (1 + abs(surface.z)))
+        if surface.outline is None:
+            off_axis = any(other.outline is not None for other in surfaces)
+            near = 2.0 if off_axis else 1e-9 * (1 + abs(surface.z))  # beside the axis the middle is that of the beam
+            np.testing.assert_allclose(step.point, [surface.x, surface.y, surface.z], atol=near)
+        else:  # the middle of a piece beside the vertex
+            x, y, z = np.linalg.inv(surface.to_world())[:3] @ [*step.point, 1.0]
+            assert surface.outline.contains(x, y)
+            assert sag(x, y, surface.sag_numbers) == pytest.approx(z, abs=1e-4)
         assert abs(np.linalg.norm(step.before) - 1) < 1e-12
 
 
