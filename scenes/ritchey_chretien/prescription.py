@@ -2,7 +2,19 @@
 
 from __future__ import annotations
 
-from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, Structure, Surface, spider
+from dataclasses import replace
+
+from mistray.prescription import (
+    Coating,
+    Detector,
+    Prescription,
+    Scatter,
+    Source,
+    Structure,
+    Surface,
+    detector_frame,
+    spider,
+)
 
 PRIMARY_FOCAL_LENGTH, PRIMARY_RADIUS, HOLE_RADIUS = 1500.0, 250.0, 75.0
 SECONDARY_DISTANCE, SECONDARY_RADIUS = 1080.0, 80.0
@@ -10,6 +22,7 @@ BACK_FOCUS = 300.0
 DETECTOR_HALF = 25.0
 TUBE_RADIUS, TUBE_LENGTH = 300.0, 1900.0
 CELL_RADIUS, CELL_DEPTH = 85.0, 60.0
+INSTRUMENT_RADIUS, BEHIND_MIRROR = 120.0, 5.0
 
 BLACK = Coating(R=0.0)
 PAINT = Scatter("paint", {"reflectance": 0.05}, name="black_paint")
@@ -43,6 +56,8 @@ def build() -> Prescription:
     rim_r, rim_z = primary.rim
     cell_z = secondary.rim[1]
     front = cell_z - CELL_DEPTH
+    detector = Detector(z=BACK_FOCUS, half_width=DETECTOR_HALF, half_height=DETECTOR_HALF, pixels=(100, 100))
+    board = tuple(replace(piece, **black) for piece in detector_frame(detector, INSTRUMENT_RADIUS))
     return Prescription(
         name="Ritchey-Chrétien telescope with spider, f = 4929 mm",
         surfaces=(primary, secondary),
@@ -55,9 +70,13 @@ def build() -> Prescription:
             Structure("cell_wall", CELL_RADIUS, front, CELL_RADIUS, cell_z, part="cell", **black),
             Structure("cell_ring", CELL_RADIUS, cell_z, SECONDARY_RADIUS, cell_z, part="cell", **black),
             Structure("tube", TUBE_RADIUS, rim_z - TUBE_LENGTH, TUBE_RADIUS, rim_z, **black),
+            Structure(
+                "instrument", INSTRUMENT_RADIUS, BEHIND_MIRROR, INSTRUMENT_RADIUS, BACK_FOCUS, **black
+            ),
+            *board,
             Structure("mirror_cell", TUBE_RADIUS, rim_z, rim_r, rim_z, **black),
         ),
-        detector=Detector(z=BACK_FOCUS, half_width=DETECTOR_HALF, half_height=DETECTOR_HALF, pixels=(100, 100)),
+        detector=detector,
         source=Source(radius=PRIMARY_RADIUS, z=rim_z - TUBE_LENGTH, plane="axis", wavelength_nm=(550.0,)),
         provenance="Two hyperboloids by the formulas of Schroeder; see SOURCE.md.",
     )  # fmt: skip
