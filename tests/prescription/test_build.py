@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from sequential_lenses import by_name, lens, newtonian, triplet
 
+import mistray
 from mistray import MistrayError
-from mistray.physics.geometry.outline import circle, rectangle
-from mistray.prescription import Coating, Decentre, Row, Structure, Surface, Unread
+from mistray.physics.geometry.outline import Figure, Outline, circle, rectangle
+from mistray.prescription import Coating, Decentre, Row, Sequential, Structure, Surface, Unread
 from mistray.prescription.closing.system import build, to_prescription
 from mistray.prescription.scene_file import beside
 from mistray.prescription.sequential.rays import to_world, trace
@@ -302,3 +303,25 @@ def test_what_cannot_be_printed_does_not_break_the_scene(tmp_path):
     text = (tmp_path / "a.xml").read_text(encoding="utf-8")
     assert "\\x01\\x02 bad" in text
     assert not set(map(chr, range(32))) - {"\n"} & set(text)
+
+
+def test_a_freeform_lens_has_an_edge_that_reaches_both_rims():
+    """A toroid in front of a plane: no light gets out between the rims and the edge, which is a little too long."""
+    rows = (
+        Row(1, radius=60.0, sag={"toroid_curvature": -1 / 80}, thickness=6.0, material="1.5", semi_diameter=10.0),
+        Row(2, radius=math.inf, sag={"zernike_6": 0.1, "zernike_radius": 10.0}, thickness=60.0, semi_diameter=10.0),
+        Row(3, kind="image"),
+    )
+    built = build(Sequential("toroid", rows, aperture=12.0, fields=((0.0, 0.0),)))
+    shapes = by_name(built.prescription)
+    edge = shapes["L1_edge"]
+    heights = 100 / 120, -100 / 160  # of the rim in y and in x, near enough
+    assert edge.z0 == pytest.approx(min(heights), rel=0.02)
+    assert edge.z1 == pytest.approx(6.0 + 0.1 * math.sqrt(6), rel=1e-6)
+    light = mistray.trace(built.prescription.to_scene(), rays=20_000, field_deg=30.0, max_reflections=3)
+    assert light.energy.cut["medium"] == 0.0
+    assert abs(light.energy.closure) < 1e-5
+    # Of an outline that is no circle there is no edge, and a note says so
+    cut = [replace(rows[0], aperture=Outline((Figure("ellipse", sizes=(9.0, 8.0)),))), *rows[1:]]
+    notes = build(Sequential("toroid", tuple(cut), aperture=12.0)).notes
+    assert any("its outline is no centred circle" in note for note in notes)

@@ -16,6 +16,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics.geometry.pose import fixed_angles_deg
+from mistray.physics.sags.terms import sag as freeform_sag
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.geometry import barrel, detector_frame, is_gas, lens_edge, wall
 from mistray.prescription.model import Detector, Stop, Structure, Surface
@@ -146,6 +147,17 @@ class Closing:
         coating = None if self.edges == "open" else BLACK
         part = run[0].part or run[0].name
         faces: list[Structure] = []
+        if any(surface.outline is not None for surface in local):
+            self.notes.append(f"part '{part}': its outline is no centred circle; it has no edges")
+            return
+        if any(surface.sag for surface in local):
+            for first, second in pairwise(local):
+                # Past the lowest and the highest point of both rims, so that no light gets out between
+                points = [(first.outer_radius, _rim_heights(first)[0]), (second.outer_radius, _rim_heights(second)[1])]
+                own_part = (first if forward else second).part
+                faces += wall(f"{own_part}_edge", points, coating=coating, part=own_part, front=first.back)
+            self._put(faces, frame, self.edge_scatter)
+            return
         try:
             for k, (first, second) in enumerate(pairwise(local)):
                 own = lens_edge(first, second, rim, part=(first if forward else second).part, coating=coating)
@@ -184,7 +196,7 @@ class Closing:
                 self.structures.append(placed(ring, item.frame))
 
     def _walled(self, a: Surface, b: Surface, forward: bool) -> bool:
-        both = self.edges != "open" and not a.mirror and not b.mirror
+        both = self.edges != "open" and not a.mirror and not b.mirror and a.outline is None and b.outline is None
         return both and is_gas(_behind(a, forward)) and _coaxial(a, b)
 
     def _wall(self, a: Surface, b: Surface, forward: bool) -> None:
@@ -259,6 +271,14 @@ def mirror_back(
         wall = Structure(f"{mirror.name}_{name}", r, z, r, z + step, coating=coating, part=part)
         result.append(placed(wall, frame))
     return tuple(result)
+
+
+def _rim_heights(surface: Surface) -> tuple[float, float]:
+    """Least and greatest height of the rim of a round surface, mm."""
+    angle = np.linspace(0, 2 * np.pi, _SAMPLES)
+    r = surface.outer_radius
+    z = surface.z + freeform_sag(r * np.cos(angle), r * np.sin(angle), surface.sag_numbers)
+    return float(z.min()), float(z.max())
 
 
 def _behind(surface: Surface, ahead: bool) -> str:
