@@ -17,7 +17,8 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.materials.mate import shown
 from mistray.physics.geometry.crossing import meeting
-from mistray.physics.geometry.outline import Outline
+from mistray.physics.geometry.outline import Outline, circle, rectangle
+from mistray.physics.sags.terms import sag
 from mistray.prescription.closing.apertures import aperture_pieces
 from mistray.prescription.closing.bores import add_bores
 from mistray.prescription.closing.edges import EDGES, Closing, Edges, Item, StopPlane, mirror_back, on_axis, placed
@@ -37,6 +38,7 @@ MARGIN = 0.02
 
 _PIXELS = (512, 512)
 _MIRROR_THICKNESS = 0.05  # of the clear radius
+_SAMPLES = 61  # each way, of what two outlines share
 _POINT = 1e-3  # of the focal length: all fields fall on one point
 _SMALLEST_DETECTOR = 0.01  # of the focal length: half size of the detector then
 _ASIDE = 0.02  # of the pupil's radius: a beam that comes in so far from the axis moves the source
@@ -238,6 +240,17 @@ def _mirror_backs(table: OpticalSurfaces, detector: Detector) -> list[Surface | 
     return result
 
 
+def _outline(surface: Surface) -> Outline:
+    """Where a surface is, whatever describes it."""
+    if surface.outline is not None:
+        return surface.outline
+    if surface.semi_diameter is not None:
+        return circle(surface.semi_diameter, surface.inner_semi_diameter)
+    assert surface.half_width is not None
+    assert surface.half_height is not None
+    return rectangle(surface.half_width, surface.half_height)
+
+
 def _half_size(surface: Surface) -> float:
     """Clear radius, or half the diagonal of the box of an outline, mm."""
     if surface.outline is None:
@@ -252,6 +265,11 @@ def _cross(a: Surface | Structure, b: Surface | Structure) -> bool:
         return False
     gap = float((np.linalg.inv(a.to_world()) @ b.to_world())[2, 3])
     here, there = (replace(s, x=0.0, y=0.0, z=z, tilt_deg=(0.0, 0.0, 0.0)) for s, z in ((a, 0.0), (b, gap)))
+    if a.outline is not None or b.outline is not None:
+        x, y = _outline(a).sample(_SAMPLES)
+        some = _outline(b).contains(x, y)
+        apart = sag(x[some], y[some], a.sag_numbers) - sag(x[some], y[some], b.sag_numbers) - gap
+        return bool(np.nanmin(apart, initial=np.inf) < 0 < np.nanmax(apart, initial=-np.inf))
     inner = max(a.inner_semi_diameter, b.inner_semi_diameter)
     return meeting(here.z_at, there.z_at, inner, min(a.outer_radius, b.outer_radius)) is not None
 
