@@ -114,7 +114,7 @@ class Surface(Placed):
     inner_semi_diameter: float = 0.0
     half_width: float | None = None
     half_height: float | None = None
-    sag: Mapping[str, float] = field(default_factory=dict)
+    sag: Mapping[str, float] = field(default_factory=dict, hash=False)
     outline: Outline | None = None
     front: str = "air"
     back: str = "air"

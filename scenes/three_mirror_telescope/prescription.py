@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
+
 from mistray.prescription import Coating, Detector, Prescription, Source, Structure, Surface, rectangle
+from mistray.prescription.closing.edges import placed
 
 MIRROR = Coating(R=0.97)
 BLACK = Coating(R=0.0)
 STOP_RADIUS, SHADE_RADIUS = 58.5, 82.0
 FIELD_DEG = 16.0
+PUPIL = (-25.053031568, 1547.4175408546212)  # y and z of the middle of the entrance pupil in the patent's frame, mm
+START_Z = 380.0  # of the world's origin in that frame: on the middle ray, before the first mirror
 
 
 def build() -> Prescription:
-    """The mirrors are pieces beside the axis of their figures, light travels +z."""
+    """The mirrors are pieces beside the axis of their figures; the light of the design field travels +z."""
+    c, s = math.cos(math.radians(FIELD_DEG)), math.sin(math.radians(FIELD_DEG))
+    y = PUPIL[0] + (START_Z - PUPIL[1]) * s / c
+    frame = np.array([[1, 0, 0, 0], [0, c, -s, s * START_Z - c * y], [0, s, c, -c * START_Z - s * y], [0, 0, 0, 1.0]])
     mirror = {"coating": MIRROR, "mirror": True}
     first = Surface(
         "M1", z=400.0, radius=-3565.96, conic=8.11561, coefficients=(-2.70865e-11, 3.14594e-17, 4.06319e-24),
@@ -33,12 +43,11 @@ def build() -> Prescription:
     rim_z = third.rim[1]
     return Prescription(
         name="Off-axis telescope of four mirrors, f = 500 mm",
-        surfaces=(first, second, third, fourth),
-        structures=(Structure("M3_shade", SHADE_RADIUS, rim_z, STOP_RADIUS, rim_z, coating=BLACK),),
-        detector=Detector(y=140.0, z=780.6188, half_width=120.0, half_height=120.0, pixels=(120, 120)),
-        source=Source(
-            y=-25.053031568, z=1547.4175408546212, radius=78.70653467873812, field_deg=FIELD_DEG, plane="axis",
-            wavelength_nm=(550.0,),
+        surfaces=tuple(placed(mirror, frame) for mirror in (first, second, third, fourth)),
+        structures=(placed(Structure("M3_shade", SHADE_RADIUS, rim_z, STOP_RADIUS, rim_z, coating=BLACK), frame),),
+        detector=placed(
+            Detector(y=140.0, z=780.6188, half_width=120.0, half_height=120.0, pixels=(120, 120)), frame
         ),
+        source=Source(radius=78.70653467873812, plane="axis", wavelength_nm=(550.0,)),
         provenance="US patent 8,011,793; see SOURCE.md.",
     )  # fmt: skip

@@ -114,7 +114,7 @@ class Row:
     radius: float = math.inf
     conic: float = 0.0
     coefficients: tuple[float, ...] = ()
-    sag: Mapping[str, float] = field(default_factory=dict)
+    sag: Mapping[str, float] = field(default_factory=dict, hash=False)
     thickness: float = 0.0
     material: str = "air"
     mirror: bool = False
