@@ -78,6 +78,8 @@ def rim_circles(table: SurfaceTable) -> dict[tuple[int, int], RimCircle]:
     found = {}
     extents = np.array([piece.z_range for piece in table.pieces])
     for piece in table.pieces:
+        if not piece.circular_rims:
+            continue
         beside, sign, place = _relative_axes(table, piece)
         for rim in piece.rim_sizes:
             if rim not in (OUTER, INNER, LOW, HIGH):

@@ -242,6 +242,10 @@ class Edges:
         beside = mi.Vector2f(circle[0], circle[1]) + PAST * size * corner.step
         beside = mi.Vector3f(radial.x * beside.x, radial.y * beside.x, beside.y)
         beside = dr.select(circle[4] > 0, beside, self._beside_straight(s, q, rim, PAST * size))
+        for here, family in table.families.members(s, mi.Bool(True)):
+            if hasattr(family, "beside"):
+                numbers = table.families.numbers(family, s, here)
+                beside = dr.select(here, mi.Vector3f(*family.beside(q.x, q.y, numbers, PAST * size)), beside)
         o = frame.outward(beside) + vertex.xyz
         key = before["key"]
         # The order of the rows changes from run to run: random numbers go with the ray itself

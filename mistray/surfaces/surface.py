@@ -198,6 +198,9 @@ class Surface(ABC):
     def reach(self) -> tuple[float, float]:
         """Least and greatest value of the coordinate in which the rims lie, mm; of a rectangle of the radius."""
 
+    circular_rims = True
+    """Whether its rims other than straight ones are circles about its axis."""
+
     def zone_widths(self, width: float) -> dict[int, float]:
         """
         Widths of zones along the rims, mm.

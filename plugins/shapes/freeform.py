@@ -59,17 +59,17 @@ class FreeformShape(FormulaShape):
     chebyshev_i_j             mm           ±        0         Chebyshev polynomials, to chebyshev_20_20 (differentiable)
     chebyshev_x, chebyshev_y  mm           > 0      none      half sizes that they need
     slope_x, slope_y          1            ±        0         a tilt in the sag (differentiable)
-    semi_diameter             mm           > 0      none      a centred circle instead of figures
-    inner_semi_diameter       mm           ≥ 0      0         a hole in it
-    half_width, half_height   mm           > 0      none      a centred rectangle instead of figures
+    semi_diameter             mm           > 0      none      a centred circle instead of figures (differentiable)
+    inner_semi_diameter       mm           ≥ 0      0         a hole in it (differentiable)
+    half_width, half_height   mm           > 0      none      a centred rectangle instead of figures (differentiable)
     clip_k                    string                none      sign and kind of figure k: ``+circle``, ``-rectangle``,
                                                               ``&ellipse``, ``+polygon``
-    clip_k_x, clip_k_y        mm           ±        0         place of figure k
-    clip_k_angle_deg          deg          ±        0         figure k is turned by this, from x to y
-    clip_k_radius             mm           > 0      none      of a circle
-    clip_k_half_width         mm           > 0      none      of a rectangle or an ellipse
-    clip_k_half_height        mm           > 0      none      of a rectangle or an ellipse
-    clip_k_x1, clip_k_y1, …   mm           ±        none      corners of a polygon, in turn
+    clip_k_x, clip_k_y        mm           ±        0         place of figure k (differentiable)
+    clip_k_angle_deg          deg          ±        0         figure k is turned by this, from x to y (differentiable)
+    clip_k_radius             mm           > 0      none      of a circle (differentiable)
+    clip_k_half_width         mm           > 0      none      of a rectangle or an ellipse (differentiable)
+    clip_k_half_height        mm           > 0      none      of a rectangle or an ellipse (differentiable)
+    clip_k_x1, clip_k_y1, …   mm           ±        none      corners of a polygon, in turn (differentiable)
     to_world                  mm           rigid    identity  position and orientation of the vertex frame
     x, y, z                   mm           ±        0         displacement along the axes of this frame
                                                               (differentiable)
@@ -255,15 +255,17 @@ class FreeformShape(FormulaShape):
 
     @property
     def held(self) -> set[str]:
-        """The radii of polynomials and the outline; all of a sag that needs more numbers than there are columns."""
-        if len(self._local.sag.numbers) > len(OWN):
+        """Radii of polynomials, a hole that is not there; all of what has more numbers than there are columns."""
+        surface = self.surface(self.values)
+        if len(surface.family.numbers) > len(OWN):
             return set(self.values) - set(POSE)
-        return {key for key in self.values if key not in POSE and (key in LENGTHS or length_power(key) is None)}
+        return {key for key in self.values if key in LENGTHS or (key == "inner_semi_diameter" and not self.values[key])}
 
     def step(self, name: str) -> float:
-        if name in POSE:
-            return super().step(name)
-        return float(RELATIVE * math.hypot(*self._half) ** (length_power(name) or 0))
+        if name in POSE or name.endswith("angle_deg"):
+            return super().step(name if name in POSE else "tilt_z")
+        power = length_power(name)
+        return float(RELATIVE * math.hypot(*self._half) ** (1 if power is None else power))
 
     # ---- what stock integrators and drawings see
 

@@ -11,11 +11,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.physics.geometry.outline import Outline
+from mistray.physics.geometry.outline import Figure, Outline
 from mistray.surfaces.families.freeform_crossing import first_crossing
 from mistray.surfaces.families.freeform_sag import LocalSag
-from mistray.surfaces.gradient_columns import OWN
-from mistray.surfaces.surface import ROUND, Opening, Surface
+from mistray.surfaces.families.outline_edge import FreeformFamily
+from mistray.surfaces.gradient_columns import HIGH, OWN
+from mistray.surfaces.surface import ENDS, Opening, Surface
 
 if TYPE_CHECKING:
     from mistray.surfaces.crossings import AxisRay
@@ -82,15 +83,15 @@ class Freeform(Surface):
 
     # ---- facts
 
-    @property
-    def family(self) -> Any:
-        """What the kernel's code for its sag hangs on."""
-        return self.local.sag
+    @cached_property
+    def family(self) -> FreeformFamily:
+        """What the code of its sag and its outline hangs on."""
+        return FreeformFamily.of(self.local.sag, self.outline)
 
     @property
     def values(self) -> dict[str, float]:
-        """The numbers of its sag, by name."""
-        return self.local.numbers
+        """The numbers of its sag and its outline, by name."""
+        return {**self.local.numbers, **self.outline.numbers()}
 
     @property
     def size(self) -> float:
@@ -106,7 +107,8 @@ class Freeform(Surface):
 
     @property
     def columns(self) -> dict[str, float]:
-        return dict(zip(OWN, (self.values[name] for name in self.family.numbers), strict=False))
+        values = self.values
+        return dict(zip(OWN, (values[name] for name in self.family.numbers), strict=False))
 
     @property
     def opening(self) -> Opening:
@@ -210,17 +212,20 @@ class Freeform(Surface):
 
     # ---- rims
 
+    circular_rims = False
+
     @property
     def rim_coordinate(self) -> int:
-        return ROUND
+        return ENDS
 
     @property
     def rim_sizes(self) -> dict[int, float]:
-        return {}
+        # In the family's coordinate the surface ends at 0
+        return {HIGH: min(_least_half(figure) for figure in self.outline.figures if figure.sign != "-")}
 
     @property
     def reach(self) -> tuple[float, float]:
-        return 0.0, self.size
+        return -2 * self.size, 0.0
 
     def rim_point(self, rim: int) -> np.ndarray:
         raise NotImplementedError("an outline has no circular rims")
@@ -254,6 +259,13 @@ class Freeform(Surface):
 
     def crossing(self, ray: AxisRay, numbers: dict[str, mi.Float], own: mi.Bool) -> mi.Float:
         return first_crossing(ray, self, numbers, own)
+
+
+def _least_half(figure: Figure) -> float:
+    """Half of the least width of a figure, mm."""
+    if figure.kind == "polygon":
+        return 0.25 * float(np.ptp(figure.corners, axis=0).min())
+    return min(figure.sizes)
 
 
 def _reach(outline: Outline, half: tuple[float, float]) -> float:

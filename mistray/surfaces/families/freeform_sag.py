@@ -98,10 +98,6 @@ class FreeformSag:
         _, across, along = self.evaluate(x, y, n)
         return -across, -along, 1.0
 
-    def coordinate(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
-        """Distance from the middle, mm."""
-        return sqrt(x * x + y * y)
-
 
 def _root(square: Any) -> Any:
     if isinstance(square, np.ndarray | np.generic | float):
