@@ -18,7 +18,7 @@ from mistray.errors import MistrayError
 
 RADII, RAYS_AROUND = 40, 60  # of the bundles, as batoid lays them out
 SMALL_ANGLE, LARGEST_FIELD, UNKNOWN_FIELD = 1e-4, math.radians(10.0), math.radians(1.0)
-FIELDS = (0.25, 0.5, 0.75, 1.0)  # of the edge, at which bundles are traced
+FIELDS = (0.25, 0.5, 0.7, 0.8, 0.85, 0.9, 0.95, 1.0)  # of the edge, close to which light is vignetted
 GAP = 0.15  # of the radius of a hole: what is left within it by chance, between the bundles
 SAME_PLANE = 1e-9  # distance of a ray's point from a plane that it lies on, m
 MARGIN = 1e-3  # by which holes are wider than the rays that were traced, and plates than their beam
@@ -53,19 +53,20 @@ class DesignLight:
         self._interfaces = traced[0][2]
         self._points = np.concatenate([points for points, *_ in traced], axis=1)
         self._arrives = np.concatenate([arrives for _, arrives, *_ in traced])
+        self._free = np.concatenate([free for *_, free in traced], axis=1)  # (stations, rays): nothing has shaded them
 
     def _edge_of_field(self) -> float:
         theta = SMALL_ANGLE
         for _ in range(4):  # distortion is a small matter
-            points, arrives, interfaces = self._trace(0.0, theta)
-            radius = getattr(interfaces[-1], "outRadius", None)
+            points, arrives, interfaces, _ = self._trace(0.0, theta)
+            radius = getattr(interfaces[-1], "outRadius", None) or _opening(interfaces[-1].obscuration)
             if not radius or not arrives.any():
                 return 0.0 if radius else UNKNOWN_FIELD
             height = abs(float(np.mean(_local(interfaces[-1], points[-1])[arrives, 1])))
             theta = min(theta * float(radius) / height if height > 0 else math.inf, LARGEST_FIELD)
         return theta
 
-    def _trace(self, theta_x: float, theta_y: float) -> tuple[np.ndarray, np.ndarray, list[Any]]:
+    def _trace(self, theta_x: float, theta_y: float) -> tuple[np.ndarray, np.ndarray, list[Any], np.ndarray]:
         batoid, optic = self._batoid, self._optic
         outer, inner = pupil(optic)
         rays = batoid.RayVector.asPolar(
@@ -84,13 +85,15 @@ class DesignLight:
         world = batoid.CoordSys()
         points, interfaces = [_points(rays, world)], list[Any]([None])
         arrives = np.ones(len(rays), dtype=bool)
+        free = [arrives]
         for step in optic.traceFull(rays).values():
             out = step["out"]
             points.append(_points(out, world))
+            free.append(~np.array(step["in"].vignetted))
             interfaces.append(optic[str(step["name"])] if hasattr(optic, "items") else optic)
             # What arrives may miss the detector: the edge of the field is on its rim
             arrives = ~(np.array(step["in"].vignetted) | np.array(out.failed))
-        return np.array(points), arrives, interfaces
+        return np.array(points), arrives, interfaces, np.array(free)
 
     def beam_radius(self, interface: Any) -> float:
         """Largest distance from the middle of an interface at which batoid's rays meet it, in any of its turns, m."""
@@ -111,6 +114,14 @@ class DesignLight:
         number = next(k for k, step in enumerate(self._interfaces) if step is not None and step.name == interface.name)
         before = _local(interface, self._points[number - 1])[:, 2]
         return -1 if float(np.nanmean(before)) > 0 else 1
+
+    def shaded(self, interface: Any, rings: Rings) -> float:
+        """Share of the rays that come to an interface in turn and unshaded, and meet centred rings (m) there."""
+        number = next(k for k, step in enumerate(self._interfaces) if step is not None and step.name == interface.name)
+        at = _local(interface, self._points[number][self._free[number]])
+        radius = np.hypot(at[:, 0], at[:, 1])
+        met = np.any([(radius > a) & (radius < b) for a, b in rings], axis=0) if rings else np.zeros(1, dtype=bool)
+        return float(np.mean(met)) if met.size else 0.0
 
     def crossings(self, interface: Any, way: int = 0) -> Rings:
         """
@@ -148,6 +159,14 @@ class DesignLight:
         return found
 
 
+def _opening(obscuration: Any) -> float | None:
+    """Radius of the round opening that an obscuration leaves, m; None if it leaves another one."""
+    original: Any = getattr(obscuration, "original", None)
+    if type(original).__name__ not in ("ObscCircle", "ObscAnnulus"):
+        return None
+    return float(getattr(original, "radius", None) or original.outer)
+
+
 def pupil(optic: Any) -> tuple[float, float]:
     """
     Outer and inner radius of the beam, m.
@@ -166,9 +185,8 @@ def pupil(optic: Any) -> tuple[float, float]:
     for interface in interfaces(optic):
         if type(interface).__name__ == "Mirror":
             break
-        original = getattr(interface.obscuration, "original", None)
-        if original is not None and type(original).__name__ in ("ObscCircle", "ObscAnnulus"):
-            radii.append(float(getattr(original, "radius", None) or original.outer))
+        if radius := _opening(interface.obscuration):
+            radii.append(radius)
     if not radii:
         raise MistrayError(f"batoid element '{optic.name}': it has no pupilSize; set it, in metres")
     return min(radii), 0.0

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 M_TO_MM = 1e3
 _PIXELS = (512, 512)
 SAME_AXIS = 1e-9  # by which surfaces of a tube may lie beside its axis, in units of their radius
+NEEDED = 1e-3  # share of the light in its turn that a plate must shade
 LARGEST_HOLE = 0.8  # in a mirror, in units of its radius
 SEEN = 400  # points each way at which a plate is looked for
 
@@ -345,6 +346,8 @@ class _Reader:
         if whole is None:
             return None
         rings = without(whole, self.light.crossings(interface))
+        if self.light.shaded(interface, whole) - self.light.shaded(interface, rings) > NEEDED:
+            return None  # what would be cut away shades light in its turn: a plate that shades one way
         if rings != whole:
             left = " and ".join(f"{inner * M_TO_MM:.6g} … {outer * M_TO_MM:.6g} mm" for inner, outer in rings)
             self._note_cut(interface, f"what is left of its plate is {left}" if rings else "it is left out")
