@@ -12,10 +12,12 @@ from mistray import MistrayError
 from mistray.io.codev.commands import commands
 from mistray.io.codev.glasses import table_material
 from mistray.io.codev.read import read_codev
+from mistray.io.codev.rows import CodevSurface, rows_of
 from mistray.materials import refractive_index
 from mistray.physics.geometry.outline import ALL, Figure, Outline, circle, rectangle
+from mistray.physics.sags.terms import sag
 from mistray.prescription.sequential.first_order import first_order, paraxial_system
-from mistray.prescription.sequential.rays import to_world, trace
+from mistray.prescription.sequential.rays import motion, to_world, trace
 from mistray.prescription.sequential.table import Sequential
 
 pytestmark = pytest.mark.quick
@@ -364,3 +366,70 @@ def test_errors_are_one_line(lens, text, message):
 def test_a_missing_file(tmp_path):
     with pytest.raises(MistrayError, match=r"nothing\.seq': No such file.*check the path"):
         read_codev(tmp_path / "nothing.seq")
+
+
+# Freeforms
+
+X, Y = np.random.default_rng(4).uniform(-3, 3, (2, 40))
+
+
+def conic(r2, c, k):
+    return c * r2 / (1 + np.sqrt(1 - (1 + k) * c * c * r2))
+
+
+def swept(profile, across, c):
+    """A profile turned about a line at 1/c."""
+    return (1 - np.sqrt((1 - c * profile) ** 2 - (c * across) ** 2)) / c
+
+
+@pytest.mark.parametrize(
+    ("text", "height"),
+    [
+        ("YTO\nRDX 60\nK -.5\nA 1e-5", lambda x, y: swept(conic(y * y, 1 / 80, -0.5) + 1e-5 * y**4, x, 1 / 60)),
+        ("XTO\nRDX 60\nK -.5\nA 1e-5", lambda x, y: swept(conic(x * x, 1 / 60, -0.5) + 1e-5 * x**4, y, 1 / 80)),
+        ("CYL\nCUX 0", lambda x, y: conic(y * y, 1 / 80, 0.0)),
+        (
+            "AAS\nCUX .01\nK -.2\nKX .3\nAR 1e-5\nAP .2\nBR 1e-7\nBP -.1",
+            lambda x, y: (
+                (0.01 * x * x + y * y / 80) / (1 + np.sqrt(1 - 1.3 * (0.01 * x) ** 2 - 0.8 * (y / 80) ** 2))
+                + 1e-5 * (0.8 * x * x + 1.2 * y * y) ** 2
+                + 1e-7 * (1.1 * x * x + 0.9 * y * y) ** 3
+            ),
+        ),
+        (
+            "SPS XYP 12\nSCO NRADIUS 12\nSCO K -.3\nSCO C3 .01\nSCO C4 .02\nSCO C8 -.01\nSCO C10 .03",
+            lambda x, y: (
+                conic(x * x + y * y, 1 / 80, -0.3)
+                + 0.01 * y / 12
+                + 0.02 * (x / 12) ** 2
+                - 0.01 * x * x * y / 12**3
+                + 0.03 * (y / 12) ** 3
+            ),
+        ),
+    ],
+    ids=lambda value: value.split("\n")[0] if isinstance(value, str) else "",
+)
+@pytest.mark.parametrize(("unit", "mm"), [("M", 1.0), ("I", 25.4)])
+def test_freeforms(lens, text, height, unit, mm):
+    """Formulas written out; in the frame before the row's own turn, which an XTO has."""
+    found = lens(system(f"S 80 2\n{text}\nS 0 5").replace("DIM M", f"DIM {unit}"))
+    row = found.rows[0]
+    turn = np.eye(4) if row.decentre is None else motion(row.decentre)
+    assert row.decentre is None or row.decentre.returns
+    x, y, _ = turn[:3, :3].T @ [mm * X, mm * Y, 0 * X]
+    assert sag(x, y, row.sag_numbers) == pytest.approx(mm * height(X, Y), abs=1e-12 * mm)
+
+
+def test_the_aperture_of_a_toroid_turns_back():
+    """The frame of an XTO is turned by 90 degrees, its aperture is not."""
+    row = rows_of(
+        CodevSurface(1, kind="XTO", apertures={"CLR": {"REX": (4.0, None), "REY": (1.0, None)}}, offset={"X": 2.0}),
+        1,
+        unit_mm=1.0,
+        before="air",
+        unread=[],
+    )[0]
+    turn = motion(row.decentre)[:3, :3]
+    for x, y, inside in ((5.5, 0.5, True), (-1.9, 0.0, True), (-2.1, 0.0, False), (2.0, 1.1, False)):
+        u, v, _ = turn.T @ [x, y, 0.0]
+        assert bool(row.aperture.contains(u, v)) is inside

@@ -16,6 +16,7 @@ from mistray.io.to_sequential import to_sequential
 from mistray.io.zemax.read import read_zemax
 from mistray.io.zemax.write import write_zemax
 from mistray.physics.geometry.outline import ALL, Figure, Outline, circle, rectangle
+from mistray.physics.sags.terms import sag
 from mistray.prescription import Coating, Detector, Prescription, Source, Stop, Surface
 from mistray.prescription.sequential.rays import frames, to_world, trace
 from mistray.prescription.sequential.table import Decentre, Row, Sequential
@@ -379,3 +380,16 @@ def test_command_says_what_is_wrong(arguments, message, tmp_path, monkeypatch, c
     monkeypatch.chdir(tmp_path)
     assert main(["export", *arguments]) == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", sorted(FREEFORMS))
+def test_freeforms_in_inches_are_so_much_larger(kind, tmp_path):
+    row = Row(1, radius=80.0, conic=-0.5, semi_diameter=5.0, **FREEFORMS[kind])
+    if kind == "TILTSURF":
+        row = replace(row, radius=math.inf, conic=0.0)
+    file = tmp_path / "lens.zmx"
+    write_zemax(Sequential("lens", (row, IMAGE), aperture=1.0), file)
+    file.write_text(file.read_text(encoding="utf-8").replace("UNIT MM", "UNIT IN"), encoding="utf-8")
+    x, y = np.random.default_rng(5).uniform(-3, 3, (2, 40))
+    found = sag(25.4 * x, 25.4 * y, read_zemax(file).rows[0].sag_numbers)
+    assert found == pytest.approx(25.4 * sag(x, y, row.sag_numbers), abs=1e-12)
