@@ -39,6 +39,8 @@ from mistray.gradients.coating_gradient import IDEAL_PARAMETERS
 from mistray.gradients.geometry_gradient import SHIFTS
 from mistray.gradients.scatter_gradient import fixed
 from mistray.physics.geometry.sag import sag
+from mistray.physics.sags.terms import length_power
+from mistray.ranges import Range
 from mistray.surfaces.gradient_columns import COEFFICIENTS, DISPLACEMENT, ROTATION
 
 OF_SOURCE = 0.01  # of a number of a source that states no tolerance, relative to it
@@ -106,10 +108,10 @@ def about_shape(shape: Any, name: str, value: np.ndarray) -> About:
         low, high = (0.0, other) if v[name] < other else (other, math.inf)
         return "rim", "mm", length(RIM_MM), low, high
     if name not in (*CLEAR_APERTURE, "curvature", "conic", *COEFFICIENTS):  # of a family of one's own
-        return "rim", "mm", length(RIM_MM), shape.ranges[name].low, shape.ranges[name].high
+        return _about_own(name, size, length(RIM_MM), shape.ranges[name])
     c, k = v["curvature"], v["conic"]
     if name in CLEAR_APERTURE:
-        low = v["inner_semi_diameter"] if name == "semi_diameter" else 0.0
+        low = v.get("inner_semi_diameter", 0.0) if name == "semi_diameter" else 0.0
         end = 1 / (abs(c) * math.sqrt(1 + k)) if c and k > -1 else math.inf
         return "rim", "mm", length(RIM_MM), low, v["semi_diameter"] if name == "inner_semi_diameter" else end
     if name == "curvature":
@@ -119,6 +121,18 @@ def about_shape(shape: Any, name: str, value: np.ndarray) -> About:
         return "conic", "1", _conic_tolerance(c, k, size), -math.inf, 1 / (c * size) ** 2 - 1 if c else math.inf
     order = 4 + 2 * COEFFICIENTS.index(name)
     return "asphere", f"mm^{1 - order}", FORM_MM / size**order, -math.inf, math.inf
+
+
+def _about_own(name: str, size: float, rim_mm: float, within: Range) -> About:
+    """Of a number of a family's own: of a freeform's sag by its power of the length, else of a rim."""
+    power = length_power(name)
+    if power is None:
+        turned = name.endswith("angle_deg")
+        return "rim", "deg" if turned else "mm", ARCMIN if turned else rim_mm, within.low, within.high
+    kind = "curvature" if power == -1 and "curvature" in name else "conic" if name == "conic_x" else "asphere"
+    unit = {1: "mm", 0: "1", -1: "1/mm"}.get(power, f"mm^{power}")
+    usual = 2 * FRINGES_MM / size**2 if kind == "curvature" else FORM_MM / size ** (1 - power)
+    return kind, unit, 1.0 if kind == "conic" else usual, within.low, within.high
 
 
 def _conic_tolerance(curvature: float, conic: float, radius: float) -> float:
