@@ -22,7 +22,7 @@ from mistray.physics.geometry.outline import Outline
 from mistray.physics.geometry.paraxial import ParaxialSystem
 from mistray.physics.geometry.pose import rotation
 from mistray.physics.geometry.sag import conic_end, sag
-from mistray.physics.sags.terms import check_names
+from mistray.physics.sags.terms import check_names, with_even
 from mistray.physics.sags.terms import sag as freeform_sag
 from mistray.prescription.coating import BLACK, Coating, check_name
 from mistray.prescription.mesh_structure import MeshStructure
@@ -173,8 +173,7 @@ class Surface(Placed):
     @property
     def sag_numbers(self) -> dict[str, float]:
         """All numbers of its sag, by their names in `mistray.physics.sags.terms`."""
-        even = {f"a{2 * i}": a for i, a in enumerate(self.coefficients, start=2) if a}
-        return {"curvature": self.curvature, "conic": self.conic, **even, **self.sag}
+        return with_even(self.curvature, self.conic, self.coefficients, self.sag)
 
     @property
     def outer_radius(self) -> float:

@@ -256,8 +256,7 @@ class FreeformShape(FormulaShape):
     @property
     def held(self) -> set[str]:
         """Radii of polynomials, a hole that is not there; all of what has more numbers than there are columns."""
-        surface = self.surface(self.values)
-        if len(surface.family.numbers) > len(OWN):
+        if len(self._local.sag.numbers) + len(self.outline.numbers()) > len(OWN):
             return set(self.values) - set(POSE)
         return {key for key in self.values if key in LENGTHS or (key == "inner_semi_diameter" and not self.values[key])}
 

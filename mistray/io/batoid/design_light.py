@@ -109,15 +109,19 @@ class DesignLight:
         radius = np.hypot(at[..., 0], at[..., 1])
         return float(np.nanmin(radius)), float(np.nanmax(radius))
 
+    def _turn(self, interface: Any) -> int:
+        """The first station at which light meets an interface in its turn."""
+        return next(k for k, step in enumerate(self._interfaces) if step is not None and step.name == interface.name)
+
     def way(self, interface: Any) -> int:
         """Along z of a baffle, +1 or -1: which way light goes that meets it in its turn."""
-        number = next(k for k, step in enumerate(self._interfaces) if step is not None and step.name == interface.name)
+        number = self._turn(interface)
         before = _local(interface, self._points[number - 1])[:, 2]
         return -1 if float(np.nanmean(before)) > 0 else 1
 
     def shaded(self, interface: Any, rings: Rings) -> float:
         """Share of the rays that come to an interface in turn and unshaded, and meet centred rings (m) there."""
-        number = next(k for k, step in enumerate(self._interfaces) if step is not None and step.name == interface.name)
+        number = self._turn(interface)
         at = _local(interface, self._points[number][self._free[number]])
         radius = np.hypot(at[:, 0], at[:, 1])
         met = np.any([(radius > a) & (radius < b) for a, b in rings], axis=0) if rings else np.zeros(1, dtype=bool)

@@ -17,11 +17,12 @@ import re
 from collections.abc import Mapping
 
 from mistray.errors import MistrayError
+from mistray.physics.sags.terms import XY_ORDERS
 
 KINDS = ("YTO", "XTO", "CYL", "AAS", "XYP", "ODD")
 ANAMORPHIC = tuple(f"{letter}{what}" for letter in "ABCD" for what in "RP")
 _XYP_TERM = re.compile(r"C(\d{1,3})")
-_ORDERS = [(total - j, j) for total in range(11) for j in range(total + 1)]
+_XYP_TERMS = 66  # to the tenth order
 
 
 def sag_of(kind: str, curvature_x: float, conic: float, extra: Mapping[str, float], unit: float) -> dict[str, float]:
@@ -65,9 +66,9 @@ def sag_of(kind: str, curvature_x: float, conic: float, extra: Mapping[str, floa
     found = {}
     for name, value in terms.items():
         place = _XYP_TERM.fullmatch(name)
-        if place is None or not 2 <= int(place[1]) <= len(_ORDERS):
-            raise MistrayError(f"SCO {name}: XYP has K, NRADIUS and C2 to C{len(_ORDERS)}; remove it")
-        i, j = _ORDERS[int(place[1]) - 1]
+        if place is None or not 2 <= int(place[1]) <= _XYP_TERMS:
+            raise MistrayError(f"SCO {name}: XYP has K, NRADIUS and C2 to C{_XYP_TERMS}; remove it")
+        i, j = XY_ORDERS[int(place[1]) - 1]
         found[f"xy_{i}_{j}"] = value * unit / (radius * unit) ** (i + j)
     return found
 

@@ -25,7 +25,7 @@ from typing import Any
 
 from mistray.errors import MistrayError
 from mistray.io.zemax.lines import Line, Section
-from mistray.physics.sags.terms import length_power
+from mistray.physics.sags.terms import XY_ORDERS, length_power
 from mistray.prescription.sequential.table import Row
 
 MOST_PARAMETERS, MOST_EXTRA = 12, 241
@@ -127,8 +127,7 @@ def _zernikes(n: Numbers, kind: str) -> dict[str, float]:
 
 def _polynomial(n: Numbers) -> dict[str, float]:
     radius, terms = n.series()
-    orders = [(total - j, j) for total in range(1, 21) for j in range(total + 1)]
-    return {f"xy_{i}_{j}": _scaled(t, radius, i + j) for (i, j), t in zip(orders, terms, strict=False) if t}
+    return {f"xy_{i}_{j}": _scaled(t, radius, i + j) for (i, j), t in zip(XY_ORDERS[1:], terms, strict=False) if t}
 
 
 def _forbes(n: Numbers) -> dict[str, float]:
@@ -269,7 +268,6 @@ def _written_zernikes(given: dict[str, float], kind: str) -> dict[int, float]:
 
 
 def _written_polynomial(given: dict[str, float]) -> dict[int, float]:
-    orders = [(total - j, j) for total in range(1, 21) for j in range(total + 1)]
-    found = {k: given.pop(f"xy_{i}_{j}") for k, (i, j) in enumerate(orders, 1) if f"xy_{i}_{j}" in given}
+    found = {k: given.pop(f"xy_{i}_{j}") for k, (i, j) in enumerate(XY_ORDERS[1:], 1) if f"xy_{i}_{j}" in given}
     last = max(found)
     return {1: float(last), 2: 1.0} | {2 + k: found.get(k, 0.0) for k in range(1, last + 1)}

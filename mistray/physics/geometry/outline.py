@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -211,19 +211,16 @@ class Outline:
 
     def within(self, radius: float) -> Outline:
         """What of it lies within a circle about the origin, mm."""
-        figures = [Figure("circle", sizes=(radius,))]
         first, *more = self.figures
-        figures.append(
-            first if first.sign == "-" else Figure(first.kind, "&", first.x, first.y, first.angle_deg, first.sizes)
-        )
-        return Outline((*figures, *more))
+        own = first if first.sign == "-" else replace(first, sign="&")
+        return Outline((Figure("circle", sizes=(radius,)), own, *more))
 
     def around(self, radius: float) -> Outline | None:
         """What lies outside of it and within a circle about the origin; None where that is no list of figures."""
         if self.figures[0].sign != "+" or any(f.sign == "&" for f in self.figures):
             return None
         signs = {"+": "-", "-": "+"}
-        rest = [Figure(f.kind, signs[f.sign], f.x, f.y, f.angle_deg, f.sizes) for f in self.figures]
+        rest = [replace(f, sign=signs[f.sign]) for f in self.figures]
         return Outline((Figure("circle", sizes=(radius,)), *rest))
 
     def half_turned(self) -> Outline:

@@ -24,7 +24,7 @@ chebyshev_0_0 … chebyshev_20_20 mm           T_i(x/chebyshev_x) T_j(y/chebyshe
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -39,6 +39,7 @@ FIXED = {
     "zernike_radius": 1, "fringe_radius": 1, "q_radius": 1, "chebyshev_x": 1, "chebyshev_y": 1,
 }  # fmt: skip
 LENGTHS = ("zernike_radius", "fringe_radius", "q_radius", "chebyshev_x", "chebyshev_y")  # over which polynomials go
+XY_ORDERS = tuple((total - j, j) for total in range(21) for j in range(total + 1))  # 1, x, y, x², xy, y², …
 MOST_EVEN, MOST_RADIAL, MOST_XY, MOST_CHEBYSHEV, MOST_Q = 30, 30, 12, 20, 20
 _NUMBERED = re.compile(r"(a|r|xy|zernike|fringe|qbfs|qcon|chebyshev)(?:_)?(\d+)(?:_(\d+))?")
 _NEEDS = {
@@ -101,6 +102,14 @@ def check_names(names: Iterable[str], owner: str) -> None:
         raise MistrayError(f"{owner}: conic_x needs curvature_x (1/mm); add it")
     if {"curvature_x", "toroid_curvature"} <= names:
         raise MistrayError(f"{owner}: curvature_x with toroid_curvature; give one of them")
+
+
+def with_even(
+    curvature: float, conic: float, coefficients: Sequence[float], more: Mapping[str, float]
+) -> dict[str, float]:
+    """Numbers of a sag from those of an even asphere, (a4, a6, …), and more by name."""
+    even = {f"a{2 * i}": a for i, a in enumerate(coefficients, start=2) if a}
+    return {"curvature": curvature, "conic": conic, **even, **more}
 
 
 def sag(x: np.ndarray, y: np.ndarray, n: Numbers) -> np.ndarray:

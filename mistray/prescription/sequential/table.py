@@ -19,6 +19,7 @@ from typing import Literal
 
 from mistray.errors import MistrayError
 from mistray.physics.geometry.outline import Outline
+from mistray.physics.sags.terms import with_even
 
 Kind = Literal["surface", "coordinate_break", "image"]
 ApertureKind = Literal["entrance_pupil_diameter", "f_number", "object_na", "stop_diameter"]
@@ -130,8 +131,7 @@ class Row:
     @property
     def sag_numbers(self) -> dict[str, float]:
         """All numbers of its sag, by their names in `mistray.physics.sags.terms`."""
-        even = {f"a{2 * i}": a for i, a in enumerate(self.coefficients, start=2) if a}
-        return {"curvature": 1 / self.radius if self.radius else 0.0, "conic": self.conic, **even, **self.sag}
+        return with_even(1 / self.radius if self.radius else 0.0, self.conic, self.coefficients, self.sag)
 
 
 @dataclass(frozen=True)
