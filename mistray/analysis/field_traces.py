@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import mitsuba as mi
+
+from mistray.surfaces.surfaces import require_one, solid_shapes
 from mistray.time_budget import share
 from mistray.trace import Trace, trace
 
@@ -25,6 +28,11 @@ class FieldTraces:
     progress : callable or None
         Called with (fields done, fields to do).
 
+    Raises
+    ------
+    MistrayError
+        If the scene has several detectors, and the arguments name none.
+
     Attributes
     ----------
     traces : dict of float to Trace
@@ -36,6 +44,8 @@ class FieldTraces:
     """
 
     def __init__(self, scene: Any, arguments: Mapping[str, Any], progress: Progress | None) -> None:
+        if "detector" not in arguments and isinstance(scene, mi.Scene):
+            require_one([shape.id() for shape in solid_shapes(scene) if shape.is_sensor()])
         self._scene, self._arguments, self._progress = scene, arguments, progress
         self.traces: dict[float, Trace] = {}
         self.nominal: Trace | None = None

@@ -521,7 +521,7 @@ def ghosts(
     Parameters
     ----------
     scene : mi.Scene
-        From `mistray.load`, with one source and one detector.
+        From `mistray.load`, with one source.
     field_deg : float or sequence of float, optional
         Field angles, degrees, -90 < … < 90. Default: the one of the scene's source.
     wavelength_nm, weights, azimuth_deg
@@ -536,7 +536,7 @@ def ghosts(
         report asks for later, take as long again.
     **settings
         rays, max_reflections, max_scatters and the other attributes of `mistray.trace.Settings`; what is left out or
-        None takes the scene's own value.
+        None takes the scene's own value. And `detector`, the id of the one that is looked at where there are several.
 
     Returns
     -------
@@ -546,7 +546,7 @@ def ghosts(
     Raises
     ------
     MistrayError
-        No field is given, an argument is unknown, or what `mistray.trace` raises.
+        No field is given, an argument is unknown, no detector of several is named, or what `mistray.trace` raises.
     UnfinishedError
         Workers of `mistray.distribute` are gone; ``partial`` maps fields to traces, the last of them of fewer rays, and
         is a `GhostReport` if the field 0 is known.
@@ -554,7 +554,7 @@ def ghosts(
         Ctrl-C; the same, of the fields that are finished and of the rays of the one that is not.
     """
     rank_column(rank)
-    unknown = set(settings) - {f.name for f in fields(Settings)}
+    unknown = set(settings) - {f.name for f in fields(Settings)} - {"detector"}
     if unknown:
         raise MistrayError(f"unknown argument {', '.join(sorted(unknown))} of ghosts; see mistray.trace.Settings")
     given = {"azimuth_deg": azimuth_deg, "wavelength_nm": wavelength_nm, "weights": weights, **settings}

@@ -51,7 +51,7 @@ class PartSums:
     media: np.ndarray
     channels: np.ndarray
     largest: float
-    film: Packed
+    films: tuple[Packed, ...]
     paths: DecodedPaths | None
     seconds: float
 
@@ -63,7 +63,8 @@ class PartSums:
         if paths is not None:
             paths = DecodedPaths(paths.keys, paths.slots, paths.events, paths.lengths, paths.sums[:, own])
         return cls(
-            run.surfaces[..., own], run.media[:, own], run.channels[:, own], run.largest, pack(run.film), paths,
+            run.surfaces[..., own], run.media[:, own], run.channels[:, own], run.largest,
+            tuple(map(pack, run.films)), paths,
             run.seconds,
         )  # fmt: skip
 
@@ -83,6 +84,8 @@ class TraceTask:
         Keep the paths.
     arrays : sequence of list of array
         What the kernel reads here, for each wavelength: workers check that they have the same.
+    only : int or None
+        Number of the detector that is looked at, of several whose light was traced.
     """
 
     scene: mi.Scene
@@ -90,11 +93,15 @@ class TraceTask:
     beam: Mapping[str, Any]
     ledger: bool
     arrays: Sequence[list[np.ndarray]]
+    only: int | None = None
 
     def make(self) -> list[Run]:
         """The runs, as they are everywhere."""
         runs = prepare(self.scene, self.settings, **self.beam)
         require_same(self.arrays, tables_of(runs))
+        if self.only is not None:
+            for run in runs:
+                run.table = run.table.on(self.only)
         return runs
 
     def do(self, made: list[Run], part: Place | MapPlace) -> PartSums | Packed:
@@ -173,8 +180,7 @@ class _Merged:
 
     def __post_init__(self) -> None:
         run = self.run
-        film = run.make_film()
-        self.film = np.zeros((film.groups, film.height, film.width))
+        self.films = tuple(np.zeros((film.groups, film.height, film.width)) for film in run.make_films())
         self.surfaces = np.zeros((run.table.count + len(run.table.optics.media), SURFACE_SUMS, BATCHES))
         self.media = np.zeros((len(run.table.optics.media), BATCHES))
         self.channels = np.zeros((CHANNEL_COUNT, BATCHES))
@@ -189,7 +195,8 @@ class _Merged:
         self.media[:, own] += found.media
         self.channels[:, own] += found.channels
         self.largest, self.seconds = max(self.largest, found.largest), self.seconds + found.seconds
-        found.film.add_to(self.film)
+        for one, total in zip(found.films, self.films, strict=True):
+            one.add_to(total)
         if found.paths is not None:
             before = len(self.places)
             rows = [self.places.setdefault(key, len(self.places)) for key in found.paths.keys.tolist()]
@@ -206,7 +213,7 @@ class _Merged:
     def finish(self, ledger: bool, whole: bool) -> None:
         """Give the run its sums; one that is not whole stands for the rays of its parts alone."""
         run = self.run
-        run.surfaces, run.media, run.channels, run.film = self.surfaces, self.media, self.channels, self.film
+        run.surfaces, run.media, run.channels, run.films = self.surfaces, self.media, self.channels, self.films
         run.largest, run.seconds = self.largest, self.seconds
         if not whole:
             run.stand_for(sorted(self.parts))

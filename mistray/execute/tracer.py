@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from typing import NamedTuple
 
 import drjit as dr
@@ -23,6 +23,7 @@ from mistray.recorders.branch_recorder import BranchRecorder, PathChoice
 from mistray.recorders.film import Box, Film, Images, groups_of, spreads
 from mistray.recorders.ledger import DecodedPaths, Ledger
 from mistray.recorders.path_derivative import MOMENTS, PathDerivative
+from mistray.recorders.path_key import EVENT_BITS
 from mistray.recorders.recorder import Recorder, Recorders
 from mistray.recorders.sampled import Sampled
 from mistray.recorders.start_rays import StartRays, generators
@@ -79,8 +80,8 @@ class Run:
     media : (m, BATCHES) float64
         Flux that each medium absorbs, in `unit`.
     channels : (CHANNEL_COUNT, BATCHES) float64
-    film : (groups, height, width) float64
-        Detected flux by group of batches, in `unit`; see `mistray.recorders.film.groups_of`.
+    films : tuple of (groups, height, width) float64
+        Detected flux on each detector by group of batches, in `unit`; see `mistray.recorders.film.groups_of`.
     paths : DecodedPaths or None
     ledger : Ledger or None
     seconds : float
@@ -101,15 +102,16 @@ class Run:
     largest: float = 0.0
     media: np.ndarray = field(default_factory=lambda: np.zeros(0))
     channels: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    film: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    films: tuple[np.ndarray, ...] = ()
     paths: DecodedPaths | None = None
     ledger: Ledger | None = None
     seconds: float = 0.0
     parts: tuple[Part, ...] | None = None
 
-    def make_film(self) -> Film:
-        """The detector's pixel grid for the kernel."""
-        width, height, (x0, x1, y0, y1) = self.table.film()
+    def make_film(self, detector: int | None = None) -> Film:
+        """The pixel grid of a detector (the only one) for the kernel."""
+        detector = self.table.detector if detector is None else detector
+        width, height, (x0, x1, y0, y1) = self.table.film(detector)
         return Film(
             width,
             height,
@@ -118,8 +120,27 @@ class Run:
             dr.opaque(mi.Float, width / (x1 - x0)),
             dr.opaque(mi.Float, height / (y1 - y0)),
             groups_of(width * height),
-            tent=spreads(self.table.shapes[self.table.detector].sensor().film()),
+            tent=spreads(self.table.shapes[detector].sensor().film()),
         )
+
+    def make_films(self) -> list[Film]:
+        """The pixel grids of all detectors."""
+        detectors = self.table.detectors
+        return [self.make_film()] if len(detectors) == 1 else [self.make_film(detector) for detector in detectors]
+
+    @property
+    def film(self) -> np.ndarray:
+        """Of `films` that of the only detector."""
+        return self.films[self.table.detectors.index(self.table.detector)]
+
+    def on(self, detector: int, table: SurfaceTable) -> Run:
+        """What it found on one of its detectors, with a table that knows this one alone; its rays stay the same."""
+        paths = self.paths
+        if paths is not None:
+            last = paths.events[np.arange(len(paths.keys)), paths.lengths - 1] >> EVENT_BITS
+            paths = DecodedPaths(*(getattr(paths, f.name)[last == detector] for f in fields(paths)))
+        films = (self.films[self.table.detectors.index(detector)],)
+        return replace(self, table=table, films=films, paths=paths)
 
     @property
     def passes(self) -> int:
@@ -242,12 +263,17 @@ class Run:
         is not read.
         """
         started = time.perf_counter()
-        film = self.make_film()
+        films = self.make_films()
+        several = len(films) > 1
         capacity = FIRST_CAPACITY_OF_SCATTER if self.scattering.any and self.settings.max_scatters else FIRST_CAPACITY
         if self.ledger is not None:  # executed before: the table had to grow so far
             capacity = self.ledger.capacity
         while True:
-            tallies, images = self.make_tallies(), Images(film)
+            tallies = self.make_tallies()
+            images = [
+                Images(film, only=detector if several else None)
+                for film, detector in zip(films, self.table.detectors, strict=True)
+            ]
             self.ledger = Ledger(capacity, self.settings.max_events, self.settings.stokes) if ledger else None
 
             def pause(tallies: Tallies = tallies) -> bool:
@@ -256,7 +282,7 @@ class Run:
 
             others = Recorders(recorders)
             others.attach(self.scene)
-            found = self.launch(tallies, self.ledger, others, images, progress=progress, stop=pause)
+            found = self.launch(tallies, self.ledger, others, *images, progress=progress, stop=pause)
             if requested() or not self.ledger_full():
                 break
             if capacity >= LAST_CAPACITY:
@@ -271,7 +297,10 @@ class Run:
         self.largest = float(np.array(tallies.largest).view(np.float32)[0])
         self.media = np.array(tallies.media).reshape(-1, BATCHES)
         self.channels = np.array(tallies.channels).reshape(CHANNEL_COUNT, BATCHES)
-        self.film = np.array(images.sums).reshape(film.groups, film.height, film.width)
+        self.films = tuple(
+            np.array(found.sums).reshape(film.groups, film.height, film.width)
+            for film, found in zip(films, images, strict=True)
+        )
         few = self.ledger is not None and (not requested() or self.ledger.used <= MOST_PATHS_KEPT)
         self.paths = self.ledger.decode() if self.ledger is not None and few else None
         if found is not None:
@@ -437,14 +466,17 @@ def prepare(
     azimuth_deg: float | None = None,
     wavelength_nm: float | Sequence[float] | None = None,
     weights: Sequence[float] | None = None,
-    detector: str | None = None,
+    detector: str | Sequence[str] | None = None,
 ) -> list[Run]:
     """Build one `Run` for each source and wavelength; the rays are shared in proportion to their flux."""
     return runs_of(scene, settings, scene_sources(scene, field_deg, azimuth_deg, wavelength_nm, weights), detector)
 
 
 def runs_of(
-    scene: mi.Scene, settings: Settings, sources: Sequence[SceneSource], detector: str | None = None
+    scene: mi.Scene,
+    settings: Settings,
+    sources: Sequence[SceneSource],
+    detector: str | Sequence[str] | None = None,
 ) -> list[Run]:
     """Build one `Run` for each of some sources; the rays are shared in proportion to their flux."""
     total = sum(source.power for source in sources)

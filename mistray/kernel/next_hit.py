@@ -39,9 +39,12 @@ def next_hit(
     return dr.select(nearer, si.t + skip, t), dr.select(nearer, number, s), mi.Vector3f(si.n)
 
 
-def film_coordinates(table: SurfaceTable, it: Any) -> tuple[mi.Float, mi.Float]:
-    """Position on the detector in its own frame, mm."""
-    if table.detector < len(table.pieces):
-        return it.local.x, it.local.y
-    centre, right, up = table.detector_axes
-    return dr.dot(it.p - centre, right), dr.dot(it.p - centre, up)
+def film_coordinates(table: SurfaceTable, it: Any, s: mi.UInt32) -> tuple[mi.Float, mi.Float]:
+    """Position on the detector in its own frame, mm; where there are several, on each surface s of them."""
+    x, y = it.local.x, it.local.y
+    for detector, (middle, right, up) in table.detector_axes.items():
+        if detector in table.detectors:
+            here = mi.Bool(True) if len(table.detectors) == 1 else s == detector
+            x = dr.select(here, dr.dot(it.p - middle, right), x)
+            y = dr.select(here, dr.dot(it.p - middle, up), y)
+    return x, y

@@ -26,7 +26,7 @@ from mistray.kernel.kernel_scene import KernelScene
 from mistray.kernel.next_hit import film_coordinates, next_hit
 from mistray.kernel.pending_nodes import LEVELS, PendingNodes, at_once, in_step, node_word, wait_level
 from mistray.recorders.path_key import ABSORBED, EVENT_BITS, FIRST_KEY, extend_key
-from mistray.recorders.recorder import Branch, Departure, Memory, Recorder, Recorders, Return, Visit
+from mistray.recorders.recorder import Branch, Departure, Memory, Recorder, Recorders, Return, Segment, Visit
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.tallies import ESCAPED, FIRST_MISS, MEDIUM, STARTED
 from mistray.settings import Settings
@@ -131,6 +131,7 @@ class _Tree:
         lose(ESCAPED, start.w, missed, memory)
         lose(FIRST_MISS, 1.0, missed, memory)
         lose(STARTED, 1.0, mi.Bool(True), memory)
+        self.recorders.travel(Segment(start, o, d, start.w, medium, t, missed, under_way), memory)
         if self.scene.backward:
             depth = self.first_depth
             gone = Departure(start, d, start.w, reflections, scatters, off_design, key, depth, lambda k, _: k, missed)
@@ -245,7 +246,7 @@ class _Tree:
         code = (s << EVENT_BITS) | ABSORBED
         hits = Visit(
             *(self.start, state, it, given, visited, first, detected, detected, w, absorbed),
-            *(film_coordinates(table, it), code, extend_key(state["key"], code), codes, path, self.scatters),
+            *(film_coordinates(table, it, s), code, extend_key(state["key"], code), codes, path, self.scatters),
         )
         self.recorders.visit(hits, memory)
         return Node(state, it, given, R, T, first, again, state["rng"])
@@ -329,6 +330,7 @@ class _Tree:
         hit = go & (s2 != NO_SURFACE)
         leaving = go & ~hit
         self.recorders.lose(ESCAPED, sent.flux, leaving, memory)
+        self.recorders.travel(Segment(self.start, sent.origin, sent.heading, sent.flux, medium, t, leaving, go), memory)
         run = self.limits.run_after(state["run"], s, cloud)
         hit = self.limits.arrive(run, s2, sent.flux, hit)
         bounced = reflect & children.counted & ~scatter

@@ -9,6 +9,9 @@ from mistray.prescription.baffles.tube import BaffleTube, hood_length, vane_tube
 from mistray.prescription.baffles.two_stage import TwoStageBaffle, two_stage_baffle
 from mistray.prescription.baffles.vanes import Vane, VaneEdge
 from mistray.prescription.baffles.zones import first_order_zones, lit_zones, seen_zones
+from mistray.prescription.bodies.extruded import beam_splitter_cube, box, prism
+from mistray.prescription.bodies.placing import array, moved_as_one
+from mistray.prescription.bodies.plate import plate
 from mistray.prescription.closing.system import Built, to_prescription
 from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import barrel, detector_frame, lens_edge, wall
@@ -55,7 +58,10 @@ __all__ = [
     "Unread",
     "Vane",
     "VaneEdge",
+    "array",
     "barrel",
+    "beam_splitter_cube",
+    "box",
     "cassegrain_baffles",
     "circle",
     "detector_frame",
@@ -69,7 +75,10 @@ __all__ = [
     "hood_length",
     "lens_edge",
     "lit_zones",
+    "moved_as_one",
+    "plate",
     "polygon",
+    "prism",
     "read_codev",
     "read_zemax",
     "rectangle",

@@ -406,6 +406,8 @@ class Prescription:
         Aperture stop; its faces become part of the scene.
     detector, source
         Needed by `to_dict`, `to_xml` and `to_scene`, not before.
+    more_detectors : tuple of Detector
+        Further ones, beside that of the design; `mistray.trace` records the light on all of them.
     provenance : str
         Where the numbers come from; goes into the XML file as a comment.
 
@@ -423,11 +425,13 @@ class Prescription:
     detector: Detector | None = None
     source: Source | None = None
     provenance: str = ""
+    more_detectors: tuple[Detector, ...] = ()
 
     def __post_init__(self) -> None:
-        if not isinstance(self.detector, Detector | None):
+        wrong = [one for one in (self.detector, *self.more_detectors) if not isinstance(one, Detector | None)]
+        if wrong:
             raise MistrayError(
-                f"prescription '{self.name}': detector is a {type(self.detector).__name__}; give a "
+                f"prescription '{self.name}': detector is a {type(wrong[0]).__name__}; give a "
                 "mistray.prescription.Detector, such as Detector(name='detector', z=50, half_width=5, half_height=5)"
             )
         for name, count in Counter(shape.name for shape in self.shapes()).items():
@@ -436,18 +440,22 @@ class Prescription:
                     f"prescription '{self.name}': {count} shapes are called '{name}'; give each its own name"
                 )
         self.shared_scatter()
-        optical = [s for s in (*self.surfaces, self.detector) if s is not None and s.coaxial and s.outline is None]
+        optical = [s for s in (*self.surfaces, *self.detectors) if s is not None and s.coaxial and s.outline is None]
         for a, b in combinations(optical, 2):
             _check_crossing(a, b)
 
+    @property
+    def detectors(self) -> tuple[Detector, ...]:
+        """The detector of the design, if there is one, and the further ones."""
+        return self.more_detectors if self.detector is None else (self.detector, *self.more_detectors)
+
     def shapes(self) -> Iterator[Surface | Structure | MeshStructure]:
-        """Surfaces, structures, stop faces, detector: every shape of the scene, in this order."""
+        """Surfaces, structures, stop faces, detectors: every shape of the scene, in this order."""
         yield from self.surfaces
         yield from self.structures
         if self.stop is not None:
             yield from self.stop.faces()
-        if self.detector is not None:
-            yield self.detector
+        yield from self.detectors
 
     def shared_coatings(self) -> dict[str, Coating]:
         """

@@ -97,4 +97,5 @@ def scattering(prescription: Prescription, rules: Mapping[str, Sequence[Scatter]
         structures=tuple(with_more(shape) for shape in prescription.structures),
         stop=stop,
         detector=prescription.detector and with_more(prescription.detector),
+        more_detectors=tuple(with_more(shape) for shape in prescription.more_detectors),
     )

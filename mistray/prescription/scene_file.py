@@ -161,7 +161,6 @@ def _sections(prescription: Prescription) -> Iterator[tuple[str, list[_Node]]]:
         if getattr(prescription, key) is None:
             raise MistrayError(f"prescription '{prescription.name}': it has no {key}; add {key}={remedy}")
     assert prescription.source is not None
-    assert prescription.detector is not None
     yield "", [_Node("integrator", "straylight", "integrator")]
     yield "Light", [_source(prescription.source)]
     yield "Coatings of several surfaces", [_thinfilm(coating) for coating in prescription.shared_coatings().values()]
@@ -169,7 +168,7 @@ def _sections(prescription: Prescription) -> Iterator[tuple[str, list[_Node]]]:
     yield "Optical surfaces", [_surface(s) for s in prescription.surfaces]
     yield "Structure", [_shape(s) for s in prescription.structures]
     yield "Aperture stop", [_structure(s) for s in (prescription.stop.faces() if prescription.stop else ())]
-    yield "Detector", [_surface(prescription.detector)]
+    yield "Detector" if len(prescription.detectors) == 1 else "Detectors", [_surface(s) for s in prescription.detectors]
 
 
 def scene_dict(prescription: Prescription) -> dict[str, Any]:
@@ -338,4 +337,5 @@ def beside(prescription: Prescription, folder: str | Path) -> Prescription:
         structures=tuple(moved(shape) for shape in prescription.structures),
         stop=prescription.stop and moved(prescription.stop),
         detector=prescription.detector and moved(prescription.detector),
+        more_detectors=tuple(moved(shape) for shape in prescription.more_detectors),
     )

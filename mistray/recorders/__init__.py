@@ -5,6 +5,8 @@ from mistray._variant import active_variant, ensure_variant
 if active_variant() is None:  # types of the variant are used while modules are imported
     ensure_variant()
 
-from mistray.recorders.recorder import Branch, Departure, Recorder, Return, Visit
+from mistray.recorders.passing.far_field import FarField
+from mistray.recorders.passing.probe import Probe
+from mistray.recorders.recorder import Branch, Departure, Recorder, Return, Segment, Visit
 
-__all__ = ["Branch", "Departure", "Recorder", "Return", "Visit"]
+__all__ = ["Branch", "Departure", "FarField", "Probe", "Recorder", "Return", "Segment", "Visit"]

@@ -86,13 +86,15 @@ class Film:
 
 class Images(Recorder):
     """
-    Images of the detector, or of what meets it.
+    Images of a detector, or of what meets it.
 
     Parameters
     ----------
     film : Film
     count : int, optional
         Number of images; by default those of the film.
+    only : int, optional
+        Number of the detector where there are several.
 
     Attributes
     ----------
@@ -100,15 +102,17 @@ class Images(Recorder):
         In units of a start ray.
     """
 
-    def __init__(self, film: Film, count: int | None = None) -> None:
+    def __init__(self, film: Film, count: int | None = None, only: int | None = None) -> None:
         self._film, self.incident = film, film.incident
+        self._only = None if only is None else dr.opaque(mi.UInt32, only)
         self.sums = dr.zeros(mi.Float64, film.width * film.height * (film.groups if count is None else count))
         dr.eval(self.sums)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Add flux to pixels."""
         film = self._film
-        image, on_film = film.image(visit.start.batch, visit.slot, visit.counted)
+        here = visit.counted if self._only is None else visit.counted & (visit.surface == self._only)
+        image, on_film = film.image(visit.start.batch, visit.slot, here)
         for pixel, share in film.places(*visit.position):
             flux = mi.Float64(visit.weight if film.incident else visit.absorbed)
             if share is not None:

@@ -188,22 +188,28 @@ def path_labels(table: pd.DataFrame) -> list[str]:
     Names of the paths of a table: what they are called in short, made longer where that does not tell them apart.
 
     In short that is the surfaces that reflect and scatter, or the kind where none does. Paths of the same events at
-    several wavelengths or from several sources have these in their names.
+    several wavelengths or from several sources have these in their names, and so have those to several detectors.
 
     Parameters
     ----------
     table : DataFrame
         With the columns events, kind, ghost_1, ghost_2, scatter_1 and scatters of `mistray.trace.paths.PathRow`, and
-        where there are any source and wavelength_nm.
+        where there are any source, wavelength_nm and detector.
 
     Returns
     -------
     list of str
         One for each row, none of them blank.
     """
-    short = table[["ghost_1", "ghost_2", "kind", "scatter_1", "scatters"]].itertuples(index=False)
-    names = path_names(table.events.tolist(), [short_label(*row) for row in short])
-    for column, form in (("wavelength_nm", "{:.9g} nm"), ("source", "{}")):
+    rows = table[["ghost_1", "ghost_2", "kind", "scatter_1", "scatters"]].itertuples(index=False)
+    short = [short_label(*row) for row in rows]
+    events, names = table.events.tolist(), list(short)
+    ends = table["detector"].tolist() if "detector" in table else [""] * len(short)
+    for end in dict.fromkeys(ends):
+        here = [k for k, other in enumerate(ends) if other == end]
+        for k, name in zip(here, path_names([events[k] for k in here], [short[k] for k in here]), strict=True):
+            names[k] = name
+    for column, form in (("wavelength_nm", "{:.9g} nm"), ("source", "{}"), ("detector", "on {}")):
         if column in table and table[column].nunique() > 1:
             count = Counter(names)
             values = table[column].tolist()

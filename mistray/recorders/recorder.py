@@ -178,6 +178,39 @@ class Departure:
 
 
 @dataclass
+class Segment:
+    """
+    Rays on their way from one point to the next.
+
+    Attributes
+    ----------
+    start : StartRays
+    origin : mi.Vector3f
+        Of the device, see `mistray.surfaces.surfaces.SurfaceTable.centre`; mm.
+    heading : mi.Vector3f
+        Unit direction.
+    flux : mi.Float
+        At the origin, in units of a start ray.
+    medium : mi.UInt32
+        Number of the material; 0 is not known.
+    length : mi.Float
+        To the next surface, mm; without meaning where it leaves.
+    leaves : mi.Bool
+        Whether it leaves the scene.
+    active : mi.Bool
+    """
+
+    start: StartRays
+    origin: mi.Vector3f
+    heading: mi.Vector3f
+    flux: mi.Float
+    medium: mi.UInt32
+    length: mi.Float
+    leaves: mi.Bool
+    active: mi.Bool
+
+
+@dataclass
 class Return:
     """
     Branches that have ended, with all that followed from them.
@@ -213,8 +246,11 @@ class Recorder:
         Whether paths that differ only in how a direction was found are one to it: at random or aimed.
     incident : bool
         Whether hits of the detector count that it does not absorb.
+    name : str
+        What a result calls it; empty: nothing.
     """
 
+    name = ""
     node_floats = 0
     by_way = False
     incident = False
@@ -239,8 +275,11 @@ class Recorder:
     def branch(self, branch: Branch, memory: Memory) -> None:
         """Rays are sent on from a node."""
 
+    def travel(self, segment: Segment, memory: Memory) -> None:
+        """Rays go from the source, or from a node, to the next surface or out of the scene."""
+
     def depart(self, departure: Departure, memory: Memory) -> None:
-        """Rays leave the scene."""
+        """Rays of a backward trace leave the scene."""
 
     def back(self, back: Return, memory: Memory) -> None:
         """Branches have ended."""
@@ -296,6 +335,11 @@ class Recorders(Recorder):
         """See `Recorder.branch`."""
         for recorder in self._all:
             recorder.branch(branch, memory)
+
+    def travel(self, segment: Segment, memory: Memory) -> None:
+        """See `Recorder.travel`."""
+        for recorder in self._all:
+            recorder.travel(segment, memory)
 
     def depart(self, departure: Departure, memory: Memory) -> None:
         """See `Recorder.depart`."""

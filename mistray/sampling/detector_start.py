@@ -62,7 +62,7 @@ class DetectorStart:
         if table.detector < len(table.pieces):
             self._analytic()
         else:
-            origin, x_axis, y_axis = table.detector_axes
+            origin, x_axis, y_axis = table.detector_axes[table.detector]
             self._origin, self._axes = origin, [x_axis, y_axis, dr.cross(x_axis, y_axis)]
             (normal,) = table.stock_normals(table.download_points(origin)[:1], np.array(self._axes[2]).reshape(1, 3))
             if normal @ np.array(self._axes[2]).ravel() < 0:

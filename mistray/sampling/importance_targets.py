@@ -74,8 +74,7 @@ def importance_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings)
     if key not in _known:
         while len(_known) >= MOST_KNOWN:
             _known.pop(next(iter(_known)))
-        path = find_design_path(table, scene)
-        _known[key] = automatic_targets(table, path, rest) | automatic_bulk_targets(table, path)
+        _known[key] = _of_detectors(table, scene, rest)
     for place, targets in _known[key].items():
         if (place.surface if isinstance(place, Inside) else place[0]) not in given:
             found[place] = AimSet.of(targets, settings.aimed_rays)
@@ -93,10 +92,22 @@ def signature(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> 
         table.optics.host_indices.tobytes(),
         table.optics.host_words.tobytes(),
         table.optics.host_scattering.tobytes(),
-        table.film(),
+        [table.film(detector) for detector in table.detectors],
         tuple(surfaces),
     ]
     return hashlib.sha256(repr(facts).encode()).hexdigest()
+
+
+def _of_detectors(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> dict[Place, list[Target]]:
+    """Targets of surfaces and media towards each of the detectors."""
+    found: dict[Place, list[Target]] = {}
+    for detector in table.detectors:
+        view = table.on(detector)
+        path = find_design_path(view, scene)
+        own = automatic_targets(view, path, surfaces) | automatic_bulk_targets(view, path)
+        for place, targets in own.items():
+            found.setdefault(place, []).extend(targets)
+    return found
 
 
 def automatic_bulk_targets(

@@ -389,11 +389,11 @@ class Optics:
                 words[i] |= numbers[key] << shift
         if len(self.media) > MEDIUM_MASK:
             raise MistrayError(f"the scene has {len(self.media) - 1} materials; at most {MEDIUM_MASK - 1} are possible")
-        detector = int(np.flatnonzero(words & DETECTOR)[0])
-        if self._absorbs_nothing(detector):
-            raise MistrayError(
-                f"detector '{ids[detector]}' absorbs nothing (R + T = 1); give its interface R (and T = 0)"
-            )
+        for detector in np.flatnonzero(words & DETECTOR).tolist():
+            if self._absorbs_nothing(detector):
+                raise MistrayError(
+                    f"detector '{ids[detector]}' absorbs nothing (R + T = 1); give its interface R (and T = 0)"
+                )
         self.host_words = words
         self.one_child = bool(np.any(words & ONE_CHILD))
         self.diffracts = bool(np.any(words & DIFFRACTS))

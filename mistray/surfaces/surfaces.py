@@ -76,18 +76,23 @@ class SurfaceTable:
         Every shape must carry an ``interface``; those that carry a ``target`` are left out.
     wavelength_nm : float
         Vacuum wavelength, nm.
-    detector : str, optional
-        Id of the detector; by default the only shape with an ``irradiancemeter``.
+    detector : str or sequence of str, optional
+        Ids of the detectors; by default every shape with an ``irradiancemeter``. One that is not named is a surface
+        like others.
     stokes : bool
         Tabulate the coatings for polarised light.
 
     Raises
     ------
     MistrayError
-        For a shape without interface, a missing or ambiguous detector, a missing material.
+        For a shape without interface, a missing detector, a missing material.
 
     Attributes
     ----------
+    detectors : list of int
+        Surfaces whose light is recorded, in the order of their ids.
+    detector_axes : dict
+        Middle and unit vectors along x and y, on the device, of each detector that is a stock shape.
     centre : (3,) float64
         What positions on the device are relative to, mm: the middle of the surfaces, or the origin if that is not far
         from them.
@@ -96,7 +101,11 @@ class SurfaceTable:
     """
 
     def __init__(
-        self, scene: mi.Scene, wavelength_nm: float, detector: str | None = None, stokes: bool = False
+        self,
+        scene: mi.Scene,
+        wavelength_nm: float,
+        detector: str | Sequence[str] | None = None,
+        stokes: bool = False,
     ) -> None:
         # In the order of their ids: a ray that meets two surfaces within the rounding must not see the scene's order
         solid = solid_shapes(scene)
@@ -115,18 +124,53 @@ class SurfaceTable:
         self.count = len(self.shapes)
         self.wavelength_nm = wavelength_nm
         self.interfaces = [_interface(shape) for shape in self.shapes]
-        self.detector = self._find_detector(detector)
+        self.detectors = self._find_detectors(detector)
         self._geometry(self.shapes[: len(analytic)])
         self._stock(self.shapes[len(analytic) :])
+        self.detector_frames = {i: self._detector_frame(i) for i in self.detectors if i >= len(self.pieces)}
+        self.detector_axes = {
+            i: [
+                mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in v))
+                for v in (middle - self.centre, x / np.linalg.norm(x), y / np.linalg.norm(y))
+            ]
+            for i, (middle, x, y) in self.detector_frames.items()
+        }
         self.bodies = Bodies(self)
         self.optics = Optics(self.ids, self.interfaces, self._flags(), self.bodies, wavelength_nm, stokes)
 
     def at(self, wavelength_nm: float) -> SurfaceTable:
         """The same surfaces at another wavelength; the geometry is shared."""
+        return self._changed(wavelength_nm, self.detectors)
+
+    def on(self, detector: int) -> SurfaceTable:
+        """The same surfaces with one of the detectors alone; the others are surfaces like others."""
+        return self if self.detectors == [detector] else self._changed(self.wavelength_nm, [detector])
+
+    def _changed(self, wavelength_nm: float, detectors: list[int]) -> SurfaceTable:
         other = copy(self)
-        other.wavelength_nm = wavelength_nm
-        other.optics = Optics(self.ids, self.interfaces, self._flags(), self.bodies, wavelength_nm, self.optics.stokes)
+        other.wavelength_nm, other.detectors = wavelength_nm, detectors
+        stokes = self.optics.stokes
+        other.optics = Optics(self.ids, self.interfaces, other._flags(), self.bodies, wavelength_nm, stokes)
         return other
+
+    @property
+    def detector(self) -> int:
+        """
+        The only detector.
+
+        Raises
+        ------
+        MistrayError
+            If there are several: who asks for it must have said which one.
+        """
+        require_one([self.ids[i] for i in self.detectors])
+        return self.detectors[0]
+
+    @property
+    def detector_names(self) -> str | list[str]:
+        """Id of the detector, or ids of all."""
+        names = [self.ids[i] for i in self.detectors]
+        return names[0] if len(names) == 1 else names
 
     @property
     def event_ids(self) -> list[str]:
@@ -140,8 +184,9 @@ class SurfaceTable:
 
     @property
     def event_words(self) -> np.ndarray:
-        """Words of the places of events; those of media are 0."""
-        return np.concatenate([self.optics.host_words, np.zeros(len(self.optics.media), dtype=np.uint32)])
+        """Words of the places of events; those of media are 0. A sensor that is not looked at is a detector too."""
+        sensors = np.array([DETECTOR * shape.is_sensor() for shape in self.shapes], dtype=np.uint32)
+        return np.concatenate([self.optics.host_words | sensors, np.zeros(len(self.optics.media), dtype=np.uint32)])
 
     def upload_point(self, point: np.ndarray) -> mi.Vector3f:
         """A point of the world, (3,) float64 in mm, on the device."""
@@ -176,20 +221,20 @@ class SurfaceTable:
         row = self.asphere_row(s, active)
         return row[0], row[1], row[2 : 2 + self.coefficient_count], row[11]
 
-    def _find_detector(self, wanted: str | None) -> int:
+    def _find_detectors(self, wanted: str | Sequence[str] | None) -> list[int]:
         sensors = [i for i, shape in enumerate(self.shapes) if shape.is_sensor()]
-        names = ", ".join(self.ids[i] for i in sensors)
         if not sensors:
             raise MistrayError("the scene has no detector; nest an 'irradiancemeter' sensor in the shape that detects")
-        if wanted is None and len(sensors) > 1:
-            raise MistrayError(
-                f"the scene has {len(sensors)} detectors ({names}); leave one sensor, or in Python name a detector="
-            )
         if wanted is None:
-            return sensors[0]
-        if wanted not in [self.ids[i] for i in sensors]:
-            raise MistrayError(f"'{wanted}' is no detector of this scene; choose one of {names}")
-        return self.ids.index(wanted)
+            return sensors
+        names = [wanted] if isinstance(wanted, str) else list(wanted)
+        known = [self.ids[i] for i in sensors]
+        if not names:
+            raise MistrayError(f"detector is an empty list; choose from {', '.join(known)}")
+        for name in names:
+            if name not in known:
+                raise MistrayError(f"'{name}' is no detector of this scene; choose from {', '.join(known)}")
+        return [i for i in sensors if self.ids[i] in names]
 
     def _geometry(self, shapes: list[Any]) -> None:
         self.frames: list[np.ndarray] = [np.eye(3)]
@@ -269,33 +314,33 @@ class SurfaceTable:
         for i in range(self.count):
             piece = self.pieces[i] if i < len(self.pieces) else None
             flags[i] = (
-                (DETECTOR if i == self.detector else 0)
+                (DETECTOR if i in self.detectors else 0)
                 | (STOCK if piece is None else 0)
                 | (WALL if piece is not None and piece.wall else 0)
                 | (ASPHERIC if piece is not None and piece.searched else 0)
             )
         return flags
 
-    def film(self) -> tuple[int, int, tuple[float, float, float, float]]:
-        """Pixels across and down the detector, and its extent (x0, x1, y0, y1) in its own frame, mm."""
-        shape = self.shapes[self.detector]
+    def film(self, detector: int | None = None) -> tuple[int, int, tuple[float, float, float, float]]:
+        """Pixels across and down a detector (the only one), and its extent (x0, x1, y0, y1) in its own frame, mm."""
+        detector = self.detector if detector is None else detector
+        shape, owner = self.shapes[detector], f"detector '{self.ids[detector]}'"
         width, height = (int(n) for n in shape.sensor().film().size())
-        owner = f"detector '{self.ids[self.detector]}'"
         FILM_SIDE.check("width of its film", width, owner)
         FILM_SIDE.check("height of its film", height, owner)
         FILM_PIXELS.check("number of its pixels", width * height, owner)
-        if self.detector < len(self.pieces):
-            half = self.pieces[self.detector].detector_half
-            if half is None:
-                raise MistrayError(
-                    f"detector '{self.ids[self.detector]}' is no optical surface; use an 'asphere' or a flat 'frustum'"
-                )
-            return width, height, (-half[0], half[0], -half[1], half[1])
-        matrix = _rectangle_matrix(shape, self.ids[self.detector])
-        half = float(np.linalg.norm(matrix[:3, 0])), float(np.linalg.norm(matrix[:3, 1]))
-        axes = (matrix[:3, 3] - self.centre, matrix[:3, 0] / half[0], matrix[:3, 1] / half[1])
-        self.detector_axes = [mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in axis)) for axis in axes]
+        if detector in self.detector_frames:
+            half_x, half_y = np.linalg.norm(self.detector_frames[detector][1:], axis=1).tolist()
+            return width, height, (-half_x, half_x, -half_y, half_y)
+        half = self.pieces[detector].detector_half
+        if half is None:
+            raise MistrayError(f"{owner} is no optical surface; use an 'asphere' or a flat 'frustum'")
         return width, height, (-half[0], half[0], -half[1], half[1])
+
+    def _detector_frame(self, detector: int) -> np.ndarray:
+        """Middle, and half sides along x and y, of a detector that is a rectangle of Mitsuba's, (3, 3); mm."""
+        matrix = _rectangle_matrix(self.shapes[detector], self.ids[detector])
+        return matrix[:3, [3, 0, 1]].T
 
 
 def _centre(vertices: Sequence[np.ndarray], radii: Sequence[float]) -> np.ndarray:
@@ -316,6 +361,15 @@ def is_analytic(shape: Any) -> bool:
 def solid_shapes(scene: mi.Scene) -> list[Any]:
     """The shapes that light meets: all but those that only say where scattered rays are aimed at."""
     return [shape for shape in scene.shapes() if not getattr(shape.bsdf(), "is_target", False)]
+
+
+def require_one(detectors: Sequence[str]) -> None:
+    """Raise `MistrayError` if there are several detectors, for what looks at one."""
+    if len(detectors) > 1:
+        raise MistrayError(
+            f"the scene has {len(detectors)} detectors ({', '.join(detectors)}); name one: detector=, --detector, or "
+            "on(…) of a trace of all"
+        )
 
 
 def _interface(shape: Any) -> Any:

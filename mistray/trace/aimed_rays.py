@@ -59,13 +59,13 @@ def aimed_surfaces(runs: Sequence[Run]) -> list[AimedSurface]:
 
 
 def _aims_elsewhere(runs: Sequence[Run]) -> set[str]:
-    """Names of the places that have a target which does not hold the detector."""
+    """Names of the places that have a target which holds no detector."""
     names = set()
     for run in runs:
         table = run.table
-        detector = outline(table.shapes[table.detector])
+        detectors = [outline(table.shapes[i]) for i in table.detectors]
         for place, aim in run.scattering.tables.aims.items():
-            if not _holds(aim, detector):
+            if not _holds(aim, detectors):
                 if isinstance(place, Inside):  # in front of a wall may be any of the media
                     numbers = [table.count + medium for medium in np.flatnonzero(table.optics.host_scattering).tolist()]
                 else:
@@ -74,15 +74,20 @@ def _aims_elsewhere(runs: Sequence[Run]) -> set[str]:
     return names
 
 
-def _holds(aim: AimSet, detector: Target) -> bool:
-    """Whether all targets have the centre of the detector and are at least as large."""
-    size = max(detector.size)
+def _holds(aim: AimSet, detectors: Sequence[Target]) -> bool:
+    """Whether all targets have the centre of a detector and are at least as large."""
     return all(
-        isinstance(target, Target)
-        and float(np.linalg.norm(target.centre - detector.centre)) < SAME * size
+        isinstance(target, Target) and any(_covers(target, detector) for detector in detectors)
+        for target in aim.targets
+    )
+
+
+def _covers(target: Target, detector: Target) -> bool:
+    size = max(detector.size)
+    return (
+        float(np.linalg.norm(target.centre - detector.centre)) < SAME * size
         and min(target.size) >= (1 - SAME) * min(detector.size)
         and max(target.size) >= (1 - SAME) * size
-        for target in aim.targets
     )
 
 
@@ -133,7 +138,7 @@ def silent_places(runs: Sequence[Run]) -> list[SilentPlace]:
 
 def _lit_places(table: SurfaceTable, sums: np.ndarray) -> dict[int, np.ndarray]:
     """Hits and flux of the places that scatter; of a medium those of the surface on it that gets most flux."""
-    lit = {i: sums[i] for i in table.listed if table.interfaces[i].scatter and i != table.detector}
+    lit = {i: sums[i] for i in table.listed if table.interfaces[i].scatter and i not in table.detectors}
     if table.optics.scatters:
         for i in table.listed:
             for side in (Inside(i, False), Inside(i, True)):

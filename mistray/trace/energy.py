@@ -30,10 +30,12 @@ class Energy:
     Attributes
     ----------
     launched_W, detected_W, escaped_W : float
-        `detected_W` is what the detector absorbs.
+        `detected_W` is what the detectors absorb.
     detected_se_W, escaped_se_W : float
+    detected : dict
+        Detector id → (absorbed flux, its standard error).
     absorbed : dict
-        Surface id → (absorbed flux, its standard error), the detector left out.
+        Surface id → (absorbed flux, its standard error), the detectors left out.
     absorbed_in : dict
         Material → (flux absorbed along the way through it, its standard error); absorbing materials only.
     cut : dict
@@ -52,6 +54,7 @@ class Energy:
     launched_W: float
     detected_W: float
     detected_se_W: float
+    detected: dict[str, tuple[float, float]]
     absorbed: dict[str, tuple[float, float]]
     absorbed_in: dict[str, tuple[float, float]]
     escaped_W: float
@@ -81,6 +84,8 @@ class Energy:
             return f"{name:<28}{value:>14.6e}{error:<12} W {100 * value / self.launched_W:>11.5f} %"
 
         lines = [line("launched", self.launched_W), line("detected", self.detected_W, self.detected_se_W)]
+        if len(self.detected) > 1:
+            lines += [line(f"detected by {name}", *value) for name, value in self.detected.items()]
         strongest = sorted(self.absorbed.items(), key=lambda item: -item[1][0])
         lines += [line(f"absorbed by {name}", *value) for name, value in strongest if value[0] > 0]
         lines += [line(f"absorbed in {name}", *value) for name, value in self.absorbed_in.items()]
@@ -154,7 +159,11 @@ def flux_report(runs: Sequence[Run]) -> FluxReport:
 def energy_ledger(runs: Sequence[Run], surfaces: FluxReport) -> Energy:
     """Energy ledger of some runs together, with their flux report."""
     table = runs[0].table
-    (detector,) = (row for row in surfaces if row.id == table.ids[table.detector])
+    own = {table.ids[i] for i in table.detectors}
+    detected = {row.id: (row.absorbed_W, row.absorbed_se_W) for row in surfaces if row.id in own}
+    # Detectors share start rays: the error of their sum comes from that of the batches
+    by_batch = [run.surfaces[table.detectors, ABSORBED_HERE].sum(axis=0) for run in runs]
+    errors = [run.unit * batch_error(sums, run.started) for run, sums in zip(runs, by_batch, strict=True)]
     escaped = sum(run.unit * run.channels[ESCAPED].sum() for run in runs)
     escaped_se = np.sqrt(sum((run.unit * batch_error(run.channels[ESCAPED], run.started)) ** 2 for run in runs))
     media: dict[str, tuple[float, float]] = {}
@@ -166,9 +175,10 @@ def energy_ledger(runs: Sequence[Run], surfaces: FluxReport) -> Energy:
                 media[name] = before + float(run.unit * sums.sum()), float(np.hypot(se, error))
     return Energy(
         launched_W=sum(run.source.power for run in runs),
-        detected_W=detector.absorbed_W,
-        detected_se_W=detector.absorbed_se_W,
-        absorbed={row.id: (row.absorbed_W, row.absorbed_se_W) for row in surfaces if row is not detector},
+        detected_W=sum(value for value, _ in detected.values()),
+        detected_se_W=float(np.sqrt(sum(error**2 for error in errors))),
+        detected=detected,
+        absorbed={row.id: (row.absorbed_W, row.absorbed_se_W) for row in surfaces if row.id not in own},
         absorbed_in=media,
         escaped_W=float(escaped),
         escaped_se_W=float(escaped_se),

@@ -59,7 +59,7 @@ def trace(
     seed: int | None = None,
     ray_control: str | None = None,
     polarization: str | None = None,
-    detector: str | None = None,
+    detector: str | Sequence[str] | None = None,
     ledger: bool = True,
     progress: Callable[[int, int], None] | None = None,
     seconds: float | None = None,
@@ -92,8 +92,9 @@ def trace(
         Where branches end that are too weak, see there.
     splitting, seed, ray_control, polarization
         See there.
-    detector : str
-        Id of the detector, if the scene has several.
+    detector : str or sequence of str
+        Ids of the detectors, by default all of the scene; light on the others is absorbed. Of several detectors
+        `Trace.on` shows one.
     ledger : bool
         Keep the path table; without it a trace is a little faster.
     progress : callable
@@ -102,7 +103,8 @@ def trace(
         Time after which the trace ends with the rays that it has, which are a sample of all; `Trace.rays_traced` says
         how many. The kernel's compilation counts, and the last launch may take a second longer.
     recorders : sequence of Recorder
-        Told of all that happens to the rays, see docs/extending.md; not where workers trace.
+        Told of all that happens to the rays: probes and far fields, see docs/detectors.md, or others of your own, see
+        docs/extending.md; not where workers trace.
 
     Returns
     -------
@@ -111,8 +113,8 @@ def trace(
     Raises
     ------
     MistrayError
-        If the scene lacks a source, a detector or an ``interface``, an argument is out of range, or the beam misses
-        every surface.
+        If the scene lacks a source, a detector or an ``interface``, an argument is out of range, two recorders have the
+        same name, or the beam misses every surface.
     Interrupted
         Ctrl-C, after rays of every source and wavelength were traced: ``partial`` is a `Trace` of them.
     """
@@ -149,6 +151,10 @@ def trace(
         "weights": weights,
         "detector": detector,
     }
+    names = [recorder.name for recorder in recorders if recorder.name]
+    for name in names:
+        if names.count(name) > 1:
+            raise MistrayError(f"{names.count(name)} recorders have the name '{name}'; give each a name of its own")
     runs = prepare(scene, settings, **beam)
     workers, task = current_workers(), None
     with within(seconds):
@@ -169,7 +175,9 @@ def trace(
                 raise
             for run in runs:
                 _require_hits(run)
-    return _result(scene, runs, settings, field_deg, azimuth_deg, ledger, task)
+    found = _result(scene, runs, settings, field_deg, azimuth_deg, ledger, task)
+    found.recorders = {recorder.name: recorder for recorder in recorders if recorder.name}
+    return found
 
 
 def _execute(
@@ -271,7 +279,7 @@ def _result(
             "weights": [
                 sum(run.source.power for run in runs if run.source.wavelength_nm == w) / power for w in wavelengths
             ],
-            "detector": runs[0].table.ids[runs[0].table.detector],
+            "detector": runs[0].table.detector_names,
             "ledger": ledger,
             "variant": mi.variant(),
             "versions": dict(versions()),

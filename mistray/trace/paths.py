@@ -24,7 +24,7 @@ from mistray.recorders.path_events import (
     way_letters,
     way_text,
 )
-from mistray.recorders.path_key import host_keys
+from mistray.recorders.path_key import EVENT_BITS, host_keys
 from mistray.recorders.sampled import Sampled, batch_error
 from mistray.settings import BATCHES
 from mistray.trace.path_aliases import KEPT_APART, NAMES, alias_names, aliased
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
 
 ROWS_PRINTED = 20
-LABELLED_BY = ("events", "kind", "ghost_1", "ghost_2", "scatter_1", "scatters", "source", "wavelength_nm")
+LABELLED_BY = ("detector", "events", "kind", "ghost_1", "ghost_2", "scatter_1", "scatters", "source", "wavelength_nm")
 MOMENT_SUMS = [2, 4, 5, 6]  # of the ledger: absorbed, absorbed · x, absorbed · y, absorbed · (x² + y²)
 
 
@@ -55,6 +55,8 @@ class PathRow:
     source : str
         Id of the source.
     wavelength_nm : float
+    detector : str
+        Id of the detector where it ends.
     label : str
         Name of the path, another one for each path of the table, see `mistray.recorders.path_events.path_labels`.
     events : str
@@ -115,6 +117,7 @@ class PathRow:
     path_id: int
     source: str
     wavelength_nm: float
+    detector: str
     label: str
     events: str
     path: str
@@ -501,8 +504,15 @@ def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTabl
             one.paths.events[place], one.paths.lengths[place], run.table.event_ids, run.table.event_words
         )
         numbers.append(path_numbers([RunSums(one.paths.sums[place], one.started, one.unit, facts["scatters"] > 0)]))
-        source = np.full(len(place), run.source.name, dtype=object)
-        parts.append({"source": source, "wavelength_nm": np.full(len(place), run.source.wavelength_nm)} | facts)
+        ends = one.paths.events[place, one.paths.lengths[place] - 1] >> EVENT_BITS
+        parts.append(
+            {
+                "source": np.full(len(place), run.source.name, dtype=object),
+                "wavelength_nm": np.full(len(place), run.source.wavelength_nm),
+                "detector": np.array(run.table.event_ids, dtype=object)[ends],
+            }
+            | facts
+        )
         places.append(place)
     found = PathNumbers.joined(numbers)
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]} | found.columns

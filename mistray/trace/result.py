@@ -5,6 +5,8 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +20,7 @@ from mistray.gradients.run_gradient import run_gradient
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.recorders.film import image_word
 from mistray.recorders.path_derivative import MOMENTS, HitDerivative, PathDerivative
+from mistray.recorders.recorder import Recorder
 from mistray.recorders.sampled import Sampled
 from mistray.recorders.tallies import SCATTERED_FLUX, SCATTERED_HITS, SCATTERED_SQUARES, SEGMENTS
 from mistray.surfaces.surfaces import SurfaceTable
@@ -45,7 +48,7 @@ class Trace:
     rays_traced, rays_planned : int
         Start rays that were traced and that were to be; fewer where workers were lost, see `mistray.distribute`.
     paths : PathTable
-        Paths from the sources to the detector, the strongest first; None if traced with ``ledger=False``.
+        Paths from the sources to the detectors, the strongest first; None if traced with ``ledger=False``.
     energy : Energy
     surfaces : FluxReport
         Hits, incident and absorbed flux at every surface.
@@ -54,8 +57,6 @@ class Trace:
         from the spread of 32 batches of start rays, or of 16 or 8 groups of them where the detector has more than
         65 536 or 131 072 pixels, so that light of one start ray that lands in one pixel several times counts as one.
         From 32 batches an error is known to 13 %, from 8 to 27 %.
-    extent : tuple of float
-        x0, x1, y0, y1 of the irradiance map in the detector's frame, mm.
     coating_error : float
         Bound of the error of R and T by interpolation over the angle of incidence, of the worst coating.
     scattered_rays_per_start : float
@@ -73,6 +74,8 @@ class Trace:
     silent : list of SilentPlace
         Surfaces and media that scatter and got light, but sent nothing to the detector in this trace, each with its
         share of the launched flux; the one with most light first. Empty if traced with ``ledger=False``.
+    recorders : dict
+        Recorders that the trace was given and that have a name, such as probes, by their names.
     segments : int
         Ray segments that were traced.
     seconds : float
@@ -82,10 +85,9 @@ class Trace:
     def __init__(self, runs: list[Run], settings: dict[str, Any], task: TraceTask | None = None) -> None:
         self._runs, self._task = runs, task
         self.settings = settings
+        self.recorders: dict[str, Recorder] = {}
         self.rays_traced = round(sum(float(run.started.sum()) for run in runs))
         self.rays_planned = sum(run.rays for run in runs)
-        self.extent = runs[0].table.film()[2]
-        self.irradiance, self.irradiance_se = _with_error(self.light)
         decoded = [run.paths for run in runs if run.paths is not None]
         self._paths = path_table(runs, decoded) if decoded else None
         self.surfaces = flux_report(runs)
@@ -126,6 +128,59 @@ class Trace:
     def has_paths(self) -> bool:
         """Whether there are `paths`."""
         return self._paths is not None
+
+    @property
+    def detectors(self) -> list[str]:
+        """Ids of the detectors whose light was traced."""
+        table = self._runs[0].table
+        return [table.ids[i] for i in table.detectors]
+
+    def on(self, detector: str) -> Trace:
+        """
+        The same trace on one of its detectors: its map, its paths, its share of the energy.
+
+        Nothing is traced again, but for what asks for that (`maps`, `box`, `history`, `rays`, gradients); light that
+        the other detectors take is then absorbed by surfaces like others.
+
+        Parameters
+        ----------
+        detector : str
+            One of `detectors`.
+
+        Raises
+        ------
+        MistrayError
+            For another name.
+        """
+        table = self._runs[0].table
+        if detector not in self.detectors:
+            raise MistrayError(f"'{detector}' is no detector of this trace; choose from {', '.join(self.detectors)}")
+        number = table.ids.index(detector)
+        if len(table.detectors) == 1:
+            return self
+        tables = {id(run.table): run.table.on(number) for run in self._runs}
+        runs = [run.on(number, tables[id(run.table)]) for run in self._runs]
+        task = None if self._task is None else replace(self._task, only=number)
+        return Trace(runs, self.settings | {"detector": detector}, task)
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """The region of the irradiance map in the detector's frame: x0, x1, y0, y1, mm."""
+        return self._runs[0].table.film()[2]
+
+    @property
+    def irradiance(self) -> np.ndarray:
+        """See `Trace`."""
+        return self._map[0]
+
+    @property
+    def irradiance_se(self) -> np.ndarray:
+        """See `Trace`."""
+        return self._map[1]
+
+    @cached_property
+    def _map(self) -> tuple[np.ndarray, np.ndarray]:
+        return _with_error(self.light)
 
     @property
     def light(self) -> Sampled:

@@ -350,7 +350,7 @@ class TestBadInput:
             ({"map_pixels": 2.5}, "map_pixels is 2.5"),
             ({"wavelength_nm": -5.0}, "wavelength_nm is -5; it must lie"),
             ({"weights": [1.0]}, "weights are given without wavelength_nm"),
-            ({"detector": "nobody"}, "'nobody' is no detector of this scene; choose one of detector"),
+            ({"detector": "nobody"}, "'nobody' is no detector of this scene; choose from detector"),
         ],
     )
     def test_one_line(self, bare, arguments: dict[str, Any], message: str) -> None:

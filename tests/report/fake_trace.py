@@ -117,6 +117,7 @@ class FakeTrace:
             launched_W=launched,
             detected_W=detected,
             detected_se_W=0.001 * detected,
+            detected={"detector": (detected, 0.001 * detected)},
             absorbed={"stop_wall": (0.9 * absorbed, 1e-3), "L1_rear": (0.1 * absorbed, 1e-4)},
             absorbed_in={"N-BK7": (glass, 1e-5)},
             escaped_W=1.25 * share,

@@ -82,30 +82,6 @@ class TestColoursSourcesDetectors:
         both = mistray.trace(scene, rays=3000, field_deg=0.0)
         assert all(abs(row.y_mm) < 0.1 for row in both.paths)
 
-    def test_detectors(self, load_text) -> None:
-        """Several detectors: one is chosen by name, the other ones absorb."""
-        mirror = interface_xml(R=0.5, T=0.5)
-        side = shape_xml(
-            "asphere", "side", -5.0, sensor=True, half_width=30.0, half_height=30.0, inner_semi_diameter=0.0
-        )
-        side = side.replace('<float name="inner_semi_diameter" value="0.0"/>', "")
-        text = scene_text(
-            side,
-            shape_xml("asphere", "splitter", 0.0, mirror, semi_diameter=20.0),
-            shape_xml("asphere", "back", 5.0, sensor=True, half_width=30.0, half_height=30.0),
-        ).replace('name="radius"', 'name="distance" value="2"/><float name="radius"', 1)
-        scene, _ = load_text(text)
-        with pytest.raises(mistray.MistrayError, match=r"2 detectors \(back, side\)"):
-            mistray.trace(scene, rays=100)
-        with pytest.raises(mistray.MistrayError, match=r"'splitter' is no detector .* choose one of back, side"):
-            mistray.trace(scene, rays=100, detector="splitter")
-        for name, other, path in (("back", "side", "TA"), ("side", "back", "RA")):
-            t = mistray.trace(scene, rays=100, detector=name)
-            assert t.settings["detector"] == name
-            assert [row.path for row in t.paths] == [path]
-            assert t.energy.detected_W == pytest.approx(np.pi / 2, rel=1e-6)
-            assert t.energy.absorbed[other][0] == pytest.approx(np.pi / 2, rel=1e-6)
-
 
 class TestArguments:
     def test_the_scene_has_the_first_word_and_the_call_the_last(self, load_text) -> None:

@@ -50,9 +50,9 @@ class CellRun(Run):
 
     map_size: tuple[int, int] = (1, 1)
 
-    def make_film(self) -> Film:
+    def make_film(self, detector: int | None = None) -> Film:
         """The pixel grid of the map."""
-        x0, x1, y0, y1 = self.table.film()[2]
+        x0, x1, y0, y1 = self.table.film(detector)[2]
         columns, rows = self.map_size
         corner_x, corner_y, per_mm_x, per_mm_y = (
             dr.opaque(mi.Float, v) for v in (x0, y0, columns / (x1 - x0), rows / (y1 - y0))

@@ -12,7 +12,18 @@ from mistray.cli.command import Command, Group, Option
 from mistray.cli.ghosts_json import WORST_SHOWN, as_json
 from mistray.cli.options import Options
 from mistray.cli.progress import progress_bar
-from mistray.cli.shared import MAP_FORMATS, SCATTER, SCENE, SCHEDULER, SPECTRUM, TABLE_FORMATS, TIME, output, ray_tree
+from mistray.cli.shared import (
+    DETECTOR,
+    MAP_FORMATS,
+    SCATTER,
+    SCENE,
+    SCHEDULER,
+    SPECTRUM,
+    TABLE_FORMATS,
+    TIME,
+    output,
+    ray_tree,
+)
 from mistray.errors import Interrupted, MistrayError, UnfinishedError
 from mistray.ranges import AZIMUTH_DEG, BLOCK, FIELD_DEG, PART, SECONDS, STOPS
 from mistray.time_budget import within
@@ -86,6 +97,7 @@ COMMAND = Command(
             Option("--field-deg", "field angles, degrees", FIELD_DEG, "DEG", "+"),
             Option("--azimuth-deg", "azimuth of the field about z, degrees", AZIMUTH_DEG, "DEG"),
             *SPECTRUM,
+            DETECTOR,
         )),
         ray_tree("start rays at each field (1e6)", TIME, SCHEDULER),
         SCATTER,
@@ -148,6 +160,7 @@ def run(options: Options) -> int:
                     progress=progress,
                     rank=options.rank,
                     seconds=_seconds_of_trace(options),
+                    detector=options.detector,
                     **options.spectral_settings(),
                 )
             if options.rank == "peak":

@@ -1,0 +1,213 @@
+"""Prisms: a polygon in the plane of y and z, drawn out along x; boxes and beam-splitter cubes are some of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.physics.geometry.outline import polygon
+from mistray.prescription.bodies.placing import face_place, moved_as_one
+from mistray.prescription.coating import BLACK, Coating
+from mistray.prescription.model import Surface
+from mistray.prescription.scatter import Scatter
+
+X = np.array([1.0, 0.0, 0.0])
+
+
+# More than 8 parameters: each is one property of the body
+def prism(
+    name: str,
+    corners: Sequence[Sequence[float]],
+    width: float,
+    *,
+    material: str,
+    outside: str = "air",
+    faces: Sequence[str] | None = None,
+    coatings: Mapping[str, Coating | None] | None = None,
+    mirrors: Sequence[str] = (),
+    ends: Coating | None = BLACK,
+    scatter: tuple[Scatter, ...] = (),
+) -> tuple[Surface, ...]:
+    """
+    A body of glass whose section is a polygon in the plane of y and z.
+
+    Parameters
+    ----------
+    name : str
+        Of the part; faces are ``<name>_<face>``.
+    corners : sequence of (y, z)
+        Of the section in the world, mm, either way round; convex or not. Face k lies between corner k and the next.
+    width : float
+        From -width/2 to width/2 along x, mm.
+    material, outside : str
+        See `mistray.materials`.
+    faces : sequence of str, optional
+        Names of the faces; by default their numbers from 1 on.
+    coatings : mapping of str to Coating or None
+        Face → coating; bare Fresnel, with total reflection, where there is none.
+    mirrors : sequence of str
+        Faces at which the design path reflects, totally or by their coating.
+    ends : Coating or None
+        Of the two polished or blackened ends, ``<name>_left`` (-x) and ``<name>_right`` (+x).
+    scatter : tuple of Scatter
+        Of all faces but the ends.
+
+    Returns
+    -------
+    tuple of Surface
+        For `Prescription.surfaces`, or for its `structures`; `moved_as_one` places the whole body elsewhere.
+
+    Raises
+    ------
+    MistrayError
+        If the section crosses itself, has no area, or a name is none of its faces.
+    """
+    owner = f"prism '{name}'"
+    section = _section(corners, owner)
+    count = len(section)
+    names = [str(k + 1) for k in range(count)] if faces is None else list(faces)
+    if len(names) != count or len(set(names)) != count:
+        raise MistrayError(f"{owner}: {names} are names of its {count} faces; give one to each")
+    if not (math.isfinite(width) and width > 0):
+        raise MistrayError(f"{owner}: width = {width:g} mm; it must be above 0")
+    given = dict(coatings or {})
+    for face in (*given, *mirrors):
+        if face not in names:
+            raise MistrayError(f"{owner}: it has no face '{face}'; its faces are {', '.join(names)}")
+    turned = _area(section) < 0
+    common: dict[str, Any] = {"front": material, "back": outside, "part": name}
+    found = []
+    for k, face in enumerate(names):
+        a, b = section[k], section[(k + 1) % count]
+        along = (b - a) / np.linalg.norm(b - a)
+        outward = np.array([along[1], -along[0]]) * (-1 if turned else 1)
+        normal = np.array([0.0, *outward])
+        place = face_place(np.array([0.0, *(a + b) / 2]), (X, np.cross(normal, X), normal))
+        size: dict[str, Any] = {"half_width": width / 2, "half_height": float(np.linalg.norm(b - a)) / 2}
+        found.append(
+            Surface(f"{name}_{face}", **place, **size, coating=given.get(face), scatter=scatter, mirror=face in mirrors,
+                    **common)
+        )  # fmt: skip
+    middle = section.mean(axis=0)
+    for face, side in (("left", -1.0), ("right", 1.0)):
+        # Seen from outside, y to the right: z goes up at the one end and down at the other
+        axes = (np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, side]), side * X)
+        outline = polygon([(float(y), float(side * z)) for y, z in section - middle])
+        place = face_place(np.array([side * width / 2, *middle]), axes)
+        found.append(Surface(f"{name}_{face}", **place, outline=outline, coating=ends, **common))
+    return tuple(found)
+
+
+def box(
+    name: str,
+    size: Sequence[float],
+    *,
+    centre: Sequence[float] = (0.0, 0.0, 0.0),
+    coating: Coating | None = BLACK,
+    scatter: tuple[Scatter, ...] = (),
+) -> tuple[Surface, ...]:
+    """
+    An opaque box: a housing, an electronics box, a bracket.
+
+    Parameters
+    ----------
+    name : str
+        Of the part; faces are ``<name>_front`` (-z), ``_top`` (+y), ``_rear`` (+z), ``_bottom`` (-y), ``_left`` (-x)
+        and ``_right`` (+x).
+    size : (3,) float
+        Along x, y and z, mm.
+    centre : (3,) float
+        mm.
+    coating, scatter
+        Of all faces.
+
+    Returns
+    -------
+    tuple of Surface
+        For `Prescription.structures`.
+
+    Raises
+    ------
+    MistrayError
+        If a size is not above 0.
+    """
+    if len(size) != 3 or not all(math.isfinite(side) and side > 0 for side in size):
+        raise MistrayError(f"box '{name}': size = {tuple(size)} mm; give three sizes above 0, along x, y and z")
+    _, b, c = (side / 2 for side in size)
+    faces = ("front", "top", "rear", "bottom")
+    found = prism(
+        name, [(-b, -c), (b, -c), (b, c), (-b, c)], size[0], material="air", faces=faces, ends=coating,
+        coatings=dict.fromkeys(faces, coating), scatter=scatter,
+    )  # fmt: skip
+    x, y, z = map(float, centre)
+    return moved_as_one(found, x=x, y=y, z=z)
+
+
+def beam_splitter_cube(
+    name: str,
+    size: float,
+    *,
+    material: str,
+    splitter: Coating,
+    faces: Coating | None = None,
+    outside: str = "air",
+    ends: Coating | None = BLACK,
+) -> tuple[Surface, ...]:
+    """
+    Two right-angle prisms cemented at a coated diagonal, about the origin; light along +z is reflected to +y.
+
+    Parameters
+    ----------
+    name : str
+        Of the part; faces are ``<name>_entrance`` (-z), ``_exit`` (+z), ``_reflected`` (+y), ``_unused`` (-y),
+        ``_splitter``, ``_left`` and ``_right``.
+    size : float
+        Of an edge, mm.
+    material, outside : str
+    splitter : Coating
+        Of the diagonal.
+    faces, ends : Coating or None
+        Of the four polished faces, and of the two others.
+
+    Returns
+    -------
+    tuple of Surface
+        For `Prescription.surfaces`.
+
+    Raises
+    ------
+    MistrayError
+        If `size` is not above 0.
+    """
+    h = size / 2
+    names = ("entrance", "reflected", "exit", "unused")
+    body = prism(
+        name, [(-h, -h), (h, -h), (h, h), (-h, h)], size, material=material, outside=outside, faces=names,
+        coatings=dict.fromkeys(names, faces), ends=ends,
+    )  # fmt: skip
+    root = math.sqrt(0.5)
+    normal = np.array([0.0, -root, root])  # half way between +z and back from +y
+    diagonal = Surface(
+        f"{name}_splitter", **face_place(np.zeros(3), (X, np.cross(normal, X), normal)), half_width=h,
+        half_height=h / root, front=material, back=material, coating=splitter, part=name,
+    )  # fmt: skip
+    return (*body, diagonal)
+
+
+def _section(corners: Sequence[Sequence[float]], owner: str) -> np.ndarray:
+    """(n, 2) corners; refused where they are no simple polygon."""
+    try:
+        section = np.array(corners, dtype=np.float64).reshape(len(corners), 2)
+    except (TypeError, ValueError):
+        raise MistrayError(f"{owner}: corners are {corners}; give y and z of each, mm") from None
+    polygon([tuple(corner) for corner in section.tolist()]).check(owner)
+    return section
+
+
+def _area(section: np.ndarray) -> float:
+    y, z = section.T
+    return 0.5 * float(np.sum(y * np.roll(z, -1) - np.roll(y, -1) * z))

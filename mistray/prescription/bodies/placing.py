@@ -1,0 +1,99 @@
+"""Parts of several faces that are moved as one, or repeated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.physics.geometry.pose import fixed_angles_deg
+from mistray.prescription.model import Placed
+
+DECIMALS = 10  # of places (mm) and angles (degrees)
+Part = TypeVar("Part", bound=Placed)
+
+
+def face_place(at: np.ndarray, axes: Sequence[np.ndarray]) -> dict[str, Any]:
+    """
+    The attributes of `Placed` of a frame.
+
+    Parameters
+    ----------
+    at : (3,) float64
+        Its origin, mm.
+    axes : three (3,) float64
+        Its x, y and z axis.
+    """
+    x, y, z = (round(float(v), DECIMALS) + 0.0 for v in at)
+    tilt = tuple(round(v, DECIMALS) + 0.0 for v in fixed_angles_deg(np.column_stack(axes)))
+    return {"x": x, "y": y, "z": z, "tilt_deg": tilt}
+
+
+def moved_as_one(
+    faces: Iterable[Part],
+    *,
+    x: float = 0.0,
+    y: float = 0.0,
+    z: float = 0.0,
+    tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> tuple[Part, ...]:
+    """
+    Faces turned together about the world's origin, then displaced: a rigid motion of the whole part.
+
+    Parameters
+    ----------
+    faces : iterable of Surface or Structure
+    x, y, z : float
+        Displacement, mm.
+    tilt_deg : tuple of three float
+        Rotations about the world's x, y, z axes in this order, degrees.
+
+    Returns
+    -------
+    tuple
+        The faces in their order.
+    """
+    motion = Placed(x=x, y=y, z=z, tilt_deg=tilt_deg).to_world()
+    found = []
+    for face in faces:
+        frame = motion @ face.to_world()
+        found.append(replace(face, **face_place(frame[:3, 3], frame[:3, :3].T)))
+    return tuple(found)
+
+
+def array(faces: Sequence[Part], places: Sequence[Sequence[float]]) -> tuple[Part, ...]:
+    """
+    Copies of a part: lenslets, segments, rows of vanes.
+
+    Parameters
+    ----------
+    faces : sequence of Surface or Structure
+        Of one member, such as the two faces of a lenslet and its edge.
+    places : sequence of (x, y) or (x, y, z)
+        Displacement of each member, mm.
+
+    Returns
+    -------
+    tuple
+        All faces, member by member; ``<name>_<k>`` for member k = 1, 2, …, and so are the parts called.
+
+    Raises
+    ------
+    MistrayError
+        If there is no place, or one is not two or three numbers.
+    """
+    if not len(places):
+        raise MistrayError("array: there are no places; give x and y of each member, mm")
+    found: list[Part] = []
+    for k, place in enumerate(places, start=1):
+        if len(place) not in (2, 3):
+            raise MistrayError(f"array: place {k} is {tuple(place)}; give x and y, or x, y and z, mm")
+        x, y, z = (*map(float, place), 0.0)[:3]
+        for face in moved_as_one(faces, x=x, y=y, z=z):
+            named: Any = face
+            part = f"{named.part}_{k}" if named.part else None
+            found.append(replace(named, name=f"{named.name}_{k}", part=part))
+    return tuple(found)

@@ -1,0 +1,123 @@
+"""Plates of any outline with holes, as thick as they are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.physics.geometry.outline import Figure, Outline
+from mistray.prescription.bodies.placing import face_place
+from mistray.prescription.coating import BLACK, Coating
+from mistray.prescription.model import Structure, Surface
+from mistray.prescription.scatter import Scatter
+
+Z = np.array([0.0, 0.0, 1.0])
+
+
+def plate(
+    name: str,
+    outline: Outline,
+    thickness: float,
+    *,
+    z: float = 0.0,
+    coating: Coating | None = BLACK,
+    scatter: tuple[Scatter, ...] = (),
+) -> tuple[Surface | Structure, ...]:
+    """
+    An opaque plate across z, with the walls of its rim and of its holes.
+
+    Parameters
+    ----------
+    name : str
+        Of the part; faces are ``<name>_front`` (-z), ``<name>_rear``, and ``<name>_wall_<k>`` for figure k of the
+        outline, of polygons and rectangles ``<name>_wall_<k>_<side>``.
+    outline : Outline
+        A circle, rectangle or polygon, then holes of these kinds ("-") that lie within it and apart from each other.
+    thickness : float
+        mm.
+    z : float
+        Of the front, mm.
+    coating, scatter
+        Of all faces.
+
+    Returns
+    -------
+    tuple of Surface and Structure
+        For `Prescription.structures`; `moved_as_one` places the whole plate elsewhere.
+
+    Raises
+    ------
+    MistrayError
+        For a thickness that is not above 0, another outline, and holes that reach over the rim or into each other.
+    """
+    owner = f"plate '{name}'"
+    if not (math.isfinite(thickness) and thickness > 0):
+        raise MistrayError(f"{owner}: thickness = {thickness:g} mm; it must be above 0")
+    outline.check(owner)
+    _check_holes(outline, owner)
+    common: dict[str, Any] = {"coating": coating, "scatter": scatter, "part": name}
+    found: list[Surface | Structure] = [
+        Surface(f"{name}_{face}", outline=outline, z=height, **common)
+        for face, height in (("front", z), ("rear", z + thickness))
+    ]
+    for k, figure in enumerate(outline.figures, start=1):
+        wall = f"{name}_wall_{k}"
+        if figure.kind == "circle":
+            (r,) = figure.sizes
+            found.append(Structure(wall, r, 0.0, r, thickness, x=figure.x, y=figure.y, z=z, **common))
+        else:
+            found += _flat_walls(wall, figure, thickness, z, common)
+    return tuple(found)
+
+
+def _flat_walls(name: str, figure: Figure, thickness: float, z: float, common: dict[str, Any]) -> list[Surface]:
+    corners = _corners(figure)
+    walls = []
+    for k, (a, b) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True), start=1):
+        along = np.array([*(b - a), 0.0]) / np.linalg.norm(b - a)
+        at = np.array([*(a + b) / 2, z + thickness / 2])
+        place = face_place(at, (along, Z, np.cross(along, Z)))
+        half: dict[str, Any] = {"half_width": float(np.linalg.norm(b - a)) / 2, "half_height": thickness / 2}
+        walls.append(Surface(f"{name}_{k}", **place, **half, **common))
+    return walls
+
+
+def _check_holes(outline: Outline, owner: str) -> None:
+    """Refuse what has walls that are not those of its figures, as far as points of their rims tell."""
+    kinds = ("circle", "rectangle", "polygon")
+    for k, figure in enumerate(outline.figures, start=1):
+        if figure.kind not in kinds or figure.sign != ("+" if k == 1 else "-"):
+            raise MistrayError(
+                f"{owner}: figure {k} of its outline is '{figure.sign}{figure.kind}'; give a circle, rectangle or "
+                "polygon first, then holes of these kinds"
+            )
+    rims = [_rim(figure) for figure in outline.figures]
+    alone = [Outline((replace(figure, sign="+"),)) for figure in outline.figures]
+    for k in range(1, len(rims)):
+        if not np.all(alone[0].contains(*rims[k].T)):
+            raise MistrayError(f"{owner}: hole {k} reaches over its rim; make it smaller or move it")
+        for j in range(1, k):
+            if np.any(alone[j].contains(*rims[k].T)) or np.any(alone[k].contains(*rims[j].T)):
+                raise MistrayError(f"{owner}: holes {j} and {k} overlap; make one hole of them or move one")
+
+
+def _corners(figure: Figure) -> np.ndarray:
+    """Corners in the plane of the plate, (n, 2), mm."""
+    c, s = math.cos(math.radians(figure.angle_deg)), math.sin(math.radians(figure.angle_deg))
+    turned: np.ndarray = figure.corners @ np.array([[c, s], [-s, c]]) + (figure.x, figure.y)
+    return turned
+
+
+def _rim(figure: Figure, count: int = 64) -> np.ndarray:
+    """Points of the rim of a figure, (n, 2), mm."""
+    if figure.kind == "circle":
+        angle = 2 * np.pi * np.arange(4 * count) / (4 * count)
+        return figure.sizes[0] * np.stack([np.cos(angle), np.sin(angle)], axis=1) + (figure.x, figure.y)
+    corners = _corners(figure)
+    part = np.arange(count)[:, None, None] / count
+    points: np.ndarray = corners + part * (np.roll(corners, -1, axis=0) - corners)
+    return points.reshape(-1, 2)

@@ -1,0 +1,74 @@
+"""Light that recorders sum by cell without touching it, over all sources and wavelengths of a trace."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.recorders.film import groups_of
+from mistray.recorders.recorder import Memory, Recorder
+from mistray.recorders.sampled import Sampled
+from mistray.settings import BATCHES
+
+if TYPE_CHECKING:
+    from mistray.kernel.kernel_scene import KernelScene
+    from mistray.recorders.start_rays import StartRays
+
+
+class PassingLight(Recorder):
+    """
+    Flux by cell, by group of batches of start rays.
+
+    Parameters
+    ----------
+    name : str
+        What the result calls it.
+    cells : int
+    """
+
+    def __init__(self, name: str, cells: int) -> None:
+        if not name.strip():
+            raise MistrayError(f"{type(self).__name__} has the name '{name}'; give it one that is not blank")
+        self.name, self.cells = name, cells
+        self._groups = groups_of(cells)
+        self._flux: Sampled | None = None
+
+    def attach(self, scene: KernelScene) -> None:
+        """Begin at zero."""
+        self._sums = dr.zeros(mi.Float64, self._groups * self.cells)
+        self._started = dr.zeros(mi.Float64, BATCHES)
+        dr.eval(self._sums, self._started)
+
+    def add(self, start: StartRays, cell: mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
+        """Add flux to cells."""
+        group = start.batch >> dr.opaque(mi.UInt32, (BATCHES // self._groups).bit_length() - 1)
+        dr.scatter_reduce(dr.ReduceOp.Add, self._sums, mi.Float64(flux), group * self.cells + cell, active)
+
+    def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, memory: Memory) -> None:
+        """Count the start rays."""
+        dr.scatter_reduce(dr.ReduceOp.Add, self._started, mi.Float64(1), start.batch)
+
+    def collect(self, unit: float) -> None:
+        """Add what one source has brought at one wavelength."""
+        sums = np.array(self._sums).reshape(self._groups, self.cells).T
+        started = np.array(self._started).reshape(self._groups, -1).sum(axis=1)
+        found = Sampled.of(sums, started).scaled(unit)
+        self._flux = found if self._flux is None else self._flux + found
+
+    @property
+    def flux(self) -> Sampled:
+        """
+        Flux of the cells with its noise, (cells,), W.
+
+        Raises
+        ------
+        MistrayError
+            Before it was in a trace.
+        """
+        if self._flux is None:
+            raise MistrayError(f"'{self.name}' has recorded nothing yet; give it to trace(…, recorders=[…])")
+        return self._flux

@@ -1,0 +1,108 @@
+"""The far field: light that leaves the scene, by direction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.ranges import FILM_PIXELS, FILM_SIDE, Range
+from mistray.recorders.passing.cells import PassingLight
+from mistray.recorders.passing.probe import frame_of, vector_of
+from mistray.recorders.recorder import Memory, Segment
+
+if TYPE_CHECKING:
+    from mistray.kernel.kernel_scene import KernelScene
+
+EDGE_DEG = Range(0.0, 180.0, unit="degrees")
+
+
+class FarField(PassingLight):
+    """
+    Radiant intensity of the light that leaves the scene: what a detector far away sees.
+
+    It is given to `mistray.trace` among ``recorders``.
+
+    Parameters
+    ----------
+    name : str
+        What the trace calls it, see `mistray.trace.Trace.recorders`.
+    edges_deg : sequence of float
+        Borders of the cells in the angle from the axis, ascending, 0 … 180.
+    azimuths : int
+        Cells around the axis, each as wide; the first begins at `up` and they go towards -x of the frame whose y is
+        `up` and whose z is the axis.
+    axis, up : (3,) float
+        Directions in the world.
+
+    Raises
+    ------
+    MistrayError
+        For borders that do not ascend, and directions that are 0 or along each other.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        edges_deg: Sequence[float] = tuple(range(0, 181, 2)),
+        azimuths: int = 1,
+        axis: Sequence[float] = (0.0, 0.0, 1.0),
+        up: Sequence[float] = (0.0, 1.0, 0.0),
+    ) -> None:
+        owner = f"far field '{name}'"
+        edges = np.array(EDGE_DEG.check_each("edges_deg", edges_deg, owner))
+        if len(edges) < 2 or not np.all(np.diff(edges) > 0):
+            raise MistrayError(f"{owner}: edges_deg {edges.tolist()} do not ascend; give two or more that do")
+        FILM_SIDE.check("azimuths", azimuths, owner)
+        FILM_PIXELS.check("number of its cells", (len(edges) - 1) * azimuths, owner)
+        self.edges_deg, self._azimuths = edges, int(azimuths)
+        self._axes = frame_of(vector_of("axis", axis, owner), vector_of("up", up, owner), owner)
+        super().__init__(name, (len(edges) - 1) * self._azimuths)
+
+    def attach(self, scene: KernelScene) -> None:
+        """Begin at zero."""
+        super().attach(scene)
+        # Borders in the sine of half the angle, which float32 resolves at 0° and, nearly as well, at 180°
+        self._borders = mi.Float(np.sin(np.radians(self.edges_deg) / 2).astype(np.float32))
+        self._on_device = [mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in axis)) for axis in self._axes]
+
+    def travel(self, segment: Segment, memory: Memory) -> None:
+        """Add the flux of rays that leave."""
+        right, up, axis = self._on_device
+        half_sine = 0.5 * dr.norm(segment.heading - axis)
+        count = len(self.edges_deg)
+        row = dr.binary_search(
+            0, count, lambda k: dr.gather(mi.Float, self._borders, dr.minimum(k, count - 1)) <= half_sine
+        )
+        inside = segment.active & segment.leaves & (row > 0)
+        # Straight back belongs to the last cell
+        last = dr.opaque(mi.Bool, bool(self.edges_deg[-1] == EDGE_DEG.high))
+        inside &= (row < count) | last
+        row = dr.minimum(row, count - 1) - 1
+        turn = dr.atan2(-dr.dot(segment.heading, right), dr.dot(segment.heading, up)) / (2 * dr.pi)
+        turn = dr.select(turn < 0, turn + 1, turn)
+        column = mi.UInt32(dr.clip(mi.Int32(turn * self._azimuths), 0, self._azimuths - 1))
+        self.add(segment.start, mi.UInt32(row) * self._azimuths + column, segment.flux, inside)
+
+    @property
+    def power(self) -> tuple[float, float]:
+        """Flux in all cells and its standard error, W."""
+        total = self.flux.total()
+        return float(total.value), float(total.se)
+
+    @property
+    def solid_angle_sr(self) -> np.ndarray:
+        """Solid angle of the cells of each row, (rows,), sr."""
+        cos = np.cos(np.radians(self.edges_deg))
+        return (cos[:-1] - cos[1:]) * 2 * np.pi / self._azimuths
+
+    @property
+    def intensity(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mean radiant intensity of the cells and its standard error, (rows, azimuths) each, W/sr."""
+        flux, size = self.flux, self.solid_angle_sr[:, None]
+        shape = len(size), self._azimuths
+        return flux.value.reshape(shape) / size, flux.se.reshape(shape) / size

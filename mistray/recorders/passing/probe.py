@@ -1,0 +1,195 @@
+"""A probe: what crosses a rectangle in space, without touching the light."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.ranges import FILM_PIXELS, FILM_SIDE, PLACE_MM, SIZE_MM
+from mistray.recorders.passing.cells import PassingLight
+from mistray.recorders.recorder import Memory, Segment
+from mistray.recorders.sampled import Sampled
+
+if TYPE_CHECKING:
+    from mistray.kernel.kernel_scene import KernelScene
+
+PARALLEL = 1e-6  # sine of the angle below which two directions are one
+
+
+class Probe(PassingLight):
+    """
+    Light that crosses a rectangle along its normal: irradiance by place, radiance by direction.
+
+    It is given to `mistray.trace` among ``recorders``. It may stand anywhere, also within glass, and light goes on as
+    if it were not there, so that a ray that comes back counts again. Where absorption or scatter in a medium takes
+    light on the way, the flux is that at the rectangle.
+
+    Parameters
+    ----------
+    name : str
+        What the trace calls it, see `mistray.trace.Trace.recorders`.
+    centre : (3,) float
+        Middle of the rectangle in the world, mm.
+    normal : (3,) float
+        Light counts that goes to this side; its length does not matter. Turn it round for the light that comes back.
+    half_width, half_height : float
+        Half sides, mm.
+    pixels : (2,) int
+        Across and down.
+    directions : int
+        Cells of direction along each of x and y, for `radiance`; 1: none.
+    up : (3,) float
+        The y axis of the rectangle is as near to it as its plane allows.
+
+    Raises
+    ------
+    MistrayError
+        For a number out of range, or a normal that is 0 or along `up`.
+    """
+
+    # More than 8 parameters: what a rectangle in space and its cells are
+    def __init__(
+        self,
+        name: str,
+        centre: Sequence[float],
+        normal: Sequence[float] = (0.0, 0.0, 1.0),
+        half_width: float = 1.0,
+        half_height: float = 1.0,
+        pixels: Sequence[int] = (64, 64),
+        directions: int = 1,
+        up: Sequence[float] = (0.0, 1.0, 0.0),
+    ) -> None:
+        owner = f"probe '{name}'"
+        for what, side in (("half_width", half_width), ("half_height", half_height)):
+            SIZE_MM.check(what, side, owner)
+        for what, count in (("width in pixels", pixels[0]), ("height in pixels", pixels[1])):
+            FILM_SIDE.check(what, count, owner)
+        FILM_SIDE.check("number of directions", directions, owner)
+        FILM_PIXELS.check("number of its cells", pixels[0] * pixels[1] * directions**2, owner)
+        self._centre = vector_of("centre", centre, owner)
+        self._axes = frame_of(vector_of("normal", normal, owner), vector_of("up", up, owner), owner)
+        self._half = float(half_width), float(half_height)
+        self._pixels, self._directions = (int(pixels[0]), int(pixels[1])), int(directions)
+        super().__init__(name, pixels[0] * pixels[1] * self._directions**2)
+
+    @property
+    def code(self) -> Hashable:
+        """See `Recorder.code`."""
+        return type(self).__name__, self._directions > 1
+
+    def attach(self, scene: KernelScene) -> None:
+        """Begin at zero."""
+        super().attach(scene)
+        self._optics = scene.table.optics
+        self._origin = scene.table.upload_point(self._centre)
+        self._on_device = [mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in axis)) for axis in self._axes]
+        self._scale = [
+            dr.opaque(mi.Float, count / (2 * half)) for count, half in zip(self._pixels, self._half, strict=True)
+        ]
+        self._halves = [dr.opaque(mi.Float, half) for half in self._half]
+
+    def travel(self, segment: Segment, memory: Memory) -> None:
+        """Add the flux of segments that cross the rectangle."""
+        right, up, normal = self._on_device
+        away = self._origin - segment.origin
+        along = dr.dot(segment.heading, normal)
+        distance = dr.dot(away, normal) / along
+        crosses = segment.active & (along > 0) & (distance > 0) & (segment.leaves | (distance <= segment.length))
+        offset = dr.fma(distance, segment.heading, -away)
+        x, y = dr.dot(offset, right), dr.dot(offset, up)
+        crosses &= (dr.abs(x) <= self._halves[0]) & (dr.abs(y) <= self._halves[1])
+        flux = segment.flux
+        if self._optics.absorbs:
+            flux, _, _ = self._optics.attenuate(flux, segment.medium, distance, crosses)
+        columns, rows = self._pixels
+        cell = _cell(y + self._halves[1], self._scale[1], rows) * columns
+        cell += _cell(x + self._halves[0], self._scale[0], columns)
+        if self._directions > 1:
+            n = self._directions
+            u, v = (_cell(dr.dot(segment.heading, axis) + 1, mi.Float(n / 2), n) for axis in (right, up))
+            cell = (cell * n + v) * n + u
+        self.add(segment.start, cell, flux, crosses)
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """x0, x1, y0, y1 of the rectangle in its own frame, mm."""
+        return -self._half[0], self._half[0], -self._half[1], self._half[1]
+
+    @property
+    def power(self) -> tuple[float, float]:
+        """Flux that crosses it, and its standard error, W."""
+        total = self.flux.total()
+        return float(total.value), float(total.se)
+
+    @property
+    def irradiance(self) -> tuple[np.ndarray, np.ndarray]:
+        """Flux density by pixel and its standard error, (height, width) each, W/mm²; row 0 is at the smallest y."""
+        columns, rows = self._pixels
+        area = 4 * self._half[0] * self._half[1] / (columns * rows)
+        flux = self.flux
+        by_direction = Sampled(
+            flux.value.reshape(-1, self._directions**2).T,
+            np.moveaxis(flux.apart.reshape(rows * columns, self._directions**2, -1), 1, 0),
+        )
+        found = by_direction.total().scaled(1 / area)
+        return found.value.reshape(rows, columns), found.se.reshape(rows, columns)
+
+    @property
+    def radiance(self) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Radiance by pixel and direction and its standard error, (height, width, directions, directions), W/(mm² sr).
+
+        The last two axes are uniform cells of the direction cosines along y and x, -1 … 1. A cell of cosines du dv is
+        the projected solid angle cos θ dΩ, so that the flux over area and du dv is the mean radiance of the cell.
+        """
+        columns, rows = self._pixels
+        n = self._directions
+        area = 4 * self._half[0] * self._half[1] / (columns * rows)
+        found = self.flux.scaled(1 / (area * (2 / n) ** 2))
+        shape = rows, columns, n, n
+        return found.value.reshape(shape), found.se.reshape(shape)
+
+
+def _cell(place: mi.Float, per_mm: mi.Float, count: int) -> mi.UInt32:
+    """Number of a cell; what lies on the last border belongs to the last."""
+    return mi.UInt32(dr.clip(mi.Int32(place * per_mm), 0, count - 1))
+
+
+def vector_of(what: str, given: Sequence[float], owner: str) -> np.ndarray:
+    """Three numbers, (3,); raises `MistrayError` for others."""
+    numbers = PLACE_MM.check_each(what, given, owner)
+    if len(numbers) != 3:
+        raise MistrayError(f"{owner}: {what} has {len(numbers)} numbers; give its x, y and z")
+    return np.array(numbers)
+
+
+def frame_of(normal: np.ndarray, up: np.ndarray, owner: str) -> np.ndarray:
+    """
+    Unit vectors along x and y of a plane and along its normal, (3, 3).
+
+    Parameters
+    ----------
+    normal, up : (3,) float64
+        `up` lies in the plane of y and the normal.
+    owner : str
+        For messages.
+
+    Raises
+    ------
+    MistrayError
+        If one is 0, or both are along each other.
+    """
+    for what, vector in (("normal", normal), ("up", up)):
+        if not np.linalg.norm(vector) > 0:
+            raise MistrayError(f"{owner}: {what} is 0, 0, 0; give a direction")
+    z = normal / np.linalg.norm(normal)
+    x = np.cross(up / np.linalg.norm(up), z)
+    if np.linalg.norm(x) < PARALLEL:
+        raise MistrayError(f"{owner}: up is along {normal.tolist()}; give another up")
+    x /= np.linalg.norm(x)
+    return np.array([x, np.cross(z, x), z])
