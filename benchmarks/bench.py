@@ -42,6 +42,7 @@ PARTS = {
     "coating_steps": ("coating_steps", "share of tracing in a coating optimisation"),
     "modes": ("modes", "path table, coatings and polarisation against plain traces"),
     "scatter": ("scatter", "scatter models and a scattering camera"),
+    "systems": ("systems", "a housing of triangles, freeforms and segments against lenses alone"),
     "start": ("start_up", "import, help, first ghost table with an empty and a filled kernel cache"),
     "memory": ("memory", "largest memory"),
     "growth": ("growth", "growth with rays, surfaces, paths, layers and threads"),

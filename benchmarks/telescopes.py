@@ -1,4 +1,4 @@
-"""All two-reflection ghosts of three telescopes: `mistray.trace` against batoid's `traceSplit`, from the same rays.
+"""All two-reflection ghosts of four telescopes: `mistray.trace` against batoid's `traceSplit`, from the same rays.
 
 Both get the telescope as batoid ships it, without baffles: batoid meets them in the order of its list, so that a disc
 that shades the beam ahead of the camera is no obstacle for the light in the camera, which it would be for rays that go
@@ -51,6 +51,7 @@ TELESCOPES = (
     Telescope("lsst", "Rubin/LSST r band", "LSST_r.yaml", 620.0, 1.0, 26, (50_000, 200_000), 10.0),
     Telescope("hsc", "Subaru HSC", "HSC.yaml", 750.0, 0.5, 56),
     Telescope("decam", "Blanco DECam", "DECam.yaml", 640.0, 0.8, 36),
+    Telescope("rubin", "Rubin v3.14 with Zernike terms", "Rubin_v3.14_r.yaml", 620.0, 1.0, 26, bar=5.0),
 )
 
 

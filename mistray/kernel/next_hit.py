@@ -26,6 +26,8 @@ def next_hit(
     t, s = intersector.nearest(o, d, last, active)
     if table.stock_scene is None:
         return t, s, mi.Vector3f(0)
+    if table.free_space is not None:
+        active = active & ~table.free_space.holds(o, d, t)
     skip = mi.Float(0)
     if normal is not None:  # leave a stock surface behind by a few roundings, along the ray so that it stays the same
         slant = dr.maximum(dr.abs(dr.dot(normal, d)), GRAZING)

@@ -28,6 +28,7 @@ from mistray.ranges import FILM_PIXELS, FILM_SIDE
 from mistray.surfaces.bodies import Bodies
 from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.family_table import FamilyTable
+from mistray.surfaces.free_space import FreeSpace
 from mistray.surfaces.optics import ASPHERIC, DETECTOR, STOCK, WALL, Optics
 from mistray.surfaces.shell_tree import ShellTree, many
 from mistray.surfaces.surface import Surface
@@ -283,7 +284,7 @@ class SurfaceTable:
 
     def _stock(self, shapes: list[Any]) -> None:
         """A Mitsuba scene of the shapes that are not ours, and the way from its shapes to surface numbers."""
-        self.stock_scene = None
+        self.stock_scene, self.free_space = None, None
         if not shapes:
             return
         self.stock_scene = mi.load_dict(
@@ -298,6 +299,8 @@ class SurfaceTable:
         size = float(np.max(np.abs([*self.stock_scene.bbox().min, *self.stock_scene.bbox().max])))
         self.stock_epsilon = 4e-6 * (1.0 + size)
         self.stock_offset = mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in self.centre))
+        free_space = FreeSpace(self) if self.pieces else None
+        self.free_space = free_space if free_space is not None and free_space.some else None
 
     def stock_normals(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Normals of the stock shapes that rays along `directions` meet at `points`, (n, 3) float64."""

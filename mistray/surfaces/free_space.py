@@ -1,0 +1,133 @@
+"""Where no stock shape is: segments that stay there need not be looked up in Mitsuba's acceleration structure.
+
+Stock shapes mostly stand around the optics: a tube, a housing. About the axis of the optics a radius is free of them,
+another one in each slice of z. The distance from an axis is convex along a segment: one whose two ends are nearer to it
+than the free radius of every slice that it passes meets no stock shape. Most segments of a lens are of this kind.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.surfaces.upload import upload
+
+if TYPE_CHECKING:
+    from mistray.surfaces.surfaces import SurfaceTable
+
+SLICES = 64
+SLACK = 1e-4  # of the size of the stock shapes: far more than float32 rounds where they stand near the origin
+
+
+class FreeSpace:
+    """
+    The radius about the axis of most analytic surfaces within which there is no stock shape, by slices of z.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+        With at least one analytic and one stock shape.
+
+    Attributes
+    ----------
+    some : bool
+        Whether there is such a radius anywhere along the stock shapes.
+    """
+
+    def __init__(self, table: SurfaceTable) -> None:
+        common = Counter(piece.axis for piece in table.pieces).most_common(1)[0][0]
+        frame, x, y = table.axes[common]
+        rotation = table.frames[frame]
+        low, high, radius = stock_extents(table.shapes[len(table.pieces) :], table.centre, rotation, (x, y))
+        slack = max(SLACK * float(max(np.ptp([low.min(), high.max()]), radius.max())), 4 * table.stock_epsilon)
+        self._first, last = low.min() - slack, high.max() + slack
+        # Slice 0 is all that lies before the shapes, the last one all behind them
+        per_mm = SLICES / (last - self._first)
+        start = np.clip(((low - slack - self._first) * per_mm).astype(int), 0, SLICES - 1)
+        end = np.clip(((high + slack - self._first) * per_mm).astype(int), 0, SLICES - 1)
+        free = np.full(SLICES + 2, np.inf)
+        for k in range(int((end - start).max(initial=0)) + 1):
+            reached = start + k <= end
+            np.minimum.at(free, 1 + start[reached] + k, radius[reached])
+        free = np.maximum(free - slack, 0.0)
+        numbers = range(SLICES + 2)
+        between = np.array([[free[min(i, j) : max(i, j) + 1].min() for j in numbers] for i in numbers])
+        self.some = bool(np.any(free[1:-1] > 0))
+        self._squares = upload(mi.Float, np.minimum(between**2, 1e30))
+        self._rows = [mi.Vector3f(*(dr.opaque(mi.Float, float(v)) for v in axis)) for axis in rotation.T]
+        self._x, self._y, self._z, self._per_mm = (dr.opaque(mi.Float, float(v)) for v in (x, y, self._first, per_mm))
+
+    def holds(self, o: mi.Vector3f, d: mi.Vector3f, t: mi.Float) -> mi.Bool:
+        """Whether segments of the lengths t (mm) stay clear of all stock shapes; never for infinite ones."""
+        a = [dr.dot(row, o) for row in self._rows]
+        b = [dr.fma(t, dr.dot(row, d), start) for row, start in zip(self._rows, a, strict=True)]
+        outer = dr.maximum(*(dr.square(p[0] - self._x) + dr.square(p[1] - self._y) for p in (a, b)))
+        first, last = (self._slice(p[2]) for p in (a, b))
+        finite = dr.isfinite(t)
+        return finite & (outer < dr.gather(mi.Float, self._squares, first * (SLICES + 2) + last, finite))
+
+    def _slice(self, z: mi.Float) -> mi.UInt32:
+        return mi.UInt32(dr.clip((z - self._z) * self._per_mm + 1, 0, SLICES + 1))
+
+
+def stock_extents(
+    shapes: Sequence[Any], centre: np.ndarray, rotation: np.ndarray, axis: tuple[float, float]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Where the triangles of meshes, and the boxes of other shapes, lie about an axis.
+
+    Parameters
+    ----------
+    shapes : sequence of mi.Shape
+    centre : (3,) float64
+        Origin of the frame in the world, mm.
+    rotation : (3, 3) float64
+        Columns: axes of the frame, the third one is parallel to the axis.
+    axis : (2,) float
+        x and y of the axis in the frame, mm.
+
+    Returns
+    -------
+    low, high : (n,) float64
+        Smallest and largest z, mm.
+    radius : (n,) float64
+        Least distance from the axis, mm.
+    """
+    found = []
+    for shape in shapes:
+        triangles = _triangles(shape)
+        local = (triangles - centre) @ rotation - (*axis, 0.0)
+        z = local[..., 2]
+        found.append((z.min(axis=1), z.max(axis=1), _distance(local[..., :2])))
+    low, high, radius = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return low, high, radius
+
+
+def _triangles(shape: Any) -> np.ndarray:
+    """(n, 3, 3) corners in the world: of a mesh its own, of another shape those of its bounding box."""
+    if shape.is_mesh():
+        values = mi.traverse(shape)
+        points = np.array(values["vertex_positions"], dtype=np.float64).reshape(-1, 3)
+        faces = np.array(values["faces"], dtype=np.int64).reshape(-1, 3)
+        if len(faces):
+            return points[faces]
+    box = shape.bbox()
+    corners = np.array([[(box.min, box.max)[k >> j & 1][j] for j in range(3)] for k in range(8)], dtype=np.float64)
+    # Every two corners and every third: the box is full of them, so that a line through it meets one
+    return np.array([corners[[i, j, k]] for i in range(8) for j in range(i + 1, 8) for k in range(j + 1, 8)])
+
+
+def _distance(corners: np.ndarray) -> np.ndarray:
+    """Distance of triangles in the plane from its origin, (n, 3, 2) → (n,)."""
+    sides = np.roll(corners, -1, axis=1) - corners
+    turn = corners[..., 0] * sides[..., 1] - corners[..., 1] * sides[..., 0]
+    inside = np.all(turn >= 0, axis=1) | np.all(turn <= 0, axis=1)
+    squares = np.maximum(np.sum(sides**2, axis=2), 1e-300)
+    along = np.clip(-np.sum(corners * sides, axis=2) / squares, 0.0, 1.0)
+    nearest = np.linalg.norm(corners + along[..., None] * sides, axis=2).min(axis=1)
+    return np.where(inside, 0.0, nearest)
