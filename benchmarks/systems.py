@@ -1,11 +1,12 @@
 """Systems of more than round lenses: a housing of a million triangles, freeforms, a primary mirror of segments.
 
 Each is set beside a scene that does without: the lens alone, an even asphere of the same order, a primary in one piece.
-What is compared is the time of a segment of the ray tree.
+What is compared is the time of a segment of the ray tree in the kernel, which is what grows with the number of rays.
 """
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -14,7 +15,7 @@ from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
-from rows import REPEATS, Row, alternate, measured
+from rows import REPEATS, Row, measured
 
 import mistray
 from mistray.mechanics.ply import ply_bytes
@@ -106,11 +107,15 @@ Trace = Callable[[], mistray.Trace]
 
 def _per_segment(here: Trace, there: Trace, repeats: int) -> tuple[float, float, str]:
     """Segments per second of both, and what says how much work there was."""
-    ours, other = alternate(here, there, repeats=repeats)
-    first, second = here(), there()
-    closure = max(abs(first.energy.closure), abs(second.energy.closure))
-    rates = first.segments / ours.seconds, second.segments / other.seconds
-    return *rates, f"{first.segments / 1e6:.3g} and {second.segments / 1e6:.3g} M segments, energy to {closure:.1g}"
+    best, closure, segments = [math.inf, math.inf], 0.0, [0, 0]
+    for turn in range(repeats + 1):
+        for k, action in enumerate((here, there)):
+            found = action()
+            closure, segments[k] = max(closure, abs(found.energy.closure)), found.segments
+            if turn:  # the first one compiles
+                best[k] = min(best[k], found.seconds)
+    equal = f"{segments[0] / 1e6:.3g} and {segments[1] / 1e6:.3g} M segments, energy to {closure:.1g}"
+    return segments[0] / best[0], segments[1] / best[1], equal
 
 
 def _rates(key: str, what: str, here: Trace, there: Trace, bar: float, repeats: int) -> Row:
@@ -126,7 +131,7 @@ def _times(key: str, what: str, here: Trace, there: Trace, bar: float, repeats: 
 
 def rows(quick: bool) -> Iterator[Row]:
     """Rows of the part `systems`."""
-    rays, repeats = (1 << 13, 1) if quick else (1 << 20, REPEATS)
+    rays, repeats = (1 << 13, 1) if quick else (1 << 21, REPEATS)
     for painted in (False, True):
         key = "painted_tube" if painted else "tube"
         yield measured(key, "double Gauss in a tube of triangles", partial(beside_the_lens, painted, rays, repeats))

@@ -150,7 +150,7 @@ def test_missing_program_has_a_row(monkeypatch):
 
     monkeypatch.setattr("rows.find_spec", lambda name: None)
     found = list(telescopes.rows(True))
-    assert [one.key for one in found] == ["lsst", "hsc", "decam"]
+    assert [one.key for one in found] == ["lsst", "hsc", "decam", "rubin"]
     for one in found:
         assert one.other == "not measured: batoid not installed (pip install batoid)"
         assert math.isnan(one.ratio)

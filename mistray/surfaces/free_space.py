@@ -7,21 +7,27 @@ than the free radius of every slice that it passes meets no stock shape. Most se
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
 from collections.abc import Sequence
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray._mitsuba_compat import mesh_arrays
 from mistray.surfaces.upload import upload
 
 if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
 
 SLICES = 64
+MOST_KNOWN = 64  # shapes: scenes are traced again and again, and a million triangles take half a second
 SLACK = 1e-4  # of the size of the stock shapes: far more than float32 rounds where they stand near the origin
+
+_known: dict[bytes, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
 
 
 class FreeSpace:
@@ -100,33 +106,36 @@ def stock_extents(
     """
     found = []
     for shape in shapes:
-        triangles = _triangles(shape)
-        local = (triangles - centre) @ rotation - (*axis, 0.0)
-        z = local[..., 2]
-        found.append((z.min(axis=1), z.max(axis=1), _distance(local[..., :2])))
+        points, faces = _triangles(shape)
+        key = hashlib.sha256(points.tobytes() + faces.tobytes() + repr((centre, rotation, axis)).encode()).digest()
+        if key not in _known:
+            while len(_known) >= MOST_KNOWN:
+                _known.pop(next(iter(_known)))
+            local = (points.astype(np.float64) - centre) @ rotation - (*axis, 0.0)
+            z = local[:, 2][faces]
+            _known[key] = z.min(axis=1), z.max(axis=1), _distance(local[:, :2][faces])
+        found.append(_known[key])
     low, high, radius = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return low, high, radius
 
 
-def _triangles(shape: Any) -> np.ndarray:
-    """(n, 3, 3) corners in the world: of a mesh its own, of another shape those of its bounding box."""
-    if shape.is_mesh():
-        values = mi.traverse(shape)
-        points = np.array(values["vertex_positions"], dtype=np.float64).reshape(-1, 3)
-        faces = np.array(values["faces"], dtype=np.int64).reshape(-1, 3)
+def _triangles(shape: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (n, 3) in the world and triangles (m, 3) of a mesh, or of the bounding box of another shape."""
+    if isinstance(shape, mi.Mesh) and not str(shape).startswith("Rectangle"):  # which keeps its triangles to itself
+        points, faces = mesh_arrays(shape)
         if len(faces):
-            return points[faces]
+            return points, faces
     box = shape.bbox()
     corners = np.array([[(box.min, box.max)[k >> j & 1][j] for j in range(3)] for k in range(8)], dtype=np.float64)
     # Every two corners and every third: the box is full of them, so that a line through it meets one
-    return np.array([corners[[i, j, k]] for i in range(8) for j in range(i + 1, 8) for k in range(j + 1, 8)])
+    return corners, np.array(list(combinations(range(8), 3)))
 
 
 def _distance(corners: np.ndarray) -> np.ndarray:
     """Distance of triangles in the plane from its origin, (n, 3, 2) → (n,)."""
     sides = np.roll(corners, -1, axis=1) - corners
     turn = corners[..., 0] * sides[..., 1] - corners[..., 1] * sides[..., 0]
-    inside = np.all(turn >= 0, axis=1) | np.all(turn <= 0, axis=1)
+    inside = (np.all(turn >= 0, axis=1) | np.all(turn <= 0, axis=1)) & np.any(turn != 0, axis=1)
     squares = np.maximum(np.sum(sides**2, axis=2), 1e-300)
     along = np.clip(-np.sum(corners * sides, axis=2) / squares, 0.0, 1.0)
     nearest = np.linalg.norm(corners + along[..., None] * sides, axis=2).min(axis=1)

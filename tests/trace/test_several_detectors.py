@@ -82,6 +82,15 @@ class TestSplitBeam:
             t.on("splitter")
         assert t.on("side").on("side").irradiance.shape == (20, 16)
 
+    def test_what_looks_at_one(self, load_text, tmp_path) -> None:
+        """Ghosts and PST ask for its name before they trace."""
+        scene, _ = load_text(split_text())
+        for look in (mistray.ghosts, mistray.pst):
+            with pytest.raises(mistray.MistrayError, match=r"2 detectors \(back, side\).* --detector"):
+                look(scene, rays=100)
+        report = mistray.ghosts(scene, rays=100, detector="back")
+        assert report[0.0].detectors == ["back"]
+
     def test_some_of_them(self, load_text) -> None:
         scene, _ = load_text(split_text())
         with pytest.raises(
