@@ -21,6 +21,7 @@ def from_zemax(
     path: str | Path,
     *,
     coatings: str | Path | Mapping[str, Coating] | None = None,
+    configuration: int | str | None = None,
     glass_catalogues: Sequence[str | Path] = (),
     glasses: Mapping[str, str] | None = None,
     **options: Any,
@@ -34,7 +35,7 @@ def from_zemax(
         .zmx file.
     coatings : path, mapping of str to Coating, or None
         COATING.DAT that holds the coatings of the file, or coatings by their names in it.
-    glass_catalogues, glasses
+    configuration, glass_catalogues, glasses
         As in `mistray.io.zemax.read.read_zemax`.
     **options
         Of `to_prescription`.
@@ -51,7 +52,8 @@ def from_zemax(
     """
     by_name = coatings if isinstance(coatings, Mapping) else None
     file = None if coatings is None or isinstance(coatings, Mapping) else coatings
-    lens = read_zemax(path, coatings=file, glass_catalogues=glass_catalogues, glasses=glasses)
+    chosen: Any = {"configuration": configuration, "glass_catalogues": glass_catalogues, "glasses": glasses}
+    lens = read_zemax(path, coatings=file, **chosen)
     return to_prescription(lens, coatings=by_name, **options)
 
 
@@ -59,6 +61,7 @@ def from_codev(
     path: str | Path,
     *,
     radius_mode: bool | None = None,
+    configuration: int | str | None = None,
     glass_catalogues: Sequence[str | Path] = (),
     glasses: Mapping[str, str] | None = None,
     **options: Any,
@@ -72,7 +75,7 @@ def from_codev(
         .seq file.
     radius_mode : bool or None
         Whether surfaces are given by radius rather than by curvature; ``None``: as the file states.
-    glass_catalogues, glasses
+    configuration, glass_catalogues, glasses
         As in `mistray.io.codev.read.read_codev`.
     **options
         Of `to_prescription`.
@@ -87,7 +90,8 @@ def from_codev(
     MistrayError
         If the file cannot be read or holds what has no counterpart.
     """
-    lens = read_codev(path, radius_mode=radius_mode, glass_catalogues=glass_catalogues, glasses=glasses)
+    chosen: Any = {"configuration": configuration, "glass_catalogues": glass_catalogues, "glasses": glasses}
+    lens = read_codev(path, radius_mode=radius_mode, **chosen)
     return to_prescription(lens, **options)
 
 

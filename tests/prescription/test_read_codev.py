@@ -332,7 +332,10 @@ def test_what_a_file_leaves_out_is_noted(lens):
         (system("S 10 x"), "line 6: 'S 10 x': 'x' is no number"),
         (system("S 10 nan"), "'nan' is no number"),
         (system("S 10 1\nA 1e999"), "'1e999' is no number"),
-        (system("S 10 1\nSPS ODD"), "line 7: 'SPS ODD': of special surfaces XYP is read"),
+        (system("S 10 1\nSPS QCN"), "line 7: 'SPS QCN': of special surfaces XYP, ZRN, ZFR, ODD are read"),
+        (system("S 10 1\nSPS ZRN\nSCO C5 1"), "ZRN with NRADIUS 0"),
+        (system("S 10 1\nSPS ZFR 5\nSCO C41 1"), "SCO C41: ZFR has"),
+        (system("S 10 1\nSPS ODD 0\nSCO AR31 1"), "SCO AR31: ODD has"),
         (system("S 10 1\nSCO C4"), "line 7: 'SCO C4': it needs a coefficient and a value"),
         (system("S 10 1\nSPS XYP\nSCO C4 1"), "NRADIUS 0"),
         (system("S 10 1\nSPS XYP 5\nSCO Q 1"), "SCO Q"),
@@ -340,7 +343,7 @@ def test_what_a_file_leaves_out_is_noted(lens):
         (system("S 10 1\nS 10 1\nUDS"), "line 8: 'UDS' on surface 2: this kind of surface has no counterpart"),
         (system("S 10 1\nDIF DOE"), "line 7: 'DIF DOE' on surface 1: diffracting"),
         (system("S 10 1\nCUF 0.1"), "Fresnel"),
-        (system("ZOO 3\nS 10 1"), "zoom"),
+        (system("ZOO 3\nS 10 1\nZOO THI S1 1 2"), "line 8: 'ZOO THI S1 1 2': 2 values for 3 zoom positions"),
         (system("S 10 1\nRDY S5 3"), "surface 5 is not there; the lens has 1 so far"),
         (system("S7 10 1"), "there are 0 surfaces so far"),
         ("ADE 10", "before the first surface"),
@@ -406,6 +409,41 @@ def swept(profile, across, c):
                 + 0.03 * (y / 12) ** 3
             ),
         ),
+        (
+            "SPS ZRN 12\nSCO K -.3\nSCO NRADIUS 12\nSCO C2 .2; SCO C3 .1; SCO C6 .01; SCO C7 .02\nSCO C10 .03\n"
+            "SCO C13 -.02",
+            lambda x, y: (
+                conic(x * x + y * y, 1 / 80, -0.3)
+                + 0.2
+                + 0.1 * x / 12
+                + 0.01 * (2 * (x * x + y * y) / 144 - 1)
+                + 0.02 * 2 * x * y / 144
+                + 0.03 * (3 * (x * x + y * y) / 144 - 2) * y / 12
+                - 0.02 * (4 * (x * x + y * y) / 144 - 3) * (x * x - y * y) / 144
+            ),
+        ),
+        (
+            "SPS ZFR\nSCO C1 -.3\nSCO C2 12\nSCO C3 37\nSCO C7 .01\nSCO C9 .02\nSCO Z12 .03",
+            lambda x, y: (
+                conic(x * x + y * y, 1 / 80, -0.3)
+                + 0.01 * (2 * (x * x + y * y) / 144 - 1)
+                + 0.02 * 2 * x * y / 144
+                + 0.03 * (4 * (x * x + y * y) / 144 - 3) * (x * x - y * y) / 144
+            ),
+        ),
+        (
+            "SPS ODD 0.0\nSCO K -.3\nSCO AR3 1e-4\nSCO AR4 -1e-5\nSCO C6 1e-6",
+            lambda x, y: (
+                conic(x * x + y * y, 1 / 80, -0.3)
+                + 1e-4 * np.hypot(x, y) ** 3
+                - 1e-5 * np.hypot(x, y) ** 4
+                + 1e-6 * np.hypot(x, y) ** 5
+            ),
+        ),
+        (
+            "SPS ODD 12\nSCO AR5 1e-2",
+            lambda x, y: conic(x * x + y * y, 1 / 80, 0.0) + 1e-2 * (np.hypot(x, y) / 12) ** 5,
+        ),
     ],
     ids=lambda value: value.split("\n")[0] if isinstance(value, str) else "",
 )
@@ -433,3 +471,56 @@ def test_the_aperture_of_a_toroid_turns_back():
     for x, y, inside in ((5.5, 0.5, True), (-1.9, 0.0, True), (-2.1, 0.0, False), (2.0, 1.1, False)):
         u, v, _ = turn.T @ [x, y, 0.0]
         assert bool(row.aperture.contains(u, v)) is inside
+
+
+ZOOM = """
+RDM; EPD 10; DIM M; WL 587.6; YAN 0 5
+SO 0 1e13
+S 50 3 NBK7_SCHOTT
+STO
+S 0 20
+S 40 2 NBK7_SCHOTT
+S 0 30
+SI 0 0
+ZOO 3
+ZOO TIT
+TIT Z1 "wide"
+TIT Z2 'in the middle'
+TIT Z3 'tele'
+ZOO THI S2 20 12.5 5
+ZOO THC S2 0
+ZOO RDY S3
+RDY S3 Z2 -42
+ZOO THI S0 0.1e14 0.1e14 800
+ZOO EPD 10 11 12
+ZOO YAN F2 5 4 3
+ZOO VUY F2 0 .1 .2
+THI S4 Z3 33
+GO
+"""
+
+
+@pytest.mark.parametrize(
+    ("wanted", "gap", "radius", "distance", "pupil", "field", "last"),
+    [
+        (None, 20, 40, math.inf, 10, 5, 30),
+        ("wide", 20, 40, math.inf, 10, 5, 30),
+        (2, 12.5, -42, math.inf, 11, 4, 30),
+        ("in the middle", 12.5, -42, math.inf, 11, 4, 30),
+        ("3", 5, 40, 800, 12, 3, 33),
+    ],
+)
+def test_zoom_positions(lens, wanted, gap, radius, distance, pupil, field, last):
+    found = lens(ZOOM, configuration=wanted)
+    assert [row.thickness for row in found.rows] == [3, gap, 2, last, 0]
+    assert found.rows[2].radius == pytest.approx(radius)
+    assert (found.object_distance, found.aperture) == (distance, pupil)
+    assert found.fields == ((0, 0), (0, field))
+    assert any("'in the middle'" in note for note in found.notes)
+    assert [entry.text for entry in found.unread] == ["ZOO THC S2 0"]
+
+
+@pytest.mark.parametrize("wanted", [0, 4, -1, "Wide", "4", ""])
+def test_positions_that_are_not_there(lens, wanted):
+    with pytest.raises(MistrayError, match="zoom position"):
+        lens(ZOOM, configuration=wanted)

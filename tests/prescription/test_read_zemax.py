@@ -11,6 +11,7 @@ from mistray.errors import MistrayError
 from mistray.io.zemax.read import read_zemax
 from mistray.materials import refractive_index
 from mistray.physics.geometry.outline import Figure, Outline, circle, rectangle
+from mistray.physics.sags.terms import sag
 from mistray.prescription.sequential.first_order import first_order
 from mistray.prescription.sequential.rays import frames, to_world, trace
 from mistray.prescription.sequential.table import Decentre, Sequential
@@ -349,7 +350,7 @@ def test_coatings(read):
         (SINGLET.replace("PWAV", "VANN 5\nPWAV"), ["VANN 5"]),
         (SINGLET.replace("PWAV", "ENVD 35 1 0\nPWAV"), ["ENVD 35 1 0"]),
         (SINGLET.replace("PWAV", "GFAC 1 2\nPWAV"), ["GFAC 1 2"]),
-        (SINGLET + "\nEFFL 1 2 0\nTOL TOFF\nMNUM 3 1\nTHIC 2 1 5.0", ["MNUM 3 1"]),
+        (SINGLET + "\nEFFL 1 2 0\nTOL TOFF\nMNUM 3 1\nTHIC 2 1 5.0", []),
         (SINGLET + "\nEFFL 1 2 0\nTOL TOFF\nMNUM 1 1\nMOFF 0", []),
         (SINGLET.replace("\n  ", "\n") + "\nEFFL 1 2 0", ["EFFL 1 2 0"]),  # could belong to the surface
     ],
@@ -471,3 +472,76 @@ def test_files_that_are_none(read, tmp_path):
         read(bytes(range(256)))
     with pytest.raises(MistrayError, match=r"glass catalogue .*No such file"):
         read(SINGLET, glass_catalogues=[tmp_path / "none.agf"])
+
+
+CONFIGURATIONS = (
+    SINGLET
+    + """
+EFFL 1 2 0
+TOL TOFF
+MNUM 3 1
+LTTL 0 1 "at infinity" 0 0 0 1 1 0 0.0 "" 0
+LTTL 0 2 "near" 0 0 0 1 1 0 0.0 "" 0
+LTTL 0 3 "other glass" 0 0 0 1 1 0 0.0 "" 0
+THIC 2 1 {z} 0 0 0 1 1 1 0 0 "" 0
+THIC 2 2 97.5 0 0 0 1 1 1 0 0 "" 0
+THIC 2 3 12 0 0 0 1 1 1 0 0 "" 0
+THIC 0 1 1e10 0 0 0 1 1 1 0 0 "" 0
+THIC 0 2 800 0 0 0 1 1 1 0 0 "" 0
+THIC 0 3 1e10 0 0 0 1 1 1 0 0 "" 0
+CRVT 1 2 -0.01 0 0 0 1 1 1 0 0 "" 0
+APER 0 2 7.25 0 0 0 1 1 1 0 0 "" 0
+YFIE 1 2 3.5 0 0 0 1 1 1 0 0 "" 0
+FVDY 1 2 0.125 0 0 0 1 1 1 0 0 "" 0
+GLSS 1 3 N-SF11 0 0 0 1 1 1 0 0 "" 0
+MOFF 0 1 "" 0 0 0 1 1 0 0.0 "" 0
+"""
+)
+
+
+@pytest.mark.parametrize("wanted", [2, "2", "near"])
+def test_configurations(wanted, read):
+    saved, other = read(CONFIGURATIONS), read(CONFIGURATIONS, configuration=wanted)
+    assert saved.rows == read(SINGLET).rows
+    assert math.isinf(saved.object_distance)
+    assert other.object_distance == 800
+    assert (other.rows[1].thickness, other.rows[0].radius, other.aperture) == (97.5, -100, 7.25)
+    assert other.fields[0] == (saved.fields[0][0], 3.5)
+    assert other.vignetting[0] == (0, 0.125, 0, 0)
+    for lens in (saved, other):
+        assert any("'other glass'" in note for note in lens.notes)
+        assert lens.unread == ()
+
+
+@pytest.mark.parametrize(
+    ("wanted", "message"),
+    [
+        (3, "line .*: 'GLSS 1 3 N-SF11.*' *: GLSS is not read"),
+        (4, "configuration 4 of 3"),
+        (0, "configuration 0 of 3"),
+        ("far", "configuration 'far' is not there; the file has 'at infinity', 'near', 'other glass'"),
+    ],
+)
+def test_configurations_that_cannot_be_read(wanted, message, read):
+    with pytest.raises(MistrayError, match=message):
+        read(CONFIGURATIONS, configuration=wanted)
+
+
+def test_a_lens_with_one_configuration_has_no_other(read):
+    assert read(SINGLET, configuration=1).rows == read(SINGLET).rows
+    with pytest.raises(MistrayError, match="configuration 2 of 1"):
+        read(SINGLET, configuration=2)
+
+
+def test_an_irregular_surface_and_an_odd_asphere_over_a_radius(read):
+    """Formulas of OpticStudio's manual; the second is the one that OpticStudio itself gives 1e-5 mm for."""
+    lens = read(surface("TYPE IRREGULA", "PARM 5 0.01", "PARM 6 -0.02", "PARM 7 0.03", "DIAM 8 0", "CURV 0.02"))
+    x, y = np.array([0.0, 3.0, -2.0, 8.0]), np.array([8.0, 4.0, 1.0, 0.0])
+    base = read(surface("DIAM 8 0", "CURV 0.02")).rows[0].sag_numbers
+    r2, v = (x * x + y * y) / 64, y / 8
+    expected = 0.01 * r2**2 - 0.02 * v**2 + 0.03 * r2 * v
+    assert sag(x, y, lens.rows[0].sag_numbers) - sag(x, y, base) == pytest.approx(expected, abs=1e-14)
+    with pytest.raises(MistrayError, match="put coordinate breaks around it"):
+        read(surface("TYPE IRREGULA", "PARM 3 0.01", "DIAM 8 0"))
+    lens = read(surface("TYPE XOSPHERE", "XDAT 1 4", "XDAT 2 2", "XDAT 5 8e-5"))
+    assert sag(np.array(1.0), np.array(0.0), lens.rows[0].sag_numbers) == pytest.approx(1e-5, abs=1e-18)

@@ -31,6 +31,7 @@ _ONLY = {
     "glass": ("glass names", _SEQUENTIAL),
     "glass_catalogue": ("glass names", _SEQUENTIAL),
     "radius_mode": ("radius mode", ("seq",)),
+    "configuration": ("configurations", _SEQUENTIAL),
     "margin": ("clear radii to choose", _SEQUENTIAL),
     "beam": ("entrance pupil", _SEQUENTIAL),
     "detector_half_mm": ("detector to choose", _SEQUENTIAL),
@@ -74,6 +75,8 @@ COMMAND = Command(
             Option("--glass-catalogue", "further glass catalogues", metavar="AGF", nargs="+"),
             Option("--radius-mode", "a .seq file gives radii (yes) or curvatures (no), where it does not say",
                    ("yes", "no")),
+            Option("--configuration", "configuration or zoom position, by number or name (that the file was saved in, "
+                   "or the first one)", metavar="NAME"),
             Option("--margin", "clear radii that the file does not give exceed the rays by this part (0.02)",
                    MARGIN, "PART"),
             Option("--beam", "the source fills the entrance pupil (pupil) or the first surface (front)",
@@ -140,7 +143,11 @@ def _from_sequential(lens: Path, kind: str, options: Options) -> Built:
     from mistray.prescription.closing.system import build
 
     glasses = dict(_glass(text) for text in options.glass or [])
-    shared: dict[str, Any] = {"glass_catalogues": options.glass_catalogue or (), "glasses": glasses or None}
+    shared: dict[str, Any] = {
+        "configuration": options.configuration,
+        "glass_catalogues": options.glass_catalogue or (),
+        "glasses": glasses or None,
+    }
     readers: Mapping[str, Callable[[], Sequential]] = {
         "zmx": lambda: read_zemax(lens, coatings=options.coatings, **shared),
         "seq": lambda: read_codev(

@@ -19,11 +19,11 @@ ORDERS = "ABCDEFGHJ"
 """Names of the coefficients of r⁴, r⁶, … r²⁰."""
 
 CHANGES_THE_LENS = {
-    **dict.fromkeys(("SPL", "ZRN", "UDS", "UD1", "UD2"), "this kind of surface has no counterpart"),
+    **dict.fromkeys(("SPL", "UDS", "UD1", "UD2"), "this kind of surface has no counterpart"),
     **dict.fromkeys(("DIF", "GRT", "HOE", "GRS"), "diffracting surfaces are not traced"),
     **dict.fromkeys(("MOD", "MFL", "MRD"), "a lens module has no surfaces to trace"),
     **dict.fromkeys(("GRI", "URN", "INC"), "media whose index varies are not traced"),
-    **dict.fromkeys(("XOD", "YOD", "ZOD", "RET", "GLB", "GLO"), "only moves relative to the surface before are read"),
+    **dict.fromkeys(("XOD", "YOD", "ZOD", "RET", "GLB"), "only moves relative to the surface before are read"),
     **dict.fromkeys(("NSS", "NSC"), "a non-sequential part has no order of surfaces"),
     **dict.fromkeys(("INS", "DEL", "FLI", "SCA"), "commands that edit the lens are not carried out"),
     **dict.fromkeys(("IN", "RES"), "another file is not read"),
@@ -34,6 +34,8 @@ HAS_NO_EFFECT = {
     **dict.fromkeys(("INI", "DES", "COM", "VER"), "a remark"),
     **dict.fromkeys(("TEM", "PRE"), "indices are those of the catalogue, near 20 °C and 1 atm"),
     **dict.fromkeys(("CWL",), "wavelength of coatings: the file has no coatings"),
+    **dict.fromkeys(("GLO", "UID", "DOR"), "frame of reports, labels of the program, tolerances of its searches"),
+    "SCC": "what optimisation may vary",
     **dict.fromkeys(("WTF", "WTA"), "weights of fields belong to optimisation"),
     **dict.fromkeys(("THC", "CCY", "CCX", "KC", "GLC", "CPL"), "what optimisation may vary"),
     **dict.fromkeys([f"{letter}C" for letter in ORDERS], "what optimisation may vary"),

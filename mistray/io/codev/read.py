@@ -2,9 +2,9 @@
 
 Read are the system data (DIM, EPD, FNO, NA, NAO, TEL, WL, WTW, REF, XAN YAN, XOB YOB, XIM YIM, XRI YRI, VUX VLX VUY
 VLY, TIT, RDM, PRV … END) and the surfaces: ``S``, ``SO``, ``SI`` with curvature or radius, thickness and glass; RDY,
-CUY, THI, GLA, RMD, STO, SLB; SPH, CON, ASP with K and A … J; CYL, YTO, XTO, AAS and SPS XYP, see `sags`; CIR, REX, REY,
-ELX, ELY (clear, EDG, OBS, HOL) with ADX, ADY, ARO; XDE … CDE with DAR, REV, BEN. Every other command is either refused,
-because the lens would be another one without it, or listed in `Sequential.unread`.
+CUY, THI, GLA, RMD, STO, SLB; SPH, CON, ASP with K and A … J; CYL, YTO, XTO, AAS and SPS, see `sags`; CIR, REX, REY,
+ELX, ELY (clear, EDG, OBS, HOL) with ADX, ADY, ARO; XDE … CDE with DAR, REV, BEN; zoom positions, see `zoom`. Every
+other command is either refused, because the lens would be another one without it, or listed in `Sequential.unread`.
 
 What commands mean, from O'Shea and Bentley (see `codev_lines`), and from designs whose images are known:
 
@@ -28,7 +28,8 @@ from mistray.errors import MistrayError
 from mistray.io.codev.commands import CHANGES_THE_LENS, HAS_NO_EFFECT, ORDERS, Command, commands
 from mistray.io.codev.glasses import CodevGlasses, table_material
 from mistray.io.codev.rows import CodevSurface, rows_of
-from mistray.io.codev.sags import ANAMORPHIC
+from mistray.io.codev.sags import ANAMORPHIC, SPECIAL
+from mistray.io.codev.zoom import ZoomPosition
 from mistray.io.conventions import object_na, squeezed
 from mistray.materials import refractive_index
 from mistray.materials.agf import decode
@@ -52,6 +53,7 @@ def read_codev(
     path: str | Path,
     *,
     radius_mode: bool | None = None,
+    configuration: int | str | None = None,
     glass_catalogues: Sequence[str | Path] = (),
     glasses: Mapping[str, str] | None = None,
 ) -> Sequential:
@@ -65,6 +67,8 @@ def read_codev(
     radius_mode : bool or None
         Whether surfaces are given by radii, for files without RDM. ``None``: by curvatures, the default of CODE V;
         the lens's `notes` then name both readings.
+    configuration : int, str or None
+        Zoom position, by its number from 1 on or its name; ``None``: the first one.
     glass_catalogues : sequence of str or Path
         AGF files for glasses that `mistray.materials` does not have; they go before it.
     glasses : mapping of str to str
@@ -84,11 +88,18 @@ def read_codev(
     path = Path(path)
     data = read_file(path, "CODE V file")
     reader = _Reader(path, radius_mode, glass_catalogues, glasses or {})
-    for command in commands(decode(data)):
+    zoom = ZoomPosition(configuration)
+    try:
+        found = list(zoom.commands(commands(decode(data))))
+    except MistrayError as error:
+        raise MistrayError(f"CODE V file '{path.name}': {error}") from None
+    for command in found:
         try:
             reader.take(command)
         except MistrayError as error:
             raise MistrayError(f"CODE V file '{path.name}' line {command.line}: {error}") from None
+    if zoom.note():
+        reader.notes.append(zoom.note())
     try:
         return reader.lens()
     except MistrayError as error:
@@ -151,8 +162,6 @@ class _Reader:
             raise MistrayError(
                 f"'{command.text}'{where}: {CHANGES_THE_LENS[name]}; remove it if the lens is right without"
             )
-        elif name == "ZOO" and command.words[1:] != ("1",):
-            raise MistrayError(f"'{command.text}': a lens with zoom positions; save one of them as a lens of its own")
         elif name == "CUF" and command.number():
             raise MistrayError(f"'{command.text}': Fresnel surfaces have no counterpart; replace it by an asphere")
         elif name in HAS_NO_EFFECT:
@@ -166,7 +175,7 @@ class _Reader:
     def _system(self, command: Command) -> bool:
         """Take a command about the whole system, if it is one."""
         name, words = command.name, command.words[1:]
-        if name in ("LEN", "ZOO"):
+        if name == "LEN":
             pass
         elif name == "GO":
             self.ended = True
@@ -196,16 +205,29 @@ class _Reader:
             if self.field_kind not in (None, kind):
                 raise MistrayError(f"'{command.text}': other fields are of kind '{self.field_kind}'; use one kind")
             self.field_kind = kind
-            self.fields[name[0]] = command.numbers()
+            self.fields[name[0]] = self._listed(command, self.fields.get(name[0], []))
             if name[1:] == "RI" and any(self.fields[name[0]]):
                 self._note(f"{name}: real image heights are taken as paraxial ones")
         elif name in ("VUX", "VLX", "VUY", "VLY"):
-            self.vignetting[name] = command.numbers()
+            self.vignetting[name] = self._listed(command, self.vignetting.get(name, []))
         elif name == "PRV":
             self.in_catalogue = True
         else:
             return False
         return True
+
+    @staticmethod
+    def _listed(command: Command, known: list[float]) -> list[float]:
+        """Values of all fields, or with one of them replaced, as in ``YAN F2 10``."""
+        words = command.words[1:]
+        if not words or not re.fullmatch(r"[Ff]\d{1,3}", words[0]):
+            return command.numbers()
+        place = int(words[0][1:])
+        if place < 1:
+            raise MistrayError(f"'{command.text}': fields are numbered from F1 on")
+        found = known + [0.0] * (place - len(known))
+        found[place - 1] = command.number(1)
+        return found
 
     def _catalogue(self, command: Command) -> None:
         """A line between PRV and END."""
@@ -301,7 +323,7 @@ class _Reader:
         if last:
             end = len(self.surfaces) if last.upper() == "I" else int(last)
             return [self._numbered(str(number)) for number in range(int(first) if first.isdigit() else 1, end + 1)]
-        if first == "O":
+        if first in ("O", "0"):
             return [self.object]
         if first == "I":
             self.image = self.image or CodevSurface(0)
@@ -357,8 +379,10 @@ class _Reader:
 
     def _take_special(self, surface: CodevSurface, command: Command) -> None:
         kind = command.words[1].upper() if len(command.words) > 1 else ""
-        if kind != "XYP":
-            raise MistrayError(f"'{command.text}': of special surfaces XYP is read; convert it, or fit an asphere")
+        if kind not in SPECIAL:
+            raise MistrayError(
+                f"'{command.text}': of special surfaces {', '.join(SPECIAL)} are read; convert it, or fit an asphere"
+            )
         surface.kind = kind
         if len(command.words) > 2:
             surface.extra["NRADIUS"] = command.number(1)
@@ -367,7 +391,7 @@ class _Reader:
         if len(command.words) < 3:
             raise MistrayError(f"'{command.text}': it needs a coefficient and a value, as in SCO C4 1e-3")
         name, value = command.words[1].upper(), command.number(1)
-        if name == "K":
+        if name in ("K", "C1"):
             surface.conic = value
         else:
             surface.extra[name] = value

@@ -6,8 +6,17 @@ files that CODE V wrote have them. With c the curvature in y (CUY, RDY) and cx t
 - ``YTO`` and ``CYL``: the profile in y with K, A, B, … turned about a line parallel to y at 1/cx.
 - ``XTO``: the profile in x with K, A, B, … turned about a line parallel to x at 1/c.
 - ``AAS``: a biconic with K and KX, and AR ((1 - AP) x² + (1 + AP) y²)² + BR ((1 - BP) x² + (1 + BP) y²)³ + ….
-- ``ODD``: of no command; R1, A2, R3 … are coefficients of r, r², r³ …, as other programs have them.
-- ``SPS XYP``: a conic and Σ Cj (x/r)^m (y/r)^n with r = NRADIUS; C2 is of x, C3 of y, C4 of x², C5 of xy, ….
+- ``SPS``: a conic (K, or C1) and terms over r = NRADIUS:
+
+  - ``XYP``: Σ Cj (x/r)^m (y/r)^n; C2 is of x, C3 of y, C4 of x², C5 of xy, ….
+  - ``ZRN``: standard Zernike polynomials, 1 at the rim; C(j+1) is that of number j in the order of CODE V, which is
+    1, ρ cos φ, ρ sin φ, ρ² cos 2φ, 2ρ² - 1, ρ² sin 2φ, …. C69 is NRADIUS.
+  - ``ZFR``: Fringe Zernike polynomials; C2 is NRADIUS, C(j+3) that of number j.
+  - ``ODD``: AR1, AR2, … (C2, C3, …) of ρ, ρ², …, NRADIUS (C33) 1 where it is missing or 0. R1, A2, R3 … of no command
+    are coefficients of r, r², r³ …, as other programs have them.
+
+Places of the numbers of ZRN and ZFR: macro ``cv2macos.seq`` of the repository nasa-jpl/MACOS_resources, which reads
+them from CODE V; the order of ZRN also follows from the files of its folder rodgers3, whose mirrors are symmetric.
 """
 
 from __future__ import annotations
@@ -18,11 +27,14 @@ from collections.abc import Mapping
 
 from mistray.errors import MistrayError
 from mistray.physics.sags.terms import XY_ORDERS
+from mistray.physics.sags.zernike import noll_orders
 
-KINDS = ("YTO", "XTO", "CYL", "AAS", "XYP", "ODD")
+KINDS = ("YTO", "XTO", "CYL", "AAS", "XYP", "ZRN", "ZFR", "ODD")
+SPECIAL = ("XYP", "ZRN", "ZFR", "ODD")
 ANAMORPHIC = tuple(f"{letter}{what}" for letter in "ABCD" for what in "RP")
-_XYP_TERM = re.compile(r"C(\d{1,3})")
+_TERM = re.compile(r"C(\d{1,3})")
 _XYP_TERMS = 66  # to the tenth order
+_ZRN_TERMS, _ZFR_TERMS, _ODD_TERMS = 66, 37, 30
 
 
 def sag_of(kind: str, curvature_x: float, conic: float, extra: Mapping[str, float], unit: float) -> dict[str, float]:
@@ -38,7 +50,7 @@ def sag_of(kind: str, curvature_x: float, conic: float, extra: Mapping[str, floa
     conic : float
         That in y.
     extra : mapping of str to float
-        KX, AR, AP, …; K, NRADIUS and C2, C3, … of XYP.
+        KX, AR, AP, …; NRADIUS, C2, C3, … and names of terms of special surfaces.
     unit : float
         mm.
 
@@ -50,7 +62,9 @@ def sag_of(kind: str, curvature_x: float, conic: float, extra: Mapping[str, floa
     if kind in ("YTO", "CYL", "XTO"):
         return {"toroid_curvature": curvature_x / unit} | _powers(extra, unit)
     if kind == "ODD":
-        return _powers(extra, unit)
+        return _powers(extra, unit) | _odd(extra, unit)
+    if kind in ("ZRN", "ZFR"):
+        return _zernikes(kind, extra, unit)
     if kind == "AAS":
         found = {"curvature_x": curvature_x / unit, "conic_x": extra.get("KX", 0.0)}
         for n, letter in enumerate("ABCD", start=2):
@@ -65,7 +79,7 @@ def sag_of(kind: str, curvature_x: float, conic: float, extra: Mapping[str, floa
         raise MistrayError(f"XYP with NRADIUS {radius:g}; give a normalisation radius above 0")
     found = {}
     for name, value in terms.items():
-        place = _XYP_TERM.fullmatch(name)
+        place = _TERM.fullmatch(name)
         if place is None or not 2 <= int(place[1]) <= _XYP_TERMS:
             raise MistrayError(f"SCO {name}: XYP has K, NRADIUS and C2 to C{_XYP_TERMS}; remove it")
         i, j = XY_ORDERS[int(place[1]) - 1]
@@ -77,3 +91,64 @@ def _powers(extra: Mapping[str, float], unit: float) -> dict[str, float]:
     """Coefficients of powers by the names of `Row.sag`."""
     powers = {name.lower(): value for name, value in extra.items() if re.fullmatch(r"[AR]\d+", name)}
     return {name: value * unit ** (1 - int(name[1:])) for name, value in powers.items()}
+
+
+def _odd(extra: Mapping[str, float], unit: float) -> dict[str, float]:
+    """Coefficients of ODD by powers of the distance over NRADIUS."""
+    radius = (extra.get("NRADIUS") or extra.get("C33") or 1.0) * unit
+    found = {}
+    for name, value in extra.items():
+        order = _place(name, "ODD", r"AR", 1, _ODD_TERMS)
+        if value and order:
+            found[f"{'r' if order % 2 else 'a'}{order}"] = value * unit / radius**order
+    return found
+
+
+def _zernikes(kind: str, extra: Mapping[str, float], unit: float) -> dict[str, float]:
+    """Zernike polynomials of ZRN or ZFR."""
+    radius_place, first, terms = ("C69", 1, _ZRN_TERMS) if kind == "ZRN" else ("C2", 3, _ZFR_TERMS)
+    radius = extra.get("NRADIUS") or extra.get(radius_place, 0.0)
+    ignored = {radius_place, *(("C68",) if kind == "ZRN" else ("C3",))}  # the number of the last term
+    found: dict[str, float] = {}
+    for name, value in extra.items():
+        number = 0 if name in ignored else _place(name, kind, r"Z", first, terms)
+        if not (value and number):
+            continue
+        if kind == "ZFR":
+            found[f"fringe_{number}"] = value * unit
+        else:
+            n, m = standard_orders(number)
+            j = noll_number(n, m)
+            found[f"zernike_{j}"] = value * unit / math.sqrt((n + 1) * (2 if m else 1))
+    if not found:
+        return {}
+    if not radius > 0:
+        raise MistrayError(f"{kind} with NRADIUS {radius:g}; give a normalisation radius above 0")
+    return found | {"zernike_radius" if kind == "ZRN" else "fringe_radius": radius * unit}
+
+
+def standard_orders(j: int) -> tuple[int, int]:
+    """Radial order n and azimuthal order m of a polynomial of ZRN; m < 0: of the sine."""
+    n = (math.isqrt(8 * j - 7) - 1) // 2
+    place = j - n * (n + 1) // 2 - 1  # 0 … n
+    return n, n - 2 * place
+
+
+def noll_number(n: int, m: int) -> int:
+    """Number of the standard polynomial of radial order n and azimuthal order m in the order of Noll."""
+    first = n * (n + 1) // 2 + 1
+    return next(j for j in range(first, first + n + 1) if noll_orders(j) == (n, m))
+
+
+def _place(name: str, kind: str, head: str, first: int, terms: int) -> int:
+    """Number of a term by its name, as Z5, or by its place, as C6; 0 of what is none."""
+    if name in ("NRADIUS", "K", "KX", "C1") or re.fullmatch(r"[AR]\d+", name):
+        return 0
+    by_name = re.fullmatch(rf"{head}(\d{{1,3}})", name)
+    by_place = _TERM.fullmatch(name)
+    number = int(by_name[1]) if by_name else int(by_place[1]) - first if by_place else 0
+    if kind == "ODD" and name == "C33":
+        return 0
+    if not 1 <= number <= terms:
+        raise MistrayError(f"SCO {name}: {kind} has K, NRADIUS and {terms} terms from C{first + 1} on; remove it")
+    return number

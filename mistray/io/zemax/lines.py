@@ -162,6 +162,10 @@ class Section:
         """Append a line."""
         self._lines.append(line)
 
+    def has(self, key: str) -> bool:
+        """Whether a line of a keyword is left."""
+        return any(line.key == key for line in self._lines)
+
     def take(self, key: str) -> Line | None:
         """
         The line of a keyword; None without one.

@@ -1,7 +1,8 @@
 """Reader for sequential lenses of Zemax OpticStudio (.zmx).
 
 Surface types are those of `mistray.io.zemax.sags` and ``COORDBRK``; a lens with another type is refused. See `system`
-for the lines of the system, `glasses` for glasses and `lines` for the lines that have no effect.
+for the lines of the system, `glasses` for glasses, `configurations` for several of them, and `lines` for the lines that
+have no effect.
 
 =========================  ========================================================================================
 ``CURV c``                 curvature, per lens unit
@@ -41,8 +42,9 @@ from mistray.coatings import read_coating_file
 from mistray.coatings.zemax import CoatingFile
 from mistray.errors import MistrayError
 from mistray.io.conventions import object_na
+from mistray.io.zemax.configurations import at_configuration
 from mistray.io.zemax.glasses import Glasses
-from mistray.io.zemax.lines import Line, Section, read_sections
+from mistray.io.zemax.lines import Line, Section, Sections, read_sections
 from mistray.io.zemax.sags import KINDS, Numbers, figure_of
 from mistray.io.zemax.system import System, read_system
 from mistray.materials import refractive_index
@@ -67,6 +69,7 @@ def read_zemax(
     path: str | Path,
     *,
     coatings: str | Path | None = None,
+    configuration: int | str | None = None,
     glass_catalogues: Sequence[str | Path] = (),
     glasses: Mapping[str, str] | None = None,
 ) -> Sequential:
@@ -80,6 +83,8 @@ def read_zemax(
     coatings : str or Path or None
         Coating file (COATING.DAT). With it, `Row.coating` is ``file:name`` as `Coating.table` takes it, and a name that
         it lacks is an error; without it, coatings are listed in `Sequential.unread`.
+    configuration : int, str or None
+        Its number from 1 on, or its name; ``None``: the one that the file was saved in. See `configurations`.
     glass_catalogues : sequence of str or Path
         AGF files; a glass that one of them holds is taken from there.
     glasses : mapping of str to str or None
@@ -97,15 +102,22 @@ def read_zemax(
         glass is unknown. The message names the line.
     """
     path = Path(path)
-    return _Reader(path, coatings, [Path(file) for file in glass_catalogues], glasses or {}).sequential()
+    sections = read_sections(path)
+    note = at_configuration(sections, configuration)
+    return _Reader(path, sections, coatings, [Path(f) for f in glass_catalogues], glasses or {}).sequential(note)
 
 
 class _Reader:
     def __init__(
-        self, path: Path, coatings: str | Path | None, agf: Sequence[Path], replaced: Mapping[str, str]
+        self,
+        path: Path,
+        sections: Sections,
+        coatings: str | Path | None,
+        agf: Sequence[Path],
+        replaced: Mapping[str, str],
     ) -> None:
         self.path = path
-        self.sections = read_sections(path)
+        self.sections = sections
         self.system: System = read_system(self.sections.system, path)
         self.unit = self.system.unit_mm
         self.unread: list[Unread] = list(self.system.unread)
@@ -117,7 +129,10 @@ class _Reader:
             self.coating_file = read_coating_file(coatings, wavelengths[self.system.primary])
         self.materials: dict[int, str] = {}
 
-    def sequential(self) -> Sequential:
+    def sequential(self, note: str = "") -> Sequential:
+        """The lens, with a remark among its notes."""
+        if note:
+            self.notes.append(note)
         distance, material = self._object(self.sections.surfaces[0])
         rows: list[Row] = []
         for number, section in enumerate(self.sections.surfaces[1:], 1):
@@ -221,7 +236,7 @@ class _Reader:
     def _surface(self, number: int, section: Section, before: str, image: bool, name: str) -> Row:
         head = section.head
         assert head is not None
-        n = Numbers.of(section, self.unit)
+        n = Numbers.of(section, self.unit, self._semi_diameter(section))
         figure = figure_of(name, n, self._first(section, "CURV"), self._first(section, "CONI"), head)
         self._rest(n, name)
         material, mirror = self._glass(section, before, image)
@@ -236,6 +251,13 @@ class _Reader:
             **figure,
             **self._aperture(section),
         )
+
+    def _semi_diameter(self, section: Section) -> float:
+        """That which the file draws, in lens units; the line stays."""
+        lines = section.take_all("DIAM")
+        for line in lines:
+            section.add(line)
+        return abs(lines[0].value(0, "a semi-diameter")) if lines and lines[0].words else 0.0
 
     def _first(self, section: Section, key: str) -> float:
         line = section.take(key)
@@ -358,10 +380,8 @@ class _Reader:
         self.unread += [line.unread(f"not known to mistray, on {section.name}") for line in section.left()]
 
     def _after(self) -> None:
-        """What follows the surfaces: configurations other than the current one are lost, the rest has no effect."""
-        after = self.sections.after
-        for line in after.take_all("MNUM"):
-            if line.whole(0, "the number of configurations", default=1) > 1:
-                self.unread.append(line.unread("the configuration that the file was saved in is read, no other"))
+        """What follows the surfaces has no effect."""
         if not self.sections.indented:
-            self.unread += [line.unread("not known to mistray, behind the surfaces") for line in after.left()]
+            self.unread += [
+                line.unread("not known to mistray, behind the surfaces") for line in self.sections.after.left()
+            ]

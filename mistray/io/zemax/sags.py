@@ -7,6 +7,8 @@ over the normalisation radius.
 EVENASPH     PARM i: of r^2i
 ODDASPHE     PARM i: of r^i
 XASPHERE     XDAT 1 number of terms, 2 radius, then of ρ², ρ⁴, …
+XOSPHERE     the same with ρ, ρ², ρ³, …
+IRREGULA     PARM 5 spherical aberration, 6 astigmatism, 7 coma at the semi-diameter: of ρ⁴, (y/r)², ρ² y/r
 TOROIDAL     PARM 1 radius of rotation (0 is a plane: a cylinder), PARM i: of y^(2i-2); XDAT as of SZERNSAG
 BICONICX     PARM 1 radius in x (0 is a plane), 2 conic constant in x
 SZERNSAG     PARM i: of r^2i; XDAT 1 number of terms, 2 radius, then those of the standard Zernike polynomials
@@ -48,18 +50,21 @@ class Numbers:
         Where they stand.
     unit : float
         mm.
+    semi_diameter : float
+        Of the surface, 0 where the file has none.
     """
 
     owner: str
     unit: float
+    semi_diameter: float = 0.0
     parameters: dict[int, float] = field(default_factory=dict)
     extra: dict[int, float] = field(default_factory=dict)
     lines: dict[tuple[str, int], Line] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, section: Section, unit: float) -> Numbers:
+    def of(cls, section: Section, unit: float, semi_diameter: float = 0.0) -> Numbers:
         """Those of a section, whose lines are taken."""
-        found = cls(section.name, unit)
+        found = cls(section.name, unit, semi_diameter)
         for key, values, most in (("PARM", found.parameters, MOST_PARAMETERS), ("XDAT", found.extra, MOST_EXTRA)):
             for line in section.take_all(key):
                 place, value = line.whole(0, "the number of the parameter"), line.value(1, "its value")
@@ -108,6 +113,33 @@ def _extended(n: Numbers) -> dict[str, float]:
     return {f"a{2 * i}": _scaled(term, radius, 2 * i) for i, term in enumerate(terms, 1)}
 
 
+def _extended_odd(n: Numbers) -> dict[str, float]:
+    radius, terms = n.series()
+    return {f"{'r' if i % 2 else 'a'}{i}": _scaled(term, radius, i) for i, term in enumerate(terms, 1)}
+
+
+def _irregular(n: Numbers) -> dict[str, float]:
+    for place, what in ((1, "decentre"), (2, "decentre"), (3, "tilt"), (4, "tilt"), (8, "angle")):
+        if n.take(place):
+            raise n.lines["PARM", place].error(
+                f"{n.owner}: an irregular surface with {what}s of its own is not read; put coordinate breaks around it"
+            )
+    spherical, astigmatism, coma = (n.take(place) for place in (5, 6, 7))
+    if not (spherical or astigmatism or coma):
+        return {}
+    r = n.semi_diameter
+    if not r > 0:
+        raise n.lines["PARM", max(place for _, place in n.lines)].error(
+            f"{n.owner}: an irregular surface needs its semi-diameter (DIAM); add it"
+        )
+    return {
+        "a4": spherical / r**4,
+        "xy_0_2": astigmatism / r**2,
+        "xy_2_1": coma / r**3,
+        "xy_0_3": coma / r**3,
+    }
+
+
 def _toroid(n: Numbers) -> dict[str, float]:
     radius = n.take(1)
     profile = {f"a{2 * i}": n.take(i + 1) for i in range(1, _TOROID_TERMS + 1)}
@@ -149,6 +181,8 @@ KINDS: dict[str, Any] = {
     "EVENASPH": _even,
     "ODDASPHE": _odd,
     "XASPHERE": _extended,
+    "XOSPHERE": _extended_odd,
+    "IRREGULA": _irregular,
     "TOROIDAL": _toroid,
     "BICONICX": _biconic,
     "SZERNSAG": lambda n: _even(n) | _zernikes(n, "zernike"),

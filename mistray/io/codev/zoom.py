@@ -1,0 +1,111 @@
+"""Zoom positions of a CODE V file: the commands of one of them.
+
+``ZOO n`` gives their number, ``ZOO command [S3 or F2] v1 … vn`` a value for each, ``command S3 Z2 v`` one for position
+2 alone, ``TIT Z2 'name'`` a name. What the file says without a position holds in all of them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+from mistray.errors import MistrayError
+from mistray.io.codev.commands import HAS_NO_EFFECT, Command
+
+_POSITION = re.compile(r"Z(\d{1,3})")
+_PLACE = re.compile(r"(?:[SFWR]\d{1,6}|S[OIS])(?:\.\.\d{1,6})?")
+
+
+class ZoomPosition:
+    """
+    One position of a file.
+
+    Parameters
+    ----------
+    wanted : int, str or None
+        Its number from 1 on, or its name; None is the first one.
+    """
+
+    def __init__(self, wanted: int | str | None) -> None:
+        self.wanted = wanted
+        self.number = wanted if isinstance(wanted, int) else 1
+        self.count = 1
+        self.names: dict[int, str] = {}
+        self._by_name = wanted if isinstance(wanted, str) else None
+
+    def commands(self, found: Iterable[Command]) -> Iterator[Command]:
+        """
+        The commands that hold at the position, without what says so.
+
+        Raises
+        ------
+        MistrayError
+            If there is no such position, or a command has not one value for each.
+        """
+        every = list(found)
+        for command in every:
+            self._look(command)
+        self._check()
+        for command in every:
+            position = self._position(command)
+            if command.name == "ZOO":
+                yield from self._of_all(command)
+            elif position is None:
+                yield command
+            elif command.name != "TIT" and position == self.number:
+                place = next(k for k, word in enumerate(command.words) if _POSITION.fullmatch(word.upper()))
+                yield replace(command, words=(*command.words[:place], *command.words[place + 1 :]))
+
+    def note(self) -> str:
+        """What has been left out; "" where there is one position."""
+        if self.count == 1:
+            return ""
+        named = ", ".join(f"{k} '{name}'" for k, name in sorted(self.names.items()))
+        of = f"{self.count} ({named})" if named else f"{self.count}"
+        return f"zoom position {self.number} of {of}; configuration chooses another"
+
+    def _look(self, command: Command) -> None:
+        """Take the number of positions and their names."""
+        words = command.words[1:]
+        if command.name == "ZOO" and len(words) == 1 and words[0].isdigit():
+            self.count = int(words[0])
+        elif command.name == "TIT" and (position := self._position(command)):
+            self.names[position] = " ".join(words[1:])
+
+    def _check(self) -> None:
+        if self._by_name is not None:
+            numbers = [k for k, name in self.names.items() if name == self._by_name]
+            if not numbers and self._by_name.isdigit():
+                numbers = [int(self._by_name)]
+            if not numbers:
+                named = ", ".join(f"'{name}'" for name in self.names.values()) or "no names"
+                raise MistrayError(f"zoom position '{self._by_name}' is not there; the file has {named}")
+            self.number = numbers[0]
+        if not 1 <= self.number <= self.count:
+            raise MistrayError(f"zoom position {self.number} of {self.count}; give one from 1 to {self.count}")
+
+    def _of_all(self, command: Command) -> Iterator[Command]:
+        words = command.words[1:]
+        if not words or words[0].isdigit() or words[0].upper() == "TIT":
+            return
+        name, *values = words
+        places = [values.pop(0)] if values and _PLACE.fullmatch(values[0].upper()) else []
+        if not values:  # the values follow, position by position
+            return
+        plain = replace(command, words=(name, *places, values[min(self.number, len(values)) - 1]))
+        if len(values) != self.count and plain.name not in HAS_NO_EFFECT:
+            raise MistrayError(
+                f"line {command.line}: '{command.text}': {len(values)} values for {self.count} zoom positions; "
+                "give one for each"
+            )
+        yield plain
+
+    @staticmethod
+    def _position(command: Command) -> int | None:
+        if command.name in HAS_NO_EFFECT:
+            return None
+        words = [word.upper() for word in command.words[1:3]]
+        behind = words[1:] if words and _PLACE.fullmatch(words[0]) else [] if command.name == "SCO" else words[:1]
+        match = _POSITION.fullmatch(behind[0]) if behind else None  # SCO Z5 is a term, SCO S3 Z2 C6 a position
+        return int(match[1]) if match else None

@@ -1,0 +1,140 @@
+"""Configurations of a .zmx file: the numbers of one of them in the place of those that the file was saved with.
+
+``MNUM n k`` says how many there are and in which one the file was saved. Lines ``OPERAND place configuration value …``
+behind the surfaces hold what differs. Operands, from OpticStudio's multi-configuration editor:
+
+====================================  =================================================================
+``LTTL 0 k name``                     name of the configuration
+``THIC``, ``CRVT``, ``CONN``          thickness, curvature, conic constant of surface `place`
+``SDIA``                              semi-diameter of surface `place`
+``APER``                              the value of the aperture of the system
+``XFIE``, ``YFIE``                    field number `place`
+``FVDX``, ``FVDY``, ``FVCX``, ``FVCY``  vignetting of field number `place`
+``MOFF``                              a row that is switched off
+====================================  =================================================================
+
+A configuration that another operand takes part in is refused, unless it is the one that the file was saved in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from mistray.errors import MistrayError
+from mistray.io.zemax.lines import Line, Section, Sections
+
+_OF_SURFACE = {"THIC": "DISZ", "CRVT": "CURV", "CONN": "CONI", "SDIA": "DIAM"}
+_OF_FIELD = {
+    "XFIE": "XFLN", "YFIE": "YFLN", "FVDX": "VDXN", "FVDY": "VDYN", "FVCX": "VCXN", "FVCY": "VCYN",
+}  # fmt: skip
+_APERTURES = ("ENPD", "FNUM", "OBNA")
+
+
+def at_configuration(sections: Sections, wanted: int | str | None) -> str:
+    """
+    Put the numbers of a configuration into the lines of the system and the surfaces.
+
+    Parameters
+    ----------
+    sections : Sections
+        The lines of configurations are taken from its end.
+    wanted : int, str or None
+        Its number from 1 on, or its name; None: the one that the file was saved in.
+
+    Returns
+    -------
+    str
+        A remark on the configurations that are left out; "" where there is one.
+
+    Raises
+    ------
+    MistrayError
+        If it is not there, or something differs in it that is not read.
+    """
+    head = sections.after.take("MNUM")
+    count = head.whole(0, "the number of configurations", default=1) if head else 1
+    saved = head.whole(1, "the configuration that the file was saved in", default=1) if head else 1
+    rows = _rows(sections.after, head)
+    names = {_whole(line, 1): _name(line) for line in rows if line.key == "LTTL"}
+    number = _number(wanted, saved, names, head)
+    if not 1 <= number <= count:
+        raise _error(head, f"configuration {number} of {count}; give one from 1 to {count}")
+    for line in rows:
+        if number != saved and line.key not in ("LTTL", "MOFF") and _whole(line, 1) == number:
+            _set(sections, line)
+    if count == 1:
+        return ""
+    named = ", ".join(f"{k} '{name}'" for k, name in sorted(names.items()) if name)
+    of = f"{count} ({named})" if named else f"{count}"
+    return f"configuration {number} of {of}; configuration chooses another"
+
+
+def _rows(after: Section, head: Line | None) -> list[Line]:
+    """The operands, which follow MNUM; what else stands there is put back."""
+    found = []
+    for line in after.take_rest():
+        if head is not None and line.number > head.number and len(line.words) >= 3 and line.words[1].isdigit():
+            found.append(line)
+        else:
+            after.add(line)
+    return found
+
+
+def _number(wanted: int | str | None, saved: int, names: dict[int, str], head: Line | None) -> int:
+    if wanted is None:
+        return saved
+    if isinstance(wanted, int):
+        return wanted
+    numbers = [k for k, name in names.items() if name == wanted]
+    if numbers or wanted.isdigit():
+        return numbers[0] if numbers else int(wanted)
+    named = ", ".join(f"'{name}'" for name in names.values() if name) or "no names"
+    raise _error(head, f"configuration '{wanted}' is not there; the file has {named}")
+
+
+def _error(head: Line | None, message: str) -> MistrayError:
+    return MistrayError(f"lens: {message}") if head is None else head.error(message)
+
+
+def _whole(line: Line, place: int) -> int:
+    return line.whole(place, "a whole number")
+
+
+def _name(line: Line) -> str:
+    """What stands between the first two quotes."""
+    parts = line.text.split('"')
+    return parts[1].strip() if len(parts) > 2 else line.words[2]
+
+
+def _set(sections: Sections, line: Line) -> None:
+    """Put the value of an operand into the line that it replaces."""
+    place = _whole(line, 0)
+    if line.key in _OF_SURFACE:
+        if not 0 <= place < len(sections.surfaces):
+            raise line.error(f"{line.key} of surface {place}; the lens has surfaces 0 to {len(sections.surfaces) - 1}")
+        value = line.value(2)
+        infinite = line.key == "THIC" and place == 0 and value >= 1e10
+        _replace(sections.surfaces[place], _OF_SURFACE[line.key], 0, "INFINITY" if infinite else repr(value), line)
+    elif line.key in _OF_FIELD:
+        if place < 1:
+            raise line.error(f"{line.key} of field {place}; they are numbered from 1 on")
+        _replace(sections.system, _OF_FIELD[line.key], place - 1, repr(line.value(2)), line)
+    elif line.key == "APER":
+        found = [key for key in _APERTURES if sections.system.has(key)]
+        if len(found) != 1:
+            raise line.error(f"'{line.shown}': the system has none of {', '.join(_APERTURES)}; save this configuration")
+        _replace(sections.system, found[0], 0, repr(line.value(2)), line)
+    else:
+        raise line.error(
+            f"'{line.shown}': {line.key} is not read; open this configuration in OpticStudio and save the file"
+        )
+
+
+def _replace(section: Section, key: str, place: int, word: str, line: Line) -> None:
+    """Replace a word of the line of a keyword, which may be missing or too short."""
+    old = section.take(key)
+    words = list(old.words) if old else []
+    words += ["0"] * (place + 1 - len(words))
+    words[place] = word
+    base = old or line
+    section.add(replace(base, key=key, words=tuple(words), text=" ".join([key, *words])))
