@@ -229,6 +229,16 @@ def _forbes(g: Any) -> dict[str, Any]:
     return {"sag": terms | ({"q_radius": _float(g.norm_radius)} if terms else {})}
 
 
+def _forbes_2d(g: Any) -> dict[str, Any]:
+    terms = {}
+    for (letter, m, n), value in g.freeform_coeffs.items():
+        if not _float(value):
+            continue
+        name = f"q2d_{'cos' if letter.lower() == 'a' else 'sin'}_{int(m)}_{int(n)}" if m else f"qbfs_{int(n)}"
+        terms[name] = _float(value)
+    return {"sag": terms | ({"q_radius": _float(g.norm_radius)} if terms else {})}
+
+
 _SAGS: dict[str, Any] = {
     "Plane": lambda g: {},
     "StandardGeometry": lambda g: {},
@@ -241,6 +251,7 @@ _SAGS: dict[str, Any] = {
     "ZernikePolynomialGeometry": _zernike,
     "ForbesQNormalSlopeGeometry": _forbes,
     "ForbesQbfsGeometry": _forbes,
+    "ForbesQ2dGeometry": _forbes_2d,
 }
 _SAME_SAG = 1e-9
 

@@ -85,7 +85,7 @@ class Surface(Placed):
         Outer and inner clear radius, mm.
     half_width, half_height : float or None
         Rectangular clip in x and y instead of ``semi_diameter``, mm.
-    sag : mapping of str to float
+    sag : mapping of str to float, and of "grid" to Grid
         Numbers that make it a freeform, beside those above: see `mistray.physics.sags.terms`.
     outline : Outline or None
         Any outline instead of ``semi_diameter`` and half sizes, in the frame of the vertex.
@@ -114,7 +114,7 @@ class Surface(Placed):
     inner_semi_diameter: float = 0.0
     half_width: float | None = None
     half_height: float | None = None
-    sag: Mapping[str, float] = field(default_factory=dict, hash=False)
+    sag: Mapping[str, Any] = field(default_factory=dict, hash=False)
     outline: Outline | None = None
     front: str = "air"
     back: str = "air"
@@ -171,7 +171,7 @@ class Surface(Placed):
         return bool(self.sag) or self.outline is not None or self.meets != "both"
 
     @property
-    def sag_numbers(self) -> dict[str, float]:
+    def sag_numbers(self) -> dict[str, Any]:
         """All numbers of its sag, by their names in `mistray.physics.sags.terms`."""
         return with_even(self.curvature, self.conic, self.coefficients, self.sag)
 

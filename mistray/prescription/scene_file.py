@@ -14,6 +14,7 @@ from mistray._variant import ensure_variant
 from mistray.errors import MistrayError
 from mistray.materials import resolved
 from mistray.physics.geometry.outline import Outline
+from mistray.physics.sags.terms import GRID
 from mistray.prescription.coating import Coating
 from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.model import Detector, Placed, Source, Structure, Surface
@@ -98,7 +99,7 @@ def _surface(s: Surface, mechanics: bool = False) -> _Node:
         if value:
             properties[key] = value
     if s.freeform:
-        properties |= {key: float(value) for key, value in s.sag.items()} | _outline(s.outline)
+        properties |= {key: _sag_value(s, key, value) for key, value in s.sag.items()} | _outline(s.outline)
         properties |= {"mechanics": True} if mechanics else {}
         properties |= {"meets": s.meets} if s.meets != "both" else {}
     children: tuple[_Node, ...] = (_interface(s),)
@@ -109,6 +110,14 @@ def _surface(s: Surface, mechanics: bool = False) -> _Node:
             _Node("sensor", "irradiancemeter", children=(_Node("film", "hdrfilm", None, film, None, (box,)),)),
         )
     return _Node("shape", "freeform" if s.freeform else "asphere", s.name, properties | _labels(s), s, children)
+
+
+def _sag_value(s: Surface, key: str, value: Any) -> Value:
+    if key != GRID:
+        return float(value)
+    if not value.path:
+        raise MistrayError(f"surface '{s.name}': its grid lies in no file; save it first (Grid.save)")
+    return str(value.path)
 
 
 def _outline(outline: Outline | None) -> dict[str, Value]:
@@ -308,7 +317,7 @@ def comment_text(text: str) -> str:
 
 def beside(prescription: Prescription, folder: str | Path) -> Prescription:
     """
-    The same system with the paths of coating and glass files as seen from a folder, for a scene file there.
+    The same system with the paths of coating, glass and grid files as seen from a folder, for a scene file there.
 
     Parameters
     ----------
@@ -329,6 +338,9 @@ def beside(prescription: Prescription, folder: str | Path) -> Prescription:
         coating = getattr(shape, "coating", None)
         if coating is not None and coating.table is not None:
             changes["coating"] = replace(coating, table=seen(coating.table))
+        grid = getattr(shape, "sag", {}).get(GRID)
+        if grid is not None and grid.path:
+            changes["sag"] = {**shape.sag, GRID: replace(grid, path=seen(grid.path))}
         return replace(shape, **changes) if changes else shape
 
     return replace(

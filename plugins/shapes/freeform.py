@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics.geometry.outline import KINDS, MOST_FIGURES, SIGNS, SIZES, Figure, Outline
-from mistray.physics.sags.terms import FIXED, LENGTHS, check_names, length_power, sag
+from mistray.physics.sags.grid import Grid
+from mistray.physics.sags.terms import FIXED, GRID, LENGTHS, check_names, length_power, sag
 from mistray.plugins.shapes.formula_shape import POSE, RELATIVE, FormulaShape, float_property
 from mistray.ranges import FINITE, PLACE_MM, Range
 from mistray.surfaces.families.freeform import Freeform
@@ -55,9 +57,15 @@ class FreeformShape(FormulaShape):
     fringe_j                  mm           ±        0         Fringe Zernike polynomials, j = 1 … 37 (differentiable)
     fringe_radius             mm           > 0      none      that they need
     qbfs_m, qcon_m            mm           ±        0         Forbes's polynomials, m = 0 … 20 (differentiable)
-    q_radius                  mm           > 0      none      that they need
+    q2d_cos_m_n, q2d_sin_m_n  mm           ±        0         Forbes's polynomials without symmetry, m = 1 … 20,
+                                                              n = 0 … 20 (differentiable)
+    q_radius                  mm           > 0      none      that these need
     chebyshev_i_j             mm           ±        0         Chebyshev polynomials, to chebyshev_20_20 (differentiable)
     chebyshev_x, chebyshev_y  mm           > 0      none      half sizes that they need
+    grid                      string                none      file with heights on a grid, see
+                                                              `mistray.physics.sags.grid`
+    grid_scale                1            ±        1         factor of its heights (differentiable)
+    grid_x, grid_y            mm           ±        0         where the frame of the grid lies (differentiable)
     slope_x, slope_y          1            ±        0         a tilt in the sag (differentiable)
     semi_diameter             mm           > 0      none      a centred circle instead of figures (differentiable)
     inner_semi_diameter       mm           ≥ 0      0         a hole in it (differentiable)
@@ -125,7 +133,9 @@ class FreeformShape(FormulaShape):
                     raise MistrayError(f"{owner}: give {key} or {RADII[key]}, not both")
                 key, value = RADII[key], 0.0 if value == 0 or math.isinf(value) else 1.0 / value
             values[key] = value
-        check_names(values, owner)
+        self._grid = _read_grid(props, owner)
+        check_names({*values, *self._grid}, owner)
+        values |= {"grid_scale": 1.0, "grid_x": 0.0, "grid_y": 0.0} | values if self._grid else {}
         self._forms = self._figures(props, values)
         self.in_double = tuple(key for key in values if key not in ("curvature", "conic"))
         self.ranges = dict.fromkeys(values, NUMBER) | {"curvature": FINITE, "conic": FINITE}
@@ -196,8 +206,8 @@ class FreeformShape(FormulaShape):
         return Outline(tuple(forms)).with_numbers(v)
 
     @property
-    def _sag_numbers(self) -> dict[str, float]:
-        return {key: value for key, value in self.values.items() if length_power(key) is not None}
+    def _sag_numbers(self) -> dict[str, Any]:
+        return {key: value for key, value in self.values.items() if length_power(key) is not None} | self._grid
 
     def check(self) -> None:
         owner = f"shape '{self.name}'"
@@ -208,11 +218,12 @@ class FreeformShape(FormulaShape):
         self._middle = (0.5 * (x0 + x1), 0.5 * (y0 + y1))
         self._half = (0.5 * (x1 - x0), 0.5 * (y1 - y0))
         self._samples = outline.sample(SAMPLES)
-        for key, value in self._sag_numbers.items():
+        for key, value in self.values.items():
             if key in LENGTHS:
                 PLACE_MM.check(key, value, owner)
                 if not value > 0:
                     raise MistrayError(f"{owner}: {key} is {value:g} mm; it must be greater than 0")
+        self._check_grid(owner)
         if not np.isfinite(self.height(*self._samples)).all():
             raise MistrayError(f"{owner}: its sag ends or folds within its outline; reduce the outline or a curvature")
         self._local = self._local_sag(self._sag_numbers)
@@ -223,6 +234,17 @@ class FreeformShape(FormulaShape):
                 "orders of its sag"
             )
 
+    def _check_grid(self, owner: str) -> None:
+        """Raise if the outline leaves the grid."""
+        if not self._grid:
+            return
+        x, y = self._samples
+        lacks = self._grid[GRID].lacks(x - self.values["grid_x"], y - self.values["grid_y"])
+        if lacks:
+            raise MistrayError(
+                f"{owner}: its outline leaves its grid '{self._grid[GRID].path}': {lacks}; make the outline smaller"
+            )
+
     def _local_sag(self, numbers: Mapping[str, float]) -> LocalSag:
         return LocalSag.of(numbers, self._middle, self._half, *self._samples)
 
@@ -231,7 +253,7 @@ class FreeformShape(FormulaShape):
         return sag(x, y, self._sag_numbers)
 
     def surface(self, values: Mapping[str, float]) -> Freeform:  # type: ignore[override]
-        numbers = {key: values[key] for key in self._sag_numbers}
+        numbers = {key: self._grid.get(key, values.get(key)) for key in self._sag_numbers}
         local = (
             self._local
             if numbers == self._sag_numbers
@@ -249,7 +271,7 @@ class FreeformShape(FormulaShape):
         """Frame of the middle of the outline."""
         frame = np.array(matrix)
         ox, oy = self._middle
-        numbers = {key: values[key] for key in self._sag_numbers}
+        numbers = {key: self._grid.get(key, values.get(key)) for key in self._sag_numbers}
         frame[:3, 3] += matrix[:3, :3] @ (ox, oy, float(sag(np.array(ox), np.array(oy), numbers)))
         return frame
 
@@ -288,6 +310,19 @@ class FreeformShape(FormulaShape):
         inner = np.array(self._middle) + (1 - 1e-9) * (points - self._middle)
         z = np.where(np.isfinite(z), z, self.height(inner[:, 0], inner[:, 1]))
         return np.column_stack([points, z]), faces
+
+
+def _read_grid(props: mi.Properties, owner: str) -> dict[str, Grid]:
+    """The grid that a property names, by `GRID`."""
+    if GRID not in props:
+        return {}
+    name = props[GRID]
+    if not isinstance(name, str):
+        raise MistrayError(f"{owner}: grid is {name!r}; give the name of a file, see mistray.physics.sags.grid")
+    try:
+        return {GRID: Grid.read(str(mi.file_resolver().resolve(name)))}
+    except MistrayError as error:
+        raise MistrayError(f"{owner}: {error}") from None
 
 
 def _order(name: str) -> tuple[int, str]:

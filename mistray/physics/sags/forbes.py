@@ -9,12 +9,21 @@ distance from the axis in units of `radius` and x = u²:
 
 γ is the slope of the conic of curvature c and constant k from which the asphere departs along its normals; Forbes has
 a sphere, k = 0. The Qbfs have slopes, along these normals, that are orthogonal with the weight 1/√(x - x²).
+
+What is not symmetric about the axis follows G. W. Forbes, "Characterizing the shape of freeform optics", Opt. Express
+20, 2483 (2012), with the same factor along the axis:
+
+    Q2D:  1/cos γ Σ_m u^m Σ_n (a_mn cos mφ + b_mn sin mφ) Q_mn(x),  m ≥ 1
+
+The squares of the gradients of these terms have a mean of 1, and the gradients are orthogonal, with the weight
+1/√(u² - u⁴) over the disc; Q_mn is of degree n, and its leading coefficient has the sign of (-1)^n.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import cache
 
 import numpy as np
 
@@ -52,3 +61,60 @@ def qbfs_values(x: np.ndarray, last: int) -> list[np.ndarray]:
         f.append(math.sqrt(m * (m + 1) + 3 - g[m - 1] ** 2 - h[m - 1] ** 2))
         values.append((auxiliary[m] - g[m - 1] * values[m - 1] - h[m - 1] * values[m - 2]) / f[m])
     return values[: last + 1]
+
+
+def q2d(
+    u: np.ndarray, v: np.ndarray, cosines: Mapping[tuple[int, int], float], sines: Mapping[tuple[int, int], float]
+) -> np.ndarray:
+    """Σ u^m (a_mn cos mφ + b_mn sin mφ) Q_mn(u²) at points in units of the radius; terms by (m, n)."""
+    x = np.asarray(u * u + v * v)
+    total = np.zeros(x.shape)
+    for m in {m for m, _ in (*cosines, *sines)}:
+        last = max(n for k, n in (*cosines, *sines) if k == m)
+        values = q2d_values(x, m, last)
+        turned = (u + 1j * v) ** m
+        for terms, part in ((cosines, turned.real), (sines, turned.imag)):
+            for (k, n), amount in terms.items():
+                if k == m:
+                    total = total + amount * part * values[n]
+    return total
+
+
+def q2d_values(x: np.ndarray, m: int, last: int) -> np.ndarray:
+    """(last + 1, …) Q_m0 … Q_m,last at x = u²; m ≥ 1."""
+    return np.tensordot(_orthonormal(m, last), _jacobi(x, m, last), axes=1)
+
+
+@cache
+def _orthonormal(m: int, last: int) -> np.ndarray:
+    """
+    Rows of coefficients of the Q_mn by Jacobi polynomials, from their definition.
+
+    Gauss-Chebyshev nodes in u integrate the products of gradients exactly. With the gradients of the Jacobi polynomials
+    as columns A = QR, those of the columns of A R⁻¹ are orthonormal, and each is of its own degree.
+    """
+    count = m + last + 2
+    u = np.cos(np.pi * (2 * np.arange(count) + 1) / (4 * count))  # the positive ones of 2 count nodes
+    x = u * u
+    values, slopes = _jacobi(x, m, last), _jacobi(x, m, last, slope=True)
+    radial = m * u ** (m - 1) * values + 2 * u ** (m + 1) * slopes
+    around = m * u ** (m - 1) * values
+    # Half of each square, cos² or sin², and twice for the mean of both, as Forbes normalises
+    gradients = np.concatenate([radial, around], axis=1).T / math.sqrt(2 * count)
+    triangle = np.linalg.qr(gradients, mode="r")
+    rows = np.linalg.inv(triangle).T
+    # The leading coefficients of the Jacobi polynomials are positive
+    signs = np.sign(np.diag(rows)) * (-1.0) ** np.arange(last + 1)
+    return np.asarray(rows * signs[:, None])
+
+
+def _jacobi(x: np.ndarray, m: int, last: int, slope: bool = False) -> np.ndarray:
+    """Jacobi polynomials in 2x - 1 that are orthogonal with the weight x^(m-3/2) (1-x)^(-1/2), or their derivatives."""
+    from scipy.special import eval_jacobi
+
+    a, b, t = -0.5, m - 1.5, 2 * np.asarray(x, dtype=np.float64) - 1
+    if not slope:
+        return np.stack([eval_jacobi(n, a, b, t) for n in range(last + 1)])
+    return np.stack(
+        [(n + a + b + 1) * eval_jacobi(n - 1, a + 1, b + 1, t) if n else np.zeros(t.shape) for n in range(last + 1)]
+    )

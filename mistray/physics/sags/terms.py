@@ -1,6 +1,7 @@
 """The sag of a surface by named numbers: a conic, or one for x and one for y, and all that is added to it.
 
-Every number has a name, the same in scene files, prescriptions and gradients. Lengths in mm; r² = x² + y².
+Every number has a name, the same in scene files, prescriptions and gradients. Lengths in mm; r² = x² + y². The one that
+is no number is `grid`.
 
 =============================== ============ ==========================================================================
 name                            unit         what it adds
@@ -17,7 +18,11 @@ xy_1_0 … xy_12_12               mm^(1-i-j)   x^i y^j
 zernike_1 … zernike_231         mm           standard Zernike polynomials over ``zernike_radius``
 fringe_1 … fringe_37            mm           Fringe Zernike polynomials over ``fringe_radius``
 qbfs_0 … , qcon_0 …             mm           Forbes's polynomials over ``q_radius``; qbfs along the conic's normal
+q2d_cos_1_0 … q2d_cos_20_20     mm           Forbes's polynomials u^m cos mφ Q_mn over ``q_radius``, along the
+                                             conic's normal; q2d_sin_m_n with sin mφ
 chebyshev_0_0 … chebyshev_20_20 mm           T_i(x/chebyshev_x) T_j(y/chebyshev_y)
+grid                            file         a `Grid`: heights on a rectangular grid, such as a measured figure error
+grid_scale, grid_x, grid_y      1, mm, mm    its factor (1) and where its own frame lies
 =============================== ============ ==========================================================================
 """
 
@@ -25,29 +30,34 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
 from mistray.errors import MistrayError
-from mistray.physics.sags.forbes import qbfs, qcon
+from mistray.physics.sags.forbes import q2d, qbfs, qcon
+from mistray.physics.sags.grid import Grid
 from mistray.physics.sags.zernike import LAST_FRINGE, LAST_STANDARD, fringe, standard
 
 # Names, and the power of the length in their unit
 FIXED = {
     "curvature": -1, "conic": 0, "curvature_x": -1, "conic_x": 0, "toroid_curvature": -1, "slope_x": 0, "slope_y": 0,
     "zernike_radius": 1, "fringe_radius": 1, "q_radius": 1, "chebyshev_x": 1, "chebyshev_y": 1,
+    "grid_scale": 0, "grid_x": 1, "grid_y": 1,
 }  # fmt: skip
 LENGTHS = ("zernike_radius", "fringe_radius", "q_radius", "chebyshev_x", "chebyshev_y")  # over which polynomials go
 XY_ORDERS = tuple((total - j, j) for total in range(21) for j in range(total + 1))  # 1, x, y, x², xy, y², …
 MOST_EVEN, MOST_RADIAL, MOST_XY, MOST_CHEBYSHEV, MOST_Q = 30, 30, 12, 20, 20
-_NUMBERED = re.compile(r"(a|r|xy|zernike|fringe|qbfs|qcon|chebyshev)(?:_)?(\d+)(?:_(\d+))?")
+_NUMBERED = re.compile(r"(a|r|xy|zernike|fringe|qbfs|qcon|q2d_cos|q2d_sin|chebyshev)(?:_)?(\d+)(?:_(\d+))?")
 _NEEDS = {
     "zernike": ("zernike_radius",), "fringe": ("fringe_radius",), "qbfs": ("q_radius",), "qcon": ("q_radius",),
-    "chebyshev": ("chebyshev_x", "chebyshev_y"),
+    "q2d_cos": ("q_radius",), "q2d_sin": ("q_radius",), "chebyshev": ("chebyshev_x", "chebyshev_y"),
 }  # fmt: skip
 
-Numbers = Mapping[str, float]
+GRID = "grid"
+
+Numbers = Mapping[str, Any]  # float, of `GRID` a Grid
 
 
 def length_power(name: str) -> int | None:
@@ -75,6 +85,8 @@ def _numbered(name: str) -> tuple[str, int, int | None] | None:
         "fringe": j is None and 1 <= i <= LAST_FRINGE,
         "qbfs": j is None and i <= MOST_Q,
         "qcon": j is None and i <= MOST_Q,
+        "q2d_cos": j is not None and 1 <= i <= MOST_Q and j <= MOST_Q,
+        "q2d_sin": j is not None and 1 <= i <= MOST_Q and j <= MOST_Q,
         "chebyshev": j is not None and max(i, j or 0) <= MOST_CHEBYSHEV,
     }[kind]
     written = f"{kind}{i}" if kind in "ar" else f"{kind}_{i}" + ("" if j is None else f"_{j}")
@@ -91,22 +103,23 @@ def check_names(names: Iterable[str], owner: str) -> None:
         Of an unknown name, or of one whose radius is missing.
     """
     names = set(names)
-    for name in sorted(names):
+    for name in sorted(names - {GRID}):
         if length_power(name) is None:
             raise MistrayError(f"{owner}: '{name}' is no number of a sag; see mistray.physics.sags.terms")
         kind = (_numbered(name) or ("",))[0]
         for needed in _NEEDS.get(kind, ()):
             if needed not in names:
                 raise MistrayError(f"{owner}: {name} needs {needed} (mm); add it")
+    placed = sorted(name for name in names if name.startswith("grid_"))
+    if placed and GRID not in names:
+        raise MistrayError(f"{owner}: {placed[0]} needs grid (a file); add it")
     if "conic_x" in names and not {"curvature_x", "toroid_curvature"} & names:
         raise MistrayError(f"{owner}: conic_x needs curvature_x (1/mm); add it")
     if {"curvature_x", "toroid_curvature"} <= names:
         raise MistrayError(f"{owner}: curvature_x with toroid_curvature; give one of them")
 
 
-def with_even(
-    curvature: float, conic: float, coefficients: Sequence[float], more: Mapping[str, float]
-) -> dict[str, float]:
+def with_even(curvature: float, conic: float, coefficients: Sequence[float], more: Numbers) -> dict[str, Any]:
     """Numbers of a sag from those of an even asphere, (a4, a6, …), and more by name."""
     even = {f"a{2 * i}": a for i, a in enumerate(coefficients, start=2) if a}
     return {"curvature": curvature, "conic": conic, **even, **more}
@@ -120,7 +133,7 @@ def sag(x: np.ndarray, y: np.ndarray, n: Numbers) -> np.ndarray:
     ----------
     x, y : ndarray
         mm, of shapes that go together.
-    n : mapping of str to float
+    n : mapping of str to float, and of "grid" to Grid
         Numbers by name, those of this module's table; what is missing is 0.
     """
     x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
@@ -139,15 +152,25 @@ def sag(x: np.ndarray, y: np.ndarray, n: Numbers) -> np.ndarray:
         total = total + _powers(np.sqrt(r2), families.pop("r", {}), 1)
         for kind, terms in families.items():
             total = total + _added(kind, x, y, n, terms)
-    return np.asarray(total)
+    return np.asarray(total + _gridded(x, y, n)[0] if GRID in n else total)
 
 
-def half_turned(n: Numbers) -> dict[str, float]:
+def _gridded(x: np.ndarray, y: np.ndarray, n: Numbers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Height of the grid (mm) and its slopes."""
+    grid: Grid = n[GRID]
+    found = grid.evaluate(x - n.get("grid_x", 0.0), y - n.get("grid_y", 0.0))
+    z, across, along = (n.get("grid_scale", 1.0) * value for value in found)
+    return z, across, along
+
+
+def half_turned(n: Numbers) -> dict[str, Any]:
     """The numbers of the same surface after half a turn of its frame about y, which reverses x and z."""
     x, y = np.array(0.3), np.array(0.4)
-    found = {}
+    found: dict[str, Any] = {}
     for name, value in n.items():
-        if name in LENGTHS or name in ("conic", "conic_x"):
+        if name == GRID:
+            found[name] = value.half_turned()
+        elif name in LENGTHS or name in ("conic", "conic_x", "grid_scale", "grid_y"):
             found[name] = value
         elif name in FIXED and not name.startswith("slope"):
             found[name] = -value
@@ -169,9 +192,13 @@ def slopes(x: np.ndarray, y: np.ndarray, n: Numbers, step: float) -> tuple[np.nd
         mm; of a thousandth of the surface's size, errors are near 1e-12.
     """
     places = ((1, 8.0), (-1, -8.0), (2, -1.0), (-2, 1.0))
-    across = sum(w * sag(x + k * step, y, n) for k, w in places)
-    along = sum(w * sag(x, y + k * step, n) for k, w in places)
-    return np.asarray(across / (12 * step)), np.asarray(along / (12 * step))
+    smooth = {name: value for name, value in n.items() if name != GRID}
+    across = sum(w * sag(x + k * step, y, smooth) for k, w in places) / (12 * step)
+    along = sum(w * sag(x, y + k * step, smooth) for k, w in places) / (12 * step)
+    if GRID in n:  # whose curvature jumps from cell to cell
+        _, by_x, by_y = _gridded(x, y, n)
+        across, along = across + by_x, along + by_y
+    return np.asarray(across), np.asarray(along)
 
 
 def vertex_curvatures(n: Numbers, step: float) -> tuple[float, float]:
@@ -236,6 +263,11 @@ def _added(kind: str, x: np.ndarray, y: np.ndarray, n: Numbers, terms: dict[tupl
     u2 = r2 / n["q_radius"] ** 2
     if kind == "qcon":
         return qcon(u2, single)
+    if kind == "qbfs":
+        departure = qbfs(u2, single)
+    else:
+        u, v = x / n["q_radius"], y / n["q_radius"]
+        departure = q2d(u, v, terms, {}) if kind == "q2d_cos" else q2d(u, v, {}, terms)
     c2, conic = n.get("curvature", 0.0) ** 2, n.get("conic", 0.0)
     # Along the axis it is more than along the normal of the conic
-    return np.asarray(qbfs(u2, single) * np.sqrt((1 - conic * c2 * r2) / (1 - (1 + conic) * c2 * r2)))
+    return np.asarray(departure * np.sqrt((1 - conic * c2 * r2) / (1 - (1 + conic) * c2 * r2)))

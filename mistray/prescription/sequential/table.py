@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 from mistray.errors import MistrayError
 from mistray.physics.geometry.outline import Outline
@@ -115,7 +115,7 @@ class Row:
     radius: float = math.inf
     conic: float = 0.0
     coefficients: tuple[float, ...] = ()
-    sag: Mapping[str, float] = field(default_factory=dict, hash=False)
+    sag: Mapping[str, Any] = field(default_factory=dict, hash=False)
     thickness: float = 0.0
     material: str = "air"
     mirror: bool = False
@@ -129,7 +129,7 @@ class Row:
     line: int = 0
 
     @property
-    def sag_numbers(self) -> dict[str, float]:
+    def sag_numbers(self) -> dict[str, Any]:
         """All numbers of its sag, by their names in `mistray.physics.sags.terms`."""
         return with_even(1 / self.radius if self.radius else 0.0, self.conic, self.coefficients, self.sag)
 

@@ -6,7 +6,7 @@ vertex frame is
     C(x, y) - 2 B z + A z² = 0,   C = cx x² + cy y² + 2 (lx x + ly y),   z = C / (B + √(B² - A C)),
 
 so that an off-axis piece keeps the digits of its own size, however far away its vertex is. Odd powers of the distance
-from the vertex, which no polynomial comes close to, stand beside the departure.
+from the vertex, which no polynomial comes close to, stand beside the departure, and so does a grid.
 """
 
 from __future__ import annotations
@@ -21,12 +21,14 @@ import numpy as np
 
 from mistray.physics._arrays import sqrt
 from mistray.physics.geometry.departure import Departure, Form
-from mistray.physics.sags.terms import FIXED, LENGTHS, MOST_RADIAL, length_power, sag
+from mistray.physics.sags.grid import Grid
+from mistray.physics.sags.terms import FIXED, GRID, LENGTHS, MOST_RADIAL, length_power, sag
 from mistray.surfaces.extrema import larger
 
 QUADRIC = ("cx", "cy", "a", "b", "lx", "ly")
 BOX = ("ix", "iy")
 VERTEX = ("vx", "vy", "per_size", "at_middle")
+GRIDDED = ("grid_scale", "grid_x", "grid_y", "grid_middle")
 NEAREST = 1e-12  # square of the distance from the vertex, in units of the size, that stands for 0
 ENDED = 1e-6  # of B²: a conic that has ended goes on as steep as there, so that rays beside it find their way
 PROBE = 1e-3  # stands for a number that is 0, in units of the size: it keeps its derivative
@@ -47,16 +49,20 @@ class FreeformSag:
         Of its departure.
     odd : tuple of int
         Its odd powers of the distance from the vertex.
+    grid : Grid, optional
+        One that is added.
     """
 
     curved: bool
     form: Form
     odd: tuple[int, ...] = ()
+    grid: Grid | None = None
 
     @cached_property
     def numbers(self) -> tuple[str, ...]:
         """Names of its numbers."""
-        return (*QUADRIC, *BOX, *self._coefficients, *(VERTEX if self.odd else ()), *(f"odd_{k}" for k in self.odd))
+        odd = (*VERTEX, *(f"odd_{k}" for k in self.odd)) if self.odd else ()
+        return (*QUADRIC, *BOX, *self._coefficients, *odd, *(GRIDDED if self.grid is not None else ()))
 
     @cached_property
     def _coefficients(self) -> tuple[str, ...]:
@@ -87,6 +93,10 @@ class FreeformSag:
                 part = n[f"odd_{k}"] * power
                 steep = k * part / r2 * n["per_size"]
                 z, across, along = z + part, across + steep * u, along + steep * v
+        if self.grid is not None:
+            height, by_x, by_y = self.grid.evaluate(x + n["grid_x"], y + n["grid_y"])
+            scale = n["grid_scale"]
+            z, across, along = z + scale * height - n["grid_middle"], across + scale * by_x, along + scale * by_y
         return z, across, along
 
     def residual(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
@@ -130,15 +140,15 @@ class LocalSag:
 
     @classmethod
     def of(
-        cls, n: Mapping[str, float], middle: tuple[float, float], half: tuple[float, float], x: Any, y: Any
+        cls, n: Mapping[str, Any], middle: tuple[float, float], half: tuple[float, float], x: Any, y: Any
     ) -> LocalSag:
         """
         A sag over a box.
 
         Parameters
         ----------
-        n : mapping of str to float
-            Its numbers, see `mistray.physics.sags.terms`.
+        n : mapping
+            Its numbers, and its grid, see `mistray.physics.sags.terms`.
         middle, half : (2,) float
             Of the box in the vertex frame, mm.
         x, y : (n,) float64
@@ -148,7 +158,7 @@ class LocalSag:
         return cls._at(n, middle, half, x, y, form)
 
     def moved(
-        self, n: Mapping[str, float], middle: tuple[float, float], half: tuple[float, float], x: Any, y: Any
+        self, n: Mapping[str, Any], middle: tuple[float, float], half: tuple[float, float], x: Any, y: Any
     ) -> LocalSag:
         """The same with other numbers and code of the same form."""
         return self._at(n, middle, half, x, y, self.sag)
@@ -156,7 +166,7 @@ class LocalSag:
     @classmethod
     def _at(
         cls,
-        n: Mapping[str, float],
+        n: Mapping[str, Any],
         middle: tuple[float, float],
         half: tuple[float, float],
         x: Any,
@@ -177,22 +187,36 @@ class LocalSag:
             base |= {"vx": ox, "vy": oy, "per_size": 1 / size}
             base |= {"at_middle": sum(amount * r**k for k, amount in zip(powers, odd.values(), strict=True)), **odd}
         own = FreeformSag(bool(cx or cy), Form(), tuple(powers))
+        smooth = {name: value for name, value in n.items() if name != GRID}
+        smooth_middle = float(sag(np.array(ox), np.array(oy), smooth))
 
         def departure(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-            return np.asarray(sag(x + ox, y + oy, n) - at_middle - own.evaluate(x, y, base)[0])
+            return np.asarray(sag(x + ox, y + oy, smooth) - smooth_middle - own.evaluate(x, y, base)[0])
 
         found = Departure.of(departure, half, x - ox, y - oy, ENOUGH * size, form.form if form else None)
-        whole = FreeformSag(own.curved if form is None else form.curved, found.form, own.odd)
+        whole = FreeformSag(own.curved if form is None else form.curved, found.form, own.odd, n.get(GRID))
         box = {"ix": 1 / found.half[0], "iy": 1 / found.half[1]}
         coefficients = {f"c{k}": float(c) for k, c in enumerate(found.coefficients)}
+        if GRID in n:
+            box |= dict(
+                zip(
+                    GRIDDED,
+                    (n.get("grid_scale", 1.0), ox - n.get("grid_x", 0.0), oy - n.get("grid_y", 0.0),
+                     at_middle - smooth_middle),
+                    strict=True,
+                )
+            )  # fmt: skip
         return cls(whole, base | box | coefficients, (ox, oy, at_middle), found.error, found.slope_error)
 
 
-def _probe(n: Mapping[str, float], size: float) -> dict[str, float]:
+def _probe(n: Mapping[str, Any], size: float) -> dict[str, Any]:
     """Numbers like those of a sag, none of which is 0 or equals another: its form holds whatever they become."""
     twofold = "curvature_x" in n or "toroid_curvature" in n
-    found = {}
+    found: dict[str, Any] = {}
     for k, (name, value) in enumerate(n.items()):
+        if name == GRID:
+            found[name] = value
+            continue
         step = PROBE * size ** (length_power(name) or 0)
         if name not in FIXED:
             found[name] = value or step
@@ -202,7 +226,7 @@ def _probe(n: Mapping[str, float], size: float) -> dict[str, float]:
     return found
 
 
-def _quadric(n: Mapping[str, float]) -> tuple[float, float, float]:
+def _quadric(n: Mapping[str, Any]) -> tuple[float, float, float]:
     """Curvatures in x and y and the factor of z² of the quadric that a sag starts from."""
     c, k = n.get("curvature", 0.0), n.get("conic", 0.0)
     if "toroid_curvature" in n:
