@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Container, Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +20,7 @@ from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.model import Detector, Placed, Source, Structure, Surface
 from mistray.prescription.naming import shared_coatings, shared_scatter
 from mistray.prescription.scatter import Scatter, Value
-from mistray.replace_file import replace_file
+from mistray.replace_file import replace_files
 
 if TYPE_CHECKING:
     from mistray.prescription.model import Prescription
@@ -218,7 +218,8 @@ def write_xml(prescription: Prescription, path: str | Path) -> None:
     MistrayError
         If the prescription has no detector or no source, or the file cannot be written.
     """
-    replace_file(path, xml_text(prescription), "scene file")
+    whole, grids = _with_grid_files(prescription, Path(path))
+    replace_files({**grids, path: xml_text(whole)}, "scene file")
 
 
 def xml_text(prescription: Prescription) -> str:
@@ -343,11 +344,31 @@ def beside(prescription: Prescription, folder: str | Path) -> Prescription:
             changes["sag"] = {**shape.sag, GRID: replace(grid, path=seen(grid.path))}
         return replace(shape, **changes) if changes else shape
 
+    return _each_shape(prescription, moved)
+
+
+def _with_grid_files(prescription: Prescription, path: Path) -> tuple[Prescription, dict[Path, bytes]]:
+    """The same with files beside the scene for grids that lie in none, and the content of these files."""
+    files: dict[Path, bytes] = {}
+
+    def stored(shape: Any) -> Any:
+        grid = getattr(shape, "sag", {}).get(GRID)
+        if grid is None or grid.path:
+            return shape
+        file = path.with_name(f"{path.stem}_{shape.name}_grid.npz")
+        files[file] = grid.archive()
+        return replace(shape, sag={**shape.sag, GRID: replace(grid, path=file.name)})
+
+    return _each_shape(prescription, stored), files
+
+
+def _each_shape(prescription: Prescription, change: Callable[[Any], Any]) -> Prescription:
+    """The same system with every shape changed."""
     return replace(
         prescription,
-        surfaces=tuple(moved(shape) for shape in prescription.surfaces),
-        structures=tuple(moved(shape) for shape in prescription.structures),
-        stop=prescription.stop and moved(prescription.stop),
-        detector=prescription.detector and moved(prescription.detector),
-        more_detectors=tuple(moved(shape) for shape in prescription.more_detectors),
+        surfaces=tuple(change(shape) for shape in prescription.surfaces),
+        structures=tuple(change(shape) for shape in prescription.structures),
+        stop=prescription.stop and change(prescription.stop),
+        detector=prescription.detector and change(prescription.detector),
+        more_detectors=tuple(change(shape) for shape in prescription.more_detectors),
     )

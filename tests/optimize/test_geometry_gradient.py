@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
@@ -96,7 +97,12 @@ FREEFORMS: dict[str, dict[str, dict[str, float]]] = {
         "tilted": {"slope_x": 0.05, "slope_y": -0.02, "curvature": 1 / 200},
         "plain": {"curvature": -1 / 150},
     },
+    "freeforms on grids": {
+        "q2d": {"curvature": 1 / 80, "conic": -0.5, "q2d_cos_1_1": 0.04, "q2d_sin_3_2": -0.01, "q_radius": 13.0},
+        "grid": {"curvature": -1 / 90, "grid_scale": 3.0, "grid_x": 0.4, "grid_y": -0.3},
+    },
 }  # fmt: skip
+FIGURE_ERROR = Path(__file__).parents[1] / "data" / "figure_error.dat"
 OUTLINES = (
     {"semi_diameter": 12.0},
     {"half_width": 10.0, "half_height": 11.0},
@@ -117,6 +123,7 @@ def freeforms(name: str) -> Case:
             for key, value in OUTLINES[k % 3].items()
             if isinstance(value, str)
         )
+        words += f'<string name="grid" value="{FIGURE_ERROR}"/>' if "grid_scale" in numbers else ""
         shapes.append(shape.replace("<transform", words + "<transform", 1))
     detector = shape_xml("asphere", "detector", 70.0, sensor=True, half_width=30.0, half_height=30.0)
     settings = {"rays": 300, "field_deg": 3.0, "seed": 8, **TRACED, "flux_threshold": 2e-4}

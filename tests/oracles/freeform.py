@@ -2,7 +2,8 @@
 
 Nothing is shared with mistray: Zernike polynomials are written out in x and y by binomials, Forbes's by the polynomials
 that his papers print, Chebyshev's as cos(n arccos x). Sags take complex numbers, so that a step of 1e-30 i gives their
-slopes to the last digit. Hits are found by samples along the ray and bisection.
+slopes to the last digit. Grids are FITPACK's interpolating splines. Hits are found by samples along the ray and
+bisection.
 """
 
 from __future__ import annotations
@@ -11,8 +12,11 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import RectBivariateSpline
 
 from .geometry import Array, Mask
 
@@ -68,6 +72,53 @@ def zernike(n: int, m: int, x: Array, y: Array, normalised: bool) -> Array:
     return np.asarray(scale * radial * angular)
 
 
+def q2d(m: int, last: int) -> list[float]:
+    """
+    Coefficients of Q_m,last by powers of x = u², by Gram and Schmidt from exact moments.
+
+    The mean of u^2k with the weight of Forbes (2012) is binom(2k, k)/4^k, that of the gradients of u^a cos mφ and of
+    u^b cos mφ half of (a b + m²) times that of u^(a + b - 2).
+    """
+
+    def product(f: list[Fraction], g: list[Fraction]) -> Fraction:
+        total = Fraction(0)
+        for i, p in enumerate(f):
+            for j, q in enumerate(g):
+                a, b = m + 2 * i, m + 2 * j
+                k = (a + b - 2) // 2
+                total += p * q * Fraction(a * b + m * m, 2) * Fraction(math.comb(2 * k, k), 4**k)
+        return total
+
+    known: list[list[Fraction]] = []
+    for n in range(last + 1):
+        new = [Fraction(0)] * n + [Fraction((-1) ** n)]
+        for other in known:
+            share = product(new, other) / product(other, other)
+            new = [p - share * q for p, q in zip(new, other + [Fraction(0)] * (n + 1 - len(other)), strict=True)]
+        known.append(new)
+    norm = math.sqrt(product(known[-1], known[-1]))
+    return [float(value) / norm for value in known[-1]]
+
+
+def _grid(path: str) -> RectBivariateSpline:
+    """The spline through the heights of a text file, in the frame of the grid."""
+    lines = [line.split() for line in Path(path).read_text().splitlines() if line and not line.startswith("!")]
+    nx, ny, dx, dy, _, x, y = (float(word) for word in lines[0])
+    heights = np.array([float(words[0]) for words in lines[1:]]).reshape(int(ny), int(nx))[::-1]
+    across, along = (m + step * (np.arange(int(n)) - (n - 1) / 2) for m, step, n in ((x, dx, nx), (y, dy, ny)))
+    return RectBivariateSpline(across, along, heights.T, s=0)
+
+
+def _height(spline: RectBivariateSpline, x: Array, y: Array) -> Array:
+    """Of complex places to first order in what is imaginary."""
+    u, v = np.broadcast_arrays(np.real(x), np.real(y))
+    z = spline(u, v, grid=False)
+    if not (np.iscomplexobj(x) or np.iscomplexobj(y)):
+        return np.asarray(z)
+    by_x, by_y = spline(u, v, dx=1, grid=False), spline(u, v, dy=1, grid=False)
+    return np.asarray(z + 1j * (by_x * np.imag(x) + by_y * np.imag(y)))
+
+
 @dataclass(frozen=True)
 class Figure:
     """A figure of an outline: sign, kind, and numbers by name as in the scene (x, y, angle_deg, radius …)."""
@@ -105,6 +156,7 @@ class Freeform:
     figures: tuple[Figure, ...]
     box: tuple[float, float, float, float]
     way: int = 0
+    grid: RectBivariateSpline | None = None
 
     @classmethod
     def of(cls, values: Mapping[str, float | str]) -> Freeform:
@@ -116,6 +168,7 @@ class Freeform:
                 given[of] = 1 / radius if radius and math.isfinite(radius) else 0.0
         way = {"both": 0, "+z": 1, "-z": -1}[str(given.pop("meets", "both"))]
         given.pop("mechanics", None)
+        grid = _grid(str(given.pop("grid"))) if "grid" in given else None
         figures = []
         if "semi_diameter" in given:
             figures.append(Figure("+", "circle", {"radius": float(given.pop("semi_diameter"))}))
@@ -138,7 +191,7 @@ class Freeform:
             *boxes[:, 2:3].min(axis=0),
             *boxes[:, 3:].max(axis=0),
         )
-        return cls(whole.numbers, whole.figures, tuple(map(float, box)), way)  # type: ignore[arg-type]
+        return cls(whole.numbers, whole.figures, tuple(map(float, box)), way, grid)  # type: ignore[arg-type]
 
     def sag(self, x: Array, y: Array) -> Array:
         """mm; complex x and y for slopes."""
@@ -154,13 +207,32 @@ class Freeform:
             z = _conic(r2, n.get("curvature", 0.0), n.get("conic", 0.0))
         for name, value in n.items():
             z = z + value * self._term(name, x, y, r2)
+        if self.grid is not None:
+            u, v = x - n.get("grid_x", 0.0), y - n.get("grid_y", 0.0)
+            z = z + n.get("grid_scale", 1.0) * _height(self.grid, u, v)
         return z
+
+    def _q2d(self, part: str, m: int, last: int, x: Array, y: Array) -> Array:
+        """Forbes's polynomial without symmetry, along the axis."""
+        n, radius = self.numbers, self.numbers["q_radius"]
+        u, v = x / radius, y / radius
+        first = 0 if part == "cos" else 1
+        angular = sum(
+            (-1) ** ((i - first) // 2) * math.comb(m, i) * u ** (m - i) * v**i for i in range(first, m + 1, 2)
+        )
+        radial = sum(a * (u * u + v * v) ** k for k, a in enumerate(q2d(m, last)))
+        c2r2, k = n.get("curvature", 0.0) ** 2 * (x * x + y * y), n.get("conic", 0.0)
+        return np.asarray(angular * radial * np.sqrt((1 - k * c2r2) / (1 - (1 + k) * c2r2)))
 
     def _term(self, name: str, x: Array, y: Array, r2: Array) -> Array:
         n = self.numbers
         kind, *_ = name.split("_") if "_" in name else re.findall("[a-z]+", name)
         orders = [int(v) for v in re.findall(r"\d+", name)]
         i, j = (*orders, 0, 0)[:2]
+        if kind == "grid":
+            return 0 * x
+        if kind == "q2d" and len(orders) == 3:
+            return self._q2d(name.split("_")[1], orders[1], orders[2], x, y)
         if name in ("slope_x", "slope_y"):
             return x if name == "slope_x" else y
         if not orders or (kind == "a" and "toroid_curvature" in n):

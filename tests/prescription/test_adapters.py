@@ -262,6 +262,12 @@ FREEFORMS = {
     "forbes_qbfs": {
         "radius": 60.0, "conic": -0.7, "radial_terms": {0: 0.1, 1: -0.03, 4: 0.01}, "norm_radius": 9.0,
     },
+    "forbes_q2d": {
+        "radius": 60.0, "conic": -0.7, "norm_radius": 9.0,
+        "freeform_coeffs": {
+            ("a", 0, 1): 0.02, ("a", 1, 0): 0.01, ("b", 2, 1): -0.02, ("a", 3, 2): 0.01, ("b", 1, 3): 0.01
+        },
+    },
     "biconic, cylinder": {"radius_x": np.inf, "radius_y": 80.0, "conic_y": -0.5},
 }  # fmt: skip
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from oracles import beams, nonsequential, scene_xml
 
+from mistray import load
 from mistray.errors import MistrayError
 from mistray.prescription import Structure, from_batoid
 from mistray.prescription.scene_file import xml_text
@@ -156,7 +157,7 @@ def plate_of_glass(surface, obscuration=None):
 @pytest.mark.parametrize(
     ("surface", "obscuration", "wanted"),
     [
-        (batoid.Bicubic([-1, 0, 1], [-1, 0, 1], np.zeros((3, 3))), None, "'front': surface Bicubic"),
+        (batoid.Sum([batoid.Bicubic([-1, 0, 1], [-1, 0, 1], np.zeros((3, 3)))] * 2), None, "'front': surface Bicubic"),
         (batoid.Zernike([0, 0, 0, 1e-6], R_outer=1.0, R_inner=0.3), None, "'front': surface Zernike"),
         (batoid.Sum([batoid.Sphere(2.0), batoid.Sphere(3.0)]), None, "'front': surface Sphere"),
         (
@@ -326,3 +327,35 @@ def test_shipped_telescopes_are_read_or_refused_in_one_line():
     refusals = [refusal(file) for file in telescopes()]
     assert refusals.count(None) >= 15
     assert all("\n" not in text and "batoid element" in text for text in refusals if text)
+
+
+def test_a_figure_error_images_as_in_batoid(tmp_path):
+    """A grid of batoid, as a file beside the scene; the paraboloid alone images to a point."""
+    x = np.linspace(-0.6, 0.6, 25)
+    error = 2e-7 * np.sin(5 * x[None, :]) * np.cos(4 * x[:, None])
+    bent = batoid.Sum([batoid.Paraboloid(8.0), batoid.Bicubic(x, x, error)])
+    optic = batoid.CompoundOptic(
+        [
+            batoid.Mirror(bent, name="mirror", obscuration=batoid.ObscNegation(batoid.ObscCircle(0.5))),
+            batoid.Detector(
+                batoid.Plane(), name="detector", coordSys=batoid.CoordSys(origin=[0, 0, 4.0]),
+                obscuration=batoid.ObscNegation(batoid.ObscCircle(0.05)),
+            ),
+        ],
+        name="bent", backDist=6.0, pupilSize=1.0, inMedium=batoid.ConstMedium(1.0),
+        stopSurface=batoid.Interface(batoid.Plane()),
+    )  # fmt: skip
+    path = tmp_path / "bent mirror.xml"
+    from_batoid(optic, wavelength_nm=600.0).to_xml(path)
+    assert (tmp_path / "bent mirror_mirror_grid.npz").exists()
+    found = trace(load(path), rays=40_000, seed=1)
+    spot = max(found.paths, key=lambda row: row.power_W)
+    rays = batoid.RayVector.asPolar(
+        optic=optic, wavelength=600e-9, theta_x=0, theta_y=0, nrad=60, naz=400, outer=0.5, inner=0.0
+    )
+    optic.trace(rays)
+    theirs = 1e3 * rays.r[~rays.vignetted, :2]
+    rms = np.sqrt(((theirs - theirs.mean(axis=0)) ** 2).sum(axis=1).mean())
+    assert rms > 2e-3
+    assert spot.rms_radius_mm == pytest.approx(rms, rel=0.02)
+    assert spot.x_mm == pytest.approx(theirs[:, 0].mean(), abs=0.02 * rms)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -14,6 +15,7 @@ from scipy.optimize import brentq
 import mistray
 from mistray import MistrayError
 from mistray.physics.geometry.outline import Figure, Outline, polygon
+from mistray.physics.sags.grid import Grid
 from mistray.physics.sags.terms import sag
 from mistray.physics.sags.zernike import fringe_orders, noll_orders, polynomial
 from mistray.surfaces.intersect import Intersector
@@ -22,7 +24,8 @@ from mistray.surfaces.surfaces import SurfaceTable
 pytestmark = pytest.mark.quick
 
 GLASS = {"type": "interface", "back": "N-BK7"}
-SAGS: dict[str, dict[str, float]] = {
+GRID = Grid.read(Path(__file__).parents[1] / "data" / "figure_error.dat")
+SAGS: dict[str, dict[str, Any]] = {
     "biconic": {"curvature": 1 / 60, "conic": 0.3, "curvature_x": -1 / 90, "conic_x": -1.2},
     "cylinder": {"curvature": 0.0, "curvature_x": 1 / 40},
     "toroid": {"curvature": 1 / 60, "toroid_curvature": 1 / 45, "a4": 1e-6},
@@ -33,7 +36,9 @@ SAGS: dict[str, dict[str, float]] = {
     "odd": {"curvature": 1 / 80, "r3": 2e-5, "r5": 1e-8, "a4": 1e-6},
     "qcon": {"curvature": 1 / 80, "conic": -0.5, "qcon_0": 0.05, "qcon_3": -0.01, "q_radius": 11.0},
     "qbfs": {"curvature": 1 / 80, "qbfs_0": 0.05, "qbfs_2": -0.01, "q_radius": 11.0},
+    "q2d": {"curvature": 1 / 80, "conic": -0.5, "q2d_cos_1_1": 0.04, "q2d_sin_3_2": -0.01, "q_radius": 11.0},
     "tilted": {"slope_x": 0.1, "slope_y": -0.05},
+    "grid": {"curvature": 1 / 80, "xy_2_1": 3e-5, "grid": GRID, "grid_scale": 2.5, "grid_x": 0.7, "grid_y": -0.4},
 }
 
 
@@ -45,7 +50,7 @@ def scene(shape: dict[str, Any], **more: Any) -> Any:
             "type": "scene",
             "integrator": {"type": "straylight"},
             "source": {"type": "collimated", "radius": 8.0, "wavelength_nm": 550.0, "distance": 20.0},
-            "shape": {"bsdf": GLASS, **shape},
+            "shape": {"bsdf": GLASS, **{key: getattr(value, "path", value) for key, value in shape.items()}},
             "detector": {
                 "type": "asphere",
                 "half_width": 30.0,

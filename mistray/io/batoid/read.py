@@ -28,6 +28,7 @@ from mistray.io.batoid.file import read_optic
 from mistray.io.batoid.obscurations import clear_outline, is_open, opaque_outlines
 from mistray.physics.geometry.outline import Figure, Outline
 from mistray.physics.geometry.pose import fixed_angles_deg
+from mistray.physics.sags.grid import Grid
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.geometry import barrel
 from mistray.prescription.model import Detector, Placed, Prescription, Source, Structure, Surface
@@ -230,7 +231,7 @@ class _Reader:
     def _figure(self, interface: Any) -> dict[str, Any]:
         """Figure of a surface, mm."""
         shape: dict[str, Any] = {}
-        sag: dict[str, float] = {}
+        sag: dict[str, Any] = {}
         surface = interface.surface
         for part in surface.surfaces if type(surface).__name__ == "Sum" else (surface,):
             kind = type(part).__name__
@@ -242,10 +243,12 @@ class _Reader:
             elif kind == "Zernike" and not part.R_inner:
                 sag |= {f"zernike_{j}": float(c) * M_TO_MM for j, c in enumerate(part.coef) if j and c}
                 sag["zernike_radius"] = float(part.R_outer) * M_TO_MM
+            elif kind == "Bicubic" and "grid" not in sag:
+                sag["grid"] = _grid(part)
             elif kind != "Plane":
                 raise MistrayError(
                     f"batoid element '{interface.name}': surface {kind} has no counterpart here; use one conic, "
-                    "Zernikes over a full disc and Tilted"
+                    "Zernikes over a full disc, one Bicubic and Tilted"
                 )
             if kind == "Asphere":
                 coefficients = dict(enumerate((float(a) for a in part.coefs), start=part.imin))
@@ -447,3 +450,11 @@ def _id(name: str) -> str:
 def _same_place(a: Any, b: Any) -> bool:
     keys = ("r0", "z0", "r1", "z1") if isinstance(a, Structure) else ("outline",)
     return type(a) is type(b) and all(getattr(a, key) == getattr(b, key) for key in (*keys, "x", "y", "z", "tilt_deg"))
+
+
+def _grid(part: Any) -> Grid:
+    """The patches of a surface of batoid."""
+    corners = np.stack([part.zs * M_TO_MM, part.dzdxs, part.dzdys, part.d2zdxdys / M_TO_MM], axis=-1)
+    step = float(part.xs[1] - part.xs[0]) * M_TO_MM, float(part.ys[1] - part.ys[0]) * M_TO_MM
+    middle = 0.5 * float(part.xs[0] + part.xs[-1]) * M_TO_MM, 0.5 * float(part.ys[0] + part.ys[-1]) * M_TO_MM
+    return Grid(corners, step, middle)

@@ -138,7 +138,7 @@ class Grid:
         if not lines:
             raise MistrayError("it is empty; give a first line 'nx ny dx dy unit x y'")
         head = _numbers(*lines[0])
-        if len(head) < 4 or head[0] != int(head[0]) or head[1] != int(head[1]):
+        if len(head) < 4 or not all(value.is_integer() for value in (*head[:2], *head[4:5])):
             raise MistrayError(f"line {lines[0][0]} is no 'nx ny dx dy unit x y'")
         nx, ny = int(head[0]), int(head[1])
         unit = int(head[4]) if len(head) > 4 else 0
@@ -177,11 +177,15 @@ class Grid:
         path = Path(path)
         if path.suffix != SUFFIX:
             raise MistrayError(f"grid '{path}': grids are written as {SUFFIX}; name it so")
+        replace_file(path, self.archive(), "grid")
+        return replace(self, path=str(path))
+
+    def archive(self) -> bytes:
+        """The content of its file."""
         content = io.BytesIO()
         step, middle = np.array(self.step), np.array(self.middle)
         np.savez_compressed(content, corners=self.corners, step=step, middle=middle, missing=self._missing)
-        replace_file(path, content.getvalue(), "grid")
-        return replace(self, path=str(path))
+        return content.getvalue()
 
     # ---- facts
 

@@ -1,0 +1,186 @@
+"""Sags on grids: exact for bicubics, batoid's own patches, files, and what they refuse."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import mistray
+from mistray import MistrayError
+from mistray.physics.sags.grid import Grid
+from mistray.physics.sags.terms import half_turned, sag, slopes
+
+pytestmark = pytest.mark.quick
+
+STEP, MIDDLE = (0.7, 0.9), (1.0, -2.0)
+X, Y = (m + s * (np.arange(n) - (n - 1) / 2) for m, s, n in zip(MIDDLE, STEP, (21, 17), strict=True))
+AT = np.random.default_rng(3).uniform(-6, 6, (2, 500)) + np.array(MIDDLE)[:, None]
+
+
+def bicubic(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """A polynomial that is cubic in x and in y."""
+    return 0.3 - 0.02 * x + 0.01 * x * y - 3e-3 * x**3 + 1e-4 * x**3 * y**3 - 2e-3 * y**2 * x
+
+
+def grid() -> Grid:
+    return Grid.of(bicubic(*np.meshgrid(X, Y)), STEP, MIDDLE)
+
+
+def test_a_bicubic_is_met_exactly() -> None:
+    """Splines of cubics are those cubics, with all their slopes and twists."""
+    x, y = AT
+    z, by_x, by_y = grid().evaluate(x, y)
+    assert z == pytest.approx(bicubic(x, y), abs=1e-12)
+    assert by_x == pytest.approx(-0.02 + 0.01 * y - 9e-3 * x**2 + 3e-4 * x**2 * y**3 - 2e-3 * y**2, abs=1e-11)
+    assert by_y == pytest.approx(0.01 * x + 3e-4 * x**3 * y**2 - 4e-3 * y * x, abs=1e-11)
+
+
+def test_the_kernels_arrays_give_the_same() -> None:
+    x, y = AT
+    exact = grid().evaluate(x, y)
+    for kind, error in ((mi.Float64, 1e-13), (mi.Float, 2e-5)):
+        found = grid().evaluate(kind(x), kind(y))
+        for ours, theirs in zip(found, exact, strict=True):
+            assert np.array(ours) == pytest.approx(theirs, abs=error)
+    u = mi.Float64(x)
+    dr.enable_grad(u)
+    z, by_x, _ = grid().evaluate(u, mi.Float64(y))
+    dr.backward(dr.sum(z))
+    assert np.array(u.grad) == pytest.approx(np.array(dr.detach(by_x)), abs=1e-12)
+
+
+def test_errors_fall_with_the_fourth_power_of_the_step() -> None:
+    def error(count: int) -> float:
+        u = np.linspace(-3, 3, count)
+        wave = np.sin(2 * u)[:, None] * np.cos(1.5 * u)[None, :]
+        step = (float(u[1] - u[0]),) * 2
+        x, y = np.random.default_rng(1).uniform(-2.5, 2.5, (2, 400))
+        return float(np.abs(Grid.of(wave, step).evaluate(x, y)[0] - np.sin(2 * y) * np.cos(1.5 * x)).max())
+
+    assert error(31) / error(61) == pytest.approx(16, rel=0.25)
+
+
+def test_patches_are_those_of_batoid() -> None:
+    batoid = pytest.importorskip("batoid")
+    rng = np.random.default_rng(2)
+    corners = rng.normal(size=(len(Y), len(X), 4)) * (1e-3, 1e-3, 1e-3, 1e-3)
+    theirs = batoid.Bicubic(X, Y, *np.moveaxis(corners, -1, 0))
+    ours = Grid(corners, STEP, MIDDLE)
+    x, y = AT
+    z, by_x, by_y = ours.evaluate(x, y)
+    assert z == pytest.approx(theirs.sag(x, y), abs=1e-14)
+    normal = theirs.normal(x, y)
+    assert by_x == pytest.approx(-normal[:, 0] / normal[:, 2], abs=1e-12)
+    assert by_y == pytest.approx(-normal[:, 1] / normal[:, 2], abs=1e-12)
+
+
+def test_in_a_sag() -> None:
+    """Scaled, moved and turned over, with slopes that jump at no cell."""
+    numbers = {"curvature": 0.01, "grid": grid(), "grid_scale": -2.0, "grid_x": 0.3, "grid_y": -0.1}
+    x, y = AT * 0.8
+    base = sag(x, y, {"curvature": 0.01})
+    assert sag(x, y, numbers) == pytest.approx(base - 2 * bicubic(x - 0.3, y + 0.1), abs=1e-11)
+    assert sag(-x, y, half_turned(numbers)) == pytest.approx(-sag(x, y, numbers), abs=1e-12)
+    h = 1e-6
+    for found, (u, v) in zip(slopes(x, y, numbers, 1e-2), ((h, 0), (0, h)), strict=True):
+        exact = (sag(x + u, y + v, numbers) - sag(x - u, y - v, numbers)) / (2 * h)
+        assert found == pytest.approx(exact, abs=1e-7)
+
+
+def text(heights: np.ndarray, head: str = "21 17 0.7 0.9 0 1 -2", tail: str = "") -> str:
+    rows = "\n".join(f"{value!r} 0 0 0{tail}" for row in heights[::-1].tolist() for value in row)
+    return f"! remark\n{head}\n{rows}\n"
+
+
+def test_files(tmp_path: Path) -> None:
+    """Text from the upper left corner on, in any unit, and our own archive; both know their file."""
+    heights = bicubic(*np.meshgrid(X, Y))
+    path = tmp_path / "with a blank.dat"
+    path.write_text(text(heights))
+    found = Grid.read(path)
+    assert found.corners == pytest.approx(grid().corners, abs=1e-12)
+    again = found.save(tmp_path / "grid.npz")
+    assert again.path == str(tmp_path / "grid.npz")
+    assert (Grid.read(again.path).corners == found.corners).all()
+    path.write_text(text(heights / 25.4, f"21 17 {0.7 / 25.4!r} {0.9 / 25.4!r} 2 {1 / 25.4!r} {-2 / 25.4!r}"))
+    assert Grid.read(path).corners == pytest.approx(grid().corners, abs=1e-12)
+    with pytest.raises(MistrayError, match=r"written as \.npz"):
+        found.save(tmp_path / "grid.dat")
+
+
+def test_points_without_a_height(tmp_path: Path) -> None:
+    heights = bicubic(*np.meshgrid(X, Y))
+    heights[0, 0] = np.nan
+    with pytest.raises(MistrayError, match=r"column 1, row 1 .* not finite"):
+        Grid.of(heights, STEP)
+    found = Grid.of(heights, STEP, MIDDLE, np.isnan(heights))
+    assert np.isfinite(found.corners).all()
+    assert not found.lacks(np.array([0.0]), np.array([0.0]))
+    assert "no height near" in found.lacks(X[:1] + 0.1, Y[:1] + 0.1)
+    assert "in x and" in found.lacks(X[-1:] + 0.1, Y[:1])
+    assert Grid.read(found.save(tmp_path / "g.npz").path).lacks(X[:1] + 0.1, Y[:1] + 0.1)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "it is empty"),
+        ("3 3 1 1 0\n" + "0\n" * 9, "3 by 3 points; it needs 4"),
+        ("4 4 1 1 0\n" + "0\n" * 15, "15 points for 4 by 4"),
+        ("4 4 0 1 0\n" + "0\n" * 16, "steps of 0 and 1 mm"),
+        ("4 4 1 1 7\n" + "0\n" * 16, "unit 7"),
+        ("4 4 1 1 0\n" + "0\n" * 15 + "nan\n", "column 4, row 1"),
+        ("4 4 1 1 0\n" + "0\n" * 15 + "x\n", "line 17: 'x' are no numbers"),
+        ("1e400 4 1 1 0\n", "is no 'nx ny dx dy unit x y'"),
+        ("4 4 1 1 0\n" + "0 0 0 0 1\n" * 16, "no height at all"),
+    ],
+)
+def test_bad_files_are_one_line(content: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.dat"
+    path.write_text(content)
+    with pytest.raises(MistrayError, match=message) as caught:
+        Grid.read(path)
+    assert "\n" not in str(caught.value)
+    assert "bad.dat" in str(caught.value)
+
+
+def test_an_archive_that_runs_code_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "evil.npz"
+    np.savez(path, corners=np.array([print], dtype=object), step=[1, 1], middle=[0, 0], missing=[[False]])
+    with pytest.raises(MistrayError, match="no grid that mistray wrote"):
+        Grid.read(path)
+
+
+def shape(**more: object) -> dict[str, object]:
+    return {
+        "type": "scene",
+        "source": {"type": "collimated", "radius": 2.0},
+        "mirror": {"type": "freeform", "semi_diameter": 4.0, "bsdf": {"type": "interface", "R": 1.0}, **more},
+        "detector": {
+            "type": "asphere", "semi_diameter": 9.0, "bsdf": {"type": "interface", "R": 0.0},
+            "to_world": mi.ScalarTransform4f().translate([0, 0, -20]),
+            "sensor": {"type": "irradiancemeter", "film": {"type": "hdrfilm", "rfilter": {"type": "box"}}},
+        },
+    }  # fmt: skip
+
+
+def test_scenes_say_what_is_wrong(tmp_path: Path) -> None:
+    path = grid().save(tmp_path / "grid.npz").path
+    mistray.load(shape(grid=path))
+    for more, message in (
+        (
+            {"grid": path, "semi_diameter": 8.0},
+            "'mirror': its outline leaves its grid '.*grid.npz': it reaches -6 to 8 mm",
+        ),
+        ({"grid": path, "grid_x": 5.0}, "its outline leaves its grid"),
+        ({"grid": str(tmp_path / "no.npz")}, "'mirror': grid '.*no.npz'.*check the path"),
+        ({"grid_scale": 2.0}, "grid_scale needs grid"),
+        ({"grid": 3.0}, "grid is 3.0; give the name of a file"),
+    ):
+        with pytest.raises(MistrayError, match=message) as caught:
+            mistray.load(shape(**more))
+        assert "\n" not in str(caught.value)
