@@ -262,6 +262,9 @@ def _aperture(number: int, surface: Any, unread: list[Unread]) -> dict[str, Any]
     if aperture is None:
         return {}
     outline = _outline(aperture)
+    if kind == "RadialAperture" and math.isinf(_float(aperture.r_max)):
+        inner = _float(aperture.r_min)
+        return {"obscuration": circle(inner)} if inner > 0 else {}
     if outline is not None:
         ring = outline.annulus
         if ring and not ring[1]:

@@ -350,9 +350,7 @@ def test_a_figure_error_images_as_in_batoid(tmp_path):
     assert (tmp_path / "bent mirror_mirror_grid.npz").exists()
     found = trace(load(path), rays=40_000, seed=1)
     spot = max(found.paths, key=lambda row: row.power_W)
-    rays = batoid.RayVector.asPolar(
-        optic=optic, wavelength=600e-9, theta_x=0, theta_y=0, nrad=60, naz=400, outer=0.5, inner=0.0
-    )
+    rays = batoid.RayVector.asGrid(optic=optic, wavelength=600e-9, theta_x=0, theta_y=0, nx=300, lx=1.0)
     optic.trace(rays)
     theirs = 1e3 * rays.r[~rays.vignetted, :2]
     rms = np.sqrt(((theirs - theirs.mean(axis=0)) ** 2).sum(axis=1).mean())
