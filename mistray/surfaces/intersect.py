@@ -1,6 +1,7 @@
 """Exact nearest hit of rays with the analytic surfaces of a scene, in the caller's kernel.
 
-Surfaces are unrolled; where they are many, they lie in a tree (see `mistray.surfaces.shell_tree`). Every number of an
+Surfaces are unrolled; where they are many, they lie in a tree (see `mistray.surfaces.shell_tree`), or, if they are
+freeforms of one sort, in a mosaic (see `mistray.surfaces.mosaic_search`). Every number of an
 unrolled one is an opaque scalar, so that the code is the same for all scenes of equal structure (no recompilation when
 a parameter changes) and its loads broadcast over the lanes.
 """
@@ -20,6 +21,7 @@ from mistray.surfaces.aspheres import AsphereSearch
 from mistray.surfaces.crossings import FAR, AxisRay, asphere_entry, mild_asphere
 from mistray.surfaces.extrema import smaller
 from mistray.surfaces.families.sag_surface import SagSurface
+from mistray.surfaces.mosaic_search import MosaicSearch, mosaics
 from mistray.surfaces.surface import NO_SURFACE, RECTANGLE, Surface
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.tree_search import TreeSearch
@@ -35,6 +37,9 @@ class Intersector:
         self.pieces = table.pieces
         looped = set(table.tree.members) if table.tree else set()
         unrolled = [k for k in range(len(self.pieces)) if k not in looped]
+        groups = mosaics(self.pieces, unrolled)
+        self.mosaics = [MosaicSearch(table, group) for group in groups]
+        unrolled = sorted(set(unrolled).difference(*groups))
         self.numbers = {k: self.pieces[k].numbers() for k in unrolled}
         walls = [k for k in unrolled if self.pieces[k].wall]
         if len(walls) <= GROUP:
@@ -179,6 +184,8 @@ class Intersector:
                 arg_labels=("best", "surface"),
                 mode="symbolic",
             )
+        for mosaic in self.mosaics:
+            best, surface = mosaic.nearest(o, d, last, best, surface, active)
         return self.tree.nearest(o, d, last, best, surface, active) if self.tree else (best, surface)
 
     def _rotate(self, v: mi.Vector3f, frame: int) -> mi.Vector3f:

@@ -11,7 +11,7 @@ import mitsuba as mi
 if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
 
-MOST_ROWS = 128  # of a table that is copied to the lanes, 52 bytes for each row and lane
+MOST_ROWS = 14  # of a table that is copied to the lanes, 52 bytes for each row and lane; more cost more than they save
 
 
 @dataclass

@@ -54,7 +54,8 @@ class TestSameNumbers:
     @pytest.mark.parametrize(
         "name", ["double_gauss", "plate_and_wall", pytest.param("phone_camera_scatter", marks=pytest.mark.slow)]
     )
-    def test_rows_that_are_gathered(self, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_rows_that_are_copied_or_gathered(self, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(surface_rows, "MOST_ROWS", 128)
         usual = numbers(name)
         monkeypatch.setattr(surface_rows, "MOST_ROWS", 0)
         assert_same(numbers(name), usual)

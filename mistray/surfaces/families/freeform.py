@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -252,6 +253,7 @@ class Freeform(Surface):
             # Thicker than the rounding of a ray that comes from afar
             "z_low": self.z_range[0] - SLAB * self.size,
             "z_high": self.z_range[1] + SLAB * self.size,
+            "size": self.size,
             "size2": self.size**2,
             "slope2": self.slope**2,
             "self_hit": self.self_hit,
@@ -275,8 +277,17 @@ def _reach(outline: Outline, half: tuple[float, float]) -> float:
     box = float(np.hypot(*half))
     if outline.figures[0].sign == "-":
         return box
-    figures = [figure for figure in outline.figures if figure.sign == "+"]
-    round_only = all(figure.kind in ("circle", "ellipse") for figure in figures)
-    if not round_only:
-        return box
-    return min(box, max(float(np.hypot(figure.x, figure.y)) + max(figure.sizes) for figure in figures))
+    return min(box, max(_farthest(figure) for figure in outline.figures if figure.sign == "+"))
+
+
+def _farthest(figure: Figure) -> float:
+    """Greatest distance of a point of a figure from the middle, mm."""
+    away = float(np.hypot(figure.x, figure.y))
+    if figure.kind in ("circle", "ellipse"):
+        return away + max(figure.sizes)
+    if figure.kind == "rectangle":
+        return away + math.hypot(*figure.sizes)
+    c, s = math.cos(math.radians(figure.angle_deg)), math.sin(math.radians(figure.angle_deg))
+    x, y = figure.corners[:, 0], figure.corners[:, 1]
+    u, v = figure.x + c * x - s * y, figure.y + s * x + c * y
+    return float(np.sqrt(u * u + v * v).max())

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from mistray.surfaces.families.freeform import Freeform
 
 INTERVALS = 16  # pieces in which a crossing is looked for, where the ray could meet the surface more than once
+BESIDE = 1e-3  # of the size, by which a root may lie outside of the slab
 MOST_PASSES = 4  # crossings outside of the outline that a ray may leave behind
 
 
@@ -28,10 +29,12 @@ def first_crossing(ray: AxisRay, piece: Freeform, n: Mapping[str, mi.Float], own
     piece : Freeform
         Its forms; its numbers are not looked at.
     n : mapping of str to mi.Float
-        Numbers of the sag and the outline, and z, z_low, z_high, size2, slope2, self_hit, half_x and half_y.
+        Numbers of the sag and the outline, and z, z_low, z_high, size, size2, slope2, self_hit, half_x and half_y.
     own : mi.Bool
         The ray starts on the surface.
     """
+    if piece.local.sag.quadric:
+        return _of_quadric(ray, piece, n, own)
     start, end = stretch(ray, ray.oz - n["z"], n["size2"], n["z_low"], n["z_high"])
     monotonic = dr.square(ray.dz) > n["slope2"] * ray.dd
     # A ray steeper than the surface is anywhere cannot come back to it
@@ -82,6 +85,49 @@ def first_crossing(ray: AxisRay, piece: Freeform, n: Mapping[str, mi.Float], own
         return dr.full(mi.Float, dr.inf, dr.width(ray.dz))
 
     found: Any = dr.if_stmt(
-        (start, end), some, search, nothing, arg_labels=("start", "end"), mode="symbolic", label="freeform"
+        (start, end),
+        some,
+        search,
+        nothing,
+        arg_labels=("start", "end"),
+        mode="symbolic",
+        label="freeform",
     )
+    return found
+
+
+def _of_quadric(ray: AxisRay, piece: Freeform, n: Mapping[str, mi.Float], own: mi.Bool) -> mi.Float:
+    """The same of a quadric, where an equation of the second degree has its roots."""
+    sag, outline = piece.local.sag, piece.outline
+    oz = ray.oz - n["z"]
+    # From the point that is closest to the middle, which keeps the digits of rays that come from afar
+    start = -dr.fma(oz, ray.dz, ray.od)
+    x0, y0 = ray.lateral(start)
+    z0 = dr.fma(start, ray.dz, oz)
+    low, high = sag.roots((x0, y0, z0), (ray.dx, ray.dy, ray.dz), n)
+    # A ray steeper than the surface is anywhere cannot come back to it
+    some = ~(own & (dr.square(ray.dz) > n["slope2"] * ray.dd))
+    if piece.way:
+        some &= ray.dz * piece.way > 0
+    least, slack = dr.select(own, n["self_hit"], 0) - start, BESIDE * n["size"]
+
+    def candidate(s: mi.Float) -> mi.Bool:
+        z = dr.fma(s, ray.dz, z0)
+        return (s > least - slack) & (z > n["z_low"] - slack) & (z < n["z_high"] + slack)
+
+    def crossing(s: mi.Float) -> mi.Float:
+        """Distance of a root on the sheet of the vertex and within the outline; infinite of another."""
+        x, y, z = dr.fma(s, ray.dx, x0), dr.fma(s, ray.dy, y0), dr.fma(s, ray.dz, z0)
+        here = some & (s > least) & (n["a"] * z < n["b"]) & outline.contains(x, y, n)
+        return dr.select(here, start + s, dr.inf)
+
+    if not sag.curved:
+        return crossing(low)
+    early = candidate(low)
+    t = crossing(dr.select(early, low, high))
+    again = some & early & candidate(high) & ~dr.isfinite(t)
+    found: mi.Float = dr.if_stmt(
+        (t, high), again, lambda t, high: crossing(high), lambda t, high: t, arg_labels=("t", "high"),
+        mode="symbolic", label="other crossing",
+    )  # fmt: skip
     return found

@@ -58,6 +58,33 @@ class FreeformSag:
     odd: tuple[int, ...] = ()
     grid: Grid | None = None
 
+    @property
+    def quadric(self) -> bool:
+        """Whether nothing departs from the quadric, so that a ray meets it where a quadratic equation has its roots."""
+        return self.form.degree < 0 and not self.odd and self.grid is None
+
+    def roots(self, q: tuple[Any, Any, Any], d: tuple[Any, Any, Any], n: Mapping[str, Any]) -> tuple[Any, Any]:
+        """
+        Where lines meet the quadric, the lesser distance first; no number, or infinite, where they do not.
+
+        Parameters
+        ----------
+        q, d : (3,) arrays
+            Points near it (mm) and directions.
+        """
+        (x, y, z), (dx, dy, dz) = q, d
+        if not self.curved:
+            t = (n["b"] * z - x * n["lx"] - y * n["ly"]) / (dx * n["lx"] + dy * n["ly"] - n["b"] * dz)
+            return t, t
+        along_x, along_y, along_z = n["cx"] * x + n["lx"], n["cy"] * y + n["ly"], n["a"] * z - n["b"]
+        square = n["cx"] * dx * dx + n["cy"] * dy * dy + n["a"] * dz * dz
+        half = along_x * dx + along_y * dy + along_z * dz
+        value = x * (along_x + n["lx"]) + y * (along_y + n["ly"]) + z * (along_z - n["b"])
+        # Without a difference of near numbers
+        larger_part = -(half + dr.mulsign(dr.sqrt(half * half - square * value), half))
+        first, second = larger_part / square, value / larger_part
+        return dr.minimum(first, second), dr.maximum(first, second)
+
     @cached_property
     def numbers(self) -> tuple[str, ...]:
         """Names of its numbers."""
@@ -74,7 +101,8 @@ class FreeformSag:
         if self.curved:
             c = x * (across + n["lx"]) + y * (along + n["ly"])
             root = _root(n["b"] * n["b"] - n["a"] * c)
-            z, across, along = c / (n["b"] + root), across / root, along / root
+            steep = 1 / root
+            z, across, along = c / (n["b"] + root), across * steep, along * steep
         else:
             z = (x * n["lx"] + y * n["ly"]) / n["b"]
             across, along = across / n["b"], along / n["b"]
