@@ -57,7 +57,7 @@ LAYERS = [
 PURE = {"physics": {"errors", "ranges", "physics"}}
 # Plugins are looked up by Mitsuba: they use these, and no module imports them.
 PLUGINS_MAY_IMPORT = {
-    "errors", "ranges", "param", "settings", "_mitsuba_compat", "physics", "materials", "coatings", "scatter",
+    "errors", "ranges", "param", "settings", "files", "_mitsuba_compat", "physics", "materials", "coatings", "scatter",
     "surfaces", "kernel", "sampling", "execute", "gradients", "trace", "plugins",
 }  # fmt: skip
 # A shipped scene is a prescription written in Python.

@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from mistray.physics.geometry.outline import Figure, Outline, circle, polygon, rectangle
+from mistray.physics.sags.grid import Grid
 from mistray.prescription.baffles.cassegrain import CassegrainBaffles, cassegrain_baffles
 from mistray.prescription.baffles.spider import spider
 from mistray.prescription.baffles.tube import BaffleTube, hood_length, vane_tube
@@ -15,6 +16,7 @@ from mistray.prescription.bodies.plate import plate
 from mistray.prescription.closing.system import Built, to_prescription
 from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import barrel, detector_frame, lens_edge, wall
+from mistray.prescription.grid_file import read_grid, save_grid
 from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.model import Detector, Prescription, Source, Stop, Structure, Surface
 from mistray.prescription.scatter import Scatter
@@ -44,6 +46,7 @@ __all__ = [
     "Detector",
     "Figure",
     "FirstOrder",
+    "Grid",
     "MeshStructure",
     "Outline",
     "Prescription",
@@ -80,8 +83,10 @@ __all__ = [
     "polygon",
     "prism",
     "read_codev",
+    "read_grid",
     "read_zemax",
     "rectangle",
+    "save_grid",
     "seen_zones",
     "spider",
     "to_prescription",

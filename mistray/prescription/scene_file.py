@@ -16,6 +16,7 @@ from mistray.materials import resolved
 from mistray.physics.geometry.outline import Outline
 from mistray.physics.sags.terms import GRID
 from mistray.prescription.coating import Coating
+from mistray.prescription.grid_file import grid_bytes
 from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.model import Detector, Placed, Source, Structure, Surface
 from mistray.prescription.naming import shared_coatings, shared_scatter
@@ -116,7 +117,7 @@ def _sag_value(s: Surface, key: str, value: Any) -> Value:
     if key != GRID:
         return float(value)
     if not value.path:
-        raise MistrayError(f"surface '{s.name}': its grid lies in no file; save it first (Grid.save)")
+        raise MistrayError(f"surface '{s.name}': its grid lies in no file; save it first (save_grid)")
     return str(value.path)
 
 
@@ -356,7 +357,7 @@ def _with_grid_files(prescription: Prescription, path: Path) -> tuple[Prescripti
         if grid is None or grid.path:
             return shape
         file = path.with_name(f"{path.stem}_{shape.name}_grid.npz")
-        files[file] = grid.archive()
+        files[file] = grid_bytes(grid)
         return replace(shape, sag={**shape.sag, GRID: replace(grid, path=file.name)})
 
     return _each_shape(prescription, stored), files

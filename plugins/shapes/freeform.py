@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.files.sag_grid import read_sag_grid
 from mistray.physics.geometry.outline import KINDS, MOST_FIGURES, SIGNS, SIZES, Figure, Outline
 from mistray.physics.sags.grid import Grid
 from mistray.physics.sags.terms import FIXED, GRID, LENGTHS, check_names, length_power, sag
@@ -63,7 +64,7 @@ class FreeformShape(FormulaShape):
     chebyshev_i_j             mm           ±        0         Chebyshev polynomials, to chebyshev_20_20 (differentiable)
     chebyshev_x, chebyshev_y  mm           > 0      none      half sizes that they need
     grid                      string                none      file with heights on a grid, see
-                                                              `mistray.physics.sags.grid`
+                                                              `mistray.files.sag_grid`
     grid_scale                1            ±        1         factor of its heights (differentiable)
     grid_x, grid_y            mm           ±        0         where the frame of the grid lies (differentiable)
     slope_x, slope_y          1            ±        0         a tilt in the sag (differentiable)
@@ -318,9 +319,10 @@ def _read_grid(props: mi.Properties, owner: str) -> dict[str, Grid]:
         return {}
     name = props[GRID]
     if not isinstance(name, str):
-        raise MistrayError(f"{owner}: grid is {name!r}; give the name of a file, see mistray.physics.sags.grid")
+        raise MistrayError(f"{owner}: grid is {name!r}; give the name of a file, see mistray.files.sag_grid")
+    path = str(mi.file_resolver().resolve(name))
     try:
-        return {GRID: Grid.read(str(mi.file_resolver().resolve(name)))}
+        return {GRID: Grid.of_values(*read_sag_grid(path), path)}
     except MistrayError as error:
         raise MistrayError(f"{owner}: {error}") from None
 

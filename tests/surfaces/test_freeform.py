@@ -15,16 +15,16 @@ from scipy.optimize import brentq
 import mistray
 from mistray import MistrayError
 from mistray.physics.geometry.outline import Figure, Outline, polygon
-from mistray.physics.sags.grid import Grid
 from mistray.physics.sags.terms import sag
 from mistray.physics.sags.zernike import fringe_orders, noll_orders, polynomial
+from mistray.prescription import read_grid
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.surfaces import SurfaceTable
 
 pytestmark = pytest.mark.quick
 
 GLASS = {"type": "interface", "back": "N-BK7"}
-GRID = Grid.read(Path(__file__).parents[1] / "data" / "figure_error.dat")
+GRID = read_grid(Path(__file__).parents[1] / "data" / "figure_error.dat")
 SAGS: dict[str, dict[str, Any]] = {
     "biconic": {"curvature": 1 / 60, "conic": 0.3, "curvature_x": -1 / 90, "conic_x": -1.2},
     "cylinder": {"curvature": 0.0, "curvature_x": 1 / 40},

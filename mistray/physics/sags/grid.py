@@ -8,25 +8,18 @@ which curvatures are continuous as well.
 
 from __future__ import annotations
 
-import io
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
-import drjit as dr
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.read_file import read_file, require_file
-from mistray.replace_file import replace_file
 
 LEAST = 4  # points each way, of a cubic spline
 MOST = 4096
-UNITS_MM = (1.0, 10.0, 25.4, 1000.0)  # by the unit flag of a text file
 BEYOND = 1.25  # by which slopes between the points may exceed those at them
-SUFFIX = ".npz"
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,106 +84,37 @@ class Grid:
         return cls(np.stack([z, by_x, by_y, twist], axis=-1), (float(step[0]), float(step[1])), middle, gone)
 
     @classmethod
-    def read(cls, path: str | Path) -> Grid:
+    def of_values(
+        cls, values: np.ndarray, step: tuple[float, float], middle: tuple[float, float], missing: np.ndarray, path: str
+    ) -> Grid:
         """
-        Read a grid.
+        A grid of what its file holds.
 
         Parameters
         ----------
-        path : str or Path
-            ``.npz`` as of `save`, or text as OpticStudio reads it for a Grid Sag surface: a line ``nx ny dx dy unit
-            x y`` (unit 0 mm, 1 cm, 2 inch, 3 m), then for each point height, slopes in x and y, twist and 1 where there
-            is no height, from the greatest y and the least x on, x growing first. Slopes and twists that are all 0, or
-            left out, are those of splines.
+        values : (ny, nx, 1) or (ny, nx, 4) float64
+            Heights, or all numbers of `corners`.
+        step, middle, missing, path
+            As of the class.
 
         Raises
         ------
         MistrayError
-            If it cannot be read or a number in it is none.
+            As of `of`; the message names the file.
         """
-        path = Path(path)
-        require_file(path, "grid")
         try:
-            found = cls._from_archive(path) if path.suffix == SUFFIX else cls._from_text(path)
+            if values.shape[2] == 1:
+                return replace(cls.of(values[..., 0], step, middle, missing), path=path)
+            _check(values, step, missing)
         except MistrayError as error:
             raise MistrayError(f"grid '{path}': {error}") from None
-        return replace(found, path=str(path))
-
-    @classmethod
-    def _from_archive(cls, path: Path) -> Grid:
-        try:
-            with np.load(path, allow_pickle=False) as data:
-                corners, step, middle, missing = (data[key] for key in ("corners", "step", "middle", "missing"))
-        except (OSError, ValueError, KeyError) as error:
-            raise MistrayError(f"it is no grid that mistray wrote ({error}); make it again") from None
-        if corners.ndim != 3 or corners.shape[2] != 4 or missing.shape != corners.shape[:2]:
-            raise MistrayError("its arrays do not go together; make it again")
-        _check(corners, (float(step[0]), float(step[1])), missing)
-        return cls(corners, (float(step[0]), float(step[1])), (float(middle[0]), float(middle[1])), missing)
-
-    @classmethod
-    def _from_text(cls, path: Path) -> Grid:
-        lines = [
-            (k, line.split())
-            for k, line in enumerate(read_file(path, "grid").decode("latin-1").splitlines(), 1)
-            if line.strip() and line.lstrip()[0] != "!"
-        ]
-        if not lines:
-            raise MistrayError("it is empty; give a first line 'nx ny dx dy unit x y'")
-        head = _numbers(*lines[0])
-        if len(head) < 4 or not all(value.is_integer() for value in (*head[:2], *head[4:5])):
-            raise MistrayError(f"line {lines[0][0]} is no 'nx ny dx dy unit x y'")
-        nx, ny = int(head[0]), int(head[1])
-        unit = int(head[4]) if len(head) > 4 else 0
-        if not 0 <= unit < len(UNITS_MM):
-            raise MistrayError(f"unit {unit}; it is 0 (mm), 1 (cm), 2 (inch) or 3 (m)")
-        if len(lines) - 1 != nx * ny:
-            raise MistrayError(f"{len(lines) - 1} points for {nx} by {ny}; complete it")
-        rows = np.zeros((nx * ny, 5))
-        for place, (number, words) in enumerate(lines[1:]):
-            values = _numbers(number, words)
-            rows[place, : len(values[:5])] = values[:5]
-        table = rows.reshape(ny, nx, 5)[::-1]
-        mm = UNITS_MM[unit]
-        step = abs(head[2]) * mm, abs(head[3]) * mm
-        middle = (head[5] * mm if len(head) > 5 else 0.0, head[6] * mm if len(head) > 6 else 0.0)
-        missing = table[..., 4] != 0
-        if not table[..., 1:4].any():
-            return cls.of(table[..., 0] * mm, step, middle, missing)
-        corners = table[..., :4] * (mm, 1.0, 1.0, 1 / mm)
-        _check(corners, step, missing)
-        return cls(corners, step, middle, missing)
-
-    def save(self, path: str | Path) -> Grid:
-        """
-        Write it to a file ``.npz``.
-
-        Parameters
-        ----------
-        path : str or Path
-
-        Returns
-        -------
-        Grid
-            The same, which knows its file.
-        """
-        path = Path(path)
-        if path.suffix != SUFFIX:
-            raise MistrayError(f"grid '{path}': grids are written as {SUFFIX}; name it so")
-        replace_file(path, self.archive(), "grid")
-        return replace(self, path=str(path))
-
-    def archive(self) -> bytes:
-        """The content of its file."""
-        content = io.BytesIO()
-        step, middle = np.array(self.step), np.array(self.middle)
-        np.savez_compressed(content, corners=self.corners, step=step, middle=middle, missing=self._missing)
-        return content.getvalue()
+        return cls(values, step, middle, missing, path)
 
     # ---- facts
 
     @property
-    def _missing(self) -> np.ndarray:
+    def gone(self) -> np.ndarray:
+        """(ny, nx) Points without a height."""
         return np.zeros(self.corners.shape[:2], dtype=bool) if self.missing is None else self.missing
 
     @property
@@ -212,7 +136,7 @@ class Grid:
     def half_turned(self) -> Grid:
         """The same surface after half a turn of its frame about y, which reverses x and z."""
         turned = self.corners[:, ::-1] * (-1.0, 1.0, -1.0, 1.0)
-        return Grid(turned, self.step, (-self.middle[0], self.middle[1]), self._missing[:, ::-1])
+        return Grid(turned, self.step, (-self.middle[0], self.middle[1]), self.gone[:, ::-1])
 
     def lacks(self, x: np.ndarray, y: np.ndarray) -> str:
         """Why it does not reach all of some points of its frame (mm); "" if it does."""
@@ -220,7 +144,7 @@ class Grid:
         slack = 1 + 1e-9
         if np.any(np.abs(x - cx) > hx * slack) or np.any(np.abs(y - cy) > hy * slack):
             return f"it reaches {cx - hx:g} to {cx + hx:g} mm in x and {cy - hy:g} to {cy + hy:g} mm in y only"
-        missing = self._missing
+        missing = self.gone
         if missing.any():
             _, _, i, j = self._cells(x, y)
             gone = missing[j, i] | missing[j, i + 1] | missing[j + 1, i] | missing[j + 1, i + 1]
@@ -240,40 +164,26 @@ class Grid:
         return u, v, i, j
 
     def evaluate(self, x: Any, y: Any) -> tuple[Any, Any, Any]:
-        """Height (mm) and slopes, of NumPy or Dr.Jit arrays; beyond its rim it goes on as in its outermost cells."""
-        if isinstance(x, np.ndarray | np.generic | float):
-            x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
-            u, v, i, j = self._cells(x, y)
-            s, t = u - i, v - j
-            at = [[np.moveaxis(self.corners[j + b, i + a], -1, 0) for a in (0, 1)] for b in (0, 1)]
-        else:
-            kind = dr.detached_t(type(x))
-            ny, nx = self.corners.shape[:2]
-            u = (x - (self.middle[0] - self.half[0])) / self.step[0]
-            v = (y - (self.middle[1] - self.half[1])) / self.step[1]
-            whole = dr.int32_array_t(kind)
-            number = dr.uint32_array_t(kind)
-            i, j = (number(dr.clip(whole(dr.floor(dr.detach(w))), 0, n - 2)) for w, n in ((u, nx), (v, ny)))
-            s, t = u - type(x)(kind(i)), v - type(x)(kind(j))
-            buffer = self._buffer(kind)
-            first = 4 * (j * nx + i)
-            at = [
-                [[type(x)(dr.gather(kind, buffer, first + (4 * (b * nx + a) + k))) for k in range(4)] for a in (0, 1)]
-                for b in (0, 1)
-            ]
-        return _patch(s, t, at, self.step)
-
-    def _buffer(self, kind: Any) -> Any:
-        """All corners on the device, in the precision of a kernel."""
-        known = self.__dict__.setdefault("_buffers", {})
-        if kind not in known:
-            known[kind] = kind(self.corners.ravel())
-            dr.eval(known[kind])
-        return known[kind]
+        """Height (mm) and slopes; beyond its rim it goes on as in its outermost cells."""
+        x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
+        u, v, i, j = self._cells(x, y)
+        at = [[np.moveaxis(self.corners[j + b, i + a], -1, 0) for a in (0, 1)] for b in (0, 1)]
+        return patch(u - i, v - j, at, self.step)
 
 
-def _patch(s: Any, t: Any, at: Any, step: tuple[float, float]) -> tuple[Any, Any, Any]:
-    """Hermite's bicubic patch and its slopes at (s, t) in a cell."""
+def patch(s: Any, t: Any, at: Any, step: tuple[float, float]) -> tuple[Any, Any, Any]:
+    """
+    Hermite's bicubic patch (mm) and its slopes, of NumPy or Dr.Jit arrays.
+
+    Parameters
+    ----------
+    s, t : array
+        Place in a cell in x and y, 0 … 1.
+    at : [[(4,), (4,)], [(4,), (4,)]] of arrays
+        Numbers of its corners, by y and x.
+    step : (2,) float
+        mm.
+    """
     dx, dy = step
     (a0, a1, b0, b1), (da0, da1, db0, db1) = _hermite(s)
     (c0, c1, d0, d1), (dc0, dc1, dd0, dd1) = _hermite(t)
@@ -302,13 +212,6 @@ def _hermite(s: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     high = 3 * s2 - 2 * s3
     steep = 6 * (s - s2)
     return (1 - high, high, s3 - 2 * s2 + s, s3 - s2), (-steep, steep, 3 * s2 - 4 * s + 1, 3 * s2 - 2 * s)
-
-
-def _numbers(line: int, words: list[str]) -> list[float]:
-    try:
-        return [float(word) for word in words]
-    except ValueError:
-        raise MistrayError(f"line {line}: '{' '.join(words)[:60]}' are no numbers; correct it") from None
 
 
 def _check(z: np.ndarray, step: tuple[float, float], missing: np.ndarray) -> None:

@@ -69,7 +69,7 @@ class Freeform(Surface):
         z, across, along = local.sag.evaluate(x, y, local.numbers)
         steepest = float(np.max(np.hypot(across, along)))
         if local.sag.grid is not None:  # which may have more cells than there are samples
-            steepest += abs(local.numbers["grid_scale"]) * local.sag.grid.steepest
+            steepest += abs(local.numbers["grid_scale"]) * local.sag.grid.grid.steepest
         beside = steepest * 2 * max(half) / GRID  # between the points of the grid
         beside += MARGIN * max(float(np.ptp(z)), 1e-6 * max(half))
         return cls(

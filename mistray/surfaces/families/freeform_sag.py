@@ -21,9 +21,9 @@ import numpy as np
 
 from mistray.physics._arrays import sqrt
 from mistray.physics.geometry.departure import Departure, Form
-from mistray.physics.sags.grid import Grid
 from mistray.physics.sags.terms import FIXED, GRID, LENGTHS, MOST_RADIAL, length_power, sag
 from mistray.surfaces.extrema import larger
+from mistray.surfaces.families.grid_patches import GridPatches
 
 QUADRIC = ("cx", "cy", "a", "b", "lx", "ly")
 BOX = ("ix", "iy")
@@ -49,14 +49,14 @@ class FreeformSag:
         Of its departure.
     odd : tuple of int
         Its odd powers of the distance from the vertex.
-    grid : Grid, optional
+    grid : GridPatches, optional
         One that is added.
     """
 
     curved: bool
     form: Form
     odd: tuple[int, ...] = ()
-    grid: Grid | None = None
+    grid: GridPatches | None = None
 
     @property
     def quadric(self) -> bool:
@@ -222,7 +222,10 @@ class LocalSag:
             return np.asarray(sag(x + ox, y + oy, smooth) - smooth_middle - own.evaluate(x, y, base)[0])
 
         found = Departure.of(departure, half, x - ox, y - oy, ENOUGH * size, form.form if form else None)
-        whole = FreeformSag(own.curved if form is None else form.curved, found.form, own.odd, n.get(GRID))
+        if form is None:
+            whole = FreeformSag(own.curved, found.form, own.odd, GridPatches(n[GRID]) if GRID in n else None)
+        else:
+            whole = FreeformSag(form.curved, found.form, own.odd, form.grid)
         box = {"ix": 1 / found.half[0], "iy": 1 / found.half[1]}
         coefficients = {f"c{k}": float(c) for k, c in enumerate(found.coefficients)}
         if GRID in n:

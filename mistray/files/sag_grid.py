@@ -1,0 +1,108 @@
+"""Sags on grids in files: archives of NumPy, and text as OpticStudio reads it."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.read_file import read_file, require_file
+
+UNITS_MM = (1.0, 10.0, 25.4, 1000.0)  # by the unit flag of a text file
+SUFFIX = ".npz"
+
+Values = tuple[np.ndarray, tuple[float, float], tuple[float, float], np.ndarray]
+
+
+def read_sag_grid(path: str | Path) -> Values:
+    """
+    What a file of a grid holds.
+
+    Parameters
+    ----------
+    path : str or Path
+        ``.npz`` as of `sag_grid_bytes`, or text as OpticStudio reads it for a Grid Sag surface: a line ``nx ny dx dy
+        unit x y`` (unit 0 mm, 1 cm, 2 inch, 3 m), then for each point height, slopes in x and y, twist and 1 where
+        there is no height, from the greatest y and the least x on, x growing first.
+
+    Returns
+    -------
+    values : (ny, nx, 1) or (ny, nx, 4) float64
+        Heights (mm) by growing y; with slopes and twists (1/mm) where the file has any that is not 0.
+    step, middle : (2,) float
+        mm.
+    missing : (ny, nx) bool
+        Points without a height.
+
+    Raises
+    ------
+    MistrayError
+        If it cannot be read or a number in it is none.
+    """
+    path = Path(path)
+    require_file(path, "grid")
+    try:
+        return _from_archive(path) if path.suffix == SUFFIX else _from_text(path)
+    except MistrayError as error:
+        raise MistrayError(f"grid '{path}': {error}") from None
+
+
+def sag_grid_bytes(
+    corners: np.ndarray, step: tuple[float, float], middle: tuple[float, float], missing: np.ndarray
+) -> bytes:
+    """The content of a file ``.npz``."""
+    content = io.BytesIO()
+    np.savez_compressed(content, corners=corners, step=np.array(step), middle=np.array(middle), missing=missing)
+    return content.getvalue()
+
+
+def _from_archive(path: Path) -> Values:
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            corners, step, middle, missing = (data[key] for key in ("corners", "step", "middle", "missing"))
+            corners, missing = corners.astype(np.float64), missing.astype(bool)
+            sizes = [(float(pair[0]), float(pair[1])) for pair in (step, middle)]
+    except (OSError, ValueError, KeyError, IndexError, TypeError, EOFError) as error:
+        raise MistrayError(f"it is no grid that mistray wrote ({error}); make it again") from None
+    if corners.ndim != 3 or corners.shape[2] != 4 or missing.shape != corners.shape[:2]:
+        raise MistrayError("its arrays do not go together; make it again")
+    return corners, sizes[0], sizes[1], missing
+
+
+def _from_text(path: Path) -> Values:
+    lines = [
+        (k, line.split())
+        for k, line in enumerate(read_file(path, "grid").decode("latin-1").splitlines(), 1)
+        if line.strip() and line.lstrip()[0] != "!"
+    ]
+    if not lines:
+        raise MistrayError("it is empty; give a first line 'nx ny dx dy unit x y'")
+    head = _numbers(*lines[0])
+    if len(head) < 4 or not all(value.is_integer() for value in (*head[:2], *head[4:5])):
+        raise MistrayError(f"line {lines[0][0]} is no 'nx ny dx dy unit x y'")
+    nx, ny = int(head[0]), int(head[1])
+    unit = int(head[4]) if len(head) > 4 else 0
+    if not 0 <= unit < len(UNITS_MM):
+        raise MistrayError(f"unit {unit}; it is 0 (mm), 1 (cm), 2 (inch) or 3 (m)")
+    if min(nx, ny) < 1 or len(lines) - 1 != nx * ny:
+        raise MistrayError(f"{len(lines) - 1} points for {nx} by {ny}; complete it")
+    rows = np.zeros((nx * ny, 5))
+    for place, (number, words) in enumerate(lines[1:]):
+        values = _numbers(number, words)[:5]
+        rows[place, : len(values)] = values
+    table = rows.reshape(ny, nx, 5)[::-1]
+    mm = UNITS_MM[unit]
+    whole = table[..., :4] * (mm, 1.0, 1.0, 1 / mm)
+    middle = (head[5] * mm if len(head) > 5 else 0.0, head[6] * mm if len(head) > 6 else 0.0)
+    heights_alone = not table[..., 1:4].any()
+    step = abs(head[2]) * mm, abs(head[3]) * mm
+    return whole[..., :1] if heights_alone else whole, step, middle, table[..., 4] != 0
+
+
+def _numbers(line: int, words: list[str]) -> list[float]:
+    try:
+        return [float(word) for word in words]
+    except ValueError:
+        raise MistrayError(f"line {line}: '{' '.join(words)[:60]}' are no numbers; correct it") from None
