@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import importlib
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from oracles import beams, nonsequential, scene_xml
 
+from mistray.physics.sags.terms import sag
 from mistray.prescription.scene_file import xml_text
 
 SCENES = Path(__file__).parents[2] / "scenes"
@@ -124,3 +126,24 @@ def test_dictionary_and_file_load_as_the_same_scene(name):
         np.testing.assert_array_equal(np.array(a[key]), np.array(b[key]), err_msg=key)
     for one, other in zip(first.shapes(), second.shapes(), strict=True):
         assert str(one.bsdf()) == str(other.bsdf())
+
+
+def test_the_mirror_of_the_head_up_display_is_a_paraboloid():
+    """Its polynomials against the root of the equation of equal paths, and what they make of the light of the sun."""
+    from mistray.scenes.head_up_display.prescription import FOCUS_MM, INCIDENCE_DEG, MIRROR_HALF, coefficients
+    from mistray.trace import trace
+
+    c, s = math.cos(math.radians(INCIDENCE_DEG)), math.sin(math.radians(INCIDENCE_DEG))
+    x, y = np.meshgrid(*(np.linspace(-half, half, 23) for half in MIRROR_HALF))
+    b, constant = 4 * FOCUS_MM * c - 2 * s * c * y, x * x + c * c * y * y
+    exact = -2 * constant / (b + np.sqrt(b * b - 4 * s * s * constant))
+    assert sag(x, y, coefficients()) == pytest.approx(exact, abs=1e-7)
+
+    display = build("head_up_display")
+    mirror, detector = display.surfaces[0], display.detector
+    away = FOCUS_MM / math.hypot(detector.y, detector.z)
+    at_focus = replace(detector, y=away * detector.y, z=away * detector.z)
+    bare = replace(display, surfaces=(mirror,), detector=at_focus)
+    spot = max(trace(bare.to_scene(), rays=20_000, seed=1).paths, key=lambda row: row.power_W)
+    assert spot.rms_radius_mm < 5e-4
+    assert math.hypot(spot.x_mm, spot.y_mm) < 5e-4
