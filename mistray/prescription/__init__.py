@@ -11,6 +11,7 @@ from mistray.prescription.baffles.two_stage import TwoStageBaffle, two_stage_baf
 from mistray.prescription.baffles.vanes import Vane, VaneEdge
 from mistray.prescription.baffles.zones import first_order_zones, lit_zones, seen_zones
 from mistray.prescription.bodies.extruded import beam_splitter_cube, box, prism
+from mistray.prescription.bodies.fresnel import fresnel
 from mistray.prescription.bodies.placing import array, moved_as_one
 from mistray.prescription.bodies.plate import plate
 from mistray.prescription.closing.system import Built, to_prescription
@@ -69,6 +70,7 @@ __all__ = [
     "circle",
     "detector_frame",
     "first_order_zones",
+    "fresnel",
     "from_batoid",
     "from_codev",
     "from_json",

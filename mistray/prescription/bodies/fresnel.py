@@ -1,0 +1,127 @@
+"""Fresnel lenses as what they are: rings of a lens's surface, set back to a plane, and the risers between them."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.physics.geometry.sag import conic_end, sag
+from mistray.prescription.coating import Coating
+from mistray.prescription.model import Structure, Surface
+from mistray.prescription.scatter import Scatter
+
+MOST_RINGS = 2000
+
+
+def fresnel(
+    name: str,
+    *,
+    radius: float,
+    semi_diameter: float,
+    conic: float = 0.0,
+    coefficients: tuple[float, ...] = (),
+    groove_mm: float | None = None,
+    depth_mm: float | None = None,
+    z: float = 0.0,
+    front: str = "air",
+    back: str = "air",
+    coating: Coating | None = None,
+    riser: Coating | None = None,
+    scatter: tuple[Scatter, ...] = (),
+) -> tuple[Surface | Structure, ...]:
+    """
+    The grooved face of a Fresnel lens.
+
+    Parameters
+    ----------
+    name : str
+        Of the part; rings are ``<name>_<k>`` from the axis on, risers ``<name>_riser_<k>``.
+    radius, conic, coefficients
+        Of the surface whose rings they are, as of `Surface`.
+    semi_diameter : float
+        mm.
+    groove_mm, depth_mm : float
+        Width of each ring, or depth of each groove; give one of them.
+    z : float
+        Of the plane on which the inner edge of each ring lies, mm.
+    front, back : str
+        Materials on the -z and the +z side.
+    coating, riser : Coating or None
+        Of the rings and of the risers; ``None``: bare Fresnel.
+    scatter : tuple of Scatter
+        Of the rings.
+
+    Returns
+    -------
+    tuple of Surface and Structure
+        Surfaces for `Prescription.surfaces`, structures for `Prescription.structures`.
+
+    Raises
+    ------
+    MistrayError
+        If a size is not above 0, the surface ends within its semi-diameter, or there are more than 2000 rings.
+    """
+    owner = f"Fresnel face '{name}'"
+    given = {"groove_mm": groove_mm, "depth_mm": depth_mm}
+    known = {key: value for key, value in given.items() if value is not None}
+    if len(known) != 1:
+        raise MistrayError(f"{owner}: {' and '.join(known) or 'no width of its rings'}; give groove_mm or depth_mm")
+    for key, value in {"semi_diameter": semi_diameter, **known}.items():
+        if not 0 < value < math.inf:
+            raise MistrayError(f"{owner}: {key} = {value:g} mm; it must be above 0")
+    curvature = 0.0 if radius == 0 or math.isinf(radius) else 1 / radius
+    if semi_diameter >= conic_end(curvature, conic):
+        raise MistrayError(f"{owner}: its conic ends within {semi_diameter:g} mm; reduce the semi-diameter")
+
+    def height(r: Any) -> Any:
+        return sag(np.square(r), curvature, conic, coefficients)
+
+    edges = _edges(owner, height, semi_diameter, groove_mm, depth_mm)
+    shape: dict[str, Any] = {"radius": radius, "conic": conic, "coefficients": coefficients}
+    sides: dict[str, Any] = {"front": front, "back": back, "part": name}
+    faces: list[Surface | Structure] = []
+    for k, (inner, outer) in enumerate(pairwise(edges), start=1):
+        start = float(height(inner))
+        faces.append(
+            Surface(
+                f"{name}_{k}", z=z - start, semi_diameter=outer, inner_semi_diameter=inner, coating=coating,
+                scatter=scatter, **shape, **sides,
+            )
+        )  # fmt: skip
+        deep = float(height(outer)) - start
+        if outer < semi_diameter and deep:
+            # Within a riser of a ring that rises towards +z lies the medium in front, around it the one behind
+            within, around = (front, back) if deep > 0 else (back, front)
+            faces.append(
+                Structure(
+                    f"{name}_riser_{k}", outer, z, outer, z + deep, front=within, back=around, coating=riser, part=name
+                )
+            )
+    return tuple(faces)
+
+
+def _edges(
+    owner: str, height: Any, semi_diameter: float, groove_mm: float | None, depth_mm: float | None
+) -> list[float]:
+    """Radii at which rings begin and end, mm."""
+    if groove_mm is not None:
+        count = math.ceil(semi_diameter / groove_mm * (1 - 1e-12))
+        _count(owner, count)
+        return [min(k * groove_mm, semi_diameter) for k in range(count + 1)]
+    assert depth_mm is not None
+    r = np.linspace(0, semi_diameter, 100_001)
+    steps = np.abs(np.diff(height(r)))
+    risen = np.concatenate([[0.0], np.cumsum(steps)])
+    count = math.ceil(float(risen[-1]) / depth_mm * (1 - 1e-12))
+    _count(owner, count)
+    inner = np.interp(depth_mm * np.arange(1, count), risen, r)
+    return [0.0, *(round(float(v), 9) for v in inner), semi_diameter]
+
+
+def _count(owner: str, count: int) -> None:
+    if not 1 <= count <= MOST_RINGS:
+        raise MistrayError(f"{owner}: {count} rings; make them wider or deeper, {MOST_RINGS} at most")
