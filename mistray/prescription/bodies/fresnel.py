@@ -17,6 +17,7 @@ from mistray.prescription.scatter import Scatter
 MOST_RINGS = 2000
 
 
+# More than 8 parameters: those of a surface, of its grooves and of their materials
 def fresnel(
     name: str,
     *,
