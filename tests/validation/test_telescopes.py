@@ -27,6 +27,7 @@ TELESCOPES = {
     "HSC with its struts": (Telescope("HSC.yaml", 750.0), (0.3,)),
     "Rubin with Zernikes": (Telescope("Rubin_v3.14_r.yaml", 620.0), (1.0,)),
     "Rubin in g": (Telescope("Rubin_v3.14_g.yaml", 480.0), (0.0,)),
+    "DESI": (Telescope("DESI.yaml", 620.0), (0.0, 1.0)),
 }
 CASES = [(name, field) for name, (_, fields) in TELESCOPES.items() for field in fields]
 FAINT = 1e-6  # of the star
