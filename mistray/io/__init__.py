@@ -8,7 +8,8 @@ if TYPE_CHECKING:
     from mistray.io.batoid.read import from_batoid
     from mistray.io.camera_json import from_json
     from mistray.io.codev.read import read_codev
-    from mistray.io.prescriptions import from_codev, from_optiland, from_rayoptics, from_zemax
+    from mistray.io.oslo import read_oslo
+    from mistray.io.prescriptions import from_codev, from_optiland, from_oslo, from_rayoptics, from_zemax
     from mistray.io.to_sequential import to_sequential
     from mistray.io.zemax.read import read_zemax
     from mistray.io.zemax.write import write_zemax
@@ -19,7 +20,8 @@ __all__ = lazy_package(
         "batoid.read": ["from_batoid"],
         "camera_json": ["from_json"],
         "codev.read": ["read_codev"],
-        "prescriptions": ["from_codev", "from_optiland", "from_rayoptics", "from_zemax"],
+        "oslo": ["read_oslo"],
+        "prescriptions": ["from_codev", "from_optiland", "from_oslo", "from_rayoptics", "from_zemax"],
         "to_sequential": ["to_sequential"],
         "zemax.read": ["read_zemax"],
         "zemax.write": ["write_zemax"],

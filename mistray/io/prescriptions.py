@@ -10,6 +10,7 @@ from mistray.io.codev.read import read_codev
 
 # Loaded here, because loading a module later would put it in the place of the public function of its name
 from mistray.io.optiland import from_optiland as optiland_table
+from mistray.io.oslo import read_oslo
 from mistray.io.rayoptics import from_rayoptics as rayoptics_table
 from mistray.io.zemax.read import read_zemax
 from mistray.prescription.closing.system import to_prescription
@@ -115,6 +116,39 @@ def from_optiland(optic: Any, **options: Any) -> Prescription:
         If the lens holds what has no counterpart.
     """
     return to_prescription(optiland_table(optic), **options)
+
+
+def from_oslo(
+    path: str | Path,
+    *,
+    configuration: int = 1,
+    glass_catalogues: Sequence[str | Path] = (),
+    glasses: Mapping[str, str] | None = None,
+    **options: Any,
+) -> Prescription:
+    """
+    Read an OSLO lens file with optiland.
+
+    Parameters
+    ----------
+    path : str or Path
+        .len file.
+    configuration, glass_catalogues, glasses
+        As in `mistray.io.oslo.read_oslo`.
+    **options
+        Of `to_prescription`.
+
+    Returns
+    -------
+    Prescription
+
+    Raises
+    ------
+    MistrayError
+        As of `mistray.io.oslo.read_oslo`, or if the lens cannot be closed.
+    """
+    chosen: Any = {"glass_catalogues": glass_catalogues, "glasses": glasses}
+    return to_prescription(read_oslo(path, configuration=configuration, **chosen), **options)
 
 
 def from_rayoptics(model: Any, **options: Any) -> Prescription:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from mistray.prescription.closing.system import Built
 
 # Options that only some formats know: each with the words for it and the formats
-_SEQUENTIAL = ("zmx", "seq")
+_SEQUENTIAL = ("zmx", "seq", "len")
 _ONLY = {
     "variant": ("variants", ("json",)),
     "wavelength_nm": ("wavelength of a source", ("json", "yaml", *_SEQUENTIAL)),
@@ -36,9 +36,9 @@ _ONLY = {
     "beam": ("entrance pupil", _SEQUENTIAL),
     "detector_half_mm": ("detector to choose", _SEQUENTIAL),
 }
-_FORMATS = {".json": "json", ".yaml": "yaml", ".yml": "yaml", ".zmx": "zmx", ".seq": "seq"}
+_FORMATS = {".json": "json", ".yaml": "yaml", ".yml": "yaml", ".zmx": "zmx", ".seq": "seq", ".len": "len"}
 _MECHANICS = "mechanics"
-_CALLED = {"json": "JSON", "yaml": "batoid", "zmx": "Zemax", "seq": "CODE V", _MECHANICS: "mechanical"}
+_CALLED = {"json": "JSON", "yaml": "batoid", "zmx": "Zemax", "seq": "CODE V", "len": "OSLO", _MECHANICS: "mechanical"}
 
 
 # fmt: off
@@ -56,8 +56,8 @@ COMMAND = Command(
         "mistray import tube.step --into triplet.xml -o both.xml --paint 'vane*=black'",
     ),
     (
-        Option("lens", "lens as Zemax .zmx, CODE V .seq, batoid .yaml or .json (like scenes/phone_camera), or "
-               "mechanics as .step, .stl, .obj or .ply", metavar="FILE"),
+        Option("lens", "lens as Zemax .zmx, CODE V .seq, OSLO .len, batoid .yaml or .json (like scenes/phone_camera), "
+               "or mechanics as .step, .stl, .obj or .ply", metavar="FILE"),
         Option("-o --output", "file to write (default: FILE with .xml, in this folder)", Path, "XML", writes=()),
         Option("--json", "print JSON instead of text", bool),
         FORCE,
@@ -66,7 +66,7 @@ COMMAND = Command(
                    WAVELENGTH_NM, "NM"),
             Option("--variant", "design variant that a JSON file holds, such as R13=5.272", metavar="NAME"),
         )),
-        Group("Zemax and CODE V files (in brackets: the default)", (
+        Group("Zemax, CODE V and OSLO files (in brackets: the default)", (
             Option("--edges", "lens edges: blackened, ground, or open, which are polished and without a barrel "
                    "(blackened)", metavar="KIND"),
             Option("--coatings", "COATING.DAT that holds the coatings of a .zmx file", metavar="FILE"),
@@ -139,6 +139,7 @@ def _check(options: Options, kind: str) -> None:
 
 def _from_sequential(lens: Path, kind: str, options: Options) -> Built:
     from mistray.io.codev.read import read_codev
+    from mistray.io.oslo import read_oslo
     from mistray.io.zemax.read import read_zemax
     from mistray.prescription.closing.system import build
 
@@ -149,6 +150,7 @@ def _from_sequential(lens: Path, kind: str, options: Options) -> Built:
         "glasses": glasses or None,
     }
     readers: Mapping[str, Callable[[], Sequential]] = {
+        "len": lambda: read_oslo(lens, **(shared | {"configuration": _number(options.configuration)})),
         "zmx": lambda: read_zemax(lens, coatings=options.coatings, **shared),
         "seq": lambda: read_codev(
             lens, radius_mode=None if options.radius_mode is None else options.radius_mode == "yes", **shared
@@ -162,6 +164,14 @@ def _from_sequential(lens: Path, kind: str, options: Options) -> Built:
     from dataclasses import replace
 
     return replace(built, prescription=_at(built.prescription, options.wavelength_nm))
+
+
+def _number(configuration: str | None) -> int:
+    if configuration is None:
+        return 1
+    if not configuration.isdigit() or int(configuration) < 1:
+        raise MistrayError(f"--configuration '{configuration}': OSLO files number theirs from 1 on; give a number")
+    return int(configuration)
 
 
 def _glass(text: str) -> tuple[str, str]:

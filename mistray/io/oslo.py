@@ -1,0 +1,115 @@
+"""Reader for OSLO lens files (.len), by the reader of optiland (https://github.com/HarrisonKramer/optiland).
+
+optiland reads the commands; glasses are looked up here, as those of CODE V are (see `mistray.io.codev.glasses`): OSLO's
+names have no maker either.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from mistray.errors import MistrayError
+from mistray.io.codev.glasses import CodevGlasses
+from mistray.io.optiland import from_optiland
+from mistray.materials import refractive_index
+from mistray.prescription.sequential.table import Sequential
+from mistray.read_file import require_file
+
+
+def read_oslo(
+    path: str | Path,
+    *,
+    configuration: int = 1,
+    glass_catalogues: Sequence[str | Path] = (),
+    glasses: Mapping[str, str] | None = None,
+) -> Sequential:
+    """
+    Read an OSLO lens file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The .len file.
+    configuration : int
+        Its number, from 1 on.
+    glass_catalogues, glasses
+        As in `mistray.io.codev.read.read_codev`.
+
+    Returns
+    -------
+    Sequential
+        In mm. Its `notes` hold what optiland says about the file.
+
+    Raises
+    ------
+    MistrayError
+        If optiland 0.6.3 or later is missing, the file or a glass cannot be read, or it holds a command that optiland's
+        reader or mistray does not know: without it, the lens would be another one.
+    """
+    path = Path(path)
+    require_file(path, "lens")
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        try:
+            from optiland.fileio.oslo.reader.converter import OsloToOpticConverter
+            from optiland.fileio.oslo.reader.parser import OsloDataParser
+        except ImportError as error:
+            raise MistrayError(
+                f"OSLO file '{path.name}': it is read by optiland, which cannot be imported ({error}); "
+                "pip install 'optiland>=0.6.3'"
+            ) from None
+        try:
+            data = OsloDataParser(str(path), strict=True).parse()
+            found = _Glasses(data, glass_catalogues, glasses or {})
+            reader = OsloToOpticConverter(
+                data, strict=True, configuration=configuration, material_overrides=found.for_optiland()
+            )
+            lens = from_optiland(reader.convert())
+        except Exception as error:  # whatever optiland meets in a file of somebody else's
+            reason = " ".join(str(error).replace(f"{path}:", "line ").split()).rstrip(".")
+            raise MistrayError(f"OSLO file '{path.name}': {reason}; correct it, or save it in another format") from None
+    rows = tuple(replace(row, material=found.strings.get(found.name(row.number), row.material)) for row in lens.rows)
+    texts = [" ".join(str(line.message).split()) for line in said if line.category is UserWarning]
+    notes = tuple(dict.fromkeys([*lens.notes, *found.notes, *texts]))
+    return replace(lens, rows=rows, source=f"OSLO file {path.name}", notes=notes)
+
+
+class _Glasses:
+    """The glasses of a file by their names."""
+
+    def __init__(self, data: Any, catalogues: Sequence[str | Path], replaced: Mapping[str, str]) -> None:
+        self._data = data
+        self._um = [float(um) for um in data.wavelengths["values"]]
+        self._nm = [round(1e3 * um, 9) for um in self._um]
+        known = CodevGlasses({}, catalogues, replaced, self._nm)
+        names = {self.name(number) for number in data.surfaces} - {""}
+        self.strings = {name: known.material(name) for name in sorted(names)}
+        self.notes = list(known.notes)
+
+    def name(self, number: int) -> str:
+        """Name of the glass behind a surface; "" of air, mirrors and numbers."""
+        words = str(self._data.surfaces.get(number, {}).get("material", "")).split()
+        if len(words) != 2 or words[0] != "GLA":
+            return ""
+        name = words[1].strip('"')
+        try:
+            float(name)
+        except ValueError:
+            return name
+        return ""
+
+    def for_optiland(self) -> dict[str, Any]:
+        """Materials of optiland with the indices of the glasses at the wavelengths of the file."""
+        from optiland.materials.data import DataMaterial
+        from optiland.materials.ideal import IdealMaterial
+
+        found = {}
+        for name, material in self.strings.items():
+            index = [refractive_index(material, wavelength) for wavelength in self._nm]
+            several = len(set(self._um)) > 1
+            found[name] = DataMaterial.from_samples(self._um, index, name=name) if several else IdealMaterial(index[0])
+        return found
