@@ -198,7 +198,7 @@ def test_coating_file_is_found_from_the_scene(capsys, zmx, tmp_path, monkeypatch
         ("a.zmx", ("--glass", "BK7"), "--glass 'BK7': write NAME=MATERIAL"),
         ("a.zmx", ("--edges", "shiny"), "edges = 'shiny'; they are blackened, ground or open"),
         ("a.zmx", ("--margin", "-1"), "--margin: -1 must lie between 0 and 10"),
-        ("a.len", (), "files of type '.len' cannot be read; give one of .json, .yaml, .yml, .zmx, .seq, .step"),
+        ("a.osl", (), "files of type '.osl' cannot be read; give one of .json, .yaml, .yml, .zmx, .seq, .len, .step"),
         ("a.zmx", ("-o", "nowhere/a.xml"), "the folder 'nowhere' does not exist; make it first"),
     ],
 )
