@@ -304,9 +304,9 @@ def test_import_that_fails_leaves_nothing(capsys, monkeypatch, lens, tmp_path):
 
 
 def test_import_names_the_types_it_reads(capsys, tmp_path):
-    path = tmp_path / "lens.len"
+    path = tmp_path / "lens.osl"
     path.write_text("")
-    assert "files of type '.len' cannot be read; give one of .json, .yaml" in fails(capsys, "import", str(path))
+    assert "files of type '.osl' cannot be read; give one of .json, .yaml" in fails(capsys, "import", str(path))
 
 
 def test_import_of_batoid_needs_a_wavelength_and_no_variant(capsys, tmp_path):

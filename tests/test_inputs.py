@@ -29,7 +29,7 @@ from mistray.mechanics import read_mechanics
 from mistray.optimize.study.checkpoint import Checkpoint
 from mistray.optimize.toml.read_budget import read_budget
 from mistray.optimize.toml.read_study import read_study
-from mistray.prescription import from_batoid, from_json
+from mistray.prescription import from_batoid, from_json, read_grid
 from mistray.read_file import read_text
 from mistray.report.rays.ray_files import read_rays
 from mistray.scatter.measured.bsdf_csv import read_bsdf_csv
@@ -133,6 +133,8 @@ READERS: dict[str, tuple[str, Callable[[Path], Any]]] = {
     "irradiance fits": (".fits", read_irradiance),
     "irradiance exr": (".exr", read_irradiance),
     "state": (".npz", load_state),
+    "grid": (".npz", read_grid),
+    "grid as text": (".dat", read_grid),
     "checkpoint": (".json", lambda file: Checkpoint(file, mistray.scene.find("plate"), "x").read()),
     "configurations": (".toml", read_configurations),
     "study": (".toml", read_study),
@@ -266,6 +268,7 @@ ELSEWHERE = {
     "mistray/files/irradiance_files.py: draft.read_bytes": "a file that was written just now",
     "mistray/analysis/pst/state.py: zipfile.ZipFile": "bytes of open_input",
     "mistray/io/cad/mesh.py: trimesh.load_scene": "bytes of read_file",
+    "mistray/io/oslo.py: parse": "optiland's reader; after require_file",
     "mistray/scene/load.py: mi.parser.parse_file": "after check_depth",
 }
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.read_file import read_file, require_file
+from mistray.read_file import read_file
 
 UNITS_MM = (1.0, 10.0, 25.4, 1000.0)  # by the unit flag of a text file
 SUFFIX = ".npz"
@@ -42,7 +43,6 @@ def read_sag_grid(path: str | Path) -> Values:
         If it cannot be read or a number in it is none.
     """
     path = Path(path)
-    require_file(path, "grid")
     try:
         return _from_archive(path) if path.suffix == SUFFIX else _from_text(path)
     except MistrayError as error:
@@ -60,11 +60,11 @@ def sag_grid_bytes(
 
 def _from_archive(path: Path) -> Values:
     try:
-        with np.load(path, allow_pickle=False) as data:
+        with np.load(io.BytesIO(read_file(path, "grid")), allow_pickle=False) as data:
             corners, step, middle, missing = (data[key] for key in ("corners", "step", "middle", "missing"))
             corners, missing = corners.astype(np.float64), missing.astype(bool)
             sizes = [(float(pair[0]), float(pair[1])) for pair in (step, middle)]
-    except (OSError, ValueError, KeyError, IndexError, TypeError, EOFError) as error:
+    except (OSError, ValueError, KeyError, IndexError, TypeError, EOFError, BadZipFile) as error:
         raise MistrayError(f"it is no grid that mistray wrote ({error}); make it again") from None
     if corners.ndim != 3 or corners.shape[2] != 4 or missing.shape != corners.shape[:2]:
         raise MistrayError("its arrays do not go together; make it again")

@@ -71,15 +71,16 @@ def build() -> Prescription:
         "mirror", tilt_deg=(INCIDENCE_DEG, 0.0, 0.0), sag=coefficients(), outline=rectangle(*MIRROR_HALF),
         coating=MIRROR, mirror=True,
     )  # fmt: skip
+    faces = (
+        *prism("windscreen", screen, 400.0, material="N-BK7", faces=("outside", "top", "inside", "bottom")),
+        *prism("cover", cover, 2 * DISPLAY_HALF[0] + 12.0, material="N-BK7", faces=("rear", "top", "front", "bottom")),
+    )
+    by_name = {face.name: face for face in faces} | {"mirror": mirror}
+    order = ("windscreen_outside", "windscreen_inside", "mirror", "cover_front", "cover_rear")
     return Prescription(
         name="Head-up display in the sun",
-        surfaces=(
-            mirror,
-            *prism("windscreen", screen, 400.0, material="N-BK7", faces=("outside", "top", "inside", "bottom")),
-            *prism(
-                "cover", cover, 2 * DISPLAY_HALF[0] + 12.0, material="N-BK7", faces=("rear", "top", "front", "bottom")
-            ),
-        ),
+        surfaces=tuple(by_name[name] for name in order),
+        structures=tuple(face for face in faces if face.name not in order),
         detector=Detector(
             y=y, z=z, tilt_deg=turned, half_width=DISPLAY_HALF[0], half_height=DISPLAY_HALF[1], pixels=(96, 64),
             coating=DISPLAY,

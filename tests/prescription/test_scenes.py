@@ -140,10 +140,10 @@ def test_the_mirror_of_the_head_up_display_is_a_paraboloid():
     assert sag(x, y, coefficients()) == pytest.approx(exact, abs=1e-7)
 
     display = build("head_up_display")
-    mirror, detector = display.surfaces[0], display.detector
+    mirror, detector = display.surfaces[2], display.detector
     away = FOCUS_MM / math.hypot(detector.y, detector.z)
     at_focus = replace(detector, y=away * detector.y, z=away * detector.z)
-    bare = replace(display, surfaces=(mirror,), detector=at_focus)
+    bare = replace(display, surfaces=(mirror,), structures=(), detector=at_focus)
     spot = max(trace(bare.to_scene(), rays=20_000, seed=1).paths, key=lambda row: row.power_W)
     assert spot.rms_radius_mm < 5e-4
     assert math.hypot(spot.x_mm, spot.y_mm) < 5e-4
