@@ -12,7 +12,7 @@ BEFORE_FOCUS_MM = 60.0  # where the display stands
 MIRROR_HALF, DISPLAY_HALF = (110.0, 60.0), (24.0, 16.0)
 COVER_MM, COVER_GAP_MM = 1.1, 2.0
 WINDSCREEN_MM, WINDSCREEN_DEG, WINDSCREEN_Z = 4.8, 60.0, -560.0
-ORDER = 8
+ORDER = 6
 MIRROR, DISPLAY = Coating(R=0.95), Coating(R=0.05)
 
 Polynomial = dict[tuple[int, int], float]
