@@ -1,4 +1,4 @@
-# make demo | quick | test | test-long | test-all | lint | bench | clean; each sets up what it needs. PYTHON=python3.12 picks another one.
+# make demo | quick | test | test-long | test-all | lint | docs | notebooks | bench | clean; each sets up what it needs. PYTHON=python3.12 picks another one.
 
 PYTHON ?= python3
 VENV   := .venv
@@ -11,7 +11,7 @@ CHECK  := from mistray._variant import find_llvm; from mistray._mitsuba_compat i
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart=0
 
 .DEFAULT_GOAL := help
-.PHONY: help demo quick test test-long test-all lint bench venv clean
+.PHONY: help demo quick test test-long test-all lint docs notebooks bench venv clean
 .DELETE_ON_ERROR:
 
 help:
@@ -21,6 +21,8 @@ help:
 	@echo "make test-long the tests that take seconds each, which make test leaves out"
 	@echo "make test-all  lint, types and all tests"
 	@echo "make lint      lint and types only"
+	@echo "make docs      build the documentation site into out/docs; open out/docs/index.html"
+	@echo "make notebooks open the notebooks in JupyterLab; its options: make notebooks JUPYTER='--no-browser --allow-root'"
 	@echo "make bench     measure the speed beside other programs; parts: make bench BENCH='--only batoid embree'"
 	@echo "make venv      only set up $(VENV)"
 	@echo "make clean     remove $(VENV), caches and results"
@@ -45,6 +47,15 @@ lint: venv
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# The theme announces its successor at each build
+docs: venv
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+	@echo "open out/docs/index.html"
+
+# The kernel called python3 is that of the environment
+notebooks: venv $(STAMPS)/notebooks
+	$(BIN)/jupyter-lab --notebook-dir=notebooks $(JUPYTER)
 
 bench: venv $(STAMPS)/peers
 	$(BIN)/python benchmarks/bench.py $(BENCH)
@@ -80,6 +91,11 @@ $(STAMPS)/installed: pyproject.toml tests/peers.txt | $(STAMPS)/created
 # Programs that only the benchmarks compare with
 $(STAMPS)/peers: $(STAMPS)/installed
 	@$(PIP) -e '.[bench]'
+	@touch $@
+
+$(STAMPS)/notebooks: $(STAMPS)/installed
+	@echo "installing JupyterLab into $(VENV)"
+	@$(PIP) -e '.[notebooks]'
 	@touch $@
 
 # Dr.Jit opens libLLVM and libatomic, which pip does not bring. LLVM 19 is the version the measurements were made with.

@@ -43,6 +43,7 @@ PARTS = {
     "modes": ("modes", "path table, coatings and polarisation against plain traces"),
     "scatter": ("scatter", "scatter models and a scattering camera"),
     "systems": ("systems", "a housing of triangles, freeforms and segments against lenses alone"),
+    "sources": ("sources", "a point source against a collimated beam"),
     "start": ("start_up", "import, help, first ghost table with an empty and a filled kernel cache"),
     "memory": ("memory", "largest memory"),
     "growth": ("growth", "growth with rays, surfaces, paths, layers and threads"),

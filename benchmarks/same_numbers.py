@@ -1,4 +1,4 @@
-"""Whether a change of the program keeps its numbers: energy, paths, PST and a gradient of ten shipped scenes.
+"""Whether a change of the program keeps its numbers: energy, paths, PST and a gradient of twelve shipped scenes.
 
     python benchmarks/same_numbers.py before.json
     python benchmarks/same_numbers.py after.json --against before.json
@@ -44,6 +44,7 @@ TRACES: dict[str, dict[str, Any]] = {
     "cassegrain": {"rays": 4000},
     "two_stage_baffle": {"rays": 4000},
     "three_mirror_telescope": {"rays": 4000},
+    "offner_relay": {"rays": 4000},
     "plate_and_wall": {"rays": 8000, "below_threshold": "roulette"},
 }
 PSTS: dict[str, dict[str, Any]] = {

@@ -87,7 +87,7 @@ def zernike(rays: int, repeats: int) -> Row:
     common = {"radius": 80.0, "semi_diameter": 14.0, "back": "1.5"}
     scenes = singlet(Surface("front", sag=sag, **common)), singlet(Surface("front", coefficients=even, **common))
     here, there = (partial(mistray.trace, scene, rays=rays, max_reflections=2) for scene in scenes)
-    return _times("zernike", f"singlet whose front has {terms - 3} Zernike terms, the same with a4 to a{ORDER}",
+    return times("zernike", f"singlet whose front has {terms - 3} Zernike terms, the same with a4 to a{ORDER}",
                   here, there, 2.0, repeats)  # fmt: skip
 
 
@@ -98,7 +98,7 @@ def segments(rays: int, repeats: int) -> Row:
                     inner_semi_diameter=HOLE_MM, coating=MIRROR, mirror=True)  # fmt: skip
     one = replace(design, surfaces=(whole, design.surfaces[-1]))
     here, there = (partial(mistray.trace, p.to_scene(), rays=rays, max_reflections=2) for p in (design, one))
-    return _times("segments", "telescope with a primary of 18 segments, the same in one piece", here, there, 1.5,
+    return times("segments", "telescope with a primary of 18 segments, the same in one piece", here, there, 1.5,
                   repeats)  # fmt: skip
 
 
@@ -123,7 +123,8 @@ def _rates(key: str, what: str, here: Trace, there: Trace, bar: float, repeats: 
     return Row(key, what, f"{ours / 1e6:.1f} M/s", f"{other / 1e6:.1f} M/s", ours / other, bar, equal=equal)
 
 
-def _times(key: str, what: str, here: Trace, there: Trace, bar: float, repeats: int) -> Row:
+def times(key: str, what: str, here: Trace, there: Trace, bar: float, repeats: int) -> Row:
+    """Time of a segment of the first over that of the second."""
     ours, other, equal = _per_segment(here, there, repeats)
     texts = (f"{1e9 / rate:.3g} ns a segment" for rate in (ours, other))
     return Row(key, what, *texts, other / ours, bar, small=True, equal=equal)

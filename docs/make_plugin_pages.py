@@ -19,7 +19,13 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PLUGINS = ROOT / "plugins"
 PAGES = ROOT / "docs" / "plugins"
-KINDS = {"shapes": "Shapes", "bsdfs": "BSDFs", "emitters": "Emitters", "integrators": "Integrators"}
+KINDS = {
+    "shapes": "Shapes",
+    "bsdfs": "BSDFs",
+    "emitters": "Emitters",
+    "sensors": "Sensors",
+    "integrators": "Integrators",
+}
 COLUMNS = ("parameter", "unit", "range", "default", "meaning")
 DIFFERENTIABLE = re.compile(r",? ?\(differentiable\)")
 INTRODUCTION = """\

@@ -33,30 +33,37 @@ if TYPE_CHECKING:
     from mistray.analysis import (
         FirstLevel,
         GhostReport,
+        ImageQuality,
         Objects,
         Pst,
         Study,
         ThermalReport,
+        Transfer,
         first_level,
         ghosts,
+        image_quality,
         objects,
         pst,
         study,
         thermal,
+        transfer,
     )
     from mistray.cluster import distribute
     from mistray.optimize import Metric, gradient, sensitivity
-    from mistray.prescription import Detector, Prescription, Source, Structure, Surface
-    from mistray.report import View, view
-    from mistray.scene import load  # type: ignore[no-redef]
+    from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, Structure, Surface
+    from mistray.report import StepExport, View, export_step, view
+    from mistray.scene import coat, load  # type: ignore[no-redef]
     from mistray.sweeps import Sweep, sweep
     from mistray.trace import Trace, trace
 
 _HOMES = {
+    "coat": "mistray.scene",
     "load": "mistray.scene",
     "trace": "mistray.trace",
     "Trace": "mistray.trace",
     "ghosts": "mistray.analysis",
+    "image_quality": "mistray.analysis",
+    "ImageQuality": "mistray.analysis",
     "GhostReport": "mistray.analysis",
     "first_level": "mistray.analysis",
     "FirstLevel": "mistray.analysis",
@@ -67,15 +74,21 @@ _HOMES = {
     "study": "mistray.analysis",
     "Study": "mistray.analysis",
     "thermal": "mistray.analysis",
+    "export_step": "mistray.report",
+    "StepExport": "mistray.report",
     "view": "mistray.report",
     "View": "mistray.report",
     "ThermalReport": "mistray.analysis",
+    "transfer": "mistray.analysis",
+    "Transfer": "mistray.analysis",
     "distribute": "mistray.cluster",
     "Metric": "mistray.optimize",
     "gradient": "mistray.optimize",
     "sweep": "mistray.sweeps",
     "Sweep": "mistray.sweeps",
     "sensitivity": "mistray.optimize",
+    "Coating": "mistray.prescription",
+    "Scatter": "mistray.prescription",
     "Detector": "mistray.prescription",
     "Prescription": "mistray.prescription",
     "Source": "mistray.prescription",
@@ -93,35 +106,44 @@ _MODULES = (
     "report",
     "scatter",
     "scene",
+    "scenes",
     "sweeps",
 )
 
 __all__ = [
+    "Coating",
     "Detector",
     "FirstLevel",
     "GhostReport",
+    "ImageQuality",
     "Metric",
     "MistrayError",
     "MistrayWarning",
     "Objects",
     "Prescription",
     "Pst",
+    "Scatter",
     "Source",
+    "StepExport",
     "Structure",
     "Study",
     "Surface",
     "Sweep",
     "ThermalReport",
     "Trace",
+    "Transfer",
     "UnfinishedError",
     "View",
     "analysis",
+    "coat",
     "coatings",
     "distribute",
     "ensure_variant",
+    "export_step",
     "first_level",
     "ghosts",
     "gradient",
+    "image_quality",
     "load",
     "materials",
     "mechanics",
@@ -133,6 +155,7 @@ __all__ = [
     "report",
     "scatter",
     "scene",
+    "scenes",
     "sensitivity",
     "set_threads",
     "study",
@@ -140,6 +163,7 @@ __all__ = [
     "sweeps",
     "thermal",
     "trace",
+    "transfer",
     "view",
 ]
 

@@ -31,7 +31,7 @@ class _LazyPackage(ModuleType):
             super().__setattr__(name, value)
 
     def __dir__(self) -> Iterable[str]:
-        return sorted({*super().__dir__(), *self._homes})
+        return sorted(self._homes)
 
 
 def lazy_package(package: str, names: Mapping[str, Iterable[str]]) -> list[str]:

@@ -287,6 +287,8 @@ PIXELS = Range(1, 4096, whole=True)  # along a side
 PIXELS_OR_NONE = Range(0, 4096, whole=True)
 BLOCK = Range(0, 4096, whole=True)  # of pixels that are averaged
 STOPS = Range(-200.0, 200.0)
+FREQUENCY_PER_MM = Range(0.0, 1e9, unit="1/mm")
+PUPIL_CELLS = Range(16, 1024, whole=True)
 RAYS_DRAWN = Range(1, 10**5, whole=True)
 
 FILM_SIDE = Range(1, 2**16, whole=True)

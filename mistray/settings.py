@@ -122,7 +122,7 @@ class Settings:
         Rays that are scattered towards the automatic targets at every hit, for reflection and transmission each.
     aim : {"auto", "targets", "none"}
         Aim scattered rays at the targets of the scene and, where a surface has none, at automatic ones; only at targets
-        of the scene; or not at all. The result is the same but for its error.
+        of the scene; or not at all, and rays of sources neither. The result is the same but for its error.
     cut_below : tuple of five float
         Smallest flux of specularly reflected, specularly transmitted, reflected scattered and transmitted scattered
         branches, and of what a surface absorbs of a ray, relative to the start ray; weaker ones are cut, before and
@@ -149,8 +149,9 @@ class Settings:
         reflection) and A (be absorbed there); light that may not is cut. Or a name: "allow_all" is "TRIMtrA",
         "transmit_specular" "TIMA", "reflect_specular" "RIMA" and "halt_all" "A", so that a ray ends at the first
         surface.
-    polarization : {"unpolarized", "stokes"}
-        Average R and T over both polarisations at every hit, or carry the Stokes vector of every branch along.
+    polarization : {"auto", "unpolarized", "stokes"}
+        Average R and T over both polarisations at every hit, or carry the Stokes vector of every branch along. "auto"
+        is "stokes" if a source of the scene is polarised, and otherwise "unpolarized".
     """
 
     rays: int = RAYS.field(1_000_000)
@@ -176,8 +177,8 @@ class Settings:
         "what light may do at surfaces: allow_all, transmit_specular, reflect_specular, halt_all, or letters of T, R, "
         "I (total reflection), M (mirrors), t and r (scatter) and A (absorption), such as TIA",
     )
-    polarization: str = Words(("unpolarized", "stokes")).field(
-        "unpolarized", "means of s and p at every hit, or Stokes vectors along paths"
+    polarization: str = Words(("auto", "unpolarized", "stokes")).field(
+        "auto", "means of s and p at every hit, or Stokes vectors along paths; auto: as the sources need it"
     )
     max_scatters: int = LIMIT.field(1, "scatter events on one path; 0: none")
     max_optical_scatters: int = LIMIT.field(NO_LIMIT, "those of them at surfaces that transmit")
@@ -197,12 +198,50 @@ class Settings:
     @classmethod
     def of(cls, scene: Any, **given: Any) -> Settings:
         """Settings of a scene's ``straylight`` integrator, or the defaults; what is given and not None comes first."""
+        return cls._merged(scene, given).resolved(scene)
+
+    @classmethod
+    def without_sources(cls, scene: Any, purpose: str = "", **given: Any) -> Settings:
+        """
+        The same for what starts none of the light of the scene's sources, for which "auto" is "unpolarized".
+
+        Parameters
+        ----------
+        scene : mi.Scene
+        purpose : str
+            What the sources' light is replaced for, such as "a PST", where a reader could take it for theirs.
+        **given
+            As for `of`.
+
+        Raises
+        ------
+        MistrayError
+            If there is a purpose, a source is polarised, and nothing says that this does not matter.
+        """
+        found = cls._merged(scene, given)
+        if found.polarization != "auto":
+            return found
+        if purpose and (names := polarized_sources(scene)):
+            raise MistrayError(
+                f"source '{names[0]}' is polarised, and {purpose} is of unpolarised light from elsewhere; give "
+                "polarization='unpolarized' to trace that"
+            )
+        return replace(found, polarization="unpolarized")
+
+    @classmethod
+    def _merged(cls, scene: Any, given: Mapping[str, Any]) -> Settings:
         own = getattr(scene.integrator(), "settings", None) or cls()
         unknown = set(given) - {f.name for f in fields(cls)}
         if unknown:
             raise MistrayError(f"unknown argument {', '.join(sorted(unknown))} of a trace")
         values = {f.name: getattr(own, f.name) for f in fields(cls)}
         return cls(**(values | {key: value for key, value in given.items() if value is not None}))
+
+    def resolved(self, scene: Any) -> Settings:
+        """The same with the `polarization` that "auto" is for a scene."""
+        if self.polarization != "auto":
+            return self
+        return replace(self, polarization="stokes" if polarized_sources(scene) else "unpolarized")
 
     def with_unit(self, unit_W: float) -> Settings:
         """The same for start rays of this flux, W, with `cut_below_W` in `cut_below`."""
@@ -235,3 +274,8 @@ class Settings:
     def stokes(self) -> bool:
         """Whether branches carry their polarisation."""
         return self.polarization == "stokes"
+
+
+def polarized_sources(scene: Any) -> list[str]:
+    """Names of the sources of a scene whose light is polarised."""
+    return [emitter.name for emitter in scene.emitters() if getattr(emitter, "polarized", False)]

@@ -17,6 +17,7 @@ from oracles import scene_xml, small_scenes
 import mistray
 
 LONG = (
+    "test_docs_site.py",
     "test_notebooks.py",
     "test_readme.py",
     "test_triplet_ar.py",

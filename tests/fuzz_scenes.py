@@ -35,6 +35,16 @@ NUMBERS: dict[str, dict[str, Any]] = {
     "thinfilm": {"layers": "1.38 99.64"},
     "interface": {"front": "air", "back": "1.5"},
     "collimated": {"radius": 2.0},
+    "distant_disc": {"diameter_deg": 0.5},
+    "gaussian_beam": {"waist_x": 1.0, "waist_y": 1.0, "z": -50.0},
+    "point_source": {"half_angle_deg": 20.0, "z": -50.0},
+    "ray_file": {"filename": "lamp.csv"},
+    "sky": {"radiance": 1.0, "half_angle_deg": 20.0},
+    "surface_source": {"radius": 2.0, "z": -50.0},
+    "thermal": {"temperature_K": 293.0},
+    "far_field": {"azimuths": 4},
+    "surface_maps": {"surfaces": "front", "azimuths": 4, "lengths": 3},
+    "probe": {"half_width": 2.0},
     "straylight": {"rays": 256.0},
     "film": {"width": 8, "height": 8},
     "rectangle": {},
@@ -69,13 +79,27 @@ INSTEAD: dict[tuple[str, str], dict[str, Any]] = {
     ("particulate", "coverage_percent"): {},
     ("collimated", "half_width"): {"half_height": 2.0},
     ("collimated", "half_height"): {"half_width": 2.0},
+    ("surface_source", "half_width"): {"half_height": 2.0, "z": -50.0},
+    ("surface_source", "half_height"): {"half_width": 2.0, "z": -50.0},
     ("target", "cone_deg"): {"surfaces": "*", "about": "specular"},
     ("thinfilm", "R"): {"T": 0.1},
     ("thinfilm", "T"): {"R": 0.1},
     ("interface", "T"): NUMBERS["interface"] | {"R": 0.1},
 }
+LAMP_CSV = "x_mm,y_mm,z_mm,dx,dy,dz,flux_W\n0,0,-5,0,0,1,1\n0.5,0,-5,0,0.01,1,1\n"
 MODELS_OF_SCATTER = ("abg", "edge_diffraction", "gaussian_lobe", "harvey_shack", "k_correlation", "paint",
                      "particulate", "phong", "polynomial", "psd_table", "tabulated")  # fmt: skip
+SOURCES = (
+    "collimated",
+    "distant_disc",
+    "gaussian_beam",
+    "point_source",
+    "ray_file",
+    "sky",
+    "surface_source",
+    "thermal",
+)
+SENSORS = ("far_field", "probe", "surface_maps")
 PAINTS = ("paint", "tabulated")  # that scatter at the wall, not at the lens
 ALONE = ("R", "T", "n_front_shift", "n_back_shift", "wavelength_nm")  # that a model has only by itself
 # Numbers within texts, and those of stock plugins: object, name, kind, text
@@ -92,6 +116,8 @@ WITHIN: tuple[tuple[str, str, str], ...] = (
     ("interface", "back", "1.5 scatter={} g=0.5"),
     ("interface", "back", "1.5 scatter=0.1 g={}"),
     ("collimated", "wavelength_nm", "500, {}"),
+    ("thermal", "parts", "detector={}"),
+    ("thermal", "band_nm", "8000, {}"),
     ("straylight", "cut_below", "R={}"),
     ("straylight", "cut_below_W", "T={}"),
     ("target", "half_axes", "1, {}, 1"),
@@ -126,6 +152,7 @@ def scene_with(plugin: str, name: str = "", text: str = "", kind: str = "float")
     nested = f'<bsdf type="{scatter}">{inside[scatter]}</bsdf>' if scatter and not at_wall else ""
     film = f'<bsdf type="thinfilm">{inside["thinfilm"]}</bsdf>' if plugin == "thinfilm" else ""
     wall = f'<bsdf type="{scatter}">{inside[scatter]}</bsdf>' if at_wall else ""
+    source = plugin if plugin in SOURCES else "collimated"
     extra = ""
     if plugin in ("frustum", "part_mesh"):
         extra = f'<shape type="{plugin}" id="wall">{inside[plugin]}{BLACK}</shape>'
@@ -135,11 +162,13 @@ def scene_with(plugin: str, name: str = "", text: str = "", kind: str = "float")
         extra = f'<shape type="disk" id="aim"><bsdf type="target">{inside["target"]}</bsdf></shape>'
     elif plugin == "rectangle":
         extra = f'<shape type="rectangle" id="wall">{inside["rectangle"]}{BLACK}</shape>'
+    elif plugin in SENSORS:
+        extra = f'<sensor type="{plugin}" id="seen">{inside[plugin]}</sensor>'
     elif at_wall:
         extra = shape_xml("frustum", "wall", bsdf=wall, r0=5.0, r1=5.0, z0=1.0, z1=9.0)
     return (
         f'<scene version="3.0.0"><integrator type="straylight">{inside["straylight"]}</integrator>'
-        f'<emitter type="collimated">{inside["collimated"]}</emitter>'
+        f'<emitter type="{source}">{inside[source]}</emitter>'
         f'<shape type="asphere" id="front">{inside["asphere"]}<bsdf type="interface">{inside["interface"]}'
         f"{film}{nested}</bsdf></shape>"
         + shape_xml("asphere", "rear", 3.0, interface_xml("1.5", "air"), semi_diameter=4.0)
@@ -169,6 +198,20 @@ NUMERIC = (
 )
 BLACK = '<bsdf type="interface"><float name="R" value="0"/></bsdf>'
 SCENE = scene_with("abg")
+
+
+def lens_text(source: str) -> str:
+    """A lens of f/9 that has its focus on the detector, and another source of light."""
+    front = shape_xml("asphere", "front", 0.0, interface_xml("air", "1.5"), semi_diameter=0.5, radius=4.5)
+    rear = shape_xml("asphere", "rear", 3.0, interface_xml("1.5", "air"), semi_diameter=0.5)
+    detector = shape_xml("asphere", "detector", 10.0, sensor=True, half_width=2.0, half_height=2.0)
+    return f'<scene version="3.0.0"><integrator type="straylight"/>{source}{front}{rear}{detector}</scene>'
+
+
+FAR = lens_text('<emitter type="collimated"><float name="radius" value="0.5"/></emitter>')
+NEAR = lens_text(
+    '<emitter type="point_source"><float name="half_angle_deg" value="0.05"/><float name="z" value="-500"/></emitter>'
+)
 STUDY = """
 [[term]]
 kind = "path_power"
@@ -206,8 +249,10 @@ SMALL = ("--rays", "200")
 LINES = {
     "import": ("lens.zmx", "-o", "made.xml", "--force"),
     "export": ("scene.xml", "-o", "made.csv", "--force"),
+    "coat": ("scene.xml", "-o", "made.xml", "--force"),
     "view": ("scene.xml", "--json", "--out", "view.html", "--force", *SMALL),
     "ghosts": ("scene.xml", "--json", *SMALL),
+    "image": ("lens.xml", "--json", "--grid", "16"),
     "sweep": ("scene.xml", "--json", "--no-cache", *SMALL),
     "objects": ("scene.xml", "--json", *SMALL),
     "pst": ("scene.xml", "--json", "--field-deg", "0", "20", *SMALL),
@@ -266,6 +311,8 @@ ABOUT: dict[tuple[str, str], tuple[str, ...]] = {
         for option in ("--move-mm", "--tilt-deg", "--most-analytic", "--tolerance-mm", "--time-limit-s", "--space")
     },
     ("ghosts", "--weights"): (*LINES["ghosts"], "--wavelength-nm", "550"),
+    ("image", "--field-mm"): ("near.xml", *LINES["image"][1:]),
+    ("image", "--weights"): (*LINES["image"], "--wavelength-nm", "550"),
     ("view", "--weights"): (*LINES["view"], "--wavelength-nm", "550"),
     ("pst", "--weights"): (*LINES["pst"], "--wavelength-nm", "550"),
     ("study", "--weights"): (*LINES["study"], "--wavelength-nm", "550"),
@@ -297,6 +344,7 @@ def scene_tries() -> list[Try]:
     places: list[tuple[str, str, str, str]] = [
         (manual.plugin, re.sub(r"_[ijkm](?=_|$)", lambda m: "_1" if m[0] == "_k" else "_5", name), "{}", "float")
         for manual in MANUALS
+        if manual.plugin in NUMBERS
         for parameter in manual.parameters
         if parameter.unit in NUMERIC
         for name in parameter.names
@@ -316,11 +364,14 @@ def write(folder: Path) -> None:
     """Write what the command lines name."""
     data = Path(__file__).parent / "data"
     (folder / "scene.xml").write_text(SCENE, encoding="utf-8")
+    (folder / "lens.xml").write_text(FAR, encoding="utf-8")
+    (folder / "near.xml").write_text(NEAR, encoding="utf-8")
     (folder / "dark.xml").write_text(scene_with("interface", "T", "0"), encoding="utf-8")
     (folder / "study.toml").write_text(STUDY, encoding="utf-8")
     (folder / "budget.toml").write_text(BUDGET, encoding="utf-8")
     (folder / "black.bsdf").write_text(BLACK_BSDF, encoding="utf-8")
     (folder / "bracket.ply").write_text(BRACKET_PLY, encoding="utf-8")
+    (folder / "lamp.csv").write_text(LAMP_CSV, encoding="utf-8")
     (folder / "psd.csv").write_text("frequency_1_um,psd_um4\n0.001,1e-3\n0.1,1e-7\n2,1e-12\n", encoding="utf-8")
     (folder / "lens.zmx").write_bytes((data / "fuzz_lens.zmx").read_bytes())
     (folder / "tube.step").write_bytes((data / "vane_tube.step").read_bytes())

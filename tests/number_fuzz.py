@@ -92,13 +92,13 @@ def tries(lines: Mapping[str, Iterable[str]], about: Mapping[tuple[str, str], It
     Parameters
     ----------
     lines : mapping of str to iterable of str
-        Command → arguments with which it does little.
+        Command → arguments with which it does little; a command that is not here is not tried.
     about : mapping of (str, str) to iterable of str
         Command and option → what must stand beside the option; the command "*" holds for all.
     """
     found = []
     for command, parser in parsers().items():
-        for action in numeric(parser):
+        for action in numeric(parser) if command in lines else ():
             option = action.option_strings[-1]
             beside = about.get((command, option), about.get(("*", option), lines[command]))
             for value in NASTY:

@@ -27,6 +27,7 @@ def recorded_bundles(trace: Trace, run: int = 0) -> list[Bundle]:
     nodes = np.array(recorder.nodes).reshape(recorder.capacity, -1, NODE_FLOATS)[:count].astype(np.float64)
     nodes[:, :, :3] += of.table.centre
     origins, directions = of.start_rays(lanes)
+    weights = np.array(of.start_pass(0).w, dtype=np.float64)[lanes]
     codes = np.where(np.arange(codes.shape[1]) < lengths[:, None], codes, 0)
     lists, group = np.unique(codes, axis=0, return_inverse=True)
     ids = of.table.event_ids
@@ -46,7 +47,7 @@ def recorded_bundles(trace: Trace, run: int = 0) -> list[Bundle]:
                 directions[here],
                 own[:, :, :3],
                 leaving,
-                np.full(len(here), of.unit),
+                of.unit * weights[here],
                 of.unit * own[-1, :, 6],
                 lanes[here],
             )

@@ -311,6 +311,7 @@ def test_numbers_that_changed_are_named(tmp_path):
     assert not changed(paths={**trace["paths"], "faint": (1e-7 * trace["launched_W"], 0.0)}, kernels=["x"])
 
 
+@pytest.mark.quick
 def test_same_numbers_uses_every_kind_of_plugin():
     from same_numbers import TRACES
 
@@ -319,4 +320,4 @@ def test_same_numbers_uses_every_kind_of_plugin():
         return {kind for file in files for kind in re.findall('type="([a-z_]+)"', file.read_text())}
 
     assert kinds(TRACES) == kinds(folder.parent.name for folder in (ROOT / "scenes").glob("*/scene.xml"))
-    assert len(TRACES) == 11
+    assert len(TRACES) == 12

@@ -49,7 +49,7 @@ def fake(monkeypatch):
         return trace_at(field_deg or 0.0)
 
     monkeypatch.setattr(importlib.import_module("mistray.analysis.field_traces"), "trace", trace)
-    monkeypatch.setattr(mistray.scene, "load", lambda source: lens_scene())
+    monkeypatch.setattr(mistray.scene, "load", lambda *given: lens_scene())
     return calls
 
 
@@ -229,7 +229,7 @@ def test_wrong_output_directory_is_found_before_the_trace(capsys, fake, tmp_path
     ],
 )
 def test_errors_are_one_line(capsys, fake, monkeypatch, error, line):
-    def load(source):
+    def load(source, *others):
         raise error
 
     monkeypatch.setattr(mistray.scene, "load", load)
@@ -246,7 +246,7 @@ def test_nothing_is_written_when_the_trace_fails(capsys, fake, monkeypatch, tmp_
 
 
 def test_interrupt(capsys, fake, monkeypatch):
-    def load(source):
+    def load(source, *others):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(mistray.scene, "load", load)

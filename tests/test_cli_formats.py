@@ -17,6 +17,7 @@ from report.fake_trace import EXTENT, trace_at
 import mistray.analysis
 import mistray.scene
 from mistray import cli
+from mistray.cli import program
 from mistray.report import formats, read_irradiance
 
 
@@ -35,10 +36,10 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 
     monkeypatch.setattr(importlib.import_module("mistray.analysis.field_traces"), "trace", trace)
     monkeypatch.setattr(importlib.import_module("mistray.analysis.pst.transmittance"), "pst", pst)
-    monkeypatch.setattr(mistray.scene, "load", lambda source: lens_scene())
+    monkeypatch.setattr(mistray.scene, "load", lambda *given: lens_scene())
 
     # Pictures take seconds, and are not asked for here
-    monkeypatch.setattr(importlib.import_module("mistray.report.ghosts_output"), "html_text", lambda *_: "")
+    monkeypatch.setattr(importlib.import_module("mistray.report.ghosts_output"), "pages", lambda *_: {})
     for module in ("ghosts_output", "pst_output"):
         monkeypatch.setattr(importlib.import_module(f"mistray.report.{module}"), "draw", lambda *_: {})
     return traced
@@ -48,6 +49,17 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
     code = cli.main(arguments)
     out, err = capsys.readouterr()
     return code, out, err
+
+
+def test_every_command_with_tables_has_formats() -> None:
+    commands = [module.COMMAND for module in program.COMMANDS]
+    with_tables = {
+        command.name
+        for command in commands
+        if any(pattern.endswith((".csv", ".*")) for option in command.options for pattern in option.writes or ())
+    }
+    formats_of = {command.name for command in commands if "formats" in {option.dest for option in command.options}}
+    assert formats_of == with_tables
 
 
 def test_ghosts_in_all_formats(capsys: pytest.CaptureFixture[str], fake: list[Any], tmp_path: Path) -> None:

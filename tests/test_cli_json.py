@@ -28,9 +28,11 @@ WITHOUT = {"completion"}
 CHECKED_IN = {
     "doctor": "test_cli.py",
     "import": "test_cli_import.py",
+    "coat": "test_cli_json.py",
     "export": "test_cli_json.py",
     "view": "test_cli_view.py",
     "ghosts": "test_cli.py",
+    "image": "test_cli_image.py",
     "sweep": "test_cli_sweep.py",
     "objects": "test_cli_objects.py",
     "pst": "test_cli_pst.py",
@@ -52,6 +54,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict:
     return json_units.read(out)
 
 
+@pytest.mark.quick
 def test_every_command_has_json_and_a_test() -> None:
     commands = [module.COMMAND for module in program.COMMANDS]
     having = {command.name for command in commands if "json" in {option.dest for option in command.options}}
@@ -113,6 +116,8 @@ def test_pst(azimuths: list[float] | None) -> None:
 
 
 def test_export(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    coated = run(capsys, "coat", "plate", "*=bbar3", "-o", str(tmp_path / "coated.xml"), "--json")
+    assert [change["surface"] for change in coated["changes"]] == ["plate_front", "plate_rear"]
     answer = run(capsys, "export", "plate", "-o", str(tmp_path / "plate.zmx"), "--json")
     assert answer["surfaces"] >= 2
     assert answer["files"] == [str(tmp_path / "plate.zmx")]

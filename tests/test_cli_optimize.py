@@ -59,15 +59,18 @@ def run(capsys: Any, *arguments: str) -> tuple[int, str, str]:
 
 def test_report_and_files(capsys: Any, files: tuple[str, str, str]) -> None:
     scene, study, out = files
-    code, printed, errors = run(capsys, scene, study, "--out", out)
+    code, printed, errors = run(capsys, scene, study, "--out", out, "--formats", "parquet")
     assert (code, errors) == (0, "")
     assert "before / after" in printed
     assert "search from start 1: all steps used" in printed
     assert {
         "scene.xml",
         "terms.csv",
+        "terms.parquet",
         "variables.csv",
+        "variables.parquet",
         "history.csv",
+        "history.parquet",
         "search.png",
         "variables.png",
         "reflectance.png",

@@ -61,6 +61,7 @@ NOTE = "written by hand\n"
 # The arguments of every command with --out, and a file that it writes there
 FOLDERS = {
     ("ghosts", "scene.xml", "--formats", "fits"): ("paths.csv", "ghosts_12.5deg.png", "irradiance_0deg.fits"),
+    ("image", "scene.xml"): ("image_quality.csv", "psf.png"),
     ("sweep", "scene.xml"): ("sweep.csv", "configurations.csv"),
     ("objects", "scene.xml"): ("objects.html", "objects_critical.csv"),
     ("pst", "scene.xml"): ("pst_state.npz", "pst.json", "irradiance_20deg.png"),
@@ -74,6 +75,7 @@ FOLDERS = {
 FILES = {
     ("import", "lens.zmx"): ("-o",),
     ("import", "cube.obj"): ("-o",),
+    ("coat", "scene.xml", "*=table.csv"): ("-o",),
     ("export", "scene.xml"): ("-o",),
     ("view", "scene.xml", "--rays", "50"): ("--out", "--layout", "--save-rays"),
     ("coating", "table.csv"): ("--plot", "--csv"),
@@ -115,6 +117,7 @@ def parsed(*arguments: str) -> argparse.Namespace:
     return options
 
 
+@pytest.mark.quick
 def test_every_command_that_writes_is_here() -> None:
     tried = {arguments[0] for arguments in (*FOLDERS, *FILES)}
     options = {module.COMMAND.name: list(module.COMMAND.options) for module in COMMANDS}

@@ -57,7 +57,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
 
     importlib.import_module("mistray.analysis.study.eight_steps")  # or it would keep the one below for other tests
     monkeypatch.setattr(importlib.import_module("mistray.analysis.pst.transmittance"), "pst", pst)
-    monkeypatch.setattr(mistray.scene, "load", lambda source: source)
+    monkeypatch.setattr(mistray.scene, "load", lambda source, *others: source)
     return calls
 
 
@@ -111,7 +111,7 @@ def test_every_option_is_passed_on(capsys: Any, fake: list[dict[str, Any]]) -> N
     assert code == 0
     assert fake[0] == same | {
         "scene": "lens.xml",
-        "method": "adjoint",
+        "method": "joined",
         "field_deg": [0, 2, 4, 10, 20, 30, 40],
         "azimuths_deg": pytest.approx([0, 90, 180]),
         "wavelength_nm": [450.0, 550.0],
@@ -208,7 +208,7 @@ def test_text_of_the_bar(progress: PstProgress, text: str) -> None:
         (("--resume",), "--resume needs the saved run; give --state FILE, or the --out DIR of that run"),
         (("--resume", "--state", "none.npz"), "there is no saved run 'none.npz'; run without --resume first"),
         (("--resume", "--out", "none"), "there is no saved run 'none/pst_state.npz'; run without --resume first"),
-        (("--resume", "--method", "forward"), "--resume with --method forward; only the adjoint method can go on"),
+        (("--resume", "--method", "forward"), "--resume with --method forward, which cannot go on from a saved run"),
         (("--state", "s.npz", "--method", "forward"), "--state with --method forward"),
         (("--state", "."), "--state . is a directory; name a file"),
     ],

@@ -71,8 +71,9 @@ class TestSensitivity:
     def test_table_and_files(self, capsys: Any, plate: str, tmp_path: Path) -> None:
         out = tmp_path / "new" / "out"
         code, printed, errors = run(
-            capsys, "sensitivity", plate, *FEW, "--monte-carlo", "4", "--together", "p0_*.R", "--out", str(out)
-        )
+            capsys, "sensitivity", plate, *FEW, "--monte-carlo", "4", "--together", "p0_*.R", "--out", str(out),
+            "--formats", "parquet",
+        )  # fmt: skip
         assert (code, errors) == (0, "")
         assert printed.startswith("path power: 0.0064 ")
         assert "in a group" in printed
@@ -82,7 +83,10 @@ class TestSensitivity:
         assert "not in the derivatives: branches below flux_threshold" in printed
         names = {path.name for path in out.iterdir()}
         assert names == {"sensitivity.csv", "propagation.csv", "draws.csv", "sensitivity.json", "ranking.png",
-                         "monte_carlo.png", "report.html"}  # fmt: skip
+                         "monte_carlo.png", "report.html", "sensitivity.parquet", "propagation.parquet",
+                         "draws.parquet"}  # fmt: skip
+        draws = pd.read_parquet(out / "draws.parquet")
+        assert draws.ratio.tolist() == pytest.approx(pd.read_csv(out / "draws.csv").ratio.tolist(), rel=1e-8)
         table = pd.read_csv(out / "sensitivity.csv")
         assert list(table.change_percent.round(3)) == [20, 20, 5, 5]
         html = (out / "report.html").read_text(encoding="utf-8")
@@ -149,12 +153,14 @@ class TestBudget:
     def test_table_and_files(self, capsys: Any, rough: str, tmp_path: Path) -> None:
         study, out = tmp_path / "budget.toml", tmp_path / "out"
         study.write_text(BUDGET.format(limit=1e-4))
-        code, printed, errors = run(capsys, "budget", rough, str(study), "--out", str(out))
+        more = ("--out", str(out), "--formats", "parquet")
+        code, printed, errors = run(capsys, "budget", rough, str(study), *more)
         assert (code, errors) == (0, "")
         assert "met by" in printed
         assert "cost: 4 before" in printed
         names = {path.name for path in out.iterdir()}
-        assert names == {"scene.xml", "budget.csv", "requirements.csv", "budget.json", "budget.png", "report.html"}
+        assert names == {"scene.xml", "budget.csv", "requirements.csv", "budget.json", "budget.png", "report.html",
+                         "budget.parquet", "requirements.parquet"}  # fmt: skip
         record = json.loads((out / "budget.json").read_text())
         assert record["met"]
         table = pd.read_csv(out / "budget.csv")

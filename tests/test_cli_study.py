@@ -35,7 +35,7 @@ def test_findings_and_one_report(capsys: Any, tmp_path: Path) -> None:
     names = {path.name for path in out.iterdir()}
     assert {"report.html", "1_optical_surfaces.csv", "5_common.csv", "8_pst.csv", "pst_state.npz"} <= names
     html = (out / "report.html").read_text(encoding="utf-8")
-    assert html.count("<section>") == len(STEPS) + 2
+    assert html.count("<section ") == len(STEPS) + 2
     assert "mistray study plate_and_wall --rays 2000" in html
     assert html.count("data:image/png") >= 6
     # Going on from the saved PST is the same PST

@@ -160,3 +160,18 @@ def test_a_path_is_drawn_once_for_all_wavelengths():
     for row in rows:
         assert row.power_W == max(other.power_W for other in traced.paths if other.events == row.events)
     assert len(chosen_rows(traced, 100)) == len(ways)
+
+
+@pytest.mark.long
+def test_walls_are_recorded_and_painted(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page = tmp_path / "walls.html"
+    scene = ["plate_and_wall", "--rays", 500, "--max-scatters", 0]
+    assert run(capsys, *scene, "--surface-maps", "housing*", "azimuths=8", "--out", page)[::2] == (0, "")
+    text = page.read_text(encoding="utf-8")
+    assert '"meta":{"wall":"housing_wall"}' in text
+    assert '"wall":"screen"' not in text
+    for wrong in (["--no-trace"], ["--layout", tmp_path / "layout.svg"]):
+        code, _, err = run(capsys, "plate_and_wall", "--surface-maps", *wrong)
+        assert code != 0
+        assert "--surface-maps" in err

@@ -102,7 +102,7 @@ PROMISED = [
         words=("surfaces 'L1_front' and 'L1_rear' cross at r = 4.4", "move them apart"),
     ),
     Case("no detector", (SENSOR, ""), words=("no detector", "nest an 'irradiancemeter' sensor")),
-    Case("no source", (EMITTER, ""), words=("no source", "add an emitter of type 'collimated'")),
+    Case("no source", (EMITTER, ""), words=("no source", "add an emitter")),
     Case("zero rays", options=("--rays", "0"), words=("--rays: 0 must", "between 1 and 4294967295")),
     Case(
         "field that misses the lens",

@@ -20,7 +20,10 @@ from mistray.cache import Cache, file_fingerprint
 from mistray.cli.program import main
 from mistray.coatings.files import read_coating
 from mistray.errors import MistrayError
+from mistray.files.intensities import read_intensities
 from mistray.files.irradiance_files import read_irradiance
+from mistray.files.ray_sets import read_ray_set
+from mistray.files.sky_picture import read_healpix
 from mistray.io.codev.read import read_codev
 from mistray.io.zemax.read import read_zemax
 from mistray.materials import refractive_index
@@ -39,6 +42,7 @@ from mistray.scatter.measured.zemax_bsdf import read_zemax_bsdf
 from mistray.scene.files import scene_files
 from mistray.scene.unshared import SceneText
 from mistray.scene.xml_file import SceneFile
+from mistray.spectra.spectrum import read_table
 from mistray.sweeps.read_configurations import read_configurations
 
 PATIENCE_S = 2  # of a reader, warmed up
@@ -129,9 +133,16 @@ READERS: dict[str, tuple[str, Callable[[Path], Any]]] = {
     "ray file ply": (".ply", read_rays),
     "ray file obj": (".obj", read_rays),
     "ray file json": (".json", read_rays),
+    "ray set csv": (".csv", read_ray_set),
+    "ray set dat": (".dat", read_ray_set),
+    "ray set parquet": (".parquet", read_ray_set),
     "irradiance npy": (".npy", read_irradiance),
     "irradiance fits": (".fits", read_irradiance),
     "irradiance exr": (".exr", read_irradiance),
+    "spectrum of a source": (".csv", read_table),
+    "intensities ies": (".ies", read_intensities),
+    "intensities csv": (".csv", read_intensities),
+    "sky in healpix": (".fits", lambda file: read_healpix(str(file), "sky")),
     "state": (".npz", load_state),
     "grid": (".npz", read_grid),
     "grid as text": (".dat", read_grid),
@@ -210,7 +221,9 @@ def empty(file: Path) -> None:
 
 KINDS = {made.__name__: made for made in (pipe, device, terminal, folder, garbage, nest, deep_nest, empty)}
 LIBRARIES = {
+    "ray set parquet": "pyarrow",
     "irradiance fits": "astropy",
+    "sky in healpix": "astropy",
     "irradiance exr": "OpenEXR",
     "STEP": "cascadio",
     "STL": "trimesh",
@@ -264,6 +277,8 @@ ELSEWHERE = {
     "mistray/report/html/render.py: read_text": "a part of mistray",
     "mistray/report/parts.py: read_text": "a part of mistray",
     "mistray/files/irradiance_files.py: fits.open": "bytes of read_file",
+    "mistray/files/sky_picture.py: fits.open": "bytes of read_file",
+    "mistray/files/ray_sets.py: pd.read_csv": "text of read_text",
     "mistray/files/irradiance_files.py: openexr.File": "a file to write; after require_file",
     "mistray/files/irradiance_files.py: draft.read_bytes": "a file that was written just now",
     "mistray/analysis/pst/state.py: zipfile.ZipFile": "bytes of open_input",

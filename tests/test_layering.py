@@ -32,6 +32,7 @@ LAYERS = [
     {"_mitsuba_compat"},
     {"_variant"},
     {"physics", "materials", "coatings"},
+    {"spectra"},
     {"scatter"},
     {"prescription"},
     {"io"},
@@ -57,8 +58,8 @@ LAYERS = [
 PURE = {"physics": {"errors", "ranges", "physics"}}
 # Plugins are looked up by Mitsuba: they use these, and no module imports them.
 PLUGINS_MAY_IMPORT = {
-    "errors", "ranges", "param", "settings", "files", "_mitsuba_compat", "physics", "materials", "coatings", "scatter",
-    "surfaces", "kernel", "sampling", "execute", "gradients", "trace", "plugins",
+    "errors", "ids", "ranges", "param", "settings", "files", "_mitsuba_compat", "physics", "materials", "coatings",
+    "spectra", "scatter", "surfaces", "recorders", "kernel", "sampling", "execute", "gradients", "trace", "plugins",
 }  # fmt: skip
 # A shipped scene is a prescription written in Python.
 SCENES_MAY_IMPORT = {"errors", "materials", "prescription", "scenes"}
@@ -77,6 +78,7 @@ NO_MITSUBA = {
     "physics",
     "materials",
     "coatings",
+    "spectra",
     "scatter",
     "scenes",
     "report",

@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fuzz_scenes import ABOUT, LINES, TRACED, scene_tries, usual_of, write
+from fuzz_scenes import ABOUT, LINES, NUMBERS, TRACED, scene_tries, usual_of, write
 from number_fuzz import NASTY, NASTY_XML, WORK, Try, Worker, numeric, outcome_of, parsers, table, tries
+from test_plugin_pages import MANUALS
 
 TRIES = tries(LINES, ABOUT)
 SCENES = scene_tries()
@@ -81,9 +82,11 @@ def test_every_number_of_a_scene(worker: Worker, plugin: str) -> None:
     check(worker, [one for one in SCENES if one.command == plugin])
 
 
+@pytest.mark.quick
 def test_nothing_is_left_out() -> None:
     """Every command with a numeric option has its lines, every option and parameter every value."""
     assert {name for name, parser in parsers().items() if numeric(parser)} == set(LINES)
+    assert {manual.plugin for manual in MANUALS} <= set(NUMBERS)
     assert len(TRIES) > 2496
     assert len(SCENES) > 1500
     for chosen, values in ((TRIES, NASTY), (SCENES, NASTY_XML)):

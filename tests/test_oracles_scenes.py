@@ -26,8 +26,8 @@ DIRECT = [*((surface, "SpecTran") for surface in LENSES), ("detector", "Absorbed
 def test_energy_closes_and_media_fit(path: Path, field_deg: float) -> None:
     """Every ray meets each surface in the medium that the surface expects, and none ends inside of glass."""
     model = scene_xml.read_scene(path)
-    emitter = model.emitters[0]
-    beam = beams.collimated(emitter, 400, beams.start_distance(model, emitter), field_deg)
+    rays = 40 if path.parent.name == "rubin" else 400  # its figure errors take the oracle long
+    beam = beams.start(model, rays, field_deg)
     ledger = nonsequential.trace(
         model, beam.origin, beam.direction, beam.power, D_LINE_NM, max_reflections=1, max_events=64, flux_threshold=1e-6
     )

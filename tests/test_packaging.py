@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import re
 import shutil
 import subprocess
@@ -12,6 +13,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).parents[1]
 CONFIG = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -110,6 +112,36 @@ def test_nobody_imports_the_mapped_folders_directly():
                 continue
             wrong += [f"{file}:{node.lineno}" for name in names if name.split(".")[0] in ("plugins", "scenes")]
     assert not wrong
+
+
+PUBLIC = sorted(
+    ".".join(file.parent.relative_to(ROOT).parts)
+    for file in (ROOT / "mistray").rglob("__init__.py")
+    if "__all__" in file.read_text(encoding="utf-8")
+)
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("name", [*PUBLIC, "mistray.scenes"])
+def test_public_names(name):
+    """A prompt offers what a package means to offer: each name is there, nothing private or imported."""
+    package = importlib.import_module(name)
+    assert dir(package) == sorted(package.__all__) != []
+    for public in package.__all__:
+        assert not public.startswith("_")
+        assert hasattr(package, public)
+
+
+@pytest.mark.quick
+def test_citation_is_of_this_version():
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    newest = re.search(r"^## \[(.+?)\]", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert cited["version"] == project["version"] == newest[1]
+    assert cited["license"] == project["license"]
+    assert cited["keywords"] == project["keywords"]
+    assert [author["name"] for author in cited["authors"]] == [author["name"] for author in project["authors"]]
+    assert set(cited) >= {"cff-version", "message", "title"}, "what the format requires"
 
 
 def test_every_scene_says_where_its_numbers_come_from():

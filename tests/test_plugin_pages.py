@@ -56,6 +56,7 @@ end_header
 """
 POLISH_CSV = "frequency_1_mm,psd_nm2_mm2\n1,1e-4\n1000,1e-9\n"
 FILES = {
+    "lamp.csv": "x_mm,y_mm,z_mm,dx,dy,dz,flux_W\n0,0,-5,0,0,1,1\n",
     "black.bsdf": BLACK_BSDF,
     "polish.csv": POLISH_CSV,
     "bracket.ply": BRACKET_PLY,
@@ -122,6 +123,9 @@ def test_every_plugin_has_a_page() -> None:
         "sample_axis",
         "scatterer",
         "revolution",
+        "distant_source",
+        "near_source",
+        "passing_sensor",
     }
     assert {manual.plugin for manual in MANUALS} == {name.rpartition(".")[2] for name in plugin_modules()} - helpers
     assert all(manual.file.stem == manual.plugin for manual in MANUALS)
@@ -196,6 +200,10 @@ OTHER_RECIPES = [
     {"type": "harvey_shack", "rms_nm": 2.0},
     {"type": "particulate", "level": 300},
     {"type": "thinfilm", "R": 0.5, "T": 0.25},
+    {"type": "point_source", "z": -9.0, "intensity": 2.0},
+    {"type": "point_source", "z": -9.0, "profile": "0:1, 20:0.9, 25:0"},
+    {"type": "surface_source", "z": -9.0, "radius": 2.0, "inner_radius": 0.5, "half_angle_deg": 20.0},
+    {"type": "distant_disc", "radiance": 2.0},
 ]
 
 
@@ -209,7 +217,7 @@ def test_table_knows_what_is_differentiable(recipe: dict[str, Any], files: None)
     marked = {name for row in rows if row.differentiable for name in row.names}
     named = {name for row in rows for name in row.names}
     made = mi.load_dict(recipe, optimize=False)
-    if not isinstance(made, (mi.BSDF, mi.Shape)):
+    if not isinstance(made, (mi.BSDF, mi.Shape, mi.Emitter)):
         assert not marked
         return
     offered = mi.traverse(made)

@@ -124,8 +124,8 @@ layers = "1.38 60"
 thickness_nm = [20, 180]
 """
 RUNS = {
-    "pst": (("pst", "plate", "--rays", "1000", "--paths", "0"), "output", "pst_state.npz"),
-    "optimize": (("optimize", "plate", "study.toml", "--steps", "1"), "optimization", "checkpoint.json"),
+    "pst": (("pst", "plate", "--rays", "1000", "--paths", "0"), "pst_state.npz"),
+    "optimize": (("optimize", "plate", "study.toml", "--steps", "1"), "checkpoint.json"),
 }
 
 
@@ -138,13 +138,13 @@ def test_a_run_that_was_saved_is_named(
     """Also where the report is what fails."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "study.toml").write_text(STUDY)
-    words, module, saved = RUNS[command]
+    words, saved = RUNS[command]
 
     def stopped(*_: Any) -> None:
         raise stop
 
     with monkeypatch.context() as patch:
-        patch.setattr(f"mistray.report.{module}.write_report", stopped)
+        patch.setattr("mistray.report.output.write_report", stopped)
         code = main([*words, "--out", "out"])
     said = capsys.readouterr().err
     assert code == (2 if isinstance(stop, MistrayError) else 130)

@@ -55,7 +55,7 @@ def everything(folder: Path) -> dict[str, bytes]:
 def small_report(monkeypatch: pytest.MonkeyPatch) -> GhostReport:
     """A report whose pictures, which take seconds, are not drawn."""
     monkeypatch.setattr(ghosts_output, "draw", lambda *_: {"overview.png": CONTENTS[0]})
-    monkeypatch.setattr(ghosts_output, "html_text", lambda *_: CONTENTS[1].decode())
+    monkeypatch.setattr(ghosts_output, "pages", lambda *_: {"report.html": CONTENTS[1]})
     return GhostReport(lens_scene(), {0.0: trace_at(0.0)}, trace_at(0.0), {})
 
 
@@ -216,7 +216,7 @@ def test_nobody_reads_the_output(command: str, to: str, code: int) -> None:
 def test_an_interrupt_within_another_error(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """As Dr.Jit has it, which makes a RuntimeError of what is raised while it records a loop."""
 
-    def load(source: object) -> None:
+    def load(*given: object) -> None:
         try:
             raise KeyboardInterrupt
         except KeyboardInterrupt as error:

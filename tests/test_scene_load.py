@@ -23,6 +23,7 @@ def test_shipped_scenes_by_name_file_and_folder(path: Path, tmp_path: Path) -> N
     shutil.copytree(path.parent, copy)
     model = scene_xml.read_scene(path)
     found = [find(source) for source in (path.parent.name, path, str(path), copy, copy / "scene.xml")]
+    assert find(getattr(mistray.scenes, path.parent.name)).samefile(path)
     assert found[1:] == [path, path, copy / "scene.xml", copy / "scene.xml"]
     assert found[0].samefile(path)
     scene = mistray.load(copy)

@@ -55,6 +55,7 @@ def test_the_package_is_fast() -> None:
     assert package < OF_MITSUBA * bare
 
 
+@pytest.mark.quick
 def test_the_package_imports_no_tables_and_pictures() -> None:
     assert not imported("-c", "import mistray") & {"scipy", "pandas", "matplotlib", "pyarrow", "colour", "plotly"}
 
@@ -74,6 +75,7 @@ def test_a_program_gets_a_variant_and_the_command_does_not(tmp_path: Path) -> No
         assert done.stdout.split() == [str(eager), "True", "llvm_ad_rgb"]
 
 
+@pytest.mark.quick
 def test_a_table_needs_no_pictures() -> None:
     """Matplotlib is for --out, SciPy for searches and statistics."""
     found = imported("-m", "mistray", "ghosts", "plate", "--rays", "1000")
@@ -89,7 +91,7 @@ def test_every_module_can_be_the_first_that_the_command_imports(tmp_path: Path) 
     run(sys.executable, str(script), "mistray.scene", "mistray.mechanics", "mistray.kernel.lobes")
 
 
-@pytest.mark.parametrize("package", ["analysis", "io", "optimize", "report"])
+@pytest.mark.parametrize("package", ["analysis", "io", "mechanics", "optimize", "report"])
 def test_names_of_a_lazy_package(package: str) -> None:
     """All of `__all__` are there, also where a module of the package has the same name as its function."""
     module = importlib.import_module(f"mistray.{package}")

@@ -8,6 +8,8 @@ if TYPE_CHECKING:
     from mistray.analysis.critical_rays import critical_rays
     from mistray.analysis.estimate import Estimate
     from mistray.analysis.ghosts import FieldSummary, GhostReport, ghosts
+    from mistray.analysis.image_quality.image_quality import image_quality
+    from mistray.analysis.image_quality.result import FieldImage, ImageQuality, LineImage, PointSpread
     from mistray.analysis.irradiance import MapStatistics, log10_image, mirror_asymmetry, statistics
     from mistray.analysis.objects.search import Objects, objects
     from mistray.analysis.objects.sources import DiskSource
@@ -18,6 +20,9 @@ if TYPE_CHECKING:
     from mistray.analysis.ranking import DirectImage
     from mistray.analysis.study.eight_steps import Study, study
     from mistray.analysis.thermal.emission import ThermalReport, thermal
+    from mistray.analysis.transfer.result import FieldTransfer, Transfer
+    from mistray.analysis.transfer.surface import SurfaceTransfer, transfer_of_bsdf, transfer_of_spectrum
+    from mistray.analysis.transfer.transfer import transfer
 
 __all__ = lazy_package(
     __name__,
@@ -25,6 +30,8 @@ __all__ = lazy_package(
         "critical_rays": ("critical_rays",),
         "estimate": ("Estimate",),
         "ghosts": ("FieldSummary", "GhostReport", "ghosts"),
+        "image_quality.image_quality": ("image_quality",),
+        "image_quality.result": ("FieldImage", "ImageQuality", "LineImage", "PointSpread"),
         "irradiance": ("MapStatistics", "log10_image", "mirror_asymmetry", "statistics"),
         "objects.search": ("Objects", "objects"),
         "objects.sources": ("DiskSource",),
@@ -35,5 +42,8 @@ __all__ = lazy_package(
         "ranking": ("DirectImage",),
         "study.eight_steps": ("Study", "study"),
         "thermal.emission": ("ThermalReport", "thermal"),
+        "transfer.result": ("FieldTransfer", "Transfer"),
+        "transfer.surface": ("SurfaceTransfer", "transfer_of_bsdf", "transfer_of_spectrum"),
+        "transfer.transfer": ("transfer",),
     },
 )

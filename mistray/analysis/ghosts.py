@@ -41,7 +41,7 @@ from mistray.trace import Settings, Trace
 
 MAPPED_PATHS = 4  # stray paths of each field that get a map of their own
 CELLS, CELLS_OF_ALL = 96, 256  # along the longer side of the map of a path in a report, and of that of all light
-RAYS_KEPT = 21  # of a path, to choose those from that are drawn
+RAYS_KEPT = 63  # of a path, to choose those from that are drawn
 
 Polyline = npt.NDArray[np.float64]
 
@@ -360,17 +360,17 @@ class GhostReport(Mapping[float, Trace]):
         t, table = self[field_deg], self.table(field_deg)
         width, height = pixel_size(t.irradiance, t.extent)
         members = dict(zip(table.path_id, table.path_ids, strict=True))
-        direct = set(table.path_id[table.kind == DIRECT])
+        direct_ids = set(table.path_id[table.kind == DIRECT])
         worst = set(self.listed(field_deg, MAPPED_PATHS).path_id)
-        images = [groups_of(t.irradiance.size) if path_id in direct | worst else 1 for path_id in path_ids]
+        images = [groups_of(t.irradiance.size) if path_id in direct_ids | worst else 1 for path_id in path_ids]
         room = MAP_BYTES / (BYTES_PER_PIXEL * t.irradiance.size) - groups_of(t.irradiance.size) - 1
         chosen = list(path_ids)[: np.searchsorted(np.cumsum(images), room, side="right")]
         others = [path_id for path_id in members if path_id not in set(chosen)]
         # What is left, direct and stray apart, then path by path
-        groups = [[path_id for path_id in others if (path_id in direct) == wanted] for wanted in (True, False)]
+        groups = [[path_id for path_id in others if (path_id in direct_ids) == wanted] for wanted in (True, False)]
         groups += [[path_id] for path_id in chosen]
         ways = [[i for path_id in group for i in members[path_id]] for group in groups]
-        is_direct = [number == 0 or bool(set(group) & direct) for number, group in enumerate(groups)]
+        is_direct = [number == 0 or bool(set(group) & direct_ids) for number, group in enumerate(groups)]
         noisy = [known or bool(set(group) & worst) for known, group in zip(is_direct, groups, strict=True)]
         direct_light, stray, rest = t.light.scaled(0.0), np.zeros_like(t.irradiance), np.zeros_like(t.irradiance)
         paths, full = {}, {}
@@ -388,9 +388,11 @@ class GhostReport(Mapping[float, Trace]):
                 full[path_id] = found.value, found.se
         if worst <= set(full):
             self._maps.setdefault(field_deg, ImagesOfField(direct_light, without(t.light, direct_light, stray), full))
-        light, stray, rest = (image * (width * height) for image in (t.irradiance, stray, rest))
-        whole = (PathMap.of(image, CELLS_OF_ALL) for image in (light, stray))
-        return FieldMaps(next(whole), next(whole), paths, PathMap.of(rest, CELLS))
+        direct, all_stray, left = (
+            PathMap.of(image * (width * height), cells)
+            for image, cells in ((direct_light.value, CELLS_OF_ALL), (stray, CELLS_OF_ALL), (rest, CELLS))
+        )
+        return FieldMaps(direct, all_stray, paths, left)
 
     def rays_of_paths(self, field_deg: float, path_ids: Sequence[int]) -> dict[int, list[Polyline]]:
         """

@@ -83,6 +83,42 @@ def pixel_size(irradiance: Map, extent: Extent) -> tuple[float, float]:
     return (x1 - x0) / width, (y1 - y0) / height
 
 
+def pixels_averaged(image: Map, cells: int) -> int:
+    """Pixels along the side of a square, so that no more than so many squares lie along either side of a map."""
+    return max(-(-max(image.shape) // cells), 1)
+
+
+def averaged(image: Map, extent: Extent, cells: int) -> tuple[Map, Extent]:
+    """
+    A map of fewer pixels: means over squares of `pixels_averaged` pixels.
+
+    Parameters
+    ----------
+    image : (H, W) float
+        W/mm².
+    extent : (float, float, float, float)
+        x0, x1, y0, y1 in mm.
+    cells : int
+        Most squares along either side, at least 1.
+
+    Returns
+    -------
+    (h, w) float
+        W/mm². Squares that reach beyond the detector have the mean of what lies on it.
+    (float, float, float, float)
+        x0, x1, y0, y1 of the whole squares, mm.
+    """
+    pixels = pixels_averaged(image, cells)
+    rows, columns = image.shape
+    starts = np.arange(0, rows, pixels), np.arange(0, columns, pixels)
+    sums = np.add.reduceat(np.add.reduceat(image, starts[0], axis=0), starts[1], axis=1)
+    counts = np.outer(*(np.diff([*start, end]) for start, end in zip(starts, image.shape, strict=True)))
+    width, height = pixel_size(image, extent)
+    right, top = (low + len(start) * pixels * size
+                  for low, start, size in ((extent[0], starts[1], width), (extent[2], starts[0], height)))  # fmt: skip
+    return sums / counts, (extent[0], float(right), extent[2], float(top))
+
+
 def log10_image(irradiance: Map, floor: float) -> npt.NDArray[np.float64]:
     """
     Decimal logarithm of a map.

@@ -80,15 +80,15 @@ class FieldMaps:
 
     Attributes
     ----------
-    light, stray : PathMap
-        Of all light, and without the direct image.
+    direct, stray : PathMap
+        Of the direct image, and of all other light.
     paths : dict
         Of single paths, by ``path_id``.
     rest : PathMap
         Of all paths together that are not among these.
     """
 
-    light: PathMap
+    direct: PathMap
     stray: PathMap
     paths: dict[int, PathMap]
     rest: PathMap

@@ -14,3 +14,7 @@ __all__ = [
     "limit_bytes",
     "open_cache",
 ]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

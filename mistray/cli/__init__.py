@@ -32,3 +32,7 @@ def _run(argv: Sequence[str] | None) -> int:
             ignore()
             print("mistray: interrupted, nothing was written", file=sys.stderr)
             return INTERRUPTED
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

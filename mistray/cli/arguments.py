@@ -110,6 +110,14 @@ class Joined(argparse.Action):
         setattr(namespace, self.dest, list(chain(*values)))
 
 
+class OrAlone(argparse.Action):
+    """The values of an option that may stand alone, which then is one empty text."""
+
+    def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
+        """Keep them."""
+        setattr(namespace, self.dest, values or [""])
+
+
 def as_text(name: str) -> str:
     """A name as text: bytes that are none in the locale's encoding as UTF-8, or else as question marks."""
     return name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
@@ -117,7 +125,7 @@ def as_text(name: str) -> str:
 
 def pairs(wrong: str, kind: Callable[[str], Any] = str) -> Callable[[str], tuple[str, Any]]:
     """
-    The type of an argument NAME=VALUE.
+    The type of an argument NAME=VALUE, such as PATTERN=COATING; the first = ends the name.
 
     Parameters
     ----------
@@ -128,9 +136,9 @@ def pairs(wrong: str, kind: Callable[[str], Any] = str) -> Callable[[str], tuple
     """
 
     def pair(text: str) -> tuple[str, Any]:
-        name, sign, value = text.rpartition("=")
-        if not sign or not name:
+        name, sign, value = text.partition("=")
+        if not (sign and name.strip() and value.strip()):
             raise argparse.ArgumentTypeError(f"'{text}' is {wrong}")
-        return name, kind(value)
+        return name.strip(), kind(value.strip())
 
     return pair

@@ -64,7 +64,8 @@ def is_declared(options: argparse.Namespace, name: str) -> bool:
     patterns = list(options.folder_files)
     for kind in getattr(options, "formats", ()):
         tables = [pattern.replace(".csv", ".parquet") for pattern in options.folder_files]
-        patterns += tables if kind == "parquet" else [f"irradiance_*deg.{kind}"]
+        pages = [pattern.replace(".html", ".pdf") for pattern in options.folder_files]
+        patterns += {"parquet": tables, "pdf": pages}.get(kind, [f"irradiance_*deg.{kind}"])
     return any(fnmatch.fnmatch(name, pattern) for pattern in patterns)
 
 
@@ -118,7 +119,7 @@ def input_files(options: argparse.Namespace) -> list[Path]:
     own = {*options.outputs, "outputs", "folder_files", "command_line"}
     given = {name: value for name, value in vars(options).items() if name not in own}
     for name in ("scene", "coating", "into"):
-        if given.get(name) is not None:
+        if isinstance(given.get(name), str):
             try:
                 add(find(given[name]).resolve(), SCENE)
             except MistrayError:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from mistray.cli.arguments import Angles, Help, Joined, Parser
+from mistray.cli.arguments import Angles, Help, Joined, OrAlone, Parser
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,8 @@ class Option:
         how: dict[str, Any] = {"metavar": self.metavar, "nargs": self.nargs, "default": self.default}
         if self.type is bool:
             how = {"action": "store_true"}
+        elif self.nargs == "*" and self.name.startswith("-"):
+            how["action"] = OrAlone
         elif isinstance(self.type, tuple):
             how["choices"] = self.type
         elif isinstance(self.type, Angles):

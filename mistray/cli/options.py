@@ -21,6 +21,7 @@ from mistray.ranges import SECONDS
 if TYPE_CHECKING:
     from mistray.report import IrradianceMap
     from mistray.report.model import Report
+    from mistray.scene import Rules
 
 
 def print_json(record: Mapping[str, Any], files: Sequence[Path] = ()) -> None:
@@ -125,12 +126,30 @@ class Options(argparse.Namespace):
         """The block in which something is done that has no steps to count, see `working`."""
         return working(what, self.quiet)
 
+    def rules(self) -> Rules:
+        """What --coating, --paint and --scatter say."""
+        from mistray.scene import Rules
+
+        scatter: dict[str, list[str]] = {}
+        for pattern, model in self.has("scatter") or ():
+            scatter.setdefault(pattern, []).append(model)
+        return Rules(dict(self.has("coating") or ()), dict(self.has("paint") or ()), scatter)
+
     def load(self) -> Any:
-        """The scene."""
-        from mistray.scene import load
+        """The scene, coated and painted as it is to be."""
+        from mistray.scene import coat, load
 
         with self.working(f"loading {self.scene}"):
-            return load(self.scene)
+            if rules := self.rules():
+                parts = {"sources": self.has("source"), "sensors": self.sensors()}
+                return coat(self.scene, rules.coatings, paint=rules.paint, scatter=rules.scatter, **parts)
+            return load(self.scene, self.has("source"), self.sensors())
+
+    def sensors(self) -> list[str]:
+        """The texts of --probe, --far-field and --surface-maps."""
+        texts = [f"{kind}:{text}" for kind in ("probe", "far_field") for text in self.has(kind) or ()]
+        walls = self.has("surface_maps")
+        return texts if walls is None else [*texts, f"surface_maps:{' '.join(walls)}"]
 
     def workers(self) -> contextlib.AbstractContextManager[None]:
         """The block in which the workers of --scheduler trace, if it is given."""
@@ -181,7 +200,7 @@ class Options(argparse.Namespace):
             report = make(f"{self.title}{note}", self.command_line)
             files = write_report(report, self.out, scene(self.out) if scene else "")
             facts = {"command": self.command_line}
-            return files + write_formats(self.has("formats") or (), self.out, report.csv, maps or {}, facts)
+            return files + write_formats(self.has("formats") or (), self.out, report.csv, maps or {}, facts, report)
 
     def tell(self, record: Callable[[], Mapping[str, Any]], text: Callable[[], str], files: Sequence[Path]) -> int:
         """Print a result, and the names of single files that were written; returns the exit code."""

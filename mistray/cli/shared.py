@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 
+from mistray.cli.arguments import pairs
 from mistray.cli.command import Group, Option
 from mistray.ranges import RAYS, SECONDS, THREADS, WAVELENGTH_NM, WEIGHT, Range, Words, demand_of, doc_of, number_text
 from mistray.settings import BY_BRANCH, NO_LIMIT, NOTHING_CUT, Settings
 
 ELSE = "(default: as the scene says, else what stands in brackets)"
-TABLE_FORMATS = ("parquet",)
+TABLE_FORMATS = ("parquet", "pdf")  # tables, and the report that has them
 MAP_FORMATS = ("exr", "fits", "npy")
 NAMES = tuple(setting.name for setting in fields(Settings))
 
@@ -46,6 +47,17 @@ SPECTRUM = (
     Option("--wavelength-nm", "wavelengths, nm", WAVELENGTH_NM, "NM", "+"),
     Option("--weights", "shares of the flux, one for each of --wavelength-nm (equal)", WEIGHT, "W", "+"),
 )
+SOURCE = Option("--source", "light instead of the scene's, KIND:x,y,z,name=value,…: point:0,0,-500, sun:field_deg=30; "
+                "KIND: beam, point, surface, laser, sun, sky or a plugin (docs/sources.md)", None, "SOURCE", "+")
+MAPS = Option("--surface-maps", "record the light on walls by place: patterns of surfaces or parts, and name=value "
+              "with azimuths, lengths, id; alone: all walls (docs/surface_maps.md)", None, "WALLS", "*")
+SENSORS = (
+    Option("--probe", "record the light that crosses a rectangle, x,y,z,name=value,… with half_width, half_height, "
+           "normal, pixels, directions, id (docs/detectors.md)", None, "PROBE", "+"),
+    Option("--far-field", "record the light that leaves the scene by direction, name=value,… with edges_deg, azimuths, "
+           "axis, id", None, "FIELD", "+"),
+    MAPS,
+)
 TIME = Option("--seconds", "end this time after the start of the command, with what is found so far", SECONDS, "S")
 MACHINE = (
     Option("--variant", "Mitsuba variant; cuda_ad_rgb traces on an NVIDIA GPU (llvm_ad_rgb)", metavar="NAME"),
@@ -54,6 +66,17 @@ MACHINE = (
 SCHEDULER = Option("--scheduler", "trace by the workers of a dask cluster, tcp://host:port (this process)",
                    metavar="ADDRESS")
 SCATTER = Group(f"scatter {ELSE}", tuple(map(setting, NAMES[NAMES.index("max_scatters") :])))
+SURFACES = Group("surfaces, by PATTERN: the name of a surface or of a part, or with *, ?", (
+    Option("--coating", "'L?_*=bbar3', 'L1_front=MgF2 99.64': a preset, layers, table.csv, R=0.01 T=0.99, bare, or one "
+           "of the scene (docs/coatings.md)",
+           pairs("no coating; write PATTERN=COATING, such as 'lens_*=bbar3'"), "PATTERN=COATING", "+", extends=True),
+    Option("--paint", "'barrel*=flat_black', 'wall=0.05' (Lambertian), 'ring=R=0.1'; black absorbs everything",
+           pairs("no paint; write PATTERN=PAINT, such as 'vane*=flat_black'"), "PATTERN=PAINT", "+", extends=True),
+    Option("--scatter", "'L*=harvey_shack rms_nm=4', 'window=particulate level=300': a model with its numbers, beside "
+           "those of other kinds; none takes all off (docs/scatter.md)",
+           pairs("no scatter model; write PATTERN=MODEL, such as 'L*=harvey_shack rms_nm=4'"), "PATTERN=MODEL", "+",
+           extends=True),
+))
 DETECTOR = Option("--detector", "shape with the sensor, where the scene has several", metavar="ID")
 FORCE = Option("--force", "replace existing files; never one that is read", bool)
 # fmt: on
@@ -77,7 +100,8 @@ def output(
     formats : sequence of str
         Further formats of the files, from `TABLE_FORMATS` and `MAP_FORMATS`; none: there is no --formats.
     """
-    what = "tables as Parquet too" + ("; irradiance with its error as EXR, FITS, NPY" if len(formats) > 1 else "")
+    maps = "; irradiance with its error as EXR, FITS, NPY" if len(formats) > len(TABLE_FORMATS) else ""
+    what = f"tables as Parquet too; the report as PDF{maps}"
     kinds = Option("--formats", f"{what} (needs --out)", tuple(formats), nargs="+", default=[])
     options = (
         Option("--out", f"write {files} there", Path, "DIR", writes=tuple(names)),

@@ -3,3 +3,7 @@
 from mistray.cluster.client import distribute
 
 __all__ = ["distribute"]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -15,8 +15,7 @@ import numpy as np
 
 from mistray.cluster.scene_numbers import put_numbers, read_numbers
 from mistray.errors import MistrayError
-from mistray.scene import load
-from mistray.scene.source import PackedScene, source_of
+from mistray.scene.source import source_of
 from mistray.trace.forward import versions
 
 SCENE, FRAME = "scene", "frame"
@@ -143,5 +142,5 @@ class Unpacked:
             given = _Unpickler(io.BytesIO(source), {}).load()
             while len(self._scenes) >= SCENES_KEPT:
                 del self._scenes[next(iter(self._scenes))]
-            self._scenes[key] = given.load() if isinstance(given, PackedScene) else load(given)
+            self._scenes[key] = given.load()
         return self._scenes[key]

@@ -45,3 +45,7 @@ __all__ = [
     "spectrum",
     "write_table",
 ]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -193,6 +193,12 @@ def parse_layers(
     return tuple(layers)
 
 
+def moved_layers(text: str, seen: Callable[[str], str]) -> str:
+    """The text of layers with the paths of files of materials as `seen` gives them."""
+    parts = [part.strip().rpartition(" ") for part in re.split(r"[,\n]", text)]
+    return ", ".join(f"{resolved(material.strip(), seen)} {size}" for material, _, size in parts)
+
+
 def waves(material: str, optical_thickness: float, design_nm: float, where: str = "layer") -> Layer:
     """
     Layer of a given optical thickness: d = w λ/n with the real part n at the design wavelength.

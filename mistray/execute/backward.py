@@ -5,8 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -16,7 +15,7 @@ from mistray.errors import MistrayError
 from mistray.execute.backward_parts import Ahead, BackwardTask
 from mistray.execute.fingerprint import fingerprint, kernel_arrays
 from mistray.execute.workers import current_workers
-from mistray.kernel.kernel_scene import BranchProbabilities, KernelScene
+from mistray.kernel.kernel_scene import BranchProbabilities, KernelScene, Opposite
 from mistray.kernel.launches import launches_of
 from mistray.kernel.ray_tree import trace_tree
 from mistray.kernel.scatter_tables import ScatterTables
@@ -27,32 +26,26 @@ from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.film import Film
 from mistray.recorders.path_sums import PathSums, join_sums
 from mistray.recorders.recorder import Recorder, Recorders
-from mistray.recorders.sampled import batch_error
 from mistray.recorders.start_rays import StartRays
-from mistray.recorders.tallies import (
-    ABSORBED_HERE,
-    CHANNEL_COUNT,
-    CUTS,
-    ESCAPED,
-    HITS,
-    INCIDENT,
-    SEGMENTS,
-    SURFACE_SUMS,
-    Tallies,
-)
-from mistray.recorders.way_table import WayTable
+from mistray.recorders.start_samples import DepartureSamples, Samples
+from mistray.recorders.tallies import CHANNEL_COUNT, CUTS, SEGMENTS, SURFACE_SUMS, Tallies
 from mistray.sampling.backward_targets import backward_targets
 from mistray.sampling.detector_start import DetectorStart
+from mistray.sampling.importance_targets import importance_targets
+from mistray.sampling.sharing.balance import Balance, Sharing
+from mistray.sampling.sharing.cell_starts import cell_starts, whole_batches
+from mistray.sampling.sharing.light_vertices import LightVertexRecorder, LightVertices
 from mistray.sampling.sources import spectrum_of
 from mistray.settings import BATCHES, NO_LIMIT, Settings
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.thin_gaps import thin_gaps
 from mistray.surfaces.upload import upload
-from mistray.time_budget import is_limited, time_is_up
 
 FIRST_PASS, PASS_LANES = 1 << 14, 1 << 18  # rays of the first pass, and of the fifth and all that follow
 PATH_SLOTS, ENTRY_SLOTS = 1 << 17, 1 << 20
+VERTICES_OF_RAY, VERTEX_SEED = 1.0, 2  # points of light for one ray of a pass
+ROOM = 1.3  # for points of light, over those of the pass before
 FIRST_SEARCH = 1 << 24  # number of a pass, beyond those of any run
 # Of a ray that meets all optics about so many hits scatter, and so many reflections are followed; but a surface that
 # sees the sky scatters with so many times the share of its rays that get there
@@ -67,6 +60,22 @@ class Band:
     scattering: Scattering
     start: DetectorStart
     share: float
+
+
+@dataclass(frozen=True)
+class Rival:
+    """
+    The trace with the light that shares the paths of one wavelength.
+
+    Attributes
+    ----------
+    scattering : Scattering
+        Of rays with the light.
+    balance : Balance
+    """
+
+    scattering: Scattering
+    balance: Balance
 
 
 class BackwardTrace:
@@ -94,8 +103,8 @@ class BackwardTrace:
         Keep a table of the paths.
     both_sides : bool
         Light that meets the detector from behind counts as well, as in a forward trace.
-    left_out : tuple of (p,) uint64 and (p,) int, optional
-        Keys of ways, in the order of the rays, and cells that are counted elsewhere and not here.
+    sharing : Sharing, optional
+        How rays with the light share the paths; None: all are counted here.
 
     Attributes
     ----------
@@ -129,7 +138,7 @@ class BackwardTrace:
         map_pixels: int = 0,
         paths: bool = False,
         both_sides: bool = True,
-        left_out: tuple[np.ndarray, np.ndarray] | None = None,
+        sharing: Sharing | None = None,
     ) -> None:
         if settings.stokes:
             raise MistrayError("polarization is 'stokes'; backward rays know unpolarised light only")
@@ -141,10 +150,9 @@ class BackwardTrace:
         self.grid, self.settings = grid, settings
         self._scene = scene
         self._elsewhere: Ahead | None = None
-        self._arguments = (grid, settings, wavelength_nm, weights, detector, map_pixels, paths, both_sides, left_out)
-        self._left_out: WayTable | None = None
-        if left_out is not None:
-            self.leave_out(*left_out)
+        self._arguments = (grid, settings, wavelength_nm, weights, detector, map_pixels, paths, both_sides, sharing)
+        self.rivals: list[Rival] = []
+        self.points_of_ray = 2.0  # points of light for a start ray with the light
         self._paths_elsewhere: dict[str, np.ndarray] = {}
         wavelengths, shares = spectrum_of(scene, wavelength_nm, weights)
         self.wavelength_nm, self.weights = tuple(map(float, wavelengths)), tuple(map(float, shares))
@@ -159,6 +167,9 @@ class BackwardTrace:
             chance[surface] = np.clip(VIEWS_OF_SKY * share, min(1.0, SCATTERS_OF_RAY / optics), 1.0)
         ghosts = dr.opaque(mi.Float, min(1.0, REFLECTIONS_OF_RAY / optics))
         self._probabilities = BranchProbabilities(upload(mi.Float, chance), ghosts)
+        chance = np.ones(first.count)
+        chance[list(found.views)] = min(1.0, SCATTERS_OF_RAY / optics)
+        self._with_light = BranchProbabilities(upload(mi.Float, chance), ghosts)
         self.bands = []
         for wavelength, share in zip(self.wavelength_nm, self.weights, strict=True):
             table = first if wavelength == first.wavelength_nm else first.at(wavelength)
@@ -173,19 +184,30 @@ class BackwardTrace:
             if map_pixels
             else (0, 0)
         )
-        cells = int(np.prod(grid.shape))
-        self._path_sums = PathSums(PATH_SLOTS, ENTRY_SLOTS, settings.max_events, cells) if paths else None
+        self._path_sums = self.new_paths() if paths else None
         corner_x, corner_y, per_mm_x, per_mm_y = (dr.opaque(mi.Float, v) for v in (0.0, 0.0, 1.0, 1.0))
         self.film = Film(1, 1, corner_x, corner_y, per_mm_x, per_mm_y, groups=1)
         self.passes = 0
         self.pass_rays: list[int] | None = []
         self.seconds = 0.0
         self.sums: dict[str, np.ndarray] = {}
+        if sharing is not None:
+            self.share_paths(sharing)
 
-    def leave_out(self, keys: np.ndarray, cells: np.ndarray) -> None:
-        """Do not count ways in cells from now on, see `left_out`."""
-        self._arguments = (*self._arguments[:-1], (keys, cells))
-        self._left_out = WayTable(keys, cells) if len(keys) else None
+    def share_paths(self, sharing: Sharing) -> None:
+        """Share the paths with rays that follow the light from now on, see `mistray.sampling.sharing.balance`."""
+        self._arguments = (*self._arguments[:-1], sharing)
+        if self.rivals:
+            self.rivals = [replace(one, balance=one.balance.at(sharing)) for one in self.rivals]
+            return
+        targets = importance_targets(self.table, self._scene, self.settings)
+        self.rivals = [
+            Rival(
+                Scattering(ScatterTables(band.table, targets)),
+                Balance(sharing, self.grid, band.start, band.table.centre),
+            )
+            for band in self.bands
+        ]
 
     @property
     def notes(self) -> list[str]:
@@ -238,10 +260,11 @@ class BackwardTrace:
     def band_sums(self, number: int, done: int, rays: int) -> dict[str, np.ndarray]:
         """What a pass of so many rays, after so many passes, adds to `sums` at one wavelength."""
         one = self.bands[number]
-        sky = self.make_directions(maps=True)
+        vertices = self._light_vertices(number, (0, done), rays)
+        sky = self.make_directions(maps=True, band=number, vertices=vertices)
         tallies = Tallies(one.table.count, len(one.table.optics.media))
         start = self.start_pass(number, done, rays)
-        self.trace_trees(one, start, tallies, sky)
+        self._trace_shared(number, start, vertices, tallies, sky)
         # Sums by surface are in the order of the first wavelength's media
         return sky.read() | {
             "surfaces": np.array(tallies.surfaces).reshape(-1, SURFACE_SUMS, BATCHES)[: one.table.count],
@@ -250,44 +273,95 @@ class BackwardTrace:
             "rays": np.full(BATCHES, rays * one.share / BATCHES),
         }
 
-    def find(self, rays: int, number: int) -> tuple[dict[str, np.ndarray], float]:
+    def samples(self, rays: int, number: int) -> list[Samples]:
         """
-        List the ways by which light reaches the detector, from rays that are in no sums.
+        Light that arrives, from rays that are in no sums, by wavelength.
 
         Parameters
         ----------
         rays : int
         number : int
             Of this search: another number is another sample.
-
-        Returns
-        -------
-        paths_found : dict
-            See `PathSums.read`.
-        segments : float
-            Ray segments that were traced.
         """
-        paths_found = PathSums(PATH_SLOTS, ENTRY_SLOTS, self.settings.max_events, int(np.prod(self.grid.shape)))
-        sky = DirectionRecorder(self.grid, 0, paths_found, self.has_optics)
-        segments = 0.0
-        for band, one in enumerate(self.bands):
-            tallies = Tallies(one.table.count, len(one.table.optics.media))
-            start = self.start_pass(band, FIRST_SEARCH + number, rays)
-            self.trace_trees(one, start, tallies, sky)
-            segments += float(np.array(tallies.channels).reshape(CHANNEL_COUNT, BATCHES)[SEGMENTS].sum())
-        return paths_found.read(), segments
+        found = []
+        for band in range(len(self.bands)):
+            vertices = self._light_vertices(band, (1, number), rays)
+            recorder = DepartureSamples(self.grid, self.has_optics, self._balance(band, vertices))
+            self._trace_shared(band, self.start_pass(band, FIRST_SEARCH + number, rays), vertices, recorder)
+            found.append(recorder.read())
+        return found
+
+    def _trace_shared(
+        self, number: int, start: StartRays, vertices: LightVertices | None, *recorders: Recorder
+    ) -> None:
+        """Trace the trees of some start rays of a wavelength, whose paths are shared if any are."""
+        band = self.bands[number]
+        scene = self.scene(band)
+        if self.rivals:
+            opposite = Opposite(self.rivals[number].scattering, self._with_light, self.connects)
+            scene = replace(scene, opposite=opposite, connections=vertices)
+        self._launch(scene, start, recorders)
+
+    @property
+    def connects(self) -> bool:
+        """Whether rays are connected to points of light, see `mistray.sampling.sharing.light_vertices`."""
+        return bool(self.rivals) and self.rivals[0].balance.sharing.connects
+
+    @property
+    def may_connect(self) -> bool:
+        """Whether they can be: at surfaces, where light is scattered twice, and rays with it are not left to chance."""
+        settings, optics = self.settings, self.table.optics
+        surfaces = any(one.scattering.any for one in self.bands) and not optics.scatters
+        return surfaces and settings.max_scatters > 1 and settings.splitting == "split" and not optics.one_child
+
+    def _balance(self, number: int, vertices: LightVertices | None) -> Balance:
+        balance = self.rivals[number].balance
+        return balance if vertices is None else balance.beside(vertices)
+
+    def _light_vertices(self, number: int, stream: tuple[int, int], rays: int) -> LightVertices | None:
+        """Points of light for a pass of so many rays, if rays are connected to any."""
+        if not self.connects:
+            return None
+        rival, one = self.rivals[number], self.bands[number]
+        linked = rival.balance.sharing.linked
+        lanes = whole_batches(np.ceil(VERTICES_OF_RAY * rays * one.share * linked))
+        seed = (self.settings.seed, VERTEX_SEED, *stream, number)
+        start = cell_starts(rival.balance, seed, lanes, (lanes > 0).astype(float))
+        scene = KernelScene(one.table, rival.scattering, self.intersector, self._with_light)
+        settings = replace(self.settings, max_scatters=0)
+
+        def traced(room: int) -> LightVertexRecorder:
+            recorder = LightVertexRecorder(room)
+            launches = launches_of(one.table, settings, recorder.code)
+            launches.whole(start, lambda part: trace_tree(scene, part, settings, [recorder]))
+            return recorder
+
+        recorder = traced(round(ROOM * max(self.points_of_ray, 1.0) * lanes.sum()))
+        if recorder.count > recorder.room:
+            recorder = traced(recorder.count)
+        self.points_of_ray = recorder.count / float(lanes.sum())
+        return LightVertices(*recorder.read(), linked, lanes, rival.balance.extent)
+
+    def rival_scene(self, number: int) -> KernelScene:
+        """What rays with the light that share the paths of a wavelength trace."""
+        band, scattering = self.bands[number], self.rivals[number].scattering
+        opposite = Opposite(band.scattering, self._probabilities, self.connects)
+        return KernelScene(band.table, scattering, self.intersector, self._with_light, opposite=opposite)
 
     def scene(self, band: Band) -> KernelScene:
         """What the kernel traces at a wavelength."""
-        return KernelScene(band.table, band.scattering, self.intersector, self._probabilities)
+        return KernelScene(band.table, band.scattering, self.intersector, self._probabilities, backward=True)
 
     def trace_trees(self, band: Band, start: StartRays, *recorders: Recorder) -> None:
         """Trace the trees of some start rays of a wavelength."""
+        self._launch(self.scene(band), start, recorders)
 
+    def _launch(self, scene: KernelScene, start: StartRays, recorders: Sequence[Recorder]) -> None:
         def trace(part: StartRays) -> None:
-            trace_tree(self.scene(band), part, self.settings, recorders)
+            trace_tree(scene, part, self.settings, recorders)
 
-        launches_of(band.table, self.settings, Recorders(recorders).code).whole(start, trace)
+        shared = None if scene.opposite is None else scene.opposite.connects
+        launches_of(scene.table, self.settings, Recorders(recorders).code, shared).whole(start, trace)
 
     def adjoint(self, derivative: np.ndarray) -> Adjoint:
         """The gain of a metric, see `DirectionRecorder`."""
@@ -296,7 +370,11 @@ class BackwardTrace:
     def forget_paths(self) -> None:
         """Empty the table of the paths."""
         if self._path_sums is not None:
-            self._path_sums = PathSums(PATH_SLOTS, ENTRY_SLOTS, self.settings.max_events, int(np.prod(self.grid.shape)))
+            self._path_sums = self.new_paths()
+
+    def new_paths(self) -> PathSums:
+        """An empty table of paths by cell."""
+        return PathSums(PATH_SLOTS, ENTRY_SLOTS, self.settings.max_events, int(np.prod(self.grid.shape)))
 
     @contextlib.contextmanager
     def shared(self, rays: int) -> Iterator[None]:
@@ -312,12 +390,19 @@ class BackwardTrace:
             finally:
                 self._elsewhere = None
 
-    def make_directions(self, derivative: np.ndarray | None = None, maps: bool = False) -> DirectionRecorder:
+    def make_directions(
+        self,
+        derivative: np.ndarray | None = None,
+        maps: bool = False,
+        band: int = 0,
+        vertices: LightVertices | None = None,
+    ) -> DirectionRecorder:
         """Sums at zero for one pass, or with a derivative what tells the gain of a metric, see `DirectionRecorder`."""
         pixels = self.map_size[0] * self.map_size[1] if maps else 0
         if derivative is not None:  # the gradient is that of the backward rays alone, which have the same mean
             return DirectionRecorder(self.grid, pixels, None, self.has_optics, derivative)
-        return DirectionRecorder(self.grid, pixels, self._path_sums, self.has_optics, left_out=self._left_out)
+        weighing = self._balance(band, vertices) if self.rivals else None
+        return DirectionRecorder(self.grid, pixels, self._path_sums, self.has_optics, weighing=weighing)
 
     def start_pass(self, number: int, done: int, rays: int) -> StartRays:
         """The start rays of a wavelength in a pass of so many rays, after so many passes."""
@@ -372,6 +457,11 @@ class BackwardTrace:
         return join_sums(self._paths_elsewhere, here) if self._paths_elsewhere else here
 
     @property
+    def unit(self) -> np.ndarray:
+        """(n, m) PST_normal of a mean weight of 1 of the start rays."""
+        return np.asarray(np.repeat(np.pi / self.grid.solid_angle[:, None], self.grid.shape[1], axis=1))
+
+    @property
     def rays(self) -> np.ndarray:
         """(BATCHES,) rays that have been started, by batch."""
         return np.asarray(self.sums.get("rays", np.zeros(BATCHES)))
@@ -385,155 +475,3 @@ class BackwardTrace:
     def lost(self) -> np.ndarray:
         """(BATCHES,) weight that limits and thresholds cut, and what random choices have taken or added so far."""
         return np.asarray(self.sums["channels"][list(CUTS.values())].sum(axis=0))
-
-
-@dataclass(frozen=True, kw_only=True)
-class SeenSurface:
-    """
-    What the detector sees of a surface.
-
-    Attributes
-    ----------
-    id, part : str
-    space : int
-        Optical space.
-    hits : int
-    share, share_se : float
-        Mean weight that meets the surface, of Lambertian rays from the detector. If the surface alone had the
-        radiance L, towards all sides, the irradiance on the detector would be π L · share (but for light that is
-        scattered at the surface itself).
-    emission, emission_se : float
-        The same times what the surface absorbs at each angle, 1 - R - T - scatter, which by Kirchhoff's law is its
-        emissivity: a surface with the blackbody radiance L gives the irradiance π L · emission.
-    emission_by_batch : (BATCHES,) float64
-        Its estimates from single batches of rays.
-    """
-
-    id: str
-    part: str
-    space: int
-    hits: int
-    share: float
-    share_se: float
-    emission: float
-    emission_se: float
-    emission_by_batch: np.ndarray
-
-
-@dataclass(frozen=True, kw_only=True)
-class Seen:
-    """
-    What a detector sees, in a backward trace.
-
-    All shares are of Lambertian rays from the side of the detector that the light of the design comes to, times n² of
-    the medium there; emission, escaped and lost add up to n².
-
-    Attributes
-    ----------
-    rows : list of SeenSurface
-        All surfaces, in the order of the scene; the detector itself where it sees itself.
-    media : dict
-        Material → (emission, standard error, by batch) of absorbing media.
-    escaped : tuple
-        Share of the rays that leave the scene, standard error, by batch.
-    lost : tuple
-        Share that limits and thresholds cut, standard error, by batch.
-    detector : str
-    detector_area_mm2 : float
-    wavelength_nm : float
-    rays : int
-    seconds : float
-    """
-
-    rows: list[SeenSurface]
-    media: dict[str, tuple[float, float, np.ndarray]]
-    escaped: tuple[float, float, np.ndarray]
-    lost: tuple[float, float, np.ndarray]
-    detector: str
-    detector_area_mm2: float
-    wavelength_nm: float
-    rays: int
-    seconds: float
-
-
-def see(
-    scene: mi.Scene,
-    rays: int = 200_000,
-    wavelength_nm: float | None = None,
-    detector: str | None = None,
-    **settings: Any,
-) -> Seen:
-    """
-    Trace backwards and tell what the detector sees: surfaces, media, the sky.
-
-    A time budget around it (`mistray.time_budget`) ends it with the rays that it has, but not before the first pass.
-
-    Parameters
-    ----------
-    scene : mi.Scene
-    rays : int
-    wavelength_nm : float, optional
-        By default the first of the scene's source.
-    detector : str, optional
-    **settings
-        Fields of `mistray.trace.Settings`; ``max_reflections=0, max_scatters=0`` or
-        ``ray_control="transmit_specular"`` for what is seen directly.
-
-    Raises
-    ------
-    MistrayError
-        For bad settings, or a detector that cannot be found.
-    """
-    chosen = Settings.of(scene, rays=rays, **settings)
-    wavelength = float(spectrum_of(scene, wavelength_nm, None)[0][0])
-    whole = DirectionGrid.of([45.0], cell_deg=90.0)
-    trace = BackwardTrace(scene, whole, chosen, wavelength, detector=detector, both_sides=False)
-    done = 0
-    while done < chosen.rays and not (done and time_is_up()):
-        here = min(trace.next_pass if is_limited() else PASS_LANES, chosen.rays - done)
-        trace.advance(here)
-        done += here
-    started = trace.rays
-
-    def estimate(by_batch: np.ndarray) -> tuple[float, float, np.ndarray]:
-        return (
-            float(by_batch.sum() / started.sum()),
-            float(batch_error(by_batch, started) / started.sum()),
-            by_batch / started,
-        )
-
-    rows = []
-    for i in trace.table.listed:
-        sums = trace.sums["surfaces"][i]
-        share, share_se, _ = estimate(sums[INCIDENT])
-        emission, emission_se, emission_by_batch = estimate(sums[ABSORBED_HERE])
-        table = trace.table
-        rows.append(
-            SeenSurface(
-                id=table.ids[i],
-                part=table.parts[i],
-                space=table.spaces[i],
-                hits=round(float(sums[HITS].sum())),
-                share=share,
-                share_se=share_se,
-                emission=emission,
-                emission_se=emission_se,
-                emission_by_batch=emission_by_batch,
-            )
-        )
-    media = {
-        name: estimate(row)
-        for name, row in zip(trace.table.optics.media[1:], trace.sums["media"][1:], strict=True)
-        if row.any()
-    }
-    return Seen(
-        rows=rows,
-        media=media,
-        escaped=estimate(trace.sums["channels"][ESCAPED]),
-        lost=estimate(trace.lost),
-        detector=trace.table.ids[trace.table.detector],
-        detector_area_mm2=trace.area,
-        wavelength_nm=wavelength,
-        rays=round(float(started.sum())),
-        seconds=trace.seconds,
-    )

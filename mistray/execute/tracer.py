@@ -28,9 +28,11 @@ from mistray.recorders.recorder import Recorder, Recorders
 from mistray.recorders.sampled import Sampled
 from mistray.recorders.start_rays import StartRays, generators
 from mistray.recorders.tallies import CHANNEL_COUNT, STARTED, SURFACE_SUMS, Tallies
+from mistray.sampling.design_path import check_place, first_aperture, footprint
 from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.source import SceneSource, Source
 from mistray.sampling.sources import scene_sources
+from mistray.sampling.strata import MOST_STRATA
 from mistray.settings import BATCHES, Settings
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.surfaces import SurfaceTable
@@ -164,10 +166,20 @@ class Run:
         blocks = mi.UInt32(mi.Float64(index) * (BATCHES / lanes))
         batch = scrambled % BATCHES if self.source.pattern == "grid" else blocks
         dr.eval(lane, batch, rng)
-        closing = np.random.default_rng((self.seed, number)).exponential(size=BATCHES)
-        o, d = self.source.start(lane, batch, self.rays, rng, closing, self.table.centre)
-        dr.eval(o, d, rng)
-        return StartRays(lane, batch, rng, o, d, dr.full(mi.Float, 1, lanes))
+        closing = np.random.default_rng((self.seed, number)).exponential(size=(MOST_STRATA, BATCHES))
+        o, d, w, stokes = self.source.start(lane, batch, self.rays, rng, closing, self.table.centre)
+        dr.eval(o, d, w, stokes, rng)
+        # A weight of 1 stays a constant, and so does the kernel
+        start = StartRays(lane, batch, rng, o, d, dr.full(mi.Float, 1, lanes) if w is None else w, scale=w)
+        if self.settings.stokes and self.source.polarized:
+            start.stokes = self.source.stokes_along(d) if stokes is None else stokes
+            dr.eval(start.stokes)
+        if self.source.shape:
+            start.left = dr.full(mi.UInt32, self.table.ids.index(self.source.shape), lanes)
+            start.normal = mi.Vector3f(d)  # stock shapes: which side the rays leave to
+        if self.source.medium:
+            start.medium = dr.full(mi.UInt32, self.source.medium, lanes)
+        return start
 
     def starts(self) -> Iterator[tuple[Part, StartRays]]:
         """The start rays of all parts."""
@@ -468,8 +480,17 @@ def prepare(
     weights: Sequence[float] | None = None,
     detector: str | Sequence[str] | None = None,
 ) -> list[Run]:
-    """Build one `Run` for each source and wavelength; the rays are shared in proportion to their flux."""
+    """Build one `Run` for each source and wavelength; the rays are shared half by flux, half equally."""
     return runs_of(scene, settings, scene_sources(scene, field_deg, azimuth_deg, wavelength_nm, weights), detector)
+
+
+def _ray_shares(sources: Sequence[SceneSource]) -> list[float]:
+    """Shares of the rays: half by flux, which may say little about what matters of it, half equal for all names."""
+    total = sum(source.power for source in sources)
+    own: dict[str, float] = {}
+    for source in sources:
+        own[source.name] = own.get(source.name, 0.0) + source.power
+    return [0.5 * source.power * (1 / total + 1 / (len(own) * own[source.name])) for source in sources]
 
 
 def runs_of(
@@ -478,18 +499,38 @@ def runs_of(
     sources: Sequence[SceneSource],
     detector: str | Sequence[str] | None = None,
 ) -> list[Run]:
-    """Build one `Run` for each of some sources; the rays are shared in proportion to their flux."""
-    total = sum(source.power for source in sources)
+    """
+    Build one `Run` for each of some sources; the rays are shared half by flux, half equally.
+
+    Raises
+    ------
+    MistrayError
+        If a source is polarised and the settings forget it.
+    """
+    if not settings.stokes and (polarized := [source.name for source in sources if source.polarized]):
+        raise MistrayError(
+            f"source '{polarized[0]}' is polarised, and polarization is '{settings.polarization}', which would forget "
+            "it; leave polarization out, or give 'stokes'"
+        )
+    aims, shares = any(source.aims for source in sources), _ray_shares(sources)
     first = SurfaceTable(scene, sources[0].wavelength_nm, detector, settings.stokes)
     intersector = Intersector(first)
     targets = importance_targets(first, scene, settings)
+    if settings.aim == "none":
+        sources = [source.unaimed() for source in sources]
+    elif aims and (aperture := first_aperture(first, scene)):
+        # Wavelengths of a source go the same way
+        lit = {source.name: footprint(first, source, aperture) for source in sources if source.aims}
+        sources = [source.aimed_at(aperture, lit.get(source.name)) for source in sources]
+    for source in sources if aims else ():
+        check_place(first, source)
     tables = {first.wavelength_nm: (first, Scattering(ScatterTables(first, targets)))}
     runs = []
     for number, source in enumerate(sources):
         if source.wavelength_nm not in tables:
             other = first.at(source.wavelength_nm)
             tables[source.wavelength_nm] = other, Scattering(ScatterTables(other, targets))
-        count = source.count(max(1, round(settings.rays * source.power / total)))
+        count = source.count(max(1, round(settings.rays * shares[number])))
         stream = (settings.seed + 0x9E3779B9 * number) % 2**32
         table, scattering = tables[source.wavelength_nm]
         unit = source.power / count

@@ -141,7 +141,7 @@ def require_format(name: str) -> None:
         Names the package and the extra.
     """
     if name == "fits":
-        _fits()
+        fits_module()
     elif name == "exr":
         _openexr()
 
@@ -154,7 +154,8 @@ def _format(path: Path) -> tuple[Callable[[IrradianceMap], bytes], Callable[[Pat
         raise MistrayError(f"irradiance map '{path}': its name must end in {endings}") from None
 
 
-def _fits() -> Any:
+def fits_module() -> Any:
+    """The module astropy.io.fits; raises `MistrayError` where it is not installed."""
     try:
         from astropy.io import fits
     except ImportError:
@@ -180,7 +181,7 @@ def _facts_text(m: IrradianceMap) -> str:
 
 
 def _write_fits(m: IrradianceMap) -> bytes:
-    fits = _fits()
+    fits = fits_module()
     hdus = [fits.PrimaryHDU(np.asarray(m.irradiance, dtype=np.float64))]
     hdus.append(fits.ImageHDU(np.asarray(m.irradiance_se, dtype=np.float64), name=ERROR_HDU))
     for hdu, meaning in zip(hdus, ("irradiance", "standard error of the irradiance"), strict=True):
@@ -201,7 +202,7 @@ def _write_fits(m: IrradianceMap) -> bytes:
 
 
 def _read_fits(path: Path) -> IrradianceMap:
-    fits = _fits()
+    fits = fits_module()
     with fits.open(io.BytesIO(read_file(path, WHAT)), memmap=False) as hdus:
         if ERROR_HDU not in hdus:
             raise MistrayError(f"irradiance map '{path}': no extension {ERROR_HDU}; give a file that mistray wrote")

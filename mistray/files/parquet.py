@@ -10,14 +10,16 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any
 
 from mistray.errors import MistrayError
 from mistray.files.json_values import plain
 from mistray.files.units import unit_of
+from mistray.read_file import read_file
 from mistray.replace_file import replace_file
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 FACTS = b"mistray"
 
@@ -46,6 +48,7 @@ def write_parquet(table: pd.DataFrame, path: str | Path, facts: Mapping[str, Any
         pyarrow is not installed, or the file cannot be written.
     """
     arrow = _pyarrow()
+    import pandas as pd
     import pyarrow.parquet
 
     made = arrow.Table.from_pandas(table, preserve_index=False)
@@ -57,6 +60,26 @@ def write_parquet(table: pd.DataFrame, path: str | Path, facts: Mapping[str, Any
     sink = arrow.BufferOutputStream()
     pyarrow.parquet.write_table(made.cast(arrow.schema(fields, metadata=known)), sink)
     return replace_file(path, sink.getvalue().to_pybytes(), "table")
+
+
+def read_parquet(path: str | Path, what: str = "table") -> pd.DataFrame:
+    """
+    Read a table from Parquet.
+
+    Raises
+    ------
+    MistrayError
+        pyarrow is not installed, or the file is none.
+    """
+    arrow = _pyarrow()
+    import pyarrow.parquet
+
+    content = read_file(path, what)
+    try:
+        return pyarrow.parquet.read_table(arrow.BufferReader(content)).to_pandas()
+    except Exception as error:  # pyarrow raises all kinds
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise MistrayError(f"{what} '{path}': {reason}; give a Parquet file") from None
 
 
 def unit(column: str) -> str:

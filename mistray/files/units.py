@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 UNITS = (
-    ("W_mm2", "W/mm²"), ("1_sr", "1/sr"), ("percent_of_first_level", "% of first-level scatter"),
+    ("W_mm2_sr", "W/(mm² sr)"), ("W_sr", "W/sr"), ("W_mm2", "W/mm²"), ("1_sr", "1/sr"),
+    ("percent_of_first_level", "% of first-level scatter"),
     ("percent_of_stray", "% of stray light"), ("percent_of_all", "% of all light"), ("per_deg", "decades/°"),
     ("percent", "%"), ("mm2", "mm²"), ("mm", "mm"), ("deg", "°"), ("nm", "nm"), ("W", "W"),
 )  # fmt: skip

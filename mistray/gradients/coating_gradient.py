@@ -28,6 +28,11 @@ if TYPE_CHECKING:
 
 IDEAL_PARAMETERS = ("R", "T")
 
+NO_STOKES = (
+    "gradients need polarization='unpolarized' and sources without stokes, jones or polarization_deg; the Stokes "
+    "vector has no derivative yet"
+)
+
 
 def coating_gradient(
     optics: Optics, sums: np.ndarray, wanted: Callable[[Any, str], bool] = lambda owner, name: True
@@ -56,7 +61,7 @@ def coating_gradient(
         If the run carried polarisation.
     """
     if optics.stokes:
-        raise MistrayError("gradients need polarization='unpolarized'; the Stokes vector has no derivative yet")
+        raise MistrayError(NO_STOKES)
     # Surfaces with the same coating between the same materials share a table, and its derivatives
     shared: dict[tuple[int, int], tuple[int, np.ndarray]] = {}
     for i, bsdf in enumerate(optics.bsdfs):

@@ -11,6 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.gradients.coating_gradient import NO_STOKES
 from mistray.gradients.edges import EdgeEvents
 from mistray.gradients.grazing import SILHOUETTE, jump_distance
 from mistray.gradients.replay import Branches, End, Exit, follow, replay_rays
@@ -202,7 +203,14 @@ class RimEnd:
         self._scale = dr.select(rim >= SILHOUETTE, mi.Float64(scale), 1)  # that of rims is not set
 
     def __call__(
-        self, surfaces: ReplaySurfaces, met: Hit, split: Split, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool
+        self,
+        surfaces: ReplaySurfaces,
+        met: Hit,
+        recorded: mi.Vector3d,
+        split: Split,
+        s: mi.UInt32,
+        batch: mi.UInt32,
+        active: mi.Bool,
     ) -> mi.Float64:
         """The gain to first order: its value is 0."""
         free, jumps = self._joined == NO_SURFACE, self._rim >= SILHOUETTE
@@ -244,7 +252,7 @@ def branches(recorder: BranchRecorder, start: StartRays, rows: np.ndarray) -> Br
 
 def _check(table: SurfaceTable, settings: Settings) -> None:
     if settings.stokes:
-        raise MistrayError("gradients need polarization='unpolarized'; the Stokes vector has no derivative yet")
+        raise MistrayError(NO_STOKES)
     if table.stock_scene is not None:
         raise MistrayError(
             f"shape '{table.ids[len(table.pieces)]}' is none of mistray's own; gradients by anything but coatings need "

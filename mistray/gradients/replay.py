@@ -105,8 +105,8 @@ class Followed:
         return dr.gather(mi.UInt32, self.media, self._index(k), active)
 
 
-# What the metric gains from the last hit of a ray
-End = Callable[[ReplaySurfaces, Hit, Split, mi.UInt32, mi.UInt32, mi.Bool], mi.Float64]
+# What the metric gains from the last hit of a ray, which was recorded at the point that comes third
+End = Callable[[ReplaySurfaces, Hit, mi.Vector3d, Split, mi.UInt32, mi.UInt32, mi.Bool], mi.Float64]
 
 
 @dataclass
@@ -258,7 +258,7 @@ def replay_rays(
             s, what = event_at(last, alive)
             met = surfaces.meet(o, d, t, s, rays.batch, alive)
             split = surfaces.split(met, s, what, rays.batch, alive)
-            gain = meets(surfaces, met, split, s, rays.batch, alive)
+            gain = meets(surfaces, met, rays.point(last, alive), split, s, rays.batch, alive)
             left = thin(met, last, alive)  # is in the recorded flux already: only its derivative counts
             return gain + dr.detach(gain) * (left - dr.detach(left))
 

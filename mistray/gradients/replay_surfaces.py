@@ -235,6 +235,10 @@ class ReplaySurfaces:
             q = q + met.shift
         return self._to_world(q, s, active) + self.vertex(s, active)
 
+    def local_point(self, p: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
+        """A point of the world in the frame of a surface, mm; without derivatives."""
+        return self._to_local(p - self.vertex(s, active), s, active)
+
     def rim_distance(self, met: Hit, rim: mi.UInt32, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Float64:
         """Distance of a hit from a rim of its surface, a place in `RIM_COLUMNS`, along the surface's coordinate, mm."""
         rho = dr.sqrt(dr.maximum(met.q.x * met.q.x + met.q.y * met.q.y, 1e-24))

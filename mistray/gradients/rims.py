@@ -37,6 +37,7 @@ STATE = {
     "aimed_from": "UInt32",
     "off_design": "Bool",
     "run": "UInt32",
+    "scale": "Float",
 }
 
 
@@ -124,8 +125,9 @@ class RimRecorder(Recorder):
                 dr.scatter(values, value, slot, kept)
             for j, component in enumerate(it.axis):
                 dr.scatter(self.axis, component, 3 * slot + j, kept)
+            of_start = {"batch": visit.start.batch, "scale": visit.start.given("scale", mi.Float(1))}
             for name, values in self.before.items():
-                dr.scatter(values, visit.start.batch if name == "batch" else state[name], slot, kept)
+                dr.scatter(values, of_start[name] if name in of_start else state[name], slot, kept)
             return dr.select(kept, slot, NO_EVENT)
 
         slot = dr.if_stmt(

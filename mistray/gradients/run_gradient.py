@@ -65,10 +65,20 @@ class DetectorEnd:
             self._terms = [upload(mi.Float64, coefficients[:, k]) for k in range(MOMENTS)]
 
     def __call__(
-        self, surfaces: ReplaySurfaces, met: Hit, split: Split, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool
+        self,
+        surfaces: ReplaySurfaces,
+        met: Hit,
+        recorded: mi.Vector3d,
+        split: Split,
+        s: mi.UInt32,
+        batch: mi.UInt32,
+        active: mi.Bool,
     ) -> mi.Float64:
         """What each ray adds to the metric, to first order, as a function of its last hit."""
-        x, y = met.q.x, met.q.y
+        # The coefficients hold centroids of recorded hits. A float64 hit differs from its recorded one by a shift that
+        # rays of a path share, and the slope of a variance would see it.
+        there = surfaces.local_point(recorded, s, active)
+        x, y = (now - dr.detach(now) + then for now, then in ((met.q.x, there.x), (met.q.y, there.y)))
         gain = mi.Float64(0)
         if self._terms is not None:
             a, bx, by, cxx, cyy, cxy = self._terms

@@ -17,7 +17,7 @@ from mistray.physics.geometry.outline import Outline, circle, rectangle
 from mistray.physics.geometry.pose import moved
 from mistray.physics.sags.terms import half_turned
 from mistray.prescription.coating import Coating
-from mistray.prescription.model import Detector, Prescription, Surface
+from mistray.prescription.model import Detector, ObjectPoint, Prescription, Source, Surface
 from mistray.prescription.sequential.rays import Array, passes, trace
 from mistray.prescription.sequential.table import Decentre, Row, Sequential
 
@@ -99,10 +99,17 @@ class _Walk:
         if source is not None and source.field_deg:
             theta, azimuth = math.radians(source.field_deg), math.radians(source.azimuth_deg)
             x, y = -math.tan(theta) * math.sin(azimuth), math.tan(theta) * math.cos(azimuth)
-            fields.append((math.degrees(math.atan(x)), math.degrees(math.atan(y))))
-        wavelengths = source.wavelength_nm if source is not None else (_DEFAULT_NM,)
-        weights = (source.weights if source is not None else None) or (1.0,) * len(wavelengths)
-        return Sequential(
+            if isinstance(source, ObjectPoint):
+                fields.append((-source.distance * x, -source.distance * y))
+            else:
+                fields.append((math.degrees(math.atan(x)), math.degrees(math.atan(y))))
+        wavelengths: tuple[float, ...] = (_DEFAULT_NM,)
+        weights: tuple[float, ...] = (1.0,)
+        if source is not None and source.spectrum is None:
+            wavelengths, weights = source.wavelength_nm, source.weights or (1.0,) * len(source.wavelength_nm)
+        elif source is not None:
+            wavelengths, weights = (tuple(map(float, v)) for v in (source.light.wavelengths_nm, source.light.weights))
+        lens = Sequential(
             name=p.name,
             rows=tuple(self.rows),
             source=f"mistray prescription '{p.name}'",
@@ -112,6 +119,12 @@ class _Walk:
             weights=weights,
             primary=len(wavelengths) // 2,
         )
+        if not isinstance(source, ObjectPoint):
+            return lens
+        if source.x or source.y or any(source.tilt_deg):
+            self.notes.append("the object is moved aside or tilted; its plane is taken across the axis")
+        distance = p.surfaces[0].z - source.z + source.distance
+        return replace(lens, object_distance=distance, field_kind="object_height")
 
     def _add(self, surface: Surface) -> None:
         pose = self._follow(surface.to_world(), surface.name)
@@ -251,24 +264,38 @@ class _Walk:
         """The lens with its stop and the diameter of the beam along the axis that gets through it."""
         source = self.prescription.source
         beam = math.inf
-        if source is not None:
+        if isinstance(source, Source):
             beam = source.radius or min(source.half_width or math.inf, source.half_height or math.inf)
         diameter, limit = _widest_beam(lens)
         rows = list(lens.rows)
         if not any(row.stop for row in rows):
             rows[limit] = replace(rows[limit], stop=True)
             self.notes.append(f"the stop is '{rows[limit].label}', which limits a beam along the axis")
-        return replace(lens, rows=tuple(rows), aperture=min(diameter, 2 * beam), notes=tuple(dict.fromkeys(self.notes)))
+        notes = tuple(dict.fromkeys(self.notes))
+        if math.isfinite(lens.object_distance):
+            sine = math.sin(math.atan(0.5 * diameter / lens.object_distance))
+            return replace(lens, rows=tuple(rows), aperture_kind="object_na", aperture=sine, notes=notes)
+        return replace(lens, rows=tuple(rows), aperture=min(diameter, 2 * beam), notes=notes)
 
 
 def _widest_beam(lens: Sequential) -> tuple[float, int]:
-    """Diameter of the widest round beam along the axis whose rim gets through, and the place of what limits it."""
+    """
+    Diameter of the widest round beam whose rim gets through, and the place of what limits it.
+
+    The beam comes along the axis, or from the middle of a near object; its diameter is that in the plane of the first
+    row.
+    """
     low, high, limit = 0.0, max(_reach(row) for row in lens.rows), 0
     for _ in range(_REFINEMENTS):
         heights = np.linspace(low, high, _RAYS)
         start = np.zeros((_RAYS, 3))
         start[:, 0] = heights  # most tilts are about x, and foreshorten nothing there
-        points, _directions = trace(lens, start, np.tile([0.0, 0.0, 1.0], (_RAYS, 1)))
+        heading = np.tile([0.0, 0.0, 1.0], (_RAYS, 1))
+        if math.isfinite(lens.object_distance):
+            heading[:, 0] = heights / lens.object_distance
+            heading /= np.linalg.norm(heading, axis=1, keepdims=True)
+            start = np.tile([0.0, 0.0, -lens.object_distance], (_RAYS, 1))
+        points, _directions = trace(lens, start, heading)
         through = _RAYS
         for place, row in enumerate(lens.rows):
             if row.kind != "surface":

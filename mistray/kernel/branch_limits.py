@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import drjit as dr
 import mitsuba as mi
 
 from mistray.kernel.interaction import Interaction, counts_as_reflection
-from mistray.recorders.recorder import Recorder
 from mistray.recorders.tallies import CONSECUTIVE, CONTROL, CUT_BRANCHES, GENERATIONS
 from mistray.settings import BRANCHES, NO_LIMIT, Settings
 from mistray.surfaces.optics import MIRROR
+
+Cut = Callable[[int | mi.UInt32, mi.UInt32, mi.Float, mi.Bool], None]
 
 # Hits of one surface in a row in a word: the surface, and above it their number
 RUN_SHIFT, SURFACE_MASK = 16, 0xFFFF
@@ -24,13 +27,13 @@ class BranchLimits:
     Parameters
     ----------
     settings : Settings
-    recorder : Recorder
-        Told of it.
+    cut : callable
+        Told of it, see `mistray.recorders.recorder.Recorder.cut`.
     batch : mi.UInt32
     """
 
-    def __init__(self, settings: Settings, recorder: Recorder, batch: mi.UInt32) -> None:
-        self._recorder, self._batch = recorder, batch
+    def __init__(self, settings: Settings, cut: Cut, batch: mi.UInt32) -> None:
+        self._tell, self._batch = cut, batch
         self._allowed = frozenset(settings.allowed)
         self._controls = settings.ray_control != "allow_all"
         self._generations, self._consecutive = (
@@ -45,7 +48,7 @@ class BranchLimits:
         self._cuts_absorption = settings.cut_below[ABSORPTION] > 0
 
     def _cut(self, channel: int | mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
-        self._recorder.cut(channel, self._batch, flux, active & (flux > 0))
+        self._tell(channel, self._batch, flux, active & (flux > 0))
 
     def absorb(self, absorbed: mi.Float, active: mi.Bool) -> tuple[mi.Float, mi.Bool]:
         """What counts of the flux that a surface absorbs, and whether the hit counts on a detector."""

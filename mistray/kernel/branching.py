@@ -18,7 +18,7 @@ from mistray.kernel.bulk_scattering import BulkAim, CloudRay
 from mistray.kernel.event_codes import scatters_done
 from mistray.kernel.interaction import Interaction, counts_as_reflection
 from mistray.kernel.kernel_scene import KernelScene
-from mistray.kernel.scatter_shares import ScatterBudget, ScatteredRay
+from mistray.kernel.scatter_shares import JOINED, Joint, ScatterBudget, ScatteredRay
 from mistray.recorders.path_key import COUNT_MASK
 from mistray.recorders.recorder import Memory
 from mistray.recorders.tallies import EVENTS, REFLECTIONS, ROULETTE, SAMPLING, SCATTERS, THRESHOLD
@@ -79,7 +79,7 @@ class Children:
         Whether a reflection counts.
     transmits : mi.Bool
         Whether the surface is not opaque.
-    random_rays, aimed_rays : mi.UInt32
+    random_rays, aimed_rays, connected_rays : mi.UInt32
         Scattered rays of a surface.
     random_clouds, clouded_rays : mi.UInt32
         Rays that a medium scatters at random, and all.
@@ -97,6 +97,7 @@ class Children:
     transmits: mi.Bool
     random_rays: mi.UInt32
     aimed_rays: mi.UInt32
+    connected_rays: mi.UInt32
     random_clouds: mi.UInt32
     clouded_rays: mi.UInt32
     bulk_aim: BulkAim | None
@@ -179,15 +180,31 @@ class Branching:
     limits : BranchLimits
     lose : callable
         ``lose(channel, flux, active, memory)``, see `mistray.recorders.recorder.Recorder.lose`.
+    batch : mi.UInt32
+        Of the start rays.
+    scale : mi.Float or None
+        Weights of the start rays, where `Settings.flux_threshold` is relative to them; None: to 1.
     """
 
-    def __init__(self, scene: KernelScene, settings: Settings, limits: BranchLimits, lose: Loss) -> None:
+    def __init__(
+        self,
+        scene: KernelScene,
+        settings: Settings,
+        limits: BranchLimits,
+        lose: Loss,
+        batch: mi.UInt32,
+        scale: mi.Float | None = None,
+    ) -> None:
         self._optics, self._scattering, self._probabilities = scene.table.optics, scene.scattering, scene.probabilities
+        self._backward, self._connections = scene.backward, scene.connections
+        self._batch = batch
         self._limits, self._lose, self._max_events = limits, lose, settings.max_events
         self._bulk, self._scatters = scene.table.optics.scatters, scene.scatters(settings)
         self._threshold, self._scatter_threshold = (
             dr.opaque(mi.Float, limit) for limit in (settings.flux_threshold, settings.scatter_threshold)
         )
+        if scale is not None:
+            self._threshold = self._threshold * scale
         self._scatter_limits = [dr.opaque(mi.UInt32, limit) for limit in settings.scatter_limits]
         self._max_reflections, self._scatter_rays, self.max_segments = (
             dr.opaque(mi.UInt32, limit) for limit in settings.tree_limits
@@ -213,7 +230,7 @@ class Branching:
         generations = reflections + (state["scatters"] & COUNT_MASK)
         w_t, w_r, w_s, w_b = self._limits.follow(it, generations, (w_t, w_r, w_s, w_b), first & room)
         transmits = (it.word & OPAQUE) == 0
-        random_rays = aimed_rays = random_clouds = clouded_rays = mi.UInt32(0)
+        random_rays = aimed_rays = connected_rays = random_clouds = clouded_rays = mi.UInt32(0)
         remainder: mi.UInt32 | int = SCATTERS
         may_scatter = may_cloud = mi.Bool(False)
         bulk_aim = None
@@ -234,13 +251,40 @@ class Branching:
             remainder = dr.select(at_random, mi.UInt32(SAMPLING), mi.UInt32(SCATTERS))  # aimed rays leave light out
             aimed_rays = given.aimed_t + given.aimed_r if given is not None else mi.UInt32(0)
             may_scatter &= (~transmits | at_optics) & (random_rays + aimed_rays > 0)
+            if self._connections is not None:
+                # A ray that is connected to light scatters once more
+                connected_rays = dr.select(done[0] + 1 < self._scatter_limits[0], mi.UInt32(1), 0)
+                w_t, w_r, w_s = self._joined(node, w_t, w_r, w_s)
         stopped = dr.select(may_scatter, 0, w_s) + dr.select(may_cloud, 0, w_b)
         self._lose(SCATTERS, stopped, first & room & (stopped > 0), memory)
         w_s, w_b = dr.select(may_scatter, w_s, 0), dr.select(may_cloud, w_b, 0)
         return Children(
-            *(w_t, w_r, w_s, w_b, counted, transmits, random_rays, aimed_rays, random_clouds, clouded_rays),
-            *(bulk_aim, remainder),
+            *(w_t, w_r, w_s, w_b, counted, transmits, random_rays, aimed_rays, connected_rays, random_clouds),
+            *(clouded_rays, bulk_aim, remainder),
         )
+
+    def _joined(self, node: Node, w_t: mi.Float, w_r: mi.Float, w_s: mi.Float) -> tuple[mi.Float, mi.Float, mi.Float]:
+        """Rays that are connected to light scatter at its point and nowhere else, and are sent on as they scatter."""
+        assert self._connections is not None
+        state, it = node.state, node.interaction
+        joint = state["joint"]
+        under_way = (joint != 0) & (joint < JOINED)
+        there = self._connections.meets(joint - 1, state["s"], it.p, under_way)
+        w_s = dr.select((joint == 0) | (under_way & there), w_s, 0)
+        return dr.select(under_way, 0, w_t), dr.select(under_way, 0, w_r), w_s
+
+    def _joint(self, node: Node, rng: mi.PCG32) -> Joint:
+        """Where the rays of nodes go that are connected to light: to a point of it, or from there along the light."""
+        assert self._connections is not None
+        it, joint = node.interaction, node.state["joint"]
+        there = joint != 0
+        number, factor = self._connections.pick(self._batch, rng.next_float32())
+        number = dr.select(there, joint - 1, number)
+        to_point = dr.normalize(self._connections.point(number, ~there) - it.p)
+        direction = dr.select(there, -self._connections.heading(number, there), to_point)
+        reflect = dr.dot(direction, it.axis) < 0
+        word = dr.select(there, joint | JOINED, number + 1)
+        return Joint(direction, reflect, dr.select(there, 1, factor), word)
 
     def choose(self, node: Node, children: Children, memory: Memory) -> Choice:
         """
@@ -272,7 +316,7 @@ class Branching:
         """Factor of scattered rays; a weak node scatters with a probability in proportion to the light there."""
         state, first, w = node.state, node.first, node.state["w"]
         least = own
-        if self._probabilities is not None:
+        if self._backward:
             least = dr.select(children.transmits, own, own * WORTH_IN_THE_DARK)
         if self._bulk:
             # Of all rays of a segment one scatters again on average: trees in a medium would grow without end
@@ -281,6 +325,11 @@ class Branching:
         if self._probabilities is not None:
             chance = chance * dr.gather(mi.Float, self._probabilities.scatter, state["s"], first)
         return ScatterFactor(dr.select(first, dr.select(1 - u <= chance, dr.rcp(chance), 0), state["scatter_factor"]))
+
+    @staticmethod
+    def thins(it: Interaction, children: Children) -> mi.Bool:
+        """Where rays may follow a reflection by chance, unless something has scattered them."""
+        return children.transmits & children.counted & ((it.word & ONE_CHILD) == 0)
 
     @staticmethod
     def _only_child(node: Node, children: Children, scattering: ScatterFactor) -> ScatterFactor:
@@ -313,7 +362,7 @@ class Branching:
             self._lose(THRESHOLD, cut, first & (cut > 0), memory)
             w_t, w_r = dr.select(cut_t, 0, w_t), dr.select(cut_r, 0, w_r)
         if probabilities is not None:
-            thinned = fresh & children.transmits & children.counted & ((node.interaction.word & ONE_CHILD) == 0)
+            thinned = fresh & self.thins(node.interaction, children)
             followed = again | (u < probabilities.reflection)
             kept_r = dr.select(thinned, dr.select(followed, w_r / probabilities.reflection, 0), w_r)
             self._lose(ROULETTE, w_r - kept_r, first & thinned, memory)
@@ -328,13 +377,16 @@ class Branching:
             w_t, w_r = left_t, left_r
         children.transmitted, children.reflected = w_t, w_r
 
-    @staticmethod
-    def _next(node: Node, children: Children, scattering: ScatterFactor) -> Choice:
+    def _next(self, node: Node, children: Children, scattering: ScatterFactor) -> Choice:
         """Of all children the next that has flux."""
         first, visit, given, bulk_aim = node.first, node.visit, node.shares, children.bulk_aim
         w_t, w_r, w_s, w_b = children.transmitted, children.reflected, children.scattered, children.clouded
         random_rays, random_clouds = children.random_rays, children.random_clouds
-        scattered_rays = dr.select(scattering.of_surface & (w_s > 0), random_rays + children.aimed_rays, 0)
+        own_rays = random_rays + children.aimed_rays
+        scattered_rays = dr.select(scattering.of_surface & (w_s > 0), own_rays + children.connected_rays, 0)
+        if self._connections is not None:  # where light arrives the one ray that goes against it is sent on
+            at_point = node.state["joint"] != 0
+            scattered_rays = dr.select(at_point, dr.minimum(scattered_rays, 1), scattered_rays)
         end = SCATTER + scattered_rays + dr.select(scattering.of_medium & (w_b > 0), children.clouded_rays, 0)
         after_t = dr.select(w_r > 0, mi.UInt32(REFLECT), mi.UInt32(SCATTER))
         number = dr.select(first, dr.select(w_t > 0, mi.UInt32(TRANSMIT), after_t), node.state["child"])
@@ -347,7 +399,10 @@ class Branching:
 
         def draw(rng: mi.PCG32) -> ScatteredRay:
             assert given is not None
-            return given.ray(number - SCATTER, random_rays, rng)
+            if self._connections is None:
+                return given.ray(number - SCATTER, random_rays, rng)
+            joint = self._joint(node, rng)
+            return given.ray(dr.select(at_point, own_rays, number - SCATTER), random_rays, rng, joint)
 
         def draw_cloud(rng: mi.PCG32) -> CloudRay:
             assert bulk_aim is not None

@@ -8,6 +8,7 @@ import mitsuba as mi
 from mistray.kernel.interaction import Interaction
 from mistray.recorders.path_key import (
     AIMED_TRANSMITTED,
+    AT_WALL,
     COUNT_MASK,
     EVENT_BITS,
     NOT_DIFFRACTED,
@@ -54,7 +55,8 @@ def scatters_done(word: mi.UInt32) -> list[mi.UInt32]:
 def after_scatter(word: mi.UInt32, aim: mi.Bool, optical: mi.Bool, diffracted: mi.Bool) -> mi.UInt32:
     """The word of `scatters_done` after one event more, see `mistray.recorders.ledger.COUNT_MASK`."""
     count = 1 + dr.select(aim, 0, 1 << RANDOM_SHIFT) + dr.select(optical, mi.UInt32(1 << OPTICAL_SHIFT), 0)
-    return (word + count) | dr.select(diffracted, 0, mi.UInt32(NOT_DIFFRACTED))
+    word = ((word & ~mi.UInt32(AT_WALL)) + count) | dr.select(diffracted, 0, mi.UInt32(NOT_DIFFRACTED))
+    return word | dr.select(optical, 0, mi.UInt32(AT_WALL))
 
 
 def is_diffraction(optics: Optics, it: Interaction, scatter: mi.Bool, reflect: mi.Bool) -> mi.Bool:

@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mistray.kernel.polarization import Mueller, from_plane, plane_of_incidence, to_plane
-from mistray.physics.fresnel import reflectance
+from mistray.physics.fresnel import amplitudes, reflectance, total_product, transmitted_product
 from mistray.physics.geometry.sag import sag, sag_derivative
 from mistray.surfaces.extrema import larger, smaller
 from mistray.surfaces.optics import (
@@ -209,7 +209,7 @@ def interact(
     else:
         in_plane = plane_of_incidence(d, normal)
         turned = to_plane(stokes, d, in_plane)
-        reflection, transmission = _mueller(table, at.kind, optics, place, at.tir, from_front, active)
+        reflection, transmission = _mueller(table, optics, place, at, active)
         polarized = Polarized(turned, in_plane, reflection, transmission)
         R, T = reflection.share(turned), dr.select(at.tir | at.opaque, 0, transmission.share(turned))
     front, back = (word >> FRONT_MEDIUM_SHIFT) & MEDIUM_MASK, (word >> BACK_MEDIUM_SHIFT) & MEDIUM_MASK
@@ -298,22 +298,31 @@ def _unpolarized(
     return dr.select(at.tir, R + T, R), dr.select(at.tir | at.opaque, 0, T)
 
 
+def _bare(at: _Incidence) -> tuple[mi.Vector4f, mi.Vector4f]:
+    """Coefficients of both children at a bare surface."""
+    r_s, r_p = amplitudes(at.cos_i, at.cos_t, at.n_i, at.n_t)
+    s, p = r_s * r_s, r_p * r_p
+    re, im = total_product(at.cos_i, dr.sqrt(larger(at.sin2_t - 1, 0)), at.n_i, at.n_t)
+    re, im = dr.select(at.tir, re, r_s * r_p), dr.select(at.tir, im, 0)
+    through = transmitted_product(at.cos_i, at.cos_t, at.n_i, at.n_t)
+    return mi.Vector4f(s, p, re, im), mi.Vector4f(1 - s, 1 - p, through, 0)
+
+
 def _mueller(
-    table: SurfaceTable,
-    kind: mi.UInt32,
-    optics: mi.Vector4f,
-    place: Place,
-    tir: mi.Bool,
-    from_front: mi.Bool,
-    active: mi.Bool,
+    table: SurfaceTable, optics: mi.Vector4f, place: Place, at: _Incidence, active: mi.Bool
 ) -> tuple[Mueller, Mueller]:
-    """Reflection and transmission of polarised light; bare surfaces are tabled as well."""
+    """Reflection and transmission of polarised light."""
+    kinds = table.optics.kinds
     # An ideal coating acts on s and p alike, as a bare surface does at normal incidence
-    R, T = dr.select(tir, optics.z + optics.w, optics.z), optics.w
+    R, T = dr.select(at.tir, optics.z + optics.w, optics.z), optics.w
     reflection, transmission = mi.Vector4f(R, R, -R, 0), mi.Vector4f(T, T, T, 0)
-    if TABLED in table.optics.kinds:
-        tabled = active & (kind == TABLED)
-        side = dr.select(from_front, mi.UInt32(REFLECTION_FRONT), mi.UInt32(REFLECTION_BACK))
+    if FRESNEL in kinds:
+        fresnel = at.kind == FRESNEL
+        bare = _bare(at)
+        reflection, transmission = dr.select(fresnel, bare[0], reflection), dr.select(fresnel, bare[1], transmission)
+    if TABLED in kinds:
+        tabled = active & (at.kind == TABLED)
+        side = dr.select(at.from_front, mi.UInt32(REFLECTION_FRONT), mi.UInt32(REFLECTION_BACK))
 
         def row(channel: mi.UInt32) -> mi.Vector4f:
             low, high = (

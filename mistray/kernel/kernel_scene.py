@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import mitsuba as mi
 
@@ -15,7 +16,7 @@ from mistray.surfaces.surfaces import SurfaceTable
 @dataclass(frozen=True)
 class BranchProbabilities:
     """
-    Probabilities with which rays of a backward trace branch; branches carry so much more, and results stay the same.
+    Probabilities with which rays branch; branches carry so much more, and results stay the same.
 
     Attributes
     ----------
@@ -30,6 +31,40 @@ class BranchProbabilities:
 
 
 @dataclass(frozen=True)
+class Opposite:
+    """
+    A trace in the other direction, that rays are weighed against.
+
+    Attributes
+    ----------
+    scattering : Scattering
+    probabilities : BranchProbabilities
+    connects : bool
+        Whether rays against the light are connected to rays with it, see `Connections`.
+    """
+
+    scattering: Scattering
+    probabilities: BranchProbabilities
+    connects: bool = False
+
+
+class Connections(Protocol):
+    """Points where light arrives, to which scattered rays against the light are sent: ends of rays with it."""
+
+    def pick(self, batch: mi.UInt32, u: mi.Float) -> tuple[mi.UInt32, mi.Float]:
+        """Numbers of points for random numbers 0 … 1, and by what a ray to one of them is stronger; 0 of none."""
+
+    def point(self, number: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
+        """Place of points."""
+
+    def heading(self, number: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
+        """Unit direction in which the light arrives there."""
+
+    def meets(self, number: mi.UInt32, s: mi.UInt32, p: mi.Vector3f, active: mi.Bool) -> mi.Bool:
+        """Whether rays that meet the surfaces s at p have come to the points."""
+
+
+@dataclass(frozen=True)
 class KernelScene:
     """
     A scene as the kernel sees it, at one wavelength.
@@ -41,19 +76,29 @@ class KernelScene:
         For rays along the light, or of a backward trace.
     intersector : Intersector
     probabilities : BranchProbabilities or None
-        Of a backward trace, from the detector to the sky: the detector is a surface like others then, and what a
-        surface absorbs of a ray is what it emits towards the detector. None: rays follow the light.
+        None: all branches are followed.
+    backward : bool
+        Whether rays go from the detector to the sky: the detector is a surface like others then, and what a surface
+        absorbs of a ray is what it emits towards the detector. Else they follow the light.
+    opposite : Opposite or None
+        The trace in the other direction, where rays are weighed against those of such a trace, see
+        `mistray.kernel.odds`; None: they are not.
+    connections : Connections or None
+        What rays of a backward trace are connected to.
     """
 
     table: SurfaceTable
     scattering: Scattering
     intersector: Intersector
     probabilities: BranchProbabilities | None = None
+    backward: bool = False
+    opposite: Opposite | None = None
+    connections: Connections | None = None
 
     @property
-    def backward(self) -> bool:
-        """Whether rays go from the detector to the sky."""
-        return self.probabilities is not None
+    def classifies(self) -> bool:
+        """Whether rays know the class of their light."""
+        return self.backward or self.opposite is not None
 
     def scatters(self, settings: Settings) -> bool:
         """Whether anything scatters in a trace with these settings."""

@@ -38,12 +38,22 @@ class PendingNodes:
     ----------
     max_events : int
         Most nodes of a path.
-    stock, stokes, scatters, bulk, runs : bool
-        Whether the scene has stock shapes, light is polarised, something scatters, media scatter, and hits of one
-        surface in a row are counted.
+    stock, stokes, scatters, bulk, runs, weighs, connects : bool
+        Whether the scene has stock shapes, light is polarised, something scatters, media scatter, hits of one surface
+        in a row are counted, rays are weighed against those of the other direction, and some are connected to them.
     """
 
-    def __init__(self, max_events: int, stock: bool, stokes: bool, scatters: bool, bulk: bool, runs: bool) -> None:
+    def __init__(
+        self,
+        max_events: int,
+        stock: bool,
+        stokes: bool,
+        scatters: bool,
+        bulk: bool,
+        runs: bool,
+        weighs: bool,
+        connects: bool,
+    ) -> None:
         # With the names of the loop's state, the recorded ones first
         numbers: dict[str, tuple[type, int]] = {"p": (mi.Float, 3), "d": (mi.Float, 3), "w": (mi.Float, 1)}
         numbers |= {"key": (mi.UInt64, 1), "word": (mi.UInt32, 1), "pending": (mi.UInt32, 1)}
@@ -56,6 +66,11 @@ class PendingNodes:
         if scatters:
             numbers |= dict.fromkeys(("child", "scatters", "aimed_from", "medium"), (mi.UInt32, 1))
             numbers |= dict.fromkeys(("birth", "scatter_factor"), (mi.Float, 1))
+        if weighs:
+            numbers |= dict.fromkeys(("odds", "chance"), (mi.Float, 1))
+        if connects:
+            numbers |= dict.fromkeys(("near", "link"), (mi.Float, 1))
+            numbers["joint"] = mi.UInt32, 1
         if scatters and bulk:
             numbers |= dict.fromkeys(("length", "away", "shared", "clouded"), (mi.Float, 1))
         self._numbers = numbers

@@ -16,20 +16,37 @@ where S and P are the shares of the flux and |j_s j_p*|² = S P. Source: M. Born
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+
+from mistray.surfaces.extrema import larger
 
 # Below this squared sine of the angle of incidence the plane of incidence is lost in the rounding and does not matter
 NORMAL_INCIDENCE = 1e-8
 NEAR_X = 0.9  # cosine of the angle between d and x above which the y axis gives the axes
 
 
-def first_axis(d: mi.Vector3f) -> mi.Vector3f:
-    """First polarisation axis of a direction."""
+def first_axis(d: Any) -> Any:
+    """First polarisation axis of a direction, a vector of its type."""
     near = dr.abs(d.x) > NEAR_X
-    axis = mi.Vector3f(dr.select(near, 0, 1), dr.select(near, 1, 0), 0)
+    axis = type(d)(dr.select(near, 0, 1), dr.select(near, 1, 0), 0)
     return dr.normalize(axis - dr.dot(axis, d) * d)
+
+
+def carried(u: Any, axis: Any, d: Any) -> Any:
+    """
+    An axis u across a source's own axis, carried to a direction d by the smallest rotation that takes the axis there.
+
+    That is what an ideal lens does to polarised light which it spreads over a cone, see R. A. Chipman, W.-S. T. Lam and
+    G. Young, *Polarized Light and Optical Systems* (CRC Press, 2018), section 11.4 (double pole coordinates). Light
+    that goes straight back keeps u.
+    """
+    both = axis + d
+    square = dr.squared_norm(both)  # 2 (1 + cosine)
+    turned = u - dr.select(square > 0, 2 * dr.dot(u, d) / square, 0) * both
+    return dr.normalize(turned - dr.dot(turned, d) * d)
 
 
 def plane_of_incidence(d: mi.Vector3f, normal: mi.Vector3f) -> mi.Vector3f:
@@ -39,19 +56,19 @@ def plane_of_incidence(d: mi.Vector3f, normal: mi.Vector3f) -> mi.Vector3f:
     return dr.select(square > NORMAL_INCIDENCE, s * dr.rsqrt(square), first_axis(d))
 
 
-def _turned(stokes: mi.Vector3f, d: mi.Vector3f, s: mi.Vector3f, sign: float) -> mi.Vector3f:
+def _turned(stokes: Any, d: Any, s: Any, sign: float) -> Any:
     axis = first_axis(d)
     c, n = dr.dot(axis, s), dr.dot(dr.cross(d, axis), s)
     cos2, sin2 = c * c - n * n, sign * 2 * c * n
-    return mi.Vector3f(cos2 * stokes.x + sin2 * stokes.y, cos2 * stokes.y - sin2 * stokes.x, stokes.z)
+    return type(d)(cos2 * stokes.x + sin2 * stokes.y, cos2 * stokes.y - sin2 * stokes.x, stokes.z)
 
 
-def to_plane(stokes: mi.Vector3f, d: mi.Vector3f, s: mi.Vector3f) -> mi.Vector3f:
+def to_plane(stokes: Any, d: Any, s: Any) -> Any:
     """(q, u, v) with respect to s and d × s instead of the axes of d."""
     return _turned(stokes, d, s, 1.0)
 
 
-def from_plane(stokes: mi.Vector3f, d: mi.Vector3f, s: mi.Vector3f) -> mi.Vector3f:
+def from_plane(stokes: Any, d: Any, s: Any) -> Any:
     """(q, u, v) with respect to the axes of d instead of s and d × s."""
     return _turned(stokes, d, s, -1.0)
 
@@ -72,14 +89,15 @@ class Mueller:
     def share(self, stokes: mi.Vector3f) -> mi.Float:
         """Share of the flux that the child gets; `stokes` in the plane of incidence."""
         s, p = self.coefficients.x, self.coefficients.y
-        return 0.5 * ((s + p) + (s - p) * stokes.x)
+        # Not as S + P + (S - P) q: where q is ±1 this leaves the rounding of the larger share on the smaller one
+        return 0.5 * (s * larger(1 + stokes.x, 0) + p * larger(1 - stokes.x, 0))
 
     def apply(self, stokes: mi.Vector3f) -> mi.Vector3f:
         """(q, u, v) of the child in the plane of incidence."""
         s, p, re, im = self.coefficients
         flux = self.share(stokes)
-        scale = dr.select(flux > 0, dr.rcp(flux), 0)
-        q = 0.5 * ((s - p) + (s + p) * stokes.x)
+        scale = dr.select(flux > 0, 1 / flux, 0)  # not `dr.rcp`: polarised light must stay so by more than 1e-7
+        q = 0.5 * (s * (1 + stokes.x) - p * (1 - stokes.x))
         out = mi.Vector3f(q, re * stokes.y - im * stokes.z, im * stokes.y + re * stokes.z) * scale
         # Rounding must not make more than fully polarised light of it
         size = dr.norm(out)

@@ -24,7 +24,9 @@ from mistray.kernel.event_codes import after_scatter, event_code, is_diffraction
 from mistray.kernel.interaction import interact, is_off_design
 from mistray.kernel.kernel_scene import KernelScene
 from mistray.kernel.next_hit import film_coordinates, next_hit
+from mistray.kernel.odds import Odds
 from mistray.kernel.pending_nodes import LEVELS, PendingNodes, at_once, in_step, node_word, wait_level
+from mistray.kernel.scatter_shares import Rivalry
 from mistray.recorders.path_key import ABSORBED, EVENT_BITS, FIRST_KEY, extend_key
 from mistray.recorders.recorder import Branch, Departure, Memory, Recorder, Recorders, Return, Segment, Visit
 from mistray.recorders.start_rays import StartRays
@@ -77,7 +79,9 @@ class _Sent:
     place: mi.UInt32  # number of the surface, or of the medium that scatters
     away: mi.Float  # of the node behind the origin, see the state
     shared: mi.Float  # see the state
+    rivalry: Rivalry
     active: mi.Bool  # whether there is one
+    joint: mi.UInt32 | None = None  # see the state
 
 
 class _Tree:
@@ -91,15 +95,33 @@ class _Tree:
         self.n = dr.width(start.o)
         self.has_stock, self.bulk = table.stock_scene is not None, table.optics.scatters
         self.scatters = scene.scatters(settings)
+        self.odds = Odds(scene, settings) if scene.opposite is not None else None
         self.runs = settings.limits_consecutive
         self.by_way = scene.backward or recorders.by_way  # how a direction was found is not asked
-        self.limits = BranchLimits(settings, recorders, start.batch)
-        self.branching = Branching(scene, settings, self.limits, recorders.lose)
+        self.limits = BranchLimits(settings, self.cut, start.batch)
+        self.connects = self.odds is not None and self.odds.connects
+        self.books = mi.Bool(True)  # lanes whose rays are no connections, which stand for light that others stand for
+        self.branching = Branching(scene, settings, self.limits, self.lose, start.batch, start.scale)
         self.nodes = PendingNodes(
-            settings.max_events, self.has_stock, settings.stokes, self.scatters, self.bulk, self.runs
+            settings.max_events,
+            self.has_stock,
+            settings.stokes,
+            self.scatters,
+            self.bulk,
+            self.runs,
+            self.odds is not None,
+            self.connects,
         )
         self.rows = LaneRows(table, self.n) if LaneRows.pay(table) else None
         self.first_depth = start.given("depth", self.full())
+
+    def lose(self, channel: int | mi.UInt32, flux: Any, active: mi.Bool, memory: Memory) -> None:
+        """See `mistray.recorders.recorder.Recorder.lose`."""
+        self.recorders.lose(channel, flux, active & self.books, memory)
+
+    def cut(self, channel: int | mi.UInt32, batch: mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
+        """See `mistray.recorders.recorder.Recorder.cut`."""
+        self.recorders.cut(channel, batch, flux, active & self.books)
 
     # A Local array takes an index of traced size 1 as uniform over the lanes: every index must start at full width
     def full(self, value: int = 0) -> mi.UInt32:
@@ -125,11 +147,12 @@ class _Tree:
             t, s = dr.select(under_way, t, 0), dr.select(under_way, s, start.at)
         hit = s != NO_SURFACE
         missed = ~hit & (start.w > 0)
+        passed = missed if start.scale is None else ~hit  # aimed rays may have no flux
         run = start.given("run", full(NO_RUN))
         hit = self.limits.arrive(run, s, start.w, hit)
         lose = self.recorders.lose
         lose(ESCAPED, start.w, missed, memory)
-        lose(FIRST_MISS, 1.0, missed, memory)
+        lose(FIRST_MISS, 1.0, passed, memory)
         lose(STARTED, 1.0, mi.Bool(True), memory)
         self.recorders.travel(Segment(start, o, d, start.w, medium, t, missed, under_way), memory)
         if self.scene.backward:
@@ -137,13 +160,15 @@ class _Tree:
             gone = Departure(start, d, start.w, reflections, scatters, off_design, key, depth, lambda k, _: k, missed)
             self.recorders.depart(gone, memory)
         w, clouded = self._attenuate(start.w, medium, t, hit)
+        unpolarized = dr.zeros(mi.Vector3f, n if self.settings.stokes else 1)
+        stokes = start.given("stokes", unpolarized) if self.settings.stokes else unpolarized
         return {
             "active": hit,  # the lane has a node to visit
             "child": full(TRANSMIT),  # number of the child that this visit is for; the first visit looks for one
             "p": dr.fma(t, d, o),  # the node
             "d": mi.Vector3f(d),  # direction in which it was reached
             "w": mi.Float(w),  # weight with which it was reached
-            "stokes": dr.zeros(mi.Vector3f, n if self.settings.stokes else 1),  # polarisation with which it was reached
+            "stokes": mi.Vector3f(stokes),  # polarisation with which it was reached
             "s": dr.select(hit, s, 0),  # its surface
             "normal": normal,  # there, if the surface is stock
             "medium": mi.UInt32(medium),  # material of the segment that led to it; 0 is not known
@@ -159,6 +184,10 @@ class _Tree:
             "aimed_from": mi.UInt32(start.given("aimed_from", full(NO_SURFACE))),
             "birth": mi.Float(start.given("birth", start.w)),  # weight when it left the source or was scattered last
             "scatter_factor": dr.full(mi.Float, 1, n),  # of its scattered rays, see `ScatterFactor`
+            # See `mistray.kernel.odds`
+            **Odds.first(n if self.odds is not None else 1, n if self.connects else 1),
+            # Of a ray that is connected to light, see `mistray.kernel.scatter_shares.JOINED`; 0 of others
+            "joint": dr.zeros(mi.UInt32, n if self.connects else 1),
             "length": mi.Float(t) if bulk else dr.zeros(mi.Float, 1),  # of the segment that led to it, mm
             # Of the node behind p, where its medium has scattered, mm
             "away": dr.zeros(mi.Float, n if bulk else 1),
@@ -185,6 +214,8 @@ class _Tree:
             "shared": bulk and scatters,
             "clouded": bulk,
         }
+        needed |= dict.fromkeys(("odds", "chance"), self.odds is not None)
+        needed |= dict.fromkeys(("near", "link", "joint"), self.connects)
         needed |= dict.fromkeys(("scatters", "aimed_from", "birth", "scatter_factor"), scatters)
         constant = {name: state[name] for name, is_needed in needed.items() if not is_needed}
         return {name: value for name, value in state.items() if name not in constant}, constant
@@ -216,7 +247,7 @@ class _Tree:
         if not optics.absorbs:
             return flux, mi.Float(0)
         left, clouded, taken = optics.attenuate(flux, medium, length, hit)
-        self.recorders.take(medium, self.start.batch, taken, hit & (taken > 0))
+        self.recorders.take(medium, self.start.batch, taken, hit & (taken > 0) & self.books)
         return left, clouded
 
     def _arrive(self, state: State, path: Any, codes: Any, memory: Memory) -> Node:
@@ -224,13 +255,15 @@ class _Tree:
         active, d, w, s = (state[k] for k in ("active", "d", "w", "s"))
         table, scattering = self.scene.table, self.scene.scattering
         first = active & (state["child"] == TRANSMIT)
-        visited = mi.Bool(first)
+        if self.connects:
+            self.books = state["joint"] == 0
+        visited = first & self.books
         again = active & ~first
         stokes = state["stokes"] if self.settings.stokes else None
         reached = dr.fma(state["away"], d, state["p"]) if self.bulk and self.scatters else state["p"]
         it = interact(table, reached, d, s, state["normal"] if self.has_stock else None, stokes, active, self.rows)
         strayed = first & (state["medium"] != 0) & (it.medium_in != 0) & (it.medium_in != state["medium"])
-        self.recorders.lose(MEDIUM, w, strayed, memory)
+        self.lose(MEDIUM, w, strayed, memory)
         first &= ~strayed
         R, T = it.R, it.T
         given = None
@@ -239,14 +272,17 @@ class _Tree:
             R, T = R * given.reflection.kept, T * given.transmission.kept
         loss = 1 - R - T if given is None else given.absorbed
         absorbed = dr.select(dr.abs(loss) < NO_LOSS, 0, w * loss)
-        absorbed, counts = self.limits.absorb(absorbed, first)
-        detected = mi.Bool(False) if self.scene.backward else first & ((it.word & DETECTOR) != 0) & counts
+        counted = first & self.books
+        absorbed, counts = self.limits.absorb(absorbed, counted)
+        detected = mi.Bool(False) if self.scene.backward else counted & ((it.word & DETECTOR) != 0) & counts
         if not self.recorders.incident:
             detected &= absorbed > 0
         code = (s << EVENT_BITS) | ABSORBED
         hits = Visit(
-            *(self.start, state, it, given, visited, first, detected, detected, w, absorbed),
+            *(self.start, state, it, given, visited, counted, detected, detected, w, absorbed),
             *(film_coordinates(table, it, s), code, extend_key(state["key"], code), codes, path, self.scatters),
+            odds=None if self.odds is None or self.scene.backward else self.odds.at_end(state),
+            link=None if self.odds is None or self.scene.backward else self.odds.link_at_end(state),
         )
         self.recorders.visit(hits, memory)
         return Node(state, it, given, R, T, first, again, state["rng"])
@@ -260,10 +296,12 @@ class _Tree:
         reflect = choice.number == REFLECT
         heading = dr.select(reflect, it.reflected, it.transmitted)
         origin = p
-        aim, slope = mi.Bool(False), dr.rcp(dr.select(reflect, it.R, it.T))
+        aim, slope, rivalry = mi.Bool(False), dr.rcp(dr.select(reflect, it.R, it.T)), Rivalry()
         if self.scatters and given is not None:
-            heading, share, scatter_slope, back_side, aim, rng = scattering.scatter(
-                table, s, given, choice.draw, it, d, heading, rng, scatter
+            opposite = None if self.scene.opposite is None else self.scene.opposite.scattering
+            connects = self.scene.connections is not None
+            heading, share, scatter_slope, back_side, aim, rng, rivalry = scattering.scatter(
+                table, s, given, choice.draw, it, d, heading, rng, scatter, opposite, connects
             )
             reflect = dr.select(scatter, back_side, reflect)
             slope = dr.select(scatter, scatter_slope, slope)
@@ -285,7 +323,7 @@ class _Tree:
             aim |= cloud & cloud_ray.aim
         node.rng = rng
         place = dr.select(cloud, table.count + medium_in, s) if self.bulk else s
-        return _Sent(origin, heading, flux, reflect, aim, slope, medium_in, place, away, shared, node.visit)
+        return _Sent(origin, heading, flux, reflect, aim, slope, medium_in, place, away, shared, rivalry, node.visit)
 
     def _keep(
         self, node: Node, children: Children, choice: Choice, sent: _Sent, path: Any, codes: Any, memory: Memory
@@ -293,11 +331,13 @@ class _Tree:
         """Keep the node, for its later visits and as part of the path, and report the branch; its nodes and code."""
         state, it, visit = node.state, node.interaction, node.visit
         depth, scatter, cloud = state["depth"], choice.scatter, choice.cloud
+        joint = dr.select(scatter, sent.rivalry.joint, state["joint"]) if self.connects else state["joint"]
+        sent.joint, self.books = joint, joint == 0 if self.connects else self.books
         if self.scatters:
-            self.recorders.lose(children.remainder, -sent.flux, (scatter | cloud) & (sent.flux > 0), memory)
+            self.lose(children.remainder, -sent.flux, (scatter | cloud) & (sent.flux > 0), memory)
         sent.flux = self.limits.end(sent.flux, scatter, cloud, sent.reflect, visit)
         sent.active = go = visit & (sent.flux > 0)
-        word = node_word(state["s"], state["reflections"], state["off_design"] if self.scene.backward else None)
+        word = node_word(state["s"], state["reflections"], state["off_design"] if self.scene.classifies else None)
         kept = {**state, "p": sent.origin, "away": sent.away, "word": word}
         kept |= {"child": choice.later, "scatter_factor": choice.kept.packed}
         path = self.nodes.keep(path, kept, depth, choice.pending, choice.pending | go, self.recorders.node_floats)
@@ -305,7 +345,10 @@ class _Tree:
         code = event_code(sent.place, it, sent.reflect, how)
         codes.write(code, depth, go)
         aimed = sent.aim if self.scatters else None
-        self.recorders.branch(Branch(self.start, depth, it, sent.place, sent.reflect, aimed, sent.slope, go), memory)
+        branched = go & self.books
+        self.recorders.branch(
+            Branch(self.start, depth, it, sent.place, sent.reflect, aimed, sent.slope, branched), memory
+        )
         return path, code
 
     def _follow(
@@ -329,8 +372,11 @@ class _Tree:
         t, s2, normal = next_hit(table, self.scene.intersector, sent.origin, sent.heading, last, go, normal=left_behind)
         hit = go & (s2 != NO_SURFACE)
         leaving = go & ~hit
-        self.recorders.lose(ESCAPED, sent.flux, leaving, memory)
-        self.recorders.travel(Segment(self.start, sent.origin, sent.heading, sent.flux, medium, t, leaving, go), memory)
+        self.lose(ESCAPED, sent.flux, leaving, memory)
+        own = go & self.books
+        self.recorders.travel(
+            Segment(self.start, sent.origin, sent.heading, sent.flux, medium, t, leaving, own), memory
+        )
         run = self.limits.run_after(state["run"], s, cloud)
         hit = self.limits.arrive(run, s2, sent.flux, hit)
         bounced = reflect & children.counted & ~scatter
@@ -338,28 +384,47 @@ class _Tree:
         if scatters:
             diffracted = is_diffraction(table.optics, it, scatter, reflect)
             after = dr.select(scattered, after_scatter(after, sent.aim, children.transmits | cloud, diffracted), after)
+        following: State = {}
+        if self.odds is not None:
+            share, thinned = dr.select(reflect, node.R, node.T), bounced & self.branching.thins(it, children)
+            wall = ~children.transmits
+            following |= self.odds.after(state, share, wall, thinned, scatter, cloud, sent.rivalry.odds)
+            if self.connects:
+                through = medium if self.scene.backward else sent.medium_in
+                following |= self.odds.linked(state, it, sent.heading, through, sent.rivalry.against, scatter, cloud, t)
+                following["joint"] = sent.joint
+        if self.scene.classifies:
+            off_design = off_design | is_off_design(it, reflect)
         if self.scene.backward:
             reflections = state["reflections"] + dr.select(bounced, mi.UInt32(1), 0)
-            off_design = off_design | is_off_design(it, reflect)
             last = (*sent.origin, *state["d"], state["w"])
             counts = (reflections, after, off_design, key, depth + 1, codes.read, leaving)
-            gone = Departure(self.start, sent.heading, sent.flux, *counts, path, last)
+            gone = Departure(
+                self.start,
+                sent.heading,
+                sent.flux,
+                *counts,
+                path,
+                last,
+                None if self.odds is None else self.odds.at_end(following),
+                None if self.odds is None else self.odds.link_at_end(following),
+                sent.joint if self.connects else None,
+            )
             self.recorders.depart(gone, memory)
         flux, clouded = self._attenuate(sent.flux, medium, t, hit)
-        following: State = {}
         if scatters:
             aimed_from = dr.select(bounced, NO_SURFACE, state["aimed_from"])
-            following = {
+            following |= {
                 "scatters": after,
                 "aimed_from": dr.select(scattered, dr.select(sent.aim, sent.place, NO_SURFACE), aimed_from),
-                "birth": dr.select(scattered, flux, state["birth"]),
+                "birth": dr.select(scattered, sent.flux, state["birth"]),
                 "scatter_factor": dr.full(mi.Float, 1, self.n),
             }
             if bulk:
                 shared = dr.select(scattered, sent.shared, state["shared"])
                 following |= {"length": t, "clouded": clouded, "away": mi.Float(0), "shared": shared}
         elif bulk:  # nothing is followed: a first visit reports what the medium scatters
-            following = {"clouded": clouded}
+            following["clouded"] = clouded
         if it.polarized:
             following["stokes"] = dr.select(scattered, 0, it.polarized.after(reflect, sent.heading))
         return following | {

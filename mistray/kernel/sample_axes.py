@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 AXES = ("x", "meridian")
 ROW = 4
 TINY = 1e-30  # squared length of a projection that has no direction
+NO_TANGENT = 1e-12  # squared length of a tangential part: light at normal incidence has no plane of incidence
 
 
 def axis_row(axis: str, rotation_deg: float) -> np.ndarray:
@@ -123,3 +124,35 @@ def _row(table: SurfaceTable, s: int) -> np.ndarray:
         )
     matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)[:3, :3]
     return np.append(matrix / np.linalg.norm(matrix, axis=0) @ row[:3], 0.0)
+
+
+def plane_of_sample(
+    tangent: mi.Vector3f, lit: mi.Vector3f, x_axis: mi.Vector3f
+) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float]:
+    """
+    Axes of the plane of incidence on a surface, and how a sample is turned in them.
+
+    Parameters
+    ----------
+    tangent : mi.Vector3f
+        Tangential part of the light; where it has none the sample's x axis stands for it.
+    lit : mi.Vector3f
+        Unit normal on the side that the light comes from.
+    x_axis : mi.Vector3f
+        Of the sample, a unit vector.
+
+    Returns
+    -------
+    tangent, beside : mi.Vector3f
+        As long as one another; the second counterclockwise from the first as seen from the side of the light.
+    rotation : mi.Float
+        Azimuth of the sample's x axis from the first, in turns, -0.5 … 0.5.
+    """
+    tangent = dr.select(dr.squared_norm(tangent) > NO_TANGENT, tangent, x_axis)
+    beside = dr.cross(lit, tangent)
+    return tangent, beside, dr.atan2(dr.dot(x_axis, beside), dr.dot(x_axis, tangent)) * (0.5 / dr.pi)
+
+
+def fraction_of(turns: mi.Float) -> mi.Float:
+    """Of a number of turns what is more than whole ones, 0 … 1."""
+    return turns - dr.floor(turns)

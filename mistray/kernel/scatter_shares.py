@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import drjit as dr
 import mitsuba as mi
+
+# Rays that are connected to light remember the number of its point, plus one, and whether they have been there
+JOINED = 1 << 31
 
 
 @dataclass
@@ -57,14 +61,23 @@ class ScatterBudget:
     aimed_r: mi.UInt32
     random_rays: mi.UInt32
 
-    def ray(self, number: mi.UInt32, random_rays: mi.UInt32, rng: mi.PCG32) -> ScatteredRay:
-        """The scattered ray of this number: first those at random, then the aimed ones of either event."""
+    def ray(self, number: mi.UInt32, random_rays: mi.UInt32, rng: mi.PCG32, joint: Joint | None = None) -> ScatteredRay:
+        """
+        The scattered ray of this number: first those at random, then the aimed ones of either event.
+
+        With `joint` the rays behind those go to where it says.
+        """
         aim = number >= random_rays
         at_random = rng.next_float32() * self.scattered >= self.transmission.scattered
         reflect = dr.select(aim, number >= random_rays + self.aimed_t, at_random)
+        joins = mi.Bool(False)
+        if joint is not None:
+            joins = number >= random_rays + self.aimed_t + self.aimed_r
+            aim &= ~joins
+            reflect = dr.select(joins, joint.reflect, reflect)
         event_share = dr.select(reflect, self.reflection.scattered, self.transmission.scattered) / self.scattered
         aimed = mi.Float(dr.select(reflect, self.aimed_r, self.aimed_t))
-        return ScatteredRay(reflect, aim, mi.Float(random_rays) * event_share, aimed)
+        return ScatteredRay(reflect, aim, mi.Float(random_rays) * event_share, aimed, joins, joint)
 
     def one_ray(self, probability: mi.Float, random_rays: mi.UInt32, rng: mi.PCG32) -> ScatteredRay:
         """
@@ -79,7 +92,7 @@ class ScatterBudget:
         aim = rng.next_float32() < aiming
         probability = probability * event_share
         at_random = dr.select(random_rays > 0, 1 - aiming, 0)
-        return ScatteredRay(reflect, aim, probability * at_random, probability * aiming)
+        return ScatteredRay(reflect, aim, probability * at_random, probability * aiming, mi.Bool(False))
 
 
 @dataclass
@@ -100,6 +113,28 @@ class Turn:
 
 
 @dataclass
+class Joint:
+    """
+    Where a ray that is connected to light goes.
+
+    Attributes
+    ----------
+    direction : mi.Vector3f
+    reflect : mi.Bool
+        Whether that is on the side of incidence.
+    factor : mi.Float
+        By which the ray is stronger.
+    word : mi.UInt32
+        What the ray remembers, see `JOINED`.
+    """
+
+    direction: mi.Vector3f
+    reflect: mi.Bool
+    factor: mi.Float
+    word: mi.UInt32
+
+
+@dataclass
 class ScatteredRay:
     """
     Which of the scattered rays of a node is to be drawn.
@@ -112,9 +147,34 @@ class ScatteredRay:
         Towards a target.
     random_rays, aimed_rays : mi.Float
         How many rays of either technique the node sends in this event on average.
+    joins : mi.Bool
+        Whether it is connected to light.
+    joint : Joint or None
+        Where it goes then; None: no ray is connected.
     """
 
     reflect: mi.Bool
     aim: mi.Bool
     random_rays: mi.Float
     aimed_rays: mi.Float
+    joins: mi.Bool
+    joint: Joint | None = None
+
+
+class Rivalry(NamedTuple):
+    """
+    What a scattered ray knows of rays of the other direction.
+
+    Attributes
+    ----------
+    odds : mi.Float
+        How many of them go this way for one of this direction, per étendue; 1 without them.
+    against : mi.Float
+        Rays per sr that go this way against the light, one at random and all that are aimed.
+    joint : mi.UInt32
+        See `JOINED`; 0 of rays that are not connected.
+    """
+
+    odds: mi.Float = 1.0
+    against: mi.Float = 0.0
+    joint: mi.UInt32 = 0

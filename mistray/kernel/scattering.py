@@ -21,7 +21,8 @@ import drjit as dr
 import mitsuba as mi
 
 from mistray.kernel.interaction import Interaction, shares_at
-from mistray.kernel.scatter_shares import ScatterBudget, ScatteredRay, Shares, Turn
+from mistray.kernel.sample_axes import NO_TANGENT, fraction_of, plane_of_sample
+from mistray.kernel.scatter_shares import Rivalry, ScatterBudget, ScatteredRay, Shares, Turn
 from mistray.kernel.scatter_tables import (
     ANGLES,
     ANGULAR,
@@ -47,7 +48,6 @@ if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
 
 NO_AZIMUTH = 1e-16  # product of the squared lengths of two directions' tangential parts
-NO_TANGENT = 1e-12  # squared length of a tangential part: light at normal incidence has no plane of incidence
 ONE_LESS = 1 - 2.0**-23  # a cosine whose angle still has a finite derivative
 ANYWHERE = 0.1  # share of the rays of a lobe by angle that go against refraction anywhere
 
@@ -215,7 +215,9 @@ class Scattering:
         otherwise: mi.Vector3f,
         rng: mi.PCG32,
         active: mi.Bool,
-    ) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.Bool, mi.Bool, mi.PCG32]:
+        opposite: Scattering | None = None,
+        connects: bool = False,
+    ) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.Bool, mi.Bool, mi.PCG32, Rivalry]:
         """
         Draw a scattered ray.
 
@@ -234,6 +236,10 @@ class Scattering:
             Direction where not active.
         rng : mi.PCG32
         active : mi.Bool
+        opposite : Scattering, optional
+            Of a trace in the other direction.
+        connects : bool
+            Whether rays may be connected to light.
 
         Returns
         -------
@@ -245,22 +251,30 @@ class Scattering:
         reflect, aim : mi.Bool
             Whether it stays on the side of incidence, and whether it goes to a target.
         rng : mi.PCG32
+        rivalry : Rivalry
+            What the ray knows of those of the other direction.
         """
 
         def draw(rng: mi.PCG32, otherwise: mi.Vector3f) -> tuple[Any, ...]:
             rng = mi.PCG32(rng)
             ray = choose(rng)
-            return *self._draw(table, s, given, ray, it, d, otherwise, rng), ray.reflect, ray.aim, rng
+            *drawn, odds, against = self._draw(table, s, given, ray, it, d, otherwise, rng, opposite)
+            known = [] if opposite is None else [odds, against]
+            if connects:
+                assert ray.joint is not None
+                known.append(dr.select(ray.joins, ray.joint.word, 0))
+            return *drawn, ray.reflect, ray.aim, rng, *known
 
         def leave(rng: mi.PCG32, otherwise: mi.Vector3f) -> tuple[Any, ...]:
-            return mi.Vector3f(otherwise), mi.Float(0), mi.Float(0), mi.Bool(False), mi.Bool(False), rng
+            stay = mi.Vector3f(otherwise), mi.Float(0), mi.Float(0), mi.Bool(False), mi.Bool(False), rng
+            known = [] if opposite is None else [mi.Float(1), mi.Float(0)]
+            return *stay, *known, *([mi.UInt32(0)] if connects else [])
 
         # Few lanes scatter at a time: packets of lanes without one skip all this
-        result: tuple[mi.Vector3f, mi.Float, mi.Float, mi.Bool, mi.Bool, mi.PCG32] = dr.if_stmt(
-            (rng, otherwise), active, draw, leave, mode="symbolic", label="scatter"
-        )
-        return result
+        result: tuple[Any, ...] = dr.if_stmt((rng, otherwise), active, draw, leave, mode="symbolic", label="scatter")
+        return *result[:6], Rivalry(*result[6:])
 
+    # More than 8 parameters: those of `scatter`
     def _draw(
         self,
         table: SurfaceTable,
@@ -271,8 +285,9 @@ class Scattering:
         d: mi.Vector3f,
         otherwise: mi.Vector3f,
         rng: mi.PCG32,
-    ) -> tuple[mi.Vector3f, mi.Float, mi.Float]:
-        """Direction, weight and slope of `scatter`."""
+        opposite: Scattering | None,
+    ) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.Float, mi.Float]:
+        """Direction, weight, slope of `scatter`, odds and density of `Rivalry`."""
         case = given.first_case + dr.select(ray.reflect, mi.UInt32(1), 0)
         x = dr.select(ray.reflect, it.R, self._transmittance(it))
         scale = dr.select(ray.reflect, 1, it.eta) if self._tables.backward else mi.Float(1)
@@ -289,6 +304,8 @@ class Scattering:
         if self._tables.aimed:
             aimed, own = self._tables.targets.sample(plan.zw, u, it.p, specular, ray.aim)
             direction = dr.select(ray.aim, aimed, direction)
+        if ray.joint is not None:
+            direction = dr.select(ray.joins, ray.joint.direction, direction)
         cos_s = dr.dot(direction, outward)
         flux, slope, density = self._evaluate(lobes, total, direction, cos_s, around)
         if self._tables.backward:
@@ -296,14 +313,72 @@ class Scattering:
             R, T, cos_t = shares_at(table, s, it.word, from_front, cos_s, mi.Bool(True))
             share = dr.select(ray.reflect, R, T)
             flux = self._backward_flux(plan, ray.reflect, around, direction, cos_s, cos_t, share)
-        techniques = ray.random_rays * density
+        techniques, expected = ray.random_rays * density, density
         if self._tables.aimed:
-            there = ray.aimed_rays > 0
+            aimed_rays = ray.aimed_rays if opposite is None else self._aimed_rays(case)
             targets = self._tables.targets
-            techniques += ray.aimed_rays * targets.density(plan.zw, it.p, direction, specular, ray.aim, own, there)
+            at_targets = targets.density(plan.zw, it.p, direction, specular, ray.aim, own, aimed_rays > 0)
+            techniques += ray.aimed_rays * at_targets
+            expected = density + aimed_rays * at_targets
+        if ray.joint is not None:
+            techniques = dr.select(ray.joins, expected / ray.joint.factor, techniques)
         weight = flux / techniques
         good = (cos_s > 0) & (flux > 0) & dr.isfinite(weight)
-        return dr.select(good, direction, otherwise), dr.select(good, weight, 0), dr.select(good, slope / flux, 0)
+        odds, against = mi.Float(1), expected
+        if opposite is not None:
+            other = opposite.density_against(table, s, it, ray.reflect, d, direction, cos_s, x_axis)
+            # Per étendue n² cos θ dω dA, which is the same before and behind mirrors and lenses
+            odds = other / expected * (cos_s / it.cos_i) * dr.select(ray.reflect, 1, dr.rcp(dr.square(it.eta)))
+            odds = dr.select(good & dr.isfinite(odds), odds, 0)
+            against = expected if self._tables.backward else other
+        return (
+            dr.select(good, direction, otherwise),
+            dr.select(good, weight, 0),
+            dr.select(good, slope / flux, 0),
+            odds,
+            against,
+        )
+
+    def _aimed_rays(self, case: mi.UInt32) -> mi.Float:
+        """Rays of a case that are aimed, wherever there is light to be scattered."""
+        side = dr.gather(mi.Vector4u, self._tables.sides, case >> 1, True)
+        return mi.Float(dr.select((case & 1) != 0, side.w, side.z & ((1 << RANDOM_RAYS_SHIFT) - 1)))
+
+    def density_against(
+        self,
+        table: SurfaceTable,
+        s: mi.UInt32,
+        it: Interaction,
+        reflect: mi.Bool,
+        d: mi.Vector3f,
+        direction: mi.Vector3f,
+        cos_s: mi.Float,
+        x_axis: mi.Vector3f | None,
+    ) -> mi.Float:
+        """
+        Rays per sr that this trace, which goes the other way, sends along -d where a ray arrives along `-direction`.
+
+        One is drawn at random; chances that a hit scatters at all are left out.
+        """
+        from_front = it.from_front ^ ~reflect
+        R, T, cos_t = shares_at(table, s, it.word, from_front, cos_s, mi.Bool(True))
+        if self._tables.backward:
+            T = dr.select(cos_t > 0, T, 1)
+        eta = dr.select(reflect, it.eta, dr.rcp(it.eta))
+        incident, outward = -direction, -it.axis
+        axis = dr.select(reflect, it.axis, outward)
+        specular = specular_direction(reflect, incident, axis, cos_s, cos_t, eta)
+        case = 4 * s + dr.select(from_front, mi.UInt32(0), 2) + dr.select(reflect, mi.UInt32(1), 0)
+        plan = dr.gather(mi.Vector4u, self._tables.cases, case)
+        lobes = self._passing_lobes(plan, reflect, dr.select(reflect, R, T), cos_s, cos_t)
+        total = sum((lobe["flux"] for lobe in lobes), mi.Float(0))
+        scale = dr.select(reflect, 1, eta) if self._tables.backward else mi.Float(1)
+        around = Around(axis, outward, specular, incident, cos_s, eta, x_axis, scale)
+        _, _, density = self._evaluate(lobes, total, -d, it.cos_i, around)
+        if not self._tables.aimed:
+            return density
+        rays, targets = self._aimed_rays(case), self._tables.targets
+        return density + rays * targets.density(plan.zw, it.p, -d, specular, mi.Bool(False), mi.UInt32(0), rays > 0)
 
     def _backward_flux(
         self,
@@ -324,15 +399,21 @@ class Scattering:
         """
         incident, outward, eta = -direction, -around.axis, dr.rcp(around.eta)
         specular = specular_direction(reflect, incident, dr.select(reflect, around.axis, outward), cos_s, cos_t, eta)
-        lobes = self._read_lobes(plan, x, cos_s)
-        # Of light in total reflection only lobes about the normal pass on to the other side
-        passes = reflect | (cos_t > 0)
-        for lobe in lobes:
-            lobe["here"] = lobe["here"] & (passes | ((lobe["words"].x & NORMAL) != 0))
+        lobes = self._passing_lobes(plan, reflect, x, cos_s, cos_t)
         one = mi.Float(1)
         light = Around(outward, outward, specular, incident, cos_s, eta, around.x_axis, one)
         flux, _, _ = self._evaluate(lobes, one, -around.d, around.cos_i, light)
         return flux * cos_s / around.cos_i * dr.select(reflect, 1, dr.square(eta))
+
+    def _passing_lobes(
+        self, plan: mi.Vector4u, reflect: mi.Bool, x: mi.Float, cos_i: mi.Float, cos_t: mi.Float
+    ) -> list[dict[str, Any]]:
+        """The lobes of light that comes against a ray: in total reflection only those about the normal pass on."""
+        lobes = self._read_lobes(plan, x, cos_i)
+        passes = reflect | (cos_t > 0)
+        for lobe in lobes:
+            lobe["here"] = lobe["here"] & (passes | ((lobe["words"].x & NORMAL) != 0))
+        return lobes
 
     def _read_lobes(self, plan: mi.Vector4u, x: mi.Float, cos_i: mi.Float) -> list[dict[str, Any]]:
         """The lobes of a case and the flux of each over all directions."""
@@ -502,38 +583,6 @@ class Scattering:
         rotation = rotation - self._tables.first_rotation(words.y, turned)
         places = (first, fraction_of(rotation), second, fraction_of(azimuth))
         return dr.select(turned, self._tables.ratio(words.y, places, turned), value)
-
-
-def plane_of_sample(
-    tangent: mi.Vector3f, lit: mi.Vector3f, x_axis: mi.Vector3f
-) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float]:
-    """
-    Axes of the plane of incidence on a surface, and how a sample is turned in them.
-
-    Parameters
-    ----------
-    tangent : mi.Vector3f
-        Tangential part of the light; where it has none the sample's x axis stands for it.
-    lit : mi.Vector3f
-        Unit normal on the side that the light comes from.
-    x_axis : mi.Vector3f
-        Of the sample, a unit vector.
-
-    Returns
-    -------
-    tangent, beside : mi.Vector3f
-        As long as one another; the second counterclockwise from the first as seen from the side of the light.
-    rotation : mi.Float
-        Azimuth of the sample's x axis from the first, in turns, -0.5 … 0.5.
-    """
-    tangent = dr.select(dr.squared_norm(tangent) > NO_TANGENT, tangent, x_axis)
-    beside = dr.cross(lit, tangent)
-    return tangent, beside, dr.atan2(dr.dot(x_axis, beside), dr.dot(x_axis, tangent)) * (0.5 / dr.pi)
-
-
-def fraction_of(turns: mi.Float) -> mi.Float:
-    """Of a number of turns what is more than whole ones, 0 … 1."""
-    return turns - dr.floor(turns)
 
 
 def specular_direction(

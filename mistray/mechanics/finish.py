@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import difflib
-import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from mistray.errors import MistrayError
+from mistray.prescription.by_text import number_of, scatter_of
 from mistray.prescription.coating import BLACK, Coating
-from mistray.prescription.scatter import Scatter, Value
-from mistray.scatter.kinds import KINDS
+from mistray.prescription.scatter import Scatter
 from mistray.scatter.paint import PRESETS
 
 OTHER_SIDE = {"front": "back", "back": "front"}
@@ -51,9 +50,9 @@ def finish(text: str, known: Mapping[str, Finish] = MappingProxyType({})) -> Fin
     Parameters
     ----------
     text : str
-        A name in `known`, "black" (absorbs everything), a preset of the plugin `paint` such as "flat_black",
-        "R=0.05" (reflects this share like a mirror), or a scatter plugin with its properties, such as
-        "paint reflectance=0.05 side=back" or "harvey_shack rms_nm=4 l=0.01 s=-1.5".
+        A name in `known`, "black" (absorbs everything), a preset of the plugin `paint` such as "flat_black", "0.05"
+        (Lambertian, of this reflectance), "R=0.05" (reflects this share like a mirror), or a scatter plugin with its
+        properties, such as "paint reflectance=0.05 side=back" or "harvey_shack rms_nm=4 l=0.01 s=-1.5".
     known : mapping of str to Finish
         Others, such as those of a scene.
 
@@ -62,43 +61,34 @@ def finish(text: str, known: Mapping[str, Finish] = MappingProxyType({})) -> Fin
     MistrayError
         If the text is none of these, or a model refuses its values.
     """
-    words = text.split()
     if text in known:
         return known[text]
     if text == "black":
         return ABSORBER
     if text in PRESETS:
         return Finish(BLACK, (Scatter("paint", {"preset": text}, name=text),))
-    if words and words[0] in KINDS and all("=" in word for word in words[1:]):
-        properties: dict[str, Value] = {}
-        for key, _, value in (word.partition("=") for word in words[1:]):
-            if key in properties:
-                raise MistrayError(f"paint '{text}': {key} stands there twice; keep one")
-            properties[key] = _value(value)
-        return Finish(BLACK, (Scatter(words[0], properties, name=_name(words[0], properties)),))
-    if len(words) == 1 and words[0].startswith("R="):
-        share = _value(words[0][2:])
-        if isinstance(share, float | int) and not isinstance(share, bool):
-            return Finish(Coating(R=float(share)))
+    reflectance = number_of(text)
+    if reflectance == 0:
+        return ABSORBER
+    model = scatter_of(text if reflectance is None else f"paint reflectance={text}")
+    if model is not None:
+        return Finish(BLACK, (model,))
+    share = number_of(text[2:]) if text.startswith("R=") else None
+    if share is not None:
+        return Finish(Coating(R=share))
     offered = [*known, "black", *PRESETS]
     close = difflib.get_close_matches(text, offered, n=3)
-    hint = f"did you mean {' or '.join(close)}?" if close else f"give {', '.join(offered)}, R=0.05, or a scatter plugin"
+    hint = (
+        f"did you mean {' or '.join(close)}?"
+        if close
+        else f"give {', '.join(offered)}, 0.05, R=0.05, or a scatter plugin"
+    )
     raise MistrayError(f"paint '{text}': there is none of this name; {hint}")
 
 
-def _name(kind: str, properties: Mapping[str, Value]) -> str:
-    """Of a scatter model: by its values, so that .1 and 0.1 have one name, and 1 another."""
-    words = [kind, *(f"{key}_{value}".removesuffix(".0") for key, value in properties.items())]
-    return re.sub(r"[^\w-]+", "_", "_".join(words)).strip("_")
-
-
-def _value(text: str) -> Value:
-    if text in ("true", "false"):
-        return text == "true"
-    try:
-        return float(text)
-    except ValueError:
-        return text
+def known_finishes(shared: Iterable[Coating | Scatter]) -> dict[str, Finish]:
+    """Coatings and scatter models with a name, such as those of a scene, as finishes."""
+    return {str(item.name): Finish(item) if isinstance(item, Coating) else Finish(scatter=(item,)) for item in shared}
 
 
 def _turned(model: Scatter) -> Scatter:

@@ -57,12 +57,12 @@ class PstBands:
         Ends of the bands, ascending, multiples of `cell_deg` apart.
     light : str or sequence of str
         See `PstObservation`.
-    azimuths_deg, azimuth_cell_deg
+    azimuths_deg : sequence of float, optional
         As for `mistray.pst`; by default one mean over all azimuths.
     cell_deg : float
         Width of the cells that a band consists of, degrees.
     **traced
-        Further arguments of `mistray.pst`: rays, seed, max_scatters, ….
+        Further arguments of `mistray.pst`: rays, seed, azimuth_cell_deg, max_scatters, ….
 
     Attributes
     ----------

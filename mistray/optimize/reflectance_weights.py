@@ -125,7 +125,7 @@ def reflectance_weights(metric: Metric) -> ReflectanceWeights:
                 )
                 glasses[name] = (front, back) if ordered else (back, front)
     if not found:
-        raise MistrayError("no surface that the light meets has layers; put coatings on with mistray.scene.recoat")
+        raise MistrayError("no surface that the light meets has layers; put coatings on with 'mistray coat'")
     wavelengths = np.unique([nm for lines in found.values() for nm in lines])
     nothing = np.zeros(len(COSINES))
     weights = {name: np.array([lines.get(nm, nothing) for nm in wavelengths]) for name, lines in found.items()}

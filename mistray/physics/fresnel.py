@@ -49,6 +49,36 @@ def reflectance(cos_i: Any, cos_t: Any, n_i: Any, n_t: Any) -> Any:
     float or array
         R = (r_s² + r_p²)/2 in [0, 1]; never NaN for arguments in range. The transmittance is 1 - R.
     """
+    r_s, r_p = amplitudes(cos_i, cos_t, n_i, n_t)
+    return 0.5 * (r_s * r_s + r_p * r_p)
+
+
+def amplitudes(cos_i: Any, cos_t: Any, n_i: Any, n_t: Any) -> tuple[Any, Any]:
+    """Amplitudes r_s and r_p of the reflected field, of opposite signs at normal incidence; arguments as above."""
     r_s = (n_i * cos_i - n_t * cos_t) / (n_i * cos_i + n_t * cos_t + _TINY)
     r_p = (n_t * cos_i - n_i * cos_t) / (n_t * cos_i + n_i * cos_t + _TINY)
-    return 0.5 * (r_s * r_s + r_p * r_p)
+    return r_s, r_p
+
+
+def transmitted_product(cos_i: Any, cos_t: Any, n_i: Any, n_t: Any) -> Any:
+    """t_s t_p of amplitudes whose squares are the shares of the flux, in [0, 1]; arguments as above."""
+    both = 4 * n_i * n_t * cos_i * cos_t
+    return both / ((n_i * cos_i + n_t * cos_t + _TINY) * (n_t * cos_i + n_i * cos_t + _TINY))
+
+
+def total_product(cos_i: Any, beyond: Any, n_i: Any, n_t: Any) -> tuple[Any, Any]:
+    """
+    Real and imaginary part of r_s r_p* in total internal reflection, whose phase is the retardance.
+
+    Parameters
+    ----------
+    cos_i, n_i, n_t : float or array
+        As above.
+    beyond : float or array
+        √((n_i/n_t)² sin² θ_i - 1) ≥ 0: the cosine of refraction is i times this, for fields that go as exp(-iωt).
+    """
+    s_r, s_i = n_i * cos_i, n_t * beyond  # r_s = (s_r - i s_i) / (s_r + i s_i)
+    p_r, p_i = n_t * cos_i, n_i * beyond
+    size = (s_r * s_r + s_i * s_i) * (p_r * p_r + p_i * p_i) + _TINY
+    a, b = s_r * p_r + s_i * p_i, s_r * p_i - s_i * p_r  # (s_r - i s_i) (p_r + i p_i) = a + i b
+    return (a * a - b * b) / size, 2 * a * b / size

@@ -19,7 +19,7 @@ from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import barrel, detector_frame, lens_edge, wall
 from mistray.prescription.grid_file import read_grid, save_grid
 from mistray.prescription.mesh_structure import MeshStructure
-from mistray.prescription.model import Detector, Prescription, Source, Stop, Structure, Surface
+from mistray.prescription.model import Detector, ObjectPoint, Prescription, Source, Stop, Structure, Surface
 from mistray.prescription.scatter import Scatter
 from mistray.prescription.sequential.first_order import FirstOrder
 from mistray.prescription.sequential.table import Decentre, Row, Sequential, Unread
@@ -51,6 +51,7 @@ __all__ = [
     "FirstOrder",
     "Grid",
     "MeshStructure",
+    "ObjectPoint",
     "Outline",
     "Prescription",
     "Row",
@@ -114,4 +115,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted(__all__)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass
+from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass, replace
 
 from mistray.coatings import preset
 from mistray.coatings.simple import check_shares
-from mistray.coatings.stack import SIDES
+from mistray.coatings.stack import SIDES, moved_layers
 from mistray.errors import MistrayError
 from mistray.ids import check_written_id
 
@@ -92,6 +93,12 @@ class Coating:
         if self.preset is not None:
             return preset(self.preset).opaque
         return self.R is not None and not self.T
+
+    def moved(self, seen: Callable[[str], str]) -> Coating:
+        """The same with the paths of its files, such as a table or a glass, as `seen` gives them."""
+        if self.table is not None:
+            return replace(self, table=seen(self.table))
+        return self if self.layers is None else replace(self, layers=moved_layers(self.layers, seen))
 
 
 BLACK = Coating(R=0.0)

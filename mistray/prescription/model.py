@@ -27,7 +27,9 @@ from mistray.physics.sags.terms import sag as freeform_sag
 from mistray.prescription.coating import BLACK, Coating, check_name
 from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.naming import scattering, shared_coatings, shared_scatter
+from mistray.prescription.polarized import Polarized
 from mistray.prescription.scatter import Scatter
+from mistray.prescription.spectral import Spectral
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -324,7 +326,7 @@ class Stop:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Source(Placed):
+class Source(Placed, Spectral, Polarized):
     """A collimated beam whose axis passes through the pivot (x, y, z); the parameters of the `collimated` emitter.
 
     Attributes
@@ -341,12 +343,12 @@ class Source(Placed):
         Start of the rays, mm upstream of the pivot; 0: outside of the scene.
     irradiance : float
         W/mm² on a plane normal to the beam.
-    wavelength_nm : tuple of float
-        One or several.
-    weights : tuple of float or None
-        Share of each wavelength; ``None``: equal.
+    wavelength_nm, weights, spectrum, band_nm, bands
+        Its wavelengths, see `Spectral`.
     pattern : str
         "random" or "grid".
+    stokes, jones, polarization_deg
+        Its polarisation, see `Polarized`.
     """
 
     radius: float | None = None
@@ -358,11 +360,10 @@ class Source(Placed):
     plane: str = "beam"
     distance: float = 0.0
     irradiance: float = 1.0
-    wavelength_nm: tuple[float, ...] = (550.0,)
-    weights: tuple[float, ...] | None = None
     pattern: str = "random"
 
     def __post_init__(self) -> None:
+        self.check_polarization("source")
         rectangle = (self.half_width, self.half_height)
         if (self.radius is None) == (None in rectangle):
             raise MistrayError(
@@ -381,12 +382,42 @@ class Source(Placed):
             raise MistrayError(f"source: plane = '{self.plane}'; it is 'beam' or 'axis'")
         if self.pattern not in ("random", "grid"):
             raise MistrayError(f"source: pattern = '{self.pattern}'; it is 'random' or 'grid'")
-        if not self.wavelength_nm or min(self.wavelength_nm) <= 0:
-            raise MistrayError(f"source: wavelength_nm = {self.wavelength_nm}; give at least one, greater than 0")
-        if self.weights is not None and len(self.weights) != len(self.wavelength_nm):
-            raise MistrayError(
-                f"source: {len(self.weights)} weights for {len(self.wavelength_nm)} wavelengths; give one weight each"
-            )
+        self.check_spectrum("source")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectPoint(Placed, Spectral, Polarized):
+    """A point of a near object instead of a collimated beam; the parameters of the `point_source` emitter.
+
+    It lies on the z axis of its frame, whose origin is the middle of the entrance pupil.
+
+    Attributes
+    ----------
+    distance : float
+        From the object to the origin of the frame, mm.
+    field_deg, azimuth_deg : float
+        Moves it in its plane, to where its light comes to the origin at this angle.
+    intensity : float
+        W/sr.
+    half_angle_deg : float
+        Of the cone of its light about the z axis.
+    wavelength_nm, weights, spectrum, band_nm, bands, stokes, jones, polarization_deg
+        As of a `Source`.
+    """
+
+    distance: float
+    field_deg: float = 0.0
+    azimuth_deg: float = 0.0
+    intensity: float = 1.0
+    half_angle_deg: float = 90.0
+
+    def __post_init__(self) -> None:
+        self.check_polarization("object point")
+        for key, most in (("distance", math.inf), ("intensity", math.inf), ("half_angle_deg", 180.0)):
+            value = getattr(self, key)
+            if not 0 < value <= most or math.isinf(value):
+                raise MistrayError(f"object point: {key} = {value:g}; it must be greater than 0 and finite")
+        self.check_spectrum("object point")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -423,7 +454,7 @@ class Prescription:
     structures: tuple[Structure | Surface | MeshStructure, ...] = ()
     stop: Stop | None = None
     detector: Detector | None = None
-    source: Source | None = None
+    source: Source | ObjectPoint | None = None
     provenance: str = ""
     more_detectors: tuple[Detector, ...] = ()
 

@@ -77,25 +77,36 @@ def scattering(prescription: Prescription, rules: Mapping[str, Sequence[Scatter]
                 f"prescription '{prescription.name}': no shape is called '{pattern}'; correct the pattern"
             )
 
-    def added(name: str) -> tuple[Scatter, ...]:
-        return tuple(model for pattern, models in rules.items() if fits(name, pattern) for model in models)
+    def added(shape: Any) -> Any:
+        more = tuple(model for pattern, models in rules.items() if fits(shape.name, pattern) for model in models)
+        return replace(shape, scatter=shape.scatter + more)
 
-    def with_more(shape: Any) -> Any:
-        return replace(shape, scatter=shape.scatter + added(shape.name))
+    return each_shape(prescription, added)
 
+
+def each_shape(prescription: Prescription, change: Callable[[Any], Any]) -> Prescription:
+    """
+    The same system with every shape changed; of the faces of a stop, the coating and the scatter.
+
+    Raises
+    ------
+    MistrayError
+        If the faces of a stop, which have one description, would differ.
+    """
     stop = prescription.stop
     if stop is not None:
-        faces = {added(face.name) for face in stop.faces()}
+        faces = {(face.coating, face.scatter) for face in map(change, stop.faces())}
         if len(faces) > 1:
             raise MistrayError(
                 f"prescription '{prescription.name}': a pattern matches some faces of stop '{stop.part}'; match all"
             )
-        stop = replace(stop, scatter=stop.scatter + faces.pop())
+        coating, scatter = faces.pop()
+        stop = replace(stop, coating=coating, scatter=scatter)
     return replace(
         prescription,
-        surfaces=tuple(with_more(shape) for shape in prescription.surfaces),
-        structures=tuple(with_more(shape) for shape in prescription.structures),
+        surfaces=tuple(map(change, prescription.surfaces)),
+        structures=tuple(map(change, prescription.structures)),
         stop=stop,
-        detector=prescription.detector and with_more(prescription.detector),
-        more_detectors=tuple(with_more(shape) for shape in prescription.more_detectors),
+        detector=prescription.detector and change(prescription.detector),
+        more_detectors=tuple(map(change, prescription.more_detectors)),
     )

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import KW_ONLY, dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
 from mistray.errors import MistrayError, nearest
@@ -68,3 +68,8 @@ class Scatter:
             param.check(key, value, title)
         # A file stands beside a scene that may not exist yet: its reader checks it
         return None if "file" in given else model.of(**given)
+
+    def moved(self, seen: Callable[[str], str]) -> Scatter:
+        """The same with the path of its file, if it has one, as `seen` gives it."""
+        file = self.properties.get("file")
+        return self if file is None else replace(self, properties={**self.properties, "file": seen(str(file))})

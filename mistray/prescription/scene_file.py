@@ -18,9 +18,10 @@ from mistray.physics.sags.terms import GRID
 from mistray.prescription.coating import Coating
 from mistray.prescription.grid_file import grid_bytes
 from mistray.prescription.mesh_structure import MeshStructure
-from mistray.prescription.model import Detector, Placed, Source, Structure, Surface
-from mistray.prescription.naming import shared_coatings, shared_scatter
+from mistray.prescription.model import Detector, ObjectPoint, Placed, Source, Structure, Surface
+from mistray.prescription.naming import each_shape, shared_coatings, shared_scatter
 from mistray.prescription.scatter import Scatter, Value
+from mistray.prescription.spectral import list_text
 from mistray.replace_file import replace_files
 
 if TYPE_CHECKING:
@@ -42,20 +43,27 @@ class _Node:
 
 
 def _interface(shape: Shape) -> _Node:
-    coating = shape.coating
     in_air = shape.front == shape.back == "air"
     properties: dict[str, Value] = {} if in_air else {"front": shape.front, "back": shape.back}
+    finish, children = _finish(shape.coating, shape.scatter)
+    properties |= finish
+    if isinstance(shape, Surface) and shape.mirror:
+        properties["mirror"] = True
+    return _Node("bsdf", "interface", properties=properties, children=children)
+
+
+def _finish(coating: Coating | None, scatter: Iterable[Scatter]) -> tuple[dict[str, Value], tuple[_Node, ...]]:
+    """What an interface has of a coating and of scatter models: values and nested objects."""
+    properties: dict[str, Value] = {}
     children: tuple[_Node, ...] = ()
     if coating is not None and coating.name is not None:
         children = (_Node("ref", "", coating.name),)
     elif coating is not None and coating.layered:
         children = (_thinfilm(coating),)
     elif coating is not None:
-        properties |= _recipe(coating)
-    children += tuple(_Node("ref", "", model.name) if model.name else _scatter(model) for model in shape.scatter)
-    if isinstance(shape, Surface) and shape.mirror:
-        properties["mirror"] = True
-    return _Node("bsdf", "interface", properties=properties, children=children)
+        properties = _recipe(coating)
+    children += tuple(_Node("ref", "", model.name) if model.name else _scatter(model) for model in scatter)
+    return properties, children
 
 
 def _thinfilm(coating: Coating) -> _Node:
@@ -66,7 +74,7 @@ def _thinfilm(coating: Coating) -> _Node:
         properties["design_nm"] = coating.design_nm
     for key in ("n_shift", "k_shift"):
         if any(getattr(coating, key)):
-            properties[key] = _list_text(getattr(coating, key))
+            properties[key] = list_text(getattr(coating, key))
     return _Node("bsdf", "thinfilm", coating.name, properties)
 
 
@@ -144,8 +152,14 @@ def _structure(s: Structure) -> _Node:
     return _Node("shape", "frustum", s.name, properties | _labels(s), s, (_interface(s),))
 
 
-def _source(s: Source) -> _Node:
+def _source(s: Source | ObjectPoint) -> _Node:
     properties: dict[str, Value] = {}
+    if isinstance(s, ObjectPoint):
+        properties = {"z": -s.distance, "intensity": s.intensity, "half_angle_deg": s.half_angle_deg}
+        properties |= {key: value for key in ("field_deg", "azimuth_deg") if (value := getattr(s, key))}
+        return _Node(
+            "emitter", "point_source", "source", properties | s.spectral_properties | s.polarization_properties, s
+        )
     for key in ("radius", "inner_radius", "half_width", "half_height", "field_deg", "azimuth_deg", "distance"):
         value = getattr(s, key)
         if value:
@@ -155,14 +169,7 @@ def _source(s: Source) -> _Node:
     if s.pattern != "random":
         properties["pattern"] = s.pattern
     properties["irradiance"] = s.irradiance
-    properties["wavelength_nm"] = s.wavelength_nm[0] if len(s.wavelength_nm) == 1 else _list_text(s.wavelength_nm)
-    if s.weights is not None:
-        properties["weights"] = _list_text(s.weights)
-    return _Node("emitter", "collimated", "source", properties, s)
-
-
-def _list_text(values: tuple[float, ...]) -> str:
-    return ", ".join(repr(float(value)) for value in values)
+    return _Node("emitter", "collimated", "source", properties | s.spectral_properties | s.polarization_properties, s)
 
 
 def _sections(prescription: Prescription) -> Iterator[tuple[str, list[_Node]]]:
@@ -261,6 +268,18 @@ def structure_text(structures: Iterable[Structure | Surface | MeshStructure], kn
     return "\n".join(line for node in [*shared, *map(_shape, structures)] for line in _node_lines(node, 1))
 
 
+def finish_lines(coating: Coating | None, scatter: Iterable[Scatter]) -> list[str]:
+    """Lines within an interface that give it a coating and scatter models; what has a name is referred to."""
+    properties, children = _finish(coating, scatter)
+    lines = [_property_line(key, value, 0) for key, value in properties.items()]
+    return lines + [line for child in children for line in _node_lines(child, 0)]
+
+
+def shared_lines(item: Coating | Scatter) -> list[str]:
+    """Lines of a coating or scatter model with a name, as they stand once in a scene."""
+    return _node_lines(_thinfilm(item) if isinstance(item, Coating) else _scatter(item), 0)
+
+
 def _node_lines(node: _Node, depth: int) -> list[str]:
     pad = "    " * depth
     if node.kind == "ref":
@@ -317,9 +336,14 @@ def comment_text(text: str) -> str:
     return escape(text).replace("--", "- -")
 
 
+def seen_from(folder: str | Path) -> Callable[[str], str]:
+    """What turns a path relative to the current folder into one that a scene file in `folder` can name."""
+    return lambda path: path if os.path.isabs(path) else Path(os.path.relpath(path, folder)).as_posix()
+
+
 def beside(prescription: Prescription, folder: str | Path) -> Prescription:
     """
-    The same system with the paths of coating, glass and grid files as seen from a folder, for a scene file there.
+    The same system with paths of coating, glass, scatter and grid files as seen from a folder, for a scene there.
 
     Parameters
     ----------
@@ -328,24 +352,21 @@ def beside(prescription: Prescription, folder: str | Path) -> Prescription:
     folder : str or Path
         Where the scene file goes.
     """
-
-    def seen(path: str) -> str:
-        return path if os.path.isabs(path) else Path(os.path.relpath(path, folder)).as_posix()
+    seen = seen_from(folder)
 
     def moved(shape: Any) -> Any:
         changes: dict[str, Any] = {}
         for side in ("front", "back"):
-            if hasattr(shape, side) and (material := resolved(getattr(shape, side), seen)) != getattr(shape, side):
-                changes[side] = material
-        coating = getattr(shape, "coating", None)
-        if coating is not None and coating.table is not None:
-            changes["coating"] = replace(coating, table=seen(coating.table))
+            changes[side] = resolved(getattr(shape, side), seen)
+        if shape.coating is not None:
+            changes["coating"] = shape.coating.moved(seen)
+        changes["scatter"] = tuple(model.moved(seen) for model in shape.scatter)
         grid = getattr(shape, "sag", {}).get(GRID)
         if grid is not None and grid.path:
             changes["sag"] = {**shape.sag, GRID: replace(grid, path=seen(grid.path))}
-        return replace(shape, **changes) if changes else shape
+        return replace(shape, **changes)
 
-    return _each_shape(prescription, moved)
+    return each_shape(prescription, moved)
 
 
 def _with_grid_files(prescription: Prescription, path: Path) -> tuple[Prescription, dict[Path, bytes]]:
@@ -360,16 +381,4 @@ def _with_grid_files(prescription: Prescription, path: Path) -> tuple[Prescripti
         files[file] = grid_bytes(grid)
         return replace(shape, sag={**shape.sag, GRID: replace(grid, path=file.name)})
 
-    return _each_shape(prescription, stored), files
-
-
-def _each_shape(prescription: Prescription, change: Callable[[Any], Any]) -> Prescription:
-    """The same system with every shape changed."""
-    return replace(
-        prescription,
-        surfaces=tuple(change(shape) for shape in prescription.surfaces),
-        structures=tuple(change(shape) for shape in prescription.structures),
-        stop=prescription.stop and change(prescription.stop),
-        detector=prescription.detector and change(prescription.detector),
-        more_detectors=tuple(change(shape) for shape in prescription.more_detectors),
-    )
+    return each_shape(prescription, stored), files

@@ -7,6 +7,22 @@ if active_variant() is None:  # types of the variant are used while modules are 
 
 from mistray.recorders.passing.far_field import FarField
 from mistray.recorders.passing.probe import Probe
+from mistray.recorders.passing.surface_maps import SurfaceMap, SurfaceMaps
 from mistray.recorders.recorder import Branch, Departure, Recorder, Return, Segment, Visit
 
-__all__ = ["Branch", "Departure", "FarField", "Probe", "Recorder", "Return", "Segment", "Visit"]
+__all__ = [
+    "Branch",
+    "Departure",
+    "FarField",
+    "Probe",
+    "Recorder",
+    "Return",
+    "Segment",
+    "SurfaceMap",
+    "SurfaceMaps",
+    "Visit",
+]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -12,8 +12,8 @@ import numpy as np
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.path_key import COUNT_MASK, NOT_DIFFRACTED
 from mistray.recorders.path_sums import PathSums
-from mistray.recorders.recorder import Departure, Memory, Recorder
-from mistray.recorders.way_table import WayTable
+from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
+from mistray.recorders.weighing import Weighing
 from mistray.settings import BATCHES
 from mistray.surfaces.upload import upload
 
@@ -22,6 +22,41 @@ CLASSES = ("direct", "straight_shot", "ghost", "single_scatter", "multiple_scatt
 CLASS_COUNT = len(CLASSES)
 DIRECT, STRAIGHT, GHOST, SINGLE, MULTIPLE, DIFFRACTED = range(CLASS_COUNT)
 FAR_SIDE = 2.0  # more than any squared sine: a direction that comes from behind
+
+
+def class_of_light(
+    off_design: mi.Bool, reflections: mi.UInt32, scatters: mi.UInt32, length: mi.UInt32, has_optics: bool
+) -> mi.UInt32:
+    """
+    Number within `CLASSES` of light by its events.
+
+    Parameters
+    ----------
+    off_design : mi.Bool
+        Whether an event is none of a direct image.
+    reflections, scatters, length : mi.UInt32
+        Counted reflections, scatter events (see `mistray.recorders.ledger.COUNT_MASK`), all events.
+    has_optics : bool
+        Whether light must pass a lens or a mirror to be part of the direct image.
+    """
+    past = off_design | (length == 0) if has_optics else off_design
+    direct = dr.select(past, mi.UInt32(STRAIGHT), mi.UInt32(DIRECT))
+    ghost = dr.select(reflections > 0, mi.UInt32(GHOST), direct)
+    count = scatters & COUNT_MASK
+    scattered = dr.select(count == 1, mi.UInt32(SINGLE), mi.UInt32(MULTIPLE))
+    scattered = dr.select((scatters & NOT_DIFFRACTED) == 0, mi.UInt32(DIFFRACTED), scattered)
+    return dr.select(count == 0, ghost, scattered)
+
+
+def class_of_departure(departure: Departure, has_optics: bool) -> mi.UInt32:
+    """That of rays against the light that leave the scene."""
+    return class_of_light(departure.off_design, departure.reflections, departure.scatters, departure.length, has_optics)
+
+
+def class_of_arrival(visit: Visit, has_optics: bool) -> mi.UInt32:
+    """That of rays with the light that meet the detector."""
+    state = visit.state
+    return class_of_light(state["off_design"], state["reflections"], state["scatters"], visit.depth, has_optics)
 
 
 class DirectionRecorder(Recorder):
@@ -38,8 +73,8 @@ class DirectionRecorder(Recorder):
         Whether light must pass a lens or a mirror to be part of the direct image.
     derivative : (CLASS_COUNT, n, m) float64, optional
         Derivative of a metric by the sums of the weights of each class in each cell, for `gain`.
-    left_out : WayTable, optional
-        Ways and cells that are counted elsewhere; keys in the order of the rays.
+    weighing : Weighing, optional
+        What rays with the light leave to those against it; without it, all.
     """
 
     def __init__(
@@ -49,9 +84,9 @@ class DirectionRecorder(Recorder):
         paths: PathSums | None = None,
         has_optics: bool = True,
         derivative: np.ndarray | None = None,
-        left_out: WayTable | None = None,
+        weighing: Weighing | None = None,
     ) -> None:
-        self._left_out = left_out
+        self._weighing = weighing
         self._has_optics = has_optics
         self._derivative = None if derivative is None else upload(mi.Float64, np.asarray(derivative, dtype=np.float64))
         self.grid, self.pixels, self.paths = grid, pixels, paths
@@ -75,14 +110,14 @@ class DirectionRecorder(Recorder):
     @property
     def code(self) -> Hashable:
         """See `Recorder.code`."""
-        parts = (self.maps, self.paths, self._left_out, self._derivative)
+        parts = (self.maps, self.paths, self._weighing, self._derivative)
         return type(self).__name__, *(part is not None for part in parts)
 
     def cell(self, d: mi.Vector3f) -> tuple[mi.UInt32, mi.Bool]:
         """Cell of the light that goes against rays along d, and whether there is one."""
         x, y, z = (-dr.dot(d, row) for row in self._rows)
         sine2 = dr.fma(x, x, y * y)
-        index = dr.binary_search(0, self._angles - 1, lambda k: dr.gather(mi.Float, self._high, k) <= sine2)
+        index = mi.UInt32(dr.binary_search(0, self._angles - 1, lambda k: dr.gather(mi.Float, self._high, k) <= sine2))
         inside = (z >= 0) & (sine2 >= dr.gather(mi.Float, self._low, index))
         inside &= sine2 < dr.gather(mi.Float, self._high, index)
         if self.grid.azimuth_cell_deg == 360:
@@ -108,12 +143,15 @@ class DirectionRecorder(Recorder):
         """Add rays that leave the scene."""
         start, weight, active = departure.start, departure.weight, departure.active
         cell, inside = self.cell(departure.heading)
-        w = mi.Float64(weight)
-        dr.scatter_reduce(dr.ReduceOp.Add, self.elsewhere, w, start.batch, active & ~inside)
+        own = active if departure.joint is None else active & (departure.joint == 0)
+        dr.scatter_reduce(dr.ReduceOp.Add, self.elsewhere, mi.Float64(weight), start.batch, own & ~inside)
         inside &= active
-        if self._left_out is not None:
-            inside &= ~self._left_out.find(departure.key, cell, inside)[1]
-        place = (self._kind(departure) * self.cells + cell) * BATCHES + start.batch
+        if self._weighing is not None:
+            share = self._weighing.against(departure, cell, inside).against
+            inside &= share > 0
+            weight = weight * share
+        w = mi.Float64(weight)
+        place = (class_of_departure(departure, self._has_optics) * self.cells + cell) * BATCHES + start.batch
         dr.scatter_reduce(dr.ReduceOp.Add, self.sums, w, place, inside)
         scattered = inside & ((departure.scatters & COUNT_MASK) > 0)
         # The bits of positive floats are in the order of the floats
@@ -128,21 +166,10 @@ class DirectionRecorder(Recorder):
     def gain(self, departure: Departure) -> mi.Float64:
         """What the metric gains from rays that leave; nothing is added to the sums."""
         cell, inside = self.cell(departure.heading)
-        index = self._kind(departure) * self.cells + cell
+        index = class_of_departure(departure, self._has_optics) * self.cells + cell
         inside &= departure.active
         gained = mi.Float64(departure.weight) * dr.gather(mi.Float64, self._derivative, index, inside)
         return dr.select(inside, gained, 0)
-
-    def _kind(self, departure: Departure) -> mi.UInt32:
-        """Class of light by its events."""
-        off_design, scatters = departure.off_design, departure.scatters
-        past = off_design | (departure.length == 0) if self._has_optics else off_design
-        direct = dr.select(past, mi.UInt32(STRAIGHT), mi.UInt32(DIRECT))
-        ghost = dr.select(departure.reflections > 0, mi.UInt32(GHOST), direct)
-        count = scatters & COUNT_MASK
-        scattered = dr.select(count == 1, mi.UInt32(SINGLE), mi.UInt32(MULTIPLE))
-        scattered = dr.select((scatters & NOT_DIFFRACTED) == 0, mi.UInt32(DIFFRACTED), scattered)
-        return dr.select(count == 0, ghost, scattered)
 
     def read(self) -> dict[str, Any]:
         """

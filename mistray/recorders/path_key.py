@@ -12,9 +12,9 @@ import numpy as np
 ABSORBED, TRANSMITTED, REFLECTED, TOTAL = range(4)
 RANDOM_TRANSMITTED, RANDOM_REFLECTED, AIMED_TRANSMITTED, AIMED_REFLECTED = range(4, 8)
 EVENT_BITS = 3
-# Scatter events of a path are counted in one word: all of them, those at random, those at surfaces that transmit; a bit
-# says whether one of them was not diffraction
-COUNT_MASK, RANDOM_SHIFT, OPTICAL_SHIFT, NOT_DIFFRACTED = 0x3FF, 10, 20, 1 << 30
+# Scatter events of a path are counted in one word: all of them, those at random, those at surfaces that transmit; bits
+# say whether one of them was not diffraction, and whether the last was at a surface that lets nothing through
+COUNT_MASK, RANDOM_SHIFT, OPTICAL_SHIFT, NOT_DIFFRACTED, AT_WALL = 0x3FF, 10, 20, 1 << 30, 1 << 31
 FIRST_KEY = 0x9E3779B97F4A7C15
 MULTIPLIER = 0xFF51AFD7ED558CCD
 

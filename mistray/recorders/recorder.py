@@ -63,6 +63,10 @@ class Visit:
         Whether anything in the scene scatters.
     slot : mi.UInt32 or None
         Of the path in the ledger, once a ledger has found it.
+    odds : mi.Float or None
+        Rays against the light for one of these that arrive, see `mistray.kernel.odds`; None: they are not weighed.
+    link : mi.Float or None
+        How many connections find their paths, see `mistray.kernel.odds.Odds.linked`; None: there are none.
     """
 
     start: StartRays
@@ -82,6 +86,8 @@ class Visit:
     nodes: Any
     scatters: bool
     slot: mi.UInt32 | None = None
+    odds: mi.Float | None = None
+    link: mi.Float | None = None
 
     @property
     def surface(self) -> mi.UInt32:
@@ -161,6 +167,12 @@ class Departure:
         Nodes before the last.
     node : sequence of mi.Float, optional
         The last one: point, direction of arrival and weight; None: the rays come straight from their start.
+    odds : mi.Float or None
+        Rays with the light for one of these that leave, see `mistray.kernel.odds`; None: they are not weighed.
+    link : mi.Float or None
+        How many connections find their paths, see `mistray.kernel.odds.Odds.linked`; None: there are none.
+    joint : mi.UInt32 or None
+        What rays remember that were connected to light, see `mistray.kernel.scatter_shares.JOINED`; 0 of others.
     """
 
     start: StartRays
@@ -175,6 +187,9 @@ class Departure:
     active: mi.Bool
     nodes: Any = None
     node: Sequence[mi.Float] | None = None
+    odds: mi.Float | None = None
+    link: mi.Float | None = None
+    joint: mi.UInt32 | None = None
 
 
 @dataclass

@@ -66,6 +66,12 @@ class StartRays:
         Hits of one surface in a row before, see `mistray.kernel.branch_limits`.
     at : mi.UInt32, optional
         Surface that a ray has just arrived at, with its origin on it; `NO_SURFACE`: it is on its way.
+    scale : mi.Float, optional
+        Weight with which the ray left the source, where that is not 1: what `Settings.flux_threshold` is relative to.
+    place : list of mi.Float, optional
+        Where the start rays lie in the unit cube of their cell, see `mistray.sampling.plane_wave.wave_rays`.
+    stokes : mi.Vector3f, optional
+        (q, u, v) of polarised light with respect to the axes of `mistray.kernel.polarization`.
     """
 
     lane: mi.UInt32
@@ -88,6 +94,9 @@ class StartRays:
     off_design: mi.Bool | None = None
     run: mi.UInt32 | None = None
     at: mi.UInt32 | None = None
+    scale: mi.Float | None = None
+    place: list[mi.Float] | None = None
+    stokes: mi.Vector3f | None = None
 
     def given(self, name: str, otherwise: Any) -> Any:
         """An optional field, or what holds where it is not given."""
@@ -105,7 +114,9 @@ class StartRays:
 
 
 def _chosen(value: Any, index: mi.UInt32) -> Any:
-    """Entries of an array; those of a constant are that constant."""
+    """Entries of an array or of several; those of a constant are that constant."""
+    if isinstance(value, list):
+        return [_chosen(one, index) for one in value]
     if getattr(value, "state", None) == dr.VarState.Literal:
         return dr.full(type(value), value[0], dr.width(index))
     return dr.gather(type(value), value, index)

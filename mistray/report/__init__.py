@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from mistray.report.formats import write_formats
     from mistray.report.ghosts.report import html_text, write_html
     from mistray.report.ghosts_output import write_all, write_png
+    from mistray.report.image_quality import quality_text, write_quality
     from mistray.report.objects_output import objects_text, write_objects
     from mistray.report.output import writable_directory
     from mistray.report.own_sections import remove_section, report_section
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from mistray.report.rays.path_rays import RayLine, rays_of_paths
     from mistray.report.rays.path_sort import SortedPath, parse_path_sort, path_sort_text
     from mistray.report.rays.ray_files import read_rays, write_rays
+    from mistray.report.step.export import StepExport, export_step
     from mistray.report.study_output import study_text, write_study
     from mistray.report.tables.ghosts import main_table, warnings
     from mistray.report.tables.ghosts_csv import write_csv
@@ -52,9 +54,11 @@ __all__ = lazy_package(
         "pst_output": ("write_pst",),
         "tables.pst": ("pst_text",),
         "rays.ray_files": ("read_rays", "write_rays"),
+        "step.export": ("StepExport", "export_step"),
         "study_output": ("study_text", "write_study"),
         "tables.ghosts": ("main_table", "warnings"),
         "tables.text": ("with_error",),
+        "image_quality": ("quality_text", "write_quality"),
         "thermal": ("thermal_text", "write_thermal"),
         "view3d.view": ("View", "view"),
     },

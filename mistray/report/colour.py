@@ -29,7 +29,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -39,9 +38,9 @@ from mistray.analysis.spectral import spectral_maps
 from mistray.errors import MistrayError
 from mistray.ranges import BLOCK, STOPS, Words, check_fields
 from mistray.report.figures.figure import Figure
+from mistray.spectra import cie
 
 Array = npt.NDArray[np.float64]
-OBSERVER = "CIE 1931 2 Degree Standard Observer"
 FEWEST_WAVELENGTHS = 3
 LEAST_CONE_RESPONSE = 1e-3  # of a white, relative to its luminance
 ROUNDING = 1e-9
@@ -121,16 +120,15 @@ def observer(wavelength_nm: npt.ArrayLike) -> Array:
     MistrayError
         A wavelength lies outside of the table.
     """
-    colour = _colour_science()
-    table = colour.MSDS_CMFS[OBSERVER]
+    known, table = cie.observer()
     wavelengths = np.atleast_1d(np.asarray(wavelength_nm, dtype=np.float64))
-    low, high = float(table.wavelengths[0]), float(table.wavelengths[-1])
+    low, high = float(known[0]), float(known[-1])
     outside = wavelengths[(wavelengths < low) | (wavelengths > high)]
     if outside.size:
         raise MistrayError(
             f"colour: {outside[0]:g} nm is not visible; the CIE observer is known from {low:g} to {high:g} nm"
         )
-    return np.column_stack([np.interp(wavelengths, table.wavelengths, values) for values in table.values.T])
+    return np.column_stack([np.interp(wavelengths, known, values) for values in table.T])
 
 
 def xyz(power: npt.ArrayLike, wavelength_nm: npt.ArrayLike) -> Array:
@@ -174,7 +172,7 @@ def develop(light: Array, exposure: float, white: Array | None = None) -> Develo
     linear = exposure * linear
     count = max(int(np.count_nonzero(linear.max(axis=-1) > 0)), 1)
     over = linear.max(axis=-1) > 1 + ROUNDING
-    encode = _colour_science().RGB_COLOURSPACES["sRGB"].cctf_encoding
+    encode = cie.colour_science().RGB_COLOURSPACES["sRGB"].cctf_encoding
     rgb = np.asarray(encode(np.clip(linear, 0.0, 1.0)), dtype=np.float64)
     return Developed(rgb, np.count_nonzero(outside) / count, np.count_nonzero(over) / count)
 
@@ -188,7 +186,7 @@ def linear_rgb(light: Array, white: Array | None = None) -> tuple[Array, npt.NDA
     light, white
         As for `develop`.
     """
-    colour = _colour_science()
+    colour = cie.colour_science()
     space = colour.RGB_COLOURSPACES["sRGB"]
     primaries = colour.normalised_primary_matrix(space.primaries, space.whitepoint)
     to_rgb = np.linalg.inv(primaries)
@@ -206,17 +204,6 @@ def linear_rgb(light: Array, white: Array | None = None) -> tuple[Array, npt.NDA
     lit = own_luminance > 0
     inside[lit] *= (luminance[lit] / own_luminance[lit])[..., None]
     return inside, outside
-
-
-def _colour_science() -> Any:
-    """
-    The package ``colour``, imported when it is needed because that takes a second.
-
-    It changes on import how NumPy prints numbers, and with that the digits that pandas writes to CSV; that is undone.
-    """
-    with np.printoptions():
-        import colour
-    return colour
 
 
 class ColourPictures:

@@ -10,6 +10,11 @@ import pandas as pd
 
 from mistray.files.irradiance_files import FORMATS, IrradianceMap, require_format, write_irradiance
 from mistray.files.parquet import require_parquet, write_parquet
+from mistray.files.pdf import fpdf_module
+from mistray.replace_file import replace_file
+from mistray.report.model import Report
+
+PDF = "pdf"
 
 
 def require_formats(formats: Sequence[str]) -> None:
@@ -19,7 +24,7 @@ def require_formats(formats: Sequence[str]) -> None:
     Parameters
     ----------
     formats : sequence of str
-        "parquet", "exr", "fits" or "npy".
+        "parquet", "pdf", "exr", "fits" or "npy".
 
     Raises
     ------
@@ -29,8 +34,15 @@ def require_formats(formats: Sequence[str]) -> None:
     for name in formats:
         if name in FORMATS:
             require_format(name)
+        elif name == PDF:
+            fpdf_module()
         else:
             require_parquet()
+
+
+def pdf_name(page: str) -> str:
+    """Name of the PDF document that belongs to a page."""
+    return f"{page.removesuffix('.html')}.{PDF}"
 
 
 def write_formats(
@@ -39,14 +51,15 @@ def write_formats(
     tables: Mapping[str, pd.DataFrame],
     maps: Mapping[str, IrradianceMap],
     facts: Mapping[str, Any] | None = None,
+    report: Report | None = None,
 ) -> list[Path]:
     """
-    Write tables as Parquet and irradiance maps as EXR, FITS or NPY.
+    Write tables as Parquet, irradiance maps as EXR, FITS or NPY, and the report as PDF.
 
     Parameters
     ----------
     formats : sequence of str
-        "parquet" for the tables, "exr", "fits" and "npy" for the maps.
+        "parquet" for the tables, "pdf" for the report, "exr", "fits" and "npy" for the maps.
     directory : str or Path
         Must exist.
     tables : mapping of str to DataFrame
@@ -55,6 +68,8 @@ def write_formats(
         By file name without ending.
     facts : mapping, optional
         Of the tables, see `write_parquet`.
+    report : Report, optional
+        What "pdf" writes, under the name of its page; without one it has been written already.
 
     Returns
     -------
@@ -66,6 +81,11 @@ def write_formats(
     for name in dict.fromkeys(formats):
         if name in FORMATS:
             written += [write_irradiance(one, folder / f"{stem}.{name}") for stem, one in maps.items()]
+        elif name == PDF:
+            if report is not None:
+                from mistray.report.pdf import pdf_bytes  # needs what a trace needs
+
+                written.append(replace_file(folder / pdf_name(report.page), pdf_bytes(report), "report"))
         else:
             written += [
                 write_parquet(table, folder / f"{stem.removesuffix('.csv')}.parquet", facts)

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.replace_file import claim_files, draft_folder, written
 from mistray.report.colour import ColourPictures, Look
 from mistray.report.figures.layout import layout
-from mistray.report.figures.plots import as_png, common_range, ghost_image, levels_against_field, montage
+from mistray.report.figures.plots import as_png, ghost_image, levels_against_field, montage
+from mistray.report.formats import pdf_name
 from mistray.report.ghosts.fields import mapped_paths
-from mistray.report.ghosts.report import html_text
+from mistray.report.ghosts.report import ghosts_report
+from mistray.report.ghosts.surface_maps import surface_map_figures
+from mistray.report.html.render import html_page
 from mistray.report.output import nearest_directory, told, writable_directory
+from mistray.report.pdf import pdf_bytes
 from mistray.report.rays.path_sort import path_sort_text
 from mistray.report.tables.ghosts_csv import write_csv
 
@@ -31,14 +36,19 @@ def draw(report: GhostReport, look: Look | None = None) -> dict[str, bytes]:
     Returns
     -------
     dict
-        overview.png, levels.png and, for each field, ghosts_<field>deg.png and layout_<field>deg.png; with a look also
+        overview.png, overview_common.png, levels.png and, for each field, ghosts_<field>deg.png and
+        layout_<field>deg.png; where light on surfaces is recorded surface_maps_<field>deg.png; with a look also
         colour_<field>deg.png.
     """
-    limits = common_range(report)
-    pictures = {"overview.png": as_png(montage(report)), "levels.png": as_png(levels_against_field(report))}
+    pictures = {
+        "overview.png": as_png(montage(report), of_maps=True),
+        "overview_common.png": as_png(montage(report, common=True), of_maps=True),
+        "levels.png": as_png(levels_against_field(report)),
+    }
     for field in report:
-        pictures[f"ghosts_{field:g}deg.png"] = as_png(ghost_image(report, field, limits))
+        pictures[f"ghosts_{field:g}deg.png"] = as_png(ghost_image(report, field), of_maps=True)
         pictures[f"layout_{field:g}deg.png"] = as_png(layout(report, field))
+    pictures |= {name: as_png(figure) for name, figure in surface_map_figures(report).items()}
     if look is not None:
         colours = ColourPictures(report, look)
         pictures |= {f"colour_{field:g}deg.png": as_png(colours.figure(field)) for field in report}
@@ -72,6 +82,7 @@ def write_all(
     command: str = "",
     per_wavelength: bool = False,
     look: Look | None = None,
+    pdf: bool = False,
 ) -> list[Path]:
     """
     Write CSV, PNG, path-sort files (of the `PATHS_SORTED` strongest paths) and report.html.
@@ -93,6 +104,8 @@ def write_all(
         Add tables of each wavelength, in the report and as CSV.
     look : Look, optional
         Add colour pictures, developed like this.
+    pdf : bool
+        Write report.pdf, too.
 
     Returns
     -------
@@ -109,13 +122,26 @@ def write_all(
             path = draft / f"path_sort_{field:g}deg.txt"
             path.write_text(path_sort_text(report[field], PATHS_SORTED), encoding="utf-8")
             drafts.append(path)
-        page = html_text(report, title, command, pictures, per_wavelength)
-        drafts += _write({"report.html": page.encode()}, draft)
+        drafts += _write(pages(report, title, command, pictures, per_wavelength, pdf), draft)
         target.mkdir(parents=True, exist_ok=True)
         claim_files(target / path.name for path in drafts)
         files = [path.replace(target / path.name) for path in drafts]
         written.extend(files)
         return files
+
+
+def pages(
+    report: GhostReport,
+    title: str,
+    command: str,
+    pictures: Mapping[str, bytes],
+    per_wavelength: bool,
+    pdf: bool,
+) -> dict[str, bytes]:
+    """The report as a page, and as PDF, by file name; arguments as in `write_all`."""
+    made = ghosts_report(report, title, command, pictures, per_wavelength)
+    found = {made.page: html_page(made).encode()}
+    return found | ({pdf_name(made.page): pdf_bytes(made)} if pdf else {})
 
 
 def _write(pictures: dict[str, bytes], directory: Path) -> list[Path]:

@@ -47,13 +47,21 @@ class Cell:
 
 
 @dataclass(frozen=True)
+class Link:
+    """Text that leads to a place on the same page."""
+
+    text: str
+    anchor: str
+
+
+@dataclass(frozen=True)
 class Finished:
     """A whole cell as HTML, for what only a page shows."""
 
     html: str
 
 
-Value = str | int | Estimate | Fold | Noted | Cell | Finished
+Value = str | int | Estimate | Fold | Noted | Cell | Link | Finished
 """Of a cell. Text and whole numbers stand as they are, an `Estimate` with its standard error."""
 
 
@@ -154,7 +162,7 @@ class Note(Part):
 
 @dataclass(frozen=True)
 class Items(Part):
-    """Short texts as a list; `style` "warnings" is a box."""
+    """Short texts as a list; `style` "warnings" is a box, "verdict" the result of all in a few sentences."""
 
     texts: Sequence[str]
     style: str = ""
@@ -235,10 +243,12 @@ class Html(Part):
 
 @dataclass(frozen=True)
 class Folded(Part):
-    """Parts of a page behind a line that opens them."""
+    """Parts of a page behind a line that opens them, which can be linked to if it has an `anchor`."""
 
     summary: str
     parts: Sequence[Part]
+    style: str = ""
+    anchor: str = ""
     kind: ClassVar[str] = "folded"
 
 
@@ -264,12 +274,15 @@ class Section:
     parts : sequence of Part
     link : str
         Its name among the links at the top of a page; empty: it has none.
+    folded : {"", "screen", "always"}
+        Whether a page shows the title alone until it is opened; "screen": on paper it is open.
     """
 
     anchor: str
     title: str
     parts: Sequence[Part]
     link: str = ""
+    folded: str = ""
 
 
 @dataclass(frozen=True)

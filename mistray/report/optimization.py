@@ -23,6 +23,7 @@ from mistray.report.optimization_tables import (
     moved_table,
     terms_frame,
     variables_frame,
+    worse_lines,
 )
 from mistray.report.output import writable_directory, write_report
 from mistray.report.parts import settings_section
@@ -103,6 +104,7 @@ def optimization_report(result: Optimization, command: str = "") -> Report:
         source.parent.name if source.name == "scene.xml" else source.stem,
         [*sections, settings_section(facts, command)],
         lead=[Items(_findings(result)), Note(seeds)],
+        warnings=worse_lines(result),
         csv={
             "terms.csv": terms_frame(result),
             "variables.csv": variables_frame(result),

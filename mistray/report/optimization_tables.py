@@ -9,15 +9,16 @@ import pandas as pd
 from mistray.analysis.estimate import Estimate
 from mistray.files.json_values import plain
 from mistray.optimize import Comparison, Optimization, Term
-from mistray.optimize.study.comparison import Row
+from mistray.optimize.study.comparison import Row, worse
 from mistray.optimize.study.goals import holds, limit_of
 from mistray.report.model import Table, Value, columns
 from mistray.report.tables.frames import row_of
-from mistray.report.tables.text import number, table_text
+from mistray.report.tables.text import number, table_text, with_error
 
 TERM_COLUMNS = (
     "term", "unit", "field_deg", "wavelength_nm", "before", "before_se", "after", "after_se", "ratio", "ratio_se",
 )  # fmt: skip
+PLACES_NAMED = 3  # in a warning
 AT_BOUND = 1e-6  # of the way from bound to bound
 
 
@@ -51,6 +52,22 @@ def terms_table(result: Optimization) -> str:
         rows.append([term.name, row.unit, *before_after(row), goal_text(term, row.before), kept_text(term, row)])
     heads = columns("<term", "<unit", "before", "after", "before / after", "<goal", "holds")
     return table_text(Table(heads, rows))
+
+
+def worse_lines(result: Optimization) -> list[str]:
+    """Where terms have become worse, a line for each term."""
+    found: dict[str, list[str]] = {}
+    for row in worse(result.comparison, result.study.terms):
+        places = [f"{row.field_deg:g}°"] if row.field_deg is not None else []
+        places += [f"{row.wavelength_nm:g} nm"] if row.wavelength_nm is not None else []
+        times = Estimate(1 / row.ratio, row.ratio_se / row.ratio**2) if row.ratio else None
+        much = "from 0" if times is None else f"{with_error(times)} times"
+        found.setdefault(row.term, []).append(f"{' and '.join(places)} ({much})")
+    return [
+        f"{term} is worse than before at {', '.join(places[:PLACES_NAMED])}"
+        + (f" and {len(places) - PLACES_NAMED} more" if len(places) > PLACES_NAMED else "")
+        for term, places in found.items()
+    ]
 
 
 def comparison_table(comparison: Comparison) -> str:
@@ -117,6 +134,7 @@ def report_text(result: Optimization) -> str:
     lines = [f"{len(result.comparison.seeds)} seeds not used in the search", terms_table(result), ""]
     if any(not row.whole for row in result.comparison.rows):
         lines += [comparison_table(result.comparison), ""]
+    lines += [f"warning: {line}" for line in worse_lines(result)]
     lines += [variables_table(result), ""]
     for item in result.placed:
         layers = ", ".join(layer.material for layer in item.group.start.layers)
@@ -152,6 +170,7 @@ def optimization_record(result: Optimization) -> dict[str, Any]:
                 "study": result.study.name,
                 "terms": rows,
                 "holds": kept,
+                "worse": [vars(row) for row in worse(result.comparison, result.study.terms)],
                 "variables": variables,
                 "start": result.starts[result.best.start].name,
                 "step": result.best.step,

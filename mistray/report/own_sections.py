@@ -1,4 +1,4 @@
-"""Sections that a user adds to the reports of mistray."""
+"""Sections that a user adds to the reports of mistray, and those of its own that only some scenes have."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ import pandas as pd
 
 from mistray.errors import MistrayError
 from mistray.files.json_values import plain
+from mistray.report.ghosts.passing import passing_section
+from mistray.report.ghosts.surface_maps import surface_maps_section
 from mistray.report.model import Map, Section, Table
 from mistray.report.tables.frames import table_frame
 from mistray.report.tables.text import parts_text
 
-SectionMaker = Callable[[Any], Section]
+SectionMaker = Callable[[Any], Section | None]
 Made = TypeVar("Made", bound=SectionMaker)
-_MAKERS: list[SectionMaker] = []
+_MAKERS: list[SectionMaker] = [passing_section, surface_maps_section]
 
 
 def report_section(make: Made) -> Made:
@@ -25,8 +27,8 @@ def report_section(make: Made) -> Made:
     Parameters
     ----------
     make : callable
-        Takes the `mistray.analysis.GhostReport` and returns a `mistray.report.model.Section`. Each table of it has a
-        name of its own, by which its CSV file is called.
+        Takes the `mistray.analysis.GhostReport` and returns a `mistray.report.model.Section`, or None where there is
+        nothing to show. Each table of it has a name of its own, by which its CSV file is called.
 
     Returns
     -------
@@ -45,7 +47,7 @@ def remove_section(make: SectionMaker) -> None:
 
 def own_sections(result: Any) -> list[Section]:
     """The sections that were added, of one result."""
-    return [make(result) for make in _MAKERS]
+    return [section for make in _MAKERS if (section := make(result)) is not None]
 
 
 def own_text(result: Any) -> list[str]:

@@ -21,6 +21,7 @@ def settings_section(
     before: Sequence[Part] = (),
     after: Sequence[Part] = (),
     link: str = "",
+    folded: str = "",
 ) -> Section:
     """
     The last section of a report: what it takes for granted, what its words mean, and how it was made.
@@ -36,7 +37,7 @@ def settings_section(
     assumptions : sequence of str
     before, after : sequence of Part
         Above all of it, and between the settings and the command.
-    link : str
+    link, folded
         See `Section`.
     """
     parts: list[Part] = list(before)
@@ -49,7 +50,7 @@ def settings_section(
         parts += [Note("Command", "h3"), Note(command, "pre")]
     words = [word for word, there in (("Assumptions", assumptions), ("definitions", definitions)) if there]
     title = f"{', '.join([*words, '']).removesuffix(', ')} and settings".capitalize() if words else "Settings"
-    return Section("settings", title, parts, link)
+    return Section("settings", title, parts, link, folded)
 
 
 @functools.cache

@@ -18,7 +18,7 @@ from mistray.analysis.study.step import Fact, StudyStep
 from mistray.files.json_values import plain
 from mistray.report.ghosts.fields import explored_paths
 from mistray.report.ghosts.ledgers import energy_ledger
-from mistray.report.ghosts.report import ASSUMPTIONS, POLARIZATION, SCATTERED
+from mistray.report.ghosts.report import ASSUMPTIONS, SCATTERED, polarization_words
 from mistray.report.html.explorer import page_data
 from mistray.report.model import Figure, Folded, Items, Note, Part, Report, Section, Terms
 from mistray.report.output import write_report
@@ -28,13 +28,14 @@ from mistray.report.tables import ghosts as tables
 from mistray.report.tables import pst as pst_tables
 from mistray.report.tables.frames import frame_table, value_text
 from mistray.report.tables.text import ABSENT
+from mistray.report.transfer import transfer_parts
 
 ROWS_OPEN = 30  # tables with more rows are folded
 ROWS_FILTERED = 15  # tables with more rows have a filter
 CAPTIONS = {
     "layout.png": "Section of the system with rays of the direct image on axis.",
     "objects.png": "What the detector sees, what light from outside reaches, and what is both.",
-    "ghost_images.png": "Irradiance on the detector at the fields of the ghost analysis, one log10 scale.",
+    "ghost_images.png": "Stray light on the detector at the fields of the ghosts, each map on its own log10 scale.",
     "ghost_levels.png": "Power by kind of light, and the ten worst stray paths at every field.",
     "worst_ghosts.png": "Rays of the worst ghosts, at the field where they are brightest.",
 }
@@ -125,7 +126,7 @@ def draw_study(study: Study) -> dict[str, bytes]:
     pictures = {
         "layout.png": as_png(layout(report, on_axis, ghosts=0)),
         "objects.png": as_png(objects_layout(study.objects)),
-        "ghost_images.png": as_png(montage(report)),
+        "ghost_images.png": as_png(montage(report), of_maps=True),
         "ghost_levels.png": as_png(levels_against_field(report)),
     }
     rated = {field: report.summary(field).brightest_normalised.value for field in report}
@@ -205,6 +206,7 @@ def _step(study: Study, step: StudyStep, pictures: Mapping[str, bytes]) -> Secti
     for name, frame in step.tables.items():
         parts += _table(name, frame)
     if step.key == "analysis":
+        parts += [] if study.images is None else transfer_parts(study.images, study.name)
         parts += _ghosts(study.ghosts)
     title = f"{step.number} {step.title}"
     return Section(step.key, title, [*parts, Note(f"{step.seconds:.1f} s", "note")], title)
@@ -212,7 +214,7 @@ def _step(study: Study, step: StudyStep, pictures: Mapping[str, bytes]) -> Secti
 
 def _ghosts(report: GhostReport) -> list[Part]:
     """The paths of every field to explore, and the energy ledger of the fields."""
-    parts: list[Part] = [page_data(report.scene)]
+    parts: list[Part] = [page_data(report)]
     for number, field in enumerate(report):
         parts.append(Note(f"Paths of the ghosts, field {field:g}°", "h3"))
         parts += explored_paths(report, field, f"t-field-{number}")
@@ -235,7 +237,7 @@ def _settings(study: Study, command: str) -> Section:
     traced = study.pst.facts.get("settings", {})
     ghosts = next(iter(study.ghosts.values())).settings
     words = {
-        "polarization": POLARIZATION[ghosts["polarization"]],
+        "polarization": polarization_words(ghosts),
         "scatter": SCATTERED.format(max_scatters=traced.get("max_scatters", ghosts["max_scatters"])),
     }
     assumptions = [*(text.format(**words) for text in ASSUMPTIONS[:-1]), SOURCES]

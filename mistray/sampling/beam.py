@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.sampling.source import SceneSource
+from mistray.sampling.source import Emission, SceneSource
 from mistray.sampling.space_filling import sorted_points
 
 
@@ -41,13 +41,13 @@ class Beam(SceneSource):
 
     def start(
         self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray, centre: np.ndarray
-    ) -> tuple[mi.Vector3f, mi.Vector3f]:
+    ) -> Emission:
         """Origins and directions, see `Source.start`; three numbers of each generator are drawn."""
         if self.pattern == "grid":
             side = int(np.sqrt(rays))
             sample = mi.Point2f((mi.Float(lane % side) + 0.5) / side, (mi.Float(lane // side) + 0.5) / side)
         else:
-            sample = sorted_points(batch, rng, closing)
+            sample = sorted_points(batch, rng, closing[0])
         x, y = self.emitter.positions(sample)
         vectors = (self.pivot - centre, self.direction, self.u, self.v)
         pivot, direction, u, v = (mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in vector)) for vector in vectors)
@@ -55,8 +55,8 @@ class Beam(SceneSource):
         # All rays start on one plane normal to the beam, also where the cross-section is not
         back = dr.opaque(mi.Float, self.distance) + dr.dot(offset, direction)
         origin = pivot + offset - back * direction
-        return origin, dr.zeros(mi.Vector3f, dr.width(lane)) + direction
+        return Emission(origin, dr.zeros(mi.Vector3f, dr.width(lane)) + direction)
 
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
         """Its rays through points of the cross-section, see `SceneSource.probes`."""
-        return self.parallel(*(np.array(v, dtype=np.float64) for v in self.emitter.positions(sample)))
+        return self.through(*(np.array(v, dtype=np.float64) for v in self.emitter.positions(sample)))

@@ -3,21 +3,33 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import mitsuba as mi
 import numpy as np
 
+from mistray.coatings import METAL_K
+from mistray.errors import MistrayError
 from mistray.kernel.targets import Target
+from mistray.materials import complex_index
+from mistray.sampling.aimed_cones import Sphere
 from mistray.sampling.outlines import outline
 from mistray.sampling.source import SceneSource
 from mistray.sampling.sources import scene_sources, source_emitters
 from mistray.surfaces.host_rays import crossings, first_hit, inside, normals, onward, specular
+from mistray.surfaces.optics import MIRROR, OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
-PROBES = 256  # rays of a beam that look for the design path
+PROBES, MANY_PROBES = 256, 4096  # rays of a source that look for the design path
+MOST_AIMS = 8  # lenses and mirrors, the nearest first, that light from anywhere is aimed at to find it
 MOST_STEPS = 64
+# Of the part of the first aperture that light comes through: fewest probes that find it, room around it, and up to what
+# share of the aperture's radius it is a target of its own
+LEAST_ARRIVALS, MARGIN, WORTH_IT = 64, 1.05, 0.8
+SAME_PLACE = 1e-9  # share of a distance by which two surfaces in one plane may differ
 OPENING = -1  # in place of the number of a surface: where a backward path leaves the system
 
 
@@ -57,6 +69,28 @@ class Step:
         return bool(self.after @ self.normal > 0)
 
 
+class Unobstructed(NamedTuple):
+    """
+    Where rays that follow a design path end.
+
+    Attributes
+    ----------
+    passes : (n,) bool
+        Whether a ray reaches the detector by the design path.
+    ends : (n,) int
+        First surface that is not that of the design path; -1: none.
+    place : (n,) int
+        Number of the step that the ray was on its way to; -1 where it passes.
+    missed : (n,) bool
+        Whether it passed by the surface of that step before it met something else.
+    """
+
+    passes: np.ndarray
+    ends: np.ndarray
+    place: np.ndarray
+    missed: np.ndarray
+
+
 class DesignPath:
     """
     The surfaces that most of the light of a beam meets on its way to the detector, or the same backwards.
@@ -79,6 +113,10 @@ class DesignPath:
     def has_optics(self) -> bool:
         """Whether there is a lens or a mirror on the way."""
         return len(self.steps) > 1
+
+    def at(self, wavelength_nm: float) -> DesignPath:
+        """The same surfaces at another wavelength; the base ray stays."""
+        return DesignPath(self.table.at(wavelength_nm), self.steps, self.end)
 
     def reversed(self, opening: Target) -> DesignPath:
         """The backward path, from the detector to an opening before its first surface."""
@@ -127,6 +165,46 @@ class DesignPath:
                 o, alive = p[good], alive[good]
         return hits
 
+    def unobstructed(self, o: np.ndarray, d: np.ndarray, beyond_end: bool = False) -> Unobstructed:
+        """
+        Follow rays by what they meet first, all surfaces of the scene counted.
+
+        Parameters
+        ----------
+        o, d : (n, 3) float64
+            Origins (mm) and unit directions before the first step.
+        beyond_end : bool
+            The detector has no edge: rays pass where they come to its sheet before they meet something else.
+        """
+        o, d = o.copy(), d.copy()
+        passes, missed = (np.zeros(len(o), dtype=bool) for _ in range(2))
+        last, ends, place = (np.full(len(o), -1) for _ in range(3))
+        alive = np.arange(len(o))
+        for number, step in enumerate(self.steps):
+            surface, p, normal = first_hit(self.table, o[alive], d[alive], last[alive])
+            good, final = surface == step.surface, step is self.steps[-1]
+            past = np.zeros(len(alive), dtype=bool)
+            astray = np.flatnonzero(~good)
+            away = self.meet(step, o[alive[astray]], d[alive[astray]])[0] - o[alive[astray]]
+            to_sheet = np.einsum("ij,ij->i", away, d[alive[astray]])
+            to_hit = np.where(surface >= 0, np.linalg.norm(p - o[alive], axis=1), np.inf)[astray]
+            with np.errstate(invalid="ignore"):
+                past[astray] = (to_sheet > 0) & (to_sheet <= to_hit * (1 + SAME_PLACE))
+            if final and beyond_end:
+                good = good | past
+            lost = alive[~good]
+            ends[lost], place[lost], missed[lost] = surface[~good], number, past[~good]
+            if final:
+                passes[alive[good]] = True
+                break
+            alive, p, normal = alive[good], p[good], normal[good]
+            after, reflects = onward(self.table, surface[good], d[alive], normal)
+            kept = np.isfinite(after[:, 0]) & (reflects == step.reflects)
+            ends[alive[~kept]], place[alive[~kept]] = step.surface, number
+            alive = alive[kept]
+            o[alive], d[alive], last[alive] = p[kept], after[kept], step.surface
+        return Unobstructed(passes, ends, place, missed)
+
     def _inside(self, step: Step, p: np.ndarray) -> np.ndarray:
         """Whether points lie within the bounds of the surface of a step."""
         if step.surface == OPENING:
@@ -172,21 +250,105 @@ def find_design_path(table: SurfaceTable, scene: mi.Scene) -> DesignPath | None:
         return None
     for field in (0.0, None):
         for source in scene_sources(scene, field_deg=field):
-            probed = _probe(table, source)
-            path = _with_base_ray(table, source, probed) if probed else None
-            if path is not None:
-                return path
+            for light, count in _attempts(table, source):
+                probed = _probe(table, light, count)
+                path = _with_base_ray(table, light, *probed) if probed else None
+                if path is not None:
+                    return path
     return None
 
 
-def _probe(table: SurfaceTable, source: SceneSource) -> list[Step] | None:
-    """The steps that most probes take to the detector, each with the hit of one of them."""
+def _attempts(table: SurfaceTable, source: SceneSource) -> Iterator[tuple[SceneSource, int]]:
+    """Light of a source that may find the detector, and with how many probes: all of it, then some of what is aimed."""
+    yield source, PROBES
+    if not source.aims:
+        return
+    yield source, MANY_PROBES
+    words = table.optics.host_words
+    optics = [k for k in range(table.count) if (words[k] & OPAQUE) == 0 or (words[k] & MIRROR) != 0]
+    aims = [sphere_of(outline(table.shapes[k])) for k in (*optics, table.detector)]
+    places = source.probes(mi.Point2f(mi.Float([0.5]), mi.Float([0.5])))[0]
+    aims.sort(key=lambda aim: float(np.linalg.norm(aim.centre - places[0])))
+    for aim in aims[:MOST_AIMS]:
+        yield source.aimed_at(aim), PROBES
+
+
+def check_place(table: SurfaceTable, source: SceneSource) -> None:
+    """
+    Refuse a near source that stands in a metal.
+
+    Raises
+    ------
+    MistrayError
+        If all its light comes to surfaces from sides where nothing travels.
+    """
+    if source.middle is not None:
+        return
     sample = mi.Point2f(*(upload(mi.Float, v) for v in np.random.default_rng(0).random((2, PROBES))))
     o, d = source.probes(sample)
-    last = np.full(PROBES, -1)
-    trails: list[list[Step]] = [[] for _ in range(PROBES)]
-    arrived = []
-    alive = np.arange(PROBES)
+    start = table.ids.index(source.shape) if source.shape else -1
+    surface, _, normal = first_hit(table, o, d, np.full(PROBES, start))
+    met = surface >= 0
+    sides = {
+        (int(s), bool(front))
+        for s, front in zip(surface[met], (np.einsum("ij,ij->i", d, normal) > 0)[met], strict=True)
+    }
+    materials = []
+    for s, front in sorted(sides):
+        material = table.interfaces[s].front if front else table.interfaces[s].back
+        if complex_index(material, source.wavelength_nm).imag <= METAL_K:
+            return
+        materials.append((material, table.ids[s]))
+    for material, name in materials:
+        raise MistrayError(
+            f"source '{source.name}': it stands in '{material}' behind surface '{name}', where nothing travels; move it"
+        )
+
+
+def sphere_of(target: Target) -> Sphere:
+    """A sphere around an aperture."""
+    a, b = float(np.linalg.norm(target.u)), float(np.linalg.norm(target.v))
+    return Sphere(target.centre, max(a, b) if target.shape == "ellipse" else float(np.hypot(a, b)))
+
+
+def first_aperture(table: SurfaceTable, scene: mi.Scene) -> Sphere | None:
+    """A sphere around the first surface that the design path meets; None where there is no such path."""
+    path = find_design_path(table.on(table.detectors[0]) if len(table.detectors) > 1 else table, scene)
+    if path is None:
+        return None
+    return sphere_of(outline(table.shapes[path.steps[0].surface]))
+
+
+def footprint(table: SurfaceTable, source: SceneSource, aperture: Sphere) -> Sphere | None:
+    """
+    A sphere around the part of the first aperture through which the light of a source comes to a detector.
+
+    Returns
+    -------
+    Sphere or None
+        None where too few probes find out, or it is hardly smaller than the aperture.
+    """
+    first = table.on(table.detectors[0]) if len(table.detectors) > 1 else table
+    found = _most_common(*_trails(first, source.aimed_at(aperture), MANY_PROBES)[:2])
+    if found is None or len(found[1]) < LEAST_ARRIVALS:
+        return None
+    points = np.array([steps[0].point for steps in found[1].values()])
+    centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    sphere = Sphere(centre, MARGIN * float(np.linalg.norm(points - centre, axis=1).max()))
+    return sphere if 0 < sphere.radius < WORTH_IT * aperture.radius else None
+
+
+def _trails(
+    table: SurfaceTable, source: SceneSource, count: int
+) -> tuple[list[list[Step]], list[int], tuple[np.ndarray, np.ndarray]]:
+    """The steps of probes, the numbers of those that come to the detector, and the rays."""
+    sample = mi.Point2f(*(upload(mi.Float, v) for v in np.random.default_rng(0).random((2, count))))
+    start = source.probes(sample)
+    o, d = (vectors.copy() for vectors in start)
+    last = np.full(count, table.ids.index(source.shape) if source.shape else -1)
+    trails: list[list[Step]] = [[] for _ in range(count)]
+    arrived: list[int] = []
+    alive = np.arange(count)
     for _ in range(MOST_STEPS):
         surface, p, normal = first_hit(table, o[alive], d[alive], last[alive])
         alive, p, normal, surface = (values[surface >= 0] for values in (alive, p, normal, surface))
@@ -199,17 +361,38 @@ def _probe(table: SurfaceTable, source: SceneSource) -> list[Step] | None:
         alive = alive[(surface != table.detector) & np.isfinite(after[:, 0])]
         if not len(alive):
             break
+    return trails, arrived, start
+
+
+def _most_common(trails: list[list[Step]], arrived: list[int]) -> tuple[Any, dict[int, list[Step]]] | None:
+    """The order of surfaces that most of the probes that arrive take, and the steps of these by their numbers."""
     orders = {ray: tuple((step.surface, step.reflects) for step in trails[ray]) for ray in arrived}
     if not orders:
         return None
     most = Counter(orders.values()).most_common(1)[0][0]
-    return next(trails[ray] for ray, order in orders.items() if order == most)
+    return most, {ray: trails[ray] for ray, order in orders.items() if order == most}
 
 
-def _with_base_ray(table: SurfaceTable, source: SceneSource, probed: list[Step]) -> DesignPath | None:
+def _probe(
+    table: SurfaceTable, source: SceneSource, count: int
+) -> tuple[list[Step], tuple[np.ndarray, np.ndarray]] | None:
+    """The steps that most probes take to the detector, with the hits of the one in their middle, and that ray."""
+    trails, arrived, start = _trails(table, source, count)
+    found = _most_common(trails, arrived)
+    if found is None:
+        return None
+    taking = np.array(list(found[1]))
+    first = np.array([steps[0].point for steps in found[1].values()])
+    middle = taking[np.argmin(np.linalg.norm(first - first.mean(axis=0), axis=1))]
+    return trails[middle], (start[0][[middle]], start[1][[middle]])
+
+
+def _with_base_ray(
+    table: SurfaceTable, source: SceneSource, probed: list[Step], probe: tuple[np.ndarray, np.ndarray]
+) -> DesignPath | None:
     """The path with the steps of the ray in the middle of the light; None if that ray misses a surface altogether."""
     path = DesignPath(table, tuple(probed), outline(table.shapes[table.detector]))
-    o, d = source.middle
+    o, d = source.middle or probe
     steps = []
     for step in probed:
         o, normal = path.meet(step, o, d)

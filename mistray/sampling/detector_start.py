@@ -191,6 +191,30 @@ class DetectorStart:
         medium = dr.select(back, self._media[1], self._media[0])
         return StartRays(lane, batch, rng, p, d, w, left, normal, self.pixel(x, y, *pixels), medium)
 
+    def weight_at(self, p: mi.Vector3f, d: mi.Vector3f, outward: mi.Vector3f, active: mi.Bool) -> mi.Float:
+        """
+        Weights of the rays that start at points of the detector along d, where the mean is 1.
+
+        Parameters
+        ----------
+        p, d : mi.Vector3f
+        outward : mi.Vector3f
+            Unit normal on the side that the rays leave to.
+        active : mi.Bool
+        """
+        upright = dr.dot(outward, self._axes[2])
+        back = upright * self._towards < 0
+        w = dr.rcp(dr.select(back, self._back, 1 - self._back))
+        if self._curved:
+            w = w / (dr.abs(upright) * self._stretch)
+        if self._targets is not None:
+            targets, count = self._targets
+            plan = dr.zeros(mi.Vector2u, dr.width(d)) + mi.Vector2u(0, count)
+            lambertian = dr.maximum(dr.dot(d, outward), 0) / dr.pi
+            density = targets.density(plan, p, d, outward, mi.Bool(False), mi.UInt32(0), active & ~back)
+            w = dr.select(back, w, w * lambertian / dr.lerp(lambertian, density, AIMED))
+        return w * dr.select(back, self._index2[1], self._index2[0])
+
     def _position(self, u: mi.Float, v: mi.Float) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float, mi.Float, mi.Float]:
         """Point, normal, area of the surface there over the mean one, and the detector's own coordinates, mm."""
         x, y, z = (2 * u - 1) * self._half[0], (2 * v - 1) * self._half[1], mi.Float(0)

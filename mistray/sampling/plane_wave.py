@@ -11,7 +11,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.recorders.directions import DirectionGrid
-from mistray.sampling.source import Source
+from mistray.sampling.source import Emission, Source
 from mistray.sampling.space_filling import sorted_points
 from mistray.surfaces.host_points import box_corners
 from mistray.surfaces.surfaces import SurfaceTable
@@ -102,15 +102,16 @@ class PlaneWave(Source):
 
     def start(
         self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray, centre: np.ndarray
-    ) -> tuple[mi.Vector3f, mi.Vector3f]:
+    ) -> Emission:
         """
         Origins and directions of the start rays of one pass; see `Source.start`.
 
         Five random numbers a lane. The positions of a batch are sorted along a curve.
         """
-        sample = sorted_points(batch, rng, closing)
+        sample = sorted_points(batch, rng, closing[0])
         numbers = [dr.opaque(mi.Float, value) for value in self.numbers]
-        return wave_rays(numbers, self.rotation, self.centre - centre, sample, rng.next_float32(), rng.next_float32())
+        u, v = rng.next_float32(), rng.next_float32()
+        return Emission(*wave_rays(numbers, self.rotation, self.centre - centre, sample, u, v))
 
     @property
     def numbers(self) -> list[float]:

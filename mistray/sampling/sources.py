@@ -3,48 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, WAVELENGTH_NM, WEIGHT
-from mistray.sampling.source import SceneSource
+from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, PLACE_MM
+from mistray.sampling.source import SceneSource, SourceRequest
+from mistray.sampling.stock_sources import stock_source
+from mistray.spectra.spectrum import of_lines
 from mistray.surfaces.surfaces import solid_shapes
 
 DEFAULT_NM = 550.0  # where a scene has no source
-
-
-@dataclass(frozen=True)
-class SourceRequest:
-    """
-    What a trace asks of the plugin of a source, whose `sources` answers with a `SceneSource` for each wavelength.
-
-    Attributes
-    ----------
-    name : str
-        For tables: its id, or a number.
-    bounds : mi.ScalarBoundingBox3f
-        Of all shapes of the scene.
-    field_deg, azimuth_deg : float or None
-        Instead of the plugin's own.
-    wavelengths_nm, weights : (n,) float64
-        The shares of the flux add up to 1.
-    """
-
-    name: str
-    bounds: mi.ScalarBoundingBox3f
-    field_deg: float | None
-    azimuth_deg: float | None
-    wavelengths_nm: np.ndarray
-    weights: np.ndarray
+NO_SOURCE = "the scene has no source; add an emitter, such as 'collimated' or 'point_source'"
 
 
 def source_emitters(scene: mi.Scene) -> list[Any]:
-    """The emitters of a scene that a trace starts rays from: those of mistray, and of one's own."""
-    return [emitter for emitter in scene.emitters() if hasattr(emitter, "sources")]
+    """
+    The emitters of a scene that a trace starts rays from: those of mistray, one's own, and stock ones as sources.
+
+    Raises
+    ------
+    MistrayError
+        If a stock emitter is none that can be traced.
+    """
+    emitters = enumerate(scene.emitters(), start=1)
+    return [emitter if hasattr(emitter, "sources") else stock_source(emitter, number) for number, emitter in emitters]
 
 
 def scene_sources(
@@ -73,7 +58,7 @@ def scene_sources(
     """
     emitters = source_emitters(scene)
     if not emitters:
-        raise MistrayError("the scene has no source; add an emitter of type 'collimated'")
+        raise MistrayError(NO_SOURCE)
     if field_deg is not None:
         FIELD_DEG.check("field_deg", field_deg)
     if azimuth_deg is not None:
@@ -86,13 +71,32 @@ def scene_sources(
     for number, emitter in enumerate(emitters, start=1):
         name = emitter.name or f"source_{number}"
         lines = given or (emitter.wavelengths_nm, emitter.weights)
-        found = emitter.sources(SourceRequest(name, bounds, field_deg, azimuth_deg, *lines))
+        found = emitter.sources(SourceRequest(name, scene, bounds, field_deg, azimuth_deg, *lines))
         power = sum(source.power for source in found)
         if not 0 < power < np.inf:
             remedy = "it sends no light, change its numbers" if power == 0 else "give a smaller irradiance or beam"
             raise MistrayError(f"source '{name}' has a power of {power} W; {remedy}")
         result += found
     return result
+
+
+def field_of(scene: mi.Scene, height_mm: float) -> float:
+    """
+    Field angle, degrees, of an object height: the place of a near source along y of its object plane, mm.
+
+    Raises
+    ------
+    MistrayError
+        If the height is out of range, the scene has no source, its light comes from infinity, or its sources stand in
+        different planes.
+    """
+    PLACE_MM.check("field_mm", height_mm)
+    found = {round(emitter.field_of(height_mm), 9) for emitter in source_emitters(scene)}
+    if not found:
+        raise MistrayError(NO_SOURCE)
+    if len(found) > 1:
+        raise MistrayError("field_mm: the sources of the scene stand in different planes; give field_deg")
+    return found.pop()
 
 
 def field_axes(scene: mi.Scene) -> np.ndarray:
@@ -118,17 +122,7 @@ def spectrum(wavelength_nm: Any, weights: Any) -> tuple[np.ndarray, np.ndarray]:
     if wavelength_nm is None:
         raise MistrayError("weights are given without wavelength_nm; give one wavelength for each weight")
     wavelengths = np.atleast_1d(np.asarray(wavelength_nm, dtype=np.float64))
-    if not wavelengths.size:
-        raise MistrayError("wavelength_nm is empty; give at least one")
-    for wavelength in wavelengths:
-        WAVELENGTH_NM.check("wavelength_nm", float(wavelength))
     if len(np.unique(wavelengths)) < len(wavelengths):
         raise MistrayError(f"wavelength_nm is {wavelength_nm}; give every wavelength once")
-    shares = np.ones(len(wavelengths)) if weights is None else np.atleast_1d(np.asarray(weights, dtype=np.float64))
-    if len(shares) != len(wavelengths):
-        raise MistrayError(f"{len(shares)} weights for {len(wavelengths)} wavelengths; give one for each")
-    for share in shares:
-        WEIGHT.check("weights", float(share))
-    if not shares.sum() > 0:
-        raise MistrayError(f"weights are {weights}; give one above 0")
-    return wavelengths, shares / shares.sum()
+    light = of_lines(wavelengths.tolist(), None if weights is None else np.atleast_1d(weights).tolist())
+    return light.wavelengths_nm, light.weights

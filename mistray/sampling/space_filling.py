@@ -6,10 +6,32 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.settings import BATCHES
 from mistray.surfaces.upload import upload
 
 BITS = 32  # of a place on the curve
+
+
+def sorted_places(batch: mi.UInt32, rng: mi.PCG32, closing: np.ndarray) -> mi.Float64:
+    """
+    Independent uniform numbers 0 … 1, those of each batch sorted.
+
+    Sorted uniform numbers without a sort: partial sums of exponential variables over their total, which holds one more
+    variable, `closing` (L. Devroye, Non-Uniform Random Variate Generation, 1986, section V.2.2).
+
+    Parameters
+    ----------
+    batch : mi.UInt32
+        Ascending, one for each lane.
+    rng : mi.PCG32
+        One number of each generator is drawn.
+    closing : (batches,) float
+        Independent exponential variables.
+    """
+    sums = dr.cumsum(mi.Float64(-dr.log(1 - rng.next_float32())))
+    first = np.searchsorted(np.array(batch), np.arange(len(closing) + 1))
+    totals = np.concatenate([[0.0], np.array(sums)])[first]
+    start, length = upload(mi.Float64, totals[:-1]), upload(mi.Float64, np.diff(totals) + closing)
+    return (sums - dr.gather(mi.Float64, start, batch)) / dr.gather(mi.Float64, length, batch)
 
 
 def sorted_points(batch: mi.UInt32, rng: mi.PCG32, closing: np.ndarray) -> mi.Point2f:
@@ -17,16 +39,10 @@ def sorted_points(batch: mi.UInt32, rng: mi.PCG32, closing: np.ndarray) -> mi.Po
     Independent uniform points of the unit square, those of each batch in the order of a space-filling curve.
 
     Neighbouring lanes then walk similar trees, so that few of them idle, and the batches stay independent samples. The
-    positions on the curve are sorted uniform numbers without a sort: partial sums of exponential variables over their
-    total, which holds one more variable, `closing` (L. Devroye, Non-Uniform Random Variate Generation, 1986, section
-    V.2.2). The curve is Morton's with 2^32 cells; the place within a cell is random.
+    curve is Morton's with 2^32 cells; the place within a cell is random. The arguments are those of `sorted_places`;
+    three numbers of each generator are drawn.
     """
-    sums = dr.cumsum(mi.Float64(-dr.log(1 - rng.next_float32())))
-    first = np.searchsorted(np.array(batch), np.arange(BATCHES + 1))
-    totals = np.concatenate([[0.0], np.array(sums)])[first]
-    start, length = upload(mi.Float64, totals[:-1]), upload(mi.Float64, np.diff(totals) + closing)
-    u = (sums - dr.gather(mi.Float64, start, batch)) / dr.gather(mi.Float64, length, batch)
-    return mi.Point2f(*curve_points(u, 2, rng))
+    return mi.Point2f(*curve_points(sorted_places(batch, rng, closing), 2, rng))
 
 
 def curve_points(place: mi.Float64, dimensions: int, rng: mi.PCG32) -> list[mi.Float]:

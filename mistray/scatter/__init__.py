@@ -3,3 +3,7 @@
 from mistray.scatter.lobe import Lobe, Placement, RatioTable, Scatter
 
 __all__ = ["Lobe", "Placement", "RatioTable", "Scatter"]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -12,7 +12,7 @@ from mistray.scene.xml_file import SceneFile
 LONGEST_NAME = 6  # words of a file name with blanks, within a longer text such as a list of layers
 
 
-def scene_files(path: Path) -> list[Path]:
+def scene_files(path: Path, text: bytes | None = None) -> list[Path]:
     """
     Files whose content a scene depends on.
 
@@ -22,6 +22,8 @@ def scene_files(path: Path) -> list[Path]:
     ----------
     path : Path
         Scene XML file.
+    text : bytes, optional
+        What stands for its content.
 
     Returns
     -------
@@ -40,7 +42,7 @@ def scene_files(path: Path) -> list[Path]:
     texts: list[str] = []
 
     def read(scene: Path) -> None:
-        for element in SceneFile(scene).root.walk():
+        for element in SceneFile(scene, text if scene == first else None).root.walk():
             value, name = (filled(element.values.get(key, ""), defaults) for key in ("value", "filename"))
             texts.extend((value, name))
             if element.tag == "default":

@@ -6,9 +6,10 @@ import difflib
 import os
 import os.path
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import mitsuba as mi
@@ -23,20 +24,35 @@ from mistray.scene.check import check_overlaps
 from mistray.scene.depth import check_depth
 from mistray.scene.improbable import improbable
 from mistray.scene.messages import explain, is_interrupt
+from mistray.scene.other_sensors import sensor_dicts
+from mistray.scene.other_sources import source_dicts, with_parts
 from mistray.scene.source import remember
 
 LONGEST_NAME = 400  # characters of a path that a message repeats
+Part = str | Mapping[str, Any]
+Parts = Part | Sequence[Part] | None
 NAMES_OFFERED = 5  # shipped scenes that are nearest to one that does not exist
 
 
-def load(source: str | Path | dict[str, Any]) -> mi.Scene:
+def load(
+    source: str | Path | ModuleType | dict[str, Any],
+    sources: Parts = None,
+    sensors: Parts = None,
+) -> mi.Scene:
     """
     Load an optical system as a Mitsuba scene.
 
     Parameters
     ----------
-    source : str, Path or dict
-        A scene XML file, the name of a shipped scene such as ``"phone_camera"``, or a Mitsuba scene dict.
+    source : str, Path, module or dict
+        A scene XML file, a shipped scene such as ``"phone_camera"`` or ``mistray.scenes.phone_camera``, or a Mitsuba
+        scene dict.
+    sources : str, dict or sequence of them, optional
+        Light instead of the emitters of the scene, such as ``"point:0,0,-500"`` or ``"sun:field_deg=30"``, see
+        docs/sources.md; shapes that carry an emitter keep it.
+    sensors : str, dict or sequence of them, optional
+        Probes and far fields beside those of the scene, such as ``"probe:0,0,17,half_width=20"``, see
+        docs/detectors.md.
 
     Returns
     -------
@@ -54,31 +70,69 @@ def load(source: str | Path | dict[str, Any]) -> mi.Scene:
         For each scatter model with improbable numbers, see `mistray.scene.improbable`.
     """
     ensure_variant()
-    given = source if isinstance(source, dict) else find(source)
+    return _loaded(source if isinstance(source, dict) else find(source), None, sources, sensors)
+
+
+def load_text(path: Path, text: str, sources: Parts = None, sensors: Parts = None) -> mi.Scene:
+    """
+    Load a scene from its text as if it stood in a file.
+
+    Parameters
+    ----------
+    path : Path
+        The file; it need not exist, its folder must.
+    text : str
+    sources, sensors
+        As in `load`, which says what is raised.
+    """
+    ensure_variant()
+    return _loaded(path, text, sources, sensors)
+
+
+def _loaded(given: Path | dict[str, Any], text: str | None, sources: Parts, sensors: Parts) -> mi.Scene:
+    """The scene of a dict, of a file, or of a text in the place of a file."""
     if isinstance(given, Path):
-        check_depth(given)
+        if text is None:
+            check_depth(given)
         name = _utf8(given)
     try:
-        scene = _from_dict(given) if isinstance(given, dict) else _from_file(name)
+        scene = _from_dict(given) if isinstance(given, dict) else _from_file(name, text)
     except Exception as error:  # Mitsuba raises RuntimeError and TypeError with text of many lines
         if is_interrupt(error):
             raise KeyboardInterrupt from None
-        raise MistrayError(explain(error, given)) from None
+        raise MistrayError(explain(error, given, text)) from None
     if not isinstance(scene, mi.Scene):
         raise MistrayError(f'scene: the dict describes a {type(scene).__name__}; add "type": "scene" at its top')
+    others, more = (
+        [given_parts] if isinstance(given_parts, (str, Mapping)) else list(given_parts or ())
+        for given_parts in (sources, sensors)
+    )
+    if others or more:
+        scene = _with_parts(scene, others, more)
     for shape in scene.shapes():
         check_id(shape.id(), "shape")
     check_overlaps(scene)
-    for text in improbable(scene):
-        warnings.warn(text, MistrayWarning, stacklevel=2)
-    remember(scene, given)
+    for line in improbable(scene):
+        warnings.warn(line, MistrayWarning, stacklevel=3)
+    remember(scene, given, others, more, text)
     return scene
 
 
-def _from_file(name: str) -> Any:
-    """What a scene file describes; what it includes is looked for in its folder first."""
+def _with_parts(scene: mi.Scene, sources: Sequence[Part], sensors: Sequence[Part]) -> mi.Scene:
+    """The scene with other light and more sensors."""
+    light, seen = source_dicts(sources), sensor_dicts(sensors)
+    try:
+        return with_parts(scene, light, seen)
+    except (RuntimeError, TypeError) as error:
+        if is_interrupt(error):
+            raise KeyboardInterrupt from None
+        raise MistrayError(explain(error, light | seen)) from None
+
+
+def _from_file(name: str, text: str | None) -> Any:
+    """What a scene file, or a text in its place, describes; what it includes is looked for in its folder first."""
     with _search(os.path.dirname(name)):
-        state = mi.parser.parse_file(_config(), name)
+        state = mi.parser.parse_file(_config(), name) if text is None else mi.parser.parse_string(_config(), text)
         check_file(state)
         return _built(state)
 
@@ -143,25 +197,27 @@ def _utf8(path: Path) -> str:
 
 def shipped_scenes() -> dict[str, Path]:
     """The files of the scenes that come with mistray, by their names."""
-    import mistray.scenes
+    from mistray import scenes
 
-    return {path.parent.name: path for path in sorted(Path(mistray.scenes.__file__).parent.glob("*/scene.xml"))}
+    return {name: Path(scenes.__path__[0]) / name / "scene.xml" for name in scenes.__all__}
 
 
-def find(source: str | Path) -> Path:
+def find(source: str | Path | ModuleType) -> Path:
     """
     File of a scene.
 
     Parameters
     ----------
-    source : str or Path
-        An existing file, a folder with a scene.xml, or the name of a shipped scene.
+    source : str, Path or module
+        An existing file, a folder with a scene.xml, or a shipped scene: its name, or ``mistray.scenes.<name>``.
 
     Raises
     ------
     MistrayError
         If it is none of these.
     """
+    if isinstance(source, ModuleType):
+        source = source.__path__[0] if hasattr(source, "__path__") else source.__name__
     path, text = Path(source), str(source)
     # os.path.exists, because that of Path raises for text that is too long for a name; its reader refuses a pipe
     if os.path.exists(path) and not os.path.isdir(path):

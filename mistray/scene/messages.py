@@ -19,6 +19,7 @@ from mistray.scene.depth import FILE
 VALUE_TAGS = ("float", "integer", "boolean", "string", "point", "vector", "rgb", "spectrum", "transform")
 NUMBERS = {"floating point": "a number", "integer": "a whole number", "boolean": "'true' or 'false'"}
 
+TEXT = "string"  # what Mitsuba calls a scene that comes as a text
 WORD_SHOWN = 80  # characters of a value without spaces that a message repeats
 
 _LONG_WORD = re.compile(rf"[^\s']{{{2 * WORD_SHOWN},}}")
@@ -69,7 +70,7 @@ class Element:
         return f"{what} of {self.parent}" if self.parent is not None and self.parent.tag != "scene" else what
 
 
-def explain(error: Exception, source: Path | dict[str, Any]) -> str:
+def explain(error: Exception, source: Path | dict[str, Any], content: str | None = None) -> str:
     """
     Say in one line why Mitsuba could not load a scene.
 
@@ -79,6 +80,8 @@ def explain(error: Exception, source: Path | dict[str, Any]) -> str:
         From ``mi.load_file`` or ``mi.load_dict``.
     source : Path or dict
         What was loaded.
+    content : str, optional
+        What stood for the content of the file.
 
     Returns
     -------
@@ -94,8 +97,10 @@ def explain(error: Exception, source: Path | dict[str, Any]) -> str:
         where = f"scene '{source}'"
         if place is not None:
             line, column = int(place["line"]), int(place["column"])
-            where = f"scene '{place['file']}', line {line}"
-            element = _in_file(Path(place["file"]), line, column) or element
+            of_text = content is not None and place["file"] == TEXT  # its lines are not those of the file
+            data = content.encode() if content is not None and of_text else None
+            where = where if of_text else f"scene '{place['file']}', line {line}"
+            element = _in_file(Path(place["file"]), line, column, data) or element
     reason = _LONG_WORD.sub(lambda word: f"{word[0][:WORD_SHOWN]}…", " ".join(_reason(text, element, source).split()))
     return f"{where}: {printable(reason)}"
 
@@ -156,7 +161,13 @@ def _number(match: re.Match[str], element: Element) -> str:
 
 
 def _plugin(match: re.Match[str], element: Element) -> str:
-    return f"{element}: there is no plugin '{match[1]}'; {_choose(match[1], list(_plugins()), 'correct the type')}"
+    # Base classes have no table of parameters; in a file the tag says the kind
+    known = [
+        name
+        for name, module in _plugins().items()
+        if parameters(name) and (not element.tag or f".{element.tag}s." in module.__name__)
+    ]
+    return f"{element}: there is no plugin '{match[1]}'; {_choose(match[1], known, 'correct the type')}"
 
 
 _REASONS: list[tuple[str | re.Pattern[str], Callable[[re.Match[str], Element], str]]] = [
@@ -239,7 +250,7 @@ def _choose(word: str, known: list[str], otherwise: str) -> str:
     return f"{otherwise}, or use one of {', '.join(known)}" if known else otherwise
 
 
-def _in_file(path: Path, line: int, column: int) -> Element | None:
+def _in_file(path: Path, line: int, column: int, data: bytes | None) -> Element | None:
     """The element that starts at a place of an XML file; Mitsuba counts columns from the name of the tag."""
     found: list[Element] = []
     stack = [Element()]
@@ -258,7 +269,7 @@ def _in_file(path: Path, line: int, column: int) -> Element | None:
     parser.StartElementHandler = start
     parser.EndElementHandler = lambda tag: stack.pop()
     try:
-        parser.Parse(read_file(path), True)
+        parser.Parse(read_file(path) if data is None else data, True)
     except (ValueError, LookupError, expat.ExpatError):  # the message then does without the object's name
         return None
     return found[0] if found else None

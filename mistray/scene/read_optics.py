@@ -1,7 +1,8 @@
 """The optical surfaces of a scene file as a prescription, for export; the scene itself is not loaded.
 
 Read are shapes of type `asphere` whose `interface` transmits light or is a mirror, the detector, the aperture stop (the
-frustums whose ``part`` is ``stop``) and the `collimated` source. Everything else is structure and only counted.
+frustums whose ``part`` is ``stop``) and the source, `collimated` or `point_source`. Everything else is structure and
+only counted.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics.geometry.pose import fixed_angles_deg, moved, rotation
-from mistray.prescription import Coating, Detector, Prescription, Source, Stop, Surface
+from mistray.physics.polarization.state import jones_numbers
+from mistray.prescription import Coating, Detector, ObjectPoint, Prescription, Source, Stop, Surface
 from mistray.prescription.model import MAX_COEFFICIENTS
 from mistray.scene.load import find
 from mistray.scene.xml_file import Element, SceneFile
@@ -63,13 +65,13 @@ class _Reader:
         left_out: list[str] = []
         stop: list[Element] = []
         detector: Detector | None = None
-        light: Source | None = None
+        light: Source | ObjectPoint | None = None
         for element in self.file.root.children:
             kind = element.values.get("type")
-            if element.tag == "emitter" and kind == "collimated":
+            if element.tag == "emitter" and kind in ("collimated", "point_source"):
                 if light is not None:
-                    raise MistrayError(f"scene '{self.file.path}': it has two collimated sources; remove one to export")
-                light = self._source(element)
+                    raise MistrayError(f"scene '{self.file.path}': it has two sources; remove one to export")
+                light = self._source(element) if kind == "collimated" else self._object_point(element)
             if element.tag != "shape":
                 continue
             label = element.values.get("id", kind or "shape")
@@ -208,18 +210,35 @@ class _Reader:
 
     def _source(self, element: Element) -> Source | None:
         where, values = "source", self._properties(element)
-        lists = {key: values[key].replace(",", " ").split() for key in ("wavelength_nm", "weights") if key in values}
-        numbers = {key: tuple(self._number(where, {key: word}, key) for word in words) for key, words in lists.items()}
         sizes: dict[str, Any] = {
             key: self._number(where, values, key) for key in ("radius", "half_width", "half_height") if key in values
         }
-        return Source(
-            **sizes,
-            field_deg=self._number(where, values, "field_deg", 0.0),
-            azimuth_deg=self._number(where, values, "azimuth_deg", 0.0),
-            wavelength_nm=numbers.get("wavelength_nm", (550.0,)),
-            weights=numbers.get("weights"),
-        )
+        return Source(**sizes, **self._light(where, values))
+
+    def _object_point(self, element: Element) -> ObjectPoint:
+        where, values = "source", self._properties(element)
+        distance = -self._number(where, values, "z", 0.0)
+        if not distance > 0:
+            raise MistrayError(f"scene '{self.file.path}', source: its z is {-distance:g}; an object lies at z < 0")
+        pose = self._to_world(element, where)
+        pose[:3, 3] += pose[:3, :2] @ [self._number(where, values, axis, 0.0) for axis in "xy"]
+        return ObjectPoint(distance=distance, **_placed(pose), **self._light(where, values))
+
+    def _light(self, where: str, values: Mapping[str, str]) -> dict[str, Any]:
+        """Field, spectrum and polarisation of a source."""
+        names = [key for key in ("wavelength_nm", "weights", "stokes") if key in values]
+        lists = {key: values[key].replace(",", " ").split() for key in names}
+        numbers = {key: tuple(self._number(where, {key: word}, key) for word in words) for key, words in lists.items()}
+        angle = "polarization_deg"
+        return {
+            "field_deg": self._number(where, values, "field_deg", 0.0),
+            "azimuth_deg": self._number(where, values, "azimuth_deg", 0.0),
+            "wavelength_nm": numbers.get("wavelength_nm", (550.0,)),
+            "weights": numbers.get("weights"),
+            "stokes": numbers.get("stokes"),
+            "jones": jones_numbers(where, values["jones"]) if "jones" in values else None,
+            angle: self._number(where, values, angle) if angle in values else None,
+        }
 
 
 def _placed(pose: np.ndarray) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Coatings put on surfaces of a scene file; everything else in the file, comments and layout included, stays as it is.
+"""Coatings and scatter put on surfaces of a scene file; everything else, comments and layout included, stays as it is.
 
 The text is edited in place: a coating becomes one ``<bsdf type="thinfilm" id="…">``, and each surface that it covers
 refers to it from its ``interface``. What it had before goes: R, T, table, a coating of its own or a shared one.
@@ -7,14 +7,15 @@ refers to it from its ``interface``. What it had before goes: R, T, table, a coa
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 from mistray.coatings import Stack, layer_text
 from mistray.errors import MistrayError
-from mistray.prescription.scene_file import comment_text
+from mistray.prescription.coating import Coating
+from mistray.prescription.scene_file import comment_text, shared_lines
 from mistray.replace_file import replace_file
 from mistray.scene.xml_file import INDENT, Edit, Element, SceneFile
 
@@ -46,6 +47,80 @@ class SharedCoating:
     surfaces: tuple[str, ...]
     design_nm: float = DESIGN_NM
 
+    def as_shared(self, name: str) -> Coating:
+        """The same as a scene file has it, under a name."""
+        layers = layer_text(self.stack.layers)
+        return Coating(layers=layers, first=self.stack.first, design_nm=self.design_nm, name=name)
+
+
+@dataclass(frozen=True)
+class Refit:
+    """
+    What happens to the interface of a surface.
+
+    Attributes
+    ----------
+    lines : tuple of str
+        Elements that it gets.
+    coating : bool
+        Whether its coating goes.
+    scatter : frozenset of str
+        Kinds of the scatter models that go.
+    """
+
+    lines: tuple[str, ...]
+    coating: bool = True
+    scatter: frozenset[str] = frozenset()
+
+    def drops(self, file: SceneFile, child: Element) -> bool:
+        """Whether a child of the interface goes."""
+        if _is_coating(file, child):
+            return self.coating
+        return (file.meant(child) or child).values.get("type") in self.scatter
+
+
+def refitted(
+    file: SceneFile,
+    refits: Mapping[str, Refit],
+    shared: Sequence[str],
+    folder: Path,
+    note: str = "",
+    kept: Container[str] = (),
+) -> str:
+    """
+    Text of a scene whose surfaces have other coatings or scatter models.
+
+    Shared coatings that nobody refers to any more go.
+
+    Parameters
+    ----------
+    file : SceneFile
+    refits : mapping of str to Refit
+        By the id of the shape.
+    shared : sequence of str
+        Lines of what they refer to; it stands before the first shape, under a comment.
+    folder : Path
+        Where the text will be stored.
+    note : str
+        End of the comment.
+    kept : container of str
+        Ids of coatings of the file that stay in any case.
+
+    Raises
+    ------
+    MistrayError
+        If a shape is missing or has no ``interface``.
+    """
+    edits = [_refit(file, surface, refit) for surface, refit in refits.items()]
+    if shared:
+        first = next(child for child in file.root.children if child.tag == "shape")
+        at, pad = file.head(first), file.indent(first)
+        lines = [f"<!-- {NOTE}{f': {comment_text(note)}' if note else ''} -->", *shared, ""]
+        edits.append((at, at, "".join(f"{line}\n{pad}" for line in lines).replace(f"\n{pad}\n", "\n\n").encode()))
+    forsaken = _forsaken(file, {name for name, refit in refits.items() if refit.coating})
+    edits += _removals(file, [element for element in forsaken if element.values["id"] not in kept])
+    return file.edited(edits, folder)
+
 
 def recoated(source: str | Path, coatings: Sequence[SharedCoating], folder: str | Path, note: str = "") -> str:
     """
@@ -68,24 +143,17 @@ def recoated(source: str | Path, coatings: Sequence[SharedCoating], folder: str 
         If the file cannot be read, a shape is missing or given twice, or a shape has no ``interface``.
     """
     file = SceneFile(Path(source))
-    edits: list[Edit] = []
+    refits: dict[str, Refit] = {}
     names = _names(file, coatings)
-    done: set[str] = set()
     for coating, name in zip(coatings, names, strict=True):
         for surface in coating.surfaces:
-            if surface in done:
+            if surface in refits:
                 raise MistrayError(f"shape '{surface}' gets two coatings; put it into one group")
-            done.add(surface)
-            edits.append(refitted(file, surface, is_coating, [f"<ref id={quoteattr(name)}/>"]))
-    shapes = [child for child in file.root.children if child.tag == "shape"]
-    at = file.head(shapes[0])
-    lines = [f"<!-- {NOTE}{f': {comment_text(note)}' if note else ''} -->"]
-    for coating, name in zip(coatings, names, strict=True):
-        lines += _coating_lines(name, coating)
-    pad = file.indent(shapes[0])
-    edits.append((at, at, "".join(f"{line}\n{pad}" for line in [*lines, ""]).replace(f"\n{pad}\n", "\n\n").encode()))
-    edits += _removals(file, _forsaken(file, done))
-    return file.edited(edits, Path(folder))
+            refits[surface] = Refit((f"<ref id={quoteattr(name)}/>",))
+    lines = [
+        line for coating, name in zip(coatings, names, strict=True) for line in shared_lines(coating.as_shared(name))
+    ]
+    return refitted(file, refits, lines, Path(folder), note)
 
 
 def write_recoated(source: str | Path, coatings: Sequence[SharedCoating], target: str | Path, note: str = "") -> Path:
@@ -136,20 +204,8 @@ def _removals(file: SceneFile, coatings: Sequence[Element]) -> Iterator[Edit]:
         yield start, end, b""
 
 
-def refitted(file: SceneFile, surface: str, drops: Callable[[SceneFile, Element], bool], lines: Sequence[str]) -> Edit:
-    """
-    The edit that gives a shape an interface with other children.
-
-    Parameters
-    ----------
-    file : SceneFile
-    surface : str
-        Id of the shape.
-    drops : callable
-        Which children of the interface go.
-    lines : sequence of str
-        Elements that come instead.
-    """
+def _refit(file: SceneFile, surface: str, refit: Refit) -> Edit:
+    """The edit that gives a shape an interface with other children."""
     place, interface = _interface(file, surface)
     shift = interface.start
     text = file.text(interface)
@@ -162,37 +218,25 @@ def refitted(file: SceneFile, surface: str, drops: Callable[[SceneFile, Element]
     body = b""
     position = interface.inside
     for child in interface.children:
-        if drops(file, child):
+        if refit.drops(file, child):
             start, end = file.with_blanks(child)
             body += file.data[position:start]
             position = end
     body += file.data[position : interface.close]
     pad = file.indent(interface)
     inner = f"\n{pad}{INDENT}" if pad or b"\n" in text else ""
-    added = "".join(f"{inner}{line}" for line in lines) + (f"\n{pad}" if inner else "")
+    added = "".join(f"{inner}{line}" for line in refit.lines) + (f"\n{pad}" if inner else "")
     changed = tag + body.rstrip() + added.encode() + b"</bsdf>"
     deeper = file.indent(place)[len(file.indent(interface)) :]
     return place.start, place.end, changed.replace(b"\n", b"\n" + deeper.encode())
 
 
-def is_coating(file: SceneFile, child: Element) -> bool:
+def _is_coating(file: SceneFile, child: Element) -> bool:
     """Whether a child of an interface says which coating it has."""
     child = file.meant(child) or child
     if child.tag == "bsdf":
         return child.values.get("type") == "thinfilm"
     return child.values.get("name") in COATING_VALUES
-
-
-def _coating_lines(name: str, coating: SharedCoating) -> list[str]:
-    lines = [
-        f'<bsdf type="thinfilm" id={quoteattr(name)}>',
-        f'{INDENT}<string name="layers" value={quoteattr(layer_text(coating.stack.layers))}/>',
-    ]
-    if coating.stack.first != "outside":
-        lines.append(f'{INDENT}<string name="first" value={quoteattr(coating.stack.first)}/>')
-    if coating.design_nm != DESIGN_NM:
-        lines.append(f'{INDENT}<float name="design_nm" value="{coating.design_nm!r}"/>')
-    return [*lines, "</bsdf>"]
 
 
 def _names(file: SceneFile, coatings: Sequence[SharedCoating]) -> list[str]:

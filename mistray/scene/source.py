@@ -7,8 +7,8 @@ import os.path
 import shutil
 import tempfile
 import weakref
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ import mitsuba as mi
 
 from mistray.cache.fingerprint import file_fingerprint
 from mistray.errors import MistrayError
-from mistray.read_file import read_file
+from mistray.read_file import read_file, require_file
 from mistray.scene.files import scene_files
 
 OURS = "mistray.plugins."
@@ -39,12 +39,18 @@ class PackedScene:
     scene : str
     checked : dict of str to str
         Absolute paths that the scene names, which do not travel, and the hashes of their contents.
+    sources : tuple
+        Its light, where that is not what the file says, see `mistray.scene.load`.
+    sensors : tuple
+        Those that the file does not have.
     """
 
     name: str
     files: Mapping[str, bytes]
     scene: str
     checked: Mapping[str, str] = field(default_factory=dict)
+    sources: tuple[Any, ...] = ()
+    sensors: tuple[Any, ...] = ()
 
     def load(self) -> mi.Scene:
         """
@@ -69,11 +75,26 @@ class PackedScene:
             file = folder.path / path
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_bytes(content)
-        scene = load(folder.path / self.scene)
+        scene = load(folder.path / self.scene, self.sources, self.sensors)
         for owner in _owners(scene):  # some files are read later, and the folder goes with the scene
             setattr(owner, f"{ATTRIBUTE}_folder", folder)
             break
         return scene
+
+
+@dataclass(frozen=True)
+class SceneDict:
+    """A scene that is a dict, and its light and further sensors, where that is not what the dict says."""
+
+    given: Mapping[str, Any]
+    sources: tuple[Any, ...] = ()
+    sensors: tuple[Any, ...] = ()
+
+    def load(self) -> mi.Scene:
+        """Load the scene; raises as `mistray.scene.load` does."""
+        from mistray.scene.load import load
+
+        return load(dict(self.given), self.sources, self.sensors)
 
 
 class _Folder:
@@ -91,20 +112,33 @@ class _Origin:
     path: Path | None
     text: bytes
     given: Mapping[str, Any]
+    sources: tuple[Any, ...] = ()
+    sensors: tuple[Any, ...] = ()
 
 
-def remember(scene: mi.Scene, given: Path | Mapping[str, Any]) -> None:
-    """Keep what a scene was loaded from with one of its plugins."""
+def remember(
+    scene: mi.Scene,
+    given: Path | Mapping[str, Any],
+    sources: Iterable[Any] = (),
+    sensors: Iterable[Any] = (),
+    text: str | None = None,
+) -> None:
+    """
+    Keep what a scene was loaded from, and with which other sources and sensors, with one of its plugins.
+
+    `text` is what stood for the content of the file, where that was another one.
+    """
     for owner in _owners(scene):
         if isinstance(given, Path):
-            origin = _Origin(given.resolve(), read_file(given, "scene"), {})
+            content = read_file(given, "scene") if text is None else text.encode()
+            origin = _Origin(given.resolve(), content, {}, tuple(sources), tuple(sensors))
         else:
-            origin = _Origin(None, b"", given)
+            origin = _Origin(None, b"", given, tuple(sources), tuple(sensors))
         setattr(owner, ATTRIBUTE, origin)
         return
 
 
-def source_of(scene: mi.Scene) -> PackedScene | dict[str, Any]:
+def source_of(scene: mi.Scene) -> PackedScene | SceneDict:
     """
     What a scene was loaded from, for another process: a file with its contents, or a dict.
 
@@ -116,7 +150,9 @@ def source_of(scene: mi.Scene) -> PackedScene | dict[str, Any]:
     for owner in _owners(scene):
         origin = getattr(owner, ATTRIBUTE, None)
         if isinstance(origin, _Origin):
-            return dict(origin.given) if origin.path is None else _packed(origin.path, origin.text)
+            if origin.path is None:
+                return SceneDict(dict(origin.given), origin.sources, origin.sensors)
+            return replace(_packed(origin.path, origin.text), sources=origin.sources, sensors=origin.sensors)
     raise MistrayError("the scene's source is not known, so that it cannot travel; load it with mistray.load(path)")
 
 
@@ -130,7 +166,8 @@ def _owners(scene: mi.Scene) -> Iterator[Any]:
 
 def _packed(path: Path, text: bytes) -> PackedScene:
     """A scene file with all that it names."""
-    first, *others = scene_files(path)
+    require_file(path, "scene")
+    first, *others = scene_files(path, text)
     contents = {file: read_file(file) for file in others}
     texts = [text, *(content for file, content in contents.items() if file.suffix == ".xml")]
     absolute = {file for file in others if any(str(file).encode() in content for content in texts)}

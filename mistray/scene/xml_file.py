@@ -42,15 +42,21 @@ class SceneFile:
     """
     A scene file: its bytes and its elements.
 
+    Parameters
+    ----------
+    path : Path
+    data : bytes, optional
+        What stands for its content.
+
     Raises
     ------
     MistrayError
         If the file cannot be read or is no XML in UTF-8.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, data: bytes | None = None) -> None:
         self.path = path
-        self.data = read_file(path, "scene")
+        self.data = read_file(path, "scene") if data is None else data
         declared = re.match(rb"\s*<\?xml[^>]*encoding\s*=\s*[\"']([\w.-]+)", self.data)
         if declared and declared[1].lower() not in (b"utf-8", b"us-ascii", b"ascii"):
             raise MistrayError(f"scene '{path}': its encoding is {declared[1].decode()}; save it as UTF-8")

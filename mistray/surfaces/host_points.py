@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from itertools import product
 from typing import Any
 
@@ -12,6 +12,8 @@ import numpy as np
 from mistray.surfaces.host_rays import normals
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
+
+STEPS, MARGIN = 256, 1.05  # over the unit square, for areas; by how much the largest density found is exceeded
 
 
 def across(axis: np.ndarray) -> np.ndarray:
@@ -59,3 +61,45 @@ def surface_points(
     piece = table.pieces[surface]
     p = table.vertices[surface] + piece.points(u, v) @ table.rotations[surface].T
     return p, normals(table, surface, p)
+
+
+def even_points(
+    table: SurfaceTable, surface: int, draw: Callable[[], np.ndarray], count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Points of a surface, uniform over its area, and the normals there; parameters and results as of `surface_points`.
+
+    Parameters
+    ----------
+    draw : callable
+        Gives `count` random numbers of 0 … 1 at each call.
+    """
+    if surface >= len(table.pieces):
+        sample = mi.Point2f(*(upload(mi.Float, draw()) for _ in range(2)))
+        found = table.shapes[surface].sample_position(0.0, sample)
+        p, n = (np.broadcast_to(np.array(v, dtype=np.float64).T, (count, 3)).copy() for v in (found.p, found.n))
+        return p, n
+    piece = table.pieces[surface]
+    most = MARGIN * float(_shares(table, surface).max())
+    q, left = np.zeros((count, 3)), np.ones(count, dtype=bool)
+    while left.any():
+        points, share = piece.proposals(draw(), draw())
+        if share.max() > most:  # those before were taken by a bound that is none
+            most, left = MARGIN * float(share.max()), np.ones(count, dtype=bool)
+        taken = left & (draw() * most < share)
+        q[taken], left = points[taken], left & ~taken
+    p = table.vertices[surface] + q @ table.rotations[surface].T
+    return p, normals(table, surface, p)
+
+
+def area(table: SurfaceTable, surface: int) -> float:
+    """Of a surface, mm²."""
+    if surface >= len(table.pieces):
+        return float(np.array(table.shapes[surface].surface_area()).ravel()[0])
+    return float(_shares(table, surface).mean())
+
+
+def _shares(table: SurfaceTable, surface: int) -> np.ndarray:
+    """Areas of an analytic surface over the unit square of its points, see `Surface.proposals`."""
+    steps = (np.arange(STEPS) + 0.5) / STEPS
+    return table.pieces[surface].proposals(*(values.ravel() for values in np.meshgrid(steps, steps)))[1]

@@ -191,3 +191,30 @@ def onward(
     after = np.where(reflects[:, None], back, through)
     after[opaque & ~reflects] = np.nan
     return after / np.linalg.norm(after, axis=1, keepdims=True), reflects
+
+
+def indices_along(before: np.ndarray, behind: np.ndarray) -> np.ndarray:
+    """
+    Refractive indices on the way to each surface that rays meet.
+
+    The materials of an opaque surface mean nothing, and mirrors change none: the index before them is that which the
+    ray was in, else the one before the next refracting surface.
+
+    Parameters
+    ----------
+    before, behind : (k, …) float or complex
+        Indices before the surfaces, and where the light goes on behind them; NaN of opaque ones.
+
+    Returns
+    -------
+    (k, …) float or complex
+        NaN where no surface says anything, as in a system of mirrors alone.
+    """
+    found = np.array(before)
+    last = np.full_like(found[0], np.nan)
+    for k in range(len(found)):
+        found[k] = np.where(np.isnan(found[k]), last, found[k])
+        last = np.where(np.isnan(behind[k]), found[k], behind[k])
+    for k in range(len(found) - 2, -1, -1):
+        found[k] = np.where(np.isnan(found[k]), found[k + 1], found[k])
+    return found

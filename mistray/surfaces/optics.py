@@ -300,6 +300,8 @@ class Optics:
         Coefficient of absorption and scatter of each medium, 1/mm.
     albedo : mi.Float
         Share of the scatter in it.
+    media_n : mi.Float
+        Real index of each medium; 1 where it is unknown.
     host_scattering : (m,) float64
         Coefficient of scatter of each medium, 1/mm.
     asymmetry : mi.Float
@@ -335,7 +337,7 @@ class Optics:
         self.rows = 0
         self.kinds: set[int] = set()
         self.media = ["unknown"]
-        absorption, scattering, asymmetry = [0.0], [0.0], [0.0]
+        absorption, scattering, asymmetry, real = [0.0], [0.0], [0.0], [1.0]
         numbers: dict[tuple[float, ...], int] = {}
         self.error = 0.0
         rows: list[np.ndarray] = []
@@ -384,6 +386,7 @@ class Optics:
                     numbers[key] = len(self.media)
                     self.media.append(spec.strip())
                     absorption.append(absorption_per_mm(n, wavelength_nm))
+                    real.append(n.real)
                     scattering.append(cloud.per_mm)
                     asymmetry.append(cloud.g)
                 words[i] |= numbers[key] << shift
@@ -406,8 +409,10 @@ class Optics:
         self.extinction = upload(mi.Float, extinction)
         self.albedo = upload(mi.Float, np.array(scattering) / np.maximum(extinction, np.finfo(float).tiny))
         self.asymmetry = upload(mi.Float, np.array(asymmetry))
+        self.media_n = upload(mi.Float, np.array(real))
         self.absorbs, self.scatters = bool(extinction.any()), any(scattering)
-        dr.eval(self.words, self.indices, self.places, self.table, self.extinction, self.albedo, self.asymmetry)
+        dr.eval(self.words, self.indices, self.places, self.table)
+        dr.eval(self.extinction, self.albedo, self.asymmetry, self.media_n)
 
     def _sides(self, name: str, bsdf: Any) -> tuple[complex, complex]:
         """Indices on both sides; those of a surface that is opaque whatever lies behind it do not matter."""
@@ -460,7 +465,7 @@ class Optics:
         if bsdf.ideal:
             return IDEAL
         # The kernel's own equations leave out k, an error of R of about k²
-        exact = k * k <= TABLE_ERROR and not self.stokes
+        exact = k * k <= TABLE_ERROR
         return FRESNEL if isinstance(bsdf.coating, Bare) and exact else TABLED
 
     def attenuate(

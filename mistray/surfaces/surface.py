@@ -25,6 +25,7 @@ NO_SURFACE = 0xFFFFFFFF
 SELF_HIT = 1e-5
 # Coordinates in which rims lie: the distance from the axis, x and y, or one of the family (z of a cone)
 ROUND, RECTANGLE, ENDS = range(3)
+AREA_STEPS = 64  # along a surface whose points are uniform, for its area
 
 
 @dataclass(frozen=True)
@@ -168,6 +169,10 @@ class Surface(ABC):
     @abstractmethod
     def points(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Points (n, 3) for uniform numbers (n,) of 0 … 1, about uniform over the area."""
+
+    def proposals(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points (n, 3) for numbers (n,) of 0 … 1, and the area of the surface by a unit square of these there, mm²."""
+        return self.points(u, v), np.full(len(u), self.areas(AREA_STEPS, 1).sum())
 
     @abstractmethod
     def unit_square(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

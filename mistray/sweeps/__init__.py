@@ -17,3 +17,7 @@ __all__ = [
     "sweep",
     "sweep_pst",
 ]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

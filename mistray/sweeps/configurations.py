@@ -34,10 +34,8 @@ class Configuration:
         ``N-BK7.index`` and ``L1.z``, see `mistray.optimize.groups`, or patterns of both with ``*``, ``?``
         and ``[…]``. One number stands for all entries of a parameter. Where two name the same
         key, the later one holds.
-    paint : mapping of str to str or float
-        Shape ids or patterns of them → a preset of `mistray.scatter.paint.PRESETS`, or a reflectance; for `sweep_pst`.
-    coat : mapping of str to str
-        Shape ids or patterns → layers or a preset, see `mistray.coatings.coating_from_text`; for `sweep_pst`.
+    paint, coat : mapping
+        Names of surfaces or parts, or patterns of them → paint and coatings as in `mistray.coat`; for `sweep_pst`.
     block : sequence of Structure
         What is added: vanes, rings, tubes; for `sweep_pst`.
     """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,16 +13,12 @@ import numpy as np
 
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.transmittance import pst_of_each
-from mistray.coatings import Stack, coating_from_text
 from mistray.errors import MistrayError
-from mistray.ids import fits
 from mistray.optimize.scene_values import assign
 from mistray.renamed import renamed
-from mistray.scene import find, load
+from mistray.scene import coat, find, load
 from mistray.scene.add_structures import add_structures
 from mistray.scene.check import check_overlaps
-from mistray.scene.recoat import SharedCoating, write_recoated
-from mistray.scene.repaint import write_repainted
 from mistray.sweeps.configurations import AS_IT_IS, Configuration, Given, as_configurations, resolve
 
 if TYPE_CHECKING:
@@ -109,9 +105,7 @@ class PstSweep:
         else:
             _, each = Pst.estimate(parts, weight)
             se = np.sqrt(np.sum(each**2)) / len(each)
-        # What rays have met too seldom they have met too seldom in both
-        unseen_b, unseen_a = (np.sqrt(one.hidden(classes)[at].sum()) / len(parts) for one in (first, other))
-        return Changed(b, b_se, a, a_se, a / b, float(np.hypot(se, (unseen_a - a / b * unseen_b) / b)))
+        return Changed(b, b_se, a, a_se, a / b, float(se))
 
     def to_pandas(self, classes: str | Sequence[str] = "stray") -> pd.DataFrame:
         """
@@ -202,39 +196,11 @@ def sweep_pst(
 
 def _edited(source: Path, one: Configuration, folder: Path) -> mi.Scene:
     """The scene with a configuration's edits: blocked, coated and painted in the file, moved in the scene."""
-    file = source
-    if one.rebuilds:
-        names = [shape.id() for shape in load(source).shapes()]
-        target = folder / "scene.xml"
-        if one.block:
-            file = add_structures(file, one.block, target)
-        if one.coat:
-            file = write_recoated(file, _coatings(one.coat, names), target)
-        if one.paint:
-            paints = {name: paint for key, paint in one.paint.items() for name in _matching(key, names)}
-            file = write_repainted(file, paints, target)
-    scene = load(file)
+    file = add_structures(source, one.block, folder / "scene.xml") if one.block else source
+    scene = coat(file, one.coat, paint=one.paint) if one.coat or one.paint else load(file)
     if one.values:
         params = mi.traverse(scene)
         (resolved,) = resolve(scene, params, [Configuration(one.name, one.values)])
         assign(params, resolved.values)
         check_overlaps(scene)
     return scene
-
-
-def _coatings(coat: Mapping[str, str], names: Iterable[str]) -> list[SharedCoating]:
-    found = []
-    for number, (key, text) in enumerate(coat.items(), start=1):
-        stack = coating_from_text(text)
-        if not isinstance(stack, Stack):
-            raise MistrayError(f"coat '{key}': '{text}' has no layers; give layers such as 'MgF2 99.64', or a preset")
-        found.append(SharedCoating(f"coat_{number}", stack, tuple(_matching(key, names))))
-    return found
-
-
-def _matching(pattern: str, names: Iterable[str]) -> list[str]:
-    """Ids of shapes that a pattern stands for."""
-    found = [name for name in names if fits(name, pattern)]
-    if not found:
-        raise MistrayError(f"no shape is called '{pattern}'; correct the pattern")
-    return found

@@ -13,3 +13,7 @@ from mistray.trace.paths import PathRow, PathTable
 from mistray.trace.result import Trace
 
 __all__ = ["Energy", "FluxReport", "PathRow", "PathTable", "RayHistory", "Settings", "SurfaceFlux", "Trace", "trace"]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,35 +1,24 @@
-"""Forward traces that light a scene from all cells of a grid of directions in one launch of the kernel."""
+"""Traces with the light that light a scene from all cells of a grid of directions in one launch of the kernel."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.kernel.kernel_scene import KernelScene
+from mistray.execute.backward import BackwardTrace
 from mistray.kernel.launches import launches_of
 from mistray.kernel.ray_tree import trace_tree
-from mistray.kernel.scatter_tables import ScatterTables
-from mistray.kernel.scattering import Scattering
-from mistray.recorders.arrivals import CountedWays, FoundWays
+from mistray.recorders.arrivals import ArrivalRecorder
 from mistray.recorders.film import Film
 from mistray.recorders.path_sums import PathSums
 from mistray.recorders.recorder import Recorder
-from mistray.recorders.start_rays import StartRays, generators
-from mistray.recorders.tallies import CHANNEL_COUNT, SEGMENTS, Tallies
-from mistray.recorders.way_table import WayTable
-from mistray.sampling.importance_targets import importance_targets
-from mistray.sampling.plane_wave import PlaneWaves, wave_rays
-from mistray.sampling.space_filling import curve_points
-from mistray.settings import BATCHES, Settings
-from mistray.surfaces.intersect import Intersector
-from mistray.surfaces.surfaces import SurfaceTable
-from mistray.surfaces.upload import upload
+from mistray.recorders.start_rays import StartRays
+from mistray.recorders.start_samples import ArrivalSamples, Samples
+from mistray.sampling.sharing.cell_starts import cell_starts
+from mistray.settings import BATCHES
 
 PASS_LANES = 1 << 19
-PATH_SLOTS, ENTRY_SLOTS = 1 << 16, 1 << 19
 
 
 class AllCells:
@@ -38,134 +27,94 @@ class AllCells:
 
     Parameters
     ----------
-    scene : mi.Scene
-    waves : PlaneWaves
-        Of the scene, or of all that share their rays.
-    settings : Settings
-        But for the number of rays.
-    tables : sequence of SurfaceTable
-        Of the wavelengths; the first gives the geometry.
-    shares : sequence of float
-        Their shares of the flux.
-    intersector : Intersector
-    map_size : tuple of int
-        Columns and rows of the maps of the detector; 0, 0: none.
-    extent : tuple of float
-        x0, x1, y0, y1 of the maps, mm.
+    trace : BackwardTrace
+        That shares its paths with these rays, see `BackwardTrace.share_paths`.
 
     Attributes
     ----------
     areas : (n, m) float64
         Cross-sections of the waves, mm². Light of 1 W/mm² from a cell, of which rays of a mean weight w̄ meet the
         detector, brings it ``area · w̄``.
+    unit : (c,) float64
+        PST_normal of a mean weight of 1 of the start rays of a cell.
     """
 
-    def __init__(
-        self,
-        scene: mi.Scene,
-        waves: PlaneWaves,
-        settings: Settings,
-        tables: Sequence[SurfaceTable],
-        shares: Sequence[float],
-        intersector: Intersector,
-        map_size: tuple[int, int],
-        extent: tuple[float, float, float, float],
-    ) -> None:
-        self._settings, self._intersector, self._map_size = settings, intersector, map_size
-        targets = importance_targets(tables[0], scene, settings)
-        self._bands = [
-            (table, Scattering(ScatterTables(table, targets)), share)
-            for table, share in zip(tables, shares, strict=True)
-        ]
-        cells = [waves.at(i, j, 0.0, 1.0) for i, j in np.ndindex(*waves.grid.shape)]
-        self.areas = np.array([wave.area for wave in cells]).reshape(waves.grid.shape)
-        self._rotation, self._centre = cells[0].rotation, cells[0].centre - tables[0].centre
-        self._numbers = [upload(mi.Float, column) for column in np.array([wave.numbers for wave in cells]).T]
-        x0, x1, y0, y1 = extent
-        columns, rows = (max(size, 1) for size in map_size)
+    def __init__(self, trace: BackwardTrace) -> None:
+        self._trace = trace
+        self.areas = trace.rivals[0].balance.areas.reshape(trace.grid.shape)
+        self.cells = self.areas.size
+        self.unit = self.areas.ravel() / trace.area
+        x0, x1, y0, y1 = trace.extent
+        columns, rows = (max(size, 1) for size in trace.map_size)
         per_mm = columns / (x1 - x0), rows / (y1 - y0)
         left, low, per_x, per_y = (dr.opaque(mi.Float, float(v)) for v in (x0, y0, *per_mm))
         self._film = Film(columns, rows, left, low, per_x, per_y, groups=1, incident=True)
+        self._paths: PathSums | None = None  # made with the first sums: a pilot needs none
 
-    def find(self, rays: np.ndarray, number: int) -> tuple[dict[str, np.ndarray], float]:
+    def samples(self, rays: np.ndarray, number: int) -> list[Samples]:
         """
-        List the ways by which light reaches the detector.
+        Light that arrives, from rays that are in no sums, by wavelength.
 
         Parameters
         ----------
-        rays : (n, m) int
+        rays : (c,) int
             Start rays of each cell, multiples of `BATCHES`.
         number : int
             Of this search: another number is another sample.
-
-        Returns
-        -------
-        recorder : dict
-            See `PathSums.read`; event lists in the order of the light, the absorption in the detector at their ends.
-        segments : float
-            Ray segments that were traced.
         """
-        found = FoundWays(PathSums(PATH_SLOTS, ENTRY_SLOTS, self._settings.max_events, rays.size))
-        segments = sum(self._trace(band, rays, number, found) for band in range(len(self._bands)))
-        return found.path_sums.read(), segments
+        found = []
+        for band, rival in enumerate(self._trace.rivals):
+            recorder = ArrivalSamples(self.cells, self._trace.has_optics, rival.balance)
+            self._run(band, rays, (1, number), recorder)
+            found.append(recorder.read())
+        return found
 
-    def count(self, ways: WayTable, rays: np.ndarray, number: int) -> tuple[dict[str, np.ndarray], float]:
+    def sums(self, rays: np.ndarray, number: int) -> dict[str, np.ndarray]:
         """
-        Sum the light of chosen ways.
+        Sum the light that meets the detector.
 
         Parameters
         ----------
-        ways : WayTable
         rays, number
-            See `find`.
+            See `samples`.
 
         Returns
         -------
-        sums : dict
-            See `CountedWays.read`; in units of a start ray.
-        segments : float
+        dict
+            See `ArrivalRecorder.read`.
         """
-        counted = CountedWays(ways, rays.size, self._film if all(self._map_size) else None)
-        segments = sum(self._trace(band, rays, number, counted) for band in range(len(self._bands)))
-        return counted.read(), segments
+        trace = self._trace
+        total: dict[str, np.ndarray] = {}
+        if self._paths is None and trace.lists_paths:
+            self._paths = trace.new_paths()
+        for band, rival in enumerate(trace.rivals):
+            film = self._film if all(trace.map_size) else None
+            recorder = ArrivalRecorder(self.cells, trace.has_optics, rival.balance, self._paths, film)
+            self._run(band, rays, (0, number), recorder)
+            for name, values in recorder.read().items():
+                join = np.maximum if name == "largest" else np.add
+                total[name] = join(total[name], values) if name in total else values
+        return total
 
-    def _trace(self, band: int, rays: np.ndarray, number: int, recorder: Recorder) -> float:
-        """Trace a wavelength, in as many passes as it takes; gives the number of segments."""
-        table, scattering, share = self._bands[band]
-        wanted = rays.ravel() * share
+    def paths(self) -> dict[str, np.ndarray]:
+        """The path table so far, see `PathSums.read`; empty where there is none."""
+        return self._paths.read() if self._paths is not None else {}
+
+    def _run(self, band: int, rays: np.ndarray, stream: tuple[int, int], recorder: Recorder) -> None:
+        """Trace a wavelength, in as many passes as it takes."""
+        trace = self._trace
+        one = trace.bands[band]
+        wanted = rays * one.share
         passes = max(1, -(-int(wanted.sum()) // PASS_LANES))
         lanes = np.where(wanted > 0, np.maximum(np.round(wanted / passes / BATCHES), 1) * BATCHES, 0).astype(np.int64)
         # The share of a wavelength is that of its rays, but for rounding
         weight = np.divide(wanted, passes * lanes, out=np.zeros(len(lanes)), where=lanes > 0)
-        tallies = Tallies(table.count, len(table.optics.media))
-        scene = KernelScene(table, scattering, self._intersector)
+        scene = trace.rival_scene(band)
         for k in range(passes):
-            start = self._start((number, band, k), lanes, weight)
+            balance, seed = trace.rivals[band].balance, (trace.settings.seed, *stream, band, k)
+            start = cell_starts(balance, seed, lanes, weight)
 
-            def trace(part: StartRays) -> None:
-                trace_tree(scene, part, self._settings, [tallies, recorder])
+            def launch(part: StartRays) -> None:
+                trace_tree(scene, part, trace.settings, [recorder])
 
-            launches_of(table, self._settings, recorder.code).whole(start, trace)
-        return float(np.array(tallies.channels).reshape(CHANNEL_COUNT, BATCHES)[SEGMENTS].sum())
-
-    def _start(self, stream: tuple[int, int, int], lanes: np.ndarray, weight: np.ndarray) -> StartRays:
-        """Start rays of a pass, the rays of a cell side by side; places and directions are stratified in each batch."""
-        cell = upload(mi.UInt32, np.repeat(np.arange(len(lanes)), lanes))
-        index = upload(mi.UInt32, np.arange(lanes.sum()) - np.repeat(np.cumsum(lanes) - lanes, lanes))
-        strata = dr.gather(mi.UInt32, upload(mi.UInt32, lanes // BATCHES), cell)
-        lane = dr.arange(mi.UInt32, int(lanes.sum()))
-        seed = int(np.random.SeedSequence((self._settings.seed, 1, *stream)).generate_state(1)[0])
-        rng, _ = generators(seed, lane)
-        batch = index // strata
-        within = mi.Float64(index - batch * strata) + mi.Float64(rng.next_float32())
-        x, y, u, v = curve_points(within / mi.Float64(strata), 4, rng)
-        numbers = [dr.gather(mi.Float, column, cell) for column in self._numbers]
-        o, d = wave_rays(numbers, self._rotation, self._centre, mi.Point2f(x, y), u, v)
-        w = dr.gather(mi.Float, upload(mi.Float, weight), cell)
-        dr.eval(lane, batch, rng, o, d, w, cell)
-        return StartRays(lane, batch, rng, o, d, w, cell=cell)
-
-
-def whole_batches(rays: np.ndarray) -> np.ndarray:
-    """Numbers of rays, rounded up to multiples of `BATCHES`."""
-    return np.asarray(-(-np.asarray(rays, dtype=np.int64) // BATCHES) * BATCHES)
+            launches_of(one.table, trace.settings, recorder.code, "with the light", trace.connects).whole(start, launch)

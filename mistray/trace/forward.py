@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -19,7 +20,7 @@ from mistray.execute.workers import current_workers
 from mistray.interrupts import later, requested
 from mistray.recorders import Recorder
 from mistray.recorders.tallies import FIRST_MISS
-from mistray.sampling.sources import source_emitters
+from mistray.sampling.sources import field_of, source_emitters
 from mistray.settings import Settings
 from mistray.time_budget import is_limited, share, within
 from mistray.trace.result import Trace
@@ -64,6 +65,7 @@ def trace(
     progress: Callable[[int, int], None] | None = None,
     seconds: float | None = None,
     recorders: Sequence[Recorder] = (),
+    field_mm: float | None = None,
 ) -> Trace:
     """
     Trace the ray tree of a scene from its sources to its detector.
@@ -74,11 +76,14 @@ def trace(
     Parameters
     ----------
     scene : mi.Scene
-        From `mistray.load`, or any Mitsuba scene with ``interface`` BSDFs, a ``collimated`` source and a detector.
+        From `mistray.load`, or any Mitsuba scene with ``interface`` BSDFs, a source and a detector.
     rays : int
         Start rays.
     field_deg, azimuth_deg : float
-        Direction of the beam, degrees.
+        Direction of the light, degrees; a near source moves in its object plane to where its light comes to the origin
+        of its frame at that angle.
+    field_mm : float
+        Of a near source instead of `field_deg`: its place along y in its object plane, mm.
     wavelength_nm : float or sequence of float
         Vacuum wavelengths, nm.
     weights : sequence of float
@@ -104,7 +109,7 @@ def trace(
         how many. The kernel's compilation counts, and the last launch may take a second longer.
     recorders : sequence of Recorder
         Told of all that happens to the rays: probes and far fields, see docs/detectors.md, or others of your own, see
-        docs/extending.md; not where workers trace.
+        docs/extending.md; not where workers trace. The probes and far fields of the scene come before these.
 
     Returns
     -------
@@ -144,6 +149,7 @@ def trace(
         ray_control=ray_control,
         polarization=polarization,
     )
+    field_deg = _field(scene, field_deg, field_mm)
     beam: dict[str, Any] = {
         "field_deg": field_deg,
         "azimuth_deg": azimuth_deg,
@@ -151,10 +157,7 @@ def trace(
         "weights": weights,
         "detector": detector,
     }
-    names = [recorder.name for recorder in recorders if recorder.name]
-    for name in names:
-        if names.count(name) > 1:
-            raise MistrayError(f"{names.count(name)} recorders have the name '{name}'; give each a name of its own")
+    recorders = _with_own(scene, recorders)
     runs = prepare(scene, settings, **beam)
     workers, task = current_workers(), None
     with within(seconds):
@@ -166,18 +169,43 @@ def trace(
                     _keep(runs, lambda: _result(scene, runs, settings, field_deg, azimuth_deg, ledger, None))
         else:
             if recorders:
-                raise MistrayError("recorders are given and workers trace, who know none; leave out one of the two")
+                raise MistrayError(
+                    f"{_listed(recorders)} and workers trace, who know no recorders; leave out one of them"
+                )
             task = TraceTask(scene, settings, beam, ledger, tables_of(runs))
             try:
                 execute_by_parts(workers, task, runs, progress)
             except UnfinishedError as error:
                 _explain(error, runs, lambda: _result(scene, runs, settings, field_deg, azimuth_deg, ledger, task))
                 raise
-            for run in runs:
-                _require_hits(run)
+            _require_hits(runs)
     found = _result(scene, runs, settings, field_deg, azimuth_deg, ledger, task)
     found.recorders = {recorder.name: recorder for recorder in recorders if recorder.name}
     return found
+
+
+def _field(scene: mi.Scene, field_deg: float | None, field_mm: float | None) -> float | None:
+    """The field angle of a call, degrees; None: as the sources say."""
+    if field_mm is None:
+        return field_deg
+    if field_deg is not None:
+        raise MistrayError("field_deg and field_mm are given; give one of them")
+    return field_of(scene, field_mm)
+
+
+def _listed(recorders: Sequence[Recorder]) -> str:
+    names = ", ".join(f"'{recorder.name}'" for recorder in recorders if recorder.name)
+    return f"recorders{names and ' '}{names} are given, or in the scene,"
+
+
+def _with_own(scene: mi.Scene, given: Sequence[Recorder]) -> list[Recorder]:
+    """Recorders of the sensors of a scene, then those of a call; raises `MistrayError` if two have the same name."""
+    recorders = [*(sensor.recorder() for sensor in scene.sensors() if hasattr(sensor, "recorder")), *given]
+    names = [recorder.name for recorder in recorders if recorder.name]
+    for name in names:
+        if names.count(name) > 1:
+            raise MistrayError(f"{names.count(name)} recorders have the name '{name}'; give each a name of its own")
+    return recorders
 
 
 def _execute(
@@ -194,7 +222,7 @@ def _execute(
     planned = sum(run.rays for run in runs)
     forecast = Forecast(planned, not is_limited())
     before = 0
-    for run in runs:
+    for number, run in enumerate(runs):
 
         def report(traced: int, _: int, before: int = before, run: Run = run) -> None:
             forecast.look(run, before + traced)
@@ -204,7 +232,8 @@ def _execute(
         with share(run.rays / (planned - before)):
             run.execute(ledger, report, requested, recorders)
         before += run.rays
-        _require_hits(run)
+        if number + 1 == len(runs) or _emitter(runs[number + 1]) is not _emitter(run):
+            _require_hits(runs[: number + 1])
         if requested():
             return
 
@@ -223,12 +252,21 @@ def _check_budget(runs: Sequence[Run]) -> None:
             )
 
 
-def _require_hits(run: Run) -> None:
-    if run.channels[FIRST_MISS].sum() == run.started.sum():
-        raise MistrayError(
-            f"source '{run.source.name}': no ray of its light {run.source.towards} hits a surface; "
-            "check field_deg, the source's position and its size"
-        )
+def _emitter(run: Run) -> Any:
+    """What in the scene sends the light of a run: the warm sides of surfaces have one in common."""
+    return getattr(run.source, "emitter", run.source)
+
+
+def _require_hits(runs: Sequence[Run]) -> None:
+    """Raise if none of the light of an emitter meets a surface."""
+    for _, found in itertools.groupby(runs, _emitter):
+        own = list(found)
+        if all(run.channels[FIRST_MISS].sum() == run.started.sum() for run in own):
+            source = own[0].source
+            raise MistrayError(
+                f"source '{source.name}': no ray of its light {source.towards} hits a surface; "
+                "check field_deg, the source's position and its size"
+            )
 
 
 def _keep(runs: Sequence[Run], result: Callable[[], Trace]) -> NoReturn:
@@ -268,6 +306,7 @@ def _result(
     emitter = source_emitters(scene)[0]
     wavelengths = sorted({run.source.wavelength_nm for run in runs})
     power = sum(run.source.power for run in runs)
+    states = {run.source.name: run.source.stokes for run in runs if run.source.polarized}
     found = Trace(
         runs,
         {
@@ -281,6 +320,7 @@ def _result(
             ],
             "detector": runs[0].table.detector_names,
             "ledger": ledger,
+            **({"source_stokes": states} if states else {}),
             "variant": mi.variant(),
             "versions": dict(versions()),
             "date": time.strftime("%Y-%m-%d %H:%M:%S"),

@@ -12,7 +12,8 @@ from mistray.recorders.ledger import SUMS
 from mistray.recorders.sampled import Sampled, batch_error
 
 CHUNK = 1024  # paths that are worked out together
-RAYS, INCIDENT, ABSORBED, BY_X, BY_Y, BY_SQUARE, POLARIZED = range(7)  # columns of `RunSums.columns`
+# Columns of `RunSums.columns`; the last three are the sums of s1, s2, s3
+RAYS, INCIDENT, ABSORBED, BY_X, BY_Y, BY_SQUARE, S1, S2, S3 = range(9)
 
 
 class RunSums(NamedTuple):
@@ -38,16 +39,16 @@ class RunSums(NamedTuple):
 
     @property
     def columns(self) -> tuple[np.ndarray, np.ndarray]:
-        """Sums in W over all batches, (p, 7), and over all but one, scaled to as many rays, (p, BATCHES, 7)."""
+        """Sums in W over all batches, (p, 9), and over all but one, scaled to as many rays, (p, BATCHES, 9)."""
         total, rays = self.sums.sum(axis=1), self.started.sum()
         without = (total[:, None] - self.sums) * (rays / np.maximum(rays - self.started, 1))[:, None]
         return self._in_watt(total), self._in_watt(without)
 
     def _in_watt(self, sums: np.ndarray) -> np.ndarray:
-        found = self.unit * sums[..., [0, 1, 2, 4, 5, 6, 6]]
+        found = self.unit * sums[..., [0, 1, 2, 4, 5, 6, 6, 6, 6]]
         found[..., RAYS] = sums[..., 0]
         stokes = sums[..., SUMS:]
-        found[..., POLARIZED] = self.unit * np.linalg.norm(stokes, axis=-1) if stokes.shape[-1] else np.nan
+        found[..., S1:] = self.unit * stokes if stokes.shape[-1] else np.nan
         return found
 
     @property
@@ -72,7 +73,7 @@ class PathNumbers:
     Attributes
     ----------
     columns : dict
-        Columns of `PathRow` from ``rays`` to ``polarization_se`` but for the percentages, (p,) each.
+        Columns of `PathRow` from ``rays`` to ``s3_se`` but for the percentages, (p,) each.
     light, density : Sampled
         Power, W, and RMS irradiance, W/mm², with what they have in common with others of the same trace.
     """
@@ -147,14 +148,18 @@ def _chunk(runs: Sequence[RunSums]) -> PathNumbers:
         "polarization": values[4],
         "polarization_se": np.where(np.isfinite(values[4]), se[4], np.nan),
     }
+    for number, name in enumerate(("s1", "s2", "s3"), start=5):
+        columns |= {name: values[number], f"{name}_se": np.where(np.isfinite(values[number]), se[number], np.nan)}
     light = [Sampled.of(run.sums[:, :, 2], run.started).scaled(run.unit) for run in runs]
     return PathNumbers(columns, sum(light[1:], start=light[0]), Sampled(values[3], apart[3]))
 
 
 def _shape(sums: np.ndarray) -> np.ndarray:
-    """(5, …): x, y, RMS radius, RMS irradiance and degree of polarisation of sums (…, 7) in W."""
+    """(8, …): x, y, RMS radius, RMS irradiance, degree of polarisation and s1, s2, s3 of sums (…, 9) in W."""
     power = sums[..., ABSORBED]
     with np.errstate(divide="ignore", invalid="ignore"):
         x, y = sums[..., BY_X] / power, sums[..., BY_Y] / power
         variance = np.maximum(sums[..., BY_SQUARE] / power - x * x - y * y, 0.0)
-        return np.stack([x, y, np.sqrt(variance), power / (np.pi * variance), sums[..., POLARIZED] / power])
+        stokes = [sums[..., k] / power for k in (S1, S2, S3)]
+        degree = np.linalg.norm(stokes, axis=0)
+        return np.stack([x, y, np.sqrt(variance), power / (np.pi * variance), degree, *stokes])

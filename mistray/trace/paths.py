@@ -112,6 +112,9 @@ class PathRow:
         power / (π · rms_radius²).
     polarization : float
         Degree of polarisation of all light of the path together, 0 … 1; NaN if traced unpolarised.
+    s1, s2, s3 : float
+        Its state, (S1, S2, S3)/S0: linear along the world's x as seen across the ray (along y where the ray is within
+        26° of x), linear at 45° from there, and circular, clockwise as the detector sees it; see docs/polarization.md.
     """
 
     path_id: int
@@ -152,6 +155,12 @@ class PathRow:
     rms_irradiance_se_W_mm2: float
     polarization: float
     polarization_se: float
+    s1: float
+    s1_se: float
+    s2: float
+    s2_se: float
+    s3: float
+    s3_se: float
 
     @property
     def event_list(self) -> list[tuple[str, str]]:

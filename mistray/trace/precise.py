@@ -11,7 +11,7 @@ import numpy as np
 
 from mistray.recorders.path_events import EVENT_MASK, FIRST_SCATTERED
 from mistray.recorders.path_key import ABSORBED, AIMED_TRANSMITTED, EVENT_BITS, RANDOM_TRANSMITTED, TRANSMITTED
-from mistray.surfaces.host_rays import specular
+from mistray.surfaces.host_rays import indices_along, specular
 from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable
 
@@ -43,26 +43,24 @@ def retrace(
     """
     d = _unit(direction)
     points, directions = [origin], []
-    opl, medium = [np.zeros(len(d))], np.ones(len(d))
+    lengths, before, behind = (np.full((len(codes), len(d)), np.nan) for _ in range(3))
     for k, code in enumerate(codes):
         surface, what = int(code) >> EVENT_BITS, int(code) & EVENT_MASK
         directions.append(d)
         if surface >= table.count:  # within a medium: the recorded distance is all there is
-            step = np.einsum("ij,ij->i", hits[:, k] - points[-1], d)
-            opl.append(opl[-1] + step * medium)
-            points.append(points[-1] + step[:, None] * d)
+            lengths[k] = np.einsum("ij,ij->i", hits[:, k] - points[-1], d)
+            points.append(points[-1] + lengths[k][:, None] * d)
             d = _unit(hits[:, k + 1] - points[-1])
             continue
         p, normal = _hit(table, surface, points[-1], d, hits[:, k])
         side = np.einsum("ij,ij->i", d, normal) > 0
         front, back = table.interfaces[surface].indices(table.wavelength_nm)
         n_i, n_t = np.where(side, front, back), np.where(side, back, front)
-        opaque = bool(table.optics.host_words[surface] & OPAQUE)
-        # The materials of an opaque surface mean nothing: the ray is in the material it was sent into
-        index = medium if opaque and k else n_i
-        opl.append(opl[-1] + np.linalg.norm(p - points[-1], axis=1) * index)
+        lengths[k] = np.linalg.norm(p - points[-1], axis=1)
         points.append(p)
-        medium = n_t if what in (TRANSMITTED, RANDOM_TRANSMITTED, AIMED_TRANSMITTED) else index
+        if not table.optics.host_words[surface] & OPAQUE:
+            before[k] = n_i
+            behind[k] = n_t if what in (TRANSMITTED, RANDOM_TRANSMITTED, AIMED_TRANSMITTED) else n_i
         if what == ABSORBED:
             break
         if what >= FIRST_SCATTERED:
@@ -72,7 +70,10 @@ def retrace(
             d = transmitted if what == TRANSMITTED else reflected
         d = _unit(d)
     directions.append(np.zeros_like(d))
-    return np.stack(points, axis=1), np.stack(directions, axis=1), np.stack(opl, axis=1)
+    opl = np.zeros((len(d), len(points)))
+    optical = lengths * np.nan_to_num(indices_along(before, behind), nan=1.0)
+    opl[:, 1:] = np.cumsum(optical[: len(points) - 1], axis=0).T
+    return np.stack(points, axis=1), np.stack(directions, axis=1), opl
 
 
 def _unit(v: np.ndarray) -> np.ndarray:

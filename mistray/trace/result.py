@@ -35,6 +35,7 @@ from mistray.trace.ray_table import check_box, ray_table
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray
 
 
 class Trace:
@@ -209,6 +210,35 @@ class Trace:
 
         write_irradiance(IrradianceMap.of(self), path)
 
+    def to_xarray(self) -> xarray.Dataset:
+        """
+        Irradiance as arrays with named axes, with standard errors and units; needs the extra ``xarray``.
+
+        Returns
+        -------
+        xarray.Dataset
+            ``irradiance`` over y and x, and ``irradiance_by_wavelength`` over wavelength, y and x, each with its
+            standard error under the name with ``_se``; W/mm². Coordinates: the middles of the pixels in the frame of
+            the detector, mm, and the wavelengths, nm. Of several detectors it is the one of `irradiance`, see `on`.
+
+        Raises
+        ------
+        MistrayError
+            If xarray is not installed.
+        """
+        from mistray.files.labelled import IRRADIANCE, Labelled, dataset, pixel_coordinates
+
+        axes, each = ("wavelength", "y", "x"), [self.irradiance_at(nm) for nm in self.wavelengths_nm]
+        values, errors = (np.stack(parts) for parts in zip(*each, strict=True))
+        arrays = {
+            "irradiance": Labelled(axes[1:], self.irradiance, IRRADIANCE, "irradiance", self.irradiance_se),
+            "irradiance_by_wavelength": Labelled(axes, values, IRRADIANCE, "irradiance of a wavelength", errors),
+        }
+        wavelengths = Labelled(("wavelength",), self.wavelengths_nm, "nm", "wavelength in vacuum")
+        rows, columns = self.irradiance.shape
+        coordinates = {"wavelength": wavelengths, **pixel_coordinates(self.extent, (rows, columns))}
+        return dataset(arrays, coordinates, "Irradiance of a detector", self.settings)
+
     def irradiance_at(self, wavelength_nm: float) -> tuple[np.ndarray, np.ndarray]:
         """
         Irradiance of one of the wavelengths of the trace; those of all wavelengths add up to `irradiance`.
@@ -224,6 +254,21 @@ class Trace:
     def energy_at(self, wavelength_nm: float) -> Energy:
         """The energy ledger of one of the wavelengths of the trace."""
         runs = self._runs_at(wavelength_nm)
+        return energy_ledger(runs, flux_report(runs))
+
+    def energy_of(self, source: str) -> Energy:
+        """
+        The energy ledger of one of the sources of the trace, by its name in the path table.
+
+        Raises
+        ------
+        MistrayError
+            If the trace has no source of that name.
+        """
+        runs = [run for run in self._runs if run.source.name == source]
+        if not runs:
+            names = ", ".join(dict.fromkeys(run.source.name for run in self._runs))
+            raise MistrayError(f"source '{source}' is none of the trace; it has {names}")
         return energy_ledger(runs, flux_report(runs))
 
     def surfaces_at(self, wavelength_nm: float) -> FluxReport:

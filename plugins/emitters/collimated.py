@@ -12,7 +12,7 @@ from mistray.errors import MistrayError
 from mistray.plugins.emitters.light_source import LightSource
 from mistray.ranges import POSITIVE, RADIUS_MM, SIZE_MM, Range
 from mistray.sampling.beam import Beam
-from mistray.sampling.sources import SourceRequest
+from mistray.sampling.source import SourceRequest
 from mistray.surfaces.host_points import box_corners
 
 STOCK_DISTANCE = 100.0  # start of the beam for stock integrators, in units of its size
@@ -41,6 +41,14 @@ class Collimated(LightSource):
     irradiance          W/mm²     > 0                 1         on a plane normal to the beam
     wavelength_nm       nm        > 0                 550       one value or a list, "486.1, 587.6, 656.3"
     weights             1         ≥ 0                 equal     one weight for each wavelength; normalised
+    spectrum            string    see docs/sources.md none      instead of wavelength_nm: lines such as "F d C",
+                                                                blackbody:3000, am0, d65 or a .csv file
+    band_nm             nm        two, rising         400, 700  the band of a continuous spectrum that is traced; of a
+                                                                table all of it by default
+    bands               1         1 … 200             6         parts of equal width that the band is traced in
+    stokes              1         degree ≤ 1          none      polarised light, "s1, s2, s3" over S0; or ``jones``,
+                                                                "ex, ey"; or ``polarization_deg``, linear at an angle:
+                                                                see docs/polarization.md
     distance            mm        ≥ 0                 0         from the pivot upstream to the start; 0: automatic
     pattern             string    random, grid        random    positions of the rays in the cross-section
     to_world            mm        rigid               identity  the pivot and the axis

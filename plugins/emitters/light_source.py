@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from typing import Any, ClassVar
 
 import drjit as dr
@@ -10,9 +10,12 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.physics.polarization.state import WAYS, polarization_state
 from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, WAVELENGTH_NM, WEIGHT, Range
-from mistray.sampling.source import EmittedRays, SceneSource
-from mistray.sampling.sources import SourceRequest
+from mistray.sampling.source import EmittedRays, SceneSource, SourceRequest
+from mistray.spectra.spectrum import BANDS, Light, light_of, of_lines
+
+DEFAULT_NM = 550.0
 
 
 class LightSource(mi.Emitter):
@@ -21,8 +24,9 @@ class LightSource(mi.Emitter):
 
     A subclass is a plugin as soon as it is registered, ``mi.register_emitter("name", Name)``. Every source has the
     properties ``field_deg``, ``azimuth_deg``, ``wavelength_nm``, ``weights`` and ``to_world`` of `collimated`; its axis
-    is Rz(``azimuth_deg``) · (0, sin θ, cos θ) with θ = ``field_deg``. A subclass states what follows. It is traced,
-    recorded and drawn then, and has derivatives by the parameters in `differentiable`, edges included.
+    is Rz(``azimuth_deg``) · (0, sin θ, cos θ) with θ = ``field_deg``. It may be polarised, by ``stokes``, ``jones`` or
+    ``polarization_deg``, see docs/polarization.md. A subclass states what follows. It is traced, recorded and drawn
+    then, and has derivatives by the parameters in `differentiable`, edges included.
 
     Attributes
     ----------
@@ -33,14 +37,24 @@ class LightSource(mi.Emitter):
         Those of its numbers that `motion` knows the derivatives by.
     tolerances : mapping of str to float
         Of these, half the width of the range in which a shop holds them.
+    extended : bool
+        Whether its rays start from more than one place, see `rays_from`.
+    precise : bool
+        Whether `rays_from` takes points and numbers of float64, so that a narrow cone can be aimed at from afar.
     values : dict of str to float
         Its own numbers.
+    light : Light
+        Its wavelengths and their weights.
+    stokes : tuple of three float or None
+        State of polarisation with respect to the axes u and direction × u of `frame`; None: unpolarised.
     """
 
     ranges: ClassVar[Mapping[str, Range]] = {}
     defaults: ClassVar[Mapping[str, float]] = {}
     differentiable: ClassVar[tuple[str, ...]] = ()
     tolerances: ClassVar[Mapping[str, float]] = {}
+    extended: ClassVar[bool] = False
+    precise: ClassVar[bool] = False
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
@@ -57,14 +71,38 @@ class LightSource(mi.Emitter):
         rotation = self.matrix[:3, :3]
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5) or np.linalg.det(rotation) < 0:
             self._fail("to_world scales, shears or mirrors; use a rigid motion and set the size by parameters")
-        self.wavelengths_nm = self._numbers("wavelength_nm", props.get("wavelength_nm", 550.0), WAVELENGTH_NM)
-        weights = props.get("weights", None)
-        count = len(self.wavelengths_nm)
-        shares = np.ones(count) if weights is None else self._numbers("weights", weights, WEIGHT)
-        if len(shares) != count or not shares.sum() > 0:
-            self._fail(f"weights needs {count} values that are not all 0; give one for each wavelength")
-        self.weights = shares / shares.sum()
+        self.light = self._light(props)
+        self.wavelengths_nm, self.weights = self.light.wavelengths_nm, self.light.weights
         self.parameters = {key: mi.Float(self.values[key]) for key in self.differentiable}
+        self.stokes = polarization_state(self.owner, **{key: props[key] for key in WAYS if key in props})
+
+    def _light(self, props: mi.Properties) -> Light:
+        """The wavelengths of its spectrum, or of ``wavelength_nm`` and ``weights``."""
+        within = {"wavelength_nm": WAVELENGTH_NM, "weights": WEIGHT}
+        given = {key: self._numbers(key, props[key], allowed) for key, allowed in within.items() if key in props}
+        band, bands = self._band(props)
+        try:
+            if "spectrum" in props:
+                if "wavelength_nm" in given:
+                    self._fail("wavelength_nm and spectrum are given; give one of them")
+                text = str(props["spectrum"])
+                file = str(mi.file_resolver().resolve(text)) if text.strip().lower().endswith(".csv") else text
+                return light_of(file, band, bands, given.get("weights"))
+            if band is not None or bands is not None:
+                self._fail("band_nm or bands is given without spectrum; give both")
+            return of_lines(given.get("wavelength_nm", [DEFAULT_NM]), given.get("weights"))
+        except MistrayError as error:
+            raise MistrayError(f"{self.owner}: {str(error).removeprefix(f'{self.owner}: ')}") from None
+
+    def _band(self, props: mi.Properties) -> tuple[list[float] | None, int | None]:
+        """``band_nm`` and ``bands``, where they are given."""
+        band = self._numbers("band_nm", props["band_nm"], WAVELENGTH_NM).tolist() if "band_nm" in props else None
+        return band, int(self._number(props, "bands", BANDS, None)) if "bands" in props else None
+
+    @property
+    def polarized(self) -> bool:
+        """Whether its light is polarised."""
+        return self.stokes is not None
 
     def power(self, field_deg: float | None = None) -> float:
         """Flux, W, at its own field angle or another one."""
@@ -81,9 +119,29 @@ class LightSource(mi.Emitter):
         rng : mi.PCG32
             For more numbers, where a ray needs more than two.
         n : mapping of str to mi.Float
-            The numbers in `values`.
+            The numbers in `values`, and ``wavelength_nm``.
         """
         raise NotImplementedError
+
+    def rays_from(
+        self, place: mi.Point2f, sample: mi.Point2f, rng: mi.PCG32, n: Mapping[str, mi.Float]
+    ) -> tuple[mi.Vector3f, mi.Vector3f]:
+        """
+        The same for an extended source.
+
+        A trace aims the rays of a source at the scene if it has a method ``density(place, d, n)`` as well: the density
+        of its directions d, in its own frame, in 1/sr, from where the rays start for a point of the unit square.
+
+        Parameters
+        ----------
+        place : mi.Point2f
+            Point of the unit square that says where a ray starts.
+        sample : mi.Point2f
+            Says where it goes.
+        rng, n
+            As for `rays`.
+        """
+        return self.rays(sample, rng, n)
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
         """Derivatives of the origins o and directions d of rays, in the frame of the source, by one of its numbers."""
@@ -108,6 +166,10 @@ class LightSource(mi.Emitter):
         rotation = self.matrix[:3, :3]
         return self.matrix[:3, 3], rotation @ direction, rotation @ u, rotation @ v
 
+    def field_of(self, height_mm: float) -> float:
+        """Field angle, degrees, of an object height, mm; raises `MistrayError` where the light has no object plane."""
+        raise MistrayError(f"{self.owner}: its light comes from infinity; give its field in degrees")
+
     def sources(self, request: SourceRequest) -> Sequence[SceneSource]:
         """What a trace starts, one for each wavelength."""
         pivot, direction, u, v = self.frame(request.field_deg, request.azimuth_deg)
@@ -128,7 +190,12 @@ class LightSource(mi.Emitter):
 
     def source(self, request: SourceRequest, **facts: Any) -> SceneSource:
         """The rays of one wavelength."""
-        return EmittedRays(**facts)
+        return EmittedRays(scene=request.scene, **facts)
+
+    def _keep_parameters(self, names: Container[str]) -> None:
+        """Leave parameters out that this source has no derivatives by."""
+        self.differentiable = tuple(key for key in self.differentiable if key in names)  # type: ignore[misc]
+        self.parameters = {key: mi.Float(self.values[key]) for key in self.differentiable}
 
     def _fail(self, what: str) -> None:
         raise MistrayError(f"{self.owner}: {what}")
@@ -167,7 +234,8 @@ class LightSource(mi.Emitter):
     ) -> tuple[mi.Ray3f, mi.Spectrum]:
         pivot, *axes = (mi.Vector3f(*vector.tolist()) for vector in self.frame())
         numbers = {name: mi.Float(value) for name, value in self.values.items()}
-        o, d = self.rays(sample2, mi.PCG32(size=dr.width(sample2)), numbers)
+        numbers["wavelength_nm"] = mi.Float(float(self.wavelengths_nm[0]))
+        o, d = self.rays_from(sample3, sample2, mi.PCG32(size=dr.width(sample2)), numbers)
         direction, u, v = axes
         ray = dr.zeros(mi.Ray3f, dr.width(sample2))
         ray.o = mi.Point3f(pivot + u * o.x + v * o.y + direction * o.z)

@@ -19,6 +19,7 @@ from mistray.gradients.geometry_gradient import geometry_columns
 from mistray.gradients.parameter_gradient import edge_gradient, parameter_gradient
 from mistray.gradients.run_gradient import run_gradient
 from mistray.gradients.table_gradient import EDGE_WIDTH, GradientRequest
+from mistray.plugins.sensors.passing_sensor import PassingSensor
 from mistray.ranges import EDGE_WIDTH as ZONE
 from mistray.sampling.sources import source_emitters
 from mistray.settings import Settings
@@ -32,8 +33,9 @@ class StrayLight(mi.CppADIntegrator):
     Stray-light integrator (:monosp:`straylight`): splits rays at every interface and follows all of them.
 
     ``mi.render(scene, integrator=…)`` gives the irradiance of the detector as a tensor (height, width, 1) in W/mm²;
-    row 0 is at the smallest y of the detector's frame. The properties are also the defaults of `mistray.trace` for the
-    scene, which returns the path table, the energy ledger and standard errors as well.
+    row 0 is at the smallest y of the detector's frame. Of a `probe`, a `far_field` or `surface_maps` it gives what that
+    records. The properties are also the defaults of `mistray.trace` for the scene, which returns the path table, the
+    energy ledger and standard errors as well.
 
     ===================== ====== ============= =========== =============================================================
     parameter             unit   range         default     meaning
@@ -71,8 +73,9 @@ class StrayLight(mi.CppADIntegrator):
                                                            ``r`` (be scattered), ``A`` (be absorbed); or
                                                            ``allow_all`` ("TRIMtrA"), ``transmit_specular`` ("TIMA"),
                                                            ``reflect_specular`` ("RIMA"), ``halt_all`` ("A")
-    polarization          string unpolarized,  unpolarized average s and p at every hit, or carry the Stokes vector
-                                 stokes                    along
+    polarization          string auto,         auto        average s and p at every hit, or carry the Stokes vector
+                                 unpolarized,              along; ``auto`` does so if a source is polarised
+                                 stokes
     edges                 bool                 true        count in gradients what rays gain and lose at rims
     edge_width            1      1e-6 … 0.5    0.05        width of the zones at rims for that, relative to their radii
     ===================== ====== ============= =========== =============================================================
@@ -106,11 +109,12 @@ class StrayLight(mi.CppADIntegrator):
         self.edges = bool(props.get("edges", True))
         self.edge_width = ZONE.check("edge_width", props.get("edge_width", EDGE_WIDTH), "integrator 'straylight'")
 
-    def _settings(self, sensor: mi.Sensor, seed: mi.UInt32, spp: int) -> Settings:
+    def _settings(self, scene: mi.Scene, sensor: mi.Sensor, seed: mi.UInt32, spp: int) -> Settings:
         """Own settings with the arguments of a call: ``spp`` asks for rays, ``seed`` is added."""
         size = sensor.film().size()
         rays = spp * int(size[0]) * int(size[1]) if spp else self.settings.rays
-        return replace(self.settings, rays=rays, seed=(self.settings.seed + int(mi.UInt32(seed)[0])) % 2**32)
+        own = self.settings.resolved(scene)
+        return replace(own, rays=rays, seed=(own.seed + int(mi.UInt32(seed)[0])) % 2**32)
 
     def _detector(self, sensor: mi.Sensor) -> str | None:
         shape = sensor.get_shape()
@@ -131,8 +135,11 @@ class StrayLight(mi.CppADIntegrator):
             raise MistrayError("integrator 'straylight': develop=False is not supported; render with develop=True")
         if isinstance(sensor, int):
             sensor = scene.sensors()[sensor]
-        wanted = self._settings(sensor, seed, spp)
+        wanted = self._settings(scene, sensor, seed, spp)
         values = {f.name: getattr(wanted, f.name) for f in fields(Settings)}
+        if isinstance(sensor, PassingSensor):
+            image, _ = trace(scene, ledger=False, **values).recorders[sensor.name].image
+            return mi.TensorXf(image[:, :, None])
         result = trace(scene, detector=self._detector(sensor), ledger=False, **values)
         return mi.TensorXf(result.irradiance[:, :, None])
 
@@ -151,7 +158,7 @@ class StrayLight(mi.CppADIntegrator):
                 "integrator 'straylight': forward mode holds visibility as it is; set edges=False, or use dr.backward"
             )
         tangents = {place: np.array(dr.grad(value), dtype=np.float64) for place, (_, value) in tracked.items()}
-        runs = prepare(scene, self._settings(sensor, seed, spp), detector=self._detector(sensor))
+        runs = prepare(scene, self._settings(scene, sensor, seed, spp), detector=self._detector(sensor))
         change = sum(run.unit / run.pixel_area * run_tangent(run, tangents) for run in runs)
         return mi.TensorXf(np.asarray(change)[:, :, None])
 
@@ -184,7 +191,7 @@ class StrayLight(mi.CppADIntegrator):
 
         with dr.resume_grad():
             first_order = mi.Float64(0)
-            for run in prepare(scene, self._settings(sensor, seed, spp), detector=self._detector(sensor)):
+            for run in prepare(scene, self._settings(scene, sensor, seed, spp), detector=self._detector(sensor)):
                 by_flux = run.unit * by_irradiance[None] / run.pixel_area
                 raw = run_gradient(run, None, by_flux, request)
                 for owner, name, batches in (*parameter_gradient(raw, is_tracked), *edge_gradient(raw, is_tracked)):

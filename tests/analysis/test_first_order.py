@@ -103,3 +103,21 @@ def test_a_wrong_curvature_shows():
     curvature[0] *= 1.001
     focal, _ = paraxial(curvature, [s.z for s in surfaces], [*n[:, 0], n[-1, 1]])
     assert abs(found.focal_length_mm / focal - 1) > 1e-4
+
+
+def test_near_object():
+    """Rays of a point 100 mm before the origin: the pupil where they pass it, and fields by the ray through it."""
+    black = {"type": "interface", "R": 0.0}
+    stop = {"type": "asphere", "semi_diameter": 40.0, "inner_semi_diameter": 5.0, "z": 10.0, "bsdf": black}
+    detector = {"type": "asphere", "half_width": 20.0, "half_height": 15.0, "z": 30.0, "bsdf": black}
+    detector["sensor"] = {"type": "irradiancemeter"}
+    given = {"type": "scene", "stop": stop, "detector": detector}
+    scene = mistray.load(given, "point:0,0,-100")
+    found = first_order(scene, find_design_path(SurfaceTable(scene, 550.0), scene))
+    assert found.pupil_diameter_mm == pytest.approx(2 * 5 * 100 / 110, rel=1e-3)
+    assert found.stop == "stop"
+    assert found.field_deg["x"] == pytest.approx(np.degrees(np.arctan(20 / 30)), rel=1e-6)
+    assert found.field_deg["y"] == pytest.approx(np.degrees(np.arctan(15 / 30)), rel=1e-6)
+    laser = mistray.load(given, "laser:0,0,-100,waist_x=1,waist_y=1")
+    with pytest.raises(mistray.MistrayError, match=r"'source'.*point_source"):
+        first_order(laser, find_design_path(SurfaceTable(laser, 550.0), laser))

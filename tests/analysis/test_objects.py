@@ -14,7 +14,7 @@ import mistray
 from mistray.analysis.objects.search import objects
 from mistray.analysis.objects.sources import DiskSource
 from mistray.errors import MistrayError
-from mistray.execute.backward import see
+from mistray.execute.seen import see
 
 RAYS = 100_000
 

@@ -96,7 +96,7 @@ def test_missing_files_and_folders_are_one_line(tmp_path: Path) -> None:
 
 def test_another_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     save_state(tmp_path / "s.npz", ARRAYS, {})
-    monkeypatch.setattr(sys.modules[load_state.__module__], "FORM", 3)
+    monkeypatch.setattr(sys.modules[load_state.__module__], "FORM", 99)
     with pytest.raises(MistrayError, match="another version of mistray"):
         load_state(tmp_path / "s.npz")
 

@@ -12,7 +12,7 @@ from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene
 from oracles.small_scenes import interface_xml, write
 
 import mistray
-from mistray.analysis.pst import adjoint_run
+from mistray.analysis.pst import backward_run
 from mistray.analysis.pst.state import PstProgress, load_state
 from mistray.execute.backward import BackwardTrace
 from mistray.recorders.direction_recorder import CLASSES, DIFFRACTED, DIRECT, GHOST, MULTIPLE, SINGLE, STRAIGHT
@@ -47,7 +47,7 @@ def test_classes_have_the_order_of_their_names() -> None:
 
 def test_the_largest_share_is_of_the_scattered_light_alone(window: Any) -> None:
     """The strongest scattered ray of the same trace over the PST of the classes that scatter; ghosts do not count."""
-    found = mistray.pst(window, [0.0, 30.0], cell_deg=10.0, rays=RAYS, max_scatters=2, paths=False)
+    found = mistray.pst(window, [0.0, 30.0], cell_deg=10.0, rays=RAYS, max_scatters=2, paths=False, method="adjoint")
     trace = BackwardTrace(window, found.grid, Settings.of(window, max_scatters=2))
     trace.advance(RAYS)
     strongest = np.pi * trace.sums["largest"] / (found.grid.solid_angle[:, None] * RAYS)
@@ -62,7 +62,7 @@ def test_the_largest_share_is_of_the_scattered_light_alone(window: Any) -> None:
 def counts(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
     """How often the state was saved and the table of paths read."""
     found = {"saved": 0, "read": 0}
-    save, read = adjoint_run.save_state, BackwardTrace.paths
+    save, read = backward_run.save_state, BackwardTrace.paths
 
     def counted_save(*arguments: Any) -> Path:
         found["saved"] += 1
@@ -72,7 +72,7 @@ def counts(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
         found["read"] += 1
         return read(self)
 
-    monkeypatch.setattr(adjoint_run, "save_state", counted_save)
+    monkeypatch.setattr(backward_run, "save_state", counted_save)
     monkeypatch.setattr(BackwardTrace, "paths", counted_read)
     return found
 
@@ -91,7 +91,7 @@ def test_an_interrupt_saves_the_pass_that_it_waited_for(
     window: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also where saving would have cost more than its share of the time."""
-    monkeypatch.setattr(adjoint_run, "SAVING", -1.0)
+    monkeypatch.setattr(backward_run, "SAVING", -1.0)
     reports: list[PstProgress] = []
 
     def press(now: PstProgress) -> None:

@@ -13,10 +13,10 @@ from oracles.statistics import assert_z
 
 import mistray
 from mistray import MistrayError
-from mistray.analysis.pst.found_pairs import _strongest
-from mistray.analysis.pst.pilot import forward_events
+from mistray.analysis.pst.found_paths import _strongest, forward_events
 from mistray.execute import backward
-from mistray.execute.backward import BackwardTrace, Seen, see
+from mistray.execute.backward import BackwardTrace
+from mistray.execute.seen import Seen, see
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.path_key import ABSORBED, EVENT_BITS, RANDOM_REFLECTED, REFLECTED, TRANSMITTED, host_keys
 from mistray.recorders.path_sums import join_sums

@@ -253,7 +253,7 @@ class TestBothDirections:
     )
     def test_pst(self, brdf: dict[str, Any], shape: dict[str, Any], turned: dict[str, Any]) -> None:
         found = []
-        for method, rays in (("adjoint", 100_000), ("forward", 60_000)):
+        for method, rays in (("adjoint", 3_000_000), ("forward", 60_000)):
             given = scene(brdf | turned, towards(35.0, 70.0), distance=12.0, radius=4.0, plate=shape, aim=False)
             pst = mistray.pst(
                 given, [40.0], azimuths_deg=[0, 90, 180, 270], cell_deg=40.0, azimuth_cell_deg=90.0, method=method,

@@ -96,6 +96,8 @@ class TestPaint:
         assert finish("R=0.25") == Finish(Coating(R=0.25))
         (model,) = finish("harvey_shack rms_nm=4 l=0.01 s=-1.5").scatter
         assert dict(model.properties) == {"rms_nm": 4.0, "l": 0.01, "s": -1.5}
+        assert finish("0.1") == finish("paint reflectance=0.1")
+        assert finish("0") == finish("black")
         assert finish("paint reflectance=.1") == finish("paint reflectance=0.10")
         names = {finish(f"paint reflectance={text}").scatter[0].name for text in (".1", "1", "0.01", "1e-5")}
         assert len(names) == 4
@@ -117,9 +119,11 @@ class TestPaint:
             ({"paint": {"ring": ""}}, "paint '': there is none of this name"),
             ({"paint": {"ring": "R=x"}}, "paint 'R=x'"),
             ({"paint": {"ring": "R=2"}}, "R = 2"),
+            ({"paint": {"ring": "1.5"}}, "reflectance is 1.5"),
+            ({"paint": {"ring": "nan"}}, "reflectance is nan"),
             (
                 {"paint": {"ring": "paint reflectance=0.1 reflectance=0.2"}},
-                "paint 'paint reflectance=0.1 reflectance=0.2': reflectance stands there twice; keep one",
+                "scatter 'paint reflectance=0.1 reflectance=0.2': reflectance stands there twice; keep one",
             ),
             ({"paint": {"ring": "paint reflectanc=1"}}, "there is no 'reflectanc'"),
         ],
@@ -359,11 +363,12 @@ class TestCommand:
         ("arguments", "words"),
         [
             (["--paint", "rnig*=black"], "no part or face is called 'rnig*'; the nearest are ring"),
-            (["--paint", "ring"], "--paint 'ring': write PATTERN=VALUE, such as 'vane*=black'"),
+            (["--paint", "ring"], "--paint: 'ring' is no paint; write PATTERN=PAINT, such as 'vane*=flat_black'"),
             (["--paint", "ring=blakc"], "paint 'blakc': there is none of this name; did you mean black"),
-            (["--space", "ring=x"], "--space 'ring=x': 'x' is no optical space"),
+            (["--space", "ring=x"], "--space: 'x' is not a number"),
             (["--most-analytic", "-1"], "argument --most-analytic: -1 must be a whole number"),
             (["--time-limit-s", "0"], "argument --time-limit-s: 0 must lie"),
+            (["--coating", "ring=bbar3"], "--coating: parts get their coating and scatter by --paint; leave it out"),
             (["--into", "plaet"], "scene 'plaet': no such file"),
         ],
     )

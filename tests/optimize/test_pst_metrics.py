@@ -196,7 +196,7 @@ class TestMetrics:
     @pytest.mark.long
     def test_against_the_curve(self, scene) -> None:
         angles = (0.0, 20.0, 40.0)
-        pst = next(pst_of_each([scene], angles, paths=False, one_direction=True, **TRACED))
+        pst = next(pst_of_each([scene], angles, paths=False, method="adjoint", **TRACED))
         stray = pst.curve("stray")[0]
         at_40 = pst_bin(scene, 40, pst_field_deg=angles, **TRACED)
         assert at_40.value() == pytest.approx(stray[2], rel=1e-12)
@@ -218,7 +218,7 @@ class TestMetrics:
         angles, width = view.arguments["field_deg"], view.arguments["cell_deg"]
         assert len(angles) == 15
         assert width == 2
-        wide = next(pst_of_each([scene], (35,), cell_deg=30, paths=False, one_direction=True, **TRACED))
+        wide = next(pst_of_each([scene], (35,), cell_deg=30, paths=False, method="adjoint", **TRACED))
         assert band.value() == pytest.approx(wide.curve("stray")[0][0], rel=1e-6)  # angles are in single precision
         integral = pst_band(scene, 20, 50, quantity="integral", **TRACED)
         assert integral.value() == pytest.approx(band.value() * wide.grid.solid_angle[0], rel=1e-9)

@@ -1,4 +1,4 @@
-"""Deterministic start rays of the ``collimated`` source."""
+"""Deterministic start rays of the sources ``collimated`` and ``point_source``."""
 
 from __future__ import annotations
 
@@ -75,3 +75,25 @@ def collimated(
     origin = (offset - distance * direction) @ rotation.T + pivot
     power = number("irradiance", 1.0) * area / rays
     return Beam(origin, np.tile(rotation @ direction, (rays, 1)), np.full(rays, power))
+
+
+def cone(emitter: Emitter, rays: int, field_deg: float = 0.0) -> Beam:
+    """Start rays of a point of light, even in solid angle within its cone; the field moves it in its plane."""
+    z, intensity, half_angle_deg = (float(emitter.values[name]) for name in ("z", "intensity", "half_angle_deg"))
+    k = np.arange(rays) + 0.5
+    cosine = 1 - (1 - np.cos(np.radians(half_angle_deg))) * k / rays
+    sine, phi = np.sqrt(1 - cosine**2), np.pi * (3 - np.sqrt(5)) * k
+    direction = np.stack([sine * np.cos(phi), sine * np.sin(phi), cosine], axis=1)
+    rotation, pivot = emitter.to_world[:3, :3], emitter.to_world[:3, 3]
+    towards = field_direction(field_deg)
+    origin = rotation @ (z * towards / towards[2]) + pivot
+    power = intensity * 2 * np.pi * (1 - np.cos(np.radians(half_angle_deg))) / rays
+    return Beam(np.tile(origin, (rays, 1)), direction @ rotation.T, np.full(rays, power))
+
+
+def start(model: SceneModel, rays: int, field_deg: float = 0.0) -> Beam:
+    """Start rays of the first source of a scene."""
+    emitter = model.emitters[0]
+    if emitter.kind == "point_source":
+        return cone(emitter, rays, field_deg)
+    return collimated(emitter, rays, start_distance(model, emitter), field_deg)

@@ -309,8 +309,8 @@ class Freeform:
                 return np.asarray(z - self.sag(x, y))
 
         f = height(t.T, np.arange(len(some))).T
-        with np.errstate(invalid="ignore"):
-            row, place = np.nonzero(f[:, :-1] * f[:, 1:] < 0)
+        known = np.isfinite(f[:, :-1]) & np.isfinite(f[:, 1:])
+        row, place = np.nonzero(known & ((f[:, :-1] < 0) != (f[:, 1:] < 0)))  # a sample may lie on the surface
         a, b, f_a = t[row, place], t[row, place + 1], f[row, place]
         for _ in range(HALVINGS):
             middle = 0.5 * (a + b)

@@ -37,6 +37,37 @@ def amplitudes(hit: Hit, cosine: float, wavelength_nm: float) -> tuple[complex, 
     return s_t, p_t
 
 
+def starting(d: np.ndarray, u: np.ndarray, stokes: Sequence[float]) -> np.ndarray:
+    """
+    Fields, which do not interfere, of light of flux 1 along d, (2 or 1, 3) complex.
+
+    `stokes` is s1, s2, s3 with respect to u and d × u: a polarised part, and two orthogonal fields for the rest. With
+    fields that go as exp(-iωt), s2 + i s3 = 2 ex ey*.
+    """
+    v, degree = np.cross(d, u), float(np.linalg.norm(stokes))
+    if degree == 0:
+        return np.array([u, v], dtype=complex) / np.sqrt(2)
+    s1, s2, s3 = np.array(stokes) / degree
+    ex = np.sqrt(max((1 + s1) / 2, 0.0))
+    ey = (s2 - 1j * s3) / (2 * ex) if ex > 1e-8 else 1.0
+    across = -np.conj(ey) * u + ex * v
+    return np.array([np.sqrt((1 + degree) / 2) * (ex * u + ey * v), np.sqrt(max(1 - degree, 0) / 2) * across])
+
+
+def ending(fields: np.ndarray, d: np.ndarray) -> tuple[float, float, float]:
+    """
+    s1, s2, s3 of fields that do not interfere, as the path table has them.
+
+    With respect to the world's x, or y where d is within acos 0.9 of ±x, as seen across d.
+    """
+    helper = np.eye(3)[1 if abs(d[0]) > 0.9 else 0]
+    a = helper - (helper @ d) * d
+    a /= np.linalg.norm(a)
+    x, y = fields @ a, fields @ np.cross(d, a)
+    flux, product = np.sum(abs(x) ** 2 + abs(y) ** 2), 2 * np.sum(x * y.conj())
+    return float(np.sum(abs(x) ** 2 - abs(y) ** 2) / flux), float(product.real / flux), float(product.imag / flux)
+
+
 def transport(directions: np.ndarray, hits: Sequence[Hit], wavelength_nm: float) -> tuple[np.ndarray, float]:
     """
     Flux behind each event for unpolarised light of flux 1, and the degree of polarisation at the end.
@@ -50,7 +81,25 @@ def transport(directions: np.ndarray, hits: Sequence[Hit], wavelength_nm: float)
     first = directions[0]
     helper = np.eye(3)[np.argmin(np.abs(first))]
     a = np.cross(first, helper) / np.linalg.norm(np.cross(first, helper))
-    fields = np.array([a, np.cross(first, a)], dtype=complex) / np.sqrt(2)
+    flux, fields = carry(directions, hits, wavelength_nm, starting(first, a, (0.0, 0.0, 0.0)))
+    coherency = sum(np.outer(f, f.conj()) for f in fields)
+    values = np.linalg.eigvalsh(coherency)[::-1]
+    return flux, float((values[0] - values[1]) / (values[0] + values[1]))
+
+
+def carry(
+    directions: np.ndarray, hits: Sequence[Hit], wavelength_nm: float, fields: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Flux behind each event, and the fields at the end.
+
+    Parameters
+    ----------
+    directions, hits, wavelength_nm
+        As for `transport`.
+    fields : (m, 3) complex
+        At the start; they do not interfere.
+    """
     flux = []
     for before, after, hit in zip(directions[:-1], directions[1:], hits, strict=True):
         reflected = hit.kind in ("R", "I")
@@ -70,6 +119,4 @@ def transport(directions: np.ndarray, hits: Sequence[Hit], wavelength_nm: float)
         p_in, p_out = np.cross(s, before), np.cross(s, after)
         fields = np.array([j_s * (f @ s) * s + j_p * (f @ p_in) * p_out for f in fields])
         flux.append(float(np.sum(np.abs(fields) ** 2)))
-    coherency = sum(np.outer(f, f.conj()) for f in fields)
-    values = np.linalg.eigvalsh(coherency)[::-1]
-    return np.array(flux), float((values[0] - values[1]) / (values[0] + values[1]))
+    return np.array(flux), fields

@@ -1,9 +1,9 @@
 """Reads a mistray scene XML into a plain float64 model, without Mitsuba.
 
 Understood: shapes ``asphere``, ``frustum`` and stock ``rectangle``, ``disk``, ``sphere``; nested ``interface`` and
-``null`` bsdfs, also by ``<ref>``; emitter ``collimated``; a shape with a nested ``irradiancemeter`` is a detector;
-integrator ``straylight``; ``<default>`` values with ``$name``. Anything else raises ValueError, so that no scene is
-half read.
+``null`` bsdfs, also by ``<ref>``; emitters ``collimated`` and ``point_source`` with a cone; a shape with a nested
+``irradiancemeter`` is a detector; integrator ``straylight``; ``<default>`` values with ``$name``. Anything else raises
+ValueError, so that no scene is half read.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ ASPHERE_PARAMETERS = {
 }
 ASPHERE_PARAMETERS |= {f"a{order}" for order in range(4, 21, 2)}
 LABELS = {"part", "space"}
+EMITTERS = ("collimated", "point_source")
 
 
 @dataclass(frozen=True)
@@ -64,10 +65,11 @@ class SceneShape:
 
 @dataclass(frozen=True)
 class Emitter:
-    """Collimated source as the XML gives it; lengths in mm, irradiance in W/mm^2 normal to the beam."""
+    """Source as the XML gives it; lengths in mm, irradiance in W/mm^2 normal to the beam, intensity in W/sr."""
 
     to_world: Array
     values: Mapping[str, str | float]
+    kind: str = "collimated"
 
 
 @dataclass(frozen=True)
@@ -135,9 +137,9 @@ class _Reader:
             if node.tag == "shape":
                 shapes.append(self._shape(node, len(shapes)))
             elif node.tag == "emitter":
-                if node.attrib["type"] != "collimated":
+                if node.attrib["type"] not in EMITTERS:
                     raise ValueError(f"oracle knows no emitter {node.attrib['type']!r}")
-                emitters.append(Emitter(self._transform(node), self._values(node)))
+                emitters.append(Emitter(self._transform(node), self._values(node), node.attrib["type"]))
             elif node.tag == "integrator":
                 settings = self._values(node)
             elif node.tag not in ("default", "bsdf", "sensor"):

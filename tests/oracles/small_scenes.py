@@ -37,9 +37,11 @@ def shape_xml(
     return f'<shape type="{kind}" id="{shape_id}">{floats}{place}{surface}{meter}</shape>'
 
 
-def scene_text(*shapes: str, radius: float = 1.0) -> str:
+def scene_text(*shapes: str, radius: float = 1.0, **light: float | str) -> str:
     """A scene with an on-axis collimated source of the given radius (mm) about the origin and 1 W/mm^2."""
-    source = f'<emitter type="collimated"><float name="radius" value="{radius!r}"/></emitter>'
+    values = {"radius": radius, **light}
+    items = "".join(f'<{TAGS[type(v)]} name="{k}" value="{v}"/>' for k, v in values.items())
+    source = f'<emitter type="collimated">{items}</emitter>'
     return f'<scene version="3.0.0"><integrator type="straylight"/>{source}{"".join(shapes)}</scene>'
 
 

@@ -156,8 +156,8 @@ class TestErrors:
             ({"radius": 1.0, "wavelength_nm": -1.0}, "wavelength_nm is -1; it must lie between 10 and 1e7 nm"),
             ({"radius": 1.0, "wavelength_nm": "500, nan"}, "wavelength_nm is nan; it must lie between 10 and 1e7 nm"),
             ({"radius": 1.0, "wavelength_nm": "green"}, "wavelength_nm is 'green'; give one number or a list"),
-            ({"radius": 1.0, "weights": "1, 2"}, "weights needs 1 values that are not all 0"),
-            ({"radius": 1.0, "wavelength_nm": "500, 600", "weights": "0, 0"}, "weights needs 2 values"),
+            ({"radius": 1.0, "weights": "1, 2"}, "2 weights for 1 wavelengths"),
+            ({"radius": 1.0, "wavelength_nm": "500, 600", "weights": "0, 0"}, "give one above 0"),
         ],
     )
     def test_message(self, values: dict[str, Any], message: str) -> None:

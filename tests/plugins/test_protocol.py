@@ -221,7 +221,7 @@ def test_text_forms_name_the_numbers(scene):
         ("beam", {"field_deg": 95.0}, "it must lie between -90 and 90 degrees"),
         ("beam", {"plane": "image"}, "use 'beam' or 'axis'"),
         ("beam", {"pattern": "hex"}, "use 'random' or 'grid'"),
-        ("beam", {"weights": "1,2"}, "weights needs 1 values"),
+        ("beam", {"weights": "1,2"}, "2 weights for 1 wavelengths"),
         ("beam", {"wavelength_nm": "green"}, "give one number or a list separated by commas"),
         ("integrator", {"rays": 0}, "rays is 0; it must"),
         ("integrator", {"max_events": 1001}, "it must be a whole number between 1 and"),

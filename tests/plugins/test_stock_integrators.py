@@ -377,3 +377,58 @@ def test_rays_and_shadow_rays_of_a_beam_agree(size: dict[str, float], plane: str
     _, found = light(pivot + frame.s * mi.Float(u) + frame.t * mi.Float(v))
     share = emitter.power() / emitter.irradiance / (2 * half) ** 2
     assert_z("area", np.mean(found > 0), share, np.sqrt(share / count))
+
+
+def _irradiance(scene: mi.Scene, samples: int = 16_000) -> tuple[float, float]:
+    """Mean irradiance on the detector by `path`, with its standard error from 16 renderings."""
+    path = mi.load_dict({"type": "path", "max_depth": 40})
+    images = [np.array(mi.render(scene, spp=samples, seed=seed, integrator=path)) for seed in range(16)]
+    found = [float(image[..., 0].mean()) for image in images]
+    return float(np.mean(found)), float(np.std(found, ddof=1) / 4)
+
+
+@pytest.mark.parametrize("light", ["area", "constant"])
+def test_stock_light_under_path_and_in_a_trace(light: str) -> None:
+    """
+    A painted plate beside the detector, a glass plate over it, and a lamp or a sky: the same irradiance both ways.
+
+    False-alarm probability 1e-3 for both.
+    """
+    film = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}, "pixel_format": "luminance"}
+    white = {"type": "interface", "R": 0.0, "scatter": {"type": "abg", "A": 0.2, "B": 1.0, "g": 0.0}}
+    shapes: dict[str, Any] = {
+        "plate": {
+            "type": "asphere",
+            "half_width": 15.0,
+            "half_height": 15.0,
+            "to_world": T().translate([0, 14, -10]).rotate([1, 0, 0], 60),
+            "bsdf": white,
+        },
+        # The meter looks one way, a detector of a trace both
+        "lid": {"type": "asphere", "semi_diameter": 60.0, "z": 0.1, "bsdf": glass("air", "air", R=0.0)},
+        "front": {"type": "asphere", "half_width": 9.0, "half_height": 9.0, "z": -4.0, "bsdf": glass("air", "1.5")},
+        "rear": {"type": "asphere", "half_width": 9.0, "half_height": 9.0, "z": -2.0, "bsdf": glass("1.5", "air")},
+        "detector": {
+            "type": "rectangle",
+            "to_world": T().rotate([0, 1, 0], 180).scale([5, 5, 1]),
+            "bsdf": glass("air", "air", R=0.0),
+            "sensor": {"type": "irradiancemeter", "film": film},
+        },
+    }
+    value = {"type": "spectrum", "value": 2.0}
+    if light == "constant":
+        shapes["sky"] = {"type": "constant", "radiance": value}
+    else:
+        shapes["lamp"] = {
+            "type": "rectangle",
+            "to_world": T().translate([0, -6, -40]).scale([4, 7, 1]),
+            "bsdf": glass("air", "air", R=0.0),
+            "emitter": {"type": "area", "radiance": value},
+        }
+    scene = mistray.load({"type": "scene", **shapes})
+    t = mistray.trace(scene, rays=400_000, max_scatters=10, max_reflections=20, scatter_threshold=1e-9, ledger=False)
+    assert abs(t.energy.closure) < 1e-6
+    path, error = _irradiance(scene)
+    both = float(np.hypot(error, t.energy.detected_se_W / 100))
+    assert_z(light, t.energy.detected_W / 100, path, both, false_alarm=5e-4)
+    assert both < 0.02 * path

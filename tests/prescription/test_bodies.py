@@ -184,11 +184,48 @@ class TestPlate:
         expected = (lens + slot + triangle) * math.cos(math.radians(20))
         assert abs(tilted.energy.detected_W - expected) < 4 * tilted.energy.detected_se_W
 
+    @pytest.mark.parametrize(("a", "b", "turn_deg"), [(6.0, 4.0, 0.0), (1.5, 9.0, 25.0)])
+    def test_an_elliptical_hole(self, a: float, b: float, turn_deg: float) -> None:
+        """
+        π a b straight on; aslant what the ellipse shares with itself, moved along y by 2 tan 20°.
+
+        Drawn out to unit circles the move is s = 2 tan 20° · |(sin φ/a, cos φ/b)|, and two circles share
+        2 acos(s/2) - s √(1 - s²/4), times a b.
+        """
+        hole = Figure("ellipse", "-", 2.0, 1.0, turn_deg, (a, b))
+        part = plate("plate", Outline((*rectangle(30.0, 30.0).figures, hole)), 2.0, z=10.0)
+        assert len(part) == 2 + 4 + 4
+        behind = Detector("behind", z=30.0, half_width=60.0, half_height=60.0)
+        for field_deg in (0.0, 20.0):
+            tangent = math.tan(math.radians(field_deg))
+            beam = Source(half_width=11.0, half_height=11.0, x=2.0, y=1.0 - 15 * tangent, z=-5.0)
+            design = Prescription(name="p", surfaces=(), structures=part, detector=behind, source=beam)
+            t = mistray.trace(design.to_scene(), rays=60_000, field_deg=field_deg)
+            phi = math.radians(turn_deg)
+            s = 2 * tangent * math.hypot(math.sin(phi) / a, math.cos(phi) / b)
+            shared = a * b * (2 * math.acos(s / 2) - s * math.sqrt(1 - s * s / 4)) * math.cos(math.radians(field_deg))
+            assert abs(t.energy.detected_W - shared) < 4 * t.energy.detected_se_W  # 1 in 16,000
+            walls = sum(t.energy.absorbed[f"plate_wall_2_{k}"][0] for k in range(1, 5))
+            assert walls == pytest.approx(np.pi * a * b * math.cos(math.radians(field_deg)) - shared, rel=0.1, abs=1e-9)
+
+    def test_an_elliptical_rim(self) -> None:
+        """Aslant an ellipse shades π a b and, by its thickness, 2 tan 20° times its width across that way."""
+        a, b, phi, angle = 7.0, 2.0, math.radians(35.0), math.radians(20.0)
+        part = plate("plate", Outline((Figure("ellipse", "+", 1.0, 2.0, 35.0, (a, b)),)), 2.0, z=10.0)
+        beam = Source(half_width=11.0, half_height=11.0, x=1.0, y=2.0 - 15 * math.tan(angle), z=-5.0)
+        behind = Detector("behind", z=30.0, half_width=60.0, half_height=60.0)
+        design = Prescription(name="p", surfaces=(), structures=part, detector=behind, source=beam)
+        t = mistray.trace(design.to_scene(), rays=60_000, field_deg=20.0)
+        width = 2 * math.hypot(a * math.cos(phi), b * math.sin(phi))
+        shaded = (np.pi * a * b + 2 * math.tan(angle) * width) * math.cos(angle)
+        assert abs(t.energy.launched_W - t.energy.detected_W - shaded) < 4 * t.energy.detected_se_W  # 1 in 16,000
+
     @pytest.mark.parametrize(
         ("outline", "words"),
         [
             (circle(5.0, x=1.0), None),
-            (Outline((Figure("ellipse", sizes=(2.0, 1.0)),)), "'\\+ellipse'"),
+            (Outline((Figure("ellipse", sizes=(2.0, 1.0)), Figure("ellipse", "+", sizes=(1.0, 3.0)))), "'\\+ellipse'"),
+            (Outline((Figure("ellipse", sizes=(2.0, 1.0)), Figure("ellipse", "-", sizes=(1.0, 1.5)))), "over its rim"),
             (Outline((Figure("circle", sizes=(5.0,)), Figure("circle", "+", 2.0, sizes=(5.0,)))), "figure 2"),
             (Outline((Figure("circle", sizes=(5.0,)), Figure("circle", "-", 3.0, sizes=(3.0,)))), "over its rim"),
             (Outline((Figure("circle", sizes=(5.0,)), Figure("circle", "-", sizes=(3.0,)),

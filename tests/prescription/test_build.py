@@ -191,7 +191,11 @@ def test_provenance_lists_notes_and_every_line_without_effect(tmp_path):
     assert lines[0] == "From Zemax file a.zmx."
     assert "Without effect, line 12: XDAT 1 2 (extra data are not read)" in lines
     assert "Without effect: pickups (values are taken as they are)" in lines
-    assert any(line.startswith("Note: the object lies 500 mm before the lens") for line in lines)
+    # Its pupil lies in the stop, which the source's frame has its origin in
+    source = prescription.source
+    assert source.distance - source.z == pytest.approx(500.0)
+    virtual = to_prescription(triplet(object_distance=-500.0)).provenance
+    assert "Note: the object is virtual" in virtual
     prescription.to_xml(tmp_path / "a.xml")
     assert "line 40: TOL - - 3 (a tolerance)" in (tmp_path / "a.xml").read_text(encoding="utf-8")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from sequential_lenses import BORED, by_name, lens, newtonian
@@ -191,3 +192,38 @@ def test_a_lens_that_another_stands_in_is_bored():
     assert by_name(to_prescription(BORED, edges="open"))["L1_bore"].coating is None
     (model,) = by_name(to_prescription(BORED, edges="ground"))["L1_bore"].scatter
     assert model.name == "ground_edge"
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_an_aperture_on_a_leg_of_a_folded_beam_leaves_the_other_legs_alone(kept):
+    """
+    A plane with an opening of 40 mm before the secondary, or behind it where light comes back along the first leg.
+
+    A file means it for the light of its own leg. In space the light from the sky, 100 mm in radius, crosses the plane
+    too: on its way to the secondary the other way, so that the plate meets -z alone; on the way to the focus the same
+    way, so that there is none.
+    """
+    rows = [
+        Row(1, thickness=800.0, label="entrance"),
+        Row(2, radius=-2000.0, conic=-1.0, mirror=True, stop=True, thickness=-700.0, label="primary"),
+        Row(3, radius=-800.0, conic=-((7 / 3) ** 2), mirror=True, thickness=1000.0, label="secondary"),
+        Row(4, kind="image"),
+    ]
+    opening = Row(5, semi_diameter=40.0, semi_diameter_fixed=True, label="opening")
+    leg = 1 if kept else 2
+    own = 600.0 if kept else 100.0  # from the mirror before it
+    sign = -1.0 if kept else 1.0
+    first = replace(rows[leg], thickness=sign * own)
+    rest = replace(opening, thickness=rows[leg].thickness - sign * own)
+    table = [*rows[:leg], first, rest, *rows[leg + 1 :]]
+    built = build(lens(*(replace(row, number=k) for k, row in enumerate(table, start=1)), aperture=200.0))
+    shapes = by_name(built.prescription)
+    assert ("opening_aperture" in shapes) == kept
+    words = "only light that goes as the design's" if kept else "no plate of its aperture"
+    assert any(words in note for note in built.notes)
+    if kept:
+        assert shapes["opening_aperture"].meets == "-z"
+    t = trace(built.prescription.to_scene(), rays=4000, max_reflections=0)
+    direct = sum(row.power_W for row in t.paths if row.kind == "direct")
+    # The secondary takes 30²/100² of the light and more with its rim
+    assert 0.85 < direct / t.energy.launched_W < 0.92

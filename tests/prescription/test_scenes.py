@@ -147,3 +147,39 @@ def test_the_mirror_of_the_head_up_display_is_a_paraboloid():
     spot = max(trace(bare.to_scene(), rays=20_000, seed=1).paths, key=lambda row: row.power_W)
     assert spot.rms_radius_mm < 5e-4
     assert math.hypot(spot.x_mm, spot.y_mm) < 5e-4
+
+
+@pytest.mark.parametrize("field_mm", [0.0, -8.0, 8.0])
+def test_the_offner_relay_images_as_two_concentric_spheres_do(field_mm):
+    """
+    Each ray, without the window, against the closed form of mirrors about one centre.
+
+    A reflection keeps the distance p = h cos a of a ray from the centre, h the height of the object and a the angle of
+    the ray out of the plane through the centre across h. So the whole relay only turns it, by half a turn and
+    2 asin(p/R2) - 4 asin(p/R1), in the plane of the ray and the centre. The line through object and centre lies in that
+    plane, and the ray comes back to it p/cos(a - turn) from the centre.
+    """
+    from mistray.scenes.offner_relay.prescription import HEIGHT, PRIMARY_RADIUS, SECONDARY_RADIUS
+    from mistray.trace import trace
+
+    relay = build("offner_relay")
+    bare = replace(
+        relay,
+        surfaces=relay.surfaces[:2],
+        structures=tuple(one for one in relay.structures if one.part != "window"),
+        detector=replace(relay.detector, z=0.0),
+    )
+    t = trace(bare.to_scene(), rays=2000, field_mm=field_mm, seed=3)
+    direct = next(row for row in t.paths if row.kind == "direct")
+    assert direct.event_list[:3] == [("primary", "SpecRefl"), ("secondary", "SpecRefl"), ("primary", "SpecRefl")]
+    h = HEIGHT + field_mm
+    heights = []
+    for start, first, *_, end in t.history(direct.path_id, 100).rays:
+        assert start == pytest.approx((0.0, h, 0.0), abs=1e-6)
+        along = (first - start) / np.linalg.norm(first - start)
+        angle = math.asin(along[1])
+        p = h * math.cos(angle)
+        turn = 2 * math.asin(p / SECONDARY_RADIUS) - 4 * math.asin(p / PRIMARY_RADIUS)
+        heights.append(-p / math.cos(angle - turn))
+        assert end == pytest.approx((0.0, heights[-1], 0.0), abs=1e-8)
+    assert np.std(heights) < (5e-4 if field_mm == 0 else 2e-2)

@@ -17,6 +17,7 @@ from report.fake_trace import trace_at
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.report.figures.layout import worst_paths
+from mistray.report.figures.plots import common_range
 from mistray.report.ghosts.report import html_text
 from mistray.report.html.embedded import palette_png
 from mistray.report.html.render import html_page
@@ -26,9 +27,9 @@ CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", 
 FLAGS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-component-update",
     "--disable-background-networking", "--disable-sync", "--window-size=1300,1000", "--enable-logging=stderr",
-    "--virtual-time-budget=20000", "--dump-dom",
+    "--virtual-time-budget=200000", "--dump-dom",
 )  # fmt: skip
-DRAWN = ("overview.png", "ghosts_0deg.png")  # pictures that nothing is done with
+DRAWN = ("overview.png", "overview_common.png")  # pictures that nothing is done with
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to open a report; install chromium")
 
 DRIVER = """
@@ -37,7 +38,7 @@ const found = { errors: [] };
 window.addEventListener("error", (event) => found.errors.push(event.message));
 window.addEventListener("unhandledrejection", (event) => found.errors.push(String(event.reason)));
 const pause = () => new Promise((done) => setTimeout(done, 50));
-const until = async (test) => { for (let k = 0; k < 100 && !test(); k += 1) await pause(); };
+const until = async (test) => { for (let k = 0; k < 1000 && !test(); k += 1) await pause(); };
 const press = (target, key, more) =>
   target.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true, ...more }));
 window.addEventListener("load", async () => {
@@ -61,9 +62,8 @@ window.addEventListener("message", (event) => {
 %s
 </body></html>
 """
-FRAME = (
-    '<iframe src="%s" style="position: absolute; left: 0; top: 0; width: 1300px; height: 1000px; border: 0"></iframe>'
-)
+FRAME = '<iframe src="%s" style="position: absolute; left: 0; top: 0; width: %dpx; height: 1000px; border: 0"></iframe>'
+WIDE, NARROW = 1300, 390  # pixels: a window, and a telephone
 GHOSTS = """
 <script>
 async function drive() {
@@ -71,6 +71,10 @@ async function drive() {
   const table = document.getElementById(panel.dataset.table), which = panel.querySelector("select.which");
   const rows = () => [...table.tBodies[0].rows].filter((row) => !row.hidden);
   const ids = () => rows().map((row) => row.querySelector("button.pick").dataset.path);
+  const folded = panel.closest("details"), link = document.querySelector('#t-worst a[href="#field-0"]');
+  found.folded = [folded.open, panel.classList.contains("ready")];
+  link.click();
+  found.opened = folded.open;
   canvas.setPointerCapture = () => {};  // there is no pointer behind the events below
   panel.scrollIntoView();
   await until(() => panel.classList.contains("ready"));
@@ -173,6 +177,15 @@ async function drive() {
   head.click();
   found.sorted_down = column();
   found.hover = values();
+  // The field without a direct image, on its own scale and on that of both
+  const second = document.querySelectorAll("div.explorer")[1], map = second.querySelector("canvas");
+  second.closest("details").open = true;
+  second.scrollIntoView();
+  await until(() => second.classList.contains("ready"));
+  found.own_scale = map.getAttribute("aria-label");
+  second.querySelector("input.common").click();
+  await pause();
+  found.common_scale = map.getAttribute("aria-label");
 }
 </script>
 """
@@ -195,13 +208,42 @@ function values() {
 """
 
 
+# Whatever is folded is opened: nothing may be wider than the page, but for tables, which scroll by themselves
+WIDTH = """
+<script>
+async function drive() {
+  for (const details of document.querySelectorAll("details.field, details.chapter")) details.open = true;
+  await until(() => document.querySelector("div.explorer.ready"));
+  await pause();
+  found.width = [document.documentElement.scrollWidth, document.documentElement.clientWidth];
+  const beside = (place) => place.getBoundingClientRect().right > document.documentElement.clientWidth + 1;
+  found.beside = [...document.querySelectorAll("body *")].filter(
+    (place) => beside(place) && !place.closest(".wide, svg, .tip")).map((place) => place.outerHTML.slice(0, 80));
+}
+</script>
+"""
+AXE = """
+<script>
+async function drive() {
+  for (const details of document.querySelectorAll("details.field, details.chapter")) details.open = true;
+  await until(() => document.querySelector("div.explorer.ready"));
+  const { violations } = await axe.run({ exclude: ["svg > *"] });  // a drawing is one picture
+  found.violations = violations.map((one) => [one.id, one.impact, one.nodes[0].html.slice(0, 200)]);
+}
+</script>
+"""
+
+
 def opened(pages: dict[str, tuple[str, str]], folder: Path) -> dict[str, dict]:
     """What the driver of each page found, by name; anything on the console makes it fail."""
     for name, (text, driver) in pages.items():
         page = text.replace("</body>", PLOT + driver + DRIVER + "</body>")
         (folder / name).write_text(page, encoding="utf-8")
     index = folder / "index.html"
-    index.write_text(FRAMES % "\n".join(FRAME % name for name in pages), encoding="utf-8")
+    index.write_text(
+        FRAMES % "\n".join(FRAME % (name, NARROW if name.startswith("narrow") else WIDE) for name in pages),
+        encoding="utf-8",
+    )
     command = [str(CHROMIUM), *FLAGS, f"--user-data-dir={folder / 'profile'}", index.as_uri()]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     found = re.search(r'<html[^>]* data-found="([^"]*)"', done.stdout)
@@ -212,16 +254,19 @@ def opened(pages: dict[str, tuple[str, str]], folder: Path) -> dict[str, dict]:
 
 @pytest.fixture(scope="module")
 def report():
-    t = trace_at(0.0)
-    return GhostReport(lens_scene(), {0.0: t}, t, {})
+    traces = {field: trace_at(field) for field in (0.0, 20.0)}
+    return GhostReport(lens_scene(), traces, traces[0.0], {})
 
 
 @pytest.fixture(scope="module")
 def found(report, tmp_path_factory):
     dot = palette_png(np.zeros((1, 1), dtype=np.uint8), np.zeros((1, 3), dtype=np.uint8))
     pst = "<script>async function drive() { found.hover = values(); }</script>"
+    text = html_text(report, "lens", "mistray ghosts lens", pictures={name: dot for name in DRAWN})
     pages = {
-        "ghosts.html": (html_text(report, "lens", pictures={name: dot for name in DRAWN}), GHOSTS),
+        "ghosts.html": (text, GHOSTS),
+        "wide.html": (text, WIDTH),
+        "narrow.html": (text, WIDTH),
         "pst.html": (html_page(pst_report(fake_pst(), "camera")), pst),
     }
     return opened(pages, tmp_path_factory.mktemp("pages"))
@@ -229,7 +274,57 @@ def found(report, tmp_path_factory):
 
 @pytest.mark.long
 def test_no_errors(found):
-    assert {page: result["errors"] for page, result in found.items()} == {"ghosts.html": [], "pst.html": []}
+    assert {page: result["errors"] for page, result in found.items()} == {page: [] for page in found}
+
+
+def test_nothing_is_wider_than_its_page(found):
+    for page, width in (("wide.html", WIDE), ("narrow.html", NARROW)):
+        scrolled, shown = found[page]["width"]
+        assert scrolled <= shown <= width
+        assert found[page]["beside"] == []
+
+
+@pytest.mark.long
+def test_accessibility(report, tmp_path):
+    """The rules of axe for pages: landmarks, names of controls, texts of pictures, contrast, order of headings."""
+    axe = pytest.importorskip("axe_core_python.base", reason="no axe; pip install axe-core-python")
+    rules = Path(axe.__file__).with_name("axe.min.js").read_text(encoding="utf-8")
+    pages = {
+        "ghosts.html": (html_text(report, "lens"), f"<script>{rules}</script>{AXE}"),
+        "pst.html": (
+            html_page(pst_report(fake_pst(), "camera")),
+            f"<script>{rules}</script>{AXE.replace('.explorer.ready', '')}",
+        ),
+    }
+    found = opened(pages, tmp_path)
+    assert {page: result.get("violations") for page, result in found.items()} == {page: [] for page in pages}
+
+
+@pytest.mark.long
+def test_on_paper(report, tmp_path):
+    """Portrait pages with the answer on the first; folded fields are a line, and settings are printed."""
+    (tmp_path / "page.html").write_text(html_text(report, "lens", "mistray ghosts lens"), encoding="utf-8")
+    flags = [flag for flag in FLAGS if flag not in ("--dump-dom", "--enable-logging=stderr")]
+    command = [str(CHROMIUM), *flags, f"--user-data-dir={tmp_path / 'profile'}", "--no-pdf-header-footer",
+               f"--print-to-pdf={tmp_path / 'page.pdf'}", (tmp_path / "page.html").as_uri()]  # fmt: skip
+    subprocess.run(command, capture_output=True, timeout=120, check=True)
+    pdf = (tmp_path / "page.pdf").read_bytes()
+    boxes = re.findall(rb"/MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", pdf)
+    assert 3 <= len(boxes) <= 6
+    assert all(float(width) < float(height) for width, height in boxes)
+
+
+def test_links_open_what_is_folded(found):
+    assert found["ghosts.html"]["folded"] == [False, False]
+    assert found["ghosts.html"]["opened"]
+
+
+def test_maps_on_the_scale_of_all_fields(report, found):
+    own, common = found["ghosts.html"]["own_scale"], found["ghosts.html"]["common_scale"]
+    low, high = common_range(report)
+    assert f"all light, log10 scale 1e{low:.0f} to 1e{high:.0f} W/mm²" in common
+    assert high > 0
+    assert f"to 1e{high:.0f} W/mm²" not in own  # there are ghosts alone
 
 
 def test_a_path_is_chosen(report, found):

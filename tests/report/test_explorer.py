@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import base64
 import importlib
 import json
 import re
 import shutil
 import subprocess
+import zlib
 from importlib.resources import files
 
 import numpy as np
@@ -59,12 +61,13 @@ def report():
 
 @pytest.fixture(scope="module")
 def data(report):
-    return data_of(report.text, "data-t-field-0")
+    held = data_of(report.text, "data-t-field-0")
+    return json.loads(zlib.decompress(base64.b64decode(held["packed"]))) | {"codes": held["codes"]}
 
 
 def maps_of(data: dict) -> dict[str, tuple[list[int], np.ndarray]]:
     powers = stored(data["codes"])
-    entries = data["paths"] | {name: data[name] for name in ("light", "stray", "rest")}
+    entries = data["paths"] | {name: data[name] for name in ("direct", "stray", "rest")}
     return {
         name: (entry, powers[entry[5] : entry[5] + entry[3] * entry[4]].reshape(entry[4], entry[3]))
         for name, entry in entries.items()
@@ -78,7 +81,7 @@ def test_page_holds_the_power_of_every_path(report, data):
     for path_id, power in table.power_W.items():
         assert maps[str(path_id)][1].sum() == pytest.approx(power, rel=2e-3)
     assert maps["rest"][1].size == 0
-    assert maps["light"][1].sum() == pytest.approx(table.power_W.sum(), rel=2e-3)
+    assert maps["direct"][1].sum() == pytest.approx(table.power_W[table.kind == "direct"].sum(), rel=2e-3)
     assert maps["stray"][1].sum() == pytest.approx(table.power_W[table.kind != "direct"].sum(), rel=2e-3)
 
 
@@ -151,6 +154,35 @@ def test_box_of_the_script_holds_the_hits_within_it(report, data):
             assert box["power"][str(path_id)] == pytest.approx(path.power * share, rel=2e-3, abs=1e-30)
     assert any(value == 0 for value in found[0]["power"].values())
     assert found[0]["power"]["0"] > 0
+
+
+@needs_node
+def test_sum_of_two_maps_is_that_of_their_pixels():
+    """Maps on cells of 4 and 2 pixels, of which the second lies partly beside the first."""
+    rng = np.random.default_rng(3)
+    maps = [
+        {"pixels": pixels, "column": column, "row": row, "width": 5, "height": 3, "power": list(rng.random(15))}
+        for pixels, column, row in ((4, 2, 1), (2, 9, 3))
+    ]
+    dark = {"pixels": 8, "column": 0, "row": 0, "width": 0, "height": 0, "power": []}
+    code = """
+        const sums = [together(...given.maps), together(given.dark, given.maps[0])];
+        return sums.map((map) => ({ ...map, power: [...map.power] }));
+        """
+    both, alone = javascript(code, {"maps": maps, "dark": dark}, "report", "explorer")
+
+    def pixels_of(found):
+        whole, n = np.zeros((40, 40)), found["pixels"]
+        power = np.reshape(found["power"], (found["height"], found["width"])) / n**2
+        rows, columns = found["row"] * n, found["column"] * n
+        spread = power.repeat(n, 0).repeat(n, 1)
+        whole[rows : rows + spread.shape[0], columns : columns + spread.shape[1]] = spread
+        return whole
+
+    blocks = (pixels_of(maps[0]) + pixels_of(maps[1])).reshape(10, 4, 10, 4).sum(axis=(1, 3))
+    np.testing.assert_allclose(pixels_of(both).reshape(10, 4, 10, 4).sum(axis=(1, 3)), blocks, rtol=1e-12, atol=1e-15)
+    assert alone["pixels"] == 8
+    assert sum(alone["power"]) == pytest.approx(sum(maps[0]["power"]))
 
 
 @needs_node

@@ -139,7 +139,7 @@ def test_a_failure_leaves_nothing(report, tmp_path, monkeypatch):
 def undrawn(monkeypatch):
     """Reports of one picture and one word, for tests of what happens to the files."""
     monkeypatch.setattr(output, "draw", lambda report, look: {"overview.png": b"picture"})
-    monkeypatch.setattr(output, "html_text", lambda *_: "text")
+    monkeypatch.setattr(output, "pages", lambda *_: {"report.html": b"text"})
 
 
 def test_write_all_writes_every_file(report, tmp_path):
@@ -172,7 +172,7 @@ def test_write_all_fails_without_a_trace(report, undrawn, tmp_path, monkeypatch)
     def fail(*_):
         raise RuntimeError("out of ink")
 
-    monkeypatch.setattr(output, "html_text", fail)
+    monkeypatch.setattr(output, "pages", fail)
     with pytest.raises(RuntimeError, match="out of ink"):
         write_all(report, tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
@@ -227,4 +227,10 @@ def test_assumptions_name_the_polarisation(text, report, monkeypatch):
     assert "Unpolarised light at every surface" in text
     assert "as a Stokes vector" not in text
     monkeypatch.setitem(report[0.0].settings, "polarization", "stokes")
-    assert "as a Stokes vector" in html_parts(html._settings(report, "").parts)
+    said = html_parts(html._settings(report, "").parts)
+    assert "as a Stokes vector" in said
+    assert "the light of the source is unpolarised" in said
+    monkeypatch.setitem(report[0.0].settings, "source_stokes", {"laser": (0.6, 0.0, -0.8)})
+    said = html_parts(html._settings(report, "").parts)
+    assert "0.6, 0, -0.8 (laser)" in said
+    assert "unpolarised;" not in said

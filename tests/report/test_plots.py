@@ -7,8 +7,10 @@ from report.fake_scene import FakeShape, lens_scene
 from report.fake_trace import trace_at
 
 from mistray.analysis.ghosts import GhostReport
+from mistray.analysis.irradiance import averaged, log_range
 from mistray.errors import MistrayError
-from mistray.report.figures.layout import chain, glass_bodies, layout, meridional, section, slice_mesh
+from mistray.report.figures.chains import chain
+from mistray.report.figures.layout import glass_bodies, layout, meridional, section, slice_mesh
 from mistray.report.figures.plots import (
     as_png,
     common_range,
@@ -31,30 +33,51 @@ def images(figure):
 
 
 def test_ghost_image_shows_log10_of_the_map(report):
-    figure = ghost_image(report, 10.0)
-    whole, stray = images(figure)
-    floor, top = common_range(report)
-    data = whole.get_array()
-    lit = report[10.0].irradiance >= 10**floor
-    np.testing.assert_allclose(data[lit], np.log10(report[10.0].irradiance[lit]))
-    assert np.ma.masked_invalid(data).mask[~lit].all()
-    assert whole.get_clim() == stray.get_clim() == (floor, top)
-    assert tuple(whole.get_extent()) == report[10.0].extent
-    assert stray.get_array()[lit].max() < data[lit].max()
+    whole, stray = images(ghost_image(report, 10.0))
+    t, (map_, _) = report[10.0], report.stray_map(10.0)
+    for image, expected in ((whole, t.irradiance), (stray, map_)):
+        floor, top = image.get_clim()
+        assert (floor, top) == log_range([expected], 8.0)
+        lit = expected >= 10**floor
+        np.testing.assert_allclose(image.get_array()[lit], np.log10(expected[lit]))
+        assert np.ma.masked_invalid(image.get_array()).mask[~lit].all()
+        assert tuple(image.get_extent()) == pytest.approx(t.extent)
+    assert stray.get_clim()[1] < whole.get_clim()[1]
 
 
-def test_axes_are_in_mm_with_equal_aspect_and_the_floor_is_stated(report):
+def test_ghost_image_on_one_scale(report):
+    assert {image.get_clim() for image in images(ghost_image(report, 10.0, (-7.0, 3.0)))} == {(-7.0, 3.0)}
+
+
+def test_out_of_field_all_light_is_stray_light_and_drawn_once(report):
+    (image,) = images(ghost_image(report, 20.0))
+    assert np.nansum(10 ** image.get_array()) == pytest.approx(report[20.0].irradiance.sum(), rel=1e-6)
+
+
+def test_axes_are_in_mm_with_equal_aspect_and_the_scale_is_explained(report):
     figure = ghost_image(report, 0.0)
     left = figure.axes[0]
     assert (left.get_xlabel(), left.get_ylabel(), left.get_aspect()) == ("x [mm]", "y [mm]", 1.0)
-    assert "W/mm²" in figure.axes[-1].get_ylabel()
-    assert "floor 1e" in figure.get_supxlabel()
+    assert all(word in figure.get_supxlabel() for word in ("W/mm²", "own scale", "black"))
 
 
-def test_montage_uses_one_scale(report):
-    shown = images(montage(report))
-    assert len(shown) == 3
-    assert {image.get_clim() for image in shown} == {common_range(report)}
+def test_montage_shows_stray_light_on_scales_of_their_own_or_on_one(report):
+    own, common = images(montage(report)), images(montage(report, common=True))
+    assert [image.get_clim() for image in own] == [log_range([report.stray_map(field)[0]], 8.0) for field in report]
+    assert {image.get_clim() for image in common} == {common_range(report, stray=True)}
+    brightest = max(float(np.nanmax(image.get_array())) for image in own)
+    assert brightest < np.log10(report[0.0].irradiance.max()) - 1  # no direct image
+
+
+def test_averaged_maps_keep_the_power():
+    """Odd sizes: squares at the far edges reach beyond the map and have the mean of what lies on it."""
+    image = np.random.default_rng(4).random((11, 7))
+    coarse, extent = averaged(image, (-1.0, 2.5, 0.0, 5.5), 4)
+    assert coarse.shape == (4, 3)
+    assert extent == (-1.0, 3.5, 0.0, 6.0)
+    np.testing.assert_allclose(coarse[1, 0], image[3:6, :3].mean())
+    np.testing.assert_allclose(coarse[3, 2], image[9:, 6:].mean())
+    np.testing.assert_array_equal(averaged(image, (0.0, 1.0, 0.0, 1.0), 11)[0], image)
 
 
 def test_colours_grow_lighter_all_the_way():

@@ -35,7 +35,7 @@ def test_curve_shows_every_class_on_a_log_scale(pst: Pst) -> None:
     assert above.get_yscale() == "log"
     assert below.get_xlabel() == "field angle θ [deg]"
     assert "normal" in above.get_ylabel()
-    assert above.get_title() == "camera: point source transmittance, adjoint, mean over all azimuths"
+    assert above.get_title() == "camera: point source transmittance, joined, mean over all azimuths"
     assert "cos θ" in pst_curve(pst.to("projected")).axes[0].get_ylabel()
 
 

@@ -132,7 +132,7 @@ def test_paths_of_one_name_are_told_apart_by_their_turns() -> None:
 def test_text_names_convention_method_and_denominator(pst: Pst) -> None:
     text = pst_text(pst)
     assert "PST = E_det/E_⊥" in text
-    assert "adjoint: rays from the detector" in text
+    assert "joined: rays from the detector" in text
     assert "1e+06 start rays; 550 nm; means over cells of 2° and all azimuths" in text
     assert "%: share of the stray light at that angle, which is all light but the direct image" in text
     assert "edge of the field, half of the direct light at 0°, interpolated: 26.1°" in text

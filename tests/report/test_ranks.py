@@ -68,7 +68,7 @@ def test_layout_and_report(rank):
     assert [events for events in shown_paths(report, 0.0).events if events in ORDERS[rank]] == list(ORDERS[rank])
     html = html_text(report, per_wavelength=True)
     head = html[: html.index("</header>")]
-    assert f"power: <b>{label(report, WIDE)}</b>" in head
+    assert f"the strongest path is <b>{label(report, WIDE)}</b>" in head
 
 
 def test_the_command_line_knows_every_rank():

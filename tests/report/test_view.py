@@ -238,7 +238,7 @@ def test_a_trace_of_another_scene(scene, trace):
     [
         ({"paths": -1}, "paths is -1; give the number of rows"),
         ({"rays": 0}, "rays is 0; ask for at least one"),
-        ({"colour": "red"}, "colour is 'red'; choose flux, absorbed or role"),
+        ({"colour": "red"}, "colour is 'red'; choose flux, absorbed, irradiance or role"),
         ({"cut_mm": float("nan")}, "both must be finite"),
         ({"cut_mm": -100.0}, "leaves no surface; move the cut"),
     ],

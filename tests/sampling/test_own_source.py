@@ -40,7 +40,7 @@ class Point(LightSource):
         return mi.Vector3d(*(float(name == axis) for axis in "xyz")), mi.Vector3d(0)
 
 
-mi.register_emitter("point_source", Point)
+mi.register_emitter("lamp_of_a_user", Point)
 
 
 def scene(lamp: dict[str, Any] | None = None, glass: bool = False) -> mi.Scene:
@@ -59,7 +59,7 @@ def scene(lamp: dict[str, Any] | None = None, glass: bool = False) -> mi.Scene:
             "screen": {"type": "asphere", "semi_diameter": 200.0, "inner_semi_diameter": RADIUS, "bsdf": black},
             "detector": {"type": "asphere", "semi_diameter": 60.0, "z": 20.0, "bsdf": black, "sensor": sensor},
             "lamp": {
-                "type": "point_source",
+                "type": "lamp_of_a_user",
                 "half_angle_deg": CONE_DEG,
                 "to_world": mi.ScalarTransform4f().translate([0, 0, -DISTANCE]),
                 **(lamp or {}),

@@ -135,7 +135,7 @@ def test_defaults_whose_names_begin_alike(read):
 @pytest.mark.parametrize(
     ("part", "message"),
     [
-        ('<emitter type="collimated"/>', "it has two collimated sources; remove one"),
+        ('<emitter type="collimated"/>', "it has two sources; remove one"),
         (shape("<sensor type='irradiancemeter'/>", name="second"), "detectors 'second' and 'film'; a lens has one"),
         (shape(number("radius", "wide")), r"shape 'front': radius is 'wide'; give a number"),
         (

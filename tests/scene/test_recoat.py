@@ -143,7 +143,7 @@ class TestWhatChanges:
         infrared = Stack((Layer("Ge", 300.0),), first="back")
         text = recoated(TRIPLET, [SharedCoating("IR", infrared, ("L1_front",), 10600.0)], tmp_path)
         assert '<string name="first" value="back"/>' in text
-        assert '<float name="design_nm" value="10600.0"/>' in text
+        assert '<float name="design_nm" value="10600"/>' in text
 
     def test_files_beside_the_scene_are_still_found(self, tmp_path: Path) -> None:
         """A table and a glass named relative to the old folder, and a scene that names none."""

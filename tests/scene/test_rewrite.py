@@ -43,7 +43,7 @@ def changed(key: str, value: np.ndarray, rng: np.random.Generator) -> np.ndarray
     if name in ("n_front_shift", "n_back_shift", "n_shift", "k_shift", "inner_semi_diameter"):
         return value + np.float32(1e-4) * u
     if name.startswith("a") and name[1:].isdigit():
-        return value - 1e-6 * u * 300.0 ** (1 - int(name[1:]))  # of micrometres at 300 mm
+        return value - 1e-6 * u * 5000.0 ** (1 - int(name[1:]))  # of micrometres at 5 m
     if name in ("curvature", "conic"):
         return value * (1 - 1e-3 * u) + (1e-7 * u if name == "curvature" else -1e-3 * u)
     if name in ("r0", "r1", "thickness_nm", "level"):

@@ -141,10 +141,11 @@ def test_table_and_command(scene: Path, tmp_path: Path, capsys: pytest.CaptureFi
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"paint": {"wal": 0.1}}, "no shape is called 'wal'"),
-        ({"paint": {"wall": "flat_blak"}}, "did you mean 'flat_black'"),
+        ({"paint": {"wal": 0.1}}, "paint 'wal=0.1' fits no surface and no part; the nearest names are wall"),
+        ({"paint": {"wall": "flat_blak"}}, "did you mean flat_black"),
         ({"paint": {"wall": 1.5}}, "reflectance is 1.5"),
-        ({"coat": {"plate": "bare"}}, "'bare' has no layers"),
+        ({"coat": {"plate": "bbr3"}}, "coating 'bbr3'.*did you mean 'bbar3'"),
+        ({"coat": {"wall": "bbar3"}}, "'wall' is opaque; give an opaque coating"),
         ({"values": {"wall.zz": 1.0}}, "the scene has no parameter 'wall.zz'"),
         ({"block": [Structure("wall", 1.0, 0.0, 2.0, 0.0)]}, "it has an object 'wall' already"),
     ],

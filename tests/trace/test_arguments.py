@@ -69,7 +69,7 @@ class TestColoursSourcesDetectors:
         t = mistray.trace(scene, rays=3000)
         assert t.energy.launched_W == pytest.approx(np.pi * (1 + 2), rel=1e-12)
         rays = {row.source: row.rays for row in t.paths if row.order == 0}
-        assert rays == {"first": 1000, "second": 2000}  # in proportion to the flux
+        assert rays == {"first": 1250, "second": 1750}  # half of them by flux, half alike
         centres = {row.source: row.y_mm for row in t.paths if row.order == 0}
         assert abs(centres["first"]) < 0.1
         assert centres["second"] > 1.0
@@ -148,7 +148,7 @@ class TestArguments:
             mistray.trace(scene, rays=10, field_deg=80.0)
         bare = mistray.load({"type": "scene", "d": {"type": "asphere", "semi_diameter": 1.0,
                                                     "bsdf": {"type": "interface", "R": 0.0}}})  # fmt: skip
-        with pytest.raises(mistray.MistrayError, match="no source; add an emitter of type 'collimated'"):
+        with pytest.raises(mistray.MistrayError, match="no source; add an emitter"):
             mistray.trace(bare)
 
     def test_a_detector_that_absorbs_nothing(self, load_text) -> None:

@@ -26,7 +26,7 @@ def test_maps_of_paths_add_up(report, field):
     for path_id, found in maps.paths.items():
         assert found.power_W.sum() == pytest.approx(t.paths[path_id].power_W, rel=1e-6)
     assert maps.rest.power_W.sum() == pytest.approx(table.power_W[5:].sum(), rel=1e-6)
-    assert maps.light.power_W.sum() == pytest.approx(t.energy.detected_W, rel=1e-6)
+    assert maps.direct.power_W.sum() + maps.stray.power_W.sum() == pytest.approx(t.energy.detected_W, rel=1e-6)
 
 
 def test_box_of_the_report_is_that_of_the_trace(report):

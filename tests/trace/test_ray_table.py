@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 import pandas as pd
 import pytest
@@ -280,3 +281,42 @@ def test_a_scene_for_each_class(load_scene: Callable[[str], Any], kind: str) -> 
         assert row.objects == len(what)
         assert row.unique_objects == len({name for name, _ in row.event_list})
         assert row.last_object == (row.event_list[-2][0] if len(what) > 1 else "-")
+
+
+def test_air_between_mirrors_counts() -> None:
+    """Optical path lengths in air of 1.0003 that only the window behind two mirrors names, beside Snell's law."""
+    air, glass, angle = 1.0003, 1.5, np.radians(10.0)
+    at = mi.ScalarTransform4f().translate
+
+    def flat(z: float, y: float, half: float, **bsdf: Any) -> dict[str, Any]:
+        return {
+            "type": "asphere",
+            "half_width": half,
+            "half_height": half,
+            "to_world": at([0, y, z]),
+            "bsdf": {"type": "interface", **bsdf},
+        }
+
+    heights = np.tan(angle) * np.array([50.0, 150.0, 240.0])
+    mirrors = {
+        name: flat(z, y, 4.0, R=1.0, mirror=True)
+        for name, z, y in zip(("first", "second"), (50.0, -50.0), heights, strict=False)
+    }
+    window = {
+        "front": {**flat(40.0, heights[2], 10.0, front=str(air), back=str(glass)), "part": "window"},
+        "rear": {**flat(45.0, heights[2], 10.0, front=str(glass), back=str(air)), "part": "window"},
+    }
+    detector = {**flat(60.0, heights[2], 15.0, R=0.0), "sensor": {"type": "irradiancemeter"}}
+    beam = {"type": "collimated", "radius": 1.0, "field_deg": 10.0, "distance": 20.0}
+    t = mistray.trace(
+        mistray.load({"type": "scene", "beam": beam, **mirrors, **window, "detector": detector}),
+        rays=1000,
+        max_reflections=0,
+    )
+    table = t.history(t.paths.find("detector")[0].path_id, 20).to_pandas()
+    inside = np.arcsin(air * np.sin(angle) / glass)
+    for _, ray in table.groupby("ray"):
+        assert list(ray.surface)[1:] == ["first", "second", "front", "rear", "detector"]
+        before = air * np.array([50.0 - ray.z_mm.iloc[0], 100.0, 90.0]) / np.cos(angle)
+        expected = np.cumsum([0.0, *before, glass * 5.0 / np.cos(inside), air * 15.0 / np.cos(angle)])
+        np.testing.assert_allclose(ray.opl_mm, expected, rtol=1e-9)

@@ -8,7 +8,8 @@ these rays.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import importlib
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -68,14 +69,27 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Telescope:
-    """A telescope of batoid's with R = 2 % on every refracting surface and on the detector."""
+    """
+    A telescope of batoid's with R = 2 % on every refracting surface and on the detector.
+
+    Attributes
+    ----------
+    file : str
+    wavelength_nm : float
+    shipped : str
+        Name of a scene that comes with mistray and stands for it here; empty: what is read from the file.
+    """
 
     file: str
     wavelength_nm: float
+    shipped: str = ""
 
     @cached_property
     def prescription(self) -> Prescription:
         """For mistray."""
+        if self.shipped:
+            own = importlib.import_module(f"mistray.scenes.{self.shipped}.prescription").build()
+            return replace(own, detector=replace(own.detector, name="Detector"))  # as batoid calls it
         optic = batoid.Optic.fromYaml(self.file)
         return from_batoid(optic, wavelength_nm=self.wavelength_nm, reflectance=REFLECTANCE)
 

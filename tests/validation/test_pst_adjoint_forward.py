@@ -1,4 +1,4 @@
-"""The PST backward and forward: two samplings of one integral, on seven scenes with ghosts and scatter.
+"""The PST backward and forward: two samplings of one integral, on nine scenes with ghosts and scatter.
 
 The backward trace starts on the detector and sorts its rays by where they leave; the one with the light starts
 a plane wave for each angle. They share the surfaces, the coatings and the BSDFs of the kernel, not the sampling, the
@@ -79,7 +79,8 @@ CASES = {
         entrance=Entrance((0.0, 0.0, 0.0), 25.2),
         sampling={"scatter_rays": 4, "scatter_threshold": 1e-3},
     ),
-    "double_gauss_barrel": Case((1e6, 3e5), {"max_reflections": 1, "max_scatters": 1}, 8),
+    # With the light few rays carry what comes from 80°: 3e5 rays were 40 % low, with half of their error
+    "double_gauss_barrel": Case((1e6, 1.5e6), {"max_reflections": 1, "max_scatters": 1}, 8),
     "newtonian_scatter": Case((3e6, 2e6), {"max_reflections": 1, "max_scatters": 1}, 9),
     "ritchey_chretien": Case((2e6, 1e6), {"max_reflections": 1, "max_scatters": 1}, 12),
     "three_mirror_telescope": Case(
@@ -87,6 +88,20 @@ CASES = {
         {"max_reflections": 1, "max_scatters": 1},
         16,
         polish={"rms_nm": 10.0, "l": 0.02, "s": -1.5},
+    ),
+    # Light of the far sky comes in by the opening behind the object; beyond 35° it ends on the black housing
+    "offner_relay": Case(
+        (1e6, 5e5),
+        {"max_reflections": 2, "max_scatters": 1},
+        9,
+        dark=(40.0, 60.0, 80.0),
+        polish={"rms_nm": 5.0, "l": 0.01, "s": -1.5},
+    ),
+    "head_up_display": Case(
+        (1e6, 5e5),
+        {"max_reflections": 2, "max_scatters": 1},
+        24,
+        polish={"rms_nm": 5.0, "l": 0.01, "s": -1.5},
     ),
     "phone_camera_scatter": Case((2.4e5, 1e5), {"max_reflections": 1, "max_scatters": 1}, 14),
 }
@@ -101,11 +116,11 @@ def polished(name: str, polish: dict[str, float]) -> Any:
     return replace(prescription, surfaces=surfaces).to_scene()
 
 
-def both(name: str, case: Case) -> tuple[Pst, Pst]:
-    """The PST of a scene by both methods."""
+def both(name: str, case: Case, method: str) -> tuple[Pst, Pst]:
+    """The PST of a scene by a method that starts on the detector, and forward."""
     scene = polished(name, case.polish) if case.polish else mistray.load(name)
     limits: dict[str, Any] = case.limits | {"flux_threshold": 0.0}
-    adjoint = pst(scene, ANGLES, rays=int(case.rays[0]), seed=1, **limits)
+    adjoint = pst(scene, ANGLES, rays=int(case.rays[0]), seed=1, method=method, **limits)
     settings = Settings.of(scene, rays=int(case.rays[1]), seed=2, **limits, **case.sampling)
     return adjoint, forward_pst(scene, adjoint.grid, entrance=case.entrance, settings=settings)
 
@@ -153,7 +168,8 @@ def check(name: str, adjoint: Pst, forward: Pst, case: Case) -> None:
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in CASES]
 )
-def test_scenes(name: str) -> None:
+@pytest.mark.parametrize("method", ["joined", "adjoint"])
+def test_scenes(name: str, method: str) -> None:
     """
     Totals at six angles within 3 standard errors, classes by chi-square, in both conventions.
 
@@ -161,8 +177,8 @@ def test_scenes(name: str) -> None:
     independent, but those of one angle share their start rays).
     """
     case = CASES[name]
-    adjoint, forward = both(name, case)
-    assert (adjoint.method, forward.method) == ("adjoint", "forward")
+    adjoint, forward = both(name, case, method)
+    assert (adjoint.method, forward.method) == (method, "forward")
     check(name, adjoint, forward, case)
     check(name, adjoint.to("projected"), forward.to("projected"), case)
     # PST_projected is PST_normal over the mean cosine of the cell

@@ -26,7 +26,7 @@ from mistray.analysis.metrics.extended_source import Sky, source_irradiance
 from mistray.analysis.metrics.glare import veiling_glare_index
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.transmittance import pst
-from mistray.execute.backward import see
+from mistray.execute.seen import see
 from mistray.prescription import Coating, Prescription, Scatter
 from mistray.scenes.phone_camera.prescription import build as phone_camera
 
@@ -38,7 +38,7 @@ DATA = Path(__file__).parents[1] / "data"
 WHOLE = np.arange(5, 90, 10.0)  # cells of 10° that leave no gap
 EVERYTHING = {"scatter_threshold": 0.0, "flux_threshold": 0.0}
 ONE_BRANCH = {"max_reflections": 64, "max_scatters": 64, "splitting": "one", "aim": "none", **EVERYTHING}
-METHODS = pytest.mark.parametrize("method", ["adjoint", "forward"])
+METHODS = pytest.mark.parametrize("method", ["joined", "adjoint", "forward"])
 
 
 @pytest.fixture(scope="session")
@@ -66,7 +66,7 @@ def check(what: str, measured: Any, se: Any, expected: Any, relative: Any, round
 
 def of(scene: Any, method: str, rays: tuple[int, int], angles: Any = WHOLE, cell_deg: float = 10.0, **more: Any) -> Pst:
     """The PST by one of the methods; ``rays`` are start rays of adjoint, and of each angle of forward."""
-    count = rays[0] if method == "adjoint" else rays[1]
+    count = rays[1] if method == "forward" else rays[0]
     return pst(scene, angles, cell_deg=cell_deg, method=method, rays=count, paths=False, **more)
 
 

@@ -324,7 +324,7 @@ def objects(
             f"unknown argument {', '.join(sorted(unknown))} of objects; light is neither split nor scattered here, so "
             "that of the settings of a trace only max_events and seed matter"
         )
-    chosen = Settings.of(scene, rays=rays, ray_control=ray_control, **settings)
+    chosen = Settings.without_sources(scene, rays=rays, ray_control=ray_control, **settings)
     PART.check("threshold", threshold)
     kinds = {"half_angle_deg": half_angle_deg, "field_deg": field_deg, "source": source}
     given = [name for name, value in kinds.items() if value is not None]

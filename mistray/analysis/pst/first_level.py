@@ -112,7 +112,7 @@ def first_level(
             raise MistrayError(
                 f"first_level: '{name}' changes {', '.join(sorted(unknown))}, which is no limit of a trace"
             )
-        settings = Settings.of(scene, **(own | change))
+        settings = Settings.without_sources(scene, "a PST", **(own | change))
         if settings not in done:
             report = (lambda state, name=name: progress(name, state)) if progress else None
             done[settings] = pst(scene, field_deg, progress=report, **(arguments | change))

@@ -80,7 +80,7 @@ def forward_pst(
     if not isinstance(scene, mi.Scene):
         raise MistrayError(f"forward_pst() got {type(scene).__name__}; load the scene first: mistray.load(path)")
     request = PstRequest(method="forward") if request is None else request
-    settings = Settings.of(scene) if settings is None else settings
+    settings = Settings.without_sources(scene, "a PST") if settings is None else settings
     settings = settings if request.rays is None else replace(settings, rays=request.rays)
     relative_error = request.relative_error
     limited = _angles_that_count(grid, relative_error, request.error_up_to_deg)

@@ -1,198 +1,34 @@
-"""A pilot for backward runs: which ways the light takes, and which direction of tracing samples each better.
+"""
+The pilot of a PST: short traces in both directions that learn where light gets in and how many rays it takes.
 
-Rays of its own search in both directions, forward and backward, and list what they find by way and cell of
-directions. A way that backward rays find by chance only, and that forward rays find easily, is then
-counted forwards; all others are counted against it. Since the pilot is independent of the run, the sum of both
-parts has the same mean as either direction alone. The same lists tell how many rays a run needs, so that nothing has to
-be decided on the samples that are averaged, and which ways a run has sampled too seldom.
-
-The variance of a way that was hit by a share p of the rays with a mean w̄ is at least w̄²/p per ray (Cauchy-Schwarz), so
-that a way which one direction has hardly seen, but whose light is known from the other, has a variance all the same.
+Its own rays are in no result, so that the mean of a run is that of either direction alone, whatever the pilot says.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from mistray.analysis.pst.plan import Plan, factors_of_equal_cost, factors_of_equal_errors
 from mistray.execute.backward import BackwardTrace
-from mistray.recorders.path_key import ABSORBED, EVENT_BITS, host_keys
-from mistray.recorders.path_sums import join_sums
-from mistray.trace.all_cells import AllCells, whole_batches
+from mistray.recorders.start_samples import Samples
+from mistray.sampling.sharing.balance import Sharing
+from mistray.sampling.sharing.cell_starts import whole_batches
+from mistray.sampling.sharing.start_map import StartMap, of_each
+from mistray.trace.all_cells import AllCells
 
-FORWARD, BACKWARD = 0, 1
-BETTER = 0.5  # variance × cost, with the light over against it, below which a way is counted forwards
-KNOWN_HITS = 8  # of a way in a cell, above which it is judged there, below by all cells together
-WORTH = 0.05  # share of a cell's variance that ways must bring to be counted forwards
-PILOT_SHARE = 16  # a run to an error takes about so many times the rays of its pilot
-LEAST_SEGMENTS = 1e6  # of a pilot in each direction
-FIRST_ROUND, LARGEST_ROUND = 1 << 13, 1 << 19  # rays
-SEEN = 3  # hits in the one direction after which a way must not be missing in the other
-SELDOM = 16  # hits of a way in a cell below which a run has sampled it seldom
-RESERVE = 1.2  # rays above what the pilot's variances ask for
-
-Book = dict[str, np.ndarray]
-
-
-def forward_events(events: np.ndarray, lengths: np.ndarray, detector: int) -> tuple[np.ndarray, np.ndarray]:
-    """Event lists of backward rays as those of the light, the absorption in the detector at their ends."""
-    order = lengths[:, None] - 1 - np.arange(events.shape[1] + 1)
-    turned = np.take_along_axis(np.pad(events, ((0, 0), (0, 1))), np.maximum(order, 0), axis=1)
-    turned = np.where(order >= 0, turned, 0).astype(np.uint32)
-    turned[np.arange(len(turned)), lengths] = (detector << EVENT_BITS) | ABSORBED
-    return turned, lengths + 1
-
-
-def backward_events(events: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Event lists of the light as those of rays against it, which start on the detector."""
-    order = lengths[:, None] - 2 - np.arange(events.shape[1])
-    turned = np.take_along_axis(events, np.maximum(order, 0), axis=1)
-    return np.where(order >= 0, turned, 0).astype(np.uint32), lengths - 1
-
-
-@dataclass(frozen=True, kw_only=True)
-class Plan:
-    """
-    What a pilot has found, by pairs of a way and a cell; the first index of two is `FORWARD` or `BACKWARD`.
-
-    Attributes
-    ----------
-    events : (w, k) uint32
-    lengths : (w,) int
-        Ways, in the order of the light with the absorption in the detector at their ends.
-    way, cell : (p,) int
-        Pairs.
-    forward : (p,) bool
-        Whether the pair is counted forwards.
-    hits : (2, p) float64
-        Of the pilot.
-    mean : (2, p) float64
-        PST_normal that each direction has found.
-    second : (2, p) float64
-        Second moment of PST_normal of one ray in each direction, see the module.
-    rays : (2, c) float64
-        Of the pilot, by cell; those backwards serve all cells.
-    cost : (2,) float64
-        Segments of a ray.
-    """
-
-    events: np.ndarray
-    lengths: np.ndarray
-    way: np.ndarray
-    cell: np.ndarray
-    forward: np.ndarray
-    hits: np.ndarray
-    mean: np.ndarray
-    second: np.ndarray
-    rays: np.ndarray
-    cost: np.ndarray
-
-    def with_forward_pairs(self, way: np.ndarray, cell: np.ndarray) -> Plan:
-        """The plan with further pairs that are counted forwards, of which the pilot has seen nothing."""
-        nothing = np.zeros((2, len(way)))
-        return replace(
-            self,
-            way=np.concatenate([self.way, way]),
-            cell=np.concatenate([self.cell, cell]),
-            forward=np.concatenate([self.forward, np.full(len(way), True)]),
-            hits=np.concatenate([self.hits, nothing], axis=1),
-            mean=np.concatenate([self.mean, nothing], axis=1),
-            second=np.concatenate([self.second, nothing], axis=1),
-        )
-
-    @property
-    def light(self) -> np.ndarray:
-        """(c,) PST_normal of each cell: of every pair from the direction that counts it."""
-        return self._by_cell(np.where(self.forward, self.mean[FORWARD], self.mean[BACKWARD]))
-
-    def rays_for(self, relative_error: float, counts: np.ndarray) -> int:
-        """
-        Backward rays that a relative error takes at the least cost of both directions.
-
-        Parameters
-        ----------
-        relative_error : float
-        counts : (c,) bool
-            Cells whose error counts; those without light are left out.
-        """
-        light = self.light
-        wanted = np.square(relative_error * light) / RESERVE
-        counts = counts & (light > 0)
-        if not counts.any():
-            return 0
-        forward, backward = (part[counts] for part in self._variances())
-        wanted = wanted[counts]
-        fewest = float(np.max(backward / wanted, initial=0.0))
-        if not forward.any():
-            return int(np.ceil(fewest))
-        tried = max(fewest, 1.0) * np.geomspace(1.02, 1e3, 60)
-        left = wanted[:, None] - backward[:, None] / tried
-        cost = tried * self.cost[BACKWARD] + self.cost[FORWARD] * np.sum(forward[:, None] / left, axis=0)
-        return int(np.ceil(tried[np.argmin(cost)]))
-
-    def forward_rays(self, rays: float, relative_error: float | None) -> np.ndarray:
-        """
-        (c,) forward rays beside so many against it; 0 in cells that count nothing forwards.
-
-        Without an error that is wanted both parts of a cell get the same variance, at no more than twice the cost of
-        the backward rays alone; a cell has at least the rays of the pilot.
-        """
-        forward, backward = self._variances()
-        used = np.bincount(self.cell[self.forward], minlength=len(forward)) > 0
-        least = self.rays[FORWARD]
-        left = backward / rays
-        if relative_error is not None:
-            wanted = np.square(relative_error * self.light) / RESERVE
-            left = np.maximum(wanted - left, 0.02 * wanted)
-        most = rays * self.cost[BACKWARD] / self.cost[FORWARD] / max(int(used.sum()), 1)
-        found = np.divide(forward, left, out=np.full(len(forward), np.inf), where=left > 0)
-        if relative_error is None:
-            found = np.minimum(found, most)
-        found = np.where(np.isfinite(found), found, most)
-        # Powers of two, so that a scene and a slightly changed one are lit by the same rays
-        wanted = np.exp2(np.ceil(np.log2(np.maximum(found, least))))
-        return whole_batches(np.where(used, wanted, 0))
-
-    def widening(self, hits: np.ndarray, variance: np.ndarray, rays: np.ndarray) -> np.ndarray:
-        """
-        Variance that the pairs of a run are missing.
-
-        Rare rays of a large weight are what a run misses together with their variance, so that a low value has a small
-        error. A pair that the pilot has seen brings the variance of its rays and those of the run together; where the
-        run's own is less, the difference is missing. One that the run has sampled seldom and the other direction has
-        seen brings at least the variance that its light, known from there, has at the share of rays that hit it.
-
-        Parameters
-        ----------
-        hits, variance : (p,) float64
-            Of the run: hits of each pair and the variance of its PST_normal.
-        rays : (p,) float64
-            Of the run, in the direction that counts the pair.
-
-        Returns
-        -------
-        (p,) float64
-        """
-        own = np.where(self.forward, FORWARD, BACKWARD)
-        pair = np.arange(len(own))
-        seen, light = self.hits[1 - own, pair], self.mean[1 - own, pair]
-        before, pilot = self.hits[own, pair], self.rays[own, self.cell]
-        share = (hits + before + 1) / (rays + pilot)
-        of_one = np.maximum(self.second[own, pair] - self.mean[own, pair] ** 2, 0.0)
-        together = (of_one * pilot + variance * rays**2) / (rays + pilot)
-        known = np.where((seen >= SEEN) & (hits < SELDOM), light**2 / share, 0.0)
-        second = np.maximum(known, np.where(before >= SEEN, together, 0.0))
-        missing = np.divide(second, rays, out=np.zeros(len(own)), where=rays > 0) - variance
-        return np.maximum(missing, 0.0)
-
-    def _variances(self) -> tuple[np.ndarray, np.ndarray]:
-        """(c,) each: variance per ray of what is counted forward and backward."""
-        forward = self._by_cell(np.where(self.forward, self.second[FORWARD], 0.0))
-        return forward, self._by_cell(np.where(self.forward, 0.0, self.second[BACKWARD]))
-
-    def _by_cell(self, values: np.ndarray) -> np.ndarray:
-        return np.bincount(self.cell, values, self.rays.shape[1])
+FIRST_ROUND, LEAST_ROUNDS = 1 << 12, 5  # rays of the first round, each of the next takes twice as many
+REMEMBERED = 3  # rounds whose samples the map is made of
+SAMPLES_OF_CELL = 16000  # that the map of a cell is made of
+FACTORS = 2.0 ** np.arange(-4, 5.5, 0.5)  # of the rays with the light of a cell, that are looked at
+LEAST_RAYS = 1 / 4  # of a cell in a pilot, by their cost, of its even share
+STEP = 4.0  # by which the rays of a cell change from one round to the next at most
+# Rounds after which the gain of connections is compared with the time that they take
+JUDGED_AFTER, COST_OF_CONNECTIONS = 3, 1.8
+LEAST_LEFT = 1e-6  # share of a path without connections that is made out
+CLASS_SHARE = 0.1  # of a map's weights that is spread evenly over the classes of light
 
 
 class Pilot:
@@ -202,120 +38,186 @@ class Pilot:
     Parameters
     ----------
     trace : BackwardTrace
-    cells : AllCells
-        Of the same scene, grid and wavelengths.
+    points : (p, 3) float64
+        What the light covers.
+    counts : (c,) bool
+        Cells whose error counts.
+    to_an_error : bool
+        Whether the run shall have the same error in all cells; else as many rays as it is told.
     """
 
-    def __init__(self, trace: BackwardTrace, cells: AllCells) -> None:
-        self._trace, self._cells = trace, cells
-        self._sums: list[Book] = []
+    def __init__(self, trace: BackwardTrace, points: np.ndarray, counts: np.ndarray, to_an_error: bool = False) -> None:
+        self._trace, self._points, self._counts, self._to_an_error = trace, points, counts, to_an_error
+        count = int(np.prod(trace.grid.shape))
+        linked = np.full(count, 1 / count) if trace.may_connect else np.zeros(count)
+        self._sharing = Sharing(points, StartMap.uniform(count), np.full(count, 1 / count), linked)
+        trace.share_paths(self._sharing)
+        self._cells = AllCells(trace)
         self._rounds = 0
-        self.rays = np.zeros((2, cells.areas.size))
-        self._segments = np.zeros(2)
-
-    def search(self, rays: float) -> None:
-        """Go on to so many backward rays, and as many with it as cost the same, but to a least size."""
-        if not self._rounds:
-            self._round(FIRST_ROUND, FIRST_ROUND)
-        while True:
-            cost = self._segments / self._done
-            wanted = max(rays * cost[BACKWARD], LEAST_SEGMENTS) / cost
-            missing = np.minimum(wanted - self._done, LARGEST_ROUND)
-            if np.all(missing < FIRST_ROUND):
-                return
-            self._round(*(int(max(count, FIRST_ROUND)) for count in missing))
+        self._kept: list[tuple[np.ndarray, np.ndarray, np.ndarray, float]] = []
+        self._rays = np.zeros(2)
+        self._plan: Plan | None = None
 
     @property
-    def _done(self) -> np.ndarray:
-        """(2,) rays, those with the light of all cells together."""
-        return np.array([self.rays[FORWARD].sum(), self.rays[BACKWARD, 0]])
+    def rays(self) -> float:
+        """Rays against the light so far."""
+        return float(self._rays[1])
 
-    def _round(self, forward: int, backward: int) -> None:
-        shape = self._cells.areas.shape
-        spread = whole_batches(np.full(shape, max(1, round(forward / np.prod(shape)))))
-        found, segments = self._cells.find(spread, self._rounds)
-        other, other_segments = self._trace.find(backward, self._rounds)
-        events, lengths = forward_events(other["events"], other["lengths"], self._trace.table.detector)
-        sums = [found, other | {"events": events, "lengths": lengths}]
-        self._sums = [join_sums(*pair) for pair in zip(self._sums, sums, strict=True)] if self._sums else sums
-        self.rays += np.stack([spread.ravel(), np.full(spread.size, backward)])
-        self._segments += segments, other_segments
+    def search(self, rays: float) -> Plan:
+        """Go on for `LEAST_ROUNDS` rounds at least, and to so many rays against the light."""
+        while self._plan is None or self._rounds < LEAST_ROUNDS or self.rays < rays:
+            self._plan = self._round(FIRST_ROUND << self._rounds)
+        return self._plan
+
+    def _round(self, rays: int) -> Plan:
+        """A round of so many rays against the light, and what follows from it and those before."""
+        trace, sharing, cells = self._trace, self._sharing, self._cells
+        with_light = whole_batches(sharing.rays * rays)
+        against = trace.samples(rays, self._rounds)
+        along = cells.samples(with_light, self._rounds)
         self._rounds += 1
-
-    def plan(self) -> Plan:
-        """What has been found, and which direction counts it."""
-        events, lengths, pairs = _together(*self._sums)
-        way, cell = pairs[0]
-        count = len(way)
-        grid, trace = self._trace.grid, self._trace
-        units = np.stack(
-            [
-                self._cells.areas.ravel() / trace.area,
-                np.repeat(np.pi / grid.solid_angle, grid.shape[1]),
-            ]
+        self._rays += with_light.sum(), rays
+        units = (
+            cells.unit / np.maximum(with_light, 1),
+            trace.unit.ravel() / rays,
         )
-        hits, mean, second = np.zeros((3, 2, count))
-        for k, (one, place) in enumerate(zip(self._sums, pairs[1:], strict=True)):
-            unit = units[k][one["cell"]]
-            rays = self.rays[k][one["cell"]]
-            hits[k, place] = one["hits"]
-            mean[k, place] = unit * one["weight"] / rays
-            second[k, place] = unit**2 * one["squares"] / rays
-        rays = self.rays[:, cell]
-        light = np.where(hits[FORWARD] >= hits[BACKWARD], mean[FORWARD], mean[BACKWARD])
-        second = np.maximum(second, light**2 * rays / (hits + 1))
-        cost = self._segments / self._done
-        # A backward ray serves all cells, one with the light its own
-        effort = second * (cost * [self._cells.areas.size, 1])[:, None]
-        forward = self._choose(way, cell, hits, light, effort)
+        count = cells.cells
+        light, relative, gain = _relative_variances((along, against), units, count)
+        relative[:, ~self._counts] = 0.0
+        cost_along = np.sum([one.segments for one in along], axis=0)
+        cost_against = sum(float(one.segments.sum()) for one in against)
+        self._remember((along, against), units, light, rays)
+        cell, points, weights = self._together()
+        # The next round, and the run, start where this one has found light
+        starts = StartMap.of(count, cell, points, weights)
+
+        costs = cost_against, cost_along
+        even = factors_of_equal_cost(relative, FACTORS, *costs)
+        best = factors_of_equal_errors(relative, FACTORS, *costs) if self._to_an_error else even
+        variance = np.array(
+            [np.interp(np.log(f), np.log(FACTORS), column) for f, column in zip(best, relative.T, strict=True)]
+        )
         plan = Plan(
-            events=events, lengths=lengths, way=way, cell=cell, forward=forward, hits=hits, mean=mean, second=second,
-            rays=self.rays.copy(), cost=cost,
-        )  # fmt: skip
-        return _widened(plan, len(lengths), self._way_level)
+            sharing=Sharing(self._points, starts, sharing.rays * best, sharing.linked),
+            light=light,
+            variance=variance * light**2 * rays,
+            pilot_rays=self._rays.copy(),
+            cell=cell,
+            points=points,
+            weights=weights,
+        )
+        # A map is learned from rays of both directions alike
+        fewest = LEAST_RAYS * cost_against / np.maximum(cost_along, 1e-300) / count
+        rays_of_cell = sharing.rays * np.clip(np.maximum(even, fewest), 1 / STEP, STEP)
+        self._sharing = replace(plan.sharing, rays=rays_of_cell, linked=self._linked(light, relative, gain))
+        trace.share_paths(self._sharing)
+        return plan
 
-    def _choose(
-        self, way: np.ndarray, cell: np.ndarray, hits: np.ndarray, light: np.ndarray, effort: np.ndarray
-    ) -> np.ndarray:
-        """(p,) bool: what is counted forwards."""
-        cells = self.rays.shape[1]
-        total = np.bincount(cell, light, cells)[cell]
-        relative = np.divide(effort, total**2, out=np.zeros_like(effort), where=total > 0)
-        known = hits.sum(axis=0) >= KNOWN_HITS
-        # A way is judged by the cells that know it, where there are any
-        trusted = known | ~(np.bincount(way, known) > 0)[way]
-        pooled = np.stack([np.bincount(way, np.where(trusted, part, 0.0)) for part in relative])
-        self._way_level = pooled[FORWARD] < BETTER * pooled[BACKWARD]
-        forward = np.where(known, effort[FORWARD] < BETTER * effort[BACKWARD], self._way_level[way])
-        spared = np.bincount(cell, np.where(forward, effort[BACKWARD] - effort[FORWARD], 0.0), cells)
-        whole = np.bincount(cell, effort[BACKWARD], cells)
-        return np.asarray(forward & (spared > WORTH * whole)[cell])
+    def _linked(self, light: np.ndarray, relative: np.ndarray, gain: np.ndarray) -> np.ndarray:
+        """Of the next round, see `Sharing`: connections that do not pay are given up."""
+        linked, counts = self._sharing.linked, self._counts & (light > 0)
+        if self._rounds == 1:  # as many points as there are rays
+            return linked / max(self._trace.points_of_ray, 1e-3)
+        if self._rounds != JUDGED_AFTER or not linked.any():
+            return linked
+        now = relative[np.searchsorted(FACTORS, 1.0)][counts]
+        without = gain[counts] * now
+        if self._to_an_error:
+            gained = without.max(initial=0.0) / now.max(initial=np.finfo(float).tiny)
+        else:
+            gained = np.exp(np.mean(np.log(gain[counts]))) if counts.any() else 0.0
+        return linked if gained > COST_OF_CONNECTIONS else np.zeros_like(linked)
+
+    def _remember(
+        self,
+        samples: tuple[Sequence[Samples], Sequence[Samples]],
+        units: tuple[np.ndarray, np.ndarray],
+        light: np.ndarray,
+        rays: int,
+    ) -> None:
+        """Keep the samples of a round, in each cell as many as a map needs."""
+        rng = np.random.default_rng(self._rounds)
+        parts = [(one, unit) for found, unit in zip(samples, units, strict=True) for one in found]
+        cell = np.concatenate([one.cell for one, _ in parts])
+        kind = np.concatenate([one.kind for one, _ in parts])
+        points = np.concatenate([one.points for one, _ in parts])
+        weights = np.concatenate([one.weight * unit[one.cell] for one, unit in parts])
+        # So that weak classes have errors that hold, too
+        classes = int(kind.max(initial=0)) + 1
+        of_class = _sums(kind * len(light) + cell, weights, classes * len(light)).reshape(classes, -1)
+        present = np.maximum(np.count_nonzero(of_class, axis=0), 1)
+        total = of_class.sum(axis=0)
+        share = np.divide(of_class, total, out=np.ones_like(of_class), where=total > 0)
+        weights = weights * (1 - CLASS_SHARE + CLASS_SHARE / (present[cell] * np.maximum(share[kind, cell], 1e-6)))
+        # The strong ones, and of the weak ones some that stand for others
+        limit = np.zeros(len(light))
+        for number, here in of_each(cell):
+            limit[number] = _threshold(weights[here], SAMPLES_OF_CELL)
+        held = rng.random(len(cell)) * limit[cell] < weights
+        kept = np.maximum(weights, limit[cell])[held]
+        self._kept = [*self._kept, (cell[held], points[held], kept, float(rays))][-REMEMBERED:]
+
+    def _together(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Cells, points and weights of the rounds that are remembered, each by its rays."""
+        total = sum(rays for *_, rays in self._kept)
+        cell, points = (np.concatenate([one[k] for one in self._kept]) for k in range(2))
+        return cell, points, np.concatenate([weights * rays / total for _, _, weights, rays in self._kept])
 
 
-def _together(
-    forward: Book, backward: Book
-) -> tuple[np.ndarray, np.ndarray, tuple[tuple[np.ndarray, np.ndarray], np.ndarray, np.ndarray]]:
-    """Ways of two sums, and their pairs: way and cell of each, and the places of the sums' entries among them."""
-    longest = max(forward["events"].shape[1], backward["events"].shape[1])
-    events = np.concatenate(
-        [np.pad(one["events"], ((0, 0), (0, longest - one["events"].shape[1]))) for one in (forward, backward)]
-    )
-    lengths = np.concatenate([forward["lengths"], backward["lengths"]])
-    _, chosen, place = np.unique(host_keys(events, lengths), return_index=True, return_inverse=True)
-    ways = place[forward["path"]], place[backward["path"] + len(forward["lengths"])]
-    both = np.stack([np.concatenate(ways), np.concatenate([forward["cell"], backward["cell"]])], axis=1)
-    pairs, number = np.unique(both, axis=0, return_inverse=True)
-    number = number.ravel()
-    entries = len(forward["path"])
-    return events[chosen], lengths[chosen], ((pairs[:, 0], pairs[:, 1]), number[:entries], number[entries:])
+def _sums(place: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
+    """Sums of the values of each place; floats for no values, too."""
+    return np.bincount(place, values, count).astype(np.float64)
 
 
-def _widened(plan: Plan, ways: int, forward: np.ndarray) -> Plan:
-    """The plan with ways that are counted forwards also in cells that saw none of them, where others are."""
-    cells = np.unique(plan.cell[plan.forward])
-    chosen = np.unique(plan.way[plan.forward])
-    chosen = chosen[forward[chosen]]
-    wanted = (chosen[:, None] * plan.rays.shape[1] + cells).ravel()
-    new = np.setdiff1d(wanted, plan.way * plan.rays.shape[1] + plan.cell)
-    way, cell = np.divmod(new, plan.rays.shape[1])
-    return plan.with_forward_pairs(way, cell)
+def _threshold(weights: np.ndarray, count: int) -> float:
+    """Weight below which one of several stands for all, so that about `count` are left."""
+    if len(weights) <= count:
+        return 0.0
+    order = np.sort(weights)[::-1]
+    rest = order.sum() - np.concatenate([[0.0], np.cumsum(order)[:-1]])
+    # With k strong ones the limit is the rest over what is left of the count
+    k = np.arange(count)
+    limit = rest[k] / (count - k)
+    return float(limit[np.argmax(limit >= order[k])])
+
+
+def _relative_variances(
+    samples: tuple[Sequence[Samples], Sequence[Samples]], units: tuple[np.ndarray, np.ndarray], cells: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Light of the cells; its relative variance by the factor of the rays with the light, (`FACTORS`, c); what it gains.
+
+    With a density q of all rays together the variance is ∫ f²/q. Each sample has f/q, and the share of its path that
+    rays with the light have says how q changes with these. Rays that bring several samples to a cell add to it what
+    these have in common. The third result, (c,), is the variance without connections over that with them.
+    """
+    light, together = np.zeros(cells), np.zeros(cells)
+    cell, brought, along, connected = [], [], [], []
+    for found, unit in zip(samples, units, strict=True):
+        for one in found:
+            weight = one.weight * unit[one.cell]
+            cell.append(one.cell)
+            brought.append(weight)
+            along.append(one.along)
+            connected.append(one.connected)
+            light += _sums(one.cell, weight, cells)
+            together += _squares_of_rays(one, weight, cells)
+    where, weight, share, joint = (np.concatenate(parts) for parts in (cell, brought, along, connected))
+    square = weight**2
+    variance = np.stack([_sums(where, square / (1 - share + factor * share), cells) for factor in FACTORS])
+    apart = _sums(where, square, cells)
+    variance *= np.divide(together, apart, out=np.ones(cells), where=apart > 0)
+    without = _sums(where, square / np.maximum(1 - joint, LEAST_LEFT), cells)
+    gain = np.divide(without, apart, out=np.ones(cells), where=apart > 0)
+    return light, np.divide(variance, light**2, out=np.zeros_like(variance), where=light > 0), gain
+
+
+def _squares_of_rays(samples: Samples, weight: np.ndarray, cells: int) -> np.ndarray:
+    """(c,) sums over the rays of the square of what each brings to a cell."""
+    if not len(weight):
+        return np.zeros(cells)
+    pair = samples.lane * cells + samples.cell
+    order = np.argsort(pair, kind="stable")
+    begins = np.flatnonzero(np.diff(pair[order], prepend=-1))
+    brought = np.add.reduceat(weight[order], begins)
+    return _sums(pair[order][begins] % cells, brought**2, cells)

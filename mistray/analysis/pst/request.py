@@ -15,8 +15,12 @@ from mistray.ranges import PIXELS_OR_NONE, RELATIVE_ERROR
 from mistray.recorders.directions import DirectionGrid
 from mistray.settings import Settings
 
-METHODS = ("adjoint", "forward")
-RAYS = {"adjoint": 4_000_000, "forward": 200_000}  # where a call says nothing; forward: at each angle
+METHODS = ("joined", "adjoint", "forward")
+RAYS = {
+    "joined": 4_000_000,
+    "adjoint": 4_000_000,
+    "forward": 200_000,
+}  # where a call says nothing; forward: at each angle
 MOST_RAYS = 2_000_000_000  # where a call wants an error and does not say how many rays it may take
 
 Numbers = float | Sequence[float] | np.ndarray
@@ -39,7 +43,7 @@ class PstRequest:
     """
 
     field_deg: Numbers = range(0, 81, 2)
-    method: str = "adjoint"
+    method: str = "joined"
     convention: str = "normal"
     azimuths_deg: Numbers | None = None
     cell_deg: float | None = None
@@ -65,14 +69,19 @@ class PstRequest:
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
-            raise MistrayError(f"method is '{self.method}'; use 'adjoint' or 'forward'")
+            raise MistrayError(f"method is '{self.method}'; use 'joined', 'adjoint' or 'forward'")
         if self.relative_error is not None:
             RELATIVE_ERROR.check("relative_error", self.relative_error)
+            if self.method == "adjoint":
+                raise MistrayError(
+                    "relative_error is given with method 'adjoint', which has no pilot that says how many rays "
+                    "it takes; use 'joined', or give rays"
+                )
         PIXELS_OR_NONE.check("map_pixels", self.map_pixels)
         if self.resume and self.state is None:
             raise MistrayError("resume needs the file of the state; give state=…")
         if self.method == "forward" and self.state is not None:
-            raise MistrayError("state is given with method 'forward'; only the adjoint method can be continued")
+            raise MistrayError("state is given with method 'forward'; only a run from the detector can be continued")
 
     def grid(self, axes: np.ndarray) -> DirectionGrid:
         """The cells of directions, measured in a frame whose columns are `axes`."""
@@ -85,4 +94,4 @@ class PstRequest:
     def settings_for(self, scene: mi.Scene) -> Settings:
         """The settings of a trace of a scene."""
         usual = RAYS[self.method] if self.relative_error is None else MOST_RAYS
-        return Settings.of(scene, rays=usual if self.rays is None else self.rays, **self.settings)
+        return Settings.without_sources(scene, "a PST", rays=usual if self.rays is None else self.rays, **self.settings)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mistray.analysis.pst.pilot import SELDOM
 from mistray.errors import MistrayError
 from mistray.gradients.backward_gradient import backward_gradient
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
@@ -20,11 +19,13 @@ from mistray.renamed import renamed
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray
 
     from mistray.execute.backward import BackwardTrace
 
 STRAY = CLASSES[1:]
 CONVENTIONS = ("normal", "projected")
+AGAINST, WITH = "against the light", "with the light"  # techniques
 
 
 @renamed(angles_deg="field_deg")
@@ -54,7 +55,7 @@ class Pst:
         Share of the start rays that each batch has, of each cell where cells have their own start rays.
     convention : {"normal", "projected"}
         What `value` and all that is derived from it follow.
-    method : {"adjoint", "forward"}
+    method : {"joined", "adjoint", "forward"}
     facts : dict
         How it was computed, plain values: scene, detector, detector_area_mm2, wavelength_nm, weights, rays, seed,
         seconds, segments, settings …
@@ -70,9 +71,8 @@ class Pst:
         x0, x1, y0, y1 of the detector, in its own frame.
     source : BackwardTrace, optional
         What it comes from, for derivatives.
-    hidden_variance : (c, n, m) float64, optional
-        Variance of PST_normal that the spread of the batches does not show: of paths by which light is known to
-        arrive, and which the rays have met too seldom or without their strongest. Standard errors contain it.
+    techniques : dict of str to (c, n, m, b) float64
+        The part of `by_batch` that rays of each direction have counted, see `budget`.
     """
 
     grid: DirectionGrid
@@ -80,14 +80,14 @@ class Pst:
     weight: np.ndarray
     _: KW_ONLY
     convention: str = "normal"
-    method: str = "adjoint"
+    method: str = "joined"
     facts: dict[str, Any] = field(default_factory=dict)
     largest_share: np.ndarray | None = None
     path_rows: pd.DataFrame | None = None
     maps: np.ndarray | None = None
     extent_mm: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     source: BackwardTrace | None = field(default=None, repr=False, compare=False)
-    hidden_variance: np.ndarray | None = None
+    techniques: Mapping[str, np.ndarray] = field(default_factory=dict, repr=False, compare=False)
 
     def table_gradients(
         self, derivative: np.ndarray, request: GradientRequest, groups: np.ndarray | None = None
@@ -111,11 +111,11 @@ class Pst:
         Raises
         ------
         MistrayError
-            If this is not the result of a trace with ``method="adjoint"`` in this process.
+            If this is not the result of a trace from the detector in this process.
         """
         if self.source is None:
-            raise MistrayError("this PST has no rays to differentiate; compute it with method='adjoint'")
-        unit = np.pi / self.grid.solid_angle[None, :, None] / float(self.source.rays.sum())
+            raise MistrayError("this PST has no rays to differentiate; compute it without method='forward'")
+        unit = self.source.unit / float(self.source.rays.sum())
         yield from backward_gradient(self.source, unit * np.asarray(derivative), request, groups)
 
     def __post_init__(self) -> None:
@@ -139,23 +139,15 @@ class Pst:
         """The PST from each batch, (n, m, b): "total", "stray" (all but "direct"), a class, or several together."""
         return np.asarray(self.by_batch[_numbers(classes)].sum(axis=0) * self._factor[:, None, None])
 
-    def hidden(self, classes: str | Sequence[str] = "total") -> np.ndarray:
-        """(n, m) variance of the PST that `samples` do not show, see `hidden_variance`."""
-        if self.hidden_variance is None:
-            return np.zeros(self.grid.shape)
-        return np.asarray(self.hidden_variance[_numbers(classes)].sum(axis=0) * self._factor[:, None] ** 2)
-
     def map(self, classes: str | Sequence[str] = "total") -> tuple[np.ndarray, np.ndarray]:
         """PST of the cells and its standard error, (n, m) each."""
-        value, se = self.estimate(self.samples(classes), self.weight)
-        return value, np.sqrt(se**2 + self.hidden(classes))
+        return self.estimate(self.samples(classes), self.weight)
 
     def curve(self, classes: str | Sequence[str] = "total") -> tuple[np.ndarray, np.ndarray]:
         """PST over field angle, the mean over azimuths, and its standard error, (n,) each."""
         samples, weight = self.samples(classes), self.weight
         if weight.ndim == 1:
-            value, se = self.estimate(samples.mean(axis=1), weight)
-            return value, np.sqrt(se**2 + self.hidden(classes).sum(axis=1) / samples.shape[1] ** 2)
+            return self.estimate(samples.mean(axis=1), weight)
         value, se = self.estimate(samples, weight)  # every cell has its own start rays
         return value.mean(axis=1), np.sqrt(np.sum(se**2, axis=1)) / value.shape[1]
 
@@ -232,6 +224,38 @@ class Pst:
         rows = rows.drop(columns=["cell", "azimuth_cell", "pst_normal", "pst_normal_se"])
         return rows if n is None else rows.head(n)
 
+    def budget(
+        self, field_deg: float, azimuth_deg: float = 0.0, classes: str | Sequence[str] = "total"
+    ) -> pd.DataFrame:
+        """
+        Which rays have found the light of a field angle.
+
+        Parameters
+        ----------
+        field_deg, azimuth_deg : float
+        classes : str or sequence of str
+            See `samples`.
+
+        Returns
+        -------
+        DataFrame
+            A row for each technique: technique, pst, pst_se (in the convention of this result), percent of the
+            light.
+        """
+        import pandas as pd
+
+        i, j = self.grid.nearest(field_deg, azimuth_deg)
+        numbers, weight = _numbers(classes), self.weight if self.weight.ndim == 1 else self.weight[i, j]
+        techniques = self.techniques or {WITH if self.method == "forward" else AGAINST: self.by_batch}
+        rows = []
+        for name, part in techniques.items():
+            value, se = self.estimate(part[numbers, i, j].sum(axis=0) * self._factor[i], weight)
+            rows.append({"technique": name, "pst": float(value), "pst_se": float(se)})
+        found = pd.DataFrame(rows)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found["percent"] = 100 * found.pst / found.pst.sum()
+        return found
+
     @renamed(angle_deg="field_deg")
     def irradiance(self, field_deg: float, azimuth_deg: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -270,6 +294,48 @@ class Pst:
             columns[f"pst_{name}"], columns[f"pst_{name}_se"] = value.ravel(), se.ravel()
         return pd.DataFrame(columns)
 
+    def to_xarray(self) -> xarray.Dataset:
+        """
+        The PST as arrays with named axes, with standard errors and units; needs the extra ``xarray``.
+
+        Returns
+        -------
+        xarray.Dataset
+            ``pst`` over light (total, stray and each class), field and azimuth, and ``pst_mean``, its mean over the
+            azimuths, each with its standard error under the name with ``_se``. Of a PST with maps also
+            ``irradiance`` over field, azimuth, y and x, W/mm² for 1 W/mm² across the beam. Coordinates: field angle
+            with the ends of its cells, ``field_from`` and ``field_to``, and azimuth, degrees; pixels, mm.
+
+        Raises
+        ------
+        MistrayError
+            If xarray is not installed.
+        """
+        from mistray.files.labelled import IRRADIANCE, Labelled, dataset, pixel_coordinates
+
+        light = ("total", "stray", *CLASSES)
+        cells, means = ([found(name) for name in light] for found in (self.map, self.curve))
+        (pst, pst_se), (mean, mean_se) = ([np.stack(part) for part in zip(*x, strict=True)] for x in (cells, means))
+        what = f"point source transmittance, {self.convention}"
+        arrays = {
+            "pst": Labelled(("light", "field", "azimuth"), pst, "1", what, pst_se),
+            "pst_mean": Labelled(("light", "field"), mean, "1", f"mean over azimuth of {what}", mean_se),
+        }
+        coordinates = {
+            "light": Labelled(("light",), np.array(light), "", "class of light"),
+            "field": Labelled(("field",), self.field_deg, "degree", "field angle"),
+            "field_from": Labelled(("field",), self.grid.edges_deg[:, 0], "degree", "smallest field angle of a cell"),
+            "field_to": Labelled(("field",), self.grid.edges_deg[:, 1], "degree", "largest field angle of a cell"),
+            "azimuth": Labelled(("azimuth",), self.grid.azimuths_deg, "degree", "azimuth from +y towards -x"),
+        }
+        if self.maps is not None:
+            rows, columns = self.maps.shape[-2:]
+            coordinates |= pixel_coordinates(self.extent_mm, (rows, columns))
+            axes = ("field", "azimuth", "y", "x")
+            arrays["irradiance"] = Labelled(axes, self.maps[0], IRRADIANCE, "irradiance", self.maps[1])
+        facts = {"convention": self.convention, "method": self.method, **self.facts}
+        return dataset(arrays, coordinates, "Point source transmittance", facts)
+
     def to_csv(self, path: str | Path) -> None:
         """Write `to_pandas` as CSV, numbers with nine digits."""
         self.to_pandas().to_csv(path, index=False, float_format="%.9g")
@@ -290,7 +356,7 @@ def _numbers(classes: str | Sequence[str]) -> list[int]:
     return [CLASSES.index(name) for name in members(classes)]
 
 
-def notes(found: Pst, largest: np.ndarray, rays: float, seldom: Sequence[Mapping[str, Any]] = ()) -> list[str]:
+def notes(found: Pst, largest: np.ndarray, rays: float) -> list[str]:
     """
     What a reader of a PST should know, one line each.
 
@@ -301,8 +367,6 @@ def notes(found: Pst, largest: np.ndarray, rays: float, seldom: Sequence[Mapping
         See `Pst.largest_share`.
     rays : float
         Rays that have looked for the light of each cell.
-    seldom : sequence of mapping
-        Paths that were sampled too seldom, with "angle_deg" and "events".
     """
     lines = []
     value, _ = found.map()
@@ -318,12 +382,6 @@ def notes(found: Pst, largest: np.ndarray, rays: float, seldom: Sequence[Mapping
         lines.append(
             f"single rays carry more than 10 % of the scattered light at {_angles(heavy)}; errors there may be too "
             "low, take more rays"
-        )
-    if seldom:
-        angles = np.unique([path["angle_deg"] for path in seldom])
-        lines.append(
-            f"fewer than {SELDOM} rays met each of {len(seldom)} paths that light takes at {_angles(angles)}, such as "
-            f"{seldom[0]['events']}; the errors there are larger for it, take more rays"
         )
     return lines
 

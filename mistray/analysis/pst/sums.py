@@ -12,8 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
-from mistray.analysis.pst.result import Pst, members
-from mistray.recorders.direction_recorder import CLASSES
+from mistray.analysis.pst.result import Pst
 
 Light = str | Sequence[str]
 
@@ -30,8 +29,7 @@ def weighted_sum(pst: Pst, coefficients: np.ndarray, classes: Light = "total") -
     classes : str or sequence of str
         See `Pst.samples`.
     """
-    hidden = np.sum(coefficients**2 * pst.hidden(classes))
-    return _summed(coefficients[..., None] * pst.samples(classes), pst.weight, float(hidden))
+    return _summed(coefficients[..., None] * pst.samples(classes), pst.weight)
 
 
 def quotient(
@@ -55,19 +53,14 @@ def quotient(
     if not base > floor:
         return UNKNOWN
     value = _summed(upper, pst.weight).value / base
-    # What is hidden is independent from class to class: in both sums it counts with the difference of its coefficients
-    hidden = 0.0
-    for name in CLASSES:
-        k = sum(sign * part[0] for sign, part in ((1.0, above), (-value, below)) if name in members(part[1]))
-        hidden += float(np.sum(np.square(k) * pst.hidden(name)))
-    return Estimate(value, _summed(upper - value * lower, pst.weight, hidden).se / base)
+    return Estimate(value, _summed(upper - value * lower, pst.weight).se / base)
 
 
-def _summed(parts: np.ndarray, weight: np.ndarray, hidden: float = 0.0) -> Estimate:
-    """Sum of the cells' parts, (n, m, b), over cells and batches, and the variance that they do not show."""
+def _summed(parts: np.ndarray, weight: np.ndarray) -> Estimate:
+    """Sum of the cells' parts, (n, m, b), over cells and batches."""
     if weight.ndim == 1:
         parts = parts.sum(axis=(0, 1))
     value = np.sum(weight * parts, axis=-1)
     used = np.maximum(np.count_nonzero(weight, axis=-1), 2)
     spread = np.sum(np.square(weight * (parts - value[..., None])), axis=-1) * used / (used - 1)
-    return Estimate(float(np.sum(value)), float(np.sqrt(np.sum(spread) + hidden)))
+    return Estimate(float(np.sum(value)), float(np.sqrt(np.sum(spread))))

@@ -1,20 +1,19 @@
-"""The point source transmittance of a system: for all angles from one backward trace, or angle by angle."""
+"""The point source transmittance of a system: for all angles at once by rays of both directions, or angle by angle."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
-from mistray.analysis.pst.adjoint_run import AdjointRun
+from mistray.analysis.pst.backward_run import BackwardRun
 from mistray.analysis.pst.forward import forward_pst
+from mistray.analysis.pst.plan import shared
 from mistray.analysis.pst.request import Numbers, PstRequest
 from mistray.analysis.pst.result import Pst
-from mistray.analysis.pst.shared_plan import share
 from mistray.analysis.pst.state import PstProgress
 from mistray.errors import MistrayError, UnfinishedError
 from mistray.execute.backward import BackwardTrace
@@ -36,7 +35,7 @@ def pst(
     scene: mi.Scene,
     field_deg: float | Sequence[float] | np.ndarray = range(0, 81, 2),
     *,
-    method: str = "adjoint",
+    method: str = "joined",
     convention: str = "normal",
     azimuths_deg: float | Sequence[float] | np.ndarray | None = None,
     cell_deg: float | None = None,
@@ -58,9 +57,11 @@ def pst(
     """
     Point source transmittance over field angle, by class of the light, with standard errors and paths.
 
-    The adjoint method sends rays from the detector backwards; where they leave the scene is where light comes
-    from, so that one trace gives all angles and azimuths. The forward method sends a plane wave over the whole scene
-    from one cell of directions after the other. Both have the same mean.
+    The adjoint method sends rays from the detector backwards. Where they leave the scene is where light comes from, so
+    that one trace gives all angles and azimuths. The forward method sends a plane wave over the whole scene from one
+    cell of directions after the other. The joined method, the default, does both at once: rays start from the detector
+    and from all cells, and each path counts by the share that the balance heuristic gives to the direction that found
+    it. A pilot learns where light gets in and how many rays each direction needs. All three have the same mean.
 
     Parameters
     ----------
@@ -69,7 +70,7 @@ def pst(
         source does not matter, the light fills everything.
     field_deg : float or sequence of float
         Field angles, 0 … 90, ascending; each is the middle of a cell over which the PST is averaged.
-    method : {"adjoint", "forward"}
+    method : {"joined", "adjoint", "forward"}
     convention : {"normal", "projected"}
         See `Pst`.
     azimuths_deg : float or sequence of float, optional
@@ -83,8 +84,8 @@ def pst(
     detector : str, optional
         Shape id, where the scene has several.
     rays : int, optional
-        Start rays: of the whole trace (adjoint, 4e6), or at each angle (forward, 2e5). With `relative_error` the most
-        there may be.
+        Start rays: from the detector (4e6; the joined method adds rays with the light), or at each angle (forward,
+        2e5). With `relative_error` the most there may be.
     relative_error : float, optional
         Take as many rays as this relative standard error of the PST needs at all angles, as a pilot says.
     error_up_to_deg : float, optional
@@ -94,7 +95,7 @@ def pst(
     map_pixels : int
         Longer side of maps of the detector for each angle; 0: none.
     state : str or Path, optional
-        File that holds all that is finished, renewed as the run goes on (adjoint only).
+        File that holds all that is finished, renewed as the run goes on (not forward).
     resume : bool
         Go on from `state`.
     progress : callable, optional
@@ -151,14 +152,13 @@ def pst_of_each(
     field_deg: Numbers = range(0, 81, 2),
     *,
     progress: Progress | None = None,
-    one_direction: bool = False,
     **arguments: Any,
 ) -> Iterator[Pst]:
     """
     The PST of scenes that are compared, by runs of the same random numbers.
 
-    Light covers the surfaces of all scenes, and equal ways of the light are counted from the same direction by as many
-    rays: what two scenes have in common is equal in both, ray by ray.
+    Light covers the surfaces of all scenes and starts from the same places: what two scenes have in common is equal in
+    both, ray by ray.
 
     Parameters
     ----------
@@ -166,8 +166,6 @@ def pst_of_each(
         All are taken before the first run. Angles are measured from the axis of each scene's own source.
     field_deg, progress
         See `pst`.
-    one_direction : bool
-        Count nothing forwards beside an adjoint run: derivatives know backward rays only.
     **arguments
         The others of `pst`. With `relative_error`, `state` or `resume` one scene only.
 
@@ -186,7 +184,7 @@ def pst_of_each(
     traces: list[BackwardTrace] = []
     for scene in scenes:
         grid, chosen = request.grid(field_axes(scene)), request.settings_for(scene)
-        if request.method == "adjoint":
+        if request.method != "forward":
             traces.append(
                 BackwardTrace(
                     scene, grid, chosen, request.wavelength_nm, request.weights, request.detector,
@@ -202,22 +200,13 @@ def pst_of_each(
         return
     lit = hull_points(*(trace.table for trace in traces))
     place = Path(request.state) if request.state is not None else None
-    runs = [
-        AdjointRun(scene, trace, lit, place, request.resume)
-        for (scene, *_), trace in zip(prepared, traces, strict=True)
-    ]
+    runs = [BackwardRun(trace, lit, request.method == "joined", place, request.resume) for trace in traces]
     plans = [run.plan(request.relative_error, request.error_up_to_deg) for run in runs]
-    if one_direction:
-        plans = [replace(plan, forward=np.zeros_like(plan.forward)) for plan in plans]
-    if len(runs) > 1:
-        plans = share(plans, [trace.table for trace in traces])
-
-    def forward_rays(rays: float) -> np.ndarray:
-        return np.max([plan.forward_rays(rays, request.relative_error) for plan in plans], axis=0)
-
+    if known := [plan for plan in plans if plan is not None]:
+        plans = [*shared(known)]
     for run, plan in zip(runs, plans, strict=True):
         try:
-            run.go_on(plan, forward_rays, progress)
+            run.go_on(plan, progress)
         except UnfinishedError as error:
             if error.partial is not None:
                 error.partial = error.partial.to(request.convention)

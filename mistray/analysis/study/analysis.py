@@ -15,6 +15,8 @@ from mistray.analysis.pst.causes import Break, breaks, cause_frame, first_level_
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.study.first_order import FirstOrder
 from mistray.analysis.study.step import Fact, StudyStep
+from mistray.analysis.study.transfer import transfer_facts, transfer_findings, transfer_tables
+from mistray.analysis.transfer.result import Transfer
 from mistray.ids import event_words
 from mistray.recorders.direction_recorder import CLASSES
 
@@ -32,9 +34,10 @@ def stray_light_analysis(
     first: FirstOrder | None = None,
     transmittance: float = math.nan,
     design: Sequence[str] = (),
+    images: Transfer | str = "",
 ) -> StudyStep:
     """
-    Step 8 from a ghost analysis and a PST with paths.
+    Step 8 from a ghost analysis and a PST with paths, and from images of points with their stray light.
 
     Parameters
     ----------
@@ -46,6 +49,8 @@ def stray_light_analysis(
         Of the design path at normal incidence.
     design : sequence of str
         Surfaces of the design path.
+    images : Transfer or str
+        Or why there are none.
     """
     causes = cause_frame(pst)
     bends = breaks(pst)
@@ -68,25 +73,36 @@ def stray_light_analysis(
         *_zero_order_finding(shots),
         *_ghost_finding(report, design),
     ]
+    text = (
+        "Ghosts of a point source at some field angles, without scatter, and the point source transmittance (PST) at "
+        "all angles, with ghosts and scatter. First-level scatter: scattered once, not reflected."
+    )
+    facts = _facts(pst)
+    if isinstance(images, Transfer):
+        text += " Images of points with all their stray light, as transfer functions and about the direct image."
+        tables |= transfer_tables(images)
+        findings += transfer_findings(images)
+        facts += transfer_facts(images)
+    elif images:
+        text += f" There are no images of points: {images}."
     return StudyStep.of(
         "analysis",
-        "Ghosts of a point source at some field angles, without scatter, and the point source transmittance (PST) at "
-        "all angles, with ghosts and scatter. First-level scatter: scattered once, not reflected.",
-        facts=_facts(pst),
+        text,
+        facts=tuple(facts),
         tables=tables,
         findings=tuple(findings),
         warnings=_warnings(pst),
-        result={"ghosts": report, "pst": pst},
+        result={"ghosts": report, "pst": pst, "images": images if isinstance(images, Transfer) else None},
     )
 
 
-def _facts(pst: Pst) -> tuple[Fact, ...]:
+def _facts(pst: Pst) -> list[Fact]:
     value, se = pst.curve()
     shown = [int(np.argmin(np.abs(pst.field_deg - angle))) for angle in (0, 20, 40, 60, 80)]
     facts = [Fact("convention", pst.convention), Fact("method", pst.method)]
     for i in dict.fromkeys(shown):
         facts.append(Fact(f"PST at {pst.field_deg[i]:g}°", Estimate(float(value[i]), float(se[i]))))
-    return tuple(facts)
+    return facts
 
 
 def _warnings(pst: Pst) -> tuple[str, ...]:

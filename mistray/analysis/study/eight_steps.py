@@ -22,6 +22,8 @@ from mistray.analysis.study.models import mechanical_model, optical_model
 from mistray.analysis.study.objects import object_steps, source_angles
 from mistray.analysis.study.step import STEPS, StudyStep
 from mistray.analysis.study.surfaces import coatings_and_scatter, importance_sampling
+from mistray.analysis.study.transfer import images_with_stray_light
+from mistray.analysis.transfer.result import Transfer
 from mistray.errors import MistrayError
 from mistray.ranges import FIELD_DEG, RELATIVE_ERROR
 from mistray.recorders.directions import DirectionGrid
@@ -29,18 +31,18 @@ from mistray.renamed import renamed
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.sources import scene_sources
-from mistray.settings import NO_LIMIT
+from mistray.settings import NO_LIMIT, polarized_sources
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import share, within
 from mistray.trace import Settings, trace
 
 RAYS = 1_000_000  # of the PST
 QUICK_RAYS = 100_000
-# Start rays in units of those of the PST: of the objects at each source angle, of the ghosts at each field, and of the
-# check of the sampling
-OBJECT_SHARE, GHOST_SHARE, CHECK_SHARE = 0.2, 0.1, 0.02
+# Start rays in units of those of the PST: of the objects at each source angle, of the ghosts at each field, of the
+# check of the sampling, and of the images with stray light at each field
+OBJECT_SHARE, GHOST_SHARE, CHECK_SHARE, IMAGE_SHARE = 0.2, 0.1, 0.02, 0.02
 # Of a time budget, each of what is left of it; the PST has the rest
-OBJECT_TIME, PROBE_TIME, GHOST_TIME = 0.25, 0.1, 0.33
+OBJECT_TIME, PROBE_TIME, GHOST_TIME, IMAGE_TIME = 0.25, 0.1, 0.33, 0.2
 FIELDS = (0.0, 0.5, 1.0, 1.25)  # of the half field over the detector's height, where the fields are not given
 FEW_FIELDS_DEG = (0.0, 10.0, 20.0)  # where that is not known
 
@@ -103,6 +105,12 @@ class Study(Mapping[str, StudyStep]):
     def pst(self) -> Pst:
         """The point source transmittance of step 8."""
         found: Pst = self["analysis"].result["pst"]
+        return found
+
+    @property
+    def images(self) -> Transfer | None:
+        """Images of points with their stray light of step 8; None where the scene makes none."""
+        found: Transfer | None = self["analysis"].result["images"]
         return found
 
     @property
@@ -179,7 +187,7 @@ def study(
         Field angles of the ghost analysis, degrees; by default the axis, half, the whole and 5/4 of the half field.
     rays : int, optional
         Start rays of the PST (1e6; quick: 1e5). The objects get a fifth of them at each source angle, the ghosts a
-        tenth at each field.
+        tenth at each field, the images of points with stray light a fiftieth at each field.
     quick : bool
         A first look: fewer rays.
     wavelength_nm, weights
@@ -197,7 +205,8 @@ def study(
     progress : callable, optional
         See `Progress`.
     seconds : float, optional
-        Time for all steps: a quarter for the objects, a third of what is left for the ghosts, the rest for the PST.
+        Time for all steps: a quarter for the objects, a third of what is left for the ghosts, a fifth of the rest for
+        the images of points with stray light, whose wavefronts take their time beside it, and what is left for the PST.
         Each ends with the rays that it has, and its warnings count them.
     **settings
         Other fields of `mistray.trace.Settings`, such as ``max_scatters`` or ``seed``.
@@ -214,11 +223,7 @@ def study(
     count = rays if rays is not None else QUICK_RAYS if quick else RAYS
     tell = progress or (lambda number, what, share: None)
     chosen = Settings.of(scene, **given | {"rays": count})
-    if chosen.max_random_scatters < NO_LIMIT:
-        raise MistrayError(
-            f"max_random_scatters is {chosen.max_random_scatters}; a PST that is traced backwards has no such "
-            "limit; leave it out"
-        )
+    _check_pst(scene, chosen)
     first = scene_sources(scene, wavelength_nm=wavelength_nm, weights=weights)[0].wavelength_nm
     table = SurfaceTable(scene, first, stokes=chosen.stokes)
     path = find_design_path(table, scene)
@@ -254,11 +259,10 @@ def study(
         tell(6, "coatings and scatter models", 0.0)
         done(coatings_and_scatter(table, path))
         tell(7, "importance sampling", 0.0)
-        probe = None
-        if any(interface.scatter for interface in table.interfaces) and chosen.max_scatters:
-            few = given | {"rays": max(1, round(CHECK_SHARE * count))}
-            with share(PROBE_TIME):
-                probe = trace(scene, field_deg=0.0, wavelength_nm=first, **few)
+        scatters = any(interface.scatter for interface in table.interfaces) and chosen.max_scatters
+        few = given | {"rays": max(1, round(CHECK_SHARE * count))}
+        with share(PROBE_TIME):
+            probe = trace(scene, field_deg=0.0, wavelength_nm=first, **few) if scatters else None
         done(importance_sampling(table, path, importance_targets(table, scene, chosen), probe))
         with share(GHOST_TIME):
             report = ghosts(
@@ -268,6 +272,15 @@ def study(
                 progress=lambda at, of: tell(8, "ghosts", at / of),
                 **light,
                 **given | {"rays": max(1, round(GHOST_SHARE * count)), "max_scatters": 0},
+            )
+        with share(IMAGE_TIME):
+            images = images_with_stray_light(
+                scene,
+                report,
+                light | {"azimuth_deg": azimuth_deg},
+                given | {"rays": max(1, round(IMAGE_SHARE * count))},
+                quick,
+                lambda at, of: tell(8, "images with stray light", at / of),
             )
         curve = pst(
             scene,
@@ -284,7 +297,7 @@ def study(
     transmittance = steps[5].fact("transmittance of the design path") if path is not None else math.nan
     assert isinstance(transmittance, float)
     design = [table.ids[step.surface] for step in path.steps] if path is not None else []
-    done(stray_light_analysis(report, curve, numbers, transmittance, design))
+    done(stray_light_analysis(report, curve, numbers, transmittance, design, images))
     light_of = _angles_and_light(report, curve)
     asked = {"rays": count, **light_of, "convention": convention, "relative_error": relative_error, **given}
     return Study(scene, name, tuple(steps), asked)
@@ -318,6 +331,20 @@ def _check(
     if relative_error is not None:
         RELATIVE_ERROR.check("relative_error", relative_error)
     return angles, None if field_deg is None else FIELD_DEG.check_each("field_deg", field_deg)
+
+
+def _check_pst(scene: mi.Scene, chosen: Settings) -> None:
+    """Refuse light and limits that a PST has none of."""
+    if polarized := polarized_sources(scene):
+        raise MistrayError(
+            f"source '{polarized[0]}' is polarised, and a study compares its light with a PST, which is of unpolarised "
+            "light; leave the polarisation of the source out"
+        )
+    if chosen.max_random_scatters < NO_LIMIT:
+        raise MistrayError(
+            f"max_random_scatters is {chosen.max_random_scatters}; a PST that is traced backwards has no such "
+            "limit; leave it out"
+        )
 
 
 def _fields(numbers: FirstOrder | None) -> list[float]:

@@ -18,7 +18,6 @@ from mistray.sampling.outlines import outline
 from mistray.sampling.source import SceneSource
 from mistray.sampling.sources import scene_sources
 from mistray.surfaces.host_points import across
-from mistray.surfaces.host_rays import first_hit, onward
 
 STEP = 1e-5  # height of the rays for derivatives, in units of the beam's size
 AFOCAL = 1e-9  # slope per unit of height, in units of 1/size, below which the system has no focus
@@ -28,7 +27,6 @@ RADII = 96  # radii in each of them; an obstruction or an aperture narrower than
 HALVINGS = 10  # of the distance of two radii, to find the edge between them
 GAP_PROBES = 1024  # rays between obstruction and edge that tell how much vanes of a spider take
 NEAR_EDGE = 0.02  # of the radius, where these are not looked for
-MOST_EVENTS = 64
 LARGEST_FIELD_DEG = 89.0
 
 
@@ -130,38 +128,6 @@ def _focus(path: DesignPath) -> tuple[tuple[float, float], float]:
     return (float(lengths[0]), float(lengths[1])), float(real.mean()) if len(real) else math.inf
 
 
-def _passes(scene: Any, path: DesignPath, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Follow rays parallel to the axis by what they meet.
-
-    Returns
-    -------
-    passes : (n,) bool
-        Whether a ray reaches the detector by the design path.
-    ends : (n,) int
-        First surface that is not that of the design path; -1: none.
-    """
-    table = path.table
-    o, d = scene_sources(scene, field_deg=0.0)[0].parallel(x, y)
-    last, ends = np.full(len(o), -1), np.full(len(o), -1)
-    passes = np.zeros(len(o), dtype=bool)
-    alive = np.arange(len(o))
-    for step in path.steps[:MOST_EVENTS]:
-        surface, p, normal = first_hit(table, o[alive], d[alive], last[alive])
-        good = surface == step.surface
-        ends[alive[~good]] = surface[~good]
-        if step is path.steps[-1]:
-            passes[alive[good]] = True
-            break
-        alive, p, normal = alive[good], p[good], normal[good]
-        after, reflects = onward(table, surface[good], d[alive], normal)
-        kept = np.isfinite(after[:, 0]) & (reflects == step.reflects)
-        ends[alive[~kept]] = step.surface
-        alive = alive[kept]
-        o[alive], d[alive], last[alive] = p[kept], after[kept], step.surface
-    return passes, ends
-
-
 def _pupil(scene: Any, path: DesignPath) -> tuple[float, float, str]:
     """Diameter and free area of the entrance pupil, and the surface at its edge."""
     target = outline(path.table.shapes[path.steps[0].surface])
@@ -171,7 +137,8 @@ def _pupil(scene: Any, path: DesignPath) -> tuple[float, float, str]:
     r = largest * (np.arange(RADII) + 0.5) / RADII
 
     def tried(radii: np.ndarray, azimuths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return _passes(scene, path, radii * np.cos(azimuths), radii * np.sin(azimuths))
+        found = path.unobstructed(*source.through(radii * np.cos(azimuths), radii * np.sin(azimuths)))
+        return found.passes, found.ends
 
     passes, ends = (values.reshape(AZIMUTHS, RADII) for values in tried(np.tile(r, AZIMUTHS), np.repeat(phi, RADII)))
     open_ways = np.flatnonzero(passes.any(axis=1))
@@ -225,7 +192,7 @@ def _field(scene: Any, path: DesignPath) -> dict[str, float]:
     def hit(angle_deg: float, azimuth_deg: float) -> np.ndarray:
         """Hit on the plane of the detector, in its axes; NaN where the base ray is lost."""
         source = scene_sources(scene, field_deg=angle_deg, azimuth_deg=azimuth_deg)[0]
-        found = path.follow(*source.middle, 0)
+        found = path.follow(*source.through(np.zeros(1), np.zeros(1)), 0)
         return np.asarray((found[0] - detector.centre) @ axes)
 
     # A field in the direction of azimuth φ, from +y towards -x, moves the image along one line: which azimuth serves

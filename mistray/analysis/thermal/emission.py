@@ -20,7 +20,7 @@ from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.thermal.narcissus import Return, mean_returns, returns
 from mistray.analysis.thermal.spectrum import band_weights, traced_wavelengths
 from mistray.errors import MistrayError
-from mistray.execute.backward import Seen, see
+from mistray.execute.seen import Seen, see
 from mistray.ids import fits
 from mistray.physics import planck
 from mistray.ranges import TEMPERATURE_K, WAVELENGTH_UM
@@ -229,7 +229,7 @@ def thermal(
         raise MistrayError(f"band_um is {low:g} to {high:g}; give the shorter wavelength first")
     waves = traced_wavelengths(scene, wavelengths_um, (low, high))
     _check_names(scene, rules)
-    chosen = Settings.of(scene, **settings)
+    chosen = Settings.without_sources(scene, **settings)
     runs: tuple[list[Seen], list[Seen]] = ([], [])
     traces = 2 * len(waves)
     with within(seconds):

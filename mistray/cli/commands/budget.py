@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mistray.cli.command import Command, Option
 from mistray.cli.options import Options
-from mistray.cli.shared import MACHINE, SCENE, output
+from mistray.cli.shared import MACHINE, SCENE, TABLE_FORMATS, output
 
 # What --out writes
 FILES = ("scene.xml", "report.html", "budget.*", "requirements.csv")
@@ -26,7 +26,7 @@ COMMAND = Command(
         SCENE,
         Option("budget", "TOML file", Path, "BUDGET"),
         *MACHINE,
-        output("scene.xml, report.html, CSV files, JSON and a picture", FILES),
+        output("scene.xml, report.html, CSV files, JSON and a picture", FILES, formats=TABLE_FORMATS),
     ),
 )
 # fmt: on

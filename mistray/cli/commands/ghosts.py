@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from mistray.cli.arguments import pairs
 from mistray.cli.command import Command, Group, Option
 from mistray.cli.ghosts_json import WORST_SHOWN, as_json
 from mistray.cli.options import Options
@@ -18,14 +18,17 @@ from mistray.cli.shared import (
     SCATTER,
     SCENE,
     SCHEDULER,
+    SENSORS,
+    SOURCE,
     SPECTRUM,
+    SURFACES,
     TABLE_FORMATS,
     TIME,
     output,
     ray_tree,
 )
 from mistray.errors import Interrupted, MistrayError, UnfinishedError
-from mistray.ranges import AZIMUTH_DEG, BLOCK, FIELD_DEG, PART, SECONDS, STOPS
+from mistray.ranges import AZIMUTH_DEG, BLOCK, FIELD_DEG, PART, PLACE_MM, SECONDS, STOPS
 from mistray.time_budget import within
 
 if TYPE_CHECKING:
@@ -60,20 +63,25 @@ FILES = (
     "aliased_paths.csv",
     "path_analysis.csv",
     "filtered_*.csv",
-    "overview.png",
+    "probes.csv",
+    "far_fields.csv",
+    "surface_maps.csv",
+    "overview*.png",
     "levels.png",
     "ghosts_*deg.png",
     "layout_*deg.png",
+    "surface_maps_*deg.png",
     "colour_*deg.png",
     "path_sort_*deg.txt",
 )
 
 
-def _alias(text: str) -> str:
+_pattern = pairs("no alias; give PATTERN=NAME, part or space")
+
+
+def _alias(text: str) -> str | tuple[str, str]:
     """PATTERN=NAME, or a word for all surfaces."""
-    if text not in ALL_ALIASES and not all(part for part in (*text.rpartition("="),)):
-        raise argparse.ArgumentTypeError(f"'{text}' is no alias; give PATTERN=NAME, part or space")
-    return text
+    return text if text in ALL_ALIASES else _pattern(text)
 
 
 # fmt: off
@@ -86,6 +94,8 @@ COMMAND = Command(
     (
         "mistray ghosts phone_camera --field-deg 0 5 10 15 20 25 27 --out out",
         "mistray ghosts scene.xml --wavelength-nm 620 --rays 1e7 --json",
+        "mistray ghosts scene.xml --probe 0,0,17,half_width=20,half_height=20,id=stop --out out",
+        "mistray ghosts double_gauss_barrel --field-deg 20 --surface-maps 'barrel*' hood --out out",
         "mistray ghosts scene.xml --max-scatters 2 --max-reflections 1 --aimed-rays 4 --out out",
         "mistray ghosts scene.xml --out out --formats parquet fits",
         "mistray ghosts scene.xml --rays 1e9 --scheduler tcp://host:8786 --out out    # docs/distributed.md",
@@ -95,11 +105,15 @@ COMMAND = Command(
         SCENE,
         Group("source (default: as the scene says)", (
             Option("--field-deg", "field angles, degrees", FIELD_DEG, "DEG", "+"),
+            Option("--field-mm", "object heights of a near source instead, mm", PLACE_MM, "MM", "+"),
             Option("--azimuth-deg", "azimuth of the field about z, degrees", AZIMUTH_DEG, "DEG"),
             *SPECTRUM,
+            SOURCE,
             DETECTOR,
+            *SENSORS,
         )),
         ray_tree("start rays at each field (1e6)", TIME, SCHEDULER),
+        SURFACES,
         SCATTER,
         output("report.html, CSV, PNG and path-sort files", FILES,
                Option("--rank", "what the list of worst paths goes by: RMS irradiance, power, or peak, the brightest "
@@ -135,6 +149,8 @@ def run(options: Options) -> int:
     from mistray.report import main_table
     from mistray.trace.path_filter import PathFilter
 
+    if options.field_mm and options.field_deg:
+        raise MistrayError("--field-deg and --field-mm are given; give one of them")
     look = _look(options)
     PathFilter(options.filter or "")  # an error in its text shows before the trace
     _aliases(options.alias)
@@ -143,6 +159,10 @@ def run(options: Options) -> int:
     if not 0 <= (options.least_share or 0.0) < 1:
         raise MistrayError(f"--least-share is {options.least_share:g}; it is a share of all light, 0 to 1")
     scene = options.load()
+    if options.field_mm:
+        from mistray.sampling.sources import field_of
+
+        options.field_deg = [field_of(scene, height) for height in options.field_mm]
     if look is not None:
         from mistray.report.colour import check_wavelengths
 
@@ -203,7 +223,9 @@ def _write_report(report: GhostReport, extra: _Extra, options: Options, look: Lo
 
     try:
         with options.working("drawing the report"):
-            files = write_all(report, options.out, options.title, options.command_line, options.per_wavelength, look)
+            pdf = "pdf" in options.formats
+            named = (options.title, options.command_line)
+            files = write_all(report, options.out, *named, options.per_wavelength, look, pdf)
             return files + extra.write() + _write_formats(report, options)
     except UnfinishedError:
         raise
@@ -258,16 +280,16 @@ class _Extra:
         ]
 
 
-def _aliases(words: list[str] | None) -> dict[str, str] | str | None:
+def _aliases(words: list[str | tuple[str, str]] | None) -> dict[str, str] | str | None:
     """What `mistray.trace.PathTable.by_way` takes."""
     if words is None:
         return None
-    alone = [word for word in words if word in ALL_ALIASES]
+    alone = [word for word in words if isinstance(word, str)]
     if alone and len(words) > 1:
         raise MistrayError(f"--alias {alone[0]} stands for all surfaces; give it alone")
     if alone:
         return alone[0]
-    return {pattern: name for pattern, _, name in (word.rpartition("=") for word in words)}
+    return dict(word for word in words if not isinstance(word, str))
 
 
 def _write_unfinished(error: UnfinishedError, options: Options) -> None:
@@ -303,10 +325,13 @@ def _write_tables(report: Any, options: Options) -> list[Path]:
 def _write_formats(report: GhostReport, options: Options) -> list[Path]:
     """The tables as Parquet, and irradiance_<field>deg in the other formats."""
     from mistray.report import IrradianceMap, write_formats
+    from mistray.report.ghosts.passing import passing_maps
+    from mistray.report.ghosts.surface_maps import surface_map_files
     from mistray.report.tables.ghosts_csv import csv_tables
 
     tables = csv_tables(report, options.per_wavelength)
     maps = {f"irradiance_{field:g}deg": IrradianceMap.of(t) for field, t in report.items()}
+    maps |= passing_maps(report) | surface_map_files(report)
     return write_formats(options.formats, options.out, tables, maps, {"command": options.command_line})
 
 

@@ -8,11 +8,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mistray.cli.arguments import pairs
 from mistray.cli.arriving import arriving
 from mistray.cli.command import Command, Group, Option
 from mistray.cli.commands import import_mechanics
 from mistray.cli.options import Options, print_json
-from mistray.cli.shared import FORCE, flag
+from mistray.cli.shared import FORCE, SURFACES, flag
 from mistray.errors import MistrayError
 from mistray.ranges import MARGIN, SIZE_MM, WAVELENGTH_NM
 from mistray.read_file import require_file
@@ -71,7 +72,7 @@ COMMAND = Command(
                    "(blackened)", metavar="KIND"),
             Option("--coatings", "COATING.DAT that holds the coatings of a .zmx file", metavar="FILE"),
             Option("--glass", "material of a glass name, such as 'MYGLASS=nd=1.62 Vd=36.4 k=0'",
-                   metavar="NAME=MATERIAL", nargs="+"),
+                   pairs("no glass; write NAME=MATERIAL, such as 'MYGLASS=N-BK7'"), "NAME=MATERIAL", "+"),
             Option("--glass-catalogue", "further glass catalogues", metavar="AGF", nargs="+"),
             Option("--radius-mode", "a .seq file gives radii (yes) or curvatures (no), where it does not say",
                    ("yes", "no")),
@@ -84,6 +85,7 @@ COMMAND = Command(
             Option("--detector-half-mm", "half width and height of the detector, mm (as the image of all fields)",
                    SIZE_MM, ("X", "Y"), 2),
         )),
+        SURFACES,
         import_mechanics.GROUP,
     ),
 )
@@ -111,6 +113,10 @@ def run(options: Options) -> int:
         record = {"notes": prescription.provenance.splitlines()[1:], "unread": []}
     from mistray.prescription.scene_file import beside
 
+    if rules := options.rules():
+        from mistray.scene import coat
+
+        prescription = coat(prescription, rules.coatings, paint=rules.paint, scatter=rules.scatter)
     beside(prescription, output.parent).to_xml(output)
     shapes = sum(1 for _ in prescription.shapes())
     angles = _angles(record, prescription)
@@ -143,11 +149,10 @@ def _from_sequential(lens: Path, kind: str, options: Options) -> Built:
     from mistray.io.zemax.read import read_zemax
     from mistray.prescription.closing.system import build
 
-    glasses = dict(_glass(text) for text in options.glass or [])
     shared: dict[str, Any] = {
         "configuration": options.configuration,
         "glass_catalogues": options.glass_catalogue or (),
-        "glasses": glasses or None,
+        "glasses": dict(options.glass or ()) or None,
     }
     readers: Mapping[str, Callable[[], Sequential]] = {
         "len": lambda: read_oslo(lens, **(shared | {"configuration": _number(options.configuration)})),
@@ -172,13 +177,6 @@ def _number(configuration: str | None) -> int:
     if not configuration.isdigit() or int(configuration) < 1:
         raise MistrayError(f"--configuration '{configuration}': OSLO files number theirs from 1 on; give a number")
     return int(configuration)
-
-
-def _glass(text: str) -> tuple[str, str]:
-    name, equals, material = text.partition("=")
-    if not (equals and name.strip() and material.strip()):
-        raise MistrayError(f"--glass '{text}': write NAME=MATERIAL, such as 'MYGLASS=N-BK7'")
-    return name.strip(), material.strip()
 
 
 def _at(prescription: Prescription, wavelength_nm: float) -> Prescription:
@@ -221,8 +219,11 @@ def _record(built: Built) -> dict[str, Any]:
 
 def _text(record: Mapping[str, Any], angles: list[float], lens: Path, output: Path) -> str:
     command = ["mistray", "ghosts", str(output)]
-    if len(angles) > 1:
+    heights = _heights(record)
+    if angles not in ([], [0.0]):
         command += ["--field-deg", *(f"{angle:g}" for angle in angles)]
+    elif heights not in ([], [0.0]):
+        command += ["--field-mm", *(f"{height:g}" for height in heights)]
     from mistray.materials.mate import shown
 
     lines = [f"{output}: {record['surfaces']} surfaces; next: {shlex.join(command)}"]
@@ -257,6 +258,13 @@ def _angles(record: Mapping[str, Any], prescription: Prescription) -> list[float
     if all(surface.coaxial for surface in prescription.surfaces):
         return sorted({_angle(*field) for field in fields})
     return sorted({round(y, 6) for x, y in fields if x == 0})
+
+
+def _heights(record: Mapping[str, Any]) -> list[float]:
+    """Heights of a near object to trace, mm; those beside the yz plane are left out."""
+    if record.get("field_kind") != "object_height":
+        return []
+    return sorted({float(y) for x, y in record["fields_mm"] if x == 0})
 
 
 def _angle(x_deg: float, y_deg: float) -> float:

@@ -9,6 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mistray.cli.arguments import pairs
 from mistray.cli.arriving import arriving
 from mistray.cli.command import Group, Option
 from mistray.cli.options import Options, print_json
@@ -25,10 +26,8 @@ SUFFIXES = (".step", ".stp", ".stl", ".obj", ".ply")
 # fmt: off
 GROUP = Group("mechanics (STEP, STL, OBJ, PLY)", (
     Option("--into", "scene that the parts are added to (default: a file for <include>)", metavar="SCENE"),
-    Option("--paint", "paint of parts or faces by name: 'vane*=flat_black', 'tube=paint reflectance=0.05'; black "
-           "absorbs everything, as what has no paint does; names of the scene count too",
-           metavar="PATTERN=PAINT", nargs="+"),
-    Option("--space", "optical space of parts or faces", metavar="PATTERN=N", nargs="+"),
+    Option("--space", "optical space of parts or faces",
+           pairs("no optical space; write PATTERN=N, such as 'vane*=2'", SPACE), "PATTERN=N", "+"),
     Option("--unit", "of STL, OBJ, PLY: um, mm, cm, m, inch or ft (mm)", metavar="UNIT"),
     Option("--move-mm", "where the origin of the parts goes after the tilt, mm (0 0 0)", PLACE_MM, ("X", "Y", "Z"), 3),
     Option("--tilt-deg", "turns about x, then y, then z of the scene, degrees (0 0 0)",
@@ -54,8 +53,7 @@ def run(options: Options) -> int:
     if opened(output) is not None or (output.exists() and not output.is_file()):
         raise MistrayError(f"output '{output}' is no regular file, and meshes are written beside it; name a scene file")
     options.claim_output(output)
-    paint = dict(_rule(text, "--paint") for text in options.paint or [])
-    spaces = {pattern: _space(pattern, value) for pattern, value in (_rule(t, "--space") for t in options.space or [])}
+    options.refuse(("coating", "scatter"), ": parts get their coating and scatter by --paint; leave it out")
     known = _known(options.into) if options.into else {}
     x, y, z = options.move_mm or (0.0, 0.0, 0.0)
     most = MOST_ANALYTIC if options.most_analytic is None else options.most_analytic
@@ -69,7 +67,7 @@ def run(options: Options) -> int:
             tolerance_mm=options.tolerance_mm,
             time_limit_s=options.time_limit_s,
         )
-    mechanics = mechanics.painted(paint, space=spaces, known=known)
+    mechanics = mechanics.painted(dict(options.paint or ()), space=dict(options.space or ()), known=known)
     if options.into:
         from mistray.scene import add_structures
 
@@ -88,31 +86,14 @@ def run(options: Options) -> int:
     return 0
 
 
-def _rule(text: str, option: str) -> tuple[str, str]:
-    pattern, equals, value = text.partition("=")
-    if not (equals and pattern and value.strip()):
-        raise MistrayError(f"{option} '{text}': write PATTERN=VALUE, such as 'vane*=black'")
-    return pattern, value.strip()
-
-
-def _space(pattern: str, value: str) -> int:
-    if not value.isdecimal() or int(value) not in SPACE:
-        raise MistrayError(f"--space '{pattern}={value}': '{value}' is no optical space; give a number such as 2")
-    return int(value)
-
-
 def _known(scene: str) -> dict[str, Finish]:
     """Coatings and scatter models of a scene, as paints."""
-    from mistray.mechanics import Finish
-    from mistray.prescription.coating import Coating
+    from mistray.mechanics.finish import known_finishes
     from mistray.scene import find
     from mistray.scene.add_structures import shared_objects
     from mistray.scene.xml_file import SceneFile
 
-    shared = shared_objects(SceneFile(find(scene)))
-    return {
-        name: Finish(item) if isinstance(item, Coating) else Finish(scatter=(item,)) for name, item in shared.items()
-    }
+    return known_finishes(shared_objects(SceneFile(find(scene))).values())
 
 
 def _record(mechanics: Mechanics, shapes: Sequence[Structure | MeshStructure]) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mistray.cli.command import Command, Group, Option, angles
 from mistray.cli.options import Options
-from mistray.cli.shared import DETECTOR, ELSE, MACHINE, SCENE, TABLE_FORMATS, TIME, output, setting
+from mistray.cli.shared import DETECTOR, ELSE, MACHINE, SCENE, SURFACES, TABLE_FORMATS, TIME, output, setting
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, CONE_DEG, PLACE_MM, RAYS, ROWS, SHARE, WAVELENGTH_NM
 
@@ -60,6 +60,7 @@ COMMAND = Command(
             TIME,
             *MACHINE,
         )),
+        SURFACES,
         output("objects.html, CSV, JSON and PNG files", FILES,
                Option("--rows", f"rows of each table ({ROWS_SHOWN})", ROWS, "N", default=ROWS_SHOWN),
                formats=TABLE_FORMATS),

@@ -12,7 +12,7 @@ from mistray.cli.command import Command, Option
 from mistray.cli.options import Options
 from mistray.cli.progress import terminal_bar
 from mistray.cli.saved_run import SavedRun
-from mistray.cli.shared import MACHINE, SCENE, TIME, output
+from mistray.cli.shared import MACHINE, SCENE, TABLE_FORMATS, TIME, output
 from mistray.errors import MistrayError
 from mistray.ranges import ROWS, SEEDS
 
@@ -51,7 +51,7 @@ COMMAND = Command(
         TIME,
         Option("--resume", "go on from the checkpoint in --out", bool),
         *MACHINE,
-        output("scene.xml, report.html, tables, pictures and the checkpoint", FILES),
+        output("scene.xml, report.html, tables, pictures and the checkpoint", FILES, formats=TABLE_FORMATS),
     ),
 )
 # fmt: on
@@ -82,11 +82,13 @@ def run(options: Options) -> int:
                 verification_seeds=options.verification_seeds,
                 seconds=options.seconds_left(),
             )
-        if options.out is not None:
-            from mistray.report.optimization import write_optimization
+        if folder is not None:
+            from mistray.report.optimization import optimization_report, scene_text
 
-            with options.working("drawing the report"):
-                files = write_optimization(result, options.out, options.command_line)
+            folder.mkdir(parents=True, exist_ok=True)
+            files = options.write(
+                lambda _, command: optimization_report(result, command), lambda path: scene_text(result, path)
+            )
     return saved.code or options.show(lambda: optimization_record(result), lambda: report_text(result), files)
 
 

@@ -21,6 +21,7 @@ from mistray.cli.shared import (
     SCENE,
     SCHEDULER,
     SPECTRUM,
+    SURFACES,
     TABLE_FORMATS,
     TIME,
     output,
@@ -65,8 +66,8 @@ COMMAND = Command(
             Option("--azimuth-cell-deg", "and of azimuth (the distance of two azimuths)", AZIMUTH_WIDTH_DEG, "DEG"),
         )),
         Group("result", (
-            Option("--method", "one trace from the detector, or one beam for each angle (adjoint)",
-                   ("adjoint", "forward"), default="adjoint"),
+            Option("--method", "both directions at once, rays from the detector alone, or beams of each angle (joined)",
+                   ("joined", "adjoint", "forward"), default="joined"),
             Option("--convention", "E_det/E_⊥ across the beam, or E_det/(E_⊥ cos θ) (normal)",
                    ("normal", "projected"), default="normal"),
             DETECTOR,
@@ -77,8 +78,9 @@ COMMAND = Command(
         Group("source (default: as the scene says)", SPECTRUM),
         ray_tree("start rays in all, or for each angle (forward); with --relative-error the most (4e6; 2e5)",
                  TIME, SCHEDULER),
+        SURFACES,
         SCATTER,
-        Group("saved run (adjoint)", (
+        Group("saved run (not with --method forward)", (
             Option("--state", f"what is finished, renewed as the run goes on ({STATE} in --out)", Path, "FILE",
                    writes=()),
             Option("--resume", "go on from the saved run", bool),
@@ -162,7 +164,7 @@ def _check(options: Options) -> None:
     elif options.out is None:
         raise MistrayError("--map-field-deg draws pictures; say with --out where they shall go")
     if options.method == "forward":
-        why = " with --method forward; only the adjoint method can go on from a saved run"
+        why = " with --method forward, which cannot go on from a saved run"
         options.refuse(["resume", "state"], why)
     if options.resume and options.state is None and options.out is None:
         raise MistrayError("--resume needs the saved run; give --state FILE, or the --out DIR of that run")
@@ -197,7 +199,7 @@ def _maps_at(options: Options, grid: DirectionGrid) -> list[tuple[float, float]]
 def _state(options: Options) -> Path | None:
     """File of the saved run: the one given, else one in the output directory; None: nothing is saved."""
     path = options.state
-    if path is None and options.out is not None and options.method == "adjoint":
+    if path is None and options.out is not None and options.method != "forward":
         path = options.out / STATE
     if path is None:
         return None

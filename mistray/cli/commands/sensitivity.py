@@ -7,7 +7,18 @@ from typing import Any
 from mistray.cli.arguments import pairs
 from mistray.cli.command import Command, Group, Option
 from mistray.cli.options import Options
-from mistray.cli.shared import SCATTER, SCENE, SCHEDULER, SPECTRUM, flag, output, ray_tree
+from mistray.cli.shared import (
+    SCATTER,
+    SCENE,
+    SCHEDULER,
+    SOURCE,
+    SPECTRUM,
+    SURFACES,
+    TABLE_FORMATS,
+    flag,
+    output,
+    ray_tree,
+)
 from mistray.errors import MistrayError
 from mistray.ranges import CONE_DEG, EDGE_WIDTH, FACTOR, FIELD_DEG, POLAR_DEG, POSITIVE, ROWS
 
@@ -55,6 +66,7 @@ COMMAND = Command(
             Option("--patch-deg", "of veiling_glare: half-width of the black patch", CONE_DEG, "DEG"),
             Option("--light", "of a PST: stray, ghost, single_scatter, total … (stray)", metavar="CLASS"),
             *SPECTRUM,
+            SOURCE,
         )),
         Group("parameters", (
             Option("--parameter", "keys or patterns such as 'vane_*.r0' (all)", metavar="KEY", nargs="+"),
@@ -76,9 +88,10 @@ COMMAND = Command(
                    EDGE_WIDTH, "W", default=0.02),
         )),
         ray_tree("start rays at each field, or of the PST", SCHEDULER),
+        SURFACES,
         SCATTER,
         output("report.html, CSV files, JSON and pictures", FILES,
-               Option("--top", "rows of the table (20)", ROWS, "N", default=20)),
+               Option("--top", "rows of the table (20)", ROWS, "N", default=20), formats=TABLE_FORMATS),
     ),
 )
 # fmt: on

@@ -12,7 +12,18 @@ from mistray.cli.command import Command, Group, Option, angles
 from mistray.cli.options import Options
 from mistray.cli.progress import terminal_bar
 from mistray.cli.saved_run import SavedRun
-from mistray.cli.shared import SCATTER, SCENE, SCHEDULER, SPECTRUM, TABLE_FORMATS, TIME, output, ray_tree
+from mistray.cli.shared import (
+    SCATTER,
+    SCENE,
+    SCHEDULER,
+    SOURCE,
+    SPECTRUM,
+    SURFACES,
+    TABLE_FORMATS,
+    TIME,
+    output,
+    ray_tree,
+)
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, RELATIVE_ERROR
 
@@ -49,9 +60,11 @@ COMMAND = Command(
             Option("--convention", "PST as E_det/E_⊥ across the beam, or E_det/(E_⊥ cos θ) (normal)",
                    ("normal", "projected"), default="normal"),
             *SPECTRUM,
+            SOURCE,
         )),
         ray_tree("start rays of the PST; objects get a fifth at each angle, ghosts a tenth (1e6; quick: 1e5)",
                  TIME, SCHEDULER),
+        SURFACES,
         SCATTER,
         output("report.html and a CSV file of every table", FILES,
                Option("--resume", "go on with the PST that was saved in --out", bool),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from mistray.cli.arguments import pairs
 from mistray.cli.command import Command, Group, Option
 from mistray.cli.options import Options
-from mistray.cli.shared import DETECTOR, SCATTER, SCENE, TABLE_FORMATS, TIME, output, ray_tree
+from mistray.cli.shared import DETECTOR, SCATTER, SCENE, SURFACES, TABLE_FORMATS, TIME, output, ray_tree
 from mistray.ranges import TEMPERATURE_K, WAVELENGTH_UM
 
 # What --out writes
@@ -38,6 +38,7 @@ COMMAND = Command(
             DETECTOR,
         )),
         ray_tree("rays from the detector, for each wavelength and twice (2e5)", TIME),
+        SURFACES,
         SCATTER,
         output("report.html, CSV, JSON and PNG files", FILES, formats=TABLE_FORMATS),
     ),

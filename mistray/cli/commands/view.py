@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from mistray.cli.claims import claim_files
 from mistray.cli.command import Command, Group, Option
 from mistray.cli.options import Options, print_json
-from mistray.cli.shared import FORCE, NAMES, SCATTER, SCENE, SPECTRUM, ray_tree
+from mistray.cli.shared import FORCE, MAPS, NAMES, SCATTER, SCENE, SOURCE, SPECTRUM, SURFACES, ray_tree
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, PLACE_MM, RAYS_DRAWN, ROWS
 
@@ -20,7 +20,7 @@ RAYS = 20_000
 WHOLE = "none"
 PICTURE = ("colour", "cut_deg", "cut_mm")  # options of the page alone
 OF_A_TRACE = ("field_deg", "azimuth_deg", "wavelength_nm", "weights", "paths", "path_ids", "filter", "rays_per_path",
-              "save_rays", *NAMES)  # fmt: skip
+              "save_rays", "surface_maps", *NAMES)  # fmt: skip
 NO_EFFECT = " has no effect "
 
 
@@ -40,6 +40,7 @@ COMMAND = Command(
         "mistray view phone_camera --field-deg 20 --out view.html",
         "mistray view cooke_triplet --field-deg 10 --layout triplet.pdf --save-rays rays.ply",
         "mistray view scene.xml --cut-deg 90 --path-ids 0 3 7 --out view.html",
+        "mistray view double_gauss_barrel --field-deg 20 --surface-maps 'barrel*' hood --out walls.html",
         "mistray view scene.xml --no-trace",
     ),
     (
@@ -48,16 +49,19 @@ COMMAND = Command(
             Option("--field-deg", "field angle, degrees", FIELD_DEG, "DEG"),
             Option("--azimuth-deg", "azimuth of the field about z, degrees", AZIMUTH_DEG, "DEG"),
             *SPECTRUM,
+            SOURCE,
+            MAPS,
         )),
         ray_tree(f"start rays ({RAYS}, whatever the scene says)"),
+        SURFACES,
         SCATTER,
         Group("picture", (
             Option("--paths", "paths, strongest first, each at its strongest wavelength (8; 4 in a layout)", ROWS, "N"),
             Option("--path-ids", "these rows instead", ROWS, "ID", "+"),
             Option("--filter", "strongest rows that pass a filter, as 'G(lens*) & !S' (docs/rays.md)", metavar="EXPR"),
             Option("--rays-per-path", "most rays of each path (10; 7 in a layout)", RAYS_DRAWN, "N"),
-            Option("--colour", "of surfaces: incident flux, absorbed flux, or what they are (flux)",
-                   ("flux", "absorbed", "role")),
+            Option("--colour", "of surfaces: incident flux, absorbed flux, by place with --surface-maps (then the "
+                   "default), or what they are (flux)", ("flux", "absorbed", "irradiance", "role")),
             Option("--cut-deg", "azimuth of the half that is taken away, about z; none: the whole (180)", _cut, "DEG"),
             Option("--cut-mm", "distance of the cut from the z axis, mm (0)", PLACE_MM, "MM"),
             Option("--no-trace", "the scene alone: no rays, no flux", bool),
@@ -97,7 +101,7 @@ def run(options: Options) -> int:
     if options.no_trace:
         options.refuse(OF_A_TRACE, NO_EFFECT + "with --no-trace; leave it out")
     if page is None:
-        options.refuse(PICTURE, NO_EFFECT + "without a page; give --out")
+        options.refuse((*PICTURE, "surface_maps"), NO_EFFECT + "without a page; give --out")
     else:
         graph_objects()  # before anything is traced
     if options.layout is not None:

@@ -22,6 +22,7 @@ MAGIC = b"glTF"
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 COMPONENTS: dict[int, Any] = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 WIDTHS = {"SCALAR": 1, "VEC3": 3}
+TRIANGLES = 4  # mode of a primitive
 EXTENSION = "TM_brep_faces"
 DEEPEST = 200  # assemblies within assemblies
 
@@ -90,6 +91,8 @@ class Glb:
         surfaces: dict[int, RoundSurface] = {}
         vertex_count = face_count = 0
         for primitive in self.tree["meshes"][number]["primitives"]:
+            if primitive.get("mode", TRIANGLES) != TRIANGLES:  # curves have no faces
+                continue
             corners = MM * self._array(primitive["attributes"]["POSITION"]).astype(np.float64)
             indices = self._array(primitive["indices"]).astype(np.int64).reshape(-1, 3)
             brep = primitive.get("extensions", {}).get(EXTENSION, {})
@@ -106,6 +109,8 @@ class Glb:
                     surfaces[index + face_count] = surface
             vertex_count += len(corners)
             face_count += max(len(known), 1)
+        if not vertices:
+            return Part("", "", "", "", np.empty((0, 3)), np.empty((0, 3), int), np.empty(0, int), {}), 0
         part = Part(
             "", "", "", "", np.concatenate(vertices), np.concatenate(triangles), np.concatenate(faces), surfaces
         )

@@ -36,7 +36,7 @@ class PstObservation:
     Parameters
     ----------
     result : Pst
-        Of the adjoint method, in either convention.
+        From rays of the detector (``method="adjoint"``), in either convention.
 
     Attributes
     ----------

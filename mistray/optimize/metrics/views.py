@@ -71,7 +71,7 @@ class PstView(View):
     def observe(self, scene: Any, times: float, changes: Mapping[str, Any]) -> PstObservation:
         """Compute the PST with so many times the rays; `changes` replace some of the arguments."""
         return PstObservation(
-            next(pst_of_each([scene], paths=False, one_direction=True, **self._arguments(scene, times, changes)))
+            next(pst_of_each([scene], paths=False, method="adjoint", **self._arguments(scene, times, changes)))
         )
 
     def _usual_rays(self, scene: Any) -> int:

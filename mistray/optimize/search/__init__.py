@@ -9,3 +9,7 @@ from mistray.optimize.search.stop import stop_reason
 METHODS = {"sqp": sqp, "lbfgsb": lbfgsb, "adam": adam, "nlopt": nlopt_search}
 
 __all__ = ["METHODS", "adam", "lbfgsb", "nlopt_search", "sqp", "stop_reason"]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,11 +13,14 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.optimize.metrics.metric import Metric
+from mistray.optimize.study.goals import holds, limit_of
 from mistray.optimize.study.model import Study, Term
-from mistray.optimize.study.terms import RAYS, of_layers, of_pst, traced_metric
+from mistray.optimize.study.terms import cell_settings, of_layers, of_pst, traced_metric
 from mistray.ranges import SEEDS as SEED_COUNT
 
 SEEDS = 8
+FALSE_ALARM = 0.01  # of `worse`, if nothing has changed
+WORTH_TELLING = 0.01  # relative growth
 
 
 @dataclass(frozen=True)
@@ -157,21 +160,57 @@ def measure(scene: Any, study: Study, seeds: int = SEEDS, times: float = 1.0) ->
     return Levels(numbers, values, {cell.term: metric.unit for cell, metric in metrics.items()})
 
 
+def worse(comparison: Comparison, terms: Sequence[Term]) -> list[Row]:
+    """
+    Single fields, wavelengths and pairs of both at which a term has become worse, the worst first.
+
+    What is to be small has grown there by more than 1 %, or a limit that held before does not, by its value at this
+    field or wavelength. Each of the n rows is tested by Student's t on the seeds, at the level 1 % / n: if nothing has
+    changed, the list is empty with a probability of 99 % at least (Bonferroni).
+
+    Parameters
+    ----------
+    comparison : Comparison
+    terms : sequence of Term
+        Those of the study.
+    """
+    from scipy.stats import t as student
+
+    goals = {term.name: term for term in terms}
+    rows = [row for row in comparison.rows if not row.whole and np.isfinite(row.ratio)]
+    if not rows:
+        return []
+    far = float(student.ppf(1 - FALSE_ALARM / len(rows), len(comparison.seeds) - 1))
+    found = [row for row in rows if _suffers(goals[row.term], row, far)]
+    return sorted(found, key=lambda row: row.ratio if row.after > row.before else 1 / row.ratio)
+
+
+def _suffers(term: Term, row: Row, far: float) -> bool:
+    """Whether a goal is missed at a field or wavelength, by more than so many standard errors."""
+    margin = far * row.ratio_se
+    if term.goal == "minimise":
+        return row.ratio + margin < 1 and row.ratio * (1 + WORTH_TELLING) < 1
+    if term.goal == "keep":
+        least, most = 1 / (1 + term.tolerance), np.inf if term.tolerance >= 1 else 1 / (1 - term.tolerance)
+        return row.ratio + margin < least or row.ratio - margin > most
+    limit = limit_of(term, row.before)
+    assert limit is not None
+    missing = limit - row.after if term.goal == "at_least" else row.after - limit
+    # after - L before = after (1 - L before / after)
+    error = row.after_se if term.limit_of_start is None else abs(row.after * term.limit_of_start) * row.ratio_se
+    return holds(term, row.before, row.before) and missing > far * error
+
+
 def _cells(term: Term, scene: Any) -> dict[Cell, Metric]:
     """A term as a whole, at each field, at each wavelength and at each of both."""
     fields = list(term.traced.get("field_deg") or ())
     lines = list(term.traced.get("wavelength_nm") or ())
-    weights = np.array(term.traced.get("weights") or [1.0] * len(lines))
     fields, lines = ([] if of_pst(term) or len(v) < 2 else v for v in (fields, lines))
     cells: list[tuple[float | None, int | None]] = [(None, None), *((angle, None) for angle in fields)]
     cells += [(None, k) for k in range(len(lines))] + [(angle, k) for angle in fields for k in range(len(lines))]
     result = {}
     for angle, k in cells:
-        changes: dict[str, Any] = {} if angle is None else {"field_deg": (angle,)}
-        if k is not None:
-            rays = max(1, round(float(weights[k] / weights.sum()) * term.traced.get("rays", RAYS)))
-            changes |= {"wavelength_nm": lines[k], "weights": None, "rays": rays}
-        metric = traced_metric(term, scene, 0, **changes)  # the seed is another at each measurement
+        metric = traced_metric(term, scene, 0, **cell_settings(term.traced, angle, k))  # each measurement has its seed
         result[Cell(term.name, angle, None if k is None else lines[k])] = metric
     return result
 

@@ -41,6 +41,9 @@ class Term:
     floor_of_start : float
         For "minimise": a value of so many times that at the start is as good as a few times less, so that 0 has a
         merit. Greater than 0.
+    worst : {"none", "field", "wavelength", "both"}
+        Whether it is the number at the worst of its fields, of its wavelengths or of all pairs of both, and not that of
+        all together: a smooth maximum, for "at_least" a smooth minimum, see `smooth_maximum`. Weights do not count.
     own : mapping
         Arguments of the kind, such as `paths` or `coatings`.
     traced : mapping
@@ -55,6 +58,7 @@ class Term:
     limit_of_start: float | None = FINITE.field(None)
     tolerance: float = POSITIVE.field(0.01)
     floor_of_start: float = POSITIVE.field(1e-15)
+    worst: str = Words(("none", "field", "wavelength", "both")).field("none")
     own: Mapping[str, Any] = field(default_factory=dict)
     traced: Mapping[str, Any] = field(default_factory=dict)
 
@@ -66,6 +70,8 @@ class Term:
             raise MistrayError(f'{what}; with goal = "{self.goal}" give limit or limit_of_start')
         if self.goal not in LIMITED and given:
             raise MistrayError(f'{given[0]} has no meaning with goal = "{self.goal}"; remove it')
+        if self.goal == "keep" and self.worst != "none":
+            raise MistrayError(f'worst = "{self.worst}" has no meaning with goal = "keep"; give a limit')
 
 
 @dataclass(frozen=True)

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 
 from mistray.analysis.pst.transmittance import pst
 from mistray.errors import MistrayError
 from mistray.optimize.metrics.by_name import FACTORIES, OF_PST
-from mistray.optimize.metrics.metric import Metric
+from mistray.optimize.metrics.metric import Metric, combine
+from mistray.optimize.metrics.observation import smooth_maximum, smooth_minimum
 from mistray.optimize.study.model import CoatingGroup, Term
 from mistray.renamed import old_names
 from mistray.trace import Settings, trace
@@ -117,8 +120,43 @@ def old_arguments(kind: Any) -> dict[str, str]:
     return {} if kind in OF_LAYERS else old_names(kind if callable(kind) else FACTORIES[kind])
 
 
+def cell_settings(traced: Mapping[str, Any], field_deg: float | None, line: int | None) -> dict[str, Any]:
+    """What settings of traces become at one field, or at one wavelength, which has its share of the rays."""
+    changes: dict[str, Any] = {} if field_deg is None else {"field_deg": (field_deg,)}
+    if line is not None:
+        lines = traced["wavelength_nm"]
+        weights = np.array(traced.get("weights") or [1.0] * len(lines))
+        rays = max(1, round(float(weights[line] / weights.sum()) * traced.get("rays", RAYS)))
+        changes |= {"wavelength_nm": lines[line], "weights": None, "rays": rays}
+    return changes
+
+
 def traced_metric(term: Term, scene: Any, seed: int, **changes: Any) -> Metric:
-    """The metric of a term; `changes` replace some of its settings."""
+    """The metric of a term, at its worst field or wavelength if it says so; `changes` replace some of its settings."""
+    traced = {**term.traced, **changes}
+    fields, lines = (
+        range(len(values)) if term.worst in (over, "both") and isinstance(values, Sequence) else (None,)
+        for over, values in (("field", traced.get("field_deg")), ("wavelength", traced.get("wavelength_nm")))
+    )
+    cells = [(None if i is None else traced["field_deg"][i], k) for i in fields for k in lines]
+    parts = {
+        f"{angle} {k}": _plain_metric(term, scene, seed, **{**changes, **cell_settings(traced, angle, k)})
+        for angle, k in cells
+    }
+    if len(parts) == 1:
+        return next(iter(parts.values()))
+    extreme = smooth_minimum if term.goal == "at_least" else smooth_maximum
+    first = next(iter(parts.values()))
+    return combine(parts, lambda values: extreme(_joined(values.values())), first.unit, f"worst {first.name}")
+
+
+def _joined(numbers: Collection[Any]) -> mi.Float64:
+    """Numbers as one array, with their derivatives."""
+    places = dr.arange(mi.UInt32, len(numbers))
+    return sum((dr.select(places == k, value, 0.0) for k, value in enumerate(numbers)), start=mi.Float64(0.0))
+
+
+def _plain_metric(term: Term, scene: Any, seed: int, **changes: Any) -> Metric:
     make = term.kind if callable(term.kind) else FACTORIES[term.kind]
     usual = {} if of_pst(term) else {"rays": RAYS, "flux_threshold": FLUX_THRESHOLD}
     return make(scene, **term.own, **{**usual, **term.traced, "seed": seed, **changes})
@@ -151,6 +189,17 @@ def layer_value(
     materials = {group.name: [layer.material for layer in group.start.layers] for group in chosen}
     value, slopes = OF_LAYERS[term.kind](thicknesses, materials)
     return value, {keys[name]: slope for name, slope in slopes.items()}
+
+
+def check_worst(term: Term) -> None:
+    """Raise, without the name of the term, if it is about the worst of one field or wavelength."""
+    for over, key in (("field", "field_deg"), ("wavelength", "wavelength_nm")):
+        if term.worst not in (over, "both"):
+            continue
+        if of_layers(term) or of_pst(term):
+            raise MistrayError(f'worst = "{term.worst}" is for metrics of traces; remove it')
+        if len(term.traced.get(key) or ()) < 2:
+            raise MistrayError(f'worst = "{term.worst}" needs two {key} or more; give them, or remove it')
 
 
 def check_term(term: Term) -> None:

@@ -13,6 +13,7 @@ from mistray.optimize.study.terms import (
     LIGHT,
     OF_LAYERS,
     check_term,
+    check_worst,
     of_layers,
     old_arguments,
     own_arguments,
@@ -21,7 +22,7 @@ from mistray.optimize.study.terms import (
 from mistray.optimize.toml.section import Section
 from mistray.ranges import TEXT
 
-TERM_KEYS = ("name", "kind", "goal", "weight", "limit", "limit_of_start", "tolerance", "floor_of_start")
+TERM_KEYS = ("name", "kind", "goal", "weight", "limit", "limit_of_start", "tolerance", "floor_of_start", "worst")
 TRACE_KEYS = traced_arguments("path_power")
 
 
@@ -93,11 +94,12 @@ def read_term(section: Section, trace: Mapping[str, Any]) -> Term:
         raise section.fail("floor_of_start", f'has no meaning with goal = "{term.goal}"; remove it')
     if kind in OF_LAYERS and "coatings" in section:
         section.texts("coatings", "a list of names of [[coating]]")
-    if not callable(kind):
-        try:
+    try:
+        check_worst(term)
+        if not callable(kind):
             check_term(term)
-        except MistrayError as error:
-            raise section.fail(f"(kind '{kind}'):", str(error)) from None
+    except MistrayError as error:
+        raise section.fail(f"(kind '{called}'):", str(error)) from None
     return term
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.physics.geometry.outline import Figure, Outline
+from mistray.physics.geometry.outline import Figure, Outline, rectangle
 from mistray.prescription.bodies.placing import face_place
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.model import Structure, Surface
@@ -34,9 +34,11 @@ def plate(
     ----------
     name : str
         Of the part; faces are ``<name>_front`` (-z), ``<name>_rear``, and ``<name>_wall_<k>`` for figure k of the
-        outline, of polygons and rectangles ``<name>_wall_<k>_<side>``.
+        outline, of other figures than circles ``<name>_wall_<k>_<side>``; ellipses have four sides, each about the end
+        of a half axis.
     outline : Outline
-        A circle, rectangle or polygon, then holes of these kinds ("-") that lie within it and apart from each other.
+        A circle, ellipse, rectangle or polygon, then holes of these kinds ("-") that lie within it and apart from each
+        other.
     thickness : float
         mm.
     z : float
@@ -69,13 +71,36 @@ def plate(
         if figure.kind == "circle":
             (r,) = figure.sizes
             found.append(Structure(wall, r, 0.0, r, thickness, x=figure.x, y=figure.y, z=z, **common))
+        elif figure.kind == "ellipse":
+            found += _elliptic_walls(wall, figure, thickness, z, common)
         else:
             found += _flat_walls(wall, figure, thickness, z, common)
     return tuple(found)
 
 
+def _elliptic_walls(name: str, figure: Figure, thickness: float, z: float, common: dict[str, Any]) -> list[Surface]:
+    """
+    Four pieces of a cylinder across an ellipse, each a conic about the end of a half axis.
+
+    There, with the half axes p along the normal and q across it, the ellipse is the conic of curvature p/q² and of the
+    constant q²/p² - 1. Two pieces meet where x/a = y/b, at q/√2 from their vertices.
+    """
+    c, s = math.cos(math.radians(figure.angle_deg)), math.sin(math.radians(figure.angle_deg))
+    axes = np.array([[c, s, 0.0], [-s, c, 0.0]])
+    walls = []
+    for k in range(4):
+        p, q = figure.sizes[k % 2], figure.sizes[1 - k % 2]
+        outwards = axes[k % 2] * (1 if k < 2 else -1)
+        at = np.array([figure.x, figure.y, z + thickness / 2]) + p * outwards
+        place = face_place(at, (np.cross(Z, -outwards), Z, -outwards))
+        conic: dict[str, Any] = {"curvature_x": p / q**2, "conic_x": (q / p) ** 2 - 1}
+        half = rectangle(q / math.sqrt(2), thickness / 2)
+        walls.append(Surface(f"{name}_{k + 1}", sag=conic, outline=half, **place, **common))
+    return walls
+
+
 def _flat_walls(name: str, figure: Figure, thickness: float, z: float, common: dict[str, Any]) -> list[Surface]:
-    corners = _corners(figure)
+    corners = _placed(figure, figure.corners)
     walls = []
     for k, (a, b) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True), start=1):
         along = np.array([*(b - a), 0.0]) / np.linalg.norm(b - a)
@@ -88,12 +113,12 @@ def _flat_walls(name: str, figure: Figure, thickness: float, z: float, common: d
 
 def _check_holes(outline: Outline, owner: str) -> None:
     """Refuse what has walls that are not those of its figures, as far as points of their rims tell."""
-    kinds = ("circle", "rectangle", "polygon")
+    kinds = ("circle", "ellipse", "rectangle", "polygon")
     for k, figure in enumerate(outline.figures, start=1):
         if figure.kind not in kinds or figure.sign != ("+" if k == 1 else "-"):
             raise MistrayError(
-                f"{owner}: figure {k} of its outline is '{figure.sign}{figure.kind}'; give a circle, rectangle or "
-                "polygon first, then holes of these kinds"
+                f"{owner}: figure {k} of its outline is '{figure.sign}{figure.kind}'; give a circle, ellipse, "
+                "rectangle or polygon first, then holes of these kinds"
             )
     rims = [_rim(figure) for figure in outline.figures]
     alone = [Outline((replace(figure, sign="+"),)) for figure in outline.figures]
@@ -105,19 +130,20 @@ def _check_holes(outline: Outline, owner: str) -> None:
                 raise MistrayError(f"{owner}: holes {j} and {k} overlap; make one hole of them or move one")
 
 
-def _corners(figure: Figure) -> np.ndarray:
-    """Corners in the plane of the plate, (n, 2), mm."""
+def _placed(figure: Figure, points: np.ndarray) -> np.ndarray:
+    """Points of the frame of a figure in the plane of the plate, (n, 2), mm."""
     c, s = math.cos(math.radians(figure.angle_deg)), math.sin(math.radians(figure.angle_deg))
-    turned: np.ndarray = figure.corners @ np.array([[c, s], [-s, c]]) + (figure.x, figure.y)
+    turned: np.ndarray = points @ np.array([[c, s], [-s, c]]) + (figure.x, figure.y)
     return turned
 
 
 def _rim(figure: Figure, count: int = 64) -> np.ndarray:
     """Points of the rim of a figure, (n, 2), mm."""
-    if figure.kind == "circle":
+    if figure.kind in ("circle", "ellipse"):
+        a, b = figure.sizes if len(figure.sizes) == 2 else 2 * figure.sizes
         angle = 2 * np.pi * np.arange(4 * count) / (4 * count)
-        return figure.sizes[0] * np.stack([np.cos(angle), np.sin(angle)], axis=1) + (figure.x, figure.y)
-    corners = _corners(figure)
+        return _placed(figure, np.stack([a * np.cos(angle), b * np.sin(angle)], axis=1))
+    corners = _placed(figure, figure.corners)
     part = np.arange(count)[:, None, None] / count
     points: np.ndarray = corners + part * (np.roll(corners, -1, axis=0) - corners)
     return points.reshape(-1, 2)

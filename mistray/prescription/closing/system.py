@@ -27,7 +27,7 @@ from mistray.prescription.closing.shadows import met_at, shadowing_spaces
 from mistray.prescription.closing.surfaces import COVER_MM, OpticalSurfaces
 from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import is_gas
-from mistray.prescription.model import Detector, Prescription, Source, Structure, Surface
+from mistray.prescription.model import Detector, ObjectPoint, Prescription, Source, Structure, Surface
 from mistray.prescription.sequential.first_order import FirstOrder, field_tangents
 from mistray.prescription.sequential.rays import curvature
 from mistray.prescription.sequential.table import Sequential
@@ -222,7 +222,43 @@ def _plates(table: OpticalSurfaces, k: int) -> list[Surface | Structure]:
     widest = max((surface.outer_radius for surface in table.surfaces.values()), default=0.0)
     pieces, notes = aperture_pieces(row, table.names[k], k in table.surfaces, table.aheads[k], widest, table.before[k])
     table.notes += notes
-    return [placed(piece, table.frames[k]) for piece in pieces]
+    plates = [placed(piece, table.frames[k]) for piece in pieces]
+    return [face for plate in plates for face in _for_its_leg(table, k, plate)]
+
+
+def _for_its_leg(table: OpticalSurfaces, k: int, plate: Surface | Structure) -> list[Surface | Structure]:
+    """
+    A plate of row k as it shades the leg of the beam that it belongs to, and no other.
+
+    A file states an aperture for the light that comes to its row in its turn. In a folded system the same plane may be
+    crossed by light that goes the other way, before or after: a plate that would stand in it meets only its own light.
+    """
+    face = plate
+    if isinstance(plate, Structure):
+        ring = circle(max(plate.r0, plate.r1), inner=min(plate.r0, plate.r1))
+        face = Surface(
+            plate.name, outline=ring, coating=plate.coating, part=plate.part, front=plate.front, back=plate.back,
+            x=plate.x, y=plate.y, z=plate.z, tilt_deg=plate.tilt_deg,
+        )  # fmt: skip
+    assert isinstance(face, Surface)
+    figure = table.lens.rows[k]
+    if isinstance(plate, Structure):
+        figure = replace(figure, radius=math.inf, conic=0.0, coefficients=(), sag={})
+    axis, way = face.to_world()[:3, 2], 1 if table.aheads[k] else -1
+    ways = set()
+    for begin, end in table.segments():
+        if not begin < k + 1 <= end:
+            start, stop = table.beam[begin], table.beam[end]
+            crossed = np.isfinite(met_at(figure, face, start, stop))
+            ways |= set(np.sign((stop - start)[crossed] @ axis))
+    number = table.lens.rows[k].number
+    if not ways:
+        return [plate]
+    if way in ways:
+        table.notes.append(f"surface {number}: no plate of its aperture; it would stand in the beam to another surface")
+        return []
+    table.notes.append(f"surface {number}: the plate of its aperture shades only light that goes as the design's there")
+    return [replace(face, meets="+z" if way > 0 else "-z")]
 
 
 def _mirror_backs(table: OpticalSurfaces, detector: Detector) -> list[Surface | Structure]:
@@ -296,16 +332,25 @@ def _detector(table: OpticalSurfaces, half: tuple[float, float] | None) -> Detec
     )
 
 
-def _source(table: OpticalSurfaces, beam: Beam) -> Source:
+def _source(table: OpticalSurfaces, beam: Beam) -> Source | ObjectPoint:
     lens, data = table.lens, table.rays.data
     near = not math.isinf(lens.object_distance)
-    if near:
-        table.notes.append(
-            f"the object lies {lens.object_distance:.6g} mm before the lens, but the source is collimated, as light "
-            "from far away comes: it does not come to a focus on the detector"
-        )
     weights = np.array(lens.weights) / (sum(lens.weights) or 1.0)
     lit = [k for k, weight in enumerate(weights) if weight > 0] or [lens.primary]
+    wavelengths = tuple(lens.wavelengths_nm[k] for k in lit)
+    shares = None if len(lit) == 1 else tuple(float(weights[k]) for k in lit)
+    if near:
+        pupil = data.entrance_pupil_z if math.isfinite(data.entrance_pupil_z) else 0.0
+        if lens.object_distance > 0:
+            if lens.object_distance + pupil <= 0:
+                pupil = 0.0  # the object lies between the pupil and the lens
+            return ObjectPoint(
+                z=pupil, distance=lens.object_distance + pupil, wavelength_nm=wavelengths, weights=shares
+            )
+        table.notes.append(
+            f"the object is virtual, {-lens.object_distance:.6g} mm behind the first surface, but the source is "
+            "collimated: its light does not come to a focus on the detector"
+        )
     x, y, z, radius = 0.0, 0.0, data.entrance_pupil_z, data.epd / 2
     if table.surfaces and (beam == "front" or math.isinf(z)):
         first = table.surfaces[min(table.surfaces)]
@@ -321,8 +366,8 @@ def _source(table: OpticalSurfaces, beam: Beam) -> Source:
         field_deg=field_deg,
         azimuth_deg=azimuth_deg,
         plane="axis",
-        wavelength_nm=tuple(lens.wavelengths_nm[k] for k in lit),
-        weights=None if len(lit) == 1 else tuple(float(weights[k]) for k in lit),
+        wavelength_nm=wavelengths,
+        weights=shares,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -28,7 +28,15 @@ class PassingLight(Recorder):
     name : str
         What the result calls it.
     cells : int
+
+    Attributes
+    ----------
+    kind, unit : str
+        What it is, and the unit of `image`.
     """
+
+    kind: ClassVar[str] = ""
+    unit: ClassVar[str] = ""
 
     def __init__(self, name: str, cells: int) -> None:
         if not name.strip():
@@ -58,6 +66,17 @@ class PassingLight(Recorder):
         started = np.array(self._started).reshape(self._groups, -1).sum(axis=1)
         found = Sampled.of(sums, started).scaled(unit)
         self._flux = found if self._flux is None else self._flux + found
+
+    @property
+    def power(self) -> tuple[float, float]:
+        """Flux in all cells and its standard error, W."""
+        total = self.flux.total()
+        return float(total.value), float(total.se)
+
+    @property
+    def image(self) -> tuple[np.ndarray, np.ndarray]:
+        """What its pixels show and its standard error, (rows, columns) each, in `unit`."""
+        raise NotImplementedError
 
     @property
     def flux(self) -> Sampled:

@@ -14,6 +14,7 @@ from mistray.ranges import FILM_PIXELS, FILM_SIDE, Range
 from mistray.recorders.passing.cells import PassingLight
 from mistray.recorders.passing.probe import frame_of, vector_of
 from mistray.recorders.recorder import Memory, Segment
+from mistray.recorders.sampled import Sampled
 
 if TYPE_CHECKING:
     from mistray.kernel.kernel_scene import KernelScene
@@ -44,6 +45,8 @@ class FarField(PassingLight):
     MistrayError
         For borders that do not ascend, and directions that are 0 or along each other.
     """
+
+    kind, unit = "far field", "W/sr"
 
     def __init__(
         self,
@@ -89,10 +92,17 @@ class FarField(PassingLight):
         self.add(segment.start, mi.UInt32(row) * self._azimuths + column, segment.flux, inside)
 
     @property
-    def power(self) -> tuple[float, float]:
-        """Flux in all cells and its standard error, W."""
-        total = self.flux.total()
-        return float(total.value), float(total.se)
+    def azimuths(self) -> int:
+        """Cells around the axis."""
+        return self._azimuths
+
+    @property
+    def flux_of_rings(self) -> Sampled:
+        """Flux of the cells of each row together, with its noise, (rows,), W."""
+        flux, shape = self.flux, (-1, self._azimuths)
+        return Sampled(
+            flux.value.reshape(shape).T, np.moveaxis(flux.apart.reshape(*shape, flux.apart.shape[-1]), 1, 0)
+        ).total()
 
     @property
     def solid_angle_sr(self) -> np.ndarray:
@@ -106,3 +116,8 @@ class FarField(PassingLight):
         flux, size = self.flux, self.solid_angle_sr[:, None]
         shape = len(size), self._azimuths
         return flux.value.reshape(shape) / size, flux.se.reshape(shape) / size
+
+    @property
+    def image(self) -> tuple[np.ndarray, np.ndarray]:
+        """The intensity."""
+        return self.intensity

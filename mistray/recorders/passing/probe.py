@@ -52,6 +52,8 @@ class Probe(PassingLight):
         For a number out of range, or a normal that is 0 or along `up`.
     """
 
+    kind, unit = "probe", "W/mm²"
+
     # More than 8 parameters: what a rectangle in space and its cells are
     def __init__(
         self,
@@ -121,12 +123,6 @@ class Probe(PassingLight):
         return -self._half[0], self._half[0], -self._half[1], self._half[1]
 
     @property
-    def power(self) -> tuple[float, float]:
-        """Flux that crosses it, and its standard error, W."""
-        total = self.flux.total()
-        return float(total.value), float(total.se)
-
-    @property
     def irradiance(self) -> tuple[np.ndarray, np.ndarray]:
         """Flux density by pixel and its standard error, (height, width) each, W/mm²; row 0 is at the smallest y."""
         columns, rows = self._pixels
@@ -138,6 +134,16 @@ class Probe(PassingLight):
         )
         found = by_direction.total().scaled(1 / area)
         return found.value.reshape(rows, columns), found.se.reshape(rows, columns)
+
+    @property
+    def image(self) -> tuple[np.ndarray, np.ndarray]:
+        """The irradiance."""
+        return self.irradiance
+
+    @property
+    def directions(self) -> int:
+        """Cells of direction along each of x and y; 1: none."""
+        return self._directions
 
     @property
     def radiance(self) -> tuple[np.ndarray, np.ndarray]:

@@ -302,17 +302,14 @@ def _rectangular(shape: Any, cut: CutPlane | None) -> tuple[Points, Faces, list[
 
 def _stock(name: str, shape: Any, steps: int, cut: CutPlane | None) -> tuple[Points, Faces, list[Points]]:
     """A shape of Mitsuba's own: by its formula where it is turned about an axis, by its triangles otherwise."""
-    kind = str(shape).partition("[")[0].strip()
-    if kind not in ("Rectangle", "Disk", "Sphere", "Cylinder"):
+    kind, rigid, size = primitive(shape)
+    if not kind:
         if not shape.is_mesh():
+            kind = str(shape).partition("[")[0].strip()
             raise MistrayError(
                 f"shape '{name}' is {kind}, which has no triangles to draw; use a mesh, an 'asphere' or a 'frustum'"
             )
         return clip(*mesh_arrays(shape), cut)
-    frame = np.array(import_mitsuba().traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
-    size = np.linalg.norm(frame[:3, :3], axis=0)
-    rigid = frame.copy()
-    rigid[:3, :3] /= size
     if kind == "Rectangle":
         corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]]) * size[:2]
         corners = np.column_stack([corners, np.zeros(5)]) @ rigid[:3, :3].T + rigid[:3, 3]
@@ -325,6 +322,28 @@ def _stock(name: str, shape: Any, steps: int, cut: CutPlane | None) -> tuple[Poi
         "Sphere": size[0] * np.column_stack([np.sin(turn), -np.cos(turn)]),
     }[kind]
     return turned(profile, rigid, steps, cut)
+
+
+def primitive(shape: Any) -> tuple[str, Points, Points]:
+    """
+    A shape of Mitsuba's own that has a formula.
+
+    Returns
+    -------
+    kind : str
+        "Rectangle", "Disk", "Sphere" or "Cylinder"; empty for other shapes.
+    rigid : (4, 4) float64
+        Its frame, without a scale, mm.
+    size : (3,) float64
+        Its scale along the axes of the frame, mm.
+    """
+    kind = str(shape).partition("[")[0].strip()
+    if kind not in ("Rectangle", "Disk", "Sphere", "Cylinder"):
+        return "", np.eye(4), np.ones(3)
+    rigid = np.array(import_mitsuba().traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
+    size = np.linalg.norm(rigid[:3, :3], axis=0)
+    rigid[:3, :3] /= size
+    return kind, rigid, size
 
 
 def _strips(rows: int, steps: int) -> Faces:

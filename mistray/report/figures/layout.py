@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import io
 import itertools
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,11 +16,13 @@ from matplotlib.axes import Axes
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.errors import MistrayError
+from mistray.ids import event_words
 from mistray.recorders.path_events import DIRECT
 from mistray.replace_file import replace_file
+from mistray.report.figures.chains import chain
 from mistray.report.figures.cut_open import CutPlane, clip, role_of, surface_names, triangles
 from mistray.report.figures.figure import Figure, legend_label
-from mistray.report.figures.palette import BLACK, BLUE, BROWN, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from mistray.report.figures.palette import BLACK, BLUE, BROWN, GREEN, INDIGO, PURPLE, SKY, VERMILION
 from mistray.report.rays.path_rays import check_count, chosen_rows, row_name
 from mistray.surfaces.surfaces import solid_shapes
 
@@ -31,14 +32,28 @@ if TYPE_CHECKING:
 Polyline = npt.NDArray[np.float64]
 
 GLASS, GLASS_EDGE, STRUCTURE, MIRROR, DETECTOR = "#dbe9f4", "#4a6a86", "#7a7a7a", "#333333", "#000000"
-PATH_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BROWN, BLACK)  # the direct image, if drawn, is first
-LINE_STYLES = ("solid", "dashed", "dotted")  # of paths that have one colour
+# The direct image, if drawn, is first; orange marks surfaces in the page of a report
+PATH_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, BLACK, SKY, BROWN, INDIGO)
+# One after another, so that rays that lie on each other are told apart, and in print without colours
+LINE_STYLES = ("solid", (0, (7, 2)), (0, (4, 1.5, 1, 1.5)), (0, (1.5, 1.2)), (0, (7, 1.5, 1, 1.5, 1, 1.5)))
+LEAST_WEIGHT = 0.66  # of lines, in those of a picture for the screen
+MOST_HEIGHT = 6.6  # inch
 RAYS_DRAWN, PATHS_DRAWN, GHOSTS_DRAWN = 7, 4, 3
 CANDIDATES = 40  # rays of a path among which those near the section are chosen, for each that is drawn
 SCREEN_WIDTH, PAPER_WIDTH = 10.4, 6.9  # inch; the second is both columns of a journal
-LEGEND_SIGN, LETTER = 0.6, 0.55 / 72  # inch: beside a label of the legend, and of a letter of one point
+ANSWER_WIDTH, ANSWER_HEIGHT = 6.6, 4.6
+HANDLE = 3.5  # length of the lines in the legend, in letters
+LEGEND_SIGN, LETTER = 0.8, 0.55 / 72  # inch: beside a label of the legend, and of a letter of one point
 FORMATS = (".svg", ".pdf", ".eps", ".png")
-Chosen = tuple[list[Polyline], str, str]  # rays, colour and label of a path
+
+
+class Drawn(NamedTuple):
+    """What is drawn of a path: its rays, its colour, its label, and at which of their points they turn."""
+
+    rays: list[Polyline]
+    colour: str
+    label: str
+    turns: Sequence[int] = ()
 
 
 @dataclass(frozen=True)
@@ -100,41 +115,6 @@ def glass_bodies(scene: Any) -> list[Polyline]:
     return bodies
 
 
-def chain(start: Polyline, end: Polyline, steps: Sequence[Polyline], tolerance: float = 1e-5) -> Polyline:
-    """
-    Shortest way from one point to another along line segments.
-
-    Parameters
-    ----------
-    start, end : (2,) float
-        Points, mm.
-    steps : sequence of (2, 2) float
-        Segments that may be walked either way, mm.
-    tolerance : float
-        Distance within which ends meet, relative to the distance of the points from the origin.
-
-    Returns
-    -------
-    (n, 2) float
-        Points between the two; empty if no way leads there.
-    """
-    near = tolerance * max(float(np.abs(start).max()), float(np.abs(end).max()), 1e-9)
-    ways: list[list[Polyline]] = [[start]]
-    left = list(steps)
-    while ways:
-        longer = []
-        for way in ways:
-            if np.abs(way[-1] - end).max() <= near:
-                return np.array(way[1:]).reshape(-1, 2)
-            for step in list(left):
-                for here, there in ((0, 1), (1, 0)):
-                    if np.abs(step[here] - way[-1]).max() <= near and any(step is other for other in left):
-                        left = [other for other in left if other is not step]
-                        longer.append([*way, step[there]])
-        ways = longer
-    return np.empty((0, 2))
-
-
 def layout(
     report: GhostReport, field_deg: float, ghosts: int = GHOSTS_DRAWN, path_ids: Sequence[int] | None = None
 ) -> Figure:
@@ -152,11 +132,37 @@ def layout(
         Draw these paths of ``report.table(field_deg)`` instead; the first one in blue.
     """
     chosen = worst_paths(report, field_deg, ghosts) if path_ids is None else _asked(report, field_deg, path_ids)
-    drawn = [
-        (meridional(report.rays_of(field_deg, path_id), RAYS_DRAWN), colour, label) for path_id, colour, label in chosen
-    ]
-    title = f"field {field_deg:g}°: section x = 0; rays projected onto it"
+    drawn = _drawn(report, [(field_deg, *one) for one in chosen])
+    title = f"field {field_deg:g}°: section x = 0; rays projected onto it; dots: reflections and scatter"
     return _figure(report.scene, drawn, title, width=SCREEN_WIDTH, size=8.0)
+
+
+def _drawn(report: GhostReport, paths: Sequence[tuple[float, int, str, str]]) -> list[Drawn]:
+    """Paths by their field angles and numbers, with colours and labels; each has heights of the pupil of its own."""
+    return [
+        Drawn(
+            meridional(report.rays_of(field, path_id), RAYS_DRAWN, (number, len(paths))),
+            colour,
+            label,
+            _turns(report, field, path_id),
+        )
+        for number, (field, path_id, colour, label) in enumerate(paths)
+    ]
+
+
+def layout_of_fields(report: GhostReport, paths: Sequence[tuple[float, int, str]]) -> Figure:
+    """
+    Section of the system with rays of stray paths of several fields, low enough for the first page of a report.
+
+    Parameters
+    ----------
+    report : GhostReport
+    paths : sequence of (float, int, str)
+        Field angle in degrees, path of ``report.table`` of that field, and label.
+    """
+    coloured = zip(paths, itertools.cycle(PATH_COLOURS[1:]), strict=False)
+    drawn = _drawn(report, [(field, path_id, colour, label) for (field, path_id, label), colour in coloured])
+    return _figure(report.scene, drawn, "", width=ANSWER_WIDTH, size=8.0, most=ANSWER_HEIGHT)
 
 
 def layout_figure(
@@ -194,12 +200,12 @@ def layout_figure(
     check_count(rays)
     if trace is None and path_ids is not None:
         raise MistrayError("path_ids without a trace; give the trace that has these paths")
-    drawn: list[Chosen] = []
+    drawn: list[Drawn] = []
     title = ""
     if trace is not None:
         for row, colour in zip(chosen_rows(trace, paths, path_ids), itertools.cycle(PATH_COLOURS), strict=False):
             history = trace.history(row.path_id, CANDIDATES * rays).rays
-            drawn.append((meridional(history, rays), colour, row_name(row)))
+            drawn.append(Drawn(meridional(history, rays), colour, row_name(row)))
         title = f"field {trace.settings['field_deg']:g}°, section x = 0; rays projected onto it"
     return _figure(scene, drawn, title, width=PAPER_WIDTH, size=7.0)
 
@@ -240,29 +246,35 @@ def layout_format(path: str | Path) -> str:
     return ending[1:]
 
 
-def _figure(scene: Any, chosen: Sequence[Chosen], title: str, width: float, size: float) -> Figure:
-    """The section with rays; `width` in inches, `size` of the text of the legend in points."""
+def _figure(
+    scene: Any, chosen: Sequence[Drawn], title: str, width: float, size: float, most: float = MOST_HEIGHT
+) -> Figure:
+    """The section with rays; `width` and its height at `most` in inches, `size` of the legend's text in points."""
     lines = section(scene)
     low, high = _bounds(lines)
     span = np.maximum(high - low, 1e-9)
-    longest = max((len(label) for _, _, label in chosen), default=0)
+    longest = max((len(path.label) for path in chosen), default=0)
     columns = max(1, min(len(chosen), int(width / (LEGEND_SIGN + LETTER * size * longest))))
     legend = 0.22 * -(-len(chosen) // columns)
     figure = Figure(
-        figsize=(width, float(np.clip(0.9 * width * span[1] / span[0] + 0.7 + legend, 2.6, 6.6))),
+        figsize=(width, float(np.clip(0.9 * width * span[1] / span[0] + 0.7 + legend, 2.6, most))),
         dpi=110,
         layout="constrained",
     )
     axes = figure.subplots()
-    weight = width / SCREEN_WIDTH
+    weight = max(width / SCREEN_WIDTH, LEAST_WEIGHT)
     _draw_system(axes, scene, lines, weight)
-    used: Counter[str] = Counter()
-    for rays, colour, label in chosen:
-        style: dict[str, Any] = {"color": colour, "ls": LINE_STYLES[used[colour] % len(LINE_STYLES)]}
-        used[colour] += 1
-        axes.plot([], [], **style, lw=0.8, label=legend_label(label if rays else f"{label}, too rare to draw"))
+    for number, (rays, colour, label, turns) in enumerate(chosen):
+        # A colour comes again with another style
+        style: dict[str, Any] = {
+            "color": colour,
+            "ls": LINE_STYLES[(number + number // len(PATH_COLOURS)) % len(LINE_STYLES)],
+        }
+        axes.plot([], [], **style, lw=1.3, label=legend_label(label if rays else f"{label}, too rare to draw"))
         for ray in rays:
-            axes.plot(ray[:, 2], ray[:, 1], **style, lw=0.8 * weight, alpha=0.9, zorder=4)
+            axes.plot(ray[:, 2], ray[:, 1], **style, lw=weight, alpha=0.9, zorder=4)
+            points = ray[[k for k in turns if k < len(ray)]]
+            axes.plot(points[:, 2], points[:, 1], ls="", marker="o", ms=2.5, color=colour, zorder=5)
     margin = 0.06 * span
     axes.set_xlim(low[0] - 2.5 * margin[0], high[0] + margin[0])
     axes.set_ylim(low[1] - margin[1], high[1] + margin[1])
@@ -279,6 +291,7 @@ def _figure(scene: Any, chosen: Sequence[Chosen], title: str, width: float, size
             ncols=columns,
             fontsize=size,
             frameon=False,
+            handlelength=HANDLE,
         )
     return figure
 
@@ -305,7 +318,14 @@ def _asked(report: GhostReport, field_deg: float, path_ids: Sequence[int]) -> li
     ]
 
 
-def meridional(rays: Sequence[Polyline], count: int) -> list[Polyline]:
+def _turns(report: GhostReport, field_deg: float, path_id: int) -> list[int]:
+    """Points of the rays of a path where they are reflected or scattered, the start being point 0."""
+    table = report.table(field_deg)
+    words = event_words(str(table.events[table.path_id == path_id].iloc[0]))
+    return [k for k, word in enumerate(words, 1) if word[-1] not in "TA"]
+
+
+def meridional(rays: Sequence[Polyline], count: int, turn: tuple[int, int] = (0, 1)) -> list[Polyline]:
     """
     Choose rays that stay near the plane x = 0 and spread over the pupil.
 
@@ -315,11 +335,17 @@ def meridional(rays: Sequence[Polyline], count: int) -> list[Polyline]:
         Polylines, mm.
     count : int
         How many at most.
+    turn : (int, int)
+        Number of this path among so many. Each takes other heights of the pupil, so that the rays of paths that have
+        a part of their way in common do not hide each other.
     """
+    number, paths = turn
     height = [float(ray[min(1, len(ray) - 1), 1]) for ray in rays]
     off_plane = [float(np.max(np.abs(ray[:, 0]))) for ray in rays]
     order = np.argsort(height)
-    groups = [group for group in np.array_split(order, count) if len(group)]
+    groups = np.array_split(order, count * paths)[number::paths]
+    if any(not len(group) for group in groups):  # too few rays for heights of their own
+        groups = [group for group in np.array_split(order, count) if len(group)]
     return [rays[min(group, key=lambda k: off_plane[k])] for group in groups]
 
 

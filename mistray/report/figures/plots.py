@@ -7,17 +7,22 @@ lightness and safe for colour-blind readers.
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
+from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.colors import Colormap
+from matplotlib.image import imread
+from matplotlib.ticker import MaxNLocator
+from PIL import Image
 
 from mistray.analysis.ghosts import GhostReport
-from mistray.analysis.irradiance import log10_image, log_range
+from mistray.analysis.irradiance import averaged, log10_image, log_range, pixels_averaged
 from mistray.errors import MistrayError
 from mistray.files.irradiance_files import Extent, Map
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
@@ -41,8 +46,14 @@ KINDS = {
 }
 IRRADIANCE_LABEL = "log₁₀ irradiance [W/mm²]"
 DECADES = 12.0
+OWN_DECADES = 8.0  # of a map on its own scale
+CELLS, SMALL_CELLS = 512, 192  # along the longer side of a large map, and of one among many
+GREYS = 32  # in the palette of a PNG of maps
 FIELDS_AS_TICKS = 10
 Range = tuple[float, float]
+_TAG, _COMMENT = re.compile(r"<[^!?][^>]*>"), re.compile(r"<!--.*?-->", re.DOTALL)
+_ID, _USED_ID = re.compile(r' id="([^"]*)"'), re.compile(r'(?:url\(|href=")#([^")]*)')
+_LONG_NUMBER, _BLANKS = re.compile(r"-?\d+\.\d{3,}(?!\d*e)"), re.compile(r"\s+")
 
 
 def image_colours() -> Colormap:
@@ -50,14 +61,17 @@ def image_colours() -> Colormap:
     return colormaps["inferno"].with_extremes(bad="black", under="black")
 
 
-def common_range(report: GhostReport) -> Range | None:
-    """One log10 range for the maps of all fields; None if all are dark."""
-    return log_range([report[field].irradiance for field in report], DECADES)
+def common_range(report: GhostReport, stray: bool = False) -> Range | None:
+    """One log10 range for the maps of all fields, on request without the direct images; None if all are dark."""
+    maps = [report.stray_map(field)[0] if stray else report[field].irradiance for field in report]
+    return log_range(maps, DECADES)
 
 
 def ghost_image(report: GhostReport, field_deg: float, limits: Range | None = None) -> Figure:
     """
-    Irradiance of one field on a log10 scale: all light on the left, stray light alone on the right.
+    Irradiance of one field on log10 scales: all light on the left, stray light alone on the right.
+
+    Where no direct image arrives both are the same, and one is drawn.
 
     Parameters
     ----------
@@ -65,40 +79,47 @@ def ghost_image(report: GhostReport, field_deg: float, limits: Range | None = No
     field_deg : float
         Field angle, degrees.
     limits : (float, float), optional
-        Floor and top of the scale, powers of ten of W/mm². Default: `common_range`.
+        Floor and top of the scale of both, powers of ten of W/mm², such as `common_range`. Default: each has its own.
     """
     t = report[field_deg]
-    limits = limits or common_range(report)
-    aspect = _aspect(t.extent)
-    figure = Figure(figsize=(10.4, 0.9 + 4.3 * max(aspect, 0.45)), dpi=110, layout="constrained")
-    left, right = figure.subplots(1, 2, sharex=True, sharey=True)
-    picture = None
     stray, _ = report.stray_map(field_deg)
-    for axes, image, title in ((left, t.irradiance, "all light"), (right, stray, "without the direct image")):
-        picture = draw_map(axes, image, t.extent, limits) or picture
+    panels = [(stray, "stray light, without the direct image")]
+    if report.summary(field_deg).direct.power_W.value > 0:
+        panels.insert(0, (t.irradiance, "all light"))
+    width, height = 5.6, max(_aspect(t.extent), 0.45)
+    figure = Figure(figsize=(width * len(panels), 0.9 + 4.3 * height), dpi=110, layout="constrained")
+    grid = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
+    for axes, (image, title) in zip(grid, panels, strict=True):
+        scaled_map(axes, image, t.extent, limits, CELLS)
         axes.set_title(f"field {field_deg:g}°, {title}", fontsize=10)
         axes.set_xlabel("x [mm]")
-    left.set_ylabel("y [mm]")
-    if picture is not None and limits:
-        bar = figure.colorbar(picture, ax=[left, right], shrink=0.95, pad=0.015, extend="min")
-        bar.set_label(IRRADIANCE_LABEL)
-        figure.small_print(f"floor 1e{limits[0]:g} W/mm²; black: below the floor or no ray", right=True)
+    grid[0].set_ylabel("y [mm]")
+    figure.small_print(_how_to_read(t.irradiance, CELLS, limits is not None), right=True)
     return figure
 
 
-def montage(report: GhostReport, columns: int = 4) -> Figure:
-    """Ghost images of all fields on one log10 scale."""
+def montage(report: GhostReport, columns: int = 4, common: bool = False) -> Figure:
+    """
+    Stray light of all fields, without the direct images.
+
+    Parameters
+    ----------
+    report : GhostReport
+    columns : int
+        Maps side by side.
+    common : bool
+        Draw all on one log10 scale; by default each has its own.
+    """
     fields = list(report)
-    limits = common_range(report)
+    limits = common_range(report, stray=True) if common else None
     columns = min(columns, len(fields))
     rows = -(-len(fields) // columns)
     aspect = _aspect(report[fields[0]].extent)
-    figure = Figure(figsize=(1.1 + 2.75 * columns, 0.6 + (2.6 * max(aspect, 0.4) + 0.35) * rows), dpi=120)
+    figure = Figure(figsize=(0.8 + 3.0 * columns, 0.6 + (2.4 * max(aspect, 0.4) + 0.35) * rows), dpi=120)
     figure.set_layout_engine("constrained", h_pad=0.08)
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-    picture = None
     for axes, field in zip(grid.flat, fields, strict=False):
-        picture = draw_map(axes, report[field].irradiance, report[field].extent, limits) or picture
+        scaled_map(axes, report.stray_map(field)[0], report[field].extent, limits, SMALL_CELLS)
         axes.set_title(f"{field:g}°", fontsize=10, pad=3)
     for axes in grid.flat[len(fields) :]:
         axes.set_axis_off()
@@ -109,11 +130,44 @@ def montage(report: GhostReport, columns: int = 4) -> Figure:
             axes.tick_params(labelbottom=True)
         if k % columns == 0:
             axes.set_ylabel("y [mm]")
-    if picture is not None and limits:
-        bar = figure.colorbar(picture, ax=grid, shrink=0.9, pad=0.01, aspect=30, extend="min")
-        bar.set_label(IRRADIANCE_LABEL)
-        figure.small_print(f"floor 1e{limits[0]:g} W/mm²; black: below the floor or no ray", right=True)
+    figure.small_print(_how_to_read(report[fields[0]].irradiance, SMALL_CELLS, common), right=True)
     return figure
+
+
+def scaled_map(axes: Axes, image: Map, extent: Extent, limits: Range | None, cells: int) -> None:
+    """
+    Draw one map with a colour bar of its own.
+
+    Parameters
+    ----------
+    axes : Axes
+    image : (H, W) float
+        W/mm².
+    extent : (float, float, float, float)
+        x0, x1, y0, y1 in mm.
+    limits : (float, float) or None
+        Floor and top, powers of ten of W/mm²; None: those of this map.
+    cells : int
+        Most cells along a side; pixels are averaged in squares until they are no more.
+    """
+    coarse, whole = averaged(image, extent, cells)
+    own = limits or log_range([coarse], OWN_DECADES)
+    if own is not None and not (coarse >= 10.0 ** own[0]).any():
+        own = None
+    picture = draw_map(axes, coarse, whole, own)
+    axes.set_xlim(extent[0], extent[1])
+    axes.set_ylim(extent[2], extent[3])
+    if picture is not None and own is not None:
+        bar = axes.figure.colorbar(picture, ax=axes, pad=0.02, fraction=0.05, extend="min")
+        bar.ax.yaxis.set_major_locator(MaxNLocator(6, integer=True))
+        bar.ax.tick_params(labelsize=8)
+
+
+def _how_to_read(image: Map, cells: int, common: bool) -> str:
+    pixels = pixels_averaged(image, cells)
+    mean = f"; means of {pixels} × {pixels} pixels" if pixels > 1 else ""
+    scale = "one scale" if common else "each map on its own scale"
+    return f"{IRRADIANCE_LABEL}, {scale}; black: below the floor or no ray{mean}"
 
 
 def levels_against_field(report: GhostReport) -> Figure:
@@ -200,11 +254,27 @@ def _error_bars(
     )  # fmt: skip
 
 
-def as_png(figure: Figure) -> bytes:
-    """A figure as PNG."""
+def as_png(figure: Figure, of_maps: bool = False) -> bytes:
+    """A figure as PNG; one with nothing but maps and black text has a palette, and a third of the size."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", bbox_inches="tight", pad_inches=0.1)
-    return buffer.getvalue()
+    if not of_maps:
+        return buffer.getvalue()
+    smaller = io.BytesIO()
+    buffer.seek(0)
+    colours = np.rint(255 * imread(buffer, format="png")[..., :3]).astype(np.uint8)
+    picture = Image.fromarray(colours).quantize(palette=_map_palette(), dither=Image.Dither.NONE)
+    picture.save(smaller, "PNG", compress_level=9)
+    return smaller.getvalue()
+
+
+def _map_palette() -> Image.Image:
+    """The colours of irradiance and grey levels for text, 256 in all."""
+    shades = np.repeat(np.linspace(0, 255, GREYS)[:, None], 3, axis=1)
+    colours = np.concatenate([255 * image_colours()(np.linspace(0, 1, 256 - GREYS))[:, :3], shades])
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(np.rint(colours).astype(np.uint8).tobytes())
+    return palette
 
 
 def write_figure(figure: Figure, path: str | Path) -> Path:
@@ -214,12 +284,33 @@ def write_figure(figure: Figure, path: str | Path) -> Path:
     return replace_file(path, buffer.getvalue(), "picture")
 
 
-def as_svg(figure: Figure) -> str:
-    """A figure as an SVG element, to stand inside HTML; without metadata, which names addresses."""
+def as_svg(figure: Figure, text: str = "") -> str:
+    """
+    A figure as an SVG element, to stand inside HTML; without metadata, which names addresses.
+
+    Text stays text, in the fonts of the reader. Coordinates have two decimals of a point.
+
+    Parameters
+    ----------
+    figure : Figure
+    text : str
+        What it shows, for those who do not see it.
+    """
     buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
-    text = buffer.getvalue()
-    return text[text.index("<svg") :]
+    with rc_context({"svg.fonttype": "none"}):
+        figure.savefig(buffer, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
+    svg = buffer.getvalue()
+    svg = _COMMENT.sub("", svg[svg.index("<svg") :])
+    used = set(_USED_ID.findall(svg))
+    svg = _TAG.sub(lambda tag: _shorter(tag[0], used), svg)
+    label = f' role="img" aria-label="{escape(text)}"' if text else ""
+    return f"<svg{label}{svg.removeprefix('<svg')}"
+
+
+def _shorter(tag: str, used: set[str]) -> str:
+    """A tag of SVG with rounded coordinates and without an id that nothing refers to."""
+    tag = _ID.sub(lambda found: found[0] if found[1] in used else "", tag)
+    return _BLANKS.sub(" ", _LONG_NUMBER.sub(lambda found: f"{float(found[0]):.2f}".rstrip("0").rstrip("."), tag))
 
 
 def _aspect(extent: Extent) -> float:

@@ -16,14 +16,14 @@ from mistray.analysis.path_maps import FieldMaps
 from mistray.analysis.ranking import FEWEST_RAYS, RANKS, rank_column
 from mistray.analysis.stray_levels import LEVELS
 from mistray.report.figures.layout import layout
-from mistray.report.figures.plots import as_png, common_range, ghost_image
+from mistray.report.ghosts.answer import field_anchor
 from mistray.report.html.explorer import BOX_HEADER, explorer, picture_cell
 from mistray.report.html.markup import image
 from mistray.report.html.thumbnails import DECADES, thumbnail
-from mistray.report.model import Column, Figure, Filter, Fold, Folded, Group, Note, Part, Table, Value, columns
+from mistray.report.model import Column, Figure, Filter, Fold, Folded, Note, Part, Table, Value, columns
 from mistray.report.parts import thousands
 from mistray.report.tables.levels import TITLES, level_table
-from mistray.report.tables.text import ABSENT, number
+from mistray.report.tables.text import ABSENT, number, with_error
 
 SURFACE_AND_ALL = 2  # columns of a table of levels that holds none
 ROWS_SHOWN = 60  # the worst paths
@@ -38,6 +38,10 @@ PICTURES = Markup(
     f"at most {DECADES:g} decades; black: less, or no ray."
 )
 RANK_HEADERS = {"rms": "RMS irr.", "power": "power", "peak": "peak"}
+POLARIZATION = (
+    ("polarisation", "degree", "polarization", "polarization_se"),
+    *((f"s{k}", "", f"s{k}", f"s{k}_se") for k in (1, 2, 3)),
+)
 PEAK = ("peak", "W/mm²", "peak_W_mm2", "peak_se_W_mm2")
 PATH_NUMBERS = (
     ("power", "W", "power_W", "power_se_W"),
@@ -51,9 +55,9 @@ PATH_NUMBERS = (
 )
 
 
-def field_section(report: GhostReport, s: FieldSummary, pictures: Mapping[str, bytes], per_wavelength: bool) -> Group:
+def field_section(report: GhostReport, s: FieldSummary, pictures: Mapping[str, bytes], per_wavelength: bool) -> Folded:
     """
-    Pictures, statistics block and path table of one field.
+    Statistics block, section and path table of one field, behind a line with its key numbers.
 
     Parameters
     ----------
@@ -61,7 +65,7 @@ def field_section(report: GhostReport, s: FieldSummary, pictures: Mapping[str, b
     s : FieldSummary
         Of all light of this field.
     pictures : mapping of str to bytes
-        PNG files by name, as from `ghosts_output.draw`; what is missing is drawn, but for colour pictures.
+        Colour pictures by name, as from `ghosts_output.draw`.
     per_wavelength : bool
         Add the paths at each wavelength.
     """
@@ -85,27 +89,34 @@ def field_section(report: GhostReport, s: FieldSummary, pictures: Mapping[str, b
         f"{s.paths} paths ({kinds}). Pixels {m.pixel_mm[0] * 1e3:.4g} × {m.pixel_mm[1] * 1e3:.4g} µm. "
         f"{thousands(t.segments)} segments traced in {t.seconds:.2f} s.{asymmetry}"
     )
-    ghost_map = pictures.get(f"ghosts_{s.field_deg:g}deg.png") or as_png(
-        ghost_image(report, s.field_deg, common_range(report))
-    )
     colour = pictures.get(f"colour_{s.field_deg:g}deg.png")
-    anchor = f"field-{s.field_deg:g}".replace(".", "_")
+    anchor = field_anchor(s.field_deg)
+    told = f"section of the system with rays of the direct image and of the worst stray paths, field {s.field_deg:g}°"
     parts: list[Part] = [
-        Note(f"Field {s.field_deg:g}°", "h3", anchor),
         Note(text),
-        Figure(ghost_map, text=f"irradiance on the detector, field {s.field_deg:g}°"),
+        Figure(functools.partial(layout, report, s.field_deg), text=told),
         *([Figure(colour, text=f"the detector in colour, field {s.field_deg:g}°")] if colour else []),
+        *explored_paths(report, s.field_deg, f"t-{anchor}"),
+        Note("Irradiance and levels", "h3"),
         Table(heads, block, f"t-map-{anchor}", sortable=False),
     ]
     for by in LEVELS:
         levels = level_table(report, s.field_deg, by, f"t-{by}-levels-{anchor}")
         if len(levels.columns) > SURFACE_AND_ALL:
             parts += [Note(f"{TITLES[by]}."), levels]
-    parts.append(Figure(functools.partial(layout, report, s.field_deg)))
-    parts += explored_paths(report, s.field_deg, f"t-{anchor}")
     if per_wavelength:
         parts.append(_paths_at_wavelengths(report, s.field_deg, f"t-waves-{anchor}"))
-    return Group("field", parts)
+    return Folded(_headline(report, s), parts, "field", anchor)
+
+
+def _headline(report: GhostReport, s: FieldSummary) -> str:
+    """What stands on the line that opens a field."""
+    direct = with_error(s.direct.power_W) if s.direct.power_W.value > 0 else "no"
+    text = f"Field {s.field_deg:g}°: {direct}{' W' if direct != 'no' else ''} direct light"
+    worst = report.top(s.field_deg, 1)
+    if worst.empty:
+        return f"{text}, no stray light"
+    return f"{text}, {with_error(s.stray_W)} W stray light; worst path {worst.label.iloc[0]}"
 
 
 def mapped_paths(report: GhostReport, field_deg: float) -> FieldMaps:
@@ -190,7 +201,7 @@ def _numbers(table: pd.DataFrame, wave: bool) -> list[tuple[str, str, str, str]]
     return [
         *PATH_NUMBERS,
         *([PEAK] if "rank_peak" in table and not wave else []),
-        *([("polarisation", "degree", "polarization", "polarization_se")] if polarised else []),
+        *(POLARIZATION if polarised else []),
     ]
 
 

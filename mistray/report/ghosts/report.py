@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from markupsafe import Markup
-
-from mistray.analysis.estimate import UNKNOWN, Estimate
+from mistray.analysis.estimate import UNKNOWN
 from mistray.analysis.ghosts import FieldSummary, GhostReport
 from mistray.recorders.path_events import STRAY_KINDS
 from mistray.replace_file import replace_file
 from mistray.report.figures.plots import as_png, levels_against_field, montage
+from mistray.report.ghosts.answer import answer, worst_table
 from mistray.report.ghosts.fields import field_section, mapped_paths
 from mistray.report.ghosts.ledgers import coatings, energy_ledger, surface_ledger
 from mistray.report.ghosts.scatter import scatter_ledger
 from mistray.report.html.explorer import page_data
 from mistray.report.html.render import html_page
-from mistray.report.model import Column, Figure, Hover, Note, Part, Report, Section, Table, Value, columns
+from mistray.report.model import Column, Figure, Folded, Hover, Note, Part, Report, Section, Table, Value, columns
 from mistray.report.own_sections import own_sections
 from mistray.report.parts import setting_text, settings_section, terms, thousands
 from mistray.report.tables.ghosts import warnings
@@ -33,10 +31,8 @@ ASSUMPTIONS = (
     "{polarization}; the coatings are those of the scene, bare surfaces follow Fresnel.",
     "A source at infinity: one collimated beam for each field angle, with the irradiance that the scene states.",
 )
-POLARIZATION = {
-    "unpolarized": "Unpolarised light at every surface: R and T are the means of s and p at every hit",
-    "stokes": "Polarisation is carried along every path as a Stokes vector; the light of the source is unpolarised",
-}
+UNPOLARIZED = "Unpolarised light at every surface: R and T are the means of s and p at every hit"
+STOKES = "Polarisation is carried along every path as a Stokes vector; the light of the source is {state}"
 SPECULAR = "Specular light only: reflection and refraction at smooth surfaces; no scattered light reaches the detector."
 SCATTERED = (
     "Surfaces scatter by the models that the scene gives them, up to {max_scatters} times along a path. Scattered "
@@ -44,7 +40,9 @@ SCATTERED = (
 )
 
 
-OVERVIEW = "Irradiance on the detector at every field, all light, one log10 scale."
+OVERVIEW = "Stray light on the detector at every field, without the direct image. Each map has its own log10 scale."
+ON_ONE_SCALE = "The same on one scale"
+FIELDS = "On a screen, open a field for its paths, their maps and rays, and for what lights a spot of the detector."
 LEVELS = "Power by kind of light, and the ten worst stray paths at every field."
 AT_WAVELENGTHS = "Nominal and normalised: against the on-axis image at the same wavelength."
 
@@ -101,25 +99,25 @@ def ghosts_report(
     for field in report:
         mapped_paths(report, field)  # first of all: the maps of the summaries come from the same run of the rays
     summaries = [report.summary(field) for field in report]
-    fields = [page_data(report.scene), *(field_section(report, s, pictures, per_wavelength) for s in summaries)]
-    overview = pictures.get("overview.png") or as_png(montage(report))
-    drawn = [Figure(overview, OVERVIEW, "ghost images of all fields"), _levels(report)]
+    fields = [page_data(report), *(field_section(report, s, pictures, per_wavelength) for s in summaries)]
     sections = [
-        Section("summary", "Summary", _summary(report, summaries, per_wavelength), "Summary"),
-        Section("pictures", "Pictures", drawn, "Pictures"),
-        Section("fields", "Field by field", fields, "Fields"),
-        Section("energy", "Energy ledger", energy_ledger(report, per_wavelength), "Energy"),
+        Section("worst", "The worst paths of all fields", worst_table(report), "Worst paths"),
+        Section("pictures", "Pictures", _pictures(report, pictures), "Pictures"),
+        Section("summary", "Every field", _summary(report, summaries, per_wavelength), "Summary"),
+        Section("fields", "Field by field", [Note(FIELDS), *fields], "Fields"),
+        Section("energy", "Energy ledger", energy_ledger(report, per_wavelength), "Energy", "always"),
     ]
     if report.scatters:
-        sections.append(Section("scatter", "Scattered light", scatter_ledger(report), "Scatter"))
-    sections.append(Section("surfaces", "Flux at every surface", surface_ledger(report, per_wavelength), "Surfaces"))
+        sections.append(Section("scatter", "Scattered light", scatter_ledger(report), "Scatter", "always"))
+    flux = surface_ledger(report, per_wavelength)
+    sections.append(Section("surfaces", "Flux at every surface", flux, "Surfaces", "always"))
     if report.nominal_trace.tables:
-        sections.append(Section("coatings", "Coatings and surfaces", coatings(report), "Coatings"))
+        sections.append(Section("coatings", "Coatings and surfaces", coatings(report), "Coatings", "always"))
     return Report(
         "Ghost analysis",
         title,
         [*sections, *own_sections(report), _settings(report, command)],
-        lead=[Note(_traced(report), "sub"), _finding(report, summaries)],
+        lead=[Note(_traced(report), "sub"), *answer(report)],
         warnings=warnings(report),
         scripts=("report", "hover", "explorer"),
     )
@@ -140,28 +138,6 @@ def _traced(report: GhostReport) -> str:
         f"{thousands(settings['rays'])} start rays at each field, up to {settings['max_reflections']} reflections"
         f"{scatters}."
     )
-
-
-def _finding(report: GhostReport, summaries: Sequence[FieldSummary]) -> Note:
-    rated = [s for s in summaries if s.brightest is not None and math.isfinite(s.brightest_normalised.value)]
-    if not rated:
-        return Note("No stray path reaches the detector.")
-    worst = max(rated, key=lambda s: s.brightest_normalised.value)
-    row = report.top(worst.field_deg, 1, "rms").iloc[0]
-    most = max(summaries, key=lambda s: s.stray_W.value)
-    strongest = {s.field_deg: report.top(s.field_deg, 1, "power").iloc[0] for s in rated}
-    at, strong = max(strongest.items(), key=lambda item: item[1].power_W)
-    path = Markup("<b>{}</b> ({}) at {:g}°")
-    text = (
-        "Worst path by RMS irradiance: {}, {} of the on-axis image. Strongest path by power: {}, {} W. "
-        "Most stray light: {} W at {:g}°, {} of the power of the on-axis image."
-    )
-    words = (
-        *(path.format(row.label, row.kind, worst.field_deg), with_error(worst.brightest_normalised)),
-        *(path.format(strong.label, strong.kind, at), with_error(Estimate(strong.power_W, strong.power_se_W))),
-        *(with_error(most.stray_W), most.field_deg, with_error(most.stray_to_nominal)),
-    )
-    return Note(Markup(text).format(*words))
 
 
 def _summary(report: GhostReport, summaries: Sequence[FieldSummary], per_wavelength: bool) -> list[Part]:
@@ -203,6 +179,17 @@ def _summary_table(report: GhostReport, summaries: Sequence[FieldSummary], kinds
     return table.without("λ") if all(s.wavelength_nm is None for s in summaries) else table
 
 
+def _pictures(report: GhostReport, pictures: Mapping[str, bytes]) -> list[Part]:
+    """The stray light of all fields, and levels against the field."""
+    own = pictures.get("overview.png") or as_png(montage(report), of_maps=True)
+    drawn: list[Part] = [Figure(own, OVERVIEW, "stray light on the detector at every field")]
+    if len(report) > 1:
+        common = pictures.get("overview_common.png") or as_png(montage(report, common=True), of_maps=True)
+        told = "stray light on the detector at every field, on one scale"
+        drawn.append(Folded(ON_ONE_SCALE, [Figure(common, text=told)]))
+    return [*drawn, _levels(report)]
+
+
 def _levels(report: GhostReport) -> Figure:
     """Power against field angle, with its values for the pointer."""
     fields = sorted(report)
@@ -216,15 +203,29 @@ def _levels(report: GhostReport) -> Figure:
     return Figure(functools.partial(levels_against_field, report), LEVELS, hover=hover)
 
 
+def polarization_words(settings: Mapping[str, Any]) -> str:
+    """What the settings of a trace say of the polarisation of its light."""
+    if settings["polarization"] != "stokes":
+        return UNPOLARIZED
+    states = settings.get("source_stokes") or {}
+    words = [f"s1, s2, s3 = {', '.join(f'{s:g}' for s in state)} ({name})" for name, state in states.items()]
+    return STOKES.format(state="polarised, " + " and ".join(words) if words else "unpolarised")
+
+
 def _settings(report: GhostReport, command: str) -> Section:
     settings = next(iter(report.values())).settings
     words = {
-        "polarization": POLARIZATION[settings["polarization"]],
+        "polarization": polarization_words(settings),
         "scatter": SCATTERED.format(**settings) if report.scatters else SPECULAR,
     }
     shown: dict[str, Any] = {key: value for key, value in settings.items() if key not in ("field_deg", "versions")}
     shown["field_deg"] = ", ".join(f"{field:g}" for field in report)
     shown |= {f"version of {name}": version for name, version in dict(settings.get("versions") or {}).items()}
     return settings_section(
-        shown, command, terms("ghosts"), [text.format(**words) for text in ASSUMPTIONS], link="Settings"
+        shown,
+        command,
+        terms("ghosts"),
+        [text.format(**words) for text in ASSUMPTIONS],
+        link="Settings",
+        folded="screen",
     )

@@ -53,7 +53,16 @@ class MapStore:
         """All numbers, compressed, as base64."""
         codes = np.concatenate([np.zeros(0, dtype=np.uint16), *self._codes])
         planes = (codes >> 8).astype(np.uint8).tobytes() + (codes & 255).astype(np.uint8).tobytes()
-        return base64.b64encode(zlib.compress(planes, 9)).decode("ascii")
+        return _compressed(planes)
+
+
+def packed(value: Any) -> str:
+    """A value as JSON, compressed, as base64."""
+    return _compressed(json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode())
+
+
+def _compressed(data: bytes) -> str:
+    return base64.b64encode(zlib.compress(data, 9)).decode("ascii")
 
 
 def power_codes(power_W: npt.NDArray[np.float64]) -> npt.NDArray[np.uint16]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,8 @@ from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.path_maps import FieldMaps
 from mistray.recorders.path_events import INTERCEPTS, LETTERS
 from mistray.report.figures.layout import RAYS_DRAWN, glass_bodies, meridional, section, worst_paths
-from mistray.report.html.embedded import MapStore, colour_text, json_script, rounded
+from mistray.report.figures.plots import common_range
+from mistray.report.html.embedded import MapStore, colour_text, json_script, packed, rounded
 from mistray.report.html.render import template
 from mistray.report.model import Column, Finished, Html
 
@@ -34,8 +34,9 @@ EVENT_WORDS = {
 BOX_HEADER = Column("in the box", "W", "inbox")
 
 
-def page_data(scene: Any) -> Html:
-    """What the panels of all fields share: the section of the system, colours and words."""
+def page_data(report: GhostReport) -> Html:
+    """What the panels of all fields share: the section of the system, colours, words and scales of the maps."""
+    scene = report.scene
     lines = section(scene)
     points = np.concatenate([line for surface in lines for line in surface.lines] or [np.zeros((1, 2))])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -44,6 +45,7 @@ def page_data(scene: Any) -> Html:
         "data-page",
         {
             "colours": colour_text(),
+            "scales": {"light": common_range(report), "stray": common_range(report, stray=True)},
             "events": {letter: EVENT_WORDS[INTERCEPTS[code]] for code, letter in LETTERS.items()},
             "bounds": np.round([*low, *high], digits).tolist(),
             "glass": rounded(glass_bodies(scene), digits),
@@ -79,7 +81,7 @@ def explorer(report: GhostReport, field_deg: float, maps: FieldMaps, table: str)
         "extent": list(t.extent),
         "shape": list(t.irradiance.shape),
         "grid": maps.grid,
-        "light": store.add(maps.light),
+        "direct": store.add(maps.direct),
         "stray": store.add(maps.stray),
         "rest": store.add(maps.rest),
         "paths": {str(path_id): store.add(found) for path_id, found in maps.paths.items()},
@@ -88,7 +90,7 @@ def explorer(report: GhostReport, field_deg: float, maps: FieldMaps, table: str)
     }
     source = f"data-{table}"
     panel = template("explorer.html", table=table, source=source, field=f"{field_deg:g}")
-    return Html(panel + json_script(source, data | {"codes": store.text()}))
+    return Html(panel + json_script(source, {"packed": packed(data), "codes": store.text()}))
 
 
 def picture_cell(path_id: int, content: str, below: Sequence[str]) -> Finished:

@@ -23,6 +23,7 @@ def hover_figure(
     titles: Sequence[str],
     values: Sequence[Sequence[Value]],
     caption: str = "",
+    text: str = "",
 ) -> str:
     """
     A figure that shows values for the pointer and for the arrow keys; on paper it is the figure alone.
@@ -42,8 +43,10 @@ def hover_figure(
         Names and values of each place.
     caption : str
         Stands below the figure.
+    text : str
+        What it shows, for those who do not see it (default: the caption).
     """
-    svg = as_svg(figure)  # lays the figure out, so that places are known only now
+    svg = as_svg(figure, text or caption)  # lays the figure out, so that places are known only now
     width, height = (POINTS_PER_INCH * size for size in figure.get_size_inches())
     scale = POINTS_PER_INCH / figure.dpi
     bottom = axes.get_ylim()[0]

@@ -51,6 +51,9 @@ def _cell(value: model.Value, column: model.Column) -> str:
         return number_cell(value.number, value.note)
     if isinstance(value, model.Cell):
         return cell(value.text, value.style)
+    if isinstance(value, model.Link):
+        link = f'<a href="#{escape(value.anchor)}">{escape(value.text)}</a>'
+        return f'<td class="{column.style}">{link}</td>' if column.style else f"<td>{link}</td>"
     if isinstance(value, model.Finished):
         return value.html
     if isinstance(value, model.Fold):
@@ -64,10 +67,11 @@ def _hovering(figure: model.Figure) -> Markup:
     assert figure.hover is not None
     drawn, hover = figure.picture(), figure.hover
     places = (hover.x, hover.titles, hover.values)
-    return Markup(hover_figure(hover.name, drawn, drawn.axes[0], *places, figure.caption))
+    return Markup(hover_figure(hover.name, drawn, drawn.axes[0], *places, figure.caption, figure.text))
 
 
-def _drawn_map(given: model.Map) -> model.Figure:
+def drawn_map(given: model.Map) -> model.Figure:
+    """A map as a picture."""
     return model.Figure(functools.partial(_map_figure, given), given.title)
 
 
@@ -89,9 +93,9 @@ def _environment() -> Environment:
     made.filters |= {
         "base64": lambda png: base64.b64encode(png).decode("ascii"),
         "cell": value_cell,
-        "drawn_map": _drawn_map,
+        "drawn_map": drawn_map,
         "hovering": _hovering,
-        "svg": lambda drawn: Markup(as_svg(drawn)),
+        "svg": lambda drawn, text: Markup(as_svg(drawn, text)),
     }
     return made
 

@@ -11,7 +11,7 @@ from mistray.analysis.path_maps import PathMap
 from mistray.files.irradiance_files import Extent
 from mistray.report.html.embedded import COLOURS, colour_table, palette_png
 
-SIDE = 64  # pixels
+SIDE = 48  # pixels
 DECADES = 4.0
 RADII = 3.0  # RMS radii from the middle to the edge
 FEWEST_PIXELS = 6  # of the detector from the middle to the edge

@@ -106,7 +106,7 @@ def table_frame(table: Table) -> pd.DataFrame:
     """
     A table as a DataFrame, whose columns are named like its heads and end in their units.
 
-    An `Estimate` becomes two columns, value and standard error.
+    An `Estimate` becomes two columns, value and standard error. Text in a column with a unit is a number, or missing.
     """
     ends = {unit: end for end, unit in UNITS}
     columns: dict[str, list[Any]] = {}
@@ -119,6 +119,9 @@ def table_frame(table: Table) -> pd.DataFrame:
             pairs = [value if isinstance(value, Estimate) else UNKNOWN for value in values]
             columns[f"{name}{end}"] = [pair.value for pair in pairs]
             columns[f"{name}_se{end}"] = [pair.se for pair in pairs]
+        elif unit:
+            texts = [str(value) if isinstance(value, int) else cell_text(value) for value in values]
+            columns[f"{name}{end}"] = pd.to_numeric(pd.Series(texts, dtype=object), errors="coerce").tolist()
         else:
             columns[f"{name}{end}"] = [value if isinstance(value, int) else cell_text(value) for value in values]
     return pd.DataFrame(columns)

@@ -6,9 +6,10 @@ import math
 from collections.abc import Sequence
 
 from mistray.analysis.estimate import Estimate
-from mistray.report.model import Cell, Figure, Fold, Items, Map, Note, Noted, Part, Table, Terms, Value
+from mistray.report.model import Cell, Figure, Fold, Items, Link, Map, Note, Noted, Part, Table, Terms, Value
 
 MOST_DECIMALS = 6
+ROUNDING = 1e-13  # relative; what sums of float64 leave of an error that is 0
 ABSENT = "–"
 
 
@@ -24,7 +25,7 @@ def with_error(number: Estimate, digits: int = 2) -> str:
         return ABSENT
     if not math.isfinite(se):
         return f"{value:.4g} ± ?"
-    if se <= 0:
+    if se <= ROUNDING * abs(value):
         return f"{value:.6g} ± 0"
     if value == 0:
         return f"0 ± {se:.{digits - 1}e}"
@@ -76,7 +77,7 @@ def cell_text(value: Value) -> str:
         value = value.number
     if isinstance(value, Estimate):
         return with_error(value)
-    if isinstance(value, Cell):
+    if isinstance(value, Cell | Link):
         return value.text
     return value.summary if isinstance(value, Fold) else str(value)
 

@@ -16,30 +16,31 @@ from mistray.report.rays.path_rays import RayLine
 from mistray.report.view3d.drawing import ROLE_COLOURS, xyz
 
 if TYPE_CHECKING:
+    from mistray.recorders.passing.surface_maps import SurfaceMap
     from mistray.trace.energy import SurfaceFlux
 
 Menu = list[tuple[str, str, list[Any]]]  # method, label and arguments of each button
 Box = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 
 COLOURINGS = {"flux": "incident", "absorbed": "absorbed"}
-COLOUR_AXES = ("coloraxis", "coloraxis2")
+IRRADIANCE = "irradiance"  # of the cells of walls
+COLOUR_AXES = ("coloraxis", "coloraxis2", "coloraxis3")
 NO_LIGHT = "#d3d3d3"
-DECADES = 8.0  # of the flux scale, at most
+DECADES, WALL_DECADES = 8.0, 5.0  # of the scales of flux and of irradiance, at most
 LONGEST, WIDEST = 1.3, 0.95  # sides of the box along z and across, in units of plotly's camera
 NEAR = 1.45  # as much larger without perspective
 BEAM_SHOWN = 0.15  # of the size of the scene, before the first surface
 
 
-class FluxScale:
-    """Colours of surfaces by a flux, and the range of log10 W that they span."""
+class LogScale:
+    """Colours of values, and the range of log10 that they span."""
 
-    def __init__(self, surfaces: Sequence[OpenSurface], flux: Mapping[str, SurfaceFlux], what: str) -> None:
-        self.what = what
-        values = np.array([getattr(flux[surface.name], f"{what}_W") for surface in surfaces], dtype=np.float64)
+    def __init__(self, values: npt.NDArray[np.float64], title: str, decades: float = DECADES) -> None:
+        self.title = title
         lit = values > 0
         logs = np.log10(values, where=lit, out=np.full(len(values), np.nan))
         self.top = float(np.nanmax(logs)) if lit.any() else 0.0
-        self.floor = max(float(np.nanmin(logs)) if lit.any() else -1.0, self.top - DECADES)
+        self.floor = max(float(np.nanmin(logs)) if lit.any() else -1.0, self.top - decades)
         if self.top - self.floor < 1e-6:
             self.floor = self.top - 1.0
         shares = np.clip((logs - self.floor) / (self.top - self.floor), 0.0, 1.0)
@@ -54,12 +55,28 @@ class FluxScale:
         return list(range(math.ceil(self.floor - 1e-9), math.floor(self.top + 1e-9) + 1))
 
 
-def flux_scales(surfaces: Sequence[OpenSurface], flux: Mapping[str, SurfaceFlux]) -> dict[str, FluxScale]:
-    """Scales of incident and absorbed flux; none without a trace."""
-    return {key: FluxScale(surfaces, flux, what) for key, what in COLOURINGS.items()} if flux else {}
+class FluxScale(LogScale):
+    """Colours of surfaces by a flux, W."""
+
+    def __init__(self, surfaces: Sequence[OpenSurface], flux: Mapping[str, SurfaceFlux], what: str) -> None:
+        values = np.array([getattr(flux[surface.name], f"{what}_W") for surface in surfaces], dtype=np.float64)
+        super().__init__(values, f"{what} flux of a surface, W")
 
 
-def colour_axes(scales: Mapping[str, FluxScale], by: str) -> dict[str, dict[str, Any]]:
+def light_scales(
+    surfaces: Sequence[OpenSurface], flux: Mapping[str, SurfaceFlux], walls: Sequence[SurfaceMap]
+) -> dict[str, LogScale]:
+    """Scales of incident and absorbed flux, and of the irradiance of cells if it is recorded; none without a trace."""
+    scales: dict[str, LogScale] = {}
+    if flux:
+        scales = {key: FluxScale(surfaces, flux, what) for key, what in COLOURINGS.items()}
+    if walls:
+        cells = np.concatenate([one.irradiance[0].ravel() for one in walls])
+        scales[IRRADIANCE] = LogScale(cells, "irradiance of a wall, W/mm²", WALL_DECADES)
+    return scales
+
+
+def colour_axes(scales: Mapping[str, LogScale], by: str) -> dict[str, dict[str, Any]]:
     """The scales as colour axes of the layout, of which the one that surfaces are coloured by shows its bar."""
     axes = {}
     for key, name in zip(scales, COLOUR_AXES, strict=False):
@@ -74,7 +91,7 @@ def colour_axes(scales: Mapping[str, FluxScale], by: str) -> dict[str, dict[str,
             "cmax": scale.top,
             "showscale": key == by,
             "colorbar": {
-                "title": {"text": f"{scale.what} flux of a surface, W{dark}", "side": "top"},
+                "title": {"text": f"{scale.title}{dark}", "side": "top"},
                 "tickvals": [value for value, _ in ticks],
                 "ticktext": [text for _, text in ticks],
                 "orientation": "h",
@@ -89,7 +106,7 @@ def colour_axes(scales: Mapping[str, FluxScale], by: str) -> dict[str, dict[str,
     return axes
 
 
-def scale_marks(go: Any, scales: Mapping[str, FluxScale], box: Box) -> list[Any]:
+def scale_marks(go: Any, scales: Mapping[str, LogScale], box: Box) -> list[Any]:
     """Marks that cannot be seen: plotly draws a colour bar only for an axis that some mark has."""
     centre = (box[0] + box[1]) / 2
     return [
@@ -99,7 +116,7 @@ def scale_marks(go: Any, scales: Mapping[str, FluxScale], box: Box) -> list[Any]
             marker={"size": 0.001, "opacity": 0.0, "color": [scale.floor], "coloraxis": name},
             showlegend=False,
             hoverinfo="skip",
-            meta={"scale": scale.what},
+            meta={"scale": scale.title},
         )
         for scale, name in zip(scales.values(), COLOUR_AXES, strict=False)
     ]
@@ -176,19 +193,32 @@ def arrange(figure: Any, box: Box, cut: CutPlane | None) -> None:
 
 
 def add_buttons(
-    figure: Any, scales: Mapping[str, FluxScale], by: str, shown: Sequence[OpenSurface], cut: CutPlane | None
+    figure: Any, scales: Mapping[str, LogScale], by: str, shown: Sequence[OpenSurface], cut: CutPlane | None
 ) -> None:
     """Buttons above the picture: point of view, colours of the surfaces, all rays or none."""
     role = [ROLE_COLOURS[surface.role] for surface in shown]
-    colours = {**{key: scale.colours for key, scale in scales.items()}, "role": role}
+    keys = [*scales, "role"]
+    colours = {key: role if key in ("role", IRRADIANCE) else scales[key].colours for key in keys}
+    walls = {trace.meta["wall"]: k for k, trace in enumerate(figure.data) if "wall" in (trace.meta or {})}
     paths = [k for k, trace in enumerate(figure.data) if "path_id" in (trace.meta or {})]
     for mesh, colour in zip(figure.data, colours[by], strict=False):  # the meshes of the surfaces come first
         mesh.color = colour
     meshes = list(range(len(shown)))
 
+    def seen(key: str) -> list[bool]:
+        """Of the meshes of surfaces, then of those of cells, which stand in their place."""
+        cells = key == IRRADIANCE
+        return [not (cells and surface.name in walls) for surface in shown] + [cells] * len(walls)
+
+    for k, is_seen in zip((*meshes, *walls.values()), seen(by), strict=True):
+        figure.data[k].visible = is_seen
+
     def recolour(key: str) -> list[Any]:
         bars = {f"{name}.showscale": key == other for other, name in zip(scales, COLOUR_AXES, strict=False)}
-        return [{"color": colours[key]}, bars, meshes]
+        if not walls:
+            return [{"color": colours[key]}, bars, meshes]
+        of_cells = [figure.data[k].color for k in walls.values()]
+        return [{"color": [*colours[key], *of_cells], "visible": seen(key)}, bars, [*meshes, *walls.values()]]
 
     ratio = figure.layout.scene.aspectratio
     looks: Menu = []
@@ -202,15 +232,15 @@ def add_buttons(
         looks.append(("relayout", name, [{"scene.camera": camera, "scene.aspectratio": sides, **axes}]))
     menus = [looks]
     if scales:
-        words = {"flux": "incident flux", "absorbed": "absorbed flux", "role": "role"}
-        menus.append([("update", words[key], recolour(key)) for key in colours])
+        words = {"flux": "incident flux", "absorbed": "absorbed flux", IRRADIANCE: "irradiance", "role": "role"}
+        menus.append([("update", words[key], recolour(key)) for key in keys])
     if paths:
         menus.append(
             [("restyle", name, [{"visible": state}, paths])
              for name, state in (("all rays", True), ("no rays", "legendonly"))]
         )  # fmt: skip
     figure.update_layout(colour_axes(scales, by))
-    active = [0, list(colours).index(by), 0]
+    active = [0, keys.index(by), 0]
     figure.update_layout(
         updatemenus=[
             {

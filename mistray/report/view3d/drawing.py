@@ -19,6 +19,7 @@ from mistray.report.rays.path_rays import RayLine, row_name
 from mistray.report.tables.text import with_error
 
 if TYPE_CHECKING:
+    from mistray.recorders.passing.surface_maps import SurfaceMap
     from mistray.trace.energy import SurfaceFlux
     from mistray.trace.paths import PathRow
 
@@ -56,6 +57,32 @@ def surface_mesh(go: Any, surface: OpenSurface, flux: SurfaceFlux | None) -> Any
         lighting=LIGHT,
         hovertemplate="<br>".join(lines),
         meta={"surface": surface.name},
+    )
+
+
+def wall_mesh(go: Any, one: SurfaceMap, colours: Sequence[str], cut: CutPlane | None) -> Any:
+    """The cells of a wall as ``mesh3d``, each in a colour of its own; those whose middle is cut away are left out."""
+    rows, columns = one.places.shape[:2]
+    row, column = np.divmod(np.arange(rows * columns), columns)
+    kept = np.ones(len(row), dtype=bool) if cut is None else cut.height(one.places.reshape(-1, 3)) <= 0
+    first = (row * (columns + 1) + column)[kept]
+    faces = np.concatenate([
+        np.column_stack([first, first + 1, first + columns + 2]),
+        np.column_stack([first, first + columns + 2, first + columns + 1]),
+    ])  # fmt: skip
+    own = np.array(colours)[kept].tolist()
+    head = f"<b>{escape(one.surface)}</b>, part {escape(one.part)}<br>incident {with_error(Estimate(*one.power))} W"
+    return go.Mesh3d(
+        **xyz(one.corners.reshape(-1, 3)),
+        **dict(zip("ijk", _small(faces).T, strict=True)),
+        facecolor=own + own,
+        lighting=FLAT_LIGHT,
+        legend="legend2",
+        legendgroup="structure",
+        showlegend=False,
+        visible=False,
+        hovertemplate=f"{head}<br>x %{{x:.5g}}, y %{{y:.5g}}, z %{{z:.5g}} mm<extra></extra>",
+        meta={"wall": one.surface},
     )
 
 

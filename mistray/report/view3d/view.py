@@ -18,10 +18,19 @@ from mistray.replace_file import replace_file
 from mistray.report.figures.cut_open import CutPlane, OpenSurface, open_surfaces
 from mistray.report.parts import thousands
 from mistray.report.rays.path_rays import RayLine, check_count, chosen_rows, rays_of_paths
-from mistray.report.view3d.controls import COLOURINGS, add_buttons, arrange, flux_scales, scale_marks, shown_box
-from mistray.report.view3d.drawing import ROLES, glass_faces, outlines, path_lines, surface_mesh
+from mistray.report.view3d.controls import (
+    COLOURINGS,
+    IRRADIANCE,
+    add_buttons,
+    arrange,
+    light_scales,
+    scale_marks,
+    shown_box,
+)
+from mistray.report.view3d.drawing import ROLES, glass_faces, outlines, path_lines, surface_mesh, wall_mesh
 
 if TYPE_CHECKING:
+    from mistray.recorders.passing.surface_maps import SurfaceMap
     from mistray.trace import Trace
     from mistray.trace.energy import SurfaceFlux
     from mistray.trace.paths import PathRow
@@ -105,9 +114,10 @@ def view(
         Draw these rows instead.
     rays : int
         Most rays of each path.
-    colour : {"flux", "absorbed", "role"}, optional
+    colour : {"flux", "absorbed", "irradiance", "role"}, optional
         Colour surfaces by the flux that reaches them, by what they absorb of it (both log10, `DECADES` decades at
-        most), or by what they are. Default: "flux" if there is a trace, else "role".
+        most), by place where the trace has `mistray.recorders.SurfaceMaps`, or by what they are. Default: by place if
+        the trace has these, else "flux", without a trace "role".
     cut_deg : float or None
         Direction of the half that is taken away, degrees about z from x: 180 takes x < 0, 90 takes y > 0. None: the
         whole scene.
@@ -137,7 +147,6 @@ def view(
         raise MistrayError(f"cut_deg={cut_deg}, cut_mm={cut_mm:g} leaves no surface; move the cut")
     flux = _flux_of(surfaces, trace)
     lines = [] if trace is None else rays_of_paths(trace, [row.path_id for row in rows], rays)
-    by = colour or ("role" if trace is None else "flux")
     box = shown_box(shown, lines, cut)
     figure = go.Figure()
     meshes = [surface_mesh(go, surface, flux.get(surface.name)) for surface in shown]
@@ -149,9 +158,18 @@ def view(
     figure.add_traces(meshes)
     figure.add_traces(edges)
     figure.add_traces(glass_faces(go, scene, surfaces, cut))
-    scales = flux_scales(shown, flux)
+    maps = _maps_of(trace)
+    if colour == IRRADIANCE and not maps:
+        raise MistrayError("colour is 'irradiance' but the trace has no maps of surfaces; record them (SurfaceMaps)")
+    by = colour or (IRRADIANCE if maps else "role" if trace is None else "flux")
+    scales = light_scales(shown, flux, maps)
     figure.add_traces(scale_marks(go, scales, box))
     figure.add_traces(path_lines(go, rows, lines))
+    start = 0
+    for one in maps:
+        cells = one.areas.size * (len(one.across_borders) - 1)
+        figure.add_trace(wall_mesh(go, one, scales[IRRADIANCE].colours[start : start + cells], cut))
+        start += cells
     arrange(figure, box, cut)
     add_buttons(figure, scales, by, shown, cut)
     return View(figure, surfaces, lines, title, _note(trace, rows, cut))
@@ -168,14 +186,24 @@ def graph_objects() -> Any:
 def _check(
     trace: Trace | None, path_ids: Sequence[int] | None, colour: str | None, cut_deg: float | None, cut_mm: float
 ) -> None:
-    if colour not in (None, "role", *COLOURINGS):
-        raise MistrayError(f"colour is '{colour}'; choose {', '.join(COLOURINGS)} or role")
-    if trace is None and colour in COLOURINGS:
+    if colour not in (None, "role", IRRADIANCE, *COLOURINGS):
+        raise MistrayError(f"colour is '{colour}'; choose {', '.join(COLOURINGS)}, {IRRADIANCE} or role")
+    if trace is None and colour in (IRRADIANCE, *COLOURINGS):
         raise MistrayError(f"colour is '{colour}' but nothing was traced; give the trace, or colour='role'")
     if trace is None and path_ids is not None:
         raise MistrayError("path_ids without a trace; give the trace that has these paths")
     if not math.isfinite(cut_mm) or not math.isfinite(cut_deg or 0.0):
         raise MistrayError(f"cut_deg is {cut_deg}, cut_mm is {cut_mm}; both must be finite")
+
+
+def _maps_of(trace: Trace | None) -> list[SurfaceMap]:
+    """What the trace has recorded of its surfaces by place, each surface once."""
+    from mistray.recorders.passing.surface_maps import SurfaceMaps
+
+    if trace is None:
+        return []
+    recorders = [one for one in trace.recorders.values() if isinstance(one, SurfaceMaps)]
+    return list({name: one for recorder in recorders for name, one in recorder.maps.items()}.values())
 
 
 def _flux_of(surfaces: Sequence[OpenSurface], trace: Trace | None) -> dict[str, SurfaceFlux]:

@@ -198,6 +198,12 @@ class Freeform(Surface):
         x, y = np.where(inside, moved, places[number]).T
         return np.stack([x, y, self._sag(x, y)[0]], axis=1)
 
+    def proposals(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        x, y = self.half[0] * (2 * u - 1), self.half[1] * (2 * v - 1)
+        whole = 4 * self.half[0] * self.half[1]
+        area = np.where(self.outline.contains(x, y), whole * self._stretch(x, y), 0.0)
+        return np.stack([x, y, self._sag(x, y)[0]], axis=1), area
+
     def unit_square(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return 0.5 + 0.5 * q[:, 0] / self.half[0], 0.5 + 0.5 * q[:, 1] / self.half[1]
 

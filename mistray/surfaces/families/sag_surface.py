@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 # An asphere is hit through its conic if it departs from it by less than this, in units of its aperture and as a slope
 MILD_DEPARTURE, MILD_SLOPE, MILD_MARGIN = 0.004, 0.03, 1.02
 NEWTON_STEPS = 8
+STEEP = 2.0  # |dz/dr| above which points are proposed more densely towards the rim
 SETTLED = 1e-10  # last step of Newton's method, relative, below which it has found a hit
 # Gauss-Legendre quadrature over 0 … 1, of a part of a curved surface, each way
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
@@ -218,6 +219,13 @@ class SagSurface(Surface):
             return np.stack([x, y, self.sag(r * r)], axis=1)
         x, y = self.half_size[0] * (2 * u - 1), self.half_size[1] * (2 * v - 1)
         return np.stack([x, y, self.sag(x * x + y * y)], axis=1)
+
+    def proposals(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        share = np.full(len(u), np.pi * (self.outer**2 - self.inner**2) or 4 * self.half_size[0] * self.half_size[1])
+        if self.outer and self.slope > STEEP:  # towards the rim of a hemisphere the stretch grows as 1 / (1 - u)
+            u, share = u * (2 - u), share * 2 * (1 - u)
+        q = self.points(u, v)
+        return q, share * self._stretch(q[:, 0] ** 2 + q[:, 1] ** 2)
 
     def unit_square(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if not self.outer:

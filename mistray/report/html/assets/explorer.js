@@ -12,6 +12,24 @@ function readMap(entry, powers) {
   const [pixels, column, row, width, height, place] = entry;
   return { pixels, column, row, width, height, power: powers.subarray(place, place + width * height) };
 }
+function together(a, b) {  // the sum of two maps, on the larger of their cells
+  const pixels = Math.max(a.pixels, b.pixels), lit = [a, b].filter((map) => map.width);
+  if (!lit.length) return a;
+  const cells = (map) => [map.column, map.column + map.width, map.row, map.row + map.height].map(
+    (v, k) => k % 2 ? Math.ceil(v * map.pixels / pixels) : Math.floor(v * map.pixels / pixels));
+  const ends = [0, 1, 2, 3].map((k) => Math[k % 2 ? "max" : "min"](...lit.map((map) => cells(map)[k])));
+  const [column, row, width, height] = [ends[0], ends[2], ends[1] - ends[0], ends[3] - ends[2]];
+  const power = new Float64Array(width * height);
+  for (const map of lit) {
+    for (let r = 0; r < map.height; r += 1) {
+      for (let c = 0; c < map.width; c += 1) {
+        const to = [map.row + r, map.column + c].map((v) => Math.floor(v * map.pixels / pixels));
+        power[(to[0] - row) * width + to[1] - column] += map.power[r * map.width + c];
+      }
+    }
+  }
+  return { pixels, column, row, width, height, power };
+}
 function powerWithin(map, box) {  // box: first column, the one after the last, first row, the one after the last; pixels
   const low = (value, start) => Math.max(Math.floor(value / map.pixels) - start, 0);
   const c0 = low(box[0], map.column), c1 = Math.min(low(box[1], map.column), map.width);
@@ -88,6 +106,7 @@ class Explorer {
     this.canvas = panel.querySelector("canvas");
     this.which = panel.querySelector("select.which");
     this.whole = panel.querySelector("input.whole");
+    this.common = panel.querySelector("input.common");
     this.form = panel.querySelector("form");
     this.path = null;
     this.box = null;
@@ -102,9 +121,10 @@ class Explorer {
     const redraw = () => this.load().then(() => this.draw());
     this.which.addEventListener("change", () => { this.panel.classList.add("used"); redraw(); });
     this.whole.addEventListener("change", () => { this.panel.classList.add("used"); redraw(); });
+    this.common.addEventListener("change", () => { this.panel.classList.add("used"); redraw(); });
     for (const button of this.table.querySelectorAll("button.pick")) {
       button.closest("tr").addEventListener("click", (event) => {
-        if (event.target.closest("details")) return;
+        if (event.target.closest("td details")) return;  // its events
         this.choose(button.dataset.path);
       });
     }
@@ -153,11 +173,12 @@ class Explorer {
   }
   load() {
     this.ready ||= (async () => {
-      const data = JSON.parse(document.getElementById(this.panel.dataset.source).textContent);
-      const powers = powersOf(await inflated(bytesOf(data.codes)));
-      delete data.codes;
+      const held = JSON.parse(document.getElementById(this.panel.dataset.source).textContent);
+      const data = JSON.parse(new TextDecoder().decode(await inflated(bytesOf(held.packed))));
+      const powers = powersOf(await inflated(bytesOf(held.codes)));
       this.data = data;
-      this.maps = { light: readMap(data.light, powers), stray: readMap(data.stray, powers) };
+      const stray = readMap(data.stray, powers);
+      this.maps = { light: together(readMap(data.direct, powers), stray), stray };
       this.rest = readMap(data.rest, powers);
       this.paths = Object.fromEntries(Object.entries(data.paths).map(([id, entry]) => [id, readMap(entry, powers)]));
       const [x0, x1, y0, y1] = data.extent;
@@ -179,7 +200,9 @@ class Explorer {
   }
   draw(dragged) {
     const canvas = this.canvas, map = this.current(), view = this.window(map);
-    const width = canvas.clientWidth, room = [width - MARGIN.left - MARGIN.right, 420];
+    const width = canvas.clientWidth;
+    if (!width) return;  // folded; it is drawn when it is opened
+    const room = [width - MARGIN.left - MARGIN.right, 420];
     const scale = Math.min(room[0] / (view[1] - view[0]), room[1] / (view[3] - view[2]));
     const size = [(view[1] - view[0]) * scale, (view[3] - view[2]) * scale], ratio = window.devicePixelRatio || 1;
     canvas.style.height = `${size[1] + MARGIN.top + MARGIN.bottom}px`;
@@ -192,7 +215,8 @@ class Explorer {
     pen.fillStyle = "#000";
     pen.fillRect(MARGIN.left, MARGIN.top, ...size);
     const cell = map.pixels ** 2 * this.pixel[0] * this.pixel[1];
-    const limits = logRange(map.power.map((p) => p / cell), DECADES[this.which.value]);
+    const own = () => logRange(map.power.map((p) => p / cell), DECADES[this.which.value]);
+    const limits = (this.common.checked && this.shared.scales[this.which.value]) || own();  // a path has its own always
     if (limits) this.paint(pen, map, limits, cell);
     this.axes(pen, limits);
     const box = dragged ? snapBox(dragged, this.data.extent, this.data.shape, this.data.grid).mm : this.box && this.box.mm;
@@ -453,6 +477,10 @@ if (pageData) {
       drawn(explorers.get(entry.target));
     }
   }, { rootMargin: "600px" });
-  explorers.forEach((_, panel) => watch.observe(panel));
+  explorers.forEach((explorer, panel) => {
+    watch.observe(panel);
+    const folded = panel.closest("details");
+    if (folded) folded.addEventListener("toggle", () => { if (folded.open && explorer.data) explorer.draw(); });
+  });
   window.addEventListener("resize", () => explorers.forEach((explorer) => { if (explorer.data) explorer.draw(); }));
 }

@@ -39,6 +39,21 @@ for (const table of document.querySelectorAll("table.sortable")) {
     });
   });
 }
+// A link opens what is folded around the place that it leads to; on paper settings are open
+function reveal(name) {
+  const target = name && document.getElementById(decodeURIComponent(name));
+  for (let place = target; place; place = place.parentElement) if (place.tagName === "DETAILS") place.open = true;
+}
+for (const link of document.querySelectorAll('a[href^="#"]')) link.addEventListener("click", () => reveal(link.hash.slice(1)));
+if (typeof window !== "undefined") {
+  reveal(location.hash.slice(1));
+  let closed = [];
+  window.addEventListener("beforeprint", () => {
+    closed = [...document.querySelectorAll("details.printed:not([open])")];
+    for (const details of closed) details.open = true;
+  });
+  window.addEventListener("afterprint", () => { for (const details of closed) details.open = false; });
+}
 for (const input of document.querySelectorAll("input.filter")) {
   const table = document.getElementById(input.dataset.table);
   input.addEventListener("input", () => filterTable(table));

@@ -1,0 +1,1 @@
+"""Image quality of the direct light: wavefront, point spread and transfer functions, spots, distortion."""

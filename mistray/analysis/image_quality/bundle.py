@@ -1,0 +1,121 @@
+"""All light of one point of the object: rays by two coordinates, whether the point is near or far."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from mistray.errors import MistrayError
+from mistray.sampling.aimed_cones import Sphere
+from mistray.sampling.source import SceneSource
+from mistray.sampling.sources import scene_sources
+
+Array = npt.NDArray[np.float64]
+
+WIDEST = 20.0  # tangent of the angle to the middle of the aperture at which light of a near point is looked for
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """
+    The rays of an object point.
+
+    Coordinates (x, y) of a ray are, for a point at infinity, its place in a plane across the light, mm; for a near one
+    the slopes dx/dz, dy/dz to the line to the middle of the first aperture.
+
+    Attributes
+    ----------
+    origin : (3,) float64
+        The near point, or a point of the plane.
+    axis, u, v : (3,) float64
+        Direction of the ray (0, 0), and the axes of the coordinates.
+    near : bool
+    along : (3,) float64
+        Direction in which the field grows: of the turn of the light, or of the motion of a near point.
+    """
+
+    origin: Array
+    axis: Array
+    u: Array
+    v: Array
+    near: bool
+    along: Array
+
+    def rays(self, x: Array) -> tuple[Array, Array]:
+        """Origins (mm) and directions (n, 3) of rays at coordinates (n, 2)."""
+        if self.near:
+            d = self.axis + x[:, :1] * self.u + x[:, 1:] * self.v
+            return np.tile(self.origin, (len(x), 1)), d / np.linalg.norm(d, axis=1, keepdims=True)
+        return self.origin + x[:, :1] * self.u + x[:, 1:] * self.v, np.tile(self.axis, (len(x), 1))
+
+    def density(self, x: Array) -> Array:
+        """Flux per unit of the coordinates: an even beam, or a point that sends the same in all directions, (n,)."""
+        if not self.near:
+            return np.ones(len(x))
+        return np.asarray((1 + (x**2).sum(axis=1)) ** -1.5)
+
+    def shifted(self, shift: Array) -> Bundle:
+        """The light of a neighbouring object point: moved by (3,) mm, or turned by the tangent (3,) of an angle."""
+        if self.near:
+            return replace(self, origin=self.origin + shift)
+        axis = self.axis + shift
+        axis = axis / np.linalg.norm(axis)
+        u = self.u - (self.u @ axis) * axis
+        u = u / np.linalg.norm(u)
+        return replace(self, axis=axis, u=u, v=np.cross(axis, u))
+
+    def coordinates(self, sphere: Sphere) -> tuple[Array, float]:
+        """Coordinates of the middle of a sphere, and the radius around it that holds it."""
+        away = sphere.centre - self.origin
+        across = np.array([away @ self.u, away @ self.v])
+        if not self.near:
+            return across, sphere.radius
+        ahead = float(away @ self.axis)
+        return across / ahead, min(sphere.radius / max(ahead - sphere.radius, sphere.radius / WIDEST), WIDEST)
+
+
+def field_bundle(scene: Any, field_deg: float, azimuth_deg: float | None, aperture: Sphere) -> Bundle:
+    """
+    The light of a field point of the first source of a scene.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    field_deg : float
+    azimuth_deg : float or None
+        None: that of the source.
+    aperture : Sphere
+        Holds the first surface of the design path.
+
+    Raises
+    ------
+    MistrayError
+        If the source is neither far away nor a point of an object plane.
+    """
+    source = scene_sources(scene, field_deg=field_deg, azimuth_deg=azimuth_deg)[0]
+    azimuth = np.radians(source.emitter.azimuth_deg if azimuth_deg is None else azimuth_deg)
+    if source.middle is not None:
+        start, d = source.middle
+        v = np.cross(d[0], source.u)  # that of the source may lie in the plane of an aperture, aslant to the light
+        return Bundle(start[0], d[0], source.u, v, False, v)
+    if not getattr(source.emitter, "in_object_plane", False):
+        raise MistrayError(
+            f"source '{source.name}': it is neither far away nor a point of an object plane, so that it has no image; "
+            "put 'collimated' or 'point_source' in its place"
+        )
+    place = object_point(source)
+    axis = aperture.centre - place
+    axis = axis / np.linalg.norm(axis)
+    u = source.u - (source.u @ axis) * axis
+    u = u / np.linalg.norm(u)
+    along = np.cos(azimuth) * source.v - np.sin(azimuth) * source.u
+    return Bundle(place, axis, u, np.cross(axis, u), True, along)
+
+
+def object_point(source: SceneSource) -> Array:
+    """The middle of a near source in the world, (3,) mm."""
+    x, y, z = (source.emitter.values[key] for key in "xyz")
+    return np.asarray(source.pivot + x * source.u + y * source.v + z * source.direction)

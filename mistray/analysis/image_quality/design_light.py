@@ -1,0 +1,114 @@
+"""Rays of the design path in float64: points, directions, optical path lengths and what is left of their flux."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from mistray.errors import MistrayError
+from mistray.sampling.design_path import DesignPath
+from mistray.surfaces.host_rays import indices_along
+from mistray.surfaces.optics import OPAQUE, absorption_per_mm
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DesignLight:
+    """
+    Rays at the end of a design path; NaN where one is lost, bounds of surfaces do not matter.
+
+    Attributes
+    ----------
+    last, hit : (n, 3) float64
+        Points of the last surface before the detector, or of the start, and of the detector, mm.
+    direction : (n, 3) float64
+        Between them.
+    normal : (n, 3) float64
+        Of the detector.
+    opl_mm : (n,) float64
+        Optical path length to `last`.
+    index : float
+        Refractive index before the detector.
+    throughput : (n,) float64
+        Share of the flux that reaches the detector, mean of both polarisations; 1 if it is not asked for.
+    """
+
+    last: Array
+    hit: Array
+    direction: Array
+    normal: Array
+    opl_mm: Array
+    index: float
+    throughput: Array
+
+
+def check_sheets(path: DesignPath) -> None:
+    """Raise where a surface of the path is a mesh, whose facets no wavefront can be computed from."""
+    for step in path.steps[:-1]:
+        if step.surface >= len(path.table.pieces):
+            raise MistrayError(
+                f"surface '{path.table.ids[step.surface]}' is a mesh: its facets give no wavefront; describe it as "
+                "'asphere' or 'freeform'"
+            )
+
+
+def media(path: DesignPath) -> list[complex]:
+    """Index n + ik before each step, see `indices_along`; 1 in a system of mirrors alone."""
+    optics = path.table.optics
+    before, behind = (np.full(len(path.steps), np.nan, dtype=complex) for _ in range(2))
+    for k, step in enumerate(path.steps):
+        if optics.host_words[step.surface] & OPAQUE:
+            continue
+        front, back = optics.complex_indices[step.surface]
+        before[k], after = (front, back) if step.from_front else (back, front)
+        behind[k] = before[k] if step.reflects else after
+    return [complex(index) for index in np.nan_to_num(indices_along(before, behind), nan=1.0)]
+
+
+def design_light(path: DesignPath, o: Array, d: Array, throughput: bool = False) -> DesignLight:
+    """
+    Send rays along a path.
+
+    Parameters
+    ----------
+    path : DesignPath
+    o, d : (n, 3) float64
+        Origins (mm) and unit directions before the first step.
+    throughput : bool
+        Work out the flux, too.
+    """
+    optics, wavelength = path.table.optics, path.table.wavelength_nm
+    opl, left = np.zeros(len(o)), np.ones(len(o))
+    for number, (step, medium) in enumerate(zip(path.steps, media(path), strict=True)):
+        p, normal = path.meet(step, o, d)
+        length = np.einsum("ij,ij->i", p - o, d)
+        if throughput and number:
+            left = left * np.exp(-absorption_per_mm(medium, wavelength) * length)
+        if step is path.steps[-1]:
+            return DesignLight(o, p, d, normal, opl, float(medium.real), left)
+        opl = opl + medium.real * length
+        if throughput:
+            with np.errstate(invalid="ignore"):
+                cosines = np.abs(np.einsum("ij,ij->i", d, normal))
+            good = np.isfinite(cosines)
+            share = np.full(len(o), np.nan)
+            share[good] = optics.shares(step.surface, step.from_front, cosines[good])[0 if step.reflects else 1]
+            left = left * share
+        d, o = path.leave(step, d, normal), p
+    raise AssertionError("a design path ends at the detector")
+
+
+def stop_crossing(path: DesignPath, o: Array, d: Array, place: int, at_surface: bool, centre: Array,
+                  normal: Array) -> Array:  # fmt: skip
+    """Where rays cross a stop on their way to step `place`, or meet the surface of that step; (n, 3) mm."""
+    for step in path.steps[:place]:
+        p, along = path.meet(step, o, d)
+        o, d = p, path.leave(step, d, along)
+    if at_surface:
+        return path.meet(path.steps[place], o, d)[0]
+    with np.errstate(all="ignore"):
+        t = ((centre - o) @ normal) / (d @ normal)
+    return np.asarray(o + t[:, None] * d)

@@ -1,0 +1,521 @@
+"""What image quality is: arrays of the light of each field and wavelength, and the numbers that follow from them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from mistray.errors import MistrayError
+from mistray.physics.imaging.ideal import airy_diameter
+from mistray.physics.imaging.pupil import PEAK_POINTS, PEAK_ZOOMS, Pupil
+from mistray.physics.imaging.zernike_fit import ZernikeFit, fit_zernikes
+from mistray.ranges import POSITIVE, SHARE, Range
+
+Array = npt.NDArray[np.float64]
+
+AZIMUTHS = {"sagittal": 0.0, "tangential": 90.0}
+PIXELS = Range(2, 4096, whole=True)
+PSF_PIXELS = 128
+ENERGY = 0.8  # share of the flux whose radius the tables state
+WINDOW = 0.45  # of the period of the PSF, the largest radius that encircled energy is worked out for
+PSF_METHODS = ("fft", "huygens")
+
+
+class PointSpread(NamedTuple):
+    """
+    A point spread function on pixels.
+
+    Attributes
+    ----------
+    values : (n, n) float64
+        Irradiance in the middle of each pixel for a flux of 1, 1/mm²; rows along y.
+    pixel_mm : float
+    x_mm, y_mm : (n,) float64
+        Middles of the columns and rows from the image point, mm: x sagittal, y tangential.
+    """
+
+    values: Array
+    pixel_mm: float
+    x_mm: Array
+    y_mm: Array
+
+
+def direction_of(azimuth: str | float) -> tuple[float, float]:
+    """(x, y) of "sagittal" (x), "tangential" (y), or an angle in degrees from x towards y."""
+    if isinstance(azimuth, str):
+        if azimuth not in AZIMUTHS:
+            raise MistrayError(f"azimuth is '{azimuth}'; give 'tangential', 'sagittal' or degrees from sagittal on")
+        azimuth = AZIMUTHS[azimuth]
+    angle = math.radians(float(azimuth))
+    x, y = math.cos(angle), math.sin(angle)
+    return (0.0 if abs(x) < 1e-15 else x), (0.0 if abs(y) < 1e-15 else y)
+
+
+@dataclass(frozen=True, eq=False)
+class LineImage:
+    """
+    The image of a field point at one wavelength.
+
+    Attributes
+    ----------
+    wavelength_nm : float
+    weight : float
+        Share of this wavelength in the light that starts.
+    pupil : Pupil
+        Amplitude and OPD over direction cosines, see `mistray.physics.imaging.pupil.Pupil`; its x is sagittal, its y
+        tangential.
+    spot_mm : (n, n, 2) float64
+        Where the rays meet the detector, x and y from the image point; NaN in the dark.
+    stop_xy : (n, n, 2) float64
+        Where they cross the stop, in units of its radius; NaN in the dark.
+    stop_area : (n, n) float64
+        Area in the stop for an area of direction cosines; NaN in the dark.
+    """
+
+    wavelength_nm: float
+    weight: float
+    pupil: Pupil
+    spot_mm: Array
+    stop_xy: Array
+    stop_area: Array
+
+    @property
+    def opd_waves(self) -> Array:
+        """(n, n) OPL of the chief ray less that of each ray, at the reference sphere, waves; NaN in the dark."""
+        return np.where(self.pupil.lit, self.pupil.opd_waves, np.nan)
+
+    def rms_waves(self, removed: str = "tilt") -> float:
+        """Root mean square of the OPD without "piston", "tilt" (that too) or "focus" (that too), waves."""
+        return self.pupil.rms_waves(removed)
+
+    def pv_waves(self, removed: str = "tilt") -> float:
+        """Peak to valley of the same, waves."""
+        return self.pupil.pv_waves(removed)
+
+    def zernikes(self, kind: str = "noll", terms: int = 37) -> ZernikeFit:
+        """
+        Zernike coefficients of the OPD over the stop, by least squares over the points that light gets through.
+
+        Parameters
+        ----------
+        kind : {"noll", "fringe"}
+            Standard polynomials of unit variance in the order of Noll, or Fringe polynomials of unit value at the rim.
+        terms : int
+        """
+        lit = self.pupil.lit & np.isfinite(self.stop_area)
+        weights = (self.pupil.share * self.stop_area)[lit]
+        return fit_zernikes(self.stop_xy[lit], self.pupil.opd_waves[lit], weights, kind, terms)
+
+    @property
+    def centroid_mm(self) -> Array:
+        """(2,) mean place of the flux, mm."""
+        w, lit = self.pupil.energy, self.pupil.lit
+        return np.asarray((w[lit, None] * self.spot_mm[lit]).sum(axis=0) / self.pupil.total)
+
+    @cached_property
+    def peak(self) -> tuple[float, Array]:
+        """Largest irradiance of the PSF for a flux of 1, 1/mm², and its place (2,) from the image point, mm."""
+        if not self.pupil.resolved:
+            return math.nan, np.full(2, np.nan)
+        at = self.centroid_mm.copy()
+        lit = self.pupil.lit
+        spread = float(np.abs(self.spot_mm[lit] - at).max())
+        sizes = [self.pupil.cut_off(direction_of(name)) for name in AZIMUTHS]
+        half = min(2 * spread + 2 / min(sizes), 0.5 / self.pupil.frequency_step)
+        best = 0.0
+        while True:
+            count = int(min(max(PEAK_POINTS, 4 * half * max(sizes)), 512))
+            steps = half * np.linspace(-1, 1, count)
+            values = self.pupil.psf(at[0] + steps, at[1] + steps)
+            row, column = np.unravel_index(np.argmax(values), values.shape)
+            at = at + np.array([steps[column], steps[row]])
+            best = max(best, float(values.max()))
+            if half * max(sizes) < 4.0**-PEAK_ZOOMS:
+                return best, at
+            half = 1.5 * float(steps[1] - steps[0])
+
+    @property
+    def strehl(self) -> float:
+        """Largest irradiance of the PSF over that of the same light without aberration."""
+        return self.peak[0] / self.pupil.ideal_peak()
+
+
+@dataclass(frozen=True, eq=False)
+class FieldImage:
+    """
+    The image of one field point.
+
+    Attributes
+    ----------
+    field_deg, azimuth_deg : float
+    field_mm : float
+        Object height of a near object; NaN for one far away.
+    lines : tuple of LineImage
+        By wavelength. All have the same image point: that of the chief ray at the reference wavelength.
+    reference : int
+        Number of that wavelength.
+    point_mm : (3,) float64
+        Image point in the world.
+    image_mm : (2,) float64
+        Image point in the frame of the detector.
+    axes : (3, 3) float64
+        Columns: directions of x (sagittal) and y (tangential) on the detector and of z along the light.
+    pupil_distance_mm : float
+        Radius of the reference sphere: by default from the exit pupil on the axis to the image point; ``inf`` where
+        telecentric.
+    chief_angle_deg : float
+        Of the chief ray to the normal of the detector.
+    distortion_percent, calibrated_distortion_percent : float
+        Of the image height, against f tan θ, or the magnification of a near object, with that of the axis, or with
+        that which leaves the least distortion in all fields. NaN on the axis.
+    relative_illumination : float
+        Irradiance of the image of an even scene, over that on the axis.
+    tangential_focus_mm, sagittal_focus_mm : float
+        Of rays close to the chief ray, from the detector along z.
+    """
+
+    field_deg: float
+    azimuth_deg: float
+    field_mm: float
+    lines: tuple[LineImage, ...]
+    reference: int
+    point_mm: Array
+    image_mm: Array
+    axes: Array
+    pupil_distance_mm: float
+    chief_angle_deg: float
+    distortion_percent: float
+    calibrated_distortion_percent: float
+    relative_illumination: float
+    tangential_focus_mm: float
+    sagittal_focus_mm: float
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the grid follows its wavefronts, so that it has a PSF and an MTF."""
+        return all(line.pupil.resolved for line in self.lines)
+
+    @property
+    def name(self) -> str:
+        """For tables: ``10°``, or ``2 mm``."""
+        return f"{self.field_deg:g}°" if math.isnan(self.field_mm) else f"{self.field_mm:g} mm"
+
+    @property
+    def shares(self) -> Array:
+        """(n,) share of each wavelength in the flux of the image."""
+        flux = np.array([line.weight * line.pupil.total for line in self.lines])
+        return np.asarray(flux / flux.sum())
+
+    @property
+    def main(self) -> LineImage:
+        """The image at the reference wavelength."""
+        return self.lines[self.reference]
+
+    @property
+    def centroid_mm(self) -> Array:
+        """(2,) mean place of the flux from the image point, mm."""
+        return np.asarray(sum(s * line.centroid_mm for s, line in zip(self.shares, self.lines, strict=True)))
+
+    def rms_spot_mm(self, about: str = "centroid") -> float:
+        """
+        Root mean square distance of the rays from their centroid, or from the chief ray, all wavelengths, mm.
+
+        Parameters
+        ----------
+        about : {"centroid", "chief"}
+        """
+        if about not in ("centroid", "chief"):
+            raise MistrayError(f"about is '{about}'; give 'centroid' or 'chief'")
+        middle = self.centroid_mm if about == "centroid" else np.zeros(2)
+        total = 0.0
+        for share, line in zip(self.shares, self.lines, strict=True):
+            lit = line.pupil.lit
+            square = ((line.spot_mm[lit] - middle) ** 2).sum(axis=1)
+            total += share * float((line.pupil.energy[lit] * square).sum()) / line.pupil.total
+        return math.sqrt(total)
+
+    def spot_radius_mm(self) -> float:
+        """Largest distance of a ray from the centroid, mm."""
+        middle = self.centroid_mm
+        return max(float(np.linalg.norm(line.spot_mm[line.pupil.lit] - middle, axis=1).max()) for line in self.lines)
+
+    def rms_waves(self, removed: str = "tilt") -> float:
+        """Root mean square OPD over all wavelengths by their shares, waves; see `LineImage.rms_waves`."""
+        squares = [line.rms_waves(removed) ** 2 for line in self.lines]
+        return math.sqrt(float(self.shares @ squares))
+
+    @property
+    def strehl(self) -> float:
+        """Mean of the Strehl ratios at the wavelengths, by their shares."""
+        return float(self.shares @ [line.strehl for line in self.lines])
+
+    def otf(self, frequencies_per_mm: npt.ArrayLike, azimuth: str | float = "tangential") -> npt.NDArray[np.complex128]:
+        """
+        Optical transfer function about the image point.
+
+        Parameters
+        ----------
+        frequencies_per_mm : (m,) array_like
+        azimuth : {"tangential", "sagittal"} or float
+            Direction of the frequency: in which the pattern varies; degrees count from sagittal (x) to tangential (y).
+        """
+        x, y = direction_of(azimuth)
+        f = _frequencies(frequencies_per_mm)
+        return np.asarray(
+            sum(s * line.pupil.otf(f * x, f * y) for s, line in zip(self.shares, self.lines, strict=True))
+        )
+
+    def mtf(self, frequencies_per_mm: npt.ArrayLike, azimuth: str | float = "tangential") -> Array:
+        """Modulation transfer function |OTF|, see `otf`."""
+        return np.asarray(np.abs(self.otf(frequencies_per_mm, azimuth)))
+
+    def diffraction_limit(self, frequencies_per_mm: npt.ArrayLike, azimuth: str | float = "tangential") -> Array:
+        """MTF of the same light, vignetted as it is, without aberration."""
+        x, y = direction_of(azimuth)
+        f = _frequencies(frequencies_per_mm)
+        parts = (s * line.pupil.ideal().otf(f * x, f * y) for s, line in zip(self.shares, self.lines, strict=True))
+        return np.asarray(np.abs(sum(parts)))
+
+    def cut_off_per_mm(self, azimuth: str | float = "tangential") -> float:
+        """Frequency from which on there is no contrast at any wavelength, 1/mm."""
+        return max(line.pupil.cut_off(direction_of(azimuth)) for line in self.lines)
+
+    def f_number(self, azimuth: str | float = "tangential") -> float:
+        """Working F-number along a direction on the detector: 1/(λ cut-off) at the reference wavelength."""
+        pupil = self.main.pupil
+        return 1 / (pupil.wavelength_mm * pupil.cut_off(direction_of(azimuth)))
+
+    def airy_diameter_mm(self) -> float:
+        """Diameter 2.44 λN of the first dark ring at the reference wavelength, N the mean of both directions, mm."""
+        n = math.sqrt(self.f_number("tangential") * self.f_number("sagittal"))
+        return airy_diameter(self.main.pupil.wavelength_mm, n)
+
+    def psf(
+        self, pixels: int = PSF_PIXELS, pixel_mm: float | None = None, method: str = "fft", line: int | None = None
+    ) -> PointSpread:
+        """
+        Point spread function about the image point.
+
+        Parameters
+        ----------
+        pixels : int
+            Across.
+        pixel_mm : float, optional
+            By default a quarter of the inverse of the cut-off frequency.
+        method : {"fft", "huygens"}
+            Fourier transform of the pupil, or sum of wavelets with exact path lengths to points of the tangent plane.
+        line : int, optional
+            Number of a wavelength; None: all by their shares.
+        """
+        PIXELS.check("pixels", pixels)
+        if method not in PSF_METHODS:
+            raise MistrayError(f"method is '{method}'; give 'fft' or 'huygens'")
+        if pixel_mm is None:
+            pixel_mm = 0.25 / max(self.cut_off_per_mm(name) for name in AZIMUTHS)
+        POSITIVE.check("pixel_mm", pixel_mm)
+        largest = 2 * self.largest_radius_mm
+        if pixels * pixel_mm > largest:
+            raise MistrayError(
+                f"{pixels} pixels of {pixel_mm:.4g} mm: the grid of the pupil gives a PSF of {largest:.4g} mm at most; "
+                "give fewer or smaller pixels, or a larger grid"
+            )
+        at: Array = np.asarray(pixel_mm * (np.arange(pixels) - pixels // 2), dtype=np.float64)
+        some = range(len(self.lines)) if line is None else [line]
+        shares = self.shares if line is None else {line: 1.0}
+        points = np.stack([*np.meshgrid(at, at), np.zeros((pixels, pixels))], axis=-1).reshape(-1, 3)
+        total = np.zeros((pixels, pixels))
+        for k in some:
+            pupil = self.lines[k].pupil
+            found = pupil.psf(at, at) if method == "fft" else pupil.huygens(points).reshape(pixels, pixels)
+            total += shares[k] * found
+        return PointSpread(total, pixel_mm, at, at)
+
+    def encircled_energy(self, radii_mm: npt.ArrayLike, about: str = "centroid", square: bool = False) -> Array:
+        """
+        Share of the flux of the image within circles, or squares of this half side.
+
+        Parameters
+        ----------
+        radii_mm : (m,) array_like
+        about : {"centroid", "chief", "peak"}
+            Their middle.
+        square : bool
+        """
+        if about not in MIDDLES:
+            raise MistrayError(f"about is '{about}'; give 'centroid', 'chief' or 'peak'")
+        x, y = MIDDLES[about](self)
+        radii = np.atleast_1d(np.asarray(radii_mm, dtype=np.float64))
+        if not np.all((radii >= 0) & (radii <= self.largest_radius_mm)):
+            raise MistrayError(
+                f"radii_mm reach from {radii.min():g} to {radii.max():g}; they must lie between 0 and "
+                f"{self.largest_radius_mm:.4g} mm, or give a larger grid"
+            )
+        parts = (
+            s * line.pupil.encircled(radii, (float(x), float(y)), square)
+            for s, line in zip(self.shares, self.lines, strict=True)
+        )
+        return np.asarray(sum(parts))
+
+    @property
+    def largest_radius_mm(self) -> float:
+        """Largest radius that the sampling of the pupil gives encircled energy for, mm."""
+        return min(WINDOW / line.pupil.frequency_step for line in self.lines)
+
+    def encircled_radius_mm(self, share: float = ENERGY, about: str = "centroid") -> float:
+        """Radius of the circle that holds a share of the flux, mm; NaN if it is larger than `largest_radius_mm`."""
+        from scipy.optimize import brentq
+
+        SHARE.check("share", share)
+        high = self.largest_radius_mm
+        if not float(self.encircled_energy(high, about)[0]) >= share:
+            return math.nan
+        low = 0.0
+        for radius in np.geomspace(high / 256, high, 17):
+            if float(self.encircled_energy(radius, about)[0]) >= share:
+                high = float(radius)
+                break
+            low = float(radius)
+        return float(brentq(lambda r: float(self.encircled_energy(r, about)[0]) - share, low, high, xtol=1e-6 * high))
+
+    def line_spread(self, x_mm: npt.ArrayLike, azimuth: str | float = "tangential") -> tuple[Array, Array]:
+        """
+        Images of a line and of an edge that lie across a direction, by the transform of the OTF along it.
+
+        Parameters
+        ----------
+        x_mm : (m,) array_like
+            Places along the direction from the image point, mm.
+        azimuth : {"tangential", "sagittal"} or float
+
+        Returns
+        -------
+        line, edge : (m,) float64
+            Flux for each mm, 1/mm; and the flux up to each place.
+        """
+        x = np.asarray(x_mm, dtype=np.float64)
+        df = min(line.pupil.frequency_step for line in self.lines) / 2
+        f = np.arange(1, math.ceil(self.cut_off_per_mm(azimuth) / df) + 1) * df
+        values = self.otf(f, azimuth)
+        turns = np.exp(2j * np.pi * np.outer(x, f))
+        line = df * (1 + 2 * (turns @ values).real)
+        edge = 0.5 + df * x + 2 * df * (turns @ (values / (2j * np.pi * f))).real
+        return line, edge
+
+
+MIDDLES: dict[str, Callable[[FieldImage], Array]] = {
+    "centroid": lambda image: image.centroid_mm,
+    "chief": lambda image: np.zeros(2),
+    "peak": lambda image: image.main.peak[1],
+}
+
+
+def _frequencies(values: npt.ArrayLike) -> Array:
+    f = np.asarray(values, dtype=np.float64)
+    if not np.all(np.isfinite(f)) or np.any(f < 0):
+        raise MistrayError(f"frequencies_per_mm are {np.asarray(values).tolist()}; give finite numbers from 0 on")
+    return f
+
+
+@dataclass(frozen=True, eq=False)
+class ImageQuality(Sequence[FieldImage]):
+    """
+    Image quality of the direct light of a scene: a sequence of the images of its field points.
+
+    Attributes
+    ----------
+    fields : tuple of FieldImage
+    wavelengths_nm, weights : (n,) float64
+    stop : str
+        Surface at the rim of the aperture stop.
+    image_scale_mm : float
+        Image height for each unit of tan θ on the axis: the focal length where the detector stands in the focus;
+        ``nan`` for a near object.
+    magnification : float
+        Image height for each mm of object height on the axis; ``nan`` for an object far away.
+    facts : dict
+        How it was computed, plain values.
+    notes : tuple of str
+        What to mind.
+    """
+
+    fields: tuple[FieldImage, ...]
+    wavelengths_nm: Array
+    weights: Array
+    stop: str
+    image_scale_mm: float
+    magnification: float
+    facts: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.fields)
+
+    def __getitem__(self, number: Any) -> Any:
+        return self.fields[number]
+
+    def __iter__(self) -> Iterator[FieldImage]:
+        return iter(self.fields)
+
+    @property
+    def near(self) -> bool:
+        """Whether the object stands at a finite distance."""
+        return not math.isnan(self.magnification)
+
+    def default_frequencies(self) -> list[float]:
+        """A quarter and a half of the smallest cut-off on the axis side, rounded to two digits, 1/mm."""
+        cut = self.fields[0].cut_off_per_mm("sagittal")
+        return [float(f"{share * cut:.2g}") for share in (0.125, 0.25, 0.5)]
+
+    def to_pandas(self, frequencies_per_mm: Sequence[float] | None = None) -> pd.DataFrame:
+        """
+        One row for each field, all wavelengths together.
+
+        Parameters
+        ----------
+        frequencies_per_mm : sequence of float, optional
+            Of the columns ``mtf_tangential_…_per_mm`` and ``mtf_sagittal_…_per_mm``; by default three below the
+            cut-off.
+        """
+        frequencies = self.default_frequencies() if frequencies_per_mm is None else list(frequencies_per_mm)
+        rows = []
+        for image in self:
+            row: dict[str, Any] = {
+                "field_deg": image.field_deg,
+                "azimuth_deg": image.azimuth_deg,
+                **({"field_mm": image.field_mm} if self.near else {}),
+                "x_mm": image.image_mm[0],
+                "y_mm": image.image_mm[1],
+                "rms_spot_mm": image.rms_spot_mm(),
+                "rms_spot_about_chief_mm": image.rms_spot_mm("chief"),
+                "spot_radius_mm": image.spot_radius_mm(),
+                "rms_opd_waves": image.rms_waves(),
+                "rms_opd_in_focus_waves": image.rms_waves("focus"),
+                "pv_opd_waves": max(line.pv_waves() for line in image.lines),
+                "best_focus_mm": float(image.shares @ [line.pupil.best_focus_mm() for line in image.lines]),
+                "strehl": image.strehl,
+            }
+            for azimuth in ("tangential", "sagittal"):
+                for f, value in zip(frequencies, image.mtf(frequencies, azimuth), strict=True):
+                    row[f"mtf_{azimuth}_{f:g}_per_mm"] = float(value)
+            row |= {
+                "encircled_80_radius_mm": image.encircled_radius_mm(ENERGY),
+                "airy_diameter_mm": image.airy_diameter_mm(),
+                "f_number_tangential": image.f_number("tangential"),
+                "f_number_sagittal": image.f_number("sagittal"),
+                "relative_illumination": image.relative_illumination,
+                "distortion_percent": image.distortion_percent,
+                "calibrated_distortion_percent": image.calibrated_distortion_percent,
+                "tangential_focus_mm": image.tangential_focus_mm,
+                "sagittal_focus_mm": image.sagittal_focus_mm,
+                "chief_angle_deg": image.chief_angle_deg,
+                "pupil_distance_mm": image.pupil_distance_mm,
+            }
+            rows.append(row)
+        return pd.DataFrame(rows)

@@ -1,0 +1,292 @@
+"""A PST from rays against the light, by themselves or beside rays with it: pass after pass; saved and continued."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mistray.analysis.pst.forward_part import SUMS, ForwardPart
+from mistray.analysis.pst.found_paths import FoundPaths
+from mistray.analysis.pst.pilot import Pilot
+from mistray.analysis.pst.plan import Plan
+from mistray.analysis.pst.result import AGAINST, WITH, Pst, notes
+from mistray.analysis.pst.state import PstProgress, load_state, require_same, save_state
+from mistray.errors import UnfinishedError
+from mistray.execute.backward import FIRST_PASS, BackwardTrace
+from mistray.interrupts import later, requested
+from mistray.recorders.direction_recorder import DIFFRACTED, MULTIPLE, SINGLE
+from mistray.recorders.path_sums import join_sums
+from mistray.time_budget import time_is_up
+
+PILOT_SHARE = 3  # a run to an error takes about so many times the rays of its pilot
+DARK_AFTER = 4_000_000  # rays without light in a cell after which it is taken for dark
+SAVING = 0.1  # share of the time that saving the state may take
+LONG_PASS = 0.5  # s, from which an interrupt may not wait for the end of the next pass
+PLAN, PATH = "plan_", "path_"  # names of arrays that are saved
+
+Progress = Callable[[PstProgress], None]
+
+
+class BackwardRun:
+    """
+    Passes of a backward trace, with rays of the other direction beside them if there is a plan of them.
+
+    What is finished can be saved and continued.
+
+    Parameters
+    ----------
+    trace : BackwardTrace
+    points : (p, 3) float64
+        What the light covers.
+    joined : bool
+        Whether the two directions share the light, see `mistray.sampling.sharing.balance`.
+    state : Path, optional
+    resume : bool
+    """
+
+    def __init__(
+        self, trace: BackwardTrace, points: np.ndarray, joined: bool, state: Path | None, resume: bool
+    ) -> None:
+        self._trace, self._state, self._points, self._joined = trace, state, points, joined
+        self._light: ForwardPart | None = None
+        self._plan: Plan | None = None
+        self._pilot_seconds = 0.0
+        self._wanted: tuple[float | None, float | None] = (None, None)
+        self._before: dict[str, np.ndarray] = {}  # path table of the run that this one goes on from
+        self._table: dict[str, np.ndarray] | None = None  # the path table of both, once it is read
+        settings = asdict(trace.settings)
+        del settings["rays"]
+        self._signature = {
+            "method": self.method,
+            "scene": trace.fingerprint,
+            "detector": trace.table.ids[trace.table.detector],
+            "grid": trace.grid.facts(),
+            "wavelength_nm": trace.wavelength_nm,
+            "weights": trace.weights,
+            "map_size": trace.map_size,
+            "paths": trace.lists_paths,
+            "settings": settings,
+        }
+        if resume and state is not None:
+            arrays, facts = load_state(state)
+            require_same(state, facts, self._signature)
+            self._before = {key[len(PATH) :]: values for key, values in arrays.items() if key.startswith(PATH)}
+            if joined:
+                self._take(Plan.of_arrays({k[len(PLAN) :]: v for k, v in arrays.items() if k.startswith(PLAN)}), arrays)
+            others = (PATH, PLAN, SUMS)
+            sums = {key: values for key, values in arrays.items() if not key.startswith(others)}
+            trace.go_on_from(sums, int(facts["passes"]), float(facts["seconds"]))
+
+    @property
+    def method(self) -> str:
+        """See `Pst.method`."""
+        return "joined" if self._joined else "adjoint"
+
+    def _take(self, plan: Plan, saved: dict[str, np.ndarray] | None = None) -> None:
+        """Share the light as a plan says."""
+        self._plan = plan
+        self._trace.share_paths(plan.sharing)
+        self._light = ForwardPart(self._trace, saved)
+
+    def plan(self, wanted: float | None, up_to_deg: float | None) -> Plan | None:
+        """What a pilot finds for a relative error up to a field angle; that of the run which this one continues."""
+        self._wanted = wanted, up_to_deg
+        if self._plan is not None or not self._joined:
+            return self._plan
+        started = time.perf_counter()
+        counts = self._counts(up_to_deg).ravel()
+        pilot = Pilot(self._trace, self._points, counts, wanted is not None)
+        plan = pilot.search(0)
+        # Of a fixed number of rays it has one size, so that the run may be continued; its first variances know little
+        while wanted is not None and (asked := self._budget(plan, wanted) / PILOT_SHARE) > pilot.rays:
+            plan = pilot.search(min(asked, 2 * pilot.rays))
+        if wanted is not None:
+            plan = plan.beside(max(plan.rays_for(wanted, counts), int(plan.pilot_rays[1])), self._budget(plan, wanted))
+        self._pilot_seconds = time.perf_counter() - started
+        return plan
+
+    def go_on(self, plan: Plan | None, progress: Progress | None) -> None:
+        """
+        Trace pass after pass; an interrupt waits for the end of a pass, so that nothing is lost, but not for long.
+
+        Parameters
+        ----------
+        plan : Plan, optional
+            Of the rays with the light; None: there are none.
+        progress : callable, optional
+        """
+        wanted, up_to_deg = self._wanted
+        trace = self._trace
+        before = float(trace.rays.sum())
+        started, saved, saving = time.perf_counter() - self._pilot_seconds, -np.inf, 0.0
+        all_saved = True
+        if self._light is None and plan is not None:
+            self._take(plan)
+        most = self._budget(plan, wanted) if plan is not None else trace.settings.rays
+        with later(), trace.shared(most):
+            while trace.rays.sum() < most and not requested() and not (trace.passes and time_is_up()):
+                began = time.perf_counter()
+                # Only a run of a single pass has a pass of its own size, so that a run may be continued at any time
+                try:
+                    trace.advance(most if most < FIRST_PASS else None)
+                except UnfinishedError as error:
+                    self._keep(error, not all_saved)
+                    raise
+                if self._light is not None and plan is not None:
+                    self._light.go_on(plan.forward_rays(float(trace.rays.sum())))
+                self._table, all_saved = None, False
+                now = time.perf_counter()
+                if self._state is not None and (saving <= SAVING * (now - saved) or now - began > LONG_PASS):
+                    self._save()
+                    saved, all_saved = time.perf_counter(), True
+                    saving = saved - now
+                if progress:
+                    done, worst = round(float(trace.rays.sum())), self._worst(up_to_deg)
+                    progress(PstProgress.after(done, max(most, done), worst, wanted, now - started, round(before)))
+            if self._state is not None and not all_saved:
+                self._save()
+            if requested():
+                raise KeyboardInterrupt
+
+    def _budget(self, plan: Plan, wanted: float | None) -> int:
+        """
+        Rays against the light that there will be.
+
+        They are as many as the pilot has at least, since fewer would not meet what made its variance. Cells in which
+        it finds no light get `DARK_AFTER` of them, and are taken for dark after that.
+        """
+        most = self._trace.settings.rays
+        if wanted is None:
+            return most
+        counts = self._counts(self._wanted[1]).ravel()
+        least = DARK_AFTER if np.any(plan.light[counts] == 0) else int(plan.pilot_rays[1])
+        return min(max(plan.rays_for(wanted, counts), least), most)
+
+    def _counts(self, up_to_deg: float | None) -> np.ndarray:
+        """(n, m) bool: the cells whose error counts."""
+        grid = self._trace.grid
+        return np.broadcast_to(grid.field_deg[:, None] <= (90.0 if up_to_deg is None else up_to_deg), grid.shape)
+
+    def _keep(self, error: UnfinishedError, unsaved: bool) -> None:
+        """Save what was finished, and tell with an error that the workers are gone where it is."""
+        where = ""
+        if self._state is not None and self._trace.passes:
+            if unsaved:
+                self._save()
+            where = f" in {self._state}, go on with resume"
+        rays = float(self._trace.rays.sum())
+        error.args = (f"{error}; {rays:.4g} of {self._trace.settings.rays:.4g} rays are finished and kept{where}",)
+        error.partial = self.result() if self._trace.passes else None
+
+    def _worst(self, up_to_deg: float | None) -> float:
+        """Largest relative standard error of the cells that count and have light; infinite where none has light yet."""
+        value, se = (part[self._counts(up_to_deg)] for part in self._pst().map())
+        lit = value > 0
+        return float(np.max(se[lit] / value[lit], initial=0.0)) if lit.any() else np.inf
+
+    def _save(self) -> None:
+        assert self._state is not None
+        arrays = self._trace.sums | {PATH + key: values for key, values in self._paths().items()}
+        if self._light is not None and self._plan is not None:
+            arrays |= self._light.arrays() | {PLAN + key: values for key, values in self._plan.arrays().items()}
+        facts = {
+            "signature": self._signature,
+            "passes": self._trace.passes,
+            "rays": float(self._trace.rays.sum()),
+            "seconds": self._trace.seconds,
+        }
+        save_state(self._state, arrays, facts)
+
+    def _paths(self) -> dict[str, np.ndarray]:
+        """The path table of this run and of the one before."""
+        if self._table is None:
+            here = self._trace.paths() or {}
+            self._table = join_sums(self._before, here) if self._before and here else here
+        return self._table
+
+    def _pst(self) -> Pst:
+        trace = self._trace
+        rays = trace.rays
+        techniques = {AGAINST: trace.unit[None, :, :, None] * trace.sums["cells"] / rays}
+        if self._light is not None:
+            techniques[WITH] = self._light.by_batch
+        return Pst(trace.grid, sum(techniques.values()), rays / rays.sum(), techniques=techniques)
+
+    def result(self) -> Pst:
+        """The PST of all that has been traced."""
+        trace, bare, light = self._trace, self._pst(), self._light
+        rays = float(trace.rays.sum())
+        unit = trace.unit / rays
+        scattered = np.mean(bare.by_batch[[SINGLE, MULTIPLE, DIFFRACTED]].sum(axis=0), axis=-1)
+        largest = unit * trace.sums["largest"]
+        if light is not None:
+            largest = np.maximum(largest, light.largest)
+        largest = np.divide(largest, scattered, out=np.zeros_like(largest), where=scattered > 0)
+        table = self._paths()
+        found = FoundPaths.of(trace, table, light) if table else None
+        lines = [*notes(bare, largest, rays), *trace.notes]
+        wanted, up_to_deg = self._wanted
+        if wanted is None and rays < trace.settings.rays:
+            lines.append(f"{rays:.4g} of {trace.settings.rays:.4g} rays were traced; errors are theirs")
+        if wanted is not None and (worst := self._worst(up_to_deg)) > wanted and np.isfinite(worst):
+            lines.append(
+                f"errors of up to {100 * worst:.2g} % are left where {100 * wanted:.2g} % was requested; ask for "
+                "less, or allow more rays"
+            )
+        facts: dict[str, Any] = {
+            "detector": trace.table.ids[trace.table.detector],
+            "detector_area_mm2": trace.area,
+            "wavelength_nm": list(trace.wavelength_nm),
+            "weights": list(trace.weights),
+            "rays": round(rays),
+            "segments": trace.segments,
+            "seconds": self._pilot_seconds + trace.seconds + (light.seconds if light is not None else 0.0),
+            "settings": asdict(trace.settings),
+            "relative_error": wanted,
+            "error_up_to_deg": up_to_deg,
+            "notes": lines,
+        }
+        if light is not None and self._plan is not None:
+            with_light, against = self._plan.pilot_rays
+            facts |= {
+                "rays_with_the_light": round(light.rays.sum()),
+                "connections": trace.connects,
+                "pilot_rays": round(against),
+                "pilot_rays_with_the_light": round(with_light),
+                "seen_by_one_direction": found.one_sided(trace) if found is not None else [],
+            }
+        return Pst(
+            trace.grid,
+            bare.by_batch,
+            bare.weight,
+            method=self.method,
+            facts=facts,
+            largest_share=largest,
+            path_rows=found.rows(trace) if found is not None else None,
+            maps=self._maps(unit, rays),
+            extent_mm=trace.extent,
+            source=trace,
+            techniques=bare.techniques,
+        )
+
+    def _maps(self, unit: np.ndarray, rays: float) -> np.ndarray | None:
+        """See `Pst.maps`."""
+        trace = self._trace
+        if "maps" not in trace.sums:
+            return None
+        columns, rows = trace.map_size
+        n, m = trace.grid.shape
+        weight, squares = trace.sums["maps"].reshape(2, n, m, -1)
+        value = unit[..., None] * weight
+        variance = unit[..., None] ** 2 * np.maximum(squares - weight**2 / rays, 0)
+        if self._light is not None:
+            value, variance = (part + more for part, more in zip((value, variance), self._light.maps, strict=True))
+        # The map is a rectangle; a round detector does not fill it
+        x0, x1, y0, y1 = trace.extent
+        pixels = rows * columns * trace.area / ((x1 - x0) * (y1 - y0))
+        return np.asarray(pixels * np.stack([value, np.sqrt(variance)]).reshape(2, n, m, rows, columns))

@@ -1,0 +1,137 @@
+"""The paths that a run of a PST has found, from rays of both directions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mistray.analysis.pst.forward_part import ForwardPart
+from mistray.execute.backward import BackwardTrace
+from mistray.recorders.path_events import DIRECT, describe_events
+from mistray.recorders.path_key import ABSORBED, EVENT_BITS, host_keys
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+PATHS_LISTED = 200  # of a cell, the strongest
+ONE_SIDED_LISTED = 40  # paths that one direction alone has seen
+TOLD = 1e-3  # share of a cell's light that such a path must have to be listed
+FEWEST_HITS = 8  # of such a path
+
+
+def forward_events(events: np.ndarray, lengths: np.ndarray, detector: int) -> tuple[np.ndarray, np.ndarray]:
+    """Event lists of backward rays as those of the light, the absorption in the detector at their ends."""
+    order = lengths[:, None] - 1 - np.arange(events.shape[1] + 1)
+    turned = np.take_along_axis(np.pad(events, ((0, 0), (0, 1))), np.maximum(order, 0), axis=1)
+    turned = np.where(order >= 0, turned, 0).astype(np.uint32)
+    turned[np.arange(len(turned)), lengths] = (detector << EVENT_BITS) | ABSORBED
+    return turned, lengths + 1
+
+
+@dataclass(frozen=True)
+class FoundPaths:
+    """
+    Light by path and cell.
+
+    Attributes
+    ----------
+    events : (w, k) uint32
+    lengths : (w,) int
+        Paths, in the order of the light.
+    path, cell : (p,) int
+    hits : (2, p) float64
+        Rays with the light, and against it.
+    value, variance : (p,) float64
+        PST_normal and its variance.
+    """
+
+    events: np.ndarray
+    lengths: np.ndarray
+    path: np.ndarray
+    cell: np.ndarray
+    hits: np.ndarray
+    value: np.ndarray
+    variance: np.ndarray
+
+    @classmethod
+    def of(cls, trace: BackwardTrace, against: dict[str, np.ndarray], light: ForwardPart | None) -> FoundPaths:
+        """What a run has found; `against` is the path table of all its rays against the light, not empty."""
+        events, lengths = forward_events(against["events"], against["lengths"], trace.table.detector)
+        unit = trace.unit.ravel()
+        rays = np.full(len(unit), float(trace.rays.sum()))
+        tables = [({**against, "events": events, "lengths": lengths}, unit / rays, rays)]
+        if light is not None:
+            tables.insert(0, (light.paths(), light.unit, light.rays))
+        tables = [table for table in tables if table[0]]
+        longest = max(table["events"].shape[1] for table, *_ in tables)
+        events = np.concatenate(
+            [np.pad(one["events"], ((0, 0), (0, longest - one["events"].shape[1]))) for one, *_ in tables]
+        )
+        lengths = np.concatenate([table["lengths"] for table, *_ in tables])
+        _, chosen, place = np.unique(host_keys(events, lengths), return_index=True, return_inverse=True)
+        first = np.cumsum([0, *(len(table["lengths"]) for table, *_ in tables)])
+        cells = len(unit)
+        pairs = [
+            place[table["path"] + low] * cells + table["cell"]
+            for (table, *_), low in zip(tables, first[:-1], strict=True)
+        ]
+        known, number = np.unique(np.concatenate(pairs), return_inverse=True)
+        numbers = np.split(number, np.cumsum([len(one) for one in pairs])[:-1])
+        hits, value, variance = np.zeros((2, len(known))), np.zeros(len(known)), np.zeros(len(known))
+        for k, ((table, one, count), at) in enumerate(zip(tables, numbers, strict=True)):
+            scale, many = one[table["cell"]], np.maximum(count[table["cell"]], 1)
+            hits[k + 2 - len(tables)][at] = table["hits"]
+            value[at] += scale * table["weight"]
+            variance[at] += scale**2 * np.maximum(table["squares"] - table["weight"] ** 2 / many, 0)
+        return cls(events[chosen], lengths[chosen], known // cells, known % cells, hits, value, variance)
+
+    def _describe(self, trace: BackwardTrace, paths: np.ndarray) -> dict[str, np.ndarray]:
+        """The columns of `describe_events` of some paths."""
+        table, lengths = trace.table, self.lengths[paths]
+        facts = describe_events(self.events[paths], lengths, table.event_ids, table.event_words)
+        if not trace.has_optics:  # light that meets nothing is the image then
+            facts["kind"][lengths == 1] = DIRECT
+        return facts
+
+    def one_sided(self, trace: BackwardTrace) -> list[dict[str, Any]]:
+        """The strongest paths that rays of one direction alone have met."""
+        light = np.bincount(self.cell, self.value, int(np.prod(trace.grid.shape)))
+        alone = (self.hits.min(axis=0) == 0) & (self.hits.max(axis=0) >= FEWEST_HITS)
+        listed = np.flatnonzero(alone & (self.value > TOLD * light[self.cell]))
+        listed = listed[np.argsort(-(self.value / light[self.cell])[listed], kind="stable")][:ONE_SIDED_LISTED]
+        facts = self._describe(trace, self.path[listed])
+        angle, azimuth = np.divmod(self.cell[listed], trace.grid.shape[1])
+        columns = {
+            "angle_deg": trace.grid.field_deg[angle],
+            "azimuth_deg": trace.grid.azimuths_deg[azimuth],
+            "events": facts["events"],
+            "seen": np.where(self.hits[0][listed] > 0, "with the light", "against the light"),
+            "rays": self.hits.max(axis=0)[listed].astype(np.int64),
+            "pst_normal": self.value[listed],
+        }
+        rows = zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True)
+        return [dict(zip(columns, row, strict=True)) for row in rows]
+
+    def rows(self, trace: BackwardTrace) -> pd.DataFrame:
+        """The strongest paths of each cell, see `Pst.path_rows`."""
+        import pandas as pd
+
+        m = trace.grid.shape[1]
+        kept = _strongest(self.cell, self.value, PATHS_LISTED)
+        used, place = np.unique(self.path[kept], return_inverse=True)
+        columns: dict[str, Any] = {"cell": self.cell[kept] // m, "azimuth_cell": self.cell[kept] % m}
+        columns |= {name: values[place] for name, values in self._describe(trace, used).items()}
+        columns["rays"] = self.hits.sum(axis=0)[kept].astype(np.int64)
+        columns["pst_normal"] = self.value[kept]
+        columns["pst_normal_se"] = np.sqrt(self.variance[kept])
+        return pd.DataFrame(columns)
+
+
+def _strongest(group: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
+    """Numbers of the largest values of each group, at most `count` of each."""
+    order = np.lexsort((-values, group))
+    sizes = np.bincount(group) if len(group) else np.zeros(0, dtype=np.int64)
+    rank = np.arange(len(order)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    return np.asarray(order[rank < count])

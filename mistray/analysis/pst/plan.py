@@ -1,0 +1,168 @@
+"""How many rays of each direction a PST takes, and where those with the light start."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from mistray.sampling.sharing.balance import Sharing
+from mistray.sampling.sharing.cell_starts import whole_batches
+from mistray.sampling.sharing.start_map import StartMap
+
+RESERVE = 1.2  # rays above what the pilot's variances ask for
+MOST_UNEVEN = 4.0  # cost of one direction over that of the other
+LEVELS = 200  # of the relative variance that are tried
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """
+    What a pilot has found.
+
+    Attributes
+    ----------
+    sharing : Sharing
+        Of the run.
+    light : (c,) float64
+        PST_normal of each cell.
+    variance : (c,) float64
+        Of PST_normal, times the rays against the light, with those of the other direction beside them.
+    pilot_rays : (2,) float64
+        Of the pilot, with the light and against it.
+    cell, points, weights : (s,) int, (s, 4) float64, (s,) float64
+        Where light that arrives would start, see `StartMap.of`.
+    """
+
+    sharing: Sharing
+    light: np.ndarray
+    variance: np.ndarray
+    pilot_rays: np.ndarray
+    cell: np.ndarray
+    points: np.ndarray
+    weights: np.ndarray
+
+    def rays_for(self, relative_error: float, counts: np.ndarray) -> int:
+        """
+        Rays against the light that a relative error takes, with those of the other direction beside them.
+
+        Parameters
+        ----------
+        relative_error : float
+        counts : (c,) bool
+            Cells whose error counts; those without light are left out.
+        """
+        counts = counts & (self.light > 0)
+        if not counts.any():
+            return 0
+        wanted = np.square(relative_error * self.light[counts]) / RESERVE
+        return int(np.ceil(np.max(self.variance[counts] / wanted)))
+
+    def beside(self, needed: int, rays: int) -> Plan:
+        """Of a run with more rays against the light than it needs: no more with it than beside those it needs."""
+        sharing = self.sharing
+        return replace(self, sharing=replace(sharing, rays=sharing.rays * min(1.0, needed / rays)))
+
+    def forward_rays(self, rays: float) -> np.ndarray:
+        """(c,) rays with the light beside so many against it."""
+        return whole_batches(self.sharing.rays * rays)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All of it as arrays."""
+        own = {f.name: np.asarray(getattr(self, f.name)) for f in fields(self) if f.name != "sharing"}
+        starts = {f"starts_{f.name}": getattr(self.sharing.starts, f.name) for f in fields(StartMap)}
+        return (
+            own | starts | {"points_lit": self.sharing.points, "rays": self.sharing.rays, "linked": self.sharing.linked}
+        )
+
+    @classmethod
+    def of_arrays(cls, arrays: dict[str, np.ndarray]) -> Plan:
+        """What `arrays` gave."""
+        starts = StartMap(**{f.name: arrays[f"starts_{f.name}"] for f in fields(StartMap)})
+        own: dict[str, Any] = {f.name: arrays[f.name] for f in fields(cls) if f.name != "sharing"}
+        return cls(sharing=Sharing(arrays["points_lit"], starts, arrays["rays"], arrays["linked"]), **own)
+
+
+def shared(plans: Sequence[Plan]) -> list[Plan]:
+    """Plans of scenes that are compared: the same rays with the light, which are those that each of them needs."""
+    if len(plans) == 1:
+        return list(plans)
+    rays = np.max([plan.sharing.rays for plan in plans], axis=0)
+    # Each scene counts as much in the map
+    parts = [
+        (plan.cell, plan.points, plan.weights / np.maximum(plan.light[plan.cell], np.finfo(float).tiny))
+        for plan in plans
+    ]
+    cell, points, weights = (np.concatenate(column) for column in zip(*parts, strict=True))
+    starts = StartMap.of(len(rays), cell, points, weights)
+    return [replace(plan, sharing=replace(plan.sharing, starts=starts, rays=rays)) for plan in plans]
+
+
+def factors_of_equal_errors(
+    relative: np.ndarray, factors: np.ndarray, cost_against: float, cost_along: np.ndarray
+) -> np.ndarray:
+    """
+    By which factor each cell's rays with the light change, so that all cells get the same relative error at least cost.
+
+    Rays against the light serve all cells. At a level v of the relative variance each cell takes the least factor
+    that brings it there; a run to a given error then takes v times as many rays of all kinds, and v is that of the
+    least cost.
+
+    Parameters
+    ----------
+    relative : (k, c) float64
+        Relative variance of each cell by the factor of its rays with the light, falling; 0: the cell does not count.
+    factors : (k,) float64
+        Rising.
+    cost_against : float
+        Of the rays against the light.
+    cost_along : (c,) float64
+        Of the rays with the light of each cell, at a factor of 1.
+
+    Returns
+    -------
+    (c,) float64
+    """
+    lit = np.flatnonzero(relative[0] > 0)
+    found = np.full(relative.shape[1], factors[0])
+    if not len(lit):
+        return found
+    rates = np.maximum.accumulate(np.log(relative[::-1, lit]), axis=0)
+    least = float(rates[0].max())
+    levels = np.linspace(least, max(float(rates[-1].max()), least), LEVELS)
+    of_factor = np.log(factors[::-1])
+    chosen = np.exp(np.stack([np.interp(levels, column, of_factor) for column in rates.T], axis=1))
+    along = chosen @ cost_along[lit]
+    total = levels + np.log(cost_against + along)
+    # A pilot knows variances badly where one direction sees little
+    uneven = np.abs(np.log(np.maximum(along, 1e-300) / cost_against))
+    total[uneven > max(np.log(MOST_UNEVEN), float(uneven.min()))] = np.inf
+    found[lit] = chosen[int(np.argmin(total))]
+    return found
+
+
+def factors_of_equal_cost(
+    relative: np.ndarray, factors: np.ndarray, cost_against: float, cost_along: np.ndarray
+) -> np.ndarray:
+    """
+    Factors at which both directions cost the same and the product of all cells' variances is least.
+
+    Parameters and result are those of `factors_of_equal_errors`. A cell that gains nothing takes no rays from others.
+    """
+    lit = np.flatnonzero(relative[0] > 0)
+    found = np.full(relative.shape[1], factors[0])
+    if not len(lit):
+        return found
+    rates, price = np.log(relative[:, lit]), factors[:, None] * cost_along[lit] / cost_against
+
+    def at(log_worth: float) -> np.ndarray:
+        return np.asarray(factors[np.argmin(rates + np.exp(log_worth) * price, axis=0)])
+
+    low, high = -12.0, 12.0  # of the worth of the time, which decides how much is spent
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if at(middle) @ cost_along[lit] > cost_against else (low, middle)
+    found[lit] = at(high)
+    return found

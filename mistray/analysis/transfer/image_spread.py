@@ -1,0 +1,152 @@
+"""Light about the image of a point: what the detector gets by class and distance, and its Fourier sums."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import numpy.typing as npt
+
+from mistray.kernel.interaction import is_off_design
+from mistray.recorders.passing.cells import PassingLight
+from mistray.recorders.path_key import COUNT_MASK, NOT_DIFFRACTED
+from mistray.recorders.recorder import Branch, Memory, Visit
+from mistray.recorders.sampled import Sampled
+
+if TYPE_CHECKING:
+    from mistray.kernel.kernel_scene import KernelScene
+    from mistray.recorders.start_rays import StartRays
+
+CLASSES = ("direct", "ghosts", "scatter", "diffraction")
+"""Direct image; unscattered light by other ways, such as ghosts and glints; scattered light; light that edges diffract,
+otherwise on the way of the direct image."""
+DIRECT, GHOSTS, SCATTER, DIFFRACTION = range(4)
+
+PER_OCTAVE = 16  # rings: the mean radius of the light of a ring of a falling profile is then right to 0.1 %
+_OFF = "image spread, off design"
+
+
+class ImageSpread(PassingLight):
+    """
+    What a detector absorbs about a point, by class of light: flux on rings, and sums of exp(-2πi ν·r) over the rays.
+
+    The Fourier sums are those of the rays themselves, without rings or pixels, so that they have no error but that of
+    their number.
+
+    Parameters
+    ----------
+    name : str
+        What the trace calls it.
+    point_mm : (2,) float
+        In the frame of the detector, mm.
+    first_mm, last_mm : float
+        Radius of the innermost disc, and one that no light is farther away than, mm; `PER_OCTAVE` rings an octave lie
+        between them.
+    frequencies : (m, 2) float64
+        ν, 1/mm, along x and y of the detector.
+
+    Attributes
+    ----------
+    edges_mm : (n + 1,) float64
+        Borders of the rings, 0 first.
+    by_line : dict
+        Wavelength, nm → flux with its noise, see `rings` and `waves`.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        point_mm: tuple[float, float],
+        first_mm: float,
+        last_mm: float,
+        frequencies: npt.NDArray[np.float64],
+    ) -> None:
+        count = int(np.ceil(PER_OCTAVE * np.log2(last_mm / first_mm))) + 1
+        self.edges_mm = np.concatenate([[0.0], first_mm * 2.0 ** (np.arange(count + 1) / PER_OCTAVE)])
+        self._rings, self._waves = count + 1, len(frequencies)
+        self._point, self._first, self._frequencies = point_mm, first_mm, np.asarray(frequencies, dtype=np.float64)
+        self.by_line: dict[float, Sampled] = {}
+        super().__init__(name, len(CLASSES) * (self._rings + 2 * self._waves))
+
+    @property
+    def code(self) -> Hashable:
+        """See `Recorder.code`."""
+        return type(self).__name__, self._waves > 0
+
+    def attach(self, scene: KernelScene) -> None:
+        """Begin at zero."""
+        super().attach(scene)
+        self._line = scene.table.wavelength_nm
+        self._at = [dr.opaque(mi.Float, float(v)) for v in self._point]
+        self._inverse = dr.opaque(mi.Float, 1 / self._first)
+        self._nu = [mi.Float(np.ascontiguousarray(self._frequencies[:, k], dtype=np.float32)) for k in range(2)]
+        self._count, self._number = dr.opaque(mi.UInt32, self._rings), dr.opaque(mi.UInt32, self._waves)
+        dr.eval(self._nu)
+
+    def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
+        """Remember by depth whether the light has left the way of the direct image."""
+        n = dr.width(start.lane)
+        memory[_OFF] = dr.alloc_local(mi.UInt32, max_events + 1)  # local arrays of mi.Bool do not compile on LLVM
+        memory[_OFF].write(dr.full(mi.UInt32, 0, n), dr.full(mi.UInt32, 0, n))
+
+    def branch(self, branch: Branch, memory: Memory) -> None:
+        """See `mistray.kernel.interaction.is_off_design`."""
+        off = memory[_OFF].read(branch.depth, branch.active)
+        off |= dr.select(is_off_design(branch.interaction, branch.reflect), mi.UInt32(1), 0)
+        memory[_OFF].write(off, branch.depth + 1, branch.active)
+
+    def visit(self, visit: Visit, memory: Memory) -> None:
+        """Add light that a detector absorbs."""
+        here, state = visit.counted, visit.state
+        turned = (state["reflections"] > 0) | (visit.depth == 0) | (memory[_OFF].read(visit.depth, here) > 0)
+        kind = dr.select(turned, mi.UInt32(GHOSTS), DIRECT)
+        if visit.scatters:
+            word = state["scatters"]
+            spread = (word & COUNT_MASK) > 0
+            bent = spread & (state["reflections"] == 0) & ((word & NOT_DIFFRACTED) == 0)
+            kind = dr.select(bent, DIFFRACTION, dr.select(spread, SCATTER, kind))
+        x, y = (place - at for place, at in zip(visit.position, self._at, strict=True))
+        base = kind * (self._count + 2 * self._number)
+        r = dr.sqrt(dr.fma(x, x, y * y)) * self._inverse
+        ring = mi.Int32(dr.floor(PER_OCTAVE * dr.log2(dr.maximum(r, 0.5)))) + 1
+        ring = mi.UInt32(dr.clip(dr.select(r < 1, 0, ring), 0, mi.Int32(self._count) - 1))
+        self.add(visit.start, base + ring, visit.absorbed, here)
+        if not self._waves:
+            return
+        first = base + self._count
+
+        def add_wave(k: mi.UInt32, more: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
+            turns = dr.fma(dr.gather(mi.Float, self._nu[0], k, more), x, dr.gather(mi.Float, self._nu[1], k, more) * y)
+            s, c = dr.sincos(2 * dr.pi * (turns - dr.round(turns)))
+            self.add(visit.start, first + 2 * k, visit.absorbed * c, more)
+            self.add(visit.start, first + 2 * k + 1, -visit.absorbed * s, more)
+            return k + 1, more & (k + 1 < self._number)
+
+        start = dr.full(mi.UInt32, 0, dr.width(x)) if dr.width(x) > 1 else mi.UInt32(0)
+        dr.while_loop((start, mi.Bool(here)), lambda k, more: more, add_wave, labels=("wave", "more"))
+
+    def collect(self, unit: float) -> None:
+        """Keep the light of each wavelength by itself."""
+        before, self._flux = self._flux, None
+        super().collect(unit)
+        found = self.flux
+        known = self.by_line.get(self._line)
+        self.by_line[self._line] = found if known is None else known + found
+        self._flux = found if before is None else before + found
+
+    def _of(self, kind: int, wavelength_nm: float | None) -> Sampled:
+        size = self._rings + 2 * self._waves
+        light = self.flux if wavelength_nm is None else self.by_line[wavelength_nm]
+        return light[kind * size : (kind + 1) * size]
+
+    def rings(self, kind: int, wavelength_nm: float | None = None) -> Sampled:
+        """Flux of a class on the innermost disc and the rings, W, (n,); of one wavelength or of all."""
+        return self._of(kind, wavelength_nm)[: self._rings]
+
+    def waves(self, kind: int, wavelength_nm: float | None = None) -> tuple[Sampled, Sampled]:
+        """Real and imaginary part of the Fourier sums of a class, W, (m,) each."""
+        found = self._of(kind, wavelength_nm)[self._rings :]
+        return found[0::2], found[1::2]

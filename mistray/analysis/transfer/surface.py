@@ -1,0 +1,264 @@
+"""Surface transfer functions of scatter models: by Harvey's formula from a roughness spectrum, and from any BSDF."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from mistray.errors import MistrayError, MistrayWarning
+from mistray.physics import generalized_harvey_shack as ghs
+from mistray.physics import harvey_shack
+from mistray.physics.imaging import surface_transfer as formulas
+from mistray.ranges import NOT_NEGATIVE, POSITIVE, SHARE, WAVELENGTH_NM, Range
+from mistray.scatter.evaluate import bsdf
+from mistray.scatter.harvey_shack import index_step
+from mistray.scatter.lobe import EVENTS, Scatter
+from mistray.scatter.radial import RadialTable, node_radii, ring_flux
+from mistray.scatter.rough_surface import RoughSurface
+from mistray.scatter.total import model_lobes, specular_cosine, totals
+
+Array = npt.NDArray[np.float64]
+
+COSINE = Range(0.0, 1.0, above=True)
+AROUND = 32  # azimuths about the specular direction where the light is not the same in all
+LEAST_COSINE = 0.05  # of scattered light: a BSDF that counts solid angles grows without bound towards the horizon
+
+
+@dataclass(frozen=True)
+class SurfaceTransfer:
+    """
+    What a rough surface multiplies the optical transfer function with.
+
+    Attributes
+    ----------
+    wavelength_um : float
+        In vacuum.
+    plateau : float
+        1 - TIS: its value at lags beyond all correlation of the surface.
+    at_lag : callable
+        (m,) lags on the surface, µm → (m,) values, 1 at the lag 0.
+    """
+
+    wavelength_um: float
+    plateau: float
+    at_lag: Callable[[Array], Array]
+
+    @property
+    def tis(self) -> float:
+        """Scattered share of the light that the surface sends on."""
+        return 1 - self.plateau
+
+    def at(self, frequencies_per_mm: npt.ArrayLike, f_number: float, footprint_mm: float) -> Array:
+        """
+        Its values at frequencies of the image.
+
+        Parameters
+        ----------
+        frequencies_per_mm : (m,) array_like
+            ≥ 0.
+        f_number : float
+            Working F-number at the image.
+        footprint_mm : float
+            Diameter of the beam of one image point on the surface, along the direction of the frequency.
+
+        Returns
+        -------
+        (m,) float64
+
+        Raises
+        ------
+        MistrayError
+            For numbers out of range.
+        """
+        POSITIVE.check("f_number", f_number)
+        POSITIVE.check("footprint_mm", footprint_mm)
+        asked = np.atleast_1d(np.asarray(frequencies_per_mm, dtype=np.float64)).tolist()
+        found = np.array(NOT_NEGATIVE.check_each("frequencies_per_mm", asked))
+        return self.at_lag(formulas.lag_um(found, self.wavelength_um, f_number, footprint_mm))
+
+
+# More than 8 parameters: the keywords of a call, each with a default and used one by one
+def transfer_of_bsdf(
+    models: Scatter | Sequence[Scatter],
+    wavelength_nm: float,
+    event: str = "reflection",
+    n_in: float = 1.0,
+    n_out: float = 1.0,
+    cos_i: float = 1.0,
+    share: float = 1.0,
+    from_front: bool = True,
+) -> SurfaceTransfer:
+    """
+    Surface transfer function from the BSDF: ``H(s) = 1 - TIS + ∫ BSDF(β) exp(2πi n (β - β0) s/λ) d²β``.
+
+    The light that leaves the surface is counted as 1, and so TIS is the integral at s = 0. The Hankel transform is
+    taken about the specular direction, its azimuths in the mean: at normal incidence on an isotropic surface that is
+    exact.
+
+    Parameters
+    ----------
+    models : Scatter or sequence of Scatter
+        All that scatters at the surface.
+    wavelength_nm : float
+        Vacuum wavelength, nm.
+    event : {"reflection", "transmission"}
+    n_in, n_out : float
+        Indices on the side of incidence and on the other.
+    cos_i : float
+        Cosine of the angle of incidence.
+    share : float
+        R or T of the coating, which models relative to the incident light are compared with.
+    from_front : bool
+        Whether light comes from the front.
+
+    Raises
+    ------
+    MistrayError
+        For an event that is none, numbers out of range, total reflection, a surface that sends no light on, and what
+        the models raise where they do not hold.
+    """
+    _check(wavelength_nm, event, n_in, n_out, cos_i)
+    SHARE.check("share", share)
+    several = tuple(models) if isinstance(models, Sequence) else (models,)
+    lobes = model_lobes(several, wavelength_nm, n_in, n_out, from_front)
+    cosines = np.array([cos_i])
+    sums = totals(lobes, cosines, n_in, n_out)
+    specular = share * (1 - float(sums.loss[event][0]))
+    scattered = float(sums.scattered(event, np.array([share]))[0])
+    if not specular + scattered > 0:
+        raise MistrayError(f"surface transfer function: nothing goes on in {event}; give a share above 0")
+    plateau, wavelength_um = specular / (specular + scattered), wavelength_nm * 1e-3
+    if scattered == 0:
+        return SurfaceTransfer(wavelength_um, 1.0, lambda lag: np.ones_like(np.asarray(lag, dtype=np.float64)))
+    cos_0 = float(specular_cosine(event, cosines, n_in, n_out)[0])
+    sin_0 = float(np.sqrt(1 - cos_0 * cos_0))
+    symmetric = sin_0 == 0 and not any(lobe.anisotropic for lobe in lobes)
+    psi = np.pi * (np.arange(AROUND) + 0.5) / AROUND * 2 if not symmetric else np.zeros(1)
+
+    def profile(r: Array) -> Array:
+        x, y = sin_0 + r[:, None] * np.cos(psi), r[:, None] * np.sin(psi)
+        below = 1 - x * x - y * y
+        cos_s = np.sqrt(np.maximum(below, LEAST_COSINE**2))
+        found = bsdf(lobes, event, cos_i, np.stack([x, y, cos_s], axis=-1), n_in, n_out, share)
+        return np.asarray(np.where(below >= 0, found, 0.0).mean(axis=1))
+
+    rings = _Rings.of(profile, 1 + sin_0)
+    n = n_in if event == "reflection" else n_out
+    return SurfaceTransfer(
+        wavelength_um,
+        plateau,
+        lambda lag: plateau + (1 - plateau) * rings.transform(n / wavelength_um * np.asarray(lag)),
+    )
+
+
+def transfer_of_spectrum(
+    model: RoughSurface,
+    wavelength_nm: float,
+    event: str = "reflection",
+    n_in: float = 1.0,
+    n_out: float = 1.0,
+    cos_i: float = 1.0,
+) -> SurfaceTransfer:
+    """
+    Surface transfer function of a roughness spectrum by Harvey's formula, ``exp{-a [1 - C(s)/σ²]}``.
+
+    C is the Hankel transform of the spectrum at the frequencies that scatter into the half space at normal incidence,
+    0 … n/λ, and σ² their variance. It holds for surfaces of any roughness whose heights are Gaussian.
+
+    Parameters
+    ----------
+    model : RoughSurface
+        A `KCorrelation` or a `PsdTable`.
+    wavelength_nm, event, n_in, n_out, cos_i
+        As in `transfer_of_bsdf`.
+
+    Raises
+    ------
+    MistrayError
+        For an event that is none, numbers out of range and total reflection.
+
+    Warns
+    -----
+    MistrayWarning
+        Where the surface is not smooth, 2π Δn σ/λ above `mistray.physics.harvey_shack.MAX_PHASE`: its BSDF is then not
+        that of the theories for smooth surfaces, with which scenes are traced.
+    """
+    _check(wavelength_nm, event, n_in, n_out, cos_i)
+    wavelength_um, n = wavelength_nm * 1e-3, n_in if event == "reflection" else n_out
+    rms_um = 0.0 if model.is_smooth_as_glass else model.relevant_rms_um(wavelength_nm, n)
+    cos_0 = float(specular_cosine(event, np.array([cos_i]), n_in, n_out)[0])
+    if event == "reflection":
+        path = ghs.path_in_reflection(cos_i, cos_i, n_in)
+    else:
+        path = ghs.path_in_transmission(cos_i, cos_0, n_in, n_out)
+    phase = float(harvey_shack.phase_rms(rms_um, wavelength_um, index_step(event, n_in, n_out)))
+    if phase > harvey_shack.MAX_PHASE:
+        warnings.warn(
+            f"{model.title}: rms roughness {rms_um * 1e3:.3g} nm is not smooth in {event} at {wavelength_nm:g} nm "
+            f"(2π Δn σ/λ is {phase:.3g}, smooth up to {harvey_shack.MAX_PHASE:.3g}); the transfer function holds, the "
+            "BSDF of the theories for smooth surfaces does not",
+            MistrayWarning,
+            stacklevel=2,
+        )
+    variance = float(ghs.phase_variance(path, rms_um, wavelength_um))
+    if variance == 0:
+        return SurfaceTransfer(wavelength_um, 1.0, lambda lag: np.ones_like(np.asarray(lag, dtype=np.float64)))
+    psd, highest = model.psd(wavelength_nm), n / wavelength_um
+    rings = _Rings.of(lambda r: np.asarray(psd(r * highest)), 1.0)
+    return SurfaceTransfer(
+        wavelength_um,
+        float(np.exp(-variance)),
+        lambda lag: formulas.surface_transfer(rings.transform(highest * np.asarray(lag)), variance),
+    )
+
+
+def product(transfers: Sequence[SurfaceTransfer], lags_um: Sequence[Array]) -> Array:
+    """
+    Surface transfer function of several surfaces, which are independent of each other.
+
+    Parameters
+    ----------
+    transfers : sequence of SurfaceTransfer
+    lags_um : sequence of (m,) float64
+        Of each, for the same frequencies of the image; see `mistray.physics.imaging.surface_transfer.lag_um`.
+    """
+    return np.prod([one.at_lag(lag) for one, lag in zip(transfers, lags_um, strict=True)], axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Rings:
+    """Light on rings of direction cosines, in all 1."""
+
+    inner: Array
+    outer: Array
+    flux: Array
+
+    @classmethod
+    def of(cls, profile: Callable[[Array], Array], r_max: float) -> _Rings:
+        table, nodes = RadialTable.of(profile, r_max), node_radii()
+        inside = np.pi * nodes[0] ** 2 * 2.0 ** table.log2_values[0]
+        flux = np.concatenate([[inside], ring_flux(nodes[:-1], table.log2_values)])
+        flux[np.concatenate([[0.0], nodes[:-1]]) >= r_max] = 0
+        return cls(np.concatenate([[0.0], nodes[:-1]]), nodes, flux / flux.sum())
+
+    def transform(self, frequency: Array) -> Array:
+        """Σ flux J0(2π r q), (m,) for (m,) q."""
+        flat = np.atleast_1d(frequency)
+        return formulas.ring_transform(self.inner, self.outer, self.flux, flat).reshape(np.shape(frequency))
+
+
+def _check(wavelength_nm: float, event: str, n_in: float, n_out: float, cos_i: float) -> None:
+    if event not in EVENTS:
+        raise MistrayError(f"event is '{event}'; use {' or '.join(map(repr, EVENTS))}")
+    WAVELENGTH_NM.check("wavelength_nm", wavelength_nm)
+    for name, index in (("n_in", n_in), ("n_out", n_out)):
+        POSITIVE.check(name, index)
+    COSINE.check("cos_i", cos_i)
+    if event == "transmission" and n_in * np.sqrt(1 - cos_i * cos_i) >= n_out:
+        raise MistrayError(
+            f"cos_i is {cos_i:g}: light is totally reflected from index {n_in:g} to {n_out:g}; use event 'reflection'"
+        )

@@ -1,0 +1,169 @@
+"""What a detector sees: shares of surfaces, media and the sky in a trace from it against the light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.execute.backward import PASS_LANES, BackwardTrace
+from mistray.recorders.directions import DirectionGrid
+from mistray.recorders.sampled import batch_error
+from mistray.recorders.tallies import ABSORBED_HERE, ESCAPED, HITS, INCIDENT
+from mistray.sampling.sources import spectrum_of
+from mistray.settings import Settings
+from mistray.time_budget import is_limited, time_is_up
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeenSurface:
+    """
+    What the detector sees of a surface.
+
+    Attributes
+    ----------
+    id, part : str
+    space : int
+        Optical space.
+    hits : int
+    share, share_se : float
+        Mean weight that meets the surface, of Lambertian rays from the detector. If the surface alone had the
+        radiance L, towards all sides, the irradiance on the detector would be π L · share (but for light that is
+        scattered at the surface itself).
+    emission, emission_se : float
+        The same times what the surface absorbs at each angle, 1 - R - T - scatter, which by Kirchhoff's law is its
+        emissivity: a surface with the blackbody radiance L gives the irradiance π L · emission.
+    emission_by_batch : (BATCHES,) float64
+        Its estimates from single batches of rays.
+    """
+
+    id: str
+    part: str
+    space: int
+    hits: int
+    share: float
+    share_se: float
+    emission: float
+    emission_se: float
+    emission_by_batch: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seen:
+    """
+    What a detector sees, in a backward trace.
+
+    All shares are of Lambertian rays from the side of the detector that the light of the design comes to, times n² of
+    the medium there; emission, escaped and lost add up to n².
+
+    Attributes
+    ----------
+    rows : list of SeenSurface
+        All surfaces, in the order of the scene; the detector itself where it sees itself.
+    media : dict
+        Material → (emission, standard error, by batch) of absorbing media.
+    escaped : tuple
+        Share of the rays that leave the scene, standard error, by batch.
+    lost : tuple
+        Share that limits and thresholds cut, standard error, by batch.
+    detector : str
+    detector_area_mm2 : float
+    wavelength_nm : float
+    rays : int
+    seconds : float
+    """
+
+    rows: list[SeenSurface]
+    media: dict[str, tuple[float, float, np.ndarray]]
+    escaped: tuple[float, float, np.ndarray]
+    lost: tuple[float, float, np.ndarray]
+    detector: str
+    detector_area_mm2: float
+    wavelength_nm: float
+    rays: int
+    seconds: float
+
+
+def see(
+    scene: mi.Scene,
+    rays: int = 200_000,
+    wavelength_nm: float | None = None,
+    detector: str | None = None,
+    **settings: Any,
+) -> Seen:
+    """
+    Trace backwards and tell what the detector sees: surfaces, media, the sky.
+
+    A time budget around it (`mistray.time_budget`) ends it with the rays that it has, but not before the first pass.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    rays : int
+    wavelength_nm : float, optional
+        By default the first of the scene's source.
+    detector : str, optional
+    **settings
+        Fields of `mistray.trace.Settings`; ``max_reflections=0, max_scatters=0`` or
+        ``ray_control="transmit_specular"`` for what is seen directly.
+
+    Raises
+    ------
+    MistrayError
+        For bad settings, or a detector that cannot be found.
+    """
+    chosen = Settings.without_sources(scene, rays=rays, **settings)
+    wavelength = float(spectrum_of(scene, wavelength_nm, None)[0][0])
+    whole = DirectionGrid.of([45.0], cell_deg=90.0)
+    trace = BackwardTrace(scene, whole, chosen, wavelength, detector=detector, both_sides=False)
+    done = 0
+    while done < chosen.rays and not (done and time_is_up()):
+        here = min(trace.next_pass if is_limited() else PASS_LANES, chosen.rays - done)
+        trace.advance(here)
+        done += here
+    started = trace.rays
+
+    def estimate(by_batch: np.ndarray) -> tuple[float, float, np.ndarray]:
+        return (
+            float(by_batch.sum() / started.sum()),
+            float(batch_error(by_batch, started) / started.sum()),
+            by_batch / started,
+        )
+
+    rows = []
+    for i in trace.table.listed:
+        sums = trace.sums["surfaces"][i]
+        share, share_se, _ = estimate(sums[INCIDENT])
+        emission, emission_se, emission_by_batch = estimate(sums[ABSORBED_HERE])
+        table = trace.table
+        rows.append(
+            SeenSurface(
+                id=table.ids[i],
+                part=table.parts[i],
+                space=table.spaces[i],
+                hits=round(float(sums[HITS].sum())),
+                share=share,
+                share_se=share_se,
+                emission=emission,
+                emission_se=emission_se,
+                emission_by_batch=emission_by_batch,
+            )
+        )
+    media = {
+        name: estimate(row)
+        for name, row in zip(trace.table.optics.media[1:], trace.sums["media"][1:], strict=True)
+        if row.any()
+    }
+    return Seen(
+        rows=rows,
+        media=media,
+        escaped=estimate(trace.sums["channels"][ESCAPED]),
+        lost=estimate(trace.lost),
+        detector=trace.table.ids[trace.table.detector],
+        detector_area_mm2=trace.area,
+        wavelength_nm=wavelength,
+        rays=round(float(started.sum())),
+        seconds=trace.seconds,
+    )

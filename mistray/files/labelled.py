@@ -1,0 +1,103 @@
+"""Results as arrays with named axes, for xarray and, through it, NetCDF and Zarr.
+
+Each array and each coordinate has the attributes ``long_name`` and ``units``, the latter as the CF conventions write
+them ("W mm-2", "mm", "degree", "1"). An array with a standard error names it in ``ancillary_variables``. The attribute
+``facts`` of the whole holds what it is of and how it was computed, as JSON. Source: CF Metadata Conventions 1.11,
+sections 3.1 to 3.4.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from mistray.errors import MistrayError
+from mistray.files.json_values import plain
+
+if TYPE_CHECKING:
+    import xarray
+
+IRRADIANCE = "W mm-2"
+
+
+@dataclass(frozen=True)
+class Labelled:
+    """
+    An array with named axes.
+
+    Attributes
+    ----------
+    axes : tuple of str
+    values : array
+        With as many axes.
+    units : str
+        "1" for pure numbers, "" for text.
+    long_name : str
+    standard_error : array or None
+        Of each value; stored under the name of the array with ``_se``.
+    """
+
+    axes: tuple[str, ...]
+    values: npt.ArrayLike
+    units: str
+    long_name: str
+    standard_error: npt.ArrayLike | None = None
+
+    def attributes(self, **more: str) -> dict[str, str]:
+        """What its attributes are."""
+        return {"long_name": self.long_name, **({"units": self.units} if self.units else {}), **more}
+
+
+def dataset(
+    arrays: Mapping[str, Labelled], coordinates: Mapping[str, Labelled], title: str, facts: Mapping[str, Any]
+) -> xarray.Dataset:
+    """
+    Arrays that share axes as an `xarray.Dataset`.
+
+    Parameters
+    ----------
+    arrays, coordinates : mapping of str to Labelled
+    title : str
+    facts : mapping of str to values that JSON knows
+
+    Raises
+    ------
+    MistrayError
+        If xarray is not installed.
+    """
+    try:
+        import xarray
+    except ImportError:
+        raise MistrayError(
+            "to_xarray needs xarray, which is not installed; run: pip install 'mistray[xarray]'"
+        ) from None
+    made: dict[str, Any] = {}
+    for name, array in arrays.items():
+        error = f"{name}_se"
+        more = {} if array.standard_error is None else {"ancillary_variables": error}
+        made[name] = (array.axes, np.asarray(array.values), array.attributes(**more))
+        if array.standard_error is not None:
+            words = array.attributes() | {"long_name": f"standard error of {array.long_name}"}
+            made[error] = (array.axes, np.asarray(array.standard_error), words)
+    places = {name: (c.axes, np.asarray(c.values), c.attributes()) for name, c in coordinates.items()}
+    whole = {"title": title, "Conventions": "CF-1.11", "facts": json.dumps(plain(dict(facts)), allow_nan=False)}
+    return xarray.Dataset(made, places, whole)
+
+
+def pixel_coordinates(extent_mm: tuple[float, float, float, float], shape: tuple[int, int]) -> dict[str, Labelled]:
+    """The middles of the pixels of a detector with these edges (x0, x1, y0, y1) and as many rows and columns."""
+    x0, x1, y0, y1 = extent_mm
+    rows, columns = shape
+
+    def middles(low: float, high: float, count: int) -> np.ndarray:
+        return low + (np.arange(count) + 0.5) * (high - low) / count
+
+    return {
+        "y": Labelled(("y",), middles(y0, y1, rows), "mm", "y in the frame of the detector"),
+        "x": Labelled(("x",), middles(x0, x1, columns), "mm", "x in the frame of the detector"),
+    }

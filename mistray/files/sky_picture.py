@@ -1,0 +1,72 @@
+"""Pictures of the sky: those that Mitsuba reads are only checked, maps in HEALPix are read."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.files.irradiance_files import fits_module
+from mistray.read_file import read_file, require_file
+
+FITS = (".fits", ".fit", ".fits.gz")
+
+
+def is_healpix(file: str) -> bool:
+    """Whether the name is that of a FITS file, which holds a map in HEALPix."""
+    return file.lower().endswith(FITS)
+
+
+def check_picture(file: str, owner: str) -> None:
+    """
+    Refuse what is no file, before Mitsuba opens it.
+
+    Raises
+    ------
+    MistrayError
+        If it is missing, a folder, a pipe or a device.
+    """
+    require_file(file, f"{owner}: filename")
+
+
+def read_healpix(file: str, owner: str) -> tuple[np.ndarray, bool]:
+    """
+    Read the first column of the first table of a FITS file.
+
+    Parameters
+    ----------
+    file : str
+    owner : str
+        For messages.
+
+    Returns
+    -------
+    values : (n,) float64
+        Of the pixels, from 0.
+    nested : bool
+        Whether they are numbered nested; else along rings.
+
+    Raises
+    ------
+    MistrayError
+        If astropy is not installed, the file cannot be read, or it holds no map in HEALPix of finite values from 0.
+    """
+    content = read_file(file, f"{owner}: filename")
+    fits = fits_module()
+    try:
+        with fits.open(io.BytesIO(content)) as found:
+            table = next(part for part in found if isinstance(part, fits.BinTableHDU))
+            ordering = str(table.header.get("ORDERING", "")).strip().upper()
+            values = np.asarray(table.data.field(0), dtype=np.float64).ravel()
+    except StopIteration:
+        raise MistrayError(f"{owner}: '{Path(file).name}' has no table; give a map in HEALPix") from None
+    except Exception as error:  # astropy raises all kinds
+        what = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise MistrayError(f"{owner}: '{Path(file).name}': {what}; give a map in HEALPix") from None
+    if ordering not in ("RING", "NESTED", "NEST"):
+        raise MistrayError(f"{owner}: '{Path(file).name}': its ORDERING is '{ordering}'; it must be RING or NESTED")
+    if not np.all(np.isfinite(values)) or np.any(values < 0) or np.any(values > 1e30):
+        raise MistrayError(f"{owner}: '{Path(file).name}' has pixels that are no radiance; give values from 0 to 1e30")
+    return values, ordering != "RING"

@@ -1,0 +1,1 @@
+"""Images of points: pupil functions, point spread and transfer functions, and their closed forms."""

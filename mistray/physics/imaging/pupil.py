@@ -1,0 +1,324 @@
+"""What diffraction makes of the light in a pupil: point spread function, transfer function, encircled energy.
+
+The pupil is described on the reference sphere about an image point C, where κ = 1/R is the sphere's curvature (R > 0
+where the pupil lies before the image; κ = 0: the pupil lies at infinity). A point P of the sphere sends a wavelet to C
+along the unit vector s = (C - P)/R with components (α, β, γ) in the frame of the image: x and y in its tangent plane,
+z along the light. Then, in a medium of index n,
+
+    |x - P| - R = s·x + O(κ x²),    U(x) = ∫∫ A(α, β) exp(-2πi W) exp(2πi n s·x/λ) dα dβ,
+
+with W = OPL(chief) - OPL(ray) in waves, positive where the wavefront leads. |A|² is the flux per dα dβ, so that by
+Parseval's theorem |U|² is the irradiance, and its integral the flux: nothing has to be normalised over a window. This
+is Debye's integral (M. Born, E. Wolf, *Principles of Optics*, 7th ed., section 8.8.1), in direction cosines of the
+image plane, so that it holds for oblique and fast beams; one component of the field stands for all (scalar theory).
+Flux A² = dE/(dα dβ) is Kirchhoff's amplitude on the sphere times √γ; polarisation is left out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Complex = npt.NDArray[np.complex128]
+
+REMOVED = {"piston": 1, "tilt": 3, "focus": 4}  # terms of 1, α, β, γ that are taken off a wavefront
+PEAK_ZOOMS, PEAK_POINTS = 4, 33
+FINEST_WAVES = 0.5  # from cell to cell, where waves of neighbouring cells are in opposite phase
+AT_ONCE = 1 << 21  # wavelets times points
+SPLINE_ORDER = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Pupil:
+    """
+    Light of one wavelength on the reference sphere about an image point, on a grid of direction cosines.
+
+    Rows of arrays go along β (y), columns along α (x); what does not get through has flux 0.
+
+    Attributes
+    ----------
+    wavelength_mm : float
+        In vacuum.
+    index : float
+        Refractive index before the image.
+    step : float
+        Of the grid, in direction cosines.
+    alpha, beta : (n,) float64
+        Direction cosines of the columns and of the rows.
+    flux : (n, n) float64
+        Flux per unit of α and β, where light gets through.
+    share : (n, n) float64
+        Share 0 … 1 of each cell that light gets through.
+    opd_waves : (n, n) float64
+        W; 0 in the dark.
+    curvature : float
+        κ, 1/mm.
+
+    Where the grid is too coarse for the wavefront, see `resolved`, its PSF, transfer function and energy are NaN.
+    """
+
+    wavelength_mm: float
+    index: float
+    step: float
+    alpha: Array
+    beta: Array
+    flux: Array
+    share: Array
+    opd_waves: Array
+    curvature: float = 0.0
+
+    @property
+    def lit(self) -> npt.NDArray[np.bool_]:
+        """(n, n): where light gets through."""
+        return self.share > 0
+
+    @cached_property
+    def energy(self) -> Array:
+        """(n, n) flux of each cell."""
+        return np.asarray(self.flux * self.share * self.step**2)
+
+    @property
+    def total(self) -> float:
+        """Flux of all light."""
+        return float(self.energy.sum())
+
+    @property
+    def scale(self) -> float:
+        """n/λ, 1/mm: frequency for each unit of direction cosines."""
+        return self.index / self.wavelength_mm
+
+    @property
+    def gamma(self) -> Array:
+        """(n, n) direction cosine along the normal of the image."""
+        a, b = np.meshgrid(self.alpha, self.beta)
+        return np.asarray(np.sqrt(np.maximum(1 - a * a - b * b, 0.0)))
+
+    @property
+    def projected_solid_angle(self) -> float:
+        """∫∫ dα dβ of the light, sr."""
+        return float(self.share.sum()) * self.step**2
+
+    @cached_property
+    def amplitude(self) -> Complex:
+        """(n, n) amplitude of each cell, its phase included."""
+        return np.asarray(np.sqrt(self.flux) * self.share * np.exp(-2j * np.pi * self.opd_waves) * self.step**2)
+
+    @cached_property
+    def steepest(self) -> float:
+        """Largest step of the OPD from cell to cell, its tilt aside, waves; above 0.5 the grid is too coarse."""
+        w, lit = self.residual("tilt"), self.lit
+        steps = [np.abs(np.diff(w, axis=k))[np.logical_and(*_pairs(lit, k))] for k in (0, 1)]
+        return float(max((s.max() for s in steps if s.size), default=0.0))
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the grid is fine enough for point spread and transfer functions."""
+        return self.steepest <= FINEST_WAVES
+
+    # ---- the wavefront
+
+    def removed(self, terms: str) -> Array:
+        """
+        Coefficients of 1, α, β, γ in the wavefront, by least squares over its flux, waves.
+
+        Parameters
+        ----------
+        terms : {"piston", "tilt", "focus"}
+            Only 1; also α and β; also γ. The others are 0.
+        """
+        count, lit = REMOVED[terms], self.lit
+        a, b = np.meshgrid(self.alpha - self.alpha.mean(), self.beta - self.beta.mean())
+        basis = np.stack([np.ones_like(a), a, b, self.gamma])[:count, lit]
+        root = np.sqrt(self.energy[lit])
+        found = np.zeros(4)
+        found[:count] = np.linalg.lstsq((basis * root).T, self.opd_waves[lit] * root, rcond=None)[0]
+        return found
+
+    def residual(self, terms: str) -> Array:
+        """(n, n) wavefront without some terms, see `removed`, waves; 0 in the dark."""
+        piston, x, y, z = self.removed(terms)
+        a, b = np.meshgrid(self.alpha - self.alpha.mean(), self.beta - self.beta.mean())
+        return np.asarray(np.where(self.lit, self.opd_waves - piston - x * a - y * b - z * self.gamma, 0.0))
+
+    def rms_waves(self, terms: str = "tilt") -> float:
+        """Root mean square of the wavefront without some terms, weighted by flux, waves."""
+        return math.sqrt(float((self.energy * self.residual(terms) ** 2).sum()) / self.total)
+
+    def pv_waves(self, terms: str = "tilt") -> float:
+        """Peak to valley of the same, waves."""
+        return float(np.ptp(self.residual(terms)[self.lit]))
+
+    def best_focus_mm(self) -> float:
+        """Shift of the image along the light that makes the rms wavefront smallest, mm."""
+        return float(self.removed("focus")[3]) / self.scale
+
+    def moved(self, dz: float) -> Pupil:
+        """The same light for an image point further on by dz along the normal, mm."""
+        return replace(self, opd_waves=np.where(self.lit, self.opd_waves - self.scale * dz * self.gamma, 0.0))
+
+    def ideal(self) -> Pupil:
+        """The same light without aberration."""
+        return replace(self, opd_waves=np.zeros_like(self.opd_waves))
+
+    # ---- point spread function
+
+    def psf(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
+        """
+        Irradiance at points of a grid for a flux of 1, by the Fourier transform of the pupil.
+
+        Parameters
+        ----------
+        x, y : (m,), (k,) array_like
+            From the image point, mm.
+
+        Returns
+        -------
+        (k, m) float64
+            1/mm².
+        """
+        x, y = (np.asarray(values, dtype=np.float64) for values in (x, y))
+        if not self.resolved:
+            return np.full((len(y), len(x)), np.nan)
+        turns = [2j * np.pi * self.scale * np.outer(at, axis - axis.mean())
+                 for at, axis in ((x, self.alpha), (y, self.beta))]  # fmt: skip
+        field = np.exp(turns[1]) @ self.amplitude @ np.exp(turns[0]).T
+        return np.asarray(np.abs(field) ** 2 * self.scale**2 / self.total)
+
+    def huygens(self, points: npt.ArrayLike) -> Array:
+        """
+        Irradiance at points for a flux of 1, by the sum of the wavelets of all cells with their exact path lengths.
+
+        Parameters
+        ----------
+        points : (m, 3) array_like
+            From the image point, in the frame of the image, mm.
+
+        Returns
+        -------
+        (m,) float64
+            1/mm².
+        """
+        points = np.asarray(points, dtype=np.float64)
+        if not self.resolved:
+            return np.full(len(points), np.nan)
+        lit = self.lit
+        a, b = np.meshgrid(self.alpha, self.beta)
+        s = np.stack([a, b, self.gamma])[:, lit]
+        amplitude, k = self.amplitude[lit], self.curvature
+        result = np.empty(len(points))
+        some = max(1, AT_ONCE // s.shape[1])
+        for first in range(0, len(points), some):
+            x = points[first : first + some]
+            along, square = x @ s, (x**2).sum(axis=1)[:, None]
+            length = np.sqrt(1 + 2 * k * along + k * k * square)  # |x - P| in units of R
+            path = (2 * along + k * square) / (1 + length)
+            field = (amplitude / length * np.exp(2j * np.pi * self.scale * path)).sum(axis=1)
+            result[first : first + some] = np.abs(field) ** 2
+        return result * self.scale**2 / self.total
+
+    def ideal_peak(self) -> float:
+        """Irradiance at the image point without aberration for a flux of 1, 1/mm²."""
+        return float(np.abs(self.amplitude).sum() ** 2 * self.scale**2 / self.total)
+
+    # ---- transfer function
+
+    @cached_property
+    def _lattice(self) -> Complex:
+        """Optical transfer function at multiples of `frequency_step`, zero frequency in the middle, (2n+1, 2n+1)."""
+        n = len(self.alpha)
+        spectrum = np.fft.fft2(self.amplitude, (2 * n + 1, 2 * n + 1))
+        lattice = np.fft.fftshift(np.fft.ifft2(np.abs(spectrum) ** 2)) / (self.total * self.step**2)
+        lattice[n, n] = 1.0  # cells that are partly lit have less of the flux than of the amplitude
+        return np.asarray(lattice)
+
+    @property
+    def frequency_step(self) -> float:
+        """Of the lattice on which the transfer function is known, 1/mm; its inverse is the period of the PSF."""
+        return self.step * self.scale
+
+    def otf(self, fx: npt.ArrayLike, fy: npt.ArrayLike) -> Complex:
+        """
+        Optical transfer function ∫ PSF exp(-2πi f·x) dx, 1 at zero frequency.
+
+        The autocorrelation of the pupil, by cubic interpolation.
+
+        Parameters
+        ----------
+        fx, fy : array_like
+            Frequencies along x and y, 1/mm.
+        """
+        from scipy.interpolate import CubicSpline
+        from scipy.ndimage import map_coordinates
+
+        fx, fy = np.broadcast_arrays(np.asarray(fx, dtype=np.float64), np.asarray(fy, dtype=np.float64))
+        if not self.resolved:
+            return np.full(fx.shape, np.nan + 0j)
+        n, lattice = len(self.alpha), self._lattice
+        # The function has a cusp at zero: along the axes it is known on either side of it
+        for along, across, line in ((fx, fy, lattice[n, n:]), (fy, fx, lattice[n:, n])):
+            if not np.any(across):
+                places = np.arange(n + 1) * self.frequency_step
+                found = CubicSpline(places, line)(np.clip(np.abs(along), 0, places[-1]))
+                found = np.where(np.abs(along) > places[-1], 0, found)
+                return np.asarray(np.where(along < 0, found.conj(), found))
+        at = np.stack([fy / self.frequency_step + n, fx / self.frequency_step + n])
+        real, imaginary = (
+            map_coordinates(part, at, order=SPLINE_ORDER, mode="constant") for part in (lattice.real, lattice.imag)
+        )
+        return np.asarray(real + 1j * imaginary)
+
+    def cut_off(self, direction: tuple[float, float]) -> float:
+        """Frequency along a direction (x, y) from which on there is no contrast, 1/mm: n/λ times the pupil's width."""
+        a, b = np.meshgrid(self.alpha, self.beta)
+        along = (a * direction[0] + b * direction[1])[self.lit] / math.hypot(*direction)
+        reach = (self.share[self.lit] - 0.5) * self.step  # the rim lies within the outermost cells
+        return float(self.scale * (np.max(along + reach) - np.min(along - reach)))
+
+    # ---- energy
+
+    def encircled(self, radius: npt.ArrayLike, centre: tuple[float, float] = (0.0, 0.0), square: bool = False) -> Array:
+        """
+        Share of the flux within circles about a point, or squares.
+
+        The integral of the transfer function times the transform of the figure, so that light far out is not lost in
+        the cut of a window. Radii must be well below 1 / (2 `frequency_step`).
+
+        Parameters
+        ----------
+        radius : (m,) array_like
+            Of the circles, or half side of the squares along x and y, mm.
+        centre : (2,) float
+            From the image point, mm.
+        square : bool
+        """
+        from scipy.special import j1
+
+        if not self.resolved:
+            return np.full(np.atleast_1d(radius).shape, np.nan)
+        n, df = len(self.alpha), self.frequency_step
+        f = np.arange(-n, n + 1) * df
+        # Of f and -f one will do
+        fx, fy = (values[n:].ravel() for values in np.meshgrid(f, f))
+        value = self._lattice[n:].ravel() * np.exp(2j * np.pi * (fx * centre[0] + fy * centre[1]))
+        weight = np.where(fy == 0, 1.0, 2.0) * value.real * df * df
+        used = np.abs(weight) > 0
+        fx, fy, weight = fx[used], fy[used], weight[used]
+        result = []
+        for r in np.atleast_1d(np.asarray(radius, dtype=np.float64)):
+            if square:
+                figure = 4 * r * r * np.sinc(2 * r * fx) * np.sinc(2 * r * fy)
+            else:
+                q = np.hypot(fx, fy)
+                figure = np.where(q == 0, np.pi * r * r, r * j1(2 * np.pi * r * q) / np.where(q == 0, 1.0, q))
+            result.append(float(weight @ figure))
+        return np.array(result)
+
+
+def _pairs(lit: npt.NDArray[np.bool_], axis: int) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """Whether the two cells of each pair of neighbours are lit."""
+    return np.take(lit, range(lit.shape[axis] - 1), axis), np.take(lit, range(1, lit.shape[axis]), axis)

@@ -1,0 +1,149 @@
+"""Coatings and scatter models by what one writes in a word or a line."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+from mistray.coatings import PRESETS, Stack, coating_from_text
+from mistray.errors import MistrayError
+from mistray.prescription.coating import Coating
+from mistray.prescription.scatter import Scatter, Value
+from mistray.scatter.kinds import KINDS
+
+BARE, CLEAN = "bare", "none"
+SHARES = ("R", "T")
+OF_LAYERS = ("design_nm", "first")  # words that may follow layers, a preset or a file
+
+
+def coating_of(text: str, known: Mapping[str, Coating] = MappingProxyType({})) -> Coating | None:
+    """
+    A coating by name or by values.
+
+    Parameters
+    ----------
+    text : str
+        A name in `known`, "bare", a preset such as "bbar3", layers such as "MgF2 99.64, 2.1 0.5w", a file (table.csv,
+        COATING.DAT:NAME; relative to the current folder), or "R=0.01 T=0.99". Behind layers, a preset or a file may
+        stand ``design_nm=850`` and ``first=back``.
+    known : mapping of str to Coating
+        Others, such as those of a scene.
+
+    Returns
+    -------
+    Coating or None
+        None is a bare surface. What has layers or is a file has a name, by which surfaces share it.
+
+    Raises
+    ------
+    MistrayError
+        If the text is none of these, or a value is out of range.
+    """
+    text = text.strip()
+    if text in known:
+        return known[text]
+    if text == BARE:
+        return None
+    words = text.split()
+    shares = _values(words, SHARES)
+    if words and len(shares) == len(words):
+        r, t = (_number(text, key, shares[key]) if key in shares else None for key in SHARES)
+        return Coating(R=r, T=t)
+    more = _values(words[1:], OF_LAYERS)
+    recipe = text
+    for _ in more:
+        recipe = recipe.rpartition(" ")[0].rstrip()
+    own: dict[str, Any] = dict(more)
+    if "design_nm" in more:
+        own["design_nm"] = _number(text, "design_nm", more["design_nm"])
+    try:
+        design_nm = own.get("design_nm", 550.0)
+        found = coating_from_text(recipe, design_nm)
+        if isinstance(found, Stack):
+            found.indices(design_nm)
+    except MistrayError as error:
+        near = difflib.get_close_matches(recipe, known, n=1)
+        hint = f"; or did you mean '{near[0]}' of the scene?" if near else ""
+        raise MistrayError(f"coating '{text}': {error}{hint}") from None
+    if recipe in PRESETS:
+        return Coating(preset=recipe, name=_name(recipe, own), **own)
+    if " " not in recipe:
+        return Coating(table=recipe, name=_name(re.sub(r"\.\w+$", "", recipe.rpartition("/")[2]), own), **own)
+    return Coating(layers=recipe, name="coating", **own)
+
+
+def scatter_of(text: str, known: Mapping[str, Scatter] = MappingProxyType({})) -> Scatter | None:
+    """
+    A scatter model by name or by values.
+
+    Parameters
+    ----------
+    text : str
+        A name in `known`, or a scatter plugin with its properties, such as "harvey_shack rms_nm=4 l=0.01 s=-1.5".
+        Files are relative to the current folder.
+    known : mapping of str to Scatter
+        Others, such as those of a scene.
+
+    Returns
+    -------
+    Scatter or None
+        With a name, by which surfaces share it. None if the text is none of these.
+
+    Raises
+    ------
+    MistrayError
+        If the model refuses its values.
+    """
+    if text in known:
+        return known[text]
+    words = text.split()
+    if not words or words[0] not in KINDS or not all("=" in word for word in words[1:]):
+        return None
+    properties: dict[str, Value] = {}
+    for key, _, value in (word.partition("=") for word in words[1:]):
+        if key in properties:
+            raise MistrayError(f"scatter '{text}': {key} stands there twice; keep one")
+        properties[key] = _value(value)
+    return Scatter(words[0], properties, name=_name(words[0], properties))
+
+
+def number_of(text: str) -> float | None:
+    """The number that a text is; None if it is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def _values(words: list[str], keys: tuple[str, ...]) -> dict[str, str]:
+    """The values of the words KEY=VALUE at the end; only of some keys, each once."""
+    found: dict[str, str] = {}
+    for word in reversed(words):
+        key, equals, value = word.partition("=")
+        if not equals or key not in keys or key in found:
+            break
+        found[key] = value
+    return found
+
+
+def _number(text: str, key: str, value: str) -> float:
+    number = number_of(value)
+    if number is None:
+        raise MistrayError(f"coating '{text}': {key} is '{value}'; give a number")
+    return number
+
+
+def _value(text: str) -> Value:
+    if text in ("true", "false"):
+        return text == "true"
+    number = number_of(text)
+    return text if number is None else number
+
+
+def _name(kind: str, properties: Mapping[str, Value]) -> str:
+    """An id by values, so that .1 and 0.1 have one name, and 1 another."""
+    words = [kind, *(f"{key}_{value}".removesuffix(".0") for key, value in properties.items())]
+    return re.sub(r"[^\w-]+", "_", "_".join(words)).strip("_")

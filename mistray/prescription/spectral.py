@@ -1,0 +1,77 @@
+"""The wavelengths of a source of a prescription."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from mistray.errors import MistrayError
+from mistray.spectra.spectrum import Light, light_of, of_lines
+
+DEFAULT_NM = (550.0,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spectral:
+    """
+    Light of some wavelengths, or of a spectrum instead; see docs/sources.md.
+
+    Attributes
+    ----------
+    wavelength_nm : tuple of float
+        One or several.
+    weights : tuple of float or None
+        Share of each wavelength; ``None``: equal.
+    spectrum : str or None
+        Instead of `wavelength_nm`, see `mistray.spectra.spectrum.light_of`.
+    band_nm : tuple of two float, or None
+        Of a continuous spectrum, the part that is traced.
+    bands : int or None
+        In how many parts.
+    """
+
+    wavelength_nm: tuple[float, ...] = DEFAULT_NM
+    weights: tuple[float, ...] | None = None
+    spectrum: str | None = None
+    band_nm: tuple[float, float] | None = None
+    bands: int | None = None
+
+    @property
+    def light(self) -> Light:
+        """The wavelengths that are traced; raises `MistrayError` if there is no such light."""
+        if self.spectrum is None:
+            if self.band_nm is not None or self.bands is not None:
+                raise MistrayError("band_nm or bands is given without spectrum; give both")
+            return of_lines(self.wavelength_nm, self.weights)
+        if self.wavelength_nm != DEFAULT_NM:
+            raise MistrayError("wavelength_nm and spectrum are given; give one of them")
+        return light_of(self.spectrum, self.band_nm, self.bands, self.weights)
+
+    def check_spectrum(self, owner: str) -> None:
+        """Raise `MistrayError` if there is no such light."""
+        try:
+            _ = self.light
+        except MistrayError as error:
+            raise MistrayError(f"{owner}: {error}") from None
+
+    @property
+    def spectral_properties(self) -> dict[str, Any]:
+        """As properties of a plugin."""
+        found: dict[str, Any] = {}
+        if self.spectrum is not None:
+            found["spectrum"] = self.spectrum
+        else:
+            one = len(self.wavelength_nm) == 1
+            found["wavelength_nm"] = float(self.wavelength_nm[0]) if one else list_text(self.wavelength_nm)
+        if self.weights is not None:
+            found["weights"] = list_text(self.weights)
+        if self.band_nm is not None:
+            found["band_nm"] = list_text(self.band_nm)
+        if self.bands is not None:
+            found["bands"] = float(self.bands)
+        return found
+
+
+def list_text(values: tuple[float, ...]) -> str:
+    """Numbers as a text property of a plugin."""
+    return ", ".join(repr(float(value)) for value in values)

@@ -1,0 +1,376 @@
+"""Maps of the light that meets walls and other surfaces, unrolled: azimuth or x across, length, radius or y along."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import numpy.typing as npt
+
+from mistray.errors import MistrayError, nearest
+from mistray.ids import fits
+from mistray.ranges import FILM_PIXELS, FILM_SIDE
+from mistray.recorders.film import groups_of
+from mistray.recorders.passing.cells import PassingLight
+from mistray.recorders.recorder import Memory, Visit
+from mistray.recorders.sampled import Sampled
+from mistray.surfaces.families.cone import Cone
+from mistray.surfaces.families.sag_surface import NODES, WEIGHTS, SagSurface
+from mistray.surfaces.optics import DETECTOR, MIRROR, OPAQUE
+from mistray.surfaces.upload import upload
+
+if TYPE_CHECKING:
+    from mistray.kernel.kernel_scene import KernelScene
+    from mistray.surfaces.surfaces import SurfaceTable
+
+Array = npt.NDArray[np.float64]
+
+AZIMUTHS, LENGTHS = 36, 24
+KINDS = 2  # sums of a cell: what arrives and what is absorbed
+
+
+@dataclass(frozen=True)
+class Unrolled:
+    """
+    A surface and its cells.
+
+    Attributes
+    ----------
+    number : int
+        Of the surface.
+    round : bool
+        Azimuth is across; else x.
+    along : str
+        What grows from row to row: "z" of a tube or a cone, "radius" of a ring or a lens, "y" of a rectangle.
+    low, high : float
+        Ends of it, mm; of z from the vertex.
+    half_width : float
+        Of a rectangle, mm.
+    areas : (rows,) float64
+        Of the cells of each row, mm².
+    """
+
+    number: int
+    round: bool
+    along: str
+    low: float
+    high: float
+    half_width: float
+    areas: Array
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceMap:
+    """
+    Light on one surface.
+
+    Attributes
+    ----------
+    surface, part : str
+    along : str
+        What grows from row to row: "z" of a tube or a cone, "radius" of a ring, a lens or a mirror, "y" of a rectangle.
+    along_mm : (rows + 1,) float64
+        Borders of the rows, mm; z is that of the frame of the shape.
+    across : str
+        What grows from column to column: "azimuth", counted from x of the frame of the shape towards y, or "x".
+    across_borders : (columns + 1,) float64
+        Borders of the columns, degrees or mm.
+    areas : (rows,) float64
+        Of the cells of each row, on the surface, mm².
+    places : (rows, columns, 3) float64
+        Middles of the cells in the world, mm.
+    corners : (rows + 1, columns + 1, 3) float64
+        Where their borders meet, mm.
+    incident, absorbed : Sampled
+        Flux that meets the cells and what stays there, with their noise, (rows, columns), W.
+    """
+
+    surface: str
+    part: str
+    along: str
+    along_mm: Array
+    across: str
+    across_borders: Array
+    areas: Array
+    places: Array
+    corners: Array
+    incident: Sampled
+    absorbed: Sampled
+
+    @property
+    def irradiance(self) -> tuple[Array, Array]:
+        """Incident flux by area and its standard error, (rows, columns) each, W/mm²; both sides count."""
+        return self.incident.value / self.areas[:, None], self.incident.se / self.areas[:, None]
+
+    @property
+    def absorbed_irradiance(self) -> tuple[Array, Array]:
+        """Absorbed flux by area and its standard error, (rows, columns) each, W/mm²."""
+        return self.absorbed.value / self.areas[:, None], self.absorbed.se / self.areas[:, None]
+
+    @property
+    def power(self) -> tuple[float, float]:
+        """Flux that meets the surface, and its standard error, W."""
+        return _whole(self.incident)
+
+    @property
+    def absorbed_power(self) -> tuple[float, float]:
+        """Flux that the surface absorbs, and its standard error, W: that of the ledger."""
+        return _whole(self.absorbed)
+
+    @property
+    def peak(self) -> tuple[int, int]:
+        """Row and column of the brightest cell."""
+        row, column = np.unravel_index(int(np.argmax(self.irradiance[0])), self.incident.value.shape)
+        return int(row), int(column)
+
+    @property
+    def unrolled_mm(self) -> tuple[float, float, float, float]:
+        """x0, x1, y0, y1 of a flat map, mm; an azimuth is the length of arc at the mean radius."""
+        low, high = float(self.along_mm[0]), float(self.along_mm[-1])
+        if self.across == "x":
+            return float(self.across_borders[0]), float(self.across_borders[-1]), low, high
+        slant = high - low
+        round_it = float(self.areas.sum()) * (len(self.across_borders) - 1)
+        return 0.0, round_it / slant, low, high
+
+
+def _whole(cells: Sampled) -> tuple[float, float]:
+    flat = Sampled(cells.value.ravel(), cells.apart.reshape(cells.value.size, -1)).total()
+    return float(flat.value), float(flat.se)
+
+
+class SurfaceMaps(PassingLight):
+    """
+    What meets surfaces, by place on them: a hot spot on a wall is seen.
+
+    It is given to `mistray.trace` among ``recorders``. Tubes and cones are unrolled over azimuth and z, rings, lenses
+    and mirrors over azimuth and radius, flat rectangles over x and y. Light that comes back to a surface counts again;
+    both sides count.
+
+    Parameters
+    ----------
+    name : str
+        What the trace calls it, see `mistray.trace.Trace.recorders`.
+    surfaces : str or sequence of str
+        Patterns of ids of surfaces or of parts, with ``*``, ``?`` and ``[…]``; none: all opaque surfaces that are
+        neither mirrors nor detectors.
+    azimuths, lengths : int
+        Cells across and along each surface.
+
+    Raises
+    ------
+    MistrayError
+        For numbers out of range; in the trace, for a pattern that names no surface, or if none can be unrolled.
+    """
+
+    kind, unit = "surface maps", "W/mm²"
+
+    def __init__(
+        self, name: str, surfaces: str | Sequence[str] = (), azimuths: int = AZIMUTHS, lengths: int = LENGTHS
+    ) -> None:
+        owner = f"surface maps '{name}'"
+        self.patterns = (surfaces,) if isinstance(surfaces, str) else tuple(surfaces)
+        self._shape = (
+            int(FILM_SIDE.check("lengths", lengths, owner)),
+            int(FILM_SIDE.check("azimuths", azimuths, owner)),
+        )
+        FILM_PIXELS.check("number of its cells", azimuths * lengths, owner)
+        self._owner = owner
+        self._unrolled: list[Unrolled] = []
+        self._names: list[str] = []
+        self.left_out: dict[str, str] = {}
+        super().__init__(name, KINDS * azimuths * lengths)
+
+    @property
+    def code(self) -> Hashable:
+        """See `Recorder.code`."""
+        return type(self).__name__, self._shape, self.cells
+
+    def attach(self, scene: KernelScene) -> None:
+        """Begin at zero."""
+        table = scene.table
+        names = [table.ids[k] for k in self._chosen(table)]
+        if self._flux is not None and names != self._names:
+            raise MistrayError(f"{self._owner} has recorded another scene; give each scene a recorder of its own")
+        if not self._names:
+            self._find(table, names)
+        super().attach(scene)
+        rows, columns = self._shape
+        place = np.zeros(table.count, dtype=np.uint32)
+        weights, across = np.zeros((table.count, 4)), np.zeros(table.count)
+        for number, one in enumerate(self._unrolled):
+            step = rows / (one.high - one.low)
+            place[one.number] = number + 1
+            factors = {"z": (step, 0.0, 0.0), "radius": (0.0, step, 0.0), "y": (0.0, 0.0, step)}[one.along]
+            weights[one.number] = *factors, -one.low * step
+            across[one.number] = 0.0 if one.round else columns / (2 * one.half_width)
+        self._place = upload(mi.UInt32, place)
+        self._weights = upload(mi.Float, weights)
+        self._across = upload(mi.Float, across)
+
+    def visit(self, visit: Visit, memory: Memory) -> None:
+        """Add the flux of hits."""
+        rows, columns = self._shape
+        s, q = visit.surface, visit.interaction.local
+        place = dr.gather(mi.UInt32, self._place, s, visit.active)
+        active = visit.active & (place > 0)
+        weights = dr.gather(mi.Vector4f, self._weights, s, active)
+        radius = dr.sqrt(q.x * q.x + q.y * q.y)
+        row = dr.fma(weights.x, q.z, dr.fma(weights.y, radius, dr.fma(weights.z, q.y, weights.w)))
+        turn = dr.atan2(q.y, q.x) / (2 * dr.pi)
+        turn = dr.select(turn < 0, turn + 1, turn) * columns
+        per_mm = dr.gather(mi.Float, self._across, s, active)
+        column = dr.select(per_mm > 0, dr.fma(q.x, per_mm, 0.5 * columns), turn)
+        cell = (KINDS * (place - 1) * rows + _inside(row, rows)) * columns + _inside(column, columns)
+        self.add(visit.start, cell, visit.weight, active)
+        self.add(visit.start, cell + rows * columns, dr.maximum(visit.absorbed, 0), active)
+
+    def _chosen(self, table: SurfaceTable) -> list[int]:
+        """Numbers of the surfaces that the patterns name, in the order of the scene."""
+        if not self.patterns:
+            words = table.optics.host_words
+            return [k for k in table.listed if (words[k] & (OPAQUE | MIRROR | DETECTOR)) == OPAQUE]
+        for pattern in self.patterns:
+            known = {*table.ids, *table.parts}
+            if not any(fits(name, pattern) for name in known):
+                raise MistrayError(
+                    f"{self._owner}: no surface or part is called '{pattern}'; {nearest(pattern, known)}"
+                )
+        return [
+            k
+            for k in table.listed
+            if any(fits(name, pattern) for name in (table.ids[k], table.parts[k]) for pattern in self.patterns)
+        ]
+
+    def _find(self, table: SurfaceTable, names: list[str]) -> None:
+        """Unroll the surfaces that the patterns name."""
+        self._names = names
+        self._unrolled = []
+        self.left_out = {}
+        for k in self._chosen(table):
+            one = _unroll(table, k, *self._shape)
+            if isinstance(one, str):
+                self.left_out[table.ids[k]] = one
+            else:
+                self._unrolled.append(one)
+        if not self._unrolled:
+            why = next(iter(self.left_out.items()), ("the scene", "it has no opaque surface that is no mirror"))
+            raise MistrayError(f"{self._owner}: no surface can be unrolled; {why[0]}: {why[1]}")
+        rows, columns = self._shape
+        cells = KINDS * len(self._unrolled) * rows * columns
+        FILM_PIXELS.check("number of its cells", cells, self._owner)
+        self.cells, self._groups = cells, groups_of(cells)
+        self._labels = [(table.ids[one.number], table.parts[one.number]) for one in self._unrolled]
+        self._borders = [self._world(table, one) for one in self._unrolled]
+
+    def _world(self, table: SurfaceTable, one: Unrolled) -> tuple[Array, Array, Array, Array]:
+        """Borders of the rows and of the columns, the middles of the cells and their corners in the world."""
+        rows, columns = self._shape
+        shape = table.shapes[one.number]
+        along = np.linspace(one.low, one.high, rows + 1)
+        across = np.linspace(0, 360, columns + 1)
+        if not one.round:
+            across = np.linspace(-one.half_width, one.half_width, columns + 1)
+        middles = [0.5 * (borders[:-1] + borders[1:]) for borders in (along, across)]
+        places, corners = _points(table, one, *middles), _points(table, one, along, across)
+        if one.along == "z":  # of the frame of the shape
+            frame = np.asarray(shape.matrix, dtype=np.float64)
+            along = along + float((table.vertices[one.number] - frame[:3, 3]) @ frame[:3, 2])
+        return along, across, places, corners
+
+    @property
+    def maps(self) -> dict[str, SurfaceMap]:
+        """
+        The maps by the ids of their surfaces.
+
+        Raises
+        ------
+        MistrayError
+            Before it was in a trace.
+        """
+        flux = self.flux
+        shape = (len(self._unrolled), KINDS, *self._shape)
+        value, apart = flux.value.reshape(shape), flux.apart.reshape(*shape, -1)
+        found = {}
+        for k, (one, (surface, part)) in enumerate(zip(self._unrolled, self._labels, strict=True)):
+            along, across, places, corners = self._borders[k]
+            both = [Sampled(value[k, kind], apart[k, kind]) for kind in range(KINDS)]
+            found[surface] = SurfaceMap(
+                surface,
+                part,
+                one.along,
+                along,
+                "azimuth" if one.round else "x",
+                across,
+                one.areas,
+                places,
+                corners,
+                *both,
+            )
+        return found
+
+    @property
+    def power(self) -> tuple[float, float]:
+        """Flux that meets all of its surfaces and its standard error, W."""
+        maps = [one.incident for one in self.maps.values()]
+        return _whole(Sampled(np.stack([m.value for m in maps]), np.stack([m.apart for m in maps])))
+
+    @property
+    def image(self) -> tuple[Array, Array]:
+        """Irradiance and its standard error, (surfaces × rows, columns) each, W/mm²: one surface below the other."""
+        both = [one.irradiance for one in self.maps.values()]
+        return np.concatenate([value for value, _ in both]), np.concatenate([se for _, se in both])
+
+
+def _points(table: SurfaceTable, one: Unrolled, along: Array, across: Array) -> Array:
+    """Points of a surface at all pairs of its coordinates, (m, n, 3) in the world, mm."""
+    piece = table.pieces[one.number]
+    u, v = np.meshgrid(along, across, indexing="ij")
+    turn = np.radians(v)
+    if isinstance(piece, Cone):
+        radius, z = np.asarray(piece.radius(u)), u
+    else:
+        assert isinstance(piece, SagSurface)
+        radius, z = u, np.zeros_like(u) if piece.flat else piece.sag(u * u)
+    x, y = (radius * np.cos(turn), radius * np.sin(turn)) if one.round else (v, u)
+    return np.asarray(np.stack([x, y, z], axis=-1) @ table.rotations[one.number].T + table.vertices[one.number])
+
+
+def _inside(place: mi.Float, count: int) -> mi.UInt32:
+    """Number of a cell; what rounding puts beyond the ends belongs to the last ones."""
+    return mi.UInt32(dr.clip(mi.Int32(place), 0, count - 1))
+
+
+def _unroll(table: SurfaceTable, number: int, rows: int, columns: int) -> Unrolled | str:
+    """A surface as cells, or why it cannot be."""
+    if number >= len(table.pieces):
+        return "it is a mesh or a shape of Mitsuba's own; give it as frustum or asphere"
+    piece = table.pieces[number]
+    if isinstance(piece, Cone):
+        low, high = piece.z_range
+        z = np.linspace(low, high, rows + 1)
+        radius = np.abs(piece.radius(z))
+        slant = np.hypot(1.0, piece.slope) * (high - low) / rows
+        return Unrolled(number, True, "z", low, high, 0.0, np.pi * (radius[:-1] + radius[1:]) * slant / columns)
+    if isinstance(piece, SagSurface) and piece.outer:
+        return Unrolled(number, True, "radius", piece.inner, piece.outer, 0.0, _rings(piece, rows) / columns)
+    if isinstance(piece, SagSurface) and piece.flat:
+        x, y = piece.half_size
+        return Unrolled(number, False, "y", -y, y, x, np.full(rows, 4 * x * y / (rows * columns)))
+    return "it is neither round nor a flat rectangle"
+
+
+def _rings(piece: SagSurface, rows: int) -> Array:
+    """Areas of rings of equal width in radius, (rows,), mm²: exact of planes, by quadrature of curved surfaces."""
+    r = np.linspace(piece.inner, piece.outer, rows + 1)
+    if piece.flat:
+        return np.asarray(np.pi * (r[1:] ** 2 - r[:-1] ** 2))
+    # Steps that shrink towards the outer border: at the rim of a hemisphere the slope grows without bounds
+    width = (r[1:] - r[:-1])[:, None]
+    radius = r[1:, None] - width * NODES**2
+    slope = 2 * radius * piece.sag_derivative(radius**2)
+    return np.asarray((2 * np.pi * radius * np.hypot(1.0, slope) * 2 * width * NODES) @ WEIGHTS)

@@ -1,0 +1,125 @@
+"""Recorder of light that arrives, ray by ray: where it started with the light, and what it brings."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.recorders.direction_recorder import DirectionRecorder, class_of_arrival, class_of_departure
+from mistray.recorders.directions import DirectionGrid
+from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
+from mistray.recorders.start_rays import StartRays
+from mistray.recorders.weighing import StartWeighing
+
+SAMPLES = 1 << 20  # that are kept; more are counted only
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """
+    Light that arrives.
+
+    Attributes
+    ----------
+    lane, cell, kind : (s,) int
+        Start ray, cell of directions and class of light.
+    points : (s, 4) float64
+        Starts with the light in the unit cube of the cell, see `mistray.sampling.plane_wave.wave_rays`.
+    weight : (s,) float64
+        What counts of each, in units of a start ray.
+    along, connected : (s,) float64
+        Shares of its path, see `mistray.recorders.weighing.PathShares`.
+    segments : (c,) float64
+        Ray segments by the cell of their start rays; all in one number where rays go to all cells.
+    """
+
+    lane: np.ndarray
+    cell: np.ndarray
+    kind: np.ndarray
+    points: np.ndarray
+    weight: np.ndarray
+    along: np.ndarray
+    connected: np.ndarray
+    segments: np.ndarray
+
+
+class _StartSamples(Recorder):
+    """What both directions have in common."""
+
+    by_way = True
+
+    def __init__(self, cells: int, has_optics: bool, weighing: StartWeighing, capacity: int = SAMPLES) -> None:
+        self._has_optics, self._weighing, self._capacity = has_optics, weighing, capacity
+        self._count = dr.zeros(mi.UInt32, 1)
+        self._words = [dr.zeros(mi.UInt32, capacity) for _ in range(3)]
+        self._floats = [dr.zeros(mi.Float, capacity) for _ in range(7)]
+        self._segments = dr.zeros(mi.Float64, cells)
+        dr.eval(self._count, self._words, self._floats, self._segments)
+
+    @property
+    def code(self) -> Hashable:
+        """See `Recorder.code`."""
+        return type(self).__name__
+
+    def _keep(self, words: tuple[mi.UInt32, ...], floats: tuple[mi.Float, ...], active: mi.Bool) -> None:
+        place = dr.scatter_inc(self._count, mi.UInt32(0), active)
+        active &= place < self._capacity
+        for array, value in zip((*self._words, *self._floats), (*words, *floats), strict=True):
+            dr.scatter(array, value, place, active)
+
+    def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, memory: Memory) -> None:
+        """Count segments."""
+        cell = mi.UInt32(0) if start.cell is None else start.cell
+        dr.scatter_reduce(dr.ReduceOp.Add, self._segments, mi.Float64(segments), cell)
+
+    def read(self) -> Samples:
+        """The samples on the host; of more than there is room for, those that came first stand for all."""
+        total = int(self._count[0])
+        count = min(total, self._capacity)
+        lane, cell, kind = (np.array(array)[:count].astype(np.int64) for array in self._words)
+        floats = [np.array(array)[:count].astype(np.float64) for array in self._floats]
+        # Lanes come in any order; what follows from the samples shall be the same each time
+        order = np.lexsort((*floats[::-1], cell, lane))
+        lane, cell, kind = lane[order], cell[order], kind[order]
+        *points, weight, along, connected = (values[order] for values in floats)
+        places, segments = np.stack(points, axis=1), np.array(self._segments)
+        return Samples(lane, cell, kind, places, total / max(count, 1) * weight, along, connected, segments)
+
+
+class DepartureSamples(_StartSamples):
+    """Of a trace against the light: rays that leave the scene."""
+
+    def __init__(self, grid: DirectionGrid, has_optics: bool, weighing: StartWeighing) -> None:
+        super().__init__(1, has_optics, weighing)
+        self._cells = DirectionRecorder(grid, 0, None, has_optics)
+
+    def depart(self, departure: Departure, memory: Memory) -> None:
+        """Keep rays that leave within a cell."""
+        cell, inside = self._cells.cell(departure.heading)
+        inside &= departure.active
+        words = departure.start.lane, cell, class_of_departure(departure, self._has_optics)
+        weight = departure.weight
+        point = self._weighing.start_of(departure, cell, inside)
+        shares = self._weighing.against(departure, cell, inside)
+        self._keep(
+            words, (*point, weight * shares.against, shares.along, shares.connected), inside & (shares.against > 0)
+        )
+
+
+class ArrivalSamples(_StartSamples):
+    """Of a trace with the light: rays that meet the detector."""
+
+    incident = True
+
+    def visit(self, visit: Visit, memory: Memory) -> None:
+        """Keep rays that have met the detector."""
+        start = visit.start
+        assert start.cell is not None
+        assert start.place is not None
+        words = start.lane, start.cell, class_of_arrival(visit, self._has_optics)
+        shares = self._weighing.along(visit)
+        self._keep(words, (*start.place, visit.weight * shares.along, shares.along, shares.connected), visit.detected)

@@ -1,0 +1,137 @@
+"""Start rays of light from far away, such as the sun's or the sky's: its directions, and a disc across each of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.sampling.aimed_cones import Sphere, across
+from mistray.sampling.emission_laws import polar
+from mistray.sampling.source import Emission, SceneSource, turned
+from mistray.sampling.space_filling import sorted_points
+from mistray.sampling.strata import Strata
+
+AIMED = (0.75, 0.25)  # shares of the rays of what goes to the first aperture, and to the rest of the scene
+CLEARANCE = 1.01  # of the start of the rays from the middle of the scene, in radii
+
+
+@dataclass(frozen=True, kw_only=True)
+class DistantRays(SceneSource):
+    """
+    Light that has the same directions all over the scene.
+
+    The rays of a direction fill a disc across it, which holds the sphere around the scene. Those through a sphere
+    around the first aperture are a stratum of their own.
+
+    Attributes
+    ----------
+    scene : Sphere
+        Holds all surfaces.
+    aperture : Sphere or None
+        Holds the first surface of the design path; it lies within `scene`.
+    """
+
+    scene: Sphere
+    aperture: Sphere | None = None
+    aims: ClassVar[bool] = True
+
+    def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> DistantRays:
+        """The same light with more of its rays on an aperture, if that is small."""
+        if not aperture.radius < np.sqrt(0.5) * self.scene.radius or not self.scene.holds(aperture):
+            return self
+        return replace(self, aperture=aperture)
+
+    @property
+    def moving(self) -> tuple[str, ...]:  # type: ignore[override]  # read-only
+        """Those of the plugin."""
+        return tuple(self.emitter.differentiable)
+
+    def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
+        """
+        Derivatives that the plugin knows.
+
+        Rays turn about the middle of the aperture: the light is the same everywhere, and there they move least.
+        """
+        pivot = (self.aperture or self.scene).centre
+        axes = [mi.Vector3d(*axis.tolist()) for axis in self._axes]
+        by_d = turned(self.emitter.direction_motion(name, mi.Vector3d(*(dr.dot(d, axis) for axis in axes))), axes)
+        turn = dr.cross(d, by_d)
+        return dr.cross(turn, o - mi.Vector3d(*pivot.tolist())), by_d
+
+    @property
+    def middle(self) -> tuple[np.ndarray, np.ndarray]:
+        """The ray along the axis through the pivot."""
+        return self.through(np.zeros(1), np.zeros(1))
+
+    def start(
+        self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray, centre: np.ndarray
+    ) -> Emission:
+        """Directions of the plugin and places across them, see `Source.start`."""
+        inner, w, within = self.aperture, None, None
+        if inner is not None:
+            flux = (inner.radius / self.scene.radius) ** 2
+            strata = Strata(batch, AIMED)
+            sample = sorted_points(strata.group, rng, closing[: len(AIMED)].T.ravel())
+            within = strata.number == 0
+            # A part of a small batch may have no rays
+            light = dr.select(within, flux / strata.parts[0], (1 - flux) / strata.parts[1])
+            w = strata.closed(light, strata.number, len(AIMED))
+        else:
+            sample = sorted_points(batch, rng, closing[0])
+        o, d = self._rays(sample, mi.Point2f(rng.next_float32(), rng.next_float32()), rng, within)
+        o -= mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in centre))
+        return Emission(mi.Vector3f(o), dr.normalize(mi.Vector3f(d)), w)
+
+    def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
+        """Rays to points of the aperture, or of the scene, see `SceneSource.probes`; their directions are random."""
+        rng = mi.PCG32(size=dr.width(sample))
+        within = None if self.aperture is None else mi.Bool(True)
+        o, d = self._rays(sample, mi.Point2f(rng.next_float32(), rng.next_float32()), rng, within)
+        origins, directions = (np.array(vector, dtype=np.float64).T for vector in (o, d))
+        return origins, directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+    def _rays(
+        self, sample: mi.Point2f, towards: mi.Point2f, rng: mi.PCG32, within: mi.Bool | None
+    ) -> tuple[mi.Vector3d, mi.Vector3d]:
+        """Rays in the world; those `within` go through the aperture, the others pass it by; None: both."""
+        numbers = {name: dr.opaque(mi.Float64, float(value)) for name, value in self.emitter.values.items()}
+        axes = [mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in axis)) for axis in self._axes]
+        d = dr.zeros(mi.Vector3d, dr.width(sample)) + turned(
+            self.emitter.directions(mi.Point2d(towards), numbers), axes
+        )
+        u, v = across(d)
+        outer = dr.opaque(mi.Float64, self.scene.radius)
+        point = self._on_disc(mi.Point2d(sample)) * outer
+        if within is not None and self.aperture is not None:
+            offset = mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in self.aperture.centre - self.scene.centre))
+            aside = mi.Point2d(dr.dot(offset, u), dr.dot(offset, v))
+            inner = dr.opaque(mi.Float64, self.aperture.radius)
+            aimed = aside + point * (inner / outer)
+            # Elsewhere: drawn again until it is there, which holds for one of two at least
+            point, _ = dr.while_loop(
+                (point, rng),
+                lambda point, rng: ~within & (dr.squared_norm(point - aside) < inner * inner),
+                lambda point, rng: (self._on_disc(_next(rng)) * outer, rng),
+                labels=("point", "rng"),
+            )
+            point = dr.select(within, aimed, point)
+        middle = mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in self.scene.centre))
+        return middle + point.x * u + point.y * v - CLEARANCE * outer * d, d
+
+    @staticmethod
+    def _on_disc(sample: mi.Point2d) -> mi.Point2d:
+        square, cosine, sine = polar(sample)
+        radius = dr.sqrt(square)
+        return mi.Point2d(radius * cosine, radius * sine)
+
+    @property
+    def _axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return self.u, self.v, self.direction
+
+
+def _next(rng: Any) -> mi.Point2d:
+    return mi.Point2d(mi.Float64(rng.next_float32()), mi.Float64(rng.next_float32()))

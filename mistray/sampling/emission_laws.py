@@ -1,0 +1,180 @@
+"""Directions of equal flux for laws of emission about an axis: maps of the unit square, for Dr.Jit in any precision."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.surfaces.upload import upload
+
+PROFILE_STEPS, LEAST_STEPS = 4096, 512
+
+
+def polar(sample: Any) -> tuple[Any, Any, Any]:
+    """
+    The concentric map of the unit square to the unit disc, whose neighbours stay neighbours.
+
+    P. Shirley and K. Chiu, "A low distortion map between disk and square", J. Graphics Tools 2(3), 45-52 (1997).
+
+    Parameters
+    ----------
+    sample : mi.Point2f or mi.Point2d
+
+    Returns
+    -------
+    square, cosine, sine
+        Square of the radius, 0 … 1, which is uniform, and cosine and sine of the azimuth.
+    """
+    a, b = 2 * sample.x - 1, 2 * sample.y - 1
+    first = dr.abs(a) > dr.abs(b)
+    radius = dr.select(first, a, b)
+    ratio = dr.select(first, b, a) / dr.select(radius == 0, 1, radius)
+    angle = 0.25 * dr.pi * dr.select(first, ratio, 2 - ratio)
+    sine, cosine = dr.sincos(angle)
+    sign = dr.select(radius < 0, -1, 1)
+    return radius * radius, sign * cosine, sign * sine
+
+
+def direction(height: Any, cosine: Any, sine: Any) -> Any:
+    """Unit vector with 1 - cos θ = `height`, exact near the axis, and the azimuth's cosine and sine."""
+    across = dr.safe_sqrt(height * (2 - height))
+    vector = mi.Vector3d if dr.type_v(height) == dr.VarType.Float64 else mi.Vector3f
+    return vector(across * cosine, across * sine, 1 - height)
+
+
+def cosine_power(square: Any, exponent: Any, edge: Any) -> Any:
+    """
+    1 - cos θ of an intensity in proportion to cosⁿ θ within a cone.
+
+    Parameters
+    ----------
+    square : array
+        Share of the flux within θ, 0 … 1.
+    exponent : array
+        n ≥ 0; 0 is the same intensity in all directions, 1 a Lambertian surface.
+    edge : array
+        Cosine of the cone's half angle; below 0 only with n = 0.
+    """
+    # At n = 0 the powers would make NaN of a negative cosine
+    power = dr.maximum(exponent, 0) + 1
+    top = dr.exp(power * dr.log(dr.maximum(edge, 1e-300 if dr.type_v(edge) == dr.VarType.Float64 else 1e-37)))
+    curved = 1 - dr.exp(dr.log(dr.maximum(1 - square * (1 - top), 0)) / power)
+    return dr.select(exponent == 0, square * (1 - edge), curved)
+
+
+def cosine_power_angle(exponent: float, half_angle: float) -> float:
+    """∫ cosⁿ θ dΩ over a cone of a half angle in radians, sr: 2π (1 - cosⁿ⁺¹ α) / (n + 1)."""
+    edge = float(dr.cos(half_angle))
+    return 2 * dr.pi * (1 - (edge if exponent == 0 else max(edge, 0.0) ** (exponent + 1))) / (exponent + 1)
+
+
+def gaussian(square: Any) -> Any:
+    """Radius of a two-dimensional normal distribution with σ = 1 that holds a share `square` of it."""
+    return dr.sqrt(-2 * dr.log(dr.maximum(1 - square, 1e-30)))
+
+
+class IntensityTable:
+    """
+    An intensity that is linear in the angle from the axis and in the azimuth between given angles.
+
+    Within fine steps of the angle it is linear in 1 - cos θ instead, in which the solid angle is uniform: so samples
+    follow it exactly.
+
+    Parameters
+    ----------
+    theta_deg : (t,) float
+        Angles from the axis, rising within 0 … 180; the intensity is 0 below the first and above the last.
+    phi_deg : (p,) float
+        Azimuths from x towards y, rising from 0 to 360.
+    values : (t, p) float
+        Intensities, in any unit; the first and last column are the same.
+
+    Attributes
+    ----------
+    flux : float
+        ∫ I dΩ, in that unit · sr.
+    on_axis : float
+        Intensity at 0, mean of all azimuths.
+    """
+
+    def __init__(self, theta_deg: np.ndarray, phi_deg: np.ndarray, values: np.ndarray) -> None:
+        given, phi = np.radians(theta_deg), np.radians(phi_deg)
+        steps = max(PROFILE_STEPS // (len(phi) - 1), LEAST_STEPS)
+        theta = np.unique(np.concatenate([np.linspace(given[0], given[-1], steps), given]))
+        self._height = 2 * np.sin(0.5 * theta) ** 2  # 1 - cos θ
+        self._phi = phi
+        self._intensity = np.stack([np.interp(theta, given, column) for column in values.T], axis=1)
+        # ∫ I dφ up to each azimuth, and then the flux up to each angle: both exact, as I is linear in either
+        parts = 0.5 * (self._intensity[:, 1:] + self._intensity[:, :-1]) * np.diff(phi)
+        self._around = np.concatenate([np.zeros((len(theta), 1)), np.cumsum(parts, axis=1)], axis=1)
+        whole = self._around[:, -1]
+        flux = 0.5 * (whole[1:] + whole[:-1]) * np.diff(self._height)
+        self.flux = float(flux.sum())
+        self.on_axis = float(values[0, :-1] @ np.diff(phi)) / (2 * np.pi) if theta_deg[0] == 0 else 0.0
+        self._ends = np.concatenate([[0.0], np.cumsum(flux) / flux.sum()])
+
+    @cached_property
+    def _tables(self) -> list[mi.Float64]:
+        rows = (self._ends, self._height, self._around[:, -1], self._phi, self._intensity, self._around)
+        return [upload(mi.Float64, row.ravel()) for row in rows]
+
+    def directions(self, sample: mi.Point2d) -> mi.Vector3d:
+        """Directions in proportion to the intensity, for points of the unit square."""
+        ends, heights, wholes, phis, intensities, around = self._tables
+        k, part = _cell(ends, len(self._ends), sample.x)
+        i0, i1 = (dr.gather(mi.Float64, wholes, k + j) for j in range(2))
+        h0, h1 = (dr.gather(mi.Float64, heights, k + j) for j in range(2))
+        t = _linear(i0, i1, part)
+        width = len(self._phi)
+
+        def blend(table: mi.Float64, j: mi.UInt32) -> mi.Float64:
+            low, high = (dr.gather(mi.Float64, table, (k + row) * width + j) for row in range(2))
+            return dr.fma(high - low, t, low)
+
+        share = sample.y * blend(around, mi.UInt32(width - 1))
+        j = dr.binary_search(0, width - 2, lambda i: blend(around, i + 1) <= share)
+        low, high = blend(around, j), blend(around, j + 1)
+        part = dr.clip((share - low) / dr.maximum(high - low, 1e-300), 0, 1)
+        p0, p1 = (dr.gather(mi.Float64, phis, j + step) for step in range(2))
+        sine, cosine = dr.sincos(dr.fma(p1 - p0, _linear(blend(intensities, j), blend(intensities, j + 1), part), p0))
+        return direction(dr.fma(h1 - h0, t, h0), cosine, sine)
+
+    def density(self, d: mi.Vector3d) -> mi.Float64:
+        """Of directions d, 1/sr."""
+        _, heights, _, phis, intensities, _ = self._tables
+        height = _height_of(d)
+        phi = dr.atan2(d.y, d.x)
+        phi = dr.select(phi < 0, phi + 2 * dr.pi, phi)
+        k, t = _cell(heights, len(self._height), height)
+        j, u = _cell(phis, len(self._phi), phi)
+        width = len(self._phi)
+        (a, b), (c, e) = (
+            [dr.gather(mi.Float64, intensities, (k + row) * width + j + column) for column in range(2)]
+            for row in range(2)
+        )
+        found = dr.lerp(dr.lerp(a, b, u), dr.lerp(c, e, u), t)
+        within = (height >= self._height[0]) & (height <= self._height[-1])
+        return dr.select(within, dr.maximum(found, 0) / self.flux, 0)
+
+
+def _cell(nodes: mi.Float64, count: int, value: mi.Float64) -> tuple[mi.UInt32, mi.Float64]:
+    """The step between rising nodes that a value lies in, and where in it, 0 … 1."""
+    k = dr.binary_search(0, count - 2, lambda i: dr.gather(mi.Float64, nodes, i + 1) <= value)
+    low, high = (dr.gather(mi.Float64, nodes, k + j) for j in range(2))
+    return k, dr.clip((value - low) / dr.maximum(high - low, 1e-300), 0, 1)
+
+
+def _linear(first: mi.Float64, last: mi.Float64, share: mi.Float64) -> mi.Float64:
+    """The x, 0 … 1, up to which a trapezoid from a to b has a share: (a x + (b - a) x²/2) / ((a + b)/2)."""
+    root = dr.safe_sqrt(first * first + share * (last * last - first * first))
+    return share * (first + last) / dr.maximum(first + root, 1e-300)
+
+
+def _height_of(d: mi.Vector3d) -> mi.Float64:
+    """1 - cos θ of a direction, exact near the axis."""
+    across = d.x * d.x + d.y * d.y
+    return dr.select(d.z > 0, across / (1 + d.z), 1 - d.z)

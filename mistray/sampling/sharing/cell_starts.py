@@ -1,0 +1,48 @@
+"""Start rays with the light from all cells of directions, where a map of them says."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.recorders.start_rays import StartRays, generators
+from mistray.sampling.plane_wave import wave_rays
+from mistray.sampling.sharing.balance import Balance
+from mistray.settings import BATCHES
+from mistray.surfaces.upload import upload
+
+
+def cell_starts(balance: Balance, seed: tuple[int, ...], lanes: np.ndarray, weight: np.ndarray) -> StartRays:
+    """
+    Start rays of a pass, the rays of a cell side by side; they are stratified in each batch.
+
+    Parameters
+    ----------
+    balance : Balance
+        Knows the cells and the map.
+    seed : tuple of int
+    lanes : (c,) int
+        Rays of each cell, multiples of `BATCHES`.
+    weight : (c,) float64
+        Of a ray that starts at the mean density.
+    """
+    cell = upload(mi.UInt32, np.repeat(np.arange(len(lanes)), lanes))
+    index = upload(mi.UInt32, np.arange(lanes.sum()) - np.repeat(np.cumsum(lanes) - lanes, lanes))
+    strata = dr.gather(mi.UInt32, upload(mi.UInt32, lanes // BATCHES), cell)
+    lane = dr.arange(mi.UInt32, int(lanes.sum()))
+    rng, _ = generators(int(np.random.SeedSequence(seed).generate_state(1)[0]), lane)
+    batch = index // strata
+    within = mi.Float64(index - batch * strata) + mi.Float64(rng.next_float32())
+    place, density = balance.starts.sample(cell, dr.minimum(within / mi.Float64(strata), 1 - 1e-12), rng)
+    numbers = [dr.gather(mi.Float, column, cell) for column in balance.numbers]
+    o, d = wave_rays(numbers, balance.rotation, balance.centre, mi.Point2f(*place[:2]), *place[2:])
+    scale = dr.rcp(density)
+    w = scale * dr.gather(mi.Float, upload(mi.Float, weight), cell)
+    dr.eval(lane, batch, rng, o, d, w, cell, scale, place)
+    return StartRays(lane, batch, rng, o, d, w, cell=cell, scale=scale, place=place)
+
+
+def whole_batches(rays: np.ndarray) -> np.ndarray:
+    """Numbers of rays, rounded up to multiples of `BATCHES`."""
+    return np.asarray(-(-np.asarray(rays, dtype=np.int64) // BATCHES) * BATCHES)

@@ -1,0 +1,174 @@
+"""Points where the light of distant sources is first scattered, to which rays against the light are connected.
+
+Rays from all cells of directions go as far as mirrors and lenses take them. Wherever one of them meets a surface that
+scatters, that is a point of light. A ray against the light that is sent there, and on against the light from there,
+finds paths that neither direction finds by itself: light that is scattered twice and must go through a gap between (E.
+Veach, Robust Monte Carlo methods for light transport simulation, 1997, chapter 10; T. Davidovič et al., Progressive
+light transport simulation on the GPU, ACM Trans. Graph. 33, 29 (2014)).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.recorders.path_key import EVENT_BITS, FIRST_KEY, RANDOM_TRANSMITTED, extend_key
+from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
+from mistray.settings import BATCHES
+from mistray.surfaces.upload import upload
+
+ROUNDING = 2e-5  # of what the scene measures: how far from a point its connection may meet the surface
+
+
+class LightVertexRecorder(Recorder):
+    """
+    The points of a trace with the light in which nothing is scattered.
+
+    Parameters
+    ----------
+    room : int
+        Points that there is room for; `count` goes on beyond them.
+    """
+
+    def __init__(self, room: int) -> None:
+        self.room = room
+        self._count = dr.zeros(mi.UInt32, 1)
+        self._words = [dr.zeros(mi.UInt32, room) for _ in range(4)]
+        self._floats = [dr.zeros(mi.Float, room) for _ in range(6)]
+        self._keys = dr.zeros(mi.UInt64, room)
+        dr.eval(self._count, self._words, self._floats, self._keys)
+
+    @property
+    def code(self) -> Hashable:
+        """See `Recorder.code`."""
+        return type(self).__name__
+
+    @property
+    def count(self) -> int:
+        """Points that were met."""
+        return int(self._count[0])
+
+    def visit(self, visit: Visit, memory: Memory) -> None:
+        """Keep hits of what scatters."""
+        if visit.shares is None:
+            return
+        start = visit.start
+        assert start.cell is not None
+        active = visit.active & (visit.shares.scattered > 0) & (visit.weight > 0)
+        place = dr.scatter_inc(self._count, mi.UInt32(0), active)
+        active &= place < self.room
+        words = (start.batch, start.lane, start.cell, visit.surface)
+        floats = (*visit.interaction.p, *visit.state["d"])
+        dr.scatter(self._keys, visit.state["key"], place, active)
+        for array, value in zip((*self._words, *self._floats), (*words, *floats), strict=True):
+            dr.scatter(array, value, place, active)
+
+    def read(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """
+        The points on the host, in an order that is the same each time.
+
+        Returns
+        -------
+        words : (4, n) int64
+            Batch, start ray, cell of directions, surface.
+        numbers : (6, n) float32
+            Place (mm, on the device), direction.
+        keys : (n,) uint64
+            Of the ways from the starts to the points, see `mistray.recorders.path_key.extend_key`.
+        """
+        count = self.count
+        assert count <= self.room
+        words = np.array([np.array(array)[:count] for array in self._words]).astype(np.int64)
+        numbers = np.array([np.array(array)[:count] for array in self._floats])
+        keys = np.array(self._keys)[:count]
+        order = np.lexsort((*numbers, *words[:0:-1], words[0]))
+        return words[:, order], numbers[:, order], keys[order]
+
+
+class LightVertices:
+    """
+    Points of light on the device, by batch.
+
+    Parameters
+    ----------
+    words, numbers, keys : np.ndarray
+        See `LightVertexRecorder.read`.
+    linked : (c,) float64
+        See `mistray.sampling.sharing.balance.Sharing`.
+    lanes : (c,) int
+        Start rays of each cell.
+    extent : float
+        What the scene measures, mm.
+    """
+
+    def __init__(
+        self,
+        words: np.ndarray,
+        numbers: np.ndarray,
+        keys: np.ndarray,
+        linked: np.ndarray,
+        lanes: np.ndarray,
+        extent: float,
+    ) -> None:
+        batch, _, cell, surface = words
+        of_batch = np.bincount(batch, minlength=BATCHES)
+        self._first = upload(mi.UInt32, np.cumsum(of_batch) - of_batch)
+        self._of_batch = upload(mi.UInt32, of_batch)
+        # What a ray to one of so many points stands for, beside what the weights suppose
+        factor = linked[cell] * of_batch[batch] / np.maximum(lanes[cell] / BATCHES, 1)
+
+        def rows(*columns: np.ndarray) -> mi.Float:
+            table = np.zeros((len(batch) + 1, 4))  # never empty
+            for k, column in enumerate(columns):
+                table[:-1, k] = column
+            return upload(mi.Float, table.ravel())
+
+        self._points, self._headings = rows(*numbers[:3], factor), rows(*numbers[3:6], surface)
+        self._cell = upload(mi.UInt32, np.append(cell, 0))
+        self._keys = upload(mi.UInt64, np.append(keys, np.uint64(0)))
+        self._slack = dr.opaque(mi.Float, ROUNDING * extent)
+
+    def pick(self, batch: mi.UInt32, u: mi.Float) -> tuple[mi.UInt32, mi.Float]:
+        """See `mistray.kernel.kernel_scene.Connections`."""
+        first, count = (dr.gather(mi.UInt32, array, batch) for array in (self._first, self._of_batch))
+        there = count > 0
+        number = first + dr.minimum(mi.UInt32(u * mi.Float(count)), dr.maximum(count, 1) - 1)
+        number = dr.select(there, number, 0)
+        return number, dr.select(there, dr.gather(mi.Float, self._points, 4 * number + 3, there), 0)
+
+    def point(self, number: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
+        """See `mistray.kernel.kernel_scene.Connections`."""
+        return dr.gather(mi.Vector4f, self._points, number, active).xyz
+
+    def heading(self, number: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
+        """See `mistray.kernel.kernel_scene.Connections`."""
+        return dr.gather(mi.Vector4f, self._headings, number, active).xyz
+
+    def meets(self, number: mi.UInt32, s: mi.UInt32, p: mi.Vector3f, active: mi.Bool) -> mi.Bool:
+        """See `mistray.kernel.kernel_scene.Connections`."""
+        row = dr.gather(mi.Vector4f, self._headings, number, active)
+        apart = dr.norm(p - self.point(number, active))
+        return active & (mi.UInt32(row.w) == s) & (apart < self._slack)
+
+    def comes_from(self, number: mi.UInt32, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> mi.Bool:
+        """Whether rays that were sent to points, and leave against the light of a cell, go the way of its light."""
+
+        def back(k: mi.UInt32, key: mi.UInt64, going: mi.Bool) -> tuple[mi.UInt32, mi.UInt64, mi.Bool]:
+            code = departure.event(k - 1, going)
+            going = going & ((code & ((1 << EVENT_BITS) - 1)) < RANDOM_TRANSMITTED)
+            return k - 1, dr.select(going, extend_key(key, code), key), going & (k > 1)
+
+        width = dr.width(number)
+        going = active & (departure.length > 0)
+        _, key, _ = dr.while_loop(
+            (mi.UInt32(departure.length), dr.full(mi.UInt64, FIRST_KEY, width), going),
+            lambda k, key, going: going,
+            back,
+            mode="symbolic",
+            label="way of the light",
+        )
+        same = dr.gather(mi.UInt32, self._cell, number, active) == cell
+        return active & same & (dr.gather(mi.UInt64, self._keys, number, active) == key)

@@ -1,0 +1,190 @@
+"""Where the light of distant sources gets in: densities of start rays, learned from rays that have arrived.
+
+The start rays of each cell of directions are points of the unit cube of four dimensions, see
+`mistray.sampling.plane_wave.wave_rays`: two of the place in the cross-section, two of the direction in the cell. Few of
+them carry the light that reaches the detector. A binary tree for each cell halves the cube where that light lies, so
+that rays start there more often and carry less each. This is the density tree of Müller, Gross and Novák (Practical
+path guiding for efficient light-transport simulation, 2017) in primary sample space.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.sampling.space_filling import curve_points
+from mistray.surfaces.upload import upload
+
+DIMENSIONS = 4
+LEAF, MOST_DEPTH = -1, 36
+FEWEST = 12.0  # effective samples of a node that is halved
+PRIOR = 1.0  # samples that each half has beside its own
+LEAST_SHARE = 0.04  # of a node's rays in either half
+UNIFORM = 0.15  # share of rays anywhere in a cell
+
+
+@dataclass(frozen=True, eq=False)
+class StartMap:
+    """
+    Densities of start rays in all cells.
+
+    Attributes
+    ----------
+    axis : (n,) int32
+        Dimension that a node halves, `LEAF` where none.
+    child : (n,) int32
+        Number of its low half; the high one follows.
+    low : (n,) float64
+        Share of its rays in the low half.
+    root : (c,) int32
+        Node of each cell.
+    """
+
+    axis: np.ndarray
+    child: np.ndarray
+    low: np.ndarray
+    root: np.ndarray
+
+    @classmethod
+    def uniform(cls, cells: int) -> StartMap:
+        """Even densities."""
+        return cls(np.full(1, LEAF, np.int32), np.zeros(1, np.int32), np.zeros(1), np.zeros(cells, np.int32))
+
+    @classmethod
+    def of(cls, cells: int, cell: np.ndarray, points: np.ndarray, weights: np.ndarray) -> StartMap:
+        """
+        The densities that samples of the light suggest.
+
+        Parameters
+        ----------
+        cells : int
+        cell : (s,) int
+        points : (s, 4) float64
+            Of the unit cube.
+        weights : (s,) float64
+            Light that each sample stands for.
+        """
+        axis, child, low, root = [LEAF], [0], [0.0], np.zeros(cells, np.int32)
+        for number, here in of_each(cell):
+            root[number] = len(axis)
+            axis.append(LEAF)
+            child.append(0)
+            low.append(0.0)
+            todo = [(len(axis) - 1, points[here], weights[here], np.zeros(DIMENSIONS), np.ones(DIMENSIONS), 0)]
+            while todo:
+                node, p, w, corner, size, depth = todo.pop()
+                total = w.sum()
+                effective = total**2 / max(np.sum(w * w), 1e-300)
+                if effective < FEWEST or depth >= MOST_DEPTH:
+                    continue
+                middle = corner + 0.5 * size
+                shares = ((p < middle) * w[:, None]).sum(axis=0) / total
+                lean = np.abs(shares - 0.5)
+                lean[size < 2.0**-20] = -1
+                k = int(np.argmax(lean))
+                if lean[k] < 0.5 / np.sqrt(effective) and effective < 16 * FEWEST:
+                    continue
+                if lean[k] < 1.0 / np.sqrt(effective):
+                    k = int(np.argmax(size))
+                share = (shares[k] * effective + PRIOR) / (effective + 2 * PRIOR)
+                share = float(np.clip(share, LEAST_SHARE, 1 - LEAST_SHARE))
+                axis[node], child[node], low[node] = k, len(axis), share
+                first = len(axis)
+                axis += [LEAF, LEAF]
+                child += [0, 0]
+                low += [0.0, 0.0]
+                below = p[:, k] < middle[k]
+                half = size.copy()
+                half[k] *= 0.5
+                upper = corner.copy()
+                upper[k] = middle[k]
+                todo.append((first, p[below], w[below], corner, half, depth + 1))
+                todo.append((first + 1, p[~below], w[~below], upper, half, depth + 1))
+        return cls(np.array(axis, np.int32), np.array(child, np.int32), np.array(low), root)
+
+
+def of_each(cell: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+    """The cells that occur, and the places of their samples in order."""
+    order = np.argsort(cell, kind="stable")
+    numbers, first = np.unique(cell[order], return_index=True)
+    yield from zip(numbers.tolist(), np.split(order, first)[1:], strict=True)
+
+
+class DeviceMap:
+    """A `StartMap` that the kernel reads."""
+
+    def __init__(self, given: StartMap) -> None:
+        self._word = upload(mi.UInt32, (given.axis + 1).astype(np.uint32) | (given.child.astype(np.uint32) << 3))
+        self._low = upload(mi.Float64, given.low)
+        self._root = upload(mi.UInt32, given.root.astype(np.uint32))
+
+    def sample(self, cell: mi.UInt32, place: mi.Float64, rng: mi.PCG32) -> tuple[list[mi.Float], mi.Float]:
+        """Points of the unit cube for places 0 … 1, and their density."""
+        width = dr.width(cell)
+        anywhere = place < UNIFORM
+        t = dr.select(anywhere, place / UNIFORM, (place - UNIFORM) / (1 - UNIFORM))
+        root = dr.gather(mi.UInt32, self._root, cell)
+        node = dr.select(anywhere, 0, root)
+        zero, one = dr.zeros(mi.Array4f, width), dr.full(mi.Array4f, 1, width)
+
+        def step(
+            node: mi.UInt32, t: mi.Float64, corner: mi.Array4f, size: mi.Array4f, going: mi.Bool
+        ) -> tuple[Any, ...]:
+            word = dr.gather(mi.UInt32, self._word, node, going)
+            low = dr.gather(mi.Float64, self._low, node, going)
+            k, first = word & 7, word >> 3
+            going = going & (k > 0)
+            high = t >= low
+            u = dr.select(high, (t - low) / (1 - low), t / low)
+            t = dr.select(going, u, t)
+            for j in range(DIMENSIONS):
+                here = going & (k == j + 1)
+                size[j] = dr.select(here, 0.5 * size[j], size[j])
+                corner[j] = dr.select(here & high, corner[j] + size[j], corner[j])
+            node = dr.select(going, first + dr.select(high, mi.UInt32(1), 0), node)
+            return node, t, corner, size, going
+
+        node, t, corner, size, _ = dr.while_loop(
+            (node, mi.Float64(t), zero, one, dr.full(mi.Bool, True, width)),
+            lambda *v: v[-1],
+            step,
+            mode="symbolic",
+            labels=("node", "t", "corner", "size", "going"),
+        )
+        inner = curve_points(dr.clip(t, 0, 1 - 1e-12), DIMENSIONS, rng)
+        point = [dr.minimum(corner[j] + size[j] * inner[j], 1 - 2.0**-24) for j in range(DIMENSIONS)]
+        return point, self.density(cell, point, dr.full(mi.Bool, True, width))
+
+    def density(self, cell: mi.UInt32, point: list[mi.Float], active: mi.Bool) -> mi.Float:
+        """Density at points of the unit cube."""
+        width = dr.width(point[0])
+        node = dr.gather(mi.UInt32, self._root, cell, active)
+
+        def step(node: mi.UInt32, *rest: Any) -> tuple[Any, ...]:
+            *x, density, going = rest
+            word = dr.gather(mi.UInt32, self._word, node, going)
+            low = mi.Float(dr.gather(mi.Float64, self._low, node, going))
+            k, first = word & 7, word >> 3
+            going = going & (k > 0)
+            value = dr.select(k == 1, x[0], dr.select(k == 2, x[1], dr.select(k == 3, x[2], x[3])))
+            high = value >= 0.5
+            density = dr.select(going, density * 2 * dr.select(high, 1 - low, low), density)
+            for j in range(DIMENSIONS):
+                here = going & (k == j + 1)
+                x[j] = dr.select(here, 2 * x[j] - dr.select(high, mi.Float(1), 0), x[j])
+            node = dr.select(going, first + dr.select(high, mi.UInt32(1), 0), node)
+            return node, *x, density, going
+
+        *_, density, _ = dr.while_loop(
+            (node, *(mi.Float(v) for v in point), dr.full(mi.Float, 1, width), mi.Bool(active)),
+            lambda *v: v[-1],
+            step,
+            mode="symbolic",
+            labels=("node", "x", "y", "u", "v", "density", "going"),
+        )
+        return UNIFORM + (1 - UNIFORM) * density

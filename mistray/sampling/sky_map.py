@@ -1,0 +1,72 @@
+"""A sky whose radiance differs from direction to direction, as cells of equal radiance each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.surfaces.upload import upload
+
+LEAST_ROWS, MOST_ROWS = 64, 1024
+
+
+class SkyMap:
+    """
+    Radiance in cells of polar angle and azimuth about an axis.
+
+    Parameters
+    ----------
+    radiance : callable
+        Of directions (n, 3) that the light travels along, unit vectors in the frame of the axis z: (n,), W/mm²/sr.
+    rows : int
+        Of cells in polar angle; there are twice as many in azimuth.
+
+    Attributes
+    ----------
+    irradiance : float
+        ∫ L dΩ, W/mm².
+    """
+
+    def __init__(self, radiance: Callable[[np.ndarray], np.ndarray], rows: int) -> None:
+        self._rows = rows = int(np.clip(rows, LEAST_ROWS, MOST_ROWS))
+        self._columns = 2 * rows
+        theta = (np.arange(rows) + 0.5) / rows * np.pi
+        phi = (np.arange(self._columns) + 0.5) / self._columns * 2 * np.pi
+        (s, c), (sp, cp) = (np.sin(theta), np.cos(theta)), (np.sin(phi), np.cos(phi))
+        d = np.stack([np.outer(s, cp), np.outer(s, sp), np.outer(c, np.ones_like(phi))], axis=-1)
+        edges = np.cos(np.arange(rows + 1) / rows * np.pi)
+        solid = (edges[:-1] - edges[1:]) * 2 * np.pi / self._columns
+        flux = np.maximum(radiance(d.reshape(-1, 3)).reshape(rows, -1), 0.0) * solid[:, None]
+        self.irradiance = float(flux.sum())
+        ends = np.cumsum(flux) / (self.irradiance or 1.0)
+        ends[-1] = 1.0
+        self._ends = upload(mi.Float64, np.concatenate([[0.0], ends]))
+        self._edges = upload(mi.Float64, edges)
+
+    def directions(self, sample: mi.Point2d) -> mi.Vector3d:
+        """Directions that the light travels along, of equal flux, for points of the unit square."""
+        last = self._rows * self._columns - 1
+        cell = dr.binary_search(0, last, lambda k: dr.gather(mi.Float64, self._ends, k + 1) <= sample.x)
+        low, high = (dr.gather(mi.Float64, self._ends, cell + step) for step in (0, 1))
+        part = dr.clip((sample.x - low) / dr.maximum(high - low, 1e-300), 0, 1)
+        row = cell // self._columns
+        first, second = (dr.gather(mi.Float64, self._edges, row + step) for step in (0, 1))
+        z = dr.fma(part, second - first, first)
+        s, c = dr.sincos((mi.Float64(cell % self._columns) + sample.y) * (2 * dr.pi / self._columns))
+        across = dr.safe_sqrt(1 - z * z)
+        return mi.Vector3d(across * c, across * s, z)
+
+
+def environment(emitter: mi.Emitter) -> Callable[[np.ndarray], np.ndarray]:
+    """The luminance of a stock ``envmap`` as the radiance of a `SkyMap` in the world."""
+
+    def radiance(d: np.ndarray) -> np.ndarray:
+        si = dr.zeros(mi.SurfaceInteraction3f, len(d))
+        si.wi = mi.Vector3f(*(upload(mi.Float, column) for column in d.T))  # back to where the ray came from
+        found = emitter.eval(si)
+        return np.array(mi.luminance(found) if mi.is_rgb else found[0], dtype=np.float64).ravel()
+
+    return radiance

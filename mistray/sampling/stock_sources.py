@@ -1,0 +1,175 @@
+"""Mitsuba's own emitters as sources of a trace: the same light, as the plugins of mistray describe it.
+
+A value of colour stands for its luminance, which for a plain number is that number: W/sr of a ``point`` and on the axis
+of a ``spot``, W/mm²/sr of an ``area`` or ``constant``, W/mm² across a ``directional``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.sampling.emission_laws import cosine_power, direction, polar
+from mistray.sampling.sky_map import environment
+from mistray.sampling.source import EmittedRays, SceneSource, SourceRequest
+
+LUMINANCE = np.array([0.212671, 0.715160, 0.072169])  # of linear sRGB, as `mi.luminance`
+DISTANT_DEG = 1e-9  # diameter of what has none
+
+
+class AreaLight:
+    """
+    A shape that carries Mitsuba's ``area`` emitter: Lambertian, of the same radiance everywhere on its outside.
+
+    It has the attributes and methods that a trace asks of `mistray.plugins.emitters.light_source.LightSource`.
+    """
+
+    extended: ClassVar[bool] = True
+    precise: ClassVar[bool] = False
+    differentiable: ClassVar[tuple[str, ...]] = ()
+    values: ClassVar[Mapping[str, float]] = {}
+
+    def __init__(self, emitter: mi.Emitter) -> None:
+        self.shape = emitter.get_shape()
+        self.name = self.shape.id()
+        self.radiance = _value(mi.traverse(emitter), "radiance", f"shape '{self.name}', its area emitter")
+        self.field_deg = self.azimuth_deg = 0.0
+        self.matrix = np.eye(4)
+        self.wavelengths_nm, self.weights = np.array([550.0]), np.ones(1)
+
+    def power(self, field_deg: float | None = None) -> float:
+        """Flux, W: π · radiance · area."""
+        return float(np.pi * self.radiance * float(np.array(self.shape.surface_area()).ravel()[0]))
+
+    def sources(self, request: SourceRequest) -> Sequence[SceneSource]:
+        """What a trace starts, one for each wavelength."""
+        axes = np.eye(3)
+        return [
+            EmittedRays(
+                emitter=self,
+                name=request.name,
+                wavelength_nm=float(wavelength),
+                power=self.power() * share,
+                pivot=np.zeros(3),
+                direction=axes[2],
+                u=axes[0],
+                v=axes[1],
+                scene=request.scene,
+                shape=self.name,
+            )
+            for wavelength, share in zip(request.wavelengths_nm, request.weights, strict=True)
+        ]
+
+    def rays_from(
+        self, place: mi.Point2f, sample: mi.Point2f, rng: mi.PCG32, n: Mapping[str, mi.Float]
+    ) -> tuple[mi.Vector3f, mi.Vector3f]:
+        """Rays in the world from points of the shape."""
+        found = self.shape.sample_position(0.0, place)
+        square, cosine, sine = polar(sample)
+        return mi.Vector3f(found.p), mi.Frame3f(found.n).to_world(
+            direction(cosine_power(square, mi.Float(1), mi.Float(0)), cosine, sine)
+        )
+
+    def density(self, place: mi.Point2f, d: mi.Vector3d, n: Mapping[str, mi.Float]) -> mi.Float64:
+        """Of directions from points of the shape, 1/sr."""
+        normal = mi.Vector3d(self.shape.sample_position(0.0, place).n)
+        return dr.maximum(dr.dot(d, normal), 0) / dr.pi
+
+
+def _value(params: Any, key: str, owner: str) -> float:
+    """A number of a stock emitter."""
+    found = np.array(params.get(f"{key}.value", np.nan), dtype=np.float64).ravel()
+    value = float(LUMINANCE @ found) if len(found) == len(LUMINANCE) else float(found[0])
+    if len(found) not in (1, len(LUMINANCE)) or not np.isfinite(value):
+        raise MistrayError(f"{owner}: {key} is a texture or a spectrum with many values; give one number")
+    return value
+
+
+def _position(params: Any, owner: str) -> dict[str, Any]:
+    return dict(zip("xyz", np.array(params["position"], dtype=np.float64).ravel().tolist(), strict=True))
+
+
+def _point(params: Any, owner: str) -> dict[str, Any]:
+    place = _position(params, owner)
+    return {"type": "point_source", **place, "intensity": _value(params, "intensity", owner)}
+
+
+def _spot(params: Any, owner: str) -> dict[str, Any]:
+    cutoff, beam = (float(np.array(params[key]).ravel()[0]) for key in ("cutoff_angle", "beam_width"))
+    if not np.allclose(np.array(params["texture.value"]), 1.0):
+        raise MistrayError(f"{owner}: it has a texture; leave it out")
+    return {
+        "type": "point_source",
+        "to_world": params["to_world"],
+        "intensity": _value(params, "intensity", owner),
+        "profile": f"0:1, {beam!r}:1, {cutoff!r}:0",
+    }
+
+
+def _constant(params: Any, owner: str) -> dict[str, Any]:
+    return {"type": "sky", "radiance": _value(params, "radiance", owner)}
+
+
+def _directional(params: Any, owner: str) -> dict[str, Any]:
+    irradiance = _value(params, "irradiance", owner)
+    return {
+        "type": "distant_disc",
+        "diameter_deg": DISTANT_DEG,
+        "irradiance": irradiance,
+        "to_world": params["to_world"],
+    }
+
+
+def _environment(emitter: mi.Emitter, owner: str) -> Any:
+    """A ``sky`` with the radiance of an ``envmap``, which stands in the world."""
+    sky = mi.load_dict({"type": "sky"})
+    sky.owner = owner
+    sky.lay(environment(emitter), mi.traverse(emitter)["data"].shape[0])
+    return sky
+
+
+# By the name of Mitsuba's class
+KNOWN: Mapping[str, Callable[[Any, str], dict[str, Any]]] = {
+    "PointLight": _point,
+    "SpotLight": _spot,
+    "ConstantBackgroundEmitter": _constant,
+    "DirectionalEmitter": _directional,
+}
+
+
+def stock_source(emitter: mi.Emitter, number: int) -> Any:
+    """
+    A stock emitter as a source.
+
+    Raises
+    ------
+    MistrayError
+        If there is no such source, or the emitter has a texture.
+    """
+    kind = type(emitter).__name__ if type(emitter).__name__ in KNOWN else str(emitter).split("[")[0].strip()
+    if kind == "AreaLight":
+        return AreaLight(emitter)
+    owner = f"source '{emitter.id()}'" if emitter.id() else f"source {number}"
+    if kind == "EnvironmentMapEmitter":
+        source = _environment(emitter, owner)
+        source.name = emitter.id()
+        return source
+    if kind not in KNOWN:
+        raise MistrayError(
+            f"{owner}: a trace knows no {kind} of Mitsuba; use point, spot, area, constant, envmap or directional, or "
+            "a source of mistray (docs/sources.md)"
+        )
+    given = KNOWN[kind](mi.traverse(emitter), owner)
+    matrix = given.get("to_world")
+    if matrix is not None:
+        given["to_world"] = mi.ScalarTransform4f(np.array(matrix.matrix, dtype=np.float64).reshape(4, 4))
+    if emitter.id():
+        given["id"] = emitter.id()
+    source = mi.load_dict(given)
+    source.name = emitter.id()
+    return source

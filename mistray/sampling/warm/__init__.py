@@ -1,0 +1,1 @@
+"""Light that warm surfaces emit, as sources of a forward trace."""

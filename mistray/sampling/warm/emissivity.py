@@ -1,0 +1,78 @@
+"""How much of a blackbody's radiance surfaces emit: what they absorb of light from there (G. Kirchhoff)."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.kernel.interaction import interact
+from mistray.kernel.scatter_tables import ScatterTables
+from mistray.kernel.scattering import Scattering
+from mistray.surfaces.host_points import across, surface_points
+from mistray.surfaces.optics import BACK_MEDIUM_SHIFT, FRONT_MEDIUM_SHIFT, MEDIUM_MASK
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.upload import upload
+
+FRONT, BACK = range(2)
+TURNS = 4  # azimuths of incidence that are averaged, for surfaces whose scatter depends on it
+LEAST = 2e-6  # what is less is the rounding of 1 - R - T
+
+
+def emissivities(table: SurfaceTable, cosines: np.ndarray) -> np.ndarray:
+    """
+    Share that surfaces absorb of unpolarised light, coatings and scatter included.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    cosines : (m,) float64
+        Of the angles of incidence, above 0.
+
+    Returns
+    -------
+    (surfaces, 2, m) float64
+        For light that comes to the front and to the back, 0 … 1; less than `LEAST` counts as nothing.
+    """
+    count, m = table.count, len(cosines)
+    rng = np.random.default_rng(0)
+    points, normals = (
+        np.concatenate(vectors)
+        for vectors in zip(*(surface_points(table, k, 1, rng) for k in range(count)), strict=True)
+    )
+    turns = 2 * np.pi * (np.arange(TURNS) + 0.5) / TURNS
+    sine = np.sqrt(1 - cosines**2)
+    sides = np.array([1.0, -1.0])  # light to the front travels along the normal, which points to the back
+    u, v = (np.stack([across(normal)[:, k] for normal in normals]) for k in range(2))
+    around = np.cos(turns)[:, None, None] * u + np.sin(turns)[:, None, None] * v  # (turns, surfaces, 3)
+    d = (
+        sides[None, :, None, None, None] * cosines[None, None, :, None, None] * normals[:, None, None, None, :]
+        + sine[None, None, :, None, None] * around.transpose(1, 0, 2)[:, None, None, :, :]
+    ).reshape(-1, 3)
+    number = np.repeat(np.arange(count), 2 * m * TURNS)
+    p, normal = table.upload_points(points[number]), None
+    if table.stock_scene is not None:
+        normal = mi.Vector3f(*(upload(mi.Float, column) for column in normals[number].T))
+    s, along = upload(mi.UInt32, number), mi.Vector3f(*(upload(mi.Float, column) for column in d.T))
+    it = interact(table, p, along, s, normal, None, mi.Bool(True))
+    scattering = Scattering(ScatterTables(table, {}))
+    absorbed = scattering.give(s, it, mi.Bool(True)).absorbed if scattering.any else 1 - it.R - it.T
+    shares = np.array(absorbed + dr.zeros(mi.Float, len(number)), dtype=np.float64)
+    found = np.clip(shares.reshape(count, 2, m, TURNS).mean(axis=3), 0.0, 1.0)
+    return np.where(found < LEAST, 0.0, found)
+
+
+def medium_of(table: SurfaceTable, surface: int, side: int) -> int:
+    """Number of the material on a side of a surface; 0: one that no surface lets light into."""
+    optics = table.optics
+    shift = FRONT_MEDIUM_SHIFT if side == FRONT else BACK_MEDIUM_SHIFT
+    if number := int(optics.host_words[surface] >> shift) & MEDIUM_MASK:
+        return number
+    material = material_of(table, surface, side)  # of an opaque one, such as the painted edge of a lens
+    return optics.media.index(material) if material in optics.media else 0
+
+
+def material_of(table: SurfaceTable, surface: int, side: int) -> str:
+    """Name of the material on a side of a surface."""
+    interface = table.interfaces[surface]
+    return str(interface.front if side == FRONT else interface.back).strip()

@@ -1,0 +1,76 @@
+"""Start rays of a warm surface: uniform over its area, with its emissivity by angle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.sampling.emission_laws import IntensityTable
+from mistray.sampling.source import Emission, SceneSource
+from mistray.sampling.space_filling import sorted_points
+from mistray.surfaces.host_points import even_points
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.upload import upload
+
+
+@dataclass(frozen=True, kw_only=True)
+class WarmRays(SceneSource):
+    """
+    What one side of a surface emits at one wavelength.
+
+    Attributes
+    ----------
+    table : SurfaceTable
+        Of the scene.
+    surface : int
+        Number of the surface.
+    to_back : bool
+        Whether the light leaves to the back.
+    medium : int
+        Number of the material there.
+    law : IntensityTable
+        ε(θ) cos θ against the angle from the normal.
+    """
+
+    table: SurfaceTable
+    surface: int
+    to_back: bool
+    medium: int
+    law: IntensityTable
+
+    @property
+    def middle(self) -> None:
+        """There is none: the light goes many ways."""
+
+    @property
+    def moving(self) -> tuple[str, ...]:  # type: ignore[override]  # read-only
+        """Nothing: temperatures are no parameters."""
+        return ()
+
+    def start(
+        self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray, centre: np.ndarray
+    ) -> Emission:
+        """Origins and directions, see `Source.start`."""
+        sample = sorted_points(batch, rng, closing[0])
+        o, d = self._rays(sample, lambda: np.array(rng.next_float32(), dtype=np.float64), dr.width(lane))
+        return Emission(mi.Vector3f(*(upload(mi.Float, column) for column in (o - centre).T)), mi.Vector3f(d))
+
+    def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
+        """Rays from random points, see `SceneSource.probes`."""
+        count = dr.width(sample)
+        rng = np.random.default_rng(0)
+        o, d = self._rays(sample, lambda: rng.random(count), count)
+        directions = np.array(d, dtype=np.float64).T
+        return o, directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+    def _rays(self, sample: mi.Point2f, draw: Callable[[], np.ndarray], count: int) -> tuple[np.ndarray, Any]:
+        """Origins in the world, (n, 3) float64, and directions on the device."""
+        o, normals = even_points(self.table, self.surface, draw, count)
+        outward = mi.Vector3d(*(upload(mi.Float64, column) for column in (normals if self.to_back else -normals).T))
+        local = self.law.directions(mi.Point2d(sample))
+        return o, dr.normalize(mi.Frame3f(mi.Vector3f(outward)).to_world(mi.Vector3f(local)))

@@ -1,0 +1,256 @@
+"""Coatings, paint and scatter models put on the surfaces of a scene or a prescription by patterns of their names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, overload
+
+from mistray.coatings import PRESETS
+from mistray.errors import MistrayError
+from mistray.prescription import Prescription
+from mistray.prescription.by_text import number_of
+from mistray.prescription.coating import Coating
+from mistray.prescription.naming import each_shape
+from mistray.prescription.scatter import Scatter
+from mistray.prescription.scene_file import finish_lines, seen_from, shared_lines
+from mistray.replace_file import replace_file
+from mistray.scene.add_structures import shared_objects
+from mistray.scene.depth import check_depth
+from mistray.scene.files import filled
+from mistray.scene.load import Parts, find, load_text
+from mistray.scene.recoat import COATED, Refit, refitted
+from mistray.scene.surface_rules import Change, CoatingRules, Face, Left, Painter, PaintRules, Rules, ScatterRules
+from mistray.scene.xml_file import Element, SceneFile
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+GAS_INDEX = 1.01  # of a medium that is no solid and no liquid
+
+
+@dataclass(frozen=True)
+class Coated:
+    """
+    What became of a system.
+
+    Attributes
+    ----------
+    changes : dict of str to Change
+        By the name of the surface.
+    left : tuple of Left
+        Surfaces that a pattern fits and that stay as they are.
+    """
+
+    changes: Mapping[str, Change]
+    left: tuple[Left, ...]
+
+
+@overload
+def coat(
+    system: Prescription,
+    coatings: CoatingRules | None = None,
+    *,
+    paint: PaintRules | None = None,
+    scatter: ScatterRules | None = None,
+) -> Prescription: ...
+
+
+@overload
+def coat(
+    system: str | Path | ModuleType,
+    coatings: CoatingRules | None = None,
+    *,
+    paint: PaintRules | None = None,
+    scatter: ScatterRules | None = None,
+    sources: Parts = None,
+    sensors: Parts = None,
+) -> mi.Scene: ...
+
+
+def coat(
+    system: str | Path | ModuleType | Prescription,
+    coatings: CoatingRules | None = None,
+    *,
+    paint: PaintRules | None = None,
+    scatter: ScatterRules | None = None,
+    sources: Parts = None,
+    sensors: Parts = None,
+) -> Any:
+    """
+    A system with coatings, paint and scatter models put on surfaces by name.
+
+    A pattern is the name of a surface, or of a part with all its surfaces, or has ``*``, ``?`` and ``[…]``. Later
+    patterns go over earlier ones, paint goes over coatings, and scatter models come last. A coating of a pattern or a
+    part goes on its clear surfaces and, if the coating is opaque, on its mirrors: edges that are black and faces in
+    cement stay as they are. The name of one surface means this one.
+
+    Parameters
+    ----------
+    system : str, Path, module or Prescription
+        A scene XML file, a shipped scene as in `mistray.load`, or a prescription.
+    coatings : mapping of str to str or Coating
+        Pattern → coating: a preset such as ``"bbar3"``, layers such as ``"MgF2 99.64, 2.1 0.5w"``, a table.csv,
+        ``"COATING.DAT:NAME"``, ``"R=0.01 T=0.99"``, ``"bare"``, or the name of a coating of the system; see
+        docs/coatings.md.
+    paint : mapping of str to str, float or Finish
+        Pattern → paint as in `mistray.mechanics.finish`, or the reflectance of a Lambertian one. Coating and scatter
+        models of the surface go.
+    scatter : mapping of str to str, Scatter or sequence of them
+        Pattern → plugin with its properties, such as ``"harvey_shack rms_nm=4"``, the name of a model of the system,
+        or ``"none"``, which takes all models off. A model replaces those of its kind and adds to the others.
+    sources, sensors
+        Of a scene, see `mistray.load`.
+
+    Returns
+    -------
+    mi.Scene or Prescription
+        A prescription of a prescription. The file of a scene stays as it is; `mistray.scene.write_coated` writes one.
+
+    Raises
+    ------
+    MistrayError
+        If a pattern fits no surface, or none that can take what it brings; if a coating, paint or model is unknown; or
+        what `mistray.load` raises.
+    """
+    rules = Rules(coatings or {}, paint or {}, scatter or {})
+    if isinstance(system, Prescription):
+        if sources is not None or sensors is not None:
+            raise MistrayError("coat: sources and sensors are for scenes; a prescription has its own, see with_source")
+        return _coated_prescription(system, rules)
+    if not isinstance(system, str | Path | ModuleType):
+        raise MistrayError(
+            f"coat: {type(system).__name__} is given; give a scene file, the name of a shipped scene, or a "
+            "Prescription; mistray.coat(file, …) loads the scene"
+        )
+    path = find(system)
+    text, _ = coated_text(path, rules, path.parent)
+    return load_text(path, text, sources, sensors)
+
+
+def write_coated(source: str | Path, target: str | Path, rules: Rules) -> Coated:
+    """
+    Write a scene with coatings, paint and scatter models put on surfaces; everything else in the file stays.
+
+    Parameters
+    ----------
+    source : str or Path
+        Scene XML file, or the name of a shipped scene.
+    target : str or Path
+        May be `source` itself.
+    rules : Rules
+
+    Raises
+    ------
+    MistrayError
+        As `coat` does; nothing is written then.
+    """
+    target = Path(target)
+    text, found = coated_text(find(source), rules, target.parent)
+    load_text(target, text)
+    replace_file(target, text, "scene file")
+    return found
+
+
+def coated_text(path: Path, rules: Rules, folder: Path) -> tuple[str, Coated]:
+    """The text of a scene file after some rules, for a file in a folder, and what became of it."""
+    check_depth(path)
+    file = SceneFile(path)
+    shared = dict(shared_objects(file))
+    painter = Painter(f"scene '{path}'", list(_faces(file)), shared, file.ids, str(path.parent))
+    painter.apply(rules)
+    seen = seen_from(folder)
+    refits: dict[str, Refit] = {}
+    new: dict[str, Coating | Scatter] = {}
+    for name, change in painter.changes.items():
+        coating = change.coating
+        if coating is not None and coating.name not in shared:
+            coating = coating.moved(seen)
+        models = [model if model.name in shared else model.moved(seen) for model in change.scatter]
+        refits[name] = Refit(tuple(finish_lines(coating, models)), change.recoated, change.drops)
+        named = [item for item in (coating, *models) if item is not None and item.name is not None]
+        new |= {str(item.name): item for item in named if item.name not in shared}
+    lines = [line for item in new.values() for line in shared_lines(item)]
+    kept = {str(change.coating.name) for change in painter.changes.values() if change.coating is not None}
+    text = refitted(file, refits, lines, folder, kept=kept)
+    return text, Coated(painter.changes, tuple(painter.left))
+
+
+def _coated_prescription(system: Prescription, rules: Rules) -> Prescription:
+    shapes = list(system.shapes())
+    shared: dict[str, Coating | Scatter] = {**system.shared_coatings(), **system.shared_scatter()}
+    faces = [
+        Face(
+            shape.name,
+            shape.part,
+            opaque=shape.coating is not None and shape.coating.opaque,
+            mirror=bool(getattr(shape, "mirror", False)),
+            cemented=not (_is_gas(shape.front) or _is_gas(shape.back)),
+        )
+        for shape in shapes
+    ]
+    painter = Painter(f"prescription '{system.name}'", faces, shared, [shape.name for shape in shapes])
+    painter.apply(rules)
+
+    def changed(shape: Any) -> Any:
+        change = painter.changes.get(shape.name)
+        if change is None:
+            return shape
+        kept = tuple(model for model in shape.scatter if model.kind not in change.drops)
+        coating = change.coating if change.recoated else shape.coating
+        return replace(shape, coating=coating, scatter=(*kept, *change.scatter))
+
+    return each_shape(system, changed)
+
+
+def _faces(file: SceneFile) -> list[Face]:
+    """The shapes of a scene file that have an id."""
+    defaults: dict[str, str] = {}
+    for element in file.root.walk():
+        if element.tag == "default":
+            defaults.setdefault(element.values.get("name", ""), element.values.get("value", ""))
+
+    def own(element: Element) -> dict[str, str]:
+        return {
+            child.values["name"]: filled(child.values["value"], defaults)
+            for child in element.children
+            if "name" in child.values and "value" in child.values
+        }
+
+    found = []
+    for name, shape in file.ids.items():
+        if shape.tag != "shape":
+            continue
+        part, surface = own(shape).get("part"), file.surface(shape)
+        kind = "" if surface is None else surface[1].values.get("type", "")
+        if surface is None or kind not in COATED:
+            fault = f"has the BSDF '{kind}', not an 'interface'" if kind else "has no BSDF in this file"
+            found.append(Face(name, part, fault=fault))
+            continue
+        values = own(surface[1])
+        nested = (file.meant(child) for child in surface[1].children)
+        films = [film for film in nested if film is not None and film.values.get("type") == "thinfilm"]
+        coating = values | {key: value for film in films for key, value in own(film).items()}
+        found.append(
+            Face(
+                name,
+                part,
+                opaque=_is_opaque(coating),
+                mirror=values.get("mirror") == "true",
+                cemented=not any(_is_gas(values.get(side, "air")) for side in ("front", "back")),
+            )
+        )
+    return found
+
+
+def _is_gas(material: str) -> bool:
+    return material.strip().lower() in ("air", "vacuum") or (number_of(material) or GAS_INDEX) < GAS_INDEX
+
+
+def _is_opaque(coating: Mapping[str, str]) -> bool:
+    """Whether the values of a coating say that it lets no light through."""
+    if coating.get("opaque") == "true" or getattr(PRESETS.get(coating.get("preset", "")), "metal", None) is not None:
+        return True
+    return "R" in coating and number_of(coating.get("T", "0")) == 0

@@ -1,0 +1,139 @@
+"""More sensors in a scene than those of its file: probes, far fields and maps of walls, from a text or a dict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.ranges import PLACE_MM
+from mistray.scene.allowed_plugins import check_dict
+from mistray.scene.other_sources import parsed
+
+NORMAL = {"probe": "normal", "far_field": "axis"}  # kind → what the z axis of its frame is called
+FRAME = ("normal", "axis", "up")  # directions, three numbers each
+COUNTS = ("directions", "azimuths")
+MAPS, OF_MAPS = "surface_maps", ("azimuths", "lengths", "id", "surfaces")
+PARALLEL = 1e-6  # sine of the angle below which two directions are one
+
+
+def sensor_dict(sensor: str | Mapping[str, Any]) -> dict[str, Any]:
+    """
+    A sensor as the dict of its plugin.
+
+    Parameters
+    ----------
+    sensor : str or mapping
+        A dict, or text: ``"probe:0,0,17,half_width=20,half_height=20,normal=0 0 -1,pixels=32 32,id=stop"`` or
+        ``"far_field:edges_deg=90:180:5,azimuths=8,axis=0 0 1,id=sky"``, with the properties of the plugin, the number
+        of pixels across and down, and directions in the world; light counts that goes to the side of the normal. Or
+        ``"surface_maps:barrel* hood,azimuths=72,id=walls"``, with patterns of surfaces and parts; none: all walls.
+
+    Raises
+    ------
+    MistrayError
+        If the text is not understood.
+    """
+    if not isinstance(sensor, str):
+        if not isinstance(sensor, Mapping) or "type" not in sensor:
+            raise MistrayError(f"sensor {sensor!r}: give a text such as 'probe:0,0,17', or a dict with a 'type'")
+        return dict(sensor)
+    if sensor.partition(":")[0].strip() == MAPS:
+        return _surface_maps(sensor)
+    word, place, found = parsed("sensor", sensor, (*FRAME, "pixels"), ("id", "edges_deg"))
+    if word not in NORMAL:
+        raise MistrayError(f"sensor '{sensor}': '{word}' is none; give {' or '.join(NORMAL)}")
+    owner = f"{word.replace('_', ' ')} '{sensor.partition(':')[2]}'"
+    found["edges_deg"] = str(found.get("edges_deg", "0:180:2")).replace(" ", ",")
+    if word == "probe":
+        del found["edges_deg"]
+        if not place:
+            raise MistrayError(f"{owner}: its place is missing; give x,y,z of its middle in mm, then names=values")
+    elif place:
+        raise MistrayError(f"{owner}: it has no place; leave out x,y,z, the light leaves the whole scene")
+    z = _numbers(found.pop(NORMAL[word], "0,0,1"), NORMAL[word], owner)
+    up = found.pop("up", None)
+    y = _numbers(up, "up", owner) if up else np.eye(3)[1 if abs(z[1]) < 0.9 * np.linalg.norm(z) else 2]
+    across = np.cross(y, z)
+    if not np.linalg.norm(across) > PARALLEL * np.linalg.norm(y) * np.linalg.norm(z):
+        raise MistrayError(
+            f"{owner}: {NORMAL[word]} {z.tolist()} and up {y.tolist()} are no two directions; change one"
+        )
+    frame = np.eye(4)
+    frame[:3, 2], frame[:3, 0] = z / np.linalg.norm(z), across / np.linalg.norm(across)
+    frame[:3, 1] = np.cross(frame[:3, 2], frame[:3, 0])
+    frame[:3, 3] = PLACE_MM.check_each("place", place, owner) if place else 0.0
+    pixels = found.pop("pixels", None)
+    if pixels is not None:
+        width, height = _whole(pixels, owner)
+        found["film"] = {"type": "hdrfilm", "width": width, "height": height}
+    for key in COUNTS:
+        if key in found and float(found[key]).is_integer():
+            found[key] = int(found[key])
+    return {"type": word, **found, "to_world": mi.ScalarTransform4d(frame)}
+
+
+def _surface_maps(text: str) -> dict[str, Any]:
+    """The sensor `surface_maps` of a text."""
+    parts = [part.strip() for part in text.partition(":")[2].replace(" ", ",").split(",") if part.strip()]
+    found: dict[str, Any] = {}
+    patterns = [part for part in parts if "=" not in part]
+    for part in parts:
+        key, equals, value = part.partition("=")
+        if not equals:
+            continue
+        if key not in OF_MAPS or key in found:
+            why = "is given twice" if key in found else f"is none of its properties; use {', '.join(OF_MAPS)}"
+            raise MistrayError(f"surface maps '{text.partition(':')[2]}': {key} {why}")
+        if key in ("azimuths", "lengths"):
+            try:
+                found[key] = int(value)
+            except ValueError:
+                raise MistrayError(
+                    f"surface maps '{text.partition(':')[2]}': {key} is '{value}'; give a whole number"
+                ) from None
+        else:
+            found[key] = value
+    if "surfaces" in found:
+        patterns.append(found["surfaces"])
+    return {"type": MAPS, "surfaces": " ".join(patterns)} | {key: v for key, v in found.items() if key != "surfaces"}
+
+
+def _numbers(text: str, what: str, owner: str) -> np.ndarray:
+    """Three numbers that are not all 0, (3,)."""
+    try:
+        numbers = np.array([float(part) for part in text.split(",") if part])
+    except ValueError:
+        numbers = np.zeros(0)
+    if numbers.shape != (3,) or not np.all(np.isfinite(numbers)) or not numbers.any():
+        raise MistrayError(f"{owner}: {what} is '{text.replace(',', ' ')}'; give three numbers such as 0 0 -1")
+    return numbers / np.abs(numbers).max()
+
+
+def _whole(text: str, owner: str) -> tuple[int, int]:
+    """Pixels across and down; one number: as many both ways."""
+    parts = [part for part in text.split(",") if part]
+    if not 1 <= len(parts) <= 2 or not all(part.isdecimal() and int(part) for part in parts):
+        raise MistrayError(
+            f"{owner}: pixels is '{text.replace(',', ' ')}'; give one or two whole numbers such as 64 48"
+        )
+    return int(parts[0]), int(parts[-1])
+
+
+def sensor_dicts(sensors: Sequence[str | Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Sensors by their ids; raises `MistrayError` if one is not understood, or two have the same id."""
+    described = [sensor_dict(sensor) for sensor in sensors]
+    kinds = [one["type"] for one in described]
+    result: dict[str, dict[str, Any]] = {}
+    for number, found in enumerate(described):
+        kind = found["type"]
+        before = kinds[:number].count(kind)
+        name = str(found.pop("id", kind if kinds.count(kind) == 1 else f"{kind}_{before + 1}"))
+        if name in result:
+            raise MistrayError(f"sensor '{name}': two sensors have this id; give every sensor an id of its own")
+        result[name] = found
+    check_dict(result)
+    return result

@@ -1,0 +1,141 @@
+"""Other sources in a scene than those of its file, from a line of text or a dict."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+import mitsuba as mi
+
+from mistray.errors import MistrayError
+from mistray.scene.allowed_plugins import check_dict
+
+# Words for the command line, and the plugins that they stand for
+KINDS = {
+    "beam": "collimated",
+    "point": "point_source",
+    "surface": "surface_source",
+    "laser": "gaussian_beam",
+    "sun": "distant_disc",
+    "sky": "sky",
+    "rays": "ray_file",
+    "led": "point_source",
+    "thermal": "thermal",
+}
+PLACE = ("x", "y", "z")
+LISTS = ("profile", "wavelength_nm", "weights", "band_nm", "stokes", "jones")  # properties that are no single number
+TEXT = ("id", "filename", "unit", "plane", "pattern", "spectrum", "parts")
+
+
+def source_dict(source: str | Mapping[str, Any]) -> dict[str, Any]:
+    """
+    A source as the dict of its plugin.
+
+    Parameters
+    ----------
+    source : str or mapping
+        A dict, or text such as ``"point:0,0,-500"``, ``"surface:0,0,-80,radius=5,radiance=2"``, ``"sun:field_deg=30"``:
+        a word of `KINDS` or the type of a plugin, its place, and properties by their
+        names. In a list of wavelengths stand blanks: ``"sun:wavelength_nm=450 550 650"``.
+
+    Raises
+    ------
+    MistrayError
+        If the text is not understood.
+    """
+    if not isinstance(source, str):
+        if not isinstance(source, Mapping) or "type" not in source:
+            raise MistrayError(f"source {source!r}: give a text such as 'point:0,0,-500', or a dict with a 'type'")
+        return dict(source)
+    word, place, found = parsed("source", source, LISTS, TEXT)
+    if not word.isidentifier():
+        raise MistrayError(f"source '{source}': it names no kind; give {', '.join(KINDS)} or a plugin")
+    return {"type": KINDS.get(word, word), **dict(zip(PLACE, place, strict=False)), **found}
+
+
+def parsed(
+    what: str, text: str, lists: Collection[str], words: Collection[str]
+) -> tuple[str, list[float], dict[str, Any]]:
+    """
+    The word, the place and the properties of a text ``WORD:x,y,z,name=value,…``.
+
+    Parameters
+    ----------
+    what : str
+        What it describes, for messages.
+    text : str
+    lists, words : collection of str
+        Properties that are lists, in which blanks stand for commas, and texts; the others are numbers.
+
+    Raises
+    ------
+    MistrayError
+        If the text is not understood.
+    """
+    word, _, rest = text.strip().partition(":")
+    parts = [part.strip() for part in rest.split(",")] if rest.strip() else []
+    place = [part for part in parts if "=" not in part]
+    if place and (len(place) != len(PLACE) or parts[: len(place)] != place):
+        raise MistrayError(f"{what} '{text}': its place is {','.join(place)}; give x,y,z in mm, then names=values")
+    found: dict[str, Any] = {}
+    keys = list(PLACE) if place else []
+    try:
+        at = list(map(float, place))
+        for part in parts[len(place) :]:
+            key, _, value = part.partition("=")
+            key = key.strip()
+            keys.append(key)
+            given = value.strip().replace(" ", ",") if key in lists else value.strip()
+            found[key] = given if key in (*lists, *words) else float(value)
+    except ValueError:
+        raise MistrayError(f"{what} '{text}': a value of it is no number; give x,y,z, then names=values") from None
+    for key in found:
+        if keys.count(key) > 1:
+            raise MistrayError(f"{what} '{text}': {key} is given twice; give it once")
+    return word, at, found
+
+
+def source_dicts(sources: Sequence[str | Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Sources by their ids; raises `MistrayError` if one is not understood, or two have the same id."""
+    result: dict[str, dict[str, Any]] = {}
+    for number, source in enumerate(sources, start=1):
+        found = source_dict(source)
+        name = str(found.pop("id", "source" if len(sources) == 1 else f"source_{number}"))
+        if name in result:
+            raise MistrayError(f"source '{name}': two sources have this id; give every source an id of its own")
+        result[name] = found
+    check_dict(result)
+    return result
+
+
+def with_parts(
+    scene: mi.Scene, sources: Mapping[str, dict[str, Any]], sensors: Mapping[str, dict[str, Any]] | None = None
+) -> mi.Scene:
+    """
+    The scene with these sources instead of its own, if there are any, and with more sensors.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+        Its shapes and its integrator become those of the result; it is of no use any more. Shapes that carry an emitter
+        keep it.
+    sources, sensors : mapping of str to dict
+        By their ids.
+
+    Raises
+    ------
+    MistrayError
+        If the scene has something else of such an id.
+    """
+    parts: dict[str, Any] = {"type": "scene", "integrator": scene.integrator()}
+    parts |= {shape.id() or f"shape_{number}": shape for number, shape in enumerate(scene.shapes())}
+    alone = [sensor for sensor in scene.sensors() if sensor.get_shape() is None]
+    if not sources:
+        alone += [emitter for emitter in scene.emitters() if emitter.get_shape() is None]
+    parts |= {one.id() or f"part_{number}": one for number, one in enumerate(alone)}
+    for what, described in (("source", sources), ("sensor", sensors or {})):
+        for name in described:
+            if name in parts:
+                raise MistrayError(f"{what} '{name}': the scene has something else of that id; give it another id")
+        parts |= described
+    return mi.load_dict({key: part for key, part in parts.items() if part is not None}, optimize=False)

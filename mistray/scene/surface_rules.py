@@ -1,0 +1,274 @@
+"""Coatings, paint and scatter models by patterns: which surfaces of a system get which of them."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any
+
+from mistray.coatings import read_coating
+from mistray.errors import MistrayError
+from mistray.ids import fits
+from mistray.mechanics.finish import Finish, finish, known_finishes
+from mistray.prescription.by_text import CLEAN, coating_of, scatter_of
+from mistray.prescription.coating import BLACK, Coating
+from mistray.prescription.scatter import Scatter
+from mistray.scatter.kinds import KINDS
+
+OFFERED = 5  # names in a message about a pattern that fits none
+OPAQUE, CEMENTED = "is opaque", "lies in cement"
+
+CoatingRules = Mapping[str, str | Coating | None]
+PaintRules = Mapping[str, str | float | Finish]
+ScatterRules = Mapping[str, str | Scatter | Sequence[str | Scatter]]
+_NONE: Mapping[str, Any] = MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class Rules:
+    """
+    What a user wants, by patterns of names of surfaces or parts; see `mistray.scene.coat`.
+
+    Attributes
+    ----------
+    coatings, paint, scatter : mapping
+    """
+
+    coatings: CoatingRules = field(default_factory=dict)
+    paint: PaintRules = field(default_factory=dict)
+    scatter: ScatterRules = field(default_factory=dict)
+
+    def __bool__(self) -> bool:
+        return bool(self.coatings or self.paint or self.scatter)
+
+
+@dataclass(frozen=True)
+class Face:
+    """
+    What the rules see of a surface.
+
+    Attributes
+    ----------
+    name : str
+    part : str or None
+    opaque : bool
+        Whether its coating lets no light through.
+    mirror : bool
+        Whether the design path is reflected there.
+    cemented : bool
+        Whether neither side is air.
+    fault : str
+        Why nothing can be put on it; empty if it can.
+    """
+
+    name: str
+    part: str | None = None
+    opaque: bool = False
+    mirror: bool = False
+    cemented: bool = False
+    fault: str = ""
+
+    def fits(self, pattern: str) -> bool:
+        """Whether its name, or that of its part, is what a pattern means."""
+        return fits(self.name, pattern) or (self.part is not None and fits(self.part, pattern))
+
+
+@dataclass(frozen=True)
+class Change:
+    """
+    What a surface gets.
+
+    Attributes
+    ----------
+    recoated : bool
+        Whether its coating becomes `coating`; None is bare.
+    coating : Coating or None
+    scatter : tuple of Scatter
+        Models that it gets.
+    drops : frozenset of str
+        Kinds of its models that go.
+    """
+
+    recoated: bool = False
+    coating: Coating | None = None
+    scatter: tuple[Scatter, ...] = ()
+    drops: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
+class Left:
+    """A surface that a pattern fits and that stays as it is, and why."""
+
+    surface: str
+    pattern: str
+    why: str
+
+
+class Painter:
+    """
+    Applies rules to the surfaces of a system.
+
+    Parameters
+    ----------
+    where : str
+        The system, for messages.
+    faces : sequence of Face
+    shared : mapping of str to Coating or Scatter
+        Those of the system that have a name.
+    taken : collection of str
+        Names that new ones must not have.
+    home : str
+        Folder in which shared tables lie.
+
+    Attributes
+    ----------
+    changes : dict of str to Change
+        By the name of the surface.
+    left : list of Left
+    """
+
+    def __init__(
+        self,
+        where: str,
+        faces: Sequence[Face],
+        shared: Mapping[str, Coating | Scatter],
+        taken: Collection[str],
+        home: str = "",
+    ) -> None:
+        self.changes: dict[str, Change] = {}
+        self.left: list[Left] = []
+        self._where, self._faces, self._home = where, faces, home
+        self._coatings = {name: item for name, item in shared.items() if isinstance(item, Coating)}
+        self._scatter = {name: item for name, item in shared.items() if isinstance(item, Scatter)}
+        self._shared: dict[str, Coating | Scatter] = dict(shared)
+        self._taken = {*taken, *shared}
+
+    def apply(self, rules: Rules) -> None:
+        """
+        Find what the surfaces get: later patterns go over earlier ones, and paint over coatings.
+
+        Raises
+        ------
+        MistrayError
+            If a pattern fits no surface, or none that can take what it brings, or there is no such coating or model.
+        """
+        for pattern, given in rules.coatings.items():
+            coating = self._named(coating_of(given, self._coatings) if isinstance(given, str) else given)
+            for face in self._able(pattern, f"coating '{pattern}={_shown(given)}'", not self._closed(coating), True):
+                change = self.changes.get(face.name, Change())
+                self.changes[face.name] = replace(change, recoated=True, coating=coating)
+        for pattern, paint in rules.paint.items():
+            look = self._finish(paint)
+            coating = self._named(look.coating)
+            models = tuple(self._named(model) for model in look.scatter)
+            for face in self._able(pattern, f"paint '{pattern}={_shown(paint)}'"):
+                self.changes[face.name] = Change(True, coating, models, frozenset(KINDS))
+        for pattern, models_given in rules.scatter.items():
+            found = [self._model(item) for item in _listed(models_given)]
+            clean, more = None in found, [self._named(model) for model in found if model is not None]
+            kinds = frozenset(KINDS) if clean else frozenset(model.kind for model in more)
+            for face in self._able(pattern, f"scatter '{pattern}={_shown(models_given)}'"):
+                change = self.changes.get(face.name, Change())
+                kept = tuple(model for model in change.scatter if model.kind not in kinds)
+                self.changes[face.name] = replace(change, scatter=(*kept, *more), drops=change.drops | kinds)
+
+    def _able(self, pattern: str, rule: str, transmits: bool = False, coats: bool = False) -> list[Face]:
+        """
+        The surfaces that a pattern fits and that can take what it brings.
+
+        A surface that is named by its very name must take it; of a pattern or a part the others are left as they are.
+        """
+        fitting = [face for face in self._faces if face.fits(pattern)]
+        if not fitting:
+            names = dict.fromkeys(name for face in self._faces for name in (face.name, face.part) if name)
+            near = difflib.get_close_matches(re.sub(r"[*?]+$", "", pattern), names, n=OFFERED, cutoff=0.3)
+            hint = ", ".join(near or list(names)[:OFFERED])
+            raise MistrayError(f"{self._where}: {rule} fits no surface and no part; the nearest names are {hint}")
+        able: list[Face] = []
+        for face in fitting:
+            named = face.name == pattern
+            why = face.fault or (_refusal(face, named, transmits) if coats else "")
+            if not why:
+                able.append(face)
+            elif named or len(fitting) == 1:
+                raise MistrayError(f"{self._where}: {rule}: '{face.name}' {why}{_remedy(why)}")
+            else:
+                self.left.append(Left(face.name, pattern, why))
+        if not able:
+            reasons = sorted({item.why for item in self.left if item.pattern == pattern})
+            raise MistrayError(
+                f"{self._where}: {rule}: each of its {len(fitting)} surfaces {' or '.join(reasons)}"
+                f"{_remedy(reasons[0])}"
+            )
+        return able
+
+    def _closed(self, coating: Coating | None) -> bool:
+        """Whether a coating lets no light through."""
+        if coating is None or coating.table is None:
+            return coating is not None and coating.opaque
+        home = f"{self._home}/" if self._home and self._coatings.get(coating.name or "") == coating else ""
+        return read_coating(coating.table, coating.design_nm, resolve=lambda path: f"{home}{path}").opaque
+
+    def _finish(self, paint: str | float | Finish) -> Finish:
+        if isinstance(paint, Finish):
+            return paint
+        if isinstance(paint, str):
+            return finish(paint, known_finishes(self._shared.values()))
+        if paint == 0:
+            return Finish(BLACK)
+        return Finish(BLACK, (Scatter("paint", {"reflectance": float(paint)}),))
+
+    def _model(self, given: str | Scatter) -> Scatter | None:
+        if isinstance(given, Scatter):
+            return given
+        found = scatter_of(given, self._scatter)
+        if found is None and given != CLEAN:
+            near = difflib.get_close_matches(" ".join(given.split()[:1]), [*self._scatter, *KINDS], n=1)
+            hint = f"did you mean '{near[0]}'? " if near else ""
+            raise MistrayError(
+                f"scatter '{given}': there is none of this name; {hint}give a plugin with its properties, such as "
+                f"'harvey_shack rms_nm=4', '{CLEAN}'"
+                + (f", or one of the scene: {', '.join(self._scatter)}" if self._scatter else "")
+            )
+        return found
+
+    def _named(self, item: Any) -> Any:
+        """The same under a name that nothing else has; what has none is not shared."""
+        if item is None or item.name is None:
+            return item
+        name, number = item.name, 2
+        while name in self._taken and self._shared.get(name) != replace(item, name=name):
+            name, number = f"{item.name}_{number}", number + 1
+        self._taken.add(name)
+        self._shared[name] = found = replace(item, name=name)
+        return found
+
+
+def _refusal(face: Face, named: bool, transmits: bool) -> str:
+    """Why a surface takes no coating; empty if it does."""
+    if face.opaque and (transmits or not (named or face.mirror)):
+        return OPAQUE
+    return CEMENTED if face.cemented and not named else ""
+
+
+def _remedy(why: str) -> str:
+    return {
+        OPAQUE: "; give an opaque coating, such as protected_al or R=0.9, or a paint",
+        CEMENTED: "; to coat a surface between two solids, give its own name",
+    }.get(why, "")
+
+
+def _listed(given: str | Scatter | Sequence[str | Scatter]) -> Iterable[str | Scatter]:
+    return (given,) if isinstance(given, str | Scatter) else given
+
+
+def _shown(given: Any) -> str:
+    """What a rule gives, for messages."""
+    if isinstance(given, str | float | int) or given is None:
+        return str(given)
+    if isinstance(given, Coating | Scatter | Finish):
+        return str(getattr(given, "name", None) or type(given).__name__)
+    return ", ".join(map(_shown, given))

@@ -1,0 +1,1 @@
+"""Spectra of light: lines, blackbodies, sunlight and tables, and the wavelengths that stand for them in a trace."""

@@ -1,0 +1,249 @@
+"""Base class for sources with a place: a point, a surface, the end of a fibre, the waist of a laser beam."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.files.intensities import CANDELA, read_intensities
+from mistray.plugins.emitters.light_source import LightSource
+from mistray.ranges import FINITE, PLACE_MM, POSITIVE, Range
+from mistray.sampling import emission_laws as laws
+
+PLACE: Mapping[str, Range] = {"x": PLACE_MM, "y": PLACE_MM, "z": PLACE_MM, "tilt_x": FINITE, "tilt_y": FINITE}
+MOVES = tuple(PLACE)
+
+
+class NearSource(LightSource):
+    """
+    A source whose rays start from the plane z = 0 of its own frame.
+
+    That frame is the one of ``to_world``, turned by ``field_deg`` and ``azimuth_deg`` about its origin, or moved across
+    its z axis where the source is `in_object_plane`, then moved by ``x``, ``y``, ``z`` along its axes, then tilted by
+    ``tilt_x``, ``tilt_y``. A subclass states `local` and `local_motion` instead of `rays` and `motion`, and what its
+    flux is.
+
+    Attributes
+    ----------
+    densities : tuple of str
+        What its flux may be given by, instead of ``power``.
+    given : tuple of (str, float)
+        What its flux is given by, and how much.
+    in_object_plane : bool
+        Whether a field moves it in the plane of its ``z``, as an object of a lens, instead of turning it.
+    """
+
+    in_object_plane: ClassVar[bool] = False
+    precise = True
+    densities: ClassVar[tuple[str, ...]] = ()
+    own_ranges: ClassVar[Mapping[str, Range]] = {}
+    own_defaults: ClassVar[Mapping[str, float]] = {}
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        cls.ranges = {**PLACE, **cls.own_ranges}
+        cls.defaults = {**dict.fromkeys(PLACE, 0.0), **cls.own_defaults}
+        cls.tolerances = {"x": 0.1, "y": 0.1, "z": 0.1, "tilt_x": 0.1, "tilt_y": 0.1, **cls.tolerances}
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        found = [key for key in ("power", *self.densities) if key in props]
+        if len(found) > 1:
+            self._fail(f"{' and '.join(found)} are given; give one of them")
+        key = found[0] if found else "power"
+        self.given = key, self._number(props, key, POSITIVE, 1.0)
+
+    def power_per(self, density: str) -> float:
+        """Flux, W, for 1 of one of `densities`."""
+        raise NotImplementedError
+
+    def frame(self, field_deg: float | None = None, azimuth_deg: float | None = None) -> tuple[np.ndarray, ...]:
+        """The source in the world at a field, see `LightSource.frame`."""
+        z = self.values["z"]
+        if not self.in_object_plane or z == 0:
+            return super().frame(field_deg, azimuth_deg)
+        theta = np.radians(self.field_deg if field_deg is None else field_deg)
+        phi = np.radians(self.azimuth_deg if azimuth_deg is None else azimuth_deg)
+        shift = z * np.tan(theta) * np.array([-np.sin(phi), np.cos(phi), 0.0])
+        pivot, direction, u, v = super().frame(0.0, 0.0)
+        return pivot + self.matrix[:3, :3] @ shift, direction, u, v
+
+    def field_of(self, height_mm: float) -> float:
+        """Field angle, degrees, that moves it by a height along y of its frame, mm."""
+        z = self.values["z"]
+        if not self.in_object_plane or z == 0:
+            self._fail("a field in mm needs an object plane at z other than 0; give it in degrees")
+        return float(np.degrees(np.arctan(height_mm / z))) + 0.0
+
+    def power(self, field_deg: float | None = None) -> float:
+        """Flux, W."""
+        key, value = self.given
+        return value if key == "power" else value * self.power_per(key)
+
+    def local(
+        self, place: mi.Point2d, sample: mi.Point2d, rng: mi.PCG32, n: Mapping[str, mi.Float64]
+    ) -> tuple[mi.Vector3d, mi.Vector3d]:
+        """Rays in its own frame, see `LightSource.rays_from`: z of the origins is 0."""
+        raise NotImplementedError
+
+    def local_motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
+        """Derivatives of the origins, in the plane z = 0, and of the directions, in its own frame."""
+        raise NotImplementedError
+
+    def rays_from(
+        self, place: mi.Point2d, sample: mi.Point2d, rng: mi.PCG32, n: Mapping[str, mi.Float64]
+    ) -> tuple[mi.Vector3d, mi.Vector3d]:
+        o, d = self.local(place, sample, rng, n)
+        shift = mi.Vector3d(n["x"], n["y"], n["z"])
+        axes = self._tilted(dr.deg2rad(n["tilt_x"]), dr.deg2rad(n["tilt_y"]))
+        return shift + self._turned(o, axes), self._turned(d, axes)
+
+    def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
+        if name in "xyz":
+            return mi.Vector3d(*(float(name == axis) for axis in "xyz")), mi.Vector3d(0)
+        n = self.values
+        place, tilt = mi.Vector3d(n["x"], n["y"], n["z"]), np.radians([n["tilt_x"], n["tilt_y"]])
+        axes = self._tilted(*(mi.Float64(angle) for angle in tilt))
+        if name in ("tilt_x", "tilt_y"):
+            about = mi.Vector3d(1, 0, 0) if name == "tilt_x" else axes[1]
+            about = about * (dr.pi / 180)
+            return dr.cross(about, o - place), dr.cross(about, d)
+        p, heading = ([dr.dot(vector, axis) for axis in axes] for vector in (o - place, d))
+        p, heading = mi.Vector3d(*p), mi.Vector3d(*heading)
+        t = p.z / heading.z  # rays from far away start anew on their way
+        by_p, by_d = self.local_motion(name, p - t * heading, heading)
+        return self._turned(by_p + t * by_d, axes), self._turned(by_d, axes)
+
+    @staticmethod
+    def _tilted(tilt_x: Any, tilt_y: Any) -> tuple[mi.Vector3d, mi.Vector3d, mi.Vector3d]:
+        """The axes of its own frame: columns of Rx(tilt_x) Ry(tilt_y)."""
+        (sx, cx), (sy, cy) = dr.sincos(tilt_x), dr.sincos(tilt_y)
+        return mi.Vector3d(cy, sx * sy, -cx * sy), mi.Vector3d(0, cx, sx), mi.Vector3d(sy, -sx * cy, cx * cy)
+
+    @staticmethod
+    def _turned(vector: mi.Vector3d, axes: tuple[mi.Vector3d, mi.Vector3d, mi.Vector3d]) -> mi.Vector3d:
+        return axes[0] * vector.x + axes[1] * vector.y + axes[2] * vector.z
+
+
+class ConeSource(NearSource):
+    """
+    A near source whose intensity goes with cosⁿ θ within a cone about its axis, or as a table says.
+
+    Its numbers ``half_angle_deg`` and ``exponent`` say the first, its properties ``profile`` and ``filename`` the
+    second; `offset` says where the rays start.
+
+    Attributes
+    ----------
+    table : IntensityTable or None
+    """
+
+    in_object_plane = True
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        self.table: laws.IntensityTable | None = None
+        laws_given = [key for key in ("profile", "filename") if key in props]
+        if not laws_given:
+            return
+        also = [key for key in ("profile", "filename", "half_angle_deg", "exponent") if key in props]
+        if len(also) > 1:
+            self._fail(f"{' and '.join(also)} are given; give one of them")
+        self._keep_parameters(set(self.differentiable) - {"half_angle_deg"})
+        if "profile" in props:
+            angles, values = self._pairs(str(props["profile"]))
+            self.table = laws.IntensityTable(angles, np.array([0.0, 360.0]), np.stack([values, values], axis=1))
+            return
+        try:
+            found = read_intensities(str(mi.file_resolver().resolve(str(props["filename"]))))
+        except MistrayError as error:
+            self._fail(str(error))
+        self.table = laws.IntensityTable(found.theta_deg, found.phi_deg, found.values)
+        if found.unit and not any(key in props for key in ("power", *self.densities)):
+            per_watt = self.light.lumens_per_watt if found.unit == CANDELA else 1.0
+            if not per_watt > 0:
+                self._fail("its file is in candela, and its wavelengths give no lumens; give power")
+            self.given = "power", float(POSITIVE.check("power", self.table.flux / per_watt, self.owner))
+
+    def _pairs(self, text: str) -> tuple[np.ndarray, np.ndarray]:
+        """Angles, degrees, and values of a profile."""
+        try:
+            pairs = [[float(word) for word in pair.split(":")] for pair in text.split(",")]
+            angles, values = np.array(pairs, dtype=np.float64).reshape(-1, 2).T
+        except ValueError:
+            self._fail(f"profile is '{text}'; give pairs of an angle and a value, '0:1, 20:0.9, 25:0'")
+        rises = len(angles) > 1 and bool(np.all(np.diff(angles) > 0)) and angles[0] >= 0 and angles[-1] <= 180
+        if not rises or not np.all((values >= 0) & (values < 1e30)) or not np.any(values > 0):
+            self._fail(
+                f"profile is '{text}'; let its angles rise within 0 … 180, and give values from 0, not all of them 0"
+            )
+        return angles, values
+
+    def offset(self, place: mi.Point2d, n: Mapping[str, mi.Float64]) -> mi.Vector3d:
+        """Where rays start in its own frame, for points of the unit square."""
+        return mi.Vector3d(0)
+
+    def offset_motion(self, name: str, o: mi.Vector3d) -> mi.Vector3d:
+        """Derivatives of these by one of the other numbers."""
+        raise NotImplementedError
+
+    def _limit_cone(self, props: mi.Properties, sizes: Sequence[str] = ()) -> None:
+        """Keep cosⁿ θ to a hemisphere, and what changes the flux out of the parameters where a density is given."""
+        exponent, angle = self.values["exponent"], self.values["half_angle_deg"]
+        if exponent and angle > 90:
+            if "half_angle_deg" in props:
+                self._fail(f"half_angle_deg is {angle:g} with an exponent of {exponent:g}; give at most 90")
+            self.values["half_angle_deg"] = 90.0
+        if self.given[0] != "power":
+            self._keep_parameters(set(self.differentiable) - {"half_angle_deg", *sizes})
+        elif self.values["half_angle_deg"] == 90.0 and exponent:
+            self._keep_parameters(set(self.differentiable) - {"half_angle_deg"})  # a hemisphere cannot grow
+
+    @property
+    def solid_angle(self) -> float:
+        """∫ I dΩ for an intensity of 1 on the axis, sr."""
+        if self.table is not None:
+            if not self.table.on_axis > 0:
+                self._fail(f"{self.given[0]} is that on the axis, where its light is 0; give power")
+            return self.table.flux / self.table.on_axis
+        return laws.cosine_power_angle(self.values["exponent"], float(np.radians(self.values["half_angle_deg"])))
+
+    def local(
+        self, place: mi.Point2d, sample: mi.Point2d, rng: mi.PCG32, n: Mapping[str, mi.Float64]
+    ) -> tuple[mi.Vector3d, mi.Vector3d]:
+        if self.table is not None:
+            return self.offset(place, n), self.table.directions(mi.Point2d(sample))
+        square, cosine, sine = laws.polar(sample)
+        height = laws.cosine_power(square, n["exponent"], dr.cos(dr.deg2rad(n["half_angle_deg"])))
+        return self.offset(place, n), laws.direction(height, cosine, sine)
+
+    def density(self, place: mi.Point2d, d: mi.Vector3d, n: Mapping[str, mi.Float64]) -> mi.Float64:
+        """Of directions, 1/sr; d before the tilts."""
+        axes = self._tilted(dr.deg2rad(n["tilt_x"]), dr.deg2rad(n["tilt_y"]))
+        if self.table is not None:
+            return self.table.density(mi.Vector3d(*(dr.dot(d, axis) for axis in axes)))
+        cosine = dr.dot(d, axes[2])
+        exponent, edge = n["exponent"], dr.cos(dr.deg2rad(n["half_angle_deg"]))
+        law = dr.select(exponent == 0, 1, dr.exp(exponent * dr.log(dr.maximum(cosine, 1e-300))))
+        return dr.select(cosine >= edge, law / dr.opaque(mi.Float64, self.solid_angle), 0)
+
+    def local_motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
+        if name != "half_angle_deg":
+            return self.offset_motion(name, o), mi.Vector3d(0)
+        # A ray keeps its share u of the flux within its angle θ, u = (1 - cosⁿ⁺¹ θ) / (1 - cosⁿ⁺¹ α)
+        exponent, edge = self.values["exponent"], float(np.cos(np.radians(self.values["half_angle_deg"])))
+        across = dr.sqrt(d.x * d.x + d.y * d.y)
+        if exponent == 0:
+            turn = across / (1 + d.z) / (1 - edge)
+        else:
+            power = exponent + 1
+            cosine = dr.maximum(d.z, 1e-12)
+            share = (1 - dr.exp(power * dr.log(cosine))) / (1 - edge**power)
+            turn = dr.select(across > 0, share / across, 0) * edge**exponent / dr.exp(exponent * dr.log(cosine))
+        turn *= np.sqrt(1 - edge * edge) * np.pi / 180
+        outward = dr.select(across > 0, mi.Vector2d(d.x, d.y) / across, 0)
+        return mi.Vector3d(0), turn * mi.Vector3d(d.z * outward.x, d.z * outward.y, -across)

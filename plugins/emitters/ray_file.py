@@ -1,0 +1,153 @@
+"""Plugin `ray_file`: the rays of a file as a source."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.files.ray_sets import RaySet, read_ray_set
+from mistray.plugins.emitters.light_source import LightSource
+from mistray.ranges import POSITIVE
+from mistray.sampling.source import EmittedRays, SceneSource, SourceRequest
+from mistray.surfaces.upload import upload
+
+MOST_LINES = 32  # wavelengths that are traced for themselves; more are put together
+
+
+class RayFile(LightSource):
+    r"""
+    Rays of a file (:monosp:`ray_file`): a measured lamp, the light of another program, rays of a trace.
+
+    CSV and Parquet files have the columns x_mm, y_mm, z_mm (or in m, cm, um, in, ft), dx, dy, dz, flux_W and, if known,
+    wavelength_nm, as `Trace.rays` and `mistray.files.ray_sets.save_ray_set` write them. Zemax source files (.dat,
+    binary or text) are read too. Rays are drawn in proportion to their flux, so that all carry the same.
+
+    =================== ========= =================== ========= ===================================================
+    parameter           unit      range               default   meaning
+    =================== ========= =================== ========= ===================================================
+    filename            string    a file              required  .csv, .parquet or .dat
+    unit                string    m, cm, mm, in, ft   none      of the places, where a text .dat has none
+    power               W         > 0                 none      flux of all rays, instead of the sum in the file
+    wavelength_nm       nm        > 0                 550       where the file has none; one value or a list
+    weights             1         ≥ 0                 equal     one weight for each wavelength; normalised
+    spectrum            string    see docs/sources.md none      instead of wavelength_nm: lines such as "F d C",
+                                                                blackbody:3000, am0, d65 or a .csv file
+    band_nm             nm        two, rising         400, 700  the band of a continuous spectrum that is traced; of a
+                                                                table all of it by default
+    bands               1         1 … 200             6         parts of equal width that the band is traced in
+    field_deg           degree    -90 < … < 90        0         turns the rays about the origin of to_world
+    azimuth_deg         degree                        0         azimuth of that turn
+    to_world            mm        rigid               identity  the frame of the file
+    =================== ========= =================== ========= ===================================================
+
+    Each wavelength of the file is traced for itself, of more than 32 the nearest together; with ``wavelength_nm`` in a
+    call all rays have that one.
+
+    .. code-block:: xml
+
+        <emitter type="ray_file">
+            <string name="filename" value="lamp.csv"/>
+        </emitter>
+
+    .. code-block:: python
+
+        {"type": "ray_file", "filename": "lamp.csv", "power": 2.0}
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        if "filename" not in props:
+            self._fail("filename is missing; add what is required")
+        file = str(mi.file_resolver().resolve(str(props["filename"])))
+        self.rays_of_file: RaySet = read_ray_set(file, str(props["unit"]) if "unit" in props else None)
+        self.given = self._number(props, "power", POSITIVE, float(self.rays_of_file.flux_W.sum()))
+        known = ~np.isnan(self.rays_of_file.wavelength_nm)
+        if known.any() and not known.all():
+            self._fail(f"filename '{file}' has wavelengths for some rays only; give all or none")
+        self._lines: list[np.ndarray] = []
+        if known.all():
+            if given := [key for key in ("wavelength_nm", "weights", "spectrum") if key in props]:
+                self._fail(f"{given[0]} is given, and the file has wavelengths; leave it out")
+            self._take_lines()
+
+    def _take_lines(self) -> None:
+        """The wavelengths of the file, with the rays of each."""
+        wavelength, flux = self.rays_of_file.wavelength_nm, self.rays_of_file.flux_W
+        lit = flux > 0
+        if len(np.unique(wavelength[lit])) <= MOST_LINES:
+            edges = np.unique(wavelength[lit])
+            line = np.searchsorted(edges, wavelength)
+        else:
+            order = np.argsort(wavelength, kind="stable")
+            share = np.cumsum(flux[order]) / flux.sum()
+            line = np.empty(len(flux), dtype=np.int64)
+            line[order] = np.minimum(np.ceil(share * MOST_LINES - 1e-9).astype(np.int64), MOST_LINES) - 1
+        numbers = [np.flatnonzero((line == k) & lit) for k in range(int(line.max()) + 1)]
+        self._lines = [rays for rays in numbers if len(rays)]
+        sums = np.array([flux[rays].sum() for rays in self._lines])
+        means = [np.average(wavelength[rays], weights=flux[rays]) for rays in self._lines]
+        # Of one wavelength exactly that, without the rounding of a mean
+        single = [np.ptp(wavelength[rays]) == 0 for rays in self._lines]
+        self.wavelengths_nm = np.where(single, [wavelength[rays[0]] for rays in self._lines], means)
+        self.weights = sums / sums.sum()
+
+    def power(self, field_deg: float | None = None) -> float:
+        """Flux of all rays, W."""
+        return self.given
+
+    def sources(self, request: SourceRequest) -> Sequence[SceneSource]:
+        """What a trace starts, one for each wavelength."""
+        own = len(self._lines) and np.array_equal(request.wavelengths_nm, self.wavelengths_nm)
+        every = np.flatnonzero(self.rays_of_file.flux_W > 0)
+        chosen = self._lines if own else [every] * len(request.wavelengths_nm)
+        pivot, direction, u, v = self.frame(request.field_deg, request.azimuth_deg)
+        return [
+            EmittedRays(
+                emitter=_Rays(self, rays),
+                name=request.name,
+                wavelength_nm=float(wavelength),
+                power=self.power() * share,
+                pivot=pivot,
+                direction=direction,
+                u=u,
+                v=v,
+                scene=request.scene,
+            )
+            for rays, wavelength, share in zip(chosen, request.wavelengths_nm, request.weights, strict=True)
+        ]
+
+
+class _Rays:
+    """Some rays of a file, as a trace asks for them."""
+
+    extended: ClassVar[bool] = False
+    precise: ClassVar[bool] = True
+    differentiable: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, owner: RayFile, chosen: np.ndarray) -> None:
+        rays = owner.rays_of_file
+        self.values: Mapping[str, float] = {}
+        self.polarized, self.stokes = owner.polarized, owner.stokes
+        flux = rays.flux_W[chosen]
+        ends = np.cumsum(flux) / flux.sum()
+        ends[-1] = 2.0  # the last ray, rounding or not
+        self._count = len(chosen)
+        self._ends = upload(mi.Float64, ends)
+        self._rows = [upload(mi.Float64, column[chosen]) for column in (*rays.origins.T, *rays.directions.T)]
+
+    def rays_from(
+        self, place: mi.Point2d, sample: mi.Point2d, rng: mi.PCG32, n: Mapping[str, Any]
+    ) -> tuple[mi.Vector3d, mi.Vector3d]:
+        """The ray that holds a share of the flux; of the point of the unit square one coordinate says which."""
+        # The other coordinate gives the digits that a float32 does not have: a file may hold more rays than those
+        u = dr.fma(sample.y - 0.5, 2.0**-24, sample.x)
+        k = dr.binary_search(0, self._count - 1, lambda i: dr.gather(mi.Float64, self._ends, i) <= u)
+        x, y, z, dx, dy, dz = (dr.gather(mi.Float64, row, k) for row in self._rows)
+        return mi.Vector3d(x, y, z), mi.Vector3d(dx, dy, dz)
+
+
+mi.register_emitter("ray_file", lambda props: RayFile(props))

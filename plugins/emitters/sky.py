@@ -1,0 +1,123 @@
+"""Plugin `sky`: a sky of uniform radiance, all around or within a cone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.files.sky_picture import check_picture, is_healpix, read_healpix
+from mistray.physics.geometry.healpix import pixel, sides
+from mistray.plugins.emitters.distant_source import DistantSource
+from mistray.plugins.emitters.point_source import HALF_ANGLE_DEG
+from mistray.sampling.emission_laws import cosine_power, direction, polar
+from mistray.sampling.sky_map import SkyMap, environment
+
+HEALPIX_ROWS = 4  # rings of a map in HEALPix for each N
+FINER = 2  # cells for each pixel of a picture, which is interpolated between
+
+
+class Sky(DistantSource):
+    r"""
+    Sky of given radiance (:monosp:`sky`): zodiacal light, a lit room, the inside of an integrating sphere.
+
+    The radiance is the same in all directions within ``half_angle_deg`` of the axis; 180 is a sky all around, 90
+    half of it. The light in the middle travels along the axis, as that of `collimated` does.
+
+    A picture of the whole sky instead, ``filename``, is laid around the scene as by Mitsuba's ``envmap``: its width
+    is the azimuth about y, its height the angle from +y, its luminance times ``radiance`` the radiance. Angles do
+    not turn it; ``to_world`` does. A FITS file is a map in HEALPix, with the z axis of ``to_world`` to its north and
+    the x axis to its azimuth 0.
+
+    =================== ========= =================== ========= ===================================================
+    parameter           unit      range               default   meaning
+    =================== ========= =================== ========= ===================================================
+    filename            string    a picture           none      the sky as a picture, such as an .exr, twice as wide as
+                                                                high, or in HEALPix, .fits
+    radiance            W/mm²/sr  > 0                 1         of the sky, or of a picture where it is 1
+    half_angle_deg      degree    1e-6 … 180          180       of the cone that it fills
+    field_deg           degree    -90 < … < 90        0         angle of its middle from the local z axis
+    azimuth_deg         degree                        0         azimuth about z, from +y towards -x
+    wavelength_nm       nm        > 0                 550       one value or a list
+    weights             1         ≥ 0                 equal     one weight for each wavelength; normalised
+    spectrum            string    see docs/sources.md none      instead of wavelength_nm: lines such as "F d C",
+                                                                blackbody:3000, am0, d65 or a .csv file
+    band_nm             nm        two, rising         400, 700  the band of a continuous spectrum that is traced; of a
+                                                                table all of it by default
+    bands               1         1 … 200             6         parts of equal width that the band is traced in
+    stokes              1         degree ≤ 1          none      polarised light, "s1, s2, s3" over S0; or ``jones``,
+                                                                "ex, ey"; or ``polarization_deg``, linear at an angle:
+                                                                see docs/polarization.md
+    to_world            mm        rigid               identity  the axis
+    =================== ========= =================== ========= ===================================================
+
+    The flux of a trace is that through the sphere around the scene, radiance · Ω · π R². Mitsuba's ``constant`` is the
+    same sky all around, for stock integrators as well.
+
+    .. code-block:: xml
+
+        <emitter type="sky">
+            <float name="radiance" value="1e-6"/>
+            <float name="half_angle_deg" value="90"/>
+        </emitter>
+
+    .. code-block:: python
+
+        {"type": "sky", "radiance": 2.5e-9}
+    """
+
+    ranges = {"half_angle_deg": HALF_ANGLE_DEG}
+    defaults = {"half_angle_deg": 180.0}
+    densities = ("radiance",)
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        self.picture: SkyMap | None = None
+        if "filename" not in props:
+            return
+        if "half_angle_deg" in props or "field_deg" in props or "azimuth_deg" in props:
+            self._fail("filename is given with half_angle_deg, field_deg or azimuth_deg; turn a picture by to_world")
+        file = str(mi.file_resolver().resolve(str(props["filename"])))
+        if is_healpix(file):
+            values, nested = read_healpix(file, self.owner)
+            side = sides(len(values))
+            if not side or (nested and side & (side - 1)):
+                self._fail(f"filename '{file}' has {len(values)} pixels; 12 N² are a whole sky")
+            # The light comes from the pixels that lie the other way
+            self.lay(lambda d: values[pixel(side, -d, nested)], HEALPIX_ROWS * side)
+            return
+        check_picture(file, self.owner)
+        try:
+            around = mi.load_dict({"type": "envmap", "filename": file})
+        except RuntimeError:
+            self._fail(f"filename '{file}' is no picture; give an .exr, .hdr or .png")
+        height = mi.traverse(around)["data"].shape[0]
+        self.lay(environment(around), height)
+
+    def lay(self, radiance: Callable[[np.ndarray], np.ndarray], height: int) -> None:
+        """Take a radiance of directions in the frame of ``to_world``, in as many steps as a picture of this height."""
+        self.picture = SkyMap(radiance, FINER * height)
+        if not 0 < self.picture.irradiance < np.inf:
+            self._fail(f"the picture has a mean radiance of {self.picture.irradiance:g}; give one with light")
+
+    def frame(self, field_deg: float | None = None, azimuth_deg: float | None = None) -> tuple[np.ndarray, ...]:
+        """The sky in the world, see `LightSource.frame`; a picture does not turn with the field."""
+        return super().frame(field_deg, azimuth_deg) if self.picture is None else super().frame(0.0, 0.0)
+
+    @property
+    def solid_angle(self) -> float:
+        """Of the cone, sr; of a picture ∫ L dΩ."""
+        if self.picture is not None:
+            return self.picture.irradiance
+        return float(4 * np.pi * np.sin(np.radians(self.values["half_angle_deg"]) / 2) ** 2)
+
+    def directions(self, sample: mi.Point2d, n: Mapping[str, mi.Float64]) -> mi.Vector3d:
+        if self.picture is not None:
+            return self.picture.directions(sample)
+        square, cosine, sine = polar(sample)
+        return direction(cosine_power(square, mi.Float64(0), dr.cos(dr.deg2rad(n["half_angle_deg"]))), cosine, sine)
+
+
+mi.register_emitter("sky", lambda props: Sky(props))

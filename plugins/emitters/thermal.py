@@ -1,0 +1,210 @@
+"""Plugin `thermal`: what the warm surfaces of the scene themselves emit."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from itertools import pairwise
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.coatings import METAL_K
+from mistray.errors import MistrayError, MistrayWarning
+from mistray.ids import fits
+from mistray.materials import complex_index
+from mistray.physics.planck import band_radiance
+from mistray.physics.polarization.state import WAYS
+from mistray.plugins.emitters.light_source import LightSource
+from mistray.ranges import TEMPERATURE_K
+from mistray.sampling.emission_laws import IntensityTable
+from mistray.sampling.source import SceneSource, SourceRequest
+from mistray.sampling.warm.emissivity import BACK, FRONT, emissivities, material_of, medium_of
+from mistray.sampling.warm.surface_rays import WarmRays
+from mistray.spectra.spectrum import DEFAULT_BANDS, Light, spectrum
+from mistray.surfaces.host_points import area
+from mistray.surfaces.surfaces import SurfaceTable
+
+BAND_NM = (8000.0, 12000.0)
+ANGLES = 721  # from the normal to the surface
+OTHERS = ("wavelength_nm", "weights", "spectrum", "power", "field_deg", "azimuth_deg", "to_world", *WAYS)
+
+
+class Thermal(LightSource):
+    r"""
+    Thermal emission of the scene (:monosp:`thermal`): every surface at its temperature, as a source of a forward trace.
+
+    By Kirchhoff's law a surface emits, at each angle, the share of a blackbody's radiance that it absorbs there: what
+    its coating neither reflects nor transmits and its scatter does not send on. Each surface is a source of its own in
+    the path table, ``id:surface``, so that the table says by which paths which surface shines on which detector.
+
+    =================== ========= =================== ========= ===================================================
+    parameter           unit      range               default   meaning
+    =================== ========= =================== ========= ===================================================
+    temperature_K       K         0 … 1e6             293       of all that ``parts`` does not name
+    parts               string    name=T; …           none      temperatures of surfaces and parts by their names, with
+                                                                * and ?: "detector=77; shield_*=80"; the last that fits
+                                                                holds
+    band_nm             nm        two, rising         8000,     the band of the detector
+                                                      12000
+    bands               1         1 … 200             6         parts of equal width that the band is traced in
+    =================== ========= =================== ========= ===================================================
+
+    Both sides of a surface emit, with n² of the material there: none into a metal, and as in air from a surface that is
+    opaque and names no material. The light is unpolarised. Media that absorb emit as well; that is not traced, and a
+    warning names them. What the detector gets `mistray.thermal` finds sooner, by rays from the detector; this source
+    shows where the emission of each surface goes, on any surface, probe or detector.
+
+    With ``wavelength_nm`` in a call the optics are traced at these wavelengths, and the power is that of the whole
+    band. Temperatures have no derivatives.
+
+    .. code-block:: xml
+
+        <emitter type="thermal" id="warm">
+            <float name="temperature_K" value="293"/>
+            <string name="parts" value="detector=77"/>
+        </emitter>
+
+    .. code-block:: python
+
+        {"type": "thermal", "temperature_K": 293.0, "band_nm": "3000, 5000", "parts": "detector=77; shield_*=80"}
+    """
+
+    ranges = {"temperature_K": TEMPERATURE_K}
+    defaults = {"temperature_K": 293.0}
+
+    def _rules(self, text: str) -> dict[str, float]:
+        """Temperatures by name, K."""
+        found: dict[str, float] = {}
+        for part in filter(None, (part.strip() for part in text.split(";"))):
+            name, _, kelvin = (word.strip() for word in part.rpartition("="))
+            if not name:
+                self._fail(f"parts is '{text}', and a temperature in it has no name; give 'detector=77; shield_*=80'")
+            try:
+                found[name] = float(TEMPERATURE_K.check(f"temperature of '{name}'", float(kelvin), self.owner))
+            except ValueError as error:
+                if isinstance(error, MistrayError):
+                    raise
+                self._fail(f"parts is '{text}'; give names and temperatures in K, 'detector=77; shield_*=80'")
+        return found
+
+    def _light(self, props: mi.Properties) -> Light:
+        """The parts of the band, by the spectrum of the warmest; each surface has its own shares of the power."""
+        if given := [key for key in OTHERS if key in props]:
+            self._fail(
+                f"{given[0]} is given; the scene's own emission takes temperature_K, parts, band_nm and bands alone"
+            )
+        band, bands = self._band(props)
+        self.rules = self._rules(str(props.get("parts", "")))
+        warmest = max([self.values["temperature_K"], *self.rules.values()])
+        if band is not None and len(band) != 2:
+            self._fail(f"band_nm has {len(band)} values; give its two ends in nm")
+        low, high = band or BAND_NM
+        self.edges_nm = np.linspace(low, high, (bands or DEFAULT_BANDS) + 1)
+        if not warmest > 0:
+            self._fail("everything is at 0 K and emits nothing; give temperature_K or parts")
+        return spectrum(f"blackbody:{warmest!r}").light((low, high), bands or DEFAULT_BANDS)
+
+    def kelvin(self, *names: str) -> float:
+        """Temperature of what has these names, K."""
+        found = self.values["temperature_K"]
+        for pattern, value in self.rules.items():
+            if any(fits(name, pattern) for name in names):
+                found = value
+        return found
+
+    def sources(self, request: SourceRequest) -> Sequence[SceneSource]:
+        """What a trace starts: two sides of each surface at each wavelength, without those that emit nothing."""
+        first = SurfaceTable(request.system, float(request.wavelengths_nm[0]))
+        for pattern in self.rules:
+            if not any(fits(name, pattern) for name in (*first.ids, *first.parts)):
+                self._fail(f"parts names '{pattern}', and no surface or part is called so; parts are "
+                           + ", ".join(sorted(set(first.parts))))  # fmt: skip
+        self._tell_of_bulk(first, float(request.wavelengths_nm[0]))
+        kelvins = [self.kelvin(*names) for names in zip(first.ids, first.parts, strict=True)]
+        areas = [area(first, k) for k in range(first.count)]
+        own = np.array_equal(request.wavelengths_nm, self.wavelengths_nm)
+        theta = np.linspace(0, 90, ANGLES)
+        cosines = np.maximum(np.cos(np.radians(theta)), 1e-6)
+        laws: dict[bytes, IntensityTable] = {}
+        found: list[SceneSource] = []
+        for line, (wavelength, weight) in enumerate(zip(request.wavelengths_nm, request.weights, strict=True)):
+            table = first if line == 0 else first.at(float(wavelength))
+            shares = emissivities(table, cosines)
+            for k in range(table.count):
+                radiance = self._radiance(kelvins[k], line if own else None) * (1.0 if own else float(weight))
+                for side in (FRONT, BACK):
+                    emitted = shares[k, side] * cosines
+                    emitted[-1] = 0.0
+                    index = self._index(table, k, side, float(wavelength))
+                    if not emitted.any() or not radiance > 0 or not index:
+                        continue
+                    law = laws.setdefault(emitted.tobytes(), _law(theta, emitted))
+                    found.append(self._rays(request, table, k, side, law, areas[k] * radiance * index**2 * law.flux))
+        return found
+
+    def _tell_of_bulk(self, table: SurfaceTable, wavelength_nm: float) -> None:
+        """Warn of media that absorb: they emit as well."""
+        for material in table.optics.media[1:]:
+            if 0 < complex_index(material, wavelength_nm).imag <= METAL_K:
+                warnings.warn(
+                    f"{self.owner}: '{material}' absorbs, and what it emits is not traced, only what surfaces emit; "
+                    "mistray.thermal has both", MistrayWarning, stacklevel=2,
+                )  # fmt: skip
+
+    def _radiance(self, kelvin: float, part: int | None) -> float:
+        """Of a blackbody in a part of the band, or all of it, W/mm²/sr."""
+        low, high = self.edges_nm[[0, -1]] if part is None else list(pairwise(self.edges_nm))[part]
+        return float(band_radiance(kelvin, 1e-3 * low, 1e-3 * high))
+
+    @staticmethod
+    def _index(table: SurfaceTable, surface: int, side: int, wavelength_nm: float) -> float:
+        """Of the material on a side of a surface; 0 of a metal, where nothing travels."""
+        index = complex_index(material_of(table, surface, side), wavelength_nm)
+        return 0.0 if index.imag > METAL_K else float(index.real)
+
+    def _rays(
+        self, request: SourceRequest, table: SurfaceTable, surface: int, side: int, law: IntensityTable, power: float
+    ) -> WarmRays:
+        """The rays of one side of a surface."""
+        axes = np.eye(3)
+        return WarmRays(
+            emitter=self,
+            name=f"{request.name}:{table.ids[surface]}",
+            wavelength_nm=table.wavelength_nm,
+            power=power,
+            pivot=np.zeros(3),
+            direction=axes[2],
+            u=axes[0],
+            v=axes[1],
+            shape=table.ids[surface],
+            medium=medium_of(table, surface, side),
+            table=table,
+            surface=surface,
+            to_back=side == BACK,
+            law=law,
+        )
+
+    def to_string(self) -> str:
+        """Without a power: that is not known before the scene is."""
+        low, high = self.edges_nm[[0, -1]]
+        return f"Thermal[{self.values['temperature_K']:g} K, {self.rules}, {low:g} to {high:g} nm]"
+
+    def power(self, field_deg: float | None = None) -> float:
+        """None for stock integrators: what the scene emits is not known before it is there."""
+        return 0.0
+
+    def sample_ray(
+        self, time: mi.Float, sample1: mi.Float, sample2: mi.Point2f, sample3: mi.Point2f, active: mi.Mask = True
+    ) -> tuple[mi.Ray3f, mi.Spectrum]:
+        """No light for stock integrators."""
+        return dr.zeros(mi.Ray3f, dr.width(sample2)), mi.Spectrum(0)
+
+
+def _law(theta_deg: np.ndarray, emitted: np.ndarray) -> IntensityTable:
+    """The intensity against the angle from the normal, the same at all azimuths."""
+    return IntensityTable(theta_deg, np.array([0.0, 360.0]), np.repeat(emitted[:, None], 2, axis=1))
+
+
+mi.register_emitter("thermal", lambda props: Thermal(props))

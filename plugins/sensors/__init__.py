@@ -1,0 +1,1 @@
+"""Sensor plugins, one per file; the file is named after the plugin."""

@@ -1,0 +1,103 @@
+"""Plugin `probe`: light that crosses a rectangle anywhere in a scene."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mistray.plugins.sensors.passing_sensor import PassingSensor
+from mistray.ranges import FILM_SIDE, SIZE_MM
+from mistray.recorders.passing.probe import Probe
+
+PIXELS = 64  # along each side, without a film
+
+
+class ProbeSensor(PassingSensor):
+    r"""
+    Probe (:monosp:`probe`): records the light that crosses a rectangle, and lets it pass.
+
+    It stands at the top of the scene, not in a shape. The rectangle is in the plane of x and y of its frame, and light
+    counts that goes towards +z of it; a second probe with its frame turned round counts what comes back. Each
+    `mistray.trace` of the scene has a `mistray.recorders.Probe` under the id of the sensor, with irradiance and
+    radiance; ``mi.render`` with the ``straylight`` integrator gives the irradiance (height, width, 1) in W/mm², row 0
+    at the smallest y. Mitsuba's own integrators see what an irradiance meter there would.
+
+    ============= ========= ============= ======== ====================================================================
+    parameter     unit      range         default  meaning
+    ============= ========= ============= ======== ====================================================================
+    half_width    mm        1e-15 … 1e12  1        half of the rectangle along x
+    half_height   mm        1e-15 … 1e12  1        half of the rectangle along y
+    directions    1         1 … 65536     1        cells of direction along each of x and y, uniform in the direction
+                                                   cosines, for the radiance; 1: none
+    to_world      transform rigid         identity its frame
+    (nested) film film                    64 × 64  pixels of the rectangle
+    ============= ========= ============= ======== ====================================================================
+
+    None of these is differentiable. Traces by workers refuse scenes with probes.
+
+    .. code-block:: xml
+
+        <sensor type="probe" id="behind the stop">
+            <float name="half_width" value="20"/>
+            <float name="half_height" value="20"/>
+            <film type="hdrfilm">
+                <integer name="width" value="32"/>
+                <integer name="height" value="32"/>
+            </film>
+            <transform name="to_world"><translate z="17"/></transform>
+        </sensor>
+
+    .. code-block:: python
+
+        {"type": "probe", "half_width": 20.0, "to_world": mi.ScalarTransform4f().translate([0, 0, 17])}
+    """
+
+    what = "probe"
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        self.half = tuple(SIZE_MM.check(key, props.get(key, 1.0), self.owner) for key in ("half_width", "half_height"))
+        self.directions = int(FILM_SIDE.check("directions", props.get("directions", 1), self.owner))
+        size = self.film().size()
+        self.pixels = (int(size[0]), int(size[1])) if self.has_film else (PIXELS, PIXELS)
+        self.recorder()  # refuses what a probe cannot be
+
+    def recorder(self) -> Probe:
+        """See `PassingSensor.recorder`."""
+        return Probe(
+            self.name,
+            self.matrix[:3, 3],
+            normal=self.matrix[:3, 2],
+            half_width=self.half[0],
+            half_height=self.half[1],
+            pixels=self.pixels,
+            directions=self.directions,
+            up=self.matrix[:3, 1],
+        )
+
+    def sample_ray(
+        self,
+        time: mi.Float,
+        wavelength_sample: mi.Float,
+        position_sample: mi.Point2f,
+        aperture_sample: mi.Point2f,
+        active: mi.Bool = True,
+    ) -> tuple[mi.Ray3f, mi.Color3f]:
+        """From where light of a point of the rectangle comes, by the cosine law; the mean of π L is the irradiance."""
+        right, up, normal = (mi.Vector3f(*map(float, axis)) for axis in self.matrix[:3, :3].T)
+        centre = mi.Point3f(*map(float, self.matrix[:3, 3]))
+        x, y = ((2 * s - 1) * half for s, half in zip(position_sample, self.half, strict=True))
+        back = mi.warp.square_to_cosine_hemisphere(aperture_sample)
+        wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active)
+        ray = mi.Ray3f(centre + x * right + y * up, back.x * right + back.y * up - back.z * normal, time, wavelengths)
+        return ray, weight * dr.pi
+
+    def sample_ray_differential(self, *samples: Any, **more: Any) -> tuple[mi.RayDifferential3f, mi.Color3f]:
+        """See `sample_ray`; there are no differentials."""
+        ray, weight = self.sample_ray(*samples, **more)
+        return mi.RayDifferential3f(ray), weight
+
+
+mi.register_sensor("probe", lambda props: ProbeSensor(props))

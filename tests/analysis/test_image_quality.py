@@ -1,0 +1,165 @@
+"""Image quality of scenes with closed forms: paraboloids, their coma, scale, illumination; and what is refused."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import mistray
+from mistray.errors import MistrayError
+from mistray.physics.imaging import ideal
+
+pytestmark = pytest.mark.quick
+
+FOCAL, RADIUS, OBSTRUCTION = 100.0, 12.5, 0.2
+
+
+def shape(kind="asphere", sensor=False, z=0.0, bsdf=None, **numbers):
+    value = {"type": kind, "bsdf": {"type": "interface", **(bsdf or {"R": 0.0})}, **numbers}
+    value["to_world"] = mi.ScalarTransform4f().translate([0, 0, z])
+    return value | ({"sensor": {"type": "irradiancemeter"}} if sensor else {})
+
+
+def paraboloid(scale=1.0, obstruction=OBSTRUCTION, half_width=None, **light):
+    """A concave mirror at z = 0 whose focus, in front of it, is a disc that takes the middle of the beam."""
+    stop = {"half_width": half_width * scale, "half_height": half_width * scale} if half_width else {
+        "semi_diameter": obstruction * RADIUS * scale
+    }  # fmt: skip
+    return {
+        "type": "scene",
+        "light": {"type": "collimated", "radius": 2 * RADIUS * scale, "wavelength_nm": 550.0, **light},
+        "mirror": shape(
+            radius=-2 * FOCAL * scale, conic=-1.0, semi_diameter=RADIUS * scale, bsdf={"R": 0.9, "mirror": True}
+        ),
+        "detector": shape(sensor=True, z=-FOCAL * scale, **stop),
+    }
+
+
+@pytest.fixture(scope="module")
+def axis():
+    return mistray.image_quality(mistray.load(paraboloid()), 0.0, grid=128)[0]
+
+
+def test_annular_pupil(axis):
+    """
+    A paraboloid has no aberration on its axis, and its pupil in direction cosines is an annulus.
+
+    sin of the edge: y = 2f tan(u/2), so that N = 1/(2 sin u) = (1 + (y/2f)²)/(2 y/f).
+    """
+    half = RADIUS / (2 * FOCAL)
+    f_number = (1 + half**2) / (4 * half)
+    assert axis.rms_waves("piston") < 1e-6
+    assert axis.strehl == pytest.approx(1.0, abs=1e-6)
+    assert axis.f_number() == pytest.approx(f_number, rel=2e-3)
+    cut = ideal.cut_off(550e-6, f_number)
+    inner = OBSTRUCTION * (1 + half**2) / (1 + (half * OBSTRUCTION) ** 2)
+    share = np.linspace(0, 1, 41)
+    for azimuth in ("tangential", "sagittal", 30.0):
+        assert axis.mtf(share * cut, azimuth) == pytest.approx(ideal.annular_mtf(share, inner), abs=1.5e-3)
+    psf = axis.psf(64, method="huygens")
+    assert psf.values == pytest.approx(axis.psf(64).values, abs=1e-5 * psf.values.max())
+    assert np.unravel_index(np.argmax(psf.values), (64, 64)) == (32, 32)
+
+
+def test_line_and_edge(axis):
+    x = np.linspace(-0.02, 0.02, 401)
+    line, edge = axis.line_spread(x, "sagittal")
+    assert edge[200] == pytest.approx(0.5, abs=1e-9)
+    assert np.gradient(edge, x)[1:-1] == pytest.approx(line[1:-1], abs=0.02 * line.max())
+    assert np.all(line > -1e-3 * line.max())
+
+
+def test_coma_and_scale():
+    """Off the axis a paraboloid with its stop on it has coma 3θ/(16 N²), astigmatism, and no distortion."""
+    theta = 0.2
+    (image,) = mistray.image_quality(mistray.load(paraboloid(half_width=1.0)), theta)
+    assert image.image_mm == pytest.approx([0.0, FOCAL * np.tan(np.radians(theta))], abs=1e-9) or (
+        image.image_mm == pytest.approx([0.0, -FOCAL * np.tan(np.radians(theta))], abs=1e-9)
+    )
+    assert image.distortion_percent == pytest.approx(0.0, abs=1e-6)
+    fit = image.main.zernikes("fringe", 16)
+    # W131 = θ y³/(4 f²): the wavefront of the coma of a paraboloid; R31 = 3ρ³ - 2ρ
+    coma = np.radians(theta) * RADIUS**3 / (4 * FOCAL**2) / 3 / 550e-6
+    number = fit.names.index("coma y")
+    assert abs(fit.coefficients[number]) == pytest.approx(coma, rel=0.02)
+    assert abs(fit.coefficients[fit.names.index("coma x")]) < 1e-4
+    # Astigmatism: the sagittal image lies in the focal plane, the tangential one θ² f in front of it
+    assert image.sagittal_focus_mm == pytest.approx(0.0, abs=1e-6)
+    assert image.tangential_focus_mm == pytest.approx(-FOCAL * np.radians(theta) ** 2, rel=0.01)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e6])
+def test_scales(scale):
+    """A mirror of 25 µm and one of 25 km: what has no unit stays, if the wavelength grows as well."""
+    (found,) = mistray.image_quality(mistray.load(paraboloid(scale)), 0.0, wavelength_nm=550.0 * min(scale * 1e2, 1e3))
+    assert found.rms_spot_mm() < 1e-5 * scale  # places of a scene are in float32
+    assert found.f_number() == pytest.approx(4.0, rel=0.01)
+    assert found.strehl == pytest.approx(1.0, abs=1e-4)
+
+
+def test_table():
+    found = mistray.image_quality(mistray.load(paraboloid()), [0.0, 0.1], wavelength_nm=[500, 600], weights=[1, 2])
+    table = found.to_pandas([50.0])
+    assert table.mtf_tangential_50_per_mm.between(0, 1).all()
+    assert list(table.field_deg) == [0.0, 0.1]
+    assert found.stop == "mirror"
+    assert found.image_scale_mm == pytest.approx(FOCAL, rel=1e-6)
+    assert found[0].reference == 1
+    assert found[0].shares == pytest.approx([1 / 3, 2 / 3])
+
+
+def test_refused():
+    scene = mistray.load(paraboloid())
+    with pytest.raises(MistrayError, match=r"field 60°.*no light"):
+        mistray.image_quality(mistray.load("cooke_triplet"), 60.0)
+    with pytest.raises(MistrayError, match="'nobody'"):
+        mistray.image_quality(scene, stop="nobody")
+    with pytest.raises(MistrayError, match="grid is 3"):
+        mistray.image_quality(scene, grid=3)
+    with pytest.raises(MistrayError, match="reference_radius_mm is 0"):
+        mistray.image_quality(scene, reference_radius_mm=0.0)
+    with pytest.raises(MistrayError, match="afocal"):
+        mistray.image_quality(mistray.load("plate"))
+    blind = paraboloid()
+    del blind["mirror"]
+    with pytest.raises(MistrayError, match="no image"):
+        mistray.image_quality(mistray.load(blind))
+
+
+@pytest.mark.long
+def test_near_object():
+    """An Offner relay images at 1:1 without distortion; its pupils lie far away, its MTF is nearly ideal."""
+    axis, beside = found = mistray.image_quality(mistray.load("offner_relay"), field_mm=[0.0, 2.0], grid=48)
+    assert found.magnification == pytest.approx(1.0, rel=1e-6)
+    assert beside.field_mm == pytest.approx(2.0)
+    assert np.linalg.norm(beside.image_mm - axis.image_mm) == pytest.approx(2.0, rel=1e-5)
+    assert axis.strehl > 0.99
+    f = np.linspace(0, 0.9, 10) * axis.cut_off_per_mm()
+    assert axis.mtf(f) == pytest.approx(axis.diffraction_limit(f), abs=0.01)
+
+
+def test_light_that_is_not_resolved_has_no_psf():
+    """A point at 300 mm before a lens that is focused at infinity: the spot is there, a note says why MTF is not."""
+    found = mistray.image_quality(mistray.load("cooke_triplet", "point:0,0,-300"), field_mm=5.0)
+    (image,) = found
+    assert np.isnan(image.mtf([10.0])).all()
+    assert np.isnan(image.strehl)
+    assert np.isfinite(image.rms_spot_mm())
+    assert "field 5 mm" in found.notes[0]
+
+
+def test_azimuth_turns_the_image():
+    """A centred lens: the numbers stay, the image point turns."""
+    scene = mistray.load("cooke_triplet")
+    up, aside = (mistray.image_quality(scene, 10.0, azimuth_deg=azimuth, grid=48)[0] for azimuth in (0.0, 30.0))
+    turn = np.radians(30.0)
+    expected = up.image_mm[1] * np.array([-np.sin(turn), np.cos(turn)])
+    assert aside.image_mm == pytest.approx(expected, abs=1e-6)
+    for azimuth in ("tangential", "sagittal"):
+        assert aside.mtf([30.0], azimuth) == pytest.approx(up.mtf([30.0], azimuth), abs=0.005)
+
+
+def test_sources_without_an_image():
+    with pytest.raises(MistrayError, match="neither far away nor a point"):
+        mistray.image_quality(mistray.load("cooke_triplet", "laser:0,0,-50,waist_x=1,waist_y=1"))

@@ -1,0 +1,283 @@
+"""Polarised sources: Mueller cascades against field vectors in float64 with amplitudes of `tmm`."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from oracles.polarized import Hit, carry, ending, starting
+from oracles.skew_path import Face, SkewPath, skew_path
+from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
+
+import mistray
+from mistray.kernel.polarization import carried, first_axis
+
+ALUMINIUM, SILVER = 0.958 + 6.69j, 0.055 + 3.32j
+PROTECTED = ((1.46 + 0j, 180.0),)
+ENHANCED = ((2.3 + 0j, 60.0), (1.38 + 0j, 110.0))
+COATED = ((1.38 + 0j, 99.6),)
+SPLITTER = ((2.35 + 0j, 58.5), (1.46 + 0j, 94.2), (2.35 + 0j, 58.5))
+
+# How the source states it, and s1, s2, s3
+STATES = {
+    "0 deg": ({"polarization_deg": 0.0}, (1, 0, 0)),
+    "45 deg": ({"polarization_deg": 45.0}, (0, 1, 0)),
+    "90 deg": ({"polarization_deg": 90.0}, (-1, 0, 0)),
+    "right circular": ({"jones": "1, -1i"}, (0, 0, 1)),
+    "left circular": ({"stokes": "0, 0, -1"}, (0, 0, -1)),
+    "elliptical": ({"jones": "2, 1-2i"}, (-1 / 9, 4 / 9, 8 / 9)),  # 2 ex ey* = 4 + 8i, of 9
+    "partial": ({"stokes": "0.3, -0.2, 0.5"}, (0.3, -0.2, 0.5)),
+}
+PATHS = {
+    "tilted plate": [Face(56, 90, "T", 1.5), Face(30, 90, "T", 1.0)],
+    "plate across": [Face(60, 0, "T", 1.7, COATED), Face(25, 55, "T", 1.0, COATED)],
+    "ghost in a plate": [
+        Face(45, 20, "T", 1.5),
+        Face(28, 140, "R", 1.0),
+        Face(40, 250, "R", 1.0),
+        Face(20, 60, "T", 1.0),
+    ],
+    "bare mirrors": [
+        Face(45, 90, "R", ALUMINIUM, PROTECTED),
+        Face(60, 30, "R", SILVER, PROTECTED),
+    ],
+    "coated mirrors": [
+        Face(45, 35, "R", ALUMINIUM, ENHANCED),
+        Face(30, 160, "R", ALUMINIUM, ENHANCED),
+        Face(65, 250, "R", SILVER, PROTECTED),
+    ],
+    "total reflection": [
+        Face(45, 10, "T", 1.7),
+        Face(50, 40, "I", 1.0),
+        Face(60, 110, "I", 1.0),
+        Face(30, 70, "T", 1.0),
+    ],
+    "splitter": [Face(40, 75, "T", 1.5, COATED), Face(45, 15, "I", 1.0, SPLITTER), Face(35, 190, "T", 1.0, SPLITTER)],
+}
+MUELLER = 1e-6  # of the flux that starts
+
+
+def traced(path: SkewPath, load_scene) -> tuple[mistray.trace.PathRow, np.ndarray]:
+    """The path through all faces, and the flux behind each of them for 1 that starts."""
+    t = mistray.trace(load_scene(path.text), rays=32, max_reflections=4, flux_threshold=0.0)
+    assert t.settings["polarization"] == "stokes"
+    assert abs(t.energy.closure) < 1e-6
+    (row,) = t.paths.find(*path.events)
+    table = t.history(row.path_id, n=1).to_pandas()
+    flux = table.flux_W.to_numpy()
+    np.testing.assert_allclose(table[["dx", "dy", "dz"]].to_numpy()[:-1], path.directions, atol=1e-9)
+    assert row.power_W / t.energy.launched_W == pytest.approx(flux[-1] / flux[0], abs=1e-7)
+    return row, flux[2:] / flux[0]
+
+
+class TestMuellerCascades:
+    @pytest.mark.parametrize("state", STATES)
+    @pytest.mark.parametrize("name", PATHS)
+    def test_flux_and_state(self, load_scene, name, state) -> None:
+        """A polariser before plates, mirrors and total reflections: flux behind every event, the state at the end."""
+        light, stokes = STATES[state]
+        path = skew_path(PATHS[name], field_deg=12.0, azimuth_deg=35.0, **light)
+        row, measured = traced(path, load_scene)
+        d = path.directions
+        flux, fields = carry(d, path.hits, 550.0, starting(d[0], path.u, stokes))
+        np.testing.assert_allclose(measured, flux, rtol=0, atol=MUELLER)
+        expected = ending(fields, d[-1])
+        # Relative to the flux of the path: of a weak one the angles of incidence are not known better
+        allowed = 2 * MUELLER + 3e-7 / flux[-1]
+        np.testing.assert_allclose((row.s1, row.s2, row.s3), expected, rtol=0, atol=allowed)
+        assert row.polarization == pytest.approx(np.linalg.norm(expected), abs=allowed)
+
+    def test_the_oracle_tells_states_apart(self) -> None:
+        """Each state ends in another one behind the mirrors, and their fluxes differ by far more than the tolerance."""
+        found = []
+        for _, stokes in STATES.values():
+            path = skew_path(PATHS["coated mirrors"], field_deg=12.0, azimuth_deg=35.0)
+            d = path.directions
+            flux, fields = carry(d, path.hits, 550.0, starting(d[0], path.u, stokes))
+            found.append([flux[-1], *ending(fields, d[-1])])
+        apart = [np.abs(np.subtract(a, b)) for k, a in enumerate(found) for b in found[:k]]
+        assert min(pair[1:].max() for pair in apart) > 0.1
+        assert max(pair[0] for pair in apart) > 1e3 * MUELLER
+
+
+@pytest.mark.parametrize(
+    "pair",
+    [
+        ("polarization_deg", 0.0, 90.0),
+        ("polarization_deg", 33.0, 123.0),
+        ("stokes", "0, 0, 1", "0, 0, -1"),
+        ("jones", "2, 1-2i", "-1-2i, 2"),
+    ],
+)
+def test_orthogonal_states_make_unpolarised_light(load_scene, pair) -> None:
+    """Path by path the mean of two orthogonal states is the unpolarised trace, to the rounding of its reflections."""
+    key, *values = pair
+
+    def powers(**light: float | str) -> dict[str, float]:
+        text = plates_text(2).replace(
+            '<emitter type="collimated">',
+            '<emitter type="collimated">'
+            + "".join(
+                f'<{"float" if isinstance(v, float) else "string"} name="{k}" value="{v}"/>' for k, v in light.items()
+            ),
+        )
+        settings = {"field_deg": 50.0, "azimuth_deg": 20.0, "max_reflections": 4, "flux_threshold": 0.0}
+        t = mistray.trace(load_scene(text), rays=64, polarization="stokes", **settings)
+        return {row.events: row.power_W / t.energy.launched_W for row in t.paths}
+
+    plain = powers()
+    one, other = (powers(**{key: value}) for value in values)
+    assert len(plain) > 10
+    assert set(plain) == set(one) == set(other)
+    for events, power in plain.items():
+        assert (one[events] + other[events]) / 2 == pytest.approx(power, rel=3e-6, abs=1e-9)
+        assert (one[events] + other[events]) / 2 == pytest.approx(power, abs=2e-7)
+
+
+class TestAxes:
+    def test_first_axis_is_carried_by_the_smallest_rotation(self) -> None:
+        """Rodrigues' rotation about axis × d, for directions all around, those close to the way back included."""
+        rng = np.random.default_rng(5)
+        d = rng.normal(size=(500, 3))
+        d[:50] = [0, 0, -1] + 1e-2 * d[:50]
+        d /= np.linalg.norm(d, axis=1, keepdims=True)
+        axis, u = np.array([0.0, 0.0, 1.0]), np.array([0.6, 0.8, 0.0])
+        k = np.cross(axis, d)
+        sine, cosine = np.linalg.norm(k, axis=1), d[:, 2]
+        k /= sine[:, None]
+        expected = (
+            cosine[:, None] * u + sine[:, None] * np.cross(k, u) + ((1 - cosine) * (k @ u))[:, None] * k
+        )  # fmt: skip
+        found = carried(mi.Vector3d(*u.tolist()), mi.Vector3d(*axis.tolist()), mi.Vector3d(*d.T))
+        np.testing.assert_allclose(np.array(found).T, expected, atol=1e-10)
+
+    @pytest.mark.parametrize("z", [1.0, -1.0])
+    def test_forwards_and_straight_back_it_stays(self, z) -> None:
+        u, axis = mi.Vector3d(1, 0, 0), mi.Vector3d(0, 0, 1)
+        np.testing.assert_allclose(np.array(carried(u, axis, mi.Vector3d(0, 0, z))).ravel(), [1, 0, 0], atol=1e-15)
+
+    def test_axes_of_the_table(self) -> None:
+        """The world's x across the ray, or y close to x."""
+        d = dr.normalize(mi.Vector3f([0.0, 0.3, 0.95], [0.1, 0.2, 0.1], [1.0, -0.5, 0.2]))
+        axes = np.array(first_axis(d)).T
+        assert np.all(axes[:2, 0] > 0)
+        assert np.all(np.abs(axes[:2] @ [0, 1, 0]) < 0.2)
+        assert axes[2, 1] > 0.9
+
+    def test_rays_of_a_point(self, load_scene) -> None:
+        """A polarised point before a tilted plane: each ray against the fields of its own direction."""
+        matrix = mi.ScalarTransform4f().rotate([1, 0, 0], 50.0).matrix
+        plane = shape_xml("asphere", "face", 0.0, interface_xml("air", "1.7"), semi_diameter=40.0).replace(
+            '<translate z="0.0"/>', f'<matrix value="{" ".join(map(str, np.array(matrix).ravel()))}"/>'
+        )
+        detector = shape_xml(
+            "asphere", "detector", 60.0, interface_xml("1.7", R=0.0), True, half_width=60.0, half_height=60.0
+        )
+        light = (
+            '<emitter type="point_source"><float name="z" value="-30"/><float name="half_angle_deg" value="35"/>'
+            '<string name="jones" value="1, 0.5-0.5i"/></emitter>'
+        )
+        text = scene_text(plane, detector)
+        text = text[: text.index("<emitter")] + light + text[text.index("</emitter>") + len("</emitter>") :]
+        t = mistray.trace(load_scene(text), rays=3000, max_reflections=0)
+        (row,) = t.paths.find("face:T")
+        table = t.history(row.path_id, n=200).to_pandas()
+        normal = np.array(matrix, dtype=float)[:3, 2]
+        stokes = (1 / 3, 2 / 3, 2 / 3)  # 2 ex ey* = 1 + i, of 1.5
+        seen, states, fluxes = 0, [], []
+        for _, ray in table.groupby("ray"):
+            d = ray[["dx", "dy", "dz"]].to_numpy()[:-1]
+            rotation_axis = np.cross([0.0, 0.0, 1.0], d[0])
+            sine = np.linalg.norm(rotation_axis)
+            k = rotation_axis / sine
+            u = d[0, 2] * np.array([1.0, 0, 0]) + sine * np.cross(k, [1.0, 0, 0]) + (1 - d[0, 2]) * k[0] * k
+            cosine = abs(d[0] @ normal)
+            flux, fields = carry(d, [Hit("T", 1.0, 1.7)], 550.0, starting(d[0], u, stokes))
+            measured = ray.flux_W.to_numpy()
+            # The rounding of a cosine of incidence by 2e-7, times |dT / d cos θ| < 10, steeper close to grazing
+            assert measured[2] / measured[0] == pytest.approx(flux[-1], abs=2e-6 / max(cosine, 0.05))
+            states.append(ending(fields, d[-1]))
+            fluxes.append(flux[-1] * measured[0])
+            seen += 1
+        assert seen == 200
+        # The rays of a history are some of the path's: 5 standard errors of a mean, 2e-6 by chance for three means
+        mean = np.average(states, axis=0, weights=fluxes)
+        assert np.all(
+            np.abs(np.subtract(mean, (row.s1, row.s2, row.s3))) < 5 * np.std(states, axis=0) / np.sqrt(seen) + 1e-6
+        )
+
+
+def test_two_sources_one_polarised(load_scene) -> None:
+    """The polarised beam is s-polarised at the plate and the other is not."""
+    text = plates_text(1).replace(
+        "</emitter>", '</emitter><emitter type="collimated" id="laser"><float name="radius" value="1.0"/>'
+        '<float name="polarization_deg" value="0"/></emitter>', 1,
+    )  # fmt: skip
+    t = mistray.trace(load_scene(text), rays=128, field_deg=45.0, max_reflections=0)
+    by_source = {row.source: row for row in t.paths}
+    laser = by_source.pop("laser")
+    (plain,) = by_source.values()
+    c, cos_t = np.sqrt(0.5), np.sqrt(1 - 0.5 / 1.5**2)
+    r_s, r_p = ((c - 1.5 * cos_t) / (c + 1.5 * cos_t)) ** 2, ((1.5 * c - cos_t) / (1.5 * c + cos_t)) ** 2
+    assert laser.power_W / np.pi == pytest.approx((1 - r_s) ** 2, rel=3e-6)
+    assert plain.power_W / np.pi == pytest.approx(((1 - r_s) ** 2 + (1 - r_p) ** 2) / 2, rel=3e-6)
+    assert (laser.s1, laser.polarization) == pytest.approx((1, 1), abs=1e-6)
+    assert t.settings["source_stokes"] == {"laser": (1.0, 0.0, 0.0)}
+
+
+def test_scattered_light_has_lost_its_polarisation(load_scene) -> None:
+    numbers = "".join(f'<float name="{name}" value="{value}"/>' for name, value in (("A", 0.1), ("B", 1), ("g", 0)))
+    wall = interface_xml(R=0.5).replace("</bsdf>", f'<bsdf type="abg">{numbers}</bsdf></bsdf>')
+    text = scene_text(
+        shape_xml("asphere", "wall", 20.0, wall, semi_diameter=20.0),
+        shape_xml("asphere", "detector", -10.0, sensor=True, semi_diameter=30.0, inner_semi_diameter=2.0),
+        stokes="0, 0.6, 0.8",
+    )
+    t = mistray.trace(load_scene(text), rays=2000)
+    scattered = [row for row in t.paths if row.scatters]
+    assert scattered
+    assert all(row.polarization == 0 for row in scattered)
+
+
+class TestWhatIsTraced:
+    def test_no_polarisation_is_todays_trace(self, load_scene) -> None:
+        t = mistray.trace(load_scene(plates_text(1)), rays=64)
+        assert t.settings["polarization"] == "unpolarized"
+        assert "source_stokes" not in t.settings
+        text = plates_text(1).replace("</emitter>", '<string name="stokes" value="0, 0, 0"/></emitter>')
+        assert mistray.trace(load_scene(text), rays=64).settings["polarization"] == "unpolarized"
+
+    def test_integrator(self, load_scene) -> None:
+        """`mi.render` carries the polarisation as well."""
+        text = plates_text(1).replace("</emitter>", '<float name="polarization_deg" value="90"/></emitter>')
+        scene = load_scene(text.replace('name="radius"', 'name="field_deg" value="45"/><float name="radius"'))
+        t = mistray.trace(scene, rays=64)
+        pixel = 100.0**2 / 64**2
+        image = np.array(mi.render(scene, integrator=mi.load_dict({"type": "straylight", "rays": 64})))
+        assert image.sum() * pixel == pytest.approx(t.energy.detected_W, rel=1e-5)
+
+
+class TestRefusals:
+    @pytest.fixture
+    def scene(self, load_scene) -> mi.Scene:
+        return load_scene(plates_text(1).replace("</emitter>", '<string name="jones" value="1, 1i"/></emitter>'))
+
+    def test_forgetting_it(self, scene) -> None:
+        with pytest.raises(mistray.MistrayError, match=r"polarised.*'unpolarized'.*'stokes'"):
+            mistray.trace(scene, rays=64, polarization="unpolarized")
+
+    def test_backward_traces(self, scene) -> None:
+        for method in ("adjoint", "forward"):
+            with pytest.raises(mistray.MistrayError, match=r"polarised.*polarization='unpolarized'"):
+                mistray.pst(scene, [10.0], rays=640, method=method)
+        with pytest.raises(mistray.MistrayError, match=r"polarised.*PST"):
+            mistray.study(scene, quick=True)
+        assert np.all(np.isfinite(mistray.pst(scene, [10.0], rays=640, polarization="unpolarized").value))
+        mistray.thermal(scene, rays=640)  # has nothing to do with the source
+
+    def test_gradients(self, scene) -> None:
+        metric = mistray.optimize.path_power(scene, "ghost", rays=16)
+        for key in ("p0_front.curvature", "p0_front.z"):
+            with pytest.raises(mistray.MistrayError, match="sources without stokes"):
+                mistray.gradient(metric, mi.traverse(scene), keys=[key])

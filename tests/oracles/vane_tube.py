@@ -1,0 +1,105 @@
+"""A painted tube with thin vanes and a detector at its bottom, in float64 NumPy: its PST by a walk of its own.
+
+Light enters at z = L and falls on the bottom at z = 0. Walls, vanes and bottom are Lambertian. Paths go from the
+detector, each direction by the cosine; every vertex of one is connected to the first hit of a ray of light that starts
+in the opening. All orders of scatter are found in this way, and nothing but that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+Array = np.ndarray
+FAR, CLOSE = 1e9, 1e-9
+WALL, BOTTOM, FIRST_VANE = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class VaneTube:
+    """Radius and length of the tube, places of the vanes, radii of their holes and of the detector; reflectance."""
+
+    radius: float
+    length: float
+    vanes: tuple[float, ...]
+    hole: float
+    detector: float
+    reflectance: float
+    scatters: int
+
+    def hit(self, p: Array, d: Array) -> tuple[Array, Array, Array, Array]:
+        """Distance, surface, point and normal towards the ray of the next hit; the opening is the last surface."""
+        a = d[:, 0] ** 2 + d[:, 1] ** 2
+        b = np.sum(p[:, :2] * d[:, :2], axis=1)
+        c = np.minimum(p[:, 0] ** 2 + p[:, 1] ** 2 - self.radius**2, 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = np.where(a > 1e-14, (-b + np.sqrt(np.maximum(b * b - a * c, 0))) / a, FAR)
+        t, s = np.where(t < CLOSE, FAR, t), np.zeros(len(p), dtype=int)
+        for number, z in enumerate((0.0, *self.vanes, self.length)):
+            with np.errstate(divide="ignore", invalid="ignore"):
+                here = (z - p[:, 2]) / d[:, 2]
+                r2 = np.sum((p[:, :2] + here[:, None] * d[:, :2]) ** 2, axis=1)
+            meets = (here > CLOSE) & (here < t)
+            if 0 < number <= len(self.vanes):
+                meets &= r2 > self.hole**2
+            t, s = np.where(meets, here, t), np.where(meets, number + 1, s)
+        q = p + t[:, None] * d
+        normal = np.zeros_like(p)
+        normal[:, 2] = -np.sign(d[:, 2])
+        wall = s == WALL
+        normal[wall] = 0
+        normal[wall, :2] = -q[wall, :2] / self.radius
+        return t, s, q, normal
+
+    def pst(self, low_deg: float, high_deg: float, paths: int, seed: int) -> tuple[float, float]:
+        """PST of light from between two angles, and its standard error from batches."""
+        rng = np.random.default_rng(seed)
+        batches = np.array([self._batch(low_deg, high_deg, paths // 32, rng) for _ in range(32)])
+        return float(batches.mean()), float(batches.std(ddof=1) / np.sqrt(32))
+
+    def _batch(self, low_deg: float, high_deg: float, n: int, rng: np.random.Generator) -> float:
+        cosine = rng.uniform(np.cos(np.radians(high_deg)), np.cos(np.radians(low_deg)), n)
+        sine, turn = np.sqrt(1 - cosine**2), rng.uniform(0, 2 * np.pi, n)
+        sky = np.column_stack([sine * np.cos(turn), sine * np.sin(turn), cosine])
+        _, surface, lit, lit_normal = self.hit(disc(self.radius, self.length - CLOSE, n, rng), -sky)
+        scatters = surface <= FIRST_VANE + len(self.vanes) - 1
+        scatters &= (surface != BOTTOM) | (np.hypot(lit[:, 0], lit[:, 1]) > self.detector)
+        # Radiance that a ray of light of 1 W/mm² gives its first hit, times the area that it stands for
+        light = np.where(scatters, self.reflectance / np.pi * np.pi * self.radius**2 * cosine, 0)
+
+        p, normal = disc(self.detector, 0.0, n, rng), np.tile([0.0, 0.0, 1.0], (n, 1))
+        weight, total = np.ones(n), 0.0
+        for k in range(self.scatters):
+            chosen = rng.integers(0, n, n)
+            v = lit[chosen] - p
+            distance = np.linalg.norm(v, axis=1)
+            v /= distance[:, None]
+            at_p, at_light = np.sum(normal * v, axis=1), -np.sum(lit_normal[chosen] * v, axis=1)
+            worth = np.flatnonzero((weight > 0) & (light[chosen] > 0) & (at_p > CLOSE) & (at_light > CLOSE))
+            t, *_ = self.hit(p[worth] + 1e-7 * normal[worth], v[worth])
+            worth = worth[t >= distance[worth] - 1e-5 * self.radius]
+            response = weight[worth] * (1.0 if k == 0 else self.reflectance / np.pi)
+            geometry = at_p[worth] * at_light[worth] / distance[worth] ** 2
+            total += float(np.sum(response * geometry * light[chosen[worth]])) / n
+            d = by_cosine(normal, rng)
+            _, surface, q, next_normal = self.hit(p + 1e-7 * normal, d)
+            on_detector = (surface == BOTTOM) & (np.hypot(q[:, 0], q[:, 1]) < self.detector)
+            weight = weight * (np.pi if k == 0 else self.reflectance)
+            weight[(surface > FIRST_VANE + len(self.vanes) - 1) | on_detector] = 0
+            p, normal = q, next_normal
+        return total
+
+
+def disc(radius: float, z: float, n: int, rng: np.random.Generator) -> Array:
+    """Points of a disc."""
+    r, turn = radius * np.sqrt(rng.random(n)), rng.uniform(0, 2 * np.pi, n)
+    return np.column_stack([r * np.cos(turn), r * np.sin(turn), np.full(n, z)])
+
+
+def by_cosine(normal: Array, rng: np.random.Generator) -> Array:
+    """Directions about normals with the density cos θ/π: a point of the sphere that touches the surface there."""
+    z, turn = rng.uniform(-1, 1, len(normal)), rng.uniform(0, 2 * np.pi, len(normal))
+    r = np.sqrt(1 - z * z)
+    d = normal + np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
+    return np.asarray(d / np.linalg.norm(d, axis=1, keepdims=True))

@@ -1,0 +1,62 @@
+"""HEALPix by what defines it: equal areas, rings from north to south, four parts in a row, known centres."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mistray.physics.geometry.healpix import pixel, sides
+
+pytestmark = pytest.mark.quick
+
+
+def fine(count: int = 200_000) -> np.ndarray:
+    """Directions that cover the sphere evenly: a Fibonacci lattice."""
+    z = 1 - (2 * np.arange(count) + 1) / count
+    turn = np.pi * (1 + 5**0.5) * np.arange(count)
+    return np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
+
+
+@pytest.mark.parametrize("nested", [False, True])
+@pytest.mark.parametrize("side", [1, 2, 4, 16])
+def test_equal_areas(side: int, nested: bool) -> None:
+    """Of an even cover each pixel has as many points but for those along its rim."""
+    count = np.bincount(pixel(side, fine(), nested), minlength=12 * side * side)
+    assert len(count) == 12 * side * side
+    each = 200_000 / len(count)
+    assert np.max(np.abs(count - each)) < 3 * np.sqrt(each)
+
+
+def test_rings_go_south() -> None:
+    """The mean of cos θ falls from ring to ring: 4, 8, …, 4 N pixels, then 4 N in each of the belt."""
+    side = 8
+    d = fine()
+    number = pixel(side, d, False)
+    z = np.bincount(number, d[:, 2]) / np.bincount(number)
+    sizes = [4 * min(k, side, 4 * side - k) for k in range(1, 4 * side)]
+    rings = np.split(z, np.cumsum(sizes)[:-1])
+    assert max(float(np.ptp(ring)) for ring in rings) < 0.01
+    assert np.all(np.diff([ring.mean() for ring in rings]) < 0)
+
+
+def test_nested_parts_lie_in_their_pixel() -> None:
+    d = fine()
+    for side in (1, 2, 8):
+        assert np.array_equal(pixel(2 * side, d, True) // 4, pixel(side, d, True))
+
+
+def test_both_numbers_are_of_the_same_pixels() -> None:
+    d = fine()
+    for side in (1, 2, 8):
+        pairs = np.unique(np.stack([pixel(side, d, False), pixel(side, d, True)]), axis=1)
+        assert pairs.shape[1] == 12 * side * side
+
+
+def test_the_twelve_faces() -> None:
+    """Centres at cos θ = 2/3, 0, -2/3 and azimuths of 45°, 0°, 45° plus quarters of a turn."""
+    turn = np.radians([45, 135, 225, 315, 0, 90, 180, 270, 45, 135, 225, 315])
+    z = np.repeat([2 / 3, 0, -2 / 3], 4)
+    d = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
+    for nested in (False, True):
+        assert pixel(1, d, nested).tolist() == list(range(12))
+    assert (sides(12), sides(48), sides(3072), sides(13), sides(0)) == (1, 2, 16, 0, 0)

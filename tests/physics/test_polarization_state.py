@@ -1,0 +1,91 @@
+"""What sources say of their polarisation, against fields in time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mistray.errors import MistrayError
+from mistray.physics.polarization.state import jones_numbers, polarization_state
+
+
+def in_time(ex: complex, ey: complex) -> tuple[np.ndarray, np.ndarray]:
+    """The real field Re(e exp(-iωt)) at a fixed place over a period."""
+    turn = np.exp(-1j * np.linspace(0, 2 * np.pi, 721))
+    return (ex * turn).real, (ey * turn).real
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_jones_vectors_are_their_fields_in_time(seed) -> None:
+    """s1 and s2 are the power through polarisers, the sign of s3 is the sense in which the field turns."""
+    rng = np.random.default_rng(seed)
+    ex, ey = rng.normal(size=2) + 1j * rng.normal(size=2)
+    x, y = in_time(ex, ey)
+    total = np.mean(x[:-1] ** 2 + y[:-1] ** 2)
+    s1, s2, s3 = polarization_state("", jones=(ex, ey))
+    assert s1 == pytest.approx(np.mean(x[:-1] ** 2 - y[:-1] ** 2) / total, abs=1e-12)
+    assert s2 == pytest.approx(np.mean(2 * x[:-1] * y[:-1]) / total, abs=1e-12)
+    assert s1**2 + s2**2 + s3**2 == pytest.approx(1, abs=1e-12)
+    # With x to the right and y up the light comes to the observer: counter-clockwise is from x to y
+    area = np.sum(x[:-1] * np.diff(y) - y[:-1] * np.diff(x))
+    assert np.sign(area) == -np.sign(s3)
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({"polarization_deg": 0.0}, (1, 0, 0)),
+        ({"polarization_deg": -45.0}, (0, -1, 0)),
+        ({"polarization_deg": 90.0}, (-1, 0, 0)),
+        ({"jones": "1, -1i"}, (0, 0, 1)),
+        ({"jones": "1 +j"}, (0, 0, -1)),
+        ({"jones": "0, 3e-12"}, (-1, 0, 0)),
+        ({"jones": (1e30, 0)}, (1, 0, 0)),
+        ({"jones": "0.6+0.8i, -0.6-0.8i"}, (0, -1, 0)),
+        ({"stokes": "0.1, 0.2, -0.3"}, (0.1, 0.2, -0.3)),
+        ({"stokes": (0.57735, 0.57735, 0.57736)}, (0.57735, 0.57735, 0.57736)),
+        ({"stokes": np.array([0.0, 0.0, 1.0])}, (0, 0, 1)),
+    ],
+)
+def test_ways_to_state_it(given, expected) -> None:
+    assert polarization_state("", **given) == pytest.approx(expected, abs=1e-5)
+
+
+def test_unpolarised() -> None:
+    assert polarization_state("") is None
+    assert polarization_state("", stokes="0, 0, 0") is None
+
+
+@pytest.mark.parametrize(
+    ("given", "fact"),
+    [
+        ({"stokes": "1, 1, 0"}, "1.41421"),
+        ({"stokes": "nan, 0, 0"}, "nan"),
+        ({"stokes": "inf, 0, 0"}, "inf"),
+        ({"stokes": "0, 1"}, "3 numbers"),
+        ({"stokes": ""}, "3 numbers"),
+        ({"stokes": "1, 0, 0, 0"}, "3 numbers"),
+        ({"stokes": 1.0}, "3 numbers"),
+        ({"stokes": "linear"}, "linear"),
+        ({"jones": "0, 0"}, "no light"),
+        ({"jones": "1"}, "2 numbers"),
+        ({"jones": "infinity, 1"}, "2 numbers"),
+        ({"jones": "1, 1e308"}, "2 numbers"),
+        ({"jones": (complex("nan"), 1)}, "2 numbers"),
+        ({"polarization_deg": float("nan")}, "polarization_deg"),
+        ({"polarization_deg": 1e308}, "polarization_deg"),
+        ({"stokes": "1, 0, 0", "jones": "1, 0"}, "stokes and jones"),
+        ({"jones": "1, 0", "polarization_deg": 0.0}, "jones and polarization_deg"),
+    ],
+)
+def test_what_no_light_can_be(given, fact) -> None:
+    with pytest.raises(MistrayError) as raised:
+        polarization_state("source 'laser'", **given)
+    message = str(raised.value)
+    assert "source 'laser'" in message
+    assert fact in message
+    assert "\n" not in message
+
+
+def test_numbers_of_a_jones_vector() -> None:
+    assert jones_numbers("", "1, 0.5-2i") == (1, 0.5 - 2j)

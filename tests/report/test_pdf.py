@@ -1,0 +1,117 @@
+"""Reports as PDF: the parts of the model on pages of A4."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+
+import numpy as np
+import pytest
+from markupsafe import Markup
+from report.fake_pst import fake_pst
+from report.fake_scene import lens_scene
+from report.fake_trace import trace_at
+
+from mistray.analysis.estimate import Estimate
+from mistray.analysis.ghosts import GhostReport
+from mistray.errors import MistrayError
+from mistray.report.figures.figure import Figure as Drawing
+from mistray.report.formats import require_formats, write_formats
+from mistray.report.ghosts.report import ghosts_report
+from mistray.report.html.embedded import palette_png
+from mistray.report.model import Figure, Folded, Html, Items, Map, Note, Report, Section, Table, Terms, columns
+from mistray.report.pdf import _cell, _Writer, pdf_bytes
+from mistray.report.pst_output import pst_report
+
+
+def pages_of(pdf: bytes) -> int:
+    assert pdf.startswith(b"%PDF")
+    return len(re.findall(rb"/Type /Page\b", pdf))
+
+
+def texts_of(pdf: bytes, key: str) -> list[str]:
+    """Texts of the document that are not drawn: titles of the outline and what pictures show."""
+    plain = re.findall(rf"/{key} \((.*?)(?<!\\)\)".encode(), pdf, re.DOTALL)
+    coded = re.findall(rf"/{key} <feff([0-9a-f]*)>".encode(), pdf)
+    return [
+        *(re.sub(rb"\\(.)", rb"\1", text, flags=re.DOTALL).decode("latin-1") for text in plain),
+        *(bytes.fromhex(text.decode()).decode("utf-16-be") for text in coded),
+    ]
+
+
+def wide_table(count: int) -> Table:
+    heads = columns("<path", "<kind", *(f"number {k} of many [W/mm²]" for k in range(12)))
+    numbers = [Estimate(1.2345e-4 * k, 3e-6) for k in range(1, 13)]
+    return Table(heads, [[f"detector → L1_rear, {k}", "ghost", *numbers] for k in range(count)], "t")
+
+
+@pytest.mark.quick
+def test_every_part_of_the_model():
+    def draw():
+        drawn = Drawing(figsize=(4, 3))
+        drawn.subplots().plot([0, 1], [0, 1])
+        return drawn
+
+    dot = palette_png(np.zeros((9, 9), dtype=np.uint8), np.zeros((1, 3), dtype=np.uint8))
+    parts = [
+        Note("$x_{1}$ **no** markdown & <tags> ± → λ"), Note("a heading", "h3"), Note("mistray --help", "pre"),
+        Items([Markup("a <b>bold &amp; true</b> word")], "verdict"), Items(["one", "two"]), Note("word " * 4000),
+        Terms([("name", "value")]),
+        Figure(dot, "a dot", "a black dot"), Figure(draw, "a line"),
+        Map(np.ones((3, 4)), (0.0, 4.0, 0.0, 3.0), "a map"),
+        wide_table(70), Table(columns("none"), []), Html("<script>1</script>"), Folded("behind", [Note("hidden")]),
+    ]  # fmt: skip
+    sections = [Section("a", "First (part)", parts), Section("b", "Folded", [Note("x")], folded="always")]
+    pdf = pdf_bytes(Report("Heading", "scene", sections, warnings=["careful"]))
+    assert 4 <= pages_of(pdf) <= 12  # of which the long paragraph takes four
+    assert "First (part)" in texts_of(pdf, "Title")
+    assert {"a black dot", "a line", "a map"} <= set(texts_of(pdf, "Alt"))
+    assert all(float(size) == pytest.approx(595.28) for size in re.findall(rb"/MediaBox \[0 0 ([\d.]+)", pdf))
+
+
+def test_tables_are_no_wider_than_the_page():
+    with contextlib.closing(_Writer("title")) as writer:
+        _check_widths(writer)
+
+
+def _check_widths(writer):
+    table = wide_table(3)
+    rows = [[column.head for column in table.columns], *([_cell(value) for value in row] for row in table.rows)]
+    left = [column.style == "t" for column in table.columns]
+    _, widths = writer._widths(rows, left)
+    assert sum(widths) <= writer.pdf.epw + 1e-6
+    assert min(widths) > 3
+    narrow = [["a", "b"], ["1", "2"]]
+    size, widths = writer._widths(narrow, [True, False])
+    assert (size, sum(widths) < 20) == (7.0, True)
+
+
+def test_cells():
+    assert _cell(Estimate(1.5, 0.1)) == "1.50\n± 0.10"
+    assert _cell("a </ b") == "a </ b"
+
+
+@pytest.mark.long
+def test_reports_of_mistray():
+    traces = {field: trace_at(field) for field in (0.0, 20.0)}
+    pdf = pdf_bytes(
+        ghosts_report(GhostReport(lens_scene(), traces, traces[0.0], {}), "lens", "mistray ghosts", {}, False)
+    )
+    assert 3 <= pages_of(pdf) <= 6
+    assert len(pdf) < 1e6
+    assert {"Pictures", "The worst paths of all fields"} <= set(texts_of(pdf, "Title"))
+    assert any("section of the system" in text.lower() for text in texts_of(pdf, "Alt"))
+    assert "Point source transmittance: camera" in texts_of(pdf_bytes(pst_report(fake_pst(), "camera")), "Title")
+
+
+def test_written_beside_the_page(tmp_path):
+    report = Report("Heading", "scene", [Section("a", "First", [Note("text")])], page="objects.html")
+    (path,) = write_formats(["pdf"], tmp_path, {}, {}, report=report)
+    assert path.name == "objects.pdf"
+    assert pages_of(path.read_bytes()) == 1
+
+
+def test_without_the_package(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "fpdf", None)
+    with pytest.raises(MistrayError, match=r"mistray\[pdf\]"):
+        require_formats(["pdf"])

@@ -1,0 +1,74 @@
+"""Pictures of an image with stray light hold its curves, also where there is no stray light or one frequency."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from oracles.rough_paraboloid import paraboloid_text
+from oracles.scatter_scenes import bsdf_xml
+from PIL import Image
+
+import mistray
+from mistray.report.figures.plots import as_png
+from mistray.report.figures.transfer import image_figure, mtf_figure, spread_figure
+from mistray.report.model import Figure
+from mistray.report.transfer import transfer_parts
+
+HALO = bsdf_xml("abg", A=1e-3, B=1e-6, g=2.0, event="reflection")
+
+
+@pytest.fixture(scope="module")
+def halo(load_scene):
+    return mistray.transfer(load_scene(paraboloid_text(HALO, detector=5.0)), rays=3000, pixel_mm=0.004)
+
+
+def test_curves_are_those_of_the_result(halo):
+    (one,) = halo
+    left, right = mtf_figure(one, "mirror").axes
+    drawn = {line.get_label(): line.get_ydata() for line in left.lines}
+    np.testing.assert_allclose(drawn["lens alone, tangential"], one.lens())
+    np.testing.assert_allclose(drawn["with stray light and detector, sagittal"], one.composite("sagittal").value)
+    lost = {line.get_label(): line.get_ydata() for line in right.lines}
+    assert lost["scatter"][-1] == pytest.approx(100 * (1 - one.veiling_floor.value), rel=0.2)
+    np.testing.assert_allclose(lost["ghosts"], 0, atol=1e-9)
+
+
+def test_rings_are_joined_until_they_are_sure_and_keep_their_flux(halo):
+    (one,) = halo
+    irradiance, energy, outside = spread_figure(one).axes
+    labels = [line.get_label() for line in irradiance.lines]
+    assert labels == ["all light", "direct", "scatter"]
+    whole = {line.get_label(): line.get_ydata() for line in energy.lines}["with stray light"]
+    left = {line.get_label(): line.get_ydata() for line in outside.lines}["with stray light"]
+    np.testing.assert_allclose(whole + left, 1)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        pytest.param({}, marks=pytest.mark.long),
+        {"frequencies_per_mm": [3.0]},
+        pytest.param({"frequencies_per_mm": [0.0]}, marks=pytest.mark.long),
+    ],
+)
+def test_no_stray_light_and_few_frequencies(load_scene, options):
+    (one,) = mistray.transfer(load_scene(paraboloid_text()), rays=200, **options)
+    for draw in (mtf_figure, spread_figure, image_figure):
+        picture = Image.open(io.BytesIO(as_png(draw(one, "a $ mirror"))))
+        assert np.asarray(picture.convert("L")).std() > 5
+
+
+def test_the_parts_of_a_report(halo):
+    parts = transfer_parts(halo, "mirror")
+    assert sum(isinstance(part, Figure) for part in parts) == 3
+
+
+@pytest.mark.long
+def test_an_image_far_out_of_focus_has_words_instead_of_pictures():
+    """Of a point 500 mm before a lens for distant objects the wavefront is steeper than any grid of the default."""
+    found = mistray.transfer(mistray.load("cooke_triplet", "point:0,0,-500"), rays=1000)
+    parts = transfer_parts(found, "triplet")
+    assert not any(isinstance(part, Figure) for part in parts)
+    assert any("wavefront" in str(part) and "focus" in str(part) for part in parts)

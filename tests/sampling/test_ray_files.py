@@ -1,0 +1,154 @@
+"""Rays of files as a source: bit by bit round trips, the light of a trace traced on, files that are none."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from oracles.statistics import assert_z
+
+import mistray
+from mistray.files.ray_sets import RaySet, read_ray_set, save_ray_set
+
+pytestmark = pytest.mark.quick
+
+BLACK = {"type": "interface", "R": 0.0}
+SUFFIXES = (".csv", ".parquet", ".dat")
+
+
+def rays(count: int = 500, known: bool = True) -> RaySet:
+    """Random ones, in three wavelengths."""
+    rng = np.random.default_rng(4)
+    o, d = rng.normal(size=(2, count, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    wavelength = rng.choice([450.0, 550.0, 632.8], count) if known else np.full(count, np.nan)
+    return RaySet(o * 1e3, d, rng.exponential(size=count), wavelength)
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_round_trip(suffix: str, known: bool, tmp_path: Path) -> None:
+    given, file = rays(known=known), tmp_path / f"a lamp{suffix}"
+    save_ray_set(file, given)
+    found = read_ray_set(file)
+    for key in ("origins", "directions", "flux_W", "wavelength_nm"):
+        one, other = getattr(given, key), getattr(found, key)
+        if suffix == ".dat":  # 32-bit floats
+            np.testing.assert_allclose(other, one, rtol=2e-6, atol=1e-6)
+        else:
+            assert one.tobytes() == other.tobytes(), key
+
+
+def test_zemax_file_by_hand(tmp_path: Path) -> None:
+    """Written byte by byte: two rays in inches, spectral; then as text in cm, flux only."""
+    head = struct.pack("<iI100s3f4fi9f4f4i", 1010, 2, b"by hand", 3.0, 3.0, 0.0, *[0.0] * 4, 1, *[0.0] * 13, 2, 0, 0, 0)
+    assert len(head) == 208
+    body = struct.pack("<16f", 1, 2, 3, 0, 0, 1, 1.0, 0.5, -1, 0, 0, 0, 0.6, 0.8, 2.0, 0.7)
+    (tmp_path / "binary.dat").write_bytes(head + body)
+    found = read_ray_set(tmp_path / "binary.dat")
+    np.testing.assert_allclose(found.origins, [[25.4, 50.8, 76.2], [-25.4, 0, 0]])
+    np.testing.assert_allclose(found.directions, [[0, 0, 1], [0, 0.6, 0.8]], atol=1e-7)
+    np.testing.assert_allclose(found.wavelength_nm, [500, 700], rtol=1e-6)
+    assert found.flux_W.tolist() == [1.0, 2.0]
+    (tmp_path / "text.dat").write_text("1 2\n1 2 3 0 0 1 5.5\n")
+    found = read_ray_set(tmp_path / "text.dat")
+    assert found.origins.tolist() == [[10, 20, 30]]
+    assert found.flux_W.tolist() == [5.5]
+    (tmp_path / "no_unit.dat").write_text("1\n1 2 3 0 0 1 5.5\n")
+    assert read_ray_set(tmp_path / "no_unit.dat", unit="m").origins.tolist() == [[1000, 2000, 3000]]
+    with pytest.raises(mistray.MistrayError, match="unit"):
+        read_ray_set(tmp_path / "no_unit.dat")
+
+
+GOOD = "x_mm,y_mm,z_mm,dx,dy,dz,flux_W\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("empty.csv", ""),
+        ("header.csv", GOOD),
+        ("no_unit.csv", "x,y,z,dx,dy,dz,flux_W\n0,0,0,0,0,1,1\n"),
+        ("no_flux.csv", "x_mm,y_mm,z_mm,dx,dy,dz\n0,0,0,0,0,1\n"),
+        ("nan.csv", GOOD + "0,0,nan,0,0,1,1\n"),
+        ("inf.csv", GOOD + "0,0,0,0,0,1,inf\n"),
+        ("text.csv", GOOD + "0,0,a,0,0,1,1\n"),
+        ("negative.csv", GOOD + "0,0,0,0,0,1,-1\n"),
+        ("dark.csv", GOOD + "0,0,0,0,0,1,0\n"),
+        ("still.csv", GOOD + "0,0,0,0,0,0,1\n"),
+        ("far.csv", GOOD + "0,0,1e308,0,0,1,1\n"),
+        ("ragged.csv", GOOD + "0,0,0,0,0,1,1,1,1,1,1\n0,0\n"),
+        ("colour.csv", GOOD.replace("\n", ",wavelength_nm\n") + "0,0,0,0,0,1,1,-5\n"),
+        ("cut.dat", struct.pack("<iI100s", 1010, 5, b"cut") + bytes(100)),
+        ("short.dat", "3 4\n1 2 3 0 0 1 1\n"),
+        ("words.dat", "hello\n"),
+        ("lamp.txt", GOOD),
+        ("none.parquet", "PAR1"),
+    ],
+)
+def test_files_that_are_none(name: str, content: str | bytes, tmp_path: Path) -> None:
+    """One line that names the file."""
+    file = tmp_path / name
+    file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(mistray.MistrayError, match=name) as error:
+        read_ray_set(file)
+    assert "\n" not in str(error.value)
+    with pytest.raises(mistray.MistrayError, match=name) as error:
+        mistray.load({"type": "scene", "lamp": {"type": "ray_file", "filename": str(file)}})
+    assert "\n" not in str(error.value)
+
+
+def detector(z: float, size: float = 10.0) -> dict[str, Any]:
+    film = {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}
+    sensor = {"type": "irradiancemeter", "film": film}
+    return {"type": "asphere", "half_width": size, "half_height": size, "z": z, "bsdf": BLACK, "sensor": sensor}
+
+
+def test_light_of_a_trace_goes_on(tmp_path: Path) -> None:
+    """
+    Rays at a plane, in a file, traced on: the image behind it is that of the whole trace. False alarms 0.1 %.
+
+    The rays of the file stand for all of them: their number is in the error as well.
+    """
+    lamp = {"type": "surface_source", "radius": 2.0, "z": -30.0, "half_angle_deg": 20.0, "wavelength_nm": "450, 600"}
+    plane = mi.load_dict({"type": "scene", "lamp": lamp, "detector": detector(0.0, 200.0)}, optimize=False)
+    t = mistray.trace(plane, rays=100_000)
+    file = tmp_path / "plane.csv"
+    t.rays(n=None).to_csv(file, index=False)
+    stop = {"type": "asphere", "semi_diameter": 300.0, "inner_semi_diameter": 4.0, "z": 10.0, "bsdf": BLACK}
+    onward = {"type": "scene", "stop": stop, "detector": detector(30.0)}
+    whole = mistray.trace(mi.load_dict({**onward, "lamp": lamp}, optimize=False), rays=100_000)
+    again = mistray.trace(mistray.load(onward, f"rays:filename={file}"), rays=100_000)
+    assert again.wavelengths_nm == [450.0, 600.0]
+    assert again.energy.launched_W == pytest.approx(t.energy.detected_W, rel=1e-9)
+    assert abs(again.energy.closure) < 1e-6
+    error = np.sqrt(whole.irradiance_se**2 + 2 * again.irradiance_se**2)
+    assert_z("image", again.irradiance, whole.irradiance, error, false_alarm=1e-3)
+
+
+def test_flux_and_wavelengths(tmp_path: Path) -> None:
+    """Rays are drawn by their flux; more wavelengths than 32 are put together; the power may be another."""
+    o = np.zeros((2, 3))
+    o[:, 2] = -5
+    d = np.array([[0, 0, 1.0], [0.5, 0, np.sqrt(0.75)]])
+    save_ray_set(tmp_path / "two.parquet", RaySet(o, d, np.array([1.0, 3.0]), np.full(2, np.nan)))
+    lamp = {"type": "ray_file", "filename": str(tmp_path / "two.parquet"), "wavelength_nm": 633.0}
+    t = mistray.trace(mistray.load({"type": "scene", "lamp": lamp, "detector": detector(0.0)}), rays=10_000)
+    share = t.irradiance[:, 4:5].sum() / t.irradiance.sum()  # the first ray lands in this column, the other does not
+    assert_z("share", share, 0.25, np.sqrt(0.25 * 0.75 / 10_000), false_alarm=1e-3)
+    assert t.energy.launched_W == pytest.approx(4.0)
+    assert t.wavelengths_nm == [633.0]
+    many = rays(2000)
+    rng = np.random.default_rng(1)
+    save_ray_set(tmp_path / "many.csv", RaySet(many.origins, many.directions, many.flux_W, rng.uniform(400, 700, 2000)))
+    made = mi.load_dict({"type": "ray_file", "filename": str(tmp_path / "many.csv"), "power": 2.0})
+    assert len(made.wavelengths_nm) == 32
+    assert made.power() == 2.0
+    assert np.all(np.diff(made.wavelengths_nm) > 0)
+    assert made.weights == pytest.approx(np.full(32, 1 / 32), rel=0.2)
+    with pytest.raises(RuntimeError, match="leave it out"):
+        mi.load_dict({"type": "ray_file", "filename": str(tmp_path / "many.csv"), "wavelength_nm": 500.0})

@@ -1,0 +1,434 @@
+"""Light of sources near and far on a detector, beside closed forms; aimed rays beside rays that are not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from oracles.statistics import assert_z
+
+import mistray
+from mistray.physics.geometry.healpix import pixel
+from mistray.sampling.sources import scene_sources
+
+pytestmark = pytest.mark.quick
+
+BLACK = {"type": "interface", "R": 0.0}
+RADIUS = 10.0  # mm, of the detector
+
+
+def watts(value: float) -> dict[str, Any]:
+    """A number of a stock emitter."""
+    return {"type": "spectrum", "value": value}
+
+
+def scene(lamp: dict[str, Any], tube: bool = False, **more: Any) -> mi.Scene:
+    """A round black detector in the plane z = 0, and a lamp; far behind it a tube that makes the scene larger."""
+    wall = {"type": "frustum", "r0": 60.0, "r1": 60.0, "z0": 300.0, "z1": 400.0, "bsdf": BLACK}
+    film = {"type": "hdrfilm", "width": 64, "height": 64, "rf": {"type": "box"}}
+    sensor = {"type": "irradiancemeter", "film": film}
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "detector": {"type": "asphere", "semi_diameter": RADIUS, "bsdf": BLACK, "sensor": sensor},
+            "lamp": lamp,
+            **({"tube": wall} if tube else {}),
+            **more,
+        },
+        optimize=False,
+    )
+
+
+def cone(distance: float) -> float:
+    """Solid angle of the detector from a point on its axis, sr."""
+    return float(2 * np.pi * (1 - distance / np.hypot(distance, RADIUS)))
+
+
+def discs(distance: float, first: float, second: float = RADIUS) -> float:
+    """View factor of two parallel discs on one axis, from the first (J. R. Howell, A Catalog, C-41)."""
+    a, b = first / distance, second / distance
+    x = 1 + (1 + b * b) / (a * a)
+    return float(0.5 * (x - np.sqrt(x * x - 4 * (b / a) ** 2)))
+
+
+def squares(distance: float, first: float, second: float, n: int = 60) -> float:
+    """View factor of two parallel squares on one axis by their half sides: Gauss-Legendre in four dimensions."""
+    nodes, weights = np.polynomial.legendre.leggauss(n)
+    x = first * nodes[:, None] - second * nodes[None]
+    w = 0.5 * weights[:, None] * second * weights[None]
+    r2 = (x**2)[:, :, None, None] + (x**2)[None, None] + distance**2
+    return float(np.sum(w[:, :, None, None] * w[None, None] * distance**2 / (np.pi * r2**2)))
+
+
+def spot(distance: float, intensity: float, beam: float, cutoff: float) -> float:
+    """Flux on the detector of Mitsuba's spot: the intensity falls off linearly in the angle."""
+    edge = np.arctan(RADIUS / distance)
+    theta = (np.arange(400_000) + 0.5) / 400_000 * edge
+    fall = np.clip((np.radians(cutoff) - theta) / np.radians(cutoff - beam), 0, 1)
+    return float(2 * np.pi * intensity * np.sum(fall * np.sin(theta)) * edge / 400_000)
+
+
+AT = mi.ScalarTransform4f().look_at([0, 0, -30], [0, 0, 0], [0, 1, 0])
+CASES: dict[str, tuple[dict[str, Any], float]] = {
+    "point": ({"type": "point_source", "z": -20.0, "power": 3.0}, 3 * cone(20.0) / (4 * np.pi)),
+    "point far away": ({"type": "point_source", "z": -1e9, "intensity": 2.0}, 2 * np.pi * (RADIUS / 1e9) ** 2),
+    "cone": ({"type": "point_source", "z": -500.0, "half_angle_deg": 30.0, "intensity": 2.0}, 2 * cone(500.0)),
+    "power of the cosine": (
+        {"type": "point_source", "z": -20.0, "exponent": 5.0, "intensity": 2.0},
+        2 * 2 * np.pi / 6 * (1 - (20 / np.hypot(20, RADIUS)) ** 6),
+    ),
+    "disc": (
+        {"type": "surface_source", "z": -100.0, "radius": 30.0, "radiance": 2.0},
+        2 * np.pi**2 * 900 * discs(100, 30),
+    ),
+    "disc close by": ({"type": "surface_source", "z": -5.0, "radius": 9.0}, discs(5, 9)),
+    "disc of 1 µm": ({"type": "surface_source", "z": -0.7, "radius": 1e-3}, discs(0.7, 1e-3)),
+    "ring": (
+        {"type": "surface_source", "z": -40.0, "radius": 30.0, "inner_radius": 20.0},
+        (900 * discs(40, 30) - 400 * discs(40, 20)) / 500,
+    ),
+    "sun": ({"type": "distant_disc"}, np.pi * RADIUS**2),
+    "wide disc": (
+        {"type": "distant_disc", "diameter_deg": 80.0, "radiance": 3.0},
+        # Radiance is uniform in sin² θ dφ: L ∫ cos θ d(sin² θ) = L 2/3 (1 - cos³ θ)
+        3 * np.pi * 2 / 3 * (1 - np.cos(np.radians(40)) ** 3) * np.pi * RADIUS**2,
+    ),
+    "sky": ({"type": "sky", "radiance": 2.0}, 2 * 2 * np.pi * np.pi * RADIUS**2),
+    "part of the sky": (
+        {"type": "sky", "half_angle_deg": 20.0},
+        np.pi * np.sin(np.radians(20)) ** 2 * np.pi * RADIUS**2,
+    ),
+    "stock point": ({"type": "point", "position": [0, 0, -20], "intensity": watts(2.0)}, 2 * cone(20.0)),
+    "stock spot": (
+        {"type": "spot", "to_world": AT, "intensity": watts(2.0), "cutoff_angle": 25.0, "beam_width": 10.0},
+        spot(30.0, 2.0, 10.0, 25.0),
+    ),
+    "stock sky": ({"type": "constant", "radiance": watts(2.0)}, 2 * 2 * np.pi * np.pi * RADIUS**2),
+    "stock beam": ({"type": "directional", "direction": [0, 0, 1], "irradiance": watts(2.0)}, 2 * np.pi * RADIUS**2),
+    "stock area": (
+        {
+            "type": "sphere",
+            "center": [0, 0, -100],
+            "radius": 30.0,
+            "bsdf": BLACK,
+            "emitter": {"type": "area", "radiance": watts(2.0)},
+        },
+        # A Lambertian ball has the irradiance of a point: π L (R/r)² cos θ, and cos θ dA / r² = dΩ
+        np.pi * 2 * 900 * cone(100.0),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("tube", [False, True])
+@pytest.mark.parametrize("name", CASES)
+def test_closed_forms(name: str, tube: bool) -> None:
+    """Flux on the detector; 34 of them: false alarms 0.1 % in all."""
+    lamp, exact = CASES[name]
+    t = mistray.trace(scene(lamp, tube), rays=60_000)
+    error = max(t.energy.detected_se_W, 1e-6 * exact)
+    assert_z(name, t.energy.detected_W, exact, error, false_alarm=3e-5)
+    assert abs(t.energy.closure) < 1e-6
+
+
+def test_squares() -> None:
+    """A square that shines on a square, and on one turned away; false alarms 6e-5."""
+    square = {"type": "asphere", "half_width": 8.0, "half_height": 8.0, "bsdf": BLACK}
+    lit = {"detector": {**square, "sensor": {"type": "irradiancemeter"}}}
+    lamp = {"type": "surface_source", "half_width": 5.0, "half_height": 5.0, "z": -12.0}
+    energy = mistray.trace(scene(lamp, **lit), rays=100_000).energy
+    assert_z("flux", energy.detected_W, squares(12.0, 5.0, 8.0), energy.detected_se_W, false_alarm=3e-5)
+    tilted = mistray.trace(scene({**lamp, "tilt_x": 90.0}, **lit), rays=100_000).energy
+    n = 400_000
+    rng = np.random.default_rng(5)
+    # The normal (0, -1, 0): half of the detector is before it
+    p = np.stack([*rng.uniform(-5, 5, (1, n)), np.zeros(n), -12 + rng.uniform(-5, 5, n)])
+    q = np.stack([*rng.uniform(-8, 8, (2, n)), np.zeros(n)])
+    away = q - p
+    r2 = (away**2).sum(axis=0)
+    parts = np.maximum(-away[1], 0) * np.maximum(away[2], 0) / (np.pi * r2 * r2) * 256
+    error = float(np.hypot(parts.std() / np.sqrt(n), tilted.detected_se_W))
+    assert_z("tilted", tilted.detected_W, float(parts.mean()), error, false_alarm=3e-5)
+
+
+def test_errors_hold_over_seeds() -> None:
+    """χ² of 40 seeds of four sources; false alarms 0.2 %."""
+    for name in ("cone", "disc", "part of the sky", "stock area"):
+        lamp, exact = CASES[name]
+        here = scene(lamp, tube=True)
+        z = []
+        for seed in range(40):
+            energy = mistray.trace(here, rays=8000, seed=seed, ledger=False).energy
+            z.append((energy.detected_W - exact) / energy.detected_se_W)
+        assert_z(f"mean of {name}", float(np.mean(z)), 0.0, 1 / np.sqrt(40), false_alarm=2.5e-4)
+        # t with 31 degrees of freedom: variance 31/29, that of its square 2 · (31/29)² · (1 + 3 · …) < 3
+        assert_z(f"spread of {name}", float(np.mean(np.square(z))), 31 / 29, np.sqrt(3 / 40), false_alarm=2.5e-4)
+
+
+@pytest.mark.parametrize("name", ["point", "cone", "disc", "power of the cosine"])
+def test_aimed_rays_gain_what_the_solid_angle_promises(name: str) -> None:
+    """Variance of the flux for as many rays: at least half of 1 / (share of the light that arrives) less."""
+    lamp, exact = CASES[name]
+    here = scene(lamp, tube=True)
+    energy = mistray.trace(here, rays=200_000, ledger=False).energy
+    share = exact / energy.launched_W
+    relative = energy.detected_se_W / exact
+    unaimed = (1 - share) / share / 200_000  # of a random number of hits
+    gain = unaimed / relative**2
+    assert gain > 0.5 / share * (1 - share) * (1 - 3 * np.sqrt(2 / 31) if name != "cone" else 1)
+
+
+def test_shadow_edge_of_the_sun() -> None:
+    """Behind a straight edge the irradiance falls as the part of the sun that is seen does; false alarms 0.1 %."""
+    edge = {"type": "asphere", "half_width": 50.0, "half_height": 50.0, "y": 50.0, "z": -200.0, "bsdf": BLACK}
+    for limb in (0.0, 0.6):
+        lamp = {"type": "distant_disc", "diameter_deg": 0.8, "limb": limb}
+        t = mistray.trace(scene(lamp, edge=edge), rays=2_000_000, ledger=False)
+        y = (np.arange(64) + 0.5) / 64 * 2 * RADIUS - RADIUS
+        reach = 200 * np.tan(np.radians(0.4))
+        x = np.linspace(-1, 1, 4001)
+        rows = []
+        for place in y:
+            # Light travels to +y by s · reach; the edge covers y > 0 at its distance, so s > place / reach is seen
+            s = (place + np.linspace(-0.5, 0.5, 21) * 2 * RADIUS / 64)[:, None] / reach
+            mu = np.sqrt(np.maximum(1 - x**2, 0))
+            # ∫ 1 - c (1 - μ) along a chord of half length h: 2 h (1 - c) + c π h² / 2
+            chord = 2 * mu * (1 - limb) + limb * np.pi / 2 * mu * mu
+            whole = np.pi * (1 - limb / 3)
+            rows.append(float(np.mean(np.sum(np.where(x > s, chord, 0), axis=1)) * (x[1] - x[0]) / whole))
+        middle = slice(28, 36)  # columns of which all of the detector is there
+        found = t.irradiance[:, middle].mean(axis=1)
+        inside = np.abs(y) < 9
+        error = np.sqrt((t.irradiance_se[:, middle] ** 2).sum(axis=1)) / 8
+        z = (found - np.array(rows))[inside] / np.maximum(error[inside], 2e-3)
+        assert np.max(np.abs(z)) < 4.7  # of 2 · 58 numbers
+
+
+def test_lens_images_a_point_where_gauss_says() -> None:
+    """A thin lens of 50 mm images what is 150 mm before it at 75 mm, a height of 3 mm at -1.5 mm."""
+    glass = {"type": "asphere", "semi_diameter": 2.0}
+    radius = 2 * 50.0 * 0.5
+    lens = {
+        "front": {**glass, "part": "lens", "radius": radius, "bsdf": {"type": "interface", "back": "1.5"}},
+        "rear": {
+            **glass,
+            "part": "lens",
+            "radius": -radius,
+            "z": 0.02 + 2.0**2 / radius,
+            "bsdf": {"type": "interface", "front": "1.5"},
+        },
+    }
+    focal = 50.0 / (1 - (0.02 + 4 / 50) * 0.5 / (1.5 * 2 * 50.0))
+    here = {
+        **lens,
+        "detector": {
+            "type": "asphere",
+            "semi_diameter": 5.0,
+            "z": 75.0,
+            "bsdf": BLACK,
+            "sensor": {"type": "irradiancemeter"},
+        },
+    }
+    t = mistray.trace(
+        scene({"type": "point_source", "z": -150.0}, **here), rays=20_000, field_mm=3.0, max_reflections=0
+    )
+    (direct,) = t.paths.select("kind == 'direct'")
+    assert direct.events.count(":T") == 2
+    assert direct.y_mm == pytest.approx(-1.5, abs=0.01)
+    assert direct.x_mm == pytest.approx(0.0, abs=0.002)
+    assert direct.rms_radius_mm < 0.02  # 2 mm of the lens, with its aberrations
+    assert focal == pytest.approx(50.0, abs=0.02)
+
+
+def test_gaussian_beam_spreads_as_it_should() -> None:
+    """Second moments before, at and behind the waists of an astigmatic beam; false alarms 0.1 %."""
+    numbers = {"waist_x": 0.4, "waist_y": 1.1, "m2_x": 2.0, "m2_y": 9.0, "offset_x": 300.0, "offset_y": 900.0}
+    for z in (-10.0, -300.0, -1500.0):
+        t = mistray.trace(scene({"type": "gaussian_beam", "z": z, "wavelength_nm": 1000.0, **numbers}), rays=100_000)
+        places = (np.arange(64) + 0.5) / 64 * 2 * RADIUS - RADIUS
+        for k, axis in enumerate("xy"):
+            profile = t.irradiance.sum(axis=k)
+            mean = float(np.sum(profile * places**2) / profile.sum()) - (2 * RADIUS / 64) ** 2 / 12  # of the pixels
+            waist, m2, offset = (numbers[f"{key}_{axis}"] for key in ("waist", "m2", "offset"))
+            size = np.sqrt(waist**2 + (m2 * 1e-3 * (-z - offset) / (np.pi * waist)) ** 2)
+            error = size**2 / 4 * np.sqrt(2 / 100_000)
+            assert_z(f"{axis} at {z}", mean, size**2 / 4, error, false_alarm=1.5e-4)
+
+
+def test_fields_of_near_sources() -> None:
+    """A field moves a point in its object plane, and turns a beam about the origin."""
+    here = scene({"type": "point_source", "z": -100.0})
+    (source,) = scene_sources(here, field_deg=30.0, azimuth_deg=90.0)
+    assert source.pivot + np.array([0, 0, -100]) == pytest.approx([100 * np.tan(np.radians(30)), 0, -100])
+    laser = scene({"type": "gaussian_beam", "z": -100.0, "waist_x": 0.1, "waist_y": 0.1})
+    (beam,) = scene_sources(laser, field_deg=30.0)
+    assert beam.direction == pytest.approx([0, 0.5, np.sqrt(0.75)])
+    both = (
+        mistray.trace(here, rays=1000, field_mm=5.0),
+        mistray.trace(here, rays=1000, field_deg=np.degrees(np.arctan(-0.05))),
+    )
+    assert both[0].energy.detected_W == pytest.approx(both[1].energy.detected_W, rel=1e-5)
+    for lamp in ({"type": "collimated", "radius": 1.0}, {"type": "point_source"}, {"type": "sky"}):
+        with pytest.raises(mistray.MistrayError, match="degrees"):
+            mistray.trace(scene(lamp), rays=1000, field_mm=1.0)
+
+
+def test_picture_of_a_sky(tmp_path: Path) -> None:
+    """A rough picture, by Mitsuba's envmap and by `sky`, as `path` renders it on a plate; false alarms 0.1 %."""
+    rng = np.random.default_rng(1)
+    picture = np.kron(rng.random((8, 16, 1)), np.ones((4, 4, 3))).astype(np.float32)
+    file = str(tmp_path / "a sky.exr")
+    mi.Bitmap(picture).write(file)
+    turned = mi.ScalarTransform4f().rotate([0, 0.6, 0.8], 40)
+    film = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}, "pixel_format": "luminance"}
+    plate = {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f().rotate([0, 1, 0], 180).scale([5, 5, 1]),
+        "bsdf": BLACK,
+        "sensor": {"type": "irradiancemeter", "film": film},
+    }
+    lid = {"type": "asphere", "half_width": 60.0, "half_height": 60.0, "z": 0.1, "bsdf": BLACK}
+    around = {"type": "envmap", "filename": file, "scale": 2.0, "to_world": turned}
+    path = mi.load_dict({"type": "path"})
+    stock = scene(around, lid=lid, detector=plate)
+    rendered = [
+        float(np.array(mi.render(stock, spp=100_000, seed=seed, integrator=path)).ravel()[0]) for seed in range(4)
+    ]
+    for lamp in (around, {"type": "sky", "filename": file, "radiance": 2.0, "to_world": turned}):
+        energy = mistray.trace(scene(lamp, lid=lid, detector=plate), rays=400_000).energy
+        error = float(np.hypot(energy.detected_se_W / 100, np.std(rendered)))
+        assert_z(lamp["type"], energy.detected_W / 100, float(np.mean(rendered)), error, false_alarm=5e-4)
+        assert abs(energy.closure) < 1e-6
+    mi.Bitmap(0 * picture).write(file)
+    for wrong in (
+        {"filename": file},
+        {"filename": str(tmp_path / "none.exr")},
+        {"filename": file, "half_angle_deg": 9.0},
+    ):
+        with pytest.raises(mistray.MistrayError, match="lamp") as found:
+            mistray.load({"type": "scene", "lamp": {"type": "sky", **wrong}})
+        assert "\n" not in str(found.value)
+
+
+@pytest.mark.parametrize("ordering", ["RING", "NESTED"])
+def test_sky_in_healpix(ordering: str, tmp_path: Path) -> None:
+    """Of L = 1 + z² in the direction that light comes from, a plate with a normal n gets ∫ L cos dΩ; 0.1 % each."""
+    fits = pytest.importorskip("astropy.io.fits")
+    side = 32
+    count = 400_000
+    z = 1 - (2 * np.arange(count) + 1) / count
+    turn = np.pi * (1 + 5**0.5) * np.arange(count)
+    d = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
+    number = pixel(side, d, ordering == "NESTED")
+    values = np.bincount(number, 1 + z * z) / np.bincount(number)
+    file = tmp_path / "a sky.fits"
+    table = fits.BinTableHDU.from_columns([fits.Column("I", "D", array=values)])
+    table.header["ORDERING"] = ordering
+    table.writeto(file)
+    energy = mistray.trace(scene({"type": "sky", "filename": str(file)}), rays=200_000).energy
+    # Both sides of the detector, across z: 2 · 2π ∫ (1 + c²) c dc = 4π (1/2 + 1/4)
+    exact = 3 * np.pi * np.pi * RADIUS**2
+    assert_z("flux", energy.detected_W, exact, np.hypot(energy.detected_se_W, 2e-4 * exact), false_alarm=5e-4)
+    aside = {"type": "sky", "filename": str(file), "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], 90)}
+    energy = mistray.trace(scene(aside), rays=200_000).energy
+    # Across another axis z is s cos φ: 2 ∫ (1 + s² cos² φ) c dΩ = 4π (1/2 + 1/2 · 1/4)
+    exact = 4 * np.pi * (0.5 + 0.125) * np.pi * RADIUS**2
+    assert_z("aside", energy.detected_W, exact, np.hypot(energy.detected_se_W, 2e-4 * exact), false_alarm=5e-4)
+    table.header["ORDERING"] = "none"
+    table.writeto(file, overwrite=True)
+    with pytest.raises(mistray.MistrayError, match="ORDERING"):
+        mistray.load({"type": "scene", "lamp": {"type": "sky", "filename": str(file)}})
+
+
+def test_several_sources() -> None:
+    """Each has its rows in the path table, and the powers add up."""
+    lamps = {
+        "lamp": {"type": "point_source", "z": -20.0, "power": 2.0},
+        "moon": {"type": "distant_disc", "irradiance": 1e-3},
+        "screen": {"type": "surface_source", "radius": 3.0, "z": -9.0},
+    }
+    t = mistray.trace(scene(lamps.pop("lamp"), **lamps), rays=30_000)
+    table = t.paths.to_pandas()
+    assert set(table.source) == {"lamp", "moon", "screen"}
+    assert abs(t.energy.closure) < 1e-6
+    for name, launched in (("lamp", 2.0), ("screen", 1.0)):
+        own = t.energy_of(name)
+        assert own.launched_W == pytest.approx(launched, rel=1e-6)
+        assert abs(own.closure) < 1e-6
+        assert own.detected_W == pytest.approx(table.power_W[table.source == name].sum(), rel=1e-6)
+    with pytest.raises(mistray.MistrayError, match="'sun'"):
+        t.energy_of("sun")
+    assert table.power_W.sum() == pytest.approx(t.energy.detected_W, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "lamp",
+    [
+        {"type": "point_source", "power": -1.0},
+        {"type": "point_source", "power": float("nan")},
+        {"type": "point_source", "power": 1.0, "intensity": 1.0},
+        {"type": "point_source", "exponent": 2.0, "half_angle_deg": 120.0},
+        {"type": "point_source", "profile": "0:1"},
+        {"type": "point_source", "profile": "0:1, 0:2"},
+        {"type": "point_source", "profile": "0:0, 10:0"},
+        {"type": "point_source", "profile": "a:b"},
+        {"type": "point_source", "profile": "0:1, 10:nan"},
+        {"type": "point_source", "half_angle_deg": 0.0},
+        {"type": "surface_source"},
+        {"type": "surface_source", "radius": 0.0},
+        {"type": "surface_source", "radius": 1.0, "half_width": 1.0, "half_height": 1.0},
+        {"type": "surface_source", "half_width": 1.0},
+        {"type": "surface_source", "radius": 1.0, "inner_radius": 1.0},
+        {"type": "gaussian_beam", "waist_x": 1.0},
+        {"type": "gaussian_beam", "waist_x": 1.0, "waist_y": 1.0, "m2_x": 0.5},
+        {"type": "distant_disc", "irradiance": 1.0, "radiance": 1.0},
+        {"type": "sky", "radiance": 0.0},
+    ],
+    ids=str,
+)
+def test_bad_numbers(lamp: dict[str, Any]) -> None:
+    """One line that names the source."""
+    with pytest.raises(mistray.MistrayError, match="'lamp'") as error:
+        mistray.load({"type": "scene", "lamp": lamp})
+    assert "\n" not in str(error.value)
+
+
+def test_a_lamp_in_a_metal() -> None:
+    block = {"type": "sphere", "center": [0, 0, -50], "radius": 5.0, "bsdf": {"type": "interface", "back": "Al"}}
+    inside = {"type": "point_source", "z": -50.0}
+    with pytest.raises(mistray.MistrayError, match=r"'lamp'.*'Al'.*'block'") as error:
+        mistray.trace(scene(inside, block={**block, "flip_normals": True}), rays=1000)
+    assert "\n" not in str(error.value)
+    glass = {**block, "flip_normals": True, "bsdf": {"type": "interface", "back": "1.5"}}
+    assert mistray.trace(scene(inside, block=glass), rays=1000).energy.escaped_W > 0
+
+
+def test_light_that_meets_nothing() -> None:
+    with pytest.raises(mistray.MistrayError, match="'lamp'"):
+        mistray.trace(scene({"type": "point_source", "z": 20.0, "half_angle_deg": 10.0}), rays=1000)
+    with pytest.raises(mistray.MistrayError, match="Projector"):
+        mistray.trace(scene({"type": "projector", "irradiance": watts(1.0), "fov": 20.0}), rays=1000)
+
+
+def test_sources_of_a_call() -> None:
+    """Text and dicts in place of the emitters of a scene."""
+    given = {
+        "type": "scene",
+        "detector": {"type": "asphere", "semi_diameter": RADIUS, "bsdf": BLACK, "sensor": {"type": "irradiancemeter"}},
+        "own": {"type": "collimated", "radius": 1.0},
+    }
+    for sources, names in (
+        ("point:0,0,-20,power=3", {"source"}),
+        ({"type": "sky"}, {"source"}),
+        (["sun:field_deg=10", {"type": "point_source", "z": -5.0, "id": "a lamp"}], {"source_1", "a lamp"}),
+        ("laser:0,0,-5,waist_x=1e-3,waist_y=1e-3,wavelength_nm=450 550", {"source"}),
+    ):
+        here = mistray.load(given, sources)
+        assert {emitter.id() for emitter in here.emitters()} == names
+        assert mistray.trace(here, rays=1000).energy.detected_W > 0
+    for wrong in ("point:0,0", "point:0,a,1", "", "point:0,0,1,z=2", "warp:0,0,1", "point:0,0,1,power", {"z": 1.0}):
+        with pytest.raises(mistray.MistrayError) as error:
+            mistray.load(given, wrong)
+        assert "\n" not in str(error.value)

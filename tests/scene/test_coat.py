@@ -1,0 +1,267 @@
+"""Coatings, paint and scatter models put on surfaces by patterns: what they do to light, which surfaces they reach."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import tmm
+
+import mistray
+from mistray.cli import main
+from mistray.errors import MistrayError
+from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, Stop, Surface
+from mistray.scene import Rules, find, write_coated
+from mistray.scene.source import source_of
+
+pytestmark = pytest.mark.quick
+
+AIR, GLASS = "air", "1.5168"
+
+
+def lens(**more: object) -> Prescription:
+    """A cemented plate in two parts, with a blank in a name."""
+    surfaces = (
+        Surface("A front", z=0.0, semi_diameter=8.0, front=AIR, back=GLASS, part="A"),
+        Surface("A_B", z=3.0, semi_diameter=8.0, front=GLASS, back="1.7", part="A"),
+        Surface("B_rear", z=6.0, semi_diameter=8.0, front="1.7", back=AIR, part="B"),
+    )
+    stop = Stop(3.0, 8.0, 8.0, 9.0, 9.0, part="iris")
+    detector = Detector(z=20.0, half_width=6.0, half_height=6.0)
+    return Prescription(
+        name="plate", surfaces=surfaces, stop=stop, detector=detector, source=Source(radius=2.0), **more
+    )
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    lens().to_xml(tmp_path / "plate.xml")
+    return tmp_path / "plate.xml"
+
+
+def bsdfs(scene: object) -> dict[str, object]:
+    return {shape.id(): shape.bsdf() for shape in scene.shapes()}
+
+
+def direct(scene: object) -> float:
+    """Share of the light that arrives without a reflection; the rays do not matter, all have the same way."""
+    t = mistray.trace(scene, rays=256, max_reflections=0, wavelength_nm=550.0)
+    return t.paths[0].incident_W / t.energy.launched_W
+
+
+class TestLight:
+    def test_transmission_of_layers(self, file: Path) -> None:
+        """The direct light is the product of what `tmm` says of each surface."""
+        scene = mistray.coat(file, {"A front": "1.38 99.6, 2.1 0.5w", "B": "bbar3"})
+        quarter = 550 / 4
+        first = tmm.coh_tmm("s", [1, 1.38, 2.1, 1.5168], [float("inf"), 99.6, 550 / 2 / 2.1, float("inf")], 0, 550)["T"]
+        stack = [float("inf"), quarter / 1.38, 2 * quarter / 2.1, quarter / 1.63, float("inf")]
+        last = tmm.coh_tmm("s", [1, 1.38, 2.1, 1.63, 1.7], stack, 0, 550)["T"]
+        cement = 1 - ((1.7 - 1.5168) / (1.7 + 1.5168)) ** 2
+        assert direct(scene) == pytest.approx(first * cement * last, rel=2e-6)  # tables hold R and T to 1e-6
+
+    def test_prescription_and_file_are_the_same(self, file: Path, tmp_path: Path) -> None:
+        rules = {"A*": "bbar3", "B_rear": "R=0.02 T=0.9"}
+        paint, scatter = {"iris": "flat_black"}, {"A front": ["harvey_shack rms_nm=3", "particulate level=300"]}
+        one = mistray.coat(file, rules, paint=paint, scatter=scatter)
+        other = mistray.coat(lens(), rules, paint=paint, scatter=scatter).to_scene()
+        assert {name: str(bsdf) for name, bsdf in bsdfs(one).items()} == {
+            name: str(bsdf) for name, bsdf in bsdfs(other).items()
+        }
+        assert len(bsdfs(one)["A front"].scatterers) == 2
+        assert bsdfs(one)["iris_front"].scatterers[0].model.name == "flat_black"
+
+    def test_a_scene_that_travels(self, file: Path) -> None:
+        """Another process loads the coated scene, with its source."""
+        scene = mistray.coat(file, {"B_rear": "bbar4"}, sources="beam:radius=1")
+        again = source_of(scene).load()
+        assert {n: str(b) for n, b in bsdfs(again).items()} == {n: str(b) for n, b in bsdfs(scene).items()}
+        assert [e.size[0] for e in again.emitters()] == [1.0]
+        assert bsdfs(mistray.load(file))["B_rear"].film is None, "the file stays as it is"
+
+
+class TestPatterns:
+    def test_clear_surfaces_of_a_pattern(self, file: Path, tmp_path: Path) -> None:
+        found = write_coated(file, tmp_path / "new.xml", Rules({"*": "bbar3"}))
+        assert set(found.changes) == {"A front", "B_rear"}
+        assert {(item.surface, item.why) for item in found.left} == {
+            ("A_B", "lies in cement"), ("iris_front", "is opaque"), ("detector", "is opaque")
+        }  # fmt: skip
+        text = (tmp_path / "new.xml").read_text(encoding="utf-8")
+        assert text.count('<ref id="bbar3"/>') == 2
+        assert text.count('id="bbar3"') == 3
+
+    def test_a_name_means_one_surface(self, file: Path) -> None:
+        """Cement is coated by its name; a later pattern goes over an earlier one; bare takes a coating off."""
+        scene = mistray.coat(file, {"A_B": "mgf2_quarter_wave", "?*": "bbar3", "B": "bare"})
+        found = {name: str(bsdf.coating.name) for name, bsdf in bsdfs(scene).items() if bsdf.film is not None}
+        assert (found["A_B"], found["A front"]) == ("mgf2_quarter_wave", "bbar3")
+        assert "B_rear" not in found
+
+    def test_mirrors(self, tmp_path: Path) -> None:
+        """A mirror takes an opaque coating by a pattern, what is black does not."""
+        found = write_coated("newtonian", tmp_path / "new.xml", Rules({"*": "protected_ag"}))
+        assert set(found.changes) == {"primary", "diagonal"}
+        with pytest.raises(MistrayError, match="'primary=bbar3': 'primary' is opaque; give an opaque coating"):
+            write_coated("newtonian", tmp_path / "no.xml", Rules({"primary": "bbar3"}))
+
+    def test_paint_goes_over_coatings_and_scatter_over_paint(self, file: Path) -> None:
+        scene = mistray.coat(
+            file, {"B": "bbar3"}, paint={"B_*": 0.1}, scatter={"B_rear": "particulate level=200", "A front": "none"}
+        )
+        assert bsdfs(scene)["B_rear"].opaque
+        assert [item.kind for item in bsdfs(scene)["B_rear"].scatterers] == ["paint", "particulate"]
+
+    def test_scatter_replaces_its_kind(self, file: Path, tmp_path: Path) -> None:
+        first, second = tmp_path / "1.xml", tmp_path / "2.xml"
+        write_coated(file, first, Rules(scatter={"A front": ["harvey_shack rms_nm=3", "particulate level=300"]}))
+        write_coated(first, second, Rules(scatter={"A front": "harvey_shack rms_nm=5"}))
+        models = {item.kind: item.model for item in bsdfs(mistray.load(second))["A front"].scatterers}
+        assert (models["harvey_shack"].rms_nm, models["particulate"].level) == (5, 300)
+        write_coated(second, tmp_path / "3.xml", Rules(scatter={"A*": "none"}))
+        assert bsdfs(mistray.load(tmp_path / "3.xml"))["A front"].scatterers == ()
+
+    def test_names_of_the_scene(self, file: Path, tmp_path: Path) -> None:
+        """What the scene has by a name is referred to; a new one of the same values too; another one gets a number."""
+        layers, shared = tmp_path / "1.xml", tmp_path / "2.xml"
+        write_coated(file, layers, Rules({"A front": "1.4 100"}, scatter={"A front": "harvey_shack rms_nm=3"}))
+        rules = Rules({"B": "coating", "A front": "1.5 90"}, scatter={"B": "harvey_shack rms_nm=3"})
+        write_coated(layers, shared, rules)
+        text = shared.read_text(encoding="utf-8")
+        assert text.count('id="coating"') == 2, "the coating, and B_rear that refers to it"
+        assert text.count('id="coating_2"') == 2
+        assert text.count('<ref id="harvey_shack_rms_nm_3"/>') == 2
+        films = bsdfs(mistray.load(shared))
+        assert [layer.thickness_nm for layer in films["B_rear"].coating.layers] == [100]
+        assert [layer.thickness_nm for layer in films["A front"].coating.layers] == [90]
+
+    def test_objects_of_python(self) -> None:
+        ar, rough = Coating(preset="v_coat"), Scatter("harvey_shack", {"rms_nm": 2.0})
+        system = mistray.coat(lens(), {"B": ar}, scatter={"B": rough})
+        assert system.surfaces[2].coating == ar
+        assert system.surfaces[2].scatter == (rough,)
+
+    def test_files_lie_where_they_are(self, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Paths count from the current folder; the new scene finds them from its own."""
+        (tmp_path / "t.csv").write_text("wavelength_nm,angle_deg,R,T\n550,0,0.1,0.8\n550,90,0.1,0.8\n")
+        (tmp_path / "g.csv").write_text("wavelength_nm,n,k\n400,1.5,0\n700,1.5,0\n")
+        (tmp_path / "out").mkdir()
+        monkeypatch.chdir(tmp_path)
+        write_coated(file, "out/new.xml", Rules({"B": "t.csv", "A front": "g.csv 80"}))
+        monkeypatch.chdir("/")
+        scene = mistray.load(tmp_path / "out" / "new.xml")
+        expected = (tmm.coh_tmm("s", [1, 1.5, 1.5168], [float("inf"), 80, float("inf")], 0, 550)["T"]
+                    * (1 - ((1.7 - 1.5168) / (1.7 + 1.5168)) ** 2) * 0.8)  # fmt: skip
+        assert direct(scene) == pytest.approx(expected, rel=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("rules", "words"),
+    [
+        ({"coatings": {"C*": "bbar3"}}, "'C\\*=bbar3' fits no surface and no part; the nearest names are"),
+        ({"coatings": {"A_b": "bbar3"}}, "the nearest names are A_B"),
+        ({"coatings": {"detector": "bbar3"}}, "'detector' is opaque; give an opaque coating, such as"),
+        ({"coatings": {"iris*": "bbar3"}}, "'iris_front' is opaque"),
+        ({"coatings": {"A*": "bbar"}}, "coating 'bbar': .*did you mean 'bbar[34]'"),
+        ({"coatings": {"A*": "MgF2"}}, "coating 'MgF2'"),
+        ({"coatings": {"A*": "Unobtainium 30"}}, "layer 1.*material 'Unobtainium' is unknown"),
+        ({"coatings": {"A*": "R=0.9 T=0.2"}}, "R \\+ T must not exceed 1"),
+        ({"coatings": {"A*": "R=nan"}}, "R = nan"),
+        ({"coatings": {"A*": "MgF2 -1"}}, "thickness"),
+        ({"coatings": {"A*": "MgF2 1e308"}}, "coating"),
+        ({"coatings": {"A*": "missing.csv"}}, "missing.csv': No such file"),
+        ({"coatings": {"A*": ""}}, "coating ''"),
+        ({"paint": {"A*": "flat_blak"}}, "paint 'flat_blak'.*did you mean flat_black"),
+        ({"paint": {"A*": 1.5}}, "reflectance is 1.5"),
+        ({"scatter": {"A*": "harvey rms_nm=3"}}, "scatter 'harvey rms_nm=3'.*did you mean 'harvey_shack'"),
+        ({"scatter": {"A*": "harvey_shack rms=3"}}, "there is no 'rms'; did you mean 'rms_nm'"),
+        ({"scatter": {"A*": "harvey_shack rms_nm=0 rms_nm=1"}}, "rms_nm stands there twice"),
+    ],
+)
+def test_mistakes(file: Path, tmp_path: Path, rules: dict[str, dict[str, str]], words: str) -> None:
+    """One line, of a file and of a prescription, and nothing is written."""
+    with pytest.raises(MistrayError, match=words) as caught:
+        write_coated(file, tmp_path / "new.xml", Rules(**rules))
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "new.xml").exists()
+    with pytest.raises(MistrayError, match=words):
+        mistray.coat(lens(), rules.get("coatings"), paint=rules.get("paint"), scatter=rules.get("scatter"))
+
+
+def test_what_cannot_be_coated(file: Path) -> None:
+    with pytest.raises(MistrayError, match="coat: int is given; give a scene file"):
+        mistray.coat(3, {"a": "bbar3"})  # type: ignore[call-overload]
+    with pytest.raises(MistrayError, match="sources and sensors are for scenes"):
+        mistray.coat(lens(), {"A": "bbar3"}, sources="sun")  # type: ignore[call-overload]
+    text = file.read_text(encoding="utf-8").replace('type="interface"', 'type="diffuse"', 1)
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(MistrayError, match="'A front' has the BSDF 'diffuse', not an 'interface'"):
+        mistray.coat(file, {"A front": "bbar3"})
+
+
+class TestCommand:
+    def test_writes_a_scene(self, file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        new = tmp_path / "new.xml"
+        words = ["coat", str(file), "*=bbar3", "--paint", "iris=flat_black", "--scatter", "A front=particulate level=9"]
+        assert main([*words, "-o", str(new)]) == 0
+        out = capsys.readouterr().out
+        for line in (
+            "bbar3 + particulate_level_9: A front",
+            "bbar3: B_rear",
+            "left alone, because it lies in cement: A_B",
+        ):
+            assert line in out
+        assert main([*words, "-o", str(new)]) == 2, "nothing is overwritten unasked"
+        assert main([*words, "-o", str(file), "--force"]) == 2, "and what is read never"
+        capsys.readouterr()
+        assert main([*words, "-o", str(new), "--force", "--json"]) == 0
+        record = json.loads(capsys.readouterr().out)
+        assert record["changes"][0] == {
+            "surface": "A front", "recoated": True, "coating": "bbar3", "scatter": ["particulate_level_9"]
+        }  # fmt: skip
+        assert {"surface": "A_B", "pattern": "*", "why": "lies in cement"} in record["left"]
+        assert record["files"] == [str(new)]
+
+    def test_options_of_a_trace(self, file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        """The numbers of a trace with --coating are those of the coated file."""
+        assert main(["coat", str(file), "?*=bbar3", "-o", str(tmp_path / "new.xml")]) == 0
+        results = []
+        for words in ([str(tmp_path / "new.xml")], [str(file), "--coating", "?*=bbar3"]):
+            capsys.readouterr()
+            assert main(["ghosts", *words, "--rays", "500", "--max-reflections", "2", "--json", "--quiet"]) == 0
+            results.append(json.loads(capsys.readouterr().out)["fields"][0])
+        names = ("direct_power_W", "direct_rms_radius_mm", "paths")
+        assert [results[0][name] for name in names] == pytest.approx([results[1][name] for name in names], rel=1e-9)
+
+    def test_mistakes(self, file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        for words, expected in (
+            (["coat", str(file)], "nothing to put on; give PATTERN=COATING"),
+            (["coat", str(file), "bbar3"], "'bbar3' is no coating; write PATTERN=COATING"),
+            (["coat", str(file), "A="], "'A=' is no coating"),
+            (["coat", "plaet", "A=bbar3"], "scene 'plaet': no such file"),
+            (["ghosts", str(file), "--coating", "Z=bbar3"], "fits no surface and no part"),
+            (["ghosts", str(file), "--scatter", "A=smooth"], "scatter 'smooth': there is none of this name"),
+        ):
+            assert main(words) == 2
+            error = capsys.readouterr().err
+            assert expected in error
+            assert error.count("\n") == 1
+
+    @pytest.mark.long
+    def test_import(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        """A lens is coated as it is read, as its scene would be."""
+        source = find("phone_camera").with_name("prescription.json")
+        words = [
+            "--coating",
+            "L*=bbar4",
+            "--paint",
+            "barrel_*=good_black_paint",
+            "--scatter",
+            "L1=harvey_shack rms_nm=1",
+        ]
+        assert main(["import", str(source), "-o", str(tmp_path / "a.xml"), *words]) == 0
+        scene = bsdfs(mistray.load(tmp_path / "a.xml"))
+        assert str(scene["L1_front"].coating.name) == "bbar4"
+        assert [item.kind for item in scene["L1_rear"].scatterers] == ["harvey_shack"]
+        assert scene["barrel_0_cone"].scatterers[0].model.name == "good_black_paint"

@@ -1,0 +1,221 @@
+"""Spectra beside published numbers and integrals of their own; as a trace takes them from every kind of scene."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mistray
+from mistray.errors import MistrayError
+from mistray.prescription import ObjectPoint, Source
+from mistray.scenes.plate.prescription import build
+from mistray.spectra.cie import observer
+from mistray.spectra.spectrum import light_of, of_lines, read_table, spectrum
+
+pytestmark = pytest.mark.quick
+
+SCREEN = {"type": "asphere", "semi_diameter": 5.0, "bsdf": {"type": "interface", "R": 0.0},
+          "sensor": {"type": "irradiancemeter"}}  # fmt: skip
+
+
+def planck(wavelength_nm: np.ndarray, kelvin: float) -> np.ndarray:
+    """Relative radiance of a blackbody by wavelength, with the second radiation constant of CODATA 2018."""
+    x = 1.438776877e7 / (wavelength_nm * kelvin)
+    return wavelength_nm**-5.0 / np.expm1(x)
+
+
+@pytest.mark.parametrize("kelvin", [300.0, 3000.0, 5772.0])
+def test_bands_of_a_blackbody(kelvin: float) -> None:
+    """Weights and mean wavelengths are those of Planck's law by the trapezoidal rule."""
+    low, high = (8000.0, 12000.0) if kelvin < 1000 else (400.0, 700.0)
+    light = light_of(f"blackbody:{kelvin}", (low, high), 4)
+    for k in range(4):
+        fine = np.linspace(low + (high - low) * k / 4, low + (high - low) * (k + 1) / 4, 20_001)
+        values = planck(fine, kelvin)
+        whole = np.linspace(low, high, 80_001)
+        share = np.trapezoid(values, fine) / np.trapezoid(planck(whole, kelvin), whole)
+        mean = np.trapezoid(values * fine, fine) / np.trapezoid(values, fine)
+        assert light.weights[k] == pytest.approx(share, rel=1e-7)
+        assert light.wavelengths_nm[k] == pytest.approx(mean, rel=1e-9)
+
+
+def test_the_former_candela() -> None:
+    """Until 1979 a blackbody at the freezing point of platinum, 2042 K, had 60 cd/cm² by definition."""
+    assert spectrum("blackbody:2042").lumens == pytest.approx(0.6, rel=5e-3)
+
+
+def test_sunlight() -> None:
+    """1366.1 W/m² in all; parts of the standard's 1697 values by the trapezoidal rule, W/m²; 133 klx."""
+    sun = spectrum("am0")
+    assert sun.energy(119.5, 1e6) == pytest.approx(1366.1e-6, rel=1e-5)
+    for low, high, exact in ((400, 700, 530.114), (280, 4000, 1347.62), (200, 300, 14.647), (3000, 5000, 21.077)):
+        assert sun.energy(low, high) == pytest.approx(1e-6 * exact, rel=0.01)
+    assert sun.energy(400, 700) == pytest.approx(530.114e-6, rel=1e-3)
+    assert 1e6 * sun.lumens == pytest.approx(133.3e3, rel=5e-3)
+
+
+def test_daylight_is_white() -> None:
+    """The chromaticity of D65 is x = 0.31272, y = 0.32903, from 5 nm wide bands."""
+    light = light_of("d65", (380, 780), 80)
+    known, table = observer()
+    xyz = np.array([light.weights @ np.interp(light.wavelengths_nm, known, row) for row in table.T])
+    assert xyz[:2] / xyz.sum() == pytest.approx([0.31272, 0.32903], abs=2e-4)
+
+
+def test_lines() -> None:
+    light = light_of("F, d C", weights=[1, 2, 1])
+    assert light.wavelengths_nm == pytest.approx([486.1327, 587.5618, 656.2725])
+    assert light.weights == pytest.approx([0.25, 0.5, 0.25])
+    assert len(light_of("Hg").wavelengths_nm) == 6
+    assert of_lines([555.0]).lumens_per_watt == pytest.approx(683.0, rel=1e-3)
+    assert of_lines([1550.0]).lumens_per_watt == 0.0
+
+
+def test_lumens_are_of_the_whole_spectrum() -> None:
+    """A watt in a part of the visible light goes with all lumens of the lamp."""
+    narrow, wide = light_of("blackbody:3000", (500, 600), 3), light_of("blackbody:3000")
+    lamp = spectrum("blackbody:3000")
+    ratio = lamp.energy(400, 700) / lamp.energy(500, 600)
+    assert narrow.lumens_per_watt == pytest.approx(ratio * wide.lumens_per_watt, rel=1e-9)
+
+
+def test_tables(tmp_path: Path) -> None:
+    """A triangle from 400 to 500 nm: shares of its quarters 1, 3, 3, 1 of 8, mean 2/3 of the way up the first."""
+    file = tmp_path / "a lamp.csv"
+    file.write_text("# made up\nwavelength_nm, W\n400, 0\n450, 3\n500, 0\n")
+    light = light_of(str(file), bands=4)
+    assert light.weights == pytest.approx(np.array([1, 3, 3, 1]) / 8)
+    assert light.wavelengths_nm[0] == pytest.approx(400 + 25 * 2 / 3)
+    assert len(light_of(str(file), (400, 450), 2).weights) == 2
+    for separator in (";", "\t", " "):
+        file.write_text(f"400{separator}1\r\n500{separator}2\r\n")
+        assert read_table(file)[1] == pytest.approx([1, 2])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "nm\n",
+        "400,1\n",
+        "400,1\n400,2\n",
+        "500,1\n400,2\n",
+        "400,1\n500,-1\n",
+        "400,nan\n500,1\n",
+        "400,1,2\n500,1,2\n",
+        "um,value\n0.4,1\n0.5,1\n",
+        "400,0\n500,0\n",
+        "1,1\n2,1\n",
+        "400,1\n500,x\n",
+        "400,1e308\n500,1e308\n",
+    ],
+)
+def test_tables_that_are_none(text: str, tmp_path: Path) -> None:
+    file = tmp_path / "odd.csv"
+    file.write_text(text)
+    with pytest.raises(MistrayError, match=r"odd\.csv") as error:
+        read_table(file)
+    assert "\n" not in str(error.value)
+
+
+FORMS = {"spectrum": "d65", "band_nm": "450, 650", "bands": 3}
+EXPECTED = light_of("d65", (450, 650), 3)
+
+
+def scene_of(kind: str, tmp_path: Path) -> Any:
+    """The same beam from a dict, a text, a file and a prescription."""
+    beam = {"type": "collimated", "radius": 1.0, **FORMS}
+    if kind == "dict":
+        return mistray.load({"type": "scene", "screen": SCREEN, "beam": beam})
+    if kind == "text":
+        return mistray.load("plate", "beam:radius=1,spectrum=d65,band_nm=450 650,bands=3")
+    if kind == "xml":
+        file = tmp_path / "scene.xml"
+        file.write_text(
+            '<scene version="3.0.0"><emitter type="collimated"><float name="radius" value="1"/>'
+            '<string name="spectrum" value="d65"/><string name="band_nm" value="450, 650"/>'
+            '<integer name="bands" value="3"/></emitter><shape type="asphere" id="screen">'
+            '<float name="semi_diameter" value="5"/><bsdf type="interface"><float name="R" value="0"/></bsdf>'
+            '<sensor type="irradiancemeter"/></shape></scene>'
+        )
+        return mistray.load(file)
+    spectral = {"spectrum": "d65", "band_nm": (450.0, 650.0), "bands": 3}
+    source = Source(radius=1.0, **spectral) if kind == "prescription" else ObjectPoint(distance=500.0, **spectral)
+    return replace(build(), source=replace(source, field_deg=1.0)).to_scene()
+
+
+@pytest.mark.parametrize("kind", ["dict", "text", "xml", "prescription", "near prescription"])
+def test_every_form_of_a_source_takes_it(kind: str, tmp_path: Path) -> None:
+    t = mistray.trace(scene_of(kind, tmp_path), rays=1000)
+    assert t.wavelengths_nm == pytest.approx(EXPECTED.wavelengths_nm)
+    launched = [t.energy_at(nm).launched_W for nm in t.wavelengths_nm]
+    assert np.array(launched) / sum(launched) == pytest.approx(EXPECTED.weights, rel=1e-5)
+
+
+def test_wavelengths_of_a_call_come_first() -> None:
+    scene = mistray.load({"type": "scene", "screen": SCREEN, "beam": {"type": "collimated", "radius": 1.0, **FORMS}})
+    t = mistray.trace(scene, rays=1000, wavelength_nm=[500.0, 600.0])
+    assert t.wavelengths_nm == [500.0, 600.0]
+    assert t.energy.launched_W == pytest.approx(np.pi, rel=1e-6)
+
+
+def test_bands_add_up_to_the_spectrum(tmp_path: Path) -> None:
+    """A black body behind a filter whose transmittance is a straight line: exact with one band and with many."""
+    table = tmp_path / "filter.csv"
+    rows = [f"{nm},0,0,{(nm - 400) / 300:.6f}" for nm in range(400, 701, 10)]
+    table.write_text("wavelength_nm,angle_deg,R,T\n" + "\n".join(rows))
+    sheet = {"type": "asphere", "semi_diameter": 3.0, "z": -1.0, "bsdf": {"type": "thinfilm", "table": str(table)}}
+    fine = np.linspace(400, 700, 60_001)
+    values = planck(fine, 3000.0)
+    exact = np.trapezoid(values * (fine - 400) / 300, fine) / np.trapezoid(values, fine)
+    for bands in (1, 4):
+        beam = {"type": "collimated", "radius": 1.0, "spectrum": "blackbody:3000", "bands": bands}
+        energy = mistray.trace(
+            mistray.load({"type": "scene", "screen": SCREEN, "sheet": sheet, "beam": beam}), rays=500
+        ).energy
+        assert energy.detected_W / energy.launched_W == pytest.approx(exact, rel=2e-5)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"spectrum": "X"},
+        {"spectrum": "d C X"},
+        {"spectrum": ""},
+        {"spectrum": "blackbody"},
+        {"spectrum": "blackbody:-1"},
+        {"spectrum": "blackbody:nan"},
+        {"spectrum": "blackbody:1e308"},
+        {"spectrum": "blackbody:20"},  # nothing of it is visible
+        {"spectrum": "blackbody:0"},
+        {"spectrum": "d65", "band_nm": "200, 700"},
+        {"spectrum": "d65", "band_nm": "700, 400"},
+        {"spectrum": "d65", "band_nm": "400"},
+        {"spectrum": "d65", "bands": 0},
+        {"spectrum": "d65", "bands": 2.5},
+        {"spectrum": "d65", "weights": "1"},
+        {"spectrum": "d65", "wavelength_nm": 551.0},
+        {"spectrum": "d d"},
+        {"spectrum": "d", "bands": 2},
+        {"bands": 2},
+        {"band_nm": "400, 500"},
+        {"spectrum": "nowhere.csv"},
+    ],
+    ids=str,
+)
+def test_bad_spectra(wrong: dict[str, Any]) -> None:
+    """One line that names the source; prescriptions refuse the same."""
+    with pytest.raises(MistrayError, match="'lamp'") as error:
+        mistray.load({"type": "scene", "lamp": {"type": "sky", **wrong}})
+    assert "\n" not in str(error.value)
+    own = dict(wrong)
+    for key in ("band_nm", "weights", "wavelength_nm"):
+        if key in own:
+            own[key] = tuple(float(word) for word in str(own[key]).split(","))
+    with pytest.raises(MistrayError, match="source") as error:
+        Source(radius=1.0, **own)
+    assert "\n" not in str(error.value)
