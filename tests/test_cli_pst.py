@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
+import re
 import shlex
 import signal
 import subprocess
@@ -69,6 +70,8 @@ def test_it_prints_the_main_table(capsys: Any, fake: list[dict[str, Any]]) -> No
     assert "PST = E_det/E_⊥" in out
     assert "scatter at window_front" in out
     assert "%: share of the stray light at that angle" in out
+    causes = out[out.index("first scattered by") :]
+    assert re.search(r"(?m)^ +40  .*window_front [\d.]+ %", causes)
 
 
 def test_every_option_is_passed_on(capsys: Any, fake: list[dict[str, Any]]) -> None:
@@ -271,6 +274,8 @@ def test_a_real_plate(capfd: Any, tmp_path: Path) -> None:
     (ghost,) = row["paths"]
     assert ghost["label"] == "rear → front"
     assert ghost["percent_of_stray"] == pytest.approx(100)
+    assert [cause["cause"] for cause in row["causes"]] == ["ghosts"]
+    assert row["causes"][0]["percent_of_stray"] == pytest.approx(100)
 
 
 def test_a_detector_in_a_closed_box_has_the_pst_0_and_a_line_says_why(capfd: Any, tmp_path: Path) -> None:

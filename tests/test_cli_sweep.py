@@ -97,6 +97,29 @@ class TestSweep:
         assert "as it is" in printed
         assert not cache.exists()
 
+    def test_a_configuration_on_the_command_line(self, capsys: Any, plate: str, states: str) -> None:
+        """It stands beside the scene as it is, or behind the configurations of the file."""
+        values = ("--set", "p0_*.bsdf.R=0.3", "--set", "p0_*.bsdf.T=0.6")
+        code, printed, errors = run(capsys, "sweep", plate, *values, *ASKED, "--json")
+        assert (code, errors) == (0, "")
+        rows = json_units.read(printed)["rows"]
+        name = "p0_*.bsdf.R = 0.3, p0_*.bsdf.T = 0.6"
+        assert [row["configuration"] for row in rows] == ["as it is"] * 4 + [name] * 4
+        assert [row["ghost_to_signal"] for row in rows] == pytest.approx([0.01] * 4 + [0.09] * 4)
+        code, printed, errors = run(capsys, "sweep", plate, states, *values, *ASKED, "--json")
+        assert [row["configuration"] for row in json_units.read(printed)["rows"][::4]] == ["weak", "strong", name]
+
+    def test_its_pst(self, capsys: Any, plate: str) -> None:
+        """Half the reflectance of a face halves the ghost, a PST of 0.005; a black face lets nothing through."""
+        asked = ("--pst-field-deg", "0", "--rays", "2000", "--json")
+        for change, lost in ((("--set", "p0_front.bsdf.R=0.05"), 0.0025), (("--paint", "p0_front=black"), None)):
+            code, printed, errors = run(capsys, "sweep", plate, *change, *asked)
+            assert (code, errors) == (0, "")
+            (row,) = json_units.read(printed)["rows"]
+            assert row["configuration"] == change[1].replace("=", " = ")
+            expected = row["before"] if lost is None else pytest.approx(lost, rel=0.15)
+            assert row["before"] - row["after"] == expected
+
     def test_a_dark_field_is_drawn(self, capsys: Any, plate: str, tmp_path: Path) -> None:
         """Light that misses the detector: no direct image, no stray light, nothing to divide by."""
         out = tmp_path / "out"
@@ -163,6 +186,12 @@ class TestSweep:
             (("--wavelength-nm", "500", "500"), "give every wavelength once"),
             (("--rays", "0"), "--rays: 0 must"),
             (("--formats", "parquet"), "--formats writes files; say with --out"),
+            (("--set", "p0_rear.bsdf.R"), "'p0_rear.bsdf.R' is no value; write KEY=VALUE"),
+            (("--set", "p0_rear.bsdf.R=nan"), "'nan' is not a number"),
+            (("--set", "p0_rear.bsdf.Q=1"), "the scene has no parameter 'p0_rear.bsdf.Q'; did you mean"),
+            (("--coating", "p0_*=bare"), "--coating is compared by its PST; give --pst-field-deg as well"),
+            (("--paint", "p0_*=black"), "--paint is compared by its PST; give --pst-field-deg as well"),
+            (("--pst-field-deg", "20"), "give --set, --coating, --paint, a TOML file with them, or --rank"),
         ],
     )
     def test_bad_input_is_one_line(self, capsys: Any, plate: str, arguments: tuple[str, ...], words: str) -> None:

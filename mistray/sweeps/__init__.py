@@ -1,6 +1,6 @@
 """Fields × wavelengths × configurations of a scene, all traced in one call with the kernels compiled once."""
 
-from mistray.sweeps.configurations import Configuration
+from mistray.sweeps.configurations import AS_IT_IS, Configuration
 from mistray.sweeps.edit_ranking import EditRanking, rank_edits
 from mistray.sweeps.pst_sweep import PstSweep, sweep_pst
 from mistray.sweeps.read_configurations import read_configurations
@@ -8,6 +8,7 @@ from mistray.sweeps.result import Sweep
 from mistray.sweeps.trace_rows import sweep
 
 __all__ = [
+    "AS_IT_IS",
     "Configuration",
     "EditRanking",
     "PstSweep",

@@ -9,16 +9,18 @@ from typing import TYPE_CHECKING, Any
 from mistray.cli.arguments import INTERRUPTED, pairs
 from mistray.cli.command import Command, Group, Option, angles
 from mistray.cli.options import Options
-from mistray.cli.shared import SCATTER, SCENE, SCHEDULER, SPECTRUM, TABLE_FORMATS, TIME, output, ray_tree
+from mistray.cli.shared import SCATTER, SCENE, SCHEDULER, SPECTRUM, SURFACES, TABLE_FORMATS, TIME, output, ray_tree
 from mistray.errors import MistrayError, UnfinishedError
-from mistray.ranges import AZIMUTH_DEG, FIELD_DEG
+from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, FINITE
 
 if TYPE_CHECKING:
-    from mistray.sweeps import Sweep
+    from mistray.sweeps import Configuration, Sweep
 
 # What --out writes
 FILES = ("report.html", "configurations.csv", "sweep.*", "pst_sweep.csv", "edit_ranking.csv")
+COATING, PAINT, _ = SURFACES.options
 OF_FIELDS = ("field_deg", "azimuth_deg", "formats", "seconds", "no_cache")  # options that mean nothing for a PST
+OF_PST = ("coating", "paint")  # options that mean nothing without one
 
 # fmt: off
 COMMAND = Command(
@@ -32,6 +34,7 @@ COMMAND = Command(
         "mistray sweep cooke_triplet examples/triplet_states.toml --field-deg 0 20 --rays 1e5 --out out/sweep",
         "mistray sweep scene.xml states.toml --json --no-cache",
         "mistray sweep baffle_tube edits.toml --pst-field-deg 10:60:10 --rays 1e6    # what each edit does",
+        "mistray sweep baffle_tube --set tube_vane_3.z=2 --pst-field-deg 20:40:10     # a vane moved by 2 mm",
         "mistray sweep baffle_tube --pst-field-deg 10:60:10 --rank --step rim=0.5     # which would pay",
     ),
     (
@@ -50,6 +53,14 @@ COMMAND = Command(
                    pairs("no step; write KEY=STEP, such as rim=0.5 or paint.reflectance=2%"), "KEY=STEP", "+"),
             SPECTRUM[0],
         )),
+        Group("one more configuration, beside the scene as it is", (
+            Option("--set", "values of parameters, 'hood.z=-5' (a shift), 'L1_front.bsdf.R=0.01': keys, groups "
+                   "or patterns, in the unit of the parameter",
+                   pairs("no value; write KEY=VALUE, such as hood.z=-5", FINITE), "KEY=VALUE", "+", extends=True),
+            Option("--coating", f"with --pst-field-deg: {COATING.help}", COATING.type, COATING.metavar, "+",
+                   extends=True),
+            Option("--paint", f"with --pst-field-deg: {PAINT.help}", PAINT.type, PAINT.metavar, "+", extends=True),
+        )),
         ray_tree("start rays of every row (1e6; 4e6 with --pst-field-deg)", TIME, SCHEDULER),
         SCATTER,
         output("report.html, CSV files, JSON and a picture", FILES,
@@ -65,11 +76,14 @@ def run(options: Options) -> int:
         return _run_pst(options)
     if options.rank or options.step:
         raise MistrayError("--rank and --step are about the PST; give its field angles with --pst-field-deg")
+    options.refuse(OF_PST, " is compared by its PST; give --pst-field-deg as well")
     options.start()
     from mistray.report.sweep_output import sweep_record, sweep_text
-    from mistray.sweeps import Sweep, read_configurations, sweep
+    from mistray.sweeps import AS_IT_IS, Configuration, Sweep, sweep
 
-    configurations = None if options.study is None else read_configurations(options.study)
+    configurations = _configurations(options)
+    if options.study is None and configurations:
+        configurations.insert(0, Configuration(AS_IT_IS))
     before = _entries(options)
     try:
         with options.tracing() as progress:
@@ -77,7 +91,7 @@ def run(options: Options) -> int:
                 options.scene,
                 options.field_deg,
                 options.wavelength_nm,
-                configurations,
+                configurations or None,
                 azimuth_deg=options.azimuth_deg,
                 cache=False if options.no_cache else None,
                 progress=progress,
@@ -102,21 +116,23 @@ def run(options: Options) -> int:
 def _run_pst(options: Options) -> int:
     """What the configurations do to the PST."""
     options.refuse(OF_FIELDS, " is for traces of fields; leave it out with --pst-field-deg")
-    if options.study is None and not options.rank:
-        raise MistrayError("--pst-field-deg compares configurations; give a TOML file with them, or --rank")
+    if options.study is None and not (_edited(options) or options.rank):
+        raise MistrayError(
+            "--pst-field-deg compares configurations; give --set, --coating, --paint, a TOML file with them, or --rank"
+        )
     if options.step and not options.rank:
         raise MistrayError("--step is about the ranking; give --rank as well, or leave it out")
     folder = options.start()
     from mistray.report.tables import edits
-    from mistray.sweeps import rank_edits, read_configurations, sweep_pst
+    from mistray.sweeps import rank_edits, sweep_pst
 
     angles_deg, settings = options.pst_field_deg, {"wavelength_nm": options.wavelength_nm, **options.settings()}
     record: dict[str, Any] = {}
     texts: list[str] = []
     files: list[Path] = []
-    if options.study is not None:
+    if options.study is not None or _edited(options):
         with options.tracing() as progress:
-            configurations = read_configurations(options.study)
+            configurations = _configurations(options)
             found = sweep_pst(options.scene, configurations, angles_deg, progress=progress, **settings)
         record |= edits.pst_sweep_record(found)
         texts.append(edits.pst_sweep_text(found))
@@ -129,6 +145,24 @@ def _run_pst(options: Options) -> int:
         texts.append(edits.edit_ranking_text(ranking))
         files += [] if folder is None else edits.write_edits(ranking, folder, options.command_line)
     return options.show(lambda: record, lambda: "\n\n".join(texts), files, files[-1].name if files else "")
+
+
+def _edited(options: Options) -> bool:
+    """Whether there is a configuration on the command line."""
+    return bool(options.set or options.coating or options.paint)
+
+
+def _configurations(options: Options) -> list[Configuration]:
+    """Those of the file, and that of the command line, which is named by what it changes."""
+    from mistray.sweeps import Configuration, read_configurations
+
+    found = [] if options.study is None else read_configurations(options.study)
+    if _edited(options):
+        values, coat, paint = (dict(given or ()) for given in (options.set, options.coating, options.paint))
+        changes = [f"{key} = {value:g}" for key, value in values.items()]
+        changes += [f"{pattern} = {look}" for pattern, look in (coat | paint).items()]
+        found.append(Configuration(", ".join(changes), values, paint, coat))
+    return found
 
 
 def _entries(options: Options) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.pst.causes import Break, breaks, field_edge, stray_paths
+from mistray.analysis.pst.causes import Break, breaks, cause_frame, field_edge, stray_paths
 from mistray.analysis.pst.result import Pst
 from mistray.files.json_values import plain
 from mistray.recorders.direction_recorder import CLASSES
@@ -164,19 +164,33 @@ def causes_text(causes: Sequence[tuple[str, float]]) -> str:
     return ", ".join(f"{name} {number(share, 2)} %" for name, share in causes) or ABSENT
 
 
+def causes_at(pst: Pst, count: int) -> list[list[tuple[str, float]]]:
+    """The strongest causes of the stray light at each angle with their shares, %, of all azimuths together."""
+    table = cause_frame(pst)
+    rows = [row[row > 0].sort_values(ascending=False, kind="stable").head(count) for _, row in table.iterrows()]
+    return [[(str(name), float(share)) for name, share in row.items()] for row in rows]
+
+
+def top_causes_text(pst: Pst, count: int) -> str:
+    """The strongest causes of each angle: the surface that scatters the light first, ghosts, straight shots."""
+    rows = [[f"{angle:g}", causes_text(at)] for angle, at in zip(pst.field_deg, causes_at(pst, count), strict=True)]
+    return table_text(Table(columns("angle [deg]", "<first scattered by, or else caused by [% of stray light]"), rows))
+
+
 def pst_text(pst: Pst, paths_shown: int = 4) -> str:
     """
-    What `mistray pst` prints: the curve, the strongest stray paths of each angle, its breaks, and warnings.
+    What `mistray pst` prints: the curve, the strongest stray paths and causes of each angle, its breaks, and warnings.
 
     Parameters
     ----------
     pst : Pst
     paths_shown : int
-        Paths of each angle; 0: none.
+        Paths and causes of each angle; 0: none.
     """
     parts = [heading(pst), curve_text(pst), ""]
     if pst.path_rows is not None and paths_shown:
         parts += [f"Strongest stray paths of each angle; {DENOMINATOR}", top_paths_text(pst, paths_shown), ""]
+        parts += [] if pst.is_dark else [top_causes_text(pst, paths_shown), ""]
     found = breaks(pst)
     if found:
         parts += ["Breaks of the curve of stray light", table_text(breaks_table(found)), ""]
@@ -223,18 +237,19 @@ def pst_record(pst: Pst, paths_shown: int = 4) -> dict[str, Any]:
     ----------
     pst : Pst
     paths_shown : int
-        Strongest stray paths of each angle.
+        Strongest stray paths and causes of each angle.
 
     Returns
     -------
     dict
         convention, definition, method, facts, grid, field_edge_deg, curve (rows of `curve_frame`, each with its
-        ``paths``), cells (rows of `cell_frame`, where there are azimuths), breaks and warnings.
+        ``paths`` and ``causes``), cells (rows of `cell_frame`, where there are azimuths), breaks and warnings.
     """
     curve = curve_frame(pst).drop(columns=["convention", "method"]).to_dict("records")
     if pst.path_rows is not None:
-        for row in curve:
+        for row, causes in zip(curve, causes_at(pst, paths_shown), strict=True):
             row["paths"] = stray_paths(pst, row["angle_deg"], paths_shown).to_dict("records")
+            row["causes"] = [{"cause": name, "percent_of_stray": share} for name, share in causes]
     record = {
         "convention": pst.convention,
         "definition": DEFINITIONS[pst.convention],

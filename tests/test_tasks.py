@@ -1,0 +1,147 @@
+"""The ten tasks of docs/tasks.md: each is short, runs as it stands, and gives what the page says."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import mistray
+from mistray import cli
+
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "tasks.md").read_text(encoding="utf-8")
+TITLES = re.findall(r"(?m)^## \d+\. (.+)$", PAGE)
+TEXTS = re.split(r"(?m)^## .+$", PAGE)[1:]
+OUT = ROOT / "out"
+
+
+def lines(text: str, language: str) -> list[str]:
+    """Lines of the code blocks of a task in a language, without empty ones."""
+    blocks = re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)
+    return [line for block in blocks for line in block.splitlines() if line.strip()]
+
+
+def numbers(printed: str, start: str) -> list[float]:
+    """The numbers of the line of a table that begins so and goes on with a number and its error."""
+    found = re.findall(rf"(?m)^ *{re.escape(start)} +(\d.* ± .*)$", printed)
+    assert len(found) == 1, (start, printed)
+    return [float(word) for word in found[0].split() if re.fullmatch(r"\d[\d.]*(e-?\d+)?", word)]
+
+
+def imported(printed: str) -> None:
+    lens = mistray.load(OUT / "phone.xml")
+    coated = [shape.id() for shape in lens.shapes() if getattr(shape.bsdf(), "coating", None) is not None]
+    assert {"L1_front", "L1_rear", "L5_front", "L5_rear"} <= set(coated)
+    assert "next: mistray ghosts out/phone.xml" in printed
+
+
+def worst_ghosts(printed: str) -> None:
+    assert len(re.findall(r"L\d_\w+ → L\d_\w+", printed)) >= 3
+    page = (OUT / "ghosts" / "report.html").read_text(encoding="utf-8")
+    assert page.index("Most stray light arrives at") < page.index("<table")
+
+
+def moved(printed: str) -> None:
+    """The hood shades less than before."""
+    _, before, _, after, _, ratio, error = numbers(printed, "hood.z = -8")
+    assert ratio == pytest.approx(after / before, rel=0.01)
+    assert 1 - 3 * error < ratio < 1.5
+
+
+def pst_at_30(printed: str) -> None:
+    total, error, stray, _ = numbers(printed, "30")[:4]
+    assert total == stray
+    assert error < 0.15 * total
+
+
+def polish(printed: str) -> None:
+    table = printed[printed.index("first scattered by") :]
+    assert {"10", "20", "30"} <= {line.split()[0] for line in table.splitlines() if line[:1].isspace() and line.strip()}
+    assert re.search(r"L\d_\w+ \d+ %", table)
+
+
+def exported(printed: str) -> None:
+    assert "3 solids" in printed
+    assert "2 beams, 6 paths" in printed
+    text = (OUT / "triplet.step").read_text(encoding="ascii")
+    assert text.startswith("ISO-10303-21;")
+    assert all(f"PRODUCT('{lens}'" in text for lens in ("L1", "L2", "L3"))
+
+
+def own_coating(printed: str) -> None:
+    """The table reflects what the layers do that it was made of."""
+    assert "own: L1_front" in printed
+    scene = mistray.load(OUT / "own.xml")
+    coatings = {shape.id(): getattr(shape.bsdf(), "coating", None) for shape in scene.shapes()}
+    assert (type(coatings["L1_front"]).__name__, type(coatings["L1_rear"]).__name__) == ("CoatingTable", "Stack")
+    table = pd.read_csv(OUT / "own.csv", comment="#").set_index(["wavelength_nm", "angle_deg"])
+    media = np.eye(2, dtype=complex)
+    for n, thickness_nm in ((1.3837, 99.64), (1.6561, 80.0)):  # characteristic matrices at normal incidence
+        phase = 2 * np.pi * n * thickness_nm / 550
+        media = media @ [[np.cos(phase), 1j * np.sin(phase) / n], [1j * n * np.sin(phase), np.cos(phase)]]
+    inside, outside = media @ [1.0, 1.6938]  # N-LAK9
+    expected = abs((inside - outside) / (inside + outside)) ** 2
+    assert table.loc[(550, 0)].R_s == pytest.approx(expected, abs=1e-4)
+
+
+def own_bsdf(printed: str) -> None:
+    """A table of a Lambertian paint scatters as the paint does."""
+    paint = mistray.coat("plate_and_wall", {}, scatter={"screen": "paint reflectance=0.05"})
+    p = mistray.pst(paint, [30.0], rays=20_000)
+    stray, error = (float(curve[0]) for curve in p.curve("stray"))
+    _, _, found, found_error = numbers(printed, "30")[:4]
+    assert abs(found - stray) < 4 * (error**2 + found_error**2) ** 0.5
+
+
+def compared(printed: str) -> None:
+    ratio = re.findall(r"makes ghosts ([\d.]+) ± [\d.]+ times weaker", printed)
+    assert float(*ratio) > 2
+
+
+def handed_over(printed: str) -> None:
+    del printed
+    page = (OUT / "study" / "report.html").read_text(encoding="utf-8")
+    assert not re.search(r"(src|href)=[\"']https?:", page)
+    assert (OUT / "study" / "report.pdf").read_bytes().startswith(b"%PDF")
+
+
+FACTS: list[Callable[[str], None]] = [
+    imported, worst_ghosts, moved, pst_at_30, polish, exported, own_coating, own_bsdf, compared, handed_over,
+]  # fmt: skip
+
+
+def test_there_are_ten_and_each_is_short() -> None:
+    assert len(TITLES) == len(TEXTS) == len(FACTS) == 10
+    for text in TEXTS:
+        commands, code = lines(text, "sh"), lines(text, "python")
+        assert bool(commands) != bool(code)
+        assert len(commands) <= 3
+        assert len(code) <= 10
+
+
+def test_the_readme_leads_there() -> None:
+    assert "](docs/tasks.md)" in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("text", "facts"), list(zip(TEXTS, FACTS, strict=True)), ids=TITLES)
+def test_a_task(text: str, facts: Callable[[str], None], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The example in Python is run by tests/test_docs.py too; here its number is looked at."""
+    monkeypatch.chdir(ROOT)
+    OUT.mkdir(exist_ok=True)
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        for line in lines(text, "sh"):
+            words = shlex.split(line)
+            force = ["--force"] if any("out/" in word for word in words) and words[1] != "pst" else []
+            assert cli.main([*words[1:], *force]) == 0, line
+        exec("\n".join(lines(text, "python")), {})
+    facts(printed.getvalue())
