@@ -28,8 +28,8 @@ PROBE_TIMEOUT_S = 120.0
 OLDEST_CUDA, REFUSED_CUDA = (12, 2), (12, 7)
 OLDEST_CAPABILITY = (7, 5)
 GPU_NEEDS = (
-    "needed for the cuda variants only: an NVIDIA GPU of compute capability 7.5 or newer (GeForce RTX 20, T4 and all "
-    "later ones) and its driver, 535 or newer, with OptiX"
+    "for the cuda variants only: an NVIDIA GPU of compute capability 7.5 or newer (GeForce RTX 20, T4 and later) with "
+    "its driver, 535 or newer, and OptiX"
 )
 
 # Minimum and maximum abort LLVM 15 and 16; Float64 sums and a ray against a mesh are what every trace uses.

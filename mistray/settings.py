@@ -163,8 +163,8 @@ class Settings:
     flux_threshold: float = THRESHOLD.field(1e-8, "flux below which a ray ends, relative to its start ray")
     cut_below: Any = BY_BRANCH.field(  # noqa: RUF009  of what cannot change
         NOTHING_CUT,
-        "flux below which branches end, relative to the start ray, by kind, such as 'R=1e-6, t=1e-9': R and T are "
-        "specular reflection and transmission, r and t scattered ones, A absorption",
+        "flux below which branches end, relative to the start ray, by kind, such as 'R=1e-6, t=1e-9': R and T "
+        "specular, r and t scattered reflection and transmission, A absorption",
     )
     cut_below_W: Any = BY_BRANCH.field(NOTHING_CUT, "the same in W")  # noqa: RUF009
     splitting: str = Words(("split", "one")).field("split", "follow both rays at a surface, or one of them by chance")

@@ -106,8 +106,8 @@ def from_optiland(optic: Any) -> Sequential:
                 unread.append(Unread(0, f"surface {number}: {what} {type(thing).__name__}", "optiland's own: not read"))
     if any(row.decentre for row in rows):
         notes.append(
-            "each surface has a decentre of its own from the world's z axis; first-order data leave decentres out, so "
-            "that they are those of the lens only where light keeps along this axis"
+            "each surface has a decentre of its own from the world's z axis; first-order data leave decentres out: "
+            "they hold only where light runs along this axis"
         )
     definition = type(optic.fields.field_definition).__name__
     fields = tuple((_float(field.x), _float(field.y)) for field in optic.fields.fields) or ((0.0, 0.0),)

@@ -120,7 +120,7 @@ def _row(table: SurfaceTable, s: int) -> np.ndarray:
     if not str(shape).startswith("Rectangle") or sample.axis != "x":
         raise MistrayError(
             f"surface '{name}' scatters by the x axis of a sample, and a {str(shape).partition('[')[0]} has none of "
-            "its own; use an 'asphere', a 'frustum', or a 'rectangle' with sample_axis 'x', or set anisotropy to 'mean'"
+            "its own; use 'asphere', 'frustum', 'rectangle' with sample_axis 'x', or anisotropy 'mean'"
         )
     matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)[:3, :3]
     return np.append(matrix / np.linalg.norm(matrix, axis=0) @ row[:3], 0.0)

@@ -109,7 +109,7 @@ def gradient(
     """
     Derivatives of a metric by parameters of its scene: coatings, scatter, indices, shapes, positions, rims.
 
-    Coatings alone cost one walk in reverse for each field and wavelength. For anything else the rays are recorded and
+    Coatings alone cost one reverse run for each field and wavelength. For anything else the rays are recorded and
     followed again in float64, and where shapes are concerned rays that hit a surface near a rim are sent past it as
     well: what the rim takes from the metric, or gives to it.
 

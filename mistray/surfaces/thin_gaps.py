@@ -36,9 +36,9 @@ def thin_gaps(table: SurfaceTable) -> list[str]:
         least = ROUNDINGS * float(np.spacing(np.float32(place)))
         if np.mean(gap < least) > SHARE:
             found.append(
-                f"surfaces '{table.ids[a.index]}' and '{table.ids[b.index]}' are {np.median(gap):.2g} mm apart, and "
-                f"{place:.4g} mm from the middle of the scene, where rays are placed to {least:.2g} mm: light may be "
-                "lost between them; trace a scene of the parts near them alone"
+                f"surfaces '{table.ids[a.index]}' and '{table.ids[b.index]}' are {np.median(gap):.2g} mm apart; "
+                f"rays are placed to {least:.2g} mm there, {place:.4g} mm from the middle: light may be lost; trace "
+                "these parts alone"
             )
     return found
 

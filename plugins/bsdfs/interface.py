@@ -419,7 +419,7 @@ class Interface(mi.BSDF):
         if self._turned not in (None, turned) and self.front != self.back:
             raise MistrayError(
                 f"{self.title} has '{self.front}' and '{self.back}' on its sides and is shared by a detector and "
-                f"a shape that does not detect, the last '{by.name}'; give the detector an interface of its own"
+                f"another shape, the last '{by.name}'; give the detector an interface of its own"
             )
         self._turned = turned
         if self.sample_axis is not None:

@@ -36,8 +36,8 @@ DEFINITIONS = {
     "gsr_peak": "ghost-to-signal ratio, peak: brightest pixel of the stray light over that of the direct image",
     "normalised_stray_light": "irradiance of stray light by a disc-shaped source, its mean over the detector, over "
     "irradiance within the direct image of that source (Imatest's direct reference image)",
-    "flare_attenuation": "irradiance within the direct image of a disc-shaped source over irradiance of its stray "
-    "light, mean over the detector: the reciprocal of the normalised stray light (IEEE P2020 draft, a Lambertian "
+    "flare_attenuation": "irradiance within the direct image of a disc-shaped source over the mean irradiance of its "
+    "stray light on the detector. It is the reciprocal of the normalised stray light (IEEE P2020 draft, a Lambertian "
     "reference)",
     "contrast_factor": "contrast of the image with stray light over contrast without it: 1 / (1 + E_stray / E_signal)",
     "magnitude": "surface brightness of the equivalent stray radiance, magnitudes per square arcsecond, with the zero "

@@ -84,7 +84,7 @@ def pst(
     detector : str, optional
         Shape id, where the scene has several.
     rays : int, optional
-        Start rays: from the detector (4e6; the joined method adds rays with the light), or at each angle (forward,
+        Start rays: from the detector (4e6; the joined method adds forward rays), or at each angle (forward,
         2e5). With `relative_error` the most there may be.
     relative_error : float, optional
         Take as many rays as this relative standard error of the PST needs at all angles, as a pilot says.

@@ -52,8 +52,8 @@ def optical_model(scene: Any, table: SurfaceTable, path: DesignPath | None) -> S
     facts = [Fact("detector width", width, "mm"), Fact("detector height", height, "mm")]
     if path is None:
         warning = (
-            "no ray of the source reaches the detector in a regular way on axis or at the field of the source: there "
-            "is no design path and there are no first-order numbers"
+            "on axis and at the field of the source, no ray reaches the detector as the design means it: there is no "
+            "design path, and there are no first-order numbers"
         )
         return StudyStep.of("optical_model", text, facts=tuple(facts), warnings=(warning,))
     numbers = first_order(scene, path)

@@ -107,8 +107,8 @@ def _common(found: Objects) -> StudyStep:
     return StudyStep.of(
         "common_objects",
         "What is both critical and illuminated can send light to the detector by one scatter event. The estimate of "
-        "that light is the product of the flux on the object, its BSDF and the projected solid angle of the detector "
-        "over π (geometric configuration factor, GCF); optics are common by design and listed apart.",
+        "that light is a product: the flux on the object, its BSDF, and its geometric configuration factor (GCF). The "
+        "GCF is the projected solid angle of the detector over π. Optics are common by design and listed apart.",
         facts=(Fact("common objects", float(len(frame))), Fact("optics", float(len(optics)))),
         tables={"common": frame, "optics": optics, "apart": apart, "product_estimate": estimates},
         findings=tuple(_estimate_findings(frame, estimates)),

@@ -269,9 +269,9 @@ def importance_sampling(
     columns = ["surface", "role", "leaves", "number", "shape", *SEEN, "share_percent", "rays"]
     frame = pd.DataFrame(rows, columns=columns)
     text = (
-        "Where light that a surface scatters is sent besides at random: images of the detector in the space that the "
-        "light enters, the detector itself, or lenses that the surface sees. What is sent elsewhere is sampled at "
-        "random, so that targets change the error of a result and not the result."
+        "A part of the light that a surface scatters is aimed at targets. These are images of the detector in the "
+        "space that the light enters, the detector itself, or lenses that the surface sees. The rest is sampled at "
+        "random. So targets change the error of a result, and not the result."
     )
     tables = {"targets": frame, "paraxial_targets": _paraxial(table, path, frame, far_away)}
     if probe is None:

@@ -199,8 +199,8 @@ def transfer_of_spectrum(
     if phase > harvey_shack.MAX_PHASE:
         warnings.warn(
             f"{model.title}: rms roughness {rms_um * 1e3:.3g} nm is not smooth in {event} at {wavelength_nm:g} nm "
-            f"(2π Δn σ/λ is {phase:.3g}, smooth up to {harvey_shack.MAX_PHASE:.3g}); the transfer function holds, the "
-            "BSDF of the theories for smooth surfaces does not",
+            f"(2π Δn σ/λ is {phase:.3g}, the most is {harvey_shack.MAX_PHASE:.3g}); the transfer function holds, the "
+            "BSDF does not",
             MistrayWarning,
             stacklevel=2,
         )

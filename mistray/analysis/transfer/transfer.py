@@ -176,8 +176,8 @@ def _field(
     if not direct.total().value > 0:
         x, y = image.image_mm
         raise MistrayError(
-            f"{image.name}: no direct light meets the detector; its image lies at ({x:.4g}, {y:.4g}) mm, and the "
-            f"detector reaches from x {x0:.4g} to {x1:.4g} and y {y0:.4g} to {y1:.4g} mm; choose a field within it"
+            f"{image.name}: no direct light meets the detector; its image lies at ({x:.4g}, {y:.4g}) mm, the detector "
+            f"at x {x0:.4g} … {x1:.4g}, y {y0:.4g} … {y1:.4g} mm; choose a field within it"
         )
     glare = Metric.of(
         "gsr", stray_to_direct(t.paths, direct_image(t.paths)), facts={"field_deg": t.settings["field_deg"]}

@@ -88,8 +88,8 @@ def _alias(text: str) -> str | tuple[str, str]:
 COMMAND = Command(
     "ghosts",
     "trace the ghosts and the scattered light of a scene and rank them",
-    "Trace a scene at one or more field angles, list all paths to the detector and rank the stray\n"
-    "ones by RMS irradiance P/(π r_rms²), by power or by their brightest pixel. The strongest path by power is\n"
+    "Trace a scene at one or more field angles and list all paths to the detector. Stray paths are ranked\n"
+    "by RMS irradiance P/(π r_rms²), by power or by their brightest pixel. The strongest path by power is\n"
     "always listed.",
     (
         "mistray ghosts phone_camera --field-deg 0 5 10 15 20 25 27 --out out",

@@ -19,8 +19,8 @@ FILES = (
 COMMAND = Command(
     "image",
     "image quality of the direct light: spots, wavefront, PSF, MTF, encircled energy, distortion",
-    "Send a grid of rays, in float64, by the design path of a scene through all that its stops, rims and vanes leave\n"
-    "open, and work out the image of a point at each field. Ghosts and scattered light are left out.",
+    "Trace a grid of rays along the design path of a scene, in float64, within its stops, rims and vanes, and compute\n"
+    "the image of a point at each field. Ghosts and scattered light are left out.",
     (
         "mistray image cooke_triplet --field-deg 0 14 20 --frequencies 20 40 --out out",
         "mistray image scene.xml --field-mm 0 5 --wavelength-nm 486 588 656 --weights 1 2 1",

@@ -46,8 +46,8 @@ FILES = ("report.html", "pst.*", "pst_*.csv", "pst_*.png", "irradiance_*deg.png"
 COMMAND = Command(
     "pst",
     "point source transmittance against field angle, with causes",
-    "Irradiance on the detector from a distant source over that of the source (PST), against the\n"
-    "field angle: direct image, ghosts, single and multiple scatter, with standard errors and the strongest paths.",
+    "The PST is the irradiance on the detector over that of a distant source, as a function of the field angle.\n"
+    "It is given for direct image, ghosts, single and multiple scatter, with standard errors and the strongest paths.",
     (
         "mistray pst phone_camera_scatter --out out",
         "mistray pst baffle_tube --field-deg 0:10:1 12:80:2 --max-scatters 3 --rays 1e6",

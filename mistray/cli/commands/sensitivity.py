@@ -46,8 +46,8 @@ COMMAND = Command(
     "sensitivity",
     "rank all parameters by what their tolerances do to a metric; which changes lower it 10 times",
     "One reverse run of the trace gives the derivative of a metric by every parameter of the scene.\n"
-    "The command ranks them by the change of the metric per manufacturing tolerance, adds up all tolerances, and\n"
-    "says which three changes would lower the metric 10 times; docs/sensitivity.md describes it.",
+    "The command ranks them by the change of the metric per manufacturing tolerance, and adds up all tolerances.\n"
+    "It also says which three changes would lower the metric 10 times; docs/sensitivity.md describes it.",
     (
         "mistray sensitivity phone_camera --field-deg 0 10 20 --rays 1e4 --out out/sensitivity",
         "mistray sensitivity baffle_tube --metric pst_band --band-deg 20 80 --rays 2e5",

@@ -38,8 +38,8 @@ COMMAND = Command(
     "study",
     "whole stray-light study: model, objects, scatter, sampling, ghosts and PST in one report",
     "Run the eight steps of a stray-light study: optical model, mechanical model, critical,\n"
-    "illuminated and common objects, coatings and scatter models, importance sampling, and the analysis\n"
-    "(ghosts at some fields, PST at all angles, causes). Prints what was found; --out writes one report.",
+    "illuminated and common objects, coatings and scatter models, importance sampling, and analysis. The analysis\n"
+    "has ghosts at some fields, and the PST at all angles with its causes. --out writes one report.",
     (
         "mistray study phone_camera_scatter --quick --out out",
         "mistray study scene.xml --pst-field-deg 0:80:2 --field-deg 0 10 18 22 --rays 4e6 --out out",

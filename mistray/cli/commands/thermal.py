@@ -15,8 +15,8 @@ FILES = ("report.html", "thermal.*", "narcissus.csv")
 COMMAND = Command(
     "thermal",
     "irradiance that warm optics and structure put on their own detector",
-    "Trace a scene backwards from its detector and add up what every surface and medium emits towards\n"
-    "it: π L of a blackbody of its temperature times what it absorbs, 1 - R - T - scatter.",
+    "Trace a scene backwards from its detector, and add up what every surface and medium emits towards it.\n"
+    "That is π L of a blackbody at its temperature, times the share that it absorbs: 1 - R - T - scatter.",
     (
         "mistray thermal scene.xml --temperature-K 293 --band-um 8 12 --out out",
         "mistray thermal scene.xml --band-um 3 5 --part detector=77 'baffle_*=150' --scene-K 300",

@@ -33,9 +33,9 @@ def _cut(text: str) -> float | str:
 COMMAND = Command(
     "view",
     "show a scene in 3-D, cut open, with the rays of its strongest paths",
-    "Trace a scene and write one HTML page: the surfaces cut open and coloured by the flux on them,\n"
-    "rays of the strongest paths, the rows of the path table to switch them. The page needs no network; to\n"
-    "make it takes plotly: pip install 'mistray[view]'.",
+    "Trace a scene and write one HTML page: the surfaces cut open and coloured by the flux on them, and the\n"
+    "rays of the strongest paths, which a legend switches. The page needs no network; to make it takes plotly:\n"
+    "pip install 'mistray[view]'.",
     (
         "mistray view phone_camera --field-deg 20 --out view.html",
         "mistray view cooke_triplet --field-deg 10 --layout triplet.pdf --save-rays rays.ply",

@@ -120,7 +120,7 @@ class Merit:
     def _together(
         self, metrics: Mapping[str, Metric], layers: Mapping[str, tuple[float, dict[str, np.ndarray]]], x: np.ndarray
     ) -> dict[str, Any]:
-        """The merit and its gradient by one walk in reverse for all terms."""
+        """The merit and its gradient by one reverse run for all terms."""
         leaves = {name: dr.opaque(mi.Float64, value) for name, (value, _) in layers.items()}
         dr.enable_grad(leaves)
         values: dict[str, float] = {}
@@ -152,7 +152,7 @@ class Merit:
     def _one_by_one(
         self, metrics: Mapping[str, Metric], layers: Mapping[str, tuple[float, dict[str, np.ndarray]]], x: np.ndarray
     ) -> dict[str, Any]:
-        """The merit and the gradient of every term, by one trace for all and a walk in reverse for each."""
+        """The merit and the gradient of every term, by one trace for all and a reverse run for each."""
         whole = combine(metrics, lambda traced: mi.Float64(0.0))
         observations = whole.observe()
         chosen = chosen_parameters(self.scene, self.params, self.variables.keys)

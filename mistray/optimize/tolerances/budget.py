@@ -301,10 +301,10 @@ class _Search:
         worst = int(np.argmax(values / self.limits))
         other = 100 * max(1 - float(model.parts[worst].sum() / values[worst]), 0.0)
         return MistrayError(
-            f"budget '{self.study.name}': with every number at its best the {self.metrics[worst].name} is "
+            f"budget '{self.study.name}': at best the {self.metrics[worst].name} is "
             f"{values[worst]:.4g} ± {errors[worst]:.1g}, {values[worst] / self.limits[worst]:.3g} times the limit "
-            f"{self.limits[worst]:g}, and {other:.2g} % of it do not come from these surfaces; raise the limit, or let "
-            "them be better or more"
+            f"{self.limits[worst]:g}; {other:.2g} % of it do not come from these surfaces; raise it, or allow better "
+            "or more surfaces"
         )
 
 

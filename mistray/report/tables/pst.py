@@ -25,7 +25,7 @@ DEFINITIONS = {
     "projected": "PST = E_det/(E_⊥ cos θ): irradiance on the detector over that on the aperture's plane (projected)",
 }
 METHODS = {
-    "joined": "joined: rays from the detector and rays with the light, all angles at once",
+    "joined": "joined: rays from the detector and from the source, all angles at once",
     "adjoint": "adjoint: rays from the detector, all angles at once",
     "forward": "forward: one beam of light for each angle",
 }
