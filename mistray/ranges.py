@@ -302,6 +302,7 @@ FACTOR = Range(1.0, 1e6, above=True, remedy="it says how much smaller the metric
 EDGE_WIDTH = Range(1e-6, 0.5, remedy="it is relative to the radius of a rim")
 SEEDS = Range(2, 1000, whole=True)
 SECONDS = Range(1e-3, 1e9, unit="s")
+PORT = Range(1, 65535, whole=True)
 
 # Of materials and coatings
 INDEX = Range(1e-3, 1e5)  # n; of metals in the far infrared some thousands

@@ -251,6 +251,7 @@ LINES = {
     "export": ("scene.xml", "-o", "made.csv", "--force"),
     "coat": ("scene.xml", "-o", "made.xml", "--force"),
     "view": ("scene.xml", "--json", "--out", "view.html", "--force", *SMALL),
+    "app": ("scene.xml", "--json", "--no-browser", "--seconds", "0.2", *SMALL),
     "ghosts": ("scene.xml", "--json", *SMALL),
     "image": ("lens.xml", "--json", "--grid", "16"),
     "sweep": ("scene.xml", "--json", "--no-cache", *SMALL),

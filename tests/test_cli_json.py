@@ -31,6 +31,7 @@ CHECKED_IN = {
     "coat": "test_cli_json.py",
     "export": "test_cli_json.py",
     "view": "test_cli_view.py",
+    "app": "test_cli_app.py",
     "ghosts": "test_cli.py",
     "image": "test_cli_image.py",
     "sweep": "test_cli_sweep.py",

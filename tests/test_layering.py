@@ -50,6 +50,7 @@ LAYERS = [
     {"optimize"},
     {"sweeps"},
     {"report"},
+    {"explore"},
     {"doctor"},
     {"cli"},
     {"__main__"},

@@ -15,6 +15,7 @@ from typing import Any
 from mistray.cli.arguments import INTERRUPTED, Help, Parser, as_text
 from mistray.cli.claims import guard_of
 from mistray.cli.commands import (
+    app,
     bsdf,
     budget,
     cache,
@@ -50,6 +51,7 @@ COMMANDS = (
     coat,
     export_lens,
     view,
+    app,
     ghosts,
     image,
     sweep,

@@ -303,7 +303,7 @@ class Report:
         Heading in the title of the window (default: `heading`).
     contents : bool
         Whether the links are a list of contents, above the warnings.
-    scripts : sequence of {"report", "hover", "explorer"}
+    scripts : sequence of {"report", "hover", "drawing", "explorer"}
         What the page can do: sort and filter tables, show the values of plots, explore the paths of a field.
     csv : mapping of str to DataFrame
         Tables with full precision by file name.

@@ -189,7 +189,7 @@ def study_report(study: Study, command: str = "") -> Report:
         lead=[Note(text, "sub")],
         warnings=study_warnings(study),
         contents=True,
-        scripts=("report", "hover", "explorer"),
+        scripts=("report", "hover", "drawing", "explorer"),
         csv=csv_tables(study),
     )
 

@@ -159,7 +159,7 @@ def coated_text(path: Path, rules: Rules, folder: Path) -> tuple[str, Coated]:
     check_depth(path)
     file = SceneFile(path)
     shared = dict(shared_objects(file))
-    painter = Painter(f"scene '{path}'", list(_faces(file)), shared, file.ids, str(path.parent))
+    painter = Painter(f"scene '{path}'", list(faces_of(file)), shared, file.ids, str(path.parent))
     painter.apply(rules)
     seen = seen_from(folder)
     refits: dict[str, Refit] = {}
@@ -205,7 +205,7 @@ def _coated_prescription(system: Prescription, rules: Rules) -> Prescription:
     return each_shape(system, changed)
 
 
-def _faces(file: SceneFile) -> list[Face]:
+def faces_of(file: SceneFile) -> list[Face]:
     """The shapes of a scene file that have an id."""
     defaults: dict[str, str] = {}
     for element in file.root.walk():

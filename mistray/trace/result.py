@@ -32,6 +32,7 @@ from mistray.trace.path_filter import PathFilter
 from mistray.trace.paths import PathTable, path_table
 from mistray.trace.ray_sample import sample_rays
 from mistray.trace.ray_table import check_box, ray_table
+from mistray.trace.sampled_hits import PathHits, sampled_hits
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -401,6 +402,29 @@ class Trace:
             here = {key: path_id for path_id, (where, _, key) in located.items() if where == number}
             if here:
                 found |= {here[key]: rays for key, rays in sample_rays(run, list(here), n).items()}
+        return found
+
+    def sampled_hits(self, start_rays: int = 640, n: int = 16) -> list[PathHits]:
+        """
+        Trace a sample of the rays again for where and at which angles all paths meet their surfaces.
+
+        Parameters
+        ----------
+        start_rays : int
+            Of each source and wavelength, at most.
+        n : int
+            Most rays of each path; a path that is rare has few or none.
+
+        Returns
+        -------
+        list of PathHits
+            One for each source and wavelength.
+        """
+        found = []
+        for number, run in enumerate(self._runs):
+            hits = sampled_hits(run, start_rays, n)
+            ids = self.paths.ids_of_keys(number, hits.keys)
+            found.append(PathHits(ids, run.source.wavelength_nm, run.table, hits))
         return found
 
     @property

@@ -13,7 +13,7 @@ import pytest
 
 import mistray
 from mistray import MistrayError, cli
-from mistray.cli.commands import import_mechanics
+from mistray.cli import import_mechanics
 from mistray.mechanics import Finish, Mechanics, finish, read_mechanics
 from mistray.mechanics.ply import ply_bytes
 from mistray.prescription import Coating, MeshStructure, Scatter, Structure

@@ -136,6 +136,7 @@ def test_box_of_the_script_holds_the_hits_within_it(report, data):
         """,
         {"data": data, "boxes": boxes},
         "report",
+        "drawing",
         "explorer",
     )
     for box, corners in zip(found, boxes, strict=True):
@@ -169,7 +170,7 @@ def test_sum_of_two_maps_is_that_of_their_pixels():
         const sums = [together(...given.maps), together(given.dark, given.maps[0])];
         return sums.map((map) => ({ ...map, power: [...map.power] }));
         """
-    both, alone = javascript(code, {"maps": maps, "dark": dark}, "report", "explorer")
+    both, alone = javascript(code, {"maps": maps, "dark": dark}, "report", "drawing", "explorer")
 
     def pixels_of(found):
         whole, n = np.zeros((40, 40)), found["pixels"]
@@ -192,7 +193,9 @@ def test_scale_of_the_script_is_that_of_the_thumbnails():
     values = 10.0 ** np.random.default_rng(2).uniform(-9, 2.5, 500)
     values[::5] = 0
     maps = [values, values[:3], np.array([1e-4]), np.zeros(4)]
-    found = javascript("return given.map((v) => logRange(v, 6));", [list(v) for v in maps], "report", "explorer")
+    found = javascript(
+        "return given.map((v) => logRange(v, 6));", [list(v) for v in maps], "report", "drawing", "explorer"
+    )
     assert [None if limits is None else tuple(limits) for limits in found] == [log_range([v], 6.0) for v in maps]
 
 
@@ -211,5 +214,10 @@ def test_nearest_place_of_a_plot():
 
 @needs_node
 def test_ticks_are_round_numbers_within_the_axis():
-    assert javascript("return ticks(...given);", [-2.1, 2.1, 5], "explorer") == [-2, -1, 0, 1, 2]
-    assert javascript("return ticks(...given);", [0.0012, 0.0031, 4], "explorer") == [0.0015, 0.002, 0.0025, 0.003]
+    assert javascript("return ticks(...given);", [-2.1, 2.1, 5], "drawing") == [-2, -1, 0, 1, 2]
+    assert javascript("return ticks(...given);", [0.0012, 0.0031, 4], "drawing") == [
+        0.0015,
+        0.002,
+        0.0025,
+        0.003,
+    ]

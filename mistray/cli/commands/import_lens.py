@@ -8,10 +8,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mistray.cli import import_mechanics
 from mistray.cli.arguments import pairs
 from mistray.cli.arriving import arriving
 from mistray.cli.command import Command, Group, Option
-from mistray.cli.commands import import_mechanics
 from mistray.cli.options import Options, print_json
 from mistray.cli.shared import FORCE, SURFACES, flag
 from mistray.errors import MistrayError

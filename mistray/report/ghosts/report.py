@@ -119,7 +119,7 @@ def ghosts_report(
         [*sections, *own_sections(report), _settings(report, command)],
         lead=[Note(_traced(report), "sub"), *answer(report)],
         warnings=warnings(report),
-        scripts=("report", "hover", "explorer"),
+        scripts=("report", "hover", "drawing", "explorer"),
     )
 
 

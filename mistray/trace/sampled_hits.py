@@ -1,0 +1,145 @@
+"""Hits of a sample of rays, as arrays: where each path meets its surfaces, from which side and at which angle.
+
+`mistray.trace.history` finds the points of a few rays again in float64, one path after the other. Here all paths come
+at once with the kernel's own points, which are good to 1e-7 of the system's size: enough for angles and for drawings.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mitsuba as mi
+import numpy as np
+import numpy.typing as npt
+
+from mistray.execute.tracer import PASS_LANES, Run
+from mistray.recorders.branch_recorder import NODE_FLOATS, BranchRecorder, as_many
+from mistray.recorders.path_key import EVENT_BITS
+from mistray.surfaces.host_rays import normals
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.upload import upload
+
+CAPACITY = 1 << 16  # branches that are recorded; what there are more of is not in the sample
+GOLDEN = (5**0.5 - 1) / 2
+
+Floats = npt.NDArray[np.float64]
+Whole = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class SampledHits:
+    """
+    Rays of a sample, the shorter ones filled up.
+
+    Attributes
+    ----------
+    keys : (r,) uint64
+        Their paths, see `mistray.recorders.path_key`.
+    weight : (r,) float64
+        Flux with which each meets the detector, in units of a start ray.
+    length : (r,) int
+        Hits of each.
+    surface, event : (r, k) int
+        Numbers of the surfaces, and what happens there; -1 behind the last hit.
+    start : (r, 3) float64
+        Where it starts, mm.
+    points, arrival, normal : (r, k, 3) float64
+        Hits (mm), directions of arrival, and normals from front to back; the last are 0 within a medium.
+    """
+
+    keys: npt.NDArray[np.uint64]
+    weight: Floats
+    length: Whole
+    surface: Whole
+    event: Whole
+    start: Floats
+    points: Floats
+    arrival: Floats
+    normal: Floats
+
+    def polyline(self, ray: int) -> Floats:
+        """One ray from its start to the detector, (k + 1, 3), mm."""
+        return np.concatenate([self.start[ray][None], self.points[ray, : self.length[ray]]])
+
+
+@dataclass(frozen=True)
+class PathHits:
+    """
+    The sample of one source and wavelength.
+
+    Attributes
+    ----------
+    path_ids : (r,) int
+        Rows of the path table that the rays belong to.
+    wavelength_nm : float
+    table : SurfaceTable
+    hits : SampledHits
+    """
+
+    path_ids: Whole
+    wavelength_nm: float
+    table: SurfaceTable
+    hits: SampledHits
+
+
+def sampled_hits(run: Run, start_rays: int, most: int) -> SampledHits:
+    """
+    Trace some start rays again, spread over the beam.
+
+    Parameters
+    ----------
+    run : Run
+    start_rays : int
+        At most so many; all are of the first pass.
+    most : int
+        Rays of each path that are kept.
+    """
+    # As in `mistray.trace.ray_sample`: multiples of the golden ratio are spread over the batches and over the beam
+    count = min(run.rays, PASS_LANES)
+    lanes = np.unique((np.arange(start_rays) * GOLDEN % 1 * count).astype(np.int64))
+    sample = run.start_pass(0).take(upload(mi.UInt32, lanes))
+    origins, _ = run.exact(sample)
+    place = np.array(sample.lane)
+    recorder = BranchRecorder(as_many(CAPACITY, run.settings.max_events), run.settings.max_events)
+    run.trace_trees(sample, recorder)
+    found = min(int(recorder.count[0]), recorder.capacity)
+    kept = _at_most(np.array(recorder.path)[:found], most)
+    length = np.array(recorder.length)[kept].astype(np.int64)
+    longest = int(length.max(initial=1))
+    codes = np.array(recorder.codes).reshape(recorder.capacity, -1)[kept, :longest].astype(np.int64)
+    nodes = np.array(recorder.nodes).reshape(recorder.capacity, -1, NODE_FLOATS)[kept, :longest].astype(np.float64)
+    there = np.arange(longest) < length[:, None]
+    surface = np.where(there, codes >> EVENT_BITS, -1)
+    points, arrival = nodes[..., :3] + run.table.centre, nodes[..., 3:6]
+    order = np.argsort(place)
+    start = origins[order[np.searchsorted(place[order], np.array(recorder.lane)[kept])]]
+    return SampledHits(
+        np.array(recorder.path)[kept],
+        np.array(recorder.weight)[kept],
+        length,
+        surface,
+        np.where(there, codes & ((1 << EVENT_BITS) - 1), -1),
+        start,
+        points,
+        arrival,
+        _normals(run, surface, points, arrival),
+    )
+
+
+def _at_most(paths: npt.NDArray[np.uint64], most: int) -> Whole:
+    """Places of the first branches of each path, at most so many."""
+    order = np.argsort(paths, kind="stable")
+    _, first, counts = np.unique(paths[order], return_index=True, return_counts=True)
+    number = np.arange(len(order)) - np.repeat(first, counts)
+    return np.sort(order[number < most])
+
+
+def _normals(run: Run, surface: Whole, points: Floats, arrival: Floats) -> Floats:
+    table, found = run.table, np.zeros_like(points)
+    for number in np.unique(surface[surface >= 0]):
+        here = surface == number
+        if number < len(table.pieces):
+            found[here] = normals(table, int(number), points[here])
+        elif number < table.count:
+            found[here] = table.stock_normals(points[here], arrival[here])
+    return found

@@ -1,0 +1,154 @@
+"""What the explorer says at once agrees with what a trace of the same state finds."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import mistray
+from mistray.explore.explorer import Explorer
+
+
+def power(view: dict, *words: str) -> float:
+    """Power of the paths whose events have these words, W."""
+    return sum(path["power_W"] for path in view["paths"] if all(word in path["events"].split() for word in words))
+
+
+def test_nothing_moved_is_what_was_traced(at_start):
+    view = at_start.view()
+    t = mistray.trace(mistray.load("singlet_window_detector"), rays=2000, field_deg=0.0, max_reflections=2)
+    stray = [row for row in t.paths if row.kind != "direct"]
+    assert view["label"] == "traced"
+    assert view["left_out"] == []
+    assert view["stray_W"][0] == pytest.approx(sum(row.power_W for row in stray), rel=1e-12)
+    assert view["paths"][0]["power_W"] == stray[0].power_W
+
+
+@pytest.mark.quick
+def test_a_share_of_the_detector_scales_its_ghosts_exactly(at_start):
+    before = at_start.view()
+    control = at_start.controls["detector.bsdf.R"]
+    view = at_start.move({control.name: control.start / 4})
+    assert view["label"] == "estimate"
+    absorbed = (1 - control.start / 4) / (1 - control.start)
+    ghosts, others = (lambda v: power(v, "detector:R")), (lambda v: v["direct_W"][0])
+    assert ghosts(view) / ghosts(before) == pytest.approx(absorbed / 4, rel=1e-6)
+    assert others(view) / others(before) == pytest.approx(absorbed, rel=1e-6)
+    found = at_start.settle()
+    assert found["label"] == "traced"
+    assert abs(found["difference"]["percent"]) < 1e-3  # rounding of the kernel
+
+
+def test_a_coating_is_followed_within_what_the_sample_of_rays_knows(at_start):
+    part = next(name for name in at_start.controls if name.startswith("coating "))
+    estimate = at_start.move({part: "bbar3"})
+    assert estimate["label"] == "estimate"
+    traced = at_start.settle()
+    assert traced["label"] == "traced"
+    for name in ("stray_W", "direct_W", "ratio"):
+        assert estimate[name][0] == pytest.approx(traced[name][0], rel=5e-3)
+    by_events = {path["events"]: path["power_W"] for path in estimate["paths"]}
+    for path in traced["paths"][:8]:
+        assert by_events[path["events"]] == pytest.approx(path["power_W"], rel=0.03)
+
+
+def test_layers_and_wavelength_together_with_a_coating(at_start):
+    part = next(name for name in at_start.controls if name.startswith("coating "))
+    at_start.move({part: "mgf2_quarter_wave"})
+    at_start.settle()
+    estimate = at_start.move({"layers": 130.0, "wavelength": 600.0})
+    assert any("wavelength" in text for text in estimate["left_out"])
+    traced = at_start.settle()
+    assert estimate["stray_W"][0] == pytest.approx(traced["stray_W"][0], rel=0.02)
+
+
+def test_a_field_between_two_that_are_known(at_start):
+    first = at_start.view()
+    at_start.prepare()
+    view = at_start.move({"field": 1.0})
+    assert view["label"] == "estimate"
+    assert any("between those at 0° and 2°" in text for text in view["left_out"])
+    other = at_start.move({"field": 2.0})
+    assert other["left_out"] == []
+    middle = 0.5 * (first["stray_W"][0] + other["stray_W"][0])
+    assert view["stray_W"][0] == pytest.approx(middle, rel=1e-9)
+
+
+def test_the_map_holds_the_stray_light(at_start):
+    state = at_start._guess
+    assert state.map_W.sum() == pytest.approx(state.stray_W.value, rel=1e-5)
+    json.dumps(at_start.view(), allow_nan=False)
+
+
+def test_detail_names_the_surfaces_and_a_coating_that_weakens_it(at_start):
+    view = at_start.view()
+    path = next(p for p in view["paths"] if "detector:R" not in p["events"])
+    detail = at_start.detail(path["events"])
+    assert detail["rays"]
+    turns = {turn["surface"] for turn in detail["turns"]}
+    assert turns == {w.rpartition(":")[0] for w in path["events"].split() if w[-1] not in "TA"}
+    best = detail["remedies"][0]
+    assert best["stray_W"] < view["stray_W"][0]
+    moved = at_start.move({best["control"]: best["choice"]})
+    assert moved["stray_W"][0] == pytest.approx(best["stray_W"], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"nothing": 1.0}, "nothing"),
+        ({"field": float("nan")}, "nan"),
+        ({"field": -1}, "-1"),
+        ({"field": 1e308}, "1e+308"),
+        ({"field": "0"}, "'0'"),
+        ({"field": True}, "True"),
+        ({"layers": [100]}, "[100]"),
+        ({"layers": None}, "None"),
+        ({"coating L1": "gold"}, "gold"),
+        ({"coating L1": 3}, "3"),
+    ],
+)
+def test_impossible_values_are_refused_and_nothing_moves(at_start, values, said):
+    before = dict(at_start.state)
+    with pytest.raises(mistray.MistrayError, match=r".") as error:
+        at_start.move({"layers": 90.0, **values} if "layers" not in values else values)
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+    assert at_start.state == before
+
+
+@pytest.mark.long
+def test_scatter_models_are_followed_ray_by_ray():
+    """Roughness of mirrors and paint of a tube; particles by the area that they cover."""
+    explorer = Explorer("newtonian_scatter", field_deg=[2.0], rays=5000, max_scatters=1)
+    explorer.settle()
+    for name, factor in (("polish_2nm.rms_nm", 2.0), ("black_paint_inside.reflectance", 0.5),
+                         ("particles_400.level", 1.4)):  # fmt: skip
+        before = explorer.view()
+        estimate = explorer.move({name: factor * float(explorer.state[name])})
+        assert estimate["stray_W"][0] != pytest.approx(before["stray_W"][0], rel=1e-3)
+        traced = explorer.settle()
+        assert estimate["stray_W"][0] == pytest.approx(traced["stray_W"][0], rel=0.06), name
+
+
+@pytest.mark.long
+def test_a_shape_is_followed_to_first_order():
+    """Bending a lens moves light past its rims: derivative times way, and the trace beside it."""
+    explorer = Explorer("lens_and_window", field_deg=[2.0], control=["L1_front.curvature"], rays=20_000)
+    explorer.prepare()
+    before, control = explorer.view(), explorer.controls["L1_front.curvature"]
+    start = float(control.start)
+    estimate = explorer.move({control.name: start + 0.5 * (control.low - start)})
+    assert any("first order" in text for text in estimate["left_out"])
+    assert estimate["stray_W"][1] > before["stray_W"][1]
+    change = explorer.settle()["stray_W"][0] - before["stray_W"][0]
+    print(before["stray_W"], estimate["stray_W"], change)
+    assert np.isclose(estimate["stray_W"][0] - before["stray_W"][0], change, rtol=0.3)
+
+
+def test_rims_that_meet_move_together():
+    explorer = Explorer("phone_camera", field_deg=[0.0], rays=200)
+    (control,) = [one for one in explorer.controls.values() if one.name.endswith(" radius")]
+    assert set(control.keys) == {"stop_front.r1", "stop_wall.r0", "stop_wall.r1", "stop_rear.r0"}

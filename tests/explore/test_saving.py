@@ -1,0 +1,91 @@
+"""What Save writes is a scene and a study of the state that is shown; no file is lost."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+import mistray
+from mistray.cli import main
+from mistray.explore.explorer import Explorer
+from mistray.explore.saving import SCENE_FILE, STUDY_FILE
+from mistray.optimize.parameters import parameters
+
+
+@pytest.fixture
+def saving(at_start, tmp_path):
+    at_start.saving.folder, at_start.saving.force = tmp_path, False
+    at_start.saving._own.clear()
+    yield at_start
+    at_start.saving.folder = Path()
+
+
+def test_the_scene_has_the_coatings_and_numbers_that_were_turned(saving, tmp_path):
+    saving.move({"coating window": "bbar3", "layers": 110.0, "detector.bsdf.R": 0.1})
+    path = saving.save_scene()
+    assert path == tmp_path / SCENE_FILE
+    scene = mistray.load(path)
+    for shape in scene.shapes():
+        if shape.id() in saving.controls["coating window"].surfaces:
+            thickness = [layer.thickness_nm for layer in shape.bsdf().coating.layers]
+            assert thickness[0] == pytest.approx(1.1 * 550 / 4 / 1.38, rel=1e-5)
+    assert parameters(scene)["detector.bsdf.R"].value[0] == pytest.approx(0.1, rel=1e-6)
+    shown = saving.settle()
+    t = mistray.trace(scene, rays=2000, field_deg=0.0, max_reflections=2)
+    assert sum(row.power_W for row in t.paths if row.kind != "direct") == pytest.approx(shown["stray_W"][0], rel=1e-4)
+
+
+def test_a_state_that_is_that_of_the_scene_can_be_saved(saving):
+    assert mistray.load(saving.save_scene()) is not None
+
+
+def test_nothing_is_replaced_but_its_own_files(saving, tmp_path):
+    (tmp_path / SCENE_FILE).write_text("mine")
+    with pytest.raises(mistray.MistrayError, match=SCENE_FILE):
+        saving.save_scene()
+    assert (tmp_path / SCENE_FILE).read_text() == "mine"
+    saving.saving.force = True
+    saving.save_scene()
+    saving.saving.force = False
+    saving.save_scene()  # that of before
+    assert not list(tmp_path.glob(".*"))
+    (tmp_path / STUDY_FILE).symlink_to(tmp_path / "nowhere")
+    saving.move({"detector.bsdf.R": 0.1})
+    with pytest.raises(mistray.MistrayError, match=STUDY_FILE):
+        saving.save_study()
+    saving.saving.folder = tmp_path / "missing"
+    with pytest.raises(mistray.MistrayError, match="missing"):
+        saving.save_scene()
+
+
+def test_the_explored_scene_is_never_replaced(saving, tmp_path):
+    scene = tmp_path / SCENE_FILE
+    shutil.copy(saving.path, scene)
+    other = Explorer(scene, field_deg=[0.0], rays=200)
+    other.saving.folder, other.saving.force = tmp_path, True
+    before = scene.read_bytes()
+    with pytest.raises(mistray.MistrayError, match="explored"):
+        other.save_scene()
+    assert scene.read_bytes() == before
+
+
+def test_a_study_needs_something_to_vary(saving):
+    with pytest.raises(mistray.MistrayError, match="control"):
+        saving.save_study()
+    saving.move({"coating window": "bare"})
+    with pytest.raises(mistray.MistrayError, match="control"):
+        saving.save_study()
+
+
+@pytest.mark.long
+def test_the_study_runs_on_both_scenes(saving, tmp_path, capsys, monkeypatch):
+    saving.move({"coating window": "bbar3", "layers": 105.0, "detector.bsdf.R": 0.15})
+    scene, study = saving.save_scene(), saving.save_study()
+    text = study.read_text()
+    assert "detector.bsdf.R" in text
+    assert "window_front" in text
+    for path in (scene, saving.path):
+        code = main(["optimize", str(path), str(study), "--steps", "1", "--verification-seeds", "2", "--quiet"])
+        assert code == 0, capsys.readouterr().err
