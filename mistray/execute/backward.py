@@ -15,7 +15,7 @@ from mistray.errors import MistrayError
 from mistray.execute.backward_parts import Ahead, BackwardTask
 from mistray.execute.fingerprint import fingerprint, kernel_arrays
 from mistray.execute.workers import current_workers
-from mistray.kernel.kernel_scene import BranchProbabilities, KernelScene, Opposite
+from mistray.kernel.kernel_scene import BranchProbabilities, KernelScene, Opposite, WeightWindows
 from mistray.kernel.launches import launches_of
 from mistray.kernel.ray_tree import trace_tree
 from mistray.kernel.scatter_tables import ScatterTables
@@ -27,7 +27,7 @@ from mistray.recorders.film import Film
 from mistray.recorders.path_sums import PathSums, join_sums
 from mistray.recorders.recorder import Recorder, Recorders
 from mistray.recorders.start_rays import StartRays
-from mistray.recorders.start_samples import DepartureSamples, Samples
+from mistray.recorders.start_samples import ORDERS, DepartureSamples, Samples
 from mistray.recorders.tallies import CHANNEL_COUNT, CUTS, SEGMENTS, SURFACE_SUMS, Tallies
 from mistray.sampling.backward_targets import backward_targets
 from mistray.sampling.detector_start import DetectorStart
@@ -197,6 +197,9 @@ class BackwardTrace:
     def share_paths(self, sharing: Sharing) -> None:
         """Share the paths with rays that follow the light from now on, see `mistray.sampling.sharing.balance`."""
         self._arguments = (*self._arguments[:-1], sharing)
+        windows = np.zeros((2, self.table.count, ORDERS)) if sharing.windows is None else sharing.windows
+        many, few = windows[0], np.where(windows[1] > 0, windows[1], np.inf)
+        self._windows = WeightWindows(upload(mi.Float, many.ravel()), upload(mi.Float, few.ravel()))
         if self.rivals:
             self.rivals = [replace(one, balance=one.balance.at(sharing)) for one in self.rivals]
             return
@@ -273,7 +276,7 @@ class BackwardTrace:
             "rays": np.full(BATCHES, rays * one.share / BATCHES),
         }
 
-    def samples(self, rays: int, number: int) -> list[Samples]:
+    def samples(self, rays: int, number: int, values: np.ndarray | None = None) -> list[Samples]:
         """
         Light that arrives, from rays that are in no sums, by wavelength.
 
@@ -282,11 +285,17 @@ class BackwardTrace:
         rays : int
         number : int
             Of this search: another number is another sample.
+        values : (c,) float64, optional
+            See `DepartureSamples`; None: `Samples.worth` is of no use.
         """
         found = []
+        if values is None:
+            values = np.zeros(self.unit.size)
         for band in range(len(self.bands)):
             vertices = self._light_vertices(band, (1, number), rays)
-            recorder = DepartureSamples(self.grid, self.has_optics, self._balance(band, vertices))
+            recorder = DepartureSamples(
+                self.grid, self.has_optics, self._balance(band, vertices), self.table.count, values
+            )
             self._trace_shared(band, self.start_pass(band, FIRST_SEARCH + number, rays), vertices, recorder)
             found.append(recorder.read())
         return found
@@ -299,7 +308,7 @@ class BackwardTrace:
         scene = self.scene(band)
         if self.rivals:
             opposite = Opposite(self.rivals[number].scattering, self._with_light, self.connects)
-            scene = replace(scene, opposite=opposite, connections=vertices)
+            scene = replace(scene, opposite=opposite, connections=vertices, windows=self._windows)
         self._launch(scene, start, recorders)
 
     @property

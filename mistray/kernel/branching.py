@@ -196,7 +196,7 @@ class Branching:
         scale: mi.Float | None = None,
     ) -> None:
         self._optics, self._scattering, self._probabilities = scene.table.optics, scene.scattering, scene.probabilities
-        self._backward, self._connections = scene.backward, scene.connections
+        self._backward, self._connections, self._windows = scene.backward, scene.connections, scene.windows
         self._batch = batch
         self._limits, self._lose, self._max_events = limits, lose, settings.max_events
         self._bulk, self._scatters = scene.table.optics.scatters, scene.scatters(settings)
@@ -247,6 +247,8 @@ class Branching:
             wanted_rays = self._scatter_rays
             if given is not None:
                 wanted_rays = dr.select(given.random_rays > 0, given.random_rays, wanted_rays)
+            if self._windows is not None:
+                wanted_rays *= self._windows.split(state["s"], done[0], w, visit)
             random_rays = dr.select(at_random, wanted_rays, 0)
             remainder = dr.select(at_random, mi.UInt32(SAMPLING), mi.UInt32(SCATTERS))  # aimed rays leave light out
             aimed_rays = given.aimed_t + given.aimed_r if given is not None else mi.UInt32(0)
@@ -324,6 +326,11 @@ class Branching:
         chance = dr.minimum((w + state["clouded"] if self._bulk else w) / least, 1)
         if self._probabilities is not None:
             chance = chance * dr.gather(mi.Float, self._probabilities.scatter, state["s"], first)
+        if self._windows is not None:
+            wanted = self._windows.chance(state["s"], state["scatters"] & COUNT_MASK, w, first)
+            if self._connections is not None:
+                wanted = dr.select(state["joint"] == 0, wanted, 1)
+            chance = chance * wanted
         return ScatterFactor(dr.select(first, dr.select(1 - u <= chance, dr.rcp(chance), 0), state["scatter_factor"]))
 
     @staticmethod

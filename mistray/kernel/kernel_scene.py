@@ -5,12 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+import drjit as dr
 import mitsuba as mi
 
 from mistray.kernel.scattering import Scattering
+from mistray.recorders.start_samples import ORDERS
 from mistray.settings import Settings
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.surfaces import SurfaceTable
+
+MOST_RAYS, LEAST_CHANCE = 64, 1 / 8  # of a hit, by its weight window
 
 
 @dataclass(frozen=True)
@@ -28,6 +32,36 @@ class BranchProbabilities:
 
     scatter: mi.Float
     reflection: mi.Float
+
+
+@dataclass(frozen=True)
+class WeightWindows:
+    """
+    How many rays are scattered where, by surface and the number of scatter events before; results stay the same.
+
+    Attributes
+    ----------
+    many, few : mi.Float
+        (surfaces · ORDERS,) rays at random for a weight of 1: a hit that has more than one by `many` is split into so
+        many, and one that has less by `few` scatters with that chance.
+    """
+
+    many: mi.Float
+    few: mi.Float
+
+    def split(self, s: mi.UInt32, scatters: mi.UInt32, weight: mi.Float, active: mi.Bool) -> mi.UInt32:
+        """Rays that a hit is split into."""
+        rays = weight * dr.gather(mi.Float, self.many, self._row(s, scatters), active)
+        return mi.UInt32(dr.clip(dr.round(rays), 1, MOST_RAYS))
+
+    def chance(self, s: mi.UInt32, scatters: mi.UInt32, weight: mi.Float, active: mi.Bool) -> mi.Float:
+        """Probability that a hit scatters."""
+        rays = weight * dr.gather(mi.Float, self.few, self._row(s, scatters), active)
+        return dr.clip(rays, LEAST_CHANCE, 1)
+
+    @staticmethod
+    def _row(s: mi.UInt32, scatters: mi.UInt32) -> mi.UInt32:
+        return s * ORDERS + dr.minimum(scatters, ORDERS - 1)
 
 
 @dataclass(frozen=True)
@@ -85,6 +119,8 @@ class KernelScene:
         `mistray.kernel.odds`; None: they are not.
     connections : Connections or None
         What rays of a backward trace are connected to.
+    windows : WeightWindows or None
+        None: all hits scatter as many rays as the settings say.
     """
 
     table: SurfaceTable
@@ -94,6 +130,7 @@ class KernelScene:
     backward: bool = False
     opposite: Opposite | None = None
     connections: Connections | None = None
+    windows: WeightWindows | None = None
 
     @property
     def classifies(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -11,11 +11,15 @@ import numpy as np
 
 from mistray.recorders.direction_recorder import DirectionRecorder, class_of_arrival, class_of_departure
 from mistray.recorders.directions import DirectionGrid
+from mistray.recorders.path_key import COUNT_MASK, EVENT_BITS, RANDOM_TRANSMITTED
 from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.weighing import StartWeighing
+from mistray.surfaces.surface import NO_SURFACE
+from mistray.surfaces.upload import upload
 
 SAMPLES = 1 << 20  # that are kept; more are counted only
+ORDERS = 8  # scatter events that are told apart; later ones are as the last of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +39,9 @@ class Samples:
         Shares of its path, see `mistray.recorders.weighing.PathShares`.
     segments : (c,) float64
         Ray segments by the cell of their start rays; all in one number where rays go to all cells.
+    worth : (3, n, ORDERS) float64, optional
+        By surface and number of scatter events before: weight that arrives there, what follows from it, and the squares
+        of that; of a trace against the light.
     """
 
     lane: np.ndarray
@@ -45,6 +52,7 @@ class Samples:
     along: np.ndarray
     connected: np.ndarray
     segments: np.ndarray
+    worth: np.ndarray | None = None
 
 
 class _StartSamples(Recorder):
@@ -91,11 +99,61 @@ class _StartSamples(Recorder):
 
 
 class DepartureSamples(_StartSamples):
-    """Of a trace against the light: rays that leave the scene."""
+    """
+    Of a trace against the light: rays that leave the scene.
 
-    def __init__(self, grid: DirectionGrid, has_optics: bool, weighing: StartWeighing) -> None:
+    Parameters
+    ----------
+    grid : DirectionGrid
+    has_optics : bool
+    weighing : StartWeighing
+    surfaces : int
+    values : (c,) float64
+        Of light of each cell, in what follows from the weight at a surface.
+    """
+
+    def __init__(
+        self, grid: DirectionGrid, has_optics: bool, weighing: StartWeighing, surfaces: int, values: np.ndarray
+    ) -> None:
         super().__init__(1, has_optics, weighing)
         self._cells = DirectionRecorder(grid, 0, None, has_optics)
+        self._values, self._surfaces = upload(mi.Float64, values), surfaces
+        self._worth = [dr.zeros(mi.Float64, surfaces * ORDERS) for _ in range(3)]
+        dr.eval(self._worth)
+
+    def visit(self, visit: Visit, memory: Memory) -> None:
+        """Add up what arrives where it may be scattered."""
+        if visit.shares is None:
+            return
+        row = visit.surface * ORDERS + dr.minimum(visit.state["scatters"] & COUNT_MASK, ORDERS - 1)
+        active = visit.active & (visit.shares.scattered > 0)
+        dr.scatter_reduce(dr.ReduceOp.Add, self._worth[0], mi.Float64(visit.weight), row, active)
+
+    def _add_worth(self, departure: Departure, worth: mi.Float64, active: mi.Bool) -> None:
+        """Add up what follows from the weights at the scatter events of paths, but for those at points of light."""
+        last = dr.full(mi.UInt32, NO_SURFACE, dr.width(active))
+        if departure.joint is not None:
+            last = dr.select(departure.joint != 0, (departure.scatters & COUNT_MASK) - 1, last)
+
+        def on(k: mi.UInt32, order: mi.UInt32, going: mi.Bool) -> tuple[mi.UInt32, mi.UInt32, mi.Bool]:
+            code = departure.event(k, going)
+            scattered = going & ((code & ((1 << EVENT_BITS) - 1)) >= RANDOM_TRANSMITTED)
+            surface = code >> EVENT_BITS
+            row = surface * ORDERS + dr.minimum(order, ORDERS - 1)
+            here = scattered & (order != last) & (surface < self._surfaces)
+            dr.scatter_reduce(dr.ReduceOp.Add, self._worth[1], worth, row, here)
+            dr.scatter_reduce(dr.ReduceOp.Add, self._worth[2], worth * worth, row, here)
+            return k + 1, order + dr.select(scattered, mi.UInt32(1), 0), going & (k + 1 < departure.length)
+
+        width = dr.width(active)
+        going = active & (departure.length > 0) & (worth > 0)
+        dr.while_loop(
+            (dr.zeros(mi.UInt32, width), dr.zeros(mi.UInt32, width), going),
+            lambda k, order, going: going,
+            on,
+            mode="symbolic",
+            label="worth",
+        )
 
     def depart(self, departure: Departure, memory: Memory) -> None:
         """Keep rays that leave within a cell."""
@@ -108,6 +166,13 @@ class DepartureSamples(_StartSamples):
         self._keep(
             words, (*point, weight * shares.against, shares.along, shares.connected), inside & (shares.against > 0)
         )
+        value = dr.gather(mi.Float64, self._values, cell, inside)
+        self._add_worth(departure, mi.Float64(weight * shares.against) * value, inside)
+
+    def read(self) -> Samples:
+        """See `_StartSamples.read`."""
+        worth = np.array([np.array(one) for one in self._worth]).reshape(3, self._surfaces, ORDERS)
+        return replace(super().read(), worth=worth)
 
 
 class ArrivalSamples(_StartSamples):

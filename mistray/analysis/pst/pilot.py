@@ -13,7 +13,7 @@ import numpy as np
 
 from mistray.analysis.pst.plan import Plan, factors_of_equal_cost, factors_of_equal_errors
 from mistray.execute.backward import BackwardTrace
-from mistray.recorders.start_samples import Samples
+from mistray.recorders.start_samples import ORDERS, Samples
 from mistray.sampling.sharing.balance import Sharing
 from mistray.sampling.sharing.cell_starts import whole_batches
 from mistray.sampling.sharing.start_map import StartMap, of_each
@@ -28,6 +28,7 @@ STEP = 4.0  # by which the rays of a cell change from one round to the next at m
 # Rounds after which the gain of connections is compared with the time that they take
 JUDGED_AFTER, COST_OF_CONNECTIONS = 3, 1.8
 LEAST_LEFT = 1e-6  # share of a path without connections that is made out
+BOUND = 3.0  # errors between what a weight brings and its upper bound
 CLASS_SHARE = 0.1  # of a map's weights that is spread evenly over the classes of light
 
 
@@ -57,6 +58,9 @@ class Pilot:
         self._kept: list[tuple[np.ndarray, np.ndarray, np.ndarray, float]] = []
         self._rays = np.zeros(2)
         self._plan: Plan | None = None
+        self._light = np.zeros(count)  # of the round before
+        self._worth = np.zeros((3, trace.table.count, ORDERS))
+        self._brought = 0.0  # by the rays against the light, in the same units
 
     @property
     def rays(self) -> float:
@@ -73,7 +77,9 @@ class Pilot:
         """A round of so many rays against the light, and what follows from it and those before."""
         trace, sharing, cells = self._trace, self._sharing, self._cells
         with_light = whole_batches(sharing.rays * rays)
-        against = trace.samples(rays, self._rounds)
+        counts = self._counts & (self._light > 0)
+        values = np.divide(trace.unit.ravel(), self._light, out=np.zeros(len(counts)), where=counts)
+        against = trace.samples(rays, self._rounds, values)
         along = cells.samples(with_light, self._rounds)
         self._rounds += 1
         self._rays += with_light.sum(), rays
@@ -109,9 +115,32 @@ class Pilot:
         # A map is learned from rays of both directions alike
         fewest = LEAST_RAYS * cost_against / np.maximum(cost_along, 1e-300) / count
         rays_of_cell = sharing.rays * np.clip(np.maximum(even, fewest), 1 / STEP, STEP)
+        windows = self._windows(against, values)
+        self._light = light
+        plan = replace(plan, sharing=replace(plan.sharing, windows=windows))
         self._sharing = replace(plan.sharing, rays=rays_of_cell, linked=self._linked(light, relative, gain))
         trace.share_paths(self._sharing)
         return plan
+
+    def _windows(self, against: Sequence[Samples], values: np.ndarray) -> np.ndarray:
+        """
+        Of rays against the light, from what all rounds have brought.
+
+        What a weight at a surface brings, over what a start ray brings on average, is how many rays it is worth. Its
+        lower bound says into how many it is split, its upper one how many are left of it.
+        """
+        for one in against:
+            assert one.worth is not None
+            self._worth += one.worth
+            self._brought += float(np.sum(one.weight * values[one.cell]))
+        weight, follows, squares = self._worth
+        rays = np.divide(follows, weight, out=np.zeros_like(weight), where=weight > 0)
+        error = np.divide(np.sqrt(squares), weight, out=np.full_like(weight, np.inf), where=weight > 0)
+        mean = self._brought / max(self.rays, 1)
+        if not mean > 0:
+            return np.zeros((2, *weight.shape))
+        many, few = np.maximum(rays - error, 0) / mean, (rays + BOUND * error) / mean
+        return np.stack([many, np.where(squares > 0, few, 0)])
 
     def _linked(self, light: np.ndarray, relative: np.ndarray, gain: np.ndarray) -> np.ndarray:
         """Of the next round, see `Sharing`: connections that do not pay are given up."""

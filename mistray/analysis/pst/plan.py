@@ -73,16 +73,17 @@ class Plan:
         """All of it as arrays."""
         own = {f.name: np.asarray(getattr(self, f.name)) for f in fields(self) if f.name != "sharing"}
         starts = {f"starts_{f.name}": getattr(self.sharing.starts, f.name) for f in fields(StartMap)}
-        return (
-            own | starts | {"points_lit": self.sharing.points, "rays": self.sharing.rays, "linked": self.sharing.linked}
-        )
+        sharing = self.sharing
+        shared = {"points_lit": sharing.points, "rays": sharing.rays, "linked": sharing.linked}
+        return own | starts | shared | ({} if sharing.windows is None else {"windows": sharing.windows})
 
     @classmethod
     def of_arrays(cls, arrays: dict[str, np.ndarray]) -> Plan:
         """What `arrays` gave."""
         starts = StartMap(**{f.name: arrays[f"starts_{f.name}"] for f in fields(StartMap)})
         own: dict[str, Any] = {f.name: arrays[f.name] for f in fields(cls) if f.name != "sharing"}
-        return cls(sharing=Sharing(arrays["points_lit"], starts, arrays["rays"], arrays["linked"]), **own)
+        sharing = Sharing(arrays["points_lit"], starts, arrays["rays"], arrays["linked"], arrays.get("windows"))
+        return cls(sharing=sharing, **own)
 
 
 def shared(plans: Sequence[Plan]) -> list[Plan]:
@@ -97,7 +98,11 @@ def shared(plans: Sequence[Plan]) -> list[Plan]:
     ]
     cell, points, weights = (np.concatenate(column) for column in zip(*parts, strict=True))
     starts = StartMap.of(len(rays), cell, points, weights)
-    return [replace(plan, sharing=replace(plan.sharing, starts=starts, rays=rays)) for plan in plans]
+    # Those of one for all, so that scenes which differ little are traced alike; they go by the numbers of the surfaces
+    windows = [plan.sharing.windows for plan in plans if plan.sharing.windows is not None]
+    alike = len(windows) == len(plans) and len({one.shape for one in windows}) == 1
+    first = windows[0] if alike else None
+    return [replace(plan, sharing=replace(plan.sharing, starts=starts, rays=rays, windows=first)) for plan in plans]
 
 
 def factors_of_equal_errors(

@@ -44,12 +44,16 @@ class Sharing:
     linked : (c,) float64
         Start rays of each cell whose points of light are picked, for one connection, see
         `mistray.sampling.sharing.light_vertices`; all 0: there are no connections.
+    windows : (2, n, ORDERS) float64, optional
+        "many" and "few" of `mistray.kernel.kernel_scene.WeightWindows`, for rays against the light; None: there are
+        none.
     """
 
     points: np.ndarray
     starts: StartMap
     rays: np.ndarray
     linked: np.ndarray
+    windows: np.ndarray | None = None
 
     @property
     def connects(self) -> bool:
