@@ -173,6 +173,10 @@ def test_json_is_json(capsys, fake):
     worst = answer["fields"][0]["worst_paths"][0]
     assert worst["label"] == "detector → L1_rear"
     assert worst["power_se_W"] > 0
+    verdict = answer["verdict"]
+    assert verdict["remedy"]["percent_of_stray"] <= 100
+    assert any(verdict["remedy"]["surface"] in text for text in verdict["sentences"])
+    assert [left["field_deg"] for left in verdict["remedy"]["left"]] == [0.0, 20.0]
 
 
 def test_quiet_is_quiet(capsys, fake):

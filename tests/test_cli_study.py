@@ -35,7 +35,11 @@ def test_findings_and_one_report(capsys: Any, tmp_path: Path) -> None:
     names = {path.name for path in out.iterdir()}
     assert {"report.html", "1_optical_surfaces.csv", "5_common.csv", "8_pst.csv", "pst_state.npz"} <= names
     html = (out / "report.html").read_text(encoding="utf-8")
-    assert html.count("<section ") == len(STEPS) + 2
+    assert html.count("<section ") == len(STEPS) + 3
+    # The answer comes first: of all angles, of the ghosts, and the table of the worst
+    order = ["Change <b>screen</b> first", "Ghosts, without scatter", 'id="worst"', 'id="findings"']
+    assert sorted(map(html.index, order)) == [html.index(text) for text in order]
+    assert printed.index("Change screen first") < printed.index(STEPS[0][1])
     assert "mistray study plate_and_wall --rays 2000" in html
     assert html.count("data:image/png") >= 6
     # Going on from the saved PST is the same PST
@@ -56,6 +60,12 @@ def test_json(capsys: Any) -> None:
     focal = next(fact for fact in record["steps"][0]["facts"] if fact["name"] == "focal length")
     assert focal["value"] is None  # a flat plate: infinite
     assert record["files"] == []
+    verdict = record["verdict"]["pst"]
+    assert verdict["main_cause"]["cause"] == "screen"
+    assert 50 < verdict["main_cause"]["percent_of_stray"] < 100
+    assert verdict["main_cause"]["pst_left"] < verdict["main_cause"]["pst_stray"]
+    assert any("screen" in text for text in verdict["sentences"])
+    assert record["verdict"]["ghosts"]["remedy"]["deed"] == "reflects"
 
 
 @pytest.mark.parametrize(

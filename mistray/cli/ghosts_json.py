@@ -26,6 +26,7 @@ def as_json(
     """What `mistray ghosts --json` prints; per wavelength, each field holds the same numbers at each wavelength."""
     from mistray.analysis.stray_levels import LEVELS
     from mistray.files.json_values import plain
+    from mistray.report.ghosts.answer import verdict_record
     from mistray.report.own_sections import own_record
     from mistray.report.tables.ghosts import warnings
     from mistray.report.tables.ghosts_csv import summary_frame
@@ -46,7 +47,13 @@ def as_json(
             row["per_wavelength"] = _lines(report, row["field_deg"])
         fields.append(row)
     settings = {key: value for key, value in next(iter(report.values())).settings.items() if key != "field_deg"}
-    found = {"settings": settings, "ranked_by": report.rank, "fields": fields, "warnings": warnings(report)}
+    found = {
+        "verdict": verdict_record(report),
+        "settings": settings,
+        "ranked_by": report.rank,
+        "fields": fields,
+        "warnings": warnings(report),
+    }
     sections = own_record(report)
     return dict(plain(found)) | ({"sections": sections} if sections else {})
 

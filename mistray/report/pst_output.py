@@ -11,11 +11,20 @@ import pandas as pd
 from markupsafe import Markup
 
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.pst.causes import breaks, cause_frame, field_edge
+from mistray.analysis.pst.causes import (
+    GHOSTS,
+    REFLECTS,
+    STRAIGHT_SHOTS,
+    MainCause,
+    breaks,
+    cause_frame,
+    field_edge,
+    main_cause,
+)
 from mistray.analysis.pst.result import Pst
 from mistray.report.figures.plots import as_png
 from mistray.report.figures.pst import pst_causes, pst_curve, pst_irradiance, pst_map
-from mistray.report.model import Figure, Hover, Note, Report, Section
+from mistray.report.model import Figure, Hover, Items, Note, Report, Section
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section, terms, thousands, version_settings
 from mistray.report.tables.pst import (
@@ -33,7 +42,7 @@ from mistray.report.tables.pst import (
     shown_classes,
     warnings,
 )
-from mistray.report.tables.text import ABSENT, number, with_error
+from mistray.report.tables.text import ABSENT, number, plain_sentences, with_error
 
 CURVE = "PST of all light, of the stray light and of each class; below, relative standard errors."
 CAUSES = "Where the stray light comes from: first surface that scatters it; ghosts are light only reflected."
@@ -153,7 +162,7 @@ def pst_report(
         "Point source transmittance",
         title,
         [*sections, settings_section(_facts(pst), command, terms("pst"), link="Definitions and settings")],
-        lead=[Note(Markup("{}.<br>{}.").format(definition, run), "sub"), Note(_finding(pst))],
+        lead=[Note(Markup("{}.<br>{}.").format(definition, run), "sub"), Items(pst_verdict(pst), "verdict")],
         warnings=warnings(pst),
         tab="PST",
         scripts=("report", "hover"),
@@ -171,6 +180,45 @@ def _facts(pst: Pst) -> dict[str, Any]:
         elif key != "notes":
             shown[key] = thousands(value) if key in ("rays", "segments") else value
     return shown | version_settings()
+
+
+def pst_verdict(pst: Pst) -> list[str]:
+    """How much stray light there is at which angles, what causes most of it, and what is left without that."""
+    found = None if pst.is_dark else main_cause(pst)
+    return [_finding(pst), *([] if found is None else _change(found))]
+
+
+def _change(found: MainCause) -> list[str]:
+    percent = with_error(found.percent, 1).replace(" ", "\u00a0")
+    of = Markup("{}\u00a0% of the stray light from a uniform sky").format(percent)
+    if found.cause == GHOSTS:
+        first = Markup("Change first what reflects the <b>ghosts</b>: they are {}.").format(of)
+    elif found.cause == STRAIGHT_SHOTS:
+        first = Markup("Block the <b>straight shots</b> first: {} is neither scattered nor reflected.").format(of)
+    else:
+        deed = "reflected" if found.cause.endswith(REFLECTS) else "first scattered"
+        name = found.cause.removesuffix(REFLECTS)
+        first = Markup("Change <b>{}</b> first: {} is {} there.").format(name, of, deed)
+    values = (with_error(found.stray, 1), with_error(found.left, 1) if found.left.value else "0")
+    return [first, f"Without that light the stray PST at {found.field_deg:g}° falls from {values[0]} to {values[1]}."]
+
+
+def pst_verdict_record(pst: Pst) -> dict[str, Any]:
+    """The verdict as values that JSON knows."""
+    record: dict[str, Any] = {"sentences": plain_sentences(pst_verdict(pst)), "main_cause": None}
+    found = None if pst.is_dark else main_cause(pst)
+    if found is not None:
+        record["main_cause"] = {
+            "cause": found.cause,
+            "percent_of_stray": found.percent.value,
+            "percent_of_stray_se": found.percent.se,
+            "field_deg": found.field_deg,
+            "pst_stray": found.stray.value,
+            "pst_stray_se": found.stray.se,
+            "pst_left": found.left.value,
+            "pst_left_se": found.left.se,
+        }
+    return record
 
 
 def _finding(pst: Pst) -> str:

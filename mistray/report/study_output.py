@@ -16,6 +16,7 @@ from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.study.eight_steps import Study
 from mistray.analysis.study.step import Fact, StudyStep
 from mistray.files.json_values import plain
+from mistray.report.ghosts.answer import answer, field_anchor, verdict_record, worst_table
 from mistray.report.ghosts.fields import explored_paths
 from mistray.report.ghosts.ledgers import energy_ledger
 from mistray.report.ghosts.report import ASSUMPTIONS, SCATTERED, polarization_words
@@ -23,7 +24,7 @@ from mistray.report.html.explorer import page_data
 from mistray.report.model import Figure, Folded, Items, Note, Part, Report, Section, Terms
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section, terms, thousands
-from mistray.report.pst_output import causes_figure, curve_figure
+from mistray.report.pst_output import causes_figure, curve_figure, pst_verdict, pst_verdict_record
 from mistray.report.tables import ghosts as tables
 from mistray.report.tables import pst as pst_tables
 from mistray.report.tables.frames import frame_table, value_text
@@ -40,6 +41,7 @@ CAPTIONS = {
     "worst_ghosts.png": "Rays of the worst ghosts, at the field where they are brightest.",
 }
 """Pictures of a study by file name."""
+VERDICTS = {"pst": "Light from all angles", "ghosts": "Ghosts, without scatter"}
 FIGURES = {
     "optical_model": ("layout.png",),
     "common_objects": ("objects.png",),
@@ -77,8 +79,10 @@ def study_warnings(study: Study) -> list[str]:
 
 
 def study_text(study: Study) -> str:
-    """What `mistray study` prints: findings of every step, then warnings."""
-    lines = [f"Stray-light study of '{study.name}'"]
+    """What `mistray study` prints: the verdict, findings of every step, then warnings."""
+    lines = [f"Stray-light study of '{study.name}'", "", "Verdict"]
+    for name, part in verdict_records(study).items():
+        lines += [f"  {VERDICTS[name]}", *(f"    {text}" for text in part["sentences"])]
     for step in study.steps:
         lines += ["", f"{step.number} {step.title}"]
         lines += [f"  {text}" for text in step.findings or ("nothing to report",)]
@@ -89,7 +93,7 @@ def study_text(study: Study) -> str:
 
 
 def study_record(study: Study) -> dict[str, Any]:
-    """All of a study as values that JSON knows: name, settings, steps (with facts, tables, findings) and warnings."""
+    """All of a study as values that JSON knows: name, verdict, settings and steps."""
     steps = [
         {
             "number": step.number,
@@ -112,7 +116,14 @@ def study_record(study: Study) -> dict[str, Any]:
         }
         for step in study.steps
     ]
-    return dict(plain({"name": study.name, "settings": study.settings, "steps": steps}))
+    return dict(
+        plain({"name": study.name, "verdict": verdict_records(study), "settings": study.settings, "steps": steps})
+    )
+
+
+def verdict_records(study: Study) -> dict[str, dict[str, Any]]:
+    """What the PST and the ghosts come to, and what to change first."""
+    return {"pst": pst_verdict_record(study.pst), "ghosts": verdict_record(study.ghosts)}
 
 
 def draw_study(study: Study) -> dict[str, bytes]:
@@ -182,11 +193,18 @@ def study_report(study: Study, command: str = "") -> Report:
         "Stray-light study",
         study.name,
         [
+            Section("worst", "The worst ghosts of all fields", worst_table(study.ghosts), "Worst ghosts"),
             Section("findings", "Findings", findings, "Findings"),
             *(_step(study, step, pictures) for step in study.steps),
             _settings(study, command),
         ],
-        lead=[Note(text, "sub")],
+        lead=[
+            Note(text, "sub"),
+            Note(VERDICTS["pst"], "h3"),
+            Items(pst_verdict(study.pst), "verdict"),
+            Note(VERDICTS["ghosts"], "h3"),
+            *answer(study.ghosts),
+        ],
         warnings=study_warnings(study),
         contents=True,
         scripts=("report", "hover", "drawing", "explorer"),
@@ -216,7 +234,7 @@ def _ghosts(report: GhostReport) -> list[Part]:
     """The paths of every field to explore, and the energy ledger of the fields."""
     parts: list[Part] = [page_data(report)]
     for number, field in enumerate(report):
-        parts.append(Note(f"Paths of the ghosts, field {field:g}°", "h3"))
+        parts.append(Note(f"Paths of the ghosts, field {field:g}°", "h3", field_anchor(field)))
         parts += explored_paths(report, field, f"t-field-{number}")
     return [*parts, Note("Energy ledger of the ghosts", "h3"), *energy_ledger(report, False)]
 

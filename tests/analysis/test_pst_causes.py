@@ -7,7 +7,15 @@ import pandas as pd
 import pytest
 from report.fake_pst import fake_pst
 
-from mistray.analysis.pst.causes import breaks, cause_frame, first_level_scatter, reigns, stray_paths, strongest
+from mistray.analysis.pst.causes import (
+    breaks,
+    cause_frame,
+    first_level_scatter,
+    main_cause,
+    reigns,
+    stray_paths,
+    strongest,
+)
 from mistray.analysis.pst.result import CLASSES, Pst
 from mistray.recorders.directions import DirectionGrid
 
@@ -111,3 +119,30 @@ def test_paths_of_several_azimuths_are_their_mean():
     parts = [pst.paths(20.0, azimuth).set_index("events").pst for azimuth in (0.0, 180.0)]
     for row in rows.itertuples():
         assert row.pst == pytest.approx(0.5 * (parts[0][row.events] + parts[1][row.events]))
+
+
+def test_the_main_cause_brings_most_of_the_light_of_a_uniform_sky():
+    """Sums of its paths over cells by their solid angle, here formed path by path."""
+    pst = fake_pst()
+    light: dict[str, dict[float, float]] = {}
+    for angle, (first, last) in zip(pst.field_deg, np.radians(pst.grid.edges_deg), strict=True):
+        for row in stray_paths(pst, angle).itertuples():
+            name = row.scatter_1 if row.scatters else row.kind
+            at = light.setdefault(name, {})
+            at[angle] = at.get(angle, 0.0) + row.pst * (np.cos(first) - np.cos(last))
+    sums = {name: sum(at.values()) for name, at in light.items()}
+    name = max(sums, key=lambda cause: sums[cause])
+    found = main_cause(pst)
+    assert (name, found.cause) == ("ghost", "ghosts")
+    assert found.percent.value == pytest.approx(100 * sums[name] / sum(sums.values()))
+    assert 0 < found.percent.se < 5
+    assert found.field_deg == max(light[name], key=lambda angle: light[name][angle])
+    k = int(np.flatnonzero(pst.field_deg == found.field_deg)[0])
+    assert found.stray.value == pytest.approx(pst.stray[k], rel=0.05)
+    own = sum(row.pst for row in stray_paths(pst, found.field_deg).itertuples() if row.kind == name)
+    assert found.left.value == pytest.approx(found.stray.value - own)
+
+
+def test_without_paths_there_is_no_main_cause():
+    assert main_cause(fake_pst(paths=False)) is None
+    assert main_cause(fake_pst(dark_from_deg=-1.0)) is None

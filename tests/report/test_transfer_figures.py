@@ -60,6 +60,15 @@ def test_no_stray_light_and_few_frequencies(load_scene, options):
         assert np.asarray(picture.convert("L")).std() > 5
 
 
+def test_an_image_is_drawn_as_far_as_the_pupil_resolves_it(halo, monkeypatch):
+    """An image far beside the image point, or a blurred one, may ask for more."""
+    (one,) = halo
+    monkeypatch.setattr("mistray.report.figures.transfer.WIDTHS", (1e5, 1e6))
+    for axes in image_figure(one).axes[:2]:
+        left, right, *_ = axes.images[0].get_extent()
+        assert right - left == pytest.approx(2e3 * one.image.largest_radius_mm, rel=2e-3)
+
+
 def test_the_parts_of_a_report(halo):
     parts = transfer_parts(halo, "mirror")
     assert sum(isinstance(part, Figure) for part in parts) == 3

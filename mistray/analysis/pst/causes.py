@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from mistray.analysis.estimate import Estimate
 from mistray.analysis.pst.result import Pst
 from mistray.recorders.path_events import path_labels
 from mistray.renamed import renamed
 
 GHOSTS = "ghosts"
 STRAIGHT_SHOTS = "straight shots"
+REFLECTS = " (reflects)"  # behind the name of structure
 CAUSES_NAMED = 2  # surfaces that a break names on either side
 LEAST_CHANGE = 0.05  # decades per degree: a change of the slope below that is no break
 SURE = 4.0  # standard errors that a change of the slope must have
@@ -68,7 +70,7 @@ def with_cause(rows: pd.DataFrame) -> pd.DataFrame:
     scattered nor reflected is a straight shot.
     """
     by_structure = (rows.structure_bounces > 0) & (rows.order == 0)
-    reflected = np.where(by_structure, rows.ghost_1 + " (reflects)", GHOSTS)
+    reflected = np.where(by_structure, rows.ghost_1 + REFLECTS, GHOSTS)
     reflected = np.where(rows.order + rows.structure_bounces > 0, reflected, STRAIGHT_SHOTS)
     return rows.assign(cause=np.where(rows.scatters > 0, rows.scatter_1, reflected).astype(object))
 
@@ -217,6 +219,60 @@ def strongest(pst: Pst, field_deg: float, n: int = CAUSES_NAMED) -> tuple[tuple[
     if GHOSTS in names:
         names[GHOSTS] = f"{GHOSTS} such as {rows.label[rows.cause == GHOSTS].iloc[0]}"
     return tuple((names[name], float(share)) for name, share in shares.items() if share > 0)
+
+
+@dataclass(frozen=True)
+class MainCause:
+    """
+    The cause of most of the stray light that a uniform sky sends to the detector from the angles of a PST.
+
+    Attributes
+    ----------
+    cause : str
+        The surface that scatters the light first, or else as in `with_cause`.
+    percent : Estimate
+        Its share of that light. The errors of its paths are added as if their rays were different ones.
+    field_deg : float
+        The angle from which this cause brings most of its light, degrees.
+    stray, left : Estimate
+        PST of the stray light at this angle, and without this cause.
+    """
+
+    cause: str
+    percent: Estimate
+    field_deg: float
+    stray: Estimate
+    left: Estimate
+
+
+def main_cause(pst: Pst) -> MainCause | None:
+    """The cause of most of the stray light of a uniform sky; None without stray light or a table of paths."""
+    if pst.path_rows is None:
+        return None
+    parts = []
+    for angle, (first, last) in zip(pst.field_deg, np.radians(pst.grid.edges_deg), strict=True):
+        rows = with_cause(stray_paths(pst, angle))
+        part = rows.assign(square=rows.pst_se**2).groupby("cause", as_index=False)[["pst", "square"]].sum()
+        parts.append(part.assign(angle=float(angle), sky=2 * np.pi * (np.cos(first) - np.cos(last))))
+    every = pd.concat(parts, ignore_index=True)
+    every = every.assign(light=every.pst * every.sky, light_square=every.square * every.sky**2)
+    sums = every.groupby("cause")[["light", "light_square"]].sum()
+    if sums.empty or not sums.light.max() > 0:
+        return None
+    name, total = str(sums.light.idxmax()), sums.sum()
+    own = sums.loc[name]
+    rest, rest_square = total.light - own.light, total.light_square - own.light_square
+    se = math.sqrt(rest**2 * own.light_square + own.light**2 * rest_square) / total.light**2
+    at = float(every[every.cause == name].sort_values("light").angle.iloc[-1])
+    there = every[every.angle == at]
+    others = there[there.cause != name]
+    return MainCause(
+        cause=name,
+        percent=Estimate(100 * own.light / total.light, 100 * se),
+        field_deg=at,
+        stray=Estimate(float(there.pst.sum()), math.sqrt(there.square.sum())),
+        left=Estimate(float(others.pst.sum()), math.sqrt(others.square.sum())),
+    )
 
 
 def reigns(causes: pd.DataFrame) -> list[tuple[float, float, str, float, float]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
@@ -13,7 +13,7 @@ from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.verdict import Remedy, WorstPath, most_stray, remedy, shares_of_kinds, worst_of_all_fields
 from mistray.report.figures.layout import layout_of_fields
 from mistray.report.model import Figure, Group, Items, Link, Note, Part, Table, Value, columns
-from mistray.report.tables.text import number, with_error
+from mistray.report.tables.text import number, plain_sentences, with_error
 
 if TYPE_CHECKING:
     from mistray.report.figures.figure import Figure as Drawing
@@ -87,6 +87,25 @@ def verdict(report: GhostReport) -> list[Sentence]:
     return [_how_much(report, field), _from_where(report, field), *_brightest(report), *_change(remedy(report))]
 
 
+def verdict_record(report: GhostReport) -> dict[str, Any]:
+    """The verdict as values that JSON knows."""
+    found = remedy(report)
+    record: dict[str, Any] = {"sentences": plain_sentences(verdict(report)), "remedy": None}
+    if found is not None:
+        record["remedy"] = {
+            "surface": found.surface,
+            "deed": found.deed,
+            "field_deg": found.field_deg,
+            "percent_of_stray": found.percent.value,
+            "percent_of_stray_se": found.percent.se,
+            "left": [
+                {"field_deg": field, "stray_W": left.value, "stray_se_W": left.se}
+                for field, left in found.left_W.items()
+            ],
+        }
+    return record
+
+
 def _how_much(report: GhostReport, field: float) -> str:
     most = report.summary(field)
     text = f"Most stray light arrives at {field:g}°: {_plain(most.stray_W)}{NO_BREAK}W"
@@ -128,7 +147,7 @@ def _change(found: Remedy | None) -> list[Sentence]:
     first = Markup("Change <b>{}</b> first: {}\u00a0% of the stray light at {:g}° {}.").format(
         found.surface, _plain(found.percent), found.field_deg, DEEDS[found.deed]
     )
-    second = f"Without that light {_plain(left)}{NO_BREAK}W is left there"
+    second = f"Without that light {f'{_plain(left)}{NO_BREAK}W' if left.value else 'nothing'} is left there"
     most = max(found.left_W, key=lambda at: found.left_W[at].value)
     if most != found.field_deg:
         second += f", and the field with the most would be {most:g}° with {_plain(found.left_W[most])}{NO_BREAK}W"

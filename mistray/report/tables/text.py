@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from markupsafe import Markup
+
 from mistray.analysis.estimate import Estimate
 from mistray.report.model import Cell, Figure, Fold, Items, Link, Map, Note, Noted, Part, Table, Terms, Value
 
@@ -99,6 +101,11 @@ def parts_text(parts: Sequence[Part]) -> str:
         elif isinstance(part, Map):
             texts.append(f"(map: {part.title}, {part.values.min():.3g} to {part.values.max():.3g} {part.unit})")
     return "\n".join(texts)
+
+
+def plain_sentences(texts: Sequence[str]) -> list[str]:
+    """Sentences of a verdict without markup, and with ordinary blanks."""
+    return [(text.striptags() if isinstance(text, Markup) else text).replace("\u00a0", " ") for text in texts]
 
 
 def _exponent(value: float) -> int:
