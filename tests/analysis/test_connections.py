@@ -10,7 +10,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
-from oracles.vane_tube import VaneTube
+from vane_tube_scene import TUBE, vane_tube
 
 import mistray
 from mistray.execute.backward import BackwardTrace
@@ -21,37 +21,6 @@ from mistray.sampling.plane_wave import hull_points
 from mistray.sampling.sharing.balance import Sharing
 from mistray.sampling.sharing.start_map import StartMap
 from mistray.settings import Settings
-
-TUBE = VaneTube(radius=10.0, length=120.0, vanes=(40.0, 80.0), hole=4.5, detector=2.5, reflectance=0.05, scatters=3)
-
-
-def vane_tube(given: VaneTube = TUBE) -> mi.Scene:
-    """The tube of the oracle; light travels +z, from its opening at z = 0."""
-    paint = {"type": "interface", "R": 0.0, "model": {"type": "paint", "reflectance": given.reflectance}}
-
-    def frustum(r0: float, z0: float, r1: float, z1: float) -> dict[str, Any]:
-        return {"type": "frustum", "r0": r0, "z0": z0, "r1": r1, "z1": z1, "bsdf": paint}
-
-    r, end = given.radius, given.length
-    film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}
-    vanes = {f"vane_{k}": frustum(given.hole, end - z, r, end - z) for k, z in enumerate(given.vanes)}
-    return mistray.load(
-        {
-            "type": "scene",
-            "integrator": {"type": "straylight"},
-            "beam": {"type": "collimated", "radius": given.detector, "distance": 1.0},
-            "wall": frustum(r, 0.0, r, end),
-            "bottom": frustum(given.detector, end, r, end),
-            **vanes,
-            "detector": {
-                "type": "asphere",
-                "semi_diameter": given.detector,
-                "to_world": mi.ScalarTransform4f().translate([0, 0, end]),
-                "bsdf": {"type": "interface", "R": 0.0},
-                "sensor": {"type": "irradiancemeter", "film": film},
-            },
-        }
-    )
 
 
 @pytest.mark.long

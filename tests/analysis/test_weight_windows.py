@@ -1,0 +1,141 @@
+"""Rays against the light, split and left to chance by what earlier ones have brought: same means, deep baffles.
+
+A number must lie within 4 of the errors of both sides together (false alarm 6e-5 each).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from oracles.lens_behind_baffle import BaffledLens
+from oracles.vane_tube import VaneTube
+from vane_tube_scene import TUBE, vane_tube
+
+import mistray
+from mistray.analysis.pst.plan import Plan, shared
+from mistray.execute.backward import BackwardTrace
+from mistray.kernel.kernel_scene import LEAST_CHANCE, MOST_RAYS, WeightWindows
+from mistray.recorders.direction_recorder import MULTIPLE, SINGLE
+from mistray.recorders.directions import DirectionGrid
+from mistray.recorders.start_samples import ORDERS
+from mistray.sampling.plane_wave import hull_points
+from mistray.sampling.sharing.balance import Sharing
+from mistray.sampling.sharing.start_map import StartMap
+from mistray.settings import Settings
+
+SCENE = Path(__file__).parents[2] / "scenes" / "two_stage_baffle" / "scene.xml"
+SPLITS = {2.5: 20, -20.0: 3, -51.4: 8, -70.0: 2}  # of the float64 walk, by z
+ANGLES = [50.0, 65.0]
+CELLS = [(49.0, 51.0), (64.0, 66.0)]
+
+
+def test_rays_of_a_weight() -> None:
+    """Two surfaces; later scatter events than there are columns for are as the last."""
+    many, few = np.zeros((2, ORDERS)), np.full((2, ORDERS), np.inf)
+    many[1, 2], many[1, -1], few[0, 0], few[1, 1] = 40.0, 1e9, 0.5, 1e-6
+    windows = WeightWindows(mi.Float(many.ravel()), mi.Float(few.ravel()))
+    s, order = mi.UInt32([0, 1, 1, 1, 1]), mi.UInt32([0, 2, 2, 50, 1])
+    weight = mi.Float([1.0, 0.1, 1e-3, 1.0, 1.0])
+    rays, chances = windows.split(s, order, weight, mi.Bool(True)), windows.chance(s, order, weight, mi.Bool(True))
+    assert np.array(rays).tolist() == [1, 4, 1, MOST_RAYS, 1]
+    assert np.array(chances).tolist() == [0.5, 1, 1, 1, LEAST_CHANCE]
+    assert dr.width(rays) == 5
+
+
+def against_alone(scene: mi.Scene, angle: float, width: float, windows: np.ndarray | None, rays: int) -> np.ndarray:
+    """PST of light that is scattered once, and several times, by rays against it alone; (2, 2) values and errors."""
+    trace = BackwardTrace(scene, DirectionGrid.of([angle], cell_deg=width), Settings.of(scene, max_scatters=3))
+    one = np.ones(1)
+    trace.share_paths(Sharing(hull_points(trace.table), StartMap.uniform(1), 1e-12 * one, 0 * one, windows))
+    found = trace.samples(rays, 0)[0]
+    unit = trace.unit.item() / rays
+    rows = []
+    for kind in (SINGLE, MULTIPLE):
+        # The rays of a start ray may have much in common
+        of_lane = np.bincount(found.lane, found.weight * (found.kind == kind))
+        rows.append((unit * of_lane.sum(), unit * np.sqrt(np.sum(of_lane**2))))
+    return np.array(rows)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [1, 2])
+def test_any_windows_have_the_same_mean(seed: int) -> None:
+    """Random numbers of rays between 0.01 and 100, at a glass plate before a screen, with paint and polish."""
+    scene = mistray.load("plate_and_wall")
+    surfaces = BackwardTrace(scene, DirectionGrid.of([20.0], cell_deg=10.0), Settings.of(scene)).table.count
+    windows = 10 ** np.random.default_rng(seed).uniform(-2, 2, (2, surfaces, ORDERS))
+    alone = against_alone(scene, 20.0, 10.0, None, 1 << 19)
+    split = against_alone(scene, 20.0, 10.0, windows, 1 << 17)
+    assert (alone[:, 0] > 0).all()
+    assert (np.abs(split - alone)[:, 0] < 4 * np.hypot(split[:, 1], alone[:, 1])).all()
+    assert not np.array_equal(split, alone)
+
+
+@pytest.mark.long
+def test_a_tube_with_windows_that_know_nothing() -> None:
+    """Windows at random, in a tube with vanes whose PST a float64 walk has."""
+    tube = VaneTube(**{**TUBE.__dict__, "length": 40.0, "vanes": (20.0,), "hole": 7.0})
+    exact, exact_se = tube.pst(35.0, 45.0, 400_000, seed=1)
+    scene = vane_tube(tube)
+    surfaces = BackwardTrace(scene, DirectionGrid.of([40.0]), Settings.of(scene)).table.count
+    windows = 10 ** np.random.default_rng(5).uniform(-1, 2, (2, surfaces, ORDERS))
+    rows = against_alone(scene, 40.0, 10.0, windows, 1 << 17)
+    value, se = rows[:, 0].sum(), np.hypot(*rows[:, 1])
+    assert se < 0.1 * value
+    assert abs(value - exact) < 4 * np.hypot(se, exact_se)
+
+
+def painted(tmp_path: Path, reflectance: float) -> mi.Scene:
+    """The two-stage baffle in a paint of that reflectance, with a lens that is clean and smooth."""
+    text = SCENE.read_text().replace('name="reflectance" value="0.05"', f'name="reflectance" value="{reflectance}"')
+    for name in ("polish_2nm", "particles_300"):
+        text = text.replace(f'<ref id="{name}"/>', "")
+    file = tmp_path / f"paint {reflectance}.xml"
+    file.write_text(text)
+    return mistray.load(file)
+
+
+@pytest.mark.long
+def test_two_stage_baffle_to_1e_13(tmp_path: Path) -> None:
+    """
+    Light that is scattered five times, beside a float64 walk with splitting.
+
+    Half the reflectance leaves 1/32 of it; both runs have errors of their own.
+    """
+    values = {}
+    for reflectance in (0.02, 0.01):
+        found = mistray.pst(painted(tmp_path, reflectance), ANGLES, rays=300_000, max_scatters=5, seed=2)
+        exact, exact_se = BaffledLens.read(SCENE, reflectance, scatters=5).pst(CELLS, 64_000, SPLITS, seed=3).T
+        assert (found.standard_error < 0.2 * exact).all()
+        assert (np.abs(found.value - exact) < 4 * np.hypot(found.standard_error, exact_se)).all()
+        values[reflectance] = found.value, found.standard_error
+    (high, high_se), (low, low_se) = values.values()
+    assert (high < 1.2e-13).all()
+    assert (np.abs(high - 32 * low) < 4 * np.hypot(high_se, 32 * low_se)).all()
+
+
+def plan(windows: np.ndarray | None) -> Plan:
+    one = np.ones(1)
+    return Plan(
+        sharing=Sharing(np.zeros((1, 3)), StartMap.uniform(1), one, 0 * one, windows),
+        light=one, variance=one, pilot_rays=np.ones(2),
+        cell=np.zeros(1, dtype=np.int64), points=np.full((1, 4), 0.5), weights=one,
+    )  # fmt: skip
+
+
+def test_scenes_that_are_compared_have_the_same_windows() -> None:
+    """Those of the first; none where surfaces were added."""
+    first, second = np.ones((2, 3, ORDERS)), np.full((2, 3, ORDERS), 2.0)
+    assert all(one.sharing.windows is first for one in shared([plan(first), plan(second)]))
+    assert all(one.sharing.windows is None for one in shared([plan(first), plan(np.ones((2, 4, ORDERS)))]))
+    assert all(one.sharing.windows is None for one in shared([plan(first), plan(None)]))
+
+
+def test_windows_are_saved_with_the_plan() -> None:
+    windows = np.random.default_rng(0).random((2, 3, ORDERS))
+    assert np.array_equal(Plan.of_arrays(plan(windows).arrays()).sharing.windows, windows)
+    assert Plan.of_arrays(plan(None).arrays()).sharing.windows is None
