@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from mistray.io.oslo import read_oslo
     from mistray.io.prescriptions import from_codev, from_optiland, from_oslo, from_rayoptics, from_zemax
     from mistray.io.to_sequential import to_sequential
+    from mistray.io.write_optiland import to_optiland
     from mistray.io.zemax.read import read_zemax
     from mistray.io.zemax.write import write_zemax
 
@@ -23,6 +24,7 @@ __all__ = lazy_package(
         "oslo": ["read_oslo"],
         "prescriptions": ["from_codev", "from_optiland", "from_oslo", "from_rayoptics", "from_zemax"],
         "to_sequential": ["to_sequential"],
+        "write_optiland": ["to_optiland"],
         "zemax.read": ["read_zemax"],
         "zemax.write": ["write_zemax"],
     },

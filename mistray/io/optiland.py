@@ -17,6 +17,7 @@ from mistray.io.conventions import figure, turns_deg
 from mistray.physics.geometry.outline import Figure, Outline, circle, polygon, rectangle
 from mistray.physics.sags.terms import sag
 from mistray.physics.sags.zernike import LAST_STANDARD, noll_orders, standard
+from mistray.prescription.coating import Coating
 from mistray.prescription.sequential.materials import same_material
 from mistray.prescription.sequential.table import (
     ApertureKind,
@@ -34,6 +35,7 @@ _APERTURES: dict[str, ApertureKind] = {
     "objectNA": "object_na",
     "float_by_stop_size": "stop_diameter",
 }
+_COATINGS = ("SimpleCoating", "FresnelCoating")  # the others are optiland's own
 _FIELDS: dict[str, FieldKind] = {
     "AngleField": "angle_deg",
     "ObjectHeightField": "object_height",
@@ -95,14 +97,19 @@ def from_optiland(optic: Any) -> Sequential:
             thickness=0.0 if last else float(places[number][2] - place[2]),
             material=material,
             mirror=mirror,
+            coating=_coating_name(surface),
             stop=bool(surface.is_stop) and not last,
             decentre=decentre,
             **_aperture(number, surface, unread),
         )
         rows.append(row)
         before = material
-        for what, attribute in (("coating", "coating"), ("scatter", "bsdf")):
-            if (thing := getattr(surface.interaction_model, attribute, None)) is not None:
+        coating, scatter = (getattr(surface.interaction_model, name, None) for name in ("coating", "bsdf"))
+        for what, thing in (
+            ("coating", None if type(coating).__name__ in _COATINGS else coating),
+            ("scatter", scatter),
+        ):
+            if thing is not None:
                 unread.append(Unread(0, f"surface {number}: {what} {type(thing).__name__}", "optiland's own: not read"))
     if any(row.decentre for row in rows):
         notes.append(
@@ -135,6 +142,29 @@ def from_optiland(optic: Any) -> Sequential:
         unread=tuple(unread),
         notes=tuple(notes),
     )
+
+
+def coatings_of(optic: Any) -> dict[str, Coating]:
+    """The coatings with numbers for R and T of an Optic, by the names that its table has for them."""
+    found = {}
+    for surface in list(optic.surfaces)[1:]:
+        if name := _coating_name(surface):
+            r, t = _shares(surface.interaction_model.coating)
+            found[name] = Coating(R=r, T=t or None)
+    return found
+
+
+def _coating_name(surface: Any) -> str:
+    """Of a coating with numbers for R and T; "" of all others."""
+    coating = getattr(surface.interaction_model, "coating", None)
+    if type(coating).__name__ != "SimpleCoating":
+        return ""
+    r, t = _shares(coating)
+    return f"R = {r!r}, T = {t!r}"
+
+
+def _shares(coating: Any) -> tuple[float, float]:
+    return _float(coating.reflectance), _float(coating.transmittance)
 
 
 def _figure(name: str, number: int, surface: Any) -> dict[str, Any]:

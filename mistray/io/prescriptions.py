@@ -9,6 +9,7 @@ from typing import Any
 from mistray.io.codev.read import read_codev
 
 # Loaded here, because loading a module later would put it in the place of the public function of its name
+from mistray.io.optiland import coatings_of
 from mistray.io.optiland import from_optiland as optiland_table
 from mistray.io.oslo import read_oslo
 from mistray.io.rayoptics import from_rayoptics as rayoptics_table
@@ -98,7 +99,7 @@ def from_codev(
 
 def from_optiland(optic: Any, **options: Any) -> Prescription:
     """
-    Take over a lens of optiland.
+    Take over a lens of optiland, with coatings that have numbers for R and T; its Fresnel coatings are bare surfaces.
 
     Parameters
     ----------
@@ -115,7 +116,8 @@ def from_optiland(optic: Any, **options: Any) -> Prescription:
     MistrayError
         If the lens holds what has no counterpart.
     """
-    return to_prescription(optiland_table(optic), **options)
+    coatings = coatings_of(optic) | dict(options.pop("coatings", None) or {})
+    return to_prescription(optiland_table(optic), coatings=coatings, **options)
 
 
 def from_oslo(

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
         read_codev,
         read_oslo,
         read_zemax,
+        to_optiland,
         to_sequential,
         write_zemax,
     )
@@ -96,6 +97,7 @@ __all__ = [
     "save_grid",
     "seen_zones",
     "spider",
+    "to_optiland",
     "to_prescription",
     "to_sequential",
     "two_stage_baffle",
