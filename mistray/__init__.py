@@ -49,6 +49,7 @@ if TYPE_CHECKING:
         transfer,
     )
     from mistray.cluster import distribute
+    from mistray.explore import Explorer
     from mistray.optimize import Metric, gradient, sensitivity
     from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, Structure, Surface
     from mistray.report import StepExport, View, export_step, view
@@ -82,6 +83,7 @@ _HOMES = {
     "transfer": "mistray.analysis",
     "Transfer": "mistray.analysis",
     "distribute": "mistray.cluster",
+    "Explorer": "mistray.explore",
     "Metric": "mistray.optimize",
     "gradient": "mistray.optimize",
     "sweep": "mistray.sweeps",
@@ -113,6 +115,7 @@ _MODULES = (
 __all__ = [
     "Coating",
     "Detector",
+    "Explorer",
     "FirstLevel",
     "GhostReport",
     "ImageQuality",

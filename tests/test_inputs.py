@@ -275,7 +275,7 @@ ELSEWHERE = {
     "mistray/cli/program.py: os.open": "the null device, to write to",
     "mistray/replace_file.py: open": "what is open already, to write to",
     "mistray/cli/commands/app.py: webbrowser.open": "the browser",
-    "mistray/explore/server.py: read_text": "a part of mistray",
+    "mistray/explore/assets.py: read_text": "a part of mistray",
     "mistray/report/html/render.py: read_text": "a part of mistray",
     "mistray/report/parts.py: read_text": "a part of mistray",
     "mistray/files/irradiance_files.py: fits.open": "bytes of read_file",

@@ -60,6 +60,11 @@ CLAIMS = {
         assert fall.value - 4.5 * fall.se > 2
         assert {"report.html", "paths.csv"} <= {file.name for file in files}
     """,
+    "explorer": """
+        assert best in ("L4", "L5") and table.percent[0] < -10 and len(table) == 7
+        assert abs(off["percent"]) < 1 and np.all(np.abs(np.interp(checks, percent, curve) / values - 1) < 0.02)
+        assert abs(again.value / traced["stray_W"][0] - 1) < 1e-3
+    """,
     "newtonian_webinar": """
         assert abs(field_deg + 20) < 1e-3 and np.allclose(along[1:], np.sin(np.radians([-20, 70])), atol=1e-5)
         assert np.allclose(np.hypot(*nodes[1:3, :2].T), tube, atol=1e-2) and np.allclose(to_eyepiece, 12.7, atol=1e-2)
@@ -142,5 +147,7 @@ def test_runs(path, tmp_path):
     NotebookClient(notebook, timeout=CELL_SECONDS, resources={"metadata": {"path": str(tmp_path)}}).execute()
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
     assert any("image/png" in output.get("data", {}) for output in outputs), "no picture"
+    widget = "application/vnd.jupyter.widget-view+json"
+    assert any(widget in output.get("data", {}) for output in outputs) is (path.stem == "explorer")
     complaints = [output.text for output in outputs if output.output_type == "stream" and output.name == "stderr"]
     assert not complaints

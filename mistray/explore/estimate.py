@@ -32,7 +32,7 @@ class Guess:
     ways : DataFrame
         ``events``, ``label``, ``kind``, ``power_W``, ``power_se_W`` and ``rms_radius_mm`` of each way of the light.
     stray_W, direct_W, ratio : Estimate
-        Powers, and stray over direct. Their errors are those of the trace, in proportion.
+        Powers, and stray over direct. Their errors are those of the trace, in proportion, and of the sample of rays.
     map_W : (h, w) float64
         Stray light on the cells of `Traced.maps`.
     extent : tuple of float
@@ -66,14 +66,18 @@ def guess(of: Traced, looks: Looks, controls: Mapping[str, Control], state: Mapp
         Values of all controls.
     """
     moved = [controls[name] for name, value in state.items() if value != of.state[name]]
-    factor = _factors(of, _ray_factors(of, looks, state, moved))
-    power, stray = np.asarray(of.ways.power_W) * factor, of.stray
+    factor, factor_se = _factors(of, _ray_factors(of, looks, state, moved))
+    traced, stray = np.asarray(of.ways.power_W), of.stray
+    power, sampled_se = traced * factor, traced * factor_se
     change, change_se = _of_first_order(of, state, moved)
     stray_W = _in_proportion(of.stray_W, float(power[stray].sum()) * max(1 + change, 0.0))
-    stray_W = stray_W._replace(se=math.hypot(stray_W.se, of.stray_W.value * change_se))
+    of_sample = float(np.linalg.norm(sampled_se[stray]))
+    stray_W = stray_W._replace(se=math.hypot(stray_W.se, of_sample, of.stray_W.value * change_se))
     direct_W = _in_proportion(of.direct_W, float(power[~stray].sum()))
     ratio = stray_W.value / direct_W.value if direct_W.value > 0 else math.nan
-    ways = of.ways[COLUMNS].assign(power_W=power, power_se_W=np.asarray(of.ways.power_se_W) * factor)
+    ways = of.ways[COLUMNS].assign(
+        power_W=power, power_se_W=np.hypot(np.asarray(of.ways.power_se_W) * factor, sampled_se)
+    )
     return Guess(
         ways,
         stray_W,
@@ -152,13 +156,15 @@ def _quotient(was: Floats, becomes: Floats) -> Floats:
     return np.where(was > 0, becomes / np.where(was > 0, was, 1.0), 1.0)
 
 
-def _factors(of: Traced, by_ray: Floats) -> Floats:
-    """By what the ways are to be multiplied."""
+def _factors(of: Traced, by_ray: Floats) -> tuple[Floats, Floats]:
+    """By what the ways are to be multiplied, and the standard errors of that by the spread over their rays."""
     count, sample = len(of.ways), of.sample
     weight = np.bincount(sample.way, sample.weight, minlength=count)
     changed = np.bincount(sample.way, sample.weight * by_ray, minlength=count)
     known = weight > 0
     factor = np.where(known, changed / np.where(known, weight, 1.0), np.nan)
+    apart = np.square(sample.weight * (by_ray - factor[sample.way]))
+    error = np.sqrt(np.bincount(sample.way, apart, minlength=count)) / np.where(known, weight, 1.0)
     power = np.asarray(of.ways.power_W)
     kinds = np.asarray(of.ways.kind)
     for kind in np.unique(kinds[~known]):
@@ -167,7 +173,7 @@ def _factors(of: Traced, by_ray: Floats) -> Floats:
             alike = known & of.stray
         total = power[alike].sum()
         factor[~known & (kinds == kind)] = (power[alike] * factor[alike]).sum() / total if total > 0 else 1.0
-    return factor
+    return factor, error
 
 
 def _map(of: Traced, factor: Floats) -> Floats:

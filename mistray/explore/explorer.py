@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import OrderedDict
@@ -49,7 +50,7 @@ FIELD_DEG = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)  # traced ahead, where the scene 
 MOST_RAYS, PILOT_RAYS, TRACE_S = 20_000, 2000, 0.8
 FEWEST_RAYS = 1000
 GRADIENT_RAYS = 1500
-QUIET_S = 0.3  # without a move before a trace begins
+QUIET_S, LATER_S = 0.3, 2.0  # without a move before a trace begins, and what is done ahead
 SCENES_KEPT = 4
 
 
@@ -119,12 +120,14 @@ class Explorer:
         self.message = ""
         self._changed = threading.Condition()
         self._moved_at = 0.0
+        self._traces = 0
         self._busy = ""
         self._traced: Traced | None = None
         self._guess: Guess | None = None
         self._difference: dict[str, Any] | None = None
         self._grid: dict[float, Traced] = {}
         self._tried: set[Any] = set()
+        self._widget: Any = None
         self._scenes: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
         self._drawing = drawing(self._scene)
         self._rays = self._chosen_rays() if rays is None else int(rays)
@@ -216,6 +219,20 @@ class Explorer:
             self._changed.wait_for(lambda: self.version > since, seconds)
             return self._view()
 
+    def _repr_mimebundle_(self, **kwargs: Any) -> Any:
+        """In Jupyter: the widget, where the extra ``widget`` is installed."""
+        if self._widget is None:
+            try:
+                from mistray.explore.widget import ExplorerWidget
+            except ImportError:
+                return {"text/plain": f"{self!r}; to see it here: pip install 'mistray[widget]'"}
+            self._widget = ExplorerWidget(self)
+        return self._widget._repr_mimebundle_(**kwargs)
+
+    def __repr__(self) -> str:
+        stray = "" if self._guess is None else f", stray light {self._guess.stray_W.value:.4g} W"
+        return f"Explorer('{self.path}', {len(self.controls)} controls{stray})"
+
     # -- what takes time ---------------------------------------------------------------------------------------------
 
     def work(self, seconds: float = 0.5) -> bool:
@@ -274,9 +291,11 @@ class Explorer:
         return (self._traced is None or self._traced.state != self.state) and _key(self.state) not in self._tried
 
     def _job(self, quiet: bool = True) -> Callable[[dict[str, VALUES]], None] | None:
+        waited = time.monotonic() - self._moved_at if quiet else math.inf
         if self._stale():
-            waited = time.monotonic() - self._moved_at
-            return self._trace_now if waited >= QUIET_S or not quiet else None
+            return self._trace_now if waited >= QUIET_S else None
+        if waited < LATER_S:
+            return None
         if self._first_order() and self._slopes_missing():
             return self._find_slopes
         if "field" in self.controls and any(field not in self._grid for field in self.fields):
@@ -294,6 +313,7 @@ class Explorer:
                 found.slopes = dict(before.slopes) if alike else {}
                 self._difference = self._compared(before, found)
             self._traced = found
+            self._traces += 1
             if found.state.get("field") in self.fields:
                 self._grid[float(found.state["field"])] = found
             self._busy = ""
@@ -457,6 +477,7 @@ class Explorer:
         is_traced = self._traced is not None and self._traced.state == self.state
         return {
             "version": self.version,
+            "traces": self._traces,
             "values": dict(self.state),
             "busy": self._busy or ("waiting to trace" if self._stale() else ""),
             "message": self.message,

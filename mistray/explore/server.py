@@ -12,13 +12,12 @@ import json
 import secrets
 import threading
 from collections.abc import Iterator
-from functools import cache
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from importlib.resources import files
 from typing import Any
 
 from mistray.errors import MistrayError
+from mistray.explore.assets import asset
 from mistray.explore.calls import answer
 from mistray.explore.explorer import Explorer
 
@@ -34,20 +33,6 @@ HEADERS = {
 }
 FILES = {"": ("page.html", "text/html"), "page.js": ("page.js", "text/javascript"),
          "explore.js": ("explore.js", "text/javascript"), "explore.css": ("explore.css", "text/css")}  # fmt: skip
-
-
-@cache
-def asset(name: str) -> str:
-    """
-    A file of the front end.
-
-    ``explore.js`` begins with what reports draw with too, so that both draw alike.
-    """
-    text = files("mistray.explore").joinpath("assets", name).read_text(encoding="utf-8")
-    if name != "explore.js":
-        return text
-    drawing = files("mistray.report.html").joinpath("assets", "drawing.js").read_text(encoding="utf-8")
-    return f"{drawing}\n{text}"
 
 
 class PageServer(ThreadingHTTPServer):

@@ -9,7 +9,8 @@ import threading
 import pytest
 
 from mistray.errors import MistrayError
-from mistray.explore.server import LOOPBACK, MOST_BYTES, PageServer, asset, serving
+from mistray.explore.assets import asset
+from mistray.explore.server import LOOPBACK, MOST_BYTES, PageServer, serving
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ function withError([value, se]) {
 
 class LiveExplorer {
   constructor(root, transport, page) {
-    Object.assign(this, { root, transport, page, chosen: null, moves: {}, sending: false });
+    Object.assign(this, { root, transport, page, chosen: null, moves: {}, sent: {}, sending: false, answers: 0 });
     this.page.palette = bytesOf(page.colours);
     this.build();
     this.show(page.view);
@@ -48,14 +48,14 @@ class LiveExplorer {
     this.inputs = {};
     const controls = part("controls", make("h2", { textContent: "Controls" }), ...this.groups(), this.buttons());
     this.root.classList.add("mistray-explorer");
-    this.root.replaceChildren(
+    this.root.replaceChildren(make("div", { className: "grid" },
       make("h1", { textContent: this.page.title }),
       controls,
       part("answer", this.status, this.difference, this.leftOut, this.numbers, this.said),
       part("picture", make("h2", { textContent: "Stray light on the detector" }), this.canvas),
       part("system", make("h2", { textContent: "Rays of the chosen path" }), this.svg, this.detail),
       part("list", make("h2", { textContent: "Worst paths" }), make("div", { className: "wide" }, this.table), this.more),
-    );
+    ));
     this.watch = new ResizeObserver(() => this.drawMap());
     this.watch.observe(this.canvas.parentElement);
   }
@@ -72,7 +72,7 @@ class LiveExplorer {
     const text = make("span", { className: "name", textContent: control.label, title: control.surfaces.join(", ") });
     const shown = make("output", {});
     if (control.choices.length) {
-      const input = make("select", {}, ...control.choices.map((choice) => make("option", { textContent: choice, value: choice })));
+      const input = make("select", { name: control.name }, ...control.choices.map((choice) => make("option", { textContent: choice, value: choice })));
       input.addEventListener("change", () => this.move(control.name, input.value));
       this.inputs[control.name] = { set: (value) => { input.value = value; }, input };
       return make("label", {}, text, input);
@@ -86,7 +86,7 @@ class LiveExplorer {
     };
     const clamped = (value) => Math.min(Math.max(value, control.low), control.high);
     const tell = (value) => { shown.textContent = `${short(value)}${control.unit ? ` ${control.unit}` : ""}`; };
-    const input = make("input", { type: "range", min: 0, max: STEPS_OF_SLIDER, step: 1 });
+    const input = make("input", { type: "range", name: control.name, min: 0, max: STEPS_OF_SLIDER, step: 1 });
     const set = (value) => {
       input.value = String(Math.round(STEPS_OF_SLIDER * ((control.log ? Math.log(value) : value) - ends[0]) / (ends[1] - ends[0])));
       input.setAttribute("aria-valuetext", `${short(value)} ${control.unit}`);
@@ -124,23 +124,28 @@ class LiveExplorer {
     this.sending = true;
     try {
       while (Object.keys(this.moves).length) {
-        const values = this.moves;
+        const values = this.sent = this.moves;
         this.moves = {};
-        this.show(await this.transport.call("move", { values }));
+        const view = await this.transport.call("move", { values });
+        this.sent = {};
+        this.show(view);
+        this.answers += 1;
+        this.root.dataset.answers = this.answers;
       }
       this.say("");
     } catch (error) {
       this.say(error.message);
     } finally {
+      this.sent = {};
       this.sending = false;
     }
   }
   show(view) {
-    if (this.view && view.version < this.view.version) return;
+    if (this.view && view.version <= this.view.version) return;  // it came both ways
     this.view = view;
     for (const [name, value] of Object.entries(view.values)) {
       const known = this.inputs[name];
-      if (known && !(name in this.moves) && known.input !== this.held()) known.set(value);
+      if (known && !(name in this.moves) && !(name in this.sent) && known.input !== this.held()) known.set(value);
     }
     this.root.dataset.label = view.label;
     this.root.dataset.version = view.version;
@@ -155,6 +160,8 @@ class LiveExplorer {
     this.showNumbers(view);
     this.showPaths(view);
     this.drawMap();
+    if (this.chosen && view.label === "traced" && view.traces !== this.traces) this.choose(this.chosen);
+    this.traces = view.traces;
   }
   held() {  // the slider under the hand of the user keeps its place
     const active = this.root.getRootNode().activeElement;
@@ -186,7 +193,8 @@ class LiveExplorer {
   async choose(events) {
     this.chosen = events;
     try {
-      this.showDetail(await this.transport.call("detail", { events }));
+      const found = await this.transport.call("detail", { events });
+      if (this.chosen === events) this.showDetail(found);
     } catch (error) {
       this.say(error.message);
     }
@@ -254,3 +262,27 @@ export async function mount(root, transport) {
   transport.follow((view) => explorer.show(view), () => explorer.ended(), page.view.version);
   return explorer;
 }
+
+// In a notebook: calls are messages of the widget, whose answers carry their numbers.
+async function render({ model, el }) {
+  const root = document.createElement("div"), waiting = new Map(), own = crypto.randomUUID();
+  let count = 0, onView = () => {};
+  const receive = (message) => {
+    if (message.view) return onView(message.view);
+    const asked = waiting.get(message.id);
+    if (!asked) return;  // of another place that shows the same widget
+    waiting.delete(message.id);
+    if (message.error) asked.reject(new Error(message.error));
+    else asked.resolve(message.found);
+  };
+  const call = (name, given = {}) => new Promise((resolve, reject) => {
+    const id = `${own} ${count += 1}`;
+    waiting.set(id, { resolve, reject });
+    model.send({ id, call: name, given });
+  });
+  model.on("msg:custom", receive);
+  el.append(root);
+  await mount(root, { call, follow: (told) => { onView = told; } });
+  return () => model.off("msg:custom", receive);
+}
+export default { render };
