@@ -24,7 +24,6 @@ def of_text(text: str) -> Iterator[str]:
     text = re.sub(r"`[^`]*`|\$[^$]*\$", CODE, text)
     text = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", text)
     text = re.sub(rf"{CODE}(?:,? (?:and |or )?{CODE})+", CODE, text)  # a list of names is no long sentence
-    text = re.sub(rf"\b([A-Z])\. (?=[A-Z])(?!{CODE})", r"\1 ", text)  # initials
     yield from re.split(r"(?<=[.!?])[\"')*_]*\s+(?=[^a-z])", text)
 
 
@@ -73,10 +72,5 @@ def _blocks(page: str) -> Iterator[str]:
 
 
 def pages(root: Path) -> list[Path]:
-    """The pages that people read first: those of the root, of docs/ and of the questions."""
-    return [
-        root / "README.md",
-        root / "CONTRIBUTING.md",
-        *sorted((root / "docs").glob("*.md")),
-        *sorted((root / "docs" / "questions").glob("*.md")),
-    ]
+    """The pages that people read: those of the root and of docs/."""
+    return [root / "README.md", root / "CONTRIBUTING.md", *sorted((root / "docs").rglob("*.md"))]

@@ -18,8 +18,8 @@ class HarveyShack(Scatterer):
 
     Nested in an ``interface`` it scatters a share of what that reflects and transmits. By itself it is an interface
     with constant R and T. Exactly one of ``b0`` and ``rms_nm`` says how much is scattered. With ``rms_nm`` b0 follows
-    from the indices on both sides, with Δn = 2 n in reflection and the difference of the indices in transmission, and
-    a surface that is not smooth is refused.
+    from the indices on both sides, with Δn = 2 n in reflection and the difference of the indices in transmission. A
+    surface that is not smooth is refused.
 
     ================= ======= ============ ========== ==========================================================
     parameter         unit    range        default    meaning

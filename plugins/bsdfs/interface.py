@@ -88,14 +88,14 @@ class Interface(mi.BSDF):
                                                wavelength of its source
     ================= ======= ======= ======== ===========================================================
 
-    Models of scatter add up. What they scatter relative to R and T is taken from the specular beams, what is
-    absolute from A; a surface that would give away more light than it gets is refused.
+    Models of scatter add up. What they scatter relative to R and T is taken from the specular beams, what is absolute
+    from A. A surface that would give away more light than it gets is refused.
 
-    Source: Fresnel's equations, see `mistray.physics.thinfilm`. Under a stock integrator the plugin is a
-    delta BSDF for unpolarised light, plus the lobes of its scatter; R and T of a coating then come from the
-    same table over the angle that the ray tree uses, at ``wavelength_nm``. A material without k is taken for
-    transparent there. The components are the reflected and the transmitted beam, then reflected and
-    transmitted scatter. In the mode "radiance" light is scattered from wo to wi.
+    Source: Fresnel's equations, see `mistray.physics.thinfilm`. Under a stock integrator the plugin is a delta BSDF
+    for unpolarised light, plus the lobes of its scatter. R and T of a coating then come from the same table over the
+    angle that the ray tree uses, at ``wavelength_nm``. A material without k is taken for transparent there. The
+    components are the reflected and the transmitted beam, then reflected and transmitted scatter. In the mode
+    "radiance" light is scattered from wo to wi.
 
     .. code-block:: xml
 

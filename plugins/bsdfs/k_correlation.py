@@ -20,7 +20,7 @@ class KCorrelation(Scatterer):
 
     Nested in an ``interface`` it scatters a share of what that reflects and transmits. By itself it is an interface
     with constant R and T. What the surface scatters follows from the indices on its sides by the generalised
-    Harvey-Shack or by the Rayleigh-Rice theory; a surface that is too rough for the theory is refused.
+    Harvey-Shack or by the Rayleigh-Rice theory. A surface that is too rough for the theory is refused.
 
     ================= ======= ============ ========== ==========================================================
     parameter         unit    range        default    meaning

@@ -17,9 +17,9 @@ class Polynomial(Scatterer):
     r"""
     Polynomial scatter (:monosp:`polynomial`): log10 BSDF = Σ c (U+W)^i (U W)^j V^k + Σ l V^k log10(1 + d^j T).
 
-    U = \|β\|², W = \|β0\|², V = β·β0 and T = \|β - β0\|²: the invariants of an isotropic surface, as in the Polynomial
-    and the Binomial (no j in the first sum) of FRED. Nested in an ``interface`` it scatters a share of what that
-    reflects and transmits. By itself it is an interface with constant R and T.
+    U = \|β\|², W = \|β0\|², V = β·β0 and T = \|β - β0\|². These are the invariants of an isotropic surface, as in the
+    Polynomial and the Binomial (no j in the first sum) of FRED. Nested in an ``interface`` it scatters a share of
+    what that reflects and transmits. By itself it is an interface with constant R and T.
 
     ================= ======= ============ ========== ==========================================================
     parameter         unit    range        default    meaning

@@ -30,7 +30,7 @@ class Tabulated(Scatterer):
                                                       ``mean``, or ``keep``: it depends on how the sample lies
     sample_axis       string               x          of an anisotropic sample: its x axis is that of the shape,
                                                       ``x``, or lies in the plane through the shape's z axis,
-                                                      ``meridian``, as the marks of a lathe ask for
+                                                      ``meridian``, as for marks of a lathe
     rotation_deg      deg     -360 … 360   0          right-handed turn of the sample: with ``x`` about the shape's
                                                       z axis, with ``meridian`` about the normal, front to back
     event             string               both       what scatters: ``reflection``, ``transmission`` or

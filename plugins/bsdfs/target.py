@@ -16,17 +16,17 @@ class TargetMark(mi.BSDF):
     r"""
     Target of scattered rays (:monosp:`target`): its shape is no surface, light passes through it.
 
-    The surfaces that it names send some of their scattered rays towards the shape, as do the media on their sides for
-    the light that these scatter on its way to the surface. A shape that catches the light to the detector (the detector
-    itself, its image by the lenses that follow, the next lens) lowers the error of the result; no target changes the
-    result itself. A surface that is named here has no automatic targets, and neither have its media. Several targets
-    may name a surface, and they may overlap.
+    The surfaces that it names send some of their scattered rays towards the shape. So do the media on their sides,
+    for the light that these scatter on its way to the surface. Choose a shape that catches the light to the detector:
+    the detector itself, its image by the lenses that follow, or the next lens. It lowers the error of the result. No
+    target changes the result itself. A surface that is named here has no automatic targets, and neither have its
+    media. Several targets may name a surface, and they may overlap.
 
     The shape is a ``disk``, a ``rectangle``, a flat ``frustum`` (a ring), an ``asphere`` (its rim), a mesh of at most
-    64 triangles (a closed curve, filled) or a ``sphere``; with ``half_axes`` the sphere is an ellipsoid. Rays are
-    uniform over the area of a flat target, and in solid angle as seen from a sphere's surroundings. With ``about`` the
-    target is a cone of directions instead, and with ``entity`` a surface of the scene; the shape then gives no more
-    than ``about`` says.
+    64 triangles (a closed curve, filled) or a ``sphere``. With ``half_axes`` the sphere is an ellipsoid. Rays are
+    uniform over the area of a flat target, and in solid angle as seen from a sphere's surroundings. With ``about``
+    the target is a cone of directions instead, and with ``entity`` a surface of the scene; the shape then gives no
+    more than ``about`` says.
 
     ========== ======= ======= ======== ===============================================================
     parameter  unit    range   default  meaning

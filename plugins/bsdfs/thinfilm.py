@@ -25,9 +25,9 @@ class ThinFilm(Interface):
     interface, and several interfaces may share one object by ``<ref id="…"/>``. By itself it is an
     interface with a coating and takes ``front``, ``back``, ``mirror`` and ``wavelength_nm`` as well.
 
-    Exactly one of ``layers``, ``preset``, ``table`` and ``R`` says what the coating is. R, T and the phases
-    of layers follow from the wave equation for s and p, with absorption in the layers and in the media,
-    total reflection and its frustration; what is neither reflected nor transmitted is absorbed.
+    Exactly one of ``layers``, ``preset``, ``table`` and ``R`` says what the coating is. R, T and the phases of layers
+    follow from the wave equation for s and p, with absorption in the layers and in the media, total reflection and
+    its frustration. What is neither reflected nor transmitted is absorbed.
 
     ============== ======= ======= ======== ==============================================================
     parameter      unit    range   default  meaning

@@ -23,9 +23,8 @@ class Collimated(LightSource):
     Collimated beam (:monosp:`collimated`): a star, the sun or a laser, as in TracePro's grid source.
 
     The light travels along Rz(``azimuth_deg``) · (0, sin θ, cos θ) with θ = ``field_deg``, in the frame of
-    ``to_world``, and the axis of the beam passes through the origin of that frame, the *pivot* (usually the
-    centre of the stop or of the entrance pupil). The rays start outside of the scene unless ``distance`` is
-    given.
+    ``to_world``. The axis of the beam passes through the origin of that frame, the *pivot*. It is usually the centre
+    of the stop or of the entrance pupil. The rays start outside of the scene unless ``distance`` is given.
 
     =================== ========= =================== ========= ===================================================
     parameter           unit      range               default   meaning
@@ -57,9 +56,9 @@ class Collimated(LightSource):
     With ``plane="axis"`` the flux is irradiance · area · cos θ. A ``grid`` is an equal-area map of a square grid
     onto the cross-section; standard errors are then those of random positions, an upper bound.
 
-    To stock integrators the beam has one direction, so that ``path`` and ``direct`` render what it lights in the open
-    and ``ptracer`` what it lights through glass as well, but none connects a camera or a detector to the beam itself.
-    They start it 100 times its size upstream of the pivot unless ``distance`` is given.
+    To stock integrators the beam has one direction. ``path`` and ``direct`` render what it lights in the open, and
+    ``ptracer`` what it lights through glass as well. None connects a camera or a detector to the beam itself. They
+    start it 100 times its size upstream of the pivot unless ``distance`` is given.
 
     .. code-block:: xml
 

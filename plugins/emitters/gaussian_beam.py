@@ -19,9 +19,9 @@ class GaussianBeam(NearSource):
     r"""
     Gaussian beam (:monosp:`gaussian_beam`): a laser, the light of a single-mode fibre.
 
-    Across the beam the irradiance is exp(-2 x²/w² - 2 y²/w²) with w(z)² = w₀² + (M² λ (z - z₀) / (π w₀))², for x and
-    y each with a waist, a place of it and a quality of their own. The rays have the second moments of the beam at
-    every place: place and slope at the waist are independent and normal, of widths w₀/2 and M² λ / (2 π w₀).
+    Across the beam the irradiance is exp(-2 x²/w² - 2 y²/w²) with w(z)² = w₀² + (M² λ (z - z₀) / (π w₀))². Each of x
+    and y has a waist, its position and a quality of its own. The rays have the second moments of the beam everywhere.
+    Position and slope at the waist are independent and normal, of widths w₀/2 and M² λ / (2 π w₀).
 
     =================== ========= =================== ========= ===================================================
     parameter           unit      range               default   meaning

@@ -15,9 +15,9 @@ class PointSource(ConeSource):
     r"""
     Point source (:monosp:`point_source`): a pinhole, a distant lamp, an LED, an object point of a near object.
 
-    The intensity goes with cosⁿ θ within a cone about the axis, with n = ``exponent``: 0 is the same in all directions.
-    Most rays go to the first surface of the design path and to the scene, with weights that make up for it, so that
-    a lamp far away costs no more than a parallel beam.
+    The intensity goes with cosⁿ θ within a cone about the axis, with n = ``exponent``: 0 is the same in all
+    directions. Most rays go to the first surface of the design path and to the scene, with weights that make up for
+    it. So a lamp far away costs no more than a parallel beam.
 
     The source stands at ``x``, ``y``, ``z`` in the frame of ``to_world``, before the lens at ``z`` < 0. A field angle
     moves it in its object plane, so that its light comes to the origin of that frame at the angle.

@@ -22,9 +22,9 @@ class RayFile(LightSource):
     r"""
     Rays of a file (:monosp:`ray_file`): a measured lamp, the light of another program, rays of a trace.
 
-    CSV and Parquet files have the columns x_mm, y_mm, z_mm (or in m, cm, um, in, ft), dx, dy, dz, flux_W and, if known,
-    wavelength_nm, as `Trace.rays` and `mistray.files.ray_sets.save_ray_set` write them. Zemax source files (.dat,
-    binary or text) are read too. Rays are drawn in proportion to their flux, so that all carry the same.
+    CSV and Parquet files have the columns x_mm, y_mm, z_mm (or in m, cm, um, in, ft), dx, dy, dz, flux_W and, if
+    known, wavelength_nm. `Trace.rays` and `mistray.files.ray_sets.save_ray_set` write such files. Zemax source files
+    (.dat, binary or text) are read too. Rays are drawn in proportion to their flux, so that all carry the same.
 
     =================== ========= =================== ========= ===================================================
     parameter           unit      range               default   meaning

@@ -26,10 +26,10 @@ class Sky(DistantSource):
     The radiance is the same in all directions within ``half_angle_deg`` of the axis; 180 is a sky all around, 90
     half of it. The light in the middle travels along the axis, as that of `collimated` does.
 
-    A picture of the whole sky instead, ``filename``, is laid around the scene as by Mitsuba's ``envmap``: its width
-    is the azimuth about y, its height the angle from +y, its luminance times ``radiance`` the radiance. Angles do
-    not turn it; ``to_world`` does. A FITS file is a map in HEALPix, with the z axis of ``to_world`` to its north and
-    the x axis to its azimuth 0.
+    A picture of the whole sky instead, ``filename``, is laid around the scene as by Mitsuba's ``envmap``. Its width
+    is the azimuth about y, its height the angle from +y, its luminance times ``radiance`` the radiance. Angles do not
+    turn it; ``to_world`` does. A FITS file is a map in HEALPix, with the z axis of ``to_world`` to its north and the
+    x axis to its azimuth 0.
 
     =================== ========= =================== ========= ===================================================
     parameter           unit      range               default   meaning

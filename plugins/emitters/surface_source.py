@@ -20,8 +20,8 @@ class SurfaceSource(ConeSource):
     r"""
     Flat source (:monosp:`surface_source`): a screen, an LED's chip, a lit slit, the end of a fibre.
 
-    A disc, a ring or a rectangle in the plane z = 0 of its frame, all parts of it alike, whose intensity goes with
-    cosⁿ θ within a cone about its normal, +z: with n = ``exponent`` = 1 it is Lambertian, its radiance the same in all
+    A disc, a ring or a rectangle in the plane z = 0 of its frame, uniform over its area. Its intensity goes with cosⁿ
+    θ within a cone about its normal, +z. With n = ``exponent`` = 1 it is Lambertian, its radiance the same in all
     directions. A step-index fibre is a disc with n = 1 and the half angle of its numerical aperture.
 
     =================== ========= =================== ========= ===================================================

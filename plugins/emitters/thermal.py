@@ -35,9 +35,10 @@ class Thermal(LightSource):
     r"""
     Thermal emission of the scene (:monosp:`thermal`): every surface at its temperature, as a source of a forward trace.
 
-    By Kirchhoff's law a surface emits, at each angle, the share of a blackbody's radiance that it absorbs there: what
-    its coating neither reflects nor transmits and its scatter does not send on. Each surface is a source of its own in
-    the path table, ``id:surface``, so that the table says by which paths which surface shines on which detector.
+    By Kirchhoff's law a surface emits, at each angle, the share of a blackbody's radiance that it absorbs there. That
+    is what its coating neither reflects nor transmits and its scatter does not send on. Each surface is a source of
+    its own in the path table, ``id:surface``, so that the table says by which paths which surface shines on which
+    detector.
 
     =================== ========= =================== ========= ===================================================
     parameter           unit      range               default   meaning

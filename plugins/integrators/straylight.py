@@ -58,7 +58,7 @@ class StrayLight(mi.CppADIntegrator):
     flux_threshold        1      0 … 1         1e-8        smallest flux of an unscattered branch relative to its start
                                                            ray
     cut_below             string ≥ 0           none        smallest flux of branches relative to their start ray, by
-                                                           kind: ``R`` and ``T`` of specular reflection and
+                                                           kind. ``R`` and ``T`` of specular reflection and
                                                            transmission, ``r`` and ``t`` of scattered ones, ``A`` of
                                                            absorption, as in "R=1e-6, t=1e-9"
     cut_below_W           string ≥ 0           none        the same in W
@@ -67,10 +67,10 @@ class StrayLight(mi.CppADIntegrator):
     splitting             string split, one    split       follow both children, or one at random
     below_threshold       string cut, roulette cut         end weak branches, or play Russian roulette (unbiased)
     seed                  1      0 … 2³²-1     0           random numbers; the ``seed`` of ``mi.render`` is added
-    ray_control           string               allow_all   what light may do at surfaces: letters of ``T`` and ``R``
+    ray_control           string               allow_all   what light may do at surfaces. Letters: ``T`` and ``R``
                                                            (be transmitted and reflected), ``I`` (total internal
                                                            reflection), ``M`` (reflection by a ``mirror``), ``t`` and
-                                                           ``r`` (be scattered), ``A`` (be absorbed); or
+                                                           ``r`` (be scattered), ``A`` (be absorbed). Or
                                                            ``allow_all`` ("TRIMtrA"), ``transmit_specular`` ("TIMA"),
                                                            ``reflect_specular`` ("RIMA"), ``halt_all`` ("A")
     polarization          string auto,         auto        average s and p at every hit, or carry the Stokes vector
@@ -82,7 +82,7 @@ class StrayLight(mi.CppADIntegrator):
 
     None of these is differentiable. ``dr.backward`` through ``mi.render(scene, params, …)`` gives the derivatives by
     coatings, scatter models, indices, shapes, positions and rims of the scene; `mistray.optimize.parameters` lists
-    them. Coatings alone take one walk in reverse (`mistray.recorders.adjoint`), anything else a replay of all rays
+    them. Coatings alone take one reverse run (`mistray.recorders.adjoint`), anything else a replay of all rays
     (`mistray.gradients.replay`). Branches below ``flux_threshold`` are left out. `mistray.gradient` gives standard
     errors as well. ``dr.forward`` knows all but scatter, and holds visibility (``edges`` off).
     ``polarization="stokes"`` and parameters of stock shapes raise.

@@ -18,10 +18,10 @@ class ProbeSensor(PassingSensor):
     r"""
     Probe (:monosp:`probe`): records the light that crosses a rectangle, and lets it pass.
 
-    It stands at the top of the scene, not in a shape. The rectangle is in the plane of x and y of its frame, and light
-    counts that goes towards +z of it; a second probe with its frame turned round counts what comes back. Each
+    It stands at the top of the scene, not in a shape. The rectangle is in the plane of x and y of its frame, and
+    light that travels towards its +z counts. A second probe with its frame turned round counts what comes back. Each
     `mistray.trace` of the scene has a `mistray.recorders.Probe` under the id of the sensor, with irradiance and
-    radiance; ``mi.render`` with the ``straylight`` integrator gives the irradiance (height, width, 1) in W/mm², row 0
+    radiance. ``mi.render`` with the ``straylight`` integrator gives the irradiance (height, width, 1) in W/mm², row 0
     at the smallest y. Mitsuba's own integrators see what an irradiance meter there would.
 
     ============= ========= ============= ======== ====================================================================

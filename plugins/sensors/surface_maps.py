@@ -14,8 +14,8 @@ class SurfaceMapsSensor(PassingSensor):
     r"""
     Maps of surfaces (:monosp:`surface_maps`): irradiance of walls, unrolled over azimuth and length.
 
-    It stands at the top of the scene. Each `mistray.trace` of the scene has a `mistray.recorders.SurfaceMaps` under the
-    id of the sensor; ``mi.render`` with the ``straylight`` integrator gives the irradiance (surfaces × lengths,
+    It stands at the top of the scene. Each `mistray.trace` of the scene has a `mistray.recorders.SurfaceMaps` under
+    the id of the sensor. ``mi.render`` with the ``straylight`` integrator gives the irradiance (surfaces × lengths,
     azimuths, 1) in W/mm², one surface below the other in the order of their ids.
 
     ========== ====== ========= ======= =========================================================================

@@ -38,7 +38,7 @@ class FreeformShape(FormulaShape):
     ``interface``, the side at +z its ``back``.
 
     The outline is made of figures in the plane across the axis, one after the other. The first one stands; ``+`` adds
-    a figure, ``-`` cuts one away, ``&`` keeps what lies in both. They may lie anywhere: a piece of a parabola far off
+    a figure, ``-`` cuts one away, ``&`` keeps what lies in both. They may lie anywhere. A piece of a parabola far off
     its axis keeps the digits of its own size, because the ray tree works about the middle of the outline.
 
     ========================= ============ ======== ========= ==========================================================
@@ -93,7 +93,7 @@ class FreeformShape(FormulaShape):
     (nested) sensor           sensor                none      an ``irradiancemeter``: makes this shape the detector
     ========================= ============ ======== ========= ==========================================================
 
-    The ray tree has the sag as a quadric and a departure from it in Chebyshev polynomials of degree 20 at most; a
+    The ray tree has the sag as a quadric and a departure from it in Chebyshev polynomials of degree 20 at most. A
     surface whose sag is farther than 1e-6 of its size from that is refused.
 
     .. code-block:: xml

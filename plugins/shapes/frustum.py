@@ -23,10 +23,9 @@ class Frustum(Revolution):
     r"""
     Truncated cone (:monosp:`frustum`): a cone, a cylinder (``r0 = r1``) or a flat annulus (``z0 = z1``).
 
-    Barrels, lens edges, bevels, stops, vanes. The generatrix runs from (r0, z0) to (r1, z1) about the
-    local z axis. The normal points away from the axis, or to +z for a flat annulus; ``front`` of the
-    nested ``interface`` is the side the normal points away from: the inside of a tube, the -z side of an
-    annulus.
+    Barrels, lens edges, bevels, stops, vanes. The generatrix runs from (r0, z0) to (r1, z1) about the local z axis.
+    The normal points away from the axis, or to +z for a flat annulus. ``front`` of the nested ``interface`` is the
+    side the normal points away from: the inside of a tube, the -z side of an annulus.
 
     ======================= ======= ======== ========= ============================================================
     parameter               unit    range    default   meaning
