@@ -189,6 +189,14 @@ class TestSweep:
             (("--set", "p0_rear.bsdf.R"), "'p0_rear.bsdf.R' is no value; write KEY=VALUE"),
             (("--set", "p0_rear.bsdf.R=nan"), "'nan' is not a number"),
             (("--set", "p0_rear.bsdf.Q=1"), "the scene has no parameter 'p0_rear.bsdf.Q'; did you mean"),
+            (
+                ("--set", "p0_rear.bsdf.R=0.1", "p0_rear.bsdf.R=0.2"),
+                "--set: p0_rear.bsdf.R is 0.1 and 0.2; give one value",
+            ),
+            (
+                ("--set", "a b=1", "--pst-field-deg", "20"),
+                "error: configuration 'a b = 1': the scene has no parameter 'a b'",
+            ),
             (("--coating", "p0_*=bare"), "--coating is compared by its PST; give --pst-field-deg as well"),
             (("--paint", "p0_*=black"), "--paint is compared by its PST; give --pst-field-deg as well"),
             (("--pst-field-deg", "20"), "give --set, --coating, --paint, a TOML file with them, or --rank"),

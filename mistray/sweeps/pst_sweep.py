@@ -189,7 +189,7 @@ def sweep_pst(
             if progress is not None:
                 progress(len(found), len(every))
     except MistrayError as error:
-        error.args = ("".join(at) + str(error),)
+        error.args = ("".join(at) + str(error).removeprefix("".join(at)),)
         raise
     return PstSweep(found)
 

@@ -158,6 +158,9 @@ def _configurations(options: Options) -> list[Configuration]:
     found = [] if options.study is None else read_configurations(options.study)
     if _edited(options):
         values, coat, paint = (dict(given or ()) for given in (options.set, options.coating, options.paint))
+        for key, value in options.set or ():
+            if value != values[key]:
+                raise MistrayError(f"--set: {key} is {value:g} and {values[key]:g}; give one value")
         changes = [f"{key} = {value:g}" for key, value in values.items()]
         changes += [f"{pattern} = {look}" for pattern, look in (coat | paint).items()]
         found.append(Configuration(", ".join(changes), values, paint, coat))
