@@ -59,7 +59,7 @@ class Forecast:
         if left > LONG:
             segments = float(run.channels[SEGMENTS].sum() / run.started.sum())
             warnings.warn(
-                f"the trace takes {_duration(left)} more: a start ray has {segments:.3g} ray segments; "
+                f"the trace takes {duration(left)} more: a start ray has {segments:.3g} ray segments; "
                 f"{_remedy(run, segments)}, or give a time with seconds",
                 MistrayWarning,
                 stacklevel=2,
@@ -81,7 +81,7 @@ def _remedy(run: Run, segments: float) -> str:
     return f"{limit}, raise flux_threshold ({settings.flux_threshold:g})"
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
     """A time in words, "3 min" or "5.2 h"."""
     for size, unit in ((86400.0, "days"), (3600.0, "h")):
         if seconds >= size:

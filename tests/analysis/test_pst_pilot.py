@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib
 from typing import Any
 
 import mitsuba as mi
@@ -14,6 +15,8 @@ from mistray.analysis.pst.found_paths import forward_events
 from mistray.analysis.pst.pilot import Pilot
 from mistray.analysis.pst.plan import Plan, factors_of_equal_cost, factors_of_equal_errors
 from mistray.analysis.pst.result import Pst, notes
+from mistray.analysis.pst.state import PstProgress
+from mistray.errors import MistrayWarning
 from mistray.execute.backward import BackwardTrace
 from mistray.kernel.odds import Odds
 from mistray.recorders.direction_recorder import CLASS_COUNT, SINGLE
@@ -334,3 +337,17 @@ def test_no_light_seen_is_no_statement_that_there_is_none() -> None:
     (told,) = notes(Pst(grid, np.zeros((CLASS_COUNT, 2, 1, 32)), np.full(32, 1 / 32)), np.zeros((2, 1)), 2000)
     assert "2e+03 rays" in told
     assert "no upper limit" in told
+
+
+@pytest.mark.long
+def test_the_time_is_estimated_before_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first report says how long the run takes, within a factor of 3 on any machine; a long one warns."""
+    reports: list[PstProgress] = []
+    mistray.pst(window(), [30.0], cell_deg=2.0, rays=20_000, seed=3)  # compiles
+    mistray.pst(window(), [30.0], cell_deg=2.0, rays=1_000_000, seed=3, progress=reports.append, paths=False)
+    estimate, took = reports[0].seconds_left, reports[-1].seconds - reports[0].seconds
+    assert reports[0].rays_done == 0
+    assert took / 3 < estimate < 3 * took
+    monkeypatch.setattr(importlib.import_module("mistray.analysis.pst.backward_run"), "LONG", estimate / 100)
+    with pytest.warns(MistrayWarning, match="min"):
+        mistray.pst(window(), [30.0], cell_deg=2.0, rays=1_000_000, seed=3, paths=False)

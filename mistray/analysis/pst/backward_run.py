@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -16,12 +18,13 @@ from mistray.analysis.pst.pilot import Pilot
 from mistray.analysis.pst.plan import Plan
 from mistray.analysis.pst.result import AGAINST, WITH, Pst, notes
 from mistray.analysis.pst.state import PstProgress, load_state, require_same, save_state
-from mistray.errors import UnfinishedError
+from mistray.errors import MistrayWarning, UnfinishedError
 from mistray.execute.backward import FIRST_PASS, BackwardTrace
+from mistray.execute.forecast import LONG, duration
 from mistray.interrupts import later, requested
 from mistray.recorders.direction_recorder import DIFFRACTED, MULTIPLE, SINGLE
 from mistray.recorders.path_sums import join_sums
-from mistray.time_budget import time_is_up
+from mistray.time_budget import is_limited, time_is_up
 
 PILOT_SHARE = 3  # a run to an error takes about so many times the rays of its pilot
 DARK_AFTER = 4_000_000  # rays without light in a cell after which it is taken for dark
@@ -55,7 +58,7 @@ class BackwardRun:
         self._trace, self._state, self._points, self._joined = trace, state, points, joined
         self._light: ForwardPart | None = None
         self._plan: Plan | None = None
-        self._pilot_seconds = 0.0
+        self._pilot_seconds, self._seconds_left = 0.0, math.nan
         self._wanted: tuple[float | None, float | None] = (None, None)
         self._before: dict[str, np.ndarray] = {}  # path table of the run that this one goes on from
         self._table: dict[str, np.ndarray] | None = None  # the path table of both, once it is read
@@ -108,6 +111,17 @@ class BackwardRun:
         if wanted is not None:
             plan = plan.beside(max(plan.rays_for(wanted, counts), int(plan.pilot_rays[1])), self._budget(plan, wanted))
         self._pilot_seconds = time.perf_counter() - started
+        budget = self._budget(plan, wanted)
+        self._seconds_left = pilot.seconds_for(plan, budget)
+        if self._seconds_left > LONG and not is_limited():
+            goal = "" if wanted is None else f"; an error of {100 * wanted:.2g} % takes {budget:.2g} rays"
+            warnings.warn(
+                f"the PST takes about {duration(self._seconds_left)}{goal}; "
+                f"lower {'rays' if wanted is None else 'the number of rays, allow a larger error'}, or give a time "
+                "with seconds",
+                MistrayWarning,
+                stacklevel=2,
+            )
         return plan
 
     def go_on(self, plan: Plan | None, progress: Progress | None) -> None:
@@ -128,6 +142,9 @@ class BackwardRun:
         if self._light is None and plan is not None:
             self._take(plan)
         most = self._budget(plan, wanted) if plan is not None else trace.settings.rays
+        if progress and math.isfinite(self._seconds_left):
+            done, spent = round(before), time.perf_counter() - started
+            progress(PstProgress(done, max(most, done), math.inf, wanted, spent, self._seconds_left))
         with later(), trace.shared(most):
             while trace.rays.sum() < most and not requested() and not (trace.passes and time_is_up()):
                 began = time.perf_counter()

@@ -6,6 +6,7 @@ Its own rays are in no result, so that the mean of a run is that of either direc
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -61,11 +62,16 @@ class Pilot:
         self._light = np.zeros(count)  # of the round before
         self._worth = np.zeros((3, trace.table.count, ORDERS))
         self._brought = 0.0  # by the rays against the light, in the same units
+        self._pace = np.zeros(2)  # s for a ray with the light, and against it
 
     @property
     def rays(self) -> float:
         """Rays against the light so far."""
         return float(self._rays[1])
+
+    def seconds_for(self, plan: Plan, rays: float) -> float:
+        """How long so many rays against the light take, with those of the other direction beside them."""
+        return float(self._pace @ (plan.forward_rays(rays).sum(), rays))
 
     def search(self, rays: float) -> Plan:
         """Go on for `LEAST_ROUNDS` rounds at least, and to so many rays against the light."""
@@ -79,8 +85,12 @@ class Pilot:
         with_light = whole_batches(sharing.rays * rays)
         counts = self._counts & (self._light > 0)
         values = np.divide(trace.unit.ravel(), self._light, out=np.zeros(len(counts)), where=counts)
+        began = time.perf_counter()
         against = trace.samples(rays, self._rounds, values)
+        then = time.perf_counter()
         along = cells.samples(with_light, self._rounds)
+        # The last round is the longest, and compiles nothing
+        self._pace = np.array([(time.perf_counter() - then) / max(with_light.sum(), 1), (then - began) / rays])
         self._rounds += 1
         self._rays += with_light.sum(), rays
         units = (
@@ -140,7 +150,7 @@ class Pilot:
         if not mean > 0:
             return np.zeros((2, *weight.shape))
         many, few = np.maximum(rays - error, 0) / mean, (rays + BOUND * error) / mean
-        return np.stack([many, np.where(squares > 0, few, 0)])
+        return _rounded(np.stack([many, np.where(squares > 0, few, 0)]))
 
     def _linked(self, light: np.ndarray, relative: np.ndarray, gain: np.ndarray) -> np.ndarray:
         """Of the next round, see `Sharing`: connections that do not pay are given up."""
@@ -191,6 +201,12 @@ class Pilot:
         total = sum(rays for *_, rays in self._kept)
         cell, points = (np.concatenate([one[k] for one in self._kept]) for k in range(2))
         return cell, points, np.concatenate([weights * rays / total for _, _, weights, rays in self._kept])
+
+
+def _rounded(values: np.ndarray) -> np.ndarray:
+    """Values to 8 bits: lanes add up in any order, and the last bits of their sums shall change nothing."""
+    mantissa, exponent = np.frexp(values)
+    return np.asarray(np.ldexp(np.round(256 * mantissa) / 256, exponent))
 
 
 def _sums(place: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:

@@ -39,7 +39,8 @@ class PstProgress:
     Attributes
     ----------
     rays_done, rays_planned : int
-        Start rays so far, those of the saved run that it went on from included, and the most there will be.
+        Start rays so far, those of the saved run that it went on from included, and the most there will be. 0: the
+        pilot is done, and knows how long the run takes.
     worst_error : float
         Largest relative standard error of the angles that count; infinite where an angle has no light yet.
     wanted_error : float or None

@@ -213,7 +213,7 @@ def _state(options: Options) -> Path | None:
 
 
 def _so_far(passes: list[PstProgress]) -> str:
-    if not passes:
+    if not passes or not passes[-1].rays_done:
         return "the saved run is still"
     worst = passes[-1].worst_error
     reached = f", worst error {100 * worst:.2g} %," if math.isfinite(worst) else ""
@@ -237,6 +237,8 @@ def _progress(options: Any) -> Iterator[Callable[[PstProgress], None]]:
 def _state_of(now: PstProgress) -> str:
     """Error and time left as the bar shows them, "error 3.1 % of 2 %, 01:23 left"."""
     error = f"error {100 * now.worst_error:.2g} %" if math.isfinite(now.worst_error) else "no light yet at some angles"
+    if not now.rays_done:
+        error = "the pilot is done"
     if now.wanted_error is not None and math.isfinite(now.worst_error):
         error += f" of {100 * now.wanted_error:g} %"
     if not math.isfinite(now.seconds_left):
