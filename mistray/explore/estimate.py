@@ -16,6 +16,7 @@ from mistray.analysis.estimate import Estimate
 from mistray.explore.controls import NUMBER, VALUES, WAVELENGTH, Control
 from mistray.explore.looks import Looks
 from mistray.explore.traced import Traced
+from mistray.recorders.path_events import FIRST_SCATTERED
 
 Floats = npt.NDArray[np.float64]
 OF_FIRST_ORDER = "first order"
@@ -145,7 +146,9 @@ def _ray_factors(of: Traced, looks: Looks, state: Mapping[str, VALUES], moved: l
     for number, group in enumerate(of.sample.groups):
         if nm is None and before[group.surface] == now[group.surface]:
             continue
-        hits = group.hits if nm is None else dataclasses.replace(group.hits, wavelength_nm=nm)
+        hits = group.hits
+        if nm is not None and hits.event < FIRST_SCATTERED:
+            hits = dataclasses.replace(hits, wavelength_nm=nm)
         becomes = looks.factor(group.surface, now[group.surface], hits)
         np.multiply.at(found, group.rays, _quotient(of.factors[number], becomes))
     return found
@@ -193,7 +196,7 @@ def _left_out(of: Traced, moved: list[Control]) -> list[str]:
     found = []
     for c in moved:
         if c.kind == WAVELENGTH:
-            found.append("wavelength: R and T follow; the rays stay where they were")
+            found.append("wavelength: R and T follow; rays and scatter stay as they were")
         elif c.kind == NUMBER and c.way == OF_FIRST_ORDER:
             known = "total to first order; paths and map" if c.name in of.slopes else "no derivative yet; all"
             found.append(f"{c.label}: {known} as traced")

@@ -167,14 +167,18 @@ class Explorer:
         Raises
         ------
         MistrayError
-            For an unknown control, or a value that is none of it.
+            For an unknown control, or a value that is none of it or impossible; nothing is turned then.
         """
         wanted = checked(self.controls, values)
         with self._changed:
-            self.state = {**self.state, **wanted}
+            before, self.state = self.state, {**self.state, **wanted}
+            try:
+                self._estimate()
+            except MistrayError:  # what a model of scatter does not hold for, a material that is not known there
+                self.state = before
+                raise
             self._moved_at = time.monotonic()
             self.message = ""
-            self._estimate()
             self._note()
             return self._view()
 
@@ -257,10 +261,10 @@ class Explorer:
             state = dict(self.state)
         try:
             job(state)
-        except MistrayError as error:
+        except (MistrayError, RuntimeError, MemoryError) as error:  # the page goes on, whatever a state brings about
             with self._changed:
                 self._tried.add(_key(state))
-                self.message = str(error)
+                self.message = " ".join(str(error).split()) or type(error).__name__
                 self._busy = ""
                 self._note()
         return True

@@ -36,7 +36,7 @@ class Saving:
         Of the scene that was explored; never written.
     controls : mapping of str to Control
     folder : Path
-        Must exist when something is saved.
+        Made when something is saved.
     force : bool
         Replace files that are there.
     """
@@ -82,8 +82,10 @@ class Saving:
 
     def _target(self, name: str) -> Path:
         target = self.folder / name
-        if not self.folder.is_dir():
-            raise MistrayError(f"folder '{self.folder}' does not exist; make it first")
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise MistrayError(f"folder '{self.folder}' cannot be made: {error.strerror}; name another one") from None
         if os.path.exists(target) and os.path.samefile(target, self._path):
             raise MistrayError(f"'{target}' is the scene that is explored; save into another folder")
         if os.path.lexists(target) and not self.force and target not in self._own:

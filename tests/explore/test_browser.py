@@ -116,7 +116,7 @@ def test_ten_steps(tmp_path):
         assert shown.run("document.querySelector('.left-out').textContent") == ""
         turn(shown, "layers", 400)  # 7: thicker layers, and the wavelength
         turn(shown, "wavelength", 600)
-        assert "rays stay" in shown.run("document.querySelector('.left-out').textContent")
+        assert "stay as they were" in shown.run("document.querySelector('.left-out').textContent")
         until_traced(shown)
         click(shown, "table.paths td button", "L1_rear")  # 8: what would weaken a path of the lens, put on
         shown.until("document.querySelector('.turns').textContent.includes('L1_rear')")

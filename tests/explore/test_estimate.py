@@ -119,6 +119,16 @@ def test_impossible_values_are_refused_and_nothing_moves(at_start, values, said)
     assert at_start.state == before
 
 
+def test_what_a_model_does_not_hold_for_is_refused_and_nothing_moves():
+    explorer = Explorer("baffle_tube", field_deg=[0.0], rays=200)
+    explorer.settle()
+    name = next(name for name in explorer.controls if name.endswith("rms_nm"))
+    before = explorer.state[name]
+    with pytest.raises(mistray.MistrayError, match="rough"):
+        explorer.move({name: explorer.controls[name].high})
+    assert explorer.state[name] == before
+
+
 @pytest.mark.long
 def test_scatter_models_are_followed_ray_by_ray():
     """Roughness of mirrors and paint of a tube; particles by the area that they cover."""

@@ -55,9 +55,11 @@ def test_nothing_is_replaced_but_its_own_files(saving, tmp_path):
     saving.move({"detector.bsdf.R": 0.1})
     with pytest.raises(mistray.MistrayError, match=STUDY_FILE):
         saving.save_study()
-    saving.saving.folder = tmp_path / "missing"
-    with pytest.raises(mistray.MistrayError, match="missing"):
+    saving.saving.folder = tmp_path / SCENE_FILE
+    with pytest.raises(mistray.MistrayError, match=SCENE_FILE):
         saving.save_scene()
+    saving.saving.folder = tmp_path / "new" / "folder"
+    assert saving.save_scene().is_file()
 
 
 def test_the_explored_scene_is_never_replaced(saving, tmp_path):
@@ -69,6 +71,26 @@ def test_the_explored_scene_is_never_replaced(saving, tmp_path):
     with pytest.raises(mistray.MistrayError, match="explored"):
         other.save_scene()
     assert scene.read_bytes() == before
+
+
+def test_names_of_any_kind(saving, tmp_path):
+    """Blanks, brackets, quotation marks and letters of other scripts in names of surfaces, parts and the file."""
+    text = saving.path.read_text(encoding="utf-8")
+    for old, new in (("window_front", "窓 [1] &quot;front&quot;"), ("window_rear", "a*b? c")):
+        text = text.replace(old, new)
+    text = text.replace('value="window"', "value=\"p [a] \\ 'b'\"")
+    odd = tmp_path / "odd [scene] ü.xml"
+    odd.write_text(text, encoding="utf-8")
+    other = Explorer(odd, field_deg=[0.0], rays=500)
+    other.saving.folder = tmp_path
+    other.settle()
+    (name,) = [name for name, one in other.controls.items() if "a*b? c" in one.surfaces and one.choices]
+    other.move({name: "bbar3"})
+    shown = other.settle()
+    scene = mistray.load(other.save_scene())
+    t = mistray.trace(scene, rays=500, field_deg=0.0)
+    assert sum(row.power_W for row in t.paths if row.kind != "direct") == pytest.approx(shown["stray_W"][0], rel=1e-4)
+    assert "窓 [1]" in other.save_study().read_text(encoding="utf-8")
 
 
 def test_a_study_needs_something_to_vary(saving):

@@ -135,6 +135,8 @@ class LiveExplorer {
       this.say("");
     } catch (error) {
       this.say(error.message);
+      this.moves = {};
+      for (const [known, old] of Object.entries(this.view.values)) this.inputs[known].set(old);
     } finally {
       this.sent = {};
       this.sending = false;
