@@ -42,6 +42,8 @@ TEXTS = {"cut_below": "R={}", "cut_below_W": "R={}", "coefficients": "c000={}", 
          "space": "*={}", "front": "{}", "back": "{}"}  # fmt: skip
 WORK = ("--rays",)  # what takes as long as is asked for, and is stopped as by Ctrl-C: 2³¹ rays are a wish, no slip
 
+WAITING = (("app", "--seconds"),)  # what waits as long as is asked for
+
 
 @dataclass(frozen=True)
 class Try:
@@ -100,6 +102,8 @@ def tries(lines: Mapping[str, Iterable[str]], about: Mapping[tuple[str, str], It
     for command, parser in parsers().items():
         for action in numeric(parser) if command in lines else ():
             option = action.option_strings[-1]
+            if (command, option) in WAITING:
+                continue
             beside = about.get((command, option), about.get(("*", option), lines[command]))
             for value in NASTY:
                 for words in words_of(action, value):

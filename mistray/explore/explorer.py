@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from types import ModuleType
@@ -37,6 +38,8 @@ from mistray.explore.saving import Saving
 from mistray.explore.traced import Traced, traced
 from mistray.optimize import gradient, path_power
 from mistray.optimize.scene_values import assign
+from mistray.prescription.by_text import BARE
+from mistray.ranges import LIVE_RAYS
 from mistray.sampling.sources import scene_sources, spectrum_of
 from mistray.scene import Rules, find, load
 from mistray.scene.check import check_overlaps
@@ -49,7 +52,8 @@ from mistray.trace import Trace, trace
 FIELD_DEG = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)  # traced ahead, where the scene has a field
 MOST_RAYS, PILOT_RAYS, TRACE_S = 20_000, 2000, 0.8
 FEWEST_RAYS = 1000
-GRADIENT_RAYS = 1500
+GRADIENT_RAYS, COMPILING_RAYS = 1500, 64
+LAYERED = "bbar3"
 QUIET_S, LATER_S = 0.3, 2.0  # without a move before a trace begins, and what is done ahead
 SCENES_KEPT = 4
 
@@ -59,7 +63,8 @@ class Explorer:
     A scene, the values of its controls, and its stray light: estimated at once, traced when there is time.
 
     `move` answers at once. `work` does what takes time, one piece after the other, in a thread that calls it again and
-    again: it traces the present state, then the field angles of the grid, then derivatives by shapes.
+    again: it traces the present state, compiles what other coatings need, then finds derivatives by shapes, then traces
+    the field angles of the grid.
 
     Parameters
     ----------
@@ -126,11 +131,13 @@ class Explorer:
         self._guess: Guess | None = None
         self._difference: dict[str, Any] | None = None
         self._grid: dict[float, Traced] = {}
+        self._uncompiled = _kinds_of_coatings(self.controls)
         self._tried: set[Any] = set()
+        self._impossible: set[Any] = set()
         self._widget: Any = None
         self._scenes: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
         self._drawing = drawing(self._scene)
-        self._rays = self._chosen_rays() if rays is None else int(rays)
+        self._rays = self._chosen_rays() if rays is None else LIVE_RAYS.check("rays", rays, "explorer")
 
     # -- what answers at once --------------------------------------------------------------------------------------
 
@@ -276,7 +283,7 @@ class Explorer:
         return self.view()
 
     def prepare(self) -> None:
-        """Work until there is nothing to do: the present state, the grid of fields, derivatives."""
+        """Work until there is nothing to do."""
         while True:
             with self._changed:
                 job, state = self._job(quiet=False), dict(self.state)
@@ -300,11 +307,11 @@ class Explorer:
             return self._trace_now if waited >= QUIET_S else None
         if waited < LATER_S:
             return None
+        if self._uncompiled:
+            return self._compile_ahead
         if self._first_order() and self._slopes_missing():
             return self._find_slopes
-        if "field" in self.controls and any(field not in self._grid for field in self.fields):
-            return self._trace_ahead
-        return None
+        return self._trace_ahead if self._fields_missing() else None
 
     def _trace_now(self, state: dict[str, VALUES]) -> None:
         self._begin("tracing")
@@ -337,39 +344,54 @@ class Explorer:
             "percent": 100 * (made.stray_W.value / stray.value - 1),
         }
 
+    def _compile_ahead(self, state: dict[str, VALUES]) -> None:
+        """The kernels of scenes with bare and with layered surfaces: a trace of a few rays compiles them."""
+        self._begin("compiling")
+        coatings = self._uncompiled.pop()
+        with self._ahead("compiling"):
+            self._trace({**state, **coatings}, COMPILING_RAYS)
+
     def _trace_ahead(self, state: dict[str, VALUES]) -> None:
         """One field of the grid, the nearest to the present one."""
-        missing = [field for field in self.fields if field not in self._grid]
-        field = min(missing, key=lambda value: abs(value - float(state["field"])))
+        field = min(self._fields_missing(), key=lambda value: abs(value - float(state["field"])))
         self._begin(f"tracing {field:g}° ahead")
-        found = self._trace({**state, "field": field})
-        with self._changed:
-            self._grid[field] = found
-            self._busy = ""
-            self._note()
+        with self._ahead(field):
+            found = self._trace({**state, "field": field})
+            with self._changed:
+                self._grid[field] = found
 
     def _find_slopes(self, state: dict[str, VALUES]) -> None:
         """Derivatives of the stray power by the numbers that are followed to first order."""
         assert self._traced is not None
         self._begin("derivatives")
-        scene = self._loaded(state)
-        turned = self._first_order()
-        metric = path_power(
-            scene, "stray", field_deg=(self._field(state),), **self._spectrum(state), **self._settings,
-            rays=min(self._rays, GRADIENT_RAYS),
-        )  # fmt: skip
-        found = gradient(metric, mi.traverse(scene), [key for one in turned for key in one.keys])
+        turned, field = self._first_order(), self._field(state)
+        with self._ahead("derivatives"):
+            scene = self._loaded(state)
+            light = {**self._spectrum(state), **({} if field is None else {"field_deg": (field,)})}
+            metric = path_power(scene, "stray", **light, **self._settings, rays=min(self._rays, GRADIENT_RAYS))
+            found = gradient(metric, mi.traverse(scene), [key for one in turned for key in one.keys])
+            with self._changed:
+                over = found.value if found.value > 0 else np.inf
+                self._traced.slopes = {
+                    one.name: Estimate(
+                        float(sum(found.gradient[key][0] for key in one.keys)) / over,
+                        float(np.sqrt(found.covariance(one.keys).sum())) / over,
+                    )
+                    for one in turned
+                }
+                self._estimate()
+
+    @contextlib.contextmanager
+    def _ahead(self, what: Any) -> Iterator[None]:
+        """The block of something that is done ahead; what is impossible is said, and not tried again."""
+        try:
+            yield
+        except (MistrayError, RuntimeError) as error:
+            with self._changed:
+                self._impossible.add(what)
+                self.message = " ".join(str(error).split())
         with self._changed:
-            over = found.value if found.value > 0 else np.inf
-            self._traced.slopes = {
-                one.name: Estimate(
-                    float(sum(found.gradient[key][0] for key in one.keys)) / over,
-                    float(np.sqrt(found.covariance(one.keys).sum())) / over,
-                )
-                for one in turned
-            }
             self._busy = ""
-            self._estimate()
             self._note()
 
     def _begin(self, what: str) -> None:
@@ -379,9 +401,9 @@ class Explorer:
 
     # -- traces ------------------------------------------------------------------------------------------------------
 
-    def _trace(self, state: Mapping[str, VALUES]) -> Traced:
+    def _trace(self, state: Mapping[str, VALUES], rays: int | None = None) -> Traced:
         scene = self._loaded(state)
-        found = traced(self._traced_rays(scene, state, self._rays), state)
+        found = traced(self._traced_rays(scene, state, rays or self._rays), state)
         known = self._looks.of(state)
         for number, group in enumerate(found.sample.groups):  # now, and not when somebody waits for it
             found.factors[number] = self._looks.factor(group.surface, known[group.surface], group.hits)
@@ -462,7 +484,13 @@ class Explorer:
         return [one for one in self.controls.values() if one.way == OF_FIRST_ORDER]
 
     def _slopes_missing(self) -> bool:
-        return self._traced is not None and not self._traced.slopes and _key(self.state) not in self._tried
+        return self._traced is not None and not self._traced.slopes and "derivatives" not in self._impossible
+
+    def _fields_missing(self) -> list[float]:
+        """Fields of the grid that are not traced yet."""
+        if "field" not in self.controls:
+            return []
+        return [field for field in self.fields if field not in self._grid and field not in self._impossible]
 
     def _estimate(self) -> None:
         self._guess = None if self._traced is None else self._guessed(self._traced, self.state)
@@ -499,6 +527,15 @@ def coatings_of(controls: Mapping[str, Control], state: Mapping[str, VALUES]) ->
         if one.kind == COATING and state[name] != AS_IT_IS
         for surface in one.surfaces
     }
+
+
+def _kinds_of_coatings(controls: Mapping[str, Control]) -> list[dict[str, VALUES]]:
+    """States of the coatings in which a scene has kinds of surfaces that it may not have by itself."""
+    names = [name for name, one in controls.items() if one.kind == COATING]
+    if not names:
+        return []
+    both: dict[str, VALUES] = dict(zip(names, (BARE, LAYERED), strict=False))
+    return [*([both] if len(names) > 1 else []), {names[0]: BARE}, {names[0]: LAYERED}]
 
 
 def _key(state: Mapping[str, VALUES]) -> tuple[Any, ...]:

@@ -163,3 +163,16 @@ def test_rims_that_meet_move_together():
     explorer = Explorer("phone_camera", field_deg=[0.0], rays=200)
     (control,) = [one for one in explorer.controls.values() if one.name.endswith(" radius")]
     assert set(control.keys) == {"stop_front.r1", "stop_wall.r0", "stop_wall.r1", "stop_rear.r0"}
+
+
+def test_what_cannot_be_done_ahead_is_said_once():
+    """Derivatives of polarised light, and light that misses the lens; the rest is done all the same."""
+    explorer = Explorer("singlet_window_detector", field_deg=[0.0, 89.0, 1.0], rays=200, polarization="stokes",
+                        control=["L1_front.curvature"])  # fmt: skip
+    explorer.prepare()
+    assert explorer.idle
+    assert set(explorer._grid) >= {0.0, 1.0}
+    assert "derivatives" in explorer._impossible  # not of polarised light
+    assert explorer.view()["message"]
+    view = explorer.move({"L1_front.curvature": float(explorer.controls["L1_front.curvature"].high)})
+    assert any("no derivative" in text for text in view["left_out"])

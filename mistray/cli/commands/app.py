@@ -9,11 +9,12 @@ from pathlib import Path
 from mistray.cli.command import Command, Group, Option
 from mistray.cli.options import Options, print_json
 from mistray.cli.shared import FORCE, NAMES, SCATTER, SCENE, ray_tree
-from mistray.ranges import FIELD_DEG, PORT, SECONDS, WAVELENGTH_NM
+from mistray.ranges import FIELD_DEG, LIVE_RAYS, PORT, SECONDS, WAVELENGTH_NM
 
 # What Save writes; of `mistray.explore.saving`, not imported to parse a command line
 FILES = ("explored_scene.xml", "explored_study.toml")
 
+TREE = ray_tree("")
 AT_ONCE_S = 0.5  # in which Ctrl-C is noticed at the latest
 
 # fmt: off
@@ -37,7 +38,10 @@ COMMAND = Command(
             Option("--control", "numbers to turn, by keys or patterns such as 'vane_*.r1' (docs/parameters.md), "
                    "instead of those that are chosen by themselves", None, "KEY", "+"),
         )),
-        ray_tree("start rays of every trace (as many as take a second, at most 20 000)"),
+        Group(TREE.title, (
+            Option("--rays", "start rays of every trace (as many as take a second, at most 20 000)", LIVE_RAYS, "N"),
+            *TREE.options[1:],
+        )),
         SCATTER,
         Group("page", (
             Option("--port", "port of this machine (any that is free)", PORT, "N"),
