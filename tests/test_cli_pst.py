@@ -344,7 +344,7 @@ class TestSavedRun:
         process.send_signal(signal.SIGINT)
         assert process.wait(timeout=120) == 130
         *warnings, line = log.read_text().splitlines()
-        # Improbable scatter, as the scene has it; how long the run takes; and that a pass ends first, where it takes long
+        # Improbable scatter, as the scene has it; how long the run takes; that a pass ends first, where it takes long
         known = "ABg 'polish'", "the PST takes about", "under way ends first"
         assert all(any(words in text for words in known) for text in warnings)
         assert line.startswith("mistray: interrupted; ")
