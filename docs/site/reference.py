@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[2]
 # Packages whose names are public, in the order of an analysis
 PACKAGES = (
     "scene", "prescription", "coatings", "scatter", "materials", "mechanics", "io", "trace", "recorders", "analysis",
-    "sweeps", "optimize", "report", "cluster",
+    "sweeps", "optimize", "report", "explore", "cluster",
 )  # fmt: skip
 INTRODUCTION = """\
 # Python reference
