@@ -33,7 +33,7 @@ from mistray.explore.controls import (
 from mistray.explore.detail import path_detail
 from mistray.explore.estimate import OF_FIRST_ORDER, Guess, at_field, guess
 from mistray.explore.looks import Looks
-from mistray.explore.page_data import drawing, view_data
+from mistray.explore.page_data import drawing, remedy_data, view_data
 from mistray.explore.saving import Saving
 from mistray.explore.traced import Traced, traced
 from mistray.optimize import gradient, path_power
@@ -516,6 +516,7 @@ class Explorer:
             "label": "nothing yet" if self._traced is None else "traced" if is_traced else "estimate",
             "difference": self._difference if is_traced else None,
             **({} if self._guess is None else view_data(self._guess)),
+            "remedy": None if self._traced is None else remedy_data(self._traced.remedy),
         }
 
 

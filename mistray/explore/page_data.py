@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from mistray.analysis.estimate import Estimate
+from mistray.analysis.verdict import Remedy
 from mistray.explore.estimate import Guess
 from mistray.recorders.path_events import DIRECT
 from mistray.report.figures.layout import glass_bodies, section
@@ -67,6 +68,13 @@ def view_data(found: Guess) -> dict[str, Any]:
             "codes": base64.b64encode(planes).decode("ascii"),
         },
     }
+
+
+def remedy_data(found: Remedy | None) -> dict[str, Any] | None:
+    """The surface to change first, as the last trace says."""
+    if found is None:
+        return None
+    return {"surface": found.surface, "deed": found.deed, "percent": number(found.percent.value)}
 
 
 def number(value: float) -> float | None:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from dataclasses import field as of_field
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
 from mistray.analysis.estimate import Estimate
+from mistray.analysis.ghosts import GhostReport
+from mistray.analysis.verdict import Remedy, remedy
 from mistray.explore.controls import VALUES
 from mistray.explore.looks import Hits
 from mistray.recorders.path_events import DIRECT, FIRST_SCATTERED
@@ -19,7 +22,7 @@ from mistray.trace.sampled_hits import PathHits
 
 MAPPED = 40  # stray ways that have a map of their own
 CELLS = 128  # of a map along the longer side, at most
-START_RAYS, RAYS_OF_A_PATH = 1024, 64  # of the sample
+START_RAYS, RAYS_OF_A_PATH = 1024, 128  # of the sample
 
 Floats = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
@@ -101,6 +104,8 @@ class Traced:
         Their powers, and stray over direct.
     sample : Sample
     maps : Maps
+    remedy : Remedy or None
+        The surface that has a part in most of the stray light, detectors aside.
     slopes : dict
         Number → d(stray power)/d(number) over the stray power, where it is known.
     factors : dict
@@ -114,8 +119,9 @@ class Traced:
     ratio: Estimate
     sample: Sample
     maps: Maps
-    slopes: dict[str, Estimate] = field(default_factory=dict)
-    factors: dict[int, Floats] = field(default_factory=dict)
+    remedy: Remedy | None
+    slopes: dict[str, Estimate] = of_field(default_factory=dict)
+    factors: dict[int, Floats] = of_field(default_factory=dict)
 
     @property
     def stray(self) -> npt.NDArray[np.bool_]:
@@ -133,7 +139,7 @@ def traced(t: Trace, state: Mapping[str, VALUES]) -> Traced:
     state : mapping
         Of the controls, in which the scene is.
     """
-    ways = t.paths.by_way()
+    ways, field = t.paths.by_way(), float(t.settings["field_deg"])
     stray = np.asarray(ways.kind != DIRECT)
     groups = [_ids(ways, stray), _ids(ways, ~stray)]
     powers = [Estimate(*t.paths.power(ids)) for ids in groups]
@@ -145,6 +151,7 @@ def traced(t: Trace, state: Mapping[str, VALUES]) -> Traced:
         ratio=_ratio(t, groups),
         sample=_sample(t, ways),
         maps=_maps(t, ways),
+        remedy=remedy(GhostReport(None, {field: t}, t, {})),
     )
 
 

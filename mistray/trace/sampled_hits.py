@@ -103,7 +103,7 @@ def sampled_hits(run: Run, start_rays: int, most: int) -> SampledHits:
     recorder = BranchRecorder(as_many(CAPACITY, run.settings.max_events), run.settings.max_events)
     run.trace_trees(sample, recorder)
     found = min(int(recorder.count[0]), recorder.capacity)
-    kept = _at_most(np.array(recorder.path)[:found], most)
+    kept = _at_most(np.array(recorder.path)[:found], np.array(recorder.lane)[:found], most)
     length = np.array(recorder.length)[kept].astype(np.int64)
     longest = int(length.max(initial=1))
     codes = np.array(recorder.codes).reshape(recorder.capacity, -1)[kept, :longest].astype(np.int64)
@@ -126,12 +126,14 @@ def sampled_hits(run: Run, start_rays: int, most: int) -> SampledHits:
     )
 
 
-def _at_most(paths: npt.NDArray[np.uint64], most: int) -> Whole:
-    """Places of the first branches of each path, at most so many."""
-    order = np.argsort(paths, kind="stable")
+def _at_most(paths: npt.NDArray[np.uint64], lanes: npt.NDArray[np.uint32], most: int) -> Whole:
+    """Places of branches of each path, at most so many; start rays are numbered along a curve through the beam."""
+    order = np.lexsort((lanes, paths))
     _, first, counts = np.unique(paths[order], return_index=True, return_counts=True)
     number = np.arange(len(order)) - np.repeat(first, counts)
-    return np.sort(order[number < most])
+    of = np.repeat(counts, counts)
+    kept = (of <= most) | ((number + 1) * most // of > number * most // of)  # every k-th, spread over the beam
+    return np.sort(order[kept])
 
 
 def _normals(run: Run, surface: Whole, points: Floats, arrival: Floats) -> Floats:

@@ -21,6 +21,7 @@ def test_nothing_moved_is_what_was_traced(at_start):
     t = mistray.trace(mistray.load("singlet_window_detector"), rays=2000, field_deg=0.0, max_reflections=2)
     stray = [row for row in t.paths if row.kind != "direct"]
     assert view["label"] == "traced"
+    assert view["remedy"]["surface"].startswith(("window", "L1"))
     assert view["left_out"] == []
     assert view["stray_W"][0] == pytest.approx(sum(row.power_W for row in stray), rel=1e-12)
     assert view["paths"][0]["power_W"] == stray[0].power_W

@@ -175,6 +175,7 @@ class LiveExplorer {
       ["stray over direct", view.ratio[0] === null ? "no direct image here" : withError(view.ratio)],
       ["direct image", `${withError(view.direct_W)} W`],
       ["worst path", view.paths.length ? `${view.paths[0].label}, ${short(view.paths[0].percent, 3)} % of the stray light` : "none"],
+      ...(view.remedy ? [["change first", `${view.remedy.surface}: it ${view.remedy.deed} ${short(view.remedy.percent, 3)} % of the stray light${view.label === "traced" ? "" : " of the last trace"}`]] : []),
     ];
     this.numbers.replaceChildren(...rows.flatMap(([name, text]) => [make("dt", { textContent: name }), make("dd", { textContent: text })]));
   }
