@@ -107,9 +107,12 @@ def test_ten_steps(tmp_path):
         assert "detector" in shown.run("document.querySelector('.turns').textContent")
         pressed = "document.querySelector('table.paths button[aria-pressed=\"true\"]').textContent"
         assert shown.run(pressed) == "detector → window_rear"
+        told = shown.run("document.querySelector('.detail').textContent")
         turn(shown, "detector.bsdf.R", 300)  # 5: a number
         assert shown.run(f"{ROOT}.dataset.label") == "estimate"
         assert explorer.state["detector.bsdf.R"] < 0.1
+        until_traced(shown)  # what is told of the path is of the new trace
+        shown.until(f"document.querySelector('.detail').textContent !== {json.dumps(told)}")
         turn(shown, "field", 500)  # 6: the field
         assert shown.run("document.querySelector('.left-out').textContent").startswith("field")
         until_traced(shown)
