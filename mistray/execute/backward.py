@@ -308,7 +308,9 @@ class BackwardTrace:
         scene = self.scene(band)
         if self.rivals:
             opposite = Opposite(self.rivals[number].scattering, self._with_light, self.connects)
-            scene = replace(scene, opposite=opposite, connections=vertices, windows=self._windows)
+            # What a medium scatters is sent on by the chance of the surface behind it, which knows nothing of its worth
+            windows = None if band.table.optics.scatters else self._windows
+            scene = replace(scene, opposite=opposite, connections=vertices, windows=windows)
         self._launch(scene, start, recorders)
 
     @property
