@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import pytest
 
 from mistray import cli
+from mistray.analysis.pst.state import PstProgress
 from mistray.cli import program
 from mistray.cli import progress as shown
 from mistray.cli.progress import progress_bar, working
@@ -104,9 +105,9 @@ def test_bars_say_at_once_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "step 1 of 8, checking:   0%" in terminal.getvalue()
     assert "step 2 of 8, finding objects:  10%" in terminal.getvalue()
     with pst._progress(options) as draw:
-        draw(SimpleNamespace(share_done=0.25, worst_error=0.031, wanted_error=0.02, seconds_left=83.0))
+        draw(PstProgress(1000, 4000, 0.031, None, 60.0, 83.0))
     assert "tracing:  25%" in terminal.getvalue()
-    assert "error 3.1 % of 2 %, 01:23 left" in terminal.getvalue()
+    assert "error 3.1 %, 01:23 left" in terminal.getvalue()
     step = SimpleNamespace(
         start=0, step=1, merit=0.5, merit_se=0.01, terms={}, broken=(), gradient_norm=1.0, seconds=2.0
     )
