@@ -17,7 +17,7 @@ PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --
 help:
 	@echo "make demo      trace the ghosts of the phone camera into out/demo"
 	@echo "make quick     a test of every room, within a minute"
-	@echo "make test      lint, types and tests, within ten minutes"
+	@echo "make test      lint, types and tests, in about twenty minutes"
 	@echo "make test-long the tests that take seconds each, which make test leaves out"
 	@echo "make test-all  lint, types and all tests"
 	@echo "make lint      lint and types only"
