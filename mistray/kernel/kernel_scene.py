@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mistray.kernel.scattering import Scattering
-from mistray.recorders.start_samples import ORDERS
+from mistray.recorders.start_samples import worth_row
 from mistray.settings import Settings
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.surfaces import SurfaceTable
@@ -42,8 +42,8 @@ class WeightWindows:
     Attributes
     ----------
     many, few : mi.Float
-        (surfaces · ORDERS,) rays at random for a weight of 1: a hit that has more than one by `many` is split into so
-        many, and one that has less by `few` scatters with that chance.
+        Rays at random for a weight of 1, in rows of `worth_row`: a hit that has more than one by `many` is split into
+        so many, and one that has less by `few` scatters with that chance.
     """
 
     many: mi.Float
@@ -51,17 +51,13 @@ class WeightWindows:
 
     def split(self, s: mi.UInt32, scatters: mi.UInt32, weight: mi.Float, active: mi.Bool) -> mi.UInt32:
         """Rays that a hit is split into."""
-        rays = weight * dr.gather(mi.Float, self.many, self._row(s, scatters), active)
+        rays = weight * dr.gather(mi.Float, self.many, worth_row(s, scatters), active)
         return mi.UInt32(dr.clip(dr.round(rays), 1, MOST_RAYS))
 
     def chance(self, s: mi.UInt32, scatters: mi.UInt32, weight: mi.Float, active: mi.Bool) -> mi.Float:
         """Probability that a hit scatters."""
-        rays = weight * dr.gather(mi.Float, self.few, self._row(s, scatters), active)
+        rays = weight * dr.gather(mi.Float, self.few, worth_row(s, scatters), active)
         return dr.clip(rays, LEAST_CHANCE, 1)
-
-    @staticmethod
-    def _row(s: mi.UInt32, scatters: mi.UInt32) -> mi.UInt32:
-        return s * ORDERS + dr.minimum(scatters, ORDERS - 1)
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,11 @@ SAMPLES = 1 << 20  # that are kept; more are counted only
 ORDERS = 8  # scatter events that are told apart; later ones are as the last of them
 
 
+def worth_row(surface: mi.UInt32, scatters: mi.UInt32) -> mi.UInt32:
+    """Row of a surface, for rays with so many scatter events before, in tables of (surfaces · `ORDERS`,) numbers."""
+    return surface * ORDERS + dr.minimum(scatters, ORDERS - 1)
+
+
 @dataclass(frozen=True, eq=False)
 class Samples:
     """
@@ -125,7 +130,7 @@ class DepartureSamples(_StartSamples):
         """Add up what arrives where it may be scattered."""
         if visit.shares is None:
             return
-        row = visit.surface * ORDERS + dr.minimum(visit.state["scatters"] & COUNT_MASK, ORDERS - 1)
+        row = worth_row(visit.surface, visit.state["scatters"] & COUNT_MASK)
         active = visit.active & (visit.shares.scattered > 0)
         dr.scatter_reduce(dr.ReduceOp.Add, self._worth[0], mi.Float64(visit.weight), row, active)
 
@@ -139,7 +144,7 @@ class DepartureSamples(_StartSamples):
             code = departure.event(k, going)
             scattered = going & ((code & ((1 << EVENT_BITS) - 1)) >= RANDOM_TRANSMITTED)
             surface = code >> EVENT_BITS
-            row = surface * ORDERS + dr.minimum(order, ORDERS - 1)
+            row = worth_row(surface, order)
             here = scattered & (order != last) & (surface < self._surfaces)
             dr.scatter_reduce(dr.ReduceOp.Add, self._worth[1], worth, row, here)
             dr.scatter_reduce(dr.ReduceOp.Add, self._worth[2], worth * worth, row, here)

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 import pytest
+from backward_alone import against_alone
 from vane_tube_scene import TUBE, vane_tube
 
 import mistray
@@ -17,9 +17,6 @@ from mistray.execute.backward import BackwardTrace
 from mistray.kernel.odds import Odds
 from mistray.recorders.direction_recorder import MULTIPLE
 from mistray.recorders.directions import DirectionGrid
-from mistray.sampling.plane_wave import hull_points
-from mistray.sampling.sharing.balance import Sharing
-from mistray.sampling.sharing.start_map import StartMap
 from mistray.settings import Settings
 
 
@@ -53,25 +50,13 @@ def test_errors_hold_over_sixty_seeds() -> None:
     assert np.count_nonzero(np.abs(z) > 3) <= 2
 
 
-def against_alone(scene: mi.Scene, angle: float, width: float, linked: float, rays: int) -> tuple[float, float]:
-    """Light that is scattered several times, by rays against it and connections, hardly any with it; PST and error."""
-    trace = BackwardTrace(scene, DirectionGrid.of([angle], cell_deg=width), Settings.of(scene, max_scatters=3))
-    one = np.ones(1)
-    trace.share_paths(Sharing(hull_points(trace.table), StartMap.uniform(1), 1e-12 * one, linked * one))
-    found = trace.samples(rays, 0)[0]
-    # The rays of a start ray may have much in common
-    of_lane = np.bincount(found.lane, found.weight * (found.kind == MULTIPLE))
-    unit = trace.unit.item() / rays
-    return unit * of_lane.sum(), unit * np.sqrt(np.sum(of_lane**2))
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("linked", [1e-2, 1.0, 100.0])
 def test_any_weight_of_connections_has_the_same_mean(linked: float) -> None:
     """At a glass plate before a screen: refraction, reflections that are parallel, lobes of polish."""
     scene = mistray.load("plate_and_wall")
-    alone, alone_se = against_alone(scene, 20.0, 10.0, 0.0, 1 << 19)
-    value, se = against_alone(scene, 20.0, 10.0, linked, 1 << 18)
+    alone, alone_se = against_alone(scene, 20.0, 10.0, 1 << 19)[MULTIPLE]
+    value, se = against_alone(scene, 20.0, 10.0, 1 << 18, linked)[MULTIPLE]
     assert abs(value - alone) < 4 * np.hypot(se, alone_se)
 
 
@@ -88,7 +73,7 @@ def test_densities_that_are_wrong_by_a_tenth_show(monkeypatch: pytest.MonkeyPatc
 
         monkeypatch.setattr(Odds, "linked", more)
     exact, exact_se = TUBE.pst(59.0, 61.0, 3_200_000, seed=2)
-    value, se = against_alone(vane_tube(), 60.0, 2.0, 1.0, 1 << 21)
+    value, se = against_alone(vane_tube(), 60.0, 2.0, 1 << 21, 1.0)[MULTIPLE]
     z = (value - exact) / np.hypot(se, exact_se)
     assert abs(z) > 5 if wrong else abs(z) < 4
 

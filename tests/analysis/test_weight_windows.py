@@ -11,6 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from backward_alone import against_alone
 from oracles.lens_behind_baffle import BaffledLens
 from oracles.vane_tube import VaneTube
 from vane_tube_scene import TUBE, vane_tube
@@ -19,10 +20,8 @@ import mistray
 from mistray.analysis.pst.plan import Plan, shared
 from mistray.execute.backward import BackwardTrace
 from mistray.kernel.kernel_scene import LEAST_CHANCE, MOST_RAYS, WeightWindows
-from mistray.recorders.direction_recorder import MULTIPLE, SINGLE
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.start_samples import ORDERS
-from mistray.sampling.plane_wave import hull_points
 from mistray.sampling.sharing.balance import Sharing
 from mistray.sampling.sharing.start_map import StartMap
 from mistray.settings import Settings
@@ -46,21 +45,6 @@ def test_rays_of_a_weight() -> None:
     assert dr.width(rays) == 5
 
 
-def against_alone(scene: mi.Scene, angle: float, width: float, windows: np.ndarray | None, rays: int) -> np.ndarray:
-    """PST of light that is scattered once, and several times, by rays against it alone; (2, 2) values and errors."""
-    trace = BackwardTrace(scene, DirectionGrid.of([angle], cell_deg=width), Settings.of(scene, max_scatters=3))
-    one = np.ones(1)
-    trace.share_paths(Sharing(hull_points(trace.table), StartMap.uniform(1), 1e-12 * one, 0 * one, windows))
-    found = trace.samples(rays, 0)[0]
-    unit = trace.unit.item() / rays
-    rows = []
-    for kind in (SINGLE, MULTIPLE):
-        # The rays of a start ray may have much in common
-        of_lane = np.bincount(found.lane, found.weight * (found.kind == kind))
-        rows.append((unit * of_lane.sum(), unit * np.sqrt(np.sum(of_lane**2))))
-    return np.array(rows)
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 2])
 def test_any_windows_have_the_same_mean(seed: int) -> None:
@@ -68,8 +52,8 @@ def test_any_windows_have_the_same_mean(seed: int) -> None:
     scene = mistray.load("plate_and_wall")
     surfaces = BackwardTrace(scene, DirectionGrid.of([20.0], cell_deg=10.0), Settings.of(scene)).table.count
     windows = 10 ** np.random.default_rng(seed).uniform(-2, 2, (2, surfaces, ORDERS))
-    alone = against_alone(scene, 20.0, 10.0, None, 1 << 19)
-    split = against_alone(scene, 20.0, 10.0, windows, 1 << 17)
+    alone = np.array([*against_alone(scene, 20.0, 10.0, 1 << 19).values()])
+    split = np.array([*against_alone(scene, 20.0, 10.0, 1 << 17, windows=windows).values()])
     assert (alone[:, 0] > 0).all()
     assert (np.abs(split - alone)[:, 0] < 4 * np.hypot(split[:, 1], alone[:, 1])).all()
     assert not np.array_equal(split, alone)
@@ -83,7 +67,7 @@ def test_a_tube_with_windows_that_know_nothing() -> None:
     scene = vane_tube(tube)
     surfaces = BackwardTrace(scene, DirectionGrid.of([40.0]), Settings.of(scene)).table.count
     windows = 10 ** np.random.default_rng(5).uniform(-1, 2, (2, surfaces, ORDERS))
-    rows = against_alone(scene, 40.0, 10.0, windows, 1 << 17)
+    rows = np.array([*against_alone(scene, 40.0, 10.0, 1 << 17, windows=windows).values()])
     value, se = rows[:, 0].sum(), np.hypot(*rows[:, 1])
     assert se < 0.1 * value
     assert abs(value - exact) < 4 * np.hypot(se, exact_se)

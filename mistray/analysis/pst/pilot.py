@@ -114,7 +114,7 @@ class Pilot:
             [np.interp(np.log(f), np.log(FACTORS), column) for f, column in zip(best, relative.T, strict=True)]
         )
         plan = Plan(
-            sharing=Sharing(self._points, starts, sharing.rays * best, sharing.linked),
+            sharing=Sharing(self._points, starts, sharing.rays * best, sharing.linked, self._windows(against, values)),
             light=light,
             variance=variance * light**2 * rays,
             pilot_rays=self._rays.copy(),
@@ -125,9 +125,7 @@ class Pilot:
         # A map is learned from rays of both directions alike
         fewest = LEAST_RAYS * cost_against / np.maximum(cost_along, 1e-300) / count
         rays_of_cell = sharing.rays * np.clip(np.maximum(even, fewest), 1 / STEP, STEP)
-        windows = self._windows(against, values)
         self._light = light
-        plan = replace(plan, sharing=replace(plan.sharing, windows=windows))
         self._sharing = replace(plan.sharing, rays=rays_of_cell, linked=self._linked(light, relative, gain))
         trace.share_paths(self._sharing)
         return plan

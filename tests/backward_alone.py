@@ -1,0 +1,31 @@
+"""Rays against the light that count all light, beside hardly any with it: what any way of sampling must come to."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.execute.backward import BackwardTrace
+from mistray.recorders.direction_recorder import MULTIPLE, SINGLE
+from mistray.recorders.directions import DirectionGrid
+from mistray.sampling.plane_wave import hull_points
+from mistray.sampling.sharing.balance import Sharing
+from mistray.sampling.sharing.start_map import StartMap
+from mistray.settings import Settings
+
+
+def against_alone(
+    scene: mi.Scene, angle: float, width: float, rays: int, linked: float = 0.0, windows: np.ndarray | None = None
+) -> dict[int, tuple[float, float]]:
+    """PST of light that is scattered once, and several times, of a cell of that width, and its error; by class."""
+    trace = BackwardTrace(scene, DirectionGrid.of([angle], cell_deg=width), Settings.of(scene, max_scatters=3))
+    one = np.ones(1)
+    trace.share_paths(Sharing(hull_points(trace.table), StartMap.uniform(1), 1e-12 * one, linked * one, windows))
+    found = trace.samples(rays, 0)[0]
+    unit = trace.unit.item() / rays
+    by_class = {}
+    for kind in (SINGLE, MULTIPLE):
+        # The rays of a start ray may have much in common
+        of_lane = np.bincount(found.lane, found.weight * (found.kind == kind))
+        by_class[kind] = unit * of_lane.sum(), unit * np.sqrt(np.sum(of_lane**2))
+    return by_class
