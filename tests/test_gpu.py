@@ -79,12 +79,17 @@ MEMORY = """
     import ctypes
     import mistray
 
+    driver, context = ctypes.CDLL("libcuda.so.1"), ctypes.c_void_p()
+
     def used() -> float:
         free, total = ctypes.c_size_t(0), ctypes.c_size_t(0)
-        assert ctypes.CDLL("libcuda.so.1").cuMemGetInfo_v2(ctypes.byref(free), ctypes.byref(total)) == 0
+        assert driver.cuMemGetInfo_v2(ctypes.byref(free), ctypes.byref(total)) == 0
         return (total.value - free.value) / 2**20
 
     scene = mistray.load("cooke_triplet")
+    # Dr.Jit leaves no context current between its calls
+    assert driver.cuDevicePrimaryCtxRetain(ctypes.byref(context), 0) == 0
+    assert driver.cuCtxSetCurrent(context) == 0
     for rays in (4_000_000, 40_000_000):
         assert abs(mistray.trace(scene, rays=rays).energy.closure) < 1e-5
         print(used())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import KW_ONLY, dataclass, fields
 from typing import Any
 
 import drjit as dr
@@ -80,6 +80,7 @@ class StartRays:
     o: mi.Vector3f
     d: mi.Vector3f
     w: mi.Float
+    _: KW_ONLY
     left: mi.UInt32 | None = None
     normal: mi.Vector3f | None = None
     pixel: mi.UInt32 | None = None

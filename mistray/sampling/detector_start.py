@@ -189,7 +189,8 @@ class DetectorStart:
         w = w * dr.select(back, self._index2[1], self._index2[0])
         left = dr.full(mi.UInt32, self._table.detector, dr.width(lane))
         medium = dr.select(back, self._media[1], self._media[0])
-        return StartRays(lane, batch, rng, p, d, w, left, normal, self.pixel(x, y, *pixels), medium)
+        pixel = self.pixel(x, y, *pixels)
+        return StartRays(lane, batch, rng, p, d, w, left=left, normal=normal, pixel=pixel, medium=medium)
 
     def weight_at(self, p: mi.Vector3f, d: mi.Vector3f, outward: mi.Vector3f, active: mi.Bool) -> mi.Float:
         """
