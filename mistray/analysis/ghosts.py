@@ -22,17 +22,16 @@ from mistray.analysis.combine import by_path
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.field_traces import NOMINAL_FIELD_DEG, FieldTraces, Progress
 from mistray.analysis.filtered import Filtered, filtered
-from mistray.analysis.irradiance import MapStatistics, brightest, mirror_asymmetry, pixel_size, statistics
+from mistray.analysis.irradiance import MapStatistics, brightest, mirror_asymmetry, statistics
 from mistray.analysis.path_analysis import path_analysis
-from mistray.analysis.path_maps import FieldMaps, ImagesOfField, PathMap, without
-from mistray.analysis.peaks import BYTES_PER_PIXEL, MAP_BYTES, with_peaks
+from mistray.analysis.path_maps import FieldMaps, ImagesOfField, field_maps, without
+from mistray.analysis.peaks import with_peaks
 from mistray.analysis.ranking import DirectImage, direct_image, rank_column, ranked, stray_to_direct
 from mistray.analysis.scatter_surfaces import scatter_surfaces
 from mistray.analysis.stray_levels import stray_levels
 from mistray.errors import Interrupted, MistrayError, UnfinishedError
 from mistray.files.irradiance_files import Map
 from mistray.ranges import FIELD_DEG
-from mistray.recorders.film import groups_of
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.recorders.sampled import Sampled
 from mistray.renamed import renamed
@@ -40,7 +39,6 @@ from mistray.time_budget import within
 from mistray.trace import Settings, Trace
 
 MAPPED_PATHS = 4  # stray paths of each field that get a map of their own
-CELLS, CELLS_OF_ALL = 96, 256  # along the longer side of the map of a path in a report, and of that of all light
 RAYS_KEPT = 63  # of a path, to choose those from that are drawn
 
 Polyline = npt.NDArray[np.float64]
@@ -345,7 +343,7 @@ class GhostReport(Mapping[float, Trace]):
             Field angle, degrees.
         path_ids : sequence of int
             Of the table of this field, the most important ones first. Where the detector has so many pixels that maps
-            of all of them would not fit into `MAP_BYTES`, the last ones stay among the rest.
+            of all of them would not fit into `mistray.analysis.peaks.MAP_BYTES`, the last ones are among the others.
 
         Returns
         -------
@@ -357,42 +355,11 @@ class GhostReport(Mapping[float, Trace]):
         return self._path_maps[field_deg][1]
 
     def _mapped(self, field_deg: float, path_ids: Sequence[int]) -> FieldMaps:
-        t, table = self[field_deg], self.table(field_deg)
-        width, height = pixel_size(t.irradiance, t.extent)
-        members = dict(zip(table.path_id, table.path_ids, strict=True))
-        direct_ids = set(table.path_id[table.kind == DIRECT])
-        worst = set(self.listed(field_deg, MAPPED_PATHS).path_id)
-        images = [groups_of(t.irradiance.size) if path_id in direct_ids | worst else 1 for path_id in path_ids]
-        room = MAP_BYTES / (BYTES_PER_PIXEL * t.irradiance.size) - groups_of(t.irradiance.size) - 1
-        chosen = list(path_ids)[: np.searchsorted(np.cumsum(images), room, side="right")]
-        others = [path_id for path_id in members if path_id not in set(chosen)]
-        # What is left, direct and stray apart, then path by path
-        groups = [[path_id for path_id in others if (path_id in direct_ids) == wanted] for wanted in (True, False)]
-        groups += [[path_id] for path_id in chosen]
-        ways = [[i for path_id in group for i in members[path_id]] for group in groups]
-        is_direct = [number == 0 or bool(set(group) & direct_ids) for number, group in enumerate(groups)]
-        noisy = [known or bool(set(group) & worst) for known, group in zip(is_direct, groups, strict=True)]
-        direct_light, stray, rest = t.light.scaled(0.0), np.zeros_like(t.irradiance), np.zeros_like(t.irradiance)
-        paths, full = {}, {}
-        for number, found in enumerate(t.each_map(ways, noisy) if len(table) else ()):
-            if is_direct[number]:
-                direct_light = direct_light + found
-            else:
-                stray += found.value
-            if number < 2:
-                rest += found.value
-                continue
-            (path_id,) = groups[number]
-            paths[path_id] = PathMap.of(found.value * (width * height), CELLS)
-            if path_id in worst:
-                full[path_id] = found.value, found.se
-        if worst <= set(full):
-            self._maps.setdefault(field_deg, ImagesOfField(direct_light, without(t.light, direct_light, stray), full))
-        direct, all_stray, left = (
-            PathMap.of(image * (width * height), cells)
-            for image, cells in ((direct_light.value, CELLS_OF_ALL), (stray, CELLS_OF_ALL), (rest, CELLS))
-        )
-        return FieldMaps(direct, all_stray, paths, left)
+        worst = self.listed(field_deg, MAPPED_PATHS).path_id
+        maps, images = field_maps(self[field_deg], self.table(field_deg), path_ids, set(worst))
+        if images is not None:
+            self._maps.setdefault(field_deg, images)
+        return maps
 
     def rays_of_paths(self, field_deg: float, path_ids: Sequence[int]) -> dict[int, list[Polyline]]:
         """

@@ -2,13 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from mistray.analysis.irradiance import pixel_size
+from mistray.analysis.peaks import BYTES_PER_PIXEL, MAP_BYTES
 from mistray.files.irradiance_files import Map
+from mistray.recorders.film import groups_of
+from mistray.recorders.path_events import DIRECT
 from mistray.recorders.sampled import Sampled
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from mistray.trace import Trace
+
+# Along the longer side of the map of a path in a report, of that of all light, and of one that is not shown
+CELLS, CELLS_OF_ALL, CELLS_OF_OTHERS = 84, 256, 8
 
 
 @dataclass(frozen=True)
@@ -86,12 +100,15 @@ class FieldMaps:
         Of single paths, by ``path_id``.
     rest : PathMap
         Of all paths together that are not among these.
+    others : dict
+        Of single paths of the rest, in large cells; the strongest ones that there is room for.
     """
 
     direct: PathMap
     stray: PathMap
     paths: dict[int, PathMap]
     rest: PathMap
+    others: dict[int, PathMap]
 
     @property
     def grid(self) -> int:
@@ -106,6 +123,78 @@ class ImagesOfField:
     direct: Sampled
     stray: Sampled
     paths: dict[int, tuple[Map, Map]]
+
+
+def field_maps(
+    trace: Trace, table: pd.DataFrame, path_ids: Sequence[int], worst: set[int]
+) -> tuple[FieldMaps, ImagesOfField | None]:
+    """
+    The maps of one field, from one more run of its rays.
+
+    Parameters
+    ----------
+    trace : Trace
+    table : DataFrame
+        Its paths.
+    path_ids : sequence of int
+        Paths that get a map of their own, the most important ones first, as far as there is room.
+    worst : set of int
+        Those whose full images are wanted.
+
+    Returns
+    -------
+    maps : FieldMaps
+    images : ImagesOfField or None
+        None: there was no room for all that is wanted.
+    """
+    pixels = trace.irradiance.size
+    members = dict(zip(table.path_id, table.path_ids, strict=True))
+    direct_ids = set(table.path_id[table.kind == DIRECT])
+    wanted = [*path_ids, *_strongest_first(table[~table.path_id.isin(set(path_ids))])]
+    images = [groups_of(pixels) if path_id in direct_ids | worst else 1 for path_id in wanted]
+    room = MAP_BYTES / (BYTES_PER_PIXEL * pixels) - groups_of(pixels) - 1
+    chosen = wanted[: int(np.searchsorted(np.cumsum(images), room, side="right"))]
+    left = set(members) - set(chosen)
+    # What is left, direct and stray apart, then path by path
+    groups = [[path_id for path_id in left if (path_id in direct_ids) == kind] for kind in (True, False)]
+    groups += [[path_id] for path_id in chosen]
+    ways = [[i for path_id in group for i in members[path_id]] for group in groups]
+    is_direct = [number == 0 or bool(set(group) & direct_ids) for number, group in enumerate(groups)]
+    noisy = [known or bool(set(group) & worst) for known, group in zip(is_direct, groups, strict=True)]
+
+    width, height = pixel_size(trace.irradiance, trace.extent)
+    shown, full = set(path_ids), {}
+    direct, stray, rest = trace.light.scaled(0.0), np.zeros_like(trace.irradiance), np.zeros_like(trace.irradiance)
+    paths: dict[int, PathMap] = {}
+    others: dict[int, PathMap] = {}
+    for number, found in enumerate(trace.each_map(ways, noisy) if len(table) else ()):
+        if is_direct[number]:
+            direct = direct + found
+        else:
+            stray += found.value
+        path_id = groups[number][0] if number >= 2 else None
+        if path_id is None or path_id not in shown:
+            rest += found.value
+        if path_id is None:
+            continue
+        some, cells = (paths, CELLS) if path_id in shown else (others, CELLS_OF_OTHERS)
+        some[path_id] = PathMap.of(found.value * (width * height), cells)
+        if path_id in worst:
+            full[path_id] = found.value, found.se
+    maps = (
+        PathMap.of(image * (width * height), cells)
+        for image, cells in ((direct.value, CELLS_OF_ALL), (stray, CELLS_OF_ALL), (rest, CELLS))
+    )
+    all_direct, all_stray, all_rest = maps
+    complete = worst <= set(full)
+    whole = ImagesOfField(direct, without(trace.light, direct, stray), full) if complete else None
+    return FieldMaps(all_direct, all_stray, paths, all_rest, others), whole
+
+
+def _strongest_first(table: pd.DataFrame) -> list[int]:
+    """Paths by their power."""
+    ordered: list[int] = table.sort_values("power_W", ascending=False).path_id.tolist()
+    return ordered
 
 
 def without(light: Sampled, direct: Sampled, value: Map) -> Sampled:

@@ -62,5 +62,5 @@ def test_dark_map():
 
 def test_grid_is_that_of_the_largest_cell():
     small, large = PathMap.of(spot((512, 512), slice(3, 5), slice(3, 5)), 96), PathMap.of(np.ones((512, 512)), 96)
-    assert FieldMaps(large, large, {0: small}, small).grid == 1
-    assert FieldMaps(small, small, {0: small, 1: large}, small).grid == 8
+    assert FieldMaps(large, large, {0: small}, small, {}).grid == 1
+    assert FieldMaps(small, small, {0: small, 1: large}, small, {}).grid == 8

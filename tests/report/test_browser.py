@@ -41,8 +41,20 @@ const pause = () => new Promise((done) => setTimeout(done, 50));
 const until = async (test) => { for (let k = 0; k < 1000 && !test(); k += 1) await pause(); };
 const press = (target, key, more) =>
   target.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true, ...more }));
+// Controls by their kind, so that one of many alike stands for all of them
+const CONTROLS = "button, select, input, summary, th[tabindex], canvas[tabindex], div[tabindex]";
+const kind = (control) => [control.localName, control.type, control.name, control.className].filter(Boolean).join(" ");
+const used = new Set();
+for (const name of ["click", "keydown", "input", "change", "submit", "reset", "pointerdown", "toggle"])
+  document.addEventListener(name, ({ target }) => {
+    const control = target.closest && target.closest(CONTROLS);
+    if (control) used.add(kind(control));
+    if (name === "submit") target.querySelectorAll("input, [type=submit]").forEach((one) => used.add(kind(one)));
+    if (name === "toggle") used.add(kind(target.querySelector("summary")));
+  }, true);
 window.addEventListener("load", async () => {
   try { await drive(); } catch (error) { found.errors.push(String(error)); }
+  found.unused = [...new Set([...document.querySelectorAll(CONTROLS)].map(kind))].filter((name) => !used.has(name));
   parent.postMessage({ page: location.pathname.split("/").pop(), found }, "*");
 });
 </script>
@@ -186,11 +198,38 @@ async function drive() {
   second.querySelector("input.common").click();
   await pause();
   found.common_scale = map.getAttribute("aria-label");
+  found.tables = tables();
 }
 </script>
 """
 PLOT = """
 <script>
+// A head of each kind sorts its column up and down; a word that no row has hides all rows; what is folded opens
+function tables() {
+  const value = (cell) => (cell.dataset.v === undefined || cell.dataset.v === "" ? NaN : Number(cell.dataset.v));
+  const sorted = {}, seen = new Set();
+  for (const head of document.querySelectorAll("table th[tabindex]")) {
+    const rows = [...head.closest("table").tBodies[0].rows];
+    if (seen.has(head.className) || rows.length < 2) continue;
+    seen.add(head.className);
+    const place = [...head.parentNode.cells].indexOf(head);
+    const column = () => [...head.closest("table").tBodies[0].rows].map((row) => value(row.cells[place]));
+    const rises = (all, sign) => all.every((v, k) => !k || Number.isNaN(v) || !(sign * v < sign * all[k - 1]));
+    press(head, "Enter");
+    const up = rises(column(), 1), told = head.getAttribute("aria-sort");
+    head.click();
+    sorted[head.className] = [up, told, rises(column(), -1), head.getAttribute("aria-sort")];
+  }
+  const filter = document.querySelector("input.filter"), table = document.getElementById(filter.dataset.table);
+  const shown = () => [...table.tBodies[0].rows].filter((row) => !row.hidden).length;
+  const type = (words) => { filter.value = words; filter.dispatchEvent(new Event("input")); return shown(); };
+  const filtered = [type("no such word"), type(""), table.tBodies[0].rows.length];
+  const folded = document.querySelector("details"), before = folded.open;
+  folded.querySelector("summary").click();
+  const opens = folded.open !== before;
+  folded.querySelector("summary").click();
+  return { sorted, filtered, opens };
+}
 function values() {
   const plot = document.querySelector("div.hover"), svg = plot.querySelector("svg"), tip = plot.querySelector(".tip");
   const before = tip.hidden;
@@ -261,7 +300,7 @@ def report():
 @pytest.fixture(scope="module")
 def found(report, tmp_path_factory):
     dot = palette_png(np.zeros((1, 1), dtype=np.uint8), np.zeros((1, 3), dtype=np.uint8))
-    pst = "<script>async function drive() { found.hover = values(); }</script>"
+    pst = "<script>async function drive() { found.hover = values(); found.tables = tables(); }</script>"
     text = html_text(report, "lens", "mistray ghosts lens", pictures={name: dot for name in DRAWN})
     pages = {
         "ghosts.html": (text, GHOSTS),
@@ -275,6 +314,21 @@ def found(report, tmp_path_factory):
 @pytest.mark.long
 def test_no_errors(found):
     assert {page: result["errors"] for page, result in found.items()} == {page: [] for page in found}
+
+
+def test_every_kind_of_control_was_used(found):
+    assert {page: found[page]["unused"] for page in ("ghosts.html", "pst.html")} == {"ghosts.html": [], "pst.html": []}
+
+
+def test_heads_sort_and_filters_hide(found):
+    for page in ("ghosts.html", "pst.html"):
+        tables = found[page]["tables"]
+        assert tables["sorted"]
+        for kind, answer in tables["sorted"].items():
+            assert answer == [True, "ascending", True, "descending"], (page, kind)
+        none, again, rows = tables["filtered"]
+        assert (none, again) == (0, rows)
+        assert tables["opens"]
 
 
 def test_nothing_is_wider_than_its_page(found):

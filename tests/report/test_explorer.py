@@ -105,9 +105,8 @@ def test_rays_and_events_of_a_path(report, data):
 
 
 def test_paths_beyond_the_memory_are_the_rest(monkeypatch):
-    monkeypatch.setattr(
-        importlib.import_module("mistray.analysis.ghosts"), "MAP_BYTES", 8.0 * SHAPE[0] * SHAPE[1] * (1 + 3 * BATCHES)
-    )
+    room = 8.0 * SHAPE[0] * SHAPE[1] * (1 + 3 * BATCHES)
+    monkeypatch.setattr(importlib.import_module("mistray.analysis.path_maps"), "MAP_BYTES", room)
     t = trace_at(0.0)
     report = GhostReport(lens_scene(), {0.0: t}, t, {})
     table = report.table(0.0).set_index("path_id")
@@ -155,6 +154,47 @@ def test_box_of_the_script_holds_the_hits_within_it(report, data):
             assert box["power"][str(path_id)] == pytest.approx(path.power * share, rel=2e-3, abs=1e-30)
     assert any(value == 0 for value in found[0]["power"].values())
     assert found[0]["power"]["0"] > 0
+
+
+@needs_node
+def test_box_names_the_paths_that_the_table_leaves_out(monkeypatch):
+    """A table of the worst path alone: in half of the detector the others have the power of their points there."""
+    fields = importlib.import_module("mistray.report.ghosts.fields")
+    monkeypatch.setattr(fields, "ROWS_SHOWN", 1)
+    monkeypatch.setattr(fields, "STRONGEST_SHOWN", 1)
+    t = trace_at(0.0)
+    report = GhostReport(lens_scene(), {0.0: t}, t, {})
+    table = report.table(0.0).set_index("path_id")
+    held = data_of(html_text(report, "lens"), "data-t-field-0")
+    data = json.loads(zlib.decompress(base64.b64decode(held["packed"]))) | {"codes": held["codes"]}
+    others = {path_id for path_id, _, _ in data["others"]}
+    assert others
+    assert others | set(map(int, data["paths"])) == set(table.index)
+    x0, x1, y0, y1 = EXTENT
+    found = javascript(
+        """
+        const powers = powersOf(await inflated(bytesOf(given.data.codes)));
+        const others = given.data.others.map(([id, label, entry]) => ({ id, label, map: readMap(entry, powers) }));
+        const box = snapBox(given.half, given.data.extent, given.data.shape, given.data.grid);
+        const about = Object.fromEntries(others.map((path) => [path.id, powerAbout(path.map, box.pixels)]));
+        const rest = powerWithin(readMap(given.data.rest, powers), box.pixels);
+        return { mm: box.mm, about, rest, text: Explorer.prototype.below.call({ others, box }, rest, rest) };
+        """,
+        {"data": data, "half": [x0, (x0 + x1) / 2, y0, y1]},
+        "report",
+        "drawing",
+        "explorer",
+    )
+    inside = {
+        number: path.power * float(np.mean(path.points[:, 0] < found["mm"][1]))
+        for number, path in enumerate(t.fakes)
+        if number in others
+    }
+    assert found["rest"] == pytest.approx(sum(inside.values()), rel=5e-3)
+    for number, power in inside.items():  # a cell that the edge of the box cuts is a fifteenth of a path at most
+        assert found["about"][str(number)] == pytest.approx(power, abs=t.fakes[number].power / 10)
+    first = max(inside, key=inside.__getitem__)
+    assert f"path {first} ({table.label[first]}, about " in found["text"]
 
 
 @needs_node

@@ -1,7 +1,7 @@
 """The part of a report that answers: the map of one path, its rays, its events, and what lights a box of the detector.
 
-The page holds a map of every path of a table in the cells of `mistray.analysis.path_maps`; explorer.js draws them and
-adds up the light in a box.
+The page holds a map of every path of a table in the cells of `mistray.analysis.path_maps`, and coarse maps of the other
+paths of the field; explorer.js draws them and adds up the light in a box.
 """
 
 from __future__ import annotations
@@ -76,6 +76,8 @@ def explorer(report: GhostReport, field_deg: float, maps: FieldMaps, table: str)
     rays = report.rays_of_paths(field_deg, list(maps.paths))
     drawn = {path_id: [ray[:, [2, 1]] for ray in meridional(found, RAYS_DRAWN)] for path_id, found in rays.items()}
     digits = _digits(*_bounds([line for lines in drawn.values() for line in lines]))
+    table_of_field = report.table(field_deg)
+    labels = dict(zip(table_of_field.path_id.tolist(), table_of_field.label.tolist(), strict=True))
     data = {
         "field": field_deg,
         "extent": list(t.extent),
@@ -85,6 +87,7 @@ def explorer(report: GhostReport, field_deg: float, maps: FieldMaps, table: str)
         "stray": store.add(maps.stray),
         "rest": store.add(maps.rest),
         "paths": {str(path_id): store.add(found) for path_id, found in maps.paths.items()},
+        "others": [[path_id, labels[path_id], store.add(found)] for path_id, found in maps.others.items()],
         "rays": {str(path_id): rounded(lines, digits) for path_id, lines in drawn.items()},
         "colours": {str(path_id): colour for path_id, colour, _ in worst_paths(report, field_deg)},
     }

@@ -30,6 +30,15 @@ function powerWithin(map, box) {  // box: first column, the one after the last, 
   for (let r = r0; r < r1; r += 1) for (let c = c0; c < c1; c += 1) sum += map.power[r * map.width + c];
   return sum;
 }
+function powerAbout(map, box) {  // the same of a map whose cells the box may cut: a part of a cell has its part of the power
+  const part = (value, start, end) => Math.max(Math.min(end, (value + 1) * map.pixels) - Math.max(start, value * map.pixels), 0) / map.pixels;
+  let sum = 0;
+  for (let r = 0; r < map.height; r += 1) {
+    const high = part(map.row + r, box[2], box[3]);
+    for (let c = 0; high > 0 && c < map.width; c += 1) sum += map.power[r * map.width + c] * high * part(map.column + c, box[0], box[1]);
+  }
+  return sum;
+}
 function snapBox(corners, extent, shape, grid) {  // corners x0, x1, y0, y1 in mm, in any order; at least one cell
   const pixels = [];
   [0, 1].forEach((axis) => {
@@ -142,6 +151,7 @@ class Explorer {
       const stray = readMap(data.stray, powers);
       this.maps = { light: together(readMap(data.direct, powers), stray), stray };
       this.rest = readMap(data.rest, powers);
+      this.others = data.others.map(([id, label, entry]) => ({ id, label, map: readMap(entry, powers) }));
       this.paths = Object.fromEntries(Object.entries(data.paths).map(([id, entry]) => [id, readMap(entry, powers)]));
       const [x0, x1, y0, y1] = data.extent;
       this.pixel = [(x1 - x0) / data.shape[1], (y1 - y0) / data.shape[0]];
@@ -317,11 +327,17 @@ class Explorer {
       this.table.classList.add("boxed");
       sortTable(this.table, [...this.table.tHead.rows[0].cells].findIndex((head) => head.classList.contains("inbox")), true);
       filterTable(this.table);
-      const more = rest > 0 ? `, ${short(100 * rest / total, 3)} % of it from paths that this page has no maps of` : "";
+      const more = rest > 0 ? `, and ${short(100 * rest / total, 3)} % of it come from ${this.below(rest, total)}` : "";
       const [x0, x1, y0, y1] = this.box.mm.map((v) => short(v));
       this.say(`Box x ${x0} … ${x1}, y ${y0} … ${y1} mm: ${short(total, 3)} W, ${fed} of ${this.order.length} paths of the table light it${more}.`);
       this.draw();
     });
+  }
+  below(rest, total) {  // what lights the chosen box and is not in the table
+    const found = this.others.map((path) => [path, powerAbout(path.map, this.box.pixels)]).filter((pair) => pair[1] > 0);
+    found.sort((a, b) => b[1] - a[1]);
+    const named = found.slice(0, 3).map(([{ id, label }, power]) => `path ${id} (${label}, about ${short(100 * Math.min(power, rest) / total, 2)} %)`);
+    return `paths below the table${named.length ? `: ${named.join(", ")}${found.length > named.length ? ` and ${found.length - named.length} more` : ""}` : ""}`;
   }
   clearBox() {
     this.box = this.held = null;
