@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+import time
+
 import numpy as np
 import pytest
 from oracles.object_scenes import open_tube_text, vane_text
@@ -13,6 +16,7 @@ from oracles.statistics import assert_z
 import mistray
 from mistray.analysis.objects.search import objects
 from mistray.analysis.objects.sources import DiskSource
+from mistray.analysis.objects.view import PASS_RAYS, Trails
 from mistray.errors import MistrayError
 from mistray.execute.seen import see
 
@@ -238,6 +242,12 @@ def test_the_stop_is_found_by_marginal_rays(scene, stop):
     assert objects(mistray.load(scene), rays=100).stop == stop
 
 
+def test_the_stop_is_the_same_whatever_light_may_do(phone):
+    """Rays that are reflected by chance, where they went through before, are no marginal rays."""
+    by_chance = objects(mistray.load("phone_camera"), rays=2000, ray_control="allow_all")
+    assert by_chance.stop == phone.stop != ""
+
+
 def test_before_and_after_the_stop(phone):
     places = {(entry.id, entry.side): (entry.between, entry.stop) for entry in (*phone.critical, *phone.illuminated)}
     assert places["barrel_0_cone", "front"] == ("window_rear – L1_front", "before")
@@ -275,6 +285,40 @@ def test_light_past_a_lens_is_a_straight_shot(phone):
 
 
 # ---- ray controls
+
+
+@pytest.mark.quick
+def test_trails_number_what_rays_have_met():
+    rng = np.random.default_rng(5)
+    trails, met = Trails(7), rng.integers(7, size=(400, 5))
+    met[200:] = met[:200]  # each of them twice
+    number = np.zeros(400, dtype=np.int64)
+    for step, surfaces in enumerate(met.T, 1):
+        number = trails.longer(number, surfaces)
+        assert [trails.surfaces(int(one)) for one in number] == [tuple(row[:step]) for row in met]
+        assert len(np.unique(number)) == len(np.unique(met[:, :step], axis=0))
+
+
+def test_no_step_of_a_pass_keeps_an_interrupt_waiting():
+    """Python tells of a signal between two steps, and ways of a hundred surfaces took one of five seconds to sort."""
+    longest, began = ("", 0.0), 0.0
+
+    def clock(frame, event, function):
+        nonlocal longest, began
+        if event == "c_call":
+            began = time.process_time()
+        elif event == "c_return" and (took := time.process_time() - began) > longest[1]:
+            longest = str(function), took
+
+    scene = mistray.load("plate")
+    objects(scene, rays=1000)  # compiles the kernels
+    before = sys.getprofile()
+    sys.setprofile(clock)
+    try:
+        objects(scene, rays=PASS_RAYS, view_half_angle_deg=10.0, max_events=100)
+    finally:
+        sys.setprofile(before)
+    assert longest[1] < 1.0, longest
 
 
 @pytest.mark.long

@@ -27,7 +27,7 @@ from mistray.kernel.scattering import Scattering
 from mistray.ranges import FIELD_DEG, PART
 from mistray.renamed import renamed
 from mistray.sampling.sources import field_axes, spectrum_of
-from mistray.settings import Settings
+from mistray.settings import RAY_CONTROLS, Settings
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable
@@ -335,10 +335,14 @@ def objects(
     intersector = Intersector(table)
     scattering = {backward: Scattering(ScatterTables(table, {}, backward=backward)) for backward in (False, True)}
 
-    def tracer(mirrors: np.ndarray, backward: bool = False) -> ChainTracer:
+    def tracer(mirrors: np.ndarray, backward: bool = False, allowed: str = chosen.allowed) -> ChainTracer:
         return ChainTracer(
-            table, intersector, scattering[backward], chosen.allowed, mirrors, chosen.max_events, total_reflection
+            table, intersector, scattering[backward], allowed, mirrors, chosen.max_events, total_reflection
         )
+
+    def marginal(mirrors: np.ndarray) -> ChainTracer:
+        """For the stop, which is where it is whatever light may do, and where chance has no place."""
+        return tracer(mirrors, allowed=RAY_CONTROLS["transmit_specular"])
 
     axes = field_axes(scene)
     angles = [] if field_deg is None else FIELD_DEG.check_each("field_deg", field_deg)
@@ -347,7 +351,7 @@ def objects(
         sources = [source]
     elif not sources:
         sources = [Surroundings.cone(table, axes, HALF_ANGLE_DEG if half_angle_deg is None else half_angle_deg)]
-    places = Places(table, scene, tracer, stop)
+    places = Places(table, scene, marginal, stop)
     light = axes[:, 2] if places.path is None else places.path.steps[-1].before
     view = DetectorView(table, light, view_half_angle_deg)
     parts = 1 + len(sources)

@@ -89,6 +89,39 @@ class WayOut:
     field_deg: tuple[float, float]
 
 
+class Trails:
+    """
+    Numbers of the sequences of surfaces that rays have met, which take no sorting of whole sequences; 0: none yet.
+
+    Parameters
+    ----------
+    surfaces : int
+        How many there are.
+    """
+
+    def __init__(self, surfaces: int) -> None:
+        self._count = surfaces
+        self._numbers: dict[int, int] = {}  # of the trail before and the surface, as one number
+        self._ends: list[tuple[int, int]] = [(0, -1)]
+
+    def longer(self, trail: np.ndarray, surface: np.ndarray) -> np.ndarray:
+        """Numbers of trails after one surface more; all are (m,) int."""
+        steps, inverse = np.unique(trail * self._count + surface, return_inverse=True)
+        for step in map(int, steps):
+            if step not in self._numbers:
+                self._numbers[step] = len(self._ends)
+                self._ends.append(divmod(step, self._count))
+        return np.array([self._numbers[int(step)] for step in steps], dtype=np.int64)[inverse]
+
+    def surfaces(self, number: int) -> tuple[int, ...]:
+        """The surfaces of a trail, in the order of its rays."""
+        found: list[int] = []
+        while number:
+            number, surface = self._ends[number]
+            found.append(surface)
+        return tuple(reversed(found))
+
+
 class View:
     """
     Follows rays from a source and records what they meet.
@@ -151,6 +184,7 @@ class View:
         self.in_gap = np.zeros((objects, places.gaps), dtype=np.int64)
         self._along = np.zeros((objects, 2))
         self._kept = [_Kept() for _ in range(objects)]
+        self._trails = Trails(table.count)
         self._ways: dict[tuple[tuple[int, ...], bool], dict[str, np.ndarray]] = {}
         self.started = 0.0
         rng = np.random.default_rng((int(backward), seed))
@@ -172,18 +206,17 @@ class View:
         self.rays += np.bincount(batch, minlength=BATCHES)
         self.started += float(start.weight.sum())
         gap = self._places.start_gap(self._backward, n)
-        trail = np.full((n, tracer.max_events), -1, dtype=np.int32) if self._backward else None
-        total = np.zeros(n, dtype=bool)
+        trail, total = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=bool)
         open_objects = {k for k, kept in enumerate(self._kept) if kept.count < KEPT_HITS}
         fresh: dict[int, list[dict[str, np.ndarray]]] = {}
         for step in tracer.follow(start, rng):
             if isinstance(step, Escape):
-                if trail is not None:
+                if self._backward:
                     self._leave(step, trail, total, batch)
                 continue
             here, gap[step.lane] = self._places.advance(step, gap[step.lane], self._backward)
-            if trail is not None:
-                trail[step.lane, step.number] = step.surface
+            if self._backward:
+                trail[step.lane] = self._trails.longer(trail[step.lane], step.surface)
                 total[step.lane] |= step.total
             self._record(step, here, batch[step.lane], open_objects, fresh)
         for k in open_objects:
@@ -226,16 +259,16 @@ class View:
 
     def _leave(self, out: Escape, trail: np.ndarray, total: np.ndarray, batch: np.ndarray) -> None:
         """Book rays that leave the scene by the surfaces on their ways."""
-        rows = np.column_stack([total[out.lane], trail[out.lane]])
-        ways, inverse = np.unique(rows, axis=0, return_inverse=True)
         cosine = np.clip(-(out.direction @ self._axis), -1, 1)
         angle = np.degrees(np.arccos(cosine))
-        for k, way in enumerate(ways):
-            here = inverse.ravel() == k
+        ways = 2 * trail[out.lane] + total[out.lane]
+        order = np.argsort(ways, kind="stable")
+        for here in np.split(order, np.flatnonzero(np.diff(ways[order])) + 1):
             lanes = out.lane[here]
-            key = tuple(int(s) for s in way[1:] if s >= 0), bool(way[0])
+            number, turned = divmod(int(ways[here[0]]), 2)
             way = self._ways.setdefault(
-                key, {"flux": np.zeros(BATCHES), "rays": np.zeros(1), "angles": np.array([180.0, 0.0])}
+                (self._trails.surfaces(number), bool(turned)),
+                {"flux": np.zeros(BATCHES), "rays": np.zeros(1), "angles": np.array([180.0, 0.0])},
             )
             way["flux"] += np.bincount(batch[lanes], out.weight[here], minlength=BATCHES)
             way["rays"] += len(lanes)
