@@ -159,7 +159,7 @@ def remedy(report: GhostReport) -> Remedy | None:
     for at in report:
         rows = _stray(report, at)
         guilty = set(_deeds(rows, wanted, detectors).query("surface == @surface").row)
-        left[at] = report.power_of(at, rows[[k not in guilty for k in range(len(rows))]])
+        left[at] = report.power_of(at, rows.iloc[[k for k in range(len(rows)) if k not in guilty]])
     return Remedy(
         surface=surface,
         deed=str(own.groupby("deed").power_W.sum().idxmax()),

@@ -45,6 +45,12 @@ def test_dark_detector():
     assert verdict(report) == ["No stray path reaches the detector."]
 
 
+def test_a_field_without_stray_light_is_left_with_none():
+    dark = [FakePath(f"{LENS} detector:A", 1.0, 99)]
+    found = remedy(report_of({0.0: paths_at(0.0), 10.0: dark, 20.0: []}))
+    assert found.left_W[0.0].value > 0 == found.left_W[10.0].value == found.left_W[20.0].value
+
+
 def test_shares_of_kinds_add_up():
     report = report_of({0.0: scatter_paths_at(0.0)})
     shares = shares_of_kinds(report, 0.0)
