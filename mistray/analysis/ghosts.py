@@ -343,7 +343,7 @@ class GhostReport(Mapping[float, Trace]):
             Field angle, degrees.
         path_ids : sequence of int
             Of the table of this field, the most important ones first. Where the detector has so many pixels that maps
-            of all of them would not fit into `mistray.analysis.peaks.MAP_BYTES`, the last ones are among the others.
+            of all of them would not fit into `mistray.analysis.peaks.MAP_BYTES`, the last ones are in the rest.
 
         Returns
         -------

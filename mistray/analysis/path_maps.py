@@ -150,10 +150,12 @@ def field_maps(
     pixels = trace.irradiance.size
     members = dict(zip(table.path_id, table.path_ids, strict=True))
     direct_ids = set(table.path_id[table.kind == DIRECT])
-    wanted = [*path_ids, *_strongest_first(table[~table.path_id.isin(set(path_ids))])]
-    images = [groups_of(pixels) if path_id in direct_ids | worst else 1 for path_id in wanted]
+    shown = set(path_ids)
+    strongest = table.sort_values("power_W", ascending=False).path_id.tolist()
+    wanted = [*path_ids, *(path_id for path_id in strongest if path_id not in shown)]
+    sizes = [groups_of(pixels) if path_id in direct_ids | worst else 1 for path_id in wanted]
     room = MAP_BYTES / (BYTES_PER_PIXEL * pixels) - groups_of(pixels) - 1
-    chosen = wanted[: int(np.searchsorted(np.cumsum(images), room, side="right"))]
+    chosen = wanted[: int(np.searchsorted(np.cumsum(sizes), room, side="right"))]
     left = set(members) - set(chosen)
     # What is left, direct and stray apart, then path by path
     groups = [[path_id for path_id in left if (path_id in direct_ids) == kind] for kind in (True, False)]
@@ -163,38 +165,33 @@ def field_maps(
     noisy = [known or bool(set(group) & worst) for known, group in zip(is_direct, groups, strict=True)]
 
     width, height = pixel_size(trace.irradiance, trace.extent)
-    shown, full = set(path_ids), {}
+
+    def in_cells(irradiance: Map, cells: int) -> PathMap:
+        return PathMap.of(irradiance * (width * height), cells)
+
     direct, stray, rest = trace.light.scaled(0.0), np.zeros_like(trace.irradiance), np.zeros_like(trace.irradiance)
     paths: dict[int, PathMap] = {}
     others: dict[int, PathMap] = {}
-    for number, found in enumerate(trace.each_map(ways, noisy) if len(table) else ()):
-        if is_direct[number]:
+    full: dict[int, tuple[Map, Map]] = {}
+    images = trace.each_map(ways, noisy) if len(table) else ()
+    for path_id, known, found in zip([None, None, *chosen], is_direct, images, strict=len(table) > 0):
+        if known:
             direct = direct + found
         else:
             stray += found.value
-        path_id = groups[number][0] if number >= 2 else None
-        if path_id is None or path_id not in shown:
+        if path_id in shown:
+            paths[path_id] = in_cells(found.value, CELLS)
+        else:
             rest += found.value
-        if path_id is None:
-            continue
-        some, cells = (paths, CELLS) if path_id in shown else (others, CELLS_OF_OTHERS)
-        some[path_id] = PathMap.of(found.value * (width * height), cells)
+            if path_id is not None:
+                others[path_id] = in_cells(found.value, CELLS_OF_OTHERS)
         if path_id in worst:
             full[path_id] = found.value, found.se
-    maps = (
-        PathMap.of(image * (width * height), cells)
-        for image, cells in ((direct.value, CELLS_OF_ALL), (stray, CELLS_OF_ALL), (rest, CELLS))
+    maps = FieldMaps(
+        in_cells(direct.value, CELLS_OF_ALL), in_cells(stray, CELLS_OF_ALL), paths, in_cells(rest, CELLS), others
     )
-    all_direct, all_stray, all_rest = maps
-    complete = worst <= set(full)
-    whole = ImagesOfField(direct, without(trace.light, direct, stray), full) if complete else None
-    return FieldMaps(all_direct, all_stray, paths, all_rest, others), whole
-
-
-def _strongest_first(table: pd.DataFrame) -> list[int]:
-    """Paths by their power."""
-    ordered: list[int] = table.sort_values("power_W", ascending=False).path_id.tolist()
-    return ordered
+    whole = ImagesOfField(direct, without(trace.light, direct, stray), full) if worst <= set(full) else None
+    return maps, whole
 
 
 def without(light: Sampled, direct: Sampled, value: Map) -> Sampled:

@@ -45,12 +45,11 @@ const press = (target, key, more) =>
 const CONTROLS = "button, select, input, summary, th[tabindex], canvas[tabindex], div[tabindex]";
 const kind = (control) => [control.localName, control.type, control.name, control.className].filter(Boolean).join(" ");
 const used = new Set();
-for (const name of ["click", "keydown", "input", "change", "submit", "reset", "pointerdown", "toggle"])
+for (const name of ["click", "keydown", "input", "change", "submit", "reset", "pointerdown"])
   document.addEventListener(name, ({ target }) => {
     const control = target.closest && target.closest(CONTROLS);
     if (control) used.add(kind(control));
     if (name === "submit") target.querySelectorAll("input, [type=submit]").forEach((one) => used.add(kind(one)));
-    if (name === "toggle") used.add(kind(target.querySelector("summary")));
   }, true);
 window.addEventListener("load", async () => {
   try { await drive(); } catch (error) { found.errors.push(String(error)); }

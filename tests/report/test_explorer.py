@@ -59,10 +59,15 @@ def report():
     return report
 
 
+def panel_of(text: str) -> dict:
+    """What a page holds of field 0°."""
+    held = data_of(text, "data-t-field-0")
+    return json.loads(zlib.decompress(base64.b64decode(held["packed"]))) | {"codes": held["codes"]}
+
+
 @pytest.fixture(scope="module")
 def data(report):
-    held = data_of(report.text, "data-t-field-0")
-    return json.loads(zlib.decompress(base64.b64decode(held["packed"]))) | {"codes": held["codes"]}
+    return panel_of(report.text)
 
 
 def maps_of(data: dict) -> dict[str, tuple[list[int], np.ndarray]]:
@@ -165,8 +170,7 @@ def test_box_names_the_paths_that_the_table_leaves_out(monkeypatch):
     t = trace_at(0.0)
     report = GhostReport(lens_scene(), {0.0: t}, t, {})
     table = report.table(0.0).set_index("path_id")
-    held = data_of(html_text(report, "lens"), "data-t-field-0")
-    data = json.loads(zlib.decompress(base64.b64decode(held["packed"]))) | {"codes": held["codes"]}
+    data = panel_of(html_text(report, "lens"))
     others = {path_id for path_id, _, _ in data["others"]}
     assert others
     assert others | set(map(int, data["paths"])) == set(table.index)

@@ -76,8 +76,7 @@ def explorer(report: GhostReport, field_deg: float, maps: FieldMaps, table: str)
     rays = report.rays_of_paths(field_deg, list(maps.paths))
     drawn = {path_id: [ray[:, [2, 1]] for ray in meridional(found, RAYS_DRAWN)] for path_id, found in rays.items()}
     digits = _digits(*_bounds([line for lines in drawn.values() for line in lines]))
-    table_of_field = report.table(field_deg)
-    labels = dict(zip(table_of_field.path_id.tolist(), table_of_field.label.tolist(), strict=True))
+    labels = report.table(field_deg).set_index("path_id").label
     data = {
         "field": field_deg,
         "extent": list(t.extent),

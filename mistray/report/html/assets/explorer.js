@@ -336,8 +336,10 @@ class Explorer {
   below(rest, total) {  // what lights the chosen box and is not in the table
     const found = this.others.map((path) => [path, powerAbout(path.map, this.box.pixels)]).filter((pair) => pair[1] > 0);
     found.sort((a, b) => b[1] - a[1]);
+    if (!found.length) return "paths below the table";
     const named = found.slice(0, 3).map(([{ id, label }, power]) => `path ${id} (${label}, about ${short(100 * Math.min(power, rest) / total, 2)} %)`);
-    return `paths below the table${named.length ? `: ${named.join(", ")}${found.length > named.length ? ` and ${found.length - named.length} more` : ""}` : ""}`;
+    const more = found.length - named.length;
+    return `paths below the table: ${named.join(", ")}${more ? ` and ${more} more` : ""}`;
   }
   clearBox() {
     this.box = this.held = null;
