@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from mistray.physics.geometry.sag import in_proportion, sag, sag_derivative
 from mistray.surfaces.extrema import larger, smaller
@@ -64,15 +63,9 @@ class Numbers:
         return cls(**{name: opaque(value) for name, value in values.items()}, shape=(curvature, conic, rest, unit))
 
     @staticmethod
-    def row(surface: Surface, overlap: float) -> list[float]:
-        """The numbers that `read` reads, of a surface that is larger by the `overlap` (mm) on each side."""
+    def row(surface: Surface) -> list[float]:
+        """The numbers that `read` reads."""
         values = _values(surface)
-        ends = {"z_low": -overlap, "z_high": overlap, "half_width": overlap, "half_height": overlap}
-        radii = {
-            "outer2": (surface.size + overlap) ** 2,
-            "inner2": max(np.sqrt(values["inner2"]) - overlap, 0.0) ** 2,
-        }
-        values |= {name: values[name] + more for name, more in ends.items()} | radii
         return [values[name] for name in ROW]
 
     @classmethod
@@ -86,7 +79,7 @@ class Numbers:
 
 
 def _values(surface: Surface) -> dict[str, Any]:
-    """All numbers of a surface, 0 where its family has none."""
+    """All numbers of a surface, 0 where its family has none; its bounds with their overlap."""
     values: dict[str, Any] = dict.fromkeys((field.name for field in fields(Numbers)), 0.0)
     del values["shape"]
     return {
@@ -95,9 +88,9 @@ def _values(surface: Surface) -> dict[str, Any]:
         "conic": 0.0,
         "coefficients": (),
         "z": surface.z,
-        "outer2": surface.size**2,
-        "z_low": surface.z_range[0],
-        "z_high": surface.z_range[1],
+        "outer2": (surface.size + surface.overlap) ** 2,
+        "z_low": surface.z_range[0] - surface.overlap,
+        "z_high": surface.z_range[1] + surface.overlap,
         "self_hit": surface.self_hit,
         **surface.kernel_values(),
     }

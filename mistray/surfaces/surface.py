@@ -73,6 +73,9 @@ class Surface(ABC):
         Number of the axis (orientation and lateral position) it shares with other surfaces.
     z : float
         Position of the vertex along the axis, mm.
+    overlap : float
+        The kernel's bounds are wider than those of the surface by this on each side, mm. Where surfaces meet, rounding
+        would else let some rays through between them.
     """
 
     sign: float
@@ -82,6 +85,7 @@ class Surface(ABC):
     frame: int = 0
     axis: int = 0
     z: float = 0.0
+    overlap: float = 0.0
 
     one_side_up: ClassVar[bool] = True
     """Whether the x axis of its frame has a projection onto it everywhere; a tube has parts where it has none."""
@@ -132,7 +136,7 @@ class Surface(ABC):
 
     @property
     def clip(self) -> tuple[float, float]:
-        """Half size of a rectangle, mm; else the square of the inner radius, and 0."""
+        """Half size of a rectangle, mm; else the square of the inner radius, and 0; with the overlap."""
         return 0.0, 0.0
 
     @property

@@ -15,7 +15,6 @@ from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
 ROUNDING = 1e-6  # of distances along a ray, relative
-ROUNDINGS = 1  # by which surfaces overlap
 
 
 class TreeSearch:
@@ -47,11 +46,7 @@ class TreeSearch:
         links = np.concatenate([tree.skip[..., None], tree.piece[..., None], facts[tree.piece]], axis=-1)
         self._bounds, self._links = upload(mi.Float, tree.bounds), upload(mi.UInt32, links)
         self._axis, self._nodes = upload(mi.UInt32, tree.axis), dr.opaque(mi.UInt32, len(tree.axis))
-        # Surfaces that meet overlap by as much as their places are rounded, so that no ray slips through between them
-        reach = np.abs(table.vertices[tree.members] - table.centre).max()
-        reach += max(piece.size + np.ptp(piece.z_range) for piece in pieces)
-        overlap = ROUNDINGS * float(np.spacing(np.float32(reach)))
-        self._rows = upload(mi.Float, np.array([Numbers.row(piece, overlap) for piece in pieces]))
+        self._rows = upload(mi.Float, np.array([Numbers.row(piece) for piece in pieces]))
         self._places = upload(mi.Float, np.array([(x, y) for _, x, y in tree.axes]))
         frames = np.array([frame for frame, _, _ in tree.axes], dtype=np.uint32)
         self._frames, self._turned = upload(mi.UInt32, frames), bool(frames.any())

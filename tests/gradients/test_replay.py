@@ -271,9 +271,11 @@ def compare_ledgers(case: Case) -> None:
     for reason in ("max_reflections", "max_events", "flux_threshold"):
         assert e.cut[reason] == pytest.approx(ledger.cut_W.get(reason, 0.0), abs=slack), reason
     assert e.cut["roulette"] == 0
-    # branches that do not reach the detector may be fragile too
     dead = run.rays - len(everything)  # aimed to where the source does not shine; they end at their first surface
-    assert case.t.segments == pytest.approx(ledger.segments + dead, rel=1e-3 if fragile else 2e-5)
+    off = abs(case.t.segments - ledger.segments - dead)
+    if off > (1e-3 if fragile else 2e-5) * ledger.segments:  # branches that do not reach the detector, at a rim
+        nudged = [oracle(everything, origin).segments for origin in case.nudged(everything)]
+        assert off <= max(abs(count - ledger.segments) for count in nudged)
 
 
 def test_cases_are_in_the_field_and_outside() -> None:

@@ -223,6 +223,17 @@ class Outline:
         rest = [replace(f, sign=signs[f.sign]) for f in self.figures]
         return Outline((Figure("circle", sizes=(radius,)), *rest))
 
+    def grown(self, margin: float) -> Outline:
+        """The same with circles, ellipses and rectangles whose edges lie farther out by `margin`, mm; holes shrink."""
+
+        def grown(f: Figure) -> Figure:
+            if f.kind == "polygon":
+                return f
+            more = -margin if f.sign == "-" else margin
+            return replace(f, sizes=tuple(max(size + more, 0.0) for size in f.sizes))
+
+        return Outline(tuple(map(grown, self.figures)))
+
     def half_turned(self) -> Outline:
         """The same after half a turn of its frame about y, which reverses x."""
 

@@ -96,7 +96,9 @@ def first_zero(
         trial = s - fs / gs
         inside = (trial >= lo) & (trial <= hi)
         new = dr.select(inside, trial, dr.select(ends & (trial > hi), length, 0.5 * (lo + hi)))
-        going = going & ~missed & (dr.abs(new - s) > CONVERGED * size) & (i < ITERATIONS)
+        # Half of a short bracket is a short step too, and tells nothing of how near the zero is
+        halved = ~inside & ~(ends & (trial > hi))
+        going = going & ~missed & (halved | (dr.abs(new - s) > CONVERGED * size)) & (i < ITERATIONS)
         return i + 1, dr.select(missed, s, new), lo, hi, ends, found & ~missed, going
 
     chord = dr.clip(lo + (hi - lo) * flo / dr.select(flo == fhi, 1, flo - fhi), lo, hi)

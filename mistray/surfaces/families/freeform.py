@@ -253,18 +253,18 @@ class Freeform(Surface):
     def kernel_values(self) -> Mapping[str, Any]:
         return {
             **self.values,
-            **self.outline.numbers(),
+            **self.outline.grown(self.overlap).numbers(),
             **self.outline.turns(),
             "z": self.z,
             # Thicker than the rounding of a ray that comes from afar
             "z_low": self.z_range[0] - SLAB * self.size,
             "z_high": self.z_range[1] + SLAB * self.size,
             "size": self.size,
-            "size2": self.size**2,
+            "size2": (self.size + self.overlap) ** 2,
             "slope2": self.slope**2,
             "self_hit": self.self_hit,
-            "half_x": self.half[0],
-            "half_y": self.half[1],
+            "half_x": self.half[0] + self.overlap,
+            "half_y": self.half[1] + self.overlap,
         }
 
     def crossing(self, ray: AxisRay, numbers: dict[str, mi.Float], own: mi.Bool) -> mi.Float:

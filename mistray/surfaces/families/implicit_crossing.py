@@ -15,6 +15,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mistray.surfaces.crossings import AxisRay, stretch
+from mistray.surfaces.gradient_columns import HIGH, LOW
 
 if TYPE_CHECKING:
     from mistray.surfaces.families.implicit_surface import ImplicitSurface
@@ -43,7 +44,16 @@ class ImplicitNumbers:
     @classmethod
     def of(cls, surface: ImplicitSurface) -> ImplicitNumbers:
         """Opaque copies, so that the kernel is the same for other numbers."""
-        numbers = (surface.z, *surface.z_range, surface.size**2, *surface.ends, surface.size, surface.self_hit)
+        more, (low, high) = surface.overlap, surface.z_range
+        along = [more * surface.rim_stretch(surface.rim_point(rim)) for rim in (LOW, HIGH)]
+        bounds = (
+            low - more,
+            high + more,
+            (surface.size + more) ** 2,
+            surface.ends[0] - along[0],
+            surface.ends[1] + along[1],
+        )
+        numbers = (surface.z, *bounds, surface.size, surface.self_hit)
         return cls(
             {name: dr.opaque(mi.Float, value) for name, value in surface.values.items()},
             *(dr.opaque(mi.Float, value) for value in numbers),
@@ -91,8 +101,10 @@ def first_crossing(ray: AxisRay, family: Any, n: ImplicitNumbers, own: mi.Bool) 
             before = sign(value) == side
             low, high = dr.select(before, s, low), dr.select(before, high, s)
             trial = s - value / slope
-            new = dr.select((trial >= low) & (trial <= high), trial, 0.5 * (low + high))
-            going = going & (dr.abs(new - s) > CONVERGED * n.size) & (k < STEPS)
+            within = (trial >= low) & (trial <= high)
+            new = dr.select(within, trial, 0.5 * (low + high))
+            # Half of a short bracket is a short step too, and tells nothing of how near the root is
+            going = going & (~within | (dr.abs(new - s) > CONVERGED * n.size)) & (k < STEPS)
             return k + 1, new, low, high, going
 
         _, s, low, high, _ = dr.while_loop(

@@ -138,7 +138,10 @@ class SagSurface(Surface):
 
     @property
     def clip(self) -> tuple[float, float]:
-        return (self.inner**2, 0.0) if self.outer else self.half_size
+        more = self.overlap
+        if self.outer:
+            return max(self.inner - more, 0.0) ** 2, 0.0
+        return self.half_size[0] + more, self.half_size[1] + more
 
     @property
     def opening(self) -> Opening:
@@ -296,9 +299,9 @@ class SagSurface(Surface):
             "conic": self.conic,
             "coefficients": self.coefficients,
             "slope": self.slope,
-            "inner2": self.inner**2,
-            "half_width": self.half_size[0],
-            "half_height": self.half_size[1],
+            "inner2": max(self.inner - self.overlap, 0.0) ** 2,
+            "half_width": self.half_size[0] + self.overlap,
+            "half_height": self.half_size[1] + self.overlap,
             "wide2": (MILD_MARGIN * self.size) ** 2,
             "departure": self.departure,
         }
