@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib
+import itertools
 from typing import Any
 
 import mitsuba as mi
@@ -13,7 +14,13 @@ import pytest
 import mistray
 from mistray.analysis.pst.found_paths import forward_events
 from mistray.analysis.pst.pilot import Pilot
-from mistray.analysis.pst.plan import Plan, factors_of_equal_cost, factors_of_equal_errors
+from mistray.analysis.pst.plan import (
+    MOST_UNEVEN,
+    Plan,
+    factors_of_equal_cost,
+    factors_of_equal_errors,
+    factors_of_least_variance,
+)
 from mistray.analysis.pst.result import Pst, notes
 from mistray.analysis.pst.state import PstProgress
 from mistray.errors import MistrayWarning
@@ -293,6 +300,23 @@ def test_both_directions_cost_the_same_where_no_error_is_wanted() -> None:
     relative = np.array([1.0, 4.0]) / (1 + 3 * factors[:, None])
     chosen = factors_of_equal_cost(relative, factors, 10.0, np.array([2.0, 2.0]))
     assert chosen @ np.array([2.0, 2.0]) == pytest.approx(10.0, rel=0.42)  # half a step of the factors
+
+
+def test_rays_of_a_fixed_number_bring_the_least_variance_for_their_cost() -> None:
+    """Against a search over all factors, in cells that gain much, something and nothing from rays with the light."""
+    factors = 2.0 ** np.arange(-4, 5.5, 0.5)
+    against, along = 10.0, np.array([3.0, 3.0, 3.0])
+
+    def cost(gain: np.ndarray, f: np.ndarray) -> float:
+        """Of the time to an error, in the geometric mean over the cells."""
+        return float(np.mean(-np.log1p(gain * f)) + np.log(against + max(along @ f, against)))
+
+    for gain in (np.array([50.0, 0.0, 2.0]), np.array([1e6, 1e6, 1e6]), np.array([0.01, 0.0, 0.0])):
+        chosen = factors_of_least_variance(1 / (1 + gain * factors[:, None]), factors, against, along)
+        assert along @ chosen <= MOST_UNEVEN * against
+        tried = (np.array(f) for f in itertools.product(factors, repeat=3))
+        best = min(cost(gain, f) for f in tried if along @ f <= MOST_UNEVEN * against)
+        assert cost(gain, chosen) < best + np.log(1.1)
 
 
 def plan_of(light: list[float], variance: list[float], rays: list[float]) -> Plan:

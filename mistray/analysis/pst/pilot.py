@@ -12,7 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from mistray.analysis.pst.plan import Plan, factors_of_equal_cost, factors_of_equal_errors
+from mistray.analysis.pst.plan import (
+    Plan,
+    factors_of_equal_cost,
+    factors_of_equal_errors,
+    factors_of_least_variance,
+)
 from mistray.execute.backward import BackwardTrace
 from mistray.recorders.start_samples import ORDERS, Samples
 from mistray.sampling.sharing.balance import Sharing
@@ -109,7 +114,7 @@ class Pilot:
 
         costs = cost_against, cost_along
         even = factors_of_equal_cost(relative, FACTORS, *costs)
-        best = factors_of_equal_errors(relative, FACTORS, *costs) if self._to_an_error else even
+        best = (factors_of_equal_errors if self._to_an_error else factors_of_least_variance)(relative, FACTORS, *costs)
         variance = np.array(
             [np.interp(np.log(f), np.log(FACTORS), column) for f, column in zip(best, relative.T, strict=True)]
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -156,18 +156,49 @@ def factors_of_equal_cost(
 
     Parameters and result are those of `factors_of_equal_errors`. A cell that gains nothing takes no rays from others.
     """
+    return _factors_by_worth(relative, factors, cost_against, cost_along, lambda _, along: abs(np.log(along)))
+
+
+def factors_of_least_variance(
+    relative: np.ndarray, factors: np.ndarray, cost_against: float, cost_along: np.ndarray
+) -> np.ndarray:
+    """
+    Factors at which the mean variance of all cells, times the cost of all rays together, is least.
+
+    Parameters and result are those of `factors_of_equal_errors`. The mean is a geometric one. Rays with the light cost
+    as much as those against it at least, for a pilot knows variances badly where one direction sees little.
+    """
+
+    def score(variance: float, along: float) -> float:
+        return variance + np.log1p(max(along, 1.0)) if along <= MOST_UNEVEN else np.inf
+
+    return _factors_by_worth(relative, factors, cost_against, cost_along, score)
+
+
+def _factors_by_worth(
+    relative: np.ndarray,
+    factors: np.ndarray,
+    cost_against: float,
+    cost_along: np.ndarray,
+    score: Callable[[float, float], float],
+) -> np.ndarray:
+    """
+    Factors for the worth of the time at which a score is least.
+
+    The worth decides how much is spent: each cell takes the factor of the least sum of the logarithm of its variance
+    and its cost in units of that. `score` has the mean of the logarithms, and the cost of the rays with the light
+    over that of those against it.
+    """
     lit = np.flatnonzero(relative[0] > 0)
     found = np.full(relative.shape[1], factors[0])
     if not len(lit):
         return found
     rates, price = np.log(relative[:, lit]), factors[:, None] * cost_along[lit] / cost_against
-
-    def at(log_worth: float) -> np.ndarray:
-        return np.asarray(factors[np.argmin(rates + np.exp(log_worth) * price, axis=0)])
-
-    low, high = -12.0, 12.0  # of the worth of the time, which decides how much is spent
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if at(middle) @ cost_along[lit] > cost_against else (low, middle)
-    found[lit] = at(high)
+    best = np.inf
+    for worth in np.exp(np.linspace(12.0, -12.0, LEVELS)):
+        chosen = np.argmin(rates + worth * price, axis=0)
+        columns = np.arange(len(lit))
+        value = score(float(rates[chosen, columns].mean()), max(float(price[chosen, columns].sum()), 1e-300))
+        if value < best:
+            best, found[lit] = value, factors[chosen]
     return found

@@ -25,7 +25,7 @@ LEAF, MOST_DEPTH = -1, 36
 FEWEST = 12.0  # effective samples of a node that is halved
 PRIOR = 1.0  # samples that each half has beside its own
 LEAST_SHARE = 0.04  # of a node's rays in either half
-UNIFORM = 0.15  # share of rays anywhere in a cell
+UNIFORM = 0.3  # share of rays anywhere in a cell, so that light which the samples have missed is rarely strong
 
 
 @dataclass(frozen=True, eq=False)
