@@ -271,6 +271,10 @@ class _Tree:
             given = scattering.give(s, it, first | again)
             R, T = R * given.reflection.kept, T * given.transmission.kept
         loss = 1 - R - T if given is None else given.absorbed
+        at_rim = mi.Bool(False)
+        if table.wall_rims.some:
+            at_rim = table.wall_rims.at_rim(s, it.local, first)
+            loss = dr.select(at_rim, 1, loss)
         absorbed = dr.select(dr.abs(loss) < NO_LOSS, 0, w * loss)
         counted = first & self.books
         absorbed, counts = self.limits.absorb(absorbed, counted)
@@ -285,7 +289,7 @@ class _Tree:
             link=None if self.odds is None or self.scene.backward else self.odds.link_at_end(state),
         )
         self.recorders.visit(hits, memory)
-        return Node(state, it, given, R, T, first, again, state["rng"])
+        return Node(state, it, given, R, T, first & ~at_rim, again, state["rng"])
 
     def _send(self, node: Node, children: Children, choice: Choice) -> _Sent:
         """The chosen child's origin, direction and flux."""

@@ -30,12 +30,11 @@ from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.family_table import FamilyTable
 from mistray.surfaces.free_space import FreeSpace
 from mistray.surfaces.optics import ASPHERIC, DETECTOR, STOCK, WALL, Optics
+from mistray.surfaces.seams import WallRims, let_overlap
 from mistray.surfaces.shell_tree import ShellTree, many
 from mistray.surfaces.surface import Surface
 from mistray.surfaces.upload import upload
 
-ROUNDINGS = 1  # of positions, by which surfaces overlap
-OVERLAP = 1e-6  # in units of the size of a surface, that it never exceeds
 SAME_FRAME = 1e-9  # by which the directions of axes may differ
 # Row of the polynomial table: curvature, conic, a4 … a20 in units of the aperture and the unit of these, see
 # `mistray.physics.geometry.sag.in_proportion`; z range, outer (-1: a rectangle), slope
@@ -259,7 +258,8 @@ class SurfaceTable:
             axis = axes.setdefault((frame, round(float(local[0]), 9), round(float(local[1]), 9)), len(axes))
             piece.index, piece.frame, piece.axis, piece.z = i, frame, axis, float(local[2])
             vertices[i], rotations[i] = position, self.frames[frame]
-        self._overlap(vertices[: len(shapes)])
+        rounding = let_overlap(self.pieces, vertices[: len(shapes)] - self.centre)
+        self.wall_rims = WallRims(self.pieces, self.count, rounding)
         self.axes = list(axes)
         self.families = FamilyTable(self.pieces, self.count)
         looped = many(self.pieces)
@@ -284,15 +284,6 @@ class SurfaceTable:
         self.vertex = upload(mi.Float, vertex)
         self.polynomial = upload(mi.Float, polynomial)
         self.rotation = upload(mi.Float, np.concatenate([self.rotations, np.zeros((self.count, 3, 1))], axis=2))
-
-    def _overlap(self, vertices: np.ndarray) -> None:
-        """Let the surfaces overlap by what positions on the device are rounded to."""
-        if not self.pieces:
-            return
-        largest = max(piece.size + float(np.ptp(piece.z_range)) for piece in self.pieces)
-        rounding = float(np.spacing(np.float32(np.abs(vertices - self.centre).max() + largest)))
-        for piece in self.pieces:
-            piece.overlap = min(ROUNDINGS * rounding, OVERLAP * piece.size)
 
     def _stock(self, shapes: list[Any]) -> None:
         """A Mitsuba scene of the shapes that are not ours, and the way from its shapes to surface numbers."""

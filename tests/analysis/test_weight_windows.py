@@ -88,15 +88,18 @@ def test_two_stage_baffle_to_1e_13(tmp_path: Path) -> None:
     """
     Light that is scattered five times, beside a float64 walk with splitting.
 
-    Half the reflectance leaves 1/32 of it; both runs have errors of their own.
+    Half the reflectance leaves 1/32 of it; all runs have errors of their own. In every other run a single ray meets
+    light that is totally reflected twice within the lens, a tenth of all: its error is large then, and says so.
     """
     values = {}
     for reflectance in (0.02, 0.01):
-        found = mistray.pst(painted(tmp_path, reflectance), ANGLES, rays=300_000, max_scatters=5, seed=2)
+        scene = painted(tmp_path, reflectance)
         exact, exact_se = BaffledLens.read(SCENE, reflectance, scatters=5).pst(CELLS, 64_000, SPLITS, seed=3).T
-        assert (found.standard_error < 0.2 * exact).all()
-        assert (np.abs(found.value - exact) < 4 * np.hypot(found.standard_error, exact_se)).all()
-        values[reflectance] = found.value, found.standard_error
+        runs = [mistray.pst(scene, ANGLES, rays=300_000, max_scatters=5, seed=seed) for seed in (1, 2, 3)]
+        found, errors = (np.array([getattr(run, name) for run in runs]) for name in ("value", "standard_error"))
+        assert (np.median(errors, axis=0) < 0.1 * exact).all()
+        assert (np.abs(found - exact) < 4 * np.hypot(errors, exact_se)).all()
+        values[reflectance] = found.mean(axis=0), np.hypot.reduce(errors, axis=0) / len(runs)
     (high, high_se), (low, low_se) = values.values()
     assert (high < 1.2e-13).all()
     assert (np.abs(high - 32 * low) < 4 * np.hypot(high_se, 32 * low_se)).all()

@@ -16,7 +16,7 @@ import pytest
 import mistray
 from mistray.plugins.shapes.implicit import Implicit, sqrt
 from mistray.ranges import RADIUS_MM, Range
-from mistray.surfaces import shell_tree, surfaces
+from mistray.surfaces import seams, shell_tree
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.surfaces import SurfaceTable
@@ -123,7 +123,7 @@ VESSELS = [("disc", "tube"), ("conic", "cone"), ("asphere", "tube"), ("freeform"
 @pytest.mark.parametrize(("front", "wall"), VESSELS)
 def test_no_ray_leaves_a_closed_vessel(front: str, wall: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert passed(*vessel(front, wall)) == 0
-    monkeypatch.setattr(surfaces, "ROUNDINGS", 0)
+    monkeypatch.setattr(seams, "ROUNDINGS", 0)
     assert passed(*vessel(front, wall)) > 100  # the rays do try the seams
 
 
@@ -132,3 +132,41 @@ def test_nor_one_of_many_surfaces(front: str, wall: str, monkeypatch: pytest.Mon
     monkeypatch.setattr(shell_tree, "MOST_UNROLLED", 0)
     monkeypatch.setattr(shell_tree, "MOST_ASPHERES", 0)
     assert passed(*vessel(front, wall)) == 0
+
+
+def test_light_at_a_seam_does_not_come_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    """
+    A beam from outside, some roundings wide, at the rear corner of a painted can.
+
+    The wall is met first, but by less than a rounding: some rays would be scattered from the board, which is inside.
+    """
+    radius, end = 14.0, PLACE + 41.704
+    paint = {"type": "interface", "R": 0.0, "model": {"type": "paint", "reflectance": 0.9}}
+    film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}
+    pose = mi.ScalarTransform4f()
+
+    def light() -> float:
+        scene = mistray.load(
+            {
+                "type": "scene",
+                "integrator": {"type": "straylight"},
+                "beam": {"type": "collimated", "radius": 3e-5, "to_world": pose.translate([0, -radius, end])},
+                "lid": {"type": "frustum", "r0": radius, "z0": PLACE, "r1": 0.1, "z1": PLACE, "bsdf": paint},
+                "wall": {"type": "frustum", "r0": radius, "z0": PLACE, "r1": radius, "z1": end, "bsdf": paint},
+                "board": {"type": "frustum", "r0": radius, "z0": end, "r1": HOLE, "z1": end, "bsdf": paint},
+                "detector": {
+                    "type": "asphere",
+                    "semi_diameter": HOLE,
+                    "to_world": pose.translate([0, 0, end]),
+                    "bsdf": {"type": "interface", "R": 0.0},
+                    "sensor": {"type": "irradiancemeter", "film": film},
+                },
+            }
+        )
+        found = mistray.trace(scene, rays=100_000, field_deg=50.0, seed=1, max_scatters=3)
+        assert found.energy.absorbed["wall"][0] > 0.1 * found.energy.launched_W
+        return float(found.energy.detected_W)
+
+    assert light() == 0
+    monkeypatch.setattr(seams, "RIM_ROUNDINGS", 0)
+    assert light() > 0

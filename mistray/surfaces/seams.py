@@ -1,0 +1,120 @@
+"""Where surfaces meet: no light gets from one side to the other between them.
+
+Positions on the device are rounded. A ray that comes to where two surfaces meet may miss both by a rounding, may meet
+the farther one first, or goes on from a point that lies on the wrong side of the other. Few rays do, one of ten
+millions, but behind a deep baffle they would be brighter than all light that takes the right way. Therefore surfaces
+overlap by a rounding, so that rays meet one of them, and a wall absorbs what meets it within some roundings of its rim,
+but where another goes on in its direction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.surfaces.families.cone import Cone
+from mistray.surfaces.families.sag_surface import SagSurface
+from mistray.surfaces.gradient_columns import INNER, LOW, OUTER
+from mistray.surfaces.surface import Surface
+from mistray.surfaces.upload import upload
+
+ROUNDINGS = 1  # of positions, by which surfaces overlap
+MOST_OVERLAP = 4e-6  # of the size of a surface
+RIM_ROUNDINGS = 4  # of positions, within which a rim absorbs
+MOST_RIM = 1e-5  # of the size of a wall
+MOST_OF_WIDTH = 1e-4  # of what lies between its rims
+PLACES = 6  # decimals of mm by which rims are the same
+SMOOTH = 1e-8  # 1 - |cosine| of the angle below which a wall goes on in another
+
+
+def let_overlap(pieces: Sequence[Surface], vertices: np.ndarray) -> float:
+    """
+    Let surfaces overlap, and return by how much positions are rounded, mm.
+
+    Parameters
+    ----------
+    pieces : sequence of Surface
+        Their `overlap` is set.
+    vertices : (n, 3) float64
+        Their positions on the device, mm.
+    """
+    if not pieces:
+        return 0.0
+    largest = max(piece.size + float(np.ptp(piece.z_range)) for piece in pieces)
+    rounding = float(np.spacing(np.float32(np.abs(vertices).max() + largest)))
+    for piece in pieces:
+        piece.overlap = min(ROUNDINGS * rounding, MOST_OVERLAP * piece.size)
+    return rounding
+
+
+class WallRims:
+    """
+    The rims of the walls of a scene.
+
+    Parameters
+    ----------
+    pieces : sequence of Surface
+    count : int
+        Number of all surfaces.
+    rounding : float
+        Of positions, mm.
+
+    Attributes
+    ----------
+    some : bool
+        Whether there is a wall with a rim.
+    """
+
+    def __init__(self, pieces: Sequence[Surface], count: int, rounding: float) -> None:
+        # Weights of z and r² in the coordinate across the rims, and between which values of it light goes on
+        rows = np.tile([0.0, 0.0, -np.inf, np.inf], (count, 1))
+        smooth = _smooth_rims(pieces)
+        for piece in pieces:
+            if not piece.wall or not isinstance(piece, Cone | SagSurface):
+                continue
+            near = min(RIM_ROUNDINGS * rounding, MOST_RIM * piece.size, MOST_OF_WIDTH * float(np.ptp(piece.reach)))
+            for rim in set(piece.rim_sizes).difference(smooth[piece.index]):
+                row = rows[piece.index]
+                if isinstance(piece, Cone):
+                    row[:2] = 1.0, 0.0
+                    if rim == LOW:
+                        row[2] = piece.z_range[0] + near
+                    else:
+                        row[3] = piece.z_range[1] - near
+                elif rim in (OUTER, INNER):
+                    row[:2] = 0.0, 1.0
+                    if rim == INNER:
+                        row[2] = (piece.inner + near) ** 2
+                    else:
+                        row[3] = (piece.outer - near) ** 2
+        self.some = bool(rows[:, :2].any())
+        self._rows = upload(mi.Float, rows)
+
+    def at_rim(self, s: mi.UInt32, q: mi.Vector3f, active: mi.Bool) -> mi.Bool:
+        """Whether points q, in the frames of the surfaces s, lie within some roundings of the rim of a wall."""
+        along, across, low, high = dr.gather(mi.Vector4f, self._rows, s, active)
+        place = dr.fma(along, q.z, across * dr.fma(q.x, q.x, q.y * q.y))
+        return active & ((place < low) | (place > high))
+
+
+def _smooth_rims(pieces: Sequence[Surface]) -> dict[int, set[int]]:
+    """Rims of each wall, by its number, where another wall goes on in its direction."""
+    found: dict[int, set[int]] = {piece.index: set() for piece in pieces}
+    meeting: dict[tuple[int, float, float], list[tuple[int, int, np.ndarray]]] = {}
+    for piece in pieces:
+        if not piece.wall or not isinstance(piece, Cone | SagSurface) or not piece.circular_rims:
+            continue
+        for rim in piece.rim_sizes:
+            point = piece.rim_point(rim)
+            place = piece.axis, round(float(point[0]), PLACES), round(float(piece.z + point[1]), PLACES)
+            others = meeting.setdefault(place, [])
+            tangent = piece.tangent(point)
+            for other, other_rim, direction in others:
+                if other != piece.index and abs(float(tangent @ direction)) > 1 - SMOOTH:
+                    found[piece.index].add(rim)
+                    found[other].add(other_rim)
+            others.append((piece.index, rim, tangent))
+    return found
