@@ -32,7 +32,6 @@ from mistray.sampling.design_path import check_place, first_aperture, footprint
 from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.source import SceneSource, Source
 from mistray.sampling.sources import scene_sources
-from mistray.sampling.strata import MOST_STRATA
 from mistray.settings import BATCHES, Settings
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.surfaces import SurfaceTable
@@ -166,8 +165,7 @@ class Run:
         blocks = mi.UInt32(mi.Float64(index) * (BATCHES / lanes))
         batch = scrambled % BATCHES if self.source.pattern == "grid" else blocks
         dr.eval(lane, batch, rng)
-        closing = np.random.default_rng((self.seed, number)).exponential(size=(MOST_STRATA, BATCHES))
-        o, d, w, stokes = self.source.start(lane, batch, self.rays, rng, closing, self.table.centre)
+        o, d, w, stokes = self.source.start(lane, batch, self.rays, rng, self.table.centre)
         dr.eval(o, d, w, stokes, rng)
         # A weight of 1 stays a constant, and so does the kernel
         start = StartRays(lane, batch, rng, o, d, dr.full(mi.Float, 1, lanes) if w is None else w, scale=w)

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.sampling.source import Emission, SceneSource
-from mistray.sampling.space_filling import sorted_points
+from mistray.sampling.space_filling import stratified_points
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,15 +39,13 @@ class Beam(SceneSource):
         ahead = (o - self.pivot) @ self.direction + self.distance
         return o - ahead[:, None] * self.direction, np.broadcast_to(self.direction, d.shape).copy()
 
-    def start(
-        self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray, centre: np.ndarray
-    ) -> Emission:
+    def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
         """Origins and directions, see `Source.start`; three numbers of each generator are drawn."""
         if self.pattern == "grid":
             side = int(np.sqrt(rays))
             sample = mi.Point2f((mi.Float(lane % side) + 0.5) / side, (mi.Float(lane // side) + 0.5) / side)
         else:
-            sample = sorted_points(batch, rng, closing[0])
+            sample = stratified_points(batch, rng)
         x, y = self.emitter.positions(sample)
         vectors = (self.pivot - centre, self.direction, self.u, self.v)
         pivot, direction, u, v = (mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in vector)) for vector in vectors)

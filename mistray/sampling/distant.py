@@ -12,7 +12,7 @@ import numpy as np
 from mistray.sampling.aimed_cones import Sphere, across
 from mistray.sampling.emission_laws import polar
 from mistray.sampling.source import Emission, SceneSource, turned
-from mistray.sampling.space_filling import sorted_points
+from mistray.sampling.space_filling import stratified_points
 from mistray.sampling.strata import Strata
 
 AIMED = (0.75, 0.25)  # shares of the rays of what goes to the first aperture, and to the rest of the scene
@@ -67,21 +67,19 @@ class DistantRays(SceneSource):
         """The ray along the axis through the pivot."""
         return self.through(np.zeros(1), np.zeros(1))
 
-    def start(
-        self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray, centre: np.ndarray
-    ) -> Emission:
+    def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
         """Directions of the plugin and places across them, see `Source.start`."""
         inner, w, within = self.aperture, None, None
         if inner is not None:
             flux = (inner.radius / self.scene.radius) ** 2
             strata = Strata(batch, AIMED)
-            sample = sorted_points(strata.group, rng, closing[: len(AIMED)].T.ravel())
+            sample = stratified_points(strata.group, rng)
             within = strata.number == 0
             # A part of a small batch may have no rays
             light = dr.select(within, flux / strata.parts[0], (1 - flux) / strata.parts[1])
             w = strata.closed(light, strata.number, len(AIMED))
         else:
-            sample = sorted_points(batch, rng, closing[0])
+            sample = stratified_points(batch, rng)
         o, d = self._rays(sample, mi.Point2f(rng.next_float32(), rng.next_float32()), rng, within)
         o -= mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in centre))
         return Emission(mi.Vector3f(o), dr.normalize(mi.Vector3f(d)), w)

@@ -12,7 +12,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.recorders.directions import DirectionGrid
 from mistray.sampling.source import Emission, Source
-from mistray.sampling.space_filling import sorted_points
+from mistray.sampling.space_filling import stratified_points
 from mistray.surfaces.host_points import box_corners
 from mistray.surfaces.surfaces import SurfaceTable
 
@@ -100,15 +100,13 @@ class PlaneWave(Source):
         """Flux at this wavelength, W."""
         return self.share * self.area
 
-    def start(
-        self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray, centre: np.ndarray
-    ) -> Emission:
+    def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
         """
         Origins and directions of the start rays of one pass; see `Source.start`.
 
         Five random numbers a lane. The positions of a batch are sorted along a curve.
         """
-        sample = sorted_points(batch, rng, closing[0])
+        sample = stratified_points(batch, rng)
         numbers = [dr.opaque(mi.Float, value) for value in self.numbers]
         u, v = rng.next_float32(), rng.next_float32()
         return Emission(*wave_rays(numbers, self.rotation, self.centre - centre, sample, u, v))

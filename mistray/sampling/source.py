@@ -14,7 +14,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.kernel.polarization import carried, from_plane
 from mistray.sampling.aimed_cones import Cone, Sphere
-from mistray.sampling.space_filling import sorted_points
+from mistray.sampling.space_filling import stratified_points
 from mistray.sampling.strata import Strata
 from mistray.surfaces.upload import upload
 
@@ -79,9 +79,7 @@ class Source(ABC):
     moving: tuple[str, ...] = ()
 
     @abstractmethod
-    def start(
-        self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray, centre: np.ndarray
-    ) -> Emission:
+    def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
         """
         The start rays of one pass.
 
@@ -95,8 +93,6 @@ class Source(ABC):
             Number of rays of the whole trace, as from `count`.
         rng : mi.PCG32
             One generator a lane.
-        closing : (MOST_STRATA, BATCHES) float
-            Independent exponential variables, see `mistray.sampling.space_filling.sorted_places`.
         centre : (3,) float64
             What the origins are relative to, mm.
         """
@@ -305,16 +301,14 @@ class EmittedRays(SceneSource):
         d = self.emitter.matrix[:3, 3] + x[:, None] * self.u + y[:, None] * self.v - o
         return np.tile(o, (len(d), 1)), d / np.linalg.norm(d, axis=1, keepdims=True)
 
-    def start(
-        self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray, centre: np.ndarray
-    ) -> Emission:
+    def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
         """The plugin's rays, see `Source.start`: those to the aperture and to the scene more often than the others."""
         targets, w = self._targets, None
         if targets:
             strata = Strata(batch, AIMED[len(targets)])
-            sample = sorted_points(strata.group, rng, closing[: len(targets) + 1].T.ravel())
+            sample = stratified_points(strata.group, rng)
         else:
-            sample = sorted_points(batch, rng, closing[0])
+            sample = stratified_points(batch, rng)
         place = mi.Point2d(rng.next_float32(), rng.next_float32()) if self.emitter.extended else mi.Point2d(0.5)
         o, d = self._rays(place, mi.Point2d(sample), rng)
         if targets:

@@ -1,4 +1,4 @@
-"""Random points of the unit cube along a space-filling curve, so that neighbouring lanes walk similar trees."""
+"""Points of the unit cube along a space-filling curve: neighbouring lanes walk similar trees, errors fall faster."""
 
 from __future__ import annotations
 
@@ -11,38 +11,26 @@ from mistray.surfaces.upload import upload
 BITS = 32  # of a place on the curve
 
 
-def sorted_places(batch: mi.UInt32, rng: mi.PCG32, closing: np.ndarray) -> mi.Float64:
+def stratified_points(group: mi.UInt32, rng: mi.PCG32) -> mi.Point2f:
     """
-    Independent uniform numbers 0 … 1, those of each batch sorted.
+    Uniform points of the unit square, those of each group one in each of as many equal parts of a space-filling curve.
 
-    Sorted uniform numbers without a sort: partial sums of exponential variables over their total, which holds one more
-    variable, `closing` (L. Devroye, Non-Uniform Random Variate Generation, 1986, section V.2.2).
+    Neighbouring lanes walk similar trees, so that few of them idle. The points of a group lie more evenly than random
+    ones: a mean over n of them has an error that falls as n^-1 where the integrand is smooth, and as n^-3/4 where it
+    has edges, such as those of a pupil. Groups are independent. The curve is Morton's with 2^32 cells; three numbers of
+    each generator are drawn.
 
     Parameters
     ----------
-    batch : mi.UInt32
+    group : mi.UInt32
         Ascending, one for each lane.
     rng : mi.PCG32
-        One number of each generator is drawn.
-    closing : (batches,) float
-        Independent exponential variables.
     """
-    sums = dr.cumsum(mi.Float64(-dr.log(1 - rng.next_float32())))
-    first = np.searchsorted(np.array(batch), np.arange(len(closing) + 1))
-    totals = np.concatenate([[0.0], np.array(sums)])[first]
-    start, length = upload(mi.Float64, totals[:-1]), upload(mi.Float64, np.diff(totals) + closing)
-    return (sums - dr.gather(mi.Float64, start, batch)) / dr.gather(mi.Float64, length, batch)
-
-
-def sorted_points(batch: mi.UInt32, rng: mi.PCG32, closing: np.ndarray) -> mi.Point2f:
-    """
-    Independent uniform points of the unit square, those of each batch in the order of a space-filling curve.
-
-    Neighbouring lanes then walk similar trees, so that few of them idle, and the batches stay independent samples. The
-    curve is Morton's with 2^32 cells; the place within a cell is random. The arguments are those of `sorted_places`;
-    three numbers of each generator are drawn.
-    """
-    return mi.Point2f(*curve_points(sorted_places(batch, rng, closing), 2, rng))
+    groups = np.array(group)
+    first = np.searchsorted(groups, np.arange(int(groups[-1]) + 2))
+    begin, size = (dr.gather(mi.UInt32, upload(mi.UInt32, v), group) for v in (first[:-1], np.diff(first)))
+    number = mi.Float64(dr.arange(mi.UInt32, len(groups)) - begin) + mi.Float64(rng.next_float32())
+    return mi.Point2f(*curve_points(number / mi.Float64(size), 2, rng))
 
 
 def curve_points(place: mi.Float64, dimensions: int, rng: mi.PCG32) -> list[mi.Float]:

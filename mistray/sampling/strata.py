@@ -11,8 +11,6 @@ import numpy as np
 from mistray.settings import BATCHES
 from mistray.surfaces.upload import upload
 
-MOST_STRATA = 4
-
 
 class Strata:
     """

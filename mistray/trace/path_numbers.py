@@ -28,14 +28,11 @@ class RunSums(NamedTuple):
         Start rays of the batches.
     unit : float
         Flux of a start ray, W.
-    branching : (p,) bool
-        Paths that one start ray can take several times.
     """
 
     sums: np.ndarray
     started: np.ndarray
     unit: float
-    branching: np.ndarray
 
     @property
     def columns(self) -> tuple[np.ndarray, np.ndarray]:
@@ -45,7 +42,7 @@ class RunSums(NamedTuple):
         return self._in_watt(total), self._in_watt(without)
 
     def _in_watt(self, sums: np.ndarray) -> np.ndarray:
-        found = self.unit * sums[..., [0, 1, 2, 4, 5, 6, 6, 6, 6]]
+        found = self.unit * sums[..., [0, 1, 2, 3, 4, 5, 5, 5, 5]]
         found[..., RAYS] = sums[..., 0]
         stokes = sums[..., SUMS:]
         found[..., S1:] = self.unit * stokes if stokes.shape[-1] else np.nan
@@ -56,13 +53,10 @@ class RunSums(NamedTuple):
         """
         Squared standard error of the power, (p,), W².
 
-        That of a mean over the start rays. Where each of them takes the path at most once it is Σa² - (Σa)²/N. Where a
-        start ray branches, because a hit scatters several rays, it follows from the spread of the batches.
+        It follows from the spread of the batches. What single rays bring says nothing of it: those of a batch are
+        spread evenly over the source, so that their sum has a smaller error than as many random ones.
         """
-        absorbed, squares = self.sums[:, :, 2].sum(axis=1), self.sums[:, :, 3].sum(axis=1)
-        single = np.maximum(squares - absorbed**2 / self.started.sum(), 0.0)
-        by_batch = np.square(batch_error(self.sums[:, :, 2], self.started))
-        return np.asarray(self.unit**2 * np.where(self.branching, by_batch, single))
+        return np.asarray(np.square(self.unit * batch_error(self.sums[:, :, 2], self.started)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,8 +105,7 @@ def path_numbers(runs: Sequence[RunSums]) -> PathNumbers:
     """
     count = len(runs[0].sums)
     parts = [
-        _chunk([run._replace(sums=run.sums[k : k + CHUNK], branching=run.branching[k : k + CHUNK]) for run in runs])
-        for k in range(0, max(count, 1), CHUNK)
+        _chunk([run._replace(sums=run.sums[k : k + CHUNK]) for run in runs]) for k in range(0, max(count, 1), CHUNK)
     ]
     return PathNumbers.joined(parts)
 

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 ROWS_PRINTED = 20
 LABELLED_BY = ("detector", "events", "kind", "ghost_1", "ghost_2", "scatter_1", "scatters", "source", "wavelength_nm")
-MOMENT_SUMS = [2, 4, 5, 6]  # of the ledger: absorbed, absorbed · x, absorbed · y, absorbed · (x² + y²)
+MOMENT_SUMS = [2, 3, 4, 5]  # of the ledger: absorbed, absorbed · x, absorbed · y, absorbed · (x² + y²)
 
 
 @dataclass(frozen=True)
@@ -320,9 +320,7 @@ class PathTable(Sequence[PathRow]):
         variance = 0.0
         for number, one in enumerate(self._of_runs):
             here = ids[self._run[ids] == number]
-            if len(here) == 1:
-                variance += float(self._columns["power_se_W"][here[0]]) ** 2
-            elif len(here):
+            if len(here):
                 by_batch = one.paths.sums[self._place[here], :, 2].sum(axis=0)
                 variance += float(one.unit * batch_error(by_batch, one.started)) ** 2
         return float(self._columns["power_W"][ids].sum()), float(np.sqrt(variance))
@@ -368,9 +366,7 @@ class PathTable(Sequence[PathRow]):
         one, here = self._of_runs[run], self._run[ids] == run
         sums = np.zeros((int(group[-1]) + 1, *one.paths.sums.shape[1:]))
         np.add.at(sums, group[here], one.paths.sums[self._place[ids[here]]])
-        scattered = np.bincount(group[here], self._columns["scatters"][ids[here]] > 0, minlength=len(sums))
-        several = np.bincount(group[here], minlength=len(sums)) > 1
-        return RunSums(sums, one.started, one.unit, several | (scattered > 0))
+        return RunSums(sums, one.started, one.unit)
 
     def percents(self, light: Sampled) -> dict[str, np.ndarray]:
         """Columns ``percent`` and ``percent_se`` of the powers of paths of this table, or of groups of them."""
@@ -512,7 +508,7 @@ def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTabl
         facts = describe_events(
             one.paths.events[place], one.paths.lengths[place], run.table.event_ids, run.table.event_words
         )
-        numbers.append(path_numbers([RunSums(one.paths.sums[place], one.started, one.unit, facts["scatters"] > 0)]))
+        numbers.append(path_numbers([RunSums(one.paths.sums[place], one.started, one.unit)]))
         ends = one.paths.events[place, one.paths.lengths[place] - 1] >> EVENT_BITS
         parts.append(
             {

@@ -12,7 +12,7 @@ import numpy as np
 
 from mistray.sampling.emission_laws import IntensityTable
 from mistray.sampling.source import Emission, SceneSource
-from mistray.sampling.space_filling import sorted_points
+from mistray.sampling.space_filling import stratified_points
 from mistray.surfaces.host_points import even_points
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
@@ -52,11 +52,9 @@ class WarmRays(SceneSource):
         """Nothing: temperatures are no parameters."""
         return ()
 
-    def start(
-        self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray, centre: np.ndarray
-    ) -> Emission:
+    def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
         """Origins and directions, see `Source.start`."""
-        sample = sorted_points(batch, rng, closing[0])
+        sample = stratified_points(batch, rng)
         o, d = self._rays(sample, lambda: np.array(rng.next_float32(), dtype=np.float64), dr.width(lane))
         return Emission(mi.Vector3f(*(upload(mi.Float, column) for column in (o - centre).T)), mi.Vector3f(d))
 
