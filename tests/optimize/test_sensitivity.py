@@ -137,7 +137,7 @@ def test_against_differences(load_scene) -> None:
             shape_xml("asphere", "detector", 20.0, sensor=True, half_width=0.9, half_height=0.9),
         )
     )  # fmt: skip
-    metric, params = path_power(scene, "ghost", rays=8000), mi.traverse(scene)
+    metric, params = path_power(scene, "ghost", rays=16_000), mi.traverse(scene)
     keys = ["stop.r0", "rear.bsdf.R", "front.curvature"]
     found = sensitivity(metric, params, keys, check=False)
     for key in keys:
