@@ -1,9 +1,9 @@
 """Numbers of a trace with what each batch of start rays adds to their errors.
 
-Start rays lie evenly within a batch, and batches are independent: a sum over the start rays has the error that the spread
-of its batches says, however often one start ray branches and whatever two sums have in common. To first order every number
-that is computed from sums has an error of the same kind (delta method), and numbers of one trace know how far they vary
-together, so that the error of their quotient is that of a quotient.
+Start rays lie evenly within a batch, and batches are independent: a sum over the start rays has the error that the
+spread of its batches says, however often one start ray branches and whatever two sums have in common. To first order
+every number that is computed from sums has an error of the same kind (delta method), and numbers of one trace know how
+far they vary together, so that the error of their quotient is that of a quotient.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 Positions on the device are rounded. A ray that comes to where two surfaces meet may miss both by a rounding, may meet
 the farther one first, or goes on from a point that lies on the wrong side of the other. Few rays do, one of ten
-millions, but behind a deep baffle they would be brighter than all light that takes the right way. Therefore surfaces
-overlap by a rounding, so that rays meet one of them, and a wall absorbs what meets it within some roundings of its rim,
-but where another goes on in its direction.
+millions, but behind a deep baffle they would be brighter than all light that takes the right way. Therefore walls
+overlap with what they meet by two roundings, so that rays meet one of both, and a wall absorbs what meets it within
+some roundings of its rim, but where another goes on in its direction.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ from mistray.surfaces.gradient_columns import INNER, LOW, OUTER
 from mistray.surfaces.surface import Surface
 from mistray.surfaces.upload import upload
 
-ROUNDINGS = 1  # of positions, by which surfaces overlap
-MOST_OVERLAP = 4e-6  # of the size of a surface
+ROUNDINGS = 2  # of positions, by which walls overlap with what they meet
+TILES = 1  # the same of other surfaces, where they are many
+MOST_OVERLAP = 8e-6  # of the size of a surface
 RIM_ROUNDINGS = 4  # of positions, within which a rim absorbs
 MOST_RIM = 1e-5  # of the size of a wall
 MOST_OF_WIDTH = 1e-4  # of what lies between its rims
@@ -30,7 +31,7 @@ PLACES = 6  # decimals of mm by which rims are the same
 SMOOTH = 1e-8  # 1 - |cosine| of the angle below which a wall goes on in another
 
 
-def let_overlap(pieces: Sequence[Surface], vertices: np.ndarray) -> float:
+def let_overlap(pieces: Sequence[Surface], vertices: np.ndarray, many: Sequence[int]) -> float:
     """
     Let surfaces overlap, and return by how much positions are rounded, mm.
 
@@ -40,13 +41,18 @@ def let_overlap(pieces: Sequence[Surface], vertices: np.ndarray) -> float:
         Their `overlap` is set.
     vertices : (n, 3) float64
         Their positions on the device, mm.
+    many : sequence of int
+        Those in a tree: tiles of a mirror, say, which nothing else holds together. Faces of a prism must not overlap,
+        for a ray that is reflected beyond its edge would be outside.
     """
     if not pieces:
         return 0.0
     largest = max(piece.size + float(np.ptp(piece.z_range)) for piece in pieces)
     rounding = float(np.spacing(np.float32(np.abs(vertices).max() + largest)))
-    for piece in pieces:
-        piece.overlap = min(ROUNDINGS * rounding, MOST_OVERLAP * piece.size)
+    tiles = set(many)
+    for number, piece in enumerate(pieces):
+        roundings = ROUNDINGS if piece.wall else TILES if number in tiles else 0
+        piece.overlap = min(roundings * rounding, MOST_OVERLAP * piece.size)
     return rounding
 
 

@@ -258,11 +258,11 @@ class SurfaceTable:
             axis = axes.setdefault((frame, round(float(local[0]), 9), round(float(local[1]), 9)), len(axes))
             piece.index, piece.frame, piece.axis, piece.z = i, frame, axis, float(local[2])
             vertices[i], rotations[i] = position, self.frames[frame]
-        rounding = let_overlap(self.pieces, vertices[: len(shapes)] - self.centre)
+        looped = many(self.pieces)
+        rounding = let_overlap(self.pieces, vertices[: len(shapes)] - self.centre, looped)
         self.wall_rims = WallRims(self.pieces, self.count, rounding)
         self.axes = list(axes)
         self.families = FamilyTable(self.pieces, self.count)
-        looped = many(self.pieces)
         self.tree = ShellTree(self.pieces, looped, self.frames, self.axes) if looped else None
         self.vertices, self.rotations = vertices, rotations
         self.rotated = len(self.frames) > 1

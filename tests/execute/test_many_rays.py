@@ -116,7 +116,7 @@ def test_the_last_pass_of_a_grid_is_the_last_rows() -> None:
     rays = run.source.count(MOST_RAYS)
     assert rays == 65535**2
     lane = mi.UInt32([0, rays - 1])
-    run.source.start(lane, dr.zeros(mi.UInt32, 2), rays, None, None, run.table.centre)
+    run.source.start(lane, dr.zeros(mi.UInt32, 2), rays, None, run.table.centre)
     np.testing.assert_allclose(np.array(sample[0]).T, [[0.5 / 65535] * 2, [1 - 0.5 / 65535] * 2], rtol=1e-6)
 
 

@@ -143,7 +143,7 @@ class TestDerivativeOfHits:
         assert run.paths is not None
         sums = run.paths.sums.sum(axis=1)
         slot = int(run.paths.slots[np.argmax(sums[:, 2])])
-        flux, mean = sums[np.argmax(sums[:, 2])][2], sums[np.argmax(sums[:, 2])][4] / sums[np.argmax(sums[:, 2])][2]
+        flux, mean = sums[np.argmax(sums[:, 2])][2], sums[np.argmax(sums[:, 2])][3] / sums[np.argmax(sums[:, 2])][2]
         coefficients = np.zeros((run.ledger.capacity, 6))
         coefficients[slot] = np.array([mean**2, -2 * mean, 0.0, 1.0, 0.0, 0.0]) / flux
         x, _, w, texts = recorded(run)

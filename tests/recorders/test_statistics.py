@@ -128,22 +128,25 @@ class TestStandardErrors:
             chi2 = float(np.sum(np.square((value - value.mean()) / se))) / n
             assert abs(chi2 - 31 / 29) < limit * np.sqrt(2.54 / n), f"{name}: chi²/n = {chi2:.3f}"
 
-    def test_errors_shrink_with_the_square_root(self, load_text) -> None:
-        """From 32 batches an error is known to 12.6 %: 5 of these."""
+    def test_errors_shrink_faster_than_with_the_square_root(self, load_text) -> None:
+        """As rays^-0.75 where rims cut an even sample. From 32 batches an error is known to 12.6 %: 5 of these."""
         scene, _ = load_text(lens_text())
         few, many = (mistray.trace(scene, rays=rays, seed=3) for rays in (2_000, 200_000))
-        ratio = few.energy.detected_se_W / many.energy.detected_se_W
-        assert ratio == pytest.approx(10.0, rel=5 * 0.126 * np.sqrt(2))
-        assert few.paths[0].power_se_W / many.paths[0].power_se_W == pytest.approx(10.0, rel=0.1)
+        for a, b in (
+            (few.energy.detected_se_W, many.energy.detected_se_W),
+            (few.paths[0].power_se_W, many.paths[0].power_se_W),
+        ):
+            assert a / b == pytest.approx(100**0.75, rel=5 * 0.126 * np.sqrt(2))
+            assert a / b > 10
 
     def test_binomial(self, load_text) -> None:
-        """One in, one out: σ = sqrt(p (1 - p)/N) (A13). The power of a path has it exactly."""
+        """One in, one out: σ = sqrt(p (1 - p)/N) (A13); from 32 batches it is known to 12.6 %: 5 of these."""
         scene, _ = load_text(plates_text(1, R=0.2, T=0.6))
         t = mistray.trace(scene, rays=50_000, splitting="one", max_reflections=40)
         row, launched = t.paths[0], t.energy.launched_W
         unit = launched / 50_000 * row.power_W / (row.rays * launched / 50_000)  # weight of one ray: absorption stays
         share = row.rays / 50_000
-        assert row.power_se_W == pytest.approx(unit * np.sqrt(share * (1 - share) * 50_000), rel=1e-6)
+        assert row.power_se_W == pytest.approx(unit * np.sqrt(share * (1 - share) * 50_000), rel=5 * 0.126)
 
     @pytest.mark.parametrize("rays", [1, 10, 31, 1000, 4097])
     def test_no_error_where_nothing_is_random(self, rays: int) -> None:
@@ -168,23 +171,30 @@ class TestStandardErrors:
     def test_a_grid_has_honest_errors_too(self, load_text) -> None:
         """Those of random positions, hence too large rather than too small, and not those of rows of the grid."""
         text = lens_text().replace("</emitter>", '<string name="pattern" value="grid"/></emitter>')
-        random, grid = (mistray.trace(load_text(which)[0], rays=10_000) for which in (lens_text(), text))
-        assert grid.settings["rays"] == 10_000
+        even, grid = (mistray.trace(load_text(which)[0], rays=10_000).paths[0] for which in (lens_text(), text))
+        assert grid.rays > 1000
+        random = grid.rms_radius_mm / np.sqrt(2 * grid.rays)
+        for error in (grid.x_se_mm, grid.y_se_mm):
+            assert error == pytest.approx(random, rel=0.2 + 5 * 0.126)  # the image is cut to a rectangle
+        share = grid.rays / 10_000
+        binomial = grid.power_W * np.sqrt((1 - share) / (share * 10_000))
+        assert grid.power_se_W == pytest.approx(binomial, rel=5 * 0.126)
         for what in ("x_se_mm", "y_se_mm", "rms_radius_se_mm", "power_se_W"):
-            a, b = (getattr(t.paths[0], what) for t in (random, grid))
-            assert b == pytest.approx(a, rel=5 * 0.126 * np.sqrt(2)), what
-        truth = [(t.paths[0].x_mm, t.paths[0].y_mm) for t in (random, grid)]
-        assert np.abs(truth[1]).max() < 3 * grid.paths[0].x_se_mm
+            assert getattr(grid, what) > getattr(even, what), what
+        assert np.abs((grid.x_mm, grid.y_mm)).max() < 3 * grid.x_se_mm
 
 
 class TestStartRays:
-    """The rays of a beam are independent and uniform. A generator whose streams were correlated once passed all tests
-    of means and failed these.
+    """The rays of a beam are uniform, even within a batch, and batches are independent. A generator whose streams were
+    correlated once passed all tests of means and failed these.
     """
 
     @pytest.mark.parametrize("rays", [1_000, 40_000])
-    def test_uniform_and_independent(self, load_text, rays: int) -> None:
-        """Variance of the mean position and chi² of 8 × 8 cells over 200 seeds; joint false alarm 1e-3."""
+    def test_uniform_and_even(self, load_text, rays: int) -> None:
+        """Variance of the mean position and chi² of 8 × 8 cells over 200 seeds; joint false alarm 1e-3.
+
+        In units of those of random rays; of n rays in a batch both fall as 1/n or faster.
+        """
         text = scene_text(shape_xml("asphere", "detector", 1.0, sensor=True, half_width=2.0, half_height=2.0))
         square = text.replace(
             'name="radius" value="1.0"', 'name="half_width" value="1"/><float name="half_height" value="1"'
@@ -199,12 +209,13 @@ class TestStartRays:
             chi2.append(np.sum(np.square(cells - rays / 64)) / (rays / 64))
         limit = z_limit(5, 1e-3)
         variance = np.square(z).mean(axis=0)
-        assert np.all(np.abs(variance - 1) < limit * np.sqrt(2 / seeds)), f"variance of the means {variance}"
-        assert np.all(np.abs(np.mean(z, axis=0)) < limit / np.sqrt(seeds))
-        assert abs(np.mean(chi2) - 63) < limit * np.sqrt(2 * 63 / seeds), f"chi² {np.mean(chi2):.1f} of 63 cells"
+        even = 32 / rays  # of a batch
+        assert np.all(variance < 10 * even), f"variance of the means {variance}"
+        assert np.all(np.abs(np.mean(z, axis=0)) < limit * np.sqrt(variance / seeds))
+        assert np.mean(chi2) < 63 * np.minimum(1.0, 10 * np.sqrt(even)), f"chi² {np.mean(chi2):.1f} of 63 cells"
 
     def test_batches_are_independent(self, load_text) -> None:
-        """Means of the 32 batches scatter as independent samples do; false alarm 1e-3."""
+        """Means of the 32 batches scatter as independent samples do, if less than random ones; false alarm 1e-3."""
         scene, _ = load_text(scene_text(shape_xml("asphere", "d", 1.0, sensor=True, half_width=2.0, half_height=2.0)))
         values = []
         for seed in range(60):
@@ -213,7 +224,7 @@ class TestStartRays:
             x, number = np.array(start.o.x, dtype=float), np.array(start.batch)
             values.append(np.bincount(number, x, 32) / np.bincount(number) * np.sqrt(4 * 100))  # radius 1: variance ¼
         values = np.array(values)
-        assert abs(np.var(values) - 1) < z_limit(2, 1e-3) * np.sqrt(2 / values.size)
+        assert np.var(values) < 0.2
         between = np.corrcoef(values.T)[np.triu_indices(32, 1)]
         assert abs(between.mean()) < z_limit(2, 1e-3) / np.sqrt(60 * between.size)
 

@@ -11,7 +11,7 @@ from mistray.recorders.path_events import EVENT_MASK, LETTERS
 from mistray.recorders.path_key import EVENT_BITS
 from mistray.report.html.embedded import power_codes
 
-RAYS = 4000
+RAYS = 5000
 
 
 @pytest.fixture(scope="module")
