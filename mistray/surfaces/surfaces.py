@@ -260,6 +260,9 @@ class SurfaceTable:
             vertices[i], rotations[i] = position, self.frames[frame]
         looped = many(self.pieces)
         rounding = let_overlap(self.pieces, vertices[: len(shapes)] - self.centre, looped)
+        for piece, interface in zip(self.pieces, self.interfaces, strict=False):
+            if interface.front != interface.back:  # light that is beside a body is not in it
+                piece.overlap = 0.0
         self.wall_rims = WallRims(self.pieces, self.count, rounding)
         self.axes = list(axes)
         self.families = FamilyTable(self.pieces, self.count)
