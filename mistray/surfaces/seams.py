@@ -2,9 +2,9 @@
 
 Positions on the device are rounded. A ray that comes to where two surfaces meet may miss both by a rounding, may meet
 the farther one first, or goes on from a point that lies on the wrong side of the other. Few rays do, one of ten
-millions, but behind a deep baffle they would be brighter than all light that takes the right way. Therefore walls
-overlap with what they meet by two roundings, so that rays meet one of both, and a wall absorbs what meets it within
-some roundings of its rim, but where another goes on in its direction.
+millions, but behind a deep baffle they would be brighter than all light that takes the right way. Therefore walls that
+bound no body overlap with what they meet by two roundings, so that rays meet one of both, and a wall absorbs what meets
+it within some roundings of its rim, but where another goes on in its direction.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from mistray.surfaces.families.cone import Cone
 from mistray.surfaces.families.sag_surface import SagSurface
-from mistray.surfaces.gradient_columns import INNER, LOW, OUTER
+from mistray.surfaces.gradient_columns import HIGH, INNER, LOW, OUTER
 from mistray.surfaces.surface import Surface
 from mistray.surfaces.upload import upload
 
@@ -31,7 +31,9 @@ PLACES = 6  # decimals of mm by which rims are the same
 SMOOTH = 1e-8  # 1 - |cosine| of the angle below which a wall goes on in another
 
 
-def let_overlap(pieces: Sequence[Surface], vertices: np.ndarray, many: Sequence[int]) -> float:
+def let_overlap(
+    pieces: Sequence[Surface], vertices: np.ndarray, between_media: Sequence[bool], many: Sequence[int]
+) -> float:
     """
     Let surfaces overlap, and return by how much positions are rounded, mm.
 
@@ -41,17 +43,18 @@ def let_overlap(pieces: Sequence[Surface], vertices: np.ndarray, many: Sequence[
         Their `overlap` is set.
     vertices : (n, 3) float64
         Their positions on the device, mm.
+    between_media : sequence of bool
+        Which have another medium on either side. They do not overlap: light beside a body is not in it.
     many : sequence of int
-        Those in a tree: tiles of a mirror, say, which nothing else holds together. Faces of a prism must not overlap,
-        for a ray that is reflected beyond its edge would be outside.
+        Those in a tree: tiles of a mirror, say, which nothing else holds together.
     """
     if not pieces:
         return 0.0
     largest = max(piece.size + float(np.ptp(piece.z_range)) for piece in pieces)
     rounding = float(np.spacing(np.float32(np.abs(vertices).max() + largest)))
     tiles = set(many)
-    for number, piece in enumerate(pieces):
-        roundings = ROUNDINGS if piece.wall else TILES if number in tiles else 0
+    for number, (piece, bounds) in enumerate(zip(pieces, between_media, strict=True)):
+        roundings = 0 if bounds else ROUNDINGS if piece.wall else TILES if number in tiles else 0
         piece.overlap = min(roundings * rounding, MOST_OVERLAP * piece.size)
     return rounding
 
@@ -77,26 +80,19 @@ class WallRims:
     def __init__(self, pieces: Sequence[Surface], count: int, rounding: float) -> None:
         # Weights of z and r² in the coordinate across the rims, and between which values of it light goes on
         rows = np.tile([0.0, 0.0, -np.inf, np.inf], (count, 1))
-        smooth = _smooth_rims(pieces)
-        for piece in pieces:
-            if not piece.wall or not isinstance(piece, Cone | SagSurface):
-                continue
+        walls = [piece for piece in pieces if piece.wall and isinstance(piece, Cone | SagSurface)]
+        smooth = _smooth_rims(walls)
+        for piece in walls:
             near = min(RIM_ROUNDINGS * rounding, MOST_RIM * piece.size, MOST_OF_WIDTH * float(np.ptp(piece.reach)))
-            for rim in set(piece.rim_sizes).difference(smooth[piece.index]):
-                row = rows[piece.index]
-                if isinstance(piece, Cone):
-                    row[:2] = 1.0, 0.0
-                    if rim == LOW:
-                        row[2] = piece.z_range[0] + near
-                    else:
-                        row[3] = piece.z_range[1] - near
-                elif rim in (OUTER, INNER):
-                    row[:2] = 0.0, 1.0
-                    if rim == INNER:
-                        row[2] = (piece.inner + near) ** 2
-                    else:
-                        row[3] = (piece.outer - near) ** 2
-        self.some = bool(rows[:, :2].any())
+            if isinstance(piece, Cone):
+                weights, bounds = (1.0, 0.0), (piece.z_range[0] + near, piece.z_range[1] - near)
+            else:
+                weights, bounds = (0.0, 1.0), ((piece.inner + near) ** 2, (piece.outer - near) ** 2)
+            rims = set(piece.rim_sizes).difference(smooth[piece.index])
+            low = bounds[0] if rims & {LOW, INNER} else -np.inf
+            high = bounds[1] if rims & {HIGH, OUTER} else np.inf
+            rows[piece.index] = *weights, low, high
+        self.some = bool(np.isfinite(rows[:, 2:]).any())
         self._rows = upload(mi.Float, rows)
 
     def at_rim(self, s: mi.UInt32, q: mi.Vector3f, active: mi.Bool) -> mi.Bool:
@@ -106,13 +102,11 @@ class WallRims:
         return active & ((place < low) | (place > high))
 
 
-def _smooth_rims(pieces: Sequence[Surface]) -> dict[int, set[int]]:
+def _smooth_rims(walls: Sequence[Surface]) -> dict[int, set[int]]:
     """Rims of each wall, by its number, where another wall goes on in its direction."""
-    found: dict[int, set[int]] = {piece.index: set() for piece in pieces}
+    found: dict[int, set[int]] = {piece.index: set() for piece in walls}
     meeting: dict[tuple[int, float, float], list[tuple[int, int, np.ndarray]]] = {}
-    for piece in pieces:
-        if not piece.wall or not isinstance(piece, Cone | SagSurface) or not piece.circular_rims:
-            continue
+    for piece in walls:
         for rim in piece.rim_sizes:
             point = piece.rim_point(rim)
             place = piece.axis, round(float(point[0]), PLACES), round(float(piece.z + point[1]), PLACES)

@@ -259,10 +259,8 @@ class SurfaceTable:
             piece.index, piece.frame, piece.axis, piece.z = i, frame, axis, float(local[2])
             vertices[i], rotations[i] = position, self.frames[frame]
         looped = many(self.pieces)
-        rounding = let_overlap(self.pieces, vertices[: len(shapes)] - self.centre, looped)
-        for piece, interface in zip(self.pieces, self.interfaces, strict=False):
-            if interface.front != interface.back:  # light that is beside a body is not in it
-                piece.overlap = 0.0
+        between_media = [interface.front != interface.back for interface in self.interfaces[: len(shapes)]]
+        rounding = let_overlap(self.pieces, vertices[: len(shapes)] - self.centre, between_media, looped)
         self.wall_rims = WallRims(self.pieces, self.count, rounding)
         self.axes = list(axes)
         self.families = FamilyTable(self.pieces, self.count)
