@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 pytest.importorskip("batoid")
@@ -34,27 +35,31 @@ def test_every_path_of_batoid_and_no_other(result):
         assert [comparison.order[names] for names in comparison.more] == [1]
 
 
+def agree(pairs) -> None:
+    """
+    Both programs bring the same light, ray by ray, but for one ray on the edge of an aperture.
+
+    Of n rays such a ray adds 1/n to the flux and moves the centroid by its distance over n.  It lies within three
+    RMS radii of the centroid: an evenly lit disc ends at 1.4 of them, a crescent or a narrow ring at less than 3.
+    """
+    for ours, theirs in pairs.values():
+        on_edge = abs(ours.rays - theirs.rays)
+        assert on_edge <= 1
+        share = on_edge / min(ours.rays, theirs.rays)
+        assert abs(ours.flux / theirs.flux - 1) < 1e-6 + 1.001 * share
+        assert np.hypot(ours.x_mm - theirs.x_mm, ours.y_mm - theirs.y_mm) < 1e-3 + 3 * theirs.rms_mm * share
+        assert abs(ours.rms_mm / theirs.rms_mm - 1) < 5e-5 + (3**2 - 1) / 2 * share
+
+
 def test_flux_centroid_and_radius(result):
     _, comparison = result
-    worst = lsst.differences(comparison.ghosts())
-    assert worst["flux"] < 2e-3
-    assert worst["centroid_mm"] < 0.05
-    assert worst["rms"] < 2e-3
-    # ray by ray, so that the only difference is a ray on the edge of an aperture
-    assert worst["rays"] <= 1
-    if worst["rays"] == 0:
-        assert worst["flux"] < 1e-6
-        assert worst["centroid_mm"] < 1e-3
-        assert worst["rms"] < 5e-5
+    agree(comparison.ghosts())
 
 
 def test_paths_by_m3_are_real(result):
     """batoid itself, told to follow the surfaces of these paths, finds the same light."""
     _, comparison = result
-    worst = lsst.differences(comparison.more)
-    assert worst["rays"] <= 1
-    assert worst["flux"] < 5e-3
-    assert worst["centroid_mm"] < 0.1
+    agree(comparison.more)
 
 
 def test_many_paths_are_vignetted(result):
