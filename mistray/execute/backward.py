@@ -263,11 +263,11 @@ class BackwardTrace:
     def band_sums(self, number: int, done: int, rays: int) -> dict[str, np.ndarray]:
         """What a pass of so many rays, after so many passes, adds to `sums` at one wavelength."""
         one = self.bands[number]
-        vertices = self._light_vertices(number, (0, done), rays)
+        vertices = self.light_vertices(number, (0, done), rays)
         sky = self.make_directions(maps=True, band=number, vertices=vertices)
         tallies = Tallies(one.table.count, len(one.table.optics.media))
         start = self.start_pass(number, done, rays)
-        self._trace_shared(number, start, vertices, tallies, sky)
+        self.trace_shared(number, start, vertices, tallies, sky)
         # Sums by surface are in the order of the first wavelength's media
         return sky.read() | {
             "surfaces": np.array(tallies.surfaces).reshape(-1, SURFACE_SUMS, BATCHES)[: one.table.count],
@@ -292,26 +292,28 @@ class BackwardTrace:
         if values is None:
             values = np.zeros(self.unit.size)
         for band in range(len(self.bands)):
-            vertices = self._light_vertices(band, (1, number), rays)
+            vertices = self.light_vertices(band, (1, number), rays)
             recorder = DepartureSamples(
                 self.grid, self.has_optics, self._balance(band, vertices), self.table.count, values
             )
-            self._trace_shared(band, self.start_pass(band, FIRST_SEARCH + number, rays), vertices, recorder)
+            self.trace_shared(band, self.start_pass(band, FIRST_SEARCH + number, rays), vertices, recorder)
             found.append(recorder.read())
         return found
 
-    def _trace_shared(
-        self, number: int, start: StartRays, vertices: LightVertices | None, *recorders: Recorder
-    ) -> None:
+    def trace_shared(self, number: int, start: StartRays, vertices: LightVertices | None, *recorders: Recorder) -> None:
         """Trace the trees of some start rays of a wavelength, whose paths are shared if any are."""
+        self._launch(self.shared_scene(number, vertices), start, recorders)
+
+    def shared_scene(self, number: int, vertices: LightVertices | None = None) -> KernelScene:
+        """What the kernel traces at a wavelength if the paths are shared, and rays connected to points of light."""
         band = self.bands[number]
         scene = self.scene(band)
-        if self.rivals:
-            opposite = Opposite(self.rivals[number].scattering, self._with_light, self.connects)
-            # What a medium scatters is sent on by the chance of the surface behind it, which knows nothing of its worth
-            windows = None if band.table.optics.scatters else self._windows
-            scene = replace(scene, opposite=opposite, connections=vertices, windows=windows)
-        self._launch(scene, start, recorders)
+        if not self.rivals:
+            return scene
+        opposite = Opposite(self.rivals[number].scattering, self._with_light, vertices is not None)
+        # What a medium scatters is sent on by the chance of the surface behind it, which knows nothing of its worth
+        windows = None if band.table.optics.scatters else self._windows
+        return replace(scene, opposite=opposite, connections=vertices, windows=windows)
 
     @property
     def connects(self) -> bool:
@@ -329,8 +331,8 @@ class BackwardTrace:
         balance = self.rivals[number].balance
         return balance if vertices is None else balance.beside(vertices)
 
-    def _light_vertices(self, number: int, stream: tuple[int, int], rays: int) -> LightVertices | None:
-        """Points of light for a pass of so many rays, if rays are connected to any."""
+    def light_vertices(self, number: int, stream: tuple[int, int], rays: int) -> LightVertices | None:
+        """Points of light for a pass of so many rays, if rays are connected to any; a stream for each pass."""
         if not self.connects:
             return None
         rival, one = self.rivals[number], self.bands[number]
@@ -353,10 +355,10 @@ class BackwardTrace:
         self.points_of_ray = recorder.count / float(lanes.sum())
         return LightVertices(*recorder.read(), linked, lanes, rival.balance.extent)
 
-    def rival_scene(self, number: int) -> KernelScene:
-        """What rays with the light that share the paths of a wavelength trace."""
+    def rival_scene(self, number: int, connects: bool | None = None) -> KernelScene:
+        """What rays with the light that share the paths of a wavelength trace, beside connections if there are any."""
         band, scattering = self.bands[number], self.rivals[number].scattering
-        opposite = Opposite(band.scattering, self._probabilities, self.connects)
+        opposite = Opposite(band.scattering, self._probabilities, self.connects if connects is None else connects)
         return KernelScene(band.table, scattering, self.intersector, self._with_light, opposite=opposite)
 
     def scene(self, band: Band) -> KernelScene:
@@ -374,9 +376,9 @@ class BackwardTrace:
         shared = None if scene.opposite is None else scene.opposite.connects
         launches_of(scene.table, self.settings, Recorders(recorders).code, shared).whole(start, trace)
 
-    def adjoint(self, derivative: np.ndarray) -> Adjoint:
-        """The gain of a metric, see `DirectionRecorder`."""
-        return Adjoint(0, self.film, directions=self.make_directions(derivative))
+    def adjoint(self, derivative: np.ndarray, band: int = 0, alone: bool = False) -> Adjoint:
+        """The gain of a metric, see `make_directions`."""
+        return Adjoint(0, self.film, directions=self.make_directions(derivative, band=band, alone=alone))
 
     def forget_paths(self) -> None:
         """Empty the table of the paths."""
@@ -407,13 +409,17 @@ class BackwardTrace:
         maps: bool = False,
         band: int = 0,
         vertices: LightVertices | None = None,
+        alone: bool = False,
     ) -> DirectionRecorder:
-        """Sums at zero for one pass, or with a derivative what tells the gain of a metric, see `DirectionRecorder`."""
+        """
+        Sums at zero for one pass, or with a derivative what tells the gain of a metric, see `DirectionRecorder`.
+
+        Rays that are `alone` leave nothing to those of the other direction.
+        """
         pixels = self.map_size[0] * self.map_size[1] if maps else 0
-        if derivative is not None:  # the gradient is that of the backward rays alone, which have the same mean
-            return DirectionRecorder(self.grid, pixels, None, self.has_optics, derivative)
-        weighing = self._balance(band, vertices) if self.rivals else None
-        return DirectionRecorder(self.grid, pixels, self._path_sums, self.has_optics, weighing=weighing)
+        weighing = self._balance(band, vertices) if self.rivals and not alone else None
+        paths = self._path_sums if derivative is None else None
+        return DirectionRecorder(self.grid, pixels, paths, self.has_optics, derivative, weighing)
 
     def start_pass(self, number: int, done: int, rays: int) -> StartRays:
         """The start rays of a wavelength in a pass of so many rays, after so many passes."""

@@ -122,7 +122,8 @@ class Edges:
         table = scene.table
         self._scene, self._table, self._settings = scene, table, settings
         self._near = RimRecorder(table, width, as_many(CAPACITY, settings.max_events), settings.max_events)
-        self._lanes, self._launches = FIRST_LANES, launches_of(table, settings, Edges)
+        self._lanes = FIRST_LANES
+        self._launches = launches_of(table, settings, Edges, scene.backward, scene.opposite is not None)
         rims = len(RIM_COLUMNS)
         sizes = np.zeros((table.count, rims, 2))
         for piece in table.pieces:

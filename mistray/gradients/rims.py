@@ -38,6 +38,10 @@ STATE = {
     "off_design": "Bool",
     "run": "UInt32",
     "scale": "Float",
+    "begun": "Float",
+    "cell": "UInt32",
+    "odds": "Float",
+    "chance": "Float",
 }
 
 
@@ -125,7 +129,13 @@ class RimRecorder(Recorder):
                 dr.scatter(values, value, slot, kept)
             for j, component in enumerate(it.axis):
                 dr.scatter(self.axis, component, 3 * slot + j, kept)
-            of_start = {"batch": visit.start.batch, "scale": visit.start.given("scale", mi.Float(1))}
+            start = visit.start
+            of_start = {
+                "batch": start.batch,
+                "scale": start.given("scale", mi.Float(1)),
+                "begun": start.given("begun", start.w),
+                "cell": start.given("cell", mi.UInt32(0)),
+            }
             for name, values in self.before.items():
                 dr.scatter(values, of_start[name] if name in of_start else state[name], slot, kept)
             return dr.select(kept, slot, NO_EVENT)

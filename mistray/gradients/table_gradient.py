@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from mistray.kernel.scattering import Scattering
     from mistray.surfaces.surfaces import SurfaceTable
 
+ARRAYS = ("rows", "geometry", "edges", "indices", "edge_indices")
 EDGE_WIDTH = 0.05  # usual width of the zones at rims, in units of their radii
 
 
@@ -108,9 +109,14 @@ class TableGradient:
     seconds: float = 0.0
     backward: bool = False
 
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of the arrays that there are."""
+        return (*(name for name in ARRAYS if getattr(self, name) is not None), *sorted(self.scatter))
+
     def add(self, other: TableGradient) -> None:
         """Add another one, with the same tables and the same parts."""
-        for name in ("rows", "geometry", "edges", "indices", "edge_indices"):
+        for name in ARRAYS:
             value = getattr(self, name)
             if value is not None:
                 value += getattr(other, name)

@@ -170,7 +170,8 @@ def gradient_seen(
             seconds += raw.seconds
             left_out += [text for text in raw.left_out if text not in left_out]
             # Fields share their tables: all of them go through the chain rule at once
-            shared = raw.table.wavelength_nm, raw.backward, *(id(table) for table in raw.table.optics.tables)
+            tables = map(id, raw.table.optics.tables)
+            shared = raw.table.wavelength_nm, raw.backward, raw.parts, *tables
             if shared in raws:
                 raws[shared].add(raw)
             else:

@@ -29,6 +29,7 @@ from mistray.recorders.start_rays import StartRays
 from mistray.settings import BATCHES
 
 if TYPE_CHECKING:
+    from mistray.recorders.arrivals import ArrivalRecorder
     from mistray.recorders.direction_recorder import DirectionRecorder
 
 GAIN, EVENTS = "gain", "events"  # of a lane, in the memory
@@ -55,6 +56,8 @@ class Adjoint(Recorder):
         That knows the paths.
     directions : DirectionRecorder, optional
         Says what the metric gains from rays that leave the scene.
+    arrivals : ArrivalRecorder, optional
+        Says what it gains from rays that meet the detector, in place of all that is said of these above.
 
     Attributes
     ----------
@@ -75,9 +78,11 @@ class Adjoint(Recorder):
         map_of_slot: mi.UInt32 | None = None,
         ledger: Ledger | None = None,
         directions: DirectionRecorder | None = None,
+        arrivals: ArrivalRecorder | None = None,
     ) -> None:
         self.rows, self.pixel, self.path, self.map_of_slot = rows, pixel, path, map_of_slot
-        self.ledger, self.directions, self._film, self.incident = ledger, directions, film, film.incident
+        self.ledger, self.directions, self.arrivals, self._film = ledger, directions, arrivals, film
+        self.incident, self.by_way = film.incident or arrivals is not None, arrivals is not None
         self.stride = dr.opaque(mi.UInt32, rows * CHANNELS)
         self.sums = dr.zeros(mi.Float64, BATCHES * rows * CHANNELS)
         self.unknown = dr.zeros(mi.Float64, 1)
@@ -91,7 +96,7 @@ class Adjoint(Recorder):
             type(self).__name__,
             self.rows > 0,
             *(part is not None for part in parts),
-            self.directions and self.directions.code,
+            *(one and one.code for one in (self.directions, self.arrivals)),
         )
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
@@ -103,6 +108,9 @@ class Adjoint(Recorder):
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """The metric gains from hits of the detector."""
+        if self.arrivals is not None:
+            memory[GAIN] = memory[GAIN] + self.arrivals.gain(visit)
+            return
         if self.ledger is not None:
             slot, found = self.ledger.known(visit.key, visit.counted)
             unknown = visit.counted & ~found

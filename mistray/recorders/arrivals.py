@@ -14,6 +14,7 @@ from mistray.recorders.path_sums import PathSums
 from mistray.recorders.recorder import Memory, Recorder, Visit
 from mistray.recorders.weighing import Weighing
 from mistray.settings import BATCHES
+from mistray.surfaces.upload import upload
 
 
 class ArrivalRecorder(Recorder):
@@ -31,6 +32,8 @@ class ArrivalRecorder(Recorder):
     paths : PathSums, optional
     film : Film, optional
         Of a map of the detector for each cell; None: no maps.
+    derivative : (CLASS_COUNT, cells) float64, optional
+        Derivative of a metric by the sums of the weights of each class in each cell, for `gain`.
     """
 
     by_way, incident = True, True
@@ -42,7 +45,9 @@ class ArrivalRecorder(Recorder):
         weighing: Weighing,
         paths: PathSums | None = None,
         film: Film | None = None,
+        derivative: np.ndarray | None = None,
     ) -> None:
+        self._derivative = None if derivative is None else upload(mi.Float64, np.asarray(derivative, dtype=np.float64))
         self._cells, self._has_optics, self._weighing = cells, has_optics, weighing
         self.paths, self._film = paths, film
         self._pixels = pixels = 0 if film is None else film.width * film.height
@@ -54,7 +59,7 @@ class ArrivalRecorder(Recorder):
     @property
     def code(self) -> Hashable:
         """See `Recorder.code`."""
-        return type(self).__name__, self._maps is not None, self.paths is not None
+        return type(self).__name__, *(part is not None for part in (self._maps, self.paths, self._derivative))
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Add rays that have met the detector."""
@@ -76,6 +81,14 @@ class ArrivalRecorder(Recorder):
                 dr.scatter_reduce(dr.ReduceOp.Add, self._maps, value, place + k, met)
         if self.paths is not None:
             self.paths.record(visit.key, visit.depth + 1, visit.event, cell, weight, met)
+
+    def gain(self, visit: Visit) -> mi.Float64:
+        """What the metric gains from rays that meet the detector; nothing is added to the sums."""
+        cell, met = visit.start.cell, visit.detected
+        assert cell is not None
+        index = class_of_arrival(visit, self._has_optics) * self._cells + cell
+        weight = mi.Float64(visit.weight * self._weighing.along(visit).along)
+        return dr.select(met, weight * dr.gather(mi.Float64, self._derivative, index, met), 0)
 
     def read(self) -> dict[str, np.ndarray]:
         """

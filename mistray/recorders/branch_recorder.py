@@ -13,6 +13,7 @@ from mistray.recorders.ledger import Ledger
 from mistray.recorders.recorder import Departure, EventReader, Memory, Recorder, Visit
 
 if TYPE_CHECKING:
+    from mistray.recorders.arrivals import ArrivalRecorder
     from mistray.recorders.direction_recorder import DirectionRecorder
 
 NODE_FLOATS = 7  # of a node: point, direction of arrival, weight
@@ -59,6 +60,8 @@ class BranchRecorder(Recorder):
         every ray is recorded that leaves the scene and counts.
     directions : DirectionRecorder or None
         Says what counts of rays that leave the scene; None: nothing.
+    arrivals : ArrivalRecorder or None
+        Says what counts of rays that meet the detector, whether it absorbs them or not; None: all that it absorbs.
     count : (1,) mi.UInt32
         Branches that there were.
     lane, length : (capacity,) mi.UInt32
@@ -68,7 +71,7 @@ class BranchRecorder(Recorder):
     nodes : (capacity, max_events, node_floats) mi.Float
         Points (mm), and unless `points_only` directions of arrival and weights.
     weight : (capacity,) mi.Float64
-        Flux that meets the detector in units of the start ray's; in a backward trace what the metric gains.
+        Flux that meets the detector in units of the start ray's; with `directions` or `arrivals` what the metric gains.
     heading : (capacity, 3) mi.Float
         Directions of rays that leave the scene.
     place : (capacity, 2) mi.Float
@@ -84,6 +87,7 @@ class BranchRecorder(Recorder):
     points_only: bool = False
     choice: PathChoice | None = None
     directions: DirectionRecorder | None = None
+    arrivals: ArrivalRecorder | None = None
 
     def __post_init__(self) -> None:
         size = self.capacity * self.max_events
@@ -104,7 +108,18 @@ class BranchRecorder(Recorder):
     @property
     def code(self) -> Hashable:
         """See `Recorder.code`."""
-        return type(self).__name__, self.choice is None, None if self.directions is None else self.directions.code
+        ends = (None if one is None else one.code for one in (self.directions, self.arrivals))
+        return type(self).__name__, self.choice is None, *ends
+
+    @property
+    def by_way(self) -> bool:  # type: ignore[override]
+        """See `Recorder`."""
+        return self.arrivals is not None
+
+    @property
+    def incident(self) -> bool:  # type: ignore[override]
+        """See `Recorder`."""
+        return self.arrivals is not None
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Record hits of the detector."""
@@ -112,7 +127,11 @@ class BranchRecorder(Recorder):
         bits = dr.reinterpret_array(mi.UInt32, visit.weight)
         dr.scatter_reduce(dr.ReduceOp.Max, self.peak, bits, mi.UInt32(0), visit.detected)
         chosen = visit.detected if self.choice is None else self.choice.holds(visit.key, visit.detected)
-        self.write(visit, chosen & visit.counted, visit.node, mi.Float64(visit.weight), place=visit.position)
+        weight = mi.Float64(visit.weight)
+        if self.arrivals is not None:
+            weight = self.arrivals.gain(visit)
+            chosen &= weight != 0
+        self.write(visit, chosen & visit.counted, visit.node, weight, place=visit.position)
 
     def depart(self, departure: Departure, memory: Memory) -> None:
         """Record rays that leave the scene from within."""

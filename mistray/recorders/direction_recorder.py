@@ -168,7 +168,12 @@ class DirectionRecorder(Recorder):
         cell, inside = self.cell(departure.heading)
         index = class_of_departure(departure, self._has_optics) * self.cells + cell
         inside &= departure.active
-        gained = mi.Float64(departure.weight) * dr.gather(mi.Float64, self._derivative, index, inside)
+        weight = departure.weight
+        if self._weighing is not None:
+            share = self._weighing.against(departure, cell, inside).against
+            inside &= share > 0
+            weight = weight * share
+        gained = mi.Float64(weight) * dr.gather(mi.Float64, self._derivative, index, inside)
         return dr.select(inside, gained, 0)
 
     def read(self) -> dict[str, Any]:

@@ -68,6 +68,10 @@ class StartRays:
         Surface that a ray has just arrived at, with its origin on it; `NO_SURFACE`: it is on its way.
     scale : mi.Float, optional
         Weight with which the ray left the source, where that is not 1: what `Settings.flux_threshold` is relative to.
+    begun : mi.Float, optional
+        Weight with which a ray that goes on from within a tree has left the detector.
+    odds, chance : mi.Float, optional
+        Of such a ray, see `mistray.kernel.odds`.
     place : list of mi.Float, optional
         Where the start rays lie in the unit cube of their cell, see `mistray.sampling.plane_wave.wave_rays`.
     stokes : mi.Vector3f, optional
@@ -96,6 +100,9 @@ class StartRays:
     run: mi.UInt32 | None = None
     at: mi.UInt32 | None = None
     scale: mi.Float | None = None
+    begun: mi.Float | None = None
+    odds: mi.Float | None = None
+    chance: mi.Float | None = None
     place: list[mi.Float] | None = None
     stokes: mi.Vector3f | None = None
 

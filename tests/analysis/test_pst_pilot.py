@@ -24,6 +24,7 @@ from mistray.analysis.pst.plan import (
 from mistray.analysis.pst.result import Pst, notes
 from mistray.analysis.pst.state import PstProgress
 from mistray.errors import MistrayWarning
+from mistray.execute.all_cells import AllCells
 from mistray.execute.backward import BackwardTrace
 from mistray.kernel.odds import Odds
 from mistray.recorders.direction_recorder import CLASS_COUNT, SINGLE
@@ -33,7 +34,6 @@ from mistray.sampling.plane_wave import hull_points
 from mistray.sampling.sharing.balance import Sharing
 from mistray.sampling.sharing.start_map import StartMap
 from mistray.settings import Settings
-from mistray.trace.all_cells import AllCells
 
 WHITE = {"type": "interface", "R": 0.0, "m": {"type": "paint", "reflectance": 0.9}}
 PAINT = {"type": "interface", "R": 0.0, "m": {"type": "paint", "reflectance": 0.1}}

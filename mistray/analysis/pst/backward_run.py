@@ -21,6 +21,7 @@ from mistray.analysis.pst.state import PstProgress, load_state, require_same, sa
 from mistray.errors import MistrayWarning, UnfinishedError
 from mistray.execute.backward import FIRST_PASS, BackwardTrace
 from mistray.execute.forecast import LONG, duration
+from mistray.gradients.pst_gradient import PstRays
 from mistray.interrupts import later, requested
 from mistray.recorders.direction_recorder import DIFFRACTED, MULTIPLE, SINGLE
 from mistray.recorders.path_sums import join_sums
@@ -287,7 +288,8 @@ class BackwardRun:
             path_rows=found.rows(trace) if found is not None else None,
             maps=self._maps(unit, rays),
             extent_mm=trace.extent,
-            source=trace,
+            source=PstRays(trace, light.cells if light is not None else None),
+            plan=self._plan,
             techniques=bare.techniques,
         )
 

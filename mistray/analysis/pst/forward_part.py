@@ -6,11 +6,11 @@ import time
 
 import numpy as np
 
+from mistray.execute.all_cells import AllCells
 from mistray.execute.backward import BackwardTrace
 from mistray.recorders.direction_recorder import CLASS_COUNT
 from mistray.recorders.path_sums import join_sums
 from mistray.settings import BATCHES
-from mistray.trace.all_cells import AllCells
 
 SUMS, PATHS = "light_", "light_path_"  # names of arrays that are saved
 
@@ -30,11 +30,13 @@ class ForwardPart:
     rays : (c,) float64
         Start rays of each cell.
     seconds : float
+    cells : AllCells
+        What traces them.
     """
 
     def __init__(self, trace: BackwardTrace, saved: dict[str, np.ndarray] | None = None) -> None:
-        self._cells = AllCells(trace)
-        count, pixels = self._cells.cells, trace.map_size[0] * trace.map_size[1]
+        self.cells = AllCells(trace)
+        count, pixels = self.cells.cells, trace.map_size[0] * trace.map_size[1]
         self.rays, self.seconds, self._rounds = np.zeros(count), 0.0, 0
         self._before: dict[str, np.ndarray] = {}
         self._sums = {"cells": np.zeros((CLASS_COUNT, count, BATCHES)), "largest": np.zeros(count)}
@@ -53,7 +55,7 @@ class ForwardPart:
         if not missing.any():
             return
         started = time.perf_counter()
-        for name, values in self._cells.sums(missing, self._rounds).items():
+        for name, values in self.cells.sums(missing, self._rounds).items():
             self._sums[name] = np.maximum(self._sums[name], values) if name == "largest" else self._sums[name] + values
         self.rays = self.rays + missing
         self._rounds += 1
@@ -62,19 +64,19 @@ class ForwardPart:
     @property
     def unit(self) -> np.ndarray:
         """(c,) PST_normal of the light of one start ray."""
-        unit = self._cells.unit
+        unit = self.cells.unit
         return np.divide(unit, self.rays, out=np.zeros_like(unit), where=self.rays > 0)
 
     @property
     def by_batch(self) -> np.ndarray:
         """(CLASS_COUNT, n, m, BATCHES): what each batch alone adds to the PST_normal of each class."""
         found = BATCHES * self.unit[:, None] * self._sums["cells"]
-        return np.asarray(found.reshape(CLASS_COUNT, *self._cells.areas.shape, BATCHES))
+        return np.asarray(found.reshape(CLASS_COUNT, *self.cells.areas.shape, BATCHES))
 
     @property
     def largest(self) -> np.ndarray:
         """(n, m) PST_normal of the strongest scattered ray."""
-        return np.asarray((self.unit * self._sums["largest"]).reshape(self._cells.areas.shape))
+        return np.asarray((self.unit * self._sums["largest"]).reshape(self.cells.areas.shape))
 
     @property
     def maps(self) -> np.ndarray:
@@ -82,11 +84,11 @@ class ForwardPart:
         weight, squares = self._sums["maps"]
         rays, unit = np.maximum(self.rays, 1)[:, None], self.unit[:, None]
         found = np.stack([unit * weight, unit**2 * np.maximum(squares - weight**2 / rays, 0)])
-        return found.reshape(2, *self._cells.areas.shape, -1)
+        return found.reshape(2, *self.cells.areas.shape, -1)
 
     def paths(self) -> dict[str, np.ndarray]:
         """The path table, see `PathSums.read`; event lists in the order of the light."""
-        here = self._cells.paths()
+        here = self.cells.paths()
         return join_sums(self._before, here) if self._before and here else here or self._before
 
     def arrays(self) -> dict[str, np.ndarray]:

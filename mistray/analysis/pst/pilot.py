@@ -18,12 +18,12 @@ from mistray.analysis.pst.plan import (
     factors_of_equal_errors,
     factors_of_least_variance,
 )
+from mistray.execute.all_cells import AllCells
 from mistray.execute.backward import BackwardTrace
 from mistray.recorders.start_samples import ORDERS, Samples
 from mistray.sampling.sharing.balance import Sharing
 from mistray.sampling.sharing.cell_starts import whole_batches
 from mistray.sampling.sharing.start_map import StartMap, of_each
-from mistray.trace.all_cells import AllCells
 
 FIRST_ROUND, LEAST_ROUNDS = 1 << 12, 5  # rays of the first round, each of the next takes twice as many
 REMEMBERED = 3  # rounds whose samples the map is made of

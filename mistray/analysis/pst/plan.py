@@ -69,6 +69,15 @@ class Plan:
         """(c,) rays with the light beside so many against it."""
         return whole_batches(self.sharing.rays * rays)
 
+    def again(self) -> Plan:
+        """For another run, which spends no rays on a pilot."""
+        return replace(self, pilot_rays=np.zeros(2))
+
+    def fits(self, cells: int, surfaces: int) -> bool:
+        """Whether it is one for a scene of so many surfaces that is lit from so many cells."""
+        windows = self.sharing.windows
+        return len(self.sharing.rays) == cells and (windows is None or windows.shape[1] == surfaces)
+
     def arrays(self) -> dict[str, np.ndarray]:
         """All of it as arrays."""
         own = {f.name: np.asarray(getattr(self, f.name)) for f in fields(self) if f.name != "sharing"}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.gradients.backward_gradient import backward_gradient
+from mistray.gradients.pst_gradient import PstRays
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.recorders.direction_recorder import CLASSES
 from mistray.recorders.directions import DirectionGrid
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray
 
-    from mistray.execute.backward import BackwardTrace
+    from mistray.analysis.pst.plan import Plan
 
 STRAY = CLASSES[1:]
 CONVENTIONS = ("normal", "projected")
@@ -69,8 +69,10 @@ class Pst:
         PST_normal of each pixel of the detector and its standard error.
     extent_mm : tuple of float
         x0, x1, y0, y1 of the detector, in its own frame.
-    source : BackwardTrace, optional
+    source : PstRays, optional
         What it comes from, for derivatives.
+    plan : Plan, optional
+        What its pilot has found, where rays of both directions share the light.
     techniques : dict of str to (c, n, m, b) float64
         The part of `by_batch` that rays of each direction have counted, see `budget`.
     """
@@ -86,7 +88,8 @@ class Pst:
     path_rows: pd.DataFrame | None = None
     maps: np.ndarray | None = None
     extent_mm: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    source: BackwardTrace | None = field(default=None, repr=False, compare=False)
+    source: PstRays | None = field(default=None, repr=False, compare=False)
+    plan: Plan | None = field(default=None, repr=False, compare=False)
     techniques: Mapping[str, np.ndarray] = field(default_factory=dict, repr=False, compare=False)
 
     def table_gradients(
@@ -101,12 +104,12 @@ class Pst:
             Of the metric by PST_normal of each class in each cell.
         request : GradientRequest
         groups : (n, m) int, optional
-            Numbers of groups of cells, see `mistray.gradients.backward_gradient`.
+            Numbers of groups of cells, see `mistray.gradients.pst_gradient.PstRays.gradient`.
 
         Yields
         ------
         TableGradient
-            For each wavelength.
+            For each wavelength and direction; they add up.
 
         Raises
         ------
@@ -115,8 +118,7 @@ class Pst:
         """
         if self.source is None:
             raise MistrayError("this PST has no rays to differentiate; compute it without method='forward'")
-        unit = self.source.unit / float(self.source.rays.sum())
-        yield from backward_gradient(self.source, unit * np.asarray(derivative), request, groups)
+        yield from self.source.gradient(np.asarray(derivative), request, groups)
 
     def __post_init__(self) -> None:
         if self.convention not in CONVENTIONS:

@@ -11,7 +11,7 @@ import numpy as np
 
 from mistray.analysis.pst.backward_run import BackwardRun
 from mistray.analysis.pst.forward import forward_pst
-from mistray.analysis.pst.plan import shared
+from mistray.analysis.pst.plan import Plan, shared
 from mistray.analysis.pst.request import Numbers, PstRequest
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.state import PstProgress
@@ -152,6 +152,7 @@ def pst_of_each(
     field_deg: Numbers = range(0, 81, 2),
     *,
     progress: Progress | None = None,
+    plan: Plan | None = None,
     **arguments: Any,
 ) -> Iterator[Pst]:
     """
@@ -166,6 +167,9 @@ def pst_of_each(
         All are taken before the first run. Angles are measured from the axis of each scene's own source.
     field_deg, progress
         See `pst`.
+    plan : Plan, optional
+        `Pst.plan` of a PST before, of a scene much like these: there is no pilot then, and rays start as they did. One
+        that does not fit is not used.
     **arguments
         The others of `pst`. With `relative_error`, `state` or `resume` one scene only.
 
@@ -201,12 +205,16 @@ def pst_of_each(
     lit = hull_points(*(trace.table for trace in traces))
     place = Path(request.state) if request.state is not None else None
     runs = [BackwardRun(trace, lit, request.method == "joined", place, request.resume) for trace in traces]
-    plans = [run.plan(request.relative_error, request.error_up_to_deg) for run in runs]
-    if known := [plan for plan in plans if plan is not None]:
-        plans = [*shared(known)]
-    for run, plan in zip(runs, plans, strict=True):
+    plans: list[Plan | None]
+    if plan is not None and all(plan.fits(trace.unit.size, trace.table.count) for trace in traces):
+        plans = [plan.again() for _ in runs]
+    else:
+        plans = [run.plan(request.relative_error, request.error_up_to_deg) for run in runs]
+        if known := [plan for plan in plans if plan is not None]:
+            plans = [*shared(known)]
+    for run, of_run in zip(runs, plans, strict=True):
         try:
-            run.go_on(plan, progress)
+            run.go_on(of_run, progress)
         except UnfinishedError as error:
             if error.partial is not None:
                 error.partial = error.partial.to(request.convention)

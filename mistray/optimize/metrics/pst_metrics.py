@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import mitsuba as mi
@@ -39,12 +39,16 @@ class PstMetric(Metric):
     settings : dict
         Arguments of `mistray.pst`: field_deg, rays, max_scatters, seed, …. `field_deg`, `wavelength_nm` and `weights`
         of `Metric` are not used.
+    plans : dict
+        What pilots have found, see `PstView`.
     """
+
+    plans: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def views(self) -> list[View]:
         """The PST."""
-        return [PstView(self.settings or {})]
+        return [PstView(self.settings or {}, self.plans)]
 
 
 @renamed(angle_deg="field_deg", angles_deg="pst_field_deg")

@@ -15,6 +15,8 @@ from mistray.optimize.metrics.observation import Observation
 from mistray.optimize.metrics.pst_observation import PstObservation
 from mistray.trace import Settings, trace
 
+METHODS = ("joined", "adjoint")  # of a PST metric, the usual one first
+
 
 @dataclass(frozen=True)
 class View:
@@ -59,23 +61,32 @@ class PstView(View):
     ----------
     arguments : dict
         Of `mistray.pst`.
+    plans : dict
+        What the pilot of the first look has found, for those that follow: their rays start from the same places, so
+        that scenes which differ little are seen with the same noise.
     """
 
+    plans: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
+
     def __post_init__(self) -> None:
-        for name in ("method", "relative_error", "error_up_to_deg", "state", "resume", "map_pixels", "paths"):
+        for name in ("relative_error", "error_up_to_deg", "state", "resume", "map_pixels", "paths"):
             if name in self.arguments:
-                raise MistrayError(
-                    f"{name} is no setting of a PST metric: it traces `rays` rays by the adjoint method, each time anew"
-                )
+                raise MistrayError(f"{name} is no setting of a PST metric: it traces `rays` rays, each time anew")
+        method = self.arguments.get("method", METHODS[0])
+        if method not in METHODS:
+            raise MistrayError(f"method of a PST metric is '{method}'; use {' or '.join(map(repr, METHODS))}")
 
     def observe(self, scene: Any, times: float, changes: Mapping[str, Any]) -> PstObservation:
         """Compute the PST with so many times the rays; `changes` replace some of the arguments."""
-        return PstObservation(
-            next(pst_of_each([scene], paths=False, method="adjoint", **self._arguments(scene, times, changes)))
-        )
+        other = {name: value for name, value in changes.items() if name not in ("rays", "seed")}
+        look = tuple(sorted((name, _plain(value)) for name, value in other.items()))
+        arguments = {"method": METHODS[0], **self._arguments(scene, times, changes)}
+        found = next(pst_of_each([scene], paths=False, plan=self.plans.get(look), **arguments))
+        self.plans[look] = found.plan
+        return PstObservation(found)
 
     def _usual_rays(self, scene: Any) -> int:
-        return RAYS["adjoint"]
+        return RAYS[METHODS[0]]
 
 
 def _plain(value: Any) -> Any:

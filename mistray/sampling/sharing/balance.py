@@ -109,7 +109,8 @@ class Balance:
         """See `mistray.recorders.weighing.Weighing`."""
         point = self.start_of(departure, cell, active)
         density = self.starts.density(cell, point, active)
-        along = self._with_light(cell, density, departure.start.w, active) * _or_one(departure.odds)
+        start = departure.start
+        along = self._with_light(cell, density, start.given("begun", start.w), active) * _or_one(departure.odds)
         linked = self._connections(cell, density, departure.link, active)
         share = dr.rcp(1 + along + linked)
         shares = PathShares(along * share, share, linked * share)

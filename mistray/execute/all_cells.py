@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -37,12 +39,15 @@ class AllCells:
         detector, brings it ``area · w̄``.
     unit : (c,) float64
         PST_normal of a mean weight of 1 of the start rays of a cell.
+    rounds : list of tuple
+        Number and rays, as `sums` has taken them.
     """
 
     def __init__(self, trace: BackwardTrace) -> None:
         self._trace = trace
         self.areas = trace.rivals[0].balance.areas.reshape(trace.grid.shape)
         self.cells = self.areas.size
+        self.rounds: list[tuple[int, np.ndarray]] = []
         self.unit = self.areas.ravel() / trace.area
         x0, x1, y0, y1 = trace.extent
         columns, rows = (max(size, 1) for size in trace.map_size)
@@ -84,6 +89,7 @@ class AllCells:
             See `ArrivalRecorder.read`.
         """
         trace = self._trace
+        self.rounds.append((number, rays))
         total: dict[str, np.ndarray] = {}
         if self._paths is None and trace.lists_paths:
             self._paths = trace.new_paths()
@@ -100,8 +106,14 @@ class AllCells:
         """The path table so far, see `PathSums.read`; empty where there is none."""
         return self._paths.read() if self._paths is not None else {}
 
-    def _run(self, band: int, rays: np.ndarray, stream: tuple[int, int], recorder: Recorder) -> None:
-        """Trace a wavelength, in as many passes as it takes."""
+    def gains(self, band: int, derivative: np.ndarray) -> ArrivalRecorder:
+        """What a metric gains at a wavelength, by its derivative by the sums of each class in each cell."""
+        trace = self._trace
+        balance = trace.rivals[band].balance
+        return ArrivalRecorder(self.cells, trace.has_optics, balance, derivative=derivative)
+
+    def starts(self, band: int, rays: np.ndarray, stream: tuple[int, int]) -> Iterator[StartRays]:
+        """Start rays of a wavelength, in as many passes as it takes; a stream for each round."""
         trace = self._trace
         one = trace.bands[band]
         wanted = rays * one.share
@@ -109,12 +121,19 @@ class AllCells:
         lanes = np.where(wanted > 0, np.maximum(np.round(wanted / passes / BATCHES), 1) * BATCHES, 0).astype(np.int64)
         # The share of a wavelength is that of its rays, but for rounding
         weight = np.divide(wanted, passes * lanes, out=np.zeros(len(lanes)), where=lanes > 0)
-        scene = trace.rival_scene(band)
         for k in range(passes):
-            balance, seed = trace.rivals[band].balance, (trace.settings.seed, *stream, band, k)
-            start = cell_starts(balance, seed, lanes, weight)
+            yield cell_starts(trace.rivals[band].balance, (trace.settings.seed, *stream, band, k), lanes, weight)
 
-            def launch(part: StartRays) -> None:
-                trace_tree(scene, part, trace.settings, [recorder])
+    def trace_trees(self, band: int, start: StartRays, recorder: Recorder) -> None:
+        """Trace the trees of some start rays of a wavelength."""
+        trace = self._trace
+        scene, table = trace.rival_scene(band), trace.bands[band].table
 
-            launches_of(one.table, trace.settings, recorder.code, "with the light", trace.connects).whole(start, launch)
+        def launch(part: StartRays) -> None:
+            trace_tree(scene, part, trace.settings, [recorder])
+
+        launches_of(table, trace.settings, recorder.code, "with the light", trace.connects).whole(start, launch)
+
+    def _run(self, band: int, rays: np.ndarray, stream: tuple[int, int], recorder: Recorder) -> None:
+        for start in self.starts(band, rays, stream):
+            self.trace_trees(band, start, recorder)
