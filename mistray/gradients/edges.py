@@ -111,14 +111,14 @@ class Edges:
     settings : Settings
     width : float
         Of the zones along the rims, in units of their radius or half side.
+    start_scale : float, optional
+        `StartRays.scale` that rays with the light have past a rim before any scatter. A map of starts has many of them
+        where light gets in, and few beside, where it hits the rim. Past the rim a path is weighed as if its rays were
+        as many as those that hit.
     """
 
-    def __init__(
-        self,
-        scene: KernelScene,
-        settings: Settings,
-        width: float,
-    ) -> None:
+    def __init__(self, scene: KernelScene, settings: Settings, width: float, start_scale: float | None = None) -> None:
+        self._start_scale = start_scale
         table = scene.table
         self._scene, self._table, self._settings = scene, table, settings
         self._near = RimRecorder(table, width, as_many(CAPACITY, settings.max_events), settings.max_events)
@@ -258,6 +258,9 @@ class Edges:
         rng.seed(mi.UInt64(state), mi.UInt64(sequence))
         left = dr.select(corner.left == NO_SURFACE, s, corner.left)
         o, d, left, at = self._jump(row, jumps, p, s, (o, d, left, corner.at))
+        if self._start_scale is not None:
+            lit = before["scatters"] == 0
+            before["scale"] = dr.select(lit, dr.opaque(mi.Float, self._start_scale), before["scale"])
         start = StartRays(lane=lane, rng=rng, o=o, d=d, w=w, left=left, at=at, **before)
         dr.eval(rng, vars(start))
         factor, joined = dr.select(jumps, 1, corner.factor), dr.select(jumps, NO_SURFACE, corner.joined)

@@ -30,6 +30,7 @@ from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.branch_recorder import BranchRecorder
 from mistray.recorders.start_rays import StartRays
 from mistray.sampling.sharing.light_vertices import LightVertices
+from mistray.sampling.sharing.start_map import UNIFORM
 from mistray.surfaces.gradient_columns import GEOMETRY, RIM_COLUMNS
 from mistray.surfaces.upload import upload
 
@@ -177,7 +178,8 @@ class PstRays:
         with dr.suspend_grad():
             edges = None
             if path_replay.edges:
-                edges = Edges(trace.rival_scene(number, connects=False), trace.settings, request.edge_width)
+                scene = trace.rival_scene(number, connects=False)
+                edges = Edges(scene, trace.settings, request.edge_width, 1 / UNIFORM)
                 adjoint = Adjoint(0, trace.film, arrivals=recorder.arrivals)
             for round_number, of_cells in cells.rounds:
                 for whole in cells.starts(number, of_cells, (0, round_number)):

@@ -24,7 +24,7 @@ from mistray.recorders.weighing import PathShares
 from mistray.sampling.detector_start import DetectorStart
 from mistray.sampling.plane_wave import PlaneWaves
 from mistray.sampling.sharing.light_vertices import LightVertices
-from mistray.sampling.sharing.start_map import DeviceMap, StartMap
+from mistray.sampling.sharing.start_map import UNIFORM, DeviceMap, StartMap
 from mistray.surfaces.upload import upload
 
 
@@ -110,6 +110,9 @@ class Balance:
         point = self.start_of(departure, cell, active)
         density = self.starts.density(cell, point, active)
         start = departure.start
+        if start.begun is not None:  # past a rim; see `mistray.gradients.edges.Edges`
+            lit = departure.scatters == start.scatters
+            density = dr.select(lit, UNIFORM, density)
         along = self._with_light(cell, density, start.given("begun", start.w), active) * _or_one(departure.odds)
         linked = self._connections(cell, density, departure.link, active)
         share = dr.rcp(1 + along + linked)
