@@ -17,6 +17,7 @@ from mistray.recorders.path_sums import PathSums
 from mistray.recorders.recorder import Recorder
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.start_samples import ArrivalSamples, Samples
+from mistray.recorders.weighing import Weighing
 from mistray.sampling.sharing.cell_starts import cell_starts
 from mistray.settings import BATCHES
 
@@ -106,11 +107,9 @@ class AllCells:
         """The path table so far, see `PathSums.read`; empty where there is none."""
         return self._paths.read() if self._paths is not None else {}
 
-    def gains(self, band: int, derivative: np.ndarray) -> ArrivalRecorder:
-        """What a metric gains at a wavelength, by its derivative by the sums of each class in each cell."""
-        trace = self._trace
-        balance = trace.rivals[band].balance
-        return ArrivalRecorder(self.cells, trace.has_optics, balance, derivative=derivative)
+    def gains(self, derivative: np.ndarray, weighing: Weighing) -> ArrivalRecorder:
+        """What a metric gains, by its derivative by the sums of each class in each cell."""
+        return ArrivalRecorder(self.cells, self._trace.has_optics, weighing, derivative=derivative)
 
     def starts(self, band: int, rays: np.ndarray, stream: tuple[int, int]) -> Iterator[StartRays]:
         """Start rays of a wavelength, in as many passes as it takes; a stream for each round."""

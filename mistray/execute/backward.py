@@ -29,11 +29,13 @@ from mistray.recorders.recorder import Recorder, Recorders
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.start_samples import ORDERS, DepartureSamples, Samples
 from mistray.recorders.tallies import CHANNEL_COUNT, CUTS, SEGMENTS, SURFACE_SUMS, Tallies
+from mistray.recorders.weighing import Weighing
 from mistray.sampling.backward_targets import backward_targets
 from mistray.sampling.detector_start import DetectorStart
 from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.sharing.balance import Balance, Sharing
 from mistray.sampling.sharing.cell_starts import cell_starts, whole_batches
+from mistray.sampling.sharing.families import FamilyShares
 from mistray.sampling.sharing.light_vertices import LightVertexRecorder, LightVertices
 from mistray.sampling.sources import spectrum_of
 from mistray.settings import BATCHES, NO_LIMIT, Settings
@@ -264,7 +266,7 @@ class BackwardTrace:
         """What a pass of so many rays, after so many passes, adds to `sums` at one wavelength."""
         one = self.bands[number]
         vertices = self.light_vertices(number, (0, done), rays)
-        sky = self.make_directions(maps=True, band=number, vertices=vertices)
+        sky = self.make_directions(maps=True, weighing=self.balance(number, vertices))
         tallies = Tallies(one.table.count, len(one.table.optics.media))
         start = self.start_pass(number, done, rays)
         self.trace_shared(number, start, vertices, tallies, sky)
@@ -293,27 +295,27 @@ class BackwardTrace:
             values = np.zeros(self.unit.size)
         for band in range(len(self.bands)):
             vertices = self.light_vertices(band, (1, number), rays)
-            recorder = DepartureSamples(
-                self.grid, self.has_optics, self._balance(band, vertices), self.table.count, values
-            )
+            balance = self.balance(band, vertices)
+            assert balance is not None
+            recorder = DepartureSamples(self.grid, self.has_optics, balance, self.table.count, values)
             self.trace_shared(band, self.start_pass(band, FIRST_SEARCH + number, rays), vertices, recorder)
             found.append(recorder.read())
         return found
 
     def trace_shared(self, number: int, start: StartRays, vertices: LightVertices | None, *recorders: Recorder) -> None:
         """Trace the trees of some start rays of a wavelength, whose paths are shared if any are."""
-        self._launch(self.shared_scene(number, vertices), start, recorders)
+        scene = self.split_scene(number)
+        if self.rivals:
+            opposite = Opposite(self.rivals[number].scattering, self._with_light, self.connects)
+            scene = replace(scene, opposite=opposite, connections=vertices)
+        self._launch(scene, start, recorders)
 
-    def shared_scene(self, number: int, vertices: LightVertices | None = None) -> KernelScene:
-        """What the kernel traces at a wavelength if the paths are shared, and rays connected to points of light."""
+    def split_scene(self, number: int) -> KernelScene:
+        """What the kernel traces at a wavelength, with rays split where a pilot says that they matter."""
         band = self.bands[number]
-        scene = self.scene(band)
-        if not self.rivals:
-            return scene
-        opposite = Opposite(self.rivals[number].scattering, self._with_light, vertices is not None)
         # What a medium scatters is sent on by the chance of the surface behind it, which knows nothing of its worth
-        windows = None if band.table.optics.scatters else self._windows
-        return replace(scene, opposite=opposite, connections=vertices, windows=windows)
+        windows = self._windows if self.rivals and not band.table.optics.scatters else None
+        return replace(self.scene(band), windows=windows)
 
     @property
     def connects(self) -> bool:
@@ -327,9 +329,20 @@ class BackwardTrace:
         surfaces = any(one.scattering.any for one in self.bands) and not optics.scatters
         return surfaces and settings.max_scatters > 1 and settings.splitting == "split" and not optics.one_child
 
-    def _balance(self, number: int, vertices: LightVertices | None) -> Balance:
+    def balance(self, number: int, vertices: LightVertices | None) -> Balance | None:
+        """Who counts how much of a path at a wavelength; None: there are rays of one direction only."""
+        if not self.rivals:
+            return None
         balance = self.rivals[number].balance
         return balance if vertices is None else balance.beside(vertices)
+
+    def family_shares(self) -> FamilyShares | None:
+        """Who counts how much of a path where it moves; None: there are rays of one direction only."""
+        if not self.rivals:
+            return None
+        shares = self.rivals[0].balance.sharing.families
+        assert shares is not None
+        return FamilyShares(shares, self.has_optics)
 
     def light_vertices(self, number: int, stream: tuple[int, int], rays: int) -> LightVertices | None:
         """Points of light for a pass of so many rays, if rays are connected to any; a stream for each pass."""
@@ -355,19 +368,19 @@ class BackwardTrace:
         self.points_of_ray = recorder.count / float(lanes.sum())
         return LightVertices(*recorder.read(), linked, lanes, rival.balance.extent)
 
-    def rival_scene(self, number: int, connects: bool | None = None) -> KernelScene:
-        """What rays with the light that share the paths of a wavelength trace, beside connections if there are any."""
+    def rival_scene(self, number: int) -> KernelScene:
+        """What rays with the light that share the paths of a wavelength trace."""
         band, scattering = self.bands[number], self.rivals[number].scattering
-        opposite = Opposite(band.scattering, self._probabilities, self.connects if connects is None else connects)
+        opposite = Opposite(band.scattering, self._probabilities, self.connects)
         return KernelScene(band.table, scattering, self.intersector, self._with_light, opposite=opposite)
 
     def scene(self, band: Band) -> KernelScene:
         """What the kernel traces at a wavelength."""
         return KernelScene(band.table, band.scattering, self.intersector, self._probabilities, backward=True)
 
-    def trace_trees(self, band: Band, start: StartRays, *recorders: Recorder) -> None:
-        """Trace the trees of some start rays of a wavelength."""
-        self._launch(self.scene(band), start, recorders)
+    def trace_split(self, number: int, start: StartRays, *recorders: Recorder) -> None:
+        """Trace the trees of some start rays of a wavelength, with those split that matter, and no others beside."""
+        self._launch(self.split_scene(number), start, recorders)
 
     def _launch(self, scene: KernelScene, start: StartRays, recorders: Sequence[Recorder]) -> None:
         def trace(part: StartRays) -> None:
@@ -376,9 +389,9 @@ class BackwardTrace:
         shared = None if scene.opposite is None else scene.opposite.connects
         launches_of(scene.table, self.settings, Recorders(recorders).code, shared).whole(start, trace)
 
-    def adjoint(self, derivative: np.ndarray, band: int = 0, alone: bool = False) -> Adjoint:
+    def adjoint(self, derivative: np.ndarray, weighing: Weighing | None = None) -> Adjoint:
         """The gain of a metric, see `make_directions`."""
-        return Adjoint(0, self.film, directions=self.make_directions(derivative, band=band, alone=alone))
+        return Adjoint(0, self.film, directions=self.make_directions(derivative, weighing=weighing))
 
     def forget_paths(self) -> None:
         """Empty the table of the paths."""
@@ -404,20 +417,10 @@ class BackwardTrace:
                 self._elsewhere = None
 
     def make_directions(
-        self,
-        derivative: np.ndarray | None = None,
-        maps: bool = False,
-        band: int = 0,
-        vertices: LightVertices | None = None,
-        alone: bool = False,
+        self, derivative: np.ndarray | None = None, maps: bool = False, weighing: Weighing | None = None
     ) -> DirectionRecorder:
-        """
-        Sums at zero for one pass, or with a derivative what tells the gain of a metric, see `DirectionRecorder`.
-
-        Rays that are `alone` leave nothing to those of the other direction.
-        """
+        """Sums at zero for one pass, or with a derivative what tells the gain of a metric, see `DirectionRecorder`."""
         pixels = self.map_size[0] * self.map_size[1] if maps else 0
-        weighing = self._balance(band, vertices) if self.rivals and not alone else None
         paths = self._path_sums if derivative is None else None
         return DirectionRecorder(self.grid, pixels, paths, self.has_optics, derivative, weighing)
 

@@ -46,7 +46,7 @@ from mistray.kernel.ray_tree import trace_tree
 from mistray.physics.geometry.sag import sag
 from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.branch_recorder import BranchRecorder, as_many
-from mistray.recorders.path_key import EVENT_BITS
+from mistray.recorders.path_key import EVENT_BITS, mixed_code
 from mistray.recorders.start_rays import StartRays
 from mistray.settings import Settings
 from mistray.surfaces.gradient_columns import HALF_HEIGHT, HALF_WIDTH, RIM_COLUMNS
@@ -111,14 +111,9 @@ class Edges:
     settings : Settings
     width : float
         Of the zones along the rims, in units of their radius or half side.
-    start_scale : float, optional
-        `StartRays.scale` that rays with the light have past a rim before any scatter. A map of starts has many of them
-        where light gets in, and few beside, where it hits the rim. Past the rim a path is weighed as if its rays were
-        as many as those that hit.
     """
 
-    def __init__(self, scene: KernelScene, settings: Settings, width: float, start_scale: float | None = None) -> None:
-        self._start_scale = start_scale
+    def __init__(self, scene: KernelScene, settings: Settings, width: float) -> None:
         table = scene.table
         self._scene, self._table, self._settings = scene, table, settings
         self._near = RimRecorder(table, width, as_many(CAPACITY, settings.max_events), settings.max_events)
@@ -258,13 +253,24 @@ class Edges:
         rng.seed(mi.UInt64(state), mi.UInt64(sequence))
         left = dr.select(corner.left == NO_SURFACE, s, corner.left)
         o, d, left, at = self._jump(row, jumps, p, s, (o, d, left, corner.at))
-        if self._start_scale is not None:
-            lit = before["scatters"] == 0
-            before["scale"] = dr.select(lit, dr.opaque(mi.Float, self._start_scale), before["scale"])
-        start = StartRays(lane=lane, rng=rng, o=o, d=d, w=w, left=left, at=at, **before)
+        family = self._family(row, length - 1)
+        start = StartRays(lane=lane, rng=rng, o=o, d=d, w=w, left=left, at=at, family=family, **before)
         dr.eval(rng, vars(start))
         factor, joined = dr.select(jumps, 1, corner.factor), dr.select(jumps, NO_SURFACE, corner.joined)
         return _Past(start, place, factor, joined)
+
+    def _family(self, row: mi.UInt32, count: mi.UInt32) -> mi.UInt32:
+        """What the first events of recorded paths add to the number of their family."""
+        paths = self._near.paths
+
+        def add(k: mi.UInt32, total: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
+            code = dr.gather(mi.UInt32, paths.codes, row * paths.max_events + k, k < count)
+            return k + 1, total + dr.select(k < count, mixed_code(code), 0)
+
+        none = dr.zeros(mi.UInt32, dr.width(row))
+        return dr.while_loop(
+            (none, mi.UInt32(none)), lambda k, _: k < count, add, mode="symbolic", label="family before"
+        )[1]
 
     def _jump(self, row: mi.UInt32, jumps: mi.Bool, p: mi.Vector3f, s: mi.UInt32, others: tuple[Any, ...]) -> Any:
         """Start of rays beyond a jump (origin, direction, surface that they leave, surface that they are at)."""

@@ -1,11 +1,14 @@
 """
 Derivatives of a metric of a PST: its rays are traced again, recorded, sorted and replayed by passes.
 
-Where rays of both directions share the paths, each ray counts with its share of the value in the derivative, too. That
-holds where paths do not move. Then the shares, functions of the path alone, add up to 1 for each change of its flux.
-But if a surface moves, paths against the light move with it in another way than those with it: one keeps its start on
-the detector, the other that in the sky. Shares that change along a path do not cancel then. Derivatives by what moves
-paths come from the rays against the light alone, which find all paths by themselves.
+Where rays of both directions share the paths, they share the derivatives, too. Two kinds are told apart:
+
+- Coatings and scatter change the flux of a path and leave it where it is. Each ray counts with its share of the value,
+  see `mistray.sampling.sharing.balance`: shares of a path add up to 1, whatever is multiplied with them.
+- Shapes and indices move paths and the rims that end them. Rays against the light keep their start on the detector,
+  those with it their start in the sky: the same path moves in two ways, and shares that change along it do not cancel.
+  So all paths of a family have one share, see `mistray.sampling.sharing.families`, and each direction finds the whole
+  derivative of its part.
 """
 
 from __future__ import annotations
@@ -30,7 +33,6 @@ from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.branch_recorder import BranchRecorder
 from mistray.recorders.start_rays import StartRays
 from mistray.sampling.sharing.light_vertices import LightVertices
-from mistray.sampling.sharing.start_map import UNIFORM
 from mistray.surfaces.gradient_columns import GEOMETRY, RIM_COLUMNS
 from mistray.surfaces.upload import upload
 
@@ -87,19 +89,16 @@ class PstRays:
         if groups is not None and request.edges:
             raise MistrayError("derivatives by groups of cells do not know what rims take and give; use edges=False")
         numbers = None if groups is None else upload(mi.UInt32, np.asarray(groups, dtype=np.uint32))
-        shared, alone = _parts(request) if self.trace.rivals else (None, request)
         for band in range(len(self.trace.bands)):
-            if shared is not None:
-                yield self._against(band, derivative, shared, numbers, alone=False)
+            for part, moves in _parts(request) if self.trace.rivals else [(request, True)]:
+                yield self._against(band, derivative, part, numbers, moves)
                 if self.cells is not None:
-                    yield self._along(band, derivative, shared, numbers)
-            if alone is not None:
-                yield self._against(band, derivative, alone, numbers, alone=True)
+                    yield self._along(band, derivative, part, numbers, moves)
 
     def _against(
-        self, number: int, derivative: np.ndarray, request: GradientRequest, groups: mi.UInt32 | None, alone: bool
+        self, number: int, derivative: np.ndarray, request: GradientRequest, groups: mi.UInt32 | None, moves: bool
     ) -> TableGradient:
-        """From rays against the light at a wavelength, which leave nothing to others if they are `alone`."""
+        """From rays against the light at a wavelength."""
         started = time.perf_counter()
         trace, band = self.trace, self.trace.bands[number]
         assert trace.pass_rays is not None
@@ -120,16 +119,16 @@ class PstRays:
         with dr.suspend_grad():
             edges = None
             if path_replay.edges:
-                scene = trace.scene(band) if alone else trace.shared_scene(number)
-                edges = Edges(scene, trace.settings, request.edge_width)
+                edges = Edges(trace.split_scene(number), trace.settings, request.edge_width)
             for done, rays in enumerate(trace.pass_rays):
                 whole = trace.start_pass(number, done, rays)
-                vertices = None if alone else trace.light_vertices(number, (0, done), rays)
-                recorder.directions = trace.make_directions(derivative, band=number, vertices=vertices, alone=alone)
+                vertices = None if moves else trace.light_vertices(number, (0, done), rays)
+                weighing = trace.family_shares() if moves else trace.balance(number, vertices)
+                recorder.directions = trace.make_directions(derivative, weighing=weighing)
 
                 def trace_again(start: StartRays, vertices: LightVertices | None = vertices) -> None:
-                    if alone:
-                        trace.trace_trees(band, start, recorder)
+                    if moves:
+                        trace.trace_split(number, start, recorder)
                     else:
                         trace.trace_shared(number, start, vertices, recorder)
 
@@ -137,14 +136,14 @@ class PstRays:
                     for start in path_replay.portions(whole, EXITS_PER_RAY, trace_again):
                         path_replay.replay(start, _all, end, None if groups is None else group)
                 if edges is not None:
-                    for start, events in edges.events(whole, trace.adjoint(derivative, number, alone)):
+                    for start, events in edges.events(whole, trace.adjoint(derivative, weighing)):
                         path_replay.replay_edges(start, events)
         raw = self._result(path_replay)
         raw.seconds = time.perf_counter() - started
         return raw
 
     def _along(
-        self, number: int, derivative: np.ndarray, request: GradientRequest, groups: mi.UInt32 | None
+        self, number: int, derivative: np.ndarray, request: GradientRequest, groups: mi.UInt32 | None, moves: bool
     ) -> TableGradient:
         """From rays with the light at a wavelength."""
         started = time.perf_counter()
@@ -157,7 +156,9 @@ class PstRays:
         recorder = path_replay.recorder
         rays = np.sum([rays for _, rays in cells.rounds], axis=0)
         unit = np.divide(cells.unit, rays, out=np.zeros_like(cells.unit), where=rays > 0)
-        recorder.arrivals = cells.gains(number, unit * derivative.reshape(len(derivative), -1))
+        weighing = trace.family_shares() if moves else trace.balance(number, None)
+        assert weighing is not None
+        recorder.arrivals = cells.gains(unit * derivative.reshape(len(derivative), -1), weighing)
 
         def end(row: mi.UInt32, keys: np.ndarray) -> End:
             gain = dr.gather(mi.Float64, recorder.weight, row)
@@ -178,8 +179,7 @@ class PstRays:
         with dr.suspend_grad():
             edges = None
             if path_replay.edges:
-                scene = trace.rival_scene(number, connects=False)
-                edges = Edges(scene, trace.settings, request.edge_width, 1 / UNIFORM)
+                edges = Edges(trace.rival_scene(number), trace.settings, request.edge_width)
                 adjoint = Adjoint(0, trace.film, arrivals=recorder.arrivals)
             for round_number, of_cells in cells.rounds:
                 for whole in cells.starts(number, of_cells, (0, round_number)):
@@ -215,12 +215,11 @@ class PstRays:
         return raw
 
 
-def _parts(request: GradientRequest) -> tuple[GradientRequest | None, GradientRequest | None]:
-    """What does not move paths, and what does; the reflectance of a surface by its indices belongs to the latter."""
-    rims = request.geometry & set(RIM_COLUMNS) if request.edges else frozenset()
-    still = replace(request, geometry=rims, indices=False, rows=request.rows and not request.indices)
-    moving = replace(request, geometry=request.geometry - set(RIM_COLUMNS), rows=request.indices, scatter=False)
-    return still if still.replays or still.rows else None, moving if moving.moves else None
+def _parts(request: GradientRequest) -> list[tuple[GradientRequest, bool]]:
+    """What leaves paths where they are, and what moves them; the latter with reflectances as indices change them."""
+    still = replace(request, geometry=frozenset(), indices=False, rows=request.rows and not request.indices)
+    moving = replace(request, rows=request.indices, scatter=False)
+    return [(still, False)] * (still.rows or still.scatter) + [(moving, True)] * moving.moves
 
 
 def _all(keys: np.ndarray) -> np.ndarray:

@@ -38,10 +38,7 @@ STATE = {
     "off_design": "Bool",
     "run": "UInt32",
     "scale": "Float",
-    "begun": "Float",
     "cell": "UInt32",
-    "odds": "Float",
-    "chance": "Float",
 }
 
 
@@ -133,7 +130,6 @@ class RimRecorder(Recorder):
             of_start = {
                 "batch": start.batch,
                 "scale": start.given("scale", mi.Float(1)),
-                "begun": start.given("begun", start.w),
                 "cell": start.given("cell", mi.UInt32(0)),
             }
             for name, values in self.before.items():

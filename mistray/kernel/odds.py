@@ -26,7 +26,6 @@ import mitsuba as mi
 from mistray.kernel.interaction import Interaction
 from mistray.kernel.kernel_scene import KernelScene
 from mistray.recorders.path_key import AT_WALL, COUNT_MASK
-from mistray.recorders.start_rays import StartRays
 from mistray.settings import Settings
 
 State = dict[str, Any]
@@ -52,13 +51,12 @@ class Odds:
         self._threshold = dr.opaque(mi.Float, settings.scatter_threshold)
 
     @staticmethod
-    def first(start: StartRays | None, width: int, connected_width: int) -> State:
-        """Variables of the loop at the start of rays; None: those of rays that are not weighed."""
-        one = dr.full(mi.Float, 1, width)
+    def first(width: int, connected_width: int) -> State:
+        """Variables of the loop at the start of rays."""
         return {
             # Rays of the other direction for one of this, by what has scattered it, and since it was scattered
-            "odds": mi.Float(one if start is None else start.given("odds", one)),
-            "chance": mi.Float(one if start is None else start.given("chance", one)),
+            "odds": dr.full(mi.Float, 1, width),
+            "chance": dr.full(mi.Float, 1, width),
             # See `linked`
             "near": dr.zeros(mi.Float, connected_width),
             "link": dr.zeros(mi.Float, connected_width),

@@ -185,7 +185,7 @@ class _Tree:
             "birth": mi.Float(start.given("birth", start.w)),  # weight when it left the source or was scattered last
             "scatter_factor": dr.full(mi.Float, 1, n),  # of its scattered rays, see `ScatterFactor`
             # See `mistray.kernel.odds`
-            **(Odds.first(None, 1, 1) if self.odds is None else Odds.first(start, n, n if self.connects else 1)),
+            **Odds.first(n if self.odds is not None else 1, n if self.connects else 1),
             # Of a ray that is connected to light, see `mistray.kernel.scatter_shares.JOINED`; 0 of others
             "joint": dr.zeros(mi.UInt32, n if self.connects else 1),
             "length": mi.Float(t) if bulk else dr.zeros(mi.Float, 1),  # of the segment that led to it, mm

@@ -5,8 +5,15 @@ Two different paths share a key with a probability of about paths²/2^65, 3e-11 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import drjit as dr
 import mitsuba as mi
 import numpy as np
+
+if TYPE_CHECKING:
+    from mistray.recorders.start_rays import StartRays
 
 # What happens at a surface. Specular events, then scattered ones: at random from the BSDF, or aimed at a target
 ABSORBED, TRANSMITTED, REFLECTED, TOTAL = range(4)
@@ -15,6 +22,7 @@ EVENT_BITS = 3
 # Scatter events of a path are counted in one word: all of them, those at random, those at surfaces that transmit; bits
 # say whether one of them was not diffraction, and whether the last was at a surface that lets nothing through
 COUNT_MASK, RANDOM_SHIFT, OPTICAL_SHIFT, NOT_DIFFRACTED, AT_WALL = 0x3FF, 10, 20, 1 << 30, 1 << 31
+FAMILIES = 1024
 FIRST_KEY = 0x9E3779B97F4A7C15
 MULTIPLIER = 0xFF51AFD7ED558CCD
 
@@ -23,6 +31,41 @@ def extend_key(key: mi.UInt64, code: mi.UInt32) -> mi.UInt64:
     """Key of the path that has one event more; multiply-xorshift steps as in SplitMix64 and MurmurHash3."""
     key = (key ^ mi.UInt64(code + 1)) * mi.UInt64(MULTIPLIER)
     return key ^ (key >> 29)
+
+
+def mixed_code(code: mi.UInt32) -> mi.UInt32:
+    """What an event adds to the number of a family; steps as in MurmurHash3."""
+    mixed = (code + 1) * 0x85EBCA6B
+    mixed = (mixed ^ (mixed >> 15)) * 0xC2B2AE35
+    return mixed ^ (mixed >> 16)
+
+
+def family_of(
+    event: Callable[[mi.UInt32, mi.Bool], mi.UInt32], length: mi.UInt32, start: StartRays, active: mi.Bool
+) -> mi.UInt32:
+    """
+    Family of paths, below `FAMILIES`: by their events, the same in whatever order, so against the light as with it.
+
+    Parameters
+    ----------
+    event : callable
+        See `mistray.recorders.recorder.EventReader`.
+    length : mi.UInt32
+        Number of events, without the absorption at the end.
+    start : StartRays
+        Of the rays; those that go on from within a tree know what the events before have added.
+    active : mi.Bool
+    """
+    width = dr.width(active)
+
+    def add(k: mi.UInt32, total: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
+        going = active & (k < length)
+        return k + 1, total + dr.select(going, mixed_code(event(k, going)), 0)
+
+    none = dr.zeros(mi.UInt32, width)
+    begin = mi.UInt32(start.given("depth", none)), mi.UInt32(start.given("family", none))
+    _, total = dr.while_loop(begin, lambda k, _: active & (k < length), add, mode="symbolic", label="family")
+    return (total ^ (total >> 15)) % FAMILIES
 
 
 def host_keys(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:

@@ -54,8 +54,8 @@ class StartRays:
     depth, reflections, scatters : mi.UInt32, optional
         Of rays that go on from within a tree: events before, counted reflections, scatter events (packed as in
         `mistray.kernel.ray_tree`).
-    key : mi.UInt64, optional
-        Key of these events.
+    key, family : mi.UInt64, mi.UInt32, optional
+        Key of these events, and what they add to the number of a family, see `mistray.recorders.path_key`.
     birth : mi.Float, optional
         Weight with which such a ray left the source or was scattered last.
     aimed_from : mi.UInt32, optional
@@ -68,10 +68,6 @@ class StartRays:
         Surface that a ray has just arrived at, with its origin on it; `NO_SURFACE`: it is on its way.
     scale : mi.Float, optional
         Weight with which the ray left the source, where that is not 1: what `Settings.flux_threshold` is relative to.
-    begun : mi.Float, optional
-        Weight with which a ray that goes on from within a tree has left the detector.
-    odds, chance : mi.Float, optional
-        Of such a ray, see `mistray.kernel.odds`.
     place : list of mi.Float, optional
         Where the start rays lie in the unit cube of their cell, see `mistray.sampling.plane_wave.wave_rays`.
     stokes : mi.Vector3f, optional
@@ -94,15 +90,13 @@ class StartRays:
     reflections: mi.UInt32 | None = None
     scatters: mi.UInt32 | None = None
     key: mi.UInt64 | None = None
+    family: mi.UInt32 | None = None
     birth: mi.Float | None = None
     aimed_from: mi.UInt32 | None = None
     off_design: mi.Bool | None = None
     run: mi.UInt32 | None = None
     at: mi.UInt32 | None = None
     scale: mi.Float | None = None
-    begun: mi.Float | None = None
-    odds: mi.Float | None = None
-    chance: mi.Float | None = None
     place: list[mi.Float] | None = None
     stokes: mi.Vector3f | None = None
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from mistray.recorders.direction_recorder import DirectionRecorder, class_of_arrival, class_of_departure
 from mistray.recorders.directions import DirectionGrid
-from mistray.recorders.path_key import COUNT_MASK, EVENT_BITS, RANDOM_TRANSMITTED
+from mistray.recorders.path_key import COUNT_MASK, EVENT_BITS, RANDOM_TRANSMITTED, family_of
 from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.weighing import StartWeighing
@@ -34,8 +34,8 @@ class Samples:
 
     Attributes
     ----------
-    lane, cell, kind : (s,) int
-        Start ray, cell of directions and class of light.
+    lane, cell, kind, family : (s,) int
+        Start ray, cell of directions, class of light and family of paths, see `mistray.recorders.path_key.family_of`.
     points : (s, 4) float64
         Starts with the light in the unit cube of the cell, see `mistray.sampling.plane_wave.wave_rays`.
     weight : (s,) float64
@@ -52,6 +52,7 @@ class Samples:
     lane: np.ndarray
     cell: np.ndarray
     kind: np.ndarray
+    family: np.ndarray
     points: np.ndarray
     weight: np.ndarray
     along: np.ndarray
@@ -68,7 +69,7 @@ class _StartSamples(Recorder):
     def __init__(self, cells: int, has_optics: bool, weighing: StartWeighing, capacity: int = SAMPLES) -> None:
         self._has_optics, self._weighing, self._capacity = has_optics, weighing, capacity
         self._count = dr.zeros(mi.UInt32, 1)
-        self._words = [dr.zeros(mi.UInt32, capacity) for _ in range(3)]
+        self._words = [dr.zeros(mi.UInt32, capacity) for _ in range(4)]
         self._floats = [dr.zeros(mi.Float, capacity) for _ in range(7)]
         self._segments = dr.zeros(mi.Float64, cells)
         dr.eval(self._count, self._words, self._floats, self._segments)
@@ -93,14 +94,14 @@ class _StartSamples(Recorder):
         """The samples on the host; of more than there is room for, those that came first stand for all."""
         total = int(self._count[0])
         count = min(total, self._capacity)
-        lane, cell, kind = (np.array(array)[:count].astype(np.int64) for array in self._words)
+        lane, cell, kind, family = (np.array(array)[:count].astype(np.int64) for array in self._words)
         floats = [np.array(array)[:count].astype(np.float64) for array in self._floats]
         # Lanes come in any order; what follows from the samples shall be the same each time
         order = np.lexsort((*floats[::-1], cell, lane))
-        lane, cell, kind = lane[order], cell[order], kind[order]
+        lane, cell, kind, family = (values[order] for values in (lane, cell, kind, family))
         *points, weight, along, connected = (values[order] for values in floats)
         places, segments = np.stack(points, axis=1), np.array(self._segments)
-        return Samples(lane, cell, kind, places, total / max(count, 1) * weight, along, connected, segments)
+        return Samples(lane, cell, kind, family, places, total / max(count, 1) * weight, along, connected, segments)
 
 
 class DepartureSamples(_StartSamples):
@@ -164,7 +165,8 @@ class DepartureSamples(_StartSamples):
         """Keep rays that leave within a cell."""
         cell, inside = self._cells.cell(departure.heading)
         inside &= departure.active
-        words = departure.start.lane, cell, class_of_departure(departure, self._has_optics)
+        family = family_of(departure.event, departure.length, departure.start, inside)
+        words = departure.start.lane, cell, class_of_departure(departure, self._has_optics), family
         weight = departure.weight
         point = self._weighing.start_of(departure, cell, inside)
         shares = self._weighing.against(departure, cell, inside)
@@ -190,6 +192,7 @@ class ArrivalSamples(_StartSamples):
         start = visit.start
         assert start.cell is not None
         assert start.place is not None
-        words = start.lane, start.cell, class_of_arrival(visit, self._has_optics)
+        family = family_of(visit.event, visit.depth, start, visit.detected)
+        words = start.lane, start.cell, class_of_arrival(visit, self._has_optics), family
         shares = self._weighing.along(visit)
         self._keep(words, (*start.place, visit.weight * shares.along, shares.along, shares.connected), visit.detected)

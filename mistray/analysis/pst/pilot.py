@@ -23,6 +23,7 @@ from mistray.execute.backward import BackwardTrace
 from mistray.recorders.start_samples import ORDERS, Samples
 from mistray.sampling.sharing.balance import Sharing
 from mistray.sampling.sharing.cell_starts import whole_batches
+from mistray.sampling.sharing.families import family_shares
 from mistray.sampling.sharing.start_map import StartMap, of_each
 
 FIRST_ROUND, LEAST_ROUNDS = 1 << 12, 5  # rays of the first round, each of the next takes twice as many
@@ -35,6 +36,7 @@ STEP = 4.0  # by which the rays of a cell change from one round to the next at m
 JUDGED_AFTER, COST_OF_CONNECTIONS = 3, 1.8
 LEAST_LEFT = 1e-6  # share of a path without connections that is made out
 BOUND = 3.0  # errors between what a weight brings and its upper bound
+SMALLEST_SHARE = 1e-9  # of a path that either direction has
 CLASS_SHARE = 0.1  # of a map's weights that is spread evenly over the classes of light
 
 
@@ -62,6 +64,7 @@ class Pilot:
         self._cells = AllCells(trace)
         self._rounds = 0
         self._kept: list[tuple[np.ndarray, np.ndarray, np.ndarray, float]] = []
+        self._seen: list[tuple[np.ndarray, ...]] = []  # cells, classes, families, weights, odds for families
         self._rays = np.zeros(2)
         self._plan: Plan | None = None
         self._light = np.zeros(count)  # of the round before
@@ -108,6 +111,7 @@ class Pilot:
         cost_along = np.sum([one.segments for one in along], axis=0)
         cost_against = sum(float(one.segments.sum()) for one in against)
         self._remember((along, against), units, light, rays)
+        self._note_families((along, against), units)
         cell, points, weights = self._together()
         # The next round, and the run, start where this one has found light
         starts = StartMap.of(count, cell, points, weights)
@@ -119,7 +123,14 @@ class Pilot:
             [np.interp(np.log(f), np.log(FACTORS), column) for f, column in zip(best, relative.T, strict=True)]
         )
         plan = Plan(
-            sharing=Sharing(self._points, starts, sharing.rays * best, sharing.linked, self._windows(against, values)),
+            sharing=Sharing(
+                self._points,
+                starts,
+                sharing.rays * best,
+                sharing.linked,
+                self._windows(against, values),
+                self._families(sharing.rays * best),
+            ),
             light=light,
             variance=variance * light**2 * rays,
             pilot_rays=self._rays.copy(),
@@ -154,6 +165,26 @@ class Pilot:
             return np.zeros((2, *weight.shape))
         many, few = np.maximum(rays - error, 0) / mean, (rays + BOUND * error) / mean
         return _rounded(np.stack([many, np.where(squares > 0, few, 0)]))
+
+    def _note_families(
+        self, samples: tuple[Sequence[Samples], Sequence[Samples]], units: tuple[np.ndarray, np.ndarray]
+    ) -> None:
+        """Keep what the shares of families follow from, of the latest rounds."""
+        parts = []
+        for found, unit in zip(samples, units, strict=True):
+            for one in found:
+                share = np.clip(one.along, SMALLEST_SHARE, 1 - SMALLEST_SHARE)
+                # Rays with the light for one against it, if each cell had as many of them as there are of the others
+                odds = share / (1 - share) / np.maximum(self._sharing.rays[one.cell], SMALLEST_SHARE)
+                parts.append((one.cell, one.kind, one.family, one.weight * unit[one.cell], odds))
+        columns = (np.concatenate(column) for column in zip(*parts, strict=True))
+        self._seen = [*self._seen, tuple(columns)][-REMEMBERED:]
+
+    def _families(self, rays: np.ndarray) -> np.ndarray:
+        """See `Sharing`, for so many rays with the light in each cell for one of all against it."""
+        cell, kind, family, weight, odds = (np.concatenate(column) for column in zip(*self._seen, strict=True))
+        along = odds * rays[cell]
+        return family_shares((cell, kind, family), weight, along / (1 + along), len(rays))
 
     def _linked(self, light: np.ndarray, relative: np.ndarray, gain: np.ndarray) -> np.ndarray:
         """Of the next round, see `Sharing`: connections that do not pay are given up."""

@@ -24,7 +24,7 @@ from mistray.recorders.weighing import PathShares
 from mistray.sampling.detector_start import DetectorStart
 from mistray.sampling.plane_wave import PlaneWaves
 from mistray.sampling.sharing.light_vertices import LightVertices
-from mistray.sampling.sharing.start_map import UNIFORM, DeviceMap, StartMap
+from mistray.sampling.sharing.start_map import DeviceMap, StartMap
 from mistray.surfaces.upload import upload
 
 
@@ -47,6 +47,8 @@ class Sharing:
     windows : (2, n, ORDERS) float64, optional
         "many" and "few" of `mistray.kernel.kernel_scene.WeightWindows`, for rays against the light; None: there are
         none.
+    families : (CLASS_COUNT · FAMILIES, c) float64, optional
+        See `mistray.sampling.sharing.families.family_shares`; None: nobody asks for them.
     """
 
     points: np.ndarray
@@ -54,6 +56,7 @@ class Sharing:
     rays: np.ndarray
     linked: np.ndarray
     windows: np.ndarray | None = None
+    families: np.ndarray | None = None
 
     @property
     def connects(self) -> bool:
@@ -109,11 +112,7 @@ class Balance:
         """See `mistray.recorders.weighing.Weighing`."""
         point = self.start_of(departure, cell, active)
         density = self.starts.density(cell, point, active)
-        start = departure.start
-        if start.begun is not None:  # past a rim; see `mistray.gradients.edges.Edges`
-            lit = departure.scatters == start.scatters
-            density = dr.select(lit, UNIFORM, density)
-        along = self._with_light(cell, density, start.given("begun", start.w), active) * _or_one(departure.odds)
+        along = self._with_light(cell, density, departure.start.w, active) * _or_one(departure.odds)
         linked = self._connections(cell, density, departure.link, active)
         share = dr.rcp(1 + along + linked)
         shares = PathShares(along * share, share, linked * share)
