@@ -297,7 +297,7 @@ class TestRefusals:
             (lambda: pst_bin(scene, 20, convention="both"), "convention is 'both'; choose from normal, projected"),
             (lambda: pst_bin(scene, 20, ray=3), "there is no setting 'ray'; did you mean 'rays'"),
             (lambda: pst_bin(scene, 20, fields_deg=3), "there is no setting 'fields_deg'"),
-            (lambda: pst_bin(scene, 20, method="forward"), "method of a PST metric is 'forward'; use 'joined' or 'adjoint'"),
+            (lambda: pst_bin(scene, 20, method="forward"), "method of a PST metric is 'forward'; use 'joined'"),
             (lambda: pst_bin(scene, 20, relative_error=0.1), "relative_error is no setting of a PST metric"),
             (lambda: pst_bin(scene, 20, pst_field_deg=(40,), **TRACED).value(), "angle 20° is in no cell"),
             (lambda: pst_band(scene, 50, 20), "band from 50 to 20°; field angles must ascend"),

@@ -36,7 +36,7 @@ class PstObservation:
     Parameters
     ----------
     result : Pst
-        From rays of the detector (``method="adjoint"``), in either convention.
+        In either convention; derivatives need one that was not computed with ``method="forward"``.
 
     Attributes
     ----------
