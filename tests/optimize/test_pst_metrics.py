@@ -196,7 +196,7 @@ class TestMetrics:
     @pytest.mark.long
     def test_against_the_curve(self, scene) -> None:
         angles = (0.0, 20.0, 40.0)
-        pst = next(pst_of_each([scene], angles, paths=False, method="adjoint", **TRACED))
+        pst = next(pst_of_each([scene], angles, paths=False, **TRACED))
         stray = pst.curve("stray")[0]
         at_40 = pst_bin(scene, 40, pst_field_deg=angles, **TRACED)
         assert at_40.value() == pytest.approx(stray[2], rel=1e-12)
