@@ -340,9 +340,9 @@ class BackwardTrace:
         """Who counts how much of a path where it moves; None: there are rays of one direction only."""
         if not self.rivals:
             return None
-        shares = self.rivals[0].balance.sharing.families
-        assert shares is not None
-        return FamilyShares(shares, self.has_optics)
+        families = self.rivals[0].balance.sharing.families
+        assert families is not None
+        return FamilyShares(families.shares(), self.has_optics)
 
     def light_vertices(self, number: int, stream: tuple[int, int], rays: int) -> LightVertices | None:
         """Points of light for a pass of so many rays, if rays are connected to any; a stream for each pass."""

@@ -116,6 +116,7 @@ class PstRays:
         def group(row: mi.UInt32) -> mi.UInt32:
             return dr.gather(mi.UInt32, groups, sky.cell(_heading(recorder, row))[0])
 
+        shares = trace.family_shares() if moves else None
         with dr.suspend_grad():
             edges = None
             if path_replay.edges:
@@ -123,7 +124,7 @@ class PstRays:
             for done, rays in enumerate(trace.pass_rays):
                 whole = trace.start_pass(number, done, rays)
                 vertices = None if moves else trace.light_vertices(number, (0, done), rays)
-                weighing = trace.family_shares() if moves else trace.balance(number, vertices)
+                weighing = shares if moves else trace.balance(number, vertices)
                 recorder.directions = trace.make_directions(derivative, weighing=weighing)
 
                 def trace_again(start: StartRays, vertices: LightVertices | None = vertices) -> None:

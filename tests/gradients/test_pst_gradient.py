@@ -7,7 +7,6 @@ to the detector. Rays against the light seldom find it.
 
 from __future__ import annotations
 
-import importlib
 from typing import Any
 
 import mitsuba as mi
@@ -23,7 +22,7 @@ from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.path_key import FAMILIES
 from mistray.sampling.plane_wave import hull_points
 from mistray.sampling.sharing.balance import Sharing
-from mistray.sampling.sharing.families import PRIOR, UNKNOWN, family_shares
+from mistray.sampling.sharing.families import PRIOR, UNKNOWN, FamilyVariances
 from mistray.sampling.sharing.start_map import StartMap
 from mistray.settings import BATCHES, Settings
 
@@ -164,11 +163,11 @@ def test_any_shares_have_the_same_mean(scene, share: float, monkeypatch: pytest.
     Value and derivative by the vane; within 5 errors: by chance once in 10⁶ times.
     """
 
-    def constant(place: Any, weight: np.ndarray, along: np.ndarray, cells: int) -> np.ndarray:
-        return np.full((CLASS_COUNT * FAMILIES, cells), share)
+    def constant(self: FamilyVariances) -> np.ndarray:
+        return np.full((CLASS_COUNT, FAMILIES, self.cells), share, dtype=np.float32)
 
     with monkeypatch.context() as patch:
-        patch.setattr(importlib.import_module("mistray.analysis.pst.pilot"), "family_shares", constant)
+        patch.setattr(FamilyVariances, "shares", constant)
         found, own = derivative(scene, ["vane.r0"], rays=1 << 18)["vane.r0"]
     other, error = derivative(scene, ["vane.r0"], rays=1 << 18, seed=4)["vane.r0"]
     assert abs(found - other) < 5 * np.hypot(own, error)
@@ -180,15 +179,15 @@ def test_shares_of_families() -> None:
     count = 4000
     cell, kind, family = rng.integers(0, 2, count), np.full(count, 3), rng.integers(0, 3, count)
     weight, along = rng.exponential(size=count), rng.beta(1 + family, 2.0)
-    found = family_shares((cell, kind, family), weight, along, 2)
-    assert found.shape == (CLASS_COUNT * FAMILIES, 2)
+    found = FamilyVariances.of(2, (cell, kind, family), weight, along).shares()
+    assert found.shape == (CLASS_COUNT, FAMILIES, 2)
     tried = np.linspace(0, 1, 2001)
     for c, f in np.ndindex(2, 3):
         here = (cell == c) & (family == f)
         w2, s = weight[here, None] ** 2, along[here, None]
         variance = np.sum(w2 * (tried**2 / s + (1 - tried) ** 2 / (1 - s)), axis=0)
         best = tried[np.argmin(variance)]
-        assert found[3 * FAMILIES + f, c] == pytest.approx(best, abs=PRIOR / np.count_nonzero(here) + 1e-3)
-    assert np.all(found[: 3 * FAMILIES] == UNKNOWN)
-    unseen = found[3 * FAMILIES + 3 : 4 * FAMILIES]
-    assert np.all((unseen == unseen[0]) & (unseen > found[3 * FAMILIES : 3 * FAMILIES + 3].min(axis=0)))
+        assert found[3, f, c] == pytest.approx(best, abs=PRIOR / np.count_nonzero(here) + 1e-3)
+    assert np.all(np.delete(found, 3, axis=0) == UNKNOWN)
+    seen, unseen = found[3, :3], found[3, 3:]
+    assert np.all((unseen == unseen[0]) & (unseen > seen.min(axis=0)) & (unseen < seen.max(axis=0)))

@@ -23,7 +23,7 @@ from mistray.execute.backward import BackwardTrace
 from mistray.recorders.start_samples import ORDERS, Samples
 from mistray.sampling.sharing.balance import Sharing
 from mistray.sampling.sharing.cell_starts import whole_batches
-from mistray.sampling.sharing.families import family_shares
+from mistray.sampling.sharing.families import FamilyVariances
 from mistray.sampling.sharing.start_map import StartMap, of_each
 
 FIRST_ROUND, LEAST_ROUNDS = 1 << 12, 5  # rays of the first round, each of the next takes twice as many
@@ -85,7 +85,8 @@ class Pilot:
         """Go on for `LEAST_ROUNDS` rounds at least, and to so many rays against the light."""
         while self._plan is None or self._rounds < LEAST_ROUNDS or self.rays < rays:
             self._plan = self._round(FIRST_ROUND << self._rounds)
-        return self._plan
+        sharing = self._plan.sharing
+        return replace(self._plan, sharing=replace(sharing, families=self._families(sharing.rays)))
 
     def _round(self, rays: int) -> Plan:
         """A round of so many rays against the light, and what follows from it and those before."""
@@ -129,7 +130,6 @@ class Pilot:
                 sharing.rays * best,
                 sharing.linked,
                 self._windows(against, values),
-                self._families(sharing.rays * best),
             ),
             light=light,
             variance=variance * light**2 * rays,
@@ -180,11 +180,11 @@ class Pilot:
         columns = (np.concatenate(column) for column in zip(*parts, strict=True))
         self._seen = [*self._seen, tuple(columns)][-REMEMBERED:]
 
-    def _families(self, rays: np.ndarray) -> np.ndarray:
+    def _families(self, rays: np.ndarray) -> FamilyVariances:
         """See `Sharing`, for so many rays with the light in each cell for one of all against it."""
         cell, kind, family, weight, odds = (np.concatenate(column) for column in zip(*self._seen, strict=True))
-        along = odds * rays[cell]
-        return family_shares((cell, kind, family), weight, along / (1 + along), len(rays))
+        odds = odds * np.maximum(rays[cell], SMALLEST_SHARE)
+        return FamilyVariances.of(len(rays), (cell, kind, family), weight, odds / (1 + odds))
 
     def _linked(self, light: np.ndarray, relative: np.ndarray, gain: np.ndarray) -> np.ndarray:
         """Of the next round, see `Sharing`: connections that do not pay are given up."""

@@ -23,6 +23,7 @@ from mistray.recorders.recorder import Departure, Visit
 from mistray.recorders.weighing import PathShares
 from mistray.sampling.detector_start import DetectorStart
 from mistray.sampling.plane_wave import PlaneWaves
+from mistray.sampling.sharing.families import FamilyVariances
 from mistray.sampling.sharing.light_vertices import LightVertices
 from mistray.sampling.sharing.start_map import DeviceMap, StartMap
 from mistray.surfaces.upload import upload
@@ -47,8 +48,8 @@ class Sharing:
     windows : (2, n, ORDERS) float64, optional
         "many" and "few" of `mistray.kernel.kernel_scene.WeightWindows`, for rays against the light; None: there are
         none.
-    families : (CLASS_COUNT · FAMILIES, c) float64, optional
-        See `mistray.sampling.sharing.families.family_shares`; None: nobody asks for them.
+    families : FamilyVariances, optional
+        For derivatives by what moves paths; None: there are none.
     """
 
     points: np.ndarray
@@ -56,7 +57,7 @@ class Sharing:
     rays: np.ndarray
     linked: np.ndarray
     windows: np.ndarray | None = None
-    families: np.ndarray | None = None
+    families: FamilyVariances | None = None
 
     @property
     def connects(self) -> bool:

@@ -7,6 +7,8 @@ a family is a constant. Each direction then finds the derivative of its part by 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -21,42 +23,72 @@ PRIOR = 4.0  # samples of a family that count as much as its class
 UNKNOWN = 0.5  # share of a class that no sample is of
 
 
-def family_shares(
-    place: tuple[np.ndarray, np.ndarray, np.ndarray], weight: np.ndarray, along: np.ndarray, cells: int
-) -> np.ndarray:
+@dataclass(frozen=True, eq=False)
+class FamilyVariances:
     """
-    Shares at which the variance of both parts together is least.
+    How well rays of either direction find the families of paths by themselves.
 
-    With samples of the density of all rays, each of f/q and of a share s of rays with the light, these alone have the
-    variance ∑ (f/q)²/s, those against it ∑ (f/q)²/(1 - s). Each part counts by the inverse of its own.
-
-    Parameters
+    Attributes
     ----------
-    place : tuple of (s,) int
-        Cell, class and family of the samples.
-    weight, along : (s,) float64
     cells : int
-
-    Returns
-    -------
-    (CLASS_COUNT · FAMILIES, cells) float64
-        Of rays with the light.
+        Number of cells.
+    place : (k,) int
+        Of what has been seen: (class · `FAMILIES` + family) · cells + cell.
+    count, against, along : (k,) float64
+        Number of samples, and variances of the sums of rays of each direction alone.
     """
-    cell, kind, family = place
-    along = np.clip(along, 1e-9, 1 - 1e-9)
 
-    def sums(row: np.ndarray, rows: int) -> tuple[np.ndarray, np.ndarray]:
-        """Number of samples in each row and cell, and their best share."""
-        index, size = row * cells + cell, rows * cells
-        against, with_it = (np.bincount(index, weight**2 / part, size) for part in (1 - along, along))
-        count = np.bincount(index, minlength=size).reshape(rows, cells)
-        total = against + with_it
-        share = np.divide(against, total, out=np.full(size, UNKNOWN), where=total > 0)
-        return count, share.reshape(rows, cells)
+    cells: int
+    place: np.ndarray
+    count: np.ndarray
+    against: np.ndarray
+    along: np.ndarray
 
-    of_class = np.repeat(sums(kind, CLASS_COUNT)[1], FAMILIES, axis=0)
-    count, own = sums(kind * FAMILIES + family, CLASS_COUNT * FAMILIES)
-    return np.asarray((count * own + PRIOR * of_class) / (count + PRIOR))
+    @classmethod
+    def of(
+        cls, cells: int, place: tuple[np.ndarray, np.ndarray, np.ndarray], weight: np.ndarray, along: np.ndarray
+    ) -> FamilyVariances:
+        """
+        From samples of rays of both directions.
+
+        With samples f/q of the density q of all rays, and the share s of rays with the light in it, these alone have
+        the variance ∑ (f/q)²/s, those against it ∑ (f/q)²/(1 - s).
+
+        Parameters
+        ----------
+        cells : int
+        place : tuple of (s,) int
+            Cell, class and family.
+        weight, along : (s,) float64
+            f/q and s, between 0 and 1.
+        """
+        cell, kind, family = place
+        found, number = np.unique((kind * FAMILIES + family) * cells + cell, return_inverse=True)
+        count = np.bincount(number, minlength=len(found)).astype(np.float64)
+        parts = (np.bincount(number, weight**2 / part, len(found)) for part in (1 - along, along))
+        return cls(cells, found, count, *parts)
+
+    def shares(self) -> np.ndarray:
+        """
+        Shares of rays with the light at which the variance of both parts together is least.
+
+        Each part counts by the inverse of its variance; what has few samples counts as its class.
+
+        Returns
+        -------
+        (CLASS_COUNT, FAMILIES, cells) float32
+        """
+        kind, cell = self.place // (FAMILIES * self.cells), self.place % self.cells
+        of_class = np.full((CLASS_COUNT, self.cells), UNKNOWN)
+        sums = np.zeros((2, CLASS_COUNT, self.cells))
+        for total, part in zip(sums, (self.against, self.along), strict=True):
+            np.add.at(total, (kind, cell), part)
+        np.divide(sums[0], sums.sum(axis=0), out=of_class, where=sums.sum(axis=0) > 0)
+        found = np.repeat(of_class[:, None].astype(np.float32), FAMILIES, axis=1)
+        own = self.against / (self.against + self.along)
+        mixed = (self.count * own + PRIOR * of_class[kind, cell]) / (self.count + PRIOR)
+        found.ravel()[self.place] = mixed
+        return found
 
 
 class FamilyShares:
@@ -65,14 +97,14 @@ class FamilyShares:
 
     Parameters
     ----------
-    shares : (CLASS_COUNT · FAMILIES, c) float64
-        Of rays with the light.
+    shares : (CLASS_COUNT, FAMILIES, c) float32
+        Of rays with the light, see `FamilyVariances.shares`.
     has_optics : bool
         Whether light must pass a lens or a mirror to be part of the direct image.
     """
 
     def __init__(self, shares: np.ndarray, has_optics: bool) -> None:
-        self._shares, self._cells = upload(mi.Float, shares.ravel()), dr.opaque(mi.UInt32, shares.shape[1])
+        self._shares, self._cells = upload(mi.Float, shares.ravel()), dr.opaque(mi.UInt32, shares.shape[-1])
         self._has_optics = has_optics
 
     def against(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> PathShares:
