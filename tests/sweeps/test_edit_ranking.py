@@ -139,8 +139,9 @@ def test_several_angles_share_one_pst(scene: Path) -> None:
     both = rank_edits(scene, [ANGLE, 25.0], "total", rays=20_000, max_scatters=1)
     metric = pst_bin(mistray.load(scene), 25.0, "total", pst_field_deg=[ANGLE, 25.0], rays=20_000, max_scatters=1)
     gradient = mistray.gradient(metric, mi.traverse(metric.scene), ["ring.r0"])
-    assert both.pst[1].value == gradient.value
-    assert both["ring.r0"].derivative[1].value == gradient.gradient["ring.r0"][0]
+    # Sums over lanes are in any order
+    assert both.pst[1].value == pytest.approx(gradient.value, rel=1e-12)
+    assert both["ring.r0"].derivative[1].value == pytest.approx(gradient.gradient["ring.r0"][0], rel=1e-12)
     assert list(both.to_pandas().angle_deg[:2]) == [ANGLE, 25.0]
 
 
@@ -202,7 +203,7 @@ def test_command(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
         ({"steps": {"plate.curvature": 1.0}}, "none of the edits is about it"),
         ({"keys": ["plate.curvature"]}, "no parameter 'plate.curvature'"),
         ({"light": "edge_diffraction"}, "the PST at 15° is 0"),
-        ({"method": "forward"}, "method is no setting"),
+        ({"method": "forward"}, "method of a PST metric"),
     ],
 )
 def test_refuses(scene: Path, change: dict[str, Any], words: str) -> None:
