@@ -27,7 +27,7 @@ from mistray.recorders.film import Film
 from mistray.recorders.path_sums import PathSums, join_sums
 from mistray.recorders.recorder import Recorder, Recorders
 from mistray.recorders.start_rays import StartRays
-from mistray.recorders.start_samples import ORDERS, DepartureSamples, Samples
+from mistray.recorders.start_samples import ORDERS, SAMPLES, DepartureSamples, Samples
 from mistray.recorders.tallies import CHANNEL_COUNT, CUTS, SEGMENTS, SURFACE_SUMS, Tallies
 from mistray.recorders.weighing import Weighing
 from mistray.sampling.backward_targets import backward_targets
@@ -48,7 +48,7 @@ FIRST_PASS, PASS_LANES = 1 << 14, 1 << 18  # rays of the first pass, and of the 
 PATH_SLOTS, ENTRY_SLOTS = 1 << 17, 1 << 20
 VERTICES_OF_RAY, VERTEX_SEED = 1.0, 2  # points of light for one ray of a pass
 ROOM = 1.3  # for points of light, over those of the pass before
-FIRST_SEARCH = 1 << 24  # number of a pass, beyond those of any run
+FIRST_SEARCH, SEARCHES = 1 << 24, 64  # number of a pass, beyond those of any run; searches of a pilot
 # Of a ray that meets all optics about so many hits scatter, and so many reflections are followed; but a surface that
 # sees the sky scatters with so many times the share of its rays that get there
 SCATTERS_OF_RAY, REFLECTIONS_OF_RAY, VIEWS_OF_SKY = 2.0, 4.0, 2.0
@@ -280,25 +280,29 @@ class BackwardTrace:
 
     def samples(self, rays: int, number: int, values: np.ndarray | None = None) -> list[Samples]:
         """
-        Light that arrives, from rays that are in no sums, by wavelength.
+        Light that arrives, from rays that are in no sums, by wavelength and pass.
 
         Parameters
         ----------
         rays : int
+            In passes of at most `PASS_LANES`, so that memory is bounded.
         number : int
-            Of this search: another number is another sample.
+            Of this search, below `SEARCHES`: another number is another sample.
         values : (c,) float64, optional
             See `DepartureSamples`; None: `Samples.worth` is of no use.
         """
         found = []
         if values is None:
             values = np.zeros(self.unit.size)
-        for band in range(len(self.bands)):
-            vertices = self.light_vertices(band, (1, number), rays)
+        passes = max(1, -(-rays // PASS_LANES))
+        for band, k in np.ndindex(len(self.bands), passes):
+            stream, here = number + SEARCHES * k, rays // passes
+            vertices = self.light_vertices(band, (1, stream), here)
             balance = self.balance(band, vertices)
             assert balance is not None
-            recorder = DepartureSamples(self.grid, self.has_optics, balance, self.table.count, values)
-            self.trace_shared(band, self.start_pass(band, FIRST_SEARCH + number, rays), vertices, recorder)
+            room = SAMPLES // passes
+            recorder = DepartureSamples(self.grid, self.has_optics, balance, self.table.count, values, room)
+            self.trace_shared(band, self.start_pass(band, FIRST_SEARCH + stream, here), vertices, recorder)
             found.append(recorder.read())
         return found
 

@@ -116,12 +116,20 @@ class DepartureSamples(_StartSamples):
     surfaces : int
     values : (c,) float64
         Of light of each cell, in what follows from the weight at a surface.
+    capacity : int
+        Samples that are kept; more are counted only.
     """
 
     def __init__(
-        self, grid: DirectionGrid, has_optics: bool, weighing: StartWeighing, surfaces: int, values: np.ndarray
+        self,
+        grid: DirectionGrid,
+        has_optics: bool,
+        weighing: StartWeighing,
+        surfaces: int,
+        values: np.ndarray,
+        capacity: int = SAMPLES,
     ) -> None:
-        super().__init__(1, has_optics, weighing)
+        super().__init__(1, has_optics, weighing, capacity)
         self._cells = DirectionRecorder(grid, 0, None, has_optics)
         self._values, self._surfaces = upload(mi.Float64, values), surfaces
         self._worth = [dr.zeros(mi.Float64, surfaces * ORDERS) for _ in range(3)]

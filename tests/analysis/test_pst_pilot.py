@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import importlib
 import itertools
+import time
 from typing import Any
 
 import mitsuba as mi
@@ -375,3 +376,35 @@ def test_the_time_is_estimated_before_the_run(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(importlib.import_module("mistray.analysis.pst.backward_run"), "LONG", estimate / 100)
     with pytest.warns(MistrayWarning, match="min"):
         mistray.pst(window(), [30.0], cell_deg=2.0, rays=1_000_000, seed=3, paths=False)
+
+
+def test_a_long_round_of_a_pilot_is_traced_in_passes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its points of light and samples take bounded memory; the light is the same, within 6 of its errors."""
+    scene = lit_disc()
+    trace = BackwardTrace(scene, DirectionGrid.of([45.0], cell_deg=20.0), Settings.of(scene))
+    trace.share_paths(Sharing(hull_points(trace.table), StartMap.uniform(1), np.ones(1), np.zeros(1)))
+    rays = 1 << 14
+
+    def light() -> tuple[int, float, float]:
+        found = trace.samples(rays, 3)
+        weights = np.concatenate([one.weight for one in found])
+        return len(found), float(weights.sum()), float(np.sqrt(np.sum(weights**2)))
+
+    parts, value, se = light()
+    assert parts == 1
+    monkeypatch.setattr(importlib.import_module("mistray.execute.backward"), "PASS_LANES", rays // 8)
+    parts, other, error = light()
+    assert parts == 8
+    assert abs(value - other) < 6 * np.hypot(se, error)
+    assert value != other
+
+
+@pytest.mark.long
+def test_a_time_ends_a_pilot_too() -> None:
+    """An error that would take hours, in seconds: the pilot has its share of them, and ends with its round."""
+    scene = singlet()
+    mistray.pst(scene, [45.0], rays=1 << 12, paths=False)  # kernels
+    started = time.perf_counter()
+    found = mistray.pst(scene, [45.0], relative_error=1e-5, seconds=4.0, paths=False)
+    assert time.perf_counter() - started < 30
+    assert found.facts["rays"] > 0

@@ -25,7 +25,7 @@ from mistray.gradients.pst_gradient import PstRays
 from mistray.interrupts import later, requested
 from mistray.recorders.direction_recorder import DIFFRACTED, MULTIPLE, SINGLE
 from mistray.recorders.path_sums import join_sums
-from mistray.time_budget import is_limited, time_is_up
+from mistray.time_budget import is_limited, share, time_is_up
 
 PILOT_SHARE = 3  # a run to an error takes about so many times the rays of its pilot
 DARK_AFTER = 4_000_000  # rays without light in a cell after which it is taken for dark
@@ -107,8 +107,11 @@ class BackwardRun:
         pilot = Pilot(self._trace, self._points, counts, wanted is not None)
         plan = pilot.search(0)
         # Of a fixed number of rays it has one size, so that the run may be continued; its first variances know little
-        while wanted is not None and (asked := self._budget(plan, wanted) / PILOT_SHARE) > pilot.rays:
-            plan = pilot.search(min(asked, 2 * pilot.rays))
+        with share(1 / (1 + PILOT_SHARE)):
+            while wanted is not None and (asked := self._budget(plan, wanted) / PILOT_SHARE) > pilot.rays:
+                if time_is_up():
+                    break
+                plan = pilot.search(min(asked, 2 * pilot.rays))
         if wanted is not None:
             plan = plan.beside(max(plan.rays_for(wanted, counts), int(plan.pilot_rays[1])), self._budget(plan, wanted))
         self._pilot_seconds = time.perf_counter() - started
