@@ -280,7 +280,7 @@ class BackwardTrace:
 
     def samples(self, rays: int, number: int, values: np.ndarray | None = None) -> list[Samples]:
         """
-        Light that arrives, from rays that are in no sums, by wavelength and pass.
+        Light that arrives, from rays that are in no sums, by wavelength.
 
         Parameters
         ----------
@@ -295,15 +295,19 @@ class BackwardTrace:
         if values is None:
             values = np.zeros(self.unit.size)
         passes = max(1, -(-rays // PASS_LANES))
-        for band, k in np.ndindex(len(self.bands), passes):
-            stream, here = number + SEARCHES * k, rays // passes
-            vertices = self.light_vertices(band, (1, stream), here)
-            balance = self.balance(band, vertices)
-            assert balance is not None
-            room = SAMPLES // passes
-            recorder = DepartureSamples(self.grid, self.has_optics, balance, self.table.count, values, room)
-            self.trace_shared(band, self.start_pass(band, FIRST_SEARCH + stream, here), vertices, recorder)
-            found.append(recorder.read())
+        here = rays // passes
+        for band in range(len(self.bands)):
+            parts = []
+            for k in range(passes):
+                stream = number + SEARCHES * k
+                vertices = self.light_vertices(band, (1, stream), here)
+                balance = self.balance(band, vertices)
+                assert balance is not None
+                room = SAMPLES // passes
+                recorder = DepartureSamples(self.grid, self.has_optics, balance, self.table.count, values, room)
+                self.trace_shared(band, self.start_pass(band, FIRST_SEARCH + stream, here), vertices, recorder)
+                parts.append(recorder.read())
+            found.append(Samples.together(parts, here))
         return found
 
     def trace_shared(self, number: int, start: StartRays, vertices: LightVertices | None, *recorders: Recorder) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
-from dataclasses import dataclass, replace
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, fields, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -59,6 +59,16 @@ class Samples:
     connected: np.ndarray
     segments: np.ndarray
     worth: np.ndarray | None = None
+
+    @classmethod
+    def together(cls, parts: Sequence[Samples], lanes: int) -> Samples:
+        """Those of several passes of so many start rays, in units of one of them all."""
+        if len(parts) == 1:
+            return parts[0]
+        columns = {f.name: [getattr(one, f.name) for one in parts] for f in fields(cls)}
+        columns["lane"] = [lane + k * lanes for k, lane in enumerate(columns["lane"])]
+        sums = {name: sum(columns.pop(name)[1:], start=getattr(parts[0], name)) for name in ("segments", "worth")}
+        return cls(**{name: np.concatenate(values) for name, values in columns.items()}, **sums)
 
 
 class _StartSamples(Recorder):
