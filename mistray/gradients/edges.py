@@ -46,7 +46,7 @@ from mistray.kernel.ray_tree import trace_tree
 from mistray.physics.geometry.sag import sag
 from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.branch_recorder import BranchRecorder, as_many
-from mistray.recorders.path_key import EVENT_BITS, mixed_code
+from mistray.recorders.path_key import EVENT_BITS, mixed_events
 from mistray.recorders.start_rays import StartRays
 from mistray.settings import Settings
 from mistray.surfaces.gradient_columns import HALF_HEIGHT, HALF_WIDTH, RIM_COLUMNS
@@ -261,16 +261,12 @@ class Edges:
 
     def _family(self, row: mi.UInt32, count: mi.UInt32) -> mi.UInt32:
         """What the first events of recorded paths add to the number of their family."""
-        paths = self._near.paths
+        paths, none = self._near.paths, dr.zeros(mi.UInt32, dr.width(row))
 
-        def add(k: mi.UInt32, total: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
-            code = dr.gather(mi.UInt32, paths.codes, row * paths.max_events + k, k < count)
-            return k + 1, total + dr.select(k < count, mixed_code(code), 0)
+        def code(k: mi.UInt32, going: mi.Bool) -> mi.UInt32:
+            return dr.gather(mi.UInt32, paths.codes, row * paths.max_events + k, going)
 
-        none = dr.zeros(mi.UInt32, dr.width(row))
-        return dr.while_loop(
-            (none, mi.UInt32(none)), lambda k, _: k < count, add, mode="symbolic", label="family before"
-        )[1]
+        return mixed_events(code, none, count, none, dr.full(mi.Bool, True, dr.width(row)))
 
     def _jump(self, row: mi.UInt32, jumps: mi.Bool, p: mi.Vector3f, s: mi.UInt32, others: tuple[Any, ...]) -> Any:
         """Start of rays beyond a jump (origin, direction, surface that they leave, surface that they are at)."""

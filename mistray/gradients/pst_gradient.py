@@ -14,7 +14,7 @@ Where rays of both directions share the paths, they share the derivatives, too. 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import drjit as dr
@@ -27,7 +27,6 @@ from mistray.execute.backward import BackwardTrace
 from mistray.gradients.edges import Edges
 from mistray.gradients.path_replay import PathReplay
 from mistray.gradients.replay import End, Exit
-from mistray.gradients.replay_surfaces import Hit, ReplaySurfaces, Split
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.branch_recorder import BranchRecorder
@@ -39,8 +38,6 @@ from mistray.surfaces.upload import upload
 CELL_BORDERS = "light whose direction of arrival moves across the border of a cell of angles"
 DETECTOR_RIMS = "the size of the detector itself, within which rays start"
 EXITS_PER_RAY, ARRIVALS_PER_RAY = 8.0, 1.0  # first guesses; portions that are too large are halved
-
-Group = Callable[[mi.UInt32], mi.UInt32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,19 +160,7 @@ class PstRays:
 
         def end(row: mi.UInt32, keys: np.ndarray) -> End:
             gain = dr.gather(mi.Float64, recorder.weight, row)
-
-            def met(
-                surfaces: ReplaySurfaces,
-                hit: Hit,
-                recorded: mi.Vector3d,
-                split: Split,
-                s: mi.UInt32,
-                batch: mi.UInt32,
-                active: mi.Bool,
-            ) -> mi.Float64:
-                return gain
-
-            return met
+            return lambda *hit: gain  # wherever the detector is hit
 
         with dr.suspend_grad():
             edges = None

@@ -145,11 +145,7 @@ class DirectionRecorder(Recorder):
         cell, inside = self.cell(departure.heading)
         own = active if departure.joint is None else active & (departure.joint == 0)
         dr.scatter_reduce(dr.ReduceOp.Add, self.elsewhere, mi.Float64(weight), start.batch, own & ~inside)
-        inside &= active
-        if self._weighing is not None:
-            share = self._weighing.against(departure, cell, inside).against
-            inside &= share > 0
-            weight = weight * share
+        weight, inside = self._own(departure, cell, inside)
         w = mi.Float64(weight)
         place = (class_of_departure(departure, self._has_optics) * self.cells + cell) * BATCHES + start.batch
         dr.scatter_reduce(dr.ReduceOp.Add, self.sums, w, place, inside)
@@ -167,14 +163,17 @@ class DirectionRecorder(Recorder):
         """What the metric gains from rays that leave; nothing is added to the sums."""
         cell, inside = self.cell(departure.heading)
         index = class_of_departure(departure, self._has_optics) * self.cells + cell
-        inside &= departure.active
-        weight = departure.weight
-        if self._weighing is not None:
-            share = self._weighing.against(departure, cell, inside).against
-            inside &= share > 0
-            weight = weight * share
+        weight, inside = self._own(departure, cell, inside)
         gained = mi.Float64(weight) * dr.gather(mi.Float64, self._derivative, index, inside)
         return dr.select(inside, gained, 0)
+
+    def _own(self, departure: Departure, cell: mi.UInt32, inside: mi.Bool) -> tuple[mi.Float, mi.Bool]:
+        """What counts of rays that leave within a cell, and whether anything does."""
+        inside = inside & departure.active
+        if self._weighing is None:
+            return departure.weight, inside
+        share = self._weighing.against(departure, cell, inside).against
+        return departure.weight * share, inside & (share > 0)
 
     def read(self) -> dict[str, Any]:
         """

@@ -5,7 +5,6 @@ Two different paths share a key with a probability of about paths²/2^65, 3e-11 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -13,6 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 if TYPE_CHECKING:
+    from mistray.recorders.recorder import EventReader
     from mistray.recorders.start_rays import StartRays
 
 # What happens at a surface. Specular events, then scattered ones: at random from the BSDF, or aimed at a target
@@ -33,16 +33,20 @@ def extend_key(key: mi.UInt64, code: mi.UInt32) -> mi.UInt64:
     return key ^ (key >> 29)
 
 
-def mixed_code(code: mi.UInt32) -> mi.UInt32:
-    """What an event adds to the number of a family; steps as in MurmurHash3."""
-    mixed = (code + 1) * 0x85EBCA6B
-    mixed = (mixed ^ (mixed >> 15)) * 0xC2B2AE35
-    return mixed ^ (mixed >> 16)
+def mixed_events(event: EventReader, first: mi.UInt32, end: mi.UInt32, before: mi.UInt32, active: mi.Bool) -> mi.UInt32:
+    """What events from a first one to an end add to the number of a family; steps as in MurmurHash3."""
+
+    def add(k: mi.UInt32, total: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
+        going = active & (k < end)
+        mixed = (event(k, going) + 1) * 0x85EBCA6B
+        mixed = (mixed ^ (mixed >> 15)) * 0xC2B2AE35
+        return k + 1, total + dr.select(going, mixed ^ (mixed >> 16), 0)
+
+    begin = mi.UInt32(first), mi.UInt32(before)
+    return dr.while_loop(begin, lambda k, _: active & (k < end), add, mode="symbolic", label="family")[1]
 
 
-def family_of(
-    event: Callable[[mi.UInt32, mi.Bool], mi.UInt32], length: mi.UInt32, start: StartRays, active: mi.Bool
-) -> mi.UInt32:
+def family_of(event: EventReader, length: mi.UInt32, start: StartRays, active: mi.Bool) -> mi.UInt32:
     """
     Family of paths, below `FAMILIES`: by their events, the same in whatever order, so against the light as with it.
 
@@ -56,15 +60,8 @@ def family_of(
         Of the rays; those that go on from within a tree know what the events before have added.
     active : mi.Bool
     """
-    width = dr.width(active)
-
-    def add(k: mi.UInt32, total: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
-        going = active & (k < length)
-        return k + 1, total + dr.select(going, mixed_code(event(k, going)), 0)
-
-    none = dr.zeros(mi.UInt32, width)
-    begin = mi.UInt32(start.given("depth", none)), mi.UInt32(start.given("family", none))
-    _, total = dr.while_loop(begin, lambda k, _: active & (k < length), add, mode="symbolic", label="family")
+    none = dr.zeros(mi.UInt32, dr.width(active))
+    total = mixed_events(event, start.given("depth", none), length, start.given("family", none), active)
     return (total ^ (total >> 15)) % FAMILIES
 
 

@@ -108,8 +108,9 @@ class BackwardRun:
         plan = pilot.search(0)
         # Of a fixed number of rays it has one size, so that the run may be continued; its first variances know little
         with share(1 / (1 + PILOT_SHARE)):
-            while wanted is not None and (asked := self._budget(plan, wanted) / PILOT_SHARE) > pilot.rays:
-                if time_is_up():
+            while wanted is not None and not time_is_up():
+                asked = self._budget(plan, wanted) / PILOT_SHARE
+                if asked <= pilot.rays:
                     break
                 plan = pilot.search(min(asked, 2 * pilot.rays))
         if wanted is not None:

@@ -124,13 +124,7 @@ class Pilot:
             [np.interp(np.log(f), np.log(FACTORS), column) for f, column in zip(best, relative.T, strict=True)]
         )
         plan = Plan(
-            sharing=Sharing(
-                self._points,
-                starts,
-                sharing.rays * best,
-                sharing.linked,
-                self._windows(against, values),
-            ),
+            sharing=Sharing(self._points, starts, sharing.rays * best, sharing.linked, self._windows(against, values)),
             light=light,
             variance=variance * light**2 * rays,
             pilot_rays=self._rays.copy(),

@@ -35,7 +35,7 @@ class View:
     def key(self) -> tuple[Any, ...]:
         """Equal for views that show the same."""
         given = {name: value for name, value in self.arguments.items() if value is not None}
-        return type(self), tuple(sorted((name, _plain(value)) for name, value in given.items()))
+        return type(self), _sorted(given)
 
     def observe(self, scene: Any, times: float, changes: Mapping[str, Any]) -> Observation | PstObservation:
         """Trace the scene with so many times the rays; `changes` replace some of the arguments."""
@@ -78,8 +78,7 @@ class PstView(View):
 
     def observe(self, scene: Any, times: float, changes: Mapping[str, Any]) -> PstObservation:
         """Compute the PST with so many times the rays; `changes` replace some of the arguments."""
-        other = {name: value for name, value in changes.items() if name not in ("rays", "seed")}
-        look = tuple(sorted((name, _plain(value)) for name, value in other.items()))
+        look = _sorted({name: value for name, value in changes.items() if name not in ("rays", "seed")})
         arguments = {"method": METHODS[0], **self._arguments(scene, times, changes)}
         found = next(pst_of_each([scene], paths=False, plan=self.plans.get(look), **arguments))
         self.plans[look] = found.plan
@@ -87,6 +86,11 @@ class PstView(View):
 
     def _usual_rays(self, scene: Any) -> int:
         return RAYS[METHODS[0]]
+
+
+def _sorted(arguments: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Arguments as something that can be compared."""
+    return tuple(sorted((name, _plain(value)) for name, value in arguments.items()))
 
 
 def _plain(value: Any) -> Any:
