@@ -27,7 +27,7 @@ from mistray.recorders.film import Film
 from mistray.recorders.path_sums import PathSums, join_sums
 from mistray.recorders.recorder import Recorder, Recorders
 from mistray.recorders.start_rays import StartRays
-from mistray.recorders.start_samples import ORDERS, SAMPLES, DepartureSamples, Samples
+from mistray.recorders.start_samples import SAMPLES, WAYS, DepartureSamples, Samples
 from mistray.recorders.tallies import CHANNEL_COUNT, CUTS, SEGMENTS, SURFACE_SUMS, Tallies
 from mistray.recorders.weighing import Weighing
 from mistray.sampling.backward_targets import backward_targets
@@ -199,7 +199,7 @@ class BackwardTrace:
     def share_paths(self, sharing: Sharing) -> None:
         """Share the paths with rays that follow the light from now on, see `mistray.sampling.sharing.balance`."""
         self._arguments = (*self._arguments[:-1], sharing)
-        windows = np.zeros((2, self.table.count, ORDERS)) if sharing.windows is None else sharing.windows
+        windows = np.zeros((2, self.table.count, WAYS)) if sharing.windows is None else sharing.windows
         many, few = windows[0], np.where(windows[1] > 0, windows[1], np.inf)
         self._windows = WeightWindows(upload(mi.Float, many.ravel()), upload(mi.Float, few.ravel()))
         if self.rivals:

@@ -49,6 +49,8 @@ class Node:
     first, again : mi.Bool
         Lanes that visit for the first time, and that come back.
     rng : mi.PCG32
+    row : mi.UInt32 or None
+        Of its weight window, see `mistray.recorders.start_samples.worth_row`; None: there are no windows.
     """
 
     state: dict[str, Any]
@@ -59,6 +61,7 @@ class Node:
     first: mi.Bool
     again: mi.Bool
     rng: mi.PCG32
+    row: mi.UInt32 | None = None
 
     @property
     def visit(self) -> mi.Bool:
@@ -248,7 +251,7 @@ class Branching:
             if given is not None:
                 wanted_rays = dr.select(given.random_rays > 0, given.random_rays, wanted_rays)
             if self._windows is not None:
-                wanted_rays *= self._windows.split(state["s"], done[0], w, visit)
+                wanted_rays *= self._windows.split(node.row, w, visit)
             random_rays = dr.select(at_random, wanted_rays, 0)
             remainder = dr.select(at_random, mi.UInt32(SAMPLING), mi.UInt32(SCATTERS))  # aimed rays leave light out
             aimed_rays = given.aimed_t + given.aimed_r if given is not None else mi.UInt32(0)
@@ -327,7 +330,7 @@ class Branching:
         if self._probabilities is not None:
             chance = chance * dr.gather(mi.Float, self._probabilities.scatter, state["s"], first)
         if self._windows is not None:
-            wanted = self._windows.chance(state["s"], state["scatters"] & COUNT_MASK, w, first)
+            wanted = self._windows.chance(node.row, w, first)
             if self._connections is not None:
                 wanted = dr.select(state["joint"] == 0, wanted, 1)
             chance = chance * wanted

@@ -9,7 +9,6 @@ import drjit as dr
 import mitsuba as mi
 
 from mistray.kernel.scattering import Scattering
-from mistray.recorders.start_samples import worth_row
 from mistray.settings import Settings
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.surfaces import SurfaceTable
@@ -37,7 +36,7 @@ class BranchProbabilities:
 @dataclass(frozen=True)
 class WeightWindows:
     """
-    How many rays are scattered where, by surface and the number of scatter events before; results stay the same.
+    How many rays are scattered where, by surface and the way there; results stay the same.
 
     Attributes
     ----------
@@ -49,14 +48,14 @@ class WeightWindows:
     many: mi.Float
     few: mi.Float
 
-    def split(self, s: mi.UInt32, scatters: mi.UInt32, weight: mi.Float, active: mi.Bool) -> mi.UInt32:
+    def split(self, row: mi.UInt32, weight: mi.Float, active: mi.Bool) -> mi.UInt32:
         """Rays that a hit is split into."""
-        rays = weight * dr.gather(mi.Float, self.many, worth_row(s, scatters), active)
+        rays = weight * dr.gather(mi.Float, self.many, row, active)
         return mi.UInt32(dr.clip(dr.round(rays), 1, MOST_RAYS))
 
-    def chance(self, s: mi.UInt32, scatters: mi.UInt32, weight: mi.Float, active: mi.Bool) -> mi.Float:
+    def chance(self, row: mi.UInt32, weight: mi.Float, active: mi.Bool) -> mi.Float:
         """Probability that a hit scatters."""
-        rays = weight * dr.gather(mi.Float, self.few, worth_row(s, scatters), active)
+        rays = weight * dr.gather(mi.Float, self.few, row, active)
         return dr.clip(rays, LEAST_CHANCE, 1)
 
 

@@ -27,9 +27,10 @@ from mistray.kernel.next_hit import film_coordinates, next_hit
 from mistray.kernel.odds import Odds
 from mistray.kernel.pending_nodes import LEVELS, PendingNodes, at_once, in_step, node_word, wait_level
 from mistray.kernel.scatter_shares import Rivalry
-from mistray.recorders.path_key import ABSORBED, EVENT_BITS, FIRST_KEY, extend_key
+from mistray.recorders.path_key import ABSORBED, COUNT_MASK, EVENT_BITS, FIRST_KEY, extend_key
 from mistray.recorders.recorder import Branch, Departure, Memory, Recorder, Recorders, Return, Segment, Visit
 from mistray.recorders.start_rays import StartRays
+from mistray.recorders.start_samples import worth_row
 from mistray.recorders.tallies import ESCAPED, FIRST_MISS, MEDIUM, STARTED
 from mistray.settings import Settings
 from mistray.surfaces.optics import DETECTOR, NO_LOSS
@@ -289,7 +290,10 @@ class _Tree:
             link=None if self.odds is None or self.scene.backward else self.odds.link_at_end(state),
         )
         self.recorders.visit(hits, memory)
-        return Node(state, it, given, R, T, first & ~at_rim, again, state["rng"])
+        row = None
+        if self.scene.windows is not None:
+            row = worth_row(s, hits.before(active), state["scatters"] & COUNT_MASK)
+        return Node(state, it, given, R, T, first & ~at_rim, again, state["rng"], row)
 
     def _send(self, node: Node, children: Children, choice: Choice) -> _Sent:
         """The chosen child's origin, direction and flux."""

@@ -23,6 +23,7 @@ EVENT_BITS = 3
 # say whether one of them was not diffraction, and whether the last was at a surface that lets nothing through
 COUNT_MASK, RANDOM_SHIFT, OPTICAL_SHIFT, NOT_DIFFRACTED, AT_WALL = 0x3FF, 10, 20, 1 << 30, 1 << 31
 FAMILIES = 1024
+NO_EVENT = 0xFFFFFFFF  # before the first one of a path
 FIRST_KEY = 0x9E3779B97F4A7C15
 MULTIPLIER = 0xFF51AFD7ED558CCD
 

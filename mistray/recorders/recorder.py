@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 import mitsuba as mi
 
+from mistray.recorders.path_key import NO_EVENT
 from mistray.recorders.start_rays import StartRays
 
 if TYPE_CHECKING:
@@ -103,6 +104,11 @@ class Visit:
         """See `EventReader`; the last event is the absorption here."""
         before = k < self.depth
         return dr.select(before, self.codes.read(k, mask & before), self.code)
+
+    def before(self, mask: mi.Bool) -> mi.UInt32:
+        """The event before the hit, `NO_EVENT` where rays come straight from their start."""
+        there = self.depth > 0
+        return dr.select(there, self.codes.read(dr.select(there, self.depth - 1, 0), mask & there), mi.UInt32(NO_EVENT))
 
     @property
     def node(self) -> Sequence[mi.Float]:

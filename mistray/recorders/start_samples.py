@@ -11,7 +11,7 @@ import numpy as np
 
 from mistray.recorders.direction_recorder import DirectionRecorder, class_of_arrival, class_of_departure
 from mistray.recorders.directions import DirectionGrid
-from mistray.recorders.path_key import COUNT_MASK, EVENT_BITS, RANDOM_TRANSMITTED, family_of
+from mistray.recorders.path_key import COUNT_MASK, EVENT_BITS, NO_EVENT, RANDOM_TRANSMITTED, family_of
 from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.weighing import StartWeighing
@@ -19,12 +19,19 @@ from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.upload import upload
 
 SAMPLES = 1 << 20  # that are kept; more are counted only
-ORDERS = 8  # scatter events that are told apart; later ones are as the last of them
+WAYS = 256  # to a surface that are told apart; more share their numbers
 
 
-def worth_row(surface: mi.UInt32, scatters: mi.UInt32) -> mi.UInt32:
-    """Row of a surface, for rays with so many scatter events before, in tables of (surfaces · `ORDERS`,) numbers."""
-    return surface * ORDERS + dr.minimum(scatters, ORDERS - 1)
+def worth_row(surface: mi.UInt32, before: mi.UInt32, scatters: mi.UInt32) -> mi.UInt32:
+    """
+    Row of a surface in tables of (surfaces · `WAYS`,) numbers, steps as in MurmurHash3.
+
+    The way there is the event before, or `NO_EVENT`, and the number of scatter events: light that comes to either face
+    of a stop is told apart, and so is a reflection from light that goes through.
+    """
+    mixed = (before + scatters * 0x9E3779B1) * 0x85EBCA6B
+    mixed = (mixed ^ (mixed >> 15)) * 0xC2B2AE35
+    return surface * WAYS + (mixed ^ (mixed >> 16)) % WAYS
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +51,9 @@ class Samples:
         Shares of its path, see `mistray.recorders.weighing.PathShares`.
     segments : (c,) float64
         Ray segments by the cell of their start rays; all in one number where rays go to all cells.
-    worth : (3, n, ORDERS) float64, optional
-        By surface and number of scatter events before: weight that arrives there, what follows from it, and the squares
-        of that; of a trace against the light.
+    worth : (4, n, WAYS) float64, optional
+        By surface and way there, see `worth_row`: weight that arrives, its squares, what follows from it, and the
+        squares of that; of a trace against the light.
     """
 
     lane: np.ndarray
@@ -142,16 +149,18 @@ class DepartureSamples(_StartSamples):
         super().__init__(1, has_optics, weighing, capacity)
         self._cells = DirectionRecorder(grid, 0, None, has_optics)
         self._values, self._surfaces = upload(mi.Float64, values), surfaces
-        self._worth = [dr.zeros(mi.Float64, surfaces * ORDERS) for _ in range(3)]
+        self._worth = [dr.zeros(mi.Float64, surfaces * WAYS) for _ in range(4)]
         dr.eval(self._worth)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Add up what arrives where it may be scattered."""
         if visit.shares is None:
             return
-        row = worth_row(visit.surface, visit.state["scatters"] & COUNT_MASK)
         active = visit.active & (visit.shares.scattered > 0)
-        dr.scatter_reduce(dr.ReduceOp.Add, self._worth[0], mi.Float64(visit.weight), row, active)
+        row = worth_row(visit.surface, visit.before(active), visit.state["scatters"] & COUNT_MASK)
+        weight = mi.Float64(visit.weight)
+        dr.scatter_reduce(dr.ReduceOp.Add, self._worth[0], weight, row, active)
+        dr.scatter_reduce(dr.ReduceOp.Add, self._worth[1], weight * weight, row, active)
 
     def _add_worth(self, departure: Departure, worth: mi.Float64, active: mi.Bool) -> None:
         """Add up what follows from the weights at the scatter events of paths, but for those at points of light."""
@@ -159,21 +168,23 @@ class DepartureSamples(_StartSamples):
         if departure.joint is not None:
             last = dr.select(departure.joint != 0, (departure.scatters & COUNT_MASK) - 1, last)
 
-        def on(k: mi.UInt32, order: mi.UInt32, going: mi.Bool) -> tuple[mi.UInt32, mi.UInt32, mi.Bool]:
+        def on(
+            k: mi.UInt32, before: mi.UInt32, order: mi.UInt32, going: mi.Bool
+        ) -> tuple[mi.UInt32, mi.UInt32, mi.UInt32, mi.Bool]:
             code = departure.event(k, going)
             scattered = going & ((code & ((1 << EVENT_BITS) - 1)) >= RANDOM_TRANSMITTED)
             surface = code >> EVENT_BITS
-            row = worth_row(surface, order)
+            row = worth_row(surface, before, order)
             here = scattered & (order != last) & (surface < self._surfaces)
-            dr.scatter_reduce(dr.ReduceOp.Add, self._worth[1], worth, row, here)
-            dr.scatter_reduce(dr.ReduceOp.Add, self._worth[2], worth * worth, row, here)
-            return k + 1, order + dr.select(scattered, mi.UInt32(1), 0), going & (k + 1 < departure.length)
+            dr.scatter_reduce(dr.ReduceOp.Add, self._worth[2], worth, row, here)
+            dr.scatter_reduce(dr.ReduceOp.Add, self._worth[3], worth * worth, row, here)
+            return k + 1, code, order + dr.select(scattered, mi.UInt32(1), 0), going & (k + 1 < departure.length)
 
         width = dr.width(active)
         going = active & (departure.length > 0) & (worth > 0)
         dr.while_loop(
-            (dr.zeros(mi.UInt32, width), dr.zeros(mi.UInt32, width), going),
-            lambda k, order, going: going,
+            (dr.zeros(mi.UInt32, width), dr.full(mi.UInt32, NO_EVENT, width), dr.zeros(mi.UInt32, width), going),
+            lambda k, before, order, going: going,
             on,
             mode="symbolic",
             label="worth",
@@ -196,7 +207,7 @@ class DepartureSamples(_StartSamples):
 
     def read(self) -> Samples:
         """See `_StartSamples.read`."""
-        worth = np.array([np.array(one) for one in self._worth]).reshape(3, self._surfaces, ORDERS)
+        worth = np.array([np.array(one) for one in self._worth]).reshape(4, self._surfaces, WAYS)
         return replace(super().read(), worth=worth)
 
 

@@ -5,6 +5,7 @@ A number must lie within 4 of the errors of both sides together (false alarm 6e-
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import drjit as dr
@@ -21,7 +22,9 @@ from mistray.analysis.pst.plan import Plan, shared
 from mistray.execute.backward import BackwardTrace
 from mistray.kernel.kernel_scene import LEAST_CHANCE, MOST_RAYS, WeightWindows
 from mistray.recorders.directions import DirectionGrid
-from mistray.recorders.start_samples import ORDERS
+from mistray.recorders.path_key import EVENT_BITS, NO_EVENT
+from mistray.recorders.start_samples import WAYS, Samples, worth_row
+from mistray.sampling.plane_wave import hull_points
 from mistray.sampling.sharing.balance import Sharing
 from mistray.sampling.sharing.start_map import StartMap
 from mistray.settings import Settings
@@ -33,16 +36,44 @@ CELLS = [(49.0, 51.0), (64.0, 66.0)]
 
 
 def test_rays_of_a_weight() -> None:
-    """Two surfaces; later scatter events than there are columns for are as the last."""
-    many, few = np.zeros((2, ORDERS)), np.full((2, ORDERS), np.inf)
-    many[1, 2], many[1, -1], few[0, 0], few[1, 1] = 40.0, 1e9, 0.5, 1e-6
-    windows = WeightWindows(mi.Float(many.ravel()), mi.Float(few.ravel()))
-    s, order = mi.UInt32([0, 1, 1, 1, 1]), mi.UInt32([0, 2, 2, 50, 1])
-    weight = mi.Float([1.0, 0.1, 1e-3, 1.0, 1.0])
-    rays, chances = windows.split(s, order, weight, mi.Bool(True)), windows.chance(s, order, weight, mi.Bool(True))
+    windows = WeightWindows(mi.Float([0.0, 40.0, 1e9, 0.0]), mi.Float([0.5, np.inf, np.inf, 1e-6]))
+    row, weight = mi.UInt32([0, 1, 1, 2, 3]), mi.Float([1.0, 0.1, 1e-3, 1.0, 1.0])
+    rays, chances = windows.split(row, weight, mi.Bool(True)), windows.chance(row, weight, mi.Bool(True))
     assert np.array(rays).tolist() == [1, 4, 1, MOST_RAYS, 1]
     assert np.array(chances).tolist() == [0.5, 1, 1, 1, LEAST_CHANCE]
     assert dr.width(rays) == 5
+
+
+def test_ways_to_a_surface_are_told_apart() -> None:
+    """By the event before and by the scatter events: 3 surfaces × 3 things that happen, and none; few share a row."""
+    before = [NO_EVENT, *(surface << EVENT_BITS | what for surface in range(3) for what in (1, 2, 5))]
+    ways = [(event, scatters) for event in before for scatters in range(3)]
+    events, scatters = (mi.UInt32(list(column)) for column in zip(*ways, strict=True))
+    rows = [np.array(worth_row(mi.UInt32(surface), events, scatters)) for surface in (0, 1, 2)]
+    for surface, found in enumerate(rows):
+        assert (found // WAYS == surface).all()
+        assert len(np.unique(found)) > 0.9 * len(ways)
+    assert np.array_equal(rows[1] - WAYS, rows[0])
+
+
+def test_the_kernel_reads_what_the_pilot_has_written() -> None:
+    """Rays that are left to chance at all ways which the pilot has met, and at no others, are so everywhere."""
+    scene = mistray.load("baffle_tube")
+    trace = BackwardTrace(scene, DirectionGrid.of([8.0], cell_deg=8.0), Settings.of(scene))
+
+    def samples(few: np.ndarray | None) -> Samples:
+        windows = None if few is None else np.stack([np.zeros_like(few), few])
+        trace.share_paths(replace(plan(windows).sharing, points=hull_points(trace.table)))
+        (found,) = trace.samples(1 << 14, 0, np.ones(1))
+        return found
+
+    free = samples(None)
+    assert free.worth is not None
+    met = free.worth[0] > 0
+    assert 10 < np.count_nonzero(met) < 0.2 * met.size
+    here, everywhere = (samples(np.where(where, 1e-9, 0.0)) for where in (met, np.full_like(met, True)))
+    assert len(here.weight) < 0.5 * len(free.weight)
+    assert np.array_equal(here.weight, everywhere.weight)
 
 
 @pytest.mark.long
@@ -51,7 +82,7 @@ def test_any_windows_have_the_same_mean(seed: int) -> None:
     """Random numbers of rays between 0.01 and 100, at a glass plate before a screen, with paint and polish."""
     scene = mistray.load("plate_and_wall")
     surfaces = BackwardTrace(scene, DirectionGrid.of([20.0], cell_deg=10.0), Settings.of(scene)).table.count
-    windows = 10 ** np.random.default_rng(seed).uniform(-2, 2, (2, surfaces, ORDERS))
+    windows = 10 ** np.random.default_rng(seed).uniform(-2, 2, (2, surfaces, WAYS))
     alone = np.array([*against_alone(scene, 20.0, 10.0, 1 << 19).values()])
     split = np.array([*against_alone(scene, 20.0, 10.0, 1 << 17, windows=windows).values()])
     assert (alone[:, 0] > 0).all()
@@ -66,7 +97,7 @@ def test_a_tube_with_windows_that_know_nothing() -> None:
     exact, exact_se = tube.pst(35.0, 45.0, 400_000, seed=1)
     scene = vane_tube(tube)
     surfaces = BackwardTrace(scene, DirectionGrid.of([40.0]), Settings.of(scene)).table.count
-    windows = 10 ** np.random.default_rng(5).uniform(-1, 2, (2, surfaces, ORDERS))
+    windows = 10 ** np.random.default_rng(5).uniform(-1, 2, (2, surfaces, WAYS))
     rows = np.array([*against_alone(scene, 40.0, 10.0, 1 << 17, windows=windows).values()])
     value, se = rows[:, 0].sum(), np.hypot(*rows[:, 1])
     assert se < 0.1 * value
@@ -116,13 +147,13 @@ def plan(windows: np.ndarray | None) -> Plan:
 
 def test_scenes_that_are_compared_have_the_same_windows() -> None:
     """Those of the first; none where surfaces were added."""
-    first, second = np.ones((2, 3, ORDERS)), np.full((2, 3, ORDERS), 2.0)
+    first, second = np.ones((2, 3, WAYS)), np.full((2, 3, WAYS), 2.0)
     assert all(one.sharing.windows is first for one in shared([plan(first), plan(second)]))
-    assert all(one.sharing.windows is None for one in shared([plan(first), plan(np.ones((2, 4, ORDERS)))]))
+    assert all(one.sharing.windows is None for one in shared([plan(first), plan(np.ones((2, 4, WAYS)))]))
     assert all(one.sharing.windows is None for one in shared([plan(first), plan(None)]))
 
 
 def test_windows_are_saved_with_the_plan() -> None:
-    windows = np.random.default_rng(0).random((2, 3, ORDERS))
+    windows = np.random.default_rng(0).random((2, 3, WAYS))
     assert np.array_equal(Plan.of_arrays(plan(windows).arrays()).sharing.windows, windows)
     assert Plan.of_arrays(plan(None).arrays()).sharing.windows is None

@@ -20,15 +20,17 @@ from mistray.analysis.pst.plan import (
 )
 from mistray.execute.all_cells import AllCells
 from mistray.execute.backward import BackwardTrace
-from mistray.recorders.start_samples import ORDERS, Samples
+from mistray.recorders.start_samples import WAYS, Samples
 from mistray.sampling.sharing.balance import Sharing
 from mistray.sampling.sharing.cell_starts import whole_batches
 from mistray.sampling.sharing.families import FamilyVariances
-from mistray.sampling.sharing.start_map import StartMap, of_each
+from mistray.sampling.sharing.start_map import StartMap
+from mistray.sampling.sharing.map_samples import beside, thinned
 
 FIRST_ROUND, LEAST_ROUNDS = 1 << 12, 5  # rays of the first round, each of the next takes twice as many
+ROUNDS_TO_AN_ERROR = 6  # at least: what the pilot has not met makes the run too short
 REMEMBERED = 3  # rounds whose samples the map is made of
-SAMPLES_OF_CELL = 16000  # that the map of a cell is made of
+SAMPLES_OF_CELL = 16000  # that are kept of a round
 FACTORS = 2.0 ** np.arange(-4, 5.5, 0.5)  # of the rays with the light of a cell, that are looked at
 LEAST_RAYS = 1 / 4  # of a cell in a pilot, by their cost, of its even share
 STEP = 4.0  # by which the rays of a cell change from one round to the next at most
@@ -68,8 +70,7 @@ class Pilot:
         self._rays = np.zeros(2)
         self._plan: Plan | None = None
         self._light = np.zeros(count)  # of the round before
-        self._worth = np.zeros((3, trace.table.count, ORDERS))
-        self._brought = 0.0  # by the rays against the light, in the same units
+        self._worth: list[tuple[np.ndarray, np.ndarray]] = []  # see `_windows`
         self._pace = np.zeros(2)  # s for a ray with the light, and against it
 
     @property
@@ -82,8 +83,9 @@ class Pilot:
         return float(self._pace @ (plan.forward_rays(rays).sum(), rays))
 
     def search(self, rays: float) -> Plan:
-        """Go on for `LEAST_ROUNDS` rounds at least, and to so many rays against the light."""
-        while self._plan is None or self._rounds < LEAST_ROUNDS or self.rays < rays:
+        """Go on for `LEAST_ROUNDS` or `ROUNDS_TO_AN_ERROR` at least, and to so many rays against the light."""
+        least = ROUNDS_TO_AN_ERROR if self._to_an_error else LEAST_ROUNDS
+        while self._plan is None or self._rounds < least or self.rays < rays:
             self._plan = self._round(FIRST_ROUND << self._rounds)
         sharing = self._plan.sharing
         return replace(self._plan, sharing=replace(sharing, families=self._families(sharing.rays)))
@@ -115,7 +117,7 @@ class Pilot:
         self._note_families((along, against), units)
         cell, points, weights = self._together()
         # The next round, and the run, start where this one has found light
-        starts = StartMap.of(count, cell, points, weights)
+        starts = StartMap.of(count, *beside(trace.grid.shape, (cell, points, weights)))
 
         costs = cost_against, cost_along
         even = factors_of_equal_cost(relative, FACTORS, *costs)
@@ -124,7 +126,7 @@ class Pilot:
             [np.interp(np.log(f), np.log(FACTORS), column) for f, column in zip(best, relative.T, strict=True)]
         )
         plan = Plan(
-            sharing=Sharing(self._points, starts, sharing.rays * best, sharing.linked, self._windows(against, values)),
+            sharing=Sharing(self._points, starts, sharing.rays * best, sharing.linked, self._windows(against, values, rays)),
             light=light,
             variance=variance * light**2 * rays,
             pilot_rays=self._rays.copy(),
@@ -140,25 +142,30 @@ class Pilot:
         trace.share_paths(self._sharing)
         return plan
 
-    def _windows(self, against: Sequence[Samples], values: np.ndarray) -> np.ndarray:
+    def _windows(self, against: Sequence[Samples], values: np.ndarray, rays: int) -> np.ndarray:
         """
-        Of rays against the light, from what all rounds have brought.
+        Of rays against the light, from what the latest rounds have brought.
 
-        What a weight at a surface brings, over what a start ray brings on average, is how many rays it is worth. Its
-        lower bound says into how many it is split, its upper one how many are left of it.
+        A weight at a surface is worth as many rays as the root of the second moment of what it brings, over that of a
+        start ray (A. Rath et al., EARS: efficiency-aware Russian roulette and splitting, ACM Trans. Graph. 41, 81
+        (2022), with the same cost for all rays). Few of it are left only if an upper bound of the mean says so, too,
+        since rare strong rays may not have been met.
         """
-        for one in against:
-            assert one.worth is not None
-            self._worth += one.worth
-            self._brought += float(np.sum(one.weight * values[one.cell]))
-        weight, follows, squares = self._worth
-        rays = np.divide(follows, weight, out=np.zeros_like(weight), where=weight > 0)
-        error = np.divide(np.sqrt(squares), weight, out=np.full_like(weight, np.inf), where=weight > 0)
-        mean = self._brought / max(self.rays, 1)
-        if not mean > 0:
+        brought = [one.weight * values[one.cell] for one in against]
+        sums = np.array([sum(part.sum() for part in brought), sum(np.square(part).sum() for part in brought)])
+        worth = np.sum([one.worth for one in against], axis=0)
+        self._worth = [*self._worth, (worth, np.append(sums, rays))][-REMEMBERED:]
+        (weight, weight_squares, follows, squares), (all_brought, all_squares, all_rays) = (
+            np.sum(column, axis=0) for column in zip(*self._worth, strict=True)
+        )
+        if not all_brought > 0:
             return np.zeros((2, *weight.shape))
-        many, few = np.maximum(rays - error, 0) / mean, (rays + BOUND * error) / mean
-        return _rounded(np.stack([many, np.where(squares > 0, few, 0)]))
+        mean, moment = all_brought / all_rays, all_squares / all_rays
+        most = np.divide(follows + BOUND * np.sqrt(squares), weight, out=np.zeros_like(weight), where=weight > 0) / mean
+        many = np.sqrt(np.divide(squares, weight_squares, out=np.zeros_like(weight), where=weight > 0) / moment)
+        least = np.divide(follows - np.sqrt(squares), weight, out=np.zeros_like(weight), where=weight > 0) / mean
+        many = np.maximum(many, least)
+        return _rounded(np.stack([many, np.where(squares > 0, np.maximum(most, many), 0)]))
 
     def _note_families(
         self, samples: tuple[Sequence[Samples], Sequence[Samples]], units: tuple[np.ndarray, np.ndarray]
@@ -216,13 +223,8 @@ class Pilot:
         total = of_class.sum(axis=0)
         share = np.divide(of_class, total, out=np.ones_like(of_class), where=total > 0)
         weights = weights * (1 - CLASS_SHARE + CLASS_SHARE / (present[cell] * np.maximum(share[kind, cell], 1e-6)))
-        # The strong ones, and of the weak ones some that stand for others
-        limit = np.zeros(len(light))
-        for number, here in of_each(cell):
-            limit[number] = _threshold(weights[here], SAMPLES_OF_CELL)
-        held = rng.random(len(cell)) * limit[cell] < weights
-        kept = np.maximum(weights, limit[cell])[held]
-        self._kept = [*self._kept, (cell[held], points[held], kept, float(rays))][-REMEMBERED:]
+        kept = *thinned((cell, points, weights), SAMPLES_OF_CELL, rng), float(rays)
+        self._kept = [*self._kept, kept][-REMEMBERED:]
 
     def _together(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Cells, points and weights of the rounds that are remembered, each by its rays."""
@@ -240,18 +242,6 @@ def _rounded(values: np.ndarray) -> np.ndarray:
 def _sums(place: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
     """Sums of the values of each place; floats for no values, too."""
     return np.bincount(place, values, count).astype(np.float64)
-
-
-def _threshold(weights: np.ndarray, count: int) -> float:
-    """Weight below which one of several stands for all, so that about `count` are left."""
-    if len(weights) <= count:
-        return 0.0
-    order = np.sort(weights)[::-1]
-    rest = order.sum() - np.concatenate([[0.0], np.cumsum(order)[:-1]])
-    # With k strong ones the limit is the rest over what is left of the count
-    k = np.arange(count)
-    limit = rest[k] / (count - k)
-    return float(limit[np.argmax(limit >= order[k])])
 
 
 def _relative_variances(

@@ -45,7 +45,7 @@ class Sharing:
     linked : (c,) float64
         Start rays of each cell whose points of light are picked, for one connection, see
         `mistray.sampling.sharing.light_vertices`; all 0: there are no connections.
-    windows : (2, n, ORDERS) float64, optional
+    windows : (2, n, WAYS) float64, optional
         "many" and "few" of `mistray.kernel.kernel_scene.WeightWindows`, for rays against the light; None: there are
         none.
     families : FamilyVariances, optional

@@ -22,7 +22,8 @@ from mistray.surfaces.upload import upload
 
 DIMENSIONS = 4
 LEAF, MOST_DEPTH = -1, 36
-FEWEST = 12.0  # effective samples of a node that is halved
+MOST_HALVINGS = 20  # of one dimension
+FEWEST = 5.0  # effective samples of a node that is halved
 PRIOR = 1.0  # samples that each half has beside its own
 LEAST_SHARE = 0.04  # of a node's rays in either half
 UNIFORM = 0.3  # share of rays anywhere in a cell, so that light which the samples have missed is rarely strong
@@ -69,50 +70,73 @@ class StartMap:
         weights : (s,) float64
             Light that each sample stands for.
         """
-        axis, child, low, root = [LEAF], [0], [0.0], np.zeros(cells, np.int32)
-        for number, here in of_each(cell):
-            root[number] = len(axis)
-            axis.append(LEAF)
-            child.append(0)
-            low.append(0.0)
-            todo = [(len(axis) - 1, points[here], weights[here], np.zeros(DIMENSIONS), np.ones(DIMENSIONS), 0)]
-            while todo:
-                node, p, w, corner, size, depth = todo.pop()
-                total = w.sum()
-                effective = total**2 / max(np.sum(w * w), 1e-300)
-                if effective < FEWEST or depth >= MOST_DEPTH:
-                    continue
-                middle = corner + 0.5 * size
-                shares = ((p < middle) * w[:, None]).sum(axis=0) / total
-                lean = np.abs(shares - 0.5)
-                lean[size < 2.0**-20] = -1
-                k = int(np.argmax(lean))
-                if lean[k] < 0.5 / np.sqrt(effective) and effective < 16 * FEWEST:
-                    continue
-                if lean[k] < 1.0 / np.sqrt(effective):
-                    k = int(np.argmax(size))
-                share = (shares[k] * effective + PRIOR) / (effective + 2 * PRIOR)
-                share = float(np.clip(share, LEAST_SHARE, 1 - LEAST_SHARE))
-                axis[node], child[node], low[node] = k, len(axis), share
-                first = len(axis)
-                axis += [LEAF, LEAF]
-                child += [0, 0]
-                low += [0.0, 0.0]
-                below = p[:, k] < middle[k]
-                half = size.copy()
-                half[k] *= 0.5
-                upper = corner.copy()
-                upper[k] = middle[k]
-                todo.append((first, p[below], w[below], corner, half, depth + 1))
-                todo.append((first + 1, p[~below], w[~below], upper, half, depth + 1))
-        return cls(np.array(axis, np.int32), np.array(child, np.int32), np.array(low), root)
+        numbers, at = np.unique(cell, return_inverse=True)
+        root = np.zeros(cells, np.int32)
+        root[numbers] = 1 + np.arange(len(numbers))
+        axis, child, low = [np.full(1, LEAF)], [np.zeros(1, np.int64)], [np.zeros(1)]  # the first node is an even density
+        made, halvings = 1 + len(numbers), np.zeros((len(numbers), DIMENSIONS), np.int64)
+        # All nodes of a depth at once; `at` is the node of each sample, `inside` its place there
+        inside, weights = np.array(points, np.float64), np.array(weights, np.float64)
+        while len(halvings):
+            k, share = _halved(at, inside, weights, halvings)
+            number = np.cumsum(k != LEAF) - 1  # among those that are halved
+            axis.append(k)
+            child.append(np.where(k != LEAF, made + 2 * number, 0))
+            low.append(share)
+            there = k[at] != LEAF
+            at, inside, weights = at[there], inside[there], weights[there]
+            lanes, along = np.arange(len(at)), k[at]
+            high = inside[lanes, along] >= 0.5
+            inside[lanes, along] = 2 * inside[lanes, along] - high
+            at = 2 * number[at] + high
+            halved = np.flatnonzero(k != LEAF)
+            halvings = halvings[halved]
+            halvings[np.arange(len(halved)), k[halved]] += 1
+            halvings = np.repeat(halvings, 2, axis=0)
+            made += len(halvings)
+        return cls(*_joined((axis, np.int32), (child, np.int32), (low, np.float64)), root)
 
 
-def of_each(cell: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-    """The cells that occur, and the places of their samples in order."""
-    order = np.argsort(cell, kind="stable")
-    numbers, first = np.unique(cell[order], return_index=True)
-    yield from zip(numbers.tolist(), np.split(order, first)[1:], strict=True)
+def _joined(*columns: tuple[list[np.ndarray], type]) -> Iterator[np.ndarray]:
+    for parts, kind in columns:
+        yield np.concatenate(parts).astype(kind)
+
+
+def _halved(
+    at: np.ndarray, inside: np.ndarray, weights: np.ndarray, halvings: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """
+    How nodes of one depth are halved.
+
+    Parameters
+    ----------
+    at, inside, weights : (s,) int, (s, 4) float64, (s,) float64
+        Node of each sample, its place in there (0 … 1), and its weight.
+    halvings : (n, 4) int
+        Of each dimension, that have led to a node.
+
+    Returns
+    -------
+    (n,) int, (n,) float64
+        Dimension, `LEAF` where a node stays whole, and the share of its low half.
+    """
+    count = len(halvings)
+    total, squares = np.bincount(at, weights, count), np.bincount(at, np.square(weights), count)
+    effective = total**2 / np.maximum(squares, 1e-300)
+    below = [np.bincount(at, weights * (inside[:, k] < 0.5), count) for k in range(DIMENSIONS)]
+    shares = np.stack(below, axis=1) / np.maximum(total, 1e-300)[:, None]
+    lean = np.where(halvings > MOST_HALVINGS, -1.0, np.abs(shares - 0.5))
+    nodes = np.arange(count)
+    k = np.argmax(lean, axis=1)
+    most = lean[nodes, k]
+    noise = 1 / np.sqrt(np.maximum(effective, 1e-300))
+    whole = (effective < FEWEST) | (halvings.sum(axis=1) >= MOST_DEPTH)
+    whole |= (most < 0.5 * noise) & (effective < 16 * FEWEST)
+    # What leans to no side is halved where it is longest
+    k = np.where(most < noise, np.argmin(halvings, axis=1), k)
+    share = (shares[nodes, k] * effective + PRIOR) / (effective + 2 * PRIOR)
+    share = np.clip(share, LEAST_SHARE, 1 - LEAST_SHARE)
+    return np.where(whole, LEAF, k), np.where(whole, 0.0, share)
 
 
 class DeviceMap:
