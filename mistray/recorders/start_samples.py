@@ -49,6 +49,8 @@ class Samples:
         What counts of each, in units of a start ray.
     along, connected : (s,) float64
         Shares of its path, see `mistray.recorders.weighing.PathShares`.
+    density : (s,) float64
+        Of start rays with the light at the point.
     segments : (c,) float64
         Ray segments by the cell of their start rays; all in one number where rays go to all cells.
     worth : (4, n, WAYS) float64, optional
@@ -64,6 +66,7 @@ class Samples:
     weight: np.ndarray
     along: np.ndarray
     connected: np.ndarray
+    density: np.ndarray
     segments: np.ndarray
     worth: np.ndarray | None = None
 
@@ -87,7 +90,7 @@ class _StartSamples(Recorder):
         self._has_optics, self._weighing, self._capacity = has_optics, weighing, capacity
         self._count = dr.zeros(mi.UInt32, 1)
         self._words = [dr.zeros(mi.UInt32, capacity) for _ in range(4)]
-        self._floats = [dr.zeros(mi.Float, capacity) for _ in range(7)]
+        self._floats = [dr.zeros(mi.Float, capacity) for _ in range(8)]
         self._segments = dr.zeros(mi.Float64, cells)
         dr.eval(self._count, self._words, self._floats, self._segments)
 
@@ -116,9 +119,10 @@ class _StartSamples(Recorder):
         # Lanes come in any order; what follows from the samples shall be the same each time
         order = np.lexsort((*floats[::-1], cell, lane))
         lane, cell, kind, family = (values[order] for values in (lane, cell, kind, family))
-        *points, weight, along, connected = (values[order] for values in floats)
+        *points, weight, along, connected, density = (values[order] for values in floats)
         places, segments = np.stack(points, axis=1), np.array(self._segments)
-        return Samples(lane, cell, kind, family, places, total / max(count, 1) * weight, along, connected, segments)
+        weight *= total / max(count, 1)
+        return Samples(lane, cell, kind, family, places, weight, along, connected, density, segments)
 
 
 class DepartureSamples(_StartSamples):
@@ -199,9 +203,9 @@ class DepartureSamples(_StartSamples):
         weight = departure.weight
         point = self._weighing.start_of(departure, cell, inside)
         shares = self._weighing.against(departure, cell, inside)
-        self._keep(
-            words, (*point, weight * shares.against, shares.along, shares.connected), inside & (shares.against > 0)
-        )
+        density = self._weighing.density(cell, point, inside)
+        floats = (*point, weight * shares.against, shares.along, shares.connected, density)
+        self._keep(words, floats, inside & (shares.against > 0))
         value = dr.gather(mi.Float64, self._values, cell, inside)
         self._add_worth(departure, mi.Float64(weight * shares.against) * value, inside)
 
@@ -221,7 +225,10 @@ class ArrivalSamples(_StartSamples):
         start = visit.start
         assert start.cell is not None
         assert start.place is not None
+        assert start.scale is not None
         family = family_of(visit.event, visit.depth, start, visit.detected)
         words = start.lane, start.cell, class_of_arrival(visit, self._has_optics), family
         shares = self._weighing.along(visit)
-        self._keep(words, (*start.place, visit.weight * shares.along, shares.along, shares.connected), visit.detected)
+        density = dr.rcp(start.scale)
+        floats = (*start.place, visit.weight * shares.along, shares.along, shares.connected, density)
+        self._keep(words, floats, visit.detected)

@@ -44,3 +44,6 @@ class StartWeighing(Weighing, Protocol):
 
     def start_of(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> list[mi.Float]:
         """Points of the unit cube of a cell, see `mistray.sampling.plane_wave.wave_rays`."""
+
+    def density(self, cell: mi.UInt32, point: list[mi.Float], active: mi.Bool) -> mi.Float:
+        """Of the starts of rays with the light at these points."""

@@ -33,6 +33,7 @@ from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.path_key import ABSORBED, EVENT_BITS, REFLECTED, TRANSMITTED
 from mistray.sampling.plane_wave import hull_points
 from mistray.sampling.sharing.balance import Sharing
+from mistray.sampling.sharing.map_samples import MapSamples
 from mistray.sampling.sharing.start_map import StartMap
 from mistray.settings import Settings
 
@@ -329,9 +330,7 @@ def plan_of(light: list[float], variance: list[float], rays: list[float]) -> Pla
         light=np.array(light),
         variance=np.array(variance),
         pilot_rays=np.array([1.0, 1.0]),
-        cell=empty.astype(int),
-        points=np.zeros((0, 4)),
-        weights=empty,
+        samples=MapSamples(empty.astype(int), np.zeros((0, 4)), empty, empty),
     )
 
 

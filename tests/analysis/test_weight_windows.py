@@ -26,6 +26,7 @@ from mistray.recorders.path_key import EVENT_BITS, NO_EVENT
 from mistray.recorders.start_samples import WAYS, Samples, worth_row
 from mistray.sampling.plane_wave import hull_points
 from mistray.sampling.sharing.balance import Sharing
+from mistray.sampling.sharing.map_samples import MapSamples
 from mistray.sampling.sharing.start_map import StartMap
 from mistray.settings import Settings
 
@@ -141,7 +142,7 @@ def plan(windows: np.ndarray | None) -> Plan:
     return Plan(
         sharing=Sharing(np.zeros((1, 3)), StartMap.uniform(1), one, 0 * one, windows),
         light=one, variance=one, pilot_rays=np.ones(2),
-        cell=np.zeros(1, dtype=np.int64), points=np.full((1, 4), 0.5), weights=one,
+        samples=MapSamples(np.zeros(1, dtype=np.int64), np.full((1, 4), 0.5), one, one),
     )  # fmt: skip
 
 

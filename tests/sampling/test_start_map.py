@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mistray.recorders.start_rays import generators
+from mistray.sampling.sharing.map_samples import SHARE_LENT, MapSamples
 from mistray.sampling.sharing.start_map import UNIFORM, DeviceMap, StartMap
 
 COUNT = 1 << 18
@@ -19,7 +20,13 @@ def learned() -> StartMap:
     rng = np.random.default_rng(1)
     points = rng.random((200_000, 4))
     points = points[np.abs(points[:, 0] - 0.3 - 0.4 * points[:, 2]) < 0.01]
-    return StartMap.of(2, np.zeros(len(points), dtype=int), points, np.ones(len(points)))
+    return StartMap.of(2, even(points))
+
+
+def even(points: np.ndarray, cell: int = 0, brings: np.ndarray | float = 1.0) -> MapSamples:
+    """Samples of a cell from rays that start anywhere, by what each of them brings."""
+    brought = np.broadcast_to(brings, len(points)) / len(points)
+    return MapSamples(np.full(len(points), cell), points, brought, brought**2 * len(points))
 
 
 def sampled(device: DeviceMap, cell: int) -> tuple[np.ndarray, np.ndarray]:
@@ -42,7 +49,7 @@ def test_densities_are_those_of_the_samples(learned: StartMap, cell: int) -> Non
 
 
 def test_starts_are_where_the_light_was_and_sometimes_elsewhere(learned: StartMap) -> None:
-    """A slab of 2 % of the cube gets most of the rays; the floor keeps 30 % of them anywhere."""
+    """A slab of 2 % of the cube gets most of the rays; the floor keeps 40 % of them anywhere."""
     points, density = sampled(DeviceMap(learned), 0)
     inside = np.abs(points[:, 0] - 0.3 - 0.4 * points[:, 2]) < 0.01
     assert inside.mean() > 0.25
@@ -52,3 +59,56 @@ def test_starts_are_where_the_light_was_and_sometimes_elsewhere(learned: StartMa
 
 def test_a_cell_without_light_is_even(learned: StartMap) -> None:
     np.testing.assert_allclose(sampled(DeviceMap(learned), 1)[1], 1.0, rtol=1e-6)
+
+
+def test_light_that_arrives_by_chance_gets_more_rays() -> None:
+    """
+    Both halves bring as much, but one only by every hundredth ray, so that E[F²] is 100 times as large there.
+
+    The variance is least with √100 times as many rays; the share is the mean of this, 1/11, and that by light, 1/2.
+    """
+    rng = np.random.default_rng(2)
+    points = rng.random((200_000, 4))
+    brings = np.where(points[:, 0] < 0.5, 1.0, np.where(rng.random(len(points)) < 0.01, 100.0, 0.0))
+    learned = StartMap.of(1, even(points[brings > 0], brings=brings[brings > 0]))
+    root = learned.root[0]
+    assert learned.axis[root] == 0
+    assert learned.low[root] == pytest.approx((1 / 11 + 1 / 2) / 2, abs=0.01)
+
+
+def test_cells_lend_what_they_have_met() -> None:
+    """Of field angles 0 to 2: each has a quarter of the cube, and none of them but the middle has met a narrow way."""
+    rng = np.random.default_rng(3)
+    narrow = rng.random((50, 4)) * [1e-2, 1, 1, 1]
+    own = [even(0.5 * rng.random((5000, 4)) + [0.5, 0.5, 0, 0], cell) for cell in range(3)]
+    samples = MapSamples.of([*own, even(narrow, 1)])
+    there = samples.with_those_beside((3, 1))
+    for cell, lenders in ((0, 1), (1, 2), (2, 1)):
+        here = there.cell == cell
+        light = samples.weights[samples.cell == cell].sum()
+        assert there.weights[here].sum() == pytest.approx(light * (1 + SHARE_LENT * lenders), rel=0.05)
+    alone, both = (DeviceMap(StartMap.of(3, found)) for found in (samples, there))
+    point = [mi.Float(list(column)) for column in narrow.T]
+    cell = dr.full(mi.UInt32, 0, len(narrow))
+    densities = [np.array(one.density(cell, list(point), dr.full(mi.Bool, True, len(narrow)))) for one in (alone, both)]
+    assert np.median(densities[1]) > 5 * np.median(densities[0])
+
+
+def test_azimuths_go_round_and_dark_cells_borrow_nothing() -> None:
+    rng = np.random.default_rng(4)
+    samples = MapSamples.of([even(rng.random((20, 4)), cell) for cell in (0, 3)])  # 2 field angles, 4 azimuths
+    there = samples.with_those_beside((2, 4))
+    assert sorted(set(there.cell.tolist())) == [0, 3]
+    assert np.count_nonzero(there.cell == 0) == np.count_nonzero(there.cell == 3) == 40
+
+
+def test_thinned_samples_stand_for_all() -> None:
+    """Strong ones are kept; sums stay the same within 5 errors (false alarm 6e-7)."""
+    rng = np.random.default_rng(5)
+    brings = rng.lognormal(0, 2, 20_000)
+    samples = even(rng.random((len(brings), 4)), brings=brings)
+    few = samples.thinned(1000, rng)
+    assert 800 < len(few.cell) < 1200
+    assert few.weights.sum() == pytest.approx(samples.weights.sum(), rel=0.1)
+    assert few.squares.sum() == pytest.approx(samples.squares.sum(), rel=0.05)
+    assert few.weights.max() == samples.weights.max()

@@ -20,12 +20,12 @@ from mistray.analysis.pst.plan import (
 )
 from mistray.execute.all_cells import AllCells
 from mistray.execute.backward import BackwardTrace
-from mistray.recorders.start_samples import WAYS, Samples
+from mistray.recorders.start_samples import Samples
 from mistray.sampling.sharing.balance import Sharing
 from mistray.sampling.sharing.cell_starts import whole_batches
 from mistray.sampling.sharing.families import FamilyVariances
+from mistray.sampling.sharing.map_samples import MapSamples
 from mistray.sampling.sharing.start_map import StartMap
-from mistray.sampling.sharing.map_samples import beside, thinned
 
 FIRST_ROUND, LEAST_ROUNDS = 1 << 12, 5  # rays of the first round, each of the next takes twice as many
 ROUNDS_TO_AN_ERROR = 6  # at least: what the pilot has not met makes the run too short
@@ -65,7 +65,7 @@ class Pilot:
         trace.share_paths(self._sharing)
         self._cells = AllCells(trace)
         self._rounds = 0
-        self._kept: list[tuple[np.ndarray, np.ndarray, np.ndarray, float]] = []
+        self._kept: list[tuple[MapSamples, float]] = []  # and the rays of their round
         self._seen: list[tuple[np.ndarray, ...]] = []  # cells, classes, families, weights, odds for families
         self._rays = np.zeros(2)
         self._plan: Plan | None = None
@@ -115,9 +115,9 @@ class Pilot:
         cost_against = sum(float(one.segments.sum()) for one in against)
         self._remember((along, against), units, light, rays)
         self._note_families((along, against), units)
-        cell, points, weights = self._together()
+        samples = self._together()
         # The next round, and the run, start where this one has found light
-        starts = StartMap.of(count, *beside(trace.grid.shape, (cell, points, weights)))
+        starts = StartMap.of(count, samples.with_those_beside(trace.grid.shape))
 
         costs = cost_against, cost_along
         even = factors_of_equal_cost(relative, FACTORS, *costs)
@@ -125,14 +125,13 @@ class Pilot:
         variance = np.array(
             [np.interp(np.log(f), np.log(FACTORS), column) for f, column in zip(best, relative.T, strict=True)]
         )
+        windows = self._windows(against, values, rays)
         plan = Plan(
-            sharing=Sharing(self._points, starts, sharing.rays * best, sharing.linked, self._windows(against, values, rays)),
+            sharing=Sharing(self._points, starts, sharing.rays * best, sharing.linked, windows),
             light=light,
             variance=variance * light**2 * rays,
             pilot_rays=self._rays.copy(),
-            cell=cell,
-            points=points,
-            weights=weights,
+            samples=samples,
         )
         # A map is learned from rays of both directions alike
         fewest = LEAST_RAYS * cost_against / np.maximum(cost_along, 1e-300) / count
@@ -153,7 +152,7 @@ class Pilot:
         """
         brought = [one.weight * values[one.cell] for one in against]
         sums = np.array([sum(part.sum() for part in brought), sum(np.square(part).sum() for part in brought)])
-        worth = np.sum([one.worth for one in against], axis=0)
+        worth = np.sum([one.worth for one in against if one.worth is not None], axis=0)
         self._worth = [*self._worth, (worth, np.append(sums, rays))][-REMEMBERED:]
         (weight, weight_squares, follows, squares), (all_brought, all_squares, all_rays) = (
             np.sum(column, axis=0) for column in zip(*self._worth, strict=True)
@@ -215,6 +214,8 @@ class Pilot:
         cell = np.concatenate([one.cell for one, _ in parts])
         kind = np.concatenate([one.kind for one, _ in parts])
         points = np.concatenate([one.points for one, _ in parts])
+        # Of ∫ f²/q, its derivative by the logarithm of the density of start rays, times that density
+        resolved = np.concatenate([one.along * one.density for one, _ in parts])
         weights = np.concatenate([one.weight * unit[one.cell] for one, unit in parts])
         # So that weak classes have errors that hold, too
         classes = int(kind.max(initial=0)) + 1
@@ -222,15 +223,14 @@ class Pilot:
         present = np.maximum(np.count_nonzero(of_class, axis=0), 1)
         total = of_class.sum(axis=0)
         share = np.divide(of_class, total, out=np.ones_like(of_class), where=total > 0)
-        weights = weights * (1 - CLASS_SHARE + CLASS_SHARE / (present[cell] * np.maximum(share[kind, cell], 1e-6)))
-        kept = *thinned((cell, points, weights), SAMPLES_OF_CELL, rng), float(rays)
-        self._kept = [*self._kept, kept][-REMEMBERED:]
+        factor = 1 - CLASS_SHARE + CLASS_SHARE / (present[cell] * np.maximum(share[kind, cell], 1e-6))
+        found = MapSamples(cell, points, weights, np.square(weights) * resolved * rays).times(factor)
+        self._kept = [*self._kept, (found.thinned(SAMPLES_OF_CELL, rng), float(rays))][-REMEMBERED:]
 
-    def _together(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Cells, points and weights of the rounds that are remembered, each by its rays."""
-        total = sum(rays for *_, rays in self._kept)
-        cell, points = (np.concatenate([one[k] for one in self._kept]) for k in range(2))
-        return cell, points, np.concatenate([weights * rays / total for _, _, weights, rays in self._kept])
+    def _together(self) -> MapSamples:
+        """Those of the rounds that are remembered, each by its rays."""
+        total = sum(rays for _, rays in self._kept)
+        return MapSamples.of([samples.of_rays(rays / total) for samples, rays in self._kept])
 
 
 def _rounded(values: np.ndarray) -> np.ndarray:

@@ -10,11 +10,13 @@ import numpy as np
 
 from mistray.sampling.sharing.balance import Sharing
 from mistray.sampling.sharing.cell_starts import whole_batches
+from mistray.sampling.sharing.map_samples import MapSamples
 from mistray.sampling.sharing.start_map import StartMap
 
 RESERVE = 1.2  # rays above what the pilot's variances ask for
 MOST_UNEVEN = 4.0  # cost of one direction over that of the other
 LEVELS = 200  # of the relative variance that are tried
+ARRAYS = ("light", "variance", "pilot_rays")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,17 +34,15 @@ class Plan:
         Of PST_normal, times the rays against the light, with those of the other direction beside them.
     pilot_rays : (2,) float64
         Of the pilot, with the light and against it.
-    cell, points, weights : (s,) int, (s, 4) float64, (s,) float64
-        Where light that arrives would start, see `StartMap.of`.
+    samples : MapSamples
+        Where light that arrives would start.
     """
 
     sharing: Sharing
     light: np.ndarray
     variance: np.ndarray
     pilot_rays: np.ndarray
-    cell: np.ndarray
-    points: np.ndarray
-    weights: np.ndarray
+    samples: MapSamples
 
     def rays_for(self, relative_error: float, counts: np.ndarray) -> int:
         """
@@ -80,19 +80,21 @@ class Plan:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """All of it as arrays."""
-        own = {f.name: np.asarray(getattr(self, f.name)) for f in fields(self) if f.name != "sharing"}
+        own = {name: np.asarray(getattr(self, name)) for name in ARRAYS}
+        found = {f"samples_{name}": values for name, values in self.samples._asdict().items()}
         starts = {f"starts_{f.name}": getattr(self.sharing.starts, f.name) for f in fields(StartMap)}
         sharing = self.sharing
         shared = {"points_lit": sharing.points, "rays": sharing.rays, "linked": sharing.linked}
-        return own | starts | shared | ({} if sharing.windows is None else {"windows": sharing.windows})
+        return own | found | starts | shared | ({} if sharing.windows is None else {"windows": sharing.windows})
 
     @classmethod
     def of_arrays(cls, arrays: dict[str, np.ndarray]) -> Plan:
         """What `arrays` gave."""
         starts = StartMap(**{f.name: arrays[f"starts_{f.name}"] for f in fields(StartMap)})
-        own: dict[str, Any] = {f.name: arrays[f.name] for f in fields(cls) if f.name != "sharing"}
+        own: dict[str, Any] = {name: arrays[name] for name in ARRAYS}
+        samples = MapSamples(*(arrays[f"samples_{name}"] for name in MapSamples._fields))
         sharing = Sharing(arrays["points_lit"], starts, arrays["rays"], arrays["linked"], arrays.get("windows"))
-        return cls(sharing=sharing, **own)
+        return cls(sharing=sharing, samples=samples, **own)
 
 
 def shared(plans: Sequence[Plan]) -> list[Plan]:
@@ -101,12 +103,8 @@ def shared(plans: Sequence[Plan]) -> list[Plan]:
         return list(plans)
     rays = np.max([plan.sharing.rays for plan in plans], axis=0)
     # Each scene counts as much in the map
-    parts = [
-        (plan.cell, plan.points, plan.weights / np.maximum(plan.light[plan.cell], np.finfo(float).tiny))
-        for plan in plans
-    ]
-    cell, points, weights = (np.concatenate(column) for column in zip(*parts, strict=True))
-    starts = StartMap.of(len(rays), cell, points, weights)
+    parts = [plan.samples.times(1 / np.maximum(plan.light[plan.samples.cell], np.finfo(float).tiny)) for plan in plans]
+    starts = StartMap.of(len(rays), MapSamples.of(parts))
     # Those of one for all, so that scenes which differ little are traced alike; they go by the numbers of the surfaces
     windows = [plan.sharing.windows for plan in plans if plan.sharing.windows is not None]
     alike = len(windows) == len(plans) and len({one.shape for one in windows}) == 1

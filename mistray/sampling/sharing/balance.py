@@ -147,6 +147,10 @@ class Balance:
         p = departure.start.o if departure.node is None else mi.Vector3f(*departure.node[:3])
         return self._point(cell, p, -departure.heading, active)
 
+    def density(self, cell: mi.UInt32, point: list[mi.Float], active: mi.Bool) -> mi.Float:
+        """See `mistray.recorders.weighing.StartWeighing`."""
+        return self.starts.density(cell, point, active)
+
     def _point(self, cell: mi.UInt32, p: mi.Vector3f, d: mi.Vector3f, active: mi.Bool) -> list[mi.Float]:
         """Points of the unit cube of the light of a cell that goes along d through p, see `wave_rays`."""
         low, high, azimuth, half_azimuth, middle_x, middle_y, half_x, half_y, is_round, _ = (

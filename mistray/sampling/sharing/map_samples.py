@@ -2,54 +2,86 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 SAMPLES_OF_MAP, SAMPLES_LENT = 16000, 4000  # of a cell
 SHARE_LENT = 0.3  # weight of the samples of each cell beside, over that of a cell's own
 
-MapSamples = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Cells (s,), points (s, 4) and weights (s,), see `mistray.sampling.sharing.start_map.StartMap.of`."""
 
-
-def thinned(samples: MapSamples, count: int, rng: np.random.Generator) -> MapSamples:
-    """Of each cell about so many samples: the strong ones, and of the weak ones some that stand for others."""
-    cell, points, weights = samples
-    limit = np.zeros(int(cell.max(initial=0)) + 1)
-    for number, here in _of_each(cell):
-        limit[number] = _threshold(weights[here], count)
-    held = rng.random(len(cell)) * limit[cell] < weights
-    return cell[held], points[held], np.maximum(weights, limit[cell])[held]
-
-
-def beside(shape: tuple[int, int], samples: MapSamples) -> MapSamples:
+class MapSamples(NamedTuple):
     """
-    Samples of each cell, thinned, and of the cells beside it: their light mostly gets in at the same places.
+    Where light that arrives would start with it.
 
-    A way in that is narrow, and that no ray of a cell has met, is met in another; both then start rays there.
-
-    Parameters
+    Attributes
     ----------
-    shape : tuple of int
-        Field angles and azimuths of the grid; azimuths go round.
-    samples : MapSamples
+    cell : (s,) int
+    points : (s, 4) float64
+        Of the unit cube of the cell, see `mistray.sampling.plane_wave.wave_rays`.
+    weights : (s,) float64
+        Light that each stands for.
+    squares : (s,) float64
+        What each stands for of ∫ E[F²] over the start points, F being what a ray from there brings.
     """
-    rng = np.random.default_rng(len(samples[0]))
-    cell, points, weights = thinned(samples, SAMPLES_LENT, rng)
-    row, column = np.divmod(cell, shape[1])
-    total = np.bincount(samples[0], samples[2], shape[0] * shape[1]).astype(np.float64)
-    parts = [thinned(samples, SAMPLES_OF_MAP, rng)]
-    for up, on in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-        if on and shape[1] == 1:
-            continue
-        there = (row + up >= 0) & (row + up < shape[0])
-        to = (row[there] + up) * shape[1] + (column[there] + on) % shape[1]
-        scale = SHARE_LENT * total[to] / np.maximum(total[cell[there]], np.finfo(float).tiny)
-        lent = scale > 0
-        parts.append((to[lent], points[there][lent], (weights[there] * scale)[lent]))
-    cells, places, brought = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return cells, places, brought
+
+    cell: np.ndarray
+    points: np.ndarray
+    weights: np.ndarray
+    squares: np.ndarray
+
+    @classmethod
+    def of(cls, parts: Sequence[MapSamples]) -> MapSamples:
+        """All of several."""
+        return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+    def times(self, factor: np.ndarray | float) -> MapSamples:
+        """Those of so many times the light."""
+        return self._replace(weights=self.weights * factor, squares=self.squares * np.square(factor))
+
+    def of_rays(self, share: float) -> MapSamples:
+        """Those that are a share of all rays."""
+        return self._replace(weights=self.weights * share, squares=self.squares * share)
+
+    def thinned(self, count: int, rng: np.random.Generator) -> MapSamples:
+        """Of each cell about so many: the strong ones, and of the weak ones some that stand for others."""
+        limit = np.zeros(int(self.cell.max(initial=0)) + 1)
+        for number, here in _of_each(self.cell):
+            limit[number] = _threshold(self.weights[here], count)
+        limits = limit[self.cell]
+        held = rng.random(len(limits)) * limits < self.weights
+        stands_for = np.maximum(limits[held] / self.weights[held], 1)
+        return MapSamples(
+            self.cell[held], self.points[held], self.weights[held] * stands_for, self.squares[held] * stands_for
+        )
+
+    def with_those_beside(self, shape: tuple[int, int]) -> MapSamples:
+        """
+        Samples of each cell, thinned, and of the cells beside it: their light mostly gets in at the same places.
+
+        A way in that is narrow, and that no ray of a cell has met, is met in another; both then start rays there.
+
+        Parameters
+        ----------
+        shape : tuple of int
+            Field angles and azimuths of the grid; azimuths go round.
+        """
+        rng = np.random.default_rng(len(self.cell))
+        total = np.bincount(self.cell, self.weights, shape[0] * shape[1]).astype(np.float64)
+        few = self.thinned(SAMPLES_LENT, rng)
+        row, column = np.divmod(few.cell, shape[1])
+        parts = [self.thinned(SAMPLES_OF_MAP, rng)]
+        for up, on in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+            if on and shape[1] == 1:
+                continue
+            to = (row + up) * shape[1] + (column + on) % shape[1]
+            there = (row + up >= 0) & (row + up < shape[0])
+            there &= total[np.where(there, to, 0)] > 0
+            scale = SHARE_LENT * total[to[there]] / total[few.cell[there]]
+            lent = MapSamples(*(values[there] for values in few))
+            parts.append(lent._replace(cell=to[there]).times(scale))
+        return MapSamples.of(parts)
 
 
 def _of_each(cell: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
