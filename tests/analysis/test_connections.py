@@ -73,7 +73,7 @@ def test_densities_that_are_wrong_by_a_tenth_show(monkeypatch: pytest.MonkeyPatc
 
         monkeypatch.setattr(Odds, "linked", more)
     exact, exact_se = TUBE.pst(59.0, 61.0, 3_200_000, seed=2)
-    value, se = against_alone(vane_tube(), 60.0, 2.0, 1 << 21, 1.0)[MULTIPLE]
+    value, se = against_alone(vane_tube(), 60.0, 2.0, 1 << 22, 1.0)[MULTIPLE]
     z = (value - exact) / np.hypot(se, exact_se)
     assert abs(z) > 5 if wrong else abs(z) < 4
 
