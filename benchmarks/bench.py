@@ -37,7 +37,7 @@ PARTS = {
     "optiland": ("triplet", "ghosts of a Cooke triplet against optiland's sequences and non-sequential tracer"),
     "films": ("thinfilm", "thin films against tmm and tmm_fast"),
     "mie": ("spheres", "Mie spheres against miepython"),
-    "pst": ("pst", "PST by the adjoint against forward runs"),
+    "pst": ("pst", "PST by both directions against forward runs"),
     "gradients": ("gradients", "gradients against the trace alone"),
     "coating_steps": ("coating_steps", "share of tracing in a coating optimisation"),
     "modes": ("modes", "path table, coatings and polarisation against plain traces"),
