@@ -106,7 +106,7 @@ class Visit:
         return dr.select(before, self.codes.read(k, mask & before), self.code)
 
     def before(self, mask: mi.Bool) -> mi.UInt32:
-        """The event before the hit, `NO_EVENT` where rays come straight from their start, which may be within a tree."""
+        """The event before the hit, `NO_EVENT` straight after the start of a ray, which may be within a tree."""
         there = self.depth > self.start.given("depth", dr.zeros(mi.UInt32, dr.width(mask)))
         return dr.select(there, self.codes.read(dr.select(there, self.depth - 1, 0), mask & there), mi.UInt32(NO_EVENT))
 
