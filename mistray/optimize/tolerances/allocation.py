@@ -288,7 +288,7 @@ def _descend(
         method="SLSQP",
         bounds=list(zip(low, high, strict=True)),
         constraints={"type": "ineq", "fun": left, "jac": left_slope},
-        options={"ftol": 1e-12, "maxiter": 500},
+        options={"ftol": 1e-10, "maxiter": 500},
     )
     y = np.clip(found.x, low, high)
     if not found.success or float(np.min(left(y))) < -1e-6:
