@@ -34,14 +34,19 @@ def extend_key(key: mi.UInt64, code: mi.UInt32) -> mi.UInt64:
     return key ^ (key >> 29)
 
 
+def mixed_word(word: mi.UInt32) -> mi.UInt32:
+    """A word whose bits all depend on those of another; steps as in MurmurHash3."""
+    mixed = word * 0x85EBCA6B
+    mixed = (mixed ^ (mixed >> 15)) * 0xC2B2AE35
+    return mixed ^ (mixed >> 16)
+
+
 def mixed_events(event: EventReader, first: mi.UInt32, end: mi.UInt32, before: mi.UInt32, active: mi.Bool) -> mi.UInt32:
-    """What events from a first one to an end add to the number of a family; steps as in MurmurHash3."""
+    """What events from a first one to an end add to the number of a family."""
 
     def add(k: mi.UInt32, total: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
         going = active & (k < end)
-        mixed = (event(k, going) + 1) * 0x85EBCA6B
-        mixed = (mixed ^ (mixed >> 15)) * 0xC2B2AE35
-        return k + 1, total + dr.select(going, mixed ^ (mixed >> 16), 0)
+        return k + 1, total + dr.select(going, mixed_word(event(k, going) + 1), 0)
 
     begin = mi.UInt32(first), mi.UInt32(before)
     return dr.while_loop(begin, lambda k, _: active & (k < end), add, mode="symbolic", label="family")[1]

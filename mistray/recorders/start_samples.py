@@ -11,7 +11,7 @@ import numpy as np
 
 from mistray.recorders.direction_recorder import DirectionRecorder, class_of_arrival, class_of_departure
 from mistray.recorders.directions import DirectionGrid
-from mistray.recorders.path_key import COUNT_MASK, EVENT_BITS, NO_EVENT, RANDOM_TRANSMITTED, family_of
+from mistray.recorders.path_key import COUNT_MASK, EVENT_BITS, NO_EVENT, RANDOM_TRANSMITTED, family_of, mixed_word
 from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.weighing import StartWeighing
@@ -24,14 +24,12 @@ WAYS = 256  # to a surface that are told apart; more share their numbers
 
 def worth_row(surface: mi.UInt32, before: mi.UInt32, scatters: mi.UInt32) -> mi.UInt32:
     """
-    Row of a surface in tables of (surfaces · `WAYS`,) numbers, steps as in MurmurHash3.
+    Row of a surface in tables of (surfaces · `WAYS`,) numbers.
 
     The way there is the event before, or `NO_EVENT`, and the number of scatter events: light that comes to either face
     of a stop is told apart, and so is a reflection from light that goes through.
     """
-    mixed = (before + scatters * 0x9E3779B1) * 0x85EBCA6B
-    mixed = (mixed ^ (mixed >> 15)) * 0xC2B2AE35
-    return surface * WAYS + (mixed ^ (mixed >> 16)) % WAYS
+    return surface * WAYS + mixed_word(before + scatters * 0x9E3779B1) % WAYS
 
 
 @dataclass(frozen=True, eq=False)

@@ -147,8 +147,8 @@ class Pilot:
 
         A weight at a surface is worth as many rays as the root of the second moment of what it brings, over that of a
         start ray (A. Rath et al., EARS: efficiency-aware Russian roulette and splitting, ACM Trans. Graph. 41, 81
-        (2022), with the same cost for all rays). Few of it are left only if an upper bound of the mean says so, too,
-        since rare strong rays may not have been met.
+        (2022), with the same cost for all rays), or as the lower bound of its mean, over that of a start ray. Few of it
+        are left only if the upper bound of the mean says so, too, since rare strong rays may not have been met.
         """
         brought = [one.weight * values[one.cell] for one in against]
         sums = np.array([sum(part.sum() for part in brought), sum(np.square(part).sum() for part in brought)])
@@ -160,10 +160,13 @@ class Pilot:
         if not all_brought > 0:
             return np.zeros((2, *weight.shape))
         mean, moment = all_brought / all_rays, all_squares / all_rays
-        most = np.divide(follows + BOUND * np.sqrt(squares), weight, out=np.zeros_like(weight), where=weight > 0) / mean
-        many = np.sqrt(np.divide(squares, weight_squares, out=np.zeros_like(weight), where=weight > 0) / moment)
-        least = np.divide(follows - np.sqrt(squares), weight, out=np.zeros_like(weight), where=weight > 0) / mean
-        many = np.maximum(many, least)
+
+        def of_weight(sums: np.ndarray, weights: np.ndarray) -> np.ndarray:
+            return np.divide(sums, weights, out=np.zeros_like(sums), where=weights > 0)
+
+        error = np.sqrt(squares)
+        least, most = (of_weight(follows + errors * error, weight) / mean for errors in (-1, BOUND))
+        many = np.maximum(np.sqrt(of_weight(squares, weight_squares) / moment), least)
         return _rounded(np.stack([many, np.where(squares > 0, np.maximum(most, many), 0)]))
 
     def _note_families(

@@ -40,9 +40,13 @@ class MapSamples(NamedTuple):
         """Those of so many times the light."""
         return self._replace(weights=self.weights * factor, squares=self.squares * np.square(factor))
 
-    def of_rays(self, share: float) -> MapSamples:
-        """Those that are a share of all rays."""
-        return self._replace(weights=self.weights * share, squares=self.squares * share)
+    def of_rays(self, rays: np.ndarray | float) -> MapSamples:
+        """Those of so many times the rays."""
+        return self._replace(weights=self.weights * rays, squares=self.squares * rays)
+
+    def some(self, chosen: np.ndarray) -> MapSamples:
+        """Those that a mask chooses."""
+        return MapSamples(*(values[chosen] for values in self))
 
     def thinned(self, count: int, rng: np.random.Generator) -> MapSamples:
         """Of each cell about so many: the strong ones, and of the weak ones some that stand for others."""
@@ -51,10 +55,7 @@ class MapSamples(NamedTuple):
             limit[number] = _threshold(self.weights[here], count)
         limits = limit[self.cell]
         held = rng.random(len(limits)) * limits < self.weights
-        stands_for = np.maximum(limits[held] / self.weights[held], 1)
-        return MapSamples(
-            self.cell[held], self.points[held], self.weights[held] * stands_for, self.squares[held] * stands_for
-        )
+        return self.some(held).of_rays(np.maximum(limits[held] / self.weights[held], 1))
 
     def with_those_beside(self, shape: tuple[int, int]) -> MapSamples:
         """
@@ -79,8 +80,7 @@ class MapSamples(NamedTuple):
             there = (row + up >= 0) & (row + up < shape[0])
             there &= total[np.where(there, to, 0)] > 0
             scale = SHARE_LENT * total[to[there]] / total[few.cell[there]]
-            lent = MapSamples(*(values[there] for values in few))
-            parts.append(lent._replace(cell=to[there]).times(scale))
+            parts.append(few.some(there)._replace(cell=to[there]).times(scale))
         return MapSamples.of(parts)
 
 

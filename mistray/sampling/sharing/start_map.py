@@ -115,12 +115,12 @@ def _halved(
     total = np.bincount(at, weights, count)
     effective = total**2 / np.maximum(np.bincount(at, np.square(weights), count), 1e-300)
 
-    def in_halves(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        low = [np.bincount(at, values * (inside[:, k] < 0.5), count) for k in range(DIMENSIONS)]
-        return np.stack(low, axis=1), np.maximum(np.bincount(at, values, count)[:, None] - np.stack(low, axis=1), 0)
+    def in_halves(values: np.ndarray, total: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        low = np.stack([np.bincount(at, values * (inside[:, k] < 0.5), count) for k in range(DIMENSIONS)], axis=1)
+        return low, np.maximum(total[:, None] - low, 0)
 
-    low, high = in_halves(weights)
-    root_low, root_high = map(np.sqrt, in_halves(moments))
+    low, high = in_halves(weights, total)
+    root_low, root_high = map(np.sqrt, in_halves(moments, np.bincount(at, moments, count)))
     shares = 0.5 * (low / np.maximum(low + high, 1e-300) + root_low / np.maximum(root_low + root_high, 1e-300))
     lean = np.where(halvings > MOST_HALVINGS, -1.0, np.abs(shares - 0.5))
     nodes = np.arange(count)
