@@ -44,7 +44,8 @@ from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.thin_gaps import thin_gaps
 from mistray.surfaces.upload import upload
 
-FIRST_PASS, PASS_LANES = 1 << 14, 1 << 18  # rays of the first pass, and of the fifth and all that follow
+FIRST_PASS, PASS_LANES = 1 << 14, 1 << 18  # rays of the smallest passes, and of the largest
+PASSES_OF_A_SIZE = 4  # a run is at most about 1 / 4 longer than was requested
 PATH_SLOTS, ENTRY_SLOTS = 1 << 17, 1 << 20
 VERTICES_OF_RAY, VERTEX_SEED = 1.0, 2  # points of light for one ray of a pass
 ROOM = 1.3  # for points of light, over those of the pass before
@@ -239,8 +240,8 @@ class BackwardTrace:
 
     @staticmethod
     def pass_size(number: int) -> int:
-        """Rays of a pass: few at first, so that there is a result after seconds."""
-        return min(FIRST_PASS << number, PASS_LANES)
+        """Rays of a pass: few at first, so that there is a result after seconds, and later a quarter of all before."""
+        return min(FIRST_PASS << max(0, number // PASSES_OF_A_SIZE - 1), PASS_LANES)
 
     def advance(self, rays: int | None = None) -> None:
         """Trace one more pass of about so many rays, by default `next_pass`; `sums` grow."""

@@ -112,12 +112,13 @@ class _StartSamples(Recorder):
         """The samples on the host; of more than there is room for, those that came first stand for all."""
         total = int(self._count[0])
         count = min(total, self._capacity)
-        lane, cell, kind, family = (np.array(array)[:count].astype(np.int64) for array in self._words)
-        floats = [np.array(array)[:count].astype(np.float64) for array in self._floats]
-        # Lanes come in any order; what follows from the samples shall be the same each time
-        order = np.lexsort((*floats[::-1], cell, lane))
-        lane, cell, kind, family = (values[order] for values in (lane, cell, kind, family))
-        *points, weight, along, connected, density = (values[order] for values in floats)
+        words, floats = ([np.array(array)[:count] for array in arrays] for arrays in (self._words, self._floats))
+        # Lanes come in any order; what follows from the samples shall be the same each time. Pairs of words sort fast
+        x, y, u, _, brought, *_ = (values.view(np.uint32) for values in floats)
+        pairs = (y, u), (brought, x), words[:2]  # the last one matters most
+        order = np.lexsort([high.astype(np.uint64) << 32 | low for high, low in pairs])
+        lane, cell, kind, family = (values[order].astype(np.int64) for values in words)
+        *points, weight, along, connected, density = (values[order].astype(np.float64) for values in floats)
         places, segments = np.stack(points, axis=1), np.array(self._segments)
         weight *= total / max(count, 1)
         return Samples(lane, cell, kind, family, places, weight, along, connected, density, segments)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from scipy.spatial import ConvexHull, QhullError
 
 from mistray.errors import MistrayError
 from mistray.recorders.directions import DirectionGrid
@@ -175,7 +176,7 @@ class PlaneWaves:
 
     def __init__(self, points: np.ndarray, grid: DirectionGrid, entrance: Entrance | None = None) -> None:
         self.grid, self.entrance = grid, entrance
-        self._points = points
+        self._points = _corners(points)
         self._centre = 0.5 * (self._points.min(axis=0) + self._points.max(axis=0))
 
     def at(self, i: int, j: int, wavelength_nm: float, share: float) -> PlaneWave:
@@ -235,6 +236,14 @@ class PlaneWaves:
 def hull_points(*tables: SurfaceTable) -> np.ndarray:
     """(p, 3) float64: points whose convex hull holds all surfaces of scenes, mm; rims are polygons around them."""
     return np.concatenate([part for table in tables for part in _hull_parts(table)])
+
+
+def _corners(points: np.ndarray) -> np.ndarray:
+    """The corners of the convex hull: what is largest along a direction is so at one of them."""
+    try:
+        return points[ConvexHull(points).vertices]
+    except QhullError:  # all of them lie in a plane
+        return points
 
 
 def _hull_parts(table: SurfaceTable) -> list[np.ndarray]:

@@ -327,6 +327,13 @@ class TestPlaneWave:
         assert max(beyond) < 0
         assert max(beyond) > -0.1 * wave.half[0]  # and the cross-section is no larger than it need be
 
+    def test_points_in_a_plane_are_covered_too(self) -> None:
+        square = np.array([(x, y, 2.0) for x in (-3.0, 0.0, 3.0) for y in (-1.0, 0.0, 1.0)])
+        wave = PlaneWaves(square, DirectionGrid.of([0.0], [0.0])).at(0, 0, 550.0, 1.0)
+        s, c = np.sin(np.radians(5.0)), np.cos(np.radians(5.0))  # azimuths of the cell go so far to either side
+        np.testing.assert_allclose(wave.half, [3 * c + s, c + 3 * s], rtol=0.01)
+        assert np.all(wave.half >= [3 * c + s, c + 3 * s])
+
     def test_the_hull_holds_all_surfaces(self) -> None:
         """Random points of every surface of the telescope, along the axes of the world."""
         table = SurfaceTable(mistray.load("newtonian"), 550.0)

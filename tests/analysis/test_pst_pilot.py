@@ -21,6 +21,7 @@ from mistray.analysis.pst.plan import (
     factors_of_equal_cost,
     factors_of_equal_errors,
     factors_of_least_variance,
+    variances_together,
 )
 from mistray.analysis.pst.result import Pst, notes
 from mistray.analysis.pst.state import PstProgress
@@ -319,6 +320,23 @@ def test_rays_of_a_fixed_number_bring_the_least_variance_for_their_cost() -> Non
         tried = (np.array(f) for f in itertools.product(factors, repeat=3))
         best = min(cost(gain, f) for f in tried if along @ f <= MOST_UNEVEN * against)
         assert cost(gain, chosen) < best + np.log(1.1)
+
+
+def test_variances_of_rounds_count_by_their_rays() -> None:
+    # ∫ f²/q is 5/(1 + 3 f) in units of a ray, f being the rays with the light of a cell for one against it
+    factors = 2.0 ** np.arange(-4, 5.5, 0.25)
+
+    def of_round(rays: float, with_light: float, strong: float = 1.0) -> tuple[float, np.ndarray, np.ndarray]:
+        law = strong * 5 / (1 + 3 * factors * with_light) / rays
+        return rays, np.array([with_light, 1.0]), np.stack([law, np.zeros_like(law)], axis=1)
+
+    same = variances_together([of_round(100.0, 4.0), of_round(200.0, 2.0), of_round(400.0, 1.0)], factors)
+    inside = slice(8, -8)
+    np.testing.assert_allclose(same[inside, 0], of_round(400.0, 1.0)[2][inside, 0], rtol=0.01)
+    assert not same[:, 1].any()  # no light there
+    # A strong ray in the round before, with half as many rays
+    strong = variances_together([of_round(200.0, 1.0, 7.0), of_round(400.0, 1.0)], factors)
+    np.testing.assert_allclose(strong[:, 0], 3 * of_round(400.0, 1.0)[2][:, 0], rtol=1e-12)
 
 
 def plan_of(light: list[float], variance: list[float], rays: list[float]) -> Plan:

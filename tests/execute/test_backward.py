@@ -257,10 +257,13 @@ class TestPasses:
     def test_size_of_the_passes(self, wall_scene) -> None:
         trace = traced(wall_scene, passes=0)
         sizes = []
-        for passes in range(7):
+        for passes in range(26):
             trace.passes = passes
             sizes.append(trace.next_pass)
-        assert sizes == [2**14, 2**15, 2**16, 2**17, 2**18, 2**18, 2**18]
+        assert sizes == [2**14] * 8 + [2**15] * 4 + [2**16] * 4 + [2**17] * 4 + [2**18] * 6
+        # No pass is longer than a quarter of all before, but for the first ones
+        before = np.cumsum(sizes)[3:-1]
+        assert np.all(sizes[4:] <= before / 4)
 
     def test_maps_add_up_to_the_cells(self, wall_scene) -> None:
         trace = traced(wall_scene, **self.SETTINGS)

@@ -17,6 +17,7 @@ from mistray.analysis.pst.plan import (
     factors_of_equal_cost,
     factors_of_equal_errors,
     factors_of_least_variance,
+    variances_together,
 )
 from mistray.execute.all_cells import AllCells
 from mistray.execute.backward import BackwardTrace
@@ -70,6 +71,7 @@ class Pilot:
         self._rays = np.zeros(2)
         self._plan: Plan | None = None
         self._light = np.zeros(count)  # of the round before
+        self._variances: list[tuple[float, np.ndarray, np.ndarray]] = []  # see `variances_together`
         self._worth: list[tuple[np.ndarray, np.ndarray]] = []  # see `_windows`
         self._pace = np.zeros(2)  # s for a ray with the light, and against it
 
@@ -110,6 +112,9 @@ class Pilot:
         )
         count = cells.cells
         light, relative, gain = _relative_variances((along, against), units, count)
+        # With the variance of one round a cell would lose the rays that find what is rare, and get them back later
+        self._variances = [*self._variances, (rays, sharing.rays, relative)][-REMEMBERED:]
+        relative = variances_together(self._variances, FACTORS)
         relative[:, ~self._counts] = 0.0
         cost_along = np.sum([one.segments for one in along], axis=0)
         cost_against = sum(float(one.segments.sum()) for one in against)
@@ -255,11 +260,13 @@ def _relative_variances(
 
     With a density q of all rays together the variance is ∫ f²/q. Each sample has f/q, and the share of its path that
     rays with the light have says how q changes with these. Rays that bring several samples to a cell add to it what
-    these have in common. The third result, (c,), is the variance without connections over that with them.
+    these have in common, in each direction by another factor. The third result, (c,), is the variance without
+    connections over that with them.
     """
-    light, together = np.zeros(cells), np.zeros(cells)
-    cell, brought, along, connected = [], [], [], []
+    light = np.zeros(cells)
+    cell, brought, along, connected, common = [], [], [], [], []
     for found, unit in zip(samples, units, strict=True):
+        together, apart = np.zeros(cells), np.zeros(cells)
         for one in found:
             weight = one.weight * unit[one.cell]
             cell.append(one.cell)
@@ -267,12 +274,19 @@ def _relative_variances(
             along.append(one.along)
             connected.append(one.connected)
             light += _sums(one.cell, weight, cells)
+            apart += _sums(one.cell, weight**2, cells)
             together += _squares_of_rays(one, weight, cells)
+        common.append(np.divide(together, apart, out=np.ones(cells), where=apart > 0))
     where, weight, share, joint = (np.concatenate(parts) for parts in (cell, brought, along, connected))
     square = weight**2
-    variance = np.stack([_sums(where, square / (1 - share + factor * share), cells) for factor in FACTORS])
+    with_light, against = (factor[where] for factor in common)
+
+    def variance_at(factor: float) -> np.ndarray:
+        both = 1 - share + factor * share
+        return _sums(where, square * (with_light * factor * share + against * (1 - share)) / both**2, cells)
+
+    variance = np.stack([variance_at(factor) for factor in FACTORS])
     apart = _sums(where, square, cells)
-    variance *= np.divide(together, apart, out=np.ones(cells), where=apart > 0)
     without = _sums(where, square / np.maximum(1 - joint, LEAST_LEFT), cells)
     gain = np.divide(without, apart, out=np.ones(cells), where=apart > 0)
     return light, np.divide(variance, light**2, out=np.zeros_like(variance), where=light > 0), gain

@@ -112,6 +112,37 @@ def shared(plans: Sequence[Plan]) -> list[Plan]:
     return [replace(plan, sharing=replace(plan.sharing, starts=starts, rays=rays, windows=first)) for plan in plans]
 
 
+def variances_together(rounds: Sequence[tuple[float, np.ndarray, np.ndarray]], factors: np.ndarray) -> np.ndarray:
+    """
+    Relative variances of several rounds of a pilot, as if all had had as many rays as the last one.
+
+    What is rare is met in few rounds.
+
+    Parameters
+    ----------
+    rounds : sequence of tuple
+        Of each round its rays against the light, the rays with it of each cell for one of those, (c,), and the relative
+        variance of each cell by the factor of its rays with the light, (k, c); 0 where no light was found.
+    factors : (k,) float64
+        Rising.
+
+    Returns
+    -------
+    (k, c) float64
+        By the factor of the rays of the last round.
+    """
+    rays, now, last = rounds[-1]
+    total, weight = np.zeros_like(last), np.zeros(len(now))
+    steps = np.log(factors)
+    for count, then, relative in rounds:
+        for c in np.flatnonzero(relative[0] > 0):
+            # Variances fall as rays grow: that of a round with so many rays, in units of one of them
+            found = np.interp(steps + np.log(now[c] / then[c]), steps, np.log(count * relative[:, c]))
+            total[:, c] += count * np.exp(found)
+            weight[c] += count
+    return np.divide(total, rays * weight, out=np.zeros_like(total), where=weight > 0)
+
+
 def factors_of_equal_errors(
     relative: np.ndarray, factors: np.ndarray, cost_against: float, cost_along: np.ndarray
 ) -> np.ndarray:

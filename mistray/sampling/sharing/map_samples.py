@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-SAMPLES_OF_MAP, SAMPLES_LENT = 16000, 4000  # of a cell
+SAMPLES_OF_MAP, SAMPLES_LENT = 8000, 2000  # of a cell
 SHARE_LENT = 0.3  # weight of the samples of each cell beside, over that of a cell's own
 
 

@@ -21,6 +21,10 @@ from mistray.sampling.space_filling import curve_points
 from mistray.surfaces.upload import upload
 
 DIMENSIONS = 4
+CORNERS = 1 << DIMENSIONS
+WORD = 32  # bits of a place in the cube, the highest first
+# By corner of a node and dimension: 1 where that is in the low half
+IN_LOW = np.array([[float(not corner >> k & 1) for k in range(DIMENSIONS)] for corner in range(CORNERS)])
 LEAF, MOST_DEPTH = -1, 36
 MOST_HALVINGS = 20  # of one dimension
 FEWEST = 5.0  # effective samples of a node that is halved
@@ -66,19 +70,22 @@ class StartMap:
         axis, child, low = [np.full(1, LEAF)], [np.zeros(1, np.int64)], [np.zeros(1)]
         made, halvings = 1 + len(numbers), np.zeros((len(numbers), DIMENSIONS), np.int64)
         # All nodes of a depth at once; `at` is the node of each sample, `inside` its place there
-        inside, brought = np.array(samples.points, np.float64), np.array(samples[2:], np.float64)
+        top = 2.0**WORD
+        inside = np.minimum(samples.points.T * top, top - 1).astype(np.uint32)
+        brought = np.array([samples.weights, np.square(samples.weights), samples.squares])
         while len(halvings):
             k, share = _halved(at, inside, brought, halvings)
             number = np.cumsum(k != LEAF) - 1  # among those that are halved
             axis.append(k)
             child.append(np.where(k != LEAF, made + 2 * number, 0))
             low.append(share)
-            there = k[at] != LEAF
-            at, inside, brought = at[there], inside[there], brought[:, there]
-            lanes, along = np.arange(len(at)), k[at]
-            high = inside[lanes, along] >= 0.5
-            inside[lanes, along] = 2 * inside[lanes, along] - high
-            at = 2 * number[at] + high
+            there = np.flatnonzero(k[at] != LEAF)
+            at, inside, brought = at[there], inside.take(there, axis=1), brought.take(there, axis=1)
+            place = inside.ravel()
+            along = k[at] * len(at) + np.arange(len(at))
+            word = place[along]
+            place[along] = word << 1
+            at = 2 * number[at] + (word >> (WORD - 1))
             halved = np.flatnonzero(k != LEAF)
             halvings = halvings[halved]
             halvings[np.arange(len(halved)), k[halved]] += 1
@@ -100,8 +107,8 @@ def _halved(
 
     Parameters
     ----------
-    at, inside, brought : (s,) int, (s, 4) float64, (2, s) float64
-        Node of each sample, its place in there (0 … 1), its weight and its square, see `MapSamples`.
+    at, inside, brought : (s,) int, (4, s) uint32, (3, s) float64
+        Node of each sample, its place in there (0 … 2^32), its weight, the square of that, and `MapSamples.squares`.
     halvings : (n, 4) int
         Of each dimension, that have led to a node.
 
@@ -111,16 +118,15 @@ def _halved(
         Dimension, `LEAF` where a node stays whole, and the share of its low half.
     """
     count = len(halvings)
-    weights, moments = brought
-    total = np.bincount(at, weights, count)
-    effective = total**2 / np.maximum(np.bincount(at, np.square(weights), count), 1e-300)
-
-    def in_halves(values: np.ndarray, total: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        low = np.stack([np.bincount(at, values * (inside[:, k] < 0.5), count) for k in range(DIMENSIONS)], axis=1)
-        return low, np.maximum(total[:, None] - low, 0)
-
-    low, high = in_halves(weights, total)
-    root_low, root_high = map(np.sqrt, in_halves(moments, np.bincount(at, moments, count)))
+    high = inside >> (WORD - 1)
+    corner = CORNERS * at + (high[0] | high[1] << 1 | high[2] << 2 | high[3] << 3)
+    of_corners = (np.bincount(corner, values, CORNERS * count).reshape(count, CORNERS) for values in brought)
+    (low, high), (low_squares, high_squares), (low_moment, high_moment) = (
+        (sums @ IN_LOW, sums @ (1 - IN_LOW)) for sums in of_corners
+    )
+    squares = low_squares[:, 0] + high_squares[:, 0]
+    effective = (low[:, 0] + high[:, 0]) ** 2 / np.maximum(squares, 1e-300)
+    root_low, root_high = np.sqrt(low_moment), np.sqrt(high_moment)
     shares = 0.5 * (low / np.maximum(low + high, 1e-300) + root_low / np.maximum(root_low + root_high, 1e-300))
     lean = np.where(halvings > MOST_HALVINGS, -1.0, np.abs(shares - 0.5))
     nodes = np.arange(count)
