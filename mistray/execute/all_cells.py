@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import drjit as dr
 import mitsuba as mi
@@ -18,10 +19,13 @@ from mistray.recorders.recorder import Recorder
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.start_samples import ArrivalSamples, Samples
 from mistray.recorders.weighing import Weighing
+from mistray.sampling.sharing.balance import Sharing
 from mistray.sampling.sharing.cell_starts import cell_starts
 from mistray.settings import BATCHES
 
 PASS_LANES = 1 << 19
+# First numbers of a stream of random numbers: rays of sums and of samples, and those that are not scattered of either
+SUMS, SAMPLES, OWN = 0, 1, 4
 
 
 class AllCells:
@@ -61,6 +65,9 @@ class AllCells:
         """
         Light that arrives, from rays that are in no sums, by wavelength.
 
+        Where what is not scattered has rays of its own, see `mistray.sampling.sharing.balance.Sharing`, each wavelength
+        has two parts; the first is what is scattered.
+
         Parameters
         ----------
         rays : (c,) int
@@ -70,9 +77,10 @@ class AllCells:
         """
         found = []
         for band, rival in enumerate(self._trace.rivals):
-            recorder = ArrivalSamples(self.cells, self._trace.has_optics, rival.balance)
-            self._run(band, rays, (1, number), recorder)
-            found.append(recorder.read())
+            for scatter, only in self._kinds:
+                recorder = ArrivalSamples(self.cells, self._trace.has_optics, rival.balance, only)
+                self._run(band, rays, (SAMPLES, number), recorder, scatter)
+                found.append(recorder.read())
         return found
 
     def sums(self, rays: np.ndarray, number: int) -> dict[str, np.ndarray]:
@@ -96,12 +104,22 @@ class AllCells:
             self._paths = trace.new_paths()
         for band, rival in enumerate(trace.rivals):
             film = self._film if all(trace.map_size) else None
-            recorder = ArrivalRecorder(self.cells, trace.has_optics, rival.balance, self._paths, film)
-            self._run(band, rays, (0, number), recorder)
-            for name, values in recorder.read().items():
-                join = np.maximum if name == "largest" else np.add
-                total[name] = join(total[name], values) if name in total else values
+            for scatter, only in self._kinds:
+                recorder = ArrivalRecorder(self.cells, trace.has_optics, rival.balance, self._paths, film, only)
+                self._run(band, rays, (SUMS, number), recorder, scatter)
+                for name, values in recorder.read().items():
+                    join = np.maximum if name == "largest" else np.add
+                    total[name] = join(total[name], values) if name in total else values
         return total
+
+    @property
+    def _kinds(self) -> list[tuple[bool, bool]]:
+        """Of the rays: whether they may be scattered, and whether they leave out what was not."""
+        return [(True, False)] if self._sharing.unscattered is None else [(True, True), (False, False)]
+
+    @property
+    def _sharing(self) -> Sharing:
+        return self._trace.rivals[0].balance.sharing
 
     def paths(self) -> dict[str, np.ndarray]:
         """The path table so far, see `PathSums.read`; empty where there is none."""
@@ -111,28 +129,41 @@ class AllCells:
         """What a metric gains, by its derivative by the sums of each class in each cell."""
         return ArrivalRecorder(self.cells, self._trace.has_optics, weighing, derivative=derivative)
 
-    def starts(self, band: int, rays: np.ndarray, stream: tuple[int, int]) -> Iterator[StartRays]:
+    def starts(self, band: int, rays: np.ndarray, stream: tuple[int, int], scatter: bool = True) -> Iterator[StartRays]:
         """Start rays of a wavelength, in as many passes as it takes; a stream for each round."""
         trace = self._trace
         one = trace.bands[band]
-        wanted = rays * one.share
-        passes = max(1, -(-int(wanted.sum()) // PASS_LANES))
-        lanes = np.where(wanted > 0, np.maximum(np.round(wanted / passes / BATCHES), 1) * BATCHES, 0).astype(np.int64)
+        wanted = many = rays * one.share
+        if not scatter:
+            assert self._sharing.unscattered is not None
+            many = wanted * self._sharing.unscattered
+            stream = (OWN + stream[0], stream[1])
+        passes = max(1, -(-int(many.sum()) // PASS_LANES))
+        lanes = np.where(wanted > 0, np.maximum(np.round(many / passes / BATCHES), 1) * BATCHES, 0).astype(np.int64)
         # The share of a wavelength is that of its rays, but for rounding
         weight = np.divide(wanted, passes * lanes, out=np.zeros(len(lanes)), where=lanes > 0)
         for k in range(passes):
             yield cell_starts(trace.rivals[band].balance, (trace.settings.seed, *stream, band, k), lanes, weight)
 
-    def trace_trees(self, band: int, start: StartRays, recorder: Recorder) -> None:
+    def trace_trees(self, band: int, start: StartRays, recorder: Recorder, scatter: bool = True) -> None:
         """Trace the trees of some start rays of a wavelength."""
         trace = self._trace
-        scene, table = trace.rival_scene(band), trace.bands[band].table
+        scene, table, settings, connects = (
+            trace.rival_scene(band),
+            trace.bands[band].table,
+            trace.settings,
+            trace.connects,
+        )
+        if not scatter:
+            assert scene.opposite is not None
+            settings, connects = replace(settings, max_scatters=0), False
+            scene = replace(scene, opposite=replace(scene.opposite, connects=False))
 
         def launch(part: StartRays) -> None:
-            trace_tree(scene, part, trace.settings, [recorder])
+            trace_tree(scene, part, settings, [recorder])
 
-        launches_of(table, trace.settings, recorder.code, "with the light", trace.connects).whole(start, launch)
+        launches_of(table, settings, recorder.code, "with the light", connects).whole(start, launch)
 
-    def _run(self, band: int, rays: np.ndarray, stream: tuple[int, int], recorder: Recorder) -> None:
-        for start in self.starts(band, rays, stream):
-            self.trace_trees(band, start, recorder)
+    def _run(self, band: int, rays: np.ndarray, stream: tuple[int, int], recorder: Recorder, scatter: bool) -> None:
+        for start in self.starts(band, rays, stream, scatter):
+            self.trace_trees(band, start, recorder, scatter)

@@ -332,17 +332,28 @@ class BackwardTrace:
         return bool(self.rivals) and self.rivals[0].balance.sharing.connects
 
     @property
+    def scatters(self) -> bool:
+        """Whether anything scatters."""
+        return any(self.scene(one).scatters(self.settings) for one in self.bands)
+
+    @property
     def may_connect(self) -> bool:
         """Whether they can be: at surfaces, where light is scattered twice, and rays with it are not left to chance."""
         settings, optics = self.settings, self.table.optics
         surfaces = any(one.scattering.any for one in self.bands) and not optics.scatters
         return surfaces and settings.max_scatters > 1 and settings.splitting == "split" and not optics.one_child
 
-    def balance(self, number: int, vertices: LightVertices | None) -> Balance | None:
-        """Who counts how much of a path at a wavelength; None: there are rays of one direction only."""
+    def balance(self, number: int, vertices: LightVertices | None, same_rays: bool = False) -> Balance | None:
+        """
+        Who counts how much of a path at a wavelength; None: there are rays of one direction only.
+
+        With `same_rays` light that nothing scatters has no rays of its own.
+        """
         if not self.rivals:
             return None
         balance = self.rivals[number].balance
+        if same_rays and balance.sharing.unscattered is not None:
+            balance = balance.at(replace(balance.sharing, unscattered=None))
         return balance if vertices is None else balance.beside(vertices)
 
     def family_shares(self) -> FamilyShares | None:

@@ -121,7 +121,7 @@ class PstRays:
             for done, rays in enumerate(trace.pass_rays):
                 whole = trace.start_pass(number, done, rays)
                 vertices = None if moves else trace.light_vertices(number, (0, done), rays)
-                weighing = shares if moves else trace.balance(number, vertices)
+                weighing = shares if moves else trace.balance(number, vertices, same_rays=True)
                 recorder.directions = trace.make_directions(derivative, weighing=weighing)
 
                 def trace_again(start: StartRays, vertices: LightVertices | None = vertices) -> None:
@@ -154,7 +154,7 @@ class PstRays:
         recorder = path_replay.recorder
         rays = np.sum([rays for _, rays in cells.rounds], axis=0)
         unit = np.divide(cells.unit, rays, out=np.zeros_like(cells.unit), where=rays > 0)
-        weighing = trace.family_shares() if moves else trace.balance(number, None)
+        weighing = trace.family_shares() if moves else trace.balance(number, None, same_rays=True)
         assert weighing is not None
         recorder.arrivals = cells.gains(unit * derivative.reshape(len(derivative), -1), weighing)
 

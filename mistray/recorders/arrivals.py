@@ -10,6 +10,7 @@ import numpy as np
 
 from mistray.recorders.direction_recorder import CLASS_COUNT, class_of_arrival
 from mistray.recorders.film import Film
+from mistray.recorders.path_key import COUNT_MASK
 from mistray.recorders.path_sums import PathSums
 from mistray.recorders.recorder import Memory, Recorder, Visit
 from mistray.recorders.weighing import Weighing
@@ -32,6 +33,8 @@ class ArrivalRecorder(Recorder):
     paths : PathSums, optional
     film : Film, optional
         Of a map of the detector for each cell; None: no maps.
+    scattered_only : bool
+        Leave out light that nothing has scattered.
     derivative : (CLASS_COUNT, cells) float64, optional
         Derivative of a metric by the sums of the weights of each class in each cell, for `gain`.
     """
@@ -45,11 +48,12 @@ class ArrivalRecorder(Recorder):
         weighing: Weighing,
         paths: PathSums | None = None,
         film: Film | None = None,
+        scattered_only: bool = False,
         derivative: np.ndarray | None = None,
     ) -> None:
         self._derivative = None if derivative is None else upload(mi.Float64, np.asarray(derivative, dtype=np.float64))
         self._cells, self._has_optics, self._weighing = cells, has_optics, weighing
-        self.paths, self._film = paths, film
+        self.paths, self._film, self._scattered_only = paths, film, scattered_only
         self._pixels = pixels = 0 if film is None else film.width * film.height
         self._sums = dr.zeros(mi.Float64, CLASS_COUNT * cells * BATCHES)
         self._largest = dr.zeros(mi.UInt32, cells)  # bits of the largest weight of a scattered ray
@@ -59,12 +63,15 @@ class ArrivalRecorder(Recorder):
     @property
     def code(self) -> Hashable:
         """See `Recorder.code`."""
-        return type(self).__name__, *(part is not None for part in (self._maps, self.paths, self._derivative))
+        parts = self._maps, self.paths, self._derivative
+        return type(self).__name__, self._scattered_only, *(part is not None for part in parts)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Add rays that have met the detector."""
         state, cell, met = visit.state, visit.start.cell, visit.detected
         assert cell is not None
+        if self._scattered_only:
+            met &= (state["scatters"] & COUNT_MASK) != 0
         weight = visit.weight * self._weighing.along(visit).along
         w = mi.Float64(weight)
         kind = class_of_arrival(visit, self._has_optics)

@@ -215,19 +215,39 @@ class DepartureSamples(_StartSamples):
 
 
 class ArrivalSamples(_StartSamples):
-    """Of a trace with the light: rays that meet the detector."""
+    """
+    Of a trace with the light: rays that meet the detector.
+
+    Parameters
+    ----------
+    cells, has_optics, weighing
+        See `mistray.recorders.arrivals.ArrivalRecorder`.
+    scattered_only : bool
+        Leave out light that nothing has scattered.
+    """
 
     incident = True
 
+    def __init__(self, cells: int, has_optics: bool, weighing: StartWeighing, scattered_only: bool = False) -> None:
+        super().__init__(cells, has_optics, weighing)
+        self._scattered_only = scattered_only
+
+    @property
+    def code(self) -> Hashable:
+        """See `Recorder.code`."""
+        return type(self).__name__, self._scattered_only
+
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Keep rays that have met the detector."""
-        start = visit.start
+        start, met = visit.start, visit.detected
         assert start.cell is not None
         assert start.place is not None
         assert start.scale is not None
-        family = family_of(visit.event, visit.depth, start, visit.detected)
+        if self._scattered_only:
+            met &= (visit.state["scatters"] & COUNT_MASK) != 0
+        family = family_of(visit.event, visit.depth, start, met)
         words = start.lane, start.cell, class_of_arrival(visit, self._has_optics), family
         shares = self._weighing.along(visit)
         density = dr.rcp(start.scale)
         floats = (*start.place, visit.weight * shares.along, shares.along, shares.connected, density)
-        self._keep(words, floats, visit.detected)
+        self._keep(words, floats, met)

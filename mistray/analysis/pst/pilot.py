@@ -21,6 +21,7 @@ from mistray.analysis.pst.plan import (
 )
 from mistray.execute.all_cells import AllCells
 from mistray.execute.backward import BackwardTrace
+from mistray.recorders.direction_recorder import SINGLE
 from mistray.recorders.start_samples import Samples
 from mistray.sampling.sharing.balance import Sharing
 from mistray.sampling.sharing.cell_starts import whole_batches
@@ -38,6 +39,8 @@ STEP = 4.0  # by which the rays of a cell change from one round to the next at m
 # Rounds after which the gain of connections is compared with the time that they take
 JUDGED_AFTER, COST_OF_CONNECTIONS = 3, 1.8
 LEAST_LEFT = 1e-6  # share of a path without connections that is made out
+# Rays that are not scattered, beside one that may be: at first, at least, at most; and the cost of a segment of theirs
+FIRST_UNSCATTERED, LEAST_UNSCATTERED, MOST_UNSCATTERED, COST_UNSCATTERED = 4.0, 1.0, 16.0, 1 / 3
 BOUND = 3.0  # errors between what a weight brings and its upper bound
 SMALLEST_SHARE = 1e-9  # of a path that either direction has
 CLASS_SHARE = 0.1  # of a map's weights that is spread evenly over the classes of light
@@ -62,7 +65,10 @@ class Pilot:
         self._trace, self._points, self._counts, self._to_an_error = trace, points, counts, to_an_error
         count = int(np.prod(trace.grid.shape))
         linked = np.full(count, 1 / count) if trace.may_connect else np.zeros(count)
-        self._sharing = Sharing(points, StartMap.uniform(count), np.full(count, 1 / count), linked)
+        unscattered = np.full(count, FIRST_UNSCATTERED) if trace.scatters else None
+        self._sharing = Sharing(
+            points, StartMap.uniform(count), np.full(count, 1 / count), linked, unscattered=unscattered
+        )
         trace.share_paths(self._sharing)
         self._cells = AllCells(trace)
         self._rounds = 0
@@ -71,6 +77,7 @@ class Pilot:
         self._rays = np.zeros(2)
         self._plan: Plan | None = None
         self._light = np.zeros(count)  # of the round before
+        self._parts: list[np.ndarray] = []  # see `_unscattered`
         self._variances: list[tuple[float, np.ndarray, np.ndarray]] = []  # see `variances_together`
         self._worth: list[tuple[np.ndarray, np.ndarray]] = []  # see `_windows`
         self._pace = np.zeros(2)  # s for a ray with the light, and against it
@@ -116,7 +123,8 @@ class Pilot:
         self._variances = [*self._variances, (rays, sharing.rays, relative)][-REMEMBERED:]
         relative = variances_together(self._variances, FACTORS)
         relative[:, ~self._counts] = 0.0
-        cost_along = np.sum([one.segments for one in along], axis=0)
+        costs_along = self._costs_along(along)
+        cost_along = costs_along.sum(axis=0)
         cost_against = sum(float(one.segments.sum()) for one in against)
         self._remember((along, against), units, light, rays)
         self._note_families((along, against), units)
@@ -132,7 +140,7 @@ class Pilot:
         )
         windows = self._windows(against, values, rays)
         plan = Plan(
-            sharing=Sharing(self._points, starts, sharing.rays * best, sharing.linked, windows),
+            sharing=replace(sharing, starts=starts, rays=sharing.rays * best, windows=windows),
             light=light,
             variance=variance * light**2 * rays,
             pilot_rays=self._rays.copy(),
@@ -142,9 +150,53 @@ class Pilot:
         fewest = LEAST_RAYS * cost_against / np.maximum(cost_along, 1e-300) / count
         rays_of_cell = sharing.rays * np.clip(np.maximum(even, fewest), 1 / STEP, STEP)
         self._light = light
-        self._sharing = replace(plan.sharing, rays=rays_of_cell, linked=self._linked(light, relative, gain))
+        self._sharing = replace(
+            plan.sharing,
+            rays=rays_of_cell,
+            linked=self._linked(light, relative, gain),
+            unscattered=self._unscattered((along, against), units, light, costs_along),
+        )
         trace.share_paths(self._sharing)
         return plan
+
+    def _costs_along(self, along: Sequence[Samples]) -> np.ndarray:
+        """(2, c) cost of the rays with the light, of those that may be scattered and of those that are not."""
+        if self._sharing.unscattered is None:
+            return np.array([np.sum([one.segments for one in along], axis=0), np.zeros(len(self._light))])
+        parts = [np.sum([one.segments for one in part], axis=0) for part in (along[::2], along[1::2])]
+        return np.array([parts[0], COST_UNSCATTERED * parts[1]])
+
+    def _unscattered(
+        self,
+        samples: tuple[Sequence[Samples], Sequence[Samples]],
+        units: tuple[np.ndarray, np.ndarray],
+        light: np.ndarray,
+        costs: np.ndarray,
+    ) -> np.ndarray | None:
+        """
+        Of the next round, see `Sharing`.
+
+        Of a variance a/m + b/n at a cost of m + c n, the least is at n/m = √(b/(a c)).
+        """
+        now = self._sharing.unscattered
+        if now is None:
+            return None
+        parts = np.zeros((2, len(light)))  # of the variance by rays with the light: what is scattered, and what is not
+        for found, unit in zip(samples, units, strict=True):
+            for one in found:
+                weight = one.weight * unit[one.cell]
+                here = one.along * weight**2
+                for part, kinds in enumerate((one.kind >= SINGLE, one.kind < SINGLE)):
+                    parts[part] += _sums(one.cell[kinds], here[kinds], len(light))
+        # For one ray of each kind
+        rays = self._sharing.rays
+        parts = np.divide(parts * [rays, rays * now], light**2, out=np.zeros_like(parts), where=light > 0)
+        self._parts = [*self._parts, parts][-REMEMBERED:]
+        scattered, clear = np.sum(self._parts, axis=0)
+        price = np.divide(costs[1] / now, costs[0], out=np.ones(len(light)), where=costs[0] > 0)
+        best = np.sqrt(clear / np.maximum(scattered * np.maximum(price, 1e-3), 1e-300))
+        best = np.where(clear + scattered > 0, np.clip(best, now / STEP, now * STEP), now)
+        return np.clip(best, LEAST_UNSCATTERED, MOST_UNSCATTERED)
 
     def _windows(self, against: Sequence[Samples], values: np.ndarray, rays: int) -> np.ndarray:
         """
@@ -183,7 +235,10 @@ class Pilot:
             for one in found:
                 share = np.clip(one.along, SMALLEST_SHARE, 1 - SMALLEST_SHARE)
                 # Rays with the light for one against it, if each cell had as many of them as there are of the others
-                odds = share / (1 - share) / np.maximum(self._sharing.rays[one.cell], SMALLEST_SHARE)
+                along = self._sharing.rays[one.cell]
+                if self._sharing.unscattered is not None:  # derivatives have no rays of their own for these
+                    along = along * np.where(one.kind < SINGLE, self._sharing.unscattered[one.cell], 1)
+                odds = share / (1 - share) / np.maximum(along, SMALLEST_SHARE)
                 parts.append((one.cell, one.kind, one.family, one.weight * unit[one.cell], odds))
         columns = (np.concatenate(column) for column in zip(*parts, strict=True))
         self._seen = [*self._seen, tuple(columns)][-REMEMBERED:]

@@ -85,7 +85,8 @@ class Plan:
         starts = {f"starts_{f.name}": getattr(self.sharing.starts, f.name) for f in fields(StartMap)}
         sharing = self.sharing
         shared = {"points_lit": sharing.points, "rays": sharing.rays, "linked": sharing.linked}
-        return own | found | starts | shared | ({} if sharing.windows is None else {"windows": sharing.windows})
+        optional = {name: getattr(sharing, name) for name in ("windows", "unscattered")}
+        return own | found | starts | shared | {name: values for name, values in optional.items() if values is not None}
 
     @classmethod
     def of_arrays(cls, arrays: dict[str, np.ndarray]) -> Plan:
@@ -93,7 +94,8 @@ class Plan:
         starts = StartMap(**{f.name: arrays[f"starts_{f.name}"] for f in fields(StartMap)})
         own: dict[str, Any] = {name: arrays[name] for name in ARRAYS}
         samples = MapSamples(*(arrays[f"samples_{name}"] for name in MapSamples._fields))
-        sharing = Sharing(arrays["points_lit"], starts, arrays["rays"], arrays["linked"], arrays.get("windows"))
+        windows, unscattered = arrays.get("windows"), arrays.get("unscattered")
+        sharing = Sharing(arrays["points_lit"], starts, arrays["rays"], arrays["linked"], windows, unscattered)
         return cls(sharing=sharing, samples=samples, **own)
 
 
@@ -108,8 +110,14 @@ def shared(plans: Sequence[Plan]) -> list[Plan]:
     # Those of one for all, so that scenes which differ little are traced alike; they go by the numbers of the surfaces
     windows = [plan.sharing.windows for plan in plans if plan.sharing.windows is not None]
     alike = len(windows) == len(plans) and len({one.shape for one in windows}) == 1
-    first = windows[0] if alike else None
-    return [replace(plan, sharing=replace(plan.sharing, starts=starts, rays=rays, windows=first)) for plan in plans]
+    ratios = [plan.sharing.unscattered for plan in plans if plan.sharing.unscattered is not None]
+    same = {
+        "starts": starts,
+        "rays": rays,
+        "windows": windows[0] if alike else None,
+        "unscattered": np.max(ratios, axis=0) if len(ratios) == len(plans) else None,
+    }
+    return [replace(plan, sharing=replace(plan.sharing, **same)) for plan in plans]
 
 
 def variances_together(rounds: Sequence[tuple[float, np.ndarray, np.ndarray]], factors: np.ndarray) -> np.ndarray:

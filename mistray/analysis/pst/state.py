@@ -19,7 +19,7 @@ from mistray.errors import MistrayError
 from mistray.read_file import open_input
 from mistray.replace_file import replace_file
 
-FORM = 4  # changes when the content does
+FORM = 5  # changes when the content does
 _FACTS, _ARRAY = "facts", "array_"  # entries of the file; the prefix keeps names of arrays apart from all others
 _DAMAGES = (
     *(ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, MemoryError, RecursionError),

@@ -19,6 +19,7 @@ import numpy as np
 
 from mistray.kernel.scatter_shares import JOINED
 from mistray.recorders.directions import DirectionGrid
+from mistray.recorders.path_key import COUNT_MASK
 from mistray.recorders.recorder import Departure, Visit
 from mistray.recorders.weighing import PathShares
 from mistray.sampling.detector_start import DetectorStart
@@ -48,6 +49,9 @@ class Sharing:
     windows : (2, n, WAYS) float64, optional
         "many" and "few" of `mistray.kernel.kernel_scene.WeightWindows`, for rays against the light; None: there are
         none.
+    unscattered : (c,) float64, optional
+        Rays with the light beside each of those, which are not scattered: light that nothing scatters is theirs alone.
+        They cost little, and find the narrow ways in. None: there are none, and the others have all light.
     families : FamilyVariances, optional
         For derivatives by what moves paths; None: there are none.
     """
@@ -57,6 +61,7 @@ class Sharing:
     rays: np.ndarray
     linked: np.ndarray
     windows: np.ndarray | None = None
+    unscattered: np.ndarray | None = None
     families: FamilyVariances | None = None
 
     @property
@@ -107,13 +112,16 @@ class Balance:
         self.sharing = sharing
         self._linked = upload(mi.Float, sharing.linked / self._etendue)
         self.starts = DeviceMap(sharing.starts)
-        self._per_etendue = upload(mi.Float, sharing.rays * np.pi * self.start.area / self._etendue)
+        # Of light that something scatters, and of light that nothing does
+        both = sharing.rays, sharing.rays * (1.0 if sharing.unscattered is None else sharing.unscattered)
+        per_etendue = np.concatenate(both) * np.pi * self.start.area / np.tile(self._etendue, 2)
+        self._per_etendue = upload(mi.Float, per_etendue)
 
     def against(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> PathShares:
         """See `mistray.recorders.weighing.Weighing`."""
         point = self.start_of(departure, cell, active)
         density = self.starts.density(cell, point, active)
-        along = self._with_light(cell, density, departure.start.w, active) * _or_one(departure.odds)
+        along = self._with_light(cell, departure.scatters, density, departure.start.w, active) * _or_one(departure.odds)
         linked = self._connections(cell, density, departure.link, active)
         share = dr.rcp(1 + along + linked)
         shares = PathShares(along * share, share, linked * share)
@@ -131,7 +139,7 @@ class Balance:
         assert start.scale is not None
         weight = self.start.weight_at(it.p, -visit.state["d"], -it.axis, active)
         density = dr.rcp(start.scale)
-        along = self._with_light(start.cell, density, weight, active)
+        along = self._with_light(start.cell, visit.state["scatters"], density, weight, active)
         against = _or_one(visit.odds)
         linked = against * self._connections(start.cell, density, visit.link, active)
         # Where rays against the light do not start, or never come by, those with it count all
@@ -176,9 +184,12 @@ class Balance:
         a, b = dr.select(is_round > 0, square.x, 0.5 * (a + 1)), dr.select(is_round > 0, square.y, 0.5 * (b + 1))
         return [dr.clip(value, 0, 1 - 2.0**-24) for value in (a, b, u, v)]
 
-    def _with_light(self, cell: mi.UInt32, density: mi.Float, start_weight: mi.Float, active: mi.Bool) -> mi.Float:
+    def _with_light(
+        self, cell: mi.UInt32, scatters: mi.UInt32, density: mi.Float, start_weight: mi.Float, active: mi.Bool
+    ) -> mi.Float:
         """Rays with the light for one against it, of the same étendue at their starts."""
-        return dr.gather(mi.Float, self._per_etendue, cell, active) * density * start_weight
+        row = cell + dr.select((scatters & COUNT_MASK) == 0, mi.UInt32(len(self.areas)), 0)
+        return dr.gather(mi.Float, self._per_etendue, row, active) * density * start_weight
 
     def _connections(self, cell: mi.UInt32, density: mi.Float, link: mi.Float | None, active: mi.Bool) -> mi.Float:
         """Connections that find a path for one ray against the light, see `mistray.kernel.odds.Odds.linked`."""
