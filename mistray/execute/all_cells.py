@@ -115,10 +115,11 @@ class AllCells:
     @property
     def _kinds(self) -> list[tuple[bool, bool]]:
         """Of the rays: whether they may be scattered, and whether they leave out what was not."""
-        return [(True, False)] if self._sharing.unscattered is None else [(True, True), (False, False)]
+        return [(True, False)] if self.sharing.unscattered is None else [(True, True), (False, False)]
 
     @property
-    def _sharing(self) -> Sharing:
+    def sharing(self) -> Sharing:
+        """How the rays share the light with the trace."""
         return self._trace.rivals[0].balance.sharing
 
     def paths(self) -> dict[str, np.ndarray]:
@@ -135,8 +136,8 @@ class AllCells:
         one = trace.bands[band]
         wanted = many = rays * one.share
         if not scatter:
-            assert self._sharing.unscattered is not None
-            many = wanted * self._sharing.unscattered
+            assert self.sharing.unscattered is not None
+            many = wanted * self.sharing.unscattered
             stream = (OWN + stream[0], stream[1])
         passes = max(1, -(-int(many.sum()) // PASS_LANES))
         lanes = np.where(wanted > 0, np.maximum(np.round(many / passes / BATCHES), 1) * BATCHES, 0).astype(np.int64)
@@ -148,15 +149,14 @@ class AllCells:
     def trace_trees(self, band: int, start: StartRays, recorder: Recorder, scatter: bool = True) -> None:
         """Trace the trees of some start rays of a wavelength."""
         trace = self._trace
-        scene, table, settings, connects = (
-            trace.rival_scene(band),
-            trace.bands[band].table,
-            trace.settings,
-            trace.connects,
-        )
+        scene, table = trace.rival_scene(band), trace.bands[band].table
+        settings, connects = trace.settings, trace.connects
         if not scatter:
             assert scene.opposite is not None
-            settings, connects = replace(settings, max_scatters=0), False
+            # Each of them carries less, and none may end before its share of the light does
+            assert self.sharing.unscattered is not None
+            threshold = settings.flux_threshold / float(self.sharing.unscattered.max())
+            settings, connects = replace(settings, max_scatters=0, flux_threshold=threshold), False
             scene = replace(scene, opposite=replace(scene.opposite, connects=False))
 
         def launch(part: StartRays) -> None:

@@ -6,6 +6,7 @@ import functools
 import importlib
 import itertools
 import time
+from dataclasses import replace
 from typing import Any
 
 import mitsuba as mi
@@ -32,6 +33,7 @@ from mistray.kernel.odds import Odds
 from mistray.recorders.direction_recorder import CLASS_COUNT, SINGLE
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.path_key import ABSORBED, EVENT_BITS, REFLECTED, TRANSMITTED
+from mistray.recorders.start_samples import Samples
 from mistray.sampling.plane_wave import hull_points
 from mistray.sampling.sharing.balance import Sharing
 from mistray.sampling.sharing.map_samples import MapSamples
@@ -196,26 +198,57 @@ def found() -> tuple[BackwardTrace, Plan]:
     return trace, Pilot(trace, hull_points(trace.table), np.ones(2, dtype=bool)).search(0)
 
 
-def test_both_directions_come_to_the_same_odds(found: tuple[BackwardTrace, Plan]) -> None:
+@pytest.mark.parametrize("unscattered", [None, 0.5, 16.0])
+def test_both_directions_come_to_the_same_odds(found: tuple[BackwardTrace, Plan], unscattered: float | None) -> None:
     """
     Each direction counts what the other leaves: both with the shares are either alone without them.
 
-    Seen by their own light, cell by cell, within 6 of their errors (false alarm 1e-8). Paths that rays with the light
-    hardly find are left out: one of them in a million rays would make up for all that were not met.
+    Seen by their own light, cell by cell, what is scattered and what is not, within 6 of their errors (false alarm
+    1e-8). Paths that rays with the light hardly find are left out: one of them in a million rays would make up for all
+    that were not met.
     """
     trace, plan = found
-    trace.share_paths(plan.sharing)
+    ratio = None if unscattered is None else np.full(2, unscattered)
+    trace.share_paths(replace(plan.sharing, unscattered=ratio))
     cells = AllCells(trace)
     rays = 1 << 16
     with_light = plan.forward_rays(rays)
-    along, against = cells.samples(with_light, 90)[0], trace.samples(rays, 90)[0]
+    along, against = cells.samples(with_light, 90), trace.samples(rays, 90)
+    assert len(along) == (1 if ratio is None else 2)
+    if ratio is not None:
+        assert np.all(along[0].kind >= SINGLE)
+        assert np.all(along[1].kind < SINGLE)
     unit = cells.areas.ravel() / trace.area / with_light, np.repeat(np.pi / trace.grid.solid_angle, 1) / rays
-    for cell in range(2):
-        here, there = ((one.cell == cell) & (one.along > 0.05) for one in (along, against))
-        shared = np.concatenate([along.weight[here] * unit[0][cell], against.weight[there] * unit[1][cell]])
-        alone = along.weight[here] / along.along[here] * unit[0][cell]
+    seen = []
+    for cell, scattered in itertools.product(range(2), (False, True)):
+
+        def part(
+            one: Samples, unit: np.ndarray, cell: int = cell, scattered: bool = scattered
+        ) -> tuple[np.ndarray, ...]:
+            here = (one.cell == cell) & (one.along > 0.05) & ((one.kind >= SINGLE) == scattered)
+            return one.weight[here] * unit[cell], one.along[here]
+
+        ours, shares = (np.concatenate(column) for column in zip(*(part(one, unit[0]) for one in along), strict=True))
+        shared, alone = np.append(ours, part(against[0], unit[1])[0]), ours / shares
         se = np.sqrt(np.sum(shared**2) + np.sum(alone**2))
-        assert abs(shared.sum() - alone.sum()) < 6 * se
+        assert abs(shared.sum() - alone.sum()) <= 6 * se
+        seen.append(len(ours) > 50)
+    assert seen == [True, True, False, True]  # at 45° all light is scattered
+
+
+@pytest.mark.parametrize("max_scatters", [0, 1])
+def test_light_that_nothing_scatters_has_rays_of_its_own(max_scatters: int) -> None:
+    scene = singlet()
+    settings = replace(Settings.of(scene), max_scatters=max_scatters)
+    trace = BackwardTrace(scene, DirectionGrid.of([0.0, 45.0], cell_deg=2.0), settings)
+    plan = Pilot(trace, hull_points(trace.table), np.ones(2, dtype=bool)).search(0)
+    ratio = plan.sharing.unscattered
+    if not max_scatters:  # it is all there is
+        assert ratio is None
+        return
+    assert ratio is not None
+    assert ratio[0] > 4 * ratio[1]  # the image on axis; at 45° all light is scattered
+    assert ratio[1] == 1.0
 
 
 def lit_disc() -> mi.Scene:

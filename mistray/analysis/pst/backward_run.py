@@ -278,6 +278,7 @@ class BackwardRun:
             with_light, against = self._plan.pilot_rays
             facts |= {
                 "rays_with_the_light": round(light.rays.sum()),
+                "unscattered_rays_with_the_light": round(light.unscattered_rays),
                 "connections": trace.connects,
                 "pilot_rays": round(against),
                 "pilot_rays_with_the_light": round(with_light),

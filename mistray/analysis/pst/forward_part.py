@@ -62,6 +62,12 @@ class ForwardPart:
         self.seconds += time.perf_counter() - started
 
     @property
+    def unscattered_rays(self) -> float:
+        """Rays beside those that light which nothing scatters has of its own, see `Sharing.unscattered`."""
+        ratio = self.cells.sharing.unscattered
+        return 0.0 if ratio is None else float(np.sum(self.rays * ratio))
+
+    @property
     def unit(self) -> np.ndarray:
         """(c,) PST_normal of the light of one start ray."""
         unit = self.cells.unit
