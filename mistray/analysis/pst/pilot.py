@@ -35,6 +35,9 @@ REMEMBERED = 3  # rounds whose samples the map is made of
 SAMPLES_OF_CELL = 16000  # that are kept of a round
 FACTORS = 2.0 ** np.arange(-4, 5.5, 0.5)  # of the rays with the light of a cell, that are looked at
 LEAST_RAYS = 1 / 4  # of a cell in a pilot, by their cost, of its even share
+# Of a cell in a run, for one of all against the light, and of all cells: without them what the pilot has not met in the
+# other direction would be strong
+LEAST_OF_CELL, LEAST_OF_ALL = 1 / 256, 1 / 6
 STEP = 4.0  # by which the rays of a cell change from one round to the next at most
 # Rounds after which the gain of connections is compared with the time that they take
 JUDGED_AFTER, COST_OF_CONNECTIONS = 3, 1.8
@@ -139,8 +142,9 @@ class Pilot:
             [np.interp(np.log(f), np.log(FACTORS), column) for f, column in zip(best, relative.T, strict=True)]
         )
         windows = self._windows(against, values, rays)
+        least = np.where(self._counts, min(LEAST_OF_CELL, LEAST_OF_ALL / count), 0)
         plan = Plan(
-            sharing=replace(sharing, starts=starts, rays=sharing.rays * best, windows=windows),
+            sharing=replace(sharing, starts=starts, rays=np.maximum(sharing.rays * best, least), windows=windows),
             light=light,
             variance=variance * light**2 * rays,
             pilot_rays=self._rays.copy(),
