@@ -43,7 +43,7 @@ STEP = 4.0  # by which the rays of a cell change from one round to the next at m
 JUDGED_AFTER, COST_OF_CONNECTIONS = 3, 1.8
 LEAST_LEFT = 1e-6  # share of a path without connections that is made out
 # Rays that are not scattered, beside one that may be: at first, at least, at most; and the cost of a segment of theirs
-FIRST_UNSCATTERED, LEAST_UNSCATTERED, MOST_UNSCATTERED, COST_UNSCATTERED = 4.0, 1.0, 16.0, 1 / 3
+FIRST_UNSCATTERED, LEAST_UNSCATTERED, MOST_UNSCATTERED, COST_UNSCATTERED = 4.0, 4.0, 16.0, 1 / 3
 BOUND = 3.0  # errors between what a weight brings and its upper bound
 SMALLEST_SHARE = 1e-9  # of a path that either direction has
 CLASS_SHARE = 0.1  # of a map's weights that is spread evenly over the classes of light
