@@ -120,14 +120,15 @@ def test_two_stage_baffle_to_1e_13(tmp_path: Path) -> None:
     """
     Light that is scattered five times, beside a float64 walk with splitting.
 
-    Half the reflectance leaves 1/32 of it; all runs have errors of their own. In every other run a single ray meets
-    light that is totally reflected twice within the lens, a tenth of all: its error is large then, and says so.
+    Half the reflectance leaves 1/32 of it; all runs have errors of their own. In every third or fourth run a single ray
+    meets light that is totally reflected twice within the lens, a tenth of all: its error is large then, and says so.
+    With three of five runs like that, other seeds would fail (one time in six to ten).
     """
     values = {}
     for reflectance in (0.02, 0.01):
         scene = painted(tmp_path, reflectance)
         exact, exact_se = BaffledLens.read(SCENE, reflectance, scatters=5).pst(CELLS, 64_000, SPLITS, seed=3).T
-        runs = [mistray.pst(scene, ANGLES, rays=300_000, max_scatters=5, seed=seed) for seed in (1, 2, 3)]
+        runs = [mistray.pst(scene, ANGLES, rays=300_000, max_scatters=5, seed=seed) for seed in range(1, 6)]
         found, errors = (np.array([getattr(run, name) for run in runs]) for name in ("value", "standard_error"))
         assert (np.median(errors, axis=0) < 0.1 * exact).all()
         assert (np.abs(found - exact) < 4 * np.hypot(errors, exact_se)).all()
