@@ -42,8 +42,8 @@ STEP = 4.0  # by which the rays of a cell change from one round to the next at m
 # Rounds after which the gain of connections is compared with the time that they take
 JUDGED_AFTER, COST_OF_CONNECTIONS = 3, 1.8
 LEAST_LEFT = 1e-6  # share of a path without connections that is made out
-# Rays that are not scattered, beside one that may be: at first, at least, at most; and the cost of a segment of theirs
-FIRST_UNSCATTERED, LEAST_UNSCATTERED, MOST_UNSCATTERED, COST_UNSCATTERED = 4.0, 4.0, 16.0, 1 / 3
+# Rays that are not scattered, beside one that may be: at first and at least, at most; the cost of a segment of theirs
+LEAST_UNSCATTERED, MOST_UNSCATTERED, COST_UNSCATTERED = 4.0, 16.0, 1 / 3
 BOUND = 3.0  # errors between what a weight brings and its upper bound
 SMALLEST_SHARE = 1e-9  # of a path that either direction has
 CLASS_SHARE = 0.1  # of a map's weights that is spread evenly over the classes of light
@@ -68,7 +68,7 @@ class Pilot:
         self._trace, self._points, self._counts, self._to_an_error = trace, points, counts, to_an_error
         count = int(np.prod(trace.grid.shape))
         linked = np.full(count, 1 / count) if trace.may_connect else np.zeros(count)
-        unscattered = np.full(count, FIRST_UNSCATTERED) if trace.scatters else None
+        unscattered = np.full(count, LEAST_UNSCATTERED) if trace.scatters else None
         self._sharing = Sharing(
             points, StartMap.uniform(count), np.full(count, 1 / count), linked, unscattered=unscattered
         )
