@@ -51,6 +51,8 @@ class Node:
     rng : mi.PCG32
     row : mi.UInt32 or None
         Of its weight window, see `mistray.recorders.start_samples.worth_row`; None: there are no windows.
+    scale : mi.Float or None
+        Weights of the start rays, where `Settings.flux_threshold` is relative to them; None: to 1.
     """
 
     state: dict[str, Any]
@@ -62,6 +64,7 @@ class Node:
     again: mi.Bool
     rng: mi.PCG32
     row: mi.UInt32 | None = None
+    scale: mi.Float | None = None
 
     @property
     def visit(self) -> mi.Bool:
@@ -185,8 +188,6 @@ class Branching:
         ``lose(channel, flux, active, memory)``, see `mistray.recorders.recorder.Recorder.lose`.
     batch : mi.UInt32
         Of the start rays.
-    scale : mi.Float or None
-        Weights of the start rays, where `Settings.flux_threshold` is relative to them; None: to 1.
     """
 
     def __init__(
@@ -196,7 +197,6 @@ class Branching:
         limits: BranchLimits,
         lose: Loss,
         batch: mi.UInt32,
-        scale: mi.Float | None = None,
     ) -> None:
         self._optics, self._scattering, self._probabilities = scene.table.optics, scene.scattering, scene.probabilities
         self._backward, self._connections, self._windows = scene.backward, scene.connections, scene.windows
@@ -206,8 +206,6 @@ class Branching:
         self._threshold, self._scatter_threshold = (
             dr.opaque(mi.Float, limit) for limit in (settings.flux_threshold, settings.scatter_threshold)
         )
-        if scale is not None:
-            self._threshold = self._threshold * scale
         self._scatter_limits = [dr.opaque(mi.UInt32, limit) for limit in settings.scatter_limits]
         self._max_reflections, self._scatter_rays, self.max_segments = (
             dr.opaque(mi.UInt32, limit) for limit in settings.tree_limits
@@ -291,6 +289,10 @@ class Branching:
         word = dr.select(there, joint | JOINED, number + 1)
         return Joint(direction, reflect, dr.select(there, 1, factor), word)
 
+    def _least(self, node: Node) -> mi.Float:
+        """What light has at least that nothing has scattered."""
+        return self._threshold if node.scale is None else self._threshold * node.scale
+
     def choose(self, node: Node, children: Children, memory: Memory) -> Choice:
         """
         The child of this visit; what is below the thresholds is lost, or plays roulette.
@@ -300,7 +302,7 @@ class Branching:
         state, first = node.state, node.first
         fresh = (state["scatters"] & COUNT_MASK) == 0 if self._scatters else mi.Bool(True)
         own = state["birth"] * self._scatter_threshold
-        limit = dr.select(fresh, self._threshold if self._roulette else 0, own)
+        limit = dr.select(fresh, self._least(node) if self._roulette else 0, own)
         # One for all children: none knows of another
         draws = self._roulette or self._scatters or self._probabilities is not None
         u = node.rng.next_float32() if draws else mi.Float(0)
@@ -367,7 +369,8 @@ class Branching:
         first, again, probabilities = node.first, node.again, self._probabilities
         w_t, w_r = children.transmitted, children.reflected
         if not self._roulette:
-            cut_t, cut_r = fresh & (w_t < self._threshold), fresh & (w_r < self._threshold)
+            least = self._least(node)
+            cut_t, cut_r = fresh & (w_t < least), fresh & (w_r < least)
             cut = dr.select(cut_t, w_t, 0) + dr.select(cut_r, w_r, 0)
             self._lose(THRESHOLD, cut, first & (cut > 0), memory)
             w_t, w_r = dr.select(cut_t, 0, w_t), dr.select(cut_r, 0, w_r)
@@ -441,7 +444,7 @@ class Branching:
             flux = dr.select(small, dr.select(u * limit < both, limit, 0), both)
             self._lose(ROULETTE, both - flux, visit & small, memory)
         if not self._roulette:
-            cut = fresh & (both < self._threshold)
+            cut = fresh & (both < self._least(node))
             self._lose(THRESHOLD, both, first & cut & (both > 0), memory)
             flux = dr.select(cut, 0, flux)
         scatter = visit & (number == SCATTER) & (flux > 0)

@@ -1,4 +1,4 @@
-"""The kernel: every lane walks the whole ray tree of its start ray, depth first.
+"""The kernel: every lane walks the whole ray tree of its start ray, depth first, and then that of another one.
 
 A lane holds one node at a time: a point on a surface, reached along a direction with a weight (its flux in units of
 the start ray's). At each visit it sends one of the node's children on (see `mistray.kernel.branching`) and, if others
@@ -27,6 +27,7 @@ from mistray.kernel.next_hit import film_coordinates, next_hit
 from mistray.kernel.odds import Odds
 from mistray.kernel.pending_nodes import LEVELS, PendingNodes, at_once, in_step, node_word, wait_level
 from mistray.kernel.scatter_shares import Rivalry
+from mistray.kernel.start_supply import StartSupply
 from mistray.recorders.path_key import ABSORBED, COUNT_MASK, EVENT_BITS, FIRST_KEY, extend_key
 from mistray.recorders.recorder import Branch, Departure, Memory, Recorder, Recorders, Return, Segment, Visit
 from mistray.recorders.start_rays import StartRays
@@ -38,6 +39,7 @@ from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.surface_rows import LaneRows
 
 State = dict[str, Any]
+MEMORY = ("memory", "recorders")  # variables of the loop that belong to lanes, not to rays
 
 
 def trace_tree(scene: KernelScene, start: StartRays, settings: Settings, recorders: Sequence[Recorder | None]) -> None:
@@ -54,16 +56,19 @@ def trace_tree(scene: KernelScene, start: StartRays, settings: Settings, recorde
     recorders : sequence of Recorder or None
         Take the results, in this order; None is left out.
     """
-    tree = _Tree(scene, start, settings, Recorders(recorders))
+    together = Recorders(recorders)
+    tree = _Tree(scene, start, settings, together)
     state = tree.first_segment()
-    state, constant = tree.varying(state)
-
-    def visit(state: State) -> State:
-        following = tree.visit({**state, **constant})
-        return {name: value for name, value in following.items() if name not in constant}
-
-    walk_on = at_once if tree.scatters else in_step
-    tree.end(walk_on(state, visit, partial(tree.nodes.resume, child=REFLECT)))
+    if tree.scatters and StartSupply.pays() and not together.by_ray:
+        tree.end(state, ~state["active"])
+        known = {name: value for name, value in state.items() if name not in MEMORY}
+        dr.eval(known)
+        supply = StartSupply(start, known)
+        if not supply.any:
+            return
+        tree = _Tree(scene, start, settings, together, supply)
+        state = tree.idle()
+    tree.walk(state)
 
 
 @dataclass
@@ -88,12 +93,22 @@ class _Sent:
 class _Tree:
     """The steps of a visit, with what is the same for all of them."""
 
-    def __init__(self, scene: KernelScene, start: StartRays, settings: Settings, recorders: Recorders) -> None:
+    def __init__(
+        self,
+        scene: KernelScene,
+        start: StartRays,
+        settings: Settings,
+        recorders: Recorders,
+        supply: StartSupply | None = None,
+    ) -> None:
         if any(settings.cut_below_W):
             raise MistrayError("cut_below_W is in watts of a source, and this trace starts from none; use cut_below")
         table = scene.table
-        self.scene, self.start, self.settings, self.recorders = scene, start, settings, recorders
+        self.scene, self.start, self.settings, self.recorders, self.supply = scene, start, settings, recorders, supply
         self.n = dr.width(start.o)
+        if supply is not None:
+            self.n = supply.lanes
+            self.start = start = supply.start(self.full())
         self.has_stock, self.bulk = table.stock_scene is not None, table.optics.scatters
         self.scatters = scene.scatters(settings)
         self.odds = Odds(scene, settings) if scene.opposite is not None else None
@@ -102,7 +117,7 @@ class _Tree:
         self.limits = BranchLimits(settings, self.cut, start.batch)
         self.connects = self.odds is not None and self.odds.connects
         self.books = mi.Bool(True)  # lanes whose rays are no connections, which stand for light that others stand for
-        self.branching = Branching(scene, settings, self.limits, self.lose, start.batch, start.scale)
+        self.branching = Branching(scene, settings, self.limits, self.lose, start.batch)
         self.nodes = PendingNodes(
             settings.max_events,
             self.has_stock,
@@ -113,7 +128,7 @@ class _Tree:
             self.odds is not None,
             self.connects,
         )
-        self.rows = LaneRows(table, self.n) if LaneRows.pay(table) else None
+        self.rows: LaneRows | None = None
         self.first_depth = start.given("depth", self.full())
 
     def lose(self, channel: int | mi.UInt32, flux: Any, active: mi.Bool, memory: Memory) -> None:
@@ -203,6 +218,38 @@ class _Tree:
             "recorders": memory,
         }
 
+    def idle(self) -> State:
+        """The variables of the loop of lanes that have no ray yet."""
+        assert self.supply is not None
+        memory: Memory = {}
+        self.recorders.begin(self.start, self.settings.max_events, memory)
+        ray, all_of_them = self.full(), dr.full(mi.Bool, True, self.n)
+        state = {name: self.supply.known(name, ray) for name in self.supply.names}
+        codes = dr.alloc_local(mi.UInt32, self.settings.max_events)
+        lanes = {"active": all_of_them, "idle": all_of_them, "ray": ray}
+        return {**state, **lanes, "memory": (self.nodes.memory, codes), "recorders": memory}
+
+    def walk(self, state: State) -> None:
+        """Visit all nodes of all trees."""
+        if LaneRows.pay(self.scene.table):
+            self.rows = LaneRows(self.scene.table, self.n)
+        state, constant = self.varying(state)
+
+        def visit(state: State) -> State:
+            kept = constant
+            if self.supply is not None:
+                state = self._renewed(state)
+                kept = {name: self.supply.known(name, state["ray"]) for name in constant}
+            following = self.visit({**state, **kept})
+            return {name: value for name, value in following.items() if name not in constant}
+
+        walk_on = at_once if self.scatters else in_step
+        state = walk_on(state, visit, partial(self.nodes.resume, child=REFLECT))
+        if self.supply is None:
+            self.end(state, mi.Bool(True))
+        else:
+            self.recorders.collect_lanes(self.supply.start(state["ray"]), state["recorders"])
+
     def varying(self, state: State) -> tuple[State, State]:
         """The variables that this scene needs, and the others with the values that they keep."""
         scatters, bulk = self.scatters, self.bulk
@@ -225,6 +272,9 @@ class _Tree:
         """One visit of a node by every lane: arrive, report, choose a child, send it on, or go back."""
         path, codes = state["memory"]
         memory = dict(state["recorders"])
+        if self.supply is not None:
+            self.start = self.supply.start(state["ray"])
+            self.first_depth = self.start.given("depth", self.full())
         trunk = dr.select(state["reflections"] == 0, state["depth"], state["trunk"])
         node = self._arrive(state, path, codes, memory)
         children = self.branching.children(node, memory)
@@ -233,12 +283,29 @@ class _Tree:
         path, code = self._keep(node, children, choice, sent, path, codes, memory)
         following = self._follow(node, children, choice, sent, path, codes, code, memory)
         following |= self._go_back(node, choice, following.pop("hit"), trunk, memory)
-        return {**state, **following, "rng": node.rng, "memory": (path, codes), "recorders": memory}
+        following = {**state, **following, "rng": node.rng}
+        if self.supply is not None:
+            done = state["active"] & ~following["active"]
+            self._complete(following["segments"], done, memory)
+            following |= {"active": state["active"], "idle": done}
+        return {**following, "memory": (path, codes), "recorders": memory}
 
-    def end(self, state: State) -> None:
-        """All trees are complete."""
-        segments = state["segments"]
-        self.recorders.end(self.start, segments, segments >= self.branching.max_segments, state["recorders"])
+    def _renewed(self, state: State) -> State:
+        """The variables of the loop after idle lanes have taken new rays; those that get none are finished."""
+        assert self.supply is not None
+        ray, found = self.supply.next(state["idle"])
+        fresh = {name: self.supply.known(name, ray, found) for name in self.supply.names if name in state}
+        fresh |= {"ray": ray, "active": mi.Bool(True)}
+        renewed = {name: dr.select(found, value, state[name]) for name, value in fresh.items()}
+        return {**state, **renewed, "active": state["active"] & (found | ~state["idle"])}
+
+    def _complete(self, segments: mi.UInt32, done: mi.Bool, memory: Memory) -> None:
+        self.recorders.end(self.start, segments, segments >= self.branching.max_segments, done, memory)
+
+    def end(self, state: State, done: mi.Bool) -> None:
+        """Trees are complete, and the lanes have no others."""
+        self._complete(state["segments"], done, state["recorders"])
+        self.recorders.collect_lanes(self.start, state["recorders"])
 
     def _attenuate(
         self, flux: mi.Float, medium: mi.UInt32, length: mi.Float, hit: mi.Bool
@@ -293,7 +360,7 @@ class _Tree:
         row = None
         if self.scene.windows is not None:
             row = worth_row(s, hits.before(active), state["scatters"] & COUNT_MASK)
-        return Node(state, it, given, R, T, first & ~at_rim, again, state["rng"], row)
+        return Node(state, it, given, R, T, first & ~at_rim, again, state["rng"], row, self.start.scale)
 
     def _send(self, node: Node, children: Children, choice: Choice) -> _Sent:
         """The chosen child's origin, direction and flux."""

@@ -99,6 +99,11 @@ class Adjoint(Recorder):
             *(one and one.code for one in (self.directions, self.arrivals)),
         )
 
+    @property
+    def by_ray(self) -> bool:
+        """See `Recorder.by_ray`; derivatives go by differences of the gain, but `gain` is that of each ray."""
+        return not self.rows
+
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
         """No metric yet; local arrays by depth: cell of the table, fraction, slope, gain when the event was entered."""
         memory[GAIN] = dr.zeros(mi.Float64, dr.width(start.lane))
@@ -157,7 +162,7 @@ class Adjoint(Recorder):
 
         dr.while_loop((dr.select(active, back.depth, 0),), lambda k: active & (k > last), step, mode="symbolic")
 
-    def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, memory: Memory) -> None:
+    def collect_lanes(self, start: StartRays, memory: Memory) -> None:
         """Keep the gains."""
         self.gain = memory[GAIN]
 

@@ -277,6 +277,11 @@ class Recorder:
     incident = False
 
     @property
+    def by_ray(self) -> bool:
+        """Whether the memory of a lane is of one start ray: then no lane takes a second one."""
+        return type(self).begin is not Recorder.begin
+
+    @property
     def code(self) -> Hashable:
         """What tells the kernels of the same scene apart that write to it."""
         return type(self).__name__
@@ -314,8 +319,11 @@ class Recorder:
     def take(self, medium: mi.UInt32, batch: mi.UInt32, flux: Any, active: mi.Bool) -> None:
         """A medium absorbs flux."""
 
-    def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, memory: Memory) -> None:
-        """All trees are complete, of so many segments; those of the lanes `cut_off` were larger than they may be."""
+    def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
+        """Trees are complete, of so many segments; those of the lanes `cut_off` were larger than they may be."""
+
+    def collect_lanes(self, start: StartRays, memory: Memory) -> None:
+        """All trees of the lanes are complete. The rays of a lane were of one batch."""
 
 
 class Recorders(Recorder):
@@ -326,6 +334,11 @@ class Recorders(Recorder):
         self.node_floats = max((recorder.node_floats for recorder in self._all), default=0)
         self.by_way = any(recorder.by_way for recorder in self._all)
         self.incident = any(recorder.incident for recorder in self._all)
+
+    @property
+    def by_ray(self) -> bool:
+        """See `Recorder.by_ray`."""
+        return any(recorder.by_ray for recorder in self._all)
 
     @property
     def code(self) -> Hashable:
@@ -387,7 +400,12 @@ class Recorders(Recorder):
         for recorder in self._all:
             recorder.take(medium, batch, flux, active)
 
-    def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, memory: Memory) -> None:
+    def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
         """See `Recorder.end`."""
         for recorder in self._all:
-            recorder.end(start, segments, cut_off, memory)
+            recorder.end(start, segments, cut_off, active, memory)
+
+    def collect_lanes(self, start: StartRays, memory: Memory) -> None:
+        """See `Recorder.collect_lanes`."""
+        for recorder in self._all:
+            recorder.collect_lanes(start, memory)

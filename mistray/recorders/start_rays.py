@@ -105,20 +105,29 @@ class StartRays:
         value = getattr(self, name)
         return otherwise if value is None else value
 
-    def take(self, index: mi.UInt32) -> StartRays:
+    def picked(self, index: mi.UInt32) -> StartRays:
         """Some of the rays; what is one constant stays one, so that they take the same kernel as all of them."""
-        rng = mi.PCG32()
-        rng.state, rng.inc = (dr.gather(mi.UInt64, v, index) for v in (self.rng.state, self.rng.inc))
-        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "rng"}
-        taken = {name: v if v is None else _chosen(v, index) for name, v in values.items()}
-        dr.eval(rng, taken)
-        return StartRays(rng=rng, **taken)
+        return StartRays(**{f.name: chosen(getattr(self, f.name), index) for f in fields(self)})
+
+    def take(self, index: mi.UInt32) -> StartRays:
+        """The same, in memory."""
+        taken = self.picked(index)
+        dr.eval(*(getattr(taken, f.name) for f in fields(taken)))
+        return taken
 
 
-def _chosen(value: Any, index: mi.UInt32) -> Any:
+def chosen(value: Any, index: mi.UInt32, active: mi.Bool | bool = True) -> Any:
     """Entries of an array or of several; those of a constant are that constant."""
+    if value is None:
+        return None
     if isinstance(value, list):
-        return [_chosen(one, index) for one in value]
-    if getattr(value, "state", None) == dr.VarState.Literal:
+        return [chosen(one, index, active) for one in value]
+    if isinstance(value, mi.PCG32):
+        rng = mi.PCG32()
+        rng.state, rng.inc = chosen(value.state, index, active), chosen(value.inc, index, active)
+        return rng
+    if dr.depth_v(value) > 1:
+        return type(value)(*(chosen(one, index, active) for one in value))
+    if value.state == dr.VarState.Literal:
         return dr.full(type(value), value[0], dr.width(index))
-    return dr.gather(type(value), value, index)
+    return dr.gather(type(value), value, index, active)

@@ -103,10 +103,10 @@ class _StartSamples(Recorder):
         for array, value in zip((*self._words, *self._floats), (*words, *floats), strict=True):
             dr.scatter(array, value, place, active)
 
-    def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, memory: Memory) -> None:
+    def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
         """Count segments."""
         cell = mi.UInt32(0) if start.cell is None else start.cell
-        dr.scatter_reduce(dr.ReduceOp.Add, self._segments, mi.Float64(segments), cell)
+        dr.scatter_reduce(dr.ReduceOp.Add, self._segments, mi.Float64(segments), cell, active)
 
     def read(self) -> Samples:
         """The samples on the host; of more than there is room for, those that came first stand for all."""

@@ -20,6 +20,7 @@ ESCAPED, THRESHOLD, ROULETTE, REFLECTIONS, EVENTS, MEDIUM, SEGMENTS, FIRST_MISS,
 SCATTERS, SAMPLING, SCATTERED_HITS, SCATTERED_FLUX, SCATTERED_SQUARES = range(9, 14)
 TREE = 14  # what is left of trees that are larger than `max_segments`, and what EVENTS cuts of them
 LANE_REASONS = 15
+EVENTS_OF_LANE = LANE_REASONS  # what EVENTS has cut in complete trees, in the memory of a lane
 # What `ray_control` keeps back, `max_generations`, `max_consecutive`, and `cut_below` in the order of its branches
 CONTROL, GENERATIONS, CONSECUTIVE, CUT_BRANCHES = range(LANE_REASONS, LANE_REASONS + 4)
 CHANNEL_COUNT = CUT_BRANCHES + len(BRANCHES)
@@ -64,6 +65,11 @@ class Tallies(Recorder):
         self.largest = dr.zeros(mi.UInt32, 1)
         dr.eval(self.surfaces, self.media, self.channels, self.largest)
 
+    @property
+    def by_ray(self) -> bool:
+        """See `Recorder.by_ray`; the sums of a lane are those of its batch."""
+        return False
+
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
         """
         Sums of a lane of its own, in local memory: sums that lanes share would cost a fifth of the time.
@@ -71,7 +77,7 @@ class Tallies(Recorder):
         They are the first `HIT_SUMS` of `SURFACE_SUMS` of each surface, unless there are too many of them, and last
         those of the first `LANE_REASONS`.
         """
-        sizes = (*(self.count,) * (HIT_SUMS if self._in_lanes else 0), LANE_REASONS)
+        sizes = (*(self.count,) * (HIT_SUMS if self._in_lanes else 0), LANE_REASONS + 1)
         memory[SUMS] = tuple(dr.alloc_local(mi.Float64, size, mi.Float64(0)) for size in sizes)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
@@ -101,13 +107,19 @@ class Tallies(Recorder):
         """Add flux that a medium absorbs."""
         dr.scatter_reduce(dr.ReduceOp.Add, self.media, mi.Float64(flux), medium * BATCHES + batch, active)
 
-    def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, memory: Memory) -> None:
+    def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
+        """What `max_events` has cut of a tree stands in EVENTS until here; in a tree that is too large that is TREE."""
+        own = memory[SUMS][-1]
+        value = own.read(EVENTS, active)
+        place = dr.select(cut_off, mi.UInt32(TREE), EVENTS_OF_LANE)
+        own.write(own.read(place, active) + value, place, active)
+        own.write(mi.Float64(0), EVENTS, active)
+        self.lose(SEGMENTS, segments, active, memory)
+
+    def collect_lanes(self, start: StartRays, memory: Memory) -> None:
         """Add the sums of all lanes."""
         own = memory[SUMS][-1]
-        value = own.read(EVENTS, cut_off)
-        own.write(own.read(TREE, cut_off) + value, TREE, cut_off)
-        own.write(mi.Float64(0), EVENTS, cut_off)
-        self.lose(SEGMENTS, segments, mi.Bool(True), memory)
+        own.write(own.read(EVENTS_OF_LANE), EVENTS)
         self._collect(memory[SUMS], start.batch)
 
     def _add_surface(self, s: mi.UInt32, what: int, batch: mi.UInt32, value: Any, active: mi.Bool) -> None:

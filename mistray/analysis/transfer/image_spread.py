@@ -86,6 +86,11 @@ class ImageSpread(PassingLight):
         self._count, self._number = dr.opaque(mi.UInt32, self._rings), dr.opaque(mi.UInt32, self._waves)
         dr.eval(self._nu)
 
+    @property
+    def by_ray(self) -> bool:
+        """See `Recorder.by_ray`; every path starts the same."""
+        return False
+
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
         """Remember by depth whether the light has left the way of the direct image."""
         n = dr.width(start.lane)

@@ -56,9 +56,9 @@ class PassingLight(Recorder):
         group = start.batch >> dr.opaque(mi.UInt32, (BATCHES // self._groups).bit_length() - 1)
         dr.scatter_reduce(dr.ReduceOp.Add, self._sums, mi.Float64(flux), group * self.cells + cell, active)
 
-    def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, memory: Memory) -> None:
+    def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
         """Count the start rays."""
-        dr.scatter_reduce(dr.ReduceOp.Add, self._started, mi.Float64(1), start.batch)
+        dr.scatter_reduce(dr.ReduceOp.Add, self._started, mi.Float64(1), start.batch, active)
 
     def collect(self, unit: float) -> None:
         """Add what one source has brought at one wavelength."""
