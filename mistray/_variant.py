@@ -33,6 +33,7 @@ LLVM_REMEDY = (
     "or set DRJIT_LIBLLVM_PATH to the library's file"
 )
 PLUGIN_ROOT = "mistray.plugins"
+LANES_OF_THREAD = 1 << 14  # which Dr.Jit gives to a thread at once
 
 _LIBRARY_NAME = re.compile(r"libLLVM[-.\d]*\.(so|dylib)[.\d]*")
 _VERSION_IN_NAME = re.compile(r"libLLVM(?:-|\.so\.|\.)(\d+(?:\.\d+)*)")
@@ -152,6 +153,14 @@ def set_threads(count: int) -> None:
     import drjit as dr
 
     dr.set_thread_count(count)
+
+
+def lanes_of_threads() -> int | None:
+    """How many lanes of a launch Dr.Jit spreads over all threads of the processor; None on a GPU, which has no such."""
+    import drjit as dr
+    import mitsuba as mi
+
+    return dr.thread_count() * LANES_OF_THREAD if dr.backend_v(mi.Float) == dr.JitBackend.LLVM else None
 
 
 def active_variant() -> str | None:

@@ -162,7 +162,9 @@ class AllCells:
         def launch(part: StartRays) -> None:
             trace_tree(scene, part, settings, [recorder])
 
-        launches_of(table, settings, recorder.code, "with the light", connects).whole(start, launch)
+        # The threshold of light that nothing scatters changes from round to round, and the pace does not
+        kind = replace(settings, flux_threshold=trace.settings.flux_threshold)
+        launches_of(table, kind, recorder.code, "with the light", connects).whole(start, launch)
 
     def _run(self, band: int, rays: np.ndarray, stream: tuple[int, int], recorder: Recorder, scatter: bool) -> None:
         for start in self.starts(band, rays, stream, scatter):

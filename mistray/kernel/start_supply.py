@@ -15,11 +15,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray._variant import lanes_of_threads
 from mistray.recorders.start_rays import StartRays, chosen
 from mistray.settings import BATCHES
 from mistray.surfaces.upload import upload
-
-LANES_OF_THREAD = 1 << 14  # which Dr.Jit gives to a thread at once
 
 
 class StartSupply:
@@ -43,7 +42,7 @@ class StartSupply:
         self._ends = upload(mi.UInt32, ends)
         self._next = upload(mi.UInt32, np.append(0, ends[:-1]))
         self.any = len(rays) > 0
-        self.lanes = max(BATCHES, min(len(rays), dr.thread_count() * LANES_OF_THREAD))
+        self.lanes = max(BATCHES, min(len(rays), lanes_of_threads() or len(rays)))
         self._batch = dr.arange(mi.UInt32, self.lanes) % BATCHES
 
     @property
@@ -54,7 +53,7 @@ class StartSupply:
     @staticmethod
     def pays() -> bool:
         """Whether lanes take several rays: a GPU has too many lanes for that."""
-        return dr.backend_v(mi.Float) == dr.JitBackend.LLVM
+        return lanes_of_threads() is not None
 
     def next(self, wanted: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
         """The numbers of the next rays for the lanes that want one, and whether there is one."""

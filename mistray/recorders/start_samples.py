@@ -68,6 +68,10 @@ class Samples:
     segments: np.ndarray
     worth: np.ndarray | None = None
 
+    def times(self, unit: np.ndarray) -> Samples:
+        """Those of weights in other units, by cell."""
+        return replace(self, weight=self.weight * unit[self.cell])
+
     @classmethod
     def together(cls, parts: Sequence[Samples], lanes: int) -> Samples:
         """Those of several passes of so many start rays, in units of one of them all."""
@@ -87,8 +91,8 @@ class _StartSamples(Recorder):
     def __init__(self, cells: int, has_optics: bool, weighing: StartWeighing, capacity: int = SAMPLES) -> None:
         self._has_optics, self._weighing, self._capacity = has_optics, weighing, capacity
         self._count = dr.zeros(mi.UInt32, 1)
-        self._words = [dr.zeros(mi.UInt32, capacity) for _ in range(4)]
-        self._floats = [dr.zeros(mi.Float, capacity) for _ in range(8)]
+        self._words = [dr.empty(mi.UInt32, capacity) for _ in range(4)]
+        self._floats = [dr.empty(mi.Float, capacity) for _ in range(8)]
         self._segments = dr.zeros(mi.Float64, cells)
         dr.eval(self._count, self._words, self._floats, self._segments)
 
@@ -112,7 +116,11 @@ class _StartSamples(Recorder):
         """The samples on the host; of more than there is room for, those that came first stand for all."""
         total = int(self._count[0])
         count = min(total, self._capacity)
-        words, floats = ([np.array(array)[:count] for array in arrays] for arrays in (self._words, self._floats))
+        there = dr.arange(mi.UInt32, count)  # the rest has not been written
+        words, floats = (
+            [np.array(dr.gather(type(array), array, there)) for array in arrays]
+            for arrays in (self._words, self._floats)
+        )
         # Lanes come in any order; what follows from the samples shall be the same each time. Pairs of words sort fast
         x, y, u, _, brought, *_ = (values.view(np.uint32) for values in floats)
         pairs = (y, u), (brought, x), words[:2]  # the last one matters most

@@ -116,12 +116,11 @@ class Pilot:
         self._pace = np.array([(time.perf_counter() - then) / max(with_light.sum(), 1), (then - began) / rays])
         self._rounds += 1
         self._rays += with_light.sum(), rays
-        units = (
-            cells.unit / np.maximum(with_light, 1),
-            trace.unit.ravel() / rays,
-        )
         count = cells.cells
-        light, relative, gain = _relative_variances((along, against), units, count)
+        windows = self._windows(against, values, rays)
+        along = [one.times(cells.unit / np.maximum(with_light, 1)) for one in along]
+        against = [one.times(trace.unit.ravel() / rays) for one in against]
+        light, relative, gain = _relative_variances((along, against), count)
         # With the variance of one round a cell would lose the rays that find what is rare, and get them back later
         self._variances = [*self._variances, (rays, sharing.rays, relative)][-REMEMBERED:]
         relative = variances_together(self._variances, FACTORS)
@@ -129,8 +128,8 @@ class Pilot:
         costs_along = self._costs_along(along)
         cost_along = costs_along.sum(axis=0)
         cost_against = sum(float(one.segments.sum()) for one in against)
-        self._remember((along, against), units, light, rays)
-        self._note_families((along, against), units)
+        self._remember((*along, *against), light, rays)
+        self._note_families((*along, *against))
         samples = self._together()
         # The next round, and the run, start where this one has found light
         starts = StartMap.of(count, samples.with_those_beside(trace.grid.shape))
@@ -141,7 +140,6 @@ class Pilot:
         variance = np.array(
             [np.interp(np.log(f), np.log(FACTORS), column) for f, column in zip(best, relative.T, strict=True)]
         )
-        windows = self._windows(against, values, rays)
         least = np.where(self._counts, min(LEAST_OF_CELL, LEAST_OF_ALL / count), 0)
         plan = Plan(
             sharing=replace(sharing, starts=starts, rays=np.maximum(sharing.rays * best, least), windows=windows),
@@ -158,7 +156,7 @@ class Pilot:
             plan.sharing,
             rays=rays_of_cell,
             linked=self._linked(light, relative, gain),
-            unscattered=self._unscattered((along, against), units, light, costs_along),
+            unscattered=self._unscattered((*along, *against), light, costs_along),
         )
         trace.share_paths(self._sharing)
         return plan
@@ -170,13 +168,7 @@ class Pilot:
         parts = [np.sum([one.segments for one in part], axis=0) for part in (along[::2], along[1::2])]
         return np.array([parts[0], COST_UNSCATTERED * parts[1]])
 
-    def _unscattered(
-        self,
-        samples: tuple[Sequence[Samples], Sequence[Samples]],
-        units: tuple[np.ndarray, np.ndarray],
-        light: np.ndarray,
-        costs: np.ndarray,
-    ) -> np.ndarray | None:
+    def _unscattered(self, samples: Sequence[Samples], light: np.ndarray, costs: np.ndarray) -> np.ndarray | None:
         """
         Of the next round, see `Sharing`.
 
@@ -186,12 +178,10 @@ class Pilot:
         if now is None:
             return None
         parts = np.zeros((2, len(light)))  # of the variance by rays with the light: what is scattered, and what is not
-        for found, unit in zip(samples, units, strict=True):
-            for one in found:
-                weight = one.weight * unit[one.cell]
-                here = one.along * weight**2
-                for part, kinds in enumerate((one.kind >= SINGLE, one.kind < SINGLE)):
-                    parts[part] += _sums(one.cell[kinds], here[kinds], len(light))
+        for one in samples:
+            here = one.along * one.weight**2
+            for part, kinds in enumerate((one.kind >= SINGLE, one.kind < SINGLE)):
+                parts[part] += _sums(one.cell[kinds], here[kinds], len(light))
         # For one ray of each kind
         rays = self._sharing.rays
         parts = np.divide(parts * [rays, rays * now], light**2, out=np.zeros_like(parts), where=light > 0)
@@ -230,20 +220,17 @@ class Pilot:
         many = np.maximum(np.sqrt(of_weight(squares, weight_squares) / moment), least)
         return _rounded(np.stack([many, np.where(squares > 0, np.maximum(most, many), 0)]))
 
-    def _note_families(
-        self, samples: tuple[Sequence[Samples], Sequence[Samples]], units: tuple[np.ndarray, np.ndarray]
-    ) -> None:
+    def _note_families(self, samples: Sequence[Samples]) -> None:
         """Keep what the shares of families follow from, of the latest rounds."""
         parts = []
-        for found, unit in zip(samples, units, strict=True):
-            for one in found:
-                share = np.clip(one.along, SMALLEST_SHARE, 1 - SMALLEST_SHARE)
-                # Rays with the light for one against it, if each cell had as many of them as there are of the others
-                along = self._sharing.rays[one.cell]
-                if self._sharing.unscattered is not None:  # derivatives have no rays of their own for these
-                    along = along * np.where(one.kind < SINGLE, self._sharing.unscattered[one.cell], 1)
-                odds = share / (1 - share) / np.maximum(along, SMALLEST_SHARE)
-                parts.append((one.cell, one.kind, one.family, one.weight * unit[one.cell], odds))
+        for one in samples:
+            share = np.clip(one.along, SMALLEST_SHARE, 1 - SMALLEST_SHARE)
+            # Rays with the light for one against it, if each cell had as many of them as there are of the others
+            along = self._sharing.rays[one.cell]
+            if self._sharing.unscattered is not None:  # derivatives have no rays of their own for these
+                along = along * np.where(one.kind < SINGLE, self._sharing.unscattered[one.cell], 1)
+            odds = share / (1 - share) / np.maximum(along, SMALLEST_SHARE)
+            parts.append((one.cell, one.kind, one.family, one.weight, odds))
         columns = (np.concatenate(column) for column in zip(*parts, strict=True))
         self._seen = [*self._seen, tuple(columns)][-REMEMBERED:]
 
@@ -268,22 +255,14 @@ class Pilot:
             gained = np.exp(np.mean(np.log(gain[counts]))) if counts.any() else 0.0
         return linked if gained > COST_OF_CONNECTIONS else np.zeros_like(linked)
 
-    def _remember(
-        self,
-        samples: tuple[Sequence[Samples], Sequence[Samples]],
-        units: tuple[np.ndarray, np.ndarray],
-        light: np.ndarray,
-        rays: int,
-    ) -> None:
+    def _remember(self, samples: Sequence[Samples], light: np.ndarray, rays: int) -> None:
         """Keep the samples of a round, in each cell as many as a map needs."""
         rng = np.random.default_rng(self._rounds)
-        parts = [(one, unit) for found, unit in zip(samples, units, strict=True) for one in found]
-        cell = np.concatenate([one.cell for one, _ in parts])
-        kind = np.concatenate([one.kind for one, _ in parts])
-        points = np.concatenate([one.points for one, _ in parts])
+        cell, kind, points, weights = (
+            np.concatenate([getattr(one, name) for one in samples]) for name in ("cell", "kind", "points", "weight")
+        )
         # Of ∫ f²/q, its derivative by the logarithm of the density of start rays, times that density
-        resolved = np.concatenate([one.along * one.density for one, _ in parts])
-        weights = np.concatenate([one.weight * unit[one.cell] for one, unit in parts])
+        resolved = np.concatenate([one.along * one.density for one in samples])
         # So that weak classes have errors that hold, too
         classes = int(kind.max(initial=0)) + 1
         of_class = _sums(kind * len(light) + cell, weights, classes * len(light)).reshape(classes, -1)
@@ -312,7 +291,7 @@ def _sums(place: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
 
 
 def _relative_variances(
-    samples: tuple[Sequence[Samples], Sequence[Samples]], units: tuple[np.ndarray, np.ndarray], cells: int
+    samples: tuple[Sequence[Samples], Sequence[Samples]], cells: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     Light of the cells; its relative variance by the factor of the rays with the light, (`FACTORS`, c); what it gains.
@@ -324,17 +303,16 @@ def _relative_variances(
     """
     light = np.zeros(cells)
     cell, brought, along, connected, common = [], [], [], [], []
-    for found, unit in zip(samples, units, strict=True):
+    for found in samples:
         together, apart = np.zeros(cells), np.zeros(cells)
         for one in found:
-            weight = one.weight * unit[one.cell]
             cell.append(one.cell)
-            brought.append(weight)
+            brought.append(one.weight)
             along.append(one.along)
             connected.append(one.connected)
-            light += _sums(one.cell, weight, cells)
-            apart += _sums(one.cell, weight**2, cells)
-            together += _squares_of_rays(one, weight, cells)
+            light += _sums(one.cell, one.weight, cells)
+            apart += _sums(one.cell, one.weight**2, cells)
+            together += _squares_of_rays(one, cells)
         common.append(np.divide(together, apart, out=np.ones(cells), where=apart > 0))
     where, weight, share, joint = (np.concatenate(parts) for parts in (cell, brought, along, connected))
     square = weight**2
@@ -351,12 +329,12 @@ def _relative_variances(
     return light, np.divide(variance, light**2, out=np.zeros_like(variance), where=light > 0), gain
 
 
-def _squares_of_rays(samples: Samples, weight: np.ndarray, cells: int) -> np.ndarray:
+def _squares_of_rays(samples: Samples, cells: int) -> np.ndarray:
     """(c,) sums over the rays of the square of what each brings to a cell."""
-    if not len(weight):
+    if not len(samples.weight):
         return np.zeros(cells)
     pair = samples.lane * cells + samples.cell
     order = np.argsort(pair, kind="stable")
     begins = np.flatnonzero(np.diff(pair[order], prepend=-1))
-    brought = np.add.reduceat(weight[order], begins)
+    brought = np.add.reduceat(samples.weight[order], begins)
     return _sums(pair[order][begins] % cells, brought**2, cells)

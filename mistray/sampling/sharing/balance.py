@@ -93,12 +93,15 @@ class Balance:
         self.rotation, self.centre = cells[0].rotation, cells[0].centre - centre
         self.start = start
         self.extent = float(np.ptp(sharing.points, axis=0).max())  # of the scene, mm
+        self.starts = DeviceMap(sharing.starts)
         self._take(sharing)
 
     def at(self, sharing: Sharing) -> Balance:
         """That of another sharing of the same light."""
         found = copy(self)
         found._take(sharing)
+        if sharing.starts is not self.sharing.starts:
+            found.starts = DeviceMap(sharing.starts)
         return found
 
     def beside(self, vertices: LightVertices) -> Balance:
@@ -111,7 +114,6 @@ class Balance:
         self._vertices: LightVertices | None = None
         self.sharing = sharing
         self._linked = upload(mi.Float, sharing.linked / self._etendue)
-        self.starts = DeviceMap(sharing.starts)
         # Of light that something scatters, and of light that nothing does
         both = sharing.rays, sharing.rays * (1.0 if sharing.unscattered is None else sharing.unscattered)
         per_etendue = np.concatenate(both) * np.pi * self.start.area / np.tile(self._etendue, 2)
