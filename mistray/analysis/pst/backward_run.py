@@ -27,7 +27,7 @@ from mistray.recorders.direction_recorder import DIFFRACTED, MULTIPLE, SINGLE
 from mistray.recorders.path_sums import join_sums
 from mistray.time_budget import is_limited, share, time_is_up
 
-PILOT_SHARE = 3  # a run to an error takes about so many times the rays of its pilot,
+PILOT_SHARE = 6  # a run to an error takes about so many times the rays of its pilot,
 SHORT_OF_IT = 1.5  # or so many times more: each further round of a pilot is as long as all before
 DARK_AFTER = 4_000_000  # rays without light in a cell after which it is taken for dark
 SAVING = 0.1  # share of the time that saving the state may take

@@ -13,7 +13,7 @@ from mistray.sampling.sharing.cell_starts import whole_batches
 from mistray.sampling.sharing.map_samples import MapSamples
 from mistray.sampling.sharing.start_map import StartMap
 
-RESERVE = 1.2  # rays above what the pilot's variances ask for
+RESERVE = 1.4  # rays above what the pilot's variances ask for
 MOST_UNEVEN = 4.0  # cost of one direction over that of the other
 LEVELS = 200  # of the relative variance that are tried
 ARRAYS = ("light", "variance", "pilot_rays")
