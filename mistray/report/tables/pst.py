@@ -161,7 +161,7 @@ def paths_table(pst: Pst, count: int) -> Table:
 
 def causes_text(causes: Sequence[tuple[str, float]]) -> str:
     """Causes of stray light and their shares, such as "barrel_1 83 %, ghosts 12 %"."""
-    return ", ".join(f"{name} {number(share, 2)} %" for name, share in causes) or ABSENT
+    return ", ".join(f"{name} {number(share, 3 if share >= 99.5 else 2)} %" for name, share in causes) or ABSENT
 
 
 def causes_at(pst: Pst, count: int) -> list[list[tuple[str, float]]]:
