@@ -59,7 +59,7 @@ def trace_tree(scene: KernelScene, start: StartRays, settings: Settings, recorde
     together = Recorders(recorders)
     tree = _Tree(scene, start, settings, together)
     state = tree.first_segment()
-    if tree.scatters and StartSupply.pays() and not together.by_ray:
+    if tree.scatters and StartSupply.pays(scene, settings) and not together.by_ray:
         tree.end(state, ~state["active"])
         known = {name: value for name, value in state.items() if name not in MEMORY}
         dr.eval(known)

@@ -1,7 +1,7 @@
 """Start rays for lanes whose trees are complete.
 
-A packet of lanes goes on until the last of them has nothing left. Where light is scattered, trees differ in size by
-factors of 100, and most lanes would idle most of the time: two of three in a phone camera, four of five in a baffle. So
+A packet of lanes goes on until the last of them has nothing left. Trees of a PST differ in size by factors of 100, and
+most lanes would idle most of the time: two of three in a phone camera, four of five in a baffle. So
 a lane whose tree is complete takes the next start ray that no lane has taken yet, until there are none. Each lane keeps
 to one batch, so that its sums are those of a batch. A ray has its own random numbers: it does not matter which lane
 traces it.
@@ -16,9 +16,13 @@ import mitsuba as mi
 import numpy as np
 
 from mistray._variant import lanes_of_threads
+from mistray.kernel.kernel_scene import KernelScene
 from mistray.recorders.start_rays import StartRays, chosen
-from mistray.settings import BATCHES
+from mistray.settings import BATCHES, Settings
+from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.upload import upload
+
+MANY_SURFACES = 4  # that transmit: trees are large then
 
 
 class StartSupply:
@@ -51,9 +55,17 @@ class StartSupply:
         return list(self._known)
 
     @staticmethod
-    def pays() -> bool:
-        """Whether lanes take several rays: a GPU has too many lanes for that."""
-        return lanes_of_threads() is not None
+    def pays(scene: KernelScene, settings: Settings) -> bool:
+        """
+        Whether lanes take several rays: where a PST has trees of many sizes.
+
+        The rays of one source have neighbours with trees that are alike for the most part, and small trees are so, too:
+        these are faster side by side. A GPU has too many lanes for more than one ray each.
+        """
+        if lanes_of_threads() is None or not (scene.backward or scene.opposite is not None):
+            return False
+        transmitting = np.count_nonzero(np.asarray(scene.table.optics.host_words) & OPAQUE == 0)
+        return bool(settings.max_scatters > 1 or transmitting >= MANY_SURFACES)
 
     def next(self, wanted: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
         """The numbers of the next rays for the lanes that want one, and whether there is one."""
