@@ -1,10 +1,10 @@
 """Start rays for lanes whose trees are complete.
 
-A packet of lanes goes on until the last of them has nothing left. Trees of a PST differ in size by factors of 100, and
-most lanes would idle most of the time: two of three in a phone camera, four of five in a baffle. So
-a lane whose tree is complete takes the next start ray that no lane has taken yet, until there are none. Each lane keeps
-to one batch, so that its sums are those of a batch. A ray has its own random numbers: it does not matter which lane
-traces it.
+A packet of lanes goes on until the last of them has nothing left. Trees of a PST differ in size by factors of 100,
+and most lanes would idle most of the time: two of three in a phone camera, four of five in a baffle. So a lane whose
+tree is complete takes the next start ray that no lane has taken yet, until there are none. Each lane keeps to one
+batch, so that its sums are those of a batch. A ray has its own random numbers: it does not matter which lane traces
+it.
 """
 
 from __future__ import annotations

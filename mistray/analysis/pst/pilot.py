@@ -120,6 +120,7 @@ class Pilot:
         windows = self._windows(against, values, rays)
         along = [one.times(cells.unit / np.maximum(with_light, 1)) for one in along]
         against = [one.times(trace.unit.ravel() / rays) for one in against]
+        both = (*along, *against)
         light, relative, gain = _relative_variances((along, against), count)
         # With the variance of one round a cell would lose the rays that find what is rare, and get them back later
         self._variances = [*self._variances, (rays, sharing.rays, relative)][-REMEMBERED:]
@@ -128,8 +129,8 @@ class Pilot:
         costs_along = self._costs_along(along)
         cost_along = costs_along.sum(axis=0)
         cost_against = sum(float(one.segments.sum()) for one in against)
-        self._remember((*along, *against), light, rays)
-        self._note_families((*along, *against))
+        self._remember(both, light, rays)
+        self._note_families(both)
         samples = self._together()
         # The next round, and the run, start where this one has found light
         starts = StartMap.of(count, samples.with_those_beside(trace.grid.shape))
@@ -156,7 +157,7 @@ class Pilot:
             plan.sharing,
             rays=rays_of_cell,
             linked=self._linked(light, relative, gain),
-            unscattered=self._unscattered((*along, *against), light, costs_along),
+            unscattered=self._unscattered(both, light, costs_along),
         )
         trace.share_paths(self._sharing)
         return plan
