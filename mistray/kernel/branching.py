@@ -343,6 +343,18 @@ class Branching:
         """Where rays may follow a reflection by chance, unless something has scattered them."""
         return children.transmits & children.counted & ((it.word & ONE_CHILD) == 0)
 
+    def birth(self, state: dict[str, Any], thinned: mi.Bool) -> mi.Float:
+        """
+        What the weights of rays that no node scatters are compared with: where they are, over when they began.
+
+        A ray in a reflection that others like it do not follow stands for them, and so do both numbers: rays of the
+        other direction, which follow the same light by other chances, must come to the same ratio.
+        """
+        if self._probabilities is None:
+            return state["birth"]
+        fresh = (state["scatters"] & COUNT_MASK) == 0
+        return dr.select(thinned & fresh, state["birth"] / self._probabilities.reflection, state["birth"])
+
     @staticmethod
     def _only_child(node: Node, children: Children, scattering: ScatterFactor) -> ScatterFactor:
         """

@@ -198,7 +198,8 @@ class _Tree:
             "scatters": mi.UInt32(scatters),  # scatter events before it, see COUNT_MASK
             # Surface that sent the ray to a target, unless it was reflected since
             "aimed_from": mi.UInt32(start.given("aimed_from", full(NO_SURFACE))),
-            "birth": mi.Float(start.given("birth", start.w)),  # weight when it left the source or was scattered last
+            # Weight when it left the source or was scattered last, see `Branching.birth`
+            "birth": mi.Float(start.given("birth", start.w)),
             "scatter_factor": dr.full(mi.Float, 1, n),  # of its scattered rays, see `ScatterFactor`
             # See `mistray.kernel.odds`
             **Odds.first(n if self.odds is not None else 1, n if self.connects else 1),
@@ -454,16 +455,15 @@ class _Tree:
         )
         run = self.limits.run_after(state["run"], s, cloud)
         hit = self.limits.arrive(run, s2, sent.flux, hit)
-        bounced = reflect & children.counted & ~scatter
+        bounced, thins = reflect & children.counted & ~scatter, self.branching.thins(it, children)
         scattered, off_design, after = scatter | cloud, state["off_design"], state["scatters"]
         if scatters:
             diffracted = is_diffraction(table.optics, it, scatter, reflect)
             after = dr.select(scattered, after_scatter(after, sent.aim, children.transmits | cloud, diffracted), after)
         following: State = {}
         if self.odds is not None:
-            share, thinned = dr.select(reflect, node.R, node.T), bounced & self.branching.thins(it, children)
-            wall = ~children.transmits
-            following |= self.odds.after(state, share, wall, thinned, scatter, cloud, sent.rivalry.odds)
+            share, wall = dr.select(reflect, node.R, node.T), ~children.transmits
+            following |= self.odds.after(state, share, wall, bounced & thins, scatter, cloud, sent.rivalry.odds)
             if self.connects:
                 through = medium if self.scene.backward else sent.medium_in
                 following |= self.odds.linked(state, it, sent.heading, through, sent.rivalry.against, scatter, cloud, t)
@@ -492,7 +492,7 @@ class _Tree:
             following |= {
                 "scatters": after,
                 "aimed_from": dr.select(scattered, dr.select(sent.aim, sent.place, NO_SURFACE), aimed_from),
-                "birth": dr.select(scattered, sent.flux, state["birth"]),
+                "birth": dr.select(scattered, sent.flux, self.branching.birth(state, bounced & thins)),
                 "scatter_factor": dr.full(mi.Float, 1, self.n),
             }
             if bulk:
