@@ -277,6 +277,14 @@ class TestBudget:
         assert found.paths(60.0).empty
         assert any(" 60" in note for note in found.facts["notes"])
 
+    def test_dark_at_all_angles(self, load) -> None:
+        tube = shape_xml("frustum", "tube", 0.0, r0=1.0, z0=0.0, r1=1.0, z1=20.0)
+        scene = load(scene_text(tube, shape_xml("asphere", "detector", 20.0, sensor=True, semi_diameter=1.0)))
+        found = forward_pst(scene, DirectionGrid.of([60.0]), rays=1000)
+        assert found.value.tolist() == [0.0]
+        assert found.paths(60.0).empty
+        assert {"events", "scatter_1", "pst_normal"} <= set(found.path_rows)
+
     def test_the_second_angle_compiles_nothing(self, load) -> None:
         """All numbers that differ from angle to angle are arguments of the kernels."""
         scene = load((SCENES / "plate_and_wall" / "scene.xml").read_text(encoding="utf-8"))

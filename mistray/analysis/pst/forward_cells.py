@@ -82,7 +82,8 @@ class Ways:
     def __init__(self, ids: Sequence[str], words: np.ndarray, has_optics: bool) -> None:
         self._ids, self._words, self._has_optics = ids, words, has_optics
         self._numbers: dict[int, int] = {}
-        self._facts: list[dict[str, np.ndarray]] = []
+        # Of no way first: a scene may be dark
+        self._facts = [describe_events(np.zeros((0, 1), np.uint32), np.zeros(0, np.int64), ids, words)]
         self.classes = np.zeros(0, dtype=np.int64)
 
     def __len__(self) -> int:
