@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from mistray.percent import percent_text
 from mistray.trace import Trace
 
 LEAST_LANDED = 0.2  # share of the aimed rays of a surface that should reach the detector
@@ -115,7 +116,7 @@ def sampling_warnings(traces: Sequence[Trace]) -> list[tuple[list[int], str]]:
             return
         places = {name: worst(each[name] for each in values if name in each) for each in values for name in each}
         order = sorted(places, key=lambda name: places[name], reverse=worst is max)
-        names = _names([f"{name} {100 * places[name]:.2g} %" for name in order])
+        names = _names([f"{name} {percent_text(places[name])}" for name in order])
         count = f"{len(places)} surfaces or bodies scatter" if len(places) > 1 else "one surface or body scatters"
         found.append((at, text.format(names=names, count=count)))
 

@@ -14,6 +14,7 @@ from mistray.files.json_values import plain
 from mistray.optimize.tolerances.draws import PERCENTILES, Draws
 from mistray.optimize.tolerances.rows import Row
 from mistray.optimize.tolerances.sensitivity import Sensitivity
+from mistray.percent import percent_text
 from mistray.report.model import Figure, Folded, Note, Report, Section, Table, columns
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section, terms
@@ -150,9 +151,9 @@ def draws_lines(draws: Draws) -> list[str]:
     return [
         f"{len(draws.ratios)} perturbed systems: standard deviation of ln(metric) "
         f"{with_error(percent(draws.deviation))} %, by the linear model for the same systems "
-        f"{number(100 * draws.predicted_deviation, 3)} %",
+        f"{percent_text(draws.predicted_deviation, 3)}",
         f"metric over the nominal one: mean {with_error(draws.mean)}; percentiles {percentiles}",
-        f"not explained by the linear model: {number(100 * draws.unexplained, 2)} % of the variance",
+        f"not explained by the linear model: {percent_text(draws.unexplained)} of the variance",
         *([f"{draws.rejected} more were drawn again, because surfaces crossed"] if draws.rejected else []),
     ]
 

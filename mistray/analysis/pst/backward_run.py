@@ -23,6 +23,7 @@ from mistray.execute.backward import FIRST_PASS, BackwardTrace
 from mistray.execute.forecast import LONG, duration
 from mistray.gradients.pst_gradient import PstRays
 from mistray.interrupts import later, requested
+from mistray.percent import percent_text
 from mistray.recorders.direction_recorder import DIFFRACTED, MULTIPLE, SINGLE
 from mistray.recorders.path_sums import join_sums
 from mistray.time_budget import is_limited, share, time_is_up
@@ -120,7 +121,7 @@ class BackwardRun:
         budget = self._budget(plan, wanted)
         self._seconds_left = pilot.seconds_for(plan, budget)
         if self._seconds_left > LONG and not is_limited():
-            goal = "" if wanted is None else f"; an error of {100 * wanted:.2g} % takes {budget:.2g} rays"
+            goal = "" if wanted is None else f"; an error of {percent_text(wanted)} takes {budget:.2g} rays"
             warnings.warn(
                 f"the PST takes about {duration(self._seconds_left)}{goal}; "
                 f"lower {'rays' if wanted is None else 'the number of rays, allow a larger error'}, or give a time "
@@ -258,7 +259,7 @@ class BackwardRun:
             lines.append(f"{rays:.4g} of {trace.settings.rays:.4g} rays were traced; errors are theirs")
         if wanted is not None and (worst := self._worst(up_to_deg)) > wanted and np.isfinite(worst):
             lines.append(
-                f"errors of up to {100 * worst:.2g} % are left where {100 * wanted:.2g} % was requested; ask for "
+                f"errors of up to {percent_text(worst)} are left where {percent_text(wanted)} was requested; ask for "
                 "less, or allow more rays"
             )
         facts: dict[str, Any] = {

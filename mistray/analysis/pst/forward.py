@@ -16,6 +16,7 @@ from mistray.analysis.pst.state import PstProgress
 from mistray.errors import MistrayError
 from mistray.execute.passes import execute_passes
 from mistray.execute.workers import current_workers
+from mistray.percent import percent_text
 from mistray.ranges import RELATIVE_ERROR
 from mistray.recorders.directions import DirectionGrid
 from mistray.sampling.plane_wave import Entrance
@@ -230,7 +231,7 @@ def _result(
     if late[np.isfinite(errors)].any():
         worst = float(errors[late & np.isfinite(errors)].max())
         lines.append(
-            f"errors of up to {100 * worst:.2g} % are left where {100 * (relative_error or 0):.2g} % was requested; "
+            f"errors of up to {percent_text(worst)} are left where {percent_text(relative_error or 0)} was requested; "
             "take more rays"
         )
     result.facts["notes"] = [*lines, *cells.notes]

@@ -10,6 +10,7 @@ import pandas as pd
 from mistray.analysis.objects.rows import SceneObject, describe
 from mistray.analysis.objects.search import Objects
 from mistray.analysis.study.step import Fact, StudyStep, count_of
+from mistray.percent import percent_text
 
 NAMED = 6  # objects that a finding names
 PLACE = ["id", "part", "side", "space", "between", "stop"]
@@ -36,7 +37,7 @@ def _frame(rows: Sequence[SceneObject]) -> pd.DataFrame:
 def _strongest(rows: Sequence[SceneObject]) -> str:
     ids = [row.id for row in rows]
     names = [f"{row.id} ({row.side})" if ids.count(row.id) > 1 else row.id for row in rows[:NAMED]]
-    named = ", ".join(f"{name} {100 * row.power:.3g} %" for name, row in zip(names, rows, strict=False))
+    named = ", ".join(f"{name} {percent_text(row.power, 3)}" for name, row in zip(names, rows, strict=False))
     return f"{named}{' …' if len(rows) > NAMED else ''}"
 
 

@@ -22,6 +22,7 @@ from mistray.analysis.thermal.spectrum import band_weights, traced_wavelengths
 from mistray.errors import MistrayError
 from mistray.execute.seen import Seen, see
 from mistray.ids import fits
+from mistray.percent import percent_text
 from mistray.physics import planck
 from mistray.ranges import TEMPERATURE_K, WAVELENGTH_UM
 from mistray.time_budget import share, within
@@ -420,7 +421,7 @@ def _notes(seen: Sequence[Seen], image: Estimate, waves: tuple[float, ...], band
     view = sum(row.emission for row in seen[0].rows) + seen[0].escaped[0] + seen[0].lost[0]
     if lost > LOST_WARNING * view:
         notes.append(
-            f"{100 * lost / view:.2g} % of what the detector sees was not followed to its source; raise "
+            f"{percent_text(lost / view)} of what the detector sees was not followed to its source; raise "
             "max_reflections and max_scatters, or set below_threshold to roulette"
         )
     if image.value <= 0:

@@ -28,6 +28,7 @@ from mistray.cli.shared import (
     ray_tree,
 )
 from mistray.errors import MistrayError
+from mistray.percent import percent_text
 from mistray.ranges import AZIMUTH_DEG, AZIMUTH_WIDTH_DEG, CELL_WIDTH_DEG, PIXELS, POLAR_DEG, RELATIVE_ERROR, ROWS
 
 if TYPE_CHECKING:
@@ -216,7 +217,7 @@ def _so_far(passes: list[PstProgress]) -> str:
     if not passes or not passes[-1].rays_done:
         return "the saved run is still"
     worst = passes[-1].worst_error
-    reached = f", worst error {100 * worst:.2g} %," if math.isfinite(worst) else ""
+    reached = f", worst error {percent_text(worst)}," if math.isfinite(worst) else ""
     return f"{passes[-1].rays_done:.3g} start rays{reached} are"
 
 
@@ -236,7 +237,9 @@ def _progress(options: Any) -> Iterator[Callable[[PstProgress], None]]:
 
 def _state_of(now: PstProgress) -> str:
     """Error and time left as the bar shows them, "error 3.1 % of 2 %, 01:23 left"."""
-    error = f"error {100 * now.worst_error:.2g} %" if math.isfinite(now.worst_error) else "no light yet at some angles"
+    error = (
+        f"error {percent_text(now.worst_error)}" if math.isfinite(now.worst_error) else "no light yet at some angles"
+    )
     if not now.rays_done:
         error = "the pilot is done"
     if now.wanted_error is not None and math.isfinite(now.worst_error):

@@ -13,6 +13,7 @@ from mistray.analysis.estimate import Estimate
 from mistray.analysis.pst.causes import Break, breaks, cause_frame, field_edge, stray_paths
 from mistray.analysis.pst.result import Pst
 from mistray.files.json_values import plain
+from mistray.percent import percent_text
 from mistray.recorders.direction_recorder import CLASSES
 from mistray.report.model import Column, Fold, Table, Value, columns
 from mistray.report.tables.text import ABSENT, number, table_text
@@ -161,7 +162,7 @@ def paths_table(pst: Pst, count: int) -> Table:
 
 def causes_text(causes: Sequence[tuple[str, float]]) -> str:
     """Causes of stray light and their shares, such as "barrel_1 83 %, ghosts 12 %"."""
-    return ", ".join(f"{name} {number(share, 3 if share >= 99.5 else 2)} %" for name, share in causes) or ABSENT
+    return ", ".join(f"{name} {percent_text(0.01 * share)}" for name, share in causes) or ABSENT
 
 
 def causes_at(pst: Pst, count: int) -> list[list[tuple[str, float]]]:
@@ -224,8 +225,10 @@ def warnings(pst: Pst) -> list[str]:
     value, se = pst.curve()
     doubtful = (value > 0) & (se > LARGE_ERROR * value)
     if doubtful.any():
-        worst = 100 * float((se[doubtful] / value[doubtful]).max())
-        found.append(f"standard error up to {worst:.2g} % at {_angles(pst.field_deg[doubtful])}; give more rays")
+        worst = float((se[doubtful] / value[doubtful]).max())
+        found.append(
+            f"standard error up to {percent_text(worst)} at {_angles(pst.field_deg[doubtful])}; give more rays"
+        )
     return found
 
 
