@@ -155,12 +155,19 @@ def set_threads(count: int) -> None:
     dr.set_thread_count(count)
 
 
-def lanes_of_threads() -> int | None:
-    """How many lanes of a launch Dr.Jit spreads over all threads of the processor; None on a GPU, which has no such."""
+def on_gpu() -> bool:
+    """Whether the active variant traces on a GPU."""
     import drjit as dr
     import mitsuba as mi
 
-    return dr.thread_count() * LANES_OF_THREAD if dr.backend_v(mi.Float) == dr.JitBackend.LLVM else None
+    return bool(dr.backend_v(mi.Float) != dr.JitBackend.LLVM)
+
+
+def lanes_of_threads() -> int:
+    """How many lanes of a launch Dr.Jit spreads over all threads of the processor."""
+    import drjit as dr
+
+    return dr.thread_count() * LANES_OF_THREAD
 
 
 def active_variant() -> str | None:

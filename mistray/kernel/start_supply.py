@@ -15,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray._variant import lanes_of_threads
+from mistray._variant import lanes_of_threads, on_gpu
 from mistray.kernel.kernel_scene import KernelScene
 from mistray.recorders.start_rays import StartRays, chosen
 from mistray.settings import BATCHES, Settings
@@ -46,7 +46,7 @@ class StartSupply:
         self._ends = upload(mi.UInt32, ends)
         self._next = upload(mi.UInt32, np.append(0, ends[:-1]))
         self.any = len(rays) > 0
-        self.lanes = max(BATCHES, min(len(rays), lanes_of_threads() or len(rays)))
+        self.lanes = max(BATCHES, min(len(rays), lanes_of_threads()))
         self._batch = dr.arange(mi.UInt32, self.lanes) % BATCHES
 
     @property
@@ -62,7 +62,7 @@ class StartSupply:
         The rays of one source have neighbours with trees that are alike for the most part, and small trees are so, too:
         these are faster side by side. A GPU has too many lanes for more than one ray each.
         """
-        if lanes_of_threads() is None or not (scene.backward or scene.opposite is not None):
+        if on_gpu() or not (scene.backward or scene.opposite is not None):
             return False
         transmitting = np.count_nonzero(np.asarray(scene.table.optics.host_words) & OPAQUE == 0)
         return bool(settings.max_scatters > 1 or transmitting >= MANY_SURFACES)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 import mitsuba as mi
 
+from mistray._variant import on_gpu
+
 if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
 
@@ -80,7 +82,7 @@ class LaneRows:
     @staticmethod
     def pay(table: SurfaceTable) -> bool:
         """Whether a copy is faster: threads of a GPU have caches of their own."""
-        return table.count <= MOST_ROWS and dr.backend_v(mi.Float) == dr.JitBackend.LLVM
+        return table.count <= MOST_ROWS and not on_gpu()
 
     def row(self, s: mi.UInt32, active: mi.Bool) -> SurfaceRow:
         """The rows of the surfaces s."""
