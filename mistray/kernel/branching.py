@@ -350,7 +350,7 @@ class Branching:
         A ray in a reflection that others like it do not follow stands for them, and so do both numbers: rays of the
         other direction, which follow the same light by other chances, must come to the same ratio.
         """
-        if self._probabilities is None:
+        if self._probabilities is None or not self._split:  # one child for all is as strong as they are together
             return state["birth"]
         fresh = (state["scatters"] & COUNT_MASK) == 0
         return dr.select(thinned & fresh, state["birth"] / self._probabilities.reflection, state["birth"])
