@@ -345,12 +345,12 @@ class Branching:
 
     def birth(self, state: dict[str, Any], thinned: mi.Bool) -> mi.Float:
         """
-        What the weights of rays that no node scatters are compared with: where they are, over when they began.
+        Weight with which rays began that no node scatters; the threshold of scatter is relative to it.
 
-        A ray in a reflection that others like it do not follow stands for them, and so do both numbers: rays of the
-        other direction, which follow the same light by other chances, must come to the same ratio.
+        Where only some rays follow a reflection, their weight is raised, and so is this one. The ratio of both is then
+        that of the light, to which rays of the other direction come, too.
         """
-        if self._probabilities is None or not self._split:  # one child for all is as strong as they are together
+        if self._probabilities is None or not self._split:  # one child takes all
             return state["birth"]
         fresh = (state["scatters"] & COUNT_MASK) == 0
         return dr.select(thinned & fresh, state["birth"] / self._probabilities.reflection, state["birth"])

@@ -11,8 +11,8 @@ and refraction leave it as it is; what scatters, and what lets rays go on by cha
 - Below the threshold of scatter a ray that has been scattered plays roulette, and one that has not been scatters by
   chance, so that both directions have the same chances between scatter events and on either side of them. At a wall
   rays against the light scatter whatever is left of them, see `mistray.kernel.branching.WORTH_IN_THE_DARK`; those with
-  the light that the wall has scattered play roulette on their way to the detector. Where one child takes the flux of
-  all, chances follow no weight, and neither direction counts them.
+  the light that the wall has scattered play roulette on their way to the detector. With ``splitting="one"`` the weight
+  of a ray says nothing of these chances, and both directions leave them out.
 
 Both directions must come to the same number for the same path: shares of them add to 1 only then.
 """
@@ -49,7 +49,7 @@ class Odds:
         self.connects, self._media_n = scene.opposite.connects, scene.table.optics.media_n
         self._backward, self._scatters = scene.backward, scene.scatters(settings)
         self._own, self._other = scene.probabilities, scene.opposite.probabilities
-        # One child for all is as strong as they are together, whatever its own share: that is left out of the odds
+        # One child takes the flux of all, so that no share of it lowers the weight
         self._by_weight = settings.splitting == "split"
         self._threshold = dr.opaque(mi.Float, settings.scatter_threshold)
 
