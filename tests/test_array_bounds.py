@@ -25,6 +25,9 @@ PROGRAMS = {
         dr.eval(dr.gather(mi.Float, mi.Float(1, 2, 3), mi.UInt32(0, 3)))
     """,
     "pst by both directions": """
+        mistray.pst(mistray.load("baffle_tube"), [5.0, 40.0], rays=20_000, max_scatters=2)
+    """,
+    "pst of a deep tube": """
         mistray.pst(mistray.load("baffle_tube"), [5.0, 40.0], rays=20_000, max_scatters=3)
     """,
     "pst of a camera": """

@@ -78,6 +78,7 @@ def test_the_command_line_itself_imports_nothing_heavy(file):
         "errors",
         "interrupts",
         "param",
+        "percent",
         "ranges",
         "read_file",
         "renamed",
