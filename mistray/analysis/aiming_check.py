@@ -169,7 +169,7 @@ def sampling_warnings(traces: Sequence[Trace]) -> list[tuple[list[int], str]]:
         [100 * t.largest_ray_share for t in traces],
         lambda share: share > 100 * LARGEST_SHARE,
         max,
-        f"one ray carries {{:.2g}} % of the scattered light (at most {100 * LARGEST_SHARE:g} % is good); raise rays, "
+        f"one ray carries {{:.3g}} % of the scattered light (at most {100 * LARGEST_SHARE:g} % is good); raise rays, "
         "or give the surface that scattered it a target",
     )
     return found

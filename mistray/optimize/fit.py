@@ -11,6 +11,7 @@ from scipy.stats import chi2
 
 from mistray.errors import MistrayError
 from mistray.optimize.pst_bands import Modelled
+from mistray.percent import percent_text
 
 Model = Callable[[np.ndarray], Modelled]
 STEPS = 30
@@ -88,7 +89,7 @@ class Fit:
 
     def __str__(self) -> str:
         lines = [
-            f"{name} = {value:.4g} ± {100 * error:.2g} %"
+            f"{name} = {value:.4g} ± {percent_text(error)}"
             for name, value, error in zip(self.names, self.value, self.relative_error, strict=True)
         ]
         return "\n".join(

@@ -18,6 +18,7 @@ from mistray.analysis.study.step import Fact, StudyStep
 from mistray.analysis.study.transfer import transfer_facts, transfer_findings, transfer_tables
 from mistray.analysis.transfer.result import Transfer
 from mistray.ids import event_words
+from mistray.percent import percent_text
 from mistray.recorders.direction_recorder import CLASSES
 
 TOP_PATHS = 4  # of each angle, and worst ghosts of each field
@@ -323,7 +324,7 @@ def _level_findings(pst: Pst, first: FirstOrder | None, transmittance: float) ->
         off, error = on_axis / expected - 1, float(direct_se[0]) / on_axis
         agrees = abs(off) < AGREES + SURE * error
         found.append(
-            f"The direct light on axis, {on_axis:.4g} ± {100 * error:.2g} %, is {100 * off:+.1f} % from T A/A_det = "
+            f"The direct light on axis, {on_axis:.4g} ± {percent_text(error)}, is {100 * off:+.1f} % from T A/A_det = "
             f"{expected:.4g} (free area of the entrance pupil {first.pupil_area_mm2:.4g} mm², detector {area:.4g} mm²)"
             + ("." if agrees else ": part of the image or of the beam misses the detector.")
         )

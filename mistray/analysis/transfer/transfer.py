@@ -19,6 +19,7 @@ from mistray.analysis.transfer.image_spread import CLASSES, DIRECT, ImageSpread
 from mistray.analysis.transfer.pixels import PixelResponse, pixel_response
 from mistray.analysis.transfer.result import AZIMUTHS, FieldTransfer, Transfer
 from mistray.errors import MistrayError
+from mistray.percent import percent_text
 from mistray.ranges import NOT_NEGATIVE
 from mistray.sampling.sources import scene_sources
 from mistray.surfaces.surfaces import SurfaceTable
@@ -219,7 +220,7 @@ def _notes(image: FieldImage, spread: ImageSpread, resolution: float, finest: fl
     beyond = float(direct.value[spread.edges_mm[:-1] > size].sum() / direct.total().value)
     if beyond > EXTENDED:
         notes.append(
-            f"{100 * beyond:.2g} % of the direct light falls beside the image of the point; the source is no point, "
+            f"{percent_text(beyond)} of the direct light falls beside the image of the point; the source is no point, "
             "and transfer functions are those of its image"
         )
     return tuple(notes)

@@ -23,6 +23,7 @@ from mistray.optimize.tolerances.allocation import Choice, Model, allocate, exce
 from mistray.optimize.tolerances.proposals import APART
 from mistray.optimize.tolerances.steps import Progress, Steps
 from mistray.optimize.toml.read_budget import BudgetStudy, Grades, read_budget
+from mistray.percent import percent_text
 from mistray.physics.contamination import CLEANED_SLOPE
 from mistray.scene import load
 from mistray.scene.load import find
@@ -299,12 +300,12 @@ class _Search:
 
     def _infeasible(self, model: Model, values: np.ndarray, errors: np.ndarray) -> MistrayError:
         worst = int(np.argmax(values / self.limits))
-        other = 100 * max(1 - float(model.parts[worst].sum() / values[worst]), 0.0)
+        other = max(1 - float(model.parts[worst].sum() / values[worst]), 0.0)
         return MistrayError(
             f"budget '{self.study.name}': at best the {self.metrics[worst].name} is "
             f"{values[worst]:.4g} ± {errors[worst]:.1g}, {values[worst] / self.limits[worst]:.3g} times the limit "
-            f"{self.limits[worst]:g}; {other:.2g} % of it do not come from these surfaces; raise it, or allow better "
-            "or more surfaces"
+            f"{self.limits[worst]:g}; {percent_text(other)} of it do not come from these surfaces; raise it, or allow "
+            "better or more surfaces"
         )
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mistray.percent import percent_text
 from mistray.physics.geometry.outline import Outline, circle
 from mistray.prescription.closing.shadows import met_at
 
@@ -73,7 +74,7 @@ def beam_shares(table: OpticalSurfaces) -> np.ndarray:
 
 def percent(share: float) -> str:
     """Part of a sampled beam in words, to two digits."""
-    return f"about {float(f'{100 * share:.2g}'):g} %"
+    return f"about {percent_text(share)}"
 
 
 def _drilled(table: OpticalSurfaces, k: int, mirror: Surface, free: float, legs: list[tuple[int, int]]) -> Surface:

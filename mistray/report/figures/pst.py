@@ -15,6 +15,7 @@ from mistray.analysis.irradiance import log_range
 from mistray.analysis.pst.causes import cause_frame, field_edge
 from mistray.analysis.pst.result import Pst
 from mistray.errors import MistrayError
+from mistray.percent import percent_text
 from mistray.renamed import renamed
 from mistray.report.figures.figure import Figure, legend_label, plain_axes
 from mistray.report.figures.palette import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW
@@ -178,10 +179,8 @@ def pst_irradiance(pst: Pst, field_deg: float, azimuth_deg: float = 0.0) -> Figu
         bar = figure.colorbar(picture, ax=axes, shrink=0.95, pad=0.02, extend="min")
         bar.set_label(IRRADIANCE_LABEL, fontsize=8)
         lit = value > 0
-        median = 100 * float(np.median(se[lit] / value[lit]))
-        figure.small_print(
-            f"black: below the floor or no ray; relative error of a pixel {median:.2g} % (median)", right=True
-        )
+        median = percent_text(float(np.median(se[lit] / value[lit])))
+        figure.small_print(f"black: below the floor or no ray; relative error of a pixel {median} (median)", right=True)
     return figure
 
 
