@@ -78,7 +78,7 @@ class AllCells:
         found = []
         for band, rival in enumerate(self._trace.rivals):
             for scatter, only in self._kinds:
-                recorder = ArrivalSamples(self.cells, self._trace.has_optics, rival.balance, only)
+                recorder = ArrivalSamples(self.cells, self._trace.design_keys, rival.balance, only)
                 self._run(band, rays, (SAMPLES, number), recorder, scatter)
                 found.append(recorder.read())
         return found
@@ -105,7 +105,7 @@ class AllCells:
         for band, rival in enumerate(trace.rivals):
             film = self._film if all(trace.map_size) else None
             for scatter, only in self._kinds:
-                recorder = ArrivalRecorder(self.cells, trace.has_optics, rival.balance, self._paths, film, only)
+                recorder = ArrivalRecorder(self.cells, trace.design_keys, rival.balance, self._paths, film, only)
                 self._run(band, rays, (SUMS, number), recorder, scatter)
                 for name, values in recorder.read().items():
                     join = np.maximum if name == "largest" else np.add
@@ -128,7 +128,7 @@ class AllCells:
 
     def gains(self, derivative: np.ndarray, weighing: Weighing) -> ArrivalRecorder:
         """What a metric gains, by its derivative by the sums of each class in each cell."""
-        return ArrivalRecorder(self.cells, self._trace.has_optics, weighing, derivative=derivative)
+        return ArrivalRecorder(self.cells, self._trace.design_keys, weighing, derivative=derivative)
 
     def starts(self, band: int, rays: np.ndarray, stream: tuple[int, int], scatter: bool = True) -> Iterator[StartRays]:
         """Start rays of a wavelength, in as many passes as it takes; a stream for each round."""

@@ -21,6 +21,7 @@ from mistray.kernel.ray_tree import trace_tree
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
 from mistray.recorders.adjoint import Adjoint
+from mistray.recorders.design_sequences import DesignKeys
 from mistray.recorders.direction_recorder import DirectionRecorder
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.film import Film
@@ -31,6 +32,7 @@ from mistray.recorders.start_samples import SAMPLES, WAYS, DepartureSamples, Sam
 from mistray.recorders.tallies import CHANNEL_COUNT, CUTS, SEGMENTS, SURFACE_SUMS, Tallies
 from mistray.recorders.weighing import Weighing
 from mistray.sampling.backward_targets import backward_targets
+from mistray.sampling.design.search import design_sequences, traced_table
 from mistray.sampling.detector_start import DetectorStart
 from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.sharing.balance import Balance, Sharing
@@ -120,8 +122,8 @@ class BackwardTrace:
         Rays of each of them; None if the trace has gone on from another.
     area : float
         Of the detector, mm².
-    has_optics : bool
-        Whether there is a lens or a mirror on the way from a source to the detector.
+    design : DesignSequences
+        The sequences of the direct image; in a scene without optics light that meets nothing forms it.
 
     Raises
     ------
@@ -159,11 +161,10 @@ class BackwardTrace:
         self._paths_elsewhere: dict[str, np.ndarray] = {}
         wavelengths, shares = spectrum_of(scene, wavelength_nm, weights)
         self.wavelength_nm, self.weights = tuple(map(float, wavelengths)), tuple(map(float, shares))
-        first = SurfaceTable(scene, self.wavelength_nm[0], detector)
+        first = traced_table(scene, self.wavelength_nm[0], detector)
         self.intersector = Intersector(first)
         axis = np.asarray(grid.rotation)[:, 2]
         found = backward_targets(first, scene, settings, axis)
-        self.has_optics = found.has_optics
         optics = max(len(found.views), 1)
         chance = np.ones(first.count)
         for surface, share in found.views.items():
@@ -179,6 +180,8 @@ class BackwardTrace:
             scattering = Scattering(ScatterTables(table, found.aims, backward=True))
             light = found.light if found.light is not None else axis
             self.bands.append(Band(table, scattering, DetectorStart(table, light, found.start, both_sides), share))
+        self.design = design_sequences(scene, *(band.table for band in self.bands), free=True)
+        self.design_keys = DesignKeys(self.design, first.detector)
         start = self.bands[0].start
         self.table, self.area, self.extent = first, start.area, start.extent
         long_side = max(start.width, start.height)
@@ -305,7 +308,7 @@ class BackwardTrace:
                 balance = self.balance(band, vertices)
                 assert balance is not None
                 room = SAMPLES // passes
-                recorder = DepartureSamples(self.grid, self.has_optics, balance, self.table.count, values, room)
+                recorder = DepartureSamples(self.grid, self.design_keys, balance, self.table.count, values, room)
                 self.trace_shared(band, self.start_pass(band, FIRST_SEARCH + stream, here), vertices, recorder)
                 parts.append(recorder.read())
             found.append(Samples.together(parts, here))
@@ -362,7 +365,7 @@ class BackwardTrace:
             return None
         families = self.rivals[0].balance.sharing.families
         assert families is not None
-        return FamilyShares(families.shares(), self.has_optics)
+        return FamilyShares(families.shares(), self.design_keys)
 
     def light_vertices(self, number: int, stream: tuple[int, int], rays: int) -> LightVertices | None:
         """Points of light for a pass of so many rays, if rays are connected to any; a stream for each pass."""
@@ -442,7 +445,7 @@ class BackwardTrace:
         """Sums at zero for one pass, or with a derivative what tells the gain of a metric, see `DirectionRecorder`."""
         pixels = self.map_size[0] * self.map_size[1] if maps else 0
         paths = self._path_sums if derivative is None else None
-        return DirectionRecorder(self.grid, pixels, paths, self.has_optics, derivative, weighing)
+        return DirectionRecorder(self.grid, self.design_keys, pixels, paths, derivative, weighing)
 
     def start_pass(self, number: int, done: int, rays: int) -> StartRays:
         """The start rays of a wavelength in a pass of so many rays, after so many passes."""

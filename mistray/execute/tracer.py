@@ -20,6 +20,7 @@ from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
 from mistray.recorders.adjoint import CHANNELS, Adjoint
 from mistray.recorders.branch_recorder import BranchRecorder, PathChoice
+from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.film import Box, Film, Images, groups_of, spreads
 from mistray.recorders.ledger import DecodedPaths, Ledger
 from mistray.recorders.path_derivative import MOMENTS, PathDerivative
@@ -28,6 +29,7 @@ from mistray.recorders.recorder import Recorder, Recorders
 from mistray.recorders.sampled import Sampled
 from mistray.recorders.start_rays import StartRays, generators
 from mistray.recorders.tallies import CHANNEL_COUNT, STARTED, SURFACE_SUMS, Tallies
+from mistray.sampling.design.search import design_sequences, traced_table
 from mistray.sampling.design_path import check_place, first_aperture, footprint
 from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.source import SceneSource, Source
@@ -84,6 +86,8 @@ class Run:
     films : tuple of (groups, height, width) float64
         Detected flux on each detector by group of batches, in `unit`; see `mistray.recorders.film.groups_of`.
     paths : DecodedPaths or None
+    design : DesignSequences
+        The sequences of the direct image.
     ledger : Ledger or None
     seconds : float
         Time in the kernel, compilation included.
@@ -105,6 +109,7 @@ class Run:
     channels: np.ndarray = field(default_factory=lambda: np.zeros(0))
     films: tuple[np.ndarray, ...] = ()
     paths: DecodedPaths | None = None
+    design: DesignSequences = field(default_factory=DesignSequences)
     ledger: Ledger | None = None
     seconds: float = 0.0
     parts: tuple[Part, ...] | None = None
@@ -511,7 +516,7 @@ def runs_of(
             "it; leave polarization out, or give 'stokes'"
         )
     aims, shares = any(source.aims for source in sources), _ray_shares(sources)
-    first = SurfaceTable(scene, sources[0].wavelength_nm, detector, settings.stokes)
+    first = traced_table(scene, sources[0].wavelength_nm, detector, settings.stokes)
     intersector = Intersector(first)
     targets = importance_targets(first, scene, settings)
     if settings.aim == "none":
@@ -523,11 +528,13 @@ def runs_of(
     for source in sources if aims else ():
         check_place(first, source)
     tables = {first.wavelength_nm: (first, Scattering(ScatterTables(first, targets)))}
+    for wavelength in dict.fromkeys(source.wavelength_nm for source in sources):
+        if wavelength not in tables:
+            other = first.at(wavelength)
+            tables[wavelength] = other, Scattering(ScatterTables(other, targets))
+    design = design_sequences(scene, *(table for table, _ in tables.values()))
     runs = []
     for number, source in enumerate(sources):
-        if source.wavelength_nm not in tables:
-            other = first.at(source.wavelength_nm)
-            tables[source.wavelength_nm] = other, Scattering(ScatterTables(other, targets))
         count = source.count(max(1, round(settings.rays * shares[number])))
         stream = (settings.seed + 0x9E3779B9 * number) % 2**32
         table, scattering = tables[source.wavelength_nm]
@@ -542,6 +549,7 @@ def runs_of(
                 rays=count,
                 seed=stream,
                 unit=unit,
+                design=design,
             )
         )
     return runs

@@ -35,7 +35,6 @@ STATE = {
     "key": "UInt64",
     "birth": "Float",
     "aimed_from": "UInt32",
-    "off_design": "Bool",
     "run": "UInt32",
     "scale": "Float",
     "cell": "UInt32",

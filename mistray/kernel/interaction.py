@@ -24,7 +24,6 @@ from mistray.surfaces.optics import (
     REFLECTION_FRONT,
     TABLED,
     TRANSMISSION,
-    WALL,
     total_variable,
 )
 from mistray.surfaces.surface_rows import LaneRows, gathered_row
@@ -338,8 +337,3 @@ def _mueller(
 def counts_as_reflection(interaction: Interaction) -> mi.Bool:
     """Whether a reflection here uses up one of `max_reflections`: total and design reflections do not."""
     return ~interaction.tir & ((interaction.word & MIRROR) == 0)
-
-
-def is_off_design(interaction: Interaction, reflect: mi.Bool) -> mi.Bool:
-    """Whether a specular event is none of a direct image: at a surface of the mechanics, or total reflection."""
-    return ((interaction.word & WALL) != 0) | (reflect & interaction.tir)

@@ -127,11 +127,6 @@ class KernelScene:
     connections: Connections | None = None
     windows: WeightWindows | None = None
 
-    @property
-    def classifies(self) -> bool:
-        """Whether rays know the class of their light."""
-        return self.backward or self.opposite is not None
-
     def scatters(self, settings: Settings) -> bool:
         """Whether anything scatters in a trace with these settings."""
         return (self.scattering.any or self.table.optics.scatters) and settings.max_scatters > 0

@@ -21,8 +21,7 @@ import mitsuba as mi
 from mistray.settings import NO_LIMIT
 
 LEVELS = 2
-OFF_DESIGN = 1 << 31  # bit of the word of a pending node; its surface and the reflections before it are below
-REFLECTIONS_SHIFT, SURFACE_MASK = 16, 0xFFFF
+REFLECTIONS_SHIFT, SURFACE_MASK = 16, 0xFFFF  # of the word of a pending node: the reflections before it, its surface
 
 
 class PendingNodes:
@@ -126,15 +125,14 @@ class PendingNodes:
         for name, (_, count) in self._numbers.items():
             node[name] = next(values) if count == 1 else mi.Vector3f(*(next(values) for _ in range(count)))
         word = node.pop("word")
-        node["s"], node["off_design"] = word & SURFACE_MASK, (word & OFF_DESIGN) != 0
+        node["s"] = word & SURFACE_MASK
         node["reflections"] = (word >> REFLECTIONS_SHIFT) & NO_LIMIT
         return {**state, **{name: dr.select(waits, value, state[name]) for name, value in node.items()}}
 
 
-def node_word(surface: mi.UInt32, reflections: mi.UInt32, off_design: mi.Bool | None) -> mi.UInt32:
+def node_word(surface: mi.UInt32, reflections: mi.UInt32) -> mi.UInt32:
     """What a pending node keeps of itself in one word."""
-    word = surface | (reflections << REFLECTIONS_SHIFT)
-    return word if off_design is None else word | dr.select(off_design, mi.UInt32(OFF_DESIGN), 0)
+    return surface | (reflections << REFLECTIONS_SHIFT)
 
 
 def wait_level(node: mi.UInt32, trunk: mi.UInt32, back: mi.Bool, levels: int) -> mi.UInt32:

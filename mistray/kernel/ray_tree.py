@@ -21,7 +21,7 @@ from mistray.errors import MistrayError
 from mistray.kernel.branch_limits import NO_RUN, BranchLimits
 from mistray.kernel.branching import REFLECT, TRANSMIT, Branching, Children, Choice, Node
 from mistray.kernel.event_codes import after_scatter, event_code, is_diffraction
-from mistray.kernel.interaction import interact, is_off_design
+from mistray.kernel.interaction import interact
 from mistray.kernel.kernel_scene import KernelScene
 from mistray.kernel.next_hit import film_coordinates, next_hit
 from mistray.kernel.odds import Odds
@@ -154,7 +154,6 @@ class _Tree:
         left_behind, medium = start.given("left", full(NO_SURFACE)), start.given("medium", full())
         key = start.given("key", dr.full(mi.UInt64, FIRST_KEY, n))
         reflections, scatters = start.given("reflections", full()), start.given("scatters", full())
-        off_design = start.given("off_design", dr.full(mi.Bool, False, n))
         under_way = start.w > 0
         if start.at is not None:
             under_way &= start.at == NO_SURFACE
@@ -173,7 +172,7 @@ class _Tree:
         self.recorders.travel(Segment(start, o, d, start.w, medium, t, missed, under_way), memory)
         if self.scene.backward:
             depth = self.first_depth
-            gone = Departure(start, d, start.w, reflections, scatters, off_design, key, depth, lambda k, _: k, missed)
+            gone = Departure(start, d, start.w, reflections, scatters, key, depth, lambda k, _: k, missed)
             self.recorders.depart(gone, memory)
         w, clouded = self._attenuate(start.w, medium, t, hit)
         unpolarized = dr.zeros(mi.Vector3f, n if self.settings.stokes else 1)
@@ -191,7 +190,6 @@ class _Tree:
             "depth": mi.UInt32(self.first_depth),  # events before it
             "reflections": mi.UInt32(reflections),  # counted reflections before it
             "key": mi.UInt64(key),  # of the events before it
-            "off_design": mi.Bool(off_design),  # an event before it is none of a direct image, see `is_off_design`
             "run": mi.UInt32(run),  # hits of one surface in a row before it
             "pending": full(),  # depth + 1 of the deepest node before it that has a child still to come; 0: none
             "segments": full(1),
@@ -413,7 +411,7 @@ class _Tree:
             self.lose(children.remainder, -sent.flux, (scatter | cloud) & (sent.flux > 0), memory)
         sent.flux = self.limits.end(sent.flux, scatter, cloud, sent.reflect, visit)
         sent.active = go = visit & (sent.flux > 0)
-        word = node_word(state["s"], state["reflections"], state["off_design"] if self.scene.classifies else None)
+        word = node_word(state["s"], state["reflections"])
         kept = {**state, "p": sent.origin, "away": sent.away, "word": word}
         kept |= {"child": choice.later, "scatter_factor": choice.kept.packed}
         path = self.nodes.keep(path, kept, depth, choice.pending, choice.pending | go, self.recorders.node_floats)
@@ -456,7 +454,7 @@ class _Tree:
         run = self.limits.run_after(state["run"], s, cloud)
         hit = self.limits.arrive(run, s2, sent.flux, hit)
         bounced, thins = reflect & children.counted & ~scatter, self.branching.thins(it, children)
-        scattered, off_design, after = scatter | cloud, state["off_design"], state["scatters"]
+        scattered, after = scatter | cloud, state["scatters"]
         if scatters:
             diffracted = is_diffraction(table.optics, it, scatter, reflect)
             after = dr.select(scattered, after_scatter(after, sent.aim, children.transmits | cloud, diffracted), after)
@@ -468,12 +466,10 @@ class _Tree:
                 through = medium if self.scene.backward else sent.medium_in
                 following |= self.odds.linked(state, it, sent.heading, through, sent.rivalry.against, scatter, cloud, t)
                 following["joint"] = sent.joint
-        if self.scene.classifies:
-            off_design = off_design | is_off_design(it, reflect)
         if self.scene.backward:
             reflections = state["reflections"] + dr.select(bounced, mi.UInt32(1), 0)
             last = (*sent.origin, *state["d"], state["w"])
-            counts = (reflections, after, off_design, key, depth + 1, codes.read, leaving)
+            counts = (reflections, after, key, depth + 1, codes.read, leaving)
             gone = Departure(
                 self.start,
                 sent.heading,
@@ -512,7 +508,6 @@ class _Tree:
             "normal": normal if self.has_stock else state["normal"],
             "medium": medium,
             "reflections": dr.select(bounced, state["reflections"] + 1, state["reflections"]),
-            "off_design": off_design,
             "key": key,
             "run": run,
             "segments": dr.select(go, state["segments"] + 1, state["segments"]),

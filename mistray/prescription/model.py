@@ -255,12 +255,16 @@ class Detector(Surface):
     ----------
     pixels : tuple of two int
         Columns (along x) and rows (along y) over the clip's bounding rectangle.
+    design_path : str
+        The sequences of surfaces that form its image, such as ``"L1:T L2:T fold:R"``; alternatives of a step are joined
+        by ``|``, sequences by ``;``. Empty: they are found, see docs/design_path.md.
     """
 
     name: str = "detector"
     _: KW_ONLY
     coating: Coating | None = BLACK
     pixels: tuple[int, int] = (256, 256)
+    design_path: str = ""
 
     def __post_init__(self) -> None:
         super().__post_init__()

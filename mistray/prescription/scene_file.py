@@ -49,6 +49,8 @@ def _interface(shape: Shape) -> _Node:
     properties |= finish
     if isinstance(shape, Surface) and shape.mirror:
         properties["mirror"] = True
+    if isinstance(shape, Detector) and shape.design_path:
+        properties["design_path"] = shape.design_path
     return _Node("bsdf", "interface", properties=properties, children=children)
 
 

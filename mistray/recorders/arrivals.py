@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.recorders.design_sequences import DesignKeys
 from mistray.recorders.direction_recorder import CLASS_COUNT, class_of_arrival
 from mistray.recorders.film import Film
 from mistray.recorders.path_key import COUNT_MASK
@@ -26,8 +27,8 @@ class ArrivalRecorder(Recorder):
     ----------
     cells : int
         Number of cells.
-    has_optics : bool
-        Whether light must pass a lens or a mirror to be part of the direct image.
+    design : DesignKeys
+        The sequences of the direct image.
     weighing : Weighing
         What rays against the light leave to those with it.
     paths : PathSums, optional
@@ -44,7 +45,7 @@ class ArrivalRecorder(Recorder):
     def __init__(
         self,
         cells: int,
-        has_optics: bool,
+        design: DesignKeys,
         weighing: Weighing,
         paths: PathSums | None = None,
         film: Film | None = None,
@@ -52,7 +53,7 @@ class ArrivalRecorder(Recorder):
         derivative: np.ndarray | None = None,
     ) -> None:
         self._derivative = None if derivative is None else upload(mi.Float64, np.asarray(derivative, dtype=np.float64))
-        self._cells, self._has_optics, self._weighing = cells, has_optics, weighing
+        self._cells, self._design, self._weighing = cells, design, weighing
         self.paths, self._film, self._scattered_only = paths, film, scattered_only
         self._pixels = pixels = 0 if film is None else film.width * film.height
         self._sums = dr.zeros(mi.Float64, CLASS_COUNT * cells * BATCHES)
@@ -64,7 +65,7 @@ class ArrivalRecorder(Recorder):
     def code(self) -> Hashable:
         """See `Recorder.code`."""
         parts = self._maps, self.paths, self._derivative
-        return type(self).__name__, self._scattered_only, *(part is not None for part in parts)
+        return type(self).__name__, self._design.code, self._scattered_only, *(part is not None for part in parts)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Add rays that have met the detector."""
@@ -74,7 +75,7 @@ class ArrivalRecorder(Recorder):
             met &= (state["scatters"] & COUNT_MASK) != 0
         weight = visit.weight * self._weighing.along(visit).along
         w = mi.Float64(weight)
-        kind = class_of_arrival(visit, self._has_optics)
+        kind = class_of_arrival(visit, self._design)
         dr.scatter_reduce(
             dr.ReduceOp.Add, self._sums, w, (kind * self._cells + cell) * BATCHES + visit.start.batch, met
         )
@@ -93,7 +94,7 @@ class ArrivalRecorder(Recorder):
         """What the metric gains from rays that meet the detector; nothing is added to the sums."""
         cell, met = visit.start.cell, visit.detected
         assert cell is not None
-        index = class_of_arrival(visit, self._has_optics) * self._cells + cell
+        index = class_of_arrival(visit, self._design) * self._cells + cell
         weight = mi.Float64(visit.weight * self._weighing.along(visit).along)
         return dr.select(met, weight * dr.gather(mi.Float64, self._derivative, index, met), 0)
 

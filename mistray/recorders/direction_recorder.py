@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.recorders.design_sequences import DesignKeys
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.path_key import COUNT_MASK, NOT_DIFFRACTED
 from mistray.recorders.path_sums import PathSums
@@ -24,39 +25,34 @@ DIRECT, STRAIGHT, GHOST, SINGLE, MULTIPLE, DIFFRACTED = range(CLASS_COUNT)
 FAR_SIDE = 2.0  # more than any squared sine: a direction that comes from behind
 
 
-def class_of_light(
-    off_design: mi.Bool, reflections: mi.UInt32, scatters: mi.UInt32, length: mi.UInt32, has_optics: bool
-) -> mi.UInt32:
+def class_of_light(design: mi.Bool, reflections: mi.UInt32, scatters: mi.UInt32) -> mi.UInt32:
     """
     Number within `CLASSES` of light by its events.
 
     Parameters
     ----------
-    off_design : mi.Bool
-        Whether an event is none of a direct image.
-    reflections, scatters, length : mi.UInt32
-        Counted reflections, scatter events (see `mistray.recorders.ledger.COUNT_MASK`), all events.
-    has_optics : bool
-        Whether light must pass a lens or a mirror to be part of the direct image.
+    design : mi.Bool
+        Whether its events are a sequence of the design.
+    reflections, scatters : mi.UInt32
+        Counted reflections, scatter events (see `mistray.recorders.ledger.COUNT_MASK`).
     """
-    past = off_design | (length == 0) if has_optics else off_design
-    direct = dr.select(past, mi.UInt32(STRAIGHT), mi.UInt32(DIRECT))
-    ghost = dr.select(reflections > 0, mi.UInt32(GHOST), direct)
+    stray = dr.select(reflections > 0, mi.UInt32(GHOST), mi.UInt32(STRAIGHT))
+    unscattered = dr.select(design, mi.UInt32(DIRECT), stray)
     count = scatters & COUNT_MASK
     scattered = dr.select(count == 1, mi.UInt32(SINGLE), mi.UInt32(MULTIPLE))
     scattered = dr.select((scatters & NOT_DIFFRACTED) == 0, mi.UInt32(DIFFRACTED), scattered)
-    return dr.select(count == 0, ghost, scattered)
+    return dr.select(count == 0, unscattered, scattered)
 
 
-def class_of_departure(departure: Departure, has_optics: bool) -> mi.UInt32:
+def class_of_departure(departure: Departure, design: DesignKeys) -> mi.UInt32:
     """That of rays against the light that leave the scene."""
-    return class_of_light(departure.off_design, departure.reflections, departure.scatters, departure.length, has_optics)
+    return class_of_light(design.hold(departure.key, True), departure.reflections, departure.scatters)
 
 
-def class_of_arrival(visit: Visit, has_optics: bool) -> mi.UInt32:
+def class_of_arrival(visit: Visit, design: DesignKeys) -> mi.UInt32:
     """That of rays with the light that meet the detector."""
     state = visit.state
-    return class_of_light(state["off_design"], state["reflections"], state["scatters"], visit.depth, has_optics)
+    return class_of_light(design.hold(state["key"], False), state["reflections"], state["scatters"])
 
 
 class DirectionRecorder(Recorder):
@@ -66,11 +62,11 @@ class DirectionRecorder(Recorder):
     Parameters
     ----------
     grid : DirectionGrid
+    design : DesignKeys
+        The sequences of the direct image.
     pixels : int
         Of a map of the detector for every cell; 0: no maps.
     paths : PathSums, optional
-    has_optics : bool
-        Whether light must pass a lens or a mirror to be part of the direct image.
     derivative : (CLASS_COUNT, n, m) float64, optional
         Derivative of a metric by the sums of the weights of each class in each cell, for `gain`.
     weighing : Weighing, optional
@@ -80,14 +76,14 @@ class DirectionRecorder(Recorder):
     def __init__(
         self,
         grid: DirectionGrid,
+        design: DesignKeys,
         pixels: int = 0,
         paths: PathSums | None = None,
-        has_optics: bool = True,
         derivative: np.ndarray | None = None,
         weighing: Weighing | None = None,
     ) -> None:
         self._weighing = weighing
-        self._has_optics = has_optics
+        self._design = design
         self._derivative = None if derivative is None else upload(mi.Float64, np.asarray(derivative, dtype=np.float64))
         self.grid, self.pixels, self.paths = grid, pixels, paths
         self._angles, self._azimuths = grid.shape
@@ -111,7 +107,7 @@ class DirectionRecorder(Recorder):
     def code(self) -> Hashable:
         """See `Recorder.code`."""
         parts = (self.maps, self.paths, self._weighing, self._derivative)
-        return type(self).__name__, *(part is not None for part in parts)
+        return type(self).__name__, self._design.code, *(part is not None for part in parts)
 
     def cell(self, d: mi.Vector3f) -> tuple[mi.UInt32, mi.Bool]:
         """Cell of the light that goes against rays along d, and whether there is one."""
@@ -147,7 +143,7 @@ class DirectionRecorder(Recorder):
         dr.scatter_reduce(dr.ReduceOp.Add, self.elsewhere, mi.Float64(weight), start.batch, own & ~inside)
         weight, inside = self._own(departure, cell, inside)
         w = mi.Float64(weight)
-        place = (class_of_departure(departure, self._has_optics) * self.cells + cell) * BATCHES + start.batch
+        place = (class_of_departure(departure, self._design) * self.cells + cell) * BATCHES + start.batch
         dr.scatter_reduce(dr.ReduceOp.Add, self.sums, w, place, inside)
         scattered = inside & ((departure.scatters & COUNT_MASK) > 0)
         # The bits of positive floats are in the order of the floats
@@ -162,7 +158,7 @@ class DirectionRecorder(Recorder):
     def gain(self, departure: Departure) -> mi.Float64:
         """What the metric gains from rays that leave; nothing is added to the sums."""
         cell, inside = self.cell(departure.heading)
-        index = class_of_departure(departure, self._has_optics) * self.cells + cell
+        index = class_of_departure(departure, self._design) * self.cells + cell
         weight, inside = self._own(departure, cell, inside)
         gained = mi.Float64(weight) * dr.gather(mi.Float64, self._derivative, index, inside)
         return dr.select(inside, gained, 0)

@@ -6,11 +6,13 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mistray.ids import event_words
+from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.path_key import (
     ABSORBED,
     AIMED_REFLECTED,
@@ -100,15 +102,18 @@ class Events:
         Number of events of each, at least 1.
     words : (s,) uint32
         Bits of the surfaces, see `mistray.surfaces.optics`, and zeros for the media.
+    design : DesignSequences
+        The sequences of the direct image.
     """
 
     codes: np.ndarray
     lengths: np.ndarray
     words: np.ndarray
+    design: DesignSequences
 
     def __getitem__(self, rows: np.ndarray) -> Events:
         """Those of some of the paths."""
-        return Events(self.codes[rows], self.lengths[rows], self.words)
+        return Events(self.codes[rows], self.lengths[rows], self.words, self.design)
 
     def __len__(self) -> int:
         return len(self.lengths)
@@ -132,9 +137,19 @@ class Events:
         return (self.words[self.places] & np.uint32(bit)) != 0
 
     @property
+    def direct(self) -> np.ndarray:
+        """(p,) whether a path is a sequence of the design."""
+        return self.design.direct(self.codes, self.lengths)
+
+    @cached_property
+    def as_designed(self) -> np.ndarray:
+        """(p, k) whether an event is where a sequence of the design is reflected."""
+        return self.inside & self.design.reflects(self.codes, self.lengths)
+
+    @property
     def reflected(self) -> np.ndarray:
-        """Specular reflections, mirrors and total reflection apart."""
-        return self.happens(REFLECTED) & ~self.at(MIRROR)
+        """Specular reflections, those at mirrors, where the design reflects and total ones apart."""
+        return self.happens(REFLECTED) & ~self.at(MIRROR) & ~self.as_designed
 
     @property
     def on_structure(self) -> np.ndarray:
@@ -285,7 +300,7 @@ def _turns(words: Sequence[str], common: Set[str] | None = None) -> str:
 
 
 def describe_events(
-    events: np.ndarray, lengths: np.ndarray, ids: Sequence[str], words: np.ndarray
+    events: np.ndarray, lengths: np.ndarray, ids: Sequence[str], words: np.ndarray, design: DesignSequences
 ) -> dict[str, np.ndarray]:
     """
     Text and classification of event lists.
@@ -300,6 +315,8 @@ def describe_events(
         Names of the surfaces.
     words : (s,) uint32
         Bits of the surfaces, see `mistray.surfaces.optics`.
+    design : DesignSequences
+        The sequences of the direct image.
 
     Returns
     -------
@@ -307,12 +324,11 @@ def describe_events(
         Columns events, path, order, kind, ghost_1, ghost_2, scatter_1, edges, scatters, diffractions,
         structure_bounces, tir, objects, unique_objects, last_object and critical of `PathRow`, (p,) each.
     """
-    e = Events(events, lengths, words)
+    e = Events(events, lengths, words, design)
     surfaces, reflecting, scattering = e.places, e.reflected, e.deflected
-    past_the_optics = (lengths == 1) | (e.before_the_end & e.at(WALL)).any(axis=1)
 
     structure, scatters, diffractions = (mask.sum(axis=1) for mask in (e.on_structure, scattering, e.diffracted))
-    order, tir = reflecting.sum(axis=1) - structure, e.happens(TOTAL).sum(axis=1)
+    order, total = reflecting.sum(axis=1) - structure, e.happens(TOTAL)
     kind = np.select(
         [
             (diffractions > 0) & ((scatters > diffractions) | (order + structure > 0)),
@@ -323,12 +339,12 @@ def describe_events(
             (order > 0) & (structure > 0),
             order > 0,
             structure > 0,
-            tir > 0,
-            past_the_optics,
+            e.direct,
+            (total & ~e.as_designed).any(axis=1),
         ],
         ["diffraction + others", "edge diffraction", "ghost + scatter", "multiple scatter", "single scatter",
-         "structure+ghost", "ghost", "structure", "TIR", "straight shot"],
-        DIRECT,
+         "structure+ghost", "ghost", "structure", DIRECT, "TIR"],
+        "straight shot",
     )  # fmt: skip
     last = np.where(lengths > 1, surfaces[np.arange(len(surfaces)), np.maximum(lengths - 2, 0)], len(ids))
     text, letters = event_text(events, lengths, ids)
@@ -344,7 +360,7 @@ def describe_events(
         "scatters": scatters,
         "diffractions": diffractions,
         "structure_bounces": structure,
-        "tir": tir,
+        "tir": total.sum(axis=1),
         "objects": lengths,
         "unique_objects": distinct(surfaces, e.inside),
         "last_object": np.array([*ids, "-"], dtype=object)[last],

@@ -162,8 +162,6 @@ class Departure:
         In units of a start ray.
     reflections, scatters : mi.UInt32
         Counted reflections, and scatter events, see `mistray.recorders.ledger.COUNT_MASK`.
-    off_design : mi.Bool
-        Whether an event is none of a direct image, see `mistray.kernel.interaction.is_off_design`.
     key, length : mi.UInt64, mi.UInt32
         Of the path, and the number of its events.
     event : callable
@@ -186,7 +184,6 @@ class Departure:
     weight: mi.Float
     reflections: mi.UInt32
     scatters: mi.UInt32
-    off_design: mi.Bool
     key: mi.UInt64
     length: mi.UInt32
     event: EventReader

@@ -60,8 +60,6 @@ class StartRays:
         Weight with which such a ray left the source or was scattered last.
     aimed_from : mi.UInt32, optional
         Surface that sent it to a target, `NO_SURFACE` if none did.
-    off_design : mi.Bool, optional
-        Whether an event before is none of a direct image.
     run : mi.UInt32, optional
         Hits of one surface in a row before, see `mistray.kernel.branch_limits`.
     at : mi.UInt32, optional
@@ -93,7 +91,6 @@ class StartRays:
     family: mi.UInt32 | None = None
     birth: mi.Float | None = None
     aimed_from: mi.UInt32 | None = None
-    off_design: mi.Bool | None = None
     run: mi.UInt32 | None = None
     at: mi.UInt32 | None = None
     scale: mi.Float | None = None

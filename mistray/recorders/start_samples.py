@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.recorders.design_sequences import DesignKeys
 from mistray.recorders.direction_recorder import DirectionRecorder, class_of_arrival, class_of_departure
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.path_key import COUNT_MASK, EVENT_BITS, NO_EVENT, RANDOM_TRANSMITTED, family_of, mixed_word
@@ -88,8 +89,8 @@ class _StartSamples(Recorder):
 
     by_way = True
 
-    def __init__(self, cells: int, has_optics: bool, weighing: StartWeighing, capacity: int = SAMPLES) -> None:
-        self._has_optics, self._weighing, self._capacity = has_optics, weighing, capacity
+    def __init__(self, cells: int, design: DesignKeys, weighing: StartWeighing, capacity: int = SAMPLES) -> None:
+        self._design, self._weighing, self._capacity = design, weighing, capacity
         self._count = dr.zeros(mi.UInt32, 1)
         self._words = [dr.empty(mi.UInt32, capacity) for _ in range(4)]
         self._floats = [dr.empty(mi.Float, capacity) for _ in range(8)]
@@ -99,7 +100,7 @@ class _StartSamples(Recorder):
     @property
     def code(self) -> Hashable:
         """See `Recorder.code`."""
-        return type(self).__name__
+        return type(self).__name__, self._design.code
 
     def _keep(self, words: tuple[mi.UInt32, ...], floats: tuple[mi.Float, ...], active: mi.Bool) -> None:
         place = dr.scatter_inc(self._count, mi.UInt32(0), active)
@@ -139,7 +140,7 @@ class DepartureSamples(_StartSamples):
     Parameters
     ----------
     grid : DirectionGrid
-    has_optics : bool
+    design : DesignKeys
     weighing : StartWeighing
     surfaces : int
     values : (c,) float64
@@ -151,14 +152,14 @@ class DepartureSamples(_StartSamples):
     def __init__(
         self,
         grid: DirectionGrid,
-        has_optics: bool,
+        design: DesignKeys,
         weighing: StartWeighing,
         surfaces: int,
         values: np.ndarray,
         capacity: int = SAMPLES,
     ) -> None:
-        super().__init__(1, has_optics, weighing, capacity)
-        self._cells = DirectionRecorder(grid, 0, None, has_optics)
+        super().__init__(1, design, weighing, capacity)
+        self._cells = DirectionRecorder(grid, design)
         self._values, self._surfaces = upload(mi.Float64, values), surfaces
         self._worth = [dr.zeros(mi.Float64, surfaces * WAYS) for _ in range(4)]
         dr.eval(self._worth)
@@ -206,7 +207,7 @@ class DepartureSamples(_StartSamples):
         cell, inside = self._cells.cell(departure.heading)
         inside &= departure.active
         family = family_of(departure.event, departure.length, departure.start, inside)
-        words = departure.start.lane, cell, class_of_departure(departure, self._has_optics), family
+        words = departure.start.lane, cell, class_of_departure(departure, self._design), family
         weight = departure.weight
         point = self._weighing.start_of(departure, cell, inside)
         shares = self._weighing.against(departure, cell, inside)
@@ -228,7 +229,7 @@ class ArrivalSamples(_StartSamples):
 
     Parameters
     ----------
-    cells, has_optics, weighing
+    cells, design, weighing
         See `mistray.recorders.arrivals.ArrivalRecorder`.
     scattered_only : bool
         Leave out light that nothing has scattered.
@@ -236,14 +237,14 @@ class ArrivalSamples(_StartSamples):
 
     incident = True
 
-    def __init__(self, cells: int, has_optics: bool, weighing: StartWeighing, scattered_only: bool = False) -> None:
-        super().__init__(cells, has_optics, weighing)
+    def __init__(self, cells: int, design: DesignKeys, weighing: StartWeighing, scattered_only: bool = False) -> None:
+        super().__init__(cells, design, weighing)
         self._scattered_only = scattered_only
 
     @property
     def code(self) -> Hashable:
         """See `Recorder.code`."""
-        return type(self).__name__, self._scattered_only
+        return *super().code, self._scattered_only
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Keep rays that have met the detector."""
@@ -254,7 +255,7 @@ class ArrivalSamples(_StartSamples):
         if self._scattered_only:
             met &= (visit.state["scatters"] & COUNT_MASK) != 0
         family = family_of(visit.event, visit.depth, start, met)
-        words = start.lane, start.cell, class_of_arrival(visit, self._has_optics), family
+        words = start.lane, start.cell, class_of_arrival(visit, self._design), family
         shares = self._weighing.along(visit)
         density = dr.rcp(start.scale)
         floats = (*start.place, visit.weight * shares.along, shares.along, shares.connected, density)

@@ -52,8 +52,6 @@ class BackwardTargets:
         Of the rays that start on the detector, towards the light.
     light : (3,) float64 or None
         Direction of the design light at the detector.
-    has_optics : bool
-        Whether the design path has lenses or mirrors.
     views : dict
         Surface that transmits or is a mirror → share of Lambertian rays from it that leave the scene by refraction and
         at mirrors.
@@ -62,7 +60,6 @@ class BackwardTargets:
     aims: dict[Place, AimSet]
     start: AimSet | None
     light: np.ndarray | None
-    has_optics: bool
     views: dict[int, float]
 
 
@@ -112,7 +109,7 @@ def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.
     views = _views(table, [i for i in range(table.count) if not words[i] & OPAQUE or words[i] & MIRROR], axis, rng)
     light = path.steps[-1].before if path is not None else None
     aims = {place: AimSet.of(targets, 1) for place, targets in found.items()}
-    return BackwardTargets(aims, start, light, path is not None and path.has_optics, views)
+    return BackwardTargets(aims, start, light, views)
 
 
 def find_opening(

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mitsuba as mi
 import numpy as np
@@ -15,6 +14,8 @@ from mistray.errors import MistrayError
 from mistray.kernel.targets import Target
 from mistray.materials import complex_index
 from mistray.sampling.aimed_cones import Sphere
+from mistray.sampling.design.probes import Order, Probes
+from mistray.sampling.design.sequences import chosen_orders
 from mistray.sampling.outlines import outline
 from mistray.sampling.source import SceneSource
 from mistray.sampling.sources import scene_sources, source_emitters
@@ -25,7 +26,6 @@ from mistray.surfaces.upload import upload
 
 PROBES, MANY_PROBES = 256, 4096  # rays of a source that look for the design path
 MOST_AIMS = 8  # lenses and mirrors, the nearest first, that light from anywhere is aimed at to find it
-MOST_STEPS = 64
 # Of the part of the first aperture that light comes through: fewest probes that find it, room around it, and up to what
 # share of the aperture's radius it is a target of its own
 LEAST_ARRIVALS, MARGIN, WORTH_IT = 64, 1.05, 0.8
@@ -235,27 +235,36 @@ class DesignPath:
 
 def find_design_path(table: SurfaceTable, scene: mi.Scene) -> DesignPath | None:
     """
-    The design path of a scene.
+    The design path of a scene: the main order of its strongest arm, see `mistray.sampling.design.sequences`.
 
     Probe rays of each source on its axis (field angle 0), then at its own field angle, are followed: reflected where a
     surface is declared ``mirror``, is opaque and reflects more than half, or in total reflection; transmitted
-    elsewhere. The path that most of them take to the detector is it.
+    elsewhere. Where none of those that come to the detector passes any optics, it is the order that most of them take.
 
     Returns
     -------
     DesignPath or None
         None where no probe reaches the detector, or there is no source.
     """
+    for source, probes in design_probes(table, scene):
+        found = probes.orders(table.detector)
+        if found:
+            arms = chosen_orders(table, found)
+            order = arms[0][0] if arms else found.most_common(1)[0][0]
+            path = _with_base_ray(table, source, probes, order)
+            if path is not None:
+                return path
+    return None
+
+
+def design_probes(table: SurfaceTable, scene: mi.Scene) -> Iterator[tuple[SceneSource, Probes]]:
+    """Probes of each source of a scene at its design fields: on its axis, then at its own field angle."""
     if not source_emitters(scene):
-        return None
+        return
     for field in (0.0, None):
         for source in scene_sources(scene, field_deg=field):
             for light, count in _attempts(table, source):
-                probed = _probe(table, light, count)
-                path = _with_base_ray(table, light, *probed) if probed else None
-                if path is not None:
-                    return path
-    return None
+                yield light, Probes(table, light, count)
 
 
 def _attempts(table: SurfaceTable, source: SceneSource) -> Iterator[tuple[SceneSource, int]]:
@@ -329,70 +338,26 @@ def footprint(table: SurfaceTable, source: SceneSource, aperture: Sphere) -> Sph
         None where too few probes find out, or it is hardly smaller than the aperture.
     """
     first = table.on(table.detectors[0]) if len(table.detectors) > 1 else table
-    found = _most_common(*_trails(first, source.aimed_at(aperture), MANY_PROBES)[:2])
-    if found is None or len(found[1]) < LEAST_ARRIVALS:
+    detector = first.detector
+    probes = Probes(first, source.aimed_at(aperture), MANY_PROBES)
+    found = probes.orders(detector)
+    taking = probes.taking(found.most_common(1)[0][0], detector) if found else np.zeros(0, dtype=np.int64)
+    if len(taking) < LEAST_ARRIVALS:
         return None
-    points = np.array([steps[0].point for steps in found[1].values()])
+    points = probes.first_points(taking)
     centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
     sphere = Sphere(centre, MARGIN * float(np.linalg.norm(points - centre, axis=1).max()))
     return sphere if 0 < sphere.radius < WORTH_IT * aperture.radius else None
 
 
-def _trails(
-    table: SurfaceTable, source: SceneSource, count: int
-) -> tuple[list[list[Step]], list[int], tuple[np.ndarray, np.ndarray]]:
-    """The steps of probes, the numbers of those that come to the detector, and the rays."""
-    sample = mi.Point2f(*(upload(mi.Float, v) for v in np.random.default_rng(0).random((2, count))))
-    start = source.probes(sample)
-    o, d = (vectors.copy() for vectors in start)
-    last = np.full(count, table.ids.index(source.shape) if source.shape else -1)
-    trails: list[list[Step]] = [[] for _ in range(count)]
-    arrived: list[int] = []
-    alive = np.arange(count)
-    for _ in range(MOST_STEPS):
-        surface, p, normal = first_hit(table, o[alive], d[alive], last[alive])
-        alive, p, normal, surface = (values[surface >= 0] for values in (alive, p, normal, surface))
-        after, reflects = onward(table, surface, d[alive], normal)
-        after[surface == table.detector] = 0.0
-        for ray, *step in zip(alive, surface, reflects, p, normal, d[alive], after, strict=True):
-            trails[ray].append(Step(int(step[0]), bool(step[1]), *step[2:]))
-        arrived += alive[surface == table.detector].tolist()
-        o[alive], d[alive], last[alive] = p, after, surface
-        alive = alive[(surface != table.detector) & np.isfinite(after[:, 0])]
-        if not len(alive):
-            break
-    return trails, arrived, start
-
-
-def _most_common(trails: list[list[Step]], arrived: list[int]) -> tuple[Any, dict[int, list[Step]]] | None:
-    """The order of surfaces that most of the probes that arrive take, and the steps of these by their numbers."""
-    orders = {ray: tuple((step.surface, step.reflects) for step in trails[ray]) for ray in arrived}
-    if not orders:
-        return None
-    most = Counter(orders.values()).most_common(1)[0][0]
-    return most, {ray: trails[ray] for ray, order in orders.items() if order == most}
-
-
-def _probe(
-    table: SurfaceTable, source: SceneSource, count: int
-) -> tuple[list[Step], tuple[np.ndarray, np.ndarray]] | None:
-    """The steps that most probes take to the detector, with the hits of the one in their middle, and that ray."""
-    trails, arrived, start = _trails(table, source, count)
-    found = _most_common(trails, arrived)
-    if found is None:
-        return None
-    taking = np.array(list(found[1]))
-    first = np.array([steps[0].point for steps in found[1].values()])
-    middle = taking[np.argmin(np.linalg.norm(first - first.mean(axis=0), axis=1))]
-    return trails[middle], (start[0][[middle]], start[1][[middle]])
-
-
-def _with_base_ray(
-    table: SurfaceTable, source: SceneSource, probed: list[Step], probe: tuple[np.ndarray, np.ndarray]
-) -> DesignPath | None:
-    """The path with the steps of the ray in the middle of the light; None if that ray misses a surface altogether."""
+def _with_base_ray(table: SurfaceTable, source: SceneSource, probes: Probes, order: Order) -> DesignPath | None:
+    """The path of an order by the ray in the middle of the light; None if that misses a surface altogether."""
+    taking = probes.taking(order, table.detector)
+    first = probes.first_points(taking)
+    middle = int(taking[np.argmin(np.linalg.norm(first - first.mean(axis=0), axis=1))])
+    probed = [Step(*step) for step in probes.steps(middle)]
     path = DesignPath(table, tuple(probed), outline(table.shapes[table.detector]))
-    o, d = source.middle or probe
+    o, d = source.middle or tuple(vectors[[probes.ray[middle]]] for vectors in probes.start)
     steps = []
     for step in probed:
         o, normal = path.meet(step, o, d)

@@ -9,12 +9,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.surfaces.optics import IDEAL, MIRROR, OPAQUE
+from mistray.surfaces.optics import MIRROR, OPAQUE
 from mistray.surfaces.surface import NO_SURFACE, Surface
 from mistray.surfaces.upload import upload
 
 if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
+
+BOX_ROOM = 1e-6  # around the boxes of surfaces, in units of their size
 
 
 def local(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -85,7 +87,10 @@ def first_hit(
     """
     best = np.full(len(o), np.inf)
     surface = np.full(len(o), -1)
-    for piece, rays in _near(table, o, d):
+    for piece, rays, entry in _near(table, o, d):
+        rays = rays[entry <= best[rays]]
+        if not len(rays):
+            continue
         from_here, along = o[rays], d[rays]
         t = crossings(table, piece.index, from_here, along)
         nearest = np.where(last[rays] == piece.index, piece.self_hit, 0.0)
@@ -108,15 +113,36 @@ def first_hit(
     return surface, p, normal
 
 
-def _near(table: SurfaceTable, o: np.ndarray, d: np.ndarray) -> Iterator[tuple[Surface, np.ndarray]]:
-    """The analytic surfaces and the numbers of the rays that may meet each."""
+def _near(table: SurfaceTable, o: np.ndarray, d: np.ndarray) -> Iterator[tuple[Surface, np.ndarray, np.ndarray]]:
+    """The analytic surfaces, the nearest boxes first; numbers of the rays that may meet each, and from where on, mm."""
     looped = set(table.tree.members) if table.tree else set()
     near = table.tree.candidates(o - table.centre, d, table.frames) if table.tree else {}
-    for piece in table.pieces:
-        if piece.index not in looped:
-            yield piece, np.arange(len(o))
-        elif piece.index in near:
-            yield piece, near[piece.index]
+    for index, rays in near.items():
+        yield table.pieces[index], rays, np.full(len(rays), -np.inf)
+    boxed = [piece for piece in table.pieces if piece.index not in looped]
+    entry = np.full((len(o), len(boxed)), np.inf)
+    for number in {piece.frame for piece in boxed}:
+        columns = [k for k, piece in enumerate(boxed) if piece.frame == number]
+        entry[:, columns] = _entries(
+            table, [boxed[k] for k in columns], o @ table.frames[number], d @ table.frames[number]
+        )
+    for k in np.argsort(entry.min(axis=0, initial=np.inf), kind="stable"):
+        rays = np.flatnonzero(np.isfinite(entry[:, k]))
+        yield boxed[k], rays, entry[rays, k]
+
+
+def _entries(table: SurfaceTable, pieces: list[Surface], o: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """(n, m) distances at which rays enter the boxes around surfaces of one frame, mm; infinite where they do not."""
+    size = np.array([piece.size for piece in pieces])
+    low, high = np.array([piece.z_range for piece in pieces]).T
+    room = BOX_ROOM * (size + high - low) + np.array([piece.overlap for piece in pieces])
+    vertices = np.array([table.vertices[piece.index] for piece in pieces]) @ table.frames[pieces[0].frame]
+    corners = np.stack([size + room, size + room, 0.5 * (high - low) + room], axis=1)
+    middle = vertices + np.stack([0 * size, 0 * size, 0.5 * (high + low)], axis=1)
+    slope = 1 / np.where(d == 0, 1e-300, d)[:, None, :]
+    centre, half = (middle - o[:, None, :]) * slope, np.abs(slope) * corners
+    first, last = (centre - half).max(axis=2), (centre + half).min(axis=2)
+    return np.where((first <= last) & (last >= 0), first, np.inf)
 
 
 def _stock_hit(
@@ -183,7 +209,7 @@ def onward(
     words, optics = table.optics.host_words[surface], table.optics.host_indices[surface]
     opaque = (words & OPAQUE) != 0
     # An opaque surface that reflects most of the light is a mirror whether it says so or not
-    reflects = ((words & MIRROR) != 0) | (opaque & ((words & 3) == IDEAL) & (optics[:, 2] > 0.5))
+    reflects = ((words & MIRROR) != 0) | table.optics.mostly_reflects[surface]
     from_front = np.einsum("ij,ij->i", d, normal) > 0
     eta = np.where(from_front, optics[:, 0] / optics[:, 1], optics[:, 1] / optics[:, 0])
     back, through, total = specular(d, normal, eta)

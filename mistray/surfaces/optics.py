@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -467,6 +467,14 @@ class Optics:
         # The kernel's own equations leave out k, an error of R of about k²
         exact = k * k <= TABLE_ERROR
         return FRESNEL if isinstance(bsdf.coating, Bare) and exact else TABLED
+
+    @cached_property
+    def mostly_reflects(self) -> np.ndarray:
+        """(s,) whether a surface is opaque and reflects more than half of the light, at normal incidence."""
+        found = np.zeros(len(self.bsdfs), dtype=bool)
+        for i in np.flatnonzero(self.host_words & OPAQUE):
+            found[i] = max(self.shares(i, from_front, np.ones(1))[0][0] for from_front in (True, False)) > 0.5
+        return found
 
     def attenuate(
         self, flux: mi.Float, medium: mi.UInt32, length: mi.Float, active: mi.Bool

@@ -29,7 +29,7 @@ from mistray.surfaces.bodies import Bodies
 from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.family_table import FamilyTable
 from mistray.surfaces.free_space import FreeSpace
-from mistray.surfaces.optics import ASPHERIC, DETECTOR, STOCK, WALL, Optics
+from mistray.surfaces.optics import ASPHERIC, DETECTOR, MIRROR, STOCK, WALL, Optics
 from mistray.surfaces.seams import WallRims, let_overlap
 from mistray.surfaces.shell_tree import ShellTree, many
 from mistray.surfaces.surface import Surface
@@ -127,6 +127,7 @@ class SurfaceTable:
         self.wavelength_nm = wavelength_nm
         self.interfaces = [_interface(shape) for shape in self.shapes]
         self.detectors = self._find_detectors(detector)
+        self._design_mirrors: frozenset[int] = frozenset()
         self._geometry(self.shapes[: len(analytic)])
         self._stock(self.shapes[len(analytic) :])
         self.detector_frames = {i: self._detector_frame(i) for i in self.detectors if i >= len(self.pieces)}
@@ -142,15 +143,21 @@ class SurfaceTable:
 
     def at(self, wavelength_nm: float) -> SurfaceTable:
         """The same surfaces at another wavelength; the geometry is shared."""
-        return self._changed(wavelength_nm, self.detectors)
+        return self._changed(wavelength_nm, self.detectors, self._design_mirrors)
 
     def on(self, detector: int) -> SurfaceTable:
         """The same surfaces with one of the detectors alone; the others are surfaces like others."""
-        return self if self.detectors == [detector] else self._changed(self.wavelength_nm, [detector])
+        if self.detectors == [detector]:
+            return self
+        return self._changed(self.wavelength_nm, [detector], self._design_mirrors)
 
-    def _changed(self, wavelength_nm: float, detectors: list[int]) -> SurfaceTable:
+    def with_mirrors(self, surfaces: frozenset[int]) -> SurfaceTable:
+        """The same surfaces with further mirrors: opaque ones where the design is reflected without a declaration."""
+        return self._changed(self.wavelength_nm, self.detectors, surfaces) if surfaces else self
+
+    def _changed(self, wavelength_nm: float, detectors: list[int], mirrors: frozenset[int]) -> SurfaceTable:
         other = copy(self)
-        other.wavelength_nm, other.detectors = wavelength_nm, detectors
+        other.wavelength_nm, other.detectors, other._design_mirrors = wavelength_nm, detectors, mirrors
         stokes = self.optics.stokes
         other.optics = Optics(self.ids, self.interfaces, other._flags(), self.bodies, wavelength_nm, stokes)
         return other
@@ -323,6 +330,7 @@ class SurfaceTable:
             flags[i] = (
                 (DETECTOR if i in self.detectors else 0)
                 | (STOCK if piece is None else 0)
+                | (MIRROR if i in self._design_mirrors else 0)
                 | (WALL if piece is not None and piece.wall else 0)
                 | (ASPHERIC if piece is not None and piece.searched else 0)
             )

@@ -10,6 +10,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.ids import check_id
+from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.path_events import EVENT_MASK, Events, distinct, event_text, way
 from mistray.recorders.path_key import EVENT_BITS, TRANSMITTED
 from mistray.trace.path_filter import named_like, unknown_name
@@ -93,7 +94,7 @@ def aliased(
     result = np.zeros((len(lists), int(short.max(initial=0))), dtype=np.uint32)
     for k, row in enumerate(lists):
         result[k, : len(row)] = row
-    events = Events(result, short, np.zeros(len(numbers), dtype=np.uint32))
+    events = Events(result, short, np.zeros(len(numbers), dtype=np.uint32), DesignSequences())
     text, letters = event_text(result, short, list(numbers))
     return (
         result,

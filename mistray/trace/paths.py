@@ -13,6 +13,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.ids import event_words
+from mistray.percent import percent_text
 from mistray.recorders.path_events import (
     DIRECT,
     INTERCEPTS,
@@ -35,11 +36,13 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from mistray.execute.tracer import Run
+    from mistray.recorders.design_sequences import DesignSequences
     from mistray.recorders.ledger import DecodedPaths
     from mistray.surfaces.surfaces import SurfaceTable
 
 ROWS_PRINTED = 20
 LABELLED_BY = ("detector", "events", "kind", "ghost_1", "ghost_2", "scatter_1", "scatters", "source", "wavelength_nm")
+IMAGE = 0.9  # share of the light of a detector by which one path may be an image that nobody has declared
 MOMENT_SUMS = [2, 3, 4, 5]  # of the ledger: absorbed, absorbed · x, absorbed · y, absorbed · (x² + y²)
 
 
@@ -70,12 +73,12 @@ class PathRow:
     order : int
         Ghost reflections: at refracting surfaces and at the detector; mirrors and total internal reflection apart.
     kind : str
-        "direct" (no reflection but at mirrors), "straight shot" (the same, past all optics or through an edge or bevel,
-        that is, a ``frustum``), "ghost", "structure" (specular reflections at opaque surfaces that are no mirror),
-        "structure+ghost", "TIR" (total internal reflections only); of paths that scatter "single scatter", "multiple
-        scatter", or, with specular reflections counted in ``ghost_1``, "ghost + scatter"; of paths that an edge
-        diffracts "edge diffraction", or, where it also scatters or is reflected so, "diffraction + others". Light that
-        the instrument itself emits has no source and no path here, see `mistray.analysis.thermal`.
+        "direct" (a sequence of the design, see docs/design_path.md), "straight shot" (any other sequence that reflects
+        nowhere but where the design does), "ghost", "structure" (specular reflections at opaque surfaces that are no
+        mirror), "structure+ghost", "TIR" (total reflection where the design has none); of paths that scatter "single
+        scatter", "multiple scatter", or, with specular reflections counted in ``ghost_1``, "ghost + scatter"; of paths
+        that an edge diffracts "edge diffraction", or, where it also scatters or is reflected so, "diffraction +
+        others". Light that the instrument itself emits has no source and no path here, see `mistray.analysis.thermal`.
     ghost_1, ghost_2 : str
         First and second surface that reflects specularly, mirrors and total internal reflection apart, or "-".
     scatter_1 : str
@@ -174,12 +177,13 @@ class PathRow:
 
 
 class RunPaths(NamedTuple):
-    """The ledger of one run: contents, start rays of its batches (BATCHES,), flux of a start ray (W), its surfaces."""
+    """The ledger of a run: contents, start rays by batch (BATCHES,), flux of a start ray (W), surfaces, design."""
 
     paths: DecodedPaths
     started: np.ndarray
     unit: float
     table: SurfaceTable
+    design: DesignSequences
 
 
 class PathTable(Sequence[PathRow]):
@@ -294,7 +298,7 @@ class PathTable(Sequence[PathRow]):
             ids = np.flatnonzero(self._run == number)
             columns = {name: column[ids] for name, column in self._columns.items() if name not in by_ray}
             place = self._place[ids]
-            held = wanted.bounds(rows_of(one.paths, place, one.table, columns, by_ray)).possible
+            held = wanted.bounds(rows_of(one, place, columns, by_ray)).possible
             found.append((ids[held], one.paths.slots[place[held]]))
         return found
 
@@ -486,14 +490,11 @@ class PathTable(Sequence[PathRow]):
 
 
 def rows_of(
-    paths: DecodedPaths,
-    place: np.ndarray,
-    table: SurfaceTable,
-    columns: Mapping[str, np.ndarray],
-    by_ray: frozenset[str] = frozenset(),
+    run: RunPaths, place: np.ndarray, columns: Mapping[str, np.ndarray], by_ray: frozenset[str] = frozenset()
 ) -> Rows:
-    """What a filter is asked about: the paths at these places of a ledger, with columns of as many rows."""
-    events = Events(paths.events[place], paths.lengths[place], table.event_words)
+    """What a filter is asked about: the paths at these places of the ledger of a run, with columns of as many rows."""
+    paths, table = run.paths, run.table
+    events = Events(paths.events[place], paths.lengths[place], table.event_words, run.design)
     return Rows(events, table.event_ids, table.event_parts, columns, table.count, by_ray)
 
 
@@ -501,12 +502,14 @@ def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTabl
     """The table of all paths of all runs; paths without a hit are left out."""
     import pandas as pd
 
-    of_runs = [RunPaths(paths, run.started, run.unit, run.table) for run, paths in zip(runs, decoded, strict=True)]
+    of_runs = [
+        RunPaths(paths, run.started, run.unit, run.table, run.design) for run, paths in zip(runs, decoded, strict=True)
+    ]
     parts, places, numbers = [], [], []
     for run, one in zip(runs, of_runs, strict=True):
         place = np.flatnonzero(one.paths.sums[:, :, 0].any(axis=1))
         facts = describe_events(
-            one.paths.events[place], one.paths.lengths[place], run.table.event_ids, run.table.event_words
+            one.paths.events[place], one.paths.lengths[place], run.table.event_ids, run.table.event_words, run.design
         )
         numbers.append(path_numbers([RunSums(one.paths.sums[place], one.started, one.unit)]))
         ends = one.paths.events[place, one.paths.lengths[place] - 1] >> EVENT_BITS
@@ -530,6 +533,25 @@ def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTabl
     columns["label"] = np.array(path_labels(pd.DataFrame({name: columns[name] for name in LABELLED_BY})), dtype=object)
     columns |= _percents(found.light[order], found.light.total())
     return PathTable(columns, of_runs, number[order], np.concatenate(places)[order], found[order])
+
+
+def undeclared_images(runs: Sequence[Run], paths: PathTable) -> list[str]:
+    """Notes on detectors without a design path whose light comes by one path that nothing scatters, but for a tenth."""
+    found = []
+    table, design = runs[0].table, runs[0].design
+    power, names = paths.column("power_W"), paths.column("detector")
+    for detector in table.detectors:
+        own = np.flatnonzero(names == table.ids[detector])
+        if design.lists.get(detector) or not len(own) or not power[own].sum() > 0:
+            continue
+        share, row = power[own[0]] / power[own].sum(), paths[int(own[0])]
+        words = event_words(row.events)[:-1]
+        if share > IMAGE and words and not row.scatters:
+            found.append(
+                f"detector '{row.detector}': no design path leads to it, and {percent_text(share)} of its light comes "
+                f'by {" ".join(words)}; if that is the image, declare design_path="{" ".join(words)}" at the detector'
+            )
+    return found
 
 
 def _percents(light: Sampled, of: Sampled) -> dict[str, np.ndarray]:

@@ -190,7 +190,7 @@ class _Search:
             | {"node": lengths, "detector_x_mm": place[:, 0], "detector_y_mm": place[:, 1]}
             | numbers,
         )
-        held = self._held(columns, Events(codes, lengths, self._run.table.event_words))
+        held = self._held(columns, Events(codes, lengths, self._run.table.event_words, self._run.design))
         kept = np.flatnonzero(held)
         return {name: values[kept] for name, values in columns.items()}, [rays[int(k)] for k in kept] if rays else []
 

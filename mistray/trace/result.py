@@ -29,7 +29,7 @@ from mistray.trace.aimed_rays import aimed_surfaces, silent_places
 from mistray.trace.energy import Energy, FluxReport, energy_ledger, flux_report
 from mistray.trace.history import Ray, RayHistory, read_rays
 from mistray.trace.path_filter import PathFilter
-from mistray.trace.paths import PathTable, path_table
+from mistray.trace.paths import PathTable, path_table, undeclared_images
 from mistray.trace.ray_sample import sample_rays
 from mistray.trace.ray_table import check_box, ray_table
 from mistray.trace.sampled_hits import PathHits, sampled_hits
@@ -69,8 +69,9 @@ class Trace:
         (Σ flux)²/Σ flux² of those hits: as many hits of equal flux would be as good.
     notes : list of str
         What a reader must know: gaps too thin for float32, see `mistray.surfaces.thin_gaps`, media that were taken as
-        opaque because no light gets through their bodies, that only a part of the rays was traced, and that the
-        detector gets no light of the sources at the field of their own, for which a scene is made.
+        opaque because no light gets through their bodies, that only a part of the rays was traced, that a detector has
+        no design path and gets nearly all of its light by one path, and that the detector gets no light of the sources
+        at the field of their own, for which a scene is made.
     aiming : list of AimedSurface
         Surfaces and media that aimed rays at targets.
     silent : list of SilentPlace
@@ -106,6 +107,7 @@ class Trace:
         self.notes += dict.fromkeys(text for run in runs for text in run.table.optics.notes)
         if self.rays_traced != self.rays_planned:
             self.notes.append(f"{self.rays_traced:.4g} of {self.rays_planned:.4g} rays were traced; errors are theirs")
+        self.notes += undeclared_images(runs, self._paths) if self._paths is not None else []
         self.aiming, self.silent = aimed_surfaces(runs), silent_places(runs)
         self.segments = round(sum(float(run.channels[SEGMENTS].sum()) for run in runs))
         self.seconds = sum(run.seconds for run in runs)

@@ -37,6 +37,7 @@ SIDES = (
     "front",
     "back",
     "mirror",
+    "design_path",
     "splitting",
     "scatter_rays",
     "wavelength_nm",
@@ -80,6 +81,9 @@ class Interface(mi.BSDF):
                                                ``edge_diffraction``, ``tabulated``; see docs/scatter.md
     mirror            bool            false    the design path reflects here: such a reflection is not counted
                                                as a ghost bounce
+    design_path       string          found    of a detector: the sequences of its direct image, where they are not
+                                               those that are found; ``L1:T L2:T fold:R``, alternatives of a step
+                                               joined by ``|``, sequences by ``;``; see docs/design_path.md
     splitting         string  split,  split    follow all children of a ray here, or one of them at random
                               one              (one in, one out; unbiased), whatever the trace does elsewhere
     scatter_rays      1       0 … 255 0        random scattered rays at every hit of the ray tree; 0: the setting of
@@ -123,6 +127,7 @@ class Interface(mi.BSDF):
         self._glasses = Glasses(props, _resolve)
         self.is_nested = False
         self.mirror = bool(props.get("mirror", False))
+        self.design_path = str(props.get("design_path", ""))
         splitting = str(props.get("splitting", "split"))
         if splitting not in ("split", "one"):
             raise MistrayError(f"{self.title}: splitting is '{splitting}'; use 'split' or 'one'")

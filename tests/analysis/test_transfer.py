@@ -20,7 +20,10 @@ from mistray.errors import MistrayError
 from mistray.physics import generalized_harvey_shack as ghs
 from mistray.physics.imaging import surface_transfer as formulas
 from mistray.physics.imaging.ideal import airy_encircled, circular_mtf
+from mistray.recorders.design_sequences import DesignKeys
+from mistray.sampling.design.search import design_sequences
 from mistray.scatter.abg import ABg
+from mistray.surfaces.surfaces import SurfaceTable
 
 RMS_NM, B_UM = 40.0, 400.0
 ROUGH = bsdf_xml("k_correlation", rms_nm=RMS_NM, B_um=B_UM, slope=3.0, theory="ghs_full", event="reflection")
@@ -129,6 +132,11 @@ def test_a_uniform_veil_lowers_contrast_at_all_but_the_lowest_frequencies(load_s
     assert found.contrast_factor.value == pytest.approx(floor.value, rel=1e-9)
 
 
+def design_of(scene):
+    table = SurfaceTable(scene, 550.0)
+    return DesignKeys(design_sequences(scene, table), table.detector)
+
+
 @pytest.mark.parametrize(
     ("name", "field"),
     [
@@ -140,7 +148,7 @@ def test_a_uniform_veil_lowers_contrast_at_all_but_the_lowest_frequencies(load_s
 )
 def test_the_classes_are_those_of_the_path_table(name, field):
     scene = mistray.load(name)
-    spread = ImageSpread("spread", (0.0, 0.0), 1e-3, 1e3, np.zeros((0, 2)))
+    spread = ImageSpread("spread", (0.0, 0.0), 1e-3, 1e3, np.zeros((0, 2)), design_of(scene))
     t = mistray.trace(scene, rays=1000, field_deg=field, max_reflections=2, max_scatters=1, recorders=[spread])
     kinds = t.paths.to_pandas().groupby("kind").power_W.sum()
     scatter = sum(value for kind, value in kinds.items() if "scatter" in kind)
@@ -163,7 +171,7 @@ def test_edges_that_diffract_are_a_class_of_their_own(load_scene):
             placed_xml("asphere", "detector", at=(0, 0, 50.0), pixels=8, semi_diameter=20.0),
         )
     )
-    spread = ImageSpread("spread", (0.0, 0.0), 1e-3, 1e2, np.zeros((0, 2)))
+    spread = ImageSpread("spread", (0.0, 0.0), 1e-3, 1e2, np.zeros((0, 2)), design_of(scene))
     t = mistray.trace(scene, rays=20_000, recorders=[spread])
     kinds = t.paths.to_pandas().groupby("kind").power_W.sum()
     assert float(spread.rings(3).total().value) == pytest.approx(float(kinds["edge diffraction"]), rel=1e-6)

@@ -159,7 +159,7 @@ class TestBareDetector:
 
     def test_light_that_meets_nothing_is_the_image(self, load_scene) -> None:
         trace = traced(load_scene(bare()), HEMISPHERE)
-        assert not trace.has_optics
+        assert trace.design.lists == {trace.table.detector: ((),)}
         assert np.all(trace.sums["cells"][0].sum(axis=(1, 2)) > 0)
         assert not trace.sums["cells"][1:].any()
 

@@ -12,6 +12,7 @@ import pytest
 from oracles.scatter_scenes import beam_xml, placed_xml, scatter_scene
 
 from mistray import MistrayError
+from mistray.recorders.design_sequences import DesignKeys, DesignSequences
 from mistray.recorders.direction_recorder import DirectionRecorder
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.recorder import Departure
@@ -175,7 +176,7 @@ def test_facts_come_back() -> None:
 
 def device_cells(grid: DirectionGrid, d: np.ndarray) -> np.ndarray:
     """Cells of rays along d by the kernel; -1: none."""
-    sky = DirectionRecorder(grid)
+    sky = DirectionRecorder(grid, DesignKeys(DesignSequences(), 0))
     cell, inside = sky.cell(mi.Vector3f(*np.ascontiguousarray(d.T, dtype=np.float32)))
     return np.where(np.array(inside), np.array(cell).astype(np.int64), -1)
 
@@ -250,14 +251,14 @@ def test_azimuth_is_that_of_a_source(load_scene) -> None:
 def test_sums_are_booked_once() -> None:
     """Each ray is counted either in its cell or elsewhere, in its batch."""
     grid = DirectionGrid.of([20.0], cell_deg=20.0)
-    sky = DirectionRecorder(grid)
+    sky = DirectionRecorder(grid, DesignKeys(DesignSequences(), 0))
     theta = np.radians([15.0, 25.0, 50.0])
     d = mi.Vector3f(*(-np.stack([np.sin(theta), 0 * theta, np.cos(theta)])).astype(np.float32))
     zero, yes = dr.zeros(mi.UInt32, 3), dr.full(mi.Bool, True, 3)
     start: Any = type("Start", (), {"batch": mi.UInt32([0, 5, 6])})()
-    no, key, weight = dr.full(mi.Bool, False, 3), dr.zeros(mi.UInt64, 3), mi.Float([1.0, 2.0, 4.0])
+    key, weight = dr.zeros(mi.UInt64, 3), mi.Float([1.0, 2.0, 4.0])
     scatters = mi.UInt32([0, 1, 1])
-    sky.depart(Departure(start, d, weight, zero, scatters, no, key, zero, lambda k, _: k, yes), {})
+    sky.depart(Departure(start, d, weight, zero, scatters, key, zero, lambda k, _: k, yes), {})
     found = sky.read()
     assert found["cells"].sum() == 3.0
     assert found["elsewhere"][6] == found["elsewhere"].sum() == 4.0

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.ledger import SUMS, DecodedPaths
 from mistray.recorders.path_events import LETTERS
 from mistray.recorders.path_key import EVENT_BITS, host_keys
@@ -32,6 +33,15 @@ def encode(lists: Sequence[str], ids: Sequence[str]) -> tuple[np.ndarray, np.nda
     return events, lengths
 
 
+def design_of(surfaces: Mapping[str, int], *sequences: str) -> DesignSequences:
+    """Sequences of a design from texts such as "L1_front:T detector:A"."""
+    events, lengths = encode(sequences, list(surfaces))
+    lists: dict[int, list[tuple[int, ...]]] = {}
+    for row, length in zip(events.tolist(), lengths.tolist(), strict=True):
+        lists.setdefault(row[length - 1] >> EVENT_BITS, []).append(tuple(row[: length - 1]))
+    return DesignSequences({detector: tuple(found) for detector, found in lists.items()})
+
+
 def hit_sums(
     batch: np.ndarray, absorbed: np.ndarray, x: np.ndarray, y: np.ndarray, incident: np.ndarray | None = None
 ) -> np.ndarray:
@@ -55,8 +65,13 @@ def fake_run(
     rays: int = 32_000,
     name: str = "source",
     wavelength_nm: float = 550.0,
+    design: Sequence[str] = (),
 ) -> SimpleNamespace:
-    """The attributes of a run that the path table reads; `surfaces` are the bits of the surfaces by their names."""
+    """
+    The attributes of a run that the path table reads.
+
+    `surfaces` are the bits of the surfaces by their names, `design` the sequences of the direct image.
+    """
     words = np.array(list(surfaces.values()), dtype=np.uint32)
     return SimpleNamespace(
         source=SimpleNamespace(name=name, wavelength_nm=wavelength_nm),
@@ -69,4 +84,5 @@ def fake_run(
         started=np.full(BATCHES, rays / BATCHES),
         unit=unit,
         paths=paths,
+        design=design_of(surfaces, *design),
     )

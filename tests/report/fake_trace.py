@@ -104,6 +104,7 @@ class FakeTrace:
                     decoded(events, lengths, np.reshape(sums, (-1, BATCHES, SUMS))),
                     rays=START_RAYS,
                     wavelength_nm=line,
+                    design=[f"{LENS} detector:A"],
                 )
             )
         table = path_table(runs, [run.paths for run in runs])

@@ -192,11 +192,6 @@ def test_views_of_a_window_and_of_a_deep_surface(load_scene) -> None:
     assert max(views.values()) < 0.05  # (1/18)² on average: more than 6 of 128 rays in 1e-6 of all cases
 
 
-def test_optics_are_told_from_structure(load_scene) -> None:
-    assert exits_of(mistray.load("cooke_triplet"))[1].has_optics
-    assert not exits_of(load_scene(tube()))[1].has_optics
-
-
 @pytest.mark.parametrize("name", ["cooke_triplet", "newtonian"])
 def test_light_at_the_detector(name: str) -> None:
     scene = mistray.load(name)
@@ -236,7 +231,6 @@ def test_without_a_path(load_scene, beam: str) -> None:
     """A detector that no design light reaches starts towards what it sees of the outside."""
     table, found = exits_of(load_scene(tube(length=2.5, beam=beam)))
     assert found.light is None
-    assert not found.has_optics
     (target,) = found.start.targets
     assert target.shape == "ellipse"
     assert target.centre[2] < 0

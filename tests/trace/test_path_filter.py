@@ -9,6 +9,7 @@ import pytest
 from report.fake_ledger import EDGE, GLASS, REFLECTOR, RING, SENSOR, STRUCTURE, encode
 
 import mistray
+from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.path_events import Events, describe_events
 from mistray.trace.path_filter import PathFilter, Rows
 
@@ -48,10 +49,17 @@ def rows() -> Rows:
         safe = " ".join(f"{ids.index(name)}:{what}" for name, what in row)
         (found,), _ = encode([safe], [str(n) for n in range(len(ids))])
         codes[k, : len(found)] = found
-    facts = describe_events(codes, lengths, ids, words.astype(np.uint32))
+    facts = describe_events(codes, lengths, ids, words.astype(np.uint32), DesignSequences())
     power = np.random.default_rng(4).random(len(LISTS))
     columns = facts | {"power_W": power, "source": np.array(["sun", "moon"] * (len(LISTS) // 2), dtype=object)}
-    return Rows(Events(codes, lengths, words.astype(np.uint32)), ids, PARTS, columns, 7, frozenset({"flux_W"}))
+    return Rows(
+        Events(codes, lengths, words.astype(np.uint32), DesignSequences()),
+        ids,
+        PARTS,
+        columns,
+        7,
+        frozenset({"flux_W"}),
+    )
 
 
 def held(text: str, rows: Rows) -> list[bool]:

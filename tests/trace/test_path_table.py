@@ -13,6 +13,7 @@ from report.fake_ledger import (
     SENSOR,
     STRUCTURE,
     decoded,
+    design_of,
     encode,
     fake_run,
     hit_sums,
@@ -34,10 +35,18 @@ SURFACES = {
 }
 
 
+DESIGN = design_of(
+    SURFACES,
+    "L1_front:T L1_rear:T detector:A",
+    "primary:R detector:A",
+    "L1_front:T L1_rear:T primary:R L1_edge:I detector:A",
+)
+
+
 def facts(*lists: str) -> list[dict]:
     """The classification of event lists, one dictionary for each."""
     words = np.array(list(SURFACES.values()), dtype=np.uint32)
-    columns = describe_events(*encode(lists, list(SURFACES)), list(SURFACES), words)
+    columns = describe_events(*encode(lists, list(SURFACES)), list(SURFACES), words, DESIGN)
     return [{name: column[k] for name, column in columns.items()} for k in range(len(lists))]
 
 
@@ -47,6 +56,11 @@ def facts(*lists: str) -> list[dict]:
         ("L1_front:T L1_rear:T detector:A", "direct"),
         ("primary:R detector:A", "direct"),
         ("detector:A", "straight shot"),
+        ("L1_rear:T detector:A", "straight shot"),
+        ("primary:R L1_front:T L1_rear:T detector:A", "straight shot"),
+        ("L1_front:T L1_rear:T primary:R L1_edge:I detector:A", "direct"),
+        ("L1_edge:I detector:A", "straight shot"),
+        ("L1_edge:R detector:A", "straight shot"),
         ("L1_front:T L1_edge:T detector:A", "straight shot"),
         ("L1_front:I detector:A", "TIR"),
         ("L1_front:T detector:R L1_rear:R detector:A", "ghost"),
@@ -107,7 +121,7 @@ def test_a_list_is_read_to_its_end_and_no_further() -> None:
     events, lengths = encode(["L1_front:T L1_rear:T detector:A", long], list(SURFACES))
     events[0, 3:] = events[1, 3:]
     words = np.array(list(SURFACES.values()), dtype=np.uint32)
-    columns = describe_events(events, lengths, list(SURFACES), words)
+    columns = describe_events(events, lengths, list(SURFACES), words, DESIGN)
     assert {name: column[0] for name, column in columns.items()} == alone
 
 

@@ -14,6 +14,7 @@ from mistray.execute.by_parts import SceneTask, tables_of
 from mistray.execute.tracer import Run, image
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
+from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.direction_recorder import CLASSES
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.film import Film, groups_of
@@ -21,13 +22,12 @@ from mistray.recorders.path_events import DIRECT, describe_events, way
 from mistray.recorders.path_key import host_keys
 from mistray.recorders.sampled import batch_error
 from mistray.recorders.tallies import SCATTERED_FLUX, SEGMENTS
-from mistray.sampling.design_path import find_design_path
+from mistray.sampling.design.search import design_sequences, traced_table
 from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.outlines import detector_area
 from mistray.sampling.plane_wave import Entrance, PlaneWaves, hull_points
 from mistray.settings import BATCHES, Settings
 from mistray.surfaces.intersect import Intersector
-from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import time_is_up
 
 if TYPE_CHECKING:
@@ -70,8 +70,8 @@ class Ways:
         Names of the places of events.
     words : (s,) uint32
         Their bits, see `mistray.recorders.path_events.describe_events`.
-    has_optics : bool
-        Whether the scene images by lenses or mirrors; if not, light that meets nothing is the direct image.
+    design : DesignSequences
+        The sequences of the direct image.
 
     Attributes
     ----------
@@ -79,11 +79,11 @@ class Ways:
         Number of each way's class within `CLASSES`.
     """
 
-    def __init__(self, ids: Sequence[str], words: np.ndarray, has_optics: bool) -> None:
-        self._ids, self._words, self._has_optics = ids, words, has_optics
+    def __init__(self, ids: Sequence[str], words: np.ndarray, design: DesignSequences) -> None:
+        self._ids, self._words, self._design = ids, words, design
         self._numbers: dict[int, int] = {}
         # Of no way first: a scene may be dark
-        self._facts = [describe_events(np.zeros((0, 1), np.uint32), np.zeros(0, np.int64), ids, words)]
+        self._facts = [describe_events(np.zeros((0, 1), np.uint32), np.zeros(0, np.int64), ids, words, design)]
         self.classes = np.zeros(0, dtype=np.int64)
 
     def __len__(self) -> int:
@@ -95,9 +95,7 @@ class Ways:
         keys, first, place = np.unique(host_keys(ways, lengths), return_index=True, return_inverse=True)
         new = [k for k, key in enumerate(keys.tolist()) if key not in self._numbers]
         if new:
-            facts = describe_events(ways[first[new]], lengths[first[new]], self._ids, self._words)
-            if not self._has_optics:
-                facts["kind"][lengths[first[new]] == 1] = DIRECT
+            facts = describe_events(ways[first[new]], lengths[first[new]], self._ids, self._words, self._design)
             self._numbers |= {int(keys[k]): len(self._numbers) + n for n, k in enumerate(new)}
             self._facts.append(facts)
             self.classes = np.concatenate([self.classes, _classes(facts)])
@@ -282,7 +280,7 @@ class ForwardCells:
     ) -> None:
         self.settings, self.grid, self.entrance = settings, grid, entrance
         self.wavelengths_nm, self.shares = spectrum
-        self.table = SurfaceTable(scene, float(self.wavelengths_nm[0]), detector, settings.stokes)
+        self.table = traced_table(scene, float(self.wavelengths_nm[0]), detector, settings.stokes)
         self.area = detector_area(self.table)
         width, height, self.extent = self.table.film()
         pixels = max(map_pixels, 1) / max(width, height)
@@ -308,9 +306,8 @@ class ForwardCells:
                     map_size=self._map_size,
                 )
             )
-        path = find_design_path(self.table, scene)
-        has_optics = path is not None and path.has_optics
-        self._ways = Ways(self.table.event_ids, self.table.event_words, has_optics)
+        design = design_sequences(scene, *(run.table for run in self._runs), free=True)
+        self._ways = Ways(self.table.event_ids, self.table.event_words, design)
         self.progress: Callable[[CellPass, int, float], None] | None = None
 
     @property

@@ -9,7 +9,7 @@ import numpy as np
 
 from mistray.analysis.pst.forward_part import ForwardPart
 from mistray.execute.backward import BackwardTrace
-from mistray.recorders.path_events import DIRECT, describe_events
+from mistray.recorders.path_events import describe_events
 from mistray.recorders.path_key import ABSORBED, EVENT_BITS, host_keys
 
 if TYPE_CHECKING:
@@ -90,10 +90,7 @@ class FoundPaths:
     def _describe(self, trace: BackwardTrace, paths: np.ndarray) -> dict[str, np.ndarray]:
         """The columns of `describe_events` of some paths."""
         table, lengths = trace.table, self.lengths[paths]
-        facts = describe_events(self.events[paths], lengths, table.event_ids, table.event_words)
-        if not trace.has_optics:  # light that meets nothing is the image then
-            facts["kind"][lengths == 1] = DIRECT
-        return facts
+        return describe_events(self.events[paths], lengths, table.event_ids, table.event_words, trace.design)
 
     def one_sided(self, trace: BackwardTrace) -> list[dict[str, Any]]:
         """The strongest paths that rays of one direction alone have met."""

@@ -10,15 +10,14 @@ import mitsuba as mi
 import numpy as np
 import numpy.typing as npt
 
-from mistray.kernel.interaction import is_off_design
+from mistray.recorders.design_sequences import DesignKeys
 from mistray.recorders.passing.cells import PassingLight
 from mistray.recorders.path_key import COUNT_MASK, NOT_DIFFRACTED
-from mistray.recorders.recorder import Branch, Memory, Visit
+from mistray.recorders.recorder import Memory, Visit
 from mistray.recorders.sampled import Sampled
 
 if TYPE_CHECKING:
     from mistray.kernel.kernel_scene import KernelScene
-    from mistray.recorders.start_rays import StartRays
 
 CLASSES = ("direct", "ghosts", "scatter", "diffraction")
 """Direct image; unscattered light by other ways, such as ghosts and glints; scattered light; light that edges diffract,
@@ -26,7 +25,6 @@ otherwise on the way of the direct image."""
 DIRECT, GHOSTS, SCATTER, DIFFRACTION = range(4)
 
 PER_OCTAVE = 16  # rings: the mean radius of the light of a ring of a falling profile is then right to 0.1 %
-_OFF = "image spread, off design"
 
 
 class ImageSpread(PassingLight):
@@ -47,6 +45,8 @@ class ImageSpread(PassingLight):
         between them.
     frequencies : (m, 2) float64
         ν, 1/mm, along x and y of the detector.
+    design : DesignKeys
+        The sequences of the direct image.
 
     Attributes
     ----------
@@ -63,18 +63,20 @@ class ImageSpread(PassingLight):
         first_mm: float,
         last_mm: float,
         frequencies: npt.NDArray[np.float64],
+        design: DesignKeys,
     ) -> None:
         count = int(np.ceil(PER_OCTAVE * np.log2(last_mm / first_mm))) + 1
         self.edges_mm = np.concatenate([[0.0], first_mm * 2.0 ** (np.arange(count + 1) / PER_OCTAVE)])
         self._rings, self._waves = count + 1, len(frequencies)
         self._point, self._first, self._frequencies = point_mm, first_mm, np.asarray(frequencies, dtype=np.float64)
         self.by_line: dict[float, Sampled] = {}
+        self._design = design
         super().__init__(name, len(CLASSES) * (self._rings + 2 * self._waves))
 
     @property
     def code(self) -> Hashable:
         """See `Recorder.code`."""
-        return type(self).__name__, self._waves > 0
+        return type(self).__name__, self._waves > 0, self._design.code
 
     def attach(self, scene: KernelScene) -> None:
         """Begin at zero."""
@@ -91,23 +93,10 @@ class ImageSpread(PassingLight):
         """See `Recorder.by_ray`; every path starts the same."""
         return False
 
-    def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
-        """Remember by depth whether the light has left the way of the direct image."""
-        n = dr.width(start.lane)
-        memory[_OFF] = dr.alloc_local(mi.UInt32, max_events + 1)  # local arrays of mi.Bool do not compile on LLVM
-        memory[_OFF].write(dr.full(mi.UInt32, 0, n), dr.full(mi.UInt32, 0, n))
-
-    def branch(self, branch: Branch, memory: Memory) -> None:
-        """See `mistray.kernel.interaction.is_off_design`."""
-        off = memory[_OFF].read(branch.depth, branch.active)
-        off |= dr.select(is_off_design(branch.interaction, branch.reflect), mi.UInt32(1), 0)
-        memory[_OFF].write(off, branch.depth + 1, branch.active)
-
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Add light that a detector absorbs."""
         here, state = visit.counted, visit.state
-        turned = (state["reflections"] > 0) | (visit.depth == 0) | (memory[_OFF].read(visit.depth, here) > 0)
-        kind = dr.select(turned, mi.UInt32(GHOSTS), DIRECT)
+        kind = dr.select(self._design.hold(state["key"], False), mi.UInt32(DIRECT), GHOSTS)
         if visit.scatters:
             word = state["scatters"]
             spread = (word & COUNT_MASK) > 0

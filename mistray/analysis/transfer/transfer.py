@@ -21,6 +21,8 @@ from mistray.analysis.transfer.result import AZIMUTHS, FieldTransfer, Transfer
 from mistray.errors import MistrayError
 from mistray.percent import percent_text
 from mistray.ranges import NOT_NEGATIVE
+from mistray.recorders.design_sequences import DesignKeys, DesignSequences
+from mistray.sampling.design.search import design_sequences, traced_table
 from mistray.sampling.sources import scene_sources
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.trace import Settings, Trace, trace
@@ -115,10 +117,11 @@ def transfer(
         if given:
             raise MistrayError(f"quality and {given[0]} are given; the former has its own, leave out one of the two")
         found = quality
-    table = SurfaceTable(scene, float(found.wavelengths_nm[0]), detector)
+    table = traced_table(scene, float(found.wavelengths_nm[0]), detector)
     if len(table.detectors) > 1:
         ids = ", ".join(table.ids[k] for k in table.detectors)
         raise MistrayError(f"the scene has several detectors; give detector, one of {ids}")
+    design = design_sequences(scene, *(table.at(float(nm)) for nm in found.wavelengths_nm))
     extent = table.film()[2]
     frequencies = _frequencies(found, extent, frequencies_per_mm)
     if pixels is not None:
@@ -127,7 +130,7 @@ def transfer(
     for number, image in enumerate(found):
         if progress:
             progress(number, len(found))
-        fields.append(_field(scene, found, image, table, frequencies, pixels, settings))
+        fields.append(_field(scene, found, image, table, design, frequencies, pixels, settings))
     if progress:
         progress(len(found), len(found))
     used = fields[0][1].settings
@@ -146,6 +149,7 @@ def _field(
     quality: ImageQuality,
     image: FieldImage,
     table: SurfaceTable,
+    design: DesignSequences,
     frequencies: np.ndarray,
     pixels: PixelResponse | None,
     settings: dict[str, Any],
@@ -161,7 +165,8 @@ def _field(
     )
     nu = np.concatenate([frequencies[:, None] * direction for direction in axes])
     airy = image.airy_diameter_mm()
-    spread = ImageSpread("image spread", (float(origin[0]), float(origin[1])), FINEST * airy, last, nu)
+    point = float(origin[0]), float(origin[1])
+    spread = ImageSpread("image spread", point, FINEST * airy, last, nu, DesignKeys(design, table.detector))
     where: dict[str, Any] = {"field_mm": image.field_mm} if quality.near else {"field_deg": image.field_deg}
     t = trace(
         scene,

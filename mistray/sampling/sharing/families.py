@@ -13,6 +13,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.recorders.design_sequences import DesignKeys
 from mistray.recorders.direction_recorder import CLASS_COUNT, class_of_arrival, class_of_departure
 from mistray.recorders.path_key import FAMILIES, family_of
 from mistray.recorders.recorder import Departure, Visit
@@ -99,24 +100,24 @@ class FamilyShares:
     ----------
     shares : (CLASS_COUNT, FAMILIES, c) float32
         Of rays with the light, see `FamilyVariances.shares`.
-    has_optics : bool
-        Whether light must pass a lens or a mirror to be part of the direct image.
+    design : DesignKeys
+        The sequences of the direct image.
     """
 
-    def __init__(self, shares: np.ndarray, has_optics: bool) -> None:
+    def __init__(self, shares: np.ndarray, design: DesignKeys) -> None:
         self._shares, self._cells = upload(mi.Float, shares.ravel()), dr.opaque(mi.UInt32, shares.shape[-1])
-        self._has_optics = has_optics
+        self._design = design
 
     def against(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> PathShares:
         """See `mistray.recorders.weighing.Weighing`."""
         family = family_of(departure.event, departure.length, departure.start, active)
-        return self._of(class_of_departure(departure, self._has_optics), family, cell, active)
+        return self._of(class_of_departure(departure, self._design), family, cell, active)
 
     def along(self, visit: Visit) -> PathShares:
         """See `mistray.recorders.weighing.Weighing`."""
         assert visit.start.cell is not None
         family = family_of(visit.event, visit.depth, visit.start, visit.detected)
-        return self._of(class_of_arrival(visit, self._has_optics), family, visit.start.cell, visit.detected)
+        return self._of(class_of_arrival(visit, self._design), family, visit.start.cell, visit.detected)
 
     def _of(self, kind: mi.UInt32, family: mi.UInt32, cell: mi.UInt32, active: mi.Bool) -> PathShares:
         along = dr.gather(mi.Float, self._shares, (kind * FAMILIES + family) * self._cells + cell, active)

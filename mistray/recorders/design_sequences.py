@@ -1,0 +1,124 @@
+"""The sequences of events by which light forms the direct image, and whether a path is one of them.
+
+A path is told by the key of its events, see `mistray.recorders.path_key`, on the host and in the kernel alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.recorders.path_key import EVENT_BITS, REFLECTED, TOTAL, host_keys
+from mistray.surfaces.upload import upload
+
+Sequences = tuple[tuple[int, ...], ...]
+"""Event lists (surface << EVENT_BITS | what), in the order of the light, without the absorption at their ends."""
+
+
+@dataclass(frozen=True)
+class DesignSequences:
+    """
+    The sequences of the design, by detector; all other light is stray light.
+
+    Attributes
+    ----------
+    lists : mapping of int to Sequences
+        Detector → its sequences; a detector without any has no direct image.
+    """
+
+    lists: Mapping[int, Sequences] = field(default_factory=dict)
+
+    def keys(self, detector: int, backward: bool = False) -> np.ndarray:
+        """(n,) uint64, ascending: keys of the sequences of a detector, of rays along the light or against it."""
+        return np.unique(_keys([one[::-1] if backward else one for one in self.lists.get(detector, ())]))
+
+    def reflectors(self, detector: int) -> frozenset[int]:
+        """Surfaces where a sequence of a detector is reflected, totally or not."""
+        kinds = (REFLECTED, TOTAL)
+        codes = {code for one in self.lists.get(detector, ()) for code in one}
+        return frozenset(code >> EVENT_BITS for code in codes if code & ((1 << EVENT_BITS) - 1) in kinds)
+
+    def direct(self, events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+        """
+        Whether paths are those of the direct image.
+
+        Parameters
+        ----------
+        events : (p, k) uint32
+            Lists with the absorption in the detector at their ends, filled up.
+        lengths : (p,) int
+            Number of events of each, at least 1.
+
+        Returns
+        -------
+        (p,) bool
+        """
+        found = np.zeros(len(events), dtype=bool)
+        ends = self.ends(events, lengths)
+        for detector in self.lists:
+            here = np.flatnonzero(ends == detector)
+            found[here] = np.isin(host_keys(events[here], lengths[here] - 1), self.keys(detector))
+        return found
+
+    def reflects(self, events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+        """(p, k) whether an event is at a surface where a sequence of the detector of its path is reflected."""
+        found = np.zeros(events.shape, dtype=bool)
+        ends = self.ends(events, lengths)
+        for detector in self.lists:
+            here = np.flatnonzero(ends == detector)
+            found[here] = np.isin(events[here] >> EVENT_BITS, list(self.reflectors(detector)))
+        return found
+
+    @staticmethod
+    def ends(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+        """(p,) the places of the last events."""
+        return np.asarray(events[np.arange(len(events)), np.maximum(lengths - 1, 0)] >> EVENT_BITS)
+
+
+class DesignKeys:
+    """
+    The sequences of one detector in the kernel.
+
+    Parameters
+    ----------
+    sequences : DesignSequences
+    detector : int
+    """
+
+    def __init__(self, sequences: DesignSequences, detector: int) -> None:
+        self._host = [sequences.keys(detector, backward) for backward in (False, True)]
+
+    @cached_property
+    def _device(self) -> list[mi.UInt64]:
+        # Filled up to a power of two with the last key, so that few numbers of sequences make kernels of their own
+        return [upload(mi.UInt64, np.concatenate([k, np.full(self._room - len(k), k[-1])])) for k in self._host]
+
+    @property
+    def _room(self) -> int:
+        return 1 << (len(self._host[0]) - 1).bit_length() if len(self._host[0]) else 0
+
+    @property
+    def code(self) -> Hashable:
+        """What a kernel that asks hangs on."""
+        return self._room
+
+    def hold(self, key: mi.UInt64, backward: bool) -> mi.Bool:
+        """Whether unscattered light that has these events goes by one of the sequences."""
+        if not self._room:
+            return dr.full(mi.Bool, False, dr.width(key))
+        keys = self._device[backward]
+        place = dr.binary_search(0, self._room - 1, lambda k: dr.gather(mi.UInt64, keys, k) < key)
+        return dr.gather(mi.UInt64, keys, mi.UInt32(place)) == key
+
+
+def _keys(lists: list[tuple[int, ...]]) -> np.ndarray:
+    lengths = np.array([len(one) for one in lists], dtype=np.int64)
+    events = np.zeros((len(lists), max(int(lengths.max(initial=0)), 1)), dtype=np.uint32)
+    for row, one in enumerate(lists):
+        events[row, : len(one)] = one
+    return host_keys(events, lengths)

@@ -1,0 +1,169 @@
+"""Probe rays of a source that follow the design: reflected at mirrors and totally, transmitted elsewhere.
+
+At a beam splitter, a coated surface of which both shares are at least `SPLITS`, a probe goes both ways.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, fields
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.coatings import Bare
+from mistray.recorders.path_key import EVENT_BITS, REFLECTED, TOTAL, TRANSMITTED
+from mistray.sampling.source import SceneSource
+from mistray.surfaces.host_rays import first_hit, onward, specular
+from mistray.surfaces.optics import MIRROR, OPAQUE
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.upload import upload
+
+MOST_STEPS = 64
+SPLITS = 0.1  # least R and least T of a beam splitter
+MOST_SPLIT = 4  # probes for one that starts, by beam splitters
+
+Order = tuple[int, ...]
+"""Codes (surface << EVENT_BITS | what) of the events of a probe before the detector."""
+
+
+@dataclass(frozen=True)
+class _Hits:
+    """Hits of one step: lanes, surfaces, what happened, points, normals, directions before and after."""
+
+    lane: np.ndarray
+    surface: np.ndarray
+    reflects: np.ndarray
+    point: np.ndarray
+    normal: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+
+
+class Probes:
+    """
+    Probes of a source, from their starts to where they end.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+        Probes end at its detectors.
+    source : SceneSource
+    count : int
+        Probes that start.
+    """
+
+    def __init__(self, table: SurfaceTable, source: SceneSource, count: int) -> None:
+        sample = mi.Point2f(*(upload(mi.Float, v) for v in np.random.default_rng(0).random((2, count))))
+        self.start = source.probes(sample)
+        most = MOST_SPLIT * count
+        o, d = (np.concatenate([vectors, np.zeros((most - count, 3))]) for vectors in self.start)
+        last = np.full(most, table.ids.index(source.shape) if source.shape else -1)
+        self.ray, self._parent = np.arange(most), np.full(most, -1)
+        self._codes = np.zeros((most, MOST_STEPS), dtype=np.uint32)
+        self._lengths, self.end = np.zeros(most, dtype=np.int64), np.full(most, -1)
+        self._steps: list[_Hits] = []
+        alive, lanes = np.arange(count), count
+        for number in range(MOST_STEPS):
+            surface, p, normal = first_hit(table, o[alive], d[alive], last[alive])
+            alive, p, normal, surface = (values[surface >= 0] for values in (alive, p, normal, surface))
+            before = d[alive]
+            after, what = _next(table, surface, before, normal)
+            ends = np.isin(surface, table.detectors)
+            after[ends] = 0.0
+            hits = _Hits(alive, surface, what != TRANSMITTED, p, normal, before, after)
+            split = np.flatnonzero(~ends & _splits(table, surface, before, normal))[: most - lanes]
+            if len(split):
+                new = lanes + np.arange(len(split))
+                lanes += len(split)
+                for values in (o, d, last, self.ray, self._codes):
+                    values[new] = values[alive[split]]
+                self._parent[new] = alive[split]
+                hits, what = _with_others(table, hits, what, split, new)
+                alive, ends = hits.lane, np.concatenate([ends, np.zeros(len(split), dtype=bool)])
+            self._steps.append(hits)
+            self._codes[alive, number] = (hits.surface << EVENT_BITS) | what
+            self._lengths[alive] = number
+            self.end[alive[ends]] = hits.surface[ends]
+            o[alive], d[alive], last[alive] = hits.point, hits.after, hits.surface
+            alive = alive[~ends & np.isfinite(hits.after[:, 0])]
+            if not len(alive):
+                break
+
+    def orders(self, detector: int) -> Counter[Order]:
+        """The orders of events by which probes come to a detector, and how many of them."""
+        arrived = np.flatnonzero(self.end == detector)
+        return Counter(tuple(self._codes[k, : self._lengths[k]].tolist()) for k in arrived)
+
+    def taking(self, order: Order, detector: int) -> np.ndarray:
+        """Lanes of the probes that come to a detector in that order."""
+        codes = np.array(order, dtype=np.uint32)
+        same = (self.end == detector) & (self._lengths == len(codes))
+        return np.flatnonzero(same & np.all(self._codes[:, : len(codes)] == codes, axis=1))
+
+    def steps(self, lane: int) -> list[tuple[int, bool, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """Surface, whether it reflects, point, normal and the directions before and after, of each hit of a probe."""
+        found = []
+        for hits in self._steps[int(self._lengths[lane]) :: -1]:
+            if lane not in hits.lane:
+                lane = int(self._parent[lane])
+            k = int(np.argmax(hits.lane == lane))
+            found.append(
+                (
+                    int(hits.surface[k]),
+                    bool(hits.reflects[k]),
+                    hits.point[k],
+                    hits.normal[k],
+                    hits.before[k],
+                    hits.after[k],
+                )
+            )
+        return found[::-1]
+
+    def first_points(self, lanes: np.ndarray) -> np.ndarray:
+        """(n, 3) first hits of probes, mm."""
+        first = self._steps[0]
+        points = np.full((len(self.start[0]), 3), np.nan)
+        own = first.lane < len(points)
+        points[first.lane[own]] = first.point[own]
+        return points[self.ray[lanes]]
+
+
+def _next(table: SurfaceTable, surface: np.ndarray, d: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Directions after hits, NaN where a ray ends, and what happens there."""
+    after, reflects = onward(table, surface, d, normal)
+    words = table.optics.host_words[surface]
+    total = reflects & ((words & (OPAQUE | MIRROR)) == 0)
+    return after, np.select([total, reflects], [TOTAL, REFLECTED], TRANSMITTED).astype(np.uint32)
+
+
+def _splits(table: SurfaceTable, surface: np.ndarray, d: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Whether hits are at beam splitters."""
+    found = np.zeros(len(surface), dtype=bool)
+    optics = table.optics
+    along = np.einsum("ij,ij->i", d, normal)
+    for number in np.unique(surface).tolist():
+        if optics.host_words[number] & OPAQUE or isinstance(optics.bsdfs[number].coating, Bare):
+            continue
+        for from_front in (True, False):
+            here = np.flatnonzero((surface == number) & ((along > 0) == from_front))
+            if len(here):
+                R, T = optics.shares(number, from_front, np.abs(along[here]))
+                found[here] = np.minimum(R, T) >= SPLITS
+    return found
+
+
+def _with_others(
+    table: SurfaceTable, hits: _Hits, what: np.ndarray, split: np.ndarray, new: np.ndarray
+) -> tuple[_Hits, np.ndarray]:
+    """Hits of a step with those of the probes that go the other way at beam splitters."""
+    n = table.optics.host_indices[hits.surface[split], :2]
+    before, normal = hits.before[split], hits.normal[split]
+    from_front = np.einsum("ij,ij->i", before, normal) > 0
+    reflected, transmitted, _ = specular(before, normal, np.where(from_front, n[:, 0] / n[:, 1], n[:, 1] / n[:, 0]))
+    reflects = ~hits.reflects[split]
+    after = np.where(reflects[:, None], reflected, transmitted)
+    others = np.where(reflects, REFLECTED, TRANSMITTED).astype(np.uint32)
+    added = new, hits.surface[split], reflects, hits.point[split], normal, before, after
+    both = (np.concatenate([getattr(hits, f.name), one]) for f, one in zip(fields(_Hits), added, strict=True))
+    return _Hits(*both), np.concatenate([what, others])

@@ -1,0 +1,246 @@
+"""The design sequences of a scene: declared at its detectors, or else found by probes of the design field.
+
+Of the orders by which probes come to a detector (see `mistray.sampling.design.probes`) these are sequences of the
+design:
+
+- Only orders over optics count: at least one lens face or declared mirror, and no wall, which is what edges and bevels
+  are. An opaque surface that reflects more than half of the light is a mirror in such an order.
+- Orders that go the same ways at beam splitters are one *arm*. Its main order is that of most probes; one over more
+  lens faces and declared mirrors takes its place if at least `SEEN` of the probes go by it, because then the others
+  by-pass something. An order in which two partial reflections follow each other, or one beam splitter reflects twice,
+  is a ghost and makes no arm, and neither does one that by-passes the beam splitters of other arms.
+- Orders of an arm are alternatives of its main one if the same happens in them, step by step, at surfaces between the
+  same materials: segments of a mirror, facets, strips of filters, the faces of a roof. The rings of edges may be passed
+  or missed, and so may plane-parallel plates that at least `PLATED` of the probes pass or miss: a filter over half of
+  the beam, not the gap between two. Every combination of such alternatives is a sequence.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Hashable, Iterable, Iterator
+from itertools import combinations, product
+from math import prod
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.ids import event_words
+from mistray.recorders.design_sequences import Sequences
+from mistray.recorders.path_events import LETTERS
+from mistray.recorders.path_key import EVENT_BITS, REFLECTED, TOTAL, TRANSMITTED
+from mistray.sampling.design.probes import Order
+from mistray.surfaces.optics import BACK_MEDIUM_SHIFT, DIFFRACTS, FRONT_MEDIUM_SHIFT, MEDIUM_MASK, MIRROR, OPAQUE, WALL
+from mistray.surfaces.surfaces import SurfaceTable
+
+SEEN = 0.05  # share of the probes of an arm that an order over more optics needs to be its main one
+ARM = 0.02  # share of all probes of a detector that an arm needs
+PLATED = 0.2  # share of the probes of an arm that pass, or miss, a plate that is no step of its design
+MOST_COMBINED = 4096  # sequences of a detector; of more combinations those that probes have found are taken
+MOST_RINGS = 8  # passages by rings of an order whose subsets are all sequences
+FLAT, PARALLEL = 1e-5, 1e-3  # sag in units of the size, and rad, that the sides of a plane-parallel plate may have
+_WHAT = (1 << EVENT_BITS) - 1
+
+
+def chosen_orders(table: SurfaceTable, found: Counter[Order]) -> list[tuple[Order, list[Order]]]:
+    """
+    The arms by which probes come to a detector.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    found : Counter
+        Orders, and how many probes take them.
+
+    Returns
+    -------
+    list of (main, orders)
+        Main order of each arm, and all orders that are design sequences, the main one among them; the arm of most
+        probes first. Empty if no order passes any optics.
+    """
+    rules = _Rules(table)
+    imaging = {order: count for order, count in found.items() if rules.images(order)}
+    splitters = {code >> EVENT_BITS for order in imaging for code in order if rules.splits(code)}
+    arms: dict[Order, Counter[Order]] = {}
+    for order, count in imaging.items():
+        arm = tuple(code for code in order if code >> EVENT_BITS in splitters)
+        arms.setdefault(arm, Counter())[order] = count
+    least = ARM * sum(found.values())
+    kept = {arm: orders for arm, orders in arms.items() if orders.total() >= least}
+    if len(kept) > 1:
+        kept.pop((), None)
+    strongest = sorted(kept.values(), key=lambda orders: -orders.total())
+    return [_alternatives(rules, orders) for orders in strongest]
+
+
+def combined(table: SurfaceTable, arms: Iterable[tuple[Order, list[Order]]]) -> Sequences:
+    """All sequences that alternatives of the arms make, step by step."""
+    rules, lists = _Rules(table), set()
+    for _, orders in arms:
+        shapes: dict[Hashable, list[Order]] = {}
+        for order in orders:
+            for one in rules.without_some_rings(order):
+                shapes.setdefault(rules.pattern(one), []).append(one)
+        for members in shapes.values():
+            steps = [sorted(set(column)) for column in zip(*members, strict=True)]
+            lists |= set(members if prod(map(len, steps)) > MOST_COMBINED else product(*steps))
+    return tuple(sorted(lists))
+
+
+def declared(table: SurfaceTable, detector: int) -> Sequences:
+    """
+    The sequences that the interface of a detector declares, see ``design_path`` of `interface`.
+
+    Raises
+    ------
+    MistrayError
+        For a surface that the scene does not have, or a letter that is none of T, R and I.
+    """
+    text = getattr(table.interfaces[detector], "design_path", "")
+    numbers = {name: k for k, name in enumerate(table.ids)}
+    whats = {LETTERS[what]: what for what in (TRANSMITTED, REFLECTED, TOTAL)}
+    lists: set[Order] = set()
+    for sequence in filter(str.strip, text.split(";")):
+        steps = []
+        for word in event_words(sequence.strip()):
+            names, _, letter = word.rpartition(":")
+            if letter not in whats:
+                raise MistrayError(
+                    f"detector '{table.ids[detector]}': '{word}' of its design_path ends in none of :T :R :I; write "
+                    "'surface:T'"
+                )
+            unknown = [name for name in names.split("|") if name not in numbers]
+            if unknown:
+                raise MistrayError(
+                    f"detector '{table.ids[detector]}': its design_path names '{unknown[0]}', which is no surface; "
+                    "give ids of shapes"
+                )
+            steps.append([(numbers[name] << EVENT_BITS) | whats[letter] for name in names.split("|")])
+        if prod(map(len, steps)) > MOST_COMBINED:
+            raise MistrayError(
+                f"detector '{table.ids[detector]}': its design_path stands for {prod(map(len, steps))} sequences; give "
+                f"at most {MOST_COMBINED}"
+            )
+        lists |= set(product(*steps))
+    return tuple(sorted(lists))
+
+
+def has_optics(table: SurfaceTable) -> bool:
+    """Whether a scene has a lens or a declared mirror."""
+    return bool(_Rules(table).optical.any())
+
+
+def _alternatives(rules: _Rules, orders: Counter[Order]) -> tuple[Order, list[Order]]:
+    """The main order of an arm, and all that are alternatives of it."""
+    kinds: dict[tuple[Hashable, ...], Counter[Order]] = {}
+    for order, count in orders.items():
+        kinds.setdefault(rules.pattern(rules.powered(order)), Counter())[order] = count
+    total = orders.total()
+    most = max(kinds, key=lambda kind: kinds[kind].total())
+    candidates = [most, *(kind for kind, members in kinds.items() if members.total() >= SEEN * total)]
+    alike = kinds[max(candidates, key=lambda kind: (rules.optics_of(max(kinds[kind])), kinds[kind].total()))]
+    shapes: dict[tuple[Hashable, ...], Counter[Order]] = {}
+    for order, count in alike.items():
+        shapes.setdefault(rules.pattern(rules.without_rings(order)), Counter())[order] = count
+    main = max(shapes.values(), key=lambda members: members.total())
+    kept = [members for members in shapes.values() if members is main or members.total() >= PLATED * total]
+    return max(main, key=lambda order: (main[order], order)), [order for members in kept for order in members]
+
+
+class _Rules:
+    """What the surfaces of a table mean for orders of events."""
+
+    def __init__(self, table: SurfaceTable) -> None:
+        words = table.optics.host_words
+        mirror, ring = (words & MIRROR) != 0, (words & DIFFRACTS) != 0
+        self._table, self._opaque, self._mirror, self._ring = table, (words & OPAQUE) != 0, mirror, ring
+        self._wall = ((words & WALL) != 0) & ~mirror & ~ring
+        sensors = np.isin(np.arange(table.count), table.detectors)
+        self.optical = (~self._opaque | mirror) & ~self._wall & ~ring & ~sensors
+        self._media = np.sort(
+            np.stack([(words >> FRONT_MEDIUM_SHIFT) & MEDIUM_MASK, (words >> BACK_MEDIUM_SHIFT) & MEDIUM_MASK]), axis=0
+        )
+
+    def images(self, order: Order) -> bool:
+        """Whether light in this order may form an image: over optics, past no wall, and as no ghost."""
+        places = [code >> EVENT_BITS for code in order]
+        if not any(self.optical[k] for k in places) or any(self._wall[k] for k in places):
+            return False
+        split: set[int] = set()
+        since: dict[int, bool] = {}  # surface → whether the light was wholly reflected since it met it
+        for code in order:
+            place = code >> EVENT_BITS
+            if not since.get(place, True) or (code in split and self.splits(code)):
+                return False
+            split.add(code)
+            if self._turns(code):
+                since = dict.fromkeys(since, True)
+            since[place] = False
+        return True
+
+    def _turns(self, code: int) -> bool:
+        """Whether an event is a reflection of all light, and none at a beam splitter."""
+        what, place = code & _WHAT, code >> EVENT_BITS
+        return what == TOTAL or (what == REFLECTED and bool(self._opaque[place] or self._mirror[place]))
+
+    def splits(self, code: int) -> bool:
+        """Whether an event is a reflection at a beam splitter, or its passage if it is declared as a mirror."""
+        what, place = code & _WHAT, code >> EVENT_BITS
+        return not self._opaque[place] and what == (TRANSMITTED if self._mirror[place] else REFLECTED)
+
+    def optics_of(self, order: Order) -> int:
+        """How many powered faces and declared mirrors it goes over."""
+        steps = self.powered(order)
+        return sum(code & _WHAT == TRANSMITTED or bool(self._mirror[code >> EVENT_BITS]) for code in steps)
+
+    def without_rings(self, order: Order) -> Order:
+        """An order without the rings of edges."""
+        return tuple(code for code in order if not self._ring[code >> EVENT_BITS])
+
+    def powered(self, order: Order) -> Order:
+        """An order without rings and plane-parallel plates."""
+        kept: list[int] = []
+        for code in self.without_rings(order):
+            if kept and self._plate(kept[-1], code):
+                kept.pop()
+            else:
+                kept.append(code)
+        return tuple(kept)
+
+    def _plate(self, first: int, second: int) -> bool:
+        """Whether two events in a row are the passage through a plane-parallel plate."""
+        a, b = first >> EVENT_BITS, second >> EVENT_BITS
+        passes = first & _WHAT == second & _WHAT == TRANSMITTED
+        return passes and a != b and self._flat(a) and self._flat(b) and self._parallel(a, b)
+
+    def _flat(self, place: int) -> bool:
+        """Whether a surface is a plane."""
+        if place >= len(self._table.pieces):
+            return False
+        piece = self._table.pieces[place]
+        return piece.z_range[1] - piece.z_range[0] <= FLAT * piece.size
+
+    def _parallel(self, a: int, b: int) -> bool:
+        axes = self._table.rotations[[a, b], :, 2]
+        return bool(np.linalg.norm(np.cross(*axes)) < PARALLEL)
+
+    def pattern(self, order: Order) -> tuple[Hashable, ...]:
+        """What happens step by step: an order with the same pattern is an alternative."""
+        return tuple(self._step(code) for code in order)
+
+    def _step(self, code: int) -> Hashable:
+        what, place = code & _WHAT, code >> EVENT_BITS
+        if what == REFLECTED and self._opaque[place]:
+            # Of mirrors that are not declared only those with the same coating stand in one another's place
+            return what, True if self._mirror[place] else self._table.interfaces[place].coating
+        return what, *self._media[:, place].tolist()
+
+    def without_some_rings(self, order: Order) -> Iterator[Order]:
+        """An order, and the same past each choice of the rings that it passes."""
+        rings = [k for k, code in enumerate(order) if self._ring[code >> EVENT_BITS]]
+        if len(rings) > MOST_RINGS:
+            yield order
+            return
+        for count in range(len(rings) + 1):
+            for left_out in combinations(rings, count):
+                yield tuple(code for k, code in enumerate(order) if k not in left_out)
