@@ -244,7 +244,7 @@ class ArrivalSamples(_StartSamples):
     @property
     def code(self) -> Hashable:
         """See `Recorder.code`."""
-        return *super().code, self._scattered_only
+        return super().code, self._scattered_only
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Keep rays that have met the detector."""

@@ -472,7 +472,7 @@ class Optics:
     def mostly_reflects(self) -> np.ndarray:
         """(s,) whether a surface is opaque and reflects more than half of the light, at normal incidence."""
         found = np.zeros(len(self.bsdfs), dtype=bool)
-        for i in np.flatnonzero(self.host_words & OPAQUE):
+        for i in np.flatnonzero(self.host_words & OPAQUE).tolist():
             found[i] = max(self.shares(i, from_front, np.ones(1))[0][0] for from_front in (True, False)) > 0.5
         return found
 

@@ -91,7 +91,7 @@ def cassegrain(filtered: bool) -> Prescription:
 @pytest.mark.parametrize("filtered", [False, True])
 def test_light_through_the_hole_of_a_cassegrain_is_a_straight_shot(filtered: bool) -> None:
     """
-    At 5° a geometric Monte Carlo of the open hole has a PST of 0.958; a filter passes 0.92 of it and adds 0.2 % of ghosts.
+    At 5° a geometric Monte Carlo of the open hole has a PST of 0.958; a filter passes 0.92 of it.
 
     The PST is stable to 1 % at these rays: 5 % are far beyond chance.
     """

@@ -18,7 +18,7 @@ from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.direction_recorder import CLASSES
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.film import Film, groups_of
-from mistray.recorders.path_events import DIRECT, describe_events, way
+from mistray.recorders.path_events import DIRECT, Events, describe_events, way
 from mistray.recorders.path_key import host_keys
 from mistray.recorders.sampled import batch_error
 from mistray.recorders.tallies import SCATTERED_FLUX, SEGMENTS
@@ -98,7 +98,9 @@ class Ways:
             facts = describe_events(ways[first[new]], lengths[first[new]], self._ids, self._words, self._design)
             self._numbers |= {int(keys[k]): len(self._numbers) + n for n, k in enumerate(new)}
             self._facts.append(facts)
-            self.classes = np.concatenate([self.classes, _classes(facts)])
+            # The kernel counts a reflection at a beam splitter even where a design sequence has one
+            counted = Events(ways[first[new]], lengths[first[new]], self._words, DesignSequences()).reflected
+            self.classes = np.concatenate([self.classes, _classes(facts, counted.any(axis=1))])
         return np.array([self._numbers[key] for key in keys.tolist()], dtype=np.int64)[place]
 
     def table(self, chosen: np.ndarray) -> pd.DataFrame:
@@ -109,18 +111,18 @@ class Ways:
         return pd.DataFrame({name: column[chosen] for name, column in whole.items()})
 
 
-def _classes(facts: dict[str, np.ndarray]) -> np.ndarray:
-    """(w,) numbers within `CLASSES` of ways, from the columns of `describe_events`."""
-    scatters, reflections = facts["scatters"], facts["order"] + facts["structure_bounces"]
+def _classes(facts: dict[str, np.ndarray], reflected: np.ndarray) -> np.ndarray:
+    """(w,) numbers within `CLASSES` of ways, from the columns of `describe_events` and whether a reflection counts."""
+    scatters = facts["scatters"]
     names = np.select(
         [
             (scatters > 0) & (scatters == facts["diffractions"]),
             scatters > 1,
             scatters == 1,
-            reflections > 0,
             facts["kind"] == DIRECT,
+            reflected,
         ],
-        ["edge_diffraction", "multiple_scatter", "single_scatter", "ghost", "direct"],
+        ["edge_diffraction", "multiple_scatter", "single_scatter", "direct", "ghost"],
         "straight_shot",
     )
     return np.array([CLASSES.index(name) for name in names], dtype=np.int64)

@@ -39,8 +39,8 @@ class Pst:
     Control, 2013). E_det is the flux that *meets* the detector, averaged over its area; what it absorbs of it does not
     matter. Values are means over the cells of `grid`.
 
-    Light is "direct" (no reflection but at mirrors, no scatter), "straight_shot" (the same, but past all optics,
-    through an edge or bevel, or with total reflection), "ghost" (reflections, no scatter), "single_scatter" or
+    Light is "direct" (by the design path, see docs/design_path.md), "straight_shot" (neither scattered nor reflected
+    where that counts, but by another way: past a mirror or a lens, or through an edge or bevel), "ghost" (reflections, no scatter), "single_scatter" or
     "multiple_scatter" (one or more scatter events, with or without reflections), or "edge_diffraction" (deflected at
     rings of `edge_diffraction` alone; where light is scattered as well it counts by the number of all these events).
 
