@@ -40,9 +40,10 @@ class Pst:
     matter. Values are means over the cells of `grid`.
 
     Light is "direct" (by the design path, see docs/design_path.md), "straight_shot" (neither scattered nor reflected
-    where that counts, but by another way: past a mirror or a lens, or through an edge or bevel), "ghost" (reflections, no scatter), "single_scatter" or
-    "multiple_scatter" (one or more scatter events, with or without reflections), or "edge_diffraction" (deflected at
-    rings of `edge_diffraction` alone; where light is scattered as well it counts by the number of all these events).
+    where that counts, but by another way: past a mirror or a lens, or through an edge or bevel), "ghost" (reflections,
+    no scatter), "single_scatter" or "multiple_scatter" (one or more scatter events, with or without reflections), or
+    "edge_diffraction" (deflected at rings of `edge_diffraction` alone; where light is scattered as well it counts by
+    the number of all these events).
 
     Attributes
     ----------
