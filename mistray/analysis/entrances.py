@@ -49,9 +49,7 @@ class Entrances:
 
     def __str__(self) -> str:
         if not self.first:
-            return (
-                "no light of the source finds a way through the optics, so that where light enters is not known"
-            )
+            return "no light of the source finds a way through the optics, so that where light enters is not known"
         if not self.rays:
             return "the detector sees nothing of the source's side"
         if not self.others:

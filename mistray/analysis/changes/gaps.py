@@ -124,6 +124,7 @@ def _opened(before: Sequence[Outline], contacts: Sequence[_Contact], after: Sequ
     here = {number: at[one.name] for number, one in enumerate(before) if one.name in at}
     scene = _Touching(after)
     apart: list[tuple[bool, float, _Contact]] = []
+    held: set[tuple[int, int]] = set()
     for contact in contacts:
         if contact.owner not in here or contact.other not in here:
             continue
@@ -132,8 +133,11 @@ def _opened(before: Sequence[Outline], contacts: Sequence[_Contact], after: Sequ
             continue
         rim = after[a].rims[contact.rim]
         far = after[b].away(rim)
-        if far > TOUCH and not scene.touch(a, b) and not scene.led(a, rim, b):
+        if far <= TOUCH or scene.touch(a, b) or scene.led(a, rim, b):
+            held.add(contact.pair)
+        else:
             apart.append((not (after[a].opaque and after[b].opaque), far, contact))
+    apart = [item for item in apart if item[2].pair not in held]
     named: list[tuple[_Contact, Gap]] = []
     for _, far, contact in sorted(apart, key=lambda item: item[:2]):
         if not any(_same_gap(scene, here, contact, other) for other, _ in named):
