@@ -37,7 +37,8 @@ class Arriving:
 
     def record(self) -> dict[str, Any]:
         """What JSON has of it."""
-        return {"arriving_share": self.share, "entrances": asdict(self.entrances)}
+        others = [{"surface": name, "share": share} for name, share in self.entrances.others.items()]
+        return {"arriving_share": self.share, "entrances": {**asdict(self.entrances), "others": others}}
 
     def require(self) -> None:
         """Raise if no light arrives; the file stays where it is."""
