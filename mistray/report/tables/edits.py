@@ -15,8 +15,8 @@ from mistray.sweeps import EditRanking, PstSweep
 
 ENTERS = "of it by new first surfaces"
 OPENS = (
-    "opens: surfaces that meet, and how far one step takes them apart in the sense that lowers the PST; "
-    "the derivatives do not contain the light that enters there, and such edits come after the others"
+    "opens: surfaces that meet, and how far one step takes them apart in the sense that lowers the PST. "
+    "The derivatives do not contain the light that enters there; such edits come after the others"
 )
 
 
