@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from mistray.errors import MistrayError
+
+if TYPE_CHECKING:
+    from mistray.analysis.entrances import Entrances
 
 RAYS = 4000
 
@@ -22,11 +26,19 @@ class Arriving:
         What the detector absorbs of it.
     lost : str
         What takes most of the rest, see `mistray.trace.energy.Energy.greatest_loss`.
+    entrances : Entrances
+        By which surfaces the detector sees the source's side.
     """
 
     scene_file: Path
     share: float
     lost: str
+    entrances: Entrances
+
+    def record(self) -> dict[str, Any]:
+        """What JSON has of it."""
+        others = [{"surface": name, "share": share} for name, share in self.entrances.others.items()]
+        return {"arriving_share": self.share, "entrances": {**asdict(self.entrances), "others": others}}
 
     def require(self) -> None:
         """Raise if no light arrives; the file stays where it is."""
@@ -39,9 +51,11 @@ class Arriving:
 
 
 def arriving(scene_file: Path) -> Arriving:
-    """Trace the beam of a scene that was written."""
+    """Trace the beam of a scene that was written, and rays from its detector to the outside."""
+    from mistray.analysis.entrances import entrances
     from mistray.scene import load
     from mistray.trace import trace
 
-    energy = trace(load(scene_file), rays=RAYS, max_reflections=0, max_scatters=0, ledger=False).energy
-    return Arriving(scene_file, energy.detected_W / energy.launched_W, energy.greatest_loss)
+    scene = load(scene_file)
+    energy = trace(scene, rays=RAYS, max_reflections=0, max_scatters=0, ledger=False).energy
+    return Arriving(scene_file, energy.detected_W / energy.launched_W, energy.greatest_loss, entrances(scene))

@@ -76,13 +76,18 @@ def run(options: Options) -> int:
     else:
         shapes = mechanics.to_xml(output)
     record = _record(mechanics, shapes)
+    light = arriving(output) if options.into else None
+    if light is not None:
+        record |= light.record()
     if options.json:
         files = [output.parent / shape.file for shape in shapes if isinstance(shape, MeshStructure)]
         print_json(record, [output, *files])
     else:
-        print(_text(record, output, traceable=bool(options.into)))
-    if options.into:
-        arriving(output).require()
+        print(_text(record, output, traceable=light is not None))
+        if light is not None:
+            print(light.entrances)
+    if light is not None:
+        light.require()
     return 0
 
 

@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from mistray.optimize import Optimization
 from mistray.optimize.study.goals import holds
+from mistray.optimize.study.terms import of_layers
 from mistray.report.figures.optimization import reflectance_figure, search_figure, variables_figure
 from mistray.report.figures.plots import as_png
 from mistray.report.model import Figure, Items, Note, Part, Report, Section
@@ -21,6 +22,7 @@ from mistray.report.optimization_tables import (
     history_frame,
     layers_table,
     moved_table,
+    opened_lines,
     terms_frame,
     variables_frame,
     worse_lines,
@@ -104,7 +106,7 @@ def optimization_report(result: Optimization, command: str = "") -> Report:
         source.parent.name if source.name == "scene.xml" else source.stem,
         [*sections, settings_section(facts, command)],
         lead=[Items(_findings(result)), Note(seeds)],
-        warnings=worse_lines(result),
+        warnings=[*worse_lines(result), *opened_lines(result)],
         csv={
             "terms.csv": terms_frame(result),
             "variables.csv": variables_frame(result),
@@ -121,7 +123,9 @@ def _findings(result: Optimization) -> list[str]:
         row = result.comparison.of(term.name)
         before, after, ratio = map(with_error, before_after(row))
         text = Markup("{}: from {} to {} {}").format(term.name, before, after, row.unit)
-        if term.goal == "minimise":
+        if term.goal == "minimise" and result.comparison.spoiled and not of_layers(term):
+            text += Markup(", {} times smaller, which is <b>no gain</b>: light enters elsewhere").format(ratio)
+        elif term.goal == "minimise":
             text += Markup(", <b>{} times smaller</b>").format(ratio)
         else:
             kept = Markup("holds") if holds(term, row.after, row.before) else Markup("does <b>not</b> hold")

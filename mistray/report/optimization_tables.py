@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 import pandas as pd
 
+from mistray.analysis.changes.first_surfaces import entering_text, spoils
+from mistray.analysis.changes.gaps import gaps_text
 from mistray.analysis.estimate import Estimate
 from mistray.files.json_values import plain
 from mistray.optimize import Comparison, Optimization, Term
@@ -68,6 +71,15 @@ def worse_lines(result: Optimization) -> list[str]:
         + (f" and {len(places) - PLACES_NAMED} more" if len(places) > PLACES_NAMED else "")
         for term, places in found.items()
     ]
+
+
+def opened_lines(result: Optimization) -> list[str]:
+    """What the result does beside what it is meant to do: gaps, and light that enters by other surfaces."""
+    found = [gaps_text(result.gaps)] if result.gaps else []
+    for place, entering in result.comparison.entering.items():
+        no_gain = "; less stray light is no gain here" if spoils(entering) else ""
+        found.append(f"{place}: {entering_text(entering)}{no_gain}")
+    return found
 
 
 def comparison_table(comparison: Comparison) -> str:
@@ -134,7 +146,7 @@ def report_text(result: Optimization) -> str:
     lines = [f"{len(result.comparison.seeds)} seeds not used in the search", terms_table(result), ""]
     if any(not row.whole for row in result.comparison.rows):
         lines += [comparison_table(result.comparison), ""]
-    lines += [f"warning: {line}" for line in worse_lines(result)]
+    lines += [f"warning: {line}" for line in (*worse_lines(result), *opened_lines(result))]
     lines += [variables_table(result), ""]
     for item in result.placed:
         layers = ", ".join(layer.material for layer in item.group.start.layers)
@@ -170,6 +182,10 @@ def optimization_record(result: Optimization) -> dict[str, Any]:
                 "study": result.study.name,
                 "terms": rows,
                 "holds": kept,
+                "gaps": [asdict(gap) for gap in result.gaps],
+                "entering": {
+                    place: [asdict(one) for one in some] for place, some in result.comparison.entering.items()
+                },
                 "worse": [vars(row) for row in worse(result.comparison, result.study.terms)],
                 "variables": variables,
                 "start": result.starts[result.best.start].name,

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 from markupsafe import Markup
 
+from mistray.analysis.changes.first_surfaces import entering_text
+from mistray.analysis.changes.gaps import gaps_text
 from mistray.analysis.estimate import Estimate
 from mistray.files.json_values import plain
 from mistray.optimize.tolerances.draws import PERCENTILES, Draws
@@ -111,10 +114,12 @@ def together_lines(result: Sensitivity) -> list[str]:
         title += f", not {result.factor:g} times: all are at their bounds"
     lines = [title]
     if found.traced is not None:
-        lines.append(f"traced on other seeds: {_times(found.traced)} lower")
+        no_gain = ", which is no gain: light enters elsewhere" if found.spoiled else ""
+        lines.append(f"traced on other seeds: {_times(found.traced)} lower{no_gain}")
     if found.image is not None:
         lines.append(f"direct image then: {number(100 * found.image.value, 4)} % of what it was")
-    return lines
+    lines += [gaps_text(found.gaps)] if found.gaps else []
+    return lines + [f"{place}: {entering_text(entering)}" for place, entering in found.entering.items()]
 
 
 def changes_table(result: Sensitivity) -> Table:
@@ -192,6 +197,8 @@ def sensitivity_record(result: Sensitivity) -> dict[str, Any]:
             "reached": together.reached,
             "traced": None if together.traced is None else _estimate(together.traced),
             "image": None if together.image is None else _estimate(together.image),
+            "gaps": [asdict(gap) for gap in together.gaps],
+            "entering": {place: [asdict(one) for one in some] for place, some in together.entering.items()},
         },
         "propagation": {
             "deviation": _estimate(spread.deviation),

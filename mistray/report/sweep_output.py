@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from mistray.report.output import write_report
 from mistray.report.parts import settings_section, terms, version_settings
 from mistray.report.tables.text import ABSENT, number, table_text
 from mistray.sweeps import Sweep
-from mistray.sweeps.result import estimate_of
+from mistray.sweeps.result import CELL, estimate_of
 
 SHOWN = ("direct_W", "stray_W", "ghost_to_signal", "direct_rms_radius_mm", "worst_rms_irradiance_W_mm2")
 CAPTION = "Stray light and direct image over the launched power, with standard errors."
@@ -35,7 +36,8 @@ def rows_table(result: Sweep) -> Table:
 
 def sweep_text(result: Sweep) -> str:
     """What `mistray sweep` prints: a line for each configuration, wavelength and field."""
-    return f"{table_text(rows_table(result))}\n\n{cache_line(result)}"
+    opened = [f"warning: {text}" for text in result.opened]
+    return "\n".join([table_text(rows_table(result)), "", *opened, cache_line(result)])
 
 
 def cache_line(result: Sweep) -> str:
@@ -71,11 +73,15 @@ def sweep_record(result: Sweep) -> dict[str, Any]:
             }
             for one in result.configurations
         ],
-        "rows": result.rows,
+        "rows": [
+            {**result.shown(row), "entering": [asdict(one) for one in result.entering(*(row[key] for key in CELL))]}
+            for row in result.rows
+        ],
+        "gaps": {name: [asdict(gap) for gap in gaps] for name, gaps in result.gaps.items() if gaps},
         "settings": result.arguments,
         "cache": None if result.cache_folder is None else str(result.cache_folder),
         "rows_from_cache": result.reused,
-        "warnings": list(result.warnings),
+        "warnings": [*result.opened, *result.warnings],
     }
     return dict(plain(record))
 
@@ -104,7 +110,7 @@ def sweep_report(result: Sweep, title: str = "scene", command: str = "") -> Repo
             settings_section({**result.arguments, **version_settings()}, command, terms("sweep")),
         ],
         lead=[Note(f"{size}: {cache_line(result)}.")],
-        warnings=result.warnings,
+        warnings=[*result.opened, *result.warnings],
         csv=sweep_tables(result),
         json={"sweep.json": sweep_record(result)},
         files={"sweep.png": picture},

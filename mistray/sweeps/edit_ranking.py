@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
 import numpy as np
 
+from mistray.analysis.changes.gaps import Contacts, Gap
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
 from mistray.gradients.table_gradient import EDGE_WIDTH
@@ -18,8 +20,9 @@ from mistray.optimize.gradient import gradient_request, gradient_seen
 from mistray.optimize.metrics.pst_metrics import pst_bin
 from mistray.optimize.metrics.pst_observation import Light
 from mistray.optimize.parameters import Parameter, groups, match, parameters
+from mistray.optimize.scene_values import changed
 from mistray.optimize.tolerances.proposals import structure
-from mistray.optimize.tolerances.rows import Line, OfLine, Table, lines_of
+from mistray.optimize.tolerances.rows import Line, OfLine, Table, lines_of, shifted_values, whole_values
 from mistray.ranges import POLAR_DEG
 from mistray.renamed import renamed
 from mistray.scene import find, load
@@ -60,6 +63,9 @@ class Edit(OfLine):
         d PST / d value at each field angle.
     change : tuple of Estimate
         To first order the change of ln(PST) by one step, at each field angle.
+    gaps : tuple of Gap
+        What one step opens, in the sense that lowers the PST where it changes most; see
+        `mistray.analysis.changes.gaps`. No derivative knows of the light that enters there.
     """
 
     method: str
@@ -68,6 +74,7 @@ class Edit(OfLine):
     step: float
     derivative: tuple[Estimate, ...]
     change: tuple[Estimate, ...]
+    gaps: tuple[Gap, ...] = ()
 
 
 @renamed(angles_deg="field_deg")
@@ -84,7 +91,8 @@ class EditRanking:
     pst : tuple of Estimate
         At each field angle, of the scene as it is.
     edits : tuple of Edit
-        The largest change at any field angle first, two standard errors taken off.
+        The largest change at any field angle first, two standard errors taken off; those of which a step opens a gap
+        after the others.
     left_out : tuple of str
         What the derivatives do not contain.
     """
@@ -111,7 +119,7 @@ class EditRanking:
         DataFrame
             Columns method, label, kind, value, unit, step (in the unit), angle_deg, pst, pst_se, derivative,
             derivative_se (of the PST, per unit), change, change_se (of the PST by one step), change_percent,
-            change_percent_se (of that over the PST).
+            change_percent_se (of that over the PST), gap_mm (the widest of `Edit.gaps`; NaN without any).
         """
         import pandas as pd
 
@@ -133,6 +141,7 @@ class EditRanking:
                     "change_se": slope.se * edit.step,
                     "change_percent": 100 * change.value,
                     "change_percent_se": 100 * change.se,
+                    "gap_mm": max((gap.gap_mm for gap in edit.gaps), default=math.nan),
                 }
                 for edit in self.edits
                 for angle, pst, slope, change in zip(
@@ -242,15 +251,37 @@ def rank_edits(
         )
         for k, line in enumerate(lines)
     ]
+    edits = _with_gaps(loaded, params, known, edits)
     edits.sort(key=_order)
     named = light if isinstance(light, str) else ", ".join(light)
     return EditRanking(angles, named, tuple(values), tuple(edits), tuple(left_out))
 
 
-def _order(edit: Edit) -> tuple[float, float]:
-    """What is certain of the largest change first, then the size of the change."""
-    certain = max(abs(change.value) - CERTAIN * change.se for change in edit.change)
-    return -max(certain, 0.0), -max(abs(change.value) for change in edit.change)
+def _certain(change: Estimate) -> float:
+    """What is certain of a change."""
+    return max(abs(change.value) - CERTAIN * change.se, 0.0)
+
+
+def _order(edit: Edit) -> tuple[bool, bool, float, float]:
+    """What is certain of the largest change first, but edits that open gaps; then the size of the change."""
+    certain = max(map(_certain, edit.change))
+    return certain == 0, bool(edit.gaps), -certain, -max(abs(change.value) for change in edit.change)
+
+
+def _with_gaps(scene: Any, params: Any, known: Mapping[str, Parameter], edits: Sequence[Edit]) -> list[Edit]:
+    """Edits with the gaps that a step of them opens."""
+    contacts = Contacts(scene)
+    found = []
+    for edit in edits:
+        moved = {name for key in edit.line.keys for name in known[key].shapes}
+        largest = max(edit.change, key=lambda change: (_certain(change), abs(change.value)))
+        if edit.method in ("move", "block") and largest.value and not contacts.surfaces.isdisjoint(moved):
+            values = whole_values(params, [edit.line])
+            values = shifted_values(values, [edit.line], [edit.value - math.copysign(edit.step, largest.value)])
+            with contextlib.suppress(MistrayError), changed(params, values):  # a step that is too large for it
+                edit = replace(edit, gaps=contacts.opened(scene, moved))
+        found.append(edit)
+    return found
 
 
 def _methods(scene: Any, known: Mapping[str, Parameter]) -> dict[str, str]:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from dataclasses import asdict
 from typing import Any
 
 import pandas as pd
 
+from mistray.analysis.changes.first_surfaces import FirstLight
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.ranking import direct_image, ranked, stray_to_direct
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
@@ -14,6 +16,7 @@ from mistray.trace import Trace
 
 KIND_COLUMNS = {kind: re.sub(r"\W+", "_", kind).lower() for kind in STRAY_KINDS}
 """Kinds of stray paths and the beginnings of their columns."""
+FIRST_LIGHT = "first_light"
 Numbers = dict[str, Any]
 
 
@@ -34,7 +37,8 @@ def numbers_of(t: Trace) -> Numbers:
         field), ``direct_rms_radius_mm``, ``direct_rms_irradiance_W_mm2``; ``worst_path``, the stray path of the highest
         RMS irradiance in words and, of it, ``worst_events``, ``worst_power_W``, ``worst_rms_radius_mm`` and
         ``worst_rms_irradiance_W_mm2``; ``cut_W`` and ``closure``. All but the launched power, what is cut and the
-        closure have a standard error, ``_se`` before the unit.
+        closure have a standard error, ``_se`` before the unit. ``first_light`` is what the light of each first surface
+        has, see `FirstLight`.
     """
     rows = t.paths.by_way()
     direct = direct_image(t.paths)
@@ -60,7 +64,8 @@ def numbers_of(t: Trace) -> Numbers:
         if len(worst):
             found = Estimate(float(worst[f"{name}{unit}"].iloc[0]), float(worst[f"{name}_se{unit}"].iloc[0]))
         numbers |= _pair(f"worst_{name}", unit, found)
-    return numbers | {"cut_W": float(sum(t.energy.cut.values())), "closure": float(t.energy.closure)}
+    numbers |= {"cut_W": float(sum(t.energy.cut.values())), "closure": float(t.energy.closure)}
+    return numbers | {FIRST_LIGHT: asdict(FirstLight.of_trace(t))}
 
 
 def _power(t: Trace, rows: pd.DataFrame) -> Estimate:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 import mitsuba as mi
 import numpy as np
 
+from mistray.analysis.changes.first_surfaces import Entering, FirstLight, entering_text, spoils, together
+from mistray.analysis.changes.gaps import Contacts, Gap, gaps_text
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.transmittance import pst_of_each
 from mistray.errors import MistrayError
@@ -39,6 +41,9 @@ class Changed:
     ratio, ratio_se : float
         After over before; the error is that of runs with the same random numbers, from the batches of start rays, and
         smaller than that of two runs. NaN where nothing was before.
+    entering : tuple of Entering
+        First surfaces of light that reaches the detector after the edit and that were none before, with their shares,
+        the strongest first. Empty for PSTs that were computed without paths.
     """
 
     before: float
@@ -47,6 +52,12 @@ class Changed:
     after_se: float
     ratio: float
     ratio_se: float
+    entering: tuple[Entering, ...] = ()
+
+    @property
+    def gain(self) -> bool:
+        """Whether there is less light, and no more than 1 % of it enters by surfaces by which none did before."""
+        return self.ratio < 1 and not spoils(self.entering)
 
 
 @renamed(angles_deg="field_deg")
@@ -61,10 +72,14 @@ class PstSweep:
     field_deg : (n,) float64
     pst : dict of str to Pst
         By configuration.
+    gaps : dict of str to tuple of Gap
+        Of each configuration: surfaces that meet in the scene as it is and are apart in this one, see
+        `mistray.analysis.changes.gaps`.
     """
 
-    def __init__(self, found: Mapping[str, Pst]) -> None:
+    def __init__(self, found: Mapping[str, Pst], gaps: Mapping[str, tuple[Gap, ...]] | None = None) -> None:
         self.pst = dict(found)
+        self.gaps = {name: tuple((gaps or {}).get(name, ())) for name in found}
         self.configurations = tuple(found)
         self.field_deg = next(iter(found.values())).field_deg
 
@@ -95,8 +110,9 @@ class PstSweep:
         at = int(places[0])
         first, other = self.pst[self.configurations[0]], self.pst[configuration]
         (b, b_se), (a, a_se) = ((float(x[at]) for x in one.curve(classes)) for one in (first, other))
+        entering = FirstLight.of_pst(other, at).since(FirstLight.of_pst(first, at))
         if b == 0:
-            return Changed(b, b_se, a, a_se, float("nan"), float("nan"))
+            return Changed(b, b_se, a, a_se, float("nan"), float("nan"), entering)
         # d(a/b) = (da - (a/b) db)/b, batch by batch; azimuths have rays of their own where each cell has
         parts = (other.samples(classes)[at] - a / b * first.samples(classes)[at]) / b
         weight = first.weight if first.weight.ndim == 1 else first.weight[at]
@@ -105,7 +121,19 @@ class PstSweep:
         else:
             _, each = Pst.estimate(parts, weight)
             se = np.sqrt(np.sum(each**2)) / len(each)
-        return Changed(b, b_se, a, a_se, a / b, float(se))
+        return Changed(b, b_se, a, a_se, a / b, float(se), entering)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What a configuration does beside what it is meant to do: gaps that it opens, light that gets in by them."""
+        found = [f"{name}: {gaps_text(gaps)}" for name, gaps in self.gaps.items() if gaps]
+        for name in self.configurations[1:]:
+            for angle in self.field_deg:
+                change = self.changed(name, float(angle))
+                if change.entering:
+                    no_gain = f"; {change.ratio:.3g} is no gain" if change.ratio < 1 and not change.gain else ""
+                    found.append(f"{name} at {angle:g} deg: {entering_text(change.entering)}{no_gain}")
+        return found
 
     def to_pandas(self, classes: str | Sequence[str] = "stray") -> pd.DataFrame:
         """
@@ -114,15 +142,30 @@ class PstSweep:
         Returns
         -------
         DataFrame
-            Columns configuration, angle_deg, before, before_se, after, after_se, ratio, ratio_se.
+            Columns configuration, angle_deg, before, before_se, after, after_se, ratio, ratio_se; entering (surfaces by
+            which light enters that did not before, with blanks between), entering_percent, entering_percent_se (what
+            they have of the light after), gain (see `Changed.gain`), gap_mm (the widest gap that the configuration
+            opens; NaN without any).
         """
         import pandas as pd
 
-        rows = [
-            {"configuration": name, "angle_deg": float(angle), **vars(self.changed(name, float(angle), classes))}
-            for name in self.configurations[1:]
-            for angle in self.field_deg
-        ]
+        rows = []
+        for name in self.configurations[1:]:
+            gap = max((gap.gap_mm for gap in self.gaps[name]), default=float("nan"))
+            for angle in self.field_deg:
+                change = self.changed(name, float(angle), classes)
+                share = together(change.entering)
+                rows.append(
+                    {"configuration": name, "angle_deg": float(angle)}
+                    | {key: value for key, value in vars(change).items() if key != "entering"}
+                    | {
+                        "entering": " ".join(one.surface for one in change.entering),
+                        "entering_percent": 100 * share.value,
+                        "entering_percent_se": 100 * share.se,
+                        "gain": change.gain,
+                        "gap_mm": gap,
+                    }
+                )
         return pd.DataFrame(rows)
 
 
@@ -174,12 +217,17 @@ def sweep_pst(
         )
     every = [Configuration(AS_IT_IS), *wanted]
     at: list[str] = []  # the configuration that is being made, for messages
+    gaps: dict[str, tuple[Gap, ...]] = {}
 
     def scenes() -> Iterator[mi.Scene]:
+        contacts = None
         for one in every:
             at[:] = [f"configuration '{one.name}': "]
             with tempfile.TemporaryDirectory() as folder:
-                yield _edited(source, one, Path(folder))
+                scene = _edited(source, one, Path(folder))
+                contacts = Contacts(scene) if contacts is None else contacts
+                gaps[one.name] = contacts.opened(scene)
+                yield scene
         at.clear()
 
     found: dict[str, Pst] = {}
@@ -191,7 +239,7 @@ def sweep_pst(
     except MistrayError as error:
         error.args = ("".join(at) + str(error).removeprefix("".join(at)),)
         raise
-    return PstSweep(found)
+    return PstSweep(found, gaps)
 
 
 def _edited(source: Path, one: Configuration, folder: Path) -> mi.Scene:

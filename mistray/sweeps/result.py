@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import mitsuba as mi
 
+from mistray.analysis.changes.first_surfaces import Entering, FirstLight, entering_text, spoils, together
+from mistray.analysis.changes.gaps import Gap, gaps_text
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport, ghosts
 from mistray.errors import MistrayError
@@ -17,7 +19,7 @@ from mistray.optimize.scene_values import assign
 from mistray.renamed import renamed
 from mistray.scene import load
 from mistray.sweeps.configurations import Resolved
-from mistray.sweeps.numbers import Numbers
+from mistray.sweeps.numbers import FIRST_LIGHT, Numbers
 from mistray.trace import Trace, trace
 
 if TYPE_CHECKING:
@@ -54,6 +56,9 @@ class Sweep:
         What went wrong with the cache, one line each.
     arguments : dict
         Of `mistray.trace` in every row, as given.
+    gaps : mapping of str to tuple of Gap
+        By configuration: surfaces that meet in the scene as it is and are apart in this one, see
+        `mistray.analysis.changes.gaps`.
     """
 
     source: Source
@@ -65,6 +70,7 @@ class Sweep:
     reused: int = 0
     cache_folder: Path | None = None
     warnings: tuple[str, ...] = ()
+    gaps: Mapping[str, tuple[Gap, ...]] = field(default_factory=dict)
     _scenes: dict[str, Any] = field(default_factory=dict, init=False)
 
     def __len__(self) -> int:
@@ -77,12 +83,67 @@ class Sweep:
         Returns
         -------
         DataFrame
-            Columns ``configuration``, ``field_deg``, ``wavelength_nm`` and those of
-            `mistray.sweeps.numbers.numbers_of`.
+            Columns ``configuration``, ``field_deg``, ``wavelength_nm``, the numbers of
+            `mistray.sweeps.numbers.numbers_of`, and, where one of several configurations is the scene as it is,
+            ``entering``, ``entering_percent``, ``entering_percent_se`` and ``gap_mm``, as of `PstSweep.to_pandas`.
         """
         import pandas as pd
 
-        return pd.DataFrame(self.rows)
+        return pd.DataFrame([self.shown(row) for row in self.rows])
+
+    def shown(self, row: Numbers) -> Numbers:
+        """A row of `rows` with the columns of `to_pandas`."""
+        numbers = {key: value for key, value in row.items() if key != FIRST_LIGHT}
+        if self.base is None:
+            return numbers
+        found = self.entering(*(row[key] for key in CELL))
+        share = together(found)
+        gaps = self.gaps.get(row["configuration"], ())
+        return numbers | {
+            "entering": " ".join(one.surface for one in found),
+            "entering_percent": 100 * share.value,
+            "entering_percent_se": 100 * share.se,
+            "gap_mm": max((gap.gap_mm for gap in gaps), default=float("nan")),
+        }
+
+    @property
+    def base(self) -> str | None:
+        """The configuration that is the scene as it is, if there are others to compare with it."""
+        if len(self.configurations) < 2:
+            return None
+        return next((one.name for one in self.configurations if not one.values), None)
+
+    def entering(
+        self, configuration: str | None = None, field_deg: float | None = None, wavelength_nm: float | None = None
+    ) -> tuple[Entering, ...]:
+        """
+        First surfaces of light in a row that are none in the scene as it is, the strongest first.
+
+        Parameters and errors are those of `trace`. Empty where no configuration is the scene as it is, or its row was
+        not finished.
+        """
+        name, field, wavelength = self._cell(configuration, field_deg, wavelength_nm)
+        light = [self._first_light((one, field, wavelength)) for one in (name, self.base)]
+        return () if light[0] is None or light[1] is None else light[0].since(light[1])
+
+    def _first_light(self, cell: tuple[str | None, float, float]) -> FirstLight | None:
+        found = (row for row in self.rows if tuple(row[key] for key in CELL) == cell)
+        return next((FirstLight(**row[FIRST_LIGHT]) for row in found if FIRST_LIGHT in row), None)
+
+    @property
+    def opened(self) -> list[str]:
+        """Gaps that configurations open and light that enters by them, one line each."""
+        found = [f"{name}: {gaps_text(gaps)}" for name, gaps in self.gaps.items() if gaps]
+        for row in self.rows:
+            cell = tuple(row[key] for key in CELL)
+            entering = self.entering(*cell)
+            if not entering:
+                continue
+            before = next(one for one in self.rows if tuple(one[key] for key in CELL) == (self.base, *cell[1:]))
+            less = row["stray_W"] < before["stray_W"] and spoils(entering)
+            no_gain = "; less stray light is no gain here" if less else ""
+            found.append(f"{cell[0]} at {cell[1]:g} deg, {cell[2]:g} nm: {entering_text(entering)}{no_gain}")
+        return found
 
     def values(self) -> pd.DataFrame:
         """What the configurations set: configuration, key, entry, unit (empty where it is not known), value."""

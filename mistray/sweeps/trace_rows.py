@@ -10,6 +10,7 @@ from typing import Any
 
 import mitsuba as mi
 
+from mistray.analysis.changes.gaps import Contacts, Gap
 from mistray.cache import Cache, open_cache
 from mistray.errors import MistrayError, UnfinishedError
 from mistray.optimize.scene_values import changed
@@ -107,6 +108,8 @@ def sweep(
         kept = KeptRows(store, contents, traced_facts(contents, Settings.of(loaded, **settings), azimuth_deg))
     found = kept.read(cells) if kept is not None else {}
     reused, short = len(found), list[Cell]()
+    contacts = Contacts(loaded) if any(one.values for one in chosen) else None
+    gaps: dict[str, tuple[Gap, ...]] = {}
 
     def result() -> Sweep:
         rows = [dict(zip(CELL, cell.name, strict=True)) | found[cell] for cell in cells if cell in found]
@@ -125,6 +128,7 @@ def sweep(
             reused=reused,
             cache_folder=folder,
             warnings=tuple(said),
+            gaps=dict(gaps),
         )
 
     def trace_row(cell: Cell) -> None:
@@ -145,10 +149,11 @@ def sweep(
     with within(seconds):
         for one in chosen:
             missing = [cell for cell in cells if cell.configuration is one and cell not in found]
-            if missing:  # else all is known: the scene need not have this state
-                with _state(loaded, one):
-                    for cell in missing:
-                        trace_row(cell)
+            with _state(loaded, one):
+                if contacts is not None:
+                    gaps[one.name] = contacts.opened(loaded)
+                for cell in missing:
+                    trace_row(cell)
     if progress is not None:
         progress(len(cells), len(cells))
     return result()

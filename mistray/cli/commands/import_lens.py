@@ -121,13 +121,14 @@ def run(options: Options) -> int:
     shapes = sum(1 for _ in prescription.shapes())
     angles = _angles(record, prescription)
     light = arriving(output)
-    record = {"name": prescription.name, "surfaces": shapes, **record, "arriving_share": light.share}
+    record = {"name": prescription.name, "surfaces": shapes, **record, **light.record()}
     if options.json:
         from mistray.files.json_values import plain
 
         print_json(plain(record), [output])
     else:
         print(_text(record, angles, lens, output))
+        print(light.entrances)
     light.require()
     return 0
 

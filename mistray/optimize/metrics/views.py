@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mistray.analysis.changes.first_surfaces import Entering, FirstLight
 from mistray.analysis.pst.request import RAYS
 from mistray.analysis.pst.transmittance import pst_of_each
 from mistray.errors import MistrayError
@@ -39,6 +40,7 @@ class View:
 
     def observe(self, scene: Any, times: float, changes: Mapping[str, Any]) -> Observation | PstObservation:
         """Trace the scene with so many times the rays; `changes` replace some of the arguments."""
+        changes = {name: value for name, value in changes.items() if name != "paths"}  # a trace always has them
         return Observation(trace(scene, **self._arguments(scene, times, changes)))
 
     def _arguments(self, scene: Any, times: float, changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -77,15 +79,34 @@ class PstView(View):
             raise MistrayError(f"method of a PST metric is '{method}'; use {' or '.join(map(repr, METHODS))}")
 
     def observe(self, scene: Any, times: float, changes: Mapping[str, Any]) -> PstObservation:
-        """Compute the PST with so many times the rays; `changes` replace some of the arguments."""
-        look = _sorted({name: value for name, value in changes.items() if name not in ("rays", "seed")})
-        arguments = {"method": METHODS[0], **self._arguments(scene, times, changes)}
-        found = next(pst_of_each([scene], paths=False, plan=self.plans.get(look), **arguments))
+        """Compute the PST with so many times the rays; `changes` replace some arguments; ``paths`` keeps the paths."""
+        look = _sorted({name: value for name, value in changes.items() if name not in ("rays", "seed", "paths")})
+        arguments = {"method": METHODS[0], "paths": False, **self._arguments(scene, times, changes)}
+        found = next(pst_of_each([scene], plan=self.plans.get(look), **arguments))
         self.plans[look] = found.plan
         return PstObservation(found)
 
     def _usual_rays(self, scene: Any) -> int:
         return RAYS[METHODS[0]]
+
+
+def first_light(observation: Observation | PstObservation) -> dict[str, FirstLight]:
+    """Light by the first surface that it meets, by field angle in words; nothing of a PST without paths."""
+    if isinstance(observation, PstObservation):
+        pst = observation.pst
+        return {f"PST at {angle:g} deg": FirstLight.of_pst(pst, k) for k, angle in enumerate(pst.field_deg)}
+    return {f"field {observation.field_deg:g} deg": FirstLight.of_trace(observation.trace)}
+
+
+def added_light(one: Mapping[str, FirstLight], other: Mapping[str, FirstLight]) -> dict[str, FirstLight]:
+    """The sums of `first_light` of two independent looks."""
+    return {**one, **{place: one[place].plus(light) if place in one else light for place, light in other.items()}}
+
+
+def light_since(before: Mapping[str, FirstLight], after: Mapping[str, FirstLight]) -> dict[str, tuple[Entering, ...]]:
+    """What enters by new first surfaces, by field angle in words; those where nothing does are left out."""
+    found = {place: light.since(before[place]) for place, light in after.items() if place in before}
+    return {place: entering for place, entering in found.items() if entering}
 
 
 def _sorted(arguments: Mapping[str, Any]) -> tuple[Any, ...]:

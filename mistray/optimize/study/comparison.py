@@ -11,8 +11,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.analysis.changes.first_surfaces import Entering, FirstLight, spoils
 from mistray.errors import MistrayError
 from mistray.optimize.metrics.metric import Metric
+from mistray.optimize.metrics.views import added_light, first_light, light_since
 from mistray.optimize.study.goals import holds, limit_of
 from mistray.optimize.study.model import Study, Term
 from mistray.optimize.study.terms import cell_settings, of_layers, of_pst, traced_metric
@@ -60,11 +62,14 @@ class Levels:
         NaN where a term has no value, as an RMS spot without light.
     units : dict of str to str
         By name of the term.
+    light : dict of str to FirstLight
+        By field angle in words: the light of all seeds by the first surface that it meets.
     """
 
     seeds: tuple[int, ...]
     values: dict[Cell, np.ndarray]
     units: dict[str, str] = field(default_factory=dict)
+    light: dict[str, FirstLight] = field(default_factory=dict)
 
     def of(self, term: str) -> np.ndarray:
         """The values of a term by seed, (seeds,)."""
@@ -109,10 +114,18 @@ class Comparison:
     seeds : tuple of int
     rows : tuple of Row
         Of each term the whole, each field, each wavelength, each field at each wavelength.
+    entering : mapping of str to tuple of Entering
+        By field angle in words: first surfaces of light in the second design that are none in the first.
     """
 
     seeds: tuple[int, ...]
     rows: tuple[Row, ...]
+    entering: Mapping[str, tuple[Entering, ...]] = field(default_factory=dict)
+
+    @property
+    def spoiled(self) -> bool:
+        """Whether so much light enters by new surfaces that less stray light is no gain."""
+        return any(spoils(entering) for entering in self.entering.values())
 
     @property
     def total(self) -> Row:
@@ -128,7 +141,7 @@ class Comparison:
         return (row for row in self.rows if row.field_deg is None or row.wavelength_nm is None)
 
 
-def measure(scene: Any, study: Study, seeds: int = SEEDS, times: float = 1.0) -> Levels:
+def measure(scene: Any, study: Study, seeds: int = SEEDS, times: float = 1.0, paths: bool = False) -> Levels:
     """
     The terms of a study about light, on seeds that the search does not use: those that follow the study's own.
 
@@ -140,6 +153,8 @@ def measure(scene: Any, study: Study, seeds: int = SEEDS, times: float = 1.0) ->
         Number of seeds, at least 2.
     times : float
         So many times the rays of the terms for each seed.
+    paths : bool
+        Keep the paths of PSTs too, for `Levels.light`.
     """
     SEED_COUNT.check("seeds", seeds)
     numbers = tuple(study.optimizer.seed + 1 + k for k in range(seeds))
@@ -149,15 +164,18 @@ def measure(scene: Any, study: Study, seeds: int = SEEDS, times: float = 1.0) ->
             metrics |= _cells(term, scene)
     views = {view.key: view for metric in metrics.values() for view in metric.views}
     values = {cell: np.zeros(seeds) for cell in metrics}
+    light: dict[str, FirstLight] = {}
     for j, seed in enumerate(numbers):
-        seen = {key: view.observe(scene, times, {"seed": seed}) for key, view in views.items()}
+        seen = {key: view.observe(scene, times, {"seed": seed, "paths": paths}) for key, view in views.items()}
+        for look in seen.values():
+            light = added_light(light, first_light(look))
         for cell, metric in metrics.items():
             observations = [seen[view.key] for view in metric.views]
             try:
                 values[cell][j] = float(dr.detach(mi.Float64(metric.function(observations)))[0])
             except MistrayError:
                 values[cell][j] = np.nan  # no light there, or too little
-    return Levels(numbers, values, {cell.term: metric.unit for cell, metric in metrics.items()})
+    return Levels(numbers, values, {cell.term: metric.unit for cell, metric in metrics.items()}, light)
 
 
 def worse(comparison: Comparison, terms: Sequence[Term]) -> list[Row]:
@@ -241,4 +259,4 @@ def compare(before: Levels, after: Levels) -> Comparison:
                 ratio_se=float(ratio_se),
             )
         )
-    return Comparison(before.seeds, tuple(rows))
+    return Comparison(before.seeds, tuple(rows), light_since(before.light, after.light))

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from mistray.analysis.changes.gaps import Contacts, Gap
 from mistray.coatings import LAYER_PARAMETERS, Stack
 from mistray.errors import MistrayError
 from mistray.optimize.study.checkpoint import Checkpoint
@@ -23,6 +24,7 @@ from mistray.optimize.study.state import Start, State, Step
 from mistray.optimize.study.study_scene import Placed, StudyScene, band, open_scene, place
 from mistray.optimize.study.terms import UNITS_OF_LAYERS, layer_value, of_layers
 from mistray.optimize.study.variables import Variables, find_variables
+from mistray.optimize.tolerances.proposals import SHAPE_KINDS
 from mistray.optimize.toml.read_study import read_study
 from mistray.ranges import SECONDS
 from mistray.ranges import SEEDS as SEED_COUNT
@@ -60,6 +62,8 @@ class Optimization:
         The result.
     comparison : Comparison
         The given design and the result on independent seeds.
+    gaps : tuple of Gap
+        Surfaces that meet in the given design and are apart in the result, see `mistray.analysis.changes.gaps`.
     left_out : tuple of str
         What the gradients do not contain.
     search_seconds, traced_seconds, verification_seconds : float
@@ -77,6 +81,7 @@ class Optimization:
     ended: dict[int, str]
     best: Step
     comparison: Comparison
+    gaps: tuple[Gap, ...]
     left_out: tuple[str, ...]
     search_seconds: float
     traced_seconds: float
@@ -185,6 +190,7 @@ def optimize(
         variables = find_variables(read, opened.params, opened.known, opened.thickness_keys)
         if not state.starts:
             state.starts = starts(variables, placed, wavelengths, weights, read.optimizer.starts, read.optimizer.seed)
+        contacts = Contacts(opened.scene)
         merit = Merit(read, opened.scene, opened.params, variables, opened.thickness_keys)
         searches = Searches(
             *(merit, variables.shares, variables.values, read.optimizer, state, file, progress),
@@ -198,6 +204,7 @@ def optimize(
         started = time.perf_counter()
         designs = variables.start, np.array(best.x)
         levels = [_levels(read, opened, variables, x, verification_seeds) for x in designs]
+        gaps = contacts.opened(opened.scene)  # which is the result now
     return Optimization(
         study=read,
         source=source,
@@ -210,6 +217,7 @@ def optimize(
         ended=searches.ended,
         best=best,
         comparison=compare(*levels),
+        gaps=gaps,
         left_out=tuple(state.left_out),
         search_seconds=state.seconds,
         traced_seconds=state.traced_seconds,
@@ -225,4 +233,6 @@ def _levels(study: Study, opened: StudyScene, variables: Variables, x: np.ndarra
         term.name: layer_value(term, study.coatings, opened.thickness_keys, variables.parameters(x))[0]
         for term in layers
     }
-    return measure(opened.scene, study, seeds).including(numbers, {t.name: UNITS_OF_LAYERS[t.kind] for t in layers})
+    kinds = {opened.known[key].kind for key in variables.parameters(x) if key in opened.known}
+    found = measure(opened.scene, study, seeds, paths=not kinds.isdisjoint(SHAPE_KINDS))
+    return found.including(numbers, {t.name: UNITS_OF_LAYERS[t.kind] for t in layers})

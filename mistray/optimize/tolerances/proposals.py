@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
+import drjit as dr
 import numpy as np
 
+from mistray.analysis.changes.first_surfaces import Entering, FirstLight
+from mistray.analysis.changes.gaps import Contacts, Gap
 from mistray.analysis.estimate import Estimate
 from mistray.optimize.metrics.metric import Metric, transmission
-from mistray.optimize.parameters import Parameter
+from mistray.optimize.metrics.views import added_light, first_light, light_since
+from mistray.optimize.parameters import Parameter, parameters
 from mistray.optimize.scene_values import changed
 
 SEEDS = 4
@@ -55,9 +60,32 @@ def free_keys(scene: Any, known: Mapping[str, Parameter]) -> list[str]:
     return found
 
 
+@dataclass(frozen=True)
+class TracedChange:
+    """
+    What new values of parameters do by traces.
+
+    Attributes
+    ----------
+    traced : Estimate
+        Times that the metric is smaller; infinite where nothing is left of it.
+    image : Estimate or None
+        Power of the direct image over that before, at the sources' own field; None where there is none.
+    gaps : tuple of Gap
+        Surfaces that meet before and are apart after, see `mistray.analysis.changes.gaps`.
+    entering : mapping of str to tuple of Entering
+        By field angle in words: first surfaces of light that were none before.
+    """
+
+    traced: Estimate
+    image: Estimate | None
+    gaps: tuple[Gap, ...] = ()
+    entering: Mapping[str, tuple[Entering, ...]] = field(default_factory=dict)
+
+
 def traced_change(
     metric: Metric, params: Mapping[str, Any], values: Mapping[str, np.ndarray], advance: Callable[[], None]
-) -> tuple[Estimate, Estimate | None]:
+) -> TracedChange:
     """
     What new values of parameters do, traced before and after with the same rays, on seeds of their own.
 
@@ -72,10 +100,7 @@ def traced_change(
 
     Returns
     -------
-    factor : Estimate
-        Times that the metric is smaller; infinite where nothing is left of it.
-    image : Estimate or None
-        Power of the direct image over that before, at the sources' own field; None where there is none.
+    TracedChange
     """
     first = int((metric.settings or {}).get("seed") or 0) + APART
     image = transmission(
@@ -83,14 +108,27 @@ def traced_change(
         weights=metric.weights,
     )  # fmt: skip
     pairs, images = [], []
+    contacts, gaps = Contacts(metric.scene), tuple[Gap, ...]()
+    lights: list[dict[str, FirstLight]] = [{}, {}]
+    known = parameters(metric.scene, params)
+    paths = any(known[key].kind in SHAPE_KINDS for key in values if key in known)
+
+    def look(seed: int, number: int) -> float:
+        seen = metric.observe(seed=seed, paths=paths)
+        for one in seen:
+            lights[number] = added_light(lights[number], first_light(one))
+        return float(dr.detach(metric.evaluate(seen))[0])
+
     for seed in range(first, first + SEEDS):
-        before, direct = metric.value(seed=seed), image.value(seed=seed)
+        before, direct = look(seed, 0), image.value(seed=seed)
         advance()
         with changed(params, values):
-            pairs.append((before, metric.value(seed=seed)))
+            gaps = contacts.opened(metric.scene)
+            pairs.append((before, look(seed, 1)))
             images.append((image.value(seed=seed), direct))
         advance()
-    return _quotient(np.array(pairs)), _quotient(np.array(images)) if np.all(np.array(images)[:, 1] > 0) else None
+    kept = _quotient(np.array(images)) if np.all(np.array(images)[:, 1] > 0) else None
+    return TracedChange(_quotient(np.array(pairs)), kept, gaps, light_since(*lights))
 
 
 def _quotient(pairs: np.ndarray) -> Estimate:

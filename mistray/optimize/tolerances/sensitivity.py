@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
 
 from mistray._mitsuba_compat import holds_numbers, peek
+from mistray.analysis.changes.first_surfaces import Entering, spoils
+from mistray.analysis.changes.gaps import Gap
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
 from mistray.optimize.gradient import Gradient, gradient
@@ -44,6 +46,10 @@ class Together:
         The same from traces of the changed scene with other seeds; None where they were not requested.
     image : Estimate or None
         Power of the direct image over that before, at the sources' own field, from traces as well.
+    gaps : tuple of Gap
+        Surfaces that meet before and are apart after, see `mistray.analysis.changes.gaps`.
+    entering : mapping of str to tuple of Entering
+        By field angle in words: first surfaces of light after the changes that were none before.
     """
 
     changes: tuple[tuple[Row, Change], ...]
@@ -51,6 +57,13 @@ class Together:
     reached: bool
     traced: Estimate | None = None
     image: Estimate | None = None
+    gaps: tuple[Gap, ...] = ()
+    entering: Mapping[str, tuple[Entering, ...]] = field(default_factory=dict)
+
+    @property
+    def spoiled(self) -> bool:
+        """Whether so much light enters by new surfaces that a smaller metric is no gain."""
+        return any(spoils(entering) for entering in self.entering.values())
 
 
 @dataclass(frozen=True)
@@ -239,15 +252,12 @@ def sensitivity(
     spread = propagate([row.label for row in rows], table.change_batches, groups)
     best = best_together(table.reachable(free, reach), factor)
     changes = tuple((rows[change.number], change) for change in best)
-    traced, image = None, None
+    proposal = Together(changes, math.prod(change.factor for change in best), any(change.reached for change in best))
     if check and changes:
         changed_lines = [row.line for row, _ in changes]
         values = whole_values(given, changed_lines)
         values = shifted_values(values, changed_lines, [change.value for _, change in changes])
-        traced, image = traced_change(metric, given, values, advance)
-    proposal = Together(
-        changes, math.prod(change.factor for change in best), any(change.reached for change in best), traced, image
-    )
+        proposal = replace(proposal, **vars(traced_change(metric, given, values, advance)))
     draws = None
     if monte_carlo:
         draws = draw_systems(metric, given, rows, groups, int(monte_carlo), seed, advance)

@@ -2,32 +2,46 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from mistray.analysis.estimate import Estimate
 from mistray.files.json_values import plain
-from mistray.report.model import Table, columns
+from mistray.report.model import Table, Value, columns
 from mistray.report.output import csv_text, write_files
-from mistray.report.tables.text import number, table_text, with_error
+from mistray.report.tables.text import ABSENT, number, table_text, with_error
 from mistray.sweeps import EditRanking, PstSweep
+
+ENTERS = "of it by new first surfaces"
+OPENS = (
+    "opens: surfaces that meet, and how far one step takes them apart in the sense that lowers the PST. "
+    "The derivatives do not contain the light that enters there; such edits come after the others"
+)
 
 
 def pst_sweep_text(found: PstSweep) -> str:
     """A line for each configuration and field angle."""
-    heads = columns("<configuration", "angle [deg]", "stray PST before", "after", "after/before")
-    lines = []
+    heads = columns("<configuration", "angle [deg]", "stray PST before", "after", "after/before", f"{ENTERS} [%]")
+    lines: list[list[Value]] = []
     for row in found.to_pandas().itertuples():
         pairs = ((row.before, row.before_se), (row.after, row.after_se), (row.ratio, row.ratio_se))
-        lines.append([row.configuration, f"{row.angle_deg:g}", *(Estimate(*pair) for pair in pairs)])
-    text = table_text(Table(heads, lines))
-    return f"{text}\n\nthe error of after/before is that of runs with the same random numbers"
+        share = Estimate(row.entering_percent, row.entering_percent_se) if row.entering else ABSENT
+        lines.append([row.configuration, f"{row.angle_deg:g}", *(Estimate(*pair) for pair in pairs), share])
+    if not any(line[-1] != ABSENT for line in lines):
+        heads, lines = heads[:-1], [line[:-1] for line in lines]
+    notes = ["the error of after/before is that of runs with the same random numbers"]
+    return "\n".join([table_text(Table(heads, lines)), "", *notes, *(f"warning: {text}" for text in found.warnings)])
 
 
 def pst_sweep_record(found: PstSweep) -> dict[str, Any]:
     """All of a result as values that JSON knows."""
     rows = found.to_pandas().to_dict("records")
-    return dict(plain({"configurations": list(found.configurations), "rows": rows}))
+    for row in rows:
+        row["entering"] = [asdict(one) for one in found.changed(row["configuration"], row["angle_deg"]).entering]
+    gaps = {name: [asdict(gap) for gap in some] for name, some in found.gaps.items() if some}
+    record = {"configurations": list(found.configurations), "rows": rows, "gaps": gaps, "warnings": found.warnings}
+    return dict(plain(record))
 
 
 def edit_ranking_text(found: EditRanking, count: int = 20) -> str:
@@ -41,25 +55,34 @@ def edit_ranking_text(found: EditRanking, count: int = 20) -> str:
         Lines at most.
     """
     each = (f"at {angle:g} deg [% per step]" for angle in found.field_deg)
-    heads = columns("<edit", "<parameter", "value", "step", "<unit", *each)
+    heads = columns("<edit", "<parameter", "value", "step", "<unit", *each, "<opens")
     matter = [edit for edit in found.edits if any(change.value for change in edit.change)]
     lines = [
         [edit.method, edit.label, number(edit.value), number(edit.step), edit.unit]
         + [Estimate(100 * change.value, 100 * change.se) for change in edit.change]
+        + ["; ".join(f"{' – '.join(gap.surfaces)} {gap.gap_mm:.3g} mm" for gap in edit.gaps)]
         for edit in matter[:count]
     ]
+    opens = any(edit.gaps for edit in matter[:count])
+    if not opens:
+        heads, lines = heads[:-1], [line[:-1] for line in lines]
     pst = ", ".join(f"{with_error(at)} at {angle:g} deg" for angle, at in zip(found.field_deg, found.pst, strict=True))
     parts = [f"PST of the {found.light} light: {pst}", "", table_text(Table(heads, lines, empty="none"))]
     if len(matter) > count:
         parts.append(f"… and {len(matter) - count} with less")
     if len(found.edits) > len(matter):
         parts.append(f"{len(found.edits) - len(matter)} more change nothing")
+    if opens:
+        parts += ["", OPENS]
     return "\n".join([*parts, "", *(f"not in the derivatives: {text}" for text in found.left_out)])
 
 
 def edit_ranking_record(found: EditRanking) -> dict[str, Any]:
     """All of a ranking as values that JSON knows."""
     rows = found.to_pandas().to_dict("records")
+    gaps = {edit.label: [asdict(gap) for gap in edit.gaps] for edit in found.edits}
+    for row in rows:
+        row["gaps"] = gaps[row["label"]]
     return dict(plain({"light": found.light, "ranking": rows, "left_out": found.left_out}))
 
 

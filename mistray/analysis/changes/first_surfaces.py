@@ -1,0 +1,180 @@
+"""By which surfaces light enters a scene on its way to the detector, before and after a change.
+
+The first surface of a path is the first that the light meets, whatever happens there. Light by a first surface that was
+none before has not come through the front: a gap has opened, or something that shaded it has gone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mistray.analysis.estimate import Estimate
+from mistray.analysis.pst.found_paths import PATHS_LISTED
+from mistray.analysis.pst.result import Pst
+from mistray.ids import event_words
+from mistray.percent import percent_text
+from mistray.recorders.path_events import DIRECT
+
+if TYPE_CHECKING:
+    from mistray.trace import Trace
+
+NONE = 0.01  # of the light by a surface after a change: if there was less before, there was none
+LEAST, SURE = 1e-3, 3.0  # share of the light after, and standard errors of it, that a new first surface must have
+SPOILS = 0.01  # share of the light after by new first surfaces that makes a smaller number no gain
+TOLD = 3  # surfaces that a sentence names
+
+
+@dataclass(frozen=True)
+class Entering:
+    """
+    Light by a first surface that was none before.
+
+    Attributes
+    ----------
+    surface : str
+        Id of the first surface that the light meets; the detector's where it meets no other.
+    share, share_se : float
+        Of the light after the change: of all stray light, and of direct light by such surfaces, which passes for it.
+    """
+
+    surface: str
+    share: float
+    share_se: float
+
+
+@dataclass(frozen=True)
+class FirstLight:
+    """
+    Light on the detector by the first surface that it meets.
+
+    Attributes
+    ----------
+    power, variance, direct, strongest : dict of str to float
+        By surface: of all paths together, with its variance; of those of the direct image; of the strongest path.
+    unseen : float
+        No path that is left out of these is stronger than that.
+    """
+
+    power: Mapping[str, float]
+    variance: Mapping[str, float]
+    direct: Mapping[str, float]
+    strongest: Mapping[str, float]
+    unseen: float = 0.0
+
+    @classmethod
+    def of_trace(cls, t: Trace) -> FirstLight:
+        """Of a trace: flux that the detector absorbs, W."""
+        events, kinds, power = t.paths.column("events"), t.paths.column("kind"), t.paths.column("power_W")
+        first = _first(events)
+        errors = {name: t.paths.power(np.flatnonzero(first == name))[1] ** 2 for name in dict.fromkeys(first)}
+        return cls._of(first, power, kinds == DIRECT, errors)
+
+    @classmethod
+    def of_pst(cls, pst: Pst, field: int) -> FirstLight:
+        """Of a field angle of a PST, by its number, the mean over the azimuths; nothing of a PST without paths."""
+        if pst.path_rows is None:
+            return cls({}, {}, {}, {})
+        rows = pst.path_rows[pst.path_rows.cell == field]
+        azimuths = pst.grid.shape[1]
+        power, se = rows.pst_normal.to_numpy() / azimuths, rows.pst_normal_se.to_numpy() / azimuths
+        first = _first(rows.events)
+        errors = {name: float(np.sum(se[first == name] ** 2)) for name in dict.fromkeys(first)}
+        full = rows.groupby("azimuth_cell").size() >= PATHS_LISTED
+        weakest = rows.groupby("azimuth_cell").pst_normal.min()[full]
+        unseen = float(weakest.max()) if len(weakest) else 0.0
+        return cls._of(first, power, (rows.kind == DIRECT).to_numpy(), errors, unseen)
+
+    @classmethod
+    def _of(
+        cls,
+        first: np.ndarray,
+        power: np.ndarray,
+        direct: np.ndarray,
+        variance: Mapping[str, float],
+        unseen: float = 0.0,
+    ) -> FirstLight:
+        here = {name: first == name for name in dict.fromkeys(first)}
+        return cls(
+            {name: float(power[some].sum()) for name, some in here.items()},
+            dict(variance),
+            {name: float(power[some & direct].sum()) for name, some in here.items()},
+            {name: float(power[some].max()) for name, some in here.items()},
+            unseen,
+        )
+
+    def plus(self, other: FirstLight) -> FirstLight:
+        """That of independent traces together."""
+        strongest = {
+            name: max(one.strongest.get(name, 0.0) for one in (self, other)) for name in (*self.power, *other.power)
+        }
+        return FirstLight(
+            _added(self.power, other.power),
+            _added(self.variance, other.variance),
+            _added(self.direct, other.direct),
+            strongest,
+            max(self.unseen, other.unseen),
+        )
+
+    def since(self, before: FirstLight) -> tuple[Entering, ...]:
+        """
+        First surfaces of light that were none before, the strongest first.
+
+        Parameters
+        ----------
+        before : FirstLight
+            In the same unit, at the same field angle.
+
+        Returns
+        -------
+        tuple of Entering
+            Empty where either is dark. A surface counts where less than 1 % of its light was there before, and where
+            that is at least 0.1 % of all and three standard errors.
+        """
+        if not before.power or not self.power:
+            return ()
+        new = [
+            name
+            for name, value in self.power.items()
+            if before.power.get(name, 0.0) < NONE * value
+            and (name in before.power or self.strongest[name] > before.unseen)
+        ]
+        whole = sum(value - (0.0 if name in new else self.direct[name]) for name, value in self.power.items())
+        found = [Entering(name, self.power[name] / whole, math.sqrt(self.variance[name]) / whole) for name in new]
+        told = (one for one in found if one.share > max(LEAST, SURE * one.share_se))
+        return tuple(sorted(told, key=lambda one: -one.share))
+
+
+def together(entering: Iterable[Entering]) -> Estimate:
+    """The share of all of them; the errors as if their rays were different ones."""
+    found = list(entering)
+    return Estimate(sum(one.share for one in found), math.sqrt(sum(one.share_se**2 for one in found)))
+
+
+def spoils(entering: Iterable[Entering]) -> bool:
+    """Whether so much light enters by new surfaces, more than 1 %, that a smaller number is no gain."""
+    return together(entering).value > SPOILS
+
+
+def entering_text(entering: Sequence[Entering]) -> str:
+    """A sentence's end such as "93 ± 1 % of the light after enters by L3_front (80 %), L3_bevel_1 (13 %)"."""
+    share, se = together(entering)
+    named = [f"{one.surface} ({percent_text(one.share)})" for one in entering[:TOLD]]
+    more = [f"{len(entering) - TOLD} more"] if len(entering) > TOLD else []
+    return (
+        f"{percent_text(share, 3)} (± {percent_text(se)}) of the light after first meets "
+        f"{', '.join([*named, *more])}: none did before"
+    )
+
+
+def _first(events: Iterable[str]) -> np.ndarray:
+    """Ids of the first surfaces of event lists."""
+    return np.array([event_words(text)[0].rpartition(":")[0] for text in events], dtype=object)
+
+
+def _added(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
+    return {name: one.get(name, 0.0) + other.get(name, 0.0) for name in (*one, *(k for k in other if k not in one))}

@@ -1,0 +1,252 @@
+"""Where surfaces end and how far points are from them, in float64 on the host: circles, straight rims, triangles."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from mistray._mitsuba_compat import mesh_arrays
+
+TOUCH = 1e-3  # mm, within which surfaces meet
+PROFILE = 257  # points of a curved generatrix: between them it is straight within 1e-5 of its radius
+AROUND = 16  # points of a circular rim
+INWARD = 8  # of the points of a generatrix one counts for the way inward
+ALONG = 9  # points of a straight rim, and of a way from a rim to the middle of its surface
+CORNER = np.cos(np.radians(20.0))  # rims that turn by more are two
+MOST_FACES = 20_000  # of a mesh that is compared; those of more take part in no contact
+
+
+@dataclass(frozen=True)
+class Rim:
+    """
+    An end of a surface: a circle, or one side of a polygon.
+
+    Attributes
+    ----------
+    points : (n, 3) float64
+        On it, mm.
+    inward : (n, k, 3) float64
+        From each of these over the surface, mm.
+    """
+
+    points: np.ndarray
+    inward: np.ndarray
+
+
+class Outline(ABC):
+    """
+    A surface of a scene as a figure in space.
+
+    Attributes
+    ----------
+    name : str
+    opaque : bool
+    rims : list of Rim
+    low, high : (3,) float64
+        The box that holds it, mm.
+    """
+
+    def __init__(self, shape: Any, rims: list[Rim], box: np.ndarray) -> None:
+        self.name = str(shape.id())
+        self.opaque = bool(getattr(shape.bsdf(), "opaque", True))
+        self.rims = rims
+        self.low, self.high = box.min(axis=0), box.max(axis=0)
+
+    @abstractmethod
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """How far points (n, 3) are from it, (n,) mm."""
+
+    @abstractmethod
+    def cuts(self, ways: np.ndarray) -> np.ndarray:
+        """Whether it crosses each of some lines of k points, (n, k, 3), (n,) bool."""
+
+    def away(self, rim: Rim) -> float:
+        """The farthest that a rim of another surface is from it, mm; 0 where the two surfaces cross there."""
+        far = self.distance(rim.points)
+        apart = np.flatnonzero(far > TOUCH)
+        if len(apart):
+            far[apart[self.cuts(rim.inward[apart])]] = 0.0
+        return float(far.max())
+
+
+class Turned(Outline):
+    """A surface of revolution: its generatrix in the plane of the distance from the axis and the place along it."""
+
+    def __init__(self, shape: Any) -> None:
+        straight = len(shape.profile(3)) == 3 and _straight(shape.profile(9))
+        self._profile = np.asarray(shape.profile(2 if straight else PROFILE), dtype=np.float64)
+        self._matrix = np.asarray(shape.matrix, dtype=np.float64)
+        turn = 2 * np.pi * np.arange(AROUND) / AROUND
+        about = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+        ways = np.empty((AROUND, len(self._profile), 3))
+        ways[..., :2] = about[:, None] * self._profile[:, None, 0][None]
+        ways[..., 2] = self._profile[:, 1]
+        ways = ways @ self._matrix[:3, :3].T + self._matrix[:3, 3]
+        ends = [(0, ways), (-1, ways[:, ::-1])]
+        rims = [Rim(way[:, 0], _fewer(way)) for end, way in ends if self._profile[end, 0] > 0]
+        radius = self._profile[:, 0].max()
+        corners = np.array([[x, y, z] for x in (-radius, radius) for y in (-radius, radius)
+                            for z in (self._profile[:, 1].min(), self._profile[:, 1].max())])  # fmt: skip
+        super().__init__(shape, rims, corners @ self._matrix[:3, :3].T + self._matrix[:3, 3])
+
+    def _meridian(self, points: np.ndarray) -> np.ndarray:
+        """Points (…, 3) as distances from the axis and places along it, (…, 2)."""
+        local = (points - self._matrix[:3, 3]) @ self._matrix[:3, :3]
+        return np.stack([np.hypot(local[..., 0], local[..., 1]), local[..., 2]], axis=-1)
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """See `Outline.distance`."""
+        return _to_segments(self._meridian(points), self._profile[:-1], self._profile[1:])
+
+    def cuts(self, ways: np.ndarray) -> np.ndarray:
+        """See `Outline.cuts`."""
+        flat = self._meridian(ways)
+        a, b = flat[:, :-1, None], flat[:, 1:, None]
+        c, d = self._profile[:-1], self._profile[1:]
+        across = (_turn(a, b, c) * _turn(a, b, d) < 0) & (_turn(c, d, a) * _turn(c, d, b) < 0)
+        return np.asarray(across.any(axis=(1, 2)))
+
+
+class Faces(Outline):
+    """A surface of triangles: a rectangle, a polygon, a mesh. Its rims are the sides that only one triangle has."""
+
+    def __init__(self, shape: Any, vertices: np.ndarray, faces: np.ndarray) -> None:
+        self._corners = vertices[faces]
+        middle = vertices[np.unique(faces)].mean(axis=0)
+        share = np.linspace(0.0, 1.0, ALONG)
+        rims = []
+        for side in _sides(vertices, faces):
+            points = side[0] + share[:, None] * (side[1] - side[0])
+            rims.append(Rim(points, points[:, None] + share[:, None] * (middle - points)[:, None]))
+        super().__init__(shape, rims, vertices[np.unique(faces)])
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """See `Outline.distance`."""
+        a, b, c = (self._corners[:, k] for k in range(3))
+        found = np.minimum.reduce([_to_segments(points, p, q) for p, q in ((a, b), (b, c), (c, a))])
+        normal = np.cross(b - a, c - a)
+        for k, point in enumerate(points):
+            above = np.einsum("ij,ij->i", point - a, normal)
+            over = np.ones(len(a), dtype=bool)
+            for p, q in ((a, b), (b, c), (c, a)):
+                over &= np.einsum("ij,ij->i", np.cross(q - p, point - p), normal) >= 0
+            if over.any():
+                found[k] = min(found[k], (np.abs(above[over]) / np.linalg.norm(normal[over], axis=1)).min())
+        return found
+
+    def cuts(self, ways: np.ndarray) -> np.ndarray:
+        """See `Outline.cuts`."""
+        a, b, c = (self._corners[:, k] for k in range(3))
+        normal = np.cross(b - a, c - a)
+        found = np.zeros(len(ways), dtype=bool)
+        for k, way in enumerate(ways):
+            for start, end in pairwise(way):
+                first, last = (np.einsum("ij,ij->i", p - a, normal) for p in (start, end))
+                some = np.flatnonzero(first * last < 0)
+                share = (first / (first - last + (first == last)))[some]
+                point = start + share[:, None] * (end - start)
+                over = np.ones(len(some), dtype=bool)
+                for p, q in ((a, b), (b, c), (c, a)):
+                    turn = np.cross((q - p)[some], point - p[some])
+                    over &= np.einsum("ij,ij->i", turn, normal[some]) > 0
+                if over.any():
+                    found[k] = True
+                    break
+        return found
+
+
+def outlines(scene: mi.Scene, names: Collection[str] | None = None) -> list[Outline]:
+    """
+    The surfaces of a scene that can take part in contacts.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+        Shapes that are neither of revolution nor of triangles are left out, and so are meshes of very many triangles.
+    names : collection of str, optional
+        Of those that are wanted; by default all.
+    """
+    found: list[Outline] = []
+    for shape in scene.shapes():
+        if getattr(shape.bsdf(), "is_target", False) or (names is not None and shape.id() not in names):
+            continue
+        if hasattr(shape, "profile") and not getattr(shape, "rectangular", False):
+            found.append(Turned(shape))
+        elif isinstance(shape, mi.Mesh) and not str(shape).startswith("Rectangle"):  # which keeps its triangles
+            vertices, faces = mesh_arrays(shape)
+            if 0 < len(faces) <= MOST_FACES:
+                found.append(Faces(shape, vertices.astype(np.float64), faces))
+    return sorted(found, key=lambda one: one.name)
+
+
+def _fewer(ways: np.ndarray) -> np.ndarray:
+    """The same ways, (n, k, 3), by fewer points."""
+    return ways if ways.shape[1] <= INWARD else ways[:, ::INWARD]
+
+
+def _straight(profile: np.ndarray) -> bool:
+    way = profile[-1] - profile[0]
+    off = _cross(profile - profile[0], way)
+    return bool(np.abs(off).max() <= 1e-12 * float(way @ way))
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+
+def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """On which side of the line from a to b c lies, in the plane."""
+    return _cross(b - a, c - a)
+
+
+def _to_segments(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Distance of points (n, d) from the nearest of the segments from a to b, (m, d)."""
+    way, off = b - a, points[:, None] - a
+    length2 = np.maximum(np.einsum("ij,ij->i", way, way), 1e-300)
+    share = np.clip(np.einsum("kij,ij->ki", off, way) / length2, 0.0, 1.0)
+    return np.asarray(np.linalg.norm(off - share[..., None] * way, axis=2).min(axis=1))
+
+
+def _sides(vertices: np.ndarray, faces: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The straight rims of triangles: sides that only one of them has, those in one line joined."""
+    _, same = np.unique(vertices.round(6), axis=0, return_inverse=True)
+    sides = np.sort(same.ravel()[np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])], axis=1)
+    single, count = np.unique(sides, axis=0, return_counts=True)
+    place = np.zeros((int(same.max()) + 1, 3))
+    place[same.ravel()] = vertices
+    return _joined([(place[i], place[j]) for i, j in single[count == 1]])
+
+
+def _joined(sides: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Sides that go on in one line as one side."""
+    at: dict[bytes, list[int]] = {}
+    for number, side in enumerate(sides):
+        for end in side:
+            at.setdefault(end.tobytes(), []).append(number)
+    found, used = [], np.zeros(len(sides), dtype=bool)
+    for number, (first, last) in enumerate(sides):
+        if used[number]:
+            continue
+        used[number] = True
+        ends = [first, last]
+        for k in (0, 1):
+            while True:
+                here, other = ends[k], ends[1 - k]
+                way = (here - other) / np.linalg.norm(here - other)
+                for beside in at[here.tobytes()]:
+                    a, b = sides[beside]
+                    onward = b if np.array_equal(a, here) else a
+                    step = onward - here
+                    if not used[beside] and step @ way > CORNER * np.linalg.norm(step):
+                        used[beside], ends[k] = True, onward
+                        break
+                else:
+                    break
+        found.append((ends[0], ends[1]))
+    return found

@@ -1,0 +1,72 @@
+"""First surfaces that were none before: plain arithmetic, and the classes of a PST that count the same light."""
+
+from __future__ import annotations
+
+import pytest
+
+from mistray.analysis.changes.first_surfaces import Entering, FirstLight, entering_text, spoils, together
+
+
+def light(unseen: float = 0.0, direct: float = 0.0, **power: float) -> FirstLight:
+    """Light of one path by each surface, known to 1 %; `direct` of it by the surface `front` is the image."""
+    return FirstLight(
+        power,
+        {name: (0.01 * value) ** 2 for name, value in power.items()},
+        {name: direct if name == "front" else 0.0 for name in power},
+        power,
+        unseen,
+    )
+
+
+BEFORE = light(front=8.0, hood=0.02)
+
+
+class TestNew:
+    """What is new, and its share."""
+
+    def test_none(self) -> None:
+        assert BEFORE.since(BEFORE) == ()
+        assert light(front=0.001, hood=0.02).since(BEFORE) == ()  # the old light has gone, none is new
+        assert light().since(BEFORE) == BEFORE.since(light()) == ()
+
+    def test_share_of_the_stray_light(self) -> None:
+        (one,) = light(front=4.0, L3=1.0).since(BEFORE)
+        assert one == Entering("L3", pytest.approx(0.2), pytest.approx(0.002))
+        # The image does not count: 3 of the light by the front
+        (one,) = light(front=4.0, L3=1.0, direct=3.0).since(light(front=4.0, direct=3.0))
+        assert one.share == pytest.approx(0.5)
+
+    def test_a_trace_of_it_before_counts_for_none(self) -> None:
+        assert [one.surface for one in light(front=4.0, hood=4.0).since(BEFORE)] == ["hood"]
+        assert light(front=4.0, hood=1.9).since(BEFORE) == ()
+
+    def test_what_the_list_before_may_have_left_out_is_not_new(self) -> None:
+        assert light(front=4.0, L3=1.0).since(light(front=8.0, unseen=2.0)) == ()
+        assert len(light(front=4.0, L3=1.0).since(light(front=8.0, unseen=0.5))) == 1
+
+    def test_noise(self) -> None:
+        """Less than 0.1 %, or than three standard errors, is not told."""
+        assert light(front=4.0, L3=0.003).since(BEFORE) == ()
+        loud = FirstLight({"front": 4.0, "L3": 1.0}, {"front": 0.0, "L3": 0.16}, {"front": 0.0, "L3": 0.0},
+                          {"front": 4.0, "L3": 1.0})  # fmt: skip
+        assert loud.since(BEFORE) == ()
+
+    def test_independent_traces_add_up(self) -> None:
+        both = light(front=1.0, L3=2.0).plus(light(front=3.0))
+        assert both.power == {"front": 4.0, "L3": 2.0}
+        assert both.variance["front"] == pytest.approx(0.01**2 * (1 + 9))
+        assert both.strongest == {"front": 3.0, "L3": 2.0}
+
+
+def test_no_gain_above_a_percent() -> None:
+    assert not spoils(())
+    assert not spoils((Entering("a", 0.009, 0.001),))
+    assert spoils((Entering("a", 0.009, 0.003), Entering("b", 0.002, 0.004)))
+    assert together((Entering("a", 0.009, 0.003), Entering("b", 0.002, 0.004))) == pytest.approx((0.011, 0.005))
+
+
+def test_words() -> None:
+    text = entering_text([Entering(f"s{k}", 0.1, 0.01) for k in range(5)])
+    assert "50 % (± 2.2 %)" in text
+    assert "s0 (10 %)" in text
+    assert "2 more" in text
