@@ -244,6 +244,17 @@ class SceneSource(Source):
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
         """Rays of the source for points of the unit square: origins and directions in the world, (n, 3) float64."""
 
+    def edges(self, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        """
+        The rays along the edge of its light, beyond which there is none: `count` for each closed line of them.
+
+        Returns
+        -------
+        list of ((n, 3), (n, 3)) float64
+            Origins (mm) and directions in the world. Light that fades out, or fills the scene, has no edge.
+        """
+        return []
+
 
 @dataclass(frozen=True, kw_only=True)
 class EmittedRays(SceneSource):
@@ -333,6 +344,16 @@ class EmittedRays(SceneSource):
         local = [mi.Vector3d(*(dr.dot(vector, axis) for axis in axes)) for vector in (away, d)]
         by_o, by_d = self.emitter.motion(name, *local)
         return turned(by_o, axes), turned(by_d, axes)
+
+    def edges(self, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Those that the plugin names."""
+        points = self.emitter.edge_samples(count)
+        if points is None:
+            return []
+        sample = mi.Point2d(*(upload(mi.Float64, v) for v in points))
+        o, d = self._rays(mi.Point2d(0.5), sample, mi.PCG32(size=count))
+        origins, directions = (np.array(vector, dtype=np.float64).T for vector in (self._near(o, d), d))
+        return [(origins, directions / np.linalg.norm(directions, axis=1, keepdims=True))]
 
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
         """Rays of the plugin for given points of the unit square; where it aims, those of its first target."""

@@ -143,6 +143,15 @@ class LightSource(mi.Emitter):
         """
         return self.rays(sample, rng, n)
 
+    def edge_samples(self, count: int) -> np.ndarray | None:
+        """
+        Points (2, count) of the unit square whose rays lie along the edge of its light, beyond which there is none.
+
+        The points go around once. None: the light has no such edge, because it fades out or fills the scene. Rims that
+        such an edge runs along have no derivative, and `mistray.gradient` says so.
+        """
+        return None
+
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
         """Derivatives of the origins o and directions d of rays, in the frame of the source, by one of its numbers."""
         raise NotImplementedError
