@@ -43,5 +43,5 @@ def arriving(scene_file: Path) -> Arriving:
     from mistray.scene import load
     from mistray.trace import trace
 
-    energy = trace(load(scene_file), rays=RAYS, max_reflections=0, max_scatters=0, ledger=False).energy
-    return Arriving(scene_file, energy.detected_W / energy.launched_W, energy.greatest_loss)
+    found = trace(load(scene_file), rays=RAYS, max_reflections=0, max_scatters=0, ledger=False)
+    return Arriving(scene_file, found.energy.detected_W / found.pupil_W, found.energy.greatest_loss)

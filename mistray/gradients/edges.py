@@ -116,7 +116,11 @@ class Edges:
     """
 
     def __init__(
-        self, scene: KernelScene, settings: Settings, width: float, limits: Mapping[tuple[int, int], float] | None = None
+        self,
+        scene: KernelScene,
+        settings: Settings,
+        width: float,
+        limits: Mapping[tuple[int, int], float] | None = None,
     ) -> None:
         table = scene.table
         self._scene, self._table, self._settings = scene, table, settings

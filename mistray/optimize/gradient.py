@@ -87,7 +87,9 @@ class Gradient:
             if key in self.untouched:
                 continue
             if key in self.full:
-                lines.append(f"d/d {key} {self.one_sided.get(key, 'does not exist')}: a beam just fills {self.full[key].rim}")
+                lines.append(
+                    f"d/d {key} {self.one_sided.get(key, 'does not exist')}: a beam just fills {self.full[key].rim}"
+                )
                 continue
             for k, (value, error) in enumerate(zip(values, self.standard_error[key], strict=True)):
                 check = f" (edge width: {self.edge_check[key][k]:+.1e})" if key in self.edge_check else ""

@@ -119,6 +119,11 @@ class Source(ABC):
         """The state of all its light, s1, s2, s3 in its own axes; None where there is no such state."""
         return None
 
+    @property
+    def pupil_power(self) -> float:
+        """Flux that counts as launched where a result is relative to that, W."""
+        return self.power
+
     def stokes_along(self, d: mi.Vector3f) -> mi.Vector3f | None:
         """The same for light along d with respect to the axes of `mistray.kernel.polarization`."""
         return None
@@ -193,6 +198,11 @@ class SceneSource(Source):
     def polarized(self) -> bool:
         """Whether the plugin says so."""
         return bool(getattr(self.emitter, "polarized", False))
+
+    @property
+    def pupil_power(self) -> float:
+        """The part of its flux that the plugin states."""
+        return self.power * float(getattr(self.emitter, "pupil_share", 1.0))
 
     @property
     def stokes(self) -> tuple[float, float, float] | None:

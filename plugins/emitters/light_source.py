@@ -152,6 +152,11 @@ class LightSource(mi.Emitter):
         """
         return None
 
+    @property
+    def pupil_share(self) -> float:
+        """Share of its light that counts as launched where a result is relative to that, 0 … 1."""
+        return 1.0
+
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
         """Derivatives of the origins o and directions d of rays, in the frame of the source, by one of its numbers."""
         raise NotImplementedError

@@ -158,7 +158,9 @@ class FullRims:
         for o, d in self.source.edges(RAYS):
             if step is not None and step[0] is self.source.emitter:
                 by = self.source.motion(step[1], mi.Vector3d(*o.T), mi.Vector3d(*d.T))
-                o, d = (now + step[2] * np.array(change, dtype=np.float64).T for now, change in zip((o, d), by, strict=True))
+                o, d = (
+                    now + step[2] * np.array(change, dtype=np.float64).T for now, change in zip((o, d), by, strict=True)
+                )
                 d /= np.linalg.norm(d, axis=1, keepdims=True)
             rays = MarginalRays(table, self.zones, CLOSE, len(o))
             last = table.ids.index(self.source.shape) if self.source.shape else -1
@@ -169,7 +171,11 @@ class FullRims:
     def _with(self, owner: Any, name: str, step: float) -> SurfaceTable:
         """The surfaces with another value of a parameter, as far as rays on the host see them."""
         table = copy(self.table)
-        table.pieces, table.vertices, table.rotations = list(table.pieces), table.vertices.copy(), table.rotations.copy()
+        table.pieces, table.vertices, table.rotations = (
+            list(table.pieces),
+            table.vertices.copy(),
+            table.rotations.copy(),
+        )
         for piece in self.table.pieces:
             if table.shapes[piece.index] is owner:
                 values = {**owner.values, name: owner.values[name] + step}

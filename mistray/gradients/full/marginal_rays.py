@@ -183,9 +183,7 @@ class MarginalRays:
                     if np.any(near):
                         yield (piece.index, rim, k), _Near(some[near], depths[rim][near], points[near])
 
-    def _note(
-        self, key: tuple[int, int, int], near: _Near, legs: Bundle, step: np.ndarray, lit: np.ndarray
-    ) -> None:
+    def _note(self, key: tuple[int, int, int], near: _Near, legs: Bundle, step: np.ndarray, lit: np.ndarray) -> None:
         """Keep how legs pass a rim, and send those that are very near to their other fate."""
         very = np.abs(near.depth) < self.close * self.zones[key[:2]]
         counts = very & lit[near.legs]
