@@ -46,8 +46,8 @@ class Gradient:
     batches : dict
         Key → (BATCHES, entries): the parts of the gradient from single batches of start rays, whose sum it is.
     full : dict
-        Key → the rim that a beam just fills and that the parameter moves relative to the beam, in words, and the step
-        that moves it by a zone. Such a parameter has no derivative: it is NaN.
+        Key → `FullKey`: the rim that a beam just fills and that the parameter moves relative to the beam. Such a
+        parameter has no derivative: it is NaN.
     one_sided : dict
         Key → the derivatives below and above its value, where it has none. They are not linear: those of parameters
         that move together are not the sum.
@@ -68,6 +68,15 @@ class Gradient:
     one_sided: dict[str, OneSided]
     left_out: list[str]
     seconds: tuple[float, float]
+
+    def require(self, keys: Iterable[str]) -> None:
+        """Raise `MistrayError` if one of these has no derivative, because a beam just fills a rim that it moves."""
+        for key in keys:
+            if key in self.full:
+                raise MistrayError(
+                    f"parameter '{key}' has no derivative, because a beam just fills {self.full[key].rim}; widen the "
+                    "source by a few per cent"
+                )
 
     @property
     def untouched(self) -> list[str]:
@@ -175,11 +184,7 @@ def gradient_seen(
         If a beam just fills a rim that one of the parameters moves: then there is nothing that could be added.
     """
     found = gradient_where_smooth(metric, observations, chosen, request)
-    for key, at in found.full.items():
-        raise MistrayError(
-            f"parameter '{key}': a beam just fills {at.rim}, so the {metric.name} has no derivative by it; widen the "
-            "source by a few per cent"
-        )
+    found.require(found.full)
     return found
 
 

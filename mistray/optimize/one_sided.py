@@ -2,7 +2,8 @@
 
 With the differences d(h) and d(h/2) of the metric over a step and over half of it, 2 d(h/2) - d(h) is free of the part
 of the error that goes with h (L. F. Richardson, 1911), as is the boundary kernel of `mistray.gradients.edges`. What the
-two differ by is what it makes up for; half of that counts as an error beside the noise.
+two differ by is what it makes up for; half of that counts as an error beside the noise. So does what a single ray more
+or less would change: where none crosses the rim, the derivative is 0 to that precision and no better.
 """
 
 from __future__ import annotations
@@ -89,15 +90,15 @@ def one_sided(metric: Any, steps: Mapping[str, float], chosen: Mapping[str, Para
     dict
         By key.
     """
-    params, here = mi.traverse(metric.scene), _seen(metric)
+    params, (here, rays) = mi.traverse(metric.scene), _seen(metric)
     found = {}
     for key, step in steps.items():
         sides = []
         for sign in (-1.0, 1.0):
             whole, half = (_slope(metric, params, chosen[key], here, sign * share * step) for share in (1.0, 0.5))
             value = half.scaled(2.0) - whole
-            made_up = 0.5 * float(half.value - whole.value)
-            sides.append(Estimate(float(value.value), float(np.hypot(value.se, made_up))))
+            made_up, one_ray = 0.5 * float(half.value - whole.value), abs(float(here.value) / rays / step)
+            sides.append(Estimate(float(value.value), float(np.hypot(np.hypot(value.se, made_up), one_ray))))
         found[key] = OneSided(*sides)
     return found
 
@@ -105,13 +106,14 @@ def one_sided(metric: Any, steps: Mapping[str, float], chosen: Mapping[str, Para
 def _slope(metric: Any, params: Any, p: Parameter, here: Sampled, step: float) -> Sampled:
     """The difference quotient of the metric over a step."""
     with changed(params, {p.key: p.value + step}):
-        return (_seen(metric) - here).scaled(1.0 / step)
+        return (_seen(metric)[0] - here).scaled(1.0 / step)
 
 
-def _seen(metric: Any) -> Sampled:
-    """The metric with its noise by batch."""
+def _seen(metric: Any) -> tuple[Sampled, int]:
+    """The metric with its noise by batch, and the start rays of the trace that has fewest."""
     observations = metric.observe()
     value = metric.evaluate(observations)
     dr.backward(value, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)
     noise = sum((one.noise() for one in observations), Sampled.of(np.zeros(BATCHES), np.ones(BATCHES)))
-    return Sampled(np.array(float(dr.detach(value)[0])), noise.apart)
+    rays = min(one.trace.rays_planned for one in observations)
+    return Sampled(np.array(float(dr.detach(value)[0])), noise.apart), rays

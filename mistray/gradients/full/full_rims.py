@@ -21,7 +21,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from mistray.gradients.full.marginal_rays import Bundle, Key, MarginalRays, Passage, Rim
+from mistray.gradients.full.marginal_rays import Bundle, Key, MarginalRays, Passage, Rim, depth_again
 from mistray.gradients.geometry_gradient import SHIFTS
 from mistray.gradients.rims import rim_zones
 from mistray.physics.geometry.pose import moved
@@ -124,16 +124,16 @@ class FullRims:
         largest, rim = 0.0, ""
         if not any(owner is one for one in self._owners):
             return largest, rim
-        after = self._lines(self._with(owner, name, step), (owner, name, step))
+        table = self._with(owner, name, step)
         for line, key, here in self.full:
-            before = self._passages[line].passages[key]
-            now = after[line].passages.get(key)
+            passage, place = self._passages[line].passages[key], np.flatnonzero(here)
+            o, d = self._edges[line]
+            rays = self._moved(Bundle(o[place], d[place], place, place), owner, name, step)
+            move = np.abs(depth_again(table, (key[2], key[3]), passage, rays) - passage.depth[place])
             zone = self.zones[key[2], key[3]]
-            change = np.full(int(here.sum()), zone) if now is None else np.abs(now.depth - before.depth)[here]
-            move = float(np.max(np.where(np.isnan(change), zone, change)))
-            size = self.table.pieces[key[2]].rim_sizes[key[3]]
-            if move > SAME * size and move / zone > largest:
-                largest, rim = move / zone, self.name(key)
+            farthest = float(np.max(np.where(np.isnan(move), zone, move)))
+            if farthest > SAME * self.table.pieces[key[2]].rim_sizes[key[3]] and farthest / zone > largest:
+                largest, rim = farthest / zone, self.name(key)
         return largest, rim
 
     @cached_property
@@ -149,24 +149,28 @@ class FullRims:
                 yield line, key, passage
 
     @cached_property
-    def _passages(self) -> list[MarginalRays]:
-        return self._lines(self.table)
+    def _edges(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        return self.source.edges(RAYS)
 
-    def _lines(self, table: SurfaceTable, step: tuple[Any, str, float] | None = None) -> list[MarginalRays]:
+    @cached_property
+    def _passages(self) -> list[MarginalRays]:
         """The lines of the edge of the beam, followed."""
         found = []
-        for o, d in self.source.edges(RAYS):
-            if step is not None and step[0] is self.source.emitter:
-                by = self.source.motion(step[1], mi.Vector3d(*o.T), mi.Vector3d(*d.T))
-                o, d = (
-                    now + step[2] * np.array(change, dtype=np.float64).T for now, change in zip((o, d), by, strict=True)
-                )
-                d /= np.linalg.norm(d, axis=1, keepdims=True)
-            rays = MarginalRays(table, self.zones, CLOSE, len(o))
-            last = table.ids.index(self.source.shape) if self.source.shape else -1
+        for o, d in self._edges:
+            rays = MarginalRays(self.table, self.zones, CLOSE, len(o))
+            last = self.table.ids.index(self.source.shape) if self.source.shape else -1
             rays.follow(Bundle(o, d, np.full(len(o), last), np.arange(len(o))))
             found.append(rays)
         return found
+
+    def _moved(self, rays: Bundle, owner: Any, name: str, step: float) -> Bundle:
+        """Rays as they start with another value of a parameter, if it is one of the source."""
+        if owner is not self.source.emitter:
+            return rays
+        by_o, by_d = self.source.motion(name, mi.Vector3d(*rays.o.T), mi.Vector3d(*rays.d.T))
+        zero = np.zeros_like(rays.o)
+        o, d = (now + step * (zero + np.array(by, dtype=np.float64).T) for now, by in ((rays.o, by_o), (rays.d, by_d)))
+        return rays._replace(o=o, d=d / np.linalg.norm(d, axis=1, keepdims=True))
 
     def _with(self, owner: Any, name: str, step: float) -> SurfaceTable:
         """The surfaces with another value of a parameter, as far as rays on the host see them."""

@@ -24,6 +24,29 @@ Rim = tuple[int, int]
 Key = tuple[tuple[int, ...], int, int, int, int]
 
 
+class Meeting(NamedTuple):
+    """
+    What the rays of a line meet at a step.
+
+    Attributes
+    ----------
+    surface : (n,) int
+        -1: nothing.
+    point : (n, 3) float64
+        Where, mm.
+    """
+
+    surface: np.ndarray
+    point: np.ndarray
+
+    @classmethod
+    def of(cls, count: int, place: np.ndarray, surface: np.ndarray, point: np.ndarray) -> Meeting:
+        """Of some rays of a line of `count`."""
+        found = cls(np.full(count, -1), np.full((count, 3), np.nan))
+        found.surface[place], found.point[place] = surface, point
+        return found
+
+
 @dataclass
 class Passage:
     """
@@ -37,11 +60,14 @@ class Passage:
         Where, mm.
     counts : (n,) bool
         Whether light goes on from there by one of both fates; known of those very near.
+    way : tuple of Meeting
+        What the rays have met before.
     """
 
     depth: np.ndarray
     point: np.ndarray
     counts: np.ndarray
+    way: tuple[Meeting, ...]
 
     @property
     def slope(self) -> np.ndarray:
@@ -69,6 +95,8 @@ class Bundle(NamedTuple):
         Where they are in the line.
     fates : tuple of int
         Surfaces that they have met, or passed, otherwise than they would.
+    way : tuple of Meeting
+        What they have met.
     """
 
     o: np.ndarray
@@ -76,10 +104,11 @@ class Bundle(NamedTuple):
     last: np.ndarray
     place: np.ndarray
     fates: tuple[int, ...] = ()
+    way: tuple[Meeting, ...] = ()
 
     def take(self, some: np.ndarray) -> Bundle:
         """Those of some places."""
-        return Bundle(self.o[some], self.d[some], self.last[some], self.place[some], self.fates)
+        return self._replace(o=self.o[some], d=self.d[some], last=self.last[some], place=self.place[some])
 
 
 class _Near(NamedTuple):
@@ -88,6 +117,10 @@ class _Near(NamedTuple):
     legs: np.ndarray
     depth: np.ndarray
     point: np.ndarray
+
+    def take(self, some: np.ndarray) -> _Near:
+        """Some of them."""
+        return _Near(self.legs[some], self.depth[some], self.point[some])
 
 
 @dataclass
@@ -126,7 +159,7 @@ class MarginalRays:
             Whether light goes on from the end of each: it is no black surface, and not the open.
         """
         alive, lit, here = np.arange(len(rays.o)), np.zeros(len(rays.o), dtype=bool), rays
-        legs, lengths, numbers, origins = [], [], [], []
+        legs, lengths, numbers, origins, way = [], [], [], [], rays.way
         for number in range(MOST_STEPS):
             surface, p, normal = first_hit(self.table, here.o, here.d, here.last)
             met = surface >= 0
@@ -135,6 +168,7 @@ class MarginalRays:
             numbers.append(np.full(len(p), number))
             origins.append(alive)
             alive, here = alive[met], here._replace(o=p, last=surface).take(met)
+            way = (*way, Meeting.of(self.count, here.place, here.last, here.o))
             self.met |= set(here.last.tolist())
             after, ends = self._after(here, normal[met])
             lit[alive[ends]] = ~self._black(here.last[ends])
@@ -143,10 +177,14 @@ class MarginalRays:
                 break
         else:
             lit[alive] = True  # round and round
-        whole = Bundle(*(np.concatenate(column) for column in zip(*(leg[:4] for leg in legs), strict=True)), rays.fates)
+        o, d, last, place = (np.concatenate(column) for column in zip(*(leg[:4] for leg in legs), strict=True))
+        whole = Bundle(o, d, last, place, rays.fates, way)
         length, step, origin = (np.concatenate(parts) for parts in (lengths, numbers, origins))
         for key, near in self._passing(whole, length):
-            self._note(key, near, whole, step, lit[origin])
+            for number in np.unique(step[near.legs]):
+                here = step[near.legs] == number
+                before = whole._replace(way=way[: len(rays.way) + number])
+                self._note((rays.fates, int(number), *key), near.take(here), before, lit[origin])
         return lit
 
     def _after(self, rays: Bundle, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -183,29 +221,69 @@ class MarginalRays:
                     if np.any(near):
                         yield (piece.index, rim, k), _Near(some[near], depths[rim][near], points[near])
 
-    def _note(self, key: tuple[int, int, int], near: _Near, legs: Bundle, step: np.ndarray, lit: np.ndarray) -> None:
+    def _note(self, key: Key, near: _Near, legs: Bundle, lit: np.ndarray) -> None:
         """Keep how legs pass a rim, and send those that are very near to their other fate."""
-        very = np.abs(near.depth) < self.close * self.zones[key[:2]]
+        very = np.abs(near.depth) < self.close * self.zones[key[2:4]]
         counts = very & lit[near.legs]
         if np.any(very) and len(legs.fates) < MOST_FATES:
-            at = legs.take(near.legs[very])._replace(o=near.point[very], last=np.full(int(very.sum()), key[0]))
+            at = legs.take(near.legs[very])._replace(o=near.point[very], last=np.full(int(very.sum()), key[2]))
             counts[very] |= self._otherwise(at, near.depth[very] < 0)
-        for number in np.unique(step[near.legs]):
-            some = step[near.legs] == number
-            whole = (legs.fates, int(number), *key)
-            if whole not in self.passages:
-                lost = np.full((self.count, 4), np.nan)
-                self.passages[whole] = Passage(lost[:, 0], lost[:, 1:], np.zeros(self.count, dtype=bool))
-            passage, place = self.passages[whole], legs.place[near.legs[some]]
-            passage.depth[place], passage.point[place] = near.depth[some], near.point[some]
-            passage.counts[place] = counts[some]
+        if key not in self.passages:
+            lost = np.full((self.count, 4), np.nan)
+            self.passages[key] = Passage(lost[:, 0], lost[:, 1:], np.zeros(self.count, dtype=bool), legs.way)
+        passage, place = self.passages[key], legs.place[near.legs]
+        passage.depth[place], passage.point[place], passage.counts[place] = near.depth, near.point, counts
 
     def _otherwise(self, rays: Bundle, hits: np.ndarray) -> np.ndarray:
         """Whether light goes on from the end of rays that now hit the surface they have passed, or the other way."""
         after, ends = self._after(rays, normals(self.table, int(rays.last[0]), rays.o))
         ends &= hits
         lit = ends & ~self._black(rays.last)
-        on = rays._replace(d=np.where(hits[:, None], after, rays.d), fates=(*rays.fates, int(rays.last[0])))
+        met = Meeting.of(self.count, rays.place[hits], rays.last[hits], rays.o[hits])
+        on = rays._replace(
+            way=(*rays.way, met), d=np.where(hits[:, None], after, rays.d), fates=(*rays.fates, int(rays.last[0]))
+        )
         if not np.all(ends):
             lit[~ends] = self.follow(on.take(~ends))
         return np.asarray(lit)
+
+
+def depth_again(table: SurfaceTable, rim: Rim, passage: Passage, rays: Bundle) -> np.ndarray:
+    """
+    Depths of rays within a rim where surfaces stand otherwise, mm.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+        As it is now.
+    rim : (int, int)
+    passage : Passage
+        As it was.
+    rays : Bundle
+        Some of its rays at their start.
+
+    Returns
+    -------
+    (n,) float64
+        NaN of those that miss a surface of their way.
+    """
+    o, d = rays.o.copy(), rays.d.copy()
+    for meeting in passage.way:
+        surfaces = meeting.surface[rays.place]
+        for surface in np.unique(surfaces[surfaces >= 0]):
+            some = np.flatnonzero(surfaces == surface)
+            o[some] = _nearest(table, int(surface), o[some], d[some], meeting.point[rays.place[some]])
+            normal = normals(table, int(surface), o[some])
+            d[some] = onward(table, surfaces[some], d[some], normal)[0]
+    o = _nearest(table, rim[0], o, d, passage.point[rays.place])
+    return table.pieces[rim[0]].rim_depths(local(table, rim[0], o, o)[0])[rim[1]]
+
+
+def _nearest(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray, then: np.ndarray) -> np.ndarray:
+    """Where rays cross a surface, nearest to where they did; of stock shapes, which do not move, where they did."""
+    if surface >= len(table.pieces):
+        return then
+    way = crossings(table, surface, o, d)
+    points = o[:, None] + way[..., None] * d[:, None]
+    away = np.linalg.norm(points - then[:, None], axis=2)
+    return np.asarray(points[np.arange(len(o)), np.argmin(np.where(np.isnan(away), np.inf, away), axis=1)])

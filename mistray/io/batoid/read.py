@@ -81,9 +81,9 @@ def from_batoid(
     Returns
     -------
     Prescription
-        With a round or annular source that overfills the pupil, which is as `batoid.RayVector.asPolar` does by default: radii
-        ``pupilSize/2`` and ``pupilSize * pupilObscuration/2`` in the plane of the stop surface. `provenance` names the
-        baffles that got a hole or an outer radius here.
+        With a round or annular source that overfills the pupil. That is the one of `batoid.RayVector.asPolar` by
+        default: radii ``pupilSize/2`` and ``pupilSize * pupilObscuration/2`` in the plane of the stop surface.
+        `provenance` names the baffles that got a hole or an outer radius here.
 
     Raises
     ------

@@ -328,8 +328,9 @@ def transmission(scene: Any, **traced: Any) -> Metric:
     """
     Power of the direct image over the launched power, mean over the fields, W/W.
 
-    What the stop and the rims take is in it: a beam that is wider than the entrance pupil gives a smaller number, unless
-    its source says which part of it the unmoved stop takes (`Trace.pupil_W`), as that of an imported lens does.
+    What the stop and the rims take is in it: a beam that is wider than the entrance pupil gives a smaller number,
+    unless its source says which part of it the unmoved stop takes (`Trace.pupil_W`), as that of an imported lens does.
+    A pupil that is larger at a field off the axis gives a larger one.
     Keywords as for `path_power`.
     """
     return _mean(scene, lambda o: o.power(DIRECT) / o.pupil_W, traced, "W/W", "transmission")
