@@ -57,11 +57,11 @@ class Beam(SceneSource):
         origin = pivot + offset - back * direction
         return Emission(origin, dr.zeros(mi.Vector3f, dr.width(lane)) + direction)
 
-    def edges(self, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    def edges(self, count: int, within: float = EDGE) -> list[tuple[np.ndarray, np.ndarray]]:
         """Its outline, and that of its unlit centre."""
-        sample = mi.Point2f(*(upload(mi.Float, v) for v in perimeter(count)))
+        sample = mi.Point2f(*(upload(mi.Float, v) for v in perimeter(count, within)))
         outer = np.array(self.emitter.positions(sample), dtype=np.float64)
-        hole = 0.0 if self.emitter.rectangular else self.emitter.size[1] * (1 + EDGE)
+        hole = 0.0 if self.emitter.rectangular else self.emitter.size[1] * (1 + within)
         lines = [outer, hole * outer / np.hypot(*outer)] if hole else [outer]
         return [self.through(*line) for line in lines]
 

@@ -14,6 +14,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.kernel.polarization import carried, from_plane
 from mistray.sampling.aimed_cones import Cone, Sphere
+from mistray.sampling.emission_laws import EDGE
 from mistray.sampling.space_filling import stratified_points
 from mistray.sampling.strata import Strata
 from mistray.surfaces.upload import upload
@@ -254,9 +255,15 @@ class SceneSource(Source):
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
         """Rays of the source for points of the unit square: origins and directions in the world, (n, 3) float64."""
 
-    def edges(self, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    def edges(self, count: int, within: float = EDGE) -> list[tuple[np.ndarray, np.ndarray]]:
         """
         The rays along the edge of its light, beyond which there is none: `count` for each closed line of them.
+
+        Parameters
+        ----------
+        count : int
+        within : float
+            How far inside of the edge, as a share of the size of the beam.
 
         Returns
         -------
@@ -355,9 +362,9 @@ class EmittedRays(SceneSource):
         by_o, by_d = self.emitter.motion(name, *local)
         return turned(by_o, axes), turned(by_d, axes)
 
-    def edges(self, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    def edges(self, count: int, within: float = EDGE) -> list[tuple[np.ndarray, np.ndarray]]:
         """Those that the plugin names."""
-        points = self.emitter.edge_samples(count)
+        points = self.emitter.edge_samples(count, within)
         if points is None:
             return []
         sample = mi.Point2d(*(upload(mi.Float64, v) for v in points))

@@ -50,8 +50,9 @@ class Collimated(LightSource):
                                                                 see docs/polarization.md
     distance            mm        ≥ 0                 0         from the pivot upstream to the start; 0: automatic
     pattern             string    random, grid        random    positions of the rays in the cross-section
-    pupil_area          mm²       > 0                 none      part of the cross-section whose light counts as launched
-                                                                in transmissions, see docs/import.md; none: all of it
+    pupil_area          mm²       > 0                 none      part of the cross-section whose light counts as
+                                                                launched in transmissions, see docs/import.md; all of
+                                                                it by default
     to_world            mm        rigid               identity  the pivot and the axis
     =================== ========= =================== ========= ===================================================
 

@@ -143,12 +143,13 @@ class LightSource(mi.Emitter):
         """
         return self.rays(sample, rng, n)
 
-    def edge_samples(self, count: int) -> np.ndarray | None:
+    def edge_samples(self, count: int, within: float) -> np.ndarray | None:
         """
         Points (2, count) of the unit square whose rays lie along the edge of its light, beyond which there is none.
 
-        The points go around once. None: the light has no such edge, because it fades out or fills the scene. Rims that
-        such an edge runs along have no derivative, and `mistray.gradient` says so.
+        They are to lie inside of the edge by a share `within` of its size, and go around once. None: the light has no
+        such edge, because it fades out or fills the scene. Rims that an edge runs along have no derivative, and
+        `mistray.gradient` says so.
         """
         return None
 

@@ -184,11 +184,11 @@ class ConeSource(NearSource):
             )
         return angles, values
 
-    def edge_samples(self, count: int) -> np.ndarray | None:
+    def edge_samples(self, count: int, within: float) -> np.ndarray | None:
         """Those of the edge of its cone; an extended source fades out."""
         if self.extended:
             return None
-        return perimeter(count) if self.table is None else self.table.edge_samples(count)
+        return perimeter(count, within) if self.table is None else self.table.edge_samples(count, within)
 
     def offset(self, place: mi.Point2d, n: Mapping[str, mi.Float64]) -> mi.Vector3d:
         """Where rays start in its own frame, for points of the unit square."""

@@ -55,12 +55,14 @@ def test_its_numbers_are_those_of_the_pupil(tmp_path):
 
 
 def test_light_beside_the_pupil_does_not_bypass_the_lens():
-    """All that reaches the detector has met every lens, at the edge of the field too."""
+    """All that reaches the detector has met every lens, off the axis too; but for reflections nothing escapes."""
     scene = to_prescription(triplet()).to_scene()
+    faces = {f"S{number}" for number in (1, 2, 3, 4, 6, 7)}
     for field_deg in (0.0, 14.0, 20.0):
         t = mistray.trace(scene, field_deg=field_deg, rays=RAYS)
-        assert all(len(row.events.split()) > 6 for row in t.paths)
-        assert t.energy.escaped_W < 0.01 * t.energy.launched_W or field_deg == 0.0
+        assert all(faces <= {event.split(":")[0] for event in row.events.split()} for row in t.paths)
+        first = mistray.trace(scene, field_deg=field_deg, rays=RAYS, max_reflections=0)
+        assert first.energy.escaped_W < 1e-6 * first.energy.launched_W
 
 
 def test_a_source_states_its_pupil_whatever_its_size():
@@ -71,7 +73,7 @@ def test_a_source_states_its_pupil_whatever_its_size():
     with pytest.raises(MistrayError, match="pupil_area = -1"):
         Source(radius=1.0, pupil_area=-1.0)
     with pytest.raises(MistrayError, match="pupil_area"):
-        mi.load_dict({"type": "collimated", "radius": 1.0, "pupil_area": 0.0})
+        mistray.load({"type": "scene", "source": {"type": "collimated", "radius": 1.0, "pupil_area": 0.0}})
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +102,7 @@ def test_the_stop_of_an_imported_lens_has_derivatives(double_gauss):
     ("name", "field_deg", "steps"),
     [
         ("DoubleGauss", 0.0, {"stop_front.r1": (0.1, 0.05), "S3.curvature": (5e-4, 2e-4), "S1.x": (0.2, 0.1)}),
-        ("CookeTriplet", 20.0, {"stop_front.r1": (0.05, 0.02)}),
+        ("CookeTriplet", 20.0, {"S4.semi_diameter": (0.05, 0.03), "S2.curvature": (5e-4, 3e-4)}),
     ],
 )
 def test_the_exact_beam_has_one_sided_derivatives(name, field_deg, steps):

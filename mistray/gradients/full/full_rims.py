@@ -31,6 +31,7 @@ from mistray.surfaces.surfaces import SurfaceTable
 
 RAYS = 64  # along the edge of a beam
 CLOSE = 0.1  # of the zone: a rim that is nearer to the edge of the beam is just filled
+INSIDE = 2.0  # of that part of the radius: how far inside of the edge light must go on for the rim to matter
 ALONG = 0.1  # change of the distance by the way along the edge, below which it runs along the rim
 BEFORE = 0.9  # of the distance of the edge, to which a zone is narrowed
 SAME = 1e-9  # of the size of a rim by which it may move and does not
@@ -156,10 +157,12 @@ class FullRims:
     def _passages(self) -> list[MarginalRays]:
         """The lines of the edge of the beam, followed."""
         found = []
-        for o, d in self._edges:
-            rays = MarginalRays(self.table, self.zones, CLOSE, len(o))
-            last = self.table.ids.index(self.source.shape) if self.source.shape else -1
-            rays.follow(Bundle(o, d, np.full(len(o), last), np.arange(len(o))))
+        last = self.table.ids.index(self.source.shape) if self.source.shape else -1
+        for edge, within in zip(self._edges, self.source.edges(RAYS, INSIDE * CLOSE * self.width), strict=True):
+            line, inside = (Bundle(*rays, np.full(RAYS, last), np.arange(RAYS)) for rays in (edge, within))
+            nothing = MarginalRays(self.table, {}, CLOSE, np.zeros(RAYS, dtype=bool))
+            rays = MarginalRays(self.table, self.zones, CLOSE, nothing.follow(inside))
+            rays.follow(line)
             found.append(rays)
         return found
 

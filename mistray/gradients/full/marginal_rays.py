@@ -135,8 +135,9 @@ class MarginalRays:
         Widths of the zones within which a ray is near a rim, mm.
     close : float
         Share of a zone within which both fates are followed.
-    count : int
-        Number of rays of the line.
+    inside : (n,) bool
+        Whether light goes on from the end of the ray next to each, a little inside of the edge: what moves a rim may
+        let the light at the edge go that way.
     passages : dict
     met : set of int
         Surfaces that they have met.
@@ -145,9 +146,14 @@ class MarginalRays:
     table: SurfaceTable
     zones: dict[Rim, float]
     close: float
-    count: int
+    inside: np.ndarray
     passages: dict[Key, Passage] = field(default_factory=dict)
     met: set[int] = field(default_factory=set)
+
+    @property
+    def count(self) -> int:
+        """Number of rays of the line."""
+        return len(self.inside)
 
     def follow(self, rays: Bundle) -> np.ndarray:
         """
@@ -224,7 +230,7 @@ class MarginalRays:
     def _note(self, key: Key, near: _Near, legs: Bundle, lit: np.ndarray) -> None:
         """Keep how legs pass a rim, and send those that are very near to their other fate."""
         very = np.abs(near.depth) < self.close * self.zones[key[2:4]]
-        counts = very & lit[near.legs]
+        counts = very & (lit[near.legs] | self.inside[legs.place[near.legs]])
         if np.any(very) and len(legs.fates) < MOST_FATES:
             at = legs.take(near.legs[very])._replace(o=near.point[very], last=np.full(int(very.sum()), key[2]))
             counts[very] |= self._otherwise(at, near.depth[very] < 0)
