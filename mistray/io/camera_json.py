@@ -110,9 +110,7 @@ class _Reader:
             stop=self.stop,
             detector=detector,
             source=source,
-            provenance="\n".join(
-                [f"Generated from {self.path.name}; see SOURCE.md.", *(f"Note: {note}." for note in notes)]
-            ),
+            provenance="\n".join([f"Generated from {self.path.name}; see SOURCE.md.", *notes]),
         )
         for row in self.data.get("scatter", []):
             model = _scatter(row)

@@ -112,7 +112,7 @@ def from_batoid(
         provenance="\n".join(
             [
                 f"From batoid {batoid.__version__}, optic '{optic.name}', at {wavelength_nm:g} nm.",
-                *(f"Note: {note}." for note in notes),
+                *notes,
                 *reader.notes,
             ]
         ),
