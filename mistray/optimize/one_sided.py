@@ -23,7 +23,6 @@ from mistray.optimize.scene_values import changed
 from mistray.recorders.sampled import Sampled
 from mistray.settings import BATCHES
 
-STEP = 0.5  # in units of the zone at a rim: how far it moves relative to the beam
 UNMOVED = ("coating", "share", "scatter")  # kinds of parameters that leave rays where they are
 
 
@@ -37,7 +36,7 @@ class FullKey:
     rim : str
         In words.
     step : float
-        That moves it by `STEP` of its zone relative to the beam, in the unit of the parameter.
+        That moves it by `FullRims.reach` relative to the beam, in the unit of the parameter.
     """
 
     rim: str
@@ -67,10 +66,13 @@ def full_keys(chosen: Mapping[str, Parameter], full: Iterable[FullRims]) -> dict
     alike = {(id(rims.source.emitter), tuple(rims.source.direction), *rims.names): rims for rims in full}
     found = {}
     for key, p in chosen.items():
-        moves = [rims.moved_by(p.owner, p.name, p.tolerance) for rims in alike.values() if p.kind not in UNMOVED]
-        share, rim = max(moves, default=(0.0, ""))
-        if share:
-            found[key] = FullKey(rim, STEP * p.tolerance / share)
+        moves = []
+        for rims in alike.values() if p.kind not in UNMOVED else ():
+            share, rim = rims.moved_by(p.owner, p.name, p.tolerance)
+            if share:
+                moves.append(FullKey(rim, rims.reach * p.tolerance / share))
+        if moves:
+            found[key] = min(moves, key=lambda one: one.step)
     return found
 
 

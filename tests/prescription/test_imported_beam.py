@@ -102,7 +102,7 @@ def test_the_stop_of_an_imported_lens_has_derivatives(double_gauss):
     ("name", "field_deg", "steps"),
     [
         ("DoubleGauss", 0.0, {"stop_front.r1": (0.1, 0.05), "S3.curvature": (5e-4, 2e-4), "S1.x": (0.2, 0.1)}),
-        ("CookeTriplet", 20.0, {"S4.semi_diameter": (0.05, 0.03), "S2.curvature": (5e-4, 3e-4)}),
+        ("CookeTriplet", 20.0, {"S4.semi_diameter": (0.01, 0.005), "S2.curvature": (5e-4, 2e-4)}),
     ],
 )
 def test_the_exact_beam_has_one_sided_derivatives(name, field_deg, steps):

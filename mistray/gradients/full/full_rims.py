@@ -33,6 +33,7 @@ RAYS = 64  # along the edge of a beam
 CLOSE = 0.1  # of the zone: a rim that is nearer to the edge of the beam is just filled
 INSIDE = 2.0  # of that part of the radius: how far inside of the edge light must go on for the rim to matter
 ALONG = 0.1  # change of the distance by the way along the edge, below which it runs along the rim
+EXACT = 0.03  # of the zone: an edge that keeps this near to a rim all along it is as good as on it
 BEFORE = 0.9  # of the distance of the edge, to which a zone is narrowed
 SAME = 1e-9  # of the size of a rim by which it may move and does not
 WORDS = {
@@ -81,6 +82,21 @@ class FullRims:
     def any(self) -> bool:
         """Whether there is such a rim."""
         return bool(self.full)
+
+    @property
+    def reach(self) -> float:
+        """
+        How far a rim may move relative to the beam until a derivative on one side is none any more, in units of zones.
+
+        Half a zone where the edge of the beam lies on the rim; where it is a little off, along a part of the rim or all
+        of it, that little.
+        """
+        off = 0.0
+        for line, key, _ in self.full:
+            passage = self._passages[line].passages[key]
+            along = passage.slope < ALONG
+            off = max(off, float(np.max(np.abs(passage.depth[along]))) / self.zones[key[2], key[3]])
+        return 0.5 * (1.0 if off < EXACT else CLOSE)
 
     @property
     def names(self) -> list[str]:
