@@ -213,10 +213,15 @@ class TestLight:
     """Whether the light of the source arrives."""
 
     def test_share(self, capsys, zmx, tmp_path):
-        code, out, _ = run(capsys, zmx, "-o", tmp_path / "lens.xml", "--json")
+        code, out, _ = run(capsys, zmx, "-o", tmp_path / "lens.xml", "--json", "--beam", "exact")
         assert code == 0
         # Two bare faces of N-BK7 at the d line, the detector absorbs all
-        assert json.loads(out)["arriving_share"] == pytest.approx((1 - (0.5168 / 2.5168) ** 2) ** 2, rel=2e-3)
+        bare = (1 - (0.5168 / 2.5168) ** 2) ** 2
+        assert json.loads(out)["arriving_share"] == pytest.approx(bare, rel=2e-3)
+        # The stop cuts a wider beam, of whose 4000 rays 0.9 count: 5 standard errors, once in 1e6
+        code, out, _ = run(capsys, zmx, "-o", tmp_path / "wide.xml", "--json")
+        assert json.loads(out)["arriving_share"] == pytest.approx(bare, rel=5 * (0.1 / 0.9 / 4000) ** 0.5)
+        assert any("wider than the pupil" in note for note in json.loads(out)["notes"])
 
     def test_none(self, capsys, tmp_path):
         """A plate in the beam: batoid drops what it obscures, and here everything is obscured."""

@@ -57,5 +57,6 @@ def arriving(scene_file: Path) -> Arriving:
     from mistray.trace import trace
 
     scene = load(scene_file)
-    energy = trace(scene, rays=RAYS, max_reflections=0, max_scatters=0, ledger=False).energy
-    return Arriving(scene_file, energy.detected_W / energy.launched_W, energy.greatest_loss, entrances(scene))
+    found = trace(scene, rays=RAYS, max_reflections=0, max_scatters=0, ledger=False)
+    share = found.energy.detected_W / found.pupil_W
+    return Arriving(scene_file, share, found.energy.greatest_loss, entrances(scene))

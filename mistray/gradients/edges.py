@@ -28,7 +28,7 @@ What this does not see: lines in which surfaces cross away from their rims, and 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -111,19 +111,27 @@ class Edges:
     settings : Settings
     width : float
         Of the zones along the rims, in units of their radius or half side.
+    limits : mapping, optional
+        Narrower zones of some rims, mm, see `mistray.gradients.full.full_rims`.
     """
 
-    def __init__(self, scene: KernelScene, settings: Settings, width: float) -> None:
+    def __init__(
+        self,
+        scene: KernelScene,
+        settings: Settings,
+        width: float,
+        limits: Mapping[tuple[int, int], float] | None = None,
+    ) -> None:
         table = scene.table
         self._scene, self._table, self._settings = scene, table, settings
-        self._near = RimRecorder(table, width, as_many(CAPACITY, settings.max_events), settings.max_events)
+        capacity = as_many(CAPACITY, settings.max_events)
+        self._near = RimRecorder(table, width, capacity, settings.max_events, limits)
         self._lanes = FIRST_LANES
         self._launches = launches_of(table, settings, Edges, scene.backward, scene.opposite is not None)
         rims = len(RIM_COLUMNS)
         sizes = np.zeros((table.count, rims, 2))
-        for piece in table.pieces:
-            for rim, zone in piece.zone_widths(width).items():
-                sizes[piece.index, rim] = piece.rim_sizes[rim], zone
+        for (surface, rim), zone in self._near.zones.items():
+            sizes[surface, rim] = table.pieces[surface].rim_sizes[rim], zone
         found = rim_circles(table)
         self._most = max((len(circle.contacts) for circle in found.values()), default=0)
         room = max(self._most, 1)

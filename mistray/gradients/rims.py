@@ -7,6 +7,8 @@ derivative out of them.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -41,6 +43,28 @@ STATE = {
 }
 
 
+def rim_zones(
+    table: SurfaceTable, width: float, limits: Mapping[tuple[int, int], float] | None = None
+) -> dict[tuple[int, int], float]:
+    """
+    Widths of the zones along all rims, mm, by surface and place in `RIM_COLUMNS`.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    width : float
+        In units of the rim's radius or half side.
+    limits : mapping, optional
+        Greatest widths of some of them, mm.
+    """
+    limits = limits or {}
+    return {
+        (piece.index, rim): min(zone, limits.get((piece.index, rim), np.inf))
+        for piece in table.pieces
+        for rim, zone in piece.zone_widths(width).items()
+    }
+
+
 class RimRecorder(Recorder):
     """
     Append buffer for hits close to rims, in a trace with an `Adjoint` after it.
@@ -54,9 +78,13 @@ class RimRecorder(Recorder):
         Most hits that are kept.
     max_events : int
         Longest path.
+    limits : mapping, optional
+        Of `rim_zones`.
 
     Attributes
     ----------
+    zones : dict
+        From `rim_zones`.
     paths : BranchRecorder
         Paths up to and with the hit; `weight` is the flux that arrives, `heading` the direction of arrival.
     rim : (capacity,) mi.UInt32
@@ -77,7 +105,15 @@ class RimRecorder(Recorder):
 
     node_floats = POINT_FLOATS
 
-    def __init__(self, table: SurfaceTable, width: float, capacity: int, max_events: int) -> None:
+    def __init__(
+        self,
+        table: SurfaceTable,
+        width: float,
+        capacity: int,
+        max_events: int,
+        limits: Mapping[tuple[int, int], float] | None = None,
+    ) -> None:
+        self.zones = rim_zones(table, width, limits)
         bounds = np.tile([FAR, -FAR, 0.0, 0.0], (table.count, 1))
         kinds = np.zeros(table.count, dtype=np.uint32)
         for piece in table.pieces:
@@ -85,9 +121,9 @@ class RimRecorder(Recorder):
             low, high = piece.reach
             if piece.rim_coordinate == RECTANGLE:
                 high, low = piece.rim_sizes[HALF_WIDTH], -piece.rim_sizes[HALF_HEIGHT]
-            for rim, zone in piece.zone_widths(width).items():
+            for rim in piece.rim_sizes:
                 column = SIDES.index(rim) % 2
-                bounds[i, column], bounds[i, 2 + column] = (high, low)[column], zone
+                bounds[i, column], bounds[i, 2 + column] = (high, low)[column], self.zones[i, rim]
         self._families = table.families
         self._bounds, self._kinds = upload(mi.Float, bounds), upload(mi.UInt32, kinds)
         self.paths = BranchRecorder(capacity, max_events, points_only=True)

@@ -8,6 +8,7 @@ import numpy as np
 
 from mistray.execute.tracer import Run
 from mistray.gradients.edges import Edges
+from mistray.gradients.full.full_rims import FullRims
 from mistray.gradients.path_replay import PathReplay, each
 from mistray.gradients.replay import scatter_event
 from mistray.gradients.replay_surfaces import Hit, ReplaySurfaces, Split
@@ -164,7 +165,8 @@ def run_gradient(
     with dr.suspend_grad():  # single events are differentiated, nothing around them
         edges = None
         if path_replay.edges:
-            edges = Edges(run.scene, run.settings, request.edge_width)
+            full = FullRims(source, run.table, request.edge_width)
+            edges = Edges(run.scene, run.settings, request.edge_width, full.limits)
             adjoint = run.adjoint(pixel, paths, rows=0)
         for number in range(run.passes):
             whole = run.start_pass(number)
@@ -175,6 +177,8 @@ def run_gradient(
                 for start, events in edges.events(whole, adjoint):
                     path_replay.replay_edges(start, events)
     raw = path_replay.result()
+    if edges is not None and full.any:
+        raw.full.append(full)
     if edges is not None and traced:
         strange = float(adjoint.unknown[0]) / max(float(run.film.sum()), np.finfo(float).tiny)
         if strange > UNKNOWN_SHARE:

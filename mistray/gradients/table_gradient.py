@@ -10,6 +10,7 @@ import numpy as np
 from mistray.surfaces.gradient_columns import RIM_COLUMNS
 
 if TYPE_CHECKING:
+    from mistray.gradients.full.full_rims import FullRims
     from mistray.gradients.start_motion import SourceDerivative
     from mistray.kernel.scattering import Scattering
     from mistray.surfaces.surfaces import SurfaceTable
@@ -88,6 +89,8 @@ class TableGradient:
         Name of an array of `Scattering.arrays` (totals, lobes, ratios, logs) → (BATCHES, size) float64.
     sources : list of SourceDerivative
         By the parameters of sources.
+    full : list of FullRims
+        Rims that a beam just fills, where there are any.
     left_out : list of str
         What is not in it.
     seconds : float
@@ -105,6 +108,7 @@ class TableGradient:
     edge_indices: np.ndarray | None = None
     scatter: dict[str, np.ndarray] = field(default_factory=dict)
     sources: list[SourceDerivative] = field(default_factory=list)
+    full: list[FullRims] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
     seconds: float = 0.0
     backward: bool = False
@@ -123,5 +127,6 @@ class TableGradient:
         for name, values in self.scatter.items():
             values += other.scatter[name]
         self.sources += other.sources
+        self.full += other.full
         self.left_out += [text for text in other.left_out if text not in self.left_out]
         self.seconds += other.seconds

@@ -30,6 +30,7 @@ from typing import Any
 from mistray.errors import MistrayError
 from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import Point, detector_frame, lens_edge
+from mistray.prescription.imported_beam import Fill, beam_size, check_beam
 from mistray.prescription.model import Detector, Prescription, Source, Stop, Structure, Surface
 from mistray.prescription.scatter import Scatter
 from mistray.read_file import read_text
@@ -41,7 +42,7 @@ _PIECE_LABEL = re.compile(r"Space \d+: (\w+)[^(]*(?:\((.*)\))?")
 _PIXELS = (512, 512)
 
 
-def from_json(path: str | Path, *, variant: str | None = None) -> Prescription:
+def from_json(path: str | Path, *, variant: str | None = None, beam: Fill = "pupil") -> Prescription:
     """Read a camera lens.
 
     Parameters
@@ -50,6 +51,8 @@ def from_json(path: str | Path, *, variant: str | None = None) -> Prescription:
         JSON file.
     variant : str or None
         Name in the file's ``variants`` block whose changes are applied, for example ``"R13=5.272"``.
+    beam : {"pupil", "exact"}
+        The source is wider than that of the file by a twentieth of its radius, or just as wide; see docs/import.md.
 
     Returns
     -------
@@ -68,14 +71,15 @@ def from_json(path: str | Path, *, variant: str | None = None) -> Prescription:
     except (ValueError, RecursionError) as error:
         raise MistrayError(f"prescription '{path}': {error}; it must be a JSON file") from None
     try:
-        return _Reader(data, path, variant).prescription()
+        return _Reader(data, path, variant, beam).prescription()
     except KeyError as error:
         raise MistrayError(f"prescription '{path}': key {error} is missing; compare with scenes/phone_camera") from None
 
 
 class _Reader:
-    def __init__(self, data: Mapping[str, Any], path: Path, variant: str | None) -> None:
-        self.data = data
+    def __init__(self, data: Mapping[str, Any], path: Path, variant: str | None, beam: Fill) -> None:
+        check_beam(beam)
+        self.data, self.beam = data, beam
         self.path = path
         self.coatings = {
             "window": _coating(data["coatings"]["window, IR filter"]),
@@ -98,14 +102,15 @@ class _Reader:
             frame += detector_frame(
                 detector, max(piece.r0, piece.r1), coating=self.structure_coating, name="board", space=piece.space
             )
+        source, notes = self._source()
         result = Prescription(
             name=str(self.data["title"]),
             surfaces=self.surfaces,
             structures=(*bodies, *pieces.values(), *frame),
             stop=self.stop,
             detector=detector,
-            source=self._source(),
-            provenance=f"Generated from {self.path.name}; see SOURCE.md.",
+            source=source,
+            provenance="\n".join([f"Generated from {self.path.name}; see SOURCE.md.", *notes]),
         )
         for row in self.data.get("scatter", []):
             model = _scatter(row)
@@ -249,11 +254,12 @@ class _Reader:
         coating = Coating(R=float(self.data["coatings"]["detector"]["R"]))
         return Detector(half_width=half, half_height=half, z=float(row["z"]), coating=coating, pixels=_PIXELS)
 
-    def _source(self) -> Source:
+    def _source(self) -> tuple[Source, list[str]]:
         row = self.data["sources"]["stray_light"]
         stop_plane = [surface["z"] for surface in self.data["surfaces"] if surface.get("stop")]
         z = float(stop_plane[0]) if stop_plane else self.stop.z_rear
-        return Source(radius=float(row["radius"]), z=z, wavelength_nm=(round(1e3 * float(row["wavelength_um"]), 6),))
+        size, notes = beam_size(self.beam, float(row["radius"]), of="that of the file")
+        return Source(**size, z=z, wavelength_nm=(round(1e3 * float(row["wavelength_um"]), 6),)), notes
 
 
 def _coating(row: Mapping[str, Any]) -> Coating:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -14,6 +14,7 @@ from mistray.gradients.geometry_gradient import geometry_columns
 from mistray.gradients.parameter_gradient import edge_gradient, parameter_gradient
 from mistray.gradients.table_gradient import EDGE_WIDTH, GradientRequest, TableGradient
 from mistray.optimize.metrics.metric import Metric
+from mistray.optimize.one_sided import FullKey, OneSided, full_keys, one_sided
 from mistray.optimize.parameters import Parameter, match, parameters
 from mistray.ranges import EDGE_WIDTH as ZONE
 from mistray.recorders.sampled import Sampled, batch_error
@@ -44,6 +45,12 @@ class Gradient:
         its noise is the bias of the width. Only parameters that rims or rays at rims depend on are in it.
     batches : dict
         Key → (BATCHES, entries): the parts of the gradient from single batches of start rays, whose sum it is.
+    full : dict
+        Key → `FullKey`: the rim that a beam just fills and that the parameter moves relative to the beam. Such a
+        parameter has no derivative: it is NaN.
+    one_sided : dict
+        Key → the derivatives below and above its value, where it has none. They are not linear: those of parameters
+        that move together are not the sum.
     left_out : list of str
         What the derivatives do not contain.
     seconds : tuple of float
@@ -57,8 +64,19 @@ class Gradient:
     standard_error: dict[str, np.ndarray]
     edge_check: dict[str, np.ndarray]
     batches: dict[str, np.ndarray]
+    full: dict[str, FullKey]
+    one_sided: dict[str, OneSided]
     left_out: list[str]
     seconds: tuple[float, float]
+
+    def require(self, keys: Iterable[str]) -> None:
+        """Raise `MistrayError` if one of these has no derivative, because a beam just fills a rim that it moves."""
+        for key in keys:
+            if key in self.full:
+                raise MistrayError(
+                    f"parameter '{key}' has no derivative, because a beam just fills {self.full[key].rim}; widen the "
+                    "source by a few per cent"
+                )
 
     @property
     def untouched(self) -> list[str]:
@@ -76,6 +94,11 @@ class Gradient:
         lines = [f"value {self.value:.6e} ± {self.value_se:.1e}"]
         for key, values in self.gradient.items():
             if key in self.untouched:
+                continue
+            if key in self.full:
+                lines.append(
+                    f"d/d {key} {self.one_sided.get(key, 'does not exist')}: a beam just fills {self.full[key].rim}"
+                )
                 continue
             for k, (value, error) in enumerate(zip(values, self.standard_error[key], strict=True)):
                 check = f" (edge width: {self.edge_check[key][k]:+.1e})" if key in self.edge_check else ""
@@ -138,7 +161,10 @@ def gradient(
     """
     chosen = chosen_parameters(metric.scene, params, keys)
     request = gradient_request(chosen.values(), edges, edge_width)
-    return gradient_seen(metric, metric.observe(), chosen, request)
+    found = gradient_where_smooth(metric, metric.observe(), chosen, request)
+    if not found.full:
+        return found
+    return replace(found, one_sided=one_sided(metric, {key: at.step for key, at in found.full.items()}, chosen))
 
 
 def gradient_seen(
@@ -148,7 +174,28 @@ def gradient_seen(
     request: GradientRequest,
 ) -> Gradient:
     """
-    `gradient` from observations that are made already: several metrics of the same views share them.
+    `gradient` from observations that are made already, to be added up: several metrics of the same views share them.
+
+    Parameters as for `gradient_where_smooth`.
+
+    Raises
+    ------
+    MistrayError
+        If a beam just fills a rim that one of the parameters moves: then there is nothing that could be added.
+    """
+    found = gradient_where_smooth(metric, observations, chosen, request)
+    found.require(found.full)
+    return found
+
+
+def gradient_where_smooth(
+    metric: Metric,
+    observations: list[Any],
+    chosen: Mapping[str, Parameter],
+    request: GradientRequest,
+) -> Gradient:
+    """
+    `gradient` from observations that are made already, NaN where a beam just fills a rim.
 
     Parameters
     ----------
@@ -198,16 +245,21 @@ def gradient_seen(
         left_out.append(ONSET)
     if request.indices and any(raw.scattering.any for raw in raws.values()):
         left_out.append(INDEX_OF_SCATTER)
+    full = full_keys(chosen, [rims for raw in raws.values() for rims in raw.full])
+    left_out += dict.fromkeys(
+        f"what {at.rim} takes and gives, which a beam just fills: a derivative on each side alone; widen the source"
+        for at in full.values()
+    )
     result: dict[str, np.ndarray] = {}
     errors, checks, parts = dict(result), dict(result), dict(result)
     for key, p in chosen.items():
         place = id(p.owner), p.name
         nothing = np.zeros((BATCHES, p.value.size))  # a surface that was never met
         at_rims, at_half_width = wide.get(place, nothing), narrow.get(place, nothing)
-        total = inner.get(place, nothing) + at_rims
+        total = inner.get(place, nothing) + at_rims + (np.nan if key in full else 0.0)
         parts[key], result[key] = total, total.sum(axis=0)
         errors[key] = batch_error(total.T, EQUAL)
-        if at_rims.any() or at_half_width.any():
+        if key not in full and (at_rims.any() or at_half_width.any()):
             checks[key] = (at_half_width - at_rims).sum(axis=0)
     return Gradient(
         value=float(dr.detach(value)[0]),
@@ -217,6 +269,8 @@ def gradient_seen(
         standard_error=errors,
         edge_check=checks,
         batches=parts,
+        full=full,
+        one_sided={},
         left_out=left_out,
         seconds=(sum(o.seconds for o in observations), seconds),
     )

@@ -351,6 +351,8 @@ class Source(Placed, Spectral, Polarized):
         Its wavelengths, see `Spectral`.
     pattern : str
         "random" or "grid".
+    pupil_area : float or None
+        Part of the cross-section whose light counts as launched in transmissions, mm²; None: all of it.
     stokes, jones, polarization_deg
         Its polarisation, see `Polarized`.
     """
@@ -365,6 +367,7 @@ class Source(Placed, Spectral, Polarized):
     distance: float = 0.0
     irradiance: float = 1.0
     pattern: str = "random"
+    pupil_area: float | None = None
 
     def __post_init__(self) -> None:
         self.check_polarization("source")
@@ -374,7 +377,7 @@ class Source(Placed, Spectral, Polarized):
                 f"source: radius = {self.radius} with half_width, half_height = {rectangle}; "
                 "give either radius or both half sizes"
             )
-        for key in ("radius", "half_width", "half_height", "irradiance"):
+        for key in ("radius", "half_width", "half_height", "irradiance", "pupil_area"):
             value = getattr(self, key)
             if value is not None and not 0 < value < math.inf:
                 raise MistrayError(f"source: {key} = {value:g}; it must be greater than 0")

@@ -162,7 +162,16 @@ def _source(s: Source | ObjectPoint) -> _Node:
         return _Node(
             "emitter", "point_source", "source", properties | s.spectral_properties | s.polarization_properties, s
         )
-    for key in ("radius", "inner_radius", "half_width", "half_height", "field_deg", "azimuth_deg", "distance"):
+    for key in (
+        "radius",
+        "inner_radius",
+        "half_width",
+        "half_height",
+        "field_deg",
+        "azimuth_deg",
+        "distance",
+        "pupil_area",
+    ):
         value = getattr(s, key)
         if value:
             properties[key] = value

@@ -8,8 +8,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.sampling.emission_laws import EDGE, perimeter
 from mistray.sampling.source import Emission, SceneSource
 from mistray.sampling.space_filling import stratified_points
+from mistray.surfaces.upload import upload
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +56,14 @@ class Beam(SceneSource):
         back = dr.opaque(mi.Float, self.distance) + dr.dot(offset, direction)
         origin = pivot + offset - back * direction
         return Emission(origin, dr.zeros(mi.Vector3f, dr.width(lane)) + direction)
+
+    def edges(self, count: int, within: float = EDGE) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Its outline, and that of its unlit centre."""
+        sample = mi.Point2f(*(upload(mi.Float, v) for v in perimeter(count, within)))
+        outer = np.array(self.emitter.positions(sample), dtype=np.float64)
+        hole = 0.0 if self.emitter.rectangular else self.emitter.size[1] * (1 + within)
+        lines = [outer, hole * outer / np.hypot(*outer)] if hole else [outer]
+        return [self.through(*line) for line in lines]
 
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
         """Its rays through points of the cross-section, see `SceneSource.probes`."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from mistray.surfaces.upload import upload
 
+EDGE = 1e-6  # by which rays along the edge of a source lie within it, as a share of its size
 PROFILE_STEPS, LEAST_STEPS = 4096, 512
 
 
@@ -37,6 +38,15 @@ def polar(sample: Any) -> tuple[Any, Any, Any]:
     sine, cosine = dr.sincos(angle)
     sign = dr.select(radius < 0, -1, 1)
     return radius * radius, sign * cosine, sign * sine
+
+
+def perimeter(count: int, within: float = EDGE) -> np.ndarray:
+    """(2, count) float64: points in even steps along the perimeter of the unit square, inside by a share of it."""
+    along = 4 * (np.arange(count) + 0.5) / count
+    side, place = np.divmod(along, 1.0)
+    edges = np.array([[place, 0 * place], [1 + 0 * place, place], [1 - place, 1 + 0 * place], [0 * place, 1 - place]])
+    points = edges[side.astype(int), :, np.arange(count)].T
+    return np.asarray(0.5 + (1 - within) * (points - 0.5))
 
 
 def direction(height: Any, cosine: Any, sine: Any) -> Any:
@@ -116,6 +126,12 @@ class IntensityTable:
         self.flux = float(flux.sum())
         self.on_axis = float(values[0, :-1] @ np.diff(phi)) / (2 * np.pi) if theta_deg[0] == 0 else 0.0
         self._ends = np.concatenate([[0.0], np.cumsum(flux) / flux.sum()])
+
+    def edge_samples(self, count: int, within: float = EDGE) -> np.ndarray | None:
+        """(2, count) points of the unit square with directions along the last angle; None if it is dark there."""
+        if not np.any(self._intensity[-1] > 0):
+            return None
+        return np.stack([np.full(count, 1 - within), (np.arange(count) + 0.5) / count])
 
     @cached_property
     def _tables(self) -> list[mi.Float64]:

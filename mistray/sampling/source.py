@@ -14,6 +14,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.kernel.polarization import carried, from_plane
 from mistray.sampling.aimed_cones import Cone, Sphere
+from mistray.sampling.emission_laws import EDGE
 from mistray.sampling.space_filling import stratified_points
 from mistray.sampling.strata import Strata
 from mistray.surfaces.upload import upload
@@ -119,6 +120,11 @@ class Source(ABC):
         """The state of all its light, s1, s2, s3 in its own axes; None where there is no such state."""
         return None
 
+    @property
+    def pupil_power(self) -> float:
+        """Flux that counts as launched where a result is relative to that, W."""
+        return self.power
+
     def stokes_along(self, d: mi.Vector3f) -> mi.Vector3f | None:
         """The same for light along d with respect to the axes of `mistray.kernel.polarization`."""
         return None
@@ -195,6 +201,11 @@ class SceneSource(Source):
         return bool(getattr(self.emitter, "polarized", False))
 
     @property
+    def pupil_power(self) -> float:
+        """The part of its flux that the plugin states."""
+        return self.power * float(getattr(self.emitter, "pupil_share", 1.0))
+
+    @property
     def stokes(self) -> tuple[float, float, float] | None:
         """What the plugin states, see `mistray.physics.polarization.state`."""
         return getattr(self.emitter, "stokes", None)
@@ -243,6 +254,23 @@ class SceneSource(Source):
     @abstractmethod
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
         """Rays of the source for points of the unit square: origins and directions in the world, (n, 3) float64."""
+
+    def edges(self, count: int, within: float = EDGE) -> list[tuple[np.ndarray, np.ndarray]]:
+        """
+        The rays along the edge of its light, beyond which there is none: `count` for each closed line of them.
+
+        Parameters
+        ----------
+        count : int
+        within : float
+            How far inside of the edge, as a share of the size of the beam.
+
+        Returns
+        -------
+        list of ((n, 3), (n, 3)) float64
+            Origins (mm) and directions in the world. Light that fades out, or fills the scene, has no edge.
+        """
+        return []
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -333,6 +361,16 @@ class EmittedRays(SceneSource):
         local = [mi.Vector3d(*(dr.dot(vector, axis) for axis in axes)) for vector in (away, d)]
         by_o, by_d = self.emitter.motion(name, *local)
         return turned(by_o, axes), turned(by_d, axes)
+
+    def edges(self, count: int, within: float = EDGE) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Those that the plugin names."""
+        points = self.emitter.edge_samples(count, within)
+        if points is None:
+            return []
+        sample = mi.Point2d(*(upload(mi.Float64, v) for v in points))
+        o, d = self._rays(mi.Point2d(0.5), sample, mi.PCG32(size=count))
+        origins, directions = (np.array(vector, dtype=np.float64).T for vector in (self._near(o, d), d))
+        return [(origins, directions / np.linalg.norm(directions, axis=1, keepdims=True))]
 
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
         """Rays of the plugin for given points of the unit square; where it aims, those of its first target."""

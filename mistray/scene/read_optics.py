@@ -210,9 +210,8 @@ class _Reader:
 
     def _source(self, element: Element) -> Source | None:
         where, values = "source", self._properties(element)
-        sizes: dict[str, Any] = {
-            key: self._number(where, values, key) for key in ("radius", "half_width", "half_height") if key in values
-        }
+        names = ("radius", "half_width", "half_height", "pupil_area")
+        sizes: dict[str, Any] = {key: self._number(where, values, key) for key in names if key in values}
         return Source(**sizes, **self._light(where, values))
 
     def _object_point(self, element: Element) -> ObjectPoint:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from mistray.surfaces.crossings import Numbers
+from mistray.surfaces.gradient_columns import HALF_HEIGHT, HALF_WIDTH, HIGH, INNER, LOW, OUTER
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -206,6 +207,20 @@ class Surface(ABC):
     @abstractmethod
     def reach(self) -> tuple[float, float]:
         """Least and greatest value of the coordinate in which the rims lie, mm; of a rectangle of the radius."""
+
+    def rim_place(self, q: np.ndarray) -> np.ndarray:
+        """The coordinate in which the rims lie at points (n, 3) of its sheet, mm; not of a rectangle."""
+        return q[:, 2] if self.rim_coordinate == ENDS else np.hypot(q[:, 0], q[:, 1])
+
+    def rim_depths(self, q: np.ndarray) -> dict[int, np.ndarray]:
+        """How far points (n, 3) of its sheet lie within each of its rims, mm; less than 0 beyond it."""
+        if self.rim_coordinate == RECTANGLE:
+            sides = {HALF_WIDTH: q[:, 0], HALF_HEIGHT: q[:, 1]}
+            return {rim: self.rim_sizes[rim] - np.abs(along) for rim, along in sides.items()}
+        place, (low, high) = self.rim_place(q), self.reach
+        first, second = (LOW, HIGH) if self.rim_coordinate == ENDS else (INNER, OUTER)
+        depths = {first: place - low, second: high - place}
+        return {rim: depth for rim, depth in depths.items() if rim in self.rim_sizes}
 
     circular_rims = True
     """Whether its rims other than straight ones are circles about its axis."""

@@ -129,6 +129,16 @@ class Trace:
         return self._paths
 
     @property
+    def pupil_W(self) -> float:
+        """
+        Flux that counts as launched where a result is relative to that, W.
+
+        Of a beam whose ``pupil_area`` is stated that part of it alone, as of an imported lens, whose beam is wider than
+        its aperture; else all that the sources launch.
+        """
+        return float(sum(run.source.pupil_power for run in self._runs))
+
+    @property
     def has_paths(self) -> bool:
         """Whether there are `paths`."""
         return self._paths is not None

@@ -50,6 +50,9 @@ class Collimated(LightSource):
                                                                 see docs/polarization.md
     distance            mm        ≥ 0                 0         from the pivot upstream to the start; 0: automatic
     pattern             string    random, grid        random    positions of the rays in the cross-section
+    pupil_area          mm²       > 0                 none      part of the cross-section whose light counts as
+                                                                launched in transmissions, see docs/import.md; all of
+                                                                it by default
     to_world            mm        rigid               identity  the pivot and the axis
     =================== ========= =================== ========= ===================================================
 
@@ -93,6 +96,7 @@ class Collimated(LightSource):
         a, b = self.size
         if not self.rectangular and not b < a:
             self._fail(f"inner_radius is {b:g} mm; it must lie between 0 and radius = {a:g} mm")
+        self.pupil_area = number("pupil_area", POSITIVE) if "pupil_area" in props else self.area
         if self.plane not in ("beam", "axis"):
             self._fail(f"plane is '{self.plane}'; use 'beam' or 'axis'")
         if self.pattern not in ("random", "grid"):
@@ -103,6 +107,11 @@ class Collimated(LightSource):
         """Area of the cross-section in its own plane, mm²."""
         a, b = self.size
         return 4 * a * b if self.rectangular else float(np.pi * (a * a - b * b))
+
+    @property
+    def pupil_share(self) -> float:
+        """Share of its light that counts as launched where a result is relative to that, 0 … 1."""
+        return min(self.pupil_area / self.area, 1.0)
 
     def power(self, field_deg: float | None = None) -> float:
         """Flux of the beam, W."""

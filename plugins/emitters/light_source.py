@@ -143,6 +143,21 @@ class LightSource(mi.Emitter):
         """
         return self.rays(sample, rng, n)
 
+    def edge_samples(self, count: int, within: float) -> np.ndarray | None:
+        """
+        Points (2, count) of the unit square whose rays lie along the edge of its light, beyond which there is none.
+
+        They are to lie inside of the edge by a share `within` of its size, and go around once. None: the light has no
+        such edge, because it fades out or fills the scene. Rims that an edge runs along have no derivative, and
+        `mistray.gradient` says so.
+        """
+        return None
+
+    @property
+    def pupil_share(self) -> float:
+        """Share of its light that counts as launched where a result is relative to that, 0 … 1."""
+        return 1.0
+
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
         """Derivatives of the origins o and directions d of rays, in the frame of the source, by one of its numbers."""
         raise NotImplementedError

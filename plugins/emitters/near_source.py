@@ -14,6 +14,7 @@ from mistray.files.intensities import CANDELA, read_intensities
 from mistray.plugins.emitters.light_source import LightSource
 from mistray.ranges import FINITE, PLACE_MM, POSITIVE, Range
 from mistray.sampling import emission_laws as laws
+from mistray.sampling.emission_laws import perimeter
 
 PLACE: Mapping[str, Range] = {"x": PLACE_MM, "y": PLACE_MM, "z": PLACE_MM, "tilt_x": FINITE, "tilt_y": FINITE}
 MOVES = tuple(PLACE)
@@ -182,6 +183,12 @@ class ConeSource(NearSource):
                 f"profile is '{text}'; let its angles rise within 0 … 180, and give values from 0, not all of them 0"
             )
         return angles, values
+
+    def edge_samples(self, count: int, within: float) -> np.ndarray | None:
+        """Those of the edge of its cone; an extended source fades out."""
+        if self.extended:
+            return None
+        return perimeter(count, within) if self.table is None else self.table.edge_samples(count, within)
 
     def offset(self, place: mi.Point2d, n: Mapping[str, mi.Float64]) -> mi.Vector3d:
         """Where rays start in its own frame, for points of the unit square."""

@@ -9,4 +9,4 @@ from mistray.prescription import Prescription, from_json
 
 def build() -> Prescription:
     """The lens of ``prescription.json`` with its barrel; its ``variants`` are reached through `from_json`."""
-    return from_json(Path(__file__).with_suffix(".json"))
+    return from_json(Path(__file__).with_suffix(".json"), beam="exact")

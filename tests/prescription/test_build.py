@@ -202,13 +202,14 @@ def test_provenance_lists_notes_and_every_line_without_effect(tmp_path):
 
 def test_the_source_fills_the_pupil_or_the_front():
     weighted = triplet(wavelengths_nm=(486.1, 587.6, 656.3), weights=(1.0, 2.0, 0.0), primary=1)
-    source = to_prescription(weighted).source
-    assert (source.radius, source.plane) == (5.0, "axis")
+    source = to_prescription(weighted, beam="exact").source
+    assert (source.radius, source.plane, source.pupil_area) == (5.0, "axis", None)
     assert source.wavelength_nm == (486.1, 587.6)
     assert source.weights == pytest.approx((1 / 3, 2 / 3))
     built = build(triplet(), beam="front")
     front = by_name(built.prescription)["S1"].semi_diameter
-    assert built.prescription.source.radius == front
+    assert built.prescription.source.radius == pytest.approx(1.05 * front)
+    assert built.prescription.source.pupil_area == pytest.approx(math.pi * front**2)
     with pytest.raises(MistrayError, match="beam = 'all'"):
         build(triplet(), beam="all")
 

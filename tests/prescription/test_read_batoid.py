@@ -65,7 +65,7 @@ def test_source_is_that_of_batoid(optic, rubin, theta_x, theta_y):
         optic=optic, wavelength=WAVELENGTH_NM * 1e-9, theta_x=math.radians(theta_x), theta_y=math.radians(theta_y),
         nrad=10, naz=60,
     )  # fmt: skip
-    source = rubin.source
+    source = from_batoid(optic, wavelength_nm=WAVELENGTH_NM, beam="exact").source
     field = beams.field_direction(math.hypot(theta_x, theta_y), math.degrees(math.atan2(theta_x, theta_y)))
     # the emitter turns (0, sin, cos) by the azimuth about its z, then its frame turns it into the world
     azimuth = math.atan2(theta_x, theta_y)
@@ -79,6 +79,11 @@ def test_source_is_that_of_batoid(optic, rubin, theta_x, theta_y):
     radius = np.hypot(rays.x + t * rays.vx, rays.y + t * rays.vy) * 1e3
     assert radius.max() == pytest.approx(source.radius, rel=1e-9)
     assert radius.min() == pytest.approx(source.inner_radius, rel=1e-9)
+    # By default the light is wider by a twentieth of both radii, and states the area of the annulus
+    wider = rubin.source
+    assert (wider.radius, wider.inner_radius) == pytest.approx((1.05 * source.radius, 0.95 * source.inner_radius))
+    assert wider.pupil_area == pytest.approx(math.pi * (source.radius**2 - source.inner_radius**2))
+    assert "the source is wider than the pupil" in rubin.provenance
 
 
 @pytest.mark.validation
@@ -195,7 +200,7 @@ def test_baffles():
         name="baffles",
     )
     optic.pupilSize = 4.0
-    read = from_batoid(optic, wavelength_nm=500.0, baffle_radius=2500.0)
+    read = from_batoid(optic, wavelength_nm=500.0, baffle_radius=2500.0, beam="exact")
     rings = {s.name: (s.r1, s.r0, s.z) for s in read.structures if isinstance(s, Structure)}
     assert rings == {
         "disc": (0.0, 500.0, 3000.0),
@@ -272,7 +277,9 @@ def passing(optic, field_deg, rays=200_000):
 def test_prime_focus_detects_what_batoid_passes(field_deg):
     """On axis 1 - 0.4² of the pupil in closed form; 3.9 standard errors of both are missed once in 1e4."""
     optic = prime_focus(0.4)
-    energy = trace(from_batoid(optic, wavelength_nm=700.0).to_scene(), rays=40_000, field_deg=field_deg).energy
+    energy = trace(
+        from_batoid(optic, wavelength_nm=700.0, beam="exact").to_scene(), rays=40_000, field_deg=field_deg
+    ).energy
     share = energy.detected_W / energy.launched_W
     se = math.sqrt(share * (1 - share) / 40_000)
     theirs, their_se = passing(optic, field_deg)
@@ -287,7 +294,7 @@ def test_decam_detects_what_batoid_passes(field_deg):
     optic = batoid.Optic.fromYaml("DECam.yaml")
     for name in ("FILTER_OBSTRUCTION", "SPIDER"):
         optic = optic.withRemovedOptic(f"BlancoDECam.{name}")
-    read = from_batoid(optic, wavelength_nm=700.0)
+    read = from_batoid(optic, wavelength_nm=700.0, beam="exact")
     energy = trace(read.to_scene(), rays=40_000, field_deg=field_deg, max_reflections=0).energy
     theirs, _ = passing(optic, field_deg)
     assert energy.detected_W / energy.launched_W == pytest.approx(theirs, rel=0.01)

@@ -46,7 +46,10 @@ def test_surfaces(camera):
 
 
 def test_source_stop_and_detector(camera):
-    assert np.pi * camera.source.radius**2 == pytest.approx(DATA["sources"]["stray_light"]["power_W"], rel=1e-9)
+    filling = from_json(FILE, beam="exact").source
+    assert np.pi * filling.radius**2 == pytest.approx(DATA["sources"]["stray_light"]["power_W"], rel=1e-9)
+    assert camera.source.radius == pytest.approx(1.05 * filling.radius)
+    assert camera.source.pupil_area == pytest.approx(DATA["sources"]["stray_light"]["power_W"], rel=1e-9)
     assert camera.source.wavelength_nm == (550.0,)
     assert (camera.source.x, camera.source.y, camera.source.z) == (0, 0, 0)
     wall = next(face for face in camera.stop.faces() if face.name == "stop_wall")

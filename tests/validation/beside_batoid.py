@@ -91,7 +91,7 @@ class Telescope:
             own = importlib.import_module(f"mistray.scenes.{self.shipped}.prescription").build()
             return replace(own, detector=replace(own.detector, name="Detector"))  # as batoid calls it
         optic = batoid.Optic.fromYaml(self.file)
-        return from_batoid(optic, wavelength_nm=self.wavelength_nm, reflectance=REFLECTANCE)
+        return from_batoid(optic, wavelength_nm=self.wavelength_nm, reflectance=REFLECTANCE, beam="exact")
 
     @cached_property
     def coated(self) -> batoid.Optic:

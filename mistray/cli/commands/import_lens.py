@@ -34,7 +34,7 @@ _ONLY = {
     "radius_mode": ("radius mode", ("seq",)),
     "configuration": ("configurations", _SEQUENTIAL),
     "margin": ("clear radii to choose", _SEQUENTIAL),
-    "beam": ("entrance pupil", _SEQUENTIAL),
+    "beam": ("beam of a source", ("json", "yaml", *_SEQUENTIAL)),
     "detector_half_mm": ("detector to choose", _SEQUENTIAL),
 }
 _FORMATS = {".json": "json", ".yaml": "yaml", ".yml": "yaml", ".zmx": "zmx", ".seq": "seq", ".len": "len"}
@@ -65,6 +65,9 @@ COMMAND = Command(
         Group("lenses", (
             Option("--wavelength-nm", "wavelength of the source, nm (batoid: required; others: as the file says)",
                    WAVELENGTH_NM, "NM"),
+            Option("--beam", "the source overfills the entrance pupil by 5 %, so that the stop has derivatives "
+                   "(pupil), just fills it (exact), or overfills the first surface (front; lens files only) (pupil)",
+                   metavar="KIND"),
             Option("--variant", "design variant that a JSON file holds, such as R13=5.272", metavar="NAME"),
         )),
         Group("Zemax, CODE V and OSLO files (in brackets: the default)", (
@@ -80,8 +83,6 @@ COMMAND = Command(
                    "or the first one)", metavar="NAME"),
             Option("--margin", "clear radii that the file does not give exceed the rays by this part (0.02)",
                    MARGIN, "PART"),
-            Option("--beam", "the source fills the entrance pupil (pupil) or the first surface (front)",
-                   metavar="KIND"),
             Option("--detector-half-mm", "half width and height of the detector, mm (as the image of all fields)",
                    SIZE_MM, ("X", "Y"), 2),
         )),
@@ -187,7 +188,7 @@ def _at(prescription: Prescription, wavelength_nm: float) -> Prescription:
 def _from_json(lens: Path, options: Options) -> Prescription:
     from mistray.prescription import from_json
 
-    prescription = from_json(lens, variant=options.variant)
+    prescription = from_json(lens, variant=options.variant, **options.given("beam"))
     return prescription if options.wavelength_nm is None else _at(prescription, options.wavelength_nm)
 
 
@@ -196,7 +197,7 @@ def _from_batoid(lens: Path, options: Options) -> Prescription:
         raise MistrayError(f"lens '{lens}': batoid media depend on the wavelength; give --wavelength-nm")
     from mistray.prescription import from_batoid
 
-    return from_batoid(lens, wavelength_nm=options.wavelength_nm)
+    return from_batoid(lens, wavelength_nm=options.wavelength_nm, **options.given("beam"))
 
 
 def _record(built: Built) -> dict[str, Any]:

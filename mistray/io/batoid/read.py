@@ -31,6 +31,7 @@ from mistray.physics.geometry.pose import fixed_angles_deg
 from mistray.physics.sags.grid import Grid
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.geometry import barrel
+from mistray.prescription.imported_beam import Fill, beam_size, check_beam
 from mistray.prescription.model import Detector, Placed, Prescription, Source, Structure, Surface
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ def from_batoid(
     reflectance: float | None = None,
     baffle_radius: float | None = None,
     field_deg: float | None = None,
+    beam: Fill = "pupil",
 ) -> Prescription:
     """Read a batoid telescope.
 
@@ -73,13 +75,15 @@ def from_batoid(
     field_deg : float or None
         Edge of the field, whose light decides how large surfaces without an aperture are and where baffles are open.
         ``None``: where the centroid lies on the rim of the detector, or 1° if that has none.
+    beam : {"pupil", "exact"}
+        The source is wider than the pupil by a twentieth of its radii, or just as wide; see docs/import.md.
 
     Returns
     -------
     Prescription
-        With a round or annular source that fills the pupil as `batoid.RayVector.asPolar` does by default: radii
-        ``pupilSize/2`` and ``pupilSize * pupilObscuration/2`` in the plane of the stop surface. `provenance` names the
-        baffles that got a hole or an outer radius here.
+        With a round or annular source that overfills the pupil. That is the one of `batoid.RayVector.asPolar` by
+        default: radii ``pupilSize/2`` and ``pupilSize * pupilObscuration/2`` in the plane of the stop surface.
+        `provenance` names the baffles that got a hole or an outer radius here.
 
     Raises
     ------
@@ -91,9 +95,10 @@ def from_batoid(
         import batoid
     except ImportError:
         raise MistrayError("batoid is not installed; run: pip install 'mistray[batoid]'") from None
+    check_beam(beam)
     if isinstance(optic, str | Path):
         optic = read_optic(optic)
-    source = _source(optic, wavelength_nm)
+    source, notes = _source(optic, wavelength_nm, beam)
     reader = _Reader(batoid, optic, wavelength_nm, reflectance, baffle_radius, field_deg)
     for element in _elements(optic):
         reader.add(element)
@@ -105,7 +110,11 @@ def from_batoid(
         detector=reader.detector,
         source=source,
         provenance="\n".join(
-            [f"From batoid {batoid.__version__}, optic '{optic.name}', at {wavelength_nm:g} nm.", *reader.notes]
+            [
+                f"From batoid {batoid.__version__}, optic '{optic.name}', at {wavelength_nm:g} nm.",
+                *notes,
+                *reader.notes,
+            ]
         ),
     )
 
@@ -123,21 +132,14 @@ def _elements(optic: Any) -> Iterator[tuple[str, Any]]:
         yield optic.name, optic
 
 
-def _source(optic: Any, wavelength_nm: float) -> Source:
+def _source(optic: Any, wavelength_nm: float, beam: Fill) -> tuple[Source, list[str]]:
     outer, inner = pupil(optic)
     stop = getattr(optic, "stopSurface", None)
     origin = np.zeros(3) if stop is None else np.asarray(stop.coordSys.origin)
     x, y, z = (float(value) * M_TO_MM for value in origin)
-    return Source(
-        x=x,
-        y=y,
-        z=z,
-        tilt_deg=(0.0, 180.0, 0.0),
-        radius=outer * M_TO_MM,
-        inner_radius=inner * M_TO_MM,
-        plane="axis",
-        wavelength_nm=(float(wavelength_nm),),
-    )
+    size, notes = beam_size(beam, outer * M_TO_MM, inner=inner * M_TO_MM)
+    place: Any = {"x": x, "y": y, "z": z, "tilt_deg": (0.0, 180.0, 0.0)}
+    return Source(**place, **size, plane="axis", wavelength_nm=(float(wavelength_nm),)), notes
 
 
 @dataclass

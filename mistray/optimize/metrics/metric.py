@@ -206,6 +206,9 @@ def path_power(scene: Any, selection: Selection = "ghost", **traced: Any) -> Met
     """
     Detected power of some paths over the launched power, mean over the fields, W/W.
 
+    Of an imported lens, whose beam is wider than its aperture, the launched power is what the aperture takes, see
+    `Trace.pupil_W`.
+
     Parameters
     ----------
     scene : mi.Scene
@@ -214,7 +217,7 @@ def path_power(scene: Any, selection: Selection = "ghost", **traced: Any) -> Met
     **traced
         `field_deg`, `wavelength_nm`, `weights` of `Metric`, and arguments of `mistray.trace`.
     """
-    return _mean(scene, lambda o: o.power(selection) / o.launched_W, traced, "W/W", "path power")
+    return _mean(scene, lambda o: o.power(selection) / o.pupil_W, traced, "W/W", "path power")
 
 
 @_FIELDS
@@ -325,10 +328,12 @@ def transmission(scene: Any, **traced: Any) -> Metric:
     """
     Power of the direct image over the launched power, mean over the fields, W/W.
 
-    What the stop and the rims take is in it: a beam that is wider than the entrance pupil gives a smaller number.
+    What the stop and the rims take is in it: a beam that is wider than the entrance pupil gives a smaller number,
+    unless its source says which part of it the unmoved stop takes (`Trace.pupil_W`), as that of an imported lens does.
+    A pupil that is larger at a field off the axis gives a larger one.
     Keywords as for `path_power`.
     """
-    return _mean(scene, lambda o: o.power(DIRECT) / o.launched_W, traced, "W/W", "transmission")
+    return _mean(scene, lambda o: o.power(DIRECT) / o.pupil_W, traced, "W/W", "transmission")
 
 
 @_FIELDS

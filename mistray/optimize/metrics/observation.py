@@ -95,6 +95,11 @@ class Observation:
         return self.trace.energy.launched_W
 
     @property
+    def pupil_W(self) -> float:
+        """Flux that counts as launched, W, see `mistray.trace.result.Trace.pupil_W`."""
+        return self.trace.pupil_W
+
+    @property
     def field_deg(self) -> float:
         """Field angle of the trace, degrees."""
         return float(self.trace.settings["field_deg"])

@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.optimize.gradient import chosen_parameters, gradient, gradient_request, gradient_seen
+from mistray.optimize.gradient import chosen_parameters, gradient_request, gradient_seen
 from mistray.optimize.metrics.metric import Metric, combine
 from mistray.optimize.search.point import Pieces
 from mistray.optimize.study.goals import by_value, check, contribution, holds, least_merit, pieces
@@ -134,7 +134,9 @@ class Merit:
                 total = total + contribution(term, mi.Float64(every[term.name]), start[term.name])
             return total
 
-        result = gradient(combine(metrics, merit), self.params, self.variables.keys)
+        whole = combine(metrics, merit)
+        chosen = chosen_parameters(self.scene, self.params, self.variables.keys)
+        result = gradient_seen(whole, whole.observe(), chosen, gradient_request(chosen.values()))
         slope = self.variables.slope(result.gradient, x)
         for name, (_, by_thickness) in layers.items():
             by_leaf = float(np.broadcast_to(np.array(dr.grad(leaves[name])), 1)[0])

@@ -14,7 +14,7 @@ from mistray.analysis.changes.first_surfaces import Entering, spoils
 from mistray.analysis.changes.gaps import Gap
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
-from mistray.optimize.gradient import Gradient, gradient
+from mistray.optimize.gradient import Gradient, gradient_request, gradient_where_smooth
 from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.parameters import Parameter, match, parameters
 from mistray.optimize.tolerances.changes import Change, best_together
@@ -227,7 +227,8 @@ def sensitivity(
     ------
     MistrayError
         If a key is unknown, nothing is left to differentiate by, an argument is out of range, or the metric is 0 or not
-        finite.
+        finite; if a beam just fills a rim that one of `keys` or of `together` moves. Without `keys` such parameters are
+        left out.
     """
     FACTOR.check("factor", factor)
     POSITIVE.check("reach", reach)
@@ -240,13 +241,17 @@ def sensitivity(
         raise MistrayError("there is no parameter to differentiate by; the scene has none, or no key is given")
     lines = lines_of(metric.scene, given, known, chosen)
     limits = _tolerances(known, tolerances or {})
-    groups = _groups(known, lines, together)
+    _groups(known, lines, together)  # before the trace: what is wrong with them costs no time
     free = set(free_keys(metric.scene, known) if change is None else match(known, change))
     advance = Steps(progress, 1 + (2 * SEEDS if check else 0) + monte_carlo)
-    keys = list(dict.fromkeys(key for line in lines for key in line.keys))
-    found = gradient(metric, given, keys, edges=edges, edge_width=edge_width)
+    active = {key: known[key] for line in lines for key in line.keys}
+    request = gradient_request(active.values(), edges, edge_width)
+    found = gradient_where_smooth(metric, metric.observe(), active, request)
     advance()
     _require_light(found)
+    found.require(active if keys is not None else match(known, together))
+    lines, without = _with_derivative(found, lines)
+    groups = _groups(known, lines, together)
     table = Table.of(found, lines, limits)
     rows = table.rows(free, reach, factor)
     spread = propagate([row.label for row in rows], table.change_batches, groups)
@@ -270,7 +275,7 @@ def sensitivity(
         factor=factor,
         together=proposal,
         draws=draws,
-        left_out=tuple(found.left_out),
+        left_out=(*found.left_out, *without),
         without_derivative=tuple(_without_derivative(given, known)),
         seconds=found.seconds,
         facts={
@@ -285,6 +290,19 @@ def sensitivity(
             "seed of the draws": seed,
         },
     )
+
+
+def _with_derivative(found: Gradient, lines: list[Line]) -> tuple[list[Line], list[str]]:
+    """The lines that have a derivative; what is to be said of the others, which no sum can hold."""
+    without = [line for line in lines if found.full.keys() & set(line.keys)]
+    if len(without) == len(lines):
+        found.require(found.full)
+    if not without:
+        return lines, []
+    names = ", ".join(line.label for line in without)
+    return [line for line in lines if line not in without], [
+        f"parameters that move a rim which a beam just fills; widen the source to have them: {names}"
+    ]
 
 
 def _require_light(found: Gradient) -> None:

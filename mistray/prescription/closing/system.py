@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -27,13 +26,13 @@ from mistray.prescription.closing.shadows import met_at, shadowing_spaces
 from mistray.prescription.closing.surfaces import COVER_MM, OpticalSurfaces
 from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import is_gas
+from mistray.prescription.imported_beam import Beam, beam_size, check_beam
 from mistray.prescription.model import Detector, ObjectPoint, Prescription, Source, Structure, Surface
 from mistray.prescription.sequential.first_order import FirstOrder, field_tangents
 from mistray.prescription.sequential.rays import curvature
 from mistray.prescription.sequential.table import Sequential
 from mistray.ranges import MARGIN as MARGIN_RANGE
 
-Beam = Literal["pupil", "front"]
 MARGIN = 0.02
 
 _PIXELS = (512, 512)
@@ -93,8 +92,10 @@ def to_prescription(
         Where the lens file gives no clear radius: part by which it exceeds the rays of all fields, ≥ 0.
     ground_reflectance : float
         Of ground edges, 0 … 1.
-    beam : {"pupil", "front"}
-        The source fills the entrance pupil, or the first surface whole, as a distant source of stray light does.
+    beam : {"pupil", "front", "exact"}
+        The source overfills the entrance pupils of all fields by a twentieth of the radius, or the first surface, as a
+        distant source of stray light does. "exact": it just fills the entrance pupil of the axis, so that the stop has
+        no derivatives. See `mistray.prescription.imported_beam`.
     detector_half_mm : tuple of two float or None
         Half width and half height of the detector, mm; ``None``: those of the image of all fields.
 
@@ -134,8 +135,7 @@ def build(
     """The same as `to_prescription`, with first-order data and notes."""
     if edges not in EDGES:
         raise MistrayError(f"edges = '{edges}'; they are {', '.join(EDGES[:-1])} or {EDGES[-1]}")
-    if beam not in ("pupil", "front"):
-        raise MistrayError(f"beam = '{beam}'; it is 'pupil' or 'front'")
+    check_beam(beam, ("pupil", "front", "exact"))
     MARGIN_RANGE.check("margin", margin)
     table = OpticalSurfaces(sequential, coatings, margin)
     cut_holes(table)
@@ -351,18 +351,21 @@ def _source(table: OpticalSurfaces, beam: Beam) -> Source | ObjectPoint:
             f"the object is virtual, {-lens.object_distance:.6g} mm behind the first surface, but the source is "
             "collimated: its light does not come to a focus on the detector"
         )
-    x, y, z, radius = 0.0, 0.0, data.entrance_pupil_z, data.epd / 2
+    x, y, z, radius, reach, filled = 0.0, 0.0, data.entrance_pupil_z, data.epd / 2, 0.0, "the pupil"
     if table.surfaces and (beam == "front" or math.isinf(z)):
         first = table.surfaces[min(table.surfaces)]
-        x, y, z, radius = first.x, first.y, first.z, first.outer_radius
+        x, y, z, radius, filled = first.x, first.y, first.z, first.outer_radius, "the first surface"
     elif not near:
         x, y, radius = _entrance(table, z, radius)
+        reach = float(np.hypot(*(table.rays.pupils - [x, y]).T).max(initial=0.0))
+    size, notes = beam_size(beam, radius, reach, of=filled)
+    table.notes += notes
     field_deg, azimuth_deg = (0.0, 0.0) if near else _direction(table)
     return Source(
         x=x,
         y=y,
         z=z,
-        radius=radius,
+        **size,
         field_deg=field_deg,
         azimuth_deg=azimuth_deg,
         plane="axis",

@@ -27,6 +27,7 @@ _INNER_FIELDS = 9  # of these, for the middle of the beams
 _FIELD_STEPS = (0.25, 0.5, 0.75, 1.0)
 _AIMING = 12
 _AIMED = 1e-9  # of the stop's radius
+_MET = 1e-3  # of the stop's radius: a ray that comes so near to its place on the rim stands for it
 _PROBE = 1e-4  # of the pupil's radius, for differences
 
 
@@ -47,6 +48,9 @@ class EdgeRays:
         Where each ray starts, upstream of all it meets, and where it meets each row.
     entering : (2, 17, 3) float64
         A point and the direction, in the world before the first row, of the chief ray and the rim of the first field.
+    pupils : (k, 2) float64
+        Where rays of an object far away that meet the rim of the stop cross the plane of the entrance pupil, mm, at all
+        fields, whatever the vignetting.
     reach : (n_rows,) float64
         Greatest distance of a ray from the axis of each row, mm; 0 where no ray comes.
     chief : (n_rows, 3) float64
@@ -67,6 +71,7 @@ class EdgeRays:
     directions: Array
     world: Array
     entering: Array
+    pupils: Array
     reach: Array
     chief: Array
     within: Array
@@ -177,12 +182,26 @@ def edge_rays(lens: Sequential) -> EdgeRays:
         directions=directions,
         world=np.concatenate([_upstream(start, heading, upstream)[None], places]),
         entering=np.array([parts[0][2], parts[0][3]]),
+        pupils=_pupils(lens, data, radius, numbers, pupil[1:]),
         reach=reach,
         chief=chief,
         within=np.concatenate([_upstream(inner_start, inner_heading, upstream)[None], inner_places]),
         weights=np.tile(np.repeat(_WITHIN, _RIM), len(some)),
         notes=tuple(notes),
     )
+
+
+def _pupils(lens: Sequential, data: FirstOrder, radius: float, numbers: list[int], rim: Array) -> Array:
+    """Where rays to the rim of the stop cross the plane of the entrance pupil, see `EdgeRays.pupils`."""
+    if lens.telecentric or not math.isinf(lens.object_distance) or math.isinf(data.entrance_pupil_z):
+        return np.zeros((0, 2))
+    found = []
+    for number in numbers:
+        start, heading = _through_stop(lens, data, radius, lens.fields[number], rim)
+        met = trace(lens, start, heading)[0][stop_place(lens), :, :2]
+        there = np.linalg.norm(met - rim * radius, axis=1) < _MET * radius  # and not lost on the way
+        found.append(start[there, :2])
+    return np.concatenate(found)
 
 
 def _inner_rays(start: Array, heading: Array) -> tuple[Array, Array]:

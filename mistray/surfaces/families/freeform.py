@@ -18,6 +18,7 @@ from mistray.surfaces.families.freeform_sag import LocalSag
 from mistray.surfaces.families.outline_edge import FreeformFamily
 from mistray.surfaces.gradient_columns import HIGH, OWN
 from mistray.surfaces.surface import ENDS, Opening, Surface
+from mistray.surfaces.upload import upload
 
 if TYPE_CHECKING:
     from mistray.surfaces.crossings import AxisRay
@@ -235,6 +236,10 @@ class Freeform(Surface):
     @property
     def reach(self) -> tuple[float, float]:
         return -2 * self.size, 0.0
+
+    def rim_place(self, q: np.ndarray) -> np.ndarray:
+        x, y = (upload(mi.Float64, column) for column in q.T[:2])
+        return np.array(self.family.coordinate(x, y, None, self.values), dtype=np.float64)
 
     def rim_point(self, rim: int) -> np.ndarray:
         raise NotImplementedError("an outline has no circular rims")

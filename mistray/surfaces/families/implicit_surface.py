@@ -92,6 +92,9 @@ class ImplicitSurface(Surface):
         """Coordinate along the profile at points (n, 3), mm."""
         return np.asarray(self.family.coordinate(*q.T, self.values))
 
+    def rim_place(self, q: np.ndarray) -> np.ndarray:
+        return self.coordinate(q)
+
     def crossings(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
         found = np.full((len(o), MOST_CROSSINGS), np.nan)
         reach = np.hypot(self.size, np.abs(self.z_range).max())  # of a ball around it

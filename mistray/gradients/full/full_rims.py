@@ -1,0 +1,215 @@
+"""Rims along which the edge of a beam runs, so that the flux density jumps where a derivative asks for it.
+
+Where a beam just fills a rim, to move the rim into the beam takes light away, and to move it out does nothing: there is
+no derivative, but one on either side. The estimator of `mistray.gradients.edges` would see no hit, and say 0. The rays
+along the edge of a source find such rims: those that they pass by within a small part of the zone in which hits are
+looked at, and along which they run. Where the edge of the beam crosses a rim at an angle, the density on the rim is as
+smooth as anywhere, for the boundary kernel knows slopes. Where it runs along a rim farther away, but within the zone,
+the zone is narrowed to what lies before it.
+
+Not seen are rims that the shadow of another rim just fills.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from copy import copy
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.gradients.full.marginal_rays import Bundle, Key, MarginalRays, Passage, Rim, depth_again
+from mistray.gradients.geometry_gradient import SHIFTS
+from mistray.gradients.rims import rim_zones
+from mistray.physics.geometry.pose import moved
+from mistray.sampling.source import SceneSource
+from mistray.surfaces.gradient_columns import HALF_HEIGHT, HALF_WIDTH, HIGH, INNER, LOW, OUTER, POSE
+from mistray.surfaces.surfaces import SurfaceTable
+
+RAYS = 64  # along the edge of a beam
+CLOSE = 0.1  # of the zone: a rim that is nearer to the edge of the beam is just filled
+INSIDE = 2.0  # of that part of the radius: how far inside of the edge light must go on for the rim to matter
+ALONG = 0.1  # change of the distance by the way along the edge, below which it runs along the rim
+EXACT = 0.03  # of the zone: an edge that keeps this near to a rim all along it is as good as on it
+BEFORE = 0.9  # of the distance of the edge, to which a zone is narrowed
+SAME = 1e-9  # of the size of a rim by which it may move and does not
+WORDS = {
+    OUTER: "outer rim",
+    INNER: "inner rim",
+    HALF_WIDTH: "sides in x",
+    HALF_HEIGHT: "sides in y",
+    LOW: "end at its low side",
+    HIGH: "end at its high side",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class FullRims:
+    """
+    The rims of a scene that a source at one wavelength just fills.
+
+    Attributes
+    ----------
+    source : SceneSource
+    table : SurfaceTable
+    width : float
+        Of the zones along the rims, in units of their radius or half side.
+    """
+
+    source: SceneSource
+    table: SurfaceTable
+    width: float
+
+    @cached_property
+    def zones(self) -> dict[Rim, float]:
+        """Widths of the zones, mm."""
+        return rim_zones(self.table, self.width)
+
+    @cached_property
+    def full(self) -> list[tuple[int, Key, np.ndarray]]:
+        """Which rays of which passages (line, key, (n,) bool) run along a rim that they just fill."""
+        found = []
+        for line, key, passage in self._along():
+            here = passage.counts & (passage.slope < ALONG)
+            if np.any(here):
+                found.append((line, key, here))
+        return found
+
+    @property
+    def any(self) -> bool:
+        """Whether there is such a rim."""
+        return bool(self.full)
+
+    @property
+    def reach(self) -> float:
+        """
+        How far a rim may move relative to the beam until a derivative on one side is none any more, in units of zones.
+
+        Half a zone where the edge of the beam lies on the rim; where it is a little off, along a part of the rim or all
+        of it, that little.
+        """
+        off = 0.0
+        for line, key, _ in self.full:
+            passage = self._passages[line].passages[key]
+            along = passage.slope < ALONG
+            off = max(off, float(np.max(np.abs(passage.depth[along]))) / self.zones[key[2], key[3]])
+        return 0.5 * (1.0 if off < EXACT else CLOSE)
+
+    @property
+    def names(self) -> list[str]:
+        """The rims in words."""
+        return list(dict.fromkeys(self.name(key) for _, key, _ in self.full))
+
+    def name(self, key: Key) -> str:
+        """A rim in words."""
+        return f"the {WORDS[key[3]]} of '{self.table.ids[key[2]]}'"
+
+    @cached_property
+    def limits(self) -> dict[Rim, float]:
+        """Widths of narrower zones, mm, that end before the edge of a beam beside them."""
+        found: dict[Rim, float] = {}
+        for _, key, passage in self._along():
+            rim = key[2], key[3]
+            here = (passage.slope < ALONG) & ~passage.counts
+            if np.any(here):
+                nearest = float(np.nanmin(np.abs(passage.depth[here])))
+                limit = max(BEFORE * nearest, CLOSE * self.zones[rim])
+                found[rim] = min(limit, found.get(rim, np.inf))
+        return found
+
+    def moved_by(self, owner: Any, name: str, step: float) -> tuple[float, str]:
+        """
+        How far a step of a parameter moves the rims relative to the beam that fills them.
+
+        Parameters
+        ----------
+        owner : plugin
+        name : str
+        step : float
+            In the unit of the parameter.
+
+        Returns
+        -------
+        share : float
+            The largest move, in units of the zone of the rim; 0 where none moves.
+        rim : str
+            That rim in words.
+        """
+        largest, rim = 0.0, ""
+        if not any(owner is one for one in self._owners):
+            return largest, rim
+        table = self._with(owner, name, step)
+        for line, key, here in self.full:
+            passage, place = self._passages[line].passages[key], np.flatnonzero(here)
+            o, d = self._edges[line]
+            rays = self._moved(Bundle(o[place], d[place], place, place), owner, name, step)
+            move = np.abs(depth_again(table, (key[2], key[3]), passage, rays) - passage.depth[place])
+            zone = self.zones[key[2], key[3]]
+            farthest = float(np.max(np.where(np.isnan(move), zone, move)))
+            if farthest > SAME * self.table.pieces[key[2]].rim_sizes[key[3]] and farthest / zone > largest:
+                largest, rim = farthest / zone, self.name(key)
+        return largest, rim
+
+    @cached_property
+    def _owners(self) -> list[Any]:
+        """Plugins whose parameters can move such a rim, or the rays on their way to it."""
+        met = set().union(*(rays.met for rays in self._passages)) | {key[2] for _, key, _ in self.full}
+        table = self.table
+        return [self.source.emitter, *(part[k] for k in sorted(met) for part in (table.shapes, table.optics.bsdfs))]
+
+    def _along(self) -> Iterator[tuple[int, Key, Passage]]:
+        for line, rays in enumerate(self._passages):
+            for key, passage in rays.passages.items():
+                yield line, key, passage
+
+    @cached_property
+    def _edges(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        return self.source.edges(RAYS)
+
+    @cached_property
+    def _passages(self) -> list[MarginalRays]:
+        """The lines of the edge of the beam, followed."""
+        found = []
+        last = self.table.ids.index(self.source.shape) if self.source.shape else -1
+        for edge, within in zip(self._edges, self.source.edges(RAYS, INSIDE * CLOSE * self.width), strict=True):
+            line, inside = (Bundle(*rays, np.full(RAYS, last), np.arange(RAYS)) for rays in (edge, within))
+            nothing = MarginalRays(self.table, {}, CLOSE, np.zeros(RAYS, dtype=bool))
+            rays = MarginalRays(self.table, self.zones, CLOSE, nothing.follow(inside))
+            rays.follow(line)
+            found.append(rays)
+        return found
+
+    def _moved(self, rays: Bundle, owner: Any, name: str, step: float) -> Bundle:
+        """Rays as they start with another value of a parameter, if it is one of the source."""
+        if owner is not self.source.emitter:
+            return rays
+        by_o, by_d = self.source.motion(name, mi.Vector3d(*rays.o.T), mi.Vector3d(*rays.d.T))
+        zero = np.zeros_like(rays.o)
+        o, d = (now + step * (zero + np.array(by, dtype=np.float64).T) for now, by in ((rays.o, by_o), (rays.d, by_d)))
+        return rays._replace(o=o, d=d / np.linalg.norm(d, axis=1, keepdims=True))
+
+    def _with(self, owner: Any, name: str, step: float) -> SurfaceTable:
+        """The surfaces with another value of a parameter, as far as rays on the host see them."""
+        table = copy(self.table)
+        table.pieces, table.vertices, table.rotations = (
+            list(table.pieces),
+            table.vertices.copy(),
+            table.rotations.copy(),
+        )
+        for piece in self.table.pieces:
+            if table.shapes[piece.index] is owner:
+                values = {**owner.values, name: owner.values[name] + step}
+                frame = owner.vertex_frame(values, moved(owner.base, *(values[key] for key in POSE)))
+                changed = owner.surface(values)
+                changed.index, changed.overlap = piece.index, piece.overlap
+                table.pieces[piece.index] = changed
+                table.vertices[piece.index], table.rotations[piece.index] = frame[:3, 3], frame[:3, :3]
+        if name in SHIFTS:
+            table.optics = copy(table.optics)
+            table.optics.host_indices = table.optics.host_indices.copy()
+            own = [k for k, bsdf in enumerate(table.optics.bsdfs) if bsdf is owner]
+            table.optics.host_indices[own, SHIFTS.index(name)] += step
+        return table
