@@ -28,7 +28,7 @@ What this does not see: lines in which surfaces cross away from their rims, and 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -85,9 +85,9 @@ class EdgeEvents:
         Distance from the rim, mm.
     scale : (n,) mi.Float
         Of jumps, see `mistray.gradients.grazing.Jump`.
-    c, c_half : (n,) mi.Float64
-        Coefficients of Δ, 1/mm, for the width that was requested and for half of it; where there is a `joined` surface
-        those of the distance F/|∇F| from it. In units of a start ray.
+    c : list of (n,) mi.Float64
+        Coefficients of Δ, 1/mm, for each width; where there is a `joined` surface those of the distance F/|∇F| from
+        it. In units of a start ray.
     """
 
     paths: BranchRecorder
@@ -97,8 +97,7 @@ class EdgeEvents:
     joined: mi.UInt32
     delta: mi.Float
     scale: mi.Float
-    c: mi.Float64
-    c_half: mi.Float64
+    c: list[mi.Float64]
 
 
 class Edges:
@@ -109,12 +108,14 @@ class Edges:
     ----------
     scene : KernelScene
     settings : Settings
-    width : float
-        Of the zones along the rims, in units of their radius or half side.
+    widths : sequence of float
+        Of the zones along the rims, in units of their radius or half side, the widest first. Where that ends before
+        its zones overlap, all others are smaller in proportion.
     """
 
-    def __init__(self, scene: KernelScene, settings: Settings, width: float) -> None:
-        table = scene.table
+    def __init__(self, scene: KernelScene, settings: Settings, widths: Sequence[float]) -> None:
+        table, width = scene.table, widths[0]
+        self._shares = [w / width for w in widths]
         self._scene, self._table, self._settings = scene, table, settings
         self._near = RimRecorder(table, width, as_many(CAPACITY, settings.max_events), settings.max_events)
         self._lanes = FIRST_LANES
@@ -204,12 +205,12 @@ class Edges:
             distance, width = mi.Float64(delta), mi.Float64(width)
             return dr.select(jumps, grazing_kernel(distance, width), kernel(distance, width))
 
-        c, c_half = (gain * density(width) for width in (zone, 0.5 * zone))
-        counts = dr.compress(c != 0)
-        found = row, past.start.batch, rim, past.joined, delta, scale, c, c_half
+        counts = dr.compress(gain != 0)
+        found = row, past.start.batch, rim, past.joined, delta, scale
         kept = [dr.gather(type(v), v, counts) for v in found]
-        dr.eval(kept)
-        return EdgeEvents(near.paths, *kept)
+        c = [dr.gather(mi.Float64, gain * density(share * zone), counts) for share in self._shares]
+        dr.eval(kept, c)
+        return EdgeEvents(near.paths, *kept, c)
 
     def _past(self, row: mi.UInt32, rim: mi.UInt32) -> _Past:
         """Rays that go past the rims."""

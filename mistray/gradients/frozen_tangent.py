@@ -178,7 +178,7 @@ def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.
         Change of the flux in each pixel, in units of a start ray.
     """
     table, film = run.table, run.make_film()
-    nothing = GradientRequest(rows=False, edges=False)
+    nothing = GradientRequest(rows=False)
     path_replay = PathReplay(table, run.scattering, run.settings, nothing, run.settings.max_events)
     direction = number_direction(table, tangents)
     step = step_of(direction, np.array([piece.size for piece in table.pieces]))

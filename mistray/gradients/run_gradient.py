@@ -164,7 +164,7 @@ def run_gradient(
     with dr.suspend_grad():  # single events are differentiated, nothing around them
         edges = None
         if path_replay.edges:
-            edges = Edges(run.scene, run.settings, request.edge_width)
+            edges = Edges(run.scene, run.settings, request.edge_widths)
             adjoint = run.adjoint(pixel, paths, rows=0)
         for number in range(run.passes):
             whole = run.start_pass(number)
