@@ -206,11 +206,11 @@ class Edges:
             return dr.select(jumps, grazing_kernel(distance, width), kernel(distance, width))
 
         counts = dr.compress(gain != 0)
-        found = row, past.start.batch, rim, past.joined, delta, scale
-        kept = [dr.gather(type(v), v, counts) for v in found]
         c = [dr.gather(mi.Float64, gain * density(share * zone), counts) for share in self._shares]
-        dr.eval(kept, c)
-        return EdgeEvents(near.paths, *kept, c)
+        found = row, past.start.batch, rim, past.joined, delta, scale
+        row, batch, rim, joined, delta, scale = (dr.gather(type(v), v, counts) for v in found)
+        dr.eval(row, batch, rim, joined, delta, scale, c)
+        return EdgeEvents(near.paths, row, batch, rim, joined, delta, scale, c)
 
     def _past(self, row: mi.UInt32, rim: mi.UInt32) -> _Past:
         """Rays that go past the rims."""

@@ -35,8 +35,8 @@ class GradientRequest:
     sources : frozenset of str
         Names of parameters of sources.
     edge_widths : tuple of float
-        Widths of the zones at rims in which rays are looked at, in units of their radii, the widest first; none: without
-        what rays gain and lose at rims.
+        Widths of the zones at rims in which rays are looked at, in units of their radii, the widest first. None:
+        without what rays gain and lose at rims.
     """
 
     rows: bool = True

@@ -62,6 +62,9 @@ class Optimization:
         The given design and the result on independent seeds.
     left_out : tuple of str
         What the gradients do not contain.
+    edge_widths : dict
+        Width of the zones at rims of each gradient, over their radii: of "merit", or of each term where a method wants
+        them one by one; those that meet no rims are not in it.
     search_seconds, traced_seconds, verification_seconds : float
         Time of the searches, of the traces and derivatives in them, and of the comparison.
     """
@@ -78,6 +81,7 @@ class Optimization:
     best: Step
     comparison: Comparison
     left_out: tuple[str, ...]
+    edge_widths: dict[str, float]
     search_seconds: float
     traced_seconds: float
     verification_seconds: float
@@ -211,6 +215,7 @@ def optimize(
         best=best,
         comparison=compare(*levels),
         left_out=tuple(state.left_out),
+        edge_widths=state.edge_widths,
         search_seconds=state.seconds,
         traced_seconds=state.traced_seconds,
         verification_seconds=time.perf_counter() - started,

@@ -54,13 +54,18 @@ def edit_ranking_text(found: EditRanking, count: int = 20) -> str:
         parts.append(f"… and {len(matter) - count} with less")
     if len(found.edits) > len(matter):
         parts.append(f"{len(found.edits) - len(matter)} more change nothing")
+    widths = [f"{w:g} at {a:g} deg" for a, w in zip(found.field_deg, found.edge_width, strict=True) if w is not None]
+    if widths:
+        parts += ["", f"width of the zones at rims, over their radii: {', '.join(widths)}; errors hold its bias"]
     return "\n".join([*parts, "", *(f"not in the derivatives: {text}" for text in found.left_out)])
 
 
 def edit_ranking_record(found: EditRanking) -> dict[str, Any]:
     """All of a ranking as values that JSON knows."""
     rows = found.to_pandas().to_dict("records")
-    return dict(plain({"light": found.light, "ranking": rows, "left_out": found.left_out}))
+    return dict(
+        plain({"light": found.light, "ranking": rows, "left_out": found.left_out, "edge_width": found.edge_width})
+    )
 
 
 def write_edits(found: PstSweep | EditRanking, folder: Path, command: str) -> list[Path]:
