@@ -9,8 +9,9 @@ sided linear boundary kernel (J. Fan and I. Gijbels, Local Polynomial Modelling 
 
     k(Δ) = (4 - 6 Δ/ε)/ε,   ∫ k dΔ = 1,   ∫ k Δ dΔ = 0   over 0 … ε,
 
-so that the error goes with ε². With c = k · (gain of the hit - gain past the rim) held fixed, the derivative of Σ c Δ
-by any parameter is that of the metric: Δ depends on the rim, on the surface and on all that the ray has met before.
+so that the error goes with ε² where the density is smooth; `mistray.gradients.edge_widths` says which ε to take. With
+c = k · (gain of the hit - gain past the rim) held fixed, the derivative of Σ c Δ by any parameter is that of the
+metric: Δ depends on the rim, on the surface and on all that the ray has met before.
 
 A ray past the rim starts just outside of it, in the direction of the ray that hit. Where another surface of
 revolution touches the rim, the edge is the line in which both meet (see `mistray.gradients.edge_contacts`). A convex

@@ -87,7 +87,7 @@ class StrayLight(mi.CppADIntegrator):
     coatings, scatter models, indices, shapes, positions and rims of the scene; `mistray.optimize.parameters` lists
     them. Coatings alone take one reverse run (`mistray.recorders.adjoint`), anything else a replay of all rays
     (`mistray.gradients.replay`). Branches below ``flux_threshold`` are left out. `mistray.gradient` gives standard
-    errors as well. ``dr.forward`` knows all but scatter, and holds visibility (``edges`` off).
+    errors as well. ``dr.forward`` knows all but scatter and has no rims: for more than coatings it wants ``edges`` off.
     ``polarization="stokes"`` and parameters of stock shapes raise.
 
     .. code-block:: xml
@@ -160,7 +160,8 @@ class StrayLight(mi.CppADIntegrator):
             raise MistrayError(f"integrator 'straylight' has no forward mode by values of a {kind}; use dr.backward")
         if self.edges and kinds - {"coating"}:
             raise MistrayError(
-                "integrator 'straylight': forward mode holds visibility as it is; set edges=False, or use dr.backward"
+                "integrator 'straylight': forward mode has no rims; use dr.backward, or set edges=False to "
+                "hold visibility as it is"
             )
         tangents = {place: np.array(dr.grad(value), dtype=np.float64) for place, (_, value) in tracked.items()}
         runs = prepare(scene, self._settings(scene, sensor, seed, spp), detector=self._detector(sensor))
