@@ -23,6 +23,7 @@ from mistray.settings import BATCHES
 # Widths that are compared, in units of a rim's radius; the last one is there to judge those before it
 AUTOMATIC = tuple(0.05 * 0.5**k for k in range(5))
 EQUAL = np.ones(BATCHES)
+REMAINING = 4 / 3  # bias of a width over what half of it changes, where the bias goes with the square of the width
 
 
 def widths_of(edge_width: float | None) -> tuple[float, ...]:
@@ -42,9 +43,8 @@ class WidthErrors:
     check, check_se : (w - 1, n) float64
         Derivative with the next width less that with this one, and the standard error of this difference.
     bias : (w - 1, n) float64
-        Bias of the width, with its probable sign. Its square is that of `check` less that of its noise, which would be
-        there without a bias. It is no less than this noise, nor than what is certain of the differences from still
-        narrower zones: those less their standard errors.
+        Bias of the width, with its probable sign: `REMAINING` times `check`. It is no less than the noise of `check`,
+        nor than what is certain of the differences from still narrower zones: those less their standard errors.
     """
 
     noise: np.ndarray
@@ -71,7 +71,7 @@ class WidthErrors:
         noise = np.maximum.accumulate(error(sums), axis=0)[:last]
         check = (sums[1:] - sums[:-1]).sum(axis=1)
         check_se = np.maximum.accumulate(error(sums[1:] - sums[:-1]), axis=0)
-        bias = np.sqrt(np.maximum(check**2 - check_se**2, check_se**2))
+        bias = np.maximum(REMAINING * np.abs(check), check_se)
         for k in range(last - 1):
             apart = sums[k + 2 :] - sums[k]
             certain = np.abs(apart.sum(axis=1)) - np.maximum(error(apart), check_se[k])
