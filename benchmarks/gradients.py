@@ -17,6 +17,7 @@ from modes import coated
 from rows import REPEATS, Row, agree, alternate
 
 import mistray
+from mistray.gradients.edge_widths import widths_of
 from mistray.gradients.table_gradient import GradientRequest
 from mistray.optimize import gradient, parameters, path_power
 from mistray.optimize.gradient import chosen_parameters, gradient_request
@@ -88,8 +89,8 @@ def gradient_costs(name: str, rays: int, repeats: int, **settings: Any) -> list[
 def _request(what: str, chosen: list[Any]) -> GradientRequest:
     """Geometry with visibility as it is, or what rims do alone."""
     if what == "rims":
-        return GradientRequest(rows=False, geometry=frozenset(RIM_COLUMNS), edges=True)
-    return gradient_request(chosen, edges=False, edge_width=0.02)
+        return GradientRequest(rows=False, geometry=frozenset(RIM_COLUMNS), edge_widths=widths_of(0.05))
+    return gradient_request(chosen, edges=False)
 
 
 def memory(name: str, rays: int) -> list[Row]:

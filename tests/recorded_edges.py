@@ -11,6 +11,7 @@ from oracles.rim_distances import RimHits, bundles_of_hits
 
 from mistray.execute.backward import BackwardTrace
 from mistray.execute.tracer import Run, prepare
+from mistray.gradients.edge_widths import widths_of
 from mistray.gradients.edges import Edges
 from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.path_events import EVENT_MASK, INTERCEPTS
@@ -42,7 +43,7 @@ def edge_hits(
                 "rim": np.array(events.rim),
                 "joined": np.array(events.joined),
                 "batch": np.array(events.batch),
-                "c": np.stack([np.array(events.c), np.array(events.c_half)], axis=1),
+                "c": np.stack([np.array(c) for c in events.c], axis=1),
             }
             for name, values in portion.items():
                 found.setdefault(name, []).append(values)
@@ -74,7 +75,7 @@ def traced_edges(scene: Any, width: float, pixel: np.ndarray | float = 1.0, **tr
     film = run.make_film()
     by_pixel = run.unit * np.broadcast_to(pixel, (film.height, film.width))
     adjoint = Adjoint(0, film, upload(mi.Float, by_pixel))
-    edges = Edges(run.scene, settings, width)
+    edges = Edges(run.scene, settings, widths_of(width))
     with dr.suspend_grad():
         return run, edge_hits(edges, [run.start_pass(k) for k in range(run.passes)], run.table.ids, adjoint)
 
@@ -92,7 +93,7 @@ def backward_edges(trace: BackwardTrace, derivative: np.ndarray, width: float) -
         Of the zones.
     """
     band = trace.bands[0]
-    edges = Edges(trace.scene(band), trace.settings, width)
+    edges = Edges(trace.scene(band), trace.settings, widths_of(width))
     starts = [trace.start_pass(0, done, rays) for done, rays in enumerate(trace.pass_rays or [])]
     with dr.suspend_grad():
         return edge_hits(edges, starts, band.table.ids, trace.adjoint(derivative))

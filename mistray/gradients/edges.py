@@ -9,8 +9,9 @@ sided linear boundary kernel (J. Fan and I. Gijbels, Local Polynomial Modelling 
 
     k(Δ) = (4 - 6 Δ/ε)/ε,   ∫ k dΔ = 1,   ∫ k Δ dΔ = 0   over 0 … ε,
 
-so that the error goes with ε². With c = k · (gain of the hit - gain past the rim) held fixed, the derivative of Σ c Δ
-by any parameter is that of the metric: Δ depends on the rim, on the surface and on all that the ray has met before.
+so that the error goes with ε² where the density is smooth; `mistray.gradients.edge_widths` says which ε to take. With
+c = k · (gain of the hit - gain past the rim) held fixed, the derivative of Σ c Δ by any parameter is that of the
+metric: Δ depends on the rim, on the surface and on all that the ray has met before.
 
 A ray past the rim starts just outside of it, in the direction of the ray that hit. Where another surface of
 revolution touches the rim, the edge is the line in which both meet (see `mistray.gradients.edge_contacts`). A convex
@@ -28,7 +29,7 @@ What this does not see: lines in which surfaces cross away from their rims, and 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -85,9 +86,9 @@ class EdgeEvents:
         Distance from the rim, mm.
     scale : (n,) mi.Float
         Of jumps, see `mistray.gradients.grazing.Jump`.
-    c, c_half : (n,) mi.Float64
-        Coefficients of Δ, 1/mm, for the width that was requested and for half of it; where there is a `joined` surface
-        those of the distance F/|∇F| from it. In units of a start ray.
+    c : list of (n,) mi.Float64
+        Coefficients of Δ, 1/mm, for each width; where there is a `joined` surface those of the distance F/|∇F| from
+        it. In units of a start ray.
     """
 
     paths: BranchRecorder
@@ -97,8 +98,7 @@ class EdgeEvents:
     joined: mi.UInt32
     delta: mi.Float
     scale: mi.Float
-    c: mi.Float64
-    c_half: mi.Float64
+    c: list[mi.Float64]
 
 
 class Edges:
@@ -109,8 +109,9 @@ class Edges:
     ----------
     scene : KernelScene
     settings : Settings
-    width : float
-        Of the zones along the rims, in units of their radius or half side.
+    widths : sequence of float
+        Of the zones along the rims, in units of their radius or half side, the widest first. Where that ends before
+        its zones overlap, all others are smaller in proportion.
     limits : mapping, optional
         Narrower zones of some rims, mm, see `mistray.gradients.full.full_rims`.
     """
@@ -119,10 +120,11 @@ class Edges:
         self,
         scene: KernelScene,
         settings: Settings,
-        width: float,
+        widths: Sequence[float],
         limits: Mapping[tuple[int, int], float] | None = None,
     ) -> None:
-        table = scene.table
+        table, width = scene.table, widths[0]
+        self._shares = [w / width for w in widths]
         self._scene, self._table, self._settings = scene, table, settings
         capacity = as_many(CAPACITY, settings.max_events)
         self._near = RimRecorder(table, width, capacity, settings.max_events, limits)
@@ -212,12 +214,12 @@ class Edges:
             distance, width = mi.Float64(delta), mi.Float64(width)
             return dr.select(jumps, grazing_kernel(distance, width), kernel(distance, width))
 
-        c, c_half = (gain * density(width) for width in (zone, 0.5 * zone))
-        counts = dr.compress(c != 0)
-        found = row, past.start.batch, rim, past.joined, delta, scale, c, c_half
-        kept = [dr.gather(type(v), v, counts) for v in found]
-        dr.eval(kept)
-        return EdgeEvents(near.paths, *kept)
+        counts = dr.compress(gain != 0)
+        c = [dr.gather(mi.Float64, gain * density(share * zone), counts) for share in self._shares]
+        found = row, past.start.batch, rim, past.joined, delta, scale
+        row, batch, rim, joined, delta, scale = (dr.gather(type(v), v, counts) for v in found)
+        dr.eval(row, batch, rim, joined, delta, scale, c)
+        return EdgeEvents(near.paths, row, batch, rim, joined, delta, scale, c)
 
     def _past(self, row: mi.UInt32, rim: mi.UInt32) -> _Past:
         """Rays that go past the rims."""

@@ -13,18 +13,22 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.coatings import LAYER_PARAMETERS
 from mistray.errors import MistrayError
 from mistray.execute.tracer import Run
-from mistray.gradients.number_direction import number_direction
+from mistray.gradients.coating_gradient import IDEAL_PARAMETERS, layer_row_derivatives
+from mistray.gradients.geometry_gradient import SHIFTS, column_derivatives, row_derivatives, shape_parameters
 from mistray.gradients.path_replay import PathReplay, branches
 from mistray.gradients.replay import Branches, Followed, follow
-from mistray.gradients.replay_surfaces import Numbers, ReplaySurfaces
+from mistray.gradients.replay_surfaces import TABLE_CHANNELS, Numbers, ReplaySurfaces
 from mistray.gradients.run_gradient import HITS_PER_RAY
 from mistray.gradients.table_gradient import GradientRequest
 from mistray.recorders.film import Film
 from mistray.recorders.path_events import EVENT_MASK
 from mistray.recorders.path_key import EVENT_BITS, RANDOM_TRANSMITTED, TRANSMITTED
 from mistray.surfaces.gradient_columns import GEOMETRY
+from mistray.surfaces.optics import IDEAL, TABLED
+from mistray.surfaces.surfaces import SurfaceTable
 
 STEP = 1e-6  # largest move of a number, in units of its scale
 
@@ -162,6 +166,50 @@ def add_tangent(
         dr.scatter_reduce(dr.ReduceOp.Add, image, flux * speed, pixel, alive)
 
 
+def number_direction(table: SurfaceTable, tangents: Mapping[tuple[int, str], np.ndarray]) -> Numbers:
+    """
+    How all numbers move.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    tangents : mapping
+        Identity of a plugin and name of a parameter → (entries,) how fast the parameter moves.
+    """
+    optics = table.optics
+    geometry = np.zeros((table.count, len(GEOMETRY)))
+    for piece in table.pieces:
+        shape = table.shapes[piece.index]
+        for name in shape_parameters(shape):
+            speed = tangents.get((id(shape), name))
+            if speed is not None:
+                geometry[piece.index] += float(speed[0]) * column_derivatives(shape, name)
+    indices, ideal = np.zeros((table.count, 2)), np.zeros((table.count, 2))
+    rows = np.zeros((optics.rows, TABLE_CHANNELS))
+    for i, bsdf in enumerate(optics.bsdfs):
+        kind = int(optics.host_words[i]) & 3
+        first, _, total_first, total_last = (int(v) for v in optics.host_places[i])
+        own = rows[first : total_first + total_last + 1]
+        for side, name in enumerate(SHIFTS):
+            speed = tangents.get((id(bsdf), name))
+            if speed is not None:
+                indices[i, side] += float(speed[0])
+                if kind == TABLED:
+                    own += float(speed[0]) * row_derivatives(optics, i, side)
+        if bsdf.film is None:
+            continue
+        if kind == IDEAL:
+            for column, name in enumerate(IDEAL_PARAMETERS):
+                ideal[i, column] += float(tangents.get((id(bsdf.film), name), np.zeros(1))[0])
+        elif kind == TABLED:
+            for name in LAYER_PARAMETERS:
+                speed = tangents.get((id(bsdf.film), name))
+                if speed is not None:
+                    (slopes,) = layer_row_derivatives(optics, [(i, np.arange(len(own)), [name])])
+                    own += np.tensordot(np.asarray(speed, dtype=np.float64), slopes, axes=1)
+    return Numbers(geometry, indices, rows, ideal)
+
+
 def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.ndarray:
     """
     How the detected flux of a run changes.
@@ -178,7 +226,7 @@ def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.
         Change of the flux in each pixel, in units of a start ray.
     """
     table, film = run.table, run.make_film()
-    nothing = GradientRequest(rows=False, edges=False)
+    nothing = GradientRequest(rows=False)
     path_replay = PathReplay(table, run.scattering, run.settings, nothing, run.settings.max_events)
     direction = number_direction(table, tangents)
     step = step_of(direction, np.array([piece.size for piece in table.pieces]))

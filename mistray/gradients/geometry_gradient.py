@@ -61,7 +61,7 @@ def geometry_gradient(
     Parameters
     ----------
     table : SurfaceTable
-    geometry : (BATCHES, surfaces, len(GEOMETRY)) float64
+    geometry : (..., BATCHES, surfaces, len(GEOMETRY)) float64
         By the columns, see `TableGradient`.
     wanted : callable
         Says of a shape and a name whether its derivative is requested; by default all are.
@@ -69,14 +69,14 @@ def geometry_gradient(
     Yields
     ------
     owner, name, gradient
-        The shape, the name of the parameter, and the derivatives by batch, (BATCHES, 1).
+        The shape, the name of the parameter, and the derivatives by batch, (..., BATCHES, 1).
     """
     for piece in table.pieces:
-        shape, own = table.shapes[piece.index], geometry[:, piece.index]
+        shape, own = table.shapes[piece.index], geometry[..., piece.index, :]
         for name in shape_parameters(shape):
             if wanted(shape, name):
                 moves = column_derivatives(shape, name)
-                yield shape, name, (own @ moves)[:, None]
+                yield shape, name, (own @ moves)[..., None]
 
 
 def index_gradient(
@@ -91,7 +91,7 @@ def index_gradient(
     Parameters
     ----------
     table : SurfaceTable
-    indices : (BATCHES, surfaces, 2) float64
+    indices : (..., BATCHES, surfaces, 2) float64
         By the real indices in front and behind, the rows of coatings held.
     wanted : callable
         Says of an interface and a name whether its derivative is requested; by default all are.
@@ -102,7 +102,7 @@ def index_gradient(
     Yields
     ------
     owner, name, gradient
-        The interface, the name of the shift, and the derivatives by batch, (BATCHES, 1). An interface that several
+        The interface, the name of the shift, and the derivatives by batch, (..., BATCHES, 1). An interface that several
         surfaces share comes once for each of them.
     """
     optics = table.optics
@@ -110,12 +110,12 @@ def index_gradient(
         for side, name in enumerate(SHIFTS):
             if not wanted(bsdf, name):
                 continue
-            found = indices[:, i, side]
+            found = indices[..., i, side]
             if rows is not None and int(optics.host_words[i]) & 3 == TABLED:
                 first, _, total_first, total_last = (int(v) for v in optics.host_places[i])
                 own = rows[:, first : total_first + total_last + 1, : TRANSMISSION + 1]
                 found = found + np.tensordot(own, row_derivatives(optics, i, side), axes=2)
-            yield bsdf, name, found[:, None]
+            yield bsdf, name, found[..., None]
 
 
 def row_derivatives(optics: Optics, surface: int, side: int) -> np.ndarray:

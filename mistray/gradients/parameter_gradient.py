@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from mistray.gradients.geometry_gradient import geometry_gradient, index_gradien
 from mistray.gradients.scatter_gradient import scatter_gradient
 from mistray.gradients.table_gradient import TableGradient
 
+Sums = dict[tuple[int, str], np.ndarray]
 IsChosen = Callable[[Any, str], bool]
 Derivatives = Iterator[tuple[Any, str, np.ndarray]]
 
@@ -45,12 +46,22 @@ def parameter_gradient(raw: TableGradient, wanted: IsChosen) -> Derivatives:
             yield found.owner, found.name, found.inner[:, None]
 
 
-def edge_gradient(raw: TableGradient, wanted: IsChosen, half_width: bool = False) -> Derivatives:
-    """The part of rims, as `parameter_gradient`; with half the width of the zones if requested."""
+def edge_gradient(raw: TableGradient, wanted: IsChosen) -> Derivatives:
+    """The part of rims, as `parameter_gradient`, for each width of the zones: (w, BATCHES, entries)."""
     if raw.edges is not None:
-        yield from geometry_gradient(raw.table, raw.edges[int(half_width)], wanted)
+        yield from geometry_gradient(raw.table, raw.edges, wanted)
     if raw.edge_indices is not None:
-        yield from index_gradient(raw.table, raw.edge_indices[int(half_width)], wanted)
+        yield from index_gradient(raw.table, raw.edge_indices, wanted)
     for found in raw.sources:
-        if wanted(found.owner, found.name):
-            yield found.owner, found.name, found.edges[int(half_width)][:, None]
+        if len(found.edges) and wanted(found.owner, found.name):
+            yield found.owner, found.name, found.edges[..., None]
+
+
+def gathered(raws: Iterable[TableGradient], wanted: IsChosen) -> tuple[Sums, Sums]:
+    """Sums of `parameter_gradient` and of `edge_gradient`, by the identity of the plugin and the name."""
+    inner, rims = Sums(), Sums()
+    for raw in raws:
+        for sums, found in (inner, parameter_gradient(raw, wanted)), (rims, edge_gradient(raw, wanted)):
+            for owner, name, part in found:
+                sums[id(owner), name] = sums.get((id(owner), name), 0.0) + part
+    return inner, rims

@@ -71,7 +71,7 @@ class PathReplay:
         self.backward = isinstance(start, int)
         # Rays at rims have only a place that changes; what it costs is in their coefficients
         places = replace(request, rows=False, scatter=False)
-        self.edges = [ReplaySurfaces(table, places) for _ in range(2)] if request.edges and request.moves else []
+        self.edges = [ReplaySurfaces(table, places) for _ in request.edge_widths if request.moves]
         self._starts = [self._start_motion(start, surfaces) for surfaces in (self.surfaces, *self.edges)]
         self.strayed = self.rays = 0
 
@@ -152,7 +152,7 @@ class PathReplay:
     def replay_edges(self, start: StartRays, events: EdgeEvents) -> None:
         """Replay the hits close to rims of a portion."""
         rows = np.array(events.row)
-        for surfaces, start_motion, c in zip(self.edges, self._starts[1:], (events.c, events.c_half), strict=True):
+        for surfaces, start_motion, c in zip(self.edges, self._starts[1:], events.c, strict=True):
             used = np.flatnonzero(np.array(c))
             if not len(used):
                 continue

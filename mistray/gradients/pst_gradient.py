@@ -69,7 +69,7 @@ class PstRays:
         request : GradientRequest
         groups : (n, m) int, optional
             For each cell a number below BATCHES: the derivatives are those of the parts that the cells of each number
-            have, instead of those that the batches have. Rims know no cells: without `request.edges` only.
+            have, instead of those that the batches have. Rims know no cells: without `request.edge_widths` only.
 
         Yields
         ------
@@ -83,7 +83,7 @@ class PstRays:
         """
         if self.trace.pass_rays is None:
             raise MistrayError("this PST goes on from a saved run, whose rays are gone; compute it without 'resume'")
-        if groups is not None and request.edges:
+        if groups is not None and request.edge_widths:
             raise MistrayError("derivatives by groups of cells do not know what rims take and give; use edges=False")
         numbers = None if groups is None else upload(mi.UInt32, np.asarray(groups, dtype=np.uint32))
         for band in range(len(self.trace.bands)):
@@ -117,7 +117,7 @@ class PstRays:
         with dr.suspend_grad():
             edges = None
             if path_replay.edges:
-                edges = Edges(trace.split_scene(number), trace.settings, request.edge_width)
+                edges = Edges(trace.split_scene(number), trace.settings, request.edge_widths)
             for done, rays in enumerate(trace.pass_rays):
                 whole = trace.start_pass(number, done, rays)
                 vertices = None if moves else trace.light_vertices(number, (0, done), rays)
@@ -165,7 +165,7 @@ class PstRays:
         with dr.suspend_grad():
             edges = None
             if path_replay.edges:
-                edges = Edges(trace.rival_scene(number), trace.settings, request.edge_width)
+                edges = Edges(trace.rival_scene(number), trace.settings, request.edge_widths)
                 adjoint = Adjoint(0, trace.film, arrivals=recorder.arrivals)
             for round_number, of_cells in cells.rounds:
                 for whole in cells.starts(number, of_cells, (0, round_number)):

@@ -165,8 +165,8 @@ def run_gradient(
     with dr.suspend_grad():  # single events are differentiated, nothing around them
         edges = None
         if path_replay.edges:
-            full = FullRims(source, run.table, request.edge_width)
-            edges = Edges(run.scene, run.settings, request.edge_width, full.limits)
+            full = FullRims(source, run.table, request.edge_widths[0])
+            edges = Edges(run.scene, run.settings, request.edge_widths, full.limits)
             adjoint = run.adjoint(pixel, paths, rows=0)
         for number in range(run.passes):
             whole = run.start_pass(number)

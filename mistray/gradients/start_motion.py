@@ -83,8 +83,8 @@ class SourceDerivative:
     name : str
     inner : (BATCHES,) float64
         With visibility as it is.
-    edges : (2, BATCHES) float64
-        Of rims, with the width that was requested and with half of it.
+    edges : (w, BATCHES) float64
+        Of rims, for each width of the zones.
     """
 
     owner: Any
@@ -94,10 +94,10 @@ class SourceDerivative:
 
 
 def source_derivatives(starts: Sequence[StartMotion | None]) -> list[SourceDerivative]:
-    """What has been gathered of a source: with visibility as it is and, where rims count, with both widths of zones."""
+    """What has been gathered of a source: with visibility as it is and, where rims count, with each width of zones."""
     inner, *edges = (start for start in starts if isinstance(start, SourceStart))
     at_rims = [start.result() for start in edges]
-    nothing = np.zeros((2, BATCHES))
+    nothing = np.zeros((0, BATCHES))
     return [
         SourceDerivative(
             inner.source.emitter, name, values, np.stack([found[name] for found in at_rims]) if at_rims else nothing

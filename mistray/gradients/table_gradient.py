@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
 
 ARRAYS = ("rows", "geometry", "edges", "indices", "edge_indices")
-EDGE_WIDTH = 0.05  # usual width of the zones at rims, in units of their radii
 
 
 @dataclass(frozen=True)
@@ -36,10 +35,9 @@ class GradientRequest:
         By the tables of scatter.
     sources : frozenset of str
         Names of parameters of sources.
-    edges : bool
-        With what rays gain and lose at rims.
-    edge_width : float
-        Width of the zone at a rim in which rays are looked at, in units of its radius.
+    edge_widths : tuple of float
+        Widths of the zones at rims in which rays are looked at, in units of their radii, the widest first. None:
+        without what rays gain and lose at rims.
     """
 
     rows: bool = True
@@ -47,8 +45,7 @@ class GradientRequest:
     indices: bool = False
     scatter: bool = False
     sources: frozenset[str] = frozenset()
-    edges: bool = True
-    edge_width: float = EDGE_WIDTH
+    edge_widths: tuple[float, ...] = ()
 
     @property
     def replays(self) -> bool:
@@ -79,11 +76,11 @@ class TableGradient:
         By the rows of the tables of R and T, see `mistray.recorders.adjoint`.
     geometry : (BATCHES, surfaces, len(GEOMETRY)) float64 or None
         With visibility as it is: what rims gain and lose is in `edges`.
-    edges : (2, BATCHES, surfaces, len(GEOMETRY)) float64 or None
-        Of rims, with the width that was requested and with half of it.
+    edges : (w, BATCHES, surfaces, len(GEOMETRY)) float64 or None
+        Of rims, for each width of the zones.
     indices : (BATCHES, surfaces, 2) float64 or None
         By the real indices in front and behind.
-    edge_indices : (2, BATCHES, surfaces, 2) float64 or None
+    edge_indices : (w, BATCHES, surfaces, 2) float64 or None
         Their part of `edges`.
     scatter : dict
         Name of an array of `Scattering.arrays` (totals, lobes, ratios, logs) → (BATCHES, size) float64.

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import drjit as dr
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.gradients.edge_widths import EQUAL, WidthErrors, least_error, widths_of
 from mistray.gradients.geometry_gradient import geometry_columns
-from mistray.gradients.parameter_gradient import edge_gradient, parameter_gradient
-from mistray.gradients.table_gradient import EDGE_WIDTH, GradientRequest, TableGradient
+from mistray.gradients.parameter_gradient import gathered
+from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.one_sided import FullKey, OneSided, full_keys, one_sided
 from mistray.optimize.parameters import Parameter, match, parameters
@@ -36,15 +38,16 @@ class Gradient:
         The metric and its standard error.
     value_noise : (b,) float64
         The noise of the metric by batch, or by group of batches, see `mistray.recorders.sampled.Sampled.apart`.
-    gradient, standard_error : dict
-        Key of the parameter → (entries,) float64. The errors are those of the mean over the start rays, for the
-        derivatives of the metric by the fluxes as they were traced: for a metric that is not linear in the fluxes, such
-        as a ratio, the noise of those is not in it.
-    edge_check : dict
-        Key → (entries,): the gradient with half the width of the zones at rims less the gradient. What is larger than
-        its noise is the bias of the width. Only parameters that rims or rays at rims depend on are in it.
     batches : dict
-        Key → (BATCHES, entries): the parts of the gradient from single batches of start rays, whose sum it is.
+        Key of the parameter → (BATCHES, entries): the parts of the gradient from single batches of start rays, whose
+        sum it is.
+    edge_width : float or None
+        Width of the zones at rims, in units of their radii; None where no ray near a rim counts.
+    edge_number : int
+        Its place among the widths of `edge_batches`.
+    edge_batches : dict
+        Key → (widths, BATCHES, entries): `batches` for all widths that were compared, each half of the one before. Only
+        parameters that rays near rims depend on are in it.
     full : dict
         Key → `FullKey`: the rim that a beam just fills and that the parameter moves relative to the beam. Such a
         parameter has no derivative: it is NaN.
@@ -60,14 +63,53 @@ class Gradient:
     value: float
     value_se: float
     value_noise: np.ndarray
-    gradient: dict[str, np.ndarray]
-    standard_error: dict[str, np.ndarray]
-    edge_check: dict[str, np.ndarray]
     batches: dict[str, np.ndarray]
+    edge_width: float | None
+    edge_number: int
+    edge_batches: dict[str, np.ndarray]
     full: dict[str, FullKey]
     one_sided: dict[str, OneSided]
     left_out: list[str]
     seconds: tuple[float, float]
+
+    @cached_property
+    def gradient(self) -> dict[str, np.ndarray]:
+        """Key → (entries,) float64."""
+        return {key: parts.sum(axis=0) for key, parts in self.batches.items()}
+
+    @cached_property
+    def standard_error(self) -> dict[str, np.ndarray]:
+        """
+        Key → (entries,) float64: noise and `edge_bias` together.
+
+        The noise is that of the mean over the start rays, for the derivatives of the metric by the fluxes as they were
+        traced: for a metric that is not linear in the fluxes, such as a ratio, the noise of those is not in it.
+        """
+        noise = {key: np.asarray(batch_error(parts.T, EQUAL)) for key, parts in self.batches.items()}
+        return noise | {key: errors.total[self.edge_number] for key, errors in self._at_rims.items()}
+
+    @property
+    def edge_bias(self) -> dict[str, np.ndarray]:
+        """
+        Key → (entries,): bias by the width of the zones at rims, see `mistray.gradients.edge_widths.WidthErrors`.
+
+        It is never less than its own noise, `edge_check_se`.
+        """
+        return {key: errors.bias[self.edge_number] for key, errors in self._at_rims.items()}
+
+    @property
+    def edge_check(self) -> dict[str, np.ndarray]:
+        """Key → (entries,): the gradient with half the width of the zones at rims less the gradient."""
+        return {key: errors.check[self.edge_number] for key, errors in self._at_rims.items()}
+
+    @property
+    def edge_check_se(self) -> dict[str, np.ndarray]:
+        """Key → (entries,): standard error of `edge_check`."""
+        return {key: errors.check_se[self.edge_number] for key, errors in self._at_rims.items()}
+
+    @cached_property
+    def _at_rims(self) -> dict[str, WidthErrors]:
+        return {key: WidthErrors.of(sums) for key, sums in self.edge_batches.items()}
 
     def require(self, keys: Iterable[str]) -> None:
         """Raise `MistrayError` if one of these has no derivative, because a beam just fills a rim that it moves."""
@@ -84,11 +126,17 @@ class Gradient:
         return [key for key, parts in self.batches.items() if not np.any(parts)]
 
     def covariance(self, keys: Iterable[str] | None = None) -> np.ndarray:
-        """Covariance matrix of the derivatives, their entries one after the other in the order of the keys."""
+        """
+        Covariance matrix of the derivatives, their entries one after the other in the order of the keys.
+
+        It is that of the noise, and the biases of the edge width are taken to come and go together.
+        """
         chosen = list(self.gradient if keys is None else keys)
         parts = np.concatenate([self.batches[key] for key in chosen], axis=1)
         apart = parts - parts.mean(axis=0)
-        return np.asarray(BATCHES / (BATCHES - 1) * apart.T @ apart)
+        none = {key: np.zeros(parts.shape[1]) for key, parts in self.batches.items()}
+        bias = np.concatenate([{**none, **self.edge_bias}[key] for key in chosen])
+        return np.asarray(BATCHES / (BATCHES - 1) * apart.T @ apart + np.outer(bias, bias))
 
     def __str__(self) -> str:
         lines = [f"value {self.value:.6e} ± {self.value_se:.1e}"]
@@ -101,8 +149,13 @@ class Gradient:
                 )
                 continue
             for k, (value, error) in enumerate(zip(values, self.standard_error[key], strict=True)):
-                check = f" (edge width: {self.edge_check[key][k]:+.1e})" if key in self.edge_check else ""
+                check = ""
+                if key in self.edge_batches:
+                    at_half, noise = self.edge_check[key][k], self.edge_check_se[key][k]
+                    check = f" (half the edge width: {at_half:+.1e} ± {noise:.1e})"
                 lines.append(f"d/d {key}[{k}] {value:+.5e} ± {error:.1e}{check}")
+        if self.edge_width is not None:
+            lines.append(f"width of the zones at rims: {self.edge_width:g} of their radii; errors hold its bias")
         if self.untouched:
             lines.append(
                 f"exactly 0, because no traced ray of the metric depends on them: {', '.join(self.untouched)}; trace "
@@ -112,7 +165,6 @@ class Gradient:
 
 
 # Runs of several fields and wavelengths are added batch by batch; each splits its rays evenly
-EQUAL = np.ones(BATCHES)
 LEFT_OUT = "branches below flux_threshold and children of R = 0 or T = 0, which the trace does not follow"
 NO_EDGES = "what rays gain and lose at rims and silhouettes (edges=False)"
 ONSET = (
@@ -127,7 +179,7 @@ def gradient(
     keys: Iterable[str] | None = None,
     *,
     edges: bool = True,
-    edge_width: float = EDGE_WIDTH,
+    edge_width: float | None = None,
 ) -> Gradient:
     """
     Derivatives of a metric by parameters of its scene: coatings, scatter, indices, shapes, positions, rims.
@@ -146,9 +198,9 @@ def gradient(
         Keys of parameters or patterns such as ``"vane_*.r0"``; by default all in `params` that have a derivative.
     edges : bool
         Count what rays gain and lose at rims. Without it visibility is held as it is.
-    edge_width : float
-        Width of the zone at a rim in which rays are looked at, in units of its radius, 0 … 0.5. Wider zones have less
-        noise and more bias, see `Gradient.edge_check`.
+    edge_width : float, optional
+        Width of the zone at a rim in which rays are looked at, in units of its radius, 1e-6 … 0.5. Wider zones have
+        less noise and more bias. By default the one of `mistray.gradients.edge_widths.AUTOMATIC` with the least error.
 
     Returns
     -------
@@ -229,17 +281,8 @@ def gradient_where_smooth(
     def is_chosen(owner: Any, name: str) -> bool:
         return (id(owner), name) in places
 
-    # By plugin and name, by batch: with visibility as it is, and at rims with zones of the whole and of half the width
-    inner, wide, narrow = (dict[tuple[int, str], np.ndarray]() for _ in range(3))
-    for raw in raws.values():
-        for sums, found in (
-            (inner, parameter_gradient(raw, is_chosen)),
-            (wide, edge_gradient(raw, is_chosen, False)),
-            (narrow, edge_gradient(raw, is_chosen, True)),
-        ):
-            for owner, name, part in found:
-                sums[id(owner), name] = sums.get((id(owner), name), 0.0) + part
-    if request.moves and not request.edges:
+    inner, rims = gathered(raws.values(), is_chosen)
+    if request.moves and not request.edge_widths:
         left_out.append(NO_EDGES)
     if request.moves and any(_jumps(raw) for raw in raws.values()):
         left_out.append(ONSET)
@@ -250,25 +293,24 @@ def gradient_where_smooth(
         f"what {at.rim} takes and gives, which a beam just fills: a derivative on each side alone; widen the source"
         for at in full.values()
     )
-    result: dict[str, np.ndarray] = {}
-    errors, checks, parts = dict(result), dict(result), dict(result)
+    batches: dict[str, np.ndarray] = {}
+    at_rims: dict[str, np.ndarray] = {}
     for key, p in chosen.items():
         place = id(p.owner), p.name
-        nothing = np.zeros((BATCHES, p.value.size))  # a surface that was never met
-        at_rims, at_half_width = wide.get(place, nothing), narrow.get(place, nothing)
-        total = inner.get(place, nothing) + at_rims + (np.nan if key in full else 0.0)
-        parts[key], result[key] = total, total.sum(axis=0)
-        errors[key] = batch_error(total.T, EQUAL)
-        if key not in full and (at_rims.any() or at_half_width.any()):
-            checks[key] = (at_half_width - at_rims).sum(axis=0)
+        batches[key] = inner.get(place, np.zeros((BATCHES, p.value.size)))  # 0: a surface that was never met
+        if key in full:
+            batches[key] = np.full_like(batches[key], np.nan)
+        elif place in rims and rims[place].any():
+            at_rims[key] = batches[key] + rims[place]
+    number = least_error(at_rims.values())
     return Gradient(
         value=float(dr.detach(value)[0]),
         value_se=float(noise.se),
         value_noise=noise.apart,
-        gradient=result,
-        standard_error=errors,
-        edge_check=checks,
-        batches=parts,
+        batches=batches | {key: sums[number] for key, sums in at_rims.items()},
+        edge_width=request.edge_widths[number] if at_rims else None,
+        edge_number=number,
+        edge_batches=at_rims,
         full=full,
         one_sided={},
         left_out=left_out,
@@ -303,10 +345,11 @@ def chosen_parameters(scene: Any, params: Mapping[str, Any], keys: Iterable[str]
 
 
 def gradient_request(
-    chosen: Iterable[Parameter], edges: bool = True, edge_width: float = EDGE_WIDTH
+    chosen: Iterable[Parameter], edges: bool = True, edge_width: float | None = None
 ) -> GradientRequest:
-    """What the tracer must gather for some parameters."""
-    ZONE.check("edge_width", edge_width)
+    """What the tracer must gather for some parameters; edges and edge_width as for `gradient`."""
+    if edge_width is not None:
+        ZONE.check("edge_width", edge_width)
     chosen = list(chosen)
     kinds = {p.kind for p in chosen}
     shapes = [p for p in chosen if p.kind not in (*COATING_KINDS, *OTHER_KINDS)]
@@ -316,6 +359,5 @@ def gradient_request(
         indices="index" in kinds,
         scatter="scatter" in kinds,
         sources=frozenset(p.name for p in chosen if p.kind == "source"),
-        edges=edges and bool(shapes or kinds & {"index", "source"}),
-        edge_width=edge_width,
+        edge_widths=widths_of(edge_width) if edges and (shapes or kinds & {"index", "source"}) else (),
     )

@@ -12,7 +12,6 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.gradients.parameter_gradient import parameter_gradient
-from mistray.gradients.table_gradient import EDGE_WIDTH
 from mistray.optimize.gradient import chosen_parameters, gradient_request
 from mistray.optimize.metrics.pst_observation import Light, PstObservation, named_classes
 from mistray.optimize.metrics.views import PstView
@@ -108,7 +107,7 @@ class PstBands:
         self.start = np.array([float(p.value.ravel()[0]) for p in chosen.values()])
         self.low, self.high = (np.array([getattr(p, end) for p in chosen.values()]) for end in ("low", "high"))
         self._places = [(id(p.owner), p.name) for p in chosen.values()]
-        self._request = gradient_request(chosen.values(), edges=False, edge_width=EDGE_WIDTH)
+        self._request = gradient_request(chosen.values(), edges=False)
         self._light = named_classes(light)
         middles = edges[0] + cell_deg * (np.arange(round(float(counts.sum()))) + 0.5)
         self._band_of_cell = np.repeat(np.arange(len(counts)), np.round(counts).astype(int))

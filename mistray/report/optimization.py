@@ -18,6 +18,7 @@ from mistray.report.model import Figure, Items, Note, Part, Report, Section
 from mistray.report.optimization_tables import (
     all_terms_table,
     before_after,
+    edge_lines,
     goal_text,
     history_frame,
     layers_table,
@@ -142,7 +143,8 @@ def _search(result: Optimization) -> list[Part]:
         f"{result.search_seconds:.0f} s. It is a local minimum at best."
     )
     ends = Items([f"start {k + 1}: {reason}" for k, reason in sorted(result.ended.items())])
-    return [Note(text), ends, *(Note(f"Not in the gradient: {what}.") for what in result.left_out)]
+    zones = [Note(f"{line[0].upper()}{line[1:]}.") for line in edge_lines(result)]
+    return [Note(text), ends, *zones, *(Note(f"Not in the gradient: {what}.") for what in result.left_out)]
 
 
 def _picture(pictures: Mapping[str, bytes], name: str) -> Figure:

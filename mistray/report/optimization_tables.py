@@ -163,8 +163,18 @@ def report_text(result: Optimization) -> str:
         f"{result.steps[-1].evaluations} evaluations, {result.search_seconds:.1f} s ({result.traced_seconds:.1f} s for "
         f"traces and derivatives); verification {result.verification_seconds:.1f} s"
     )
+    lines += edge_lines(result)
     lines += [f"not in the gradient: {text}" for text in result.left_out]
     return "\n".join(lines)
+
+
+def edge_lines(result: Optimization) -> list[str]:
+    """The width of the zones at rims, where they count."""
+    if not result.edge_widths:
+        return []
+    how = "chosen at the start" if result.study.optimizer.edge_width is None else "given"
+    each = ", ".join(f"{width:g} ({name})" for name, width in result.edge_widths.items())
+    return [f"width of the zones at rims, over their radii, {how}: {each}"]
 
 
 def optimization_record(result: Optimization) -> dict[str, Any]:
@@ -194,6 +204,7 @@ def optimization_record(result: Optimization) -> dict[str, Any]:
                 "ended": result.ended,
                 "evaluations": result.steps[-1].evaluations,
                 "left_out": result.left_out,
+                "edge_widths": result.edge_widths,
             }
         )
     )

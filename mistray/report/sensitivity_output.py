@@ -26,7 +26,7 @@ from mistray.report.tables.text import ABSENT, number, table_text, with_error
 
 EDGES = "half edge width"
 KEYS_NAMED = 8  # of those without a derivative, in text
-NARROW_EDGE = 2.0  # standard errors by which the width of the zone at rims may matter
+NARROW_EDGE = 2.0  # of its own standard errors: from where on the width of the zone at rims matters
 COUNTS = 0.01  # of the largest change: what is smaller is not worth a warning
 RANKING = (
     "Change of the metric when a parameter changes by its manufacturing tolerance, and its share of the variance of "
@@ -46,7 +46,7 @@ def sensitivity_text(result: Sensitivity, count: int = 20) -> str:
         Rows of the table.
     """
     rest = len(result.rows) - count
-    edges = any(math.isfinite(row.edge_check) for row in result.rows[:count])
+    edges = any(math.isfinite(row.edge_check.value) for row in result.rows[:count])
     ranking = ranking_table(result) if edges else ranking_table(result).without(EDGES)
     lines = together_lines(result)
     if result.together.changes:
@@ -85,7 +85,7 @@ def ranking_table(result: Sensitivity) -> Table:
             number(row.tolerance),
             percent(row.change),
             percent(shares[row.label]) if row.label in shares else "in a group",
-            f"{100 * row.edge_check:+.2g}" if math.isfinite(row.edge_check) else ABSENT,
+            percent(row.edge_check) if math.isfinite(row.edge_check.value) else ABSENT,
             change_text(row),
         ]
         for row in result.rows
@@ -174,10 +174,15 @@ def notes(result: Sensitivity) -> list[str]:
     doubtful = [
         row.label
         for row in result.rows
-        if abs(row.edge_check) > max(NARROW_EDGE * row.change.se, 0.1 * abs(row.change.value), least)
+        if abs(row.edge_check.value) > max(NARROW_EDGE * row.edge_check.se, 0.1 * abs(row.change.value), least)
     ]
+    chosen = result.facts["edge_width"] is None
+    if result.edge_width is not None:
+        how = "chosen" if chosen else "given"
+        found.append(f"width of the zones at rims, {how}: {result.edge_width:g} of their radii; errors hold its bias")
     if doubtful:
-        found.append(f"the width of the zone at rims matters for {', '.join(doubtful[:KEYS_NAMED])}; lower edge_width")
+        remedy = "trace more rays, which narrow it" if chosen else "lower edge_width, or leave it out"
+        found.append(f"the width of the zone at rims matters for {', '.join(doubtful[:KEYS_NAMED])}; {remedy}")
     return found
 
 
@@ -226,6 +231,7 @@ def sensitivity_record(result: Sensitivity) -> dict[str, Any]:
             "rejected": draws.rejected,
         },
         "left_out": result.left_out,
+        "edge_width": result.edge_width,
         "without_derivative": result.without_derivative,
         "seconds": result.seconds,
         "settings": result.facts,

@@ -15,7 +15,6 @@ import numpy as np
 from mistray.analysis.changes.gaps import Contacts, Gap
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
-from mistray.gradients.table_gradient import EDGE_WIDTH
 from mistray.optimize.gradient import gradient_request, gradient_seen
 from mistray.optimize.metrics.pst_metrics import pst_bin
 from mistray.optimize.metrics.pst_observation import Light
@@ -95,6 +94,8 @@ class EditRanking:
         after the others.
     left_out : tuple of str
         What the derivatives do not contain.
+    edge_width : tuple of float or None
+        Width of the zones at rims at each field angle, see `mistray.optimize.Gradient`.
     """
 
     field_deg: tuple[float, ...]
@@ -102,6 +103,7 @@ class EditRanking:
     pst: tuple[Estimate, ...]
     edits: tuple[Edit, ...]
     left_out: tuple[str, ...] = field(default=())
+    edge_width: tuple[float | None, ...] = ()
 
     def __getitem__(self, label: str) -> Edit:
         """The edit of a label."""
@@ -162,7 +164,7 @@ def rank_edits(
     *,
     steps: Mapping[str, float | str] | None = None,
     keys: Iterable[str] | None = None,
-    edge_width: float = EDGE_WIDTH,
+    edge_width: float | None = None,
     progress: Progress | None = None,
     **arguments: Any,
 ) -> EditRanking:
@@ -191,8 +193,8 @@ def rank_edits(
         its value as text, ``"2 %"``; instead of those of `STEPS`. Keys count before kinds, and later before earlier.
     keys : iterable of str, optional
         Keys or patterns such as ``"vane_*.r0"``; by default all of the four methods.
-    edge_width : float
-        As for `mistray.gradient`.
+    edge_width : float, optional
+        As for `mistray.gradient`; by default each field angle has its own.
     progress : callable, optional
         Called with (runs done, runs to do).
     **arguments
@@ -222,7 +224,7 @@ def rank_edits(
     active = {key: known[key] for line in lines for key in line.keys}
     request = gradient_request(active.values(), True, edge_width)
     observations = metrics[0].observe()
-    tables, values, left_out = [], [], dict[str, None]()
+    tables, values, widths, left_out = [], [], [], dict[str, None]()
     for number, (angle, metric) in enumerate(zip(angles, metrics, strict=True)):
         if progress is not None:
             progress(number + 1, len(metrics) + 1)
@@ -234,6 +236,7 @@ def rank_edits(
             )
         tables.append(Table.of(found, lines, step_of))
         values.append(Estimate(found.value, found.value_se))
+        widths.append(found.edge_width)
         left_out |= dict.fromkeys(found.left_out)
     if progress is not None:
         progress(len(metrics) + 1, len(metrics) + 1)
@@ -254,7 +257,7 @@ def rank_edits(
     edits = _with_gaps(loaded, params, known, edits)
     edits.sort(key=_order)
     named = light if isinstance(light, str) else ", ".join(light)
-    return EditRanking(angles, named, tuple(values), tuple(edits), tuple(left_out))
+    return EditRanking(angles, named, tuple(values), tuple(edits), tuple(left_out), tuple(widths))
 
 
 def _certain(change: Estimate) -> float:

@@ -14,11 +14,12 @@ from mistray.coatings import LAYER_PARAMETERS
 from mistray.errors import MistrayError
 from mistray.execute.tracer import prepare
 from mistray.gradients.coating_gradient import IDEAL_PARAMETERS
+from mistray.gradients.edge_widths import least_error, widths_of
 from mistray.gradients.frozen_tangent import run_tangent
 from mistray.gradients.geometry_gradient import geometry_columns
-from mistray.gradients.parameter_gradient import edge_gradient, parameter_gradient
+from mistray.gradients.parameter_gradient import gathered
 from mistray.gradients.run_gradient import run_gradient
-from mistray.gradients.table_gradient import EDGE_WIDTH, GradientRequest
+from mistray.gradients.table_gradient import GradientRequest
 from mistray.plugins.sensors.passing_sensor import PassingSensor
 from mistray.ranges import EDGE_WIDTH as ZONE
 from mistray.sampling.sources import source_emitters
@@ -77,14 +78,16 @@ class StrayLight(mi.CppADIntegrator):
                                  unpolarized,              along; ``auto`` does so if a source is polarised
                                  stokes
     edges                 bool                 true        count in gradients what rays gain and lose at rims
-    edge_width            1      1e-6 … 0.5    0.05        width of the zones at rims for that, relative to their radii
+    edge_width            1      1e-6 … 0.5    none        width of the zones at rims for that, relative to their radii;
+                                                           none: the first reverse pass takes that of the least error,
+                                                           and later ones keep it
     ===================== ====== ============= =========== =============================================================
 
     None of these is differentiable. ``dr.backward`` through ``mi.render(scene, params, …)`` gives the derivatives by
     coatings, scatter models, indices, shapes, positions and rims of the scene; `mistray.optimize.parameters` lists
     them. Coatings alone take one reverse run (`mistray.recorders.adjoint`), anything else a replay of all rays
     (`mistray.gradients.replay`). Branches below ``flux_threshold`` are left out. `mistray.gradient` gives standard
-    errors as well. ``dr.forward`` knows all but scatter, and holds visibility (``edges`` off).
+    errors as well. ``dr.forward`` knows all but scatter and has no rims: for more than coatings it wants ``edges`` off.
     ``polarization="stokes"`` and parameters of stock shapes raise.
 
     .. code-block:: xml
@@ -107,7 +110,9 @@ class StrayLight(mi.CppADIntegrator):
         except MistrayError as error:
             raise MistrayError(f"integrator 'straylight': {error}") from None
         self.edges = bool(props.get("edges", True))
-        self.edge_width = ZONE.check("edge_width", props.get("edge_width", EDGE_WIDTH), "integrator 'straylight'")
+        self.edge_width: float | None = None
+        if "edge_width" in props:
+            self.edge_width = ZONE.check("edge_width", props["edge_width"], "integrator 'straylight'")
 
     def _settings(self, scene: mi.Scene, sensor: mi.Sensor, seed: mi.UInt32, spp: int) -> Settings:
         """Own settings with the arguments of a call: ``spp`` asks for rays, ``seed`` is added."""
@@ -155,7 +160,8 @@ class StrayLight(mi.CppADIntegrator):
             raise MistrayError(f"integrator 'straylight' has no forward mode by values of a {kind}; use dr.backward")
         if self.edges and kinds - {"coating"}:
             raise MistrayError(
-                "integrator 'straylight': forward mode holds visibility as it is; set edges=False, or use dr.backward"
+                "integrator 'straylight': forward mode has no rims; use dr.backward, or set edges=False to "
+                "hold visibility as it is"
             )
         tangents = {place: np.array(dr.grad(value), dtype=np.float64) for place, (_, value) in tracked.items()}
         runs = prepare(scene, self._settings(scene, sensor, seed, spp), detector=self._detector(sensor))
@@ -181,8 +187,7 @@ class StrayLight(mi.CppADIntegrator):
             indices=any(kind == "index" for kind, _ in tracked.values()),
             scatter=any(kind == "scatter" for kind, _ in tracked.values()),
             sources=frozenset(name for (_, name), (kind, _) in tracked.items() if kind == "source"),
-            edges=self.edges,
-            edge_width=self.edge_width,
+            edge_widths=widths_of(self.edge_width) if self.edges else (),
         )
         by_irradiance = np.array(grad_in, dtype=np.float64)[:, :, 0]
 
@@ -191,12 +196,17 @@ class StrayLight(mi.CppADIntegrator):
 
         with dr.resume_grad():
             first_order = mi.Float64(0)
-            for run in prepare(scene, self._settings(scene, sensor, seed, spp), detector=self._detector(sensor)):
-                by_flux = run.unit * by_irradiance[None] / run.pixel_area
-                raw = run_gradient(run, None, by_flux, request)
-                for owner, name, batches in (*parameter_gradient(raw, is_tracked), *edge_gradient(raw, is_tracked)):
-                    value = tracked[id(owner), name][1]
-                    first_order += dr.sum(mi.Float64(value) * mi.Float64(batches.sum(axis=0)))
+            raws = [
+                run_gradient(run, None, run.unit * by_irradiance[None] / run.pixel_area, request)
+                for run in prepare(scene, self._settings(scene, sensor, seed, spp), detector=self._detector(sensor))
+            ]
+            inner, rims = gathered(raws, is_tracked)
+            at_rims = {place: inner.get(place, 0.0) + sums for place, sums in rims.items() if sums.any()}
+            number = least_error(at_rims.values())
+            if at_rims:
+                self.edge_width = request.edge_widths[number]
+            for place, batches in (inner | {place: sums[number] for place, sums in at_rims.items()}).items():
+                first_order += dr.sum(mi.Float64(tracked[place][1]) * mi.Float64(batches.sum(axis=0)))
             if dr.grad_enabled(first_order):
                 dr.backward(first_order)
 
@@ -205,6 +215,7 @@ class StrayLight(mi.CppADIntegrator):
 
     def to_string(self) -> str:
         inside = ", ".join(f"{f.name} = {getattr(self.settings, f.name)}" for f in fields(Settings))
+        inside += f", edges = {self.edges}, edge_width = {self.edge_width}"
         return f"StrayLight[{inside}]"
 
 

@@ -152,7 +152,7 @@ def test_against_differences(load_scene) -> None:
             key
         )
     assert found["stop.r0"].change.value > 3 * found["stop.r0"].change.se
-    assert not np.isnan(found["stop.r0"].edge_check)
+    assert not np.isnan(found["stop.r0"].edge_check.value)
 
 
 @pytest.fixture(scope="module")

@@ -77,7 +77,7 @@ def common_area(d: float, r: float, big: float) -> float:
 @pytest.mark.long
 def test_closed_forms(scene: Path) -> None:
     """All four methods: four comparisons within 4.5 standard errors, false alarm 3e-5; the widest error is 10 %."""
-    found = ranked(scene, "direct", rays=200_000)
+    found = ranked(scene, "direct", rays=1_200_000)
     value, error = found.pst[0]
     assert value == pytest.approx(through_the_hole(), abs=SIGMAS * error)
     expected = {

@@ -84,8 +84,8 @@ COMMAND = Command(
             Option("--no-check", "do not trace the changes that are proposed", bool),
             Option("--monte-carlo", "trace N perturbed systems (0)", ROWS, "N", default=0),
             Option("--no-edges", "leave out what rays gain and lose at rims", bool),
-            Option("--edge-width", "width of the zone at a rim in which rays count, over its radius (0.02)",
-                   EDGE_WIDTH, "W", default=0.02),
+            Option("--edge-width", "width of the zone at a rim in which rays count, over its radius (that of the least "
+                   "error)", EDGE_WIDTH, "W"),
         )),
         ray_tree("start rays at each field, or of the PST", SCHEDULER),
         SURFACES,

@@ -14,7 +14,7 @@ from mistray.optimize.study.state import Evaluation, Start, State
 from mistray.read_file import read_file
 from mistray.replace_file import replace_file
 
-FORM = 2  # changes when the content does
+FORM = 3  # changes when the content does
 
 
 class Checkpoint:

@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.optimize.gradient import chosen_parameters, gradient_request, gradient_seen
+from mistray.optimize.gradient import Gradient, chosen_parameters, gradient_request, gradient_seen
 from mistray.optimize.metrics.metric import Metric, combine
 from mistray.optimize.search.point import Pieces
 from mistray.optimize.study.goals import by_value, check, contribution, holds, least_merit, pieces
@@ -19,6 +19,8 @@ from mistray.optimize.study.model import Optimizer, Study
 from mistray.optimize.study.state import Evaluation
 from mistray.optimize.study.terms import layer_value, of_layers, traced_metric
 from mistray.optimize.study.variables import Variables
+
+WHOLE = "merit"  # the gradient of all terms at once
 
 
 def seed_of(optimizer: Optimizer, number: int) -> int:
@@ -46,6 +48,9 @@ class Merit:
     start : dict or None
         Name of a term → its value at the first point evaluated, to which the merit refers. Set by the first evaluation,
         or by whoever knows it.
+    edge_widths : dict
+        Width of the zones at rims of each gradient, `WHOLE` or the name of a term, from the first evaluation that meets
+        rims. Later ones keep it, so that the slopes of a search belong together.
     """
 
     def __init__(
@@ -59,6 +64,7 @@ class Merit:
         self.study, self.scene, self.params, self.variables = study, scene, params, variables
         self.thickness_keys = thickness_keys or {}
         self.start: dict[str, float] | None = None
+        self.edge_widths: dict[str, float] = {}
 
     @property
     def least(self) -> float:
@@ -79,8 +85,8 @@ class Merit:
         Returns
         -------
         dict
-            merit, merit_se, slope (n,) by y, terms, slopes, traced_seconds, left_out. `slopes` are the derivatives of
-            the terms by y for a method that works with them, otherwise empty.
+            merit, merit_se, slope (n,) by y, terms, slopes, traced_seconds, left_out, edge_widths. `slopes` are the
+            derivatives of the terms by y for a method that works with them, otherwise empty.
 
         Raises
         ------
@@ -101,6 +107,7 @@ class Merit:
         found = evaluate(metrics, layers, x)
         stretch = self.variables.stretch(x)
         found["slope"] = found["slope"] * stretch
+        found["edge_widths"] = dict(self.edge_widths)
         found["slopes"] = {name: slope * stretch for name, slope in found["slopes"].items()}
         for slope in (found["slope"], *found["slopes"].values()):
             if not np.all(np.isfinite(slope)):
@@ -134,9 +141,10 @@ class Merit:
                 total = total + contribution(term, mi.Float64(every[term.name]), start[term.name])
             return total
 
-        whole = combine(metrics, merit)
+        whole, width = combine(metrics, merit), self._edge_width(WHOLE)
         chosen = chosen_parameters(self.scene, self.params, self.variables.keys)
-        result = gradient_seen(whole, whole.observe(), chosen, gradient_request(chosen.values()))
+        result = gradient_seen(whole, whole.observe(), chosen, gradient_request(chosen.values(), edge_width=width))
+        self._keep(WHOLE, result)
         slope = self.variables.slope(result.gradient, x)
         for name, (_, by_thickness) in layers.items():
             by_leaf = float(np.broadcast_to(np.array(dr.grad(leaves[name])), 1)[0])
@@ -158,8 +166,11 @@ class Merit:
         whole = combine(metrics, lambda traced: mi.Float64(0.0))
         observations = whole.observe()
         chosen = chosen_parameters(self.scene, self.params, self.variables.keys)
-        request = gradient_request(chosen.values())
-        found = {name: gradient_seen(whole.part(name), observations, chosen, request) for name in metrics}
+        found = {}
+        for name in metrics:
+            request = gradient_request(chosen.values(), edge_width=self._edge_width(name))
+            found[name] = gradient_seen(whole.part(name), observations, chosen, request)
+            self._keep(name, found[name])
         slopes = {name: self.variables.slope(result.gradient, x) for name, result in found.items()}
         slopes |= {name: self.variables.slope(by_thickness, x) for name, (_, by_thickness) in layers.items()}
         values = self._checked(
@@ -183,6 +194,13 @@ class Merit:
             "traced_seconds": sum(o.seconds for o in observations) + sum(r.seconds[1] for r in found.values()),
             "left_out": [text for result in found.values() for text in result.left_out],
         }
+
+    def _edge_width(self, name: str) -> float | None:
+        return self.edge_widths.get(name, self.study.optimizer.edge_width)
+
+    def _keep(self, name: str, found: Gradient) -> None:
+        if found.edge_width is not None:
+            self.edge_widths[name] = found.edge_width
 
     def pieces(self, at: Evaluation) -> Pieces | None:
         """The merit taken apart, if the terms were differentiated one by one."""

@@ -11,7 +11,7 @@ from typing import Any
 from mistray.coatings import Stack
 from mistray.errors import MistrayError
 from mistray.optimize.search.nlopt import ALGORITHMS
-from mistray.ranges import FINITE, FLAG, POSITIVE, TEXT, Range, Words, check_fields
+from mistray.ranges import EDGE_WIDTH, FINITE, FLAG, POSITIVE, TEXT, Range, Words, check_fields
 
 LIMITED = ("at_least", "at_most")  # goals
 DESIGN_NM = Range(1.0, 1e9, unit="nm")
@@ -189,6 +189,9 @@ class Optimizer:
         Number of starts that are evaluated, the given one included; 1 … 100.
     searches : int
         From so many of them, the best ones, a search begins; 1 … 100.
+    edge_width : float or None
+        Width of the zones at rims, over their radii, as for `mistray.gradient`. None: the first evaluation that meets
+        rims takes the one with the least error, and the searches keep it.
     """
 
     method: str = Words(("sqp", "lbfgsb", "adam", "nlopt")).field("lbfgsb")
@@ -202,6 +205,7 @@ class Optimizer:
     seed: int = Range(0, 2**31, whole=True).field(0)
     starts: int = COUNT.field(1)
     searches: int = COUNT.field(1)
+    edge_width: float | None = EDGE_WIDTH.field(None)
 
     def __post_init__(self) -> None:
         check_fields(self)

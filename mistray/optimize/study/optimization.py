@@ -66,6 +66,9 @@ class Optimization:
         Surfaces that meet in the given design and are apart in the result, see `mistray.analysis.changes.gaps`.
     left_out : tuple of str
         What the gradients do not contain.
+    edge_widths : dict
+        Width of the zones at rims of each gradient, over their radii: of "merit", or of each term where a method wants
+        them one by one; those that meet no rims are not in it.
     search_seconds, traced_seconds, verification_seconds : float
         Time of the searches, of the traces and derivatives in them, and of the comparison.
     """
@@ -83,6 +86,7 @@ class Optimization:
     comparison: Comparison
     gaps: tuple[Gap, ...]
     left_out: tuple[str, ...]
+    edge_widths: dict[str, float]
     search_seconds: float
     traced_seconds: float
     verification_seconds: float
@@ -219,6 +223,7 @@ def optimize(
         comparison=compare(*levels),
         gaps=gaps,
         left_out=tuple(state.left_out),
+        edge_widths=state.edge_widths,
         search_seconds=state.seconds,
         traced_seconds=state.traced_seconds,
         verification_seconds=time.perf_counter() - started,

@@ -28,6 +28,7 @@ class Problem(Protocol):
     """What is searched: see `mistray.optimize.study.merit.Merit`."""
 
     start: dict[str, float] | None
+    edge_widths: dict[str, float]
 
     @property
     def least(self) -> float:
@@ -99,6 +100,7 @@ class Searches:
         self._known = [len(search) for search in state.evaluations] + [0] * len(state.starts)
         if state.evaluations and state.evaluations[0]:
             problem.start = state.evaluations[0][0].terms
+            problem.edge_widths = state.edge_widths
 
     def run(self) -> None:
         """Evaluate all starts, then search from the best ones."""

@@ -45,6 +45,8 @@ class Evaluation:
         Since the beginning, interruptions left out.
     traced_seconds : float
         Time of the traces and of their derivatives.
+    edge_widths : dict
+        Widths of the zones at rims so far, see `mistray.optimize.study.merit.Merit`.
     """
 
     y: np.ndarray
@@ -55,6 +57,7 @@ class Evaluation:
     slopes: dict[str, np.ndarray]
     seconds: float
     traced_seconds: float
+    edge_widths: dict[str, float] = field(default_factory=dict)
 
     @property
     def free_slope(self) -> np.ndarray:
@@ -125,6 +128,15 @@ class State:
     def seconds(self) -> float:
         """Time they took."""
         return max((e.seconds for evaluations in self.evaluations for e in evaluations), default=0.0)
+
+    @property
+    def edge_widths(self) -> dict[str, float]:
+        """Width of the zones at rims of each gradient, over their radii."""
+        found: dict[str, float] = {}
+        for evaluations in self.evaluations:
+            for evaluation in evaluations:
+                found |= evaluation.edge_widths
+        return found
 
     @property
     def traced_seconds(self) -> float:

@@ -10,12 +10,14 @@ import numpy as np
 
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
+from mistray.gradients.edge_widths import EQUAL, WidthErrors
 from mistray.gradients.geometry_gradient import SHIFTS
-from mistray.optimize.gradient import EQUAL, Gradient
+from mistray.optimize.gradient import Gradient
 from mistray.optimize.parameters import Parameter
 from mistray.optimize.tolerances.changes import Change, Ranges, single_changes
 from mistray.optimize.tolerances.proposals import structure
-from mistray.recorders.sampled import Sampled, batch_error
+from mistray.recorders.sampled import Sampled
+from mistray.settings import BATCHES
 from mistray.surfaces.gradient_columns import DISPLACEMENT
 
 INDEX = "index"
@@ -82,10 +84,10 @@ class Row(OfLine):
     tolerance : float
         Manufacturing tolerance, in the unit of the parameter.
     derivative : Estimate
-        d metric / d value.
+        d metric / d value; here and in `change` the error holds the bias by the width of the zones at rims.
     change : Estimate
         d ln(metric) per tolerance, with the error of the metric in it.
-    edge_check : float
+    edge_check : Estimate
         By how much `change` would differ with half the width of the zone at rims; NaN where rims do not count.
     alone : Change
         The value that would lower the metric by the factor requested, see `mistray.optimize.tolerances.changes`.
@@ -100,7 +102,7 @@ class Row(OfLine):
     tolerance: float
     derivative: Estimate
     change: Estimate
-    edge_check: float
+    edge_check: Estimate
     alone: Change
     free: bool
 
@@ -206,7 +208,7 @@ class Table:
     ranges : Ranges
         Values, physical ranges, tolerances, d ln(metric) / d value.
     derivative, derivative_se : float64
-    edge_check : float64
+    edge_check, edge_check_se : float64
         By how much d ln(metric) per tolerance differs with half the width of the zone at rims; NaN where rims do not
         count.
     change_batches : (b, n) float64
@@ -219,6 +221,7 @@ class Table:
     derivative: np.ndarray
     derivative_se: np.ndarray
     edge_check: np.ndarray
+    edge_check_se: np.ndarray
     change_batches: np.ndarray
 
     @classmethod
@@ -234,17 +237,21 @@ class Table:
         tolerances : mapping of str to float
             By key.
         """
-
-        def summed(values: Mapping[str, np.ndarray]) -> np.ndarray:
-            return np.stack([sum(values[key][..., line.entry] for key in line.keys) for line in lines], axis=-1)
-
-        batches = summed(found.batches)
+        batches = np.stack([sum(found.batches[key][:, line.entry] for key in line.keys) for line in lines], axis=-1)
         derivative = batches.sum(axis=0)
         wrong = [line.label for line, value in zip(lines, derivative, strict=True) if not np.isfinite(value)]
         if wrong:
             raise MistrayError(f"the derivative by '{wrong[0]}' is not finite; leave it out")
-        derivative_se = np.asarray(batch_error(batches.T, EQUAL))
         tolerance = np.array([tolerances[line.parameter.key] for line in lines])
+        # Lines of several keys have one width, so that what their rims do together is compared, not one by one
+        widths = {key: found.edge_batches.get(key, parts[None]) for key, parts in found.batches.items()}
+        shape = max(map(len, found.edge_batches.values()), default=2), BATCHES
+        sums = [sum(widths[key][..., line.entry] for key in line.keys) for line in lines]
+        at_rims = WidthErrors.of(np.stack([np.broadcast_to(part, shape) for part in sums], axis=-1))
+        met = [not found.edge_batches.keys().isdisjoint(line.keys) for line in lines]
+        bias, check, check_se = (
+            values[found.edge_number] for values in (at_rims.bias, at_rims.check, at_rims.check_se)
+        )
         # The metric and its derivative come from the same start rays: what they have in common cancels
         relative = Sampled.of(batches.T, EQUAL).over(Sampled(np.array(found.value), found.value_noise))
         ranges = Ranges(
@@ -253,12 +260,12 @@ class Table:
             np.array([line.parameter.high for line in lines]),
             tolerance,
             relative.value,
-            relative.se,
+            np.hypot(relative.se, bias / found.value),
         )
-        none = {key: np.full(np.size(values), np.nan) for key, values in found.gradient.items()}
-        check = summed({**none, **found.edge_check})
+        per = np.where(met, tolerance / found.value, np.nan)
         changes = relative.by_batch.T * tolerance
-        return cls(lines, ranges, derivative, derivative_se, check * tolerance / found.value, changes)
+        total = at_rims.total[found.edge_number]
+        return cls(lines, ranges, derivative, total, check * per, check_se * per, changes)
 
     def reachable(self, free: set[str], reach: float) -> Ranges:
         """The ranges within `reach` tolerances; R and T keep theirs, and what is not free has none."""
@@ -283,7 +290,7 @@ class Table:
                 tolerance=float(r.tolerance[k]),
                 derivative=Estimate(float(self.derivative[k]), float(self.derivative_se[k])),
                 change=Estimate(float(change[k]), float(change_se[k])),
-                edge_check=float(self.edge_check[k]),
+                edge_check=Estimate(float(self.edge_check[k]), float(self.edge_check_se[k])),
                 alone=alone[k],
                 free=set(line.keys) <= free,
             )

@@ -89,6 +89,8 @@ class Sensitivity:
         Monte Carlo of perturbed systems.
     left_out : tuple of str
         What the derivatives do not contain.
+    edge_width : float or None
+        Width of the zones at rims, over their radii; None where no ray near a rim counts.
     without_derivative : tuple of str
         Keys of numbers of the scene that have no derivative.
     seconds : tuple of float
@@ -106,6 +108,7 @@ class Sensitivity:
     together: Together
     draws: Draws | None = None
     left_out: tuple[str, ...] = ()
+    edge_width: float | None = None
     without_derivative: tuple[str, ...] = ()
     seconds: tuple[float, float] = (0.0, 0.0)
     facts: dict[str, Any] = field(default_factory=dict)
@@ -126,8 +129,8 @@ class Sensitivity:
         DataFrame
             Columns label, keys (several of a material), entry, kind, unit, value, low, high, derivative,
             derivative_se, tolerance, change_percent, change_percent_se (of the metric per tolerance),
-            edge_check_percent, free, to_value, to_factor, reached (see `Change`), share, share_se (of the variance;
-            NaN for members of a group).
+            edge_check_percent, edge_check_percent_se, free, to_value, to_factor, reached (see `Change`), share,
+            share_se (of the variance; NaN for members of a group).
         """
         import pandas as pd
 
@@ -149,7 +152,8 @@ class Sensitivity:
                     "tolerance": row.tolerance,
                     "change_percent": 100 * row.change.value,
                     "change_percent_se": 100 * row.change.se,
-                    "edge_check_percent": 100 * row.edge_check,
+                    "edge_check_percent": 100 * row.edge_check.value,
+                    "edge_check_percent_se": 100 * row.edge_check.se,
                     "free": row.free,
                     "to_value": row.alone.value,
                     "to_factor": row.alone.factor,
@@ -181,7 +185,7 @@ def sensitivity(
     monte_carlo: int = 0,
     seed: int = 0,
     edges: bool = True,
-    edge_width: float = 0.02,
+    edge_width: float | None = None,
     progress: Progress | None = None,
 ) -> Sensitivity:
     """
@@ -276,6 +280,7 @@ def sensitivity(
         together=proposal,
         draws=draws,
         left_out=(*found.left_out, *without),
+        edge_width=found.edge_width,
         without_derivative=tuple(_without_derivative(given, known)),
         seconds=found.seconds,
         facts={

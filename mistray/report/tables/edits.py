@@ -72,6 +72,9 @@ def edit_ranking_text(found: EditRanking, count: int = 20) -> str:
         parts.append(f"… and {len(matter) - count} with less")
     if len(found.edits) > len(matter):
         parts.append(f"{len(found.edits) - len(matter)} more change nothing")
+    widths = [f"{w:g} at {a:g} deg" for a, w in zip(found.field_deg, found.edge_width, strict=True) if w is not None]
+    if widths:
+        parts += ["", f"width of the zones at rims, over their radii: {', '.join(widths)}; errors hold its bias"]
     if opens:
         parts += ["", OPENS]
     return "\n".join([*parts, "", *(f"not in the derivatives: {text}" for text in found.left_out)])
@@ -83,7 +86,8 @@ def edit_ranking_record(found: EditRanking) -> dict[str, Any]:
     gaps = {edit.label: [asdict(gap) for gap in edit.gaps] for edit in found.edits}
     for row in rows:
         row["gaps"] = gaps[row["label"]]
-    return dict(plain({"light": found.light, "ranking": rows, "left_out": found.left_out}))
+    facts = {"light": found.light, "ranking": rows, "left_out": found.left_out, "edge_width": found.edge_width}
+    return dict(plain(facts))
 
 
 def write_edits(found: PstSweep | EditRanking, folder: Path, command: str) -> list[Path]:

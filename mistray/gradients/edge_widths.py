@@ -1,0 +1,100 @@
+"""How wide the zones at rims are: of several widths that see the same hits the one with the least error.
+
+A wide zone has little noise and much bias, a narrow one little bias and much noise. Of two widths the narrower has the
+bias of the wider in its difference from it. The boundary kernel of a width has the least variance of all kernels
+within it that are exact for a linear density (J. Fan and I. Gijbels, Local Polynomial Modelling and Its Applications,
+1996, section 3.2). So the difference is not correlated with the derivative of the wider one (J. A. Hausman,
+Econometrica 46, 1251, 1978), and who chooses by it does not choose by the noise of what he keeps.
+
+One width serves all parameters: moves that do nothing together, such as those of all faces of a body along themselves,
+still cancel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mistray.recorders.sampled import batch_error
+from mistray.settings import BATCHES
+
+# Widths that are compared, in units of a rim's radius; the last one is there to judge those before it
+AUTOMATIC = tuple(0.05 * 0.5**k for k in range(5))
+EQUAL = np.ones(BATCHES)
+REMAINING = 4 / 3  # bias of a width over what half of it changes, where the bias goes with the square of the width
+
+
+def widths_of(edge_width: float | None) -> tuple[float, ...]:
+    """Widths of the zones for a width that is given, which is compared with half of it, or for the automatic one."""
+    return AUTOMATIC if edge_width is None else (edge_width, 0.5 * edge_width)
+
+
+@dataclass(frozen=True)
+class WidthErrors:
+    """
+    What a derivative with each width but the narrowest is known to.
+
+    Attributes
+    ----------
+    noise : (w - 1, n) float64
+        Standard errors of the derivatives.
+    check, check_se : (w - 1, n) float64
+        Derivative with the next width less that with this one, and the standard error of this difference.
+    bias : (w - 1, n) float64
+        Bias of the width, with its probable sign: `REMAINING` times `check`. It is no less than the noise of `check`,
+        nor than what is certain of the differences from still narrower zones: those less their standard errors.
+    """
+
+    noise: np.ndarray
+    check: np.ndarray
+    check_se: np.ndarray
+    bias: np.ndarray
+
+    @classmethod
+    def of(cls, sums: np.ndarray) -> WidthErrors:
+        """
+        Compare widths.
+
+        Parameters
+        ----------
+        sums : (w, BATCHES, n) float64
+            Derivatives for each width, the widest first, by batch; their sums are the derivatives.
+        """
+        last = len(sums) - 1
+
+        def error(by_batch: np.ndarray) -> np.ndarray:
+            return np.asarray(batch_error(np.moveaxis(by_batch, -2, -1), EQUAL))
+
+        # A narrower zone has no less noise; where few rays hit it, it only seems so
+        noise = np.maximum.accumulate(error(sums), axis=0)[:last]
+        check = (sums[1:] - sums[:-1]).sum(axis=1)
+        check_se = np.maximum.accumulate(error(sums[1:] - sums[:-1]), axis=0)
+        bias = np.maximum(REMAINING * np.abs(check), check_se)
+        for k in range(last - 1):
+            apart = sums[k + 2 :] - sums[k]
+            certain = np.abs(apart.sum(axis=1)) - np.maximum(error(apart), check_se[k])
+            bias[k] = np.maximum(bias[k], certain.max(axis=0))
+        return cls(noise, check, check_se, np.where(check < 0, bias, -bias))
+
+    @property
+    def total(self) -> np.ndarray:
+        """Standard errors with noise and bias, (w - 1, n)."""
+        return np.hypot(self.noise, self.bias)
+
+
+def least_error(derivatives: Iterable[np.ndarray]) -> int:
+    """
+    Number of the width with the least error.
+
+    Parameters
+    ----------
+    derivatives : iterable of (w, BATCHES, n) float64
+        By some parameters, as for `WidthErrors.of`. The geometric mean of their errors decides.
+    """
+    totals = [WidthErrors.of(sums).total for sums in derivatives]
+    if not totals:
+        return 0
+    every = np.concatenate(totals, axis=1)
+    return int(np.argmin(np.log(every[:, np.all(every > 0, axis=0)]).sum(axis=1)))

@@ -1,0 +1,194 @@
+"""The choice of the width of zones at rims: drawn hits of a known density, and scenes whose derivatives are known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from oracles.small_scenes import scene_text, shape_xml, write
+
+import mistray
+from mistray.errors import MistrayError
+from mistray.gradients.edge_widths import AUTOMATIC, WidthErrors, least_error, widths_of
+from mistray.gradients.edges import kernel
+from mistray.optimize import optimize, path_power, sensitivity
+from mistray.report.optimization_tables import report_text
+from mistray.settings import BATCHES
+
+pytestmark = pytest.mark.quick
+
+HOLE, BEAM = 5.0, 5.1
+EXPECTED = 2 * HOLE / BEAM**2  # of the power through the hole over that of the beam, by the radius of the hole, 1/mm
+
+
+def drawn(density: Any, expected: float, rng: np.random.Generator) -> np.ndarray:
+    """Estimates of density(0) by width, (w, BATCHES, 1): so many hits at 1, within 5 % of a rim of radius 1."""
+    delta = AUTOMATIC[0] * rng.random(rng.poisson(expected))
+    delta = delta[rng.random(len(delta)) < density(delta)]
+    batch = rng.integers(BATCHES, size=len(delta))
+    sums = np.zeros((len(AUTOMATIC), BATCHES, 1))
+    for k, width in enumerate(AUTOMATIC):
+        c = np.where(delta < width, (4 - 6 * delta / width) / width, 0.0) * AUTOMATIC[0] / expected
+        np.add.at(sums[k, :, 0], batch, c)
+    return sums
+
+
+class TestWidthErrors:
+    def test_kernel(self) -> None:
+        """`drawn` has the kernel of the rims."""
+        delta = mi.Float(0.0, 0.3, 0.9)
+        assert np.allclose(np.array(kernel(delta, 0.8)), [5.0, (4 - 2.25) / 0.8, 0.0], rtol=1e-6)
+
+    @pytest.mark.parametrize("edge", [1.0, 0.03, 0.0166, 0.008], ids=["none", "0.03", "0.0166", "0.008"])
+    def test_light_that_ends_beside_a_rim(self, edge: float) -> None:
+        """
+        A density of 1 up to some distance, 0 beyond, 300 times.
+
+        Printed errors hold: the mean square of the distances from 1 in units of them is below 1.2². Of 300 numbers with
+        a mean square of 1 it would be above by chance with a probability below 1e-4.
+        """
+        rng, off, chosen = np.random.default_rng(1), [], []
+        for _ in range(300):
+            sums = drawn(lambda d: np.where(d < edge, 1.0, 0.0), 5000.0, rng)
+            chosen.append(least_error([sums]))
+            off.append((sums[chosen[-1]].sum() - 1) / WidthErrors.of(sums).total[chosen[-1], 0])
+        assert np.sqrt(np.mean(np.square(off))) < 1.2
+        if edge == 1.0:  # the widest zone is right, and has the least noise
+            assert np.mean(np.array(chosen) == 0) > 0.7
+
+    def test_floor(self) -> None:
+        """A bias below its noise is not taken for 0, and a zone without hits is not exact."""
+        rng = np.random.default_rng(2)
+        for _ in range(20):
+            errors = WidthErrors.of(drawn(lambda d: np.ones_like(d), 1000.0, rng))
+            assert np.all(np.abs(errors.bias) >= errors.check_se)
+            assert np.all(errors.total >= errors.noise)
+        far = WidthErrors.of(drawn(lambda d: np.where(d > 0.03, 1.0, 0.0), 100.0, rng))
+        assert np.all(far.total > 0)
+
+    def test_linear_relations_hold(self) -> None:
+        """All parameters have one width, also where each alone would have another."""
+        rng = np.random.default_rng(3)
+        smooth = drawn(lambda d: np.ones_like(d), 5000.0, rng)
+        rough = drawn(lambda d: np.where(d < 0.012, 1.0, 0.0), 5000.0, rng)
+        assert least_error([smooth]) < least_error([rough])
+        assert least_error([smooth]) <= least_error([smooth, rough]) <= least_error([rough])
+
+    def test_widths(self) -> None:
+        assert widths_of(0.2) == (0.2, 0.1)
+        assert widths_of(None) == AUTOMATIC
+        assert np.allclose(np.diff(np.log2(AUTOMATIC)), -1)
+
+
+def hole() -> str:
+    """A beam a little wider than a hole: 0.1 mm beside the rim, 2 % of its radius, there is no light any more."""
+    return scene_text(
+        shape_xml("frustum", "plate", 10.0, r0=HOLE, z0=0.0, r1=12.0, z1=0.0),
+        shape_xml("asphere", "detector", 20.0, sensor=True, half_width=20.0, half_height=20.0),
+        radius=BEAM,
+    )
+
+
+class TestGradient:
+    def test_hole_in_a_beam(self, load_scene) -> None:
+        """
+        Twelve seeds. Errors with a true mean square of 1 break the limit with a probability of 1e-3.
+
+        Zones of 5 % are wrong by ∫ k over the lit part of them less 1, 0.12, and say so.
+        """
+        scene = load_scene(hole())
+        off, wide = [], []
+        for seed in range(12):
+            metric = path_power(scene, "all", rays=40_000, seed=seed)
+            found = mistray.gradient(metric, mi.traverse(scene), ["plate.r0"])
+            assert found.edge_width in AUTOMATIC[:-1]
+            assert found.edge_width < 0.02
+            off.append((found.gradient["plate.r0"][0] - EXPECTED) / found.standard_error["plate.r0"][0])
+            fixed = mistray.gradient(metric, mi.traverse(scene), ["plate.r0"], edge_width=0.05)
+            assert fixed.edge_width == 0.05
+            wide.append((fixed.gradient["plate.r0"][0], fixed.standard_error["plate.r0"][0]))
+        assert np.sqrt(np.mean(np.square(off))) < 1.65
+        value, error = np.mean(wide, axis=0)
+        assert value / EXPECTED == pytest.approx(1.12, abs=0.03)
+        assert error > 0.1 * EXPECTED
+
+    def test_attributes(self, load_scene) -> None:
+        scene = load_scene(hole())
+        metric = path_power(scene, "all", rays=4_000)
+        found = mistray.gradient(metric, mi.traverse(scene), ["plate.r0", "detector.z"])
+        parts = found.edge_batches["plate.r0"]
+        check = (parts[found.edge_number + 1] - parts[found.edge_number]).sum(axis=0)
+        assert found.edge_check["plate.r0"] == pytest.approx(check)
+        assert found.edge_check_se["plate.r0"][0] > 0
+        assert abs(found.edge_bias["plate.r0"][0]) >= found.edge_check_se["plate.r0"][0]
+        variance = found.covariance(["plate.r0"])[0, 0]
+        noise = np.std(found.batches["plate.r0"], ddof=1) * np.sqrt(BATCHES)
+        assert variance == pytest.approx(noise**2 + found.edge_bias["plate.r0"][0] ** 2)
+        assert found.standard_error["plate.r0"][0] ** 2 >= variance * (1 - 1e-9)
+        assert f"{found.edge_width:g}" in str(found)
+        assert "detector.z" not in found.edge_check
+
+    def test_sensitivity(self, load_scene) -> None:
+        scene = load_scene(hole())
+        metric = path_power(scene, "all", rays=4_000)
+        found = sensitivity(metric, keys=["plate.r0"], check=False)
+        assert found.edge_width in AUTOMATIC[:-1]
+        assert found["plate.r0"].edge_check.se > 0
+        given = sensitivity(metric, keys=["plate.r0"], check=False, edge_width=0.05)
+        assert given.edge_width == 0.05
+        assert given["plate.r0"].derivative.se > 0.05 * EXPECTED  # it holds the bias
+
+    def test_render(self, load_scene) -> None:
+        """A reverse pass chooses, later ones keep the width; a given one stays."""
+        for given in ({}, {"edge_width": 0.1}):
+            scene = load_scene(hole())
+            params = mi.traverse(scene)
+            params.keep(["plate.r0"])
+            integrator = mi.load_dict({"type": "straylight", "rays": 20_000, **given})
+            assert integrator.edge_width == given.get("edge_width")
+            widths = []
+            for _ in range(2):
+                dr.enable_grad(params["plate.r0"])
+                params.update()
+                image = mi.render(scene, params, integrator=integrator)
+                dr.backward(dr.sum(image.array))
+                widths.append(integrator.edge_width)
+            assert widths[0] == widths[1] == given.get("edge_width", widths[0])
+            assert f"edge_width = {widths[0]}" in str(integrator)
+            if not given:
+                assert widths[0] in AUTOMATIC[:-1]
+
+
+def study(**optimizer: Any) -> dict[str, Any]:
+    return {
+        "trace": {"rays": 4_000},
+        "term": [{"name": "light", "kind": "path_power", "selection": "all", "goal": "minimise"}],
+        "variable": [{"parameters": "plate.r0", "low": 4.0, "high": 5.05}],
+        "optimizer": {"steps": 2, "starts": 1, **optimizer},
+    }
+
+
+class TestStudy:
+    @pytest.mark.parametrize("method", ["lbfgsb", "sqp"])
+    def test_kept_and_resumed(self, tmp_path: Path, method: str) -> None:
+        scene, file = write(tmp_path, hole()), tmp_path / "state.json"
+        first = optimize(scene, study(method=method), steps=1, checkpoint=file, verification_seeds=2)
+        name = {"lbfgsb": "merit", "sqp": "light"}[method]
+        assert first.edge_widths[name] in AUTOMATIC[:-1]
+        more = optimize(scene, study(method=method), checkpoint=file, resume=True, verification_seeds=2)
+        assert more.edge_widths == first.edge_widths
+        assert f"{first.edge_widths[name]:g} ({name})" in report_text(more)
+
+    def test_given(self, tmp_path: Path) -> None:
+        result = optimize(write(tmp_path, hole()), study(edge_width=0.03), verification_seeds=2)
+        assert result.edge_widths == {"merit": 0.03}
+        assert "given: 0.03" in report_text(result)
+
+    @pytest.mark.parametrize("width", [0.0, 0.6, "wide", True])
+    def test_refused(self, tmp_path: Path, width: Any) -> None:
+        with pytest.raises(MistrayError, match="edge_width"):
+            optimize(write(tmp_path, hole()), study(edge_width=width), verification_seeds=2)
