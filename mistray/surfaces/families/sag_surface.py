@@ -286,10 +286,6 @@ class SagSurface(Surface):
         tangent = np.array([1.0, float(2 * point[0] * self.sag_derivative(point[0] ** 2))])
         return np.asarray(tangent / np.linalg.norm(tangent))
 
-    def on_profile(self, point: np.ndarray) -> tuple[float, float, float, float]:
-        high = self.outer or min(self.half_size)
-        return point[0], self.inner, high, point[1] - float(self.sag(min(point[0], high) ** 2))
-
     # ---- kernel
 
     def kernel_values(self) -> dict[str, Any]:
