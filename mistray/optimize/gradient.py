@@ -9,6 +9,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
 from mistray.gradients.geometry_gradient import geometry_columns
 from mistray.gradients.parameter_gradient import edge_gradient, parameter_gradient
@@ -71,6 +72,26 @@ class Gradient:
         parts = np.concatenate([self.batches[key] for key in chosen], axis=1)
         apart = parts - parts.mean(axis=0)
         return np.asarray(BATCHES / (BATCHES - 1) * apart.T @ apart)
+
+    def along(self, slopes: Mapping[str, float]) -> Estimate:
+        """
+        Derivative by what moves several numbers at once, such as a body.
+
+        Parameters
+        ----------
+        slopes : mapping of str to float
+            Key → how far the parameter moves, for instance from `mistray.optimize.Body.slopes`.
+
+        Raises
+        ------
+        MistrayError
+            If one of the keys is not among those of the gradient.
+        """
+        missing = [key for key, slope in slopes.items() if slope and key not in self.batches]
+        if missing:
+            raise MistrayError(f"the gradient has no '{missing[0]}'; give it keys={sorted(slopes)}")
+        parts = sum((slope * self.batches[key][:, 0] for key, slope in slopes.items() if slope), np.zeros(BATCHES))
+        return Estimate(float(parts.sum()), float(batch_error(parts, EQUAL)))
 
     def __str__(self) -> str:
         lines = [f"value {self.value:.6e} ± {self.value_se:.1e}"]

@@ -14,12 +14,13 @@ import numpy as np
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
 from mistray.gradients.table_gradient import EDGE_WIDTH
+from mistray.optimize.bodies import bodies
 from mistray.optimize.gradient import gradient_request, gradient_seen
 from mistray.optimize.metrics.pst_metrics import pst_bin
 from mistray.optimize.metrics.pst_observation import Light
-from mistray.optimize.parameters import Parameter, groups, match, parameters
+from mistray.optimize.parameters import Parameter, match, parameters
 from mistray.optimize.tolerances.proposals import structure
-from mistray.optimize.tolerances.rows import Line, OfLine, Table, lines_of
+from mistray.optimize.tolerances.rows import Line, OfLine, Table, lines_of, motion_lines
 from mistray.ranges import POLAR_DEG
 from mistray.renamed import renamed
 from mistray.scene import find, load
@@ -163,7 +164,7 @@ def rank_edits(
     One PST, and for each field angle one reverse run that gives the derivatives by all numbers.
 
     ====== ========================================================================================================
-    move   places of parts as a whole, tilts of surfaces that are a part of their own
+    move   places and tilts of parts as a whole
     block  radii and ends of opaque surfaces that are no part of a lens
     paint  values of scatter models: of paint, polish, dust; the ideal R of opaque surfaces
     coat   thicknesses of layers, the ideal R of lenses, mirrors and detectors
@@ -210,7 +211,7 @@ def rank_edits(
     lines = _lines(loaded, params, known, chosen)
     step_of = _steps(known, lines, steps or {})
     metrics = [pst_bin(loaded, angle, light, pst_field_deg=angles, **arguments) for angle in angles]
-    active = {key: known[key] for line in lines for key in line.keys}
+    active = {key: known[key] for line in lines for key in line.moved}
     request = gradient_request(active.values(), True, edge_width)
     observations = metrics[0].observe()
     tables, values, left_out = [], [], dict[str, None]()
@@ -263,7 +264,7 @@ def _methods(scene: Any, known: Mapping[str, Parameter]) -> dict[str, str]:
     found = {}
     for key, p in known.items():
         fellows = together[p.shapes[0]] if p.shapes else set()
-        if p.kind == "position" or (p.kind == "tilt" and len(fellows) == 1):
+        if p.kind in ("position", "tilt"):
             found[key] = "move"
         elif p.kind == "rim" and fellows <= rigid:
             found[key] = "block"
@@ -275,10 +276,9 @@ def _methods(scene: Any, known: Mapping[str, Parameter]) -> dict[str, str]:
 
 
 def _lines(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: Sequence[str]) -> list[Line]:
-    """The lines of a sensitivity table, but for parts with optics, which move as a whole too."""
-    moves = [(name, keys) for name, keys in groups(known).items() if known[keys[0]].kind == "position"]
-    whole = {key: (name, keys) for name, keys in moves for key in keys}
-    moved = {whole[key][0]: Line(whole[key][0], known[key], 0, tuple(whole[key][1])) for key in chosen if key in whole}
+    """The lines of a sensitivity table, but for parts with optics, which are moved and tilted as a whole too."""
+    whole = {key: line for body in bodies(known).values() for line in motion_lines(body, known) for key in line.keys}
+    moved = {whole[key].label: whole[key] for key in chosen if key in whole}
     return [*moved.values(), *lines_of(scene, params, known, [key for key in chosen if key not in whole])]
 
 

@@ -230,7 +230,7 @@ def sensitivity(
     groups = _groups(known, lines, together)
     free = set(free_keys(metric.scene, known) if change is None else match(known, change))
     advance = Steps(progress, 1 + (2 * SEEDS if check else 0) + monte_carlo)
-    keys = list(dict.fromkeys(key for line in lines for key in line.keys))
+    keys = list(dict.fromkeys(key for line in lines for key in line.moved))
     found = gradient(metric, given, keys, edges=edges, edge_width=edge_width)
     advance()
     _require_light(found)
