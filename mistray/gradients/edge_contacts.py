@@ -178,7 +178,7 @@ class EdgeContacts:
             dr.gather(mi.Float64, self._circles, CIRCLE_FLOATS * place + j, active) for j in range(CIRCLE_FLOATS)
         )
         radial = dr.normalize(mi.Vector3d(q.x, q.y, 0))
-        circle, ahead = of_circle > 0, mi.Vector3d(0, 0, 1)
+        circle, ahead = radius > 0, mi.Vector3d(0, 0, 1)
         point = dr.select(circle, radius * radial + height * ahead, point)
         outward = dr.select(circle, out_r * radial + out_z * ahead, outward)
         along = dr.select(circle, dr.cross(ahead, radial), along)

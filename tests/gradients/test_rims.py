@@ -21,6 +21,7 @@ from mistray.gradients import edges
 from mistray.gradients.edge_contacts import EdgeContacts
 from mistray.gradients.rims import RimRecorder
 from mistray.kernel.ray_tree import trace_tree
+from mistray.optimize import path_power
 from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.direction_recorder import CLASS_COUNT
 from mistray.recorders.directions import DirectionGrid
@@ -342,3 +343,15 @@ def test_the_kernel_has_unit_area_and_no_first_moment() -> None:
     assert np.trapezoid(k, x) == pytest.approx(1.0, rel=1e-4)
     assert np.trapezoid(k * x, x) == pytest.approx(0.0, abs=1e-4)
     assert np.all(k[x > 0.3] == 0)
+
+
+def test_the_rim_of_a_hemisphere(load_scene) -> None:
+    """It stands upright there, so that no distance across grows along it: 4 standard errors, false alarm 4e-4."""
+    half = interface_xml(R=0.0, T=0.5)
+    dome = shape_xml("asphere", "dome", 5.0, half, curvature=0.2, semi_diameter=5.0)
+    detector = shape_xml("asphere", "detector", 30.0, sensor=True, semi_diameter=20.0)
+    scene = load_scene(scene_text(dome, detector, radius=9.0))
+    found = mistray.gradient(path_power(scene, "all", rays=30_000), mi.traverse(scene), keys=["dome.semi_diameter"])
+    value, error = (float(v["dome.semi_diameter"][0]) for v in (found.gradient, found.standard_error))
+    assert error < 0.01
+    assert abs(value + 0.5 * 2 * 5 / 81) < 4 * error
