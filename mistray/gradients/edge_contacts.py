@@ -1,134 +1,328 @@
-"""Where the rim of a surface of revolution touches another surface, and what a ray beside the rim meets there.
+"""Where the edge is that a hit lies close to, what touches it there, and what a ray just beside it meets.
 
 At a contact no gap opens when the rim alone moves: the edge that light sees is the line in which the two surfaces meet.
-Whether a ray that just misses the rim meets the other surface at once is decided in the plane of the axis: with the
-direction u in which the rim ends the surface, the direction v from the contact along the other surface and the ray's
-direction d, the ray η u + t d meets the other surface at τ v for
+Along the edge nothing changes, so all is decided in the plane across it: with the direction u in which the rim ends the
+surface, the direction v from the edge along the other surface and the ray's direction d, the ray η u + t d meets the
+other surface at τ v for
 
     τ = η (u × d)/(v × d),   t = -η (u × v)/(d × v)
 
 that is, if τ > 0; before it passes the rim (a concave corner) if t < 0, behind it (a convex one) if t > 0. The ray that
 hits at the same distance within the rim has the opposite τ and t: where its τ > 0 and t < 0, it comes from the other
 surface. Such rays say nothing about the edge, because their ways begin on one side of it only.
+
+Rims are circles about an axis, sides of rectangles, and edges of outlines. Which surfaces may touch a rim is found
+once, by boxes; whether one does next to a hit, and whether it ends there too, is looked at for each hit in float64.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 
-from mistray.surfaces.gradient_columns import HIGH, INNER, LOW, OUTER
-from mistray.surfaces.surface import Surface
+from mistray.gradients.replay_surfaces import ReplaySurfaces
+from mistray.gradients.table_gradient import GradientRequest
+from mistray.surfaces.gradient_columns import HALF_HEIGHT, HALF_WIDTH, HIGH, INNER, LOW, OUTER, RIM_COLUMNS
+from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.upload import upload
 
-TOUCH = 1e-4  # distance of surfaces that touch, in units of the rim's radius
+TOUCH = 1e-4  # distance of surfaces that touch, in units of the radius or half side of the rim
+THIN = 0.1  # the same in units of the half width of the other surface, if that is less
+PROBE = 2.0  # distance from the edge at which another surface is looked for, in units of that
 PARALLEL = 1e-7  # by which the directions of axes may differ
+ALONG = 1e-2  # sine of the angle between an edge and a surface that holds it
+FLAT = 1e-3  # sine of the angle between surfaces that go on in one another
+PAST = 1e-4  # distance from the rim at which rays go past it, in units of its radius or half side
+NEWTON_STEPS = 4  # along the axis, onto the surface
+CIRCLE_FLOATS = 5
+CORNERS = 8  # of a polygon around a circle
 
 
-@dataclass(frozen=True)
-class Contact:
+@dataclass
+class Edge:
     """
-    Half of another surface that begins at a rim.
+    The edge next to hits; vectors of the world in float64.
 
     Attributes
     ----------
-    surface : int
-        Its number.
-    along : (2,) float64
-        Unit vector from the contact along it, in the plane of the axis: away from the axis and along it, in the frame
-        of the surface that the rim belongs to.
-    gradient : (2,) float64
-        Unit vector along the gradient of its F, see `ReplaySurfaces`: away from the axis for cones and tubes, towards
-        smaller z for all others.
-    ends : bool
-        Whether it ends here too; else its other half is another `Contact`.
-    """
-
-    surface: int
-    along: np.ndarray
-    gradient: np.ndarray
-    ends: bool
-
-
-@dataclass(frozen=True)
-class RimCircle:
-    """
-    A rim that is a circle.
-
-    Attributes
-    ----------
-    point : (2,) float64
-        Its radius and its place along the axis from the vertex, mm.
-    outward : (2,) float64
-        Unit vector in which it ends the surface, away from the axis and along it.
-    stretch : float
+    point : mi.Vector3d
+        mm.
+    along : mi.Vector3d
+        Unit vector along it.
+    outward, across : mi.Vector3d
+        Unit vectors at right angles to it: that in which it ends the surface, and the surface's normal.
+    stretch : mi.Float64
         Part of `outward` along the coordinate in which distances from the rim count.
-    contacts : list of Contact
+    real : mi.Bool
+        Whether the surface ends there: it does not where figures of an outline overlap.
     """
 
-    point: np.ndarray
-    outward: np.ndarray
-    stretch: float
-    contacts: list[Contact]
+    point: mi.Vector3d
+    along: mi.Vector3d
+    outward: mi.Vector3d
+    across: mi.Vector3d
+    stretch: mi.Float64
+    real: mi.Bool
 
 
-def rim_circles(table: SurfaceTable) -> dict[tuple[int, int], RimCircle]:
-    """Circular rims of all surfaces, by surface and place in `RIM_COLUMNS`, with what touches them."""
-    found = {}
-    extents = np.array([piece.z_range for piece in table.pieces])
-    for piece in table.pieces:
-        if not piece.circular_rims:
-            continue
-        beside, sign, place = _relative_axes(table, piece)
-        for rim in piece.rim_sizes:
-            if rim not in (OUTER, INNER, LOW, HIGH):
-                continue
-            point = piece.rim_point(rim)
-            tolerance = TOUCH * point[0]
-            along = sign * (point[1] - place)  # in the frames of the other surfaces
-            near = (beside <= tolerance) & (along >= extents[:, 0] - tolerance) & (along <= extents[:, 1] + tolerance)
+@dataclass
+class Corner:
+    """
+    How rays go past a rim.
+
+    Attributes
+    ----------
+    at, left : mi.UInt32
+        Surface that they meet at once, or that they start on.
+    joined : mi.UInt32
+        Surface that says where the edge is.
+    factor : mi.Float64
+        Of the coefficient.
+    step : mi.Vector3d
+        Unit vector from the edge to where they start.
+    """
+
+    at: mi.UInt32
+    left: mi.UInt32
+    joined: mi.UInt32
+    factor: mi.Float64
+    step: mi.Vector3d
+
+
+class EdgeContacts:
+    """
+    The rims of a scene and what touches them.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    """
+
+    def __init__(self, table: SurfaceTable) -> None:
+        self._surfaces = ReplaySurfaces(table, GradientRequest())
+        shape = table.count, len(RIM_COLUMNS)
+        sizes, circles, least = np.zeros(shape), np.zeros((*shape, CIRCLE_FLOATS)), np.zeros(table.count)
+        for piece in table.pieces:
+            least[piece.index] = min(piece.zone_widths(1.0).values(), default=0.0)
+            for rim, size in piece.rim_sizes.items():
+                sizes[piece.index, rim] = size
+                if piece.circular_rims and rim in (OUTER, INNER, LOW, HIGH):
+                    point = piece.rim_point(rim)
+                    outward = piece.tangent(point) * (1 if rim in (OUTER, HIGH) else -1)
+                    circles[piece.index, rim] = *point, *outward, piece.rim_stretch(point)
+        found = may_touch(table)
+        self.some = bool(found)
+        counts = np.zeros(shape, dtype=np.uint32)
+        for place, others in found.items():
+            counts[place] = len(others)
+        starts = np.cumsum(counts, dtype=np.uint32).reshape(shape) - counts
+        self._sizes, self._circles, self._least = (upload(mi.Float64, v) for v in (sizes, circles, least))
+        self._counts, self._starts = upload(mi.UInt32, counts), upload(mi.UInt32, starts)
+        listed = [k for place in sorted(found) for k in found[place]]
+        self._others = upload(mi.UInt32, np.array([*listed, NO_SURFACE], dtype=np.uint32))
+
+    def past(
+        self, s: mi.UInt32, rim: mi.UInt32, p: mi.Vector3f, d: mi.Vector3f, starts: mi.Bool, active: mi.Bool
+    ) -> tuple[Corner, mi.Vector3f]:
+        """
+        How rays go past rims, and where they start.
+
+        Parameters
+        ----------
+        s, rim : mi.UInt32
+            Surfaces and their rims, as places in `RIM_COLUMNS`.
+        p, d : mi.Vector3f
+            Hits close to the rims, mm, and directions of arrival.
+        starts : mi.Bool
+            Whether the rays started in the segment that leads there.
+        active : mi.Bool
+        """
+        place = s * len(RIM_COLUMNS) + rim
+        size = dr.gather(mi.Float64, self._sizes, place, active)
+        edge = self.edge(s, rim, mi.Vector3d(p), size, active)
+        corner = self.corner(place, edge, mi.Vector3d(d), size, starts, active)
+        corner.factor = dr.select(edge.real, corner.factor, 0)
+        return corner, mi.Vector3f(edge.point + PAST * size * corner.step)
+
+    def edge(self, s: mi.UInt32, rim: mi.UInt32, p: mi.Vector3d, size: mi.Float64, active: mi.Bool) -> Edge:
+        """The edge next to hits; `size` is the radius or half side of the rim, all else as of `past`."""
+        surfaces = self._surfaces
+        q = surfaces.local_point(p, s, active)
+        numbers = surfaces.numbers(s, mi.UInt32(0), active, still=True)
+        rims = surfaces.rims(s, mi.UInt32(0), active)
+        wide, high = rim == HALF_WIDTH, rim == HALF_HEIGHT
+        x = dr.select(wide, dr.mulsign(rims["half_width"], q.x), q.x)
+        y = dr.select(high, dr.mulsign(rims["half_height"], q.y), q.y)
+        out = mi.Vector3d(dr.select(wide, dr.sign(q.x), 0), dr.select(high, dr.sign(q.y), 0), 0)
+        real = mi.Bool(True)
+        for here, family, own in numbers["families"]:
+            if hasattr(family, "edge"):
+                found = family.edge(q.x, q.y, own, PAST * size)
+                x, y, real = (dr.select(here, *pair) for pair in ((found.x, x), (found.y, y), (found.real, real)))
+                out = dr.select(here, mi.Vector3d(found.out_x, found.out_y, 0), out)
+        point = mi.Vector3d(x, y, q.z)
+        for _ in range(NEWTON_STEPS):
+            value, gradient = surfaces.implicit(point, numbers)
+            point.z -= 0.5 * value / gradient.z
+        across = dr.normalize(surfaces.implicit(point, numbers)[1])
+        along = dr.normalize(dr.cross(out, across))
+        outward = dr.cross(across, along)
+        stretch = dr.dot(outward, out)
+        place = s * len(RIM_COLUMNS) + rim
+        radius, height, out_r, out_z, of_circle = (
+            dr.gather(mi.Float64, self._circles, CIRCLE_FLOATS * place + j, active) for j in range(CIRCLE_FLOATS)
+        )
+        radial = dr.normalize(mi.Vector3d(q.x, q.y, 0))
+        circle, ahead = radius > 0, mi.Vector3d(0, 0, 1)
+        point = dr.select(circle, radius * radial + height * ahead, point)
+        outward = dr.select(circle, out_r * radial + out_z * ahead, outward)
+        along = dr.select(circle, dr.cross(ahead, radial), along)
+        along, outward = (surfaces.to_world(v, s, active) for v in (along, outward))
+        return Edge(
+            surfaces.to_world(point, s, active) + surfaces.vertex(s, active),
+            along,
+            outward,
+            dr.cross(along, outward),
+            dr.select(circle, of_circle, stretch),
+            real,
+        )
+
+    def corner(
+        self, place: mi.UInt32, edge: Edge, d: mi.Vector3d, size: mi.Float64, starts: mi.Bool, active: mi.Bool
+    ) -> Corner:
+        """What the surfaces that touch edges mean for rays along d beside them; `place` of the rims in the tables."""
+        count = dr.width(place)
+        none, one = dr.full(mi.UInt32, NO_SURFACE, count), dr.full(mi.Float64, 1, count)
+        found = Corner(mi.UInt32(none), mi.UInt32(none), mi.UInt32(none), one, mi.Vector3d(edge.outward))
+        if not self.some:
+            return found
+        first = dr.gather(mi.UInt32, self._starts, place, active)
+        end = first + dr.gather(mi.UInt32, self._counts, place, active)
+        ray = mi.Vector2d(dr.dot(d, edge.outward), dr.dot(d, edge.across))
+
+        def step(k: mi.UInt32, nearest: mi.Float64, *state: Any) -> tuple[Any, ...]:
+            going = active & (k < end)
+            other = dr.gather(mi.UInt32, self._others, k, going)
+            tolerance = dr.minimum(TOUCH * size, THIN * dr.gather(mi.Float64, self._least, other, going))
+            distance, gradient = self._surfaces.sheet(edge.point, other, going)
+            steep = mi.Vector2d(dr.dot(gradient, edge.outward), dr.dot(gradient, edge.across))
+            touches = going & (dr.abs(distance) <= tolerance) & (dr.abs(dr.dot(gradient, edge.along)) < ALONG)
+            v = dr.normalize(mi.Vector2d(-steep.y, steep.x))
+            along = v.x * edge.outward + v.y * edge.across
+            probe = PROBE * tolerance * along
+            ahead, behind = (self._holds(edge.point + way * probe, other, touches) for way in (1, -1))
+            found, on = Corner(*state), ahead & behind
+            for there, way in ((ahead, 1), (behind, -1)):
+                half = _Half(there, ~on, other, way * v, way * along, -edge.stretch / steep.x)
+                nearest, found = half.met(ray, starts, nearest, found)
+            return k + 1, nearest, *vars(found).values()
+
+        _, _, *state = dr.while_loop(
+            (first, dr.full(mi.Float64, dr.inf, count), *vars(found).values()),
+            lambda k, *_: active & (k < end),
+            step,
+            mode="symbolic",
+            label="contacts",
+        )
+        return Corner(*state)
+
+    def _holds(self, p: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Bool:
+        """Whether points next to surfaces lie within their bounds."""
+        distances = self._surfaces.rim_distances(p, s, active)
+        for rim, distance in enumerate(distances):
+            exists = dr.gather(mi.Float64, self._sizes, s * len(RIM_COLUMNS) + rim, active) > 0
+            active = active & (~exists | (distance > 0))  # not in place: the caller keeps its own
+        return active
+
+
+@dataclass
+class _Half:
+    """
+    Half of another surface that begins at an edge.
+
+    Attributes
+    ----------
+    there, ends : mi.Bool
+        Whether there is such a half, and whether it is the only one.
+    surface : mi.UInt32
+    v : mi.Vector2d
+        Unit vector along it, by its parts outward and across the surface with the rim.
+    along : mi.Vector3d
+        The same in the world.
+    apart : mi.Float64
+        By which the coefficient of Δ becomes that of the distance from it.
+    """
+
+    there: mi.Bool
+    ends: mi.Bool
+    surface: mi.UInt32
+    v: mi.Vector2d
+    along: mi.Vector3d
+    apart: mi.Float64
+
+    def met(self, d: mi.Vector2d, starts: mi.Bool, first: mi.Float64, found: Corner) -> tuple[mi.Float64, Corner]:
+        """The distance t and the corner if this half is what a ray along d meets first, else what is given."""
+        across = self.v.x * d.y - self.v.y * d.x
+        t = self.v.y / across
+        corner = dr.abs(self.v.y) > FLAT
+        # Rays along the other surface pass its far end before they meet it. Where they come along it, those past the
+        # rim have been on its other side all the way
+        oblique = dr.abs(across) > PAST * dr.norm(d)
+        along = ~oblique & (dr.dot(self.v, d) < 0)
+        beyond = d.y * across > 0
+        # The ray that hit has just left the other surface: light that moves from one to the other is in the events
+        # of rays that arrive there. But on both sides of the rim the surface may emit rays of its own
+        left = self.there & corner & (along | (oblique & ~beyond & (t > 0)))
+        near = self.there & oblique & beyond & (t < first)
+        concave = corner & (t < 0)
+        share = mi.Float64(dr.select(self.ends, 0.5, 1))
+        return dr.select(left, -dr.inf, dr.select(near, t, first)), Corner(
+            at=dr.select(near, self.surface, dr.select(left, NO_SURFACE, found.at)),
+            left=dr.select(left, self.surface, dr.select(near, NO_SURFACE, found.left)),
+            joined=dr.select(left | (near & concave), self.surface, dr.select(near, NO_SURFACE, found.joined)),
+            factor=dr.select(
+                left,
+                dr.select(starts & oblique & ~self.ends, self.apart, 0),
+                dr.select(near, dr.select(concave, share * self.apart, share), found.factor),
+            ),
+            step=dr.select(left, -self.along, dr.select(near, self.along, found.step)),
+        )
+
+
+def may_touch(table: SurfaceTable) -> dict[tuple[int, int], list[int]]:
+    """Surfaces that may touch rims, by surface and place in `RIM_COLUMNS`: those whose boxes do."""
+    pieces, found = table.pieces, dict[tuple[int, int], list[int]]()
+    if not pieces:
+        return found
+    turn = 2 * np.pi * np.arange(CORNERS) / CORNERS
+    polygon = np.stack([np.cos(turn), np.sin(turn)], axis=1) / np.cos(np.pi / CORNERS)
+    hulls = [piece.hull(polygon) for piece in pieces]
+    first = np.cumsum([0, *map(len, hulls[:-1])])
+    world = np.concatenate([h @ table.rotations[k].T + table.vertices[k] for k, h in enumerate(hulls)])
+    axes, vertices = table.rotations[: len(pieces), :, 2], table.vertices[: len(pieces)]
+    holes = np.array([piece.least_radius for piece in pieces])
+    for piece in pieces:
+        own, vertex = table.rotations[piece.index], vertices[piece.index]
+        q = (world - vertex) @ own
+        low, high = np.minimum.reduceat(q, first), np.maximum.reduceat(q, first)
+        farthest = np.maximum.reduceat(np.hypot(q[:, 0], q[:, 1]), first)
+        beside = np.linalg.norm(np.cross(vertices - vertex, axes[piece.index]), axis=1)
+        turned = np.linalg.norm(np.cross(axes, axes[piece.index]), axis=1)
+        for rim, size in piece.rim_sizes.items():
+            tolerance, ends = TOUCH * size, (low[piece.index], high[piece.index])
+            apart = np.zeros(len(pieces), dtype=bool)
+            if piece.circular_rims and rim in (OUTER, INNER, LOW, HIGH):
+                radius, z = piece.rim_point(rim)
+                ends = np.array([-radius, -radius, z]), np.array([radius, radius, z])
+                coaxial = (beside <= tolerance) & (turned <= PARALLEL)
+                apart = (farthest < radius - tolerance) | (coaxial & (holes > radius + tolerance))
+            near = np.all((low <= ends[1] + tolerance) & (high >= ends[0] - tolerance), axis=1) & ~apart
             near[piece.index] = False
-            tangent = piece.tangent(point)
-            outward = tangent if rim in (OUTER, HIGH) else -tangent
-            contacts = [
-                contact
-                for k in np.flatnonzero(near)
-                for contact in _contacts(table.pieces[k], np.array([point[0], along[k]]), float(sign[k]))
-            ]
-            found[piece.index, rim] = RimCircle(point, outward, piece.rim_stretch(point), contacts)
+            if near.any():
+                found[piece.index, rim] = np.flatnonzero(near).tolist()
     return found
-
-
-def _relative_axes(table: SurfaceTable, piece: Surface) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """
-    The axes of all surfaces as one of them sees them.
-
-    Returns
-    -------
-    beside : (n,) float64
-        Distance from the axis of this one, mm; infinite for those that are not parallel to it.
-    sign : (n,) float64
-        -1 for those that point the other way.
-    place : (n,) float64
-        Of the vertices along the axis of this one, from its own, mm.
-    """
-    axes, vertices = (numbers[: len(table.pieces)] for numbers in (table.rotations[:, :, 2], table.vertices))
-    axis, apart = axes[piece.index], vertices - vertices[piece.index]
-    place = apart @ axis
-    beside = np.linalg.norm(apart - place[:, None] * axis, axis=1)
-    turned = np.linalg.norm(np.cross(axis, axes), axis=1)
-    return np.where(turned > PARALLEL, np.inf, beside), np.sign(axes @ axis), place
-
-
-def _contacts(other: Surface, here: np.ndarray, sign: float) -> list[Contact]:
-    """The halves of another surface on the same axis that begin at a circle, given in the frame of that surface."""
-    tolerance = TOUCH * here[0]
-    place, low, high, off = other.on_profile(here)
-    if not abs(off) <= tolerance or not low - tolerance <= place <= high + tolerance:
-        return []
-    tangent, gradient = other.tangent(here), other.profile_gradient(here)
-    at_low, at_high = place < low + tolerance, place > high - tolerance
-    turn = np.array([1.0, sign])
-    ways = [tangent] if at_low else [-tangent] if at_high else [tangent, -tangent]
-    return [Contact(other.index, turn * way, turn * gradient, at_low or at_high) for way in ways]

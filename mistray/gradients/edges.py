@@ -13,8 +13,8 @@ so that the error goes with ε² where the density is smooth; `mistray.gradients
 c = k · (gain of the hit - gain past the rim) held fixed, the derivative of Σ c Δ by any parameter is that of the
 metric: Δ depends on the rim, on the surface and on all that the ray has met before.
 
-A ray past the rim starts just outside of it, in the direction of the ray that hit. Where another surface of
-revolution touches the rim, the edge is the line in which both meet (see `mistray.gradients.edge_contacts`). A convex
+A ray past the rim starts just outside of it, in the direction of the ray that hit. Where another surface touches the
+rim, the edge is the line in which both meet (see `mistray.gradients.edge_contacts`). A convex
 edge is described by the rays on either surface; if both end there, each counts half. The same goes for a concave
 edge, but there the rim itself has no part in where it is: Δ follows from the distance D = F/|∇F| of the hit from the
 other surface, which `EdgeEvents.joined` names, Δ = -D s/(n · u) with the gradient's direction n, the direction u in
@@ -38,30 +38,25 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.gradients.edge_contacts import rim_circles
+from mistray.gradients.edge_contacts import PAST, EdgeContacts
 from mistray.gradients.grazing import SILHOUETTE, grazing_kernel
 from mistray.gradients.rims import RimRecorder
 from mistray.kernel.kernel_scene import KernelScene
 from mistray.kernel.launches import launches_of
 from mistray.kernel.ray_tree import trace_tree
-from mistray.physics.geometry.sag import sag
 from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.branch_recorder import BranchRecorder, as_many
 from mistray.recorders.path_key import EVENT_BITS, mixed_events
 from mistray.recorders.start_rays import StartRays
 from mistray.settings import Settings
-from mistray.surfaces.gradient_columns import HALF_HEIGHT, HALF_WIDTH, RIM_COLUMNS
-from mistray.surfaces.optics import ASPHERIC
+from mistray.surfaces.gradient_columns import RIM_COLUMNS
 from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.upload import upload
 
 CAPACITY = 1 << 17  # hits that are kept at a time
 ROOM = 0.7  # share of it that the next portion of rays should fill
 FIRST_LANES = 1 << 12
-PAST = 1e-4  # distance from the rim at which rays go past it, in units of its radius or half side
 CLEAR = 1.25  # lift over a silhouette, in units of what a sphere needs
-FLAT = 1e-3  # sine of the angle between surfaces that go on in one another
-CIRCLE_FLOATS, CONTACT_FLOATS = 5, 6
 STREAM = 0x3C6EF372  # of the random numbers of rays past rims
 
 
@@ -134,19 +129,7 @@ class Edges:
         sizes = np.zeros((table.count, rims, 2))
         for (surface, rim), zone in self._near.zones.items():
             sizes[surface, rim] = table.pieces[surface].rim_sizes[rim], zone
-        found = rim_circles(table)
-        self._most = max((len(circle.contacts) for circle in found.values()), default=0)
-        room = max(self._most, 1)
-        circles = np.zeros((table.count, rims, CIRCLE_FLOATS))
-        contacts = np.zeros((table.count, rims, room, CONTACT_FLOATS))
-        surfaces = np.full((table.count, rims, room), NO_SURFACE, dtype=np.uint32)
-        for (surface, rim), circle in found.items():
-            circles[surface, rim] = *circle.point, *circle.outward, circle.stretch
-            for k, contact in enumerate(circle.contacts):
-                contacts[surface, rim, k] = *contact.along, *contact.gradient, float(contact.ends), 1.0
-                surfaces[surface, rim, k] = contact.surface
-        self._sizes, self._circles, self._contacts = (upload(mi.Float, v) for v in (sizes, circles, contacts))
-        self._joined = upload(mi.UInt32, surfaces)
+        self._sizes, self._contacts = upload(mi.Float, sizes), EdgeContacts(table)
 
     def events(self, start: StartRays, adjoint: Adjoint) -> Iterator[tuple[StartRays, EdgeEvents]]:
         """
@@ -223,7 +206,7 @@ class Edges:
 
     def _past(self, row: mi.UInt32, rim: mi.UInt32) -> _Past:
         """Rays that go past the rims."""
-        near, table = self._near, self._table
+        near = self._near
         jumps = rim >= SILHOUETTE
         rim = dr.select(jumps, 0, rim)
         length = dr.gather(mi.UInt32, near.paths.length, row)
@@ -232,27 +215,8 @@ class Edges:
         p = mi.Vector3f(*(dr.gather(mi.Float, near.paths.nodes, last * near.paths.node_floats + j) for j in range(3)))
         d = mi.Vector3f(*(dr.gather(mi.Float, near.paths.heading, 3 * row + j) for j in range(3)))
         w = mi.Float(dr.gather(mi.Float64, near.paths.weight, row))
-        vertex = dr.gather(mi.Vector4f, table.vertex, s)
-        frame = table.frame(s)
-        q, along = frame.inward(p - vertex.xyz), frame.inward(d)
-        place = s * len(RIM_COLUMNS) + rim
-        size = dr.gather(mi.Float, self._sizes, 2 * place)
-        circle = [dr.gather(mi.Float, self._circles, CIRCLE_FLOATS * place + j) for j in range(CIRCLE_FLOATS)]
-        rho = dr.sqrt(dr.fma(q.x, q.x, q.y * q.y))
-        radial = mi.Vector2f(q.x, q.y) / rho
-        outward = mi.Vector2f(circle[2], circle[3])
-        direction = mi.Vector2f(dr.dot(radial, mi.Vector2f(along.x, along.y)), along.z)
         before = {name: dr.gather(type(v), v, row) for name, v in near.before.items()}
-        corner = self._corner(place, outward, circle[4], direction, before["depth"] == 0)
-        # Beside a circle: just past its point nearest to the hit, or on the surface that begins there, next to it
-        beside = mi.Vector2f(circle[0], circle[1]) + PAST * size * corner.step
-        beside = mi.Vector3f(radial.x * beside.x, radial.y * beside.x, beside.y)
-        beside = dr.select(circle[4] > 0, beside, self._beside_straight(s, q, rim, PAST * size))
-        for here, family in table.families.members(s, mi.Bool(True)):
-            if hasattr(family, "beside"):
-                numbers = table.families.numbers(family, s, here)
-                beside = dr.select(here, mi.Vector3f(*family.beside(q.x, q.y, numbers, PAST * size)), beside)
-        o = frame.outward(beside) + vertex.xyz
+        corner, o = self._contacts.past(s, rim, p, d, before["depth"] == 0, ~jumps)
         key = before["key"]
         # The order of the rows changes from run to run: random numbers go with the ray itself
         bits = dr.reinterpret_array(mi.UInt32, p.x) ^ (dr.reinterpret_array(mi.UInt32, p.y) * 0x85EBCA6B)
@@ -267,7 +231,7 @@ class Edges:
         start = StartRays(lane=lane, rng=rng, o=o, d=d, w=w, left=left, at=at, family=family, **before)
         dr.eval(rng, vars(start))
         factor, joined = dr.select(jumps, 1, corner.factor), dr.select(jumps, NO_SURFACE, corner.joined)
-        return _Past(start, place, factor, joined)
+        return _Past(start, s * len(RIM_COLUMNS) + rim, factor, joined)
 
     def _family(self, row: mi.UInt32, count: mi.UInt32) -> mi.UInt32:
         """What the first events of recorded paths add to the number of their family."""
@@ -296,79 +260,6 @@ class Edges:
         d = dr.select(critical, beyond, d)
         return o, d, dr.select(jumps, NO_SURFACE, left), dr.select(critical, s, dr.select(grazes, NO_SURFACE, at))
 
-    def _beside_straight(self, s: mi.UInt32, q: mi.Vector3f, rim: mi.UInt32, step: mi.Float) -> mi.Vector3f:
-        """The point past a side of a rectangle, in the frame of the surface, mm."""
-        table = self._table
-        half = dr.gather(mi.Vector2f, table.clip, s) + step
-        x = dr.select(rim == HALF_WIDTH, dr.mulsign(half.x, q.x), q.x)
-        y = dr.select(rim == HALF_HEIGHT, dr.mulsign(half.y, q.y), q.y)
-        quadric = dr.gather(mi.Vector4f, table.quadric, s)
-        conic = dr.select(quadric.x == 0, 0, quadric.y / quadric.x - 1)
-        r2 = dr.fma(x, x, y * y)
-        z = sag(r2, quadric.x, conic)
-        if table.coefficient_count:
-            word = dr.gather(mi.UInt32, table.optics.words, s)
-            z = dr.select((word & ASPHERIC) != 0, sag(r2, *table.asphere_sag(s)), z)
-        return mi.Vector3f(x, y, z)
-
-    def _corner(self, place: mi.UInt32, u: mi.Vector2f, stretch: mi.Float, d: mi.Vector2f, starts: mi.Bool) -> _Corner:
-        """What the surfaces that touch a rim mean for rays along d beside it, see `mistray.gradients.edge_contacts`."""
-        found = _Corner(mi.UInt32(NO_SURFACE), mi.UInt32(NO_SURFACE), mi.UInt32(NO_SURFACE), mi.Float64(1), u)
-        first = mi.Float(dr.inf)
-        for k in range(self._most):
-            number = place * self._most + k
-            v = [dr.gather(mi.Float, self._contacts, CONTACT_FLOATS * number + j) for j in range(CONTACT_FLOATS)]
-            along, gradient = mi.Vector2f(v[0], v[1]), mi.Vector2f(v[2], v[3])
-            surface, there, ends = dr.gather(mi.UInt32, self._joined, number), v[5] > 0, v[4] > 0
-            across = _cross(along, d)
-            t = _cross(u, along) / across
-            corner = dr.abs(_cross(u, along)) > FLAT
-            beyond = _cross(u, d) * across > 0
-            share = mi.Float64(dr.select(ends, 0.5, 1))
-            distance = -mi.Float64(stretch / dr.dot(gradient, u))
-            # The ray that hit has just left the other surface: light that moves from one to the other is in the events
-            # of rays that arrive there. But on both sides of the rim the surface may emit rays of its own
-            left = there & ~beyond & corner & (t > 0)
-            near = there & beyond & (t < first)
-            concave = corner & (t < 0)
-            first = dr.select(left, -dr.inf, dr.select(near, t, first))
-            found = _Corner(
-                at=dr.select(near, surface, dr.select(left, NO_SURFACE, found.at)),
-                left=dr.select(left, surface, dr.select(near, NO_SURFACE, found.left)),
-                joined=dr.select(left | (near & concave), surface, dr.select(near, NO_SURFACE, found.joined)),
-                factor=dr.select(
-                    left,
-                    dr.select(starts & ~ends, distance, 0),
-                    dr.select(near, dr.select(concave, share * distance, share), found.factor),
-                ),
-                step=dr.select(left, -along, dr.select(near, along, found.step)),
-            )
-        return found
-
-
-@dataclass
-class _Corner:
-    """
-    How a ray goes past a rim where other surfaces touch it.
-
-    Attributes
-    ----------
-    at, left : mi.UInt32
-        Surface that it meets at once, or that it starts on.
-    joined : mi.UInt32
-        Surface that says where the edge is.
-    factor : mi.Float64
-        Of the coefficient.
-    step : mi.Vector2f
-        Direction from the rim to where it starts.
-    """
-
-    at: mi.UInt32
-    left: mi.UInt32
-    joined: mi.UInt32
-    factor: mi.Float64
-    step: mi.Vector2f
-
 
 @dataclass
 class _Past:
@@ -383,7 +274,3 @@ class _Past:
 def kernel(delta: Any, width: Any) -> Any:
     """The boundary kernel at a distance from the rim, 1/mm; 0 beyond its width."""
     return dr.select(delta < width, (4 - 6 * delta / width) / width, 0)
-
-
-def _cross(a: mi.Vector2f, b: mi.Vector2f) -> mi.Float:
-    return a.x * b.y - a.y * b.x

@@ -117,13 +117,15 @@ class ReplaySurfaces:
             return dr.gather(mi.Vector2d, self._plain_indices, s, active)
         return dr.gather(mi.Vector2d, self._indices, batch * self._surfaces + s, active)
 
-    def _to_world(self, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
+    def to_world(self, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
+        """Vectors of the frames of the surfaces s in the world, without derivatives by these frames."""
         if not self.table.rotated:
             return v
         m = [dr.gather(mi.Float64, self._rotations, 9 * s + k, active) for k in range(9)]
         return mi.Vector3d(*(m[3 * k] * v.x + m[3 * k + 1] * v.y + m[3 * k + 2] * v.z for k in range(3)))
 
-    def _to_local(self, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
+    def to_local(self, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
+        """The other way round."""
         if not self.table.rotated:
             return v
         m = [dr.gather(mi.Float64, self._rotations, 9 * s + k, active) for k in range(9)]
@@ -168,8 +170,8 @@ class ReplaySurfaces:
             Without derivatives, and without the work for terms that are 0.
         """
         vertex = self.vertex(s, active)
-        p, direction = self._to_local(o - vertex, s, active), self._to_local(d, s, active)
-        numbers = self._numbers(s, batch, active, still)
+        p, direction = self.to_local(o - vertex, s, active), self.to_local(d, s, active)
+        numbers = self.numbers(s, batch, active, still)
         shift, turn = self._pose(numbers)
         if self._shifts:
             p = p - shift
@@ -177,16 +179,17 @@ class ReplaySurfaces:
             p, direction = p - dr.cross(turn, p), direction - dr.cross(turn, direction)
         for _ in range(steps):
             q = p + t * direction
-            value, gradient = self._surface(q, numbers)
+            value, gradient = self.implicit(q, numbers)
             slope = dr.detach(2 * dr.dot(gradient, direction))
             step = value / slope
             t = t - dr.select(active & dr.isfinite(step), step, 0)
         q = p + t * direction
-        _, gradient = self._surface(q, numbers)
+        _, gradient = self.implicit(q, numbers)
         normal = dr.normalize(gradient) * self._place(s, active).w
         return Hit(q, direction, normal, t, turn, shift)
 
-    def _numbers(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool, still: bool = False) -> dict[str, Any]:
+    def numbers(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool, still: bool = False) -> dict[str, Any]:
+        """What the shapes of the surfaces s are made of, by name."""
         rows = self._still if still else self._shape
         numbers = rows.read(s, batch, active)
         numbers["cone"] = self._place(s, active).w > 0
@@ -199,7 +202,7 @@ class ReplaySurfaces:
             numbers[key] = [numbers[name] for name in COEFFICIENTS[: max(known, default=0)]]
         return numbers
 
-    def _surface(self, q: mi.Vector3d, n: dict[str, Any]) -> tuple[mi.Float64, mi.Vector3d]:
+    def implicit(self, q: mi.Vector3d, n: dict[str, Any]) -> tuple[mi.Float64, mi.Vector3d]:
         """
         F and half its gradient in the surface's own frame; F = 0 is the surface.
 
@@ -233,35 +236,59 @@ class ReplaySurfaces:
             q = q + dr.cross(met.turn, q)
         if self._shifts:
             q = q + met.shift
-        return self._to_world(q, s, active) + self.vertex(s, active)
+        return self.to_world(q, s, active) + self.vertex(s, active)
 
     def local_point(self, p: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
         """A point of the world in the frame of a surface, mm; without derivatives."""
-        return self._to_local(p - self.vertex(s, active), s, active)
+        return self.to_local(p - self.vertex(s, active), s, active)
+
+    def rims(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> dict[str, Any]:
+        """Radii, half sides and ends of the surfaces s by the names of `RIM_COLUMNS`, mm; 0 where there is none."""
+        return self._rims.read(s, batch, active)
 
     def rim_distance(self, met: Hit, rim: mi.UInt32, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Float64:
         """Distance of a hit from a rim of its surface, a place in `RIM_COLUMNS`, along the surface's coordinate, mm."""
-        rho = dr.sqrt(dr.maximum(met.q.x * met.q.x + met.q.y * met.q.y, 1e-24))
-        x, y, z = dr.abs(met.q.x), dr.abs(met.q.y), met.q.z
-        for here, family, own in self._numbers(s, batch, active)["families"]:
-            z = dr.select(here, family.coordinate(*met.q, own), z)
+        distance = mi.Float64(0)
+        for number, found in enumerate(self._rim_distances(met.q, s, batch, active)):
+            distance = dr.select(active & (rim == number), found, distance)
+        return distance
+
+    def rim_distances(self, p: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> list[mi.Float64]:
+        """Distances of points of the world from the rims of surfaces, in the order of `RIM_COLUMNS`, mm; ≥ 0 inside."""
+        return self._rim_distances(self.local_point(p, s, active), s, mi.UInt32(0), active)
+
+    def _rim_distances(self, q: mi.Vector3d, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> list[mi.Float64]:
+        rho = dr.sqrt(dr.maximum(q.x * q.x + q.y * q.y, 1e-24))
+        x, y, z = dr.abs(q.x), dr.abs(q.y), q.z
+        for here, family, own in self.numbers(s, batch, active)["families"]:
+            z = dr.select(here, family.coordinate(*q, own), z)
         # Place of the hit along the coordinate, and whether the surface lies below the rim in it
         places = ((rho, 1), (rho, -1), (x, 1), (y, 1), (z, -1), (z, 1))
-        distance, values = mi.Float64(0), self._rims.read(s, batch, active)
-        for number, (name, (place, sign)) in enumerate(zip(RIM_COLUMNS, places, strict=True)):
-            distance = dr.select(active & (rim == number), sign * (values[name] - place), distance)
-        return distance
+        values = self.rims(s, batch, active)
+        return [sign * (values[name] - place) for name, (place, sign) in zip(RIM_COLUMNS, places, strict=True)]
+
+    def sheet(self, p: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> tuple[mi.Float64, mi.Vector3d]:
+        """
+        Distances of points of the world from the unbounded surfaces s next to them, and unit gradients of F there.
+
+        The distance is infinite next to the far half of a quadric, which is no part of the surface.
+        """
+        numbers = self.numbers(s, mi.UInt32(0), active, still=True)
+        value, gradient = self.implicit(self.local_point(p, s, active), numbers)
+        length = dr.norm(gradient)
+        here = numbers["cone"] | (gradient.z < 0)
+        return dr.select(here, 0.5 * value / length, dr.inf), self.to_world(gradient / length, s, active)
 
     def distance_from(self, p: mi.Vector3d, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Float64:
         """Distance of points of the world from the surfaces s next to them, mm; positive along the gradient of F."""
-        q = self._to_local(p - self.vertex(s, active), s, active)
-        numbers = self._numbers(s, batch, active)
+        q = self.to_local(p - self.vertex(s, active), s, active)
+        numbers = self.numbers(s, batch, active)
         shift, turn = self._pose(numbers)
         if self._shifts:
             q = q - shift
         if self._tilts:
             q = q - dr.cross(turn, q)
-        value, gradient = self._surface(q, numbers)
+        value, gradient = self.implicit(q, numbers)
         return value / dr.detach(2 * dr.norm(gradient))
 
     @staticmethod
@@ -274,11 +301,11 @@ class ReplaySurfaces:
         """A direction of the surface's frame in the world."""
         if self._tilts:
             v = v + dr.cross(met.turn, v)
-        return self._to_world(v, s, active)
+        return self.to_world(v, s, active)
 
     def local_direction(self, met: Hit, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
         """A direction of the world in the surface's frame."""
-        v = self._to_local(v, s, active)
+        v = self.to_local(v, s, active)
         return v - dr.cross(met.turn, v) if self._tilts else v
 
     def move_start(
@@ -294,11 +321,11 @@ class ReplaySurfaces:
         """Add derivatives of rays that start from a surface and move with it, given those by their start."""
         s = dr.full(mi.UInt32, surface, dr.width(batch))
         with dr.resume_grad():
-            shift, turn = self._pose(self._numbers(s, batch, active))
-            q = self._to_local(o - self.vertex(s, active), s, active)
-            along = self._to_local(d, s, active)
-            moved = self._to_world(shift + dr.cross(turn, q), s, active)
-            turned = self._to_world(dr.cross(turn, along), s, active)
+            shift, turn = self._pose(self.numbers(s, batch, active))
+            q = self.to_local(o - self.vertex(s, active), s, active)
+            along = self.to_local(d, s, active)
+            moved = self.to_world(shift + dr.cross(turn, q), s, active)
+            turned = self.to_world(dr.cross(turn, along), s, active)
             value = dr.dot(by_o, moved) + dr.dot(by_d, turned)
             if dr.grad_enabled(value):
                 dr.set_grad(value, dr.select(active, mi.Float64(1), 0))

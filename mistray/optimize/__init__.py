@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from mistray._lazy import lazy_package
 
 if TYPE_CHECKING:
+    from mistray.optimize.bodies import Body, bodies
     from mistray.optimize.fit import Fit, fit
     from mistray.optimize.gradient import Gradient, gradient
     from mistray.optimize.metrics.metric import (
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 __all__ = lazy_package(
     __name__,
     {
+        "bodies": ("Body", "bodies"),
         "tolerances.budget": ("Budget", "budget"),
         "fit": ("Fit", "fit"),
         "gradient": ("Gradient", "gradient"),

@@ -10,6 +10,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
 from mistray.gradients.edge_widths import EQUAL, WidthErrors, least_error, widths_of
 from mistray.gradients.geometry_gradient import geometry_columns
@@ -137,6 +138,26 @@ class Gradient:
         none = {key: np.zeros(parts.shape[1]) for key, parts in self.batches.items()}
         bias = np.concatenate([{**none, **self.edge_bias}[key] for key in chosen])
         return np.asarray(BATCHES / (BATCHES - 1) * apart.T @ apart + np.outer(bias, bias))
+
+    def along(self, slopes: Mapping[str, float]) -> Estimate:
+        """
+        Derivative by what moves several numbers at once, such as a body.
+
+        Parameters
+        ----------
+        slopes : mapping of str to float
+            Key → how far the parameter moves, for instance from `mistray.optimize.Body.slopes`.
+
+        Raises
+        ------
+        MistrayError
+            If one of the keys is not among those of the gradient.
+        """
+        missing = [key for key, slope in slopes.items() if slope and key not in self.batches]
+        if missing:
+            raise MistrayError(f"the gradient has no '{missing[0]}'; give it keys={sorted(slopes)}")
+        parts = sum((slope * self.batches[key][:, 0] for key, slope in slopes.items() if slope), np.zeros(BATCHES))
+        return Estimate(float(parts.sum()), float(batch_error(parts, EQUAL)))
 
     def __str__(self) -> str:
         lines = [f"value {self.value:.6e} ± {self.value_se:.1e}"]

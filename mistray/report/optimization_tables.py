@@ -111,7 +111,7 @@ def moved_table(result: Optimization) -> Table:
     """The variables before and after, and what they move."""
     rows = []
     for v, x in zip(result.variables.variables, result.best.x, strict=True):
-        moved = [f"{p.label} × {p.factor:g}" if p.factor != 1 else p.label for p in v.places]
+        moved = [f"{p.label} × {p.factor:g}" if p.factor != 1 else p.label for p in v.targets]
         rows.append([v.name, v.unit, *map(number, (v.start, x, v.low, v.high)), ", ".join(moved)])
     return Table(columns("variable", "unit", "before", "after", "low", "high", "parameters"), rows, "t-variables")
 
@@ -134,7 +134,8 @@ def variables_table(result: Optimization) -> str:
     rows = []
     for variable, x in zip(result.variables.variables, result.best.x, strict=True):
         held = "*" if min(variable.share(x), 1 - variable.share(x)) < AT_BOUND else " "
-        moved = variable.places[0].label if len(variable.places) == 1 else f"{len(variable.places)} parameters"
+        targets = variable.targets
+        moved = targets[0].label if len(targets) == 1 else f"{len(targets)} parameters"
         bounds = f"{number(variable.low)} … {number(variable.high)}"
         rows.append([variable.name, variable.unit, number(variable.start), f"{number(x)}{held}", bounds, moved])
     table = table_text(Table(columns("<variable", "<unit", "before", "after", "bounds", "<moves"), rows))
@@ -222,6 +223,10 @@ def variables_frame(result: Optimization) -> pd.DataFrame:
         for place, after, _ in variable.moved(x):
             named = {"variable": variable.name, "parameter": place.label}
             rows.append({**named, **row_of(variable, "unit", "low", "high"), "before": place.start, "after": after})
+        for motion in variable.motions:
+            named = {"variable": variable.name, "parameter": motion.label}
+            after = motion.factor * (x - variable.start)
+            rows.append({**named, **row_of(variable, "unit", "low", "high"), "before": 0.0, "after": after})
     return pd.DataFrame(rows)
 
 

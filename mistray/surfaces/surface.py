@@ -249,15 +249,6 @@ class Surface(ABC):
         """How far the coordinate of the rims changes for a step along the profile at a point (radius, z) of it."""
         return float(abs(self.tangent(point)[1 if self.rim_coordinate == ENDS else 0]))
 
-    def profile_gradient(self, point: np.ndarray) -> np.ndarray:
-        """Unit vector along the gradient of F at a point (radius, z) of the profile: away from the axis, along it."""
-        x, _, z = self.gradient(np.array([[point[0], 0.0, point[1]]]))[0]
-        return np.array([x, z]) / np.hypot(x, z)
-
-    @abstractmethod
-    def on_profile(self, point: np.ndarray) -> tuple[float, float, float, float]:
-        """Coordinate of a point (radius, z), its least and greatest value, the distance from the profile; mm."""
-
     # ---- kernel
 
     def numbers(self) -> Any:

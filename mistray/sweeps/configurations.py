@@ -13,8 +13,10 @@ import numpy.typing as npt
 from mistray._mitsuba_compat import holds_numbers, peek
 from mistray.errors import MistrayError
 from mistray.ids import check_id, fits
+from mistray.optimize.bodies import Body, bodies
 from mistray.optimize.parameters import Parameter, groups, parameters
 from mistray.prescription import Structure
+from mistray.surfaces.gradient_columns import POSE
 
 AS_IT_IS = "as it is"
 """Name of the configuration in which nothing is changed."""
@@ -124,21 +126,37 @@ def resolve(scene: Any, params: Any, given: Sequence[Configuration]) -> list[Res
         If a key does not exist or is no number, or a value is not finite or has the wrong number of entries.
     """
     known = parameters(scene, params) if any(one.values for one in given) else {}
-    together = groups(known)
-    return [_resolved(one, params, known, together) for one in given]
+    together, rigid = groups(known), bodies(known)
+    return [_resolved(one, params, known, together, rigid) for one in given]
 
 
 def _resolved(
-    given: Configuration, params: Any, known: Mapping[str, Parameter], together: Mapping[str, list[str]]
+    given: Configuration,
+    params: Any,
+    known: Mapping[str, Parameter],
+    together: Mapping[str, list[str]],
+    rigid: Mapping[str, Body],
 ) -> Resolved:
     values: dict[str, npt.NDArray[np.float64]] = {}
+    motions: dict[str, dict[str, float]] = {}
     for name, value in given.values.items():
-        for key in _keys(given.name, name, params, together):
+        part, _, motion = name.rpartition(".")
+        if part in rigid and motion in POSE and name not in params and name not in together:
+            (amount,) = _numbers(given.name, name, value, peek(params, rigid[part].keys[0]))
+            motions.setdefault(part, {})[motion] = float(amount)
+            continue
+        for key in _keys(given.name, name, params, [*together, *(f"{p}.{m}" for p in rigid for m in POSE)], together):
             values[key] = _numbers(given.name, key, value, peek(params, key))
+    for part, amounts in motions.items():
+        for key, change in rigid[part].moved(amounts).items():
+            now = values.get(key, known[key].value)
+            values[key] = _numbers(given.name, key, now + change, peek(params, key))
     return Resolved(given.name, values, {key: known[key].unit for key in values if key in known})
 
 
-def _keys(configuration: str, name: str, params: Any, together: Mapping[str, list[str]]) -> list[str]:
+def _keys(
+    configuration: str, name: str, params: Any, named: Sequence[str], together: Mapping[str, list[str]]
+) -> list[str]:
     if name in params:
         return [name]
     if name in together:
@@ -149,7 +167,7 @@ def _keys(configuration: str, name: str, params: Any, together: Mapping[str, lis
         if fits(group, name):
             found |= dict.fromkeys(members)
     if not found:
-        close = difflib.get_close_matches(name, [*keys, *together], n=OFFERED)
+        close = difflib.get_close_matches(name, [*keys, *named], n=OFFERED)
         hint = f"did you mean {' or '.join(close)}?" if close else "list(mi.traverse(scene).keys()) shows them all"
         raise MistrayError(f"configuration '{configuration}': the scene has no parameter '{name}'; {hint}")
     return list(found)

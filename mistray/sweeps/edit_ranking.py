@@ -15,13 +15,22 @@ import numpy as np
 from mistray.analysis.changes.gaps import Contacts, Gap
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
+from mistray.optimize.bodies import bodies
 from mistray.optimize.gradient import gradient_request, gradient_seen
 from mistray.optimize.metrics.pst_metrics import pst_bin
 from mistray.optimize.metrics.pst_observation import Light
-from mistray.optimize.parameters import Parameter, groups, match, parameters
+from mistray.optimize.parameters import Parameter, match, parameters
 from mistray.optimize.scene_values import changed
 from mistray.optimize.tolerances.proposals import structure
-from mistray.optimize.tolerances.rows import Line, OfLine, Table, lines_of, shifted_values, whole_values
+from mistray.optimize.tolerances.rows import (
+    Line,
+    OfLine,
+    Table,
+    lines_of,
+    motion_lines,
+    shifted_values,
+    whole_values,
+)
 from mistray.ranges import POLAR_DEG
 from mistray.renamed import renamed
 from mistray.scene import find, load
@@ -174,7 +183,7 @@ def rank_edits(
     One PST, and for each field angle one reverse run that gives the derivatives by all numbers.
 
     ====== ========================================================================================================
-    move   places of parts as a whole, tilts of surfaces that are a part of their own
+    move   places and tilts of parts as a whole
     block  radii and ends of opaque surfaces that are no part of a lens
     paint  values of scatter models: of paint, polish, dust; the ideal R of opaque surfaces
     coat   thicknesses of layers, the ideal R of lenses, mirrors and detectors
@@ -221,7 +230,7 @@ def rank_edits(
     lines = _lines(loaded, params, known, chosen)
     step_of = _steps(known, lines, steps or {})
     metrics = [pst_bin(loaded, angle, light, pst_field_deg=angles, **arguments) for angle in angles]
-    active = {key: known[key] for line in lines for key in line.keys}
+    active = {key: known[key] for line in lines for key in line.moved}
     request = gradient_request(active.values(), True, edge_width)
     observations = metrics[0].observe()
     tables, values, widths, left_out = [], [], [], dict[str, None]()
@@ -276,7 +285,7 @@ def _with_gaps(scene: Any, params: Any, known: Mapping[str, Parameter], edits: S
     contacts = Contacts(scene)
     found = []
     for edit in edits:
-        moved = {name for key in edit.line.keys for name in known[key].shapes}
+        moved = {name for key in edit.line.moved for name in known[key].shapes}
         largest = max(edit.change, key=lambda change: (_certain(change), abs(change.value)))
         if edit.method in ("move", "block") and largest.value and not contacts.surfaces.isdisjoint(moved):
             values = whole_values(params, [edit.line])
@@ -297,7 +306,7 @@ def _methods(scene: Any, known: Mapping[str, Parameter]) -> dict[str, str]:
     found = {}
     for key, p in known.items():
         fellows = together[p.shapes[0]] if p.shapes else set()
-        if p.kind == "position" or (p.kind == "tilt" and len(fellows) == 1):
+        if p.kind in ("position", "tilt"):
             found[key] = "move"
         elif p.kind == "rim" and fellows <= rigid:
             found[key] = "block"
@@ -309,10 +318,9 @@ def _methods(scene: Any, known: Mapping[str, Parameter]) -> dict[str, str]:
 
 
 def _lines(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: Sequence[str]) -> list[Line]:
-    """The lines of a sensitivity table, but for parts with optics, which move as a whole too."""
-    moves = [(name, keys) for name, keys in groups(known).items() if known[keys[0]].kind == "position"]
-    whole = {key: (name, keys) for name, keys in moves for key in keys}
-    moved = {whole[key][0]: Line(whole[key][0], known[key], 0, tuple(whole[key][1])) for key in chosen if key in whole}
+    """The lines of a sensitivity table, but for parts with optics, which are moved and tilted as a whole too."""
+    whole = {key: line for body in bodies(known).values() for line in motion_lines(body, known) for key in line.keys}
+    moved = {whole[key].label: whole[key] for key in chosen if key in whole}
     return [*moved.values(), *lines_of(scene, params, known, [key for key in chosen if key not in whole])]
 
 

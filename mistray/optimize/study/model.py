@@ -82,16 +82,20 @@ class Moved:
     Attributes
     ----------
     key : str
-        A key of ``mi.traverse(scene)``, a pattern as of `fnmatch`, or a name of `mistray.optimize.groups`.
+        A key of ``mi.traverse(scene)``, a pattern as of `fnmatch`, a name of `mistray.optimize.groups`, or the
+        displacement or tilt of one of `mistray.optimize.bodies`, such as "L6.tilt_x".
     entry : int or None
         Of a parameter that is a list; 0 is the first. None: all entries.
     factor : float
         How far they move with the variable; not 0.
+    pivot : (3,) float, optional
+        Of the tilt of a body, see `mistray.optimize.bodies`: the point of the world about which it is tilted, mm.
     """
 
     key: str = TEXT.field()
     entry: int | None = None
     factor: float = FINITE.field(1.0)
+    pivot: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -10,10 +10,13 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.optimize.bodies import Body, bodies
 from mistray.optimize.parameters import Parameter, groups, match
 from mistray.optimize.scene_values import assign
 from mistray.optimize.study.model import Moved, Study, VariableGroup
+from mistray.surfaces.gradient_columns import POSE, ROTATION
 
+MOTION_STEP = 1e-3  # mm or degrees, of central differences of what bodies do to their surfaces
 ROUNDING = 1e-6  # of the range, by which a start may lie outside of the bounds: parameters have single precision
 
 
@@ -43,12 +46,36 @@ class Place:
 
 
 @dataclass(frozen=True)
+class Motion:
+    """
+    The displacement or tilt of a body that a variable changes.
+
+    Attributes
+    ----------
+    body : Body
+    name : str
+        Of the displacement or tilt, such as "tilt_x".
+    factor : float
+    """
+
+    body: Body
+    name: str
+    factor: float
+
+    @property
+    def label(self) -> str:
+        """Its name in a study."""
+        return f"{self.body.part}.{self.name}"
+
+
+@dataclass(frozen=True)
 class Variable:
     """
     A number between bounds.
 
     Its value x is that of the first place over its factor. With the scale "linear" a place becomes
-    p = p_start + factor (x - x_start), with "log" p = p_start x / x_start.
+    p = p_start + factor (x - x_start), with "log" p = p_start x / x_start. Where bodies alone move, x is their
+    displacement or tilt from where they stand, over the factor.
 
     Attributes
     ----------
@@ -58,6 +85,8 @@ class Variable:
         Bounds of x, in `unit`.
     scale : {"linear", "log"}
     places : tuple of Place
+    motions : tuple of Motion
+        Of bodies.
     """
 
     name: str
@@ -66,11 +95,17 @@ class Variable:
     high: float
     scale: str
     places: tuple[Place, ...]
+    motions: tuple[Motion, ...] = ()
 
     @property
     def start(self) -> float:
         """Its value at the start."""
-        return self.places[0].start / self.places[0].factor
+        return self.places[0].start / self.places[0].factor if self.places else 0.0
+
+    @property
+    def targets(self) -> tuple[Place | Motion, ...]:
+        """All that it moves."""
+        return (*self.places, *self.motions)
 
     def value(self, y: float) -> float:
         """The value at a share of the way from bound to bound."""
@@ -121,7 +156,9 @@ class Variables:
     def __init__(self, params: Any, variables: Sequence[Variable]) -> None:
         self.variables = tuple(variables)
         self._params = params
-        self.keys = tuple(dict.fromkeys(place.key for v in variables for place in v.places))
+        moved = [place.key for v in variables for place in v.places]
+        moved += [key for v in variables for motion in v.motions for key in motion.body.keys]
+        self.keys = tuple(dict.fromkeys(moved))
         self._given = {key: np.ravel(np.array(params[key], dtype=np.float64)) for key in self.keys}
         self.start = np.array([v.start for v in variables])
 
@@ -147,7 +184,23 @@ class Variables:
         for variable, value in zip(self.variables, x, strict=True):
             for place, moved, _ in variable.moved(float(value)):
                 result[place.key][place.entry] = moved
+        for key, change in self._of_bodies(np.asarray(x, dtype=np.float64)).items():
+            result[key][0] += change
         return result
+
+    def _of_bodies(self, x: np.ndarray) -> dict[str, float]:
+        """By how much bodies that move change the numbers of their surfaces."""
+        amounts: dict[tuple[str, tuple[float, ...]], tuple[Body, dict[str, float]]] = {}
+        for variable, value in zip(self.variables, x, strict=True):
+            for motion in variable.motions:
+                place = motion.body.part, tuple(motion.body.pivot)
+                _, own = amounts.setdefault(place, (motion.body, {}))
+                own[motion.name] = own.get(motion.name, 0.0) + motion.factor * (value - variable.start)
+        found: dict[str, float] = {}
+        for body, own in amounts.values():
+            for key, change in body.moved(own).items():
+                found[key] = found.get(key, 0.0) + change
+        return found
 
     def apply(self, x: Sequence[float] | np.ndarray) -> None:
         """Set the parameters of the scene."""
@@ -172,6 +225,12 @@ class Variables:
             for place, _, by_x in variable.moved(float(value)):
                 if place.key in gradient:
                     result[k] += by_x * gradient[place.key][place.entry]
+            if variable.motions:
+                step = MOTION_STEP * np.eye(len(self))[k]
+                more, less = (self._of_bodies(x + way * step) for way in (1, -1))
+                for key in more:
+                    if key in gradient:
+                        result[k] += (more[key] - less[key]) / (2 * MOTION_STEP) * gradient[key][0]
         return result
 
     def stretch(self, x: Sequence[float] | np.ndarray) -> np.ndarray:
@@ -204,10 +263,10 @@ def find_variables(study: Study, params: Any, known: Mapping[str, Parameter], co
         for k, (layer, (low, high)) in enumerate(zip(group.start.layers, group.bounds_nm, strict=True)):
             place = Place(key, k, 1.0, layer.thickness_nm)
             found.append(Variable(f"{group.name}.thickness_nm[{k}]", "nm", low, high, "linear", (place,)))
-    together = groups(known) if study.variables else {}
+    together, rigid = (groups(known), bodies(known)) if study.variables else ({}, {})
     for number, section in enumerate(study.variables, start=1):
         where = f"study '{study.name}': variable[{number}]"
-        of_section = _of_group(section, known, together, where)
+        of_section = _of_group(section, known, together, rigid, where)
         _check_indices(of_section, known, together, where)
         found += of_section
     if not found:
@@ -223,6 +282,13 @@ def find_variables(study: Study, params: Any, known: Mapping[str, Parameter], co
             if other != variable.name:
                 raise MistrayError(
                     f"study '{study.name}': variables '{other}' and '{variable.name}' both move {place.label}; "
+                    "take it out of one"
+                )
+        for motion in variable.motions:
+            other = owners.setdefault((motion.label, -1), variable.name)
+            if other != variable.name:
+                raise MistrayError(
+                    f"study '{study.name}': variables '{other}' and '{variable.name}' both move {motion.label}; "
                     "take it out of one"
                 )
     return Variables(params, found)
@@ -244,28 +310,65 @@ def _check_indices(
 
 
 def _of_group(
-    group: VariableGroup, known: Mapping[str, Parameter], together: Mapping[str, list[str]], where: str
+    group: VariableGroup,
+    known: Mapping[str, Parameter],
+    together: Mapping[str, list[str]],
+    rigid: Mapping[str, Body],
+    where: str,
 ) -> list[Variable]:
     """The variables of one section."""
     places: dict[tuple[str, int], tuple[Place, Parameter]] = {}
+    motions: list[Motion] = []
     for moved in group.parameters:
+        motion = None if moved.key in together or moved.key in known else _motion(moved, rigid, where)
+        if motion is not None:
+            motions.append(motion)
+            continue
+        if moved.pivot is not None:
+            raise MistrayError(f"{where}.parameters: '{moved.key}' is no tilt of a body, it has no pivot; remove it")
         for place, parameter in _places(moved, known, together, where):
             places.setdefault((place.key, place.entry), (place, parameter))
     units = {parameter.unit for _, parameter in places.values()}
+    units |= {"deg" if motion.name in ROTATION else "mm" for motion in motions}
     if len(units) > 1 and not group.each:
         raise MistrayError(
             f"{where}: its parameters have the units {', '.join(sorted(units))}; give each unit a variable of its own"
         )
-    variables = []
-    for members in [[item] for item in places.values()] if group.each else [list(places.values())]:
-        low, high = _bounds(members, group, where)
-        first = members[0][0]
-        label = first.label if members[0][1].value.size > 1 else first.key
-        name = f"{group.name} {label}" if group.each and group.name else (group.name or label)
-        variables.append(
-            Variable(name, members[0][1].unit, low, high, group.scale, tuple(place for place, _ in members))
-        )
-    return variables
+    if motions and group.scale == "log":
+        raise MistrayError(f'{where}: {motions[0].label} starts with 0; scale = "log" takes numbers above 0')
+    items: list[tuple[Place, Parameter] | Motion] = [*places.values(), *motions]
+    return [_variable(members, group, where) for members in ([[item] for item in items] if group.each else [items])]
+
+
+def _variable(members: Sequence[tuple[Place, Parameter] | Motion], group: VariableGroup, where: str) -> Variable:
+    """The variable that moves some places and bodies."""
+    places = [item for item in members if not isinstance(item, Motion)]
+    motions = tuple(item for item in members if isinstance(item, Motion))
+    if places:
+        first, parameter = places[0]
+        low, high = _bounds(places, group, where)
+        label, unit = first.label if parameter.value.size > 1 else first.key, parameter.unit
+    else:
+        low, high = group.low, group.high
+        label, unit = motions[0].label, "deg" if motions[0].name in ROTATION else "mm"
+        if not low <= 0 <= high:
+            raise MistrayError(f"{where}: low … high is {low:g} … {high:g} {unit}; {label} starts with 0, widen it")
+    name = f"{group.name} {label}" if group.each and group.name else (group.name or label)
+    return Variable(name, unit, low, high, group.scale, tuple(place for place, _ in places), motions)
+
+
+def _motion(moved: Moved, rigid: Mapping[str, Body], where: str) -> Motion | None:
+    """The displacement or tilt of a body that a name stands for; None if it is none."""
+    part, _, name = moved.key.rpartition(".")
+    if part not in rigid or name not in POSE:
+        return None
+    body = rigid[part]
+    if moved.pivot is not None:
+        try:
+            body = body.about(moved.pivot)
+        except MistrayError as error:
+            raise MistrayError(f"{where}.parameters: {error}") from None
+    return Motion(body, name, moved.factor)
 
 
 def _places(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,13 +12,14 @@ from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
 from mistray.gradients.edge_widths import EQUAL, WidthErrors
 from mistray.gradients.geometry_gradient import SHIFTS
+from mistray.optimize.bodies import Body, bodies
 from mistray.optimize.gradient import Gradient
 from mistray.optimize.parameters import Parameter
 from mistray.optimize.tolerances.changes import Change, Ranges, single_changes
 from mistray.optimize.tolerances.proposals import structure
 from mistray.recorders.sampled import Sampled
 from mistray.settings import BATCHES
-from mistray.surfaces.gradient_columns import DISPLACEMENT
+from mistray.surfaces.gradient_columns import DISPLACEMENT, POSE
 
 INDEX = "index"
 
@@ -37,9 +38,12 @@ class Line:
         The first, which has the kind, unit, value and range of all.
     entry : int
     keys : tuple of str
-        All that have a derivative and change by the same amount.
+        All that have a derivative and that the line stands for.
     silent : tuple of str
         Keys that change along and have no derivative: indices beside opaque surfaces.
+    slopes : mapping of str to float
+        Of a body that is displaced or tilted: how far each number of its surfaces changes, to first order. Without it
+        all of `keys` change by the same amount.
     """
 
     label: str
@@ -47,6 +51,12 @@ class Line:
     entry: int
     keys: tuple[str, ...]
     silent: tuple[str, ...] = ()
+    slopes: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def moved(self) -> Mapping[str, float]:
+        """Keys that have a derivative → how far they change."""
+        return self.slopes or dict.fromkeys(self.keys, 1.0)
 
 
 class OfLine:
@@ -113,7 +123,8 @@ def lines_of(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: It
 
     Indices of one material are one line, on whatever side of whatever surface: one melt, or the air around. A trace
     takes a surface whose material differs from that of the ray for a gap. The surfaces of one part that are no optics
-    move as a whole along each direction: barrels, stops, the edges of a lens; alone they would leave gaps.
+    move as a whole along each direction, and if there is no optics in the part, tilt as a whole: barrels, stops, the
+    edges of a lens; alone they would leave gaps.
 
     Parameters
     ----------
@@ -128,7 +139,7 @@ def lines_of(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: It
         material = _material(params, key)
         if material is not None:
             sides.setdefault(material, []).append(key)
-    bodies = _bodies(scene, known)
+    whole = _bodies(scene, known)
     lines: dict[str, Line] = {}
     for key in chosen:
         parameter = known[key]
@@ -138,9 +149,9 @@ def lines_of(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: It
             active = tuple(k for k in keys if k in known)
             silent = tuple(k for k in keys if k not in known)
             lines.setdefault(f"index of {material}", Line(f"index of {material}", parameter, 0, active, silent))
-        elif key in bodies:
-            label, active = bodies[key]
-            lines.setdefault(label, Line(label, parameter, 0, active))
+        elif key in whole:
+            line = whole[key]
+            lines.setdefault(line.label, line)
         else:
             for entry in range(np.size(parameter.value)):
                 label = key if np.size(parameter.value) == 1 else f"{key}[{entry}]"
@@ -148,10 +159,11 @@ def lines_of(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: It
     return list(lines.values())
 
 
-def _bodies(scene: Any, known: Mapping[str, Parameter]) -> dict[str, tuple[str, tuple[str, ...]]]:
-    """Keys of displacements of surfaces that are no optics → label and keys of all that move with them."""
+def _bodies(scene: Any, known: Mapping[str, Parameter]) -> dict[str, Line]:
+    """Keys of places of surfaces that are no optics → the line of all that moves with them."""
     rigid = structure(scene)
     shapes = {shape.id(): shape for shape in scene.shapes()}
+    optics = {getattr(shape, "part", None) for shape in shapes.values() if shape.id() not in rigid}
     found: dict[tuple[Any, ...], list[str]] = {}
     for key, parameter in known.items():
         if parameter.kind != "position":
@@ -160,15 +172,26 @@ def _bodies(scene: Any, known: Mapping[str, Parameter]) -> dict[str, tuple[str, 
         if shape.id() in rigid or shape.mechanics:
             axis = shape.base[:3, DISPLACEMENT.index(parameter.name)]
             found.setdefault((shape.part, parameter.name, *np.round(axis, 9).tolist()), []).append(key)
-    result: dict[str, tuple[str, tuple[str, ...]]] = {}
+    result: dict[str, Line] = {}
     for (part, name, *_), keys in found.items():
         if len(keys) > 1:
-            whole = all(shape.id() in rigid for shape in shapes.values() if getattr(shape, "part", None) == part)
-            label = f"{part}.{name}" if whole else f"edges of {part}.{name}"
-            taken = sum(label == other for other, _ in {id(v): v for v in result.values()}.values())
-            entry = f"{label} ({taken + 1})" if taken else label, tuple(keys)
-            result |= dict.fromkeys(keys, entry)
+            label = f"edges of {part}.{name}" if part in optics else f"{part}.{name}"
+            taken = sum(label == line.label for line in {id(line): line for line in result.values()}.values())
+            line = Line(f"{label} ({taken + 1})" if taken else label, known[keys[0]], 0, tuple(keys))
+            result |= dict.fromkeys(keys, line)
+    for body in bodies(known).values():
+        if body.part not in optics:
+            result |= {key: line for line in motion_lines(body, known) for key in line.keys}
     return result
+
+
+def motion_lines(body: Body, known: Mapping[str, Parameter]) -> list[Line]:
+    """Lines of the displacements and tilts of a body; "x" stands for those of all of its surfaces."""
+    lines = []
+    for name in POSE:
+        keys = tuple(f"{surface}.{name}" for surface in body.frames)
+        lines.append(Line(f"{body.part}.{name}", known[keys[0]], 0, keys, slopes=body.slopes(name)))
+    return lines
 
 
 def _material(params: Any, key: str) -> str | None:
@@ -181,7 +204,7 @@ def _material(params: Any, key: str) -> str | None:
 
 def whole_values(params: Any, lines: Sequence[Line]) -> dict[str, np.ndarray]:
     """Values of all parameters that some lines are about as the scene has them, by key."""
-    keys = dict.fromkeys(key for line in lines for key in (*line.keys, *line.silent))
+    keys = dict.fromkeys(key for line in lines for key in (*line.moved, *line.silent))
     return {key: np.ravel(np.array(params[key], dtype=np.float64)) for key in keys}
 
 
@@ -192,8 +215,8 @@ def shifted_values(
     result = {key: value.copy() for key, value in values.items()}
     for line, number in zip(lines, numbers, strict=True):
         change = number - float(np.ravel(line.parameter.value)[line.entry])
-        for key in (*line.keys, *line.silent):
-            result[key][line.entry] += change
+        for key, slope in {**line.moved, **dict.fromkeys(line.silent, 1.0)}.items():
+            result[key][line.entry] += slope * change
     return result
 
 
@@ -237,7 +260,11 @@ class Table:
         tolerances : mapping of str to float
             By key.
         """
-        batches = np.stack([sum(found.batches[key][:, line.entry] for key in line.keys) for line in lines], axis=-1)
+
+        def summed(values: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+            return [sum(slope * values[key][..., line.entry] for key, slope in line.moved.items()) for line in lines]
+
+        batches = np.stack(summed(found.batches), axis=-1)
         derivative = batches.sum(axis=0)
         wrong = [line.label for line, value in zip(lines, derivative, strict=True) if not np.isfinite(value)]
         if wrong:
@@ -246,9 +273,8 @@ class Table:
         # Lines of several keys have one width, so that what their rims do together is compared, not one by one
         widths = {key: found.edge_batches.get(key, parts[None]) for key, parts in found.batches.items()}
         shape = max(map(len, found.edge_batches.values()), default=2), BATCHES
-        sums = [sum(widths[key][..., line.entry] for key in line.keys) for line in lines]
-        at_rims = WidthErrors.of(np.stack([np.broadcast_to(part, shape) for part in sums], axis=-1))
-        met = [not found.edge_batches.keys().isdisjoint(line.keys) for line in lines]
+        at_rims = WidthErrors.of(np.stack([np.broadcast_to(part, shape) for part in summed(widths)], axis=-1))
+        met = [not found.edge_batches.keys().isdisjoint(line.moved) for line in lines]
         bias, check, check_se = (
             values[found.edge_number] for values in (at_rims.bias, at_rims.check, at_rims.check_se)
         )

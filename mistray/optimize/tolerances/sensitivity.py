@@ -248,7 +248,7 @@ def sensitivity(
     _groups(known, lines, together)  # before the trace: what is wrong with them costs no time
     free = set(free_keys(metric.scene, known) if change is None else match(known, change))
     advance = Steps(progress, 1 + (2 * SEEDS if check else 0) + monte_carlo)
-    active = {key: known[key] for line in lines for key in line.keys}
+    active = {key: known[key] for line in lines for key in line.moved}
     request = gradient_request(active.values(), edges, edge_width)
     found = gradient_where_smooth(metric, metric.observe(), active, request)
     advance()
@@ -299,7 +299,7 @@ def sensitivity(
 
 def _with_derivative(found: Gradient, lines: list[Line]) -> tuple[list[Line], list[str]]:
     """The lines that have a derivative; what is to be said of the others, which no sum can hold."""
-    without = [line for line in lines if found.full.keys() & set(line.keys)]
+    without = [line for line in lines if found.full.keys() & set(line.moved)]
     if len(without) == len(lines):
         found.require(found.full)
     if not without:

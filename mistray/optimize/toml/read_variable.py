@@ -31,7 +31,7 @@ def _moved(section: Section, item: Any) -> Moved:
     if not isinstance(item, dict | str) or not item:
         raise section.fail("parameters", f'has the entry {item!r}; give text, or {{key = "…", factor = -1}}')
     inner = section.inner("parameters", item if isinstance(item, dict) else {"key": item})
-    inner.known(("key", "factor"))
-    moved = inner.make(Moved)
+    inner.known(("key", "factor", "pivot"))
+    moved = inner.make(Moved, pivot=inner.numbers("pivot") if "pivot" in inner else None)
     match = ENTRY.fullmatch(moved.key)
     return replace(moved, key=match["key"], entry=int(match["entry"])) if match else moved

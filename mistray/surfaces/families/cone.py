@@ -126,9 +126,6 @@ class Cone(Surface):
         tangent = np.array([self.slope, 1.0])
         return np.asarray(tangent / np.linalg.norm(tangent))
 
-    def on_profile(self, point: np.ndarray) -> tuple[float, float, float, float]:
-        return point[1], *self.z_range, point[0] - abs(self.radius(point[1]))
-
     def kernel_values(self) -> dict[str, Any]:
         return {"curvature": 1.0, "r0": self.r0, "slope": self.slope}
 

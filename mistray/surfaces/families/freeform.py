@@ -247,9 +247,6 @@ class Freeform(Surface):
     def tangent(self, point: np.ndarray) -> np.ndarray:
         raise NotImplementedError("an outline has no profile")
 
-    def on_profile(self, point: np.ndarray) -> tuple[float, float, float, float]:
-        return point[0], 0.0, self.size, np.inf  # it takes part in no contact
-
     # ---- kernel
 
     def numbers(self) -> dict[str, mi.Float]:

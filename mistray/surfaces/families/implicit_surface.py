@@ -181,10 +181,6 @@ class ImplicitSurface(Surface):
     def rim_stretch(self, point: np.ndarray) -> float:
         return 1 / float(np.linalg.norm(self._speed(self._place(point))))
 
-    def on_profile(self, point: np.ndarray) -> tuple[float, float, float, float]:
-        u = self._place(point)
-        return u, *self.ends, float(np.linalg.norm(point - self._profile(np.clip(u, *self.ends))))
-
     # ---- kernel
 
     def numbers(self) -> ImplicitNumbers:

@@ -12,12 +12,14 @@ from functools import cached_property
 from typing import Any
 
 import drjit as dr
+import mitsuba as mi
 
 from mistray.physics.geometry.outline import Outline
 from mistray.surfaces.families.freeform_sag import FreeformSag
 
 TINY = 1e-20  # mm², so that no root has an infinite slope
-PROBE = 10.0  # of the differences that give the direction out of an outline, in units of the step
+STEPS = 3  # of Newton's method, onto the edge
+DIFFERENCE = 0.01  # of places for the direction out of an outline, in units of the step beyond its edge
 
 
 @dataclass(frozen=True)
@@ -77,14 +79,63 @@ class FreeformFamily:
             found = here if found is None else join(found, here)
         return found
 
-    def beside(self, x: Any, y: Any, n: Mapping[str, Any], step: Any) -> tuple[Any, Any, Any]:
-        """The point of the surface, continued, that lies `step` (mm) beyond the edge next to a point (x, y)."""
-        h = PROBE * step
-        out_x = self.depth(x - h, y, n) - self.depth(x + h, y, n)
-        out_y = self.depth(x, y - h, n) - self.depth(x, y + h, n)
-        way = (self.depth(x, y, n) + step) * dr.rsqrt(dr.maximum(out_x * out_x + out_y * out_y, TINY))
-        x, y = x + way * out_x, y + way * out_y
-        return x, y, self.sag.evaluate(x, y, n)[0]
+    def edge(self, x: Any, y: Any, n: Mapping[str, Any], step: Any) -> EdgePoint:
+        """
+        The edge next to points (x, y) inside.
+
+        Parameters
+        ----------
+        x, y : mi.Float64
+            mm.
+        n : mapping
+            The family's numbers by name.
+        step : mi.Float64
+            What lies as far beyond the edge, mm, is looked at.
+        """
+        h = DIFFERENCE * step
+
+        def nearer(
+            k: mi.UInt32, x: mi.Float64, y: mi.Float64, out_x: mi.Float64, out_y: mi.Float64
+        ) -> tuple[mi.UInt32, mi.Float64, mi.Float64, mi.Float64, mi.Float64]:
+            x, y = x - 2 * h * out_x, y - 2 * h * out_y  # inside, where no seam of figures lies between the differences
+            depth = self.depth(x, y, n)
+            out_x, out_y = (depth - self.depth(x + h, y, n)) / h, (depth - self.depth(x, y + h, n)) / h
+            square = dr.maximum(out_x * out_x + out_y * out_y, TINY)
+            x, y = x + depth * out_x / square, y + depth * out_y / square
+            return k + 1, x, y, out_x * dr.rsqrt(square), out_y * dr.rsqrt(square)
+
+        start = (
+            dr.zeros(mi.UInt32, dr.width(x)),
+            x,
+            y,
+            dr.zeros(mi.Float64, dr.width(x)),
+            dr.zeros(mi.Float64, dr.width(x)),
+        )
+        _, x, y, out_x, out_y = dr.while_loop(start, lambda k, *_: k < STEPS, nearer, mode="symbolic", label="edge")
+        ends = (dr.abs(self.depth(x, y, n)) < step) & (self.depth(x + step * out_x, y + step * out_y, n) < 0)
+        return EdgePoint(x, y, out_x, out_y, ends)
+
+
+@dataclass
+class EdgePoint:
+    """
+    A point of the edge of an outline.
+
+    Attributes
+    ----------
+    x, y : mi.Float64
+        mm.
+    out_x, out_y : mi.Float64
+        Unit vector out of the outline.
+    real : mi.Bool
+        Whether the outline ends there; it does not where two of its figures overlap or abut.
+    """
+
+    x: mi.Float64
+    y: mi.Float64
+    out_x: mi.Float64
+    out_y: mi.Float64
+    real: mi.Bool
 
 
 def _circle(u: Any, v: Any, n: Mapping[str, Any]) -> Any:
@@ -106,22 +157,32 @@ _DEPTHS = {"circle": _circle, "ellipse": _ellipse, "rectangle": _rectangle}
 
 
 def _polygon(u: Any, v: Any, n: Mapping[str, Any], count: int) -> Any:
-    """Distance from the line of the next side; positive inside."""
+    """
+    Distance from the next side, positive inside.
+
+    Where that is nearest in a corner, only the corner is there, and no line that goes on beyond it: points next to a
+    corner that juts out lie outside, points next to one that juts in lie inside.
+    """
     corners = [(n[f"x{k}"], n[f"y{k}"]) for k in range(1, count + 1)]
+    sides = [(x1 - x0, y1 - y0) for (x0, y0), (x1, y1) in zip(corners, corners[1:] + corners[:1], strict=True)]
     area: Any = 0
     nearest: Any = None
     depth: Any = None
-    for (x0, y0), (x1, y1) in zip(corners, corners[1:] + corners[:1], strict=True):
-        area = area + x0 * y1 - x1 * y0
-        along, across = x1 - x0, y1 - y0
+    for k, ((x0, y0), (along, across)) in enumerate(zip(corners, sides, strict=True)):
+        area = area + x0 * across - y0 * along
+        before, after = sides[k - 1], sides[(k + 1) % count]
+        x, y = u - x0, v - y0
         square = along * along + across * across + TINY
-        t = dr.clip(dr.detach(((u - x0) * along + (v - y0) * across) / square), 0, 1)
-        off_x, off_y = u - x0 - t * along, v - y0 - t * across
-        distance = dr.detach(off_x * off_x + off_y * off_y)
-        side = (along * (v - y0) - across * (u - x0)) * dr.rsqrt(square)  # positive to the left
+        t = dr.detach((x * along + y * across) / square)
+        off_x, off_y = x - dr.clip(t, 0, 1) * along, y - dr.clip(t, 0, 1) * across
+        distance2 = off_x * off_x + off_y * off_y
+        left = (along * y - across * x) * dr.rsqrt(square)  # of the side's line
+        turn = dr.select(t < 0, before[0] * across - before[1] * along, along * after[1] - across * after[0])
+        at_corner = -dr.sign(dr.detach(turn)) * dr.sqrt(distance2 + TINY)
+        here, distance2 = dr.select((t < 0) | (t > 1), at_corner, left), dr.detach(distance2)
         if nearest is None:
-            nearest, depth = distance, side
+            nearest, depth = distance2, here
         else:
-            closer = distance < nearest
-            nearest, depth = dr.select(closer, distance, nearest), dr.select(closer, side, depth)
+            closer = distance2 < nearest
+            nearest, depth = dr.select(closer, distance2, nearest), dr.select(closer, here, depth)
     return depth * dr.sign(dr.detach(area))

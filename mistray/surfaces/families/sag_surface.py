@@ -148,9 +148,13 @@ class SagSurface(Surface):
         """In the plane of its rim; of a rectangle, in that of its vertex."""
         if not self.outer:
             return Opening(0.0, self.half_size, rectangular=True)
-        end = (1 - 1e-15) * conic_end(self.curvature, self.conic)  # a hemisphere's rim may lie beyond by a rounding
-        height = float(self.sag(min(self.outer, end) ** 2))
+        height = float(self.sag(min(self.outer, self._end) ** 2))
         return Opening(height, (self.outer, self.outer), self.inner / self.outer)
+
+    @property
+    def _end(self) -> float:
+        """Radius at which its conic stands upright, mm, less a rounding: a hemisphere's rim may lie beyond by one."""
+        return (1 - 1e-15) * conic_end(self.curvature, self.conic)
 
     @property
     def detector_half(self) -> tuple[float, float]:
@@ -280,15 +284,12 @@ class SagSurface(Surface):
 
     def rim_point(self, rim: int) -> np.ndarray:
         radius = self.outer if rim == OUTER else self.inner
-        return np.array([radius, float(self.sag(radius**2))])
+        return np.array([radius, float(self.sag(min(radius, self._end) ** 2))])
 
     def tangent(self, point: np.ndarray) -> np.ndarray:
-        tangent = np.array([1.0, float(2 * point[0] * self.sag_derivative(point[0] ** 2))])
+        slope = 2 * point[0] * self.sag_derivative(min(point[0], self._end) ** 2)
+        tangent = np.array([1.0, float(slope)])
         return np.asarray(tangent / np.linalg.norm(tangent))
-
-    def on_profile(self, point: np.ndarray) -> tuple[float, float, float, float]:
-        high = self.outer or min(self.half_size)
-        return point[0], self.inner, high, point[1] - float(self.sag(min(point[0], high) ** 2))
 
     # ---- kernel
 
