@@ -100,7 +100,7 @@ class Ways:
             self._facts.append(facts)
             # The kernel counts a reflection at a beam splitter even where a design sequence has one
             counted = Events(ways[first[new]], lengths[first[new]], self._words, DesignSequences()).reflected
-            self.classes = np.concatenate([self.classes, _classes(facts, counted.any(axis=1))])
+            self.classes = np.concatenate([self.classes, _classes(facts, np.asarray(counted.any(axis=1)))])
         return np.array([self._numbers[key] for key in keys.tolist()], dtype=np.int64)[place]
 
     def table(self, chosen: np.ndarray) -> pd.DataFrame:

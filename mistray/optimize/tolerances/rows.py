@@ -262,7 +262,8 @@ class Table:
         """
 
         def summed(values: Mapping[str, np.ndarray]) -> list[np.ndarray]:
-            return [sum(slope * values[key][..., line.entry] for key, slope in line.moved.items()) for line in lines]
+            parts = ([slope * values[key][..., one.entry] for key, slope in one.moved.items()] for one in lines)
+            return [np.asarray(sum(own)) for own in parts]
 
         batches = np.stack(summed(found.batches), axis=-1)
         derivative = batches.sum(axis=0)
