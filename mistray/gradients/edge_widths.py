@@ -7,7 +7,8 @@ within it that are exact for a linear density (J. Fan and I. Gijbels, Local Poly
 Econometrica 46, 1251, 1978), and who chooses by it does not choose by the noise of what he keeps.
 
 One width serves all parameters: moves that do nothing together, such as those of all faces of a body along themselves,
-still cancel.
+still cancel. Where the rays of a trace choose it, its zones and those of half the width then see further rays, up to
+`MOST_SAMPLES` times as many.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from mistray.settings import BATCHES
 # Widths that are compared, in units of a rim's radius; the last one is there to judge those before it
 AUTOMATIC = tuple(0.05 * 0.5**k for k in range(5))
 EQUAL = np.ones(BATCHES)
+MOST_SAMPLES = 3  # of further rays: more of them take longer than the search for the width
 REMAINING = 4 / 3  # bias of a width over what half of it changes, where the bias goes with the square of the width
 
 
@@ -81,10 +83,21 @@ class WidthErrors:
     @property
     def total(self) -> np.ndarray:
         """Standard errors with noise and bias, (w - 1, n)."""
-        return np.hypot(self.noise, self.bias)
+        return self.with_rays(np.ones(1))
+
+    def with_rays(self, times: np.ndarray) -> np.ndarray:
+        """The same where `times`, (w - 1, 1), as many rays see the zones of each width."""
+        floor = self.check_se / np.sqrt(times)
+        seen = np.where(np.abs(self.bias) > self.check_se, np.abs(self.bias), 0.0)
+        return np.asarray(np.hypot(self.noise / np.sqrt(times), np.maximum(seen, floor)))
 
 
-def least_error(derivatives: Iterable[np.ndarray]) -> int:
+def further_samples(number: int) -> int:
+    """Samples of as many rays as the trace has that a width sees beside them, to have the hits of a wider one."""
+    return min(2**number - 1, MOST_SAMPLES)
+
+
+def least_error(derivatives: Iterable[np.ndarray], more: bool = False) -> int:
     """
     Number of the width with the least error.
 
@@ -92,9 +105,14 @@ def least_error(derivatives: Iterable[np.ndarray]) -> int:
     ----------
     derivatives : iterable of (w, BATCHES, n) float64
         By some parameters, as for `WidthErrors.of`. The geometric mean of their errors decides.
+    more : bool
+        Zones of the width that is chosen will see further samples of rays, see `further_samples`: the noise is then
+        that of all of them.
     """
-    totals = [WidthErrors.of(sums).total for sums in derivatives]
-    if not totals:
+    found = [WidthErrors.of(sums) for sums in derivatives]
+    if not found:
         return 0
+    rays = np.array([1 + further_samples(k) if more else 1 for k in range(len(found[0].noise))])
+    totals = [errors.with_rays(rays[:, None]) for errors in found]
     every = np.concatenate(totals, axis=1)
     return int(np.argmin(np.log(every[:, np.all(every > 0, axis=0)]).sum(axis=1)))

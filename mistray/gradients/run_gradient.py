@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -26,6 +29,7 @@ BOX_FILM = (
     "a film with the reconstruction filter 'tent' has it exactly"
 )
 UNKNOWN_SHARE = 1e-9  # of the detected light past rims that is worth a line
+SAMPLE_STEP = 0x632BE5AB  # between the seeds of samples: none of those of runs, which differ by 0x9E3779B9
 HITS_PER_RAY = 8.0  # a first guess where the scene has not been traced; portions that are too large are halved
 
 
@@ -168,18 +172,19 @@ def run_gradient(
             full = FullRims(source, run.table, request.edge_widths[0])
             edges = Edges(run.scene, run.settings, request.edge_widths, full.limits)
             adjoint = run.adjoint(pixel, paths, rows=0)
-        for number in range(run.passes):
-            whole = run.start_pass(number)
-            if not request.only_rims:
-                for start in path_replay.portions(whole, hits, trace):
-                    path_replay.replay(start, counts, end)
-            if edges is not None:
-                for start, events in edges.events(whole, adjoint):
-                    path_replay.replay_edges(start, events)
+        for sample in _samples(run, request.edge_samples):
+            for number in range(run.passes):
+                whole = sample.start_pass(number)
+                if not request.only_rims:
+                    for start in path_replay.portions(whole, hits, trace):
+                        path_replay.replay(start, counts, end)
+                if edges is not None:
+                    for start, events in edges.events(whole, adjoint):
+                        path_replay.replay_edges(start, events)
     raw = path_replay.result()
     if edges is not None and full.any:
         raw.full.append(full)
-    if edges is not None and traced:
+    if edges is not None and traced and not request.edge_samples:
         strange = float(adjoint.unknown[0]) / max(float(run.film.sum()), np.finfo(float).tiny)
         if strange > UNKNOWN_SHARE:
             raw.left_out.append(
@@ -188,3 +193,11 @@ def run_gradient(
     if image is not None and request.geometry and not film.tent:
         raw.left_out.append(BOX_FILM)
     return raw
+
+
+def _samples(run: Run, count: int) -> Iterator[Run]:
+    """The run itself, or so many like it that start other rays."""
+    if not count:
+        yield run
+    for number in range(1, count + 1):
+        yield replace(run, seed=(run.seed + SAMPLE_STEP * number) % 2**32)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,6 +38,9 @@ class GradientRequest:
     edge_widths : tuple of float
         Widths of the zones at rims in which rays are looked at, in units of their radii, the widest first. None:
         without what rays gain and lose at rims.
+    edge_samples : int
+        0: the rays of the trace. More: so many further samples of as many rays, of which nothing but what they gain
+        and lose at rims is gathered; their sum.
     """
 
     rows: bool = True
@@ -46,6 +49,11 @@ class GradientRequest:
     scatter: bool = False
     sources: frozenset[str] = frozenset()
     edge_widths: tuple[float, ...] = ()
+    edge_samples: int = 0
+
+    def further(self, width: float, samples: int) -> GradientRequest:
+        """Of further samples of rays, with zones of a width and half of it."""
+        return replace(self, edge_widths=(width, 0.5 * width), edge_samples=samples)
 
     @property
     def replays(self) -> bool:
@@ -59,8 +67,10 @@ class GradientRequest:
 
     @property
     def only_rims(self) -> bool:
-        """Whether visibility is all that can change."""
-        return self.geometry <= set(RIM_COLUMNS) and not (self.rows or self.indices or self.scatter or self.sources)
+        """Whether visibility is all that can change, or is asked for."""
+        return self.edge_samples > 0 or (
+            self.geometry <= set(RIM_COLUMNS) and not (self.rows or self.indices or self.scatter or self.sources)
+        )
 
 
 @dataclass

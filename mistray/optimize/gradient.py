@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
-from mistray.gradients.edge_widths import EQUAL, WidthErrors, least_error, widths_of
+from mistray.gradients.edge_widths import EQUAL, WidthErrors, further_samples, least_error, widths_of
 from mistray.gradients.geometry_gradient import geometry_columns
 from mistray.gradients.parameter_gradient import gathered
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
@@ -282,34 +282,23 @@ def gradient_where_smooth(
     """
     value = metric.evaluate(observations)
     dr.backward(value, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)  # no path at all: nothing to differentiate
-    left_out, seconds = [LEFT_OUT], 0.0
-    noise = Sampled.of(np.zeros(BATCHES), EQUAL)
-    raws: dict[tuple[Any, ...], TableGradient] = {}
-    for observation in observations:
-        for raw in observation.table_gradients(request):
-            seconds += raw.seconds
-            left_out += [text for text in raw.left_out if text not in left_out]
-            # Fields share their tables: all of them go through the chain rule at once
-            tables = map(id, raw.table.optics.tables)
-            shared = raw.table.wavelength_nm, raw.backward, raw.parts, *tables
-            if shared in raws:
-                raws[shared].add(raw)
-            else:
-                raws[shared] = raw
-        noise = noise + observation.noise()
+    left_out = [LEFT_OUT]
+    noise = sum((observation.noise() for observation in observations), Sampled.of(np.zeros(BATCHES), EQUAL))
+    raws = _tables(observations, request)
+    left_out += dict.fromkeys(text for raw in raws for text in raw.left_out)
     places = {(id(p.owner), p.name) for p in chosen.values()}
 
     def is_chosen(owner: Any, name: str) -> bool:
         return (id(owner), name) in places
 
-    inner, rims = gathered(raws.values(), is_chosen)
+    inner, rims = gathered(raws, is_chosen)
     if request.moves and not request.edge_widths:
         left_out.append(NO_EDGES)
-    if request.moves and any(_jumps(raw) for raw in raws.values()):
+    if request.moves and any(_jumps(raw) for raw in raws):
         left_out.append(ONSET)
-    if request.indices and any(raw.scattering.any for raw in raws.values()):
+    if request.indices and any(raw.scattering.any for raw in raws):
         left_out.append(INDEX_OF_SCATTER)
-    full = full_keys(chosen, [rims for raw in raws.values() for rims in raw.full])
+    full = full_keys(chosen, [full for raw in raws for full in raw.full])
     left_out += dict.fromkeys(
         f"what {at.rim} takes and gives, which a beam just fills: a derivative on each side alone; widen the source"
         for at in full.values()
@@ -323,20 +312,47 @@ def gradient_where_smooth(
             batches[key] = np.full_like(batches[key], np.nan)
         elif place in rims and rims[place].any():
             at_rims[key] = batches[key] + rims[place]
-    number = least_error(at_rims.values())
+    more = all(observation.resamples for observation in observations)
+    number = least_error(at_rims.values(), more)
+    width = request.edge_widths[number] if at_rims else None
+    samples = further_samples(number) if more and at_rims else 0
+    if samples:
+        others = _tables(observations, request.further(request.edge_widths[number], samples))
+        _, further = gathered(others, is_chosen)
+        raws += others
+        for key, sums in at_rims.items():
+            # What further samples say of the two widths, weighed by rays; narrower ones are judged by the first alone
+            own = rims[id(chosen[key].owner), chosen[key].name][number : number + 2]
+            both = (own + further.get((id(chosen[key].owner), chosen[key].name), 0.0)) / (1 + samples)
+            at_rims[key] = np.concatenate([batches[key] + both, sums[number + 2 :]])
+        number = 0
     return Gradient(
         value=float(dr.detach(value)[0]),
         value_se=float(noise.se),
         value_noise=noise.apart,
         batches=batches | {key: sums[number] for key, sums in at_rims.items()},
-        edge_width=request.edge_widths[number] if at_rims else None,
+        edge_width=width,
         edge_number=number,
         edge_batches=at_rims,
         full=full,
         one_sided={},
         left_out=left_out,
-        seconds=(sum(o.seconds for o in observations), seconds),
+        seconds=(sum(o.seconds for o in observations), sum(raw.seconds for raw in raws)),
     )
+
+
+def _tables(observations: Sequence[Any], request: GradientRequest) -> list[TableGradient]:
+    """What the tracer knows of the derivatives of a metric; fields that share tables pass the chain rule at once."""
+    raws: dict[tuple[Any, ...], TableGradient] = {}
+    for observation in observations:
+        for raw in observation.table_gradients(request):
+            tables = map(id, raw.table.optics.tables)
+            shared = raw.table.wavelength_nm, raw.backward, raw.parts, *tables
+            if shared in raws:
+                raws[shared].add(raw)
+            else:
+                raws[shared] = raw
+    return list(raws.values())
 
 
 def _jumps(raw: TableGradient) -> bool:

@@ -81,6 +81,9 @@ class Observation:
         Of all light, W/mm², row by row, row 0 at the smallest y.
     """
 
+    resamples = True
+    """Whether other rays of the same light tell the same, see `GradientRequest.edge_samples`."""
+
     def __init__(self, result: Trace) -> None:
         self.trace = result
         self._rows = list(result.paths)

@@ -44,6 +44,9 @@ class PstObservation:
         The numbers themselves, PST_normal, not differentiable.
     """
 
+    resamples = False
+    """Whether other rays can be traced for it alone, see `GradientRequest.edge_samples`."""
+
     def __init__(self, result: Pst) -> None:
         self.pst = result.to("normal")
         self._values = np.sum(self.pst.weight * self.pst.by_batch, axis=-1)
