@@ -21,7 +21,7 @@ from mistray.settings import BATCHES
 
 pytestmark = pytest.mark.quick
 
-HOLE, BEAM = 5.0, 5.1
+HOLE, SHADE, BEAM = 5.0, 5.1, 6.0
 EXPECTED = 2 * HOLE / BEAM**2  # of the power through the hole over that of the beam, by the radius of the hole, 1/mm
 
 
@@ -85,8 +85,9 @@ class TestWidthErrors:
 
 
 def hole() -> str:
-    """A beam a little wider than a hole: 0.1 mm beside the rim, 2 % of its radius, there is no light any more."""
+    """A hole in the shadow of a wider one: 0.1 mm beside its rim, 2 % of its radius, there is no light any more."""
     return scene_text(
+        shape_xml("frustum", "shade", -5.0, r0=SHADE, z0=0.0, r1=12.0, z1=0.0),
         shape_xml("frustum", "plate", 10.0, r0=HOLE, z0=0.0, r1=12.0, z1=0.0),
         shape_xml("asphere", "detector", 20.0, sensor=True, half_width=20.0, half_height=20.0),
         radius=BEAM,
