@@ -151,13 +151,21 @@ class Gradient:
         Raises
         ------
         MistrayError
-            If one of the keys is not among those of the gradient.
+            If one of the keys is not among those of the gradient, or has no derivative, because a beam just fills a
+            rim that it moves.
         """
-        missing = [key for key, slope in slopes.items() if slope and key not in self.batches]
+        used = {key: slope for key, slope in slopes.items() if slope}
+        missing = [key for key in used if key not in self.batches]
         if missing:
             raise MistrayError(f"the gradient has no '{missing[0]}'; give it keys={sorted(slopes)}")
-        parts = sum((slope * self.batches[key][:, 0] for key, slope in slopes.items() if slope), np.zeros(BATCHES))
-        return Estimate(float(parts.sum()), float(batch_error(parts, EQUAL)))
+        self.require(used)
+        widths = {key: self.edge_batches.get(key, self.batches[key][None]) for key in used}
+        sums = np.asarray(sum((slope * widths[key][..., 0] for key, slope in used.items()), np.zeros((1, BATCHES))))
+        if len(sums) == 1:  # no ray near a rim counts
+            return Estimate(float(sums.sum()), float(batch_error(sums[0], EQUAL)))
+        return Estimate(
+            float(sums[self.edge_number].sum()), float(WidthErrors.of(sums[..., None]).total[self.edge_number, 0])
+        )
 
     def __str__(self) -> str:
         lines = [f"value {self.value:.6e} ± {self.value_se:.1e}"]
