@@ -32,6 +32,7 @@ from mistray.surfaces.surfaces import SurfaceTable
 RAYS = 64  # along the edge of a beam
 CLOSE = 0.1  # of the zone: a rim that is nearer to the edge of the beam is just filled
 INSIDE = 2.0  # of that part of the radius: how far inside of the edge light must go on for the rim to matter
+ARC = 3  # rays in a row that run along a rim: an edge that touches it in a point takes nothing to first order
 ALONG = 0.1  # change of the distance by the way along the edge, below which it runs along the rim
 EXACT = 0.03  # of the zone: an edge that keeps this near to a rim all along it is as good as on it
 BEFORE = 0.9  # of the distance of the edge, to which a zone is narrowed
@@ -74,7 +75,7 @@ class FullRims:
         found = []
         for line, key, passage in self._along():
             here = passage.counts & (passage.slope < ALONG)
-            if np.any(here):
+            if np.any(np.all([np.roll(here, k) for k in range(ARC)], axis=0)):
                 found.append((line, key, here))
         return found
 
