@@ -83,8 +83,11 @@ def no_kernels() -> None:
     """The process has compiled no kernel yet: what earlier tests have compiled is dropped, so that it counts again."""
     import drjit as dr
 
+    from mistray.sampling.design import search
+
     dr.sync_thread()  # none of them runs any more
     dr.flush_kernel_cache()
+    search._known.clear()  # what is found again compiles the kernels of its probes where it is needed first
 
 
 @pytest.fixture(autouse=True)

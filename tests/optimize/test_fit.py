@@ -127,8 +127,9 @@ class TestPstBands:
         with pytest.raises(MistrayError, match=r"polish\.rms_nm"):
             PstBands(scene, ("polish.rms",), (4, 6))
         seen = PstBands(scene, KEYS, (20, 22), cell_deg=2.0, **SETTINGS).observe((1.5, 300, 0.04)).pst
+        request = GradientRequest(scatter=True, edge_widths=(0.05, 0.025))
         with pytest.raises(MistrayError, match="edges=False"):
-            next(seen.table_gradients(np.ones((5, 1, 2)), GradientRequest(scatter=True), np.zeros((1, 2), dtype=int)))
+            next(seen.table_gradients(np.ones((5, 1, 2)), request, np.zeros((1, 2), dtype=int)))
 
 
 @pytest.fixture(scope="module")
