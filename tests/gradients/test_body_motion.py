@@ -160,7 +160,7 @@ def test_one_mirror_alone() -> None:
     """Behind its end there is nothing: the whole of it counts by its own keys."""
     face = inclined("P_top", 1.0)
     scene = Prescription(name="one", surfaces=(face,), detector=ABOVE, source=BEAM).to_scene()
-    found = mistray.gradient(path_power(scene, "all", rays=30_000), mi.traverse(scene), keys=["P_top.y", "P_top.z"])
+    found = mistray.gradient(path_power(scene, "all", rays=60_000), mi.traverse(scene), keys=["P_top.y", "P_top.z"])
     way = face.to_world()[:3, :3].T @ (0.0, 1.0, 0.0)
     check(found.along({f"P_top.{axis}": float(part) for axis, part in zip("yz", way[1:], strict=True)}), ROOF)
 

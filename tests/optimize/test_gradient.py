@@ -236,7 +236,7 @@ def test_parameters_that_no_ray_depends_on_are_named_in_one_line() -> None:
 
     zero, one = np.zeros((32, 2)), np.ones((32, 1)) / 32
     keys = {"rim.r0": zero, "wall.z": zero, "L1.R": one}
-    result = Gradient(1.0, 0.1, np.zeros(32), keys, None, 0, {}, [], (0.0, 0.0))
+    result = Gradient(1.0, 0.1, np.zeros(32), keys, None, 0, {}, {}, {}, [], (0.0, 0.0))
     assert result.untouched == ["rim.r0", "wall.z"]
     lines = str(result).splitlines()
     assert len(lines) == 3
