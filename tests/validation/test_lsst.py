@@ -35,19 +35,26 @@ def test_every_path_of_batoid_and_no_other(result):
         assert [comparison.order[names] for names in comparison.more] == [1]
 
 
+ROUNDING_MM = 2 * 2.0**-24 * 11_000  # over 11 m, the way from the last mirror but one to the focus by M3
+
+
 def agree(pairs) -> None:
     """
     Both programs bring the same light, ray by ray, but for one ray on the edge of an aperture.
 
     Of n rays such a ray adds 1/n to the flux and moves the centroid by its distance over n.  It lies within three
     RMS radii of the centroid: an evenly lit disc ends at 1.4 of them, a crescent or a narrow ring at less than 3.
+
+    Single precision rounds a direction by 2^-24, which moves a ray by that share of its way, and the place of the hit
+    by as much again. Which way it rounds differs between processors.
     """
     for ours, theirs in pairs.values():
         on_edge = abs(ours.rays - theirs.rays)
         assert on_edge <= 1
         share = on_edge / min(ours.rays, theirs.rays)
         assert abs(ours.flux / theirs.flux - 1) < 1e-6 + 1.001 * share
-        assert np.hypot(ours.x_mm - theirs.x_mm, ours.y_mm - theirs.y_mm) < 1e-3 + 3 * theirs.rms_mm * share
+        apart = np.hypot(ours.x_mm - theirs.x_mm, ours.y_mm - theirs.y_mm)
+        assert apart < ROUNDING_MM + 3 * theirs.rms_mm * share
         assert abs(ours.rms_mm / theirs.rms_mm - 1) < 5e-5 + (3**2 - 1) / 2 * share
 
 
