@@ -104,10 +104,17 @@ def test_closed_forms(scene: Path) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("label", ["polish_4nm.rms_nm", "black_paint.reflectance", "stop_front.r1"])
-def test_against_differences(label: str) -> None:
+@pytest.mark.parametrize(
+    ("label", "rays"),
+    [
+        ("polish_4nm.rms_nm", 40_000),
+        ("black_paint.reflectance", 40_000),
+        pytest.param("stop_front.r1", 800_000, marks=pytest.mark.slow),  # its error holds the bias of the edge width
+    ],
+)
+def test_against_differences(label: str, rays: int) -> None:
     """As differences of PSTs with the same rays; 4.5 standard errors, false alarm 2e-5."""
-    scene, settings = mistray.load("baffle_tube"), {"rays": 40_000, "max_scatters": 1, "cell_deg": 8}
+    scene, settings = mistray.load("baffle_tube"), {"rays": rays, "max_scatters": 1, "cell_deg": 8}
     edit = rank_edits(scene, [6], keys=[label], **settings)[label]
     params, metric = mi.traverse(scene), pst_bin(scene, 6, **settings)
     values = []
