@@ -23,7 +23,7 @@ from mistray.settings import BATCHES
 
 # Widths that are compared, in units of a rim's radius; the last one is there to judge those before it
 AUTOMATIC = tuple(0.05 * 0.5**k for k in range(5))
-EQUAL = np.ones(BATCHES)
+EQUAL = np.ones(BATCHES)  # runs of several fields and wavelengths are added batch by batch; each splits its rays evenly
 MOST_SAMPLES = 3  # of further rays: more of them take longer than the search for the width
 REMAINING = 4 / 3  # bias of a width over what half of it changes, where the bias goes with the square of the width
 

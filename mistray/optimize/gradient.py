@@ -193,7 +193,6 @@ class Gradient:
         return "\n".join([*lines, *(f"left out: {text}" for text in self.left_out)])
 
 
-# Runs of several fields and wavelengths are added batch by batch; each splits its rays evenly
 LEFT_OUT = "branches below flux_threshold and children of R = 0 or T = 0, which the trace does not follow"
 NO_EDGES = "what rays gain and lose at rims and silhouettes (edges=False)"
 ONSET = (
