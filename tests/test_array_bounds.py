@@ -25,6 +25,9 @@ PROGRAMS = {
         dr.eval(dr.gather(mi.Float, mi.Float(1, 2, 3), mi.UInt32(0, 3)))
     """,
     "pst by both directions": """
+        mistray.pst(mistray.load("baffle_tube"), [5.0, 40.0], rays=20_000, max_scatters=1)
+    """,
+    "pst of a tube": """
         mistray.pst(mistray.load("baffle_tube"), [5.0, 40.0], rays=20_000, max_scatters=2)
     """,
     "pst of a deep tube": """
@@ -52,7 +55,10 @@ PROGRAMS = {
         mistray.image_quality(mistray.load("cooke_triplet"), [0.0, 10.0])
     """,
 }
-TIERS = {"a wrong index": (), "pst by both directions": (), "pst of a camera": pytest.mark.slow}
+# LLVM takes ten minutes for the checked kernel of two scatters, and seconds for that of one
+TIERS = {"a wrong index": (), "pst by both directions": ()} | dict.fromkeys(
+    ("pst of a tube", "pst of a deep tube", "pst of a camera"), pytest.mark.slow
+)
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=TIERS.get(n, pytest.mark.long)) for n in PROGRAMS])
