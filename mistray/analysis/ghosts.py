@@ -62,9 +62,11 @@ class FieldSummary:
     direct : DirectImage
         Direct image at this field.
     stray_W : Estimate
-        Power of everything that is not the direct image.
+        Power of everything that is not the direct image, as the detector absorbs it.
+    direct_incident_W, stray_incident_W : Estimate
+        Power of the direct image and of all other light before the detector reflects its share.
     stray_of_kind_W : dict
-        The same by kind.
+        As `stray_W`, by kind.
     ghost_to_signal : Estimate
         ``stray_W`` over the direct power at this field; NaN out of field.
     stray_to_nominal : Estimate
@@ -85,6 +87,8 @@ class FieldSummary:
     paths_of_kind: dict[str, int]
     direct: DirectImage
     stray_W: Estimate
+    direct_incident_W: Estimate
+    stray_incident_W: Estimate
     stray_of_kind_W: dict[str, Estimate]
     ghost_to_signal: Estimate
     stray_to_nominal: Estimate
@@ -447,6 +451,8 @@ class GhostReport(Mapping[float, Trace]):
             paths_of_kind={kind: int((table.kind == kind).sum()) for kind in (DIRECT, *STRAY_KINDS)},
             direct=direct,
             stray_W=_power(t, rows[rows.kind != DIRECT]),
+            direct_incident_W=_incident(t, rows[rows.kind == DIRECT]),
+            stray_incident_W=_incident(t, rows[rows.kind != DIRECT]),
             stray_of_kind_W={kind: _power(t, rows[rows.kind == kind]) for kind in STRAY_KINDS},
             ghost_to_signal=stray_to_direct(t.paths, direct, wavelength_nm),
             stray_to_nominal=stray_to_direct(t.paths, nominal, wavelength_nm),
@@ -467,6 +473,13 @@ class GhostReport(Mapping[float, Trace]):
 def _power(t: Trace, rows: pd.DataFrame) -> Estimate:
     """Power of some rows of a path table of a trace together, W."""
     return Estimate(*t.paths.power([i for path_ids in rows.path_ids for i in path_ids]))
+
+
+def _incident(t: Trace, rows: pd.DataFrame) -> Estimate:
+    """The same before the detector, which absorbs about the same share of all of it, reflects some."""
+    power, se = _power(t, rows)
+    incident = float(rows.incident_W.sum())
+    return Estimate(incident, se * incident / power if power > 0 else 0.0)
 
 
 @renamed(fields_deg="field_deg")

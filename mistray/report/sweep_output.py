@@ -23,7 +23,7 @@ CAPTION = "Stray light and direct image over the launched power, with standard e
 def rows_table(result: Sweep) -> Table:
     """A line for each configuration, wavelength and field."""
     heads = columns(
-        "<configuration", "field [deg]", "wavelength [nm]", "direct [W]", "stray [W]", "stray/direct",
+        "<configuration", "field [deg]", "wavelength [nm]", "direct [W absorbed]", "stray [W absorbed]", "stray/direct",
         "RMS radius [mm]", "<brightest stray path", "its RMS irradiance [W/mm²]",
     )  # fmt: skip
     rows = []

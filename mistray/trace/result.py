@@ -479,10 +479,10 @@ class Trace:
         -------
         DataFrame
             ray (number in this table), path_id, kind, wavelength_nm, source, start_ray, node (events of the ray), type
-            (the last of them before the detector), history (all of them), flux_W (arriving), x_mm, y_mm, z_mm, dx, dy,
-            dz (direction of arrival), opl_mm (from the start), detector_x_mm and detector_y_mm (in the detector's
-            frame), column and row (of the pixel). With `events` ray, node, path_id, kind, and the columns of
-            `RayHistory.to_pandas` that follow there.
+            (the last of them before the detector), history (all of them), flux_W (incident on the detector, which
+            absorbs (1 - R) of it), x_mm, y_mm, z_mm, dx, dy, dz (direction of arrival), opl_mm (from the start),
+            detector_x_mm and detector_y_mm (in the detector's frame), column and row (of the pixel). With `events` ray,
+            node, path_id, kind, and the columns of `RayHistory.to_pandas` that follow there.
 
         Raises
         ------

@@ -3,11 +3,13 @@
 import importlib
 import math
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from report.fake_scene import lens_scene
 from report.fake_trace import LENS, FakePath, FakeTrace, trace_at, trace_in_colours
 
+import mistray
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport, ghosts
 from mistray.analysis.ranking import direct_image
@@ -15,6 +17,7 @@ from mistray.analysis.spectral import spectral_maps
 from mistray.errors import MistrayError
 from mistray.recorders.path_events import STRAY_KINDS
 from mistray.recorders.path_events import short_label as label
+from mistray.report.tables.ghosts import main_table
 
 pytestmark = pytest.mark.quick
 
@@ -307,3 +310,20 @@ def test_rays_to_draw_are_of_the_wavelength_asked_for(colours, monkeypatch):
     assert rays[0][-1, :2] == pytest.approx((t.fakes[worst].x, t.fakes[worst].y))
     assert colours.rays_of(10.0, worst) is rays
     assert len(asked) == 1
+
+
+def test_watts_are_absorbed_or_incident() -> None:
+    """Of a detector that reflects R everywhere: absorbed = (1 - R) incident, by sums, tables and single rays."""
+    scene = mistray.load("singlet_window_detector")
+    reflectance = float(mi.traverse(scene)["detector.bsdf.R"][0])
+    assert reflectance > 0.01
+    report = mistray.ghosts(scene, field_deg=[0.0], rays=1000, max_reflections=1)
+    s, t = report.summary(0.0), report[0.0]
+    for absorbed, incident in ((s.direct.power_W, s.direct_incident_W), (s.stray_W, s.stray_incident_W)):
+        assert absorbed.value == pytest.approx((1 - reflectance) * incident.value, rel=1e-5)
+        assert absorbed.se == pytest.approx((1 - reflectance) * incident.se, rel=1e-5)
+    arriving = t.rays(n=None).flux_W.sum()
+    assert arriving == pytest.approx(s.direct_incident_W.value + s.stray_incident_W.value, rel=1e-5)
+    text = main_table(report)
+    assert "[W absorbed]" in text
+    assert "[W incident]" in text

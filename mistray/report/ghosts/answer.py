@@ -55,8 +55,8 @@ def worst_table(report: GhostReport) -> list[Part]:
     if not worst:
         return [Note("No stray path reaches the detector.")]
     heads = columns(
-        "no.", "<path", "<kind", "worst at [deg]", "power [W]", "of stray light [%]", "normalised", "peak [W/mm²]",
-        "<fields [deg]",
+        "no.", "<path", "<kind", "worst at [deg]", "power [W absorbed]", "of stray light [%]", "normalised",
+        "peak [W/mm²]", "<fields [deg]",
     )  # fmt: skip
     rows: list[list[Value]] = [
         [

@@ -22,6 +22,7 @@ from mistray.report.html.markup import image
 from mistray.report.html.thumbnails import DECADES, thumbnail
 from mistray.report.model import Column, Figure, Filter, Fold, Folded, Note, Part, Table, Value, columns
 from mistray.report.parts import thousands
+from mistray.report.tables.ghosts import is_partly_reflected
 from mistray.report.tables.levels import TITLES, level_table
 from mistray.report.tables.text import ABSENT, number, with_error
 
@@ -43,8 +44,9 @@ POLARIZATION = (
     *((f"s{k}", "", f"s{k}", f"s{k}_se") for k in (1, 2, 3)),
 )
 PEAK = ("peak", "W/mm²", "peak_W_mm2", "peak_se_W_mm2")
+INCIDENT = ("incident", "W", "incident_W", "incident_se_W")
 PATH_NUMBERS = (
-    ("power", "W", "power_W", "power_se_W"),
+    ("power", "W absorbed", "power_W", "power_se_W"),
     ("of all light", "%", "percent", "percent_se"),
     ("of stray light", "%", "percent_of_stray", "percent_of_stray_se"),
     ("x", "mm", "x_mm", "x_se_mm"),
@@ -71,7 +73,7 @@ def field_section(report: GhostReport, s: FieldSummary, pictures: Mapping[str, b
     """
     t = report[s.field_deg]
     m, stray = s.map, report.stray_statistics(s.field_deg)
-    heads = columns("<map", "min [W/mm²]", "max [W/mm²]", "average [W/mm²]", "RMS [W/mm²]", "total flux [W]",
+    heads = columns("<map", "min [W/mm²]", "max [W/mm²]", "average [W/mm²]", "RMS [W/mm²]", "total flux [W absorbed]",
                     "incident rays")  # fmt: skip
     block: list[list[Value]] = [
         [name, number(v.minimum), Estimate(v.maximum, v.maximum_se), *map(number, (v.mean, v.rms, v.flux_W)),
@@ -199,7 +201,9 @@ def _numbers(table: pd.DataFrame, wave: bool) -> list[tuple[str, str, str, str]]
     """The numbers that a table of paths shows: text, unit, column and column of the error."""
     polarised = table.polarization.notna().any()
     return [
-        *PATH_NUMBERS,
+        PATH_NUMBERS[0],
+        *([INCIDENT] if is_partly_reflected(table) else []),
+        *PATH_NUMBERS[1:],
         *([PEAK] if "rank_peak" in table and not wave else []),
         *(POLARIZATION if polarised else []),
     ]

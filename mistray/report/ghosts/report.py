@@ -21,7 +21,7 @@ from mistray.report.html.render import html_page
 from mistray.report.model import Column, Figure, Folded, Hover, Note, Part, Report, Section, Table, Value, columns
 from mistray.report.own_sections import own_sections
 from mistray.report.parts import setting_text, settings_section, terms, thousands
-from mistray.report.tables.ghosts import warnings
+from mistray.report.tables.ghosts import summary_powers, summary_values, warnings
 from mistray.report.tables.text import ABSENT, with_error
 
 ASSUMPTIONS = (
@@ -163,16 +163,15 @@ def _summary_table(report: GhostReport, summaries: Sequence[FieldSummary], kinds
             f"{s.field_deg:g}",
             "" if s.wavelength_nm is None else f"{s.wavelength_nm:g}",
             s.paths,
-            s.direct.power_W if s.direct.power_W.value > 0 else UNKNOWN,
-            s.stray_W,
+            *summary_values(s, summaries, UNKNOWN),
             *(s.stray_of_kind_W[kind] if s.paths_of_kind[kind] else ABSENT for kind in kinds),
             *(s.ghost_to_signal, s.stray_to_nominal, report.peak_to_nominal(s.field_deg), s.brightest_normalised),
         ]
         for s in summaries
     ]
     heads = columns(
-        "field [deg]", "λ [nm]", "paths", "direct image [W]", "stray light [W]",
-        *(Column(f"of which {kind}", "W") for kind in kinds), "stray/direct", "stray/nominal",
+        "field [deg]", "λ [nm]", "paths", *summary_powers(summaries),
+        *(Column(f"of which {kind}", "W absorbed") for kind in kinds), "stray/direct", "stray/nominal",
         "peak stray/peak nominal", "worst path [normalised]",
     )  # fmt: skip
     table = Table(heads, rows, name)

@@ -52,7 +52,9 @@ def _surfaces(report: GhostReport) -> Table:
             for row in found
         ]
         rows.append([surface, part[surface], *cells])
-    return Table(columns("<first scatter at", "<part", *(f"{field:g}° [W]" for field in tables)), rows, "t-scatter")
+    return Table(
+        columns("<first scatter at", "<part", *(f"{field:g}° [W absorbed]" for field in tables)), rows, "t-scatter"
+    )
 
 
 def _aiming(checks: Mapping[float, SamplingCheck]) -> Table:

@@ -100,7 +100,7 @@ def _table(found: Sequence[tuple[float, Sequence[SurfaceMap]]]) -> Table:
             powers = Estimate(*one.power), Estimate(*one.absorbed_power)
             rows.append([f"{field:g}", one.surface, *powers, Estimate(mean, mean_se), peak, *place])
     heads = columns(
-        "field [deg]", "<surface", "power [W]", "absorbed [W]", "mean irradiance [W/mm²]", "brightest cell [W/mm²]",
+        "field [deg]", "<surface", "incident [W]", "absorbed [W]", "mean irradiance [W/mm²]", "brightest cell [W/mm²]",
         "at x [mm]", "at y [mm]", "at z [mm]",
     )  # fmt: skip
     rest = ["", f"{len(rows)} rows in all", *[""] * 7]

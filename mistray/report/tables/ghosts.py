@@ -41,6 +41,7 @@ CUT_TEXTS = {
     "medium": "lost where a ray met a surface from the wrong material; the geometry has a gap or an overlap",
 }
 RANKED_BY = {"rms": "RMS irradiance P/(π r_rms²)", "power": "power", "peak": "irradiance of the brightest pixel"}
+ABSORBING = 1e-6  # share of the light that a detector reflects, below which it absorbs all
 STRONGEST = "†"  # beside the number of the strongest stray path by power
 ZERO_ON_AVERAGE = ("roulette", "scatter_sampling")
 ALL = "all"
@@ -48,15 +49,15 @@ ALL = "all"
 
 def summary_table(summaries: Sequence[FieldSummary]) -> str:
     """Main table: one row for each field, and for each wavelength where there are summaries of one."""
-    heads = columns("field [deg]", "λ [nm]", "paths", "direct image [W]", "stray light [W]", "stray/direct",
-                    "stray/nominal", "worst ghost [norm. RMS irradiance]")  # fmt: skip
+    heads = columns("field [deg]", "λ [nm]", "paths", *summary_powers(summaries), "stray/direct", "stray/nominal",
+                    "worst ghost [norm. RMS irradiance]")  # fmt: skip
     rows: list[list[Value]] = [
         [
             f"{s.field_deg:g}",
             ALL if s.wavelength_nm is None else f"{s.wavelength_nm:g}",
             s.paths,
-            s.direct.power_W if s.direct.power_W.value > 0 else ABSENT,
-            *(s.stray_W, s.ghost_to_signal, s.stray_to_nominal, s.brightest_normalised),
+            *summary_values(s, summaries, ABSENT),
+            *(s.ghost_to_signal, s.stray_to_nominal, s.brightest_normalised),
         ]
         for s in summaries
     ]
@@ -64,10 +65,37 @@ def summary_table(summaries: Sequence[FieldSummary]) -> str:
     return table_text(table.without("λ") if all(s.wavelength_nm is None for s in summaries) else table)
 
 
+def summary_powers(summaries: Sequence[FieldSummary]) -> list[str]:
+    """Heads of the powers of the main table: absorbed by the detector, and incident where it reflects some."""
+    absorbed = ["direct image [W absorbed]", "stray light [W absorbed]"]
+    return [*absorbed, "direct image [W incident]", "stray light [W incident]"] if _reflected(summaries) else absorbed
+
+
+def summary_values(s: FieldSummary, summaries: Sequence[FieldSummary], unknown: Value) -> list[Value]:
+    """The values of `summary_powers` in one row."""
+    powers = [s.direct.power_W, s.stray_W]
+    if _reflected(summaries):
+        powers += [s.direct_incident_W, s.stray_incident_W]
+    return [unknown if k % 2 == 0 and power.value == 0 else power for k, power in enumerate(powers)]
+
+
+def _reflected(summaries: Sequence[FieldSummary]) -> bool:
+    return any(
+        incident.value > (1 + ABSORBING) * absorbed.value
+        for s in summaries
+        for incident, absorbed in ((s.direct_incident_W, s.direct.power_W), (s.stray_incident_W, s.stray_W))
+    )
+
+
+def is_partly_reflected(table: pd.DataFrame) -> bool:
+    """Whether the detector reflects some of the light of paths."""
+    return bool((table.incident_W > (1 + ABSORBING) * table.power_W).any())
+
+
 def ghost_table(report: GhostReport, count: int = 4, per_wavelength: bool = False) -> str:
     """The worst stray paths of every field and the strongest; per wavelength, each with its spectrum below it."""
     heads = columns(
-        "field [deg]", "path", "<ghost and scatter surfaces [1st → 2nd]", "<kind", "λ [nm]", "power [W]",
+        "field [deg]", "path", "<ghost and scatter surfaces [1st → 2nd]", "<kind", "λ [nm]", "power [W absorbed]",
         "RMS radius [mm]", "RMS irradiance [W/mm²]", "normalised [to on-axis image]", "peak [W/mm²]",
     )  # fmt: skip
     rows: list[list[Value]] = []
@@ -145,6 +173,7 @@ def main_table(report: GhostReport, count: int = 4, per_wavelength: bool = False
     parts += [
         f"normalised: over the RMS irradiance of the direct image on axis, {with_error(nominal)} W/mm²",
         "stray/nominal: over the power of the direct image on axis.  ±: one standard error",
+        "absorbed: by the detector; incident: before it reflects its share",
     ]
     if per_wavelength:
         parts.append("rows of one wavelength: normalised to the direct image on axis at that wavelength")

@@ -177,6 +177,8 @@ def _summary_row(s: FieldSummary) -> dict[str, Any]:
         "direct_rms_radius_mm": s.direct.rms_radius_mm,
         "direct_rms_irradiance_W_mm2": s.direct.rms_irradiance_W_mm2,
         "stray_W": s.stray_W,
+        "direct_incident_W": s.direct_incident_W,
+        "stray_incident_W": s.stray_incident_W,
         **{f"{_snake(kind)}_W": s.stray_of_kind_W[kind] for kind in STRAY_KINDS},
         "ghost_to_signal": s.ghost_to_signal,
         "stray_to_nominal": s.stray_to_nominal,

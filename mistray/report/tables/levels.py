@@ -54,7 +54,7 @@ def level_rows(report: GhostReport, field_deg: float, by: str) -> tuple[list[str
 def level_table(report: GhostReport, field_deg: float, by: str, name: str = "") -> Table:
     """The pivot as a table of a page."""
     levels, rows = level_rows(report, field_deg, by)
-    heads = columns("<critical surface", *(f"{by} {level} [W]" for level in levels), "all [W]")
+    heads = columns("<critical surface", *(f"{by} {level} [W absorbed]" for level in levels), "all [W absorbed]")
     return Table(heads, rows, name, sortable=False)
 
 
@@ -62,7 +62,9 @@ def level_text(report: GhostReport) -> str:
     """The pivots of all fields by both levels, W."""
     parts = []
     for by in LEVELS:
-        parts.append(f"{TITLES[by]}, W; the surface is the last that scatters or reflects the light out of its way")
+        parts.append(
+            f"{TITLES[by]}, W absorbed; the surface is the last that scatters or reflects the light out of its way"
+        )
         for field in report:
             table = level_table(report, field, by)
             heads = [Column(f"field {field:g}°", style="t"), *(Column(one.head) for one in table.columns[1:])]
@@ -72,7 +74,7 @@ def level_text(report: GhostReport) -> str:
 
 def filter_text(report: GhostReport, selection: str) -> str:
     """How much light passes a filter at each field, and by which paths."""
-    heads = columns("field [deg]", "path", "<kind", "<name", "λ [nm]", "rays", "power [W]",
+    heads = columns("field [deg]", "path", "<kind", "<name", "λ [nm]", "rays", "power [W absorbed]",
                     "share [% of stray light]")  # fmt: skip
     rows: list[list[Value]] = []
     for field in report:
@@ -98,14 +100,14 @@ def alias_text(report: GhostReport, aliases: Mapping[str, str] | str) -> str:
         if len(rest):
             count, power = sum(map(len, rest.path_ids)), report.power_of(field, rest)
             rows.append([f"{field:g}", count, f"… and {len(rest)} more", "", "", power])
-    heads = columns("field [deg]", "paths", "<events", "<kind", "rays", "power [W]")
+    heads = columns("field [deg]", "paths", "<events", "<kind", "rays", "power [W absorbed]")
     return f"Paths under other names; paths: how many are one row\n{table_text(Table(heads, rows))}"
 
 
 def analysis_text(table: pd.DataFrame, sort: str) -> str:
     """A path analysis, the first paths of each field and what is uncategorised."""
-    heads = columns("field [deg]", "path", "<name", "<kind", "power [W]", "branches", "objects", "unique [objects]",
-                    "<last object", "diffractions", "mean OPL [mm]")  # fmt: skip
+    heads = columns("field [deg]", "path", "<name", "<kind", "power [W absorbed]", "branches", "objects",
+                    "unique [objects]", "<last object", "diffractions", "mean OPL [mm]")  # fmt: skip
     rows: list[list[Value]] = []
     for field, own in table.groupby("field_deg", sort=False):
         first = own[own.path_id >= 0].head(PATHS_SHOWN)

@@ -32,7 +32,7 @@ def scatter_text(report: GhostReport) -> str:
 
 def surface_text(report: GhostReport) -> str:
     """Scattered light by the first surface that scatters it, the strongest surfaces of each field one by one."""
-    heads = columns("field [deg]", "<first scatter at", "<part", "paths", "rays", "power [W]",
+    heads = columns("field [deg]", "<first scatter at", "<part", "paths", "rays", "power [W absorbed]",
                     "share [% of stray light]")  # fmt: skip
     rows: list[list[Value]] = []
     for field in report:
