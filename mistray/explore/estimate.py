@@ -157,7 +157,9 @@ def at_field(
 
 def _beyond(near: Guess, note: str) -> Guess:
     """What is known of a field beyond all that are traced: the order of magnitude, perhaps."""
-    whole = {name: Estimate(*[getattr(near, name).value] * 2) for name in ("stray_W", "direct_W", "ratio")}
+    whole: dict[str, Any] = {
+        name: Estimate(*[getattr(near, name).value] * 2) for name in ("stray_W", "direct_W", "ratio")
+    }
     ways = near.ways.assign(power_se_W=near.ways.power_W)
     return dataclasses.replace(near, ways=ways, left_out=(note, *near.left_out), **whole)
 

@@ -43,3 +43,12 @@ def changed(params: Any, values: Mapping[str, np.ndarray]) -> Iterator[None]:
         yield
     finally:
         assign(params, before)
+
+
+def accepts(params: Any, values: Mapping[str, np.ndarray]) -> bool:
+    """Whether the plugins of a scene accept values of some parameters together; the scene stays as it is."""
+    try:
+        with changed(params, values):
+            return True
+    except MistrayError:
+        return False

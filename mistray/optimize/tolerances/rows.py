@@ -15,13 +15,15 @@ from mistray.gradients.geometry_gradient import SHIFTS
 from mistray.optimize.bodies import Body, bodies
 from mistray.optimize.gradient import Gradient
 from mistray.optimize.parameters import Parameter
+from mistray.optimize.scene_values import accepts
 from mistray.optimize.tolerances.changes import Change, Ranges, single_changes
-from mistray.optimize.tolerances.proposals import structure
+from mistray.optimize.tolerances.proposals import SHAPE_KINDS, structure
 from mistray.recorders.sampled import Sampled
 from mistray.settings import BATCHES
 from mistray.surfaces.gradient_columns import DISPLACEMENT, POSE
 
 INDEX = "index"
+SHARES = (1.0, 0.999, 0.9, 0.5, 0.1)  # of the way to a bound that its model may refuse
 
 
 @dataclass(frozen=True)
@@ -303,11 +305,30 @@ class Table:
         low, high = np.maximum(self.ranges.low, value - farthest), np.minimum(self.ranges.high, value + farthest)
         return replace(self.ranges, low=low, high=high)
 
-    def rows(self, free: set[str], reach: float, factor: float) -> list[Row]:
-        """The rows in the order of the lines, with what each alone would have to become."""
+    def accepted(self, params: Any, ranges: Ranges) -> Ranges:
+        """
+        Ranges whose ends the models of a scene accept.
+
+        A bound of one number may be refused for the sake of others, such as a reflectance of 0 where a paint scatters
+        nothing else. Then the range ends before it: where the first of `SHARES` of the way is accepted.
+        """
+        low, high = ranges.low.copy(), ranges.high.copy()
+        for k, line in enumerate(self.lines):
+            if line.parameter.kind in SHAPE_KINDS:
+                continue
+            values, here = whole_values(params, [line]), float(ranges.value[k])
+            for ends in (low, high):
+                if ends[k] == here or not np.isfinite(ends[k]):
+                    continue
+                steps = [here + share * (ends[k] - here) for share in SHARES]
+                ends[k] = next((end for end in steps if accepts(params, shifted_values(values, [line], [end]))), here)
+        return replace(ranges, low=low, high=high)
+
+    def rows(self, free: set[str], reachable: Ranges, factor: float) -> list[Row]:
+        """The rows in the order of the lines, with what each alone would have to become within what is reachable."""
         r = self.ranges
         change, change_se = r.slope * r.tolerance, r.slope_se * r.tolerance
-        alone = single_changes(self.reachable(free, reach), factor)
+        alone = single_changes(reachable, factor)
         return [
             Row(
                 line=line,

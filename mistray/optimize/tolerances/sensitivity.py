@@ -257,9 +257,10 @@ def sensitivity(
     lines, without = _with_derivative(found, lines)
     groups = _groups(known, lines, together)
     table = Table.of(found, lines, limits)
-    rows = table.rows(free, reach, factor)
+    reachable = table.accepted(given, table.reachable(free, reach))
+    rows = table.rows(free, reachable, factor)
     spread = propagate([row.label for row in rows], table.change_batches, groups)
-    best = best_together(table.reachable(free, reach), factor)
+    best = best_together(reachable, factor)
     changes = tuple((rows[change.number], change) for change in best)
     proposal = Together(changes, math.prod(change.factor for change in best), any(change.reached for change in best))
     if check and changes:
