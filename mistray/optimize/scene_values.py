@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -45,10 +45,11 @@ def changed(params: Any, values: Mapping[str, np.ndarray]) -> Iterator[None]:
         assign(params, before)
 
 
-def accepts(params: Any, values: Mapping[str, np.ndarray]) -> bool:
-    """Whether the plugins of a scene accept values of some parameters together; the scene stays as it is."""
+def accepts(params: Any, values: Mapping[str, np.ndarray], check: Callable[[], object]) -> bool:
+    """Whether a scene accepts values of some parameters together, and `check` then raises no `MistrayError`."""
     try:
         with changed(params, values):
+            check()
             return True
     except MistrayError:
         return False

@@ -37,7 +37,7 @@ def test_a_range_ends_before_what_its_model_refuses() -> None:
     ones = np.ones(len(lines))
     ranges = Ranges(value, 0 * ones, ones, ones, ones, ones)
     table = Table(lines, ranges, ones, ones, ones, ones, ones[None])
-    found = table.accepted(params, ranges)
+    found = table.accepted(params, ranges, lambda: None)
     ends = {line.parameter.key: (found.low[k], found.high[k]) for k, line in enumerate(lines)}
     assert len(ends) == 2
     low, high = ends[next(key for key in ends if "black_paint" in key or key.startswith("wall"))]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -305,12 +305,20 @@ class Table:
         low, high = np.maximum(self.ranges.low, value - farthest), np.minimum(self.ranges.high, value + farthest)
         return replace(self.ranges, low=low, high=high)
 
-    def accepted(self, params: Any, ranges: Ranges) -> Ranges:
+    def accepted(self, params: Any, ranges: Ranges, check: Callable[[], object]) -> Ranges:
         """
         Ranges whose ends the models of a scene accept.
 
         A bound of one number may be refused for the sake of others, such as a reflectance of 0 where a paint scatters
-        nothing else. Then the range ends before it: where the first of `SHARES` of the way is accepted.
+        nothing else, or of the wavelength, as a roughness. Then the range ends before it: where the first of `SHARES`
+        of the way is accepted.
+
+        Parameters
+        ----------
+        params : mi.SceneParameters
+        ranges : Ranges
+        check : callable
+            Raises `MistrayError` where the scene, as it then is, cannot be traced.
         """
         low, high = ranges.low.copy(), ranges.high.copy()
         for k, line in enumerate(self.lines):
@@ -321,7 +329,8 @@ class Table:
                 if ends[k] == here or not np.isfinite(ends[k]):
                     continue
                 steps = [here + share * (ends[k] - here) for share in SHARES]
-                ends[k] = next((end for end in steps if accepts(params, shifted_values(values, [line], [end]))), here)
+                good = (end for end in steps if accepts(params, shifted_values(values, [line], [end]), check))
+                ends[k] = next(good, here)
         return replace(ranges, low=low, high=high)
 
     def rows(self, free: set[str], reachable: Ranges, factor: float) -> list[Row]:

@@ -14,6 +14,7 @@ from mistray.analysis.changes.first_surfaces import Entering, spoils
 from mistray.analysis.changes.gaps import Gap
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
+from mistray.kernel.scatter_tables import ScatterTables
 from mistray.optimize.gradient import Gradient, gradient_request, gradient_where_smooth
 from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.parameters import Parameter, match, parameters
@@ -24,6 +25,8 @@ from mistray.optimize.tolerances.proposals import SEEDS, free_keys, traced_chang
 from mistray.optimize.tolerances.rows import Line, Row, Table, lines_of, shifted_values, whole_values
 from mistray.optimize.tolerances.steps import Progress, Steps
 from mistray.ranges import FACTOR, POSITIVE
+from mistray.sampling.sources import spectrum_of
+from mistray.surfaces.surfaces import SurfaceTable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -257,7 +260,14 @@ def sensitivity(
     lines, without = _with_derivative(found, lines)
     groups = _groups(known, lines, together)
     table = Table.of(found, lines, limits)
-    reachable = table.accepted(given, table.reachable(free, reach))
+    wavelengths, _ = spectrum_of(metric.scene, metric.wavelength_nm, metric.weights)
+
+    def scatters() -> None:
+        """Ask every scatter model for its lobes, as a trace does."""
+        for wavelength in wavelengths:
+            ScatterTables(SurfaceTable(metric.scene, float(wavelength)), {})
+
+    reachable = table.accepted(given, table.reachable(free, reach), scatters)
     rows = table.rows(free, reachable, factor)
     spread = propagate([row.label for row in rows], table.change_batches, groups)
     best = best_together(reachable, factor)
