@@ -147,6 +147,7 @@ def report_text(result: Optimization) -> str:
     lines = [f"{len(result.comparison.seeds)} seeds not used in the search", terms_table(result), ""]
     if any(not row.whole for row in result.comparison.rows):
         lines += [comparison_table(result.comparison), ""]
+    lines += [order.sentence for order in result.next_orders]
     lines += [f"warning: {line}" for line in (*worse_lines(result), *opened_lines(result))]
     lines += [variables_table(result), ""]
     for item in result.placed:
@@ -197,6 +198,7 @@ def optimization_record(result: Optimization) -> dict[str, Any]:
                 "entering": {
                     place: [asdict(one) for one in some] for place, some in result.comparison.entering.items()
                 },
+                "next_orders": [order.record() for order in result.next_orders],
                 "worse": [vars(row) for row in worse(result.comparison, result.study.terms)],
                 "variables": variables,
                 "start": result.starts[result.best.start].name,
