@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from mistray.analysis.changes.first_surfaces import Entering, FirstLight, entering_text, spoils, together
+from mistray.analysis.changes.first_surfaces import (
+    Entering,
+    FirstLight,
+    entering_lines,
+    entering_text,
+    spoils,
+    together,
+)
 
 
 def light(unseen: float = 0.0, direct: float = 0.0, **power: float) -> FirstLight:
@@ -79,3 +86,12 @@ def test_words() -> None:
     assert "50 % (± 2.2 %)" in text
     assert "s0 (10 %)" in text
     assert "2 more" in text
+
+
+def test_three_places_are_told() -> None:
+    places = {f"{k} deg": (Entering("s", 0.1, 0.01, 0.001 * k),) for k in range(5)}
+    lines = entering_lines(places)
+    assert [line.partition(":")[0] for line in lines[:3]] == ["4 deg", "3 deg", "2 deg"]
+    assert "2 more" in lines[3]
+    assert len(entering_lines({"0 deg": places["0 deg"]})) == 1
+    assert entering_lines({}) == []

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 NONE = 0.01  # of the light by a surface after a change: if there was less before, there was none
 LEAST, SURE = 1e-3, 3.0  # share of the light after, and standard errors of it, that a new first surface must have
 SPOILS = 0.01  # light by new first surfaces, as a share of that after and of that before, that makes less no gain
-TOLD = 3  # surfaces that a sentence names
+TOLD = 3  # surfaces that a sentence names, and places that are told
 
 
 @dataclass(frozen=True)
@@ -183,6 +183,17 @@ def entering_text(entering: Sequence[Entering]) -> str:
         f"{percent_text(share, 3)} (± {percent_text(se)}) of the light after first meets "
         f"{', '.join([*named, *more])}: none did before"
     )
+
+
+def entering_lines(entering: Mapping[str, Sequence[Entering]]) -> list[str]:
+    """The places with the most of such light, in a line each, and how many more there are."""
+    ranked = sorted(entering.items(), key=lambda item: -sum(one.of_before for one in item[1]))
+    lines = [
+        f"{place}: {entering_text(here)}{'; less stray light is no gain here' if spoils(here) else ''}"
+        for place, here in ranked[:TOLD]
+    ]
+    more = len(ranked) - TOLD
+    return [*lines, f"{more} more with less of such light"] if more > 0 else lines
 
 
 def _first(events: Iterable[str]) -> np.ndarray:
