@@ -265,6 +265,7 @@ TEMPERATURE_K = Range(0.0, 1e6, unit="K")
 
 # Of directions, degrees
 FIELD_DEG = Range(-90.0, 90.0, above=True, below=True, unit="degrees")
+PST_FIELD_DEG = Range(-90.0, 90.0, unit="degrees")
 POLAR_DEG = Range(0.0, 90.0, unit="degrees")
 AZIMUTH_DEG = Range(-360.0, 360.0, unit="degrees")
 CONE_DEG = Range(1e-6, 90.0, unit="degrees")  # half angle

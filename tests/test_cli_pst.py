@@ -189,8 +189,8 @@ def test_text_of_the_bar(progress: PstProgress, text: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--field-deg", "0:95:5"), "argument --field-deg: 95 must lie between 0 and 90 degrees"),
-        (("--field-deg", "-5"), "argument --field-deg: -5 must lie between 0 and 90 degrees"),
+        (("--field-deg", "0:95:5"), "argument --field-deg: 95 must lie between -90 and 90 degrees"),
+        (("--field-deg", "-95"), "argument --field-deg: -95 must lie between -90 and 90 degrees"),
         (("--field-deg", "0:80"), "'0:80' is not a range; write first:last:step, such as 0:80:2"),
         (("--field-deg", "80:0:2"), "'80:0:2' must go up: first:last:step"),
         (("--field-deg", "0:80:0"), "'0:80:0' must go up"),

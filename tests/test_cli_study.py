@@ -72,7 +72,7 @@ def test_json(capsys: Any) -> None:
     ("arguments", "words"),
     [
         (("no_such_scene",), "scene 'no_such_scene': no such file"),
-        (("plate", "--pst-field-deg", "0:95:5"), "must lie between 0 and 90"),
+        (("plate", "--pst-field-deg", "0:95:5"), "must lie between -90 and 90"),
         (("plate", "--pst-field-deg", "10", "5"), "must ascend"),
         (("plate", "--field-deg", "91"), "must lie between -90 and 90"),
         (("plate", "--rays", "0"), "--rays: 0 must"),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.ranges import AZIMUTH_DEG, AZIMUTH_WIDTH_DEG, CELL_WIDTH_DEG, POLAR_DEG
+from mistray.ranges import AZIMUTH_DEG, AZIMUTH_WIDTH_DEG, CELL_WIDTH_DEG, PST_FIELD_DEG
 from mistray.renamed import renamed
 
 CELL_DEG = 2.0  # width of a cell where the angles say nothing
@@ -40,7 +40,7 @@ class DirectionGrid:
     Raises
     ------
     MistrayError
-        For angles outside 0 … 90°, that do not ascend, or cells that overlap.
+        For angles outside -90 … 90°, that do not ascend, or cells that overlap.
     """
 
     field_deg: np.ndarray
@@ -65,18 +65,21 @@ class DirectionGrid:
         Parameters
         ----------
         field_deg : float or sequence of float
+            -90 … 90; a negative angle is the positive one at the opposite azimuth, as of a `collimated` source. Where
+            angles of both signs are given, all cells have both azimuths.
         azimuths_deg : float or sequence of float, optional
-            By default one cell holds all azimuths.
+            By default one cell holds all azimuths, and the sign does not matter.
         cell_deg : float, optional
             Width of the cells in field angle; by default 2°, or the smallest distance of two angles if that is less.
         azimuth_cell_deg : float, optional
             By default the smallest distance of two azimuths, at most 10° for a single one.
         rotation : (3, 3) float64, optional
         """
-        angles = np.array(POLAR_DEG.check_each("field_deg", field_deg))
-        apart = float(np.min(np.diff(angles), initial=np.inf))
-        if apart <= 0:
+        given = np.array(PST_FIELD_DEG.check_each("field_deg", field_deg))
+        if np.min(np.diff(given), initial=np.inf) <= 0:
             raise MistrayError("field_deg must ascend; sort the field angles and give each once")
+        angles = np.unique(np.abs(given))
+        apart = float(np.min(np.diff(angles), initial=np.inf))
         width = min(CELL_DEG, apart) if cell_deg is None else float(cell_deg)
         CELL_WIDTH_DEG.check("cell_deg", width)
         if width > apart * (1 + 1e-9):
@@ -90,15 +93,19 @@ class DirectionGrid:
             azimuths, span = np.zeros(1), 360.0
         else:
             azimuths = np.array(AZIMUTH_DEG.check_each("azimuths_deg", azimuths_deg))
-            around = np.sort(azimuths % 360)
-            gaps = np.diff(np.append(around, around[0] + 360))
-            span = min(10.0, float(gaps.min())) if len(around) == 1 else float(gaps.min())
+            span = min(10.0, _least_gap(azimuths)) if len(azimuths) == 1 else _least_gap(azimuths)
+            if np.any(given < 0):
+                opposite = azimuths + np.where(azimuths > 0, -180, 180)
+                new = opposite[~np.isin(opposite % 360, azimuths % 360)]
+                azimuths = np.append(azimuths, new) if np.any(given > 0) else opposite
+            least = _least_gap(azimuths)
+            span = min(span, least)
             if azimuth_cell_deg is not None:
                 AZIMUTH_WIDTH_DEG.check("azimuth_cell_deg", azimuth_cell_deg)
-                if azimuth_cell_deg > gaps.min() * (1 + 1e-9):
+                if azimuth_cell_deg > least * (1 + 1e-9):
                     raise MistrayError(
                         f"azimuth_cell_deg is {azimuth_cell_deg:g}; it must be at most the distance of two azimuths, "
-                        f"{gaps.min():g} degrees"
+                        f"{least:g} degrees"
                     )
                 span = float(azimuth_cell_deg)
             elif span <= 0:
@@ -127,11 +134,19 @@ class DirectionGrid:
         """
         Cell of a direction.
 
+        Parameters
+        ----------
+        field_deg : float
+            A negative one is at the opposite azimuth.
+        azimuth_deg : float
+
         Raises
         ------
         MistrayError
             If no cell holds it.
         """
+        if field_deg < 0:
+            field_deg, azimuth_deg = -field_deg, azimuth_deg + 180
         i = int(np.argmin(np.abs(self.field_deg - field_deg)))
         low, high = self.edges_deg[i]
         if not low - 1e-9 <= field_deg <= high + 1e-9:
@@ -168,3 +183,9 @@ class DirectionGrid:
             azimuth_cell_deg=float(facts["azimuth_cell_deg"]),
             rotation=np.array(facts["rotation"]),
         )
+
+
+def _least_gap(azimuths: np.ndarray) -> float:
+    """The smallest distance of two azimuths, degrees; 360 of a single one."""
+    around = np.sort(azimuths % 360)
+    return float(np.diff(np.append(around, around[0] + 360)).min())

@@ -23,10 +23,6 @@ class Sphere:
     centre: np.ndarray
     radius: float
 
-    def holds(self, other: Sphere) -> bool:
-        """Whether another one lies within it."""
-        return float(np.linalg.norm(other.centre - self.centre)) + other.radius <= self.radius * (1 + 1e-9)
-
     def contains(self, point: np.ndarray) -> bool:
         """Whether a point lies within it."""
         return bool(np.linalg.norm(point - self.centre) <= self.radius)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.sampling.aimed_cones import Sphere
 from mistray.sampling.emission_laws import EDGE, perimeter
 from mistray.sampling.source import Emission, SceneSource
 from mistray.sampling.space_filling import stratified_points
@@ -20,7 +21,14 @@ class Beam(SceneSource):
     Rays of one direction that start on one plane normal to it.
 
     The pivot and the axes are those of the cross-section, see `Collimated.frame`.
+
+    Attributes
+    ----------
+    aperture : Sphere or None
+        Where its probes go, as far as it has light there.
     """
+
+    aperture: Sphere | None = None
 
     @property
     def pattern(self) -> str:  # type: ignore[override]  # read-only
@@ -65,6 +73,18 @@ class Beam(SceneSource):
         lines = [outer, hole * outer / np.hypot(*outer)] if hole else [outer]
         return [self.through(*line) for line in lines]
 
+    def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> Beam:
+        """The same light, whose probes go to an aperture; its start rays are what they were."""
+        return replace(self, aperture=aperture)
+
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
-        """Its rays through points of the cross-section, see `SceneSource.probes`."""
-        return self.through(*(np.array(v, dtype=np.float64) for v in self.emitter.positions(sample)))
+        """Its rays through points of the cross-section, or of an aperture, see `SceneSource.probes`."""
+        x, y = self.emitter.positions(sample)
+        if self.aperture is not None:
+            axes = np.stack([self.u, self.v, self.direction], axis=1)
+            a, b, _ = np.linalg.solve(axes, self.aperture.centre - self.pivot)
+            # Across a cross-section that is not normal to the beam the sphere is longer
+            disk = mi.warp.square_to_uniform_disk_concentric(sample) * (self.aperture.radius / np.linalg.det(axes))
+            lit = self.emitter.within(disk.x + float(a), disk.y + float(b))
+            x, y = dr.select(lit, disk.x + float(a), x), dr.select(lit, disk.y + float(b), y)
+        return self.through(np.array(x, dtype=np.float64), np.array(y, dtype=np.float64))

@@ -2,17 +2,20 @@
 
 - A body on the design path is aimed at the image of the detector by the surfaces that follow.
 - Any other body is aimed at what can be seen from within: the detector, and the lenses and mirrors of the design path.
-  Backward rays from there, refracted where they enter the body, show where it seems to be.
+  Backward rays from there, refracted where they enter the body, show where it seems to be. Surfaces that see it only
+  through others, such as one face of a window through the other, are aimed in the same way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
+from typing import NamedTuple
 
 import numpy as np
 
 from mistray.kernel.targets import Inside, Target
 from mistray.sampling.detector_images import FAR, DetectorImages
+from mistray.sampling.outlines import outline
 from mistray.sampling.scattering_bodies import Body
 from mistray.surfaces.host_points import across
 from mistray.surfaces.host_rays import first_hit, onward
@@ -26,8 +29,44 @@ LANDED = 0.02  # share of the rays to an image that must land on the detector
 MOST_TARGETS = 4
 PLANES = np.linspace(-2, 2, 33)  # vergences of planes, in units of that in which the rays are closest
 
-Sight = tuple[Target, int]
-"""What may be seen, and the number of its surface; -1: none."""
+
+class Sight(NamedTuple):
+    """
+    What may be seen.
+
+    Attributes
+    ----------
+    target : Target
+    surface : int
+        Its number; -1: none.
+    light : (3,) float64 or None
+        Direction in which the design has its light there; None: any.
+    """
+
+    target: Target
+    surface: int
+    light: np.ndarray | None = None
+
+
+class Appearance(NamedTuple):
+    """
+    Where something is seen.
+
+    Attributes
+    ----------
+    target : Target
+    number : int
+        Of the sight.
+    by : int
+        The last surface that its rays leave; its own where nothing stands between.
+    share : float
+        Of the rays from it, those that arrive by that surface.
+    """
+
+    target: Target
+    number: int
+    by: int
+    share: float
 
 
 def body_targets(
@@ -58,43 +97,96 @@ def body_targets(
             if fitted.landed > LANDED:
                 found.append(fitted.target)
     if not found:
-        found = [target for sight in sights for target in _apparent(table, body, *sight, rng)]
+        found = [one.target for one in apparent(table, body.points, body.faces, sights, rng)]
     return found[:MOST_TARGETS]
 
 
-def _apparent(table: SurfaceTable, body: Body, sight: Target, surface: int, rng: np.random.Generator) -> list[Target]:
-    """A target as it is seen from within a body, once through each surface of the body."""
-    o = sight.points(rng.random((SIGHT_RAYS, 2)))
-    d = body.points[rng.integers(len(body.points), size=SIGHT_RAYS)] - o
-    d /= np.linalg.norm(d, axis=1, keepdims=True)
-    last = np.full(SIGHT_RAYS, surface)
-    lines: dict[int, list[tuple[np.ndarray, np.ndarray]]] = {}
+def arrivals(
+    table: SurfaceTable,
+    within: np.ndarray,
+    faces: Set[Inside],
+    sights: Sequence[Sight],
+    rays: int,
+    rng: np.random.Generator,
+) -> dict[tuple[int, ...], tuple[np.ndarray, np.ndarray]]:
+    """
+    Rays from what may be seen to points that lie within a body or on a surface, against the light.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    within : (m, 3) float64
+        The points, mm.
+    faces : set of Inside
+        Sides of surfaces where a ray has arrived: those of the body, or that of the surface.
+    sights : sequence of Sight
+    rays : int
+        From each of them.
+    rng : np.random.Generator
+
+    Returns
+    -------
+    dict
+        Number of the sight, and the surfaces on the way, its own first → where the rays leave the last of them (mm),
+        and unit directions back from the points, (n, 3) float64 each.
+    """
+    o = np.concatenate([sight.target.points(rng.random((rays, 2))) for sight in sights])
+    number = np.repeat(np.arange(len(sights)), rays)
+    last = np.array([sight.surface for sight in sights])[number]
+    ends = within[rng.integers(len(within), size=len(o))]
+    first, _, _ = first_hit(table, o, _towards(o, ends), last)
+    # A lens leads rays to the points that would pass them by: every second one goes anywhere on what it meets
+    for surface in np.unique(first[(first >= 0) & (first < len(table.pieces))]):
+        some = np.flatnonzero((first == surface) & (np.arange(len(o)) % 2 == 1))
+        ends[some] = outline(table.shapes[surface]).points(rng.random((len(some), 2)))
+    d = _towards(o, ends)
+    lights = np.array([np.zeros(3) if sight.light is None else sight.light for sight in sights])[number]
+    goes = (np.einsum("ij,ij->i", d, lights) < 0) | ~np.any(lights, axis=1)
+    o, d, last, ways = o[goes], d[goes], last[goes], np.stack([number, last], axis=1)[goes]
+    lines: dict[tuple[int, ...], tuple[np.ndarray, np.ndarray]] = {}
     for _ in range(MOST_SURFACES):
         hit, p, normal = first_hit(table, o, d, last)
         from_front = np.einsum("ij,ij->i", d, normal) > 0
-        arrives = [
-            Inside(s, not front) in body.faces for s, front in zip(hit.tolist(), from_front.tolist(), strict=True)
-        ]
-        for entry in np.unique(last[arrives]):
-            own = np.array(arrives) & (last == entry)
-            lines.setdefault(int(entry), []).append((o[own], -d[own]))
-        going = (hit >= 0) & ~np.array(arrives)
+        sides = zip(hit.tolist(), from_front.tolist(), strict=True)
+        arrives = np.array([Inside(s, not front) in faces for s, front in sides], dtype=bool)
+        found, which = np.unique(ways[arrives], axis=0, return_inverse=True)
+        for k, way in enumerate(found.tolist()):
+            own = np.flatnonzero(arrives)[which.ravel() == k]
+            lines[tuple(way)] = o[own], -d[own]
+        going = (hit >= 0) & ~arrives
         after, _ = onward(table, hit[going], d[going], normal[going])
         whole = np.isfinite(after[:, 0])
         o, d, last = p[going][whole], after[whole], hit[going][whole]
+        ways = np.concatenate([ways[going][whole], last[:, None]], axis=1)
         if not len(o):
             break
+    return lines
+
+
+def apparent(
+    table: SurfaceTable, within: np.ndarray, faces: Set[Inside], sights: Sequence[Sight], rng: np.random.Generator
+) -> list[Appearance]:
+    """
+    What may be seen, as it appears from points that lie within a body or on a surface; arguments as of `arrivals`.
+
+    Returns
+    -------
+    list of Appearance
+        One for each sight and way to it: the first sight first, of that the way of most rays.
+    """
     found = []
-    for entry, parts in lines.items():
-        points, directions = (np.concatenate([part[k] for part in parts]) for k in range(2))
+    for (number, *way), (points, directions) in arrivals(table, within, faces, sights, SIGHT_RAYS, rng).items():
         if len(points) < LEAST_SEEN:
             continue
-        if entry == surface:  # seen as it is
-            found.append((len(points), sight))
-        else:
-            target = _holding(points, directions, body.points)
-            found += [] if target is None else [(len(points), target)]
-    return [target for _, target in sorted(found, key=lambda entry: -entry[0])]
+        target = sights[number].target if len(way) == 1 else _holding(points, directions, within)
+        if target is not None:
+            found.append(Appearance(target, number, way[-1], len(points) / SIGHT_RAYS))
+    return sorted(found, key=lambda one: (one.number, -one.share))
+
+
+def _towards(o: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """(n, 3) unit directions from points to others."""
+    return np.asarray((ends - o) / np.linalg.norm(ends - o, axis=1, keepdims=True))
 
 
 def _holding(points: np.ndarray, directions: np.ndarray, within: np.ndarray) -> Target | None:

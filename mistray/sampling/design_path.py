@@ -15,7 +15,7 @@ from mistray.kernel.targets import Target
 from mistray.materials import complex_index
 from mistray.sampling.aimed_cones import Sphere
 from mistray.sampling.design.probes import Order, Probes
-from mistray.sampling.design.sequences import chosen_orders
+from mistray.sampling.design.sequences import chosen_orders, has_optics
 from mistray.sampling.outlines import outline
 from mistray.sampling.source import SceneSource
 from mistray.sampling.sources import scene_sources, source_emitters
@@ -239,22 +239,25 @@ def find_design_path(table: SurfaceTable, scene: mi.Scene) -> DesignPath | None:
 
     Probe rays of each source on its axis (field angle 0), then at its own field angle, are followed: reflected where a
     surface is declared ``mirror``, is opaque and reflects more than half, or in total reflection; transmitted
-    elsewhere. Where none of those that come to the detector passes any optics, it is the order that most of them take.
+    elsewhere. They are sought until some come to the detector over optics, whatever share of a wide beam that is. Only
+    where none do, it is the order that most of the first to come take.
 
     Returns
     -------
     DesignPath or None
         None where no probe reaches the detector, or there is no source.
     """
+    by_passing: DesignPath | None = None
     for source, probes in design_probes(table, scene):
         found = probes.orders(table.detector)
-        if found:
-            arms = chosen_orders(table, found)
-            order = arms[0][0] if arms else found.most_common(1)[0][0]
-            path = _with_base_ray(table, source, probes, order)
-            if path is not None:
-                return path
-    return None
+        arms = chosen_orders(table, found)
+        if arms:
+            return _with_base_ray(table, source, probes, arms[0][0])
+        if found and by_passing is None:
+            by_passing = _with_base_ray(table, source, probes, found.most_common(1)[0][0])
+        if by_passing is not None and not has_optics(table):
+            break
+    return by_passing
 
 
 def design_probes(table: SurfaceTable, scene: mi.Scene) -> Iterator[tuple[SceneSource, Probes]]:
@@ -270,8 +273,6 @@ def design_probes(table: SurfaceTable, scene: mi.Scene) -> Iterator[tuple[SceneS
 def _attempts(table: SurfaceTable, source: SceneSource) -> Iterator[tuple[SceneSource, int]]:
     """Light of a source that may find the detector, and with how many probes: all of it, then some of what is aimed."""
     yield source, PROBES
-    if not source.aims:
-        return
     yield source, MANY_PROBES
     words = table.optics.host_words
     optics = [k for k in range(table.count) if (words[k] & OPAQUE) == 0 or (words[k] & MIRROR) != 0]
@@ -279,7 +280,8 @@ def _attempts(table: SurfaceTable, source: SceneSource) -> Iterator[tuple[SceneS
     places = source.probes(mi.Point2f(mi.Float([0.5]), mi.Float([0.5])))[0]
     aims.sort(key=lambda aim: float(np.linalg.norm(aim.centre - places[0])))
     for aim in aims[:MOST_AIMS]:
-        yield source.aimed_at(aim), PROBES
+        if (light := source.aimed_at(aim)) is not source:
+            yield light, PROBES
 
 
 def check_place(table: SurfaceTable, source: SceneSource) -> None:

@@ -25,14 +25,15 @@ class DistantRays(SceneSource):
     Light that has the same directions all over the scene.
 
     The rays of a direction fill a disc across it, which holds the sphere around the scene. Those through a sphere
-    around the first aperture are a stratum of their own.
+    around the first aperture are a stratum of their own. That sphere may stand out of the one around the scene, as
+    that of a lens does at the end of a short system: what is drawn out there is no light of the disc.
 
     Attributes
     ----------
     scene : Sphere
         Holds all surfaces.
     aperture : Sphere or None
-        Holds the first surface of the design path; it lies within `scene`.
+        Holds the first surface of the design path; its radius is below √½ of that of `scene`.
     """
 
     scene: Sphere
@@ -41,9 +42,7 @@ class DistantRays(SceneSource):
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> DistantRays:
         """The same light with more of its rays on an aperture, if that is small."""
-        if not aperture.radius < np.sqrt(0.5) * self.scene.radius or not self.scene.holds(aperture):
-            return self
-        return replace(self, aperture=aperture)
+        return replace(self, aperture=aperture) if aperture.radius < np.sqrt(0.5) * self.scene.radius else self
 
     @property
     def moving(self) -> tuple[str, ...]:  # type: ignore[override]  # read-only
@@ -69,18 +68,15 @@ class DistantRays(SceneSource):
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
         """Directions of the plugin and places across them, see `Source.start`."""
-        inner, w, within = self.aperture, None, None
-        if inner is not None:
-            flux = (inner.radius / self.scene.radius) ** 2
-            strata = Strata(batch, AIMED)
-            sample = stratified_points(strata.group, rng)
-            within = strata.number == 0
-            # A part of a small batch may have no rays
-            light = dr.select(within, flux / strata.parts[0], (1 - flux) / strata.parts[1])
-            w = strata.closed(light, strata.number, len(AIMED))
+        if self.aperture is None:
+            sample, within = stratified_points(batch, rng), None
         else:
-            sample = stratified_points(batch, rng)
-        o, d = self._rays(sample, mi.Point2f(rng.next_float32(), rng.next_float32()), rng, within)
+            strata = Strata(batch, AIMED)
+            sample, within = stratified_points(strata.group, rng), strata.number == 0
+        o, d, light = self._rays(sample, mi.Point2f(rng.next_float32(), rng.next_float32()), rng, within)
+        # A part of a small batch may have no rays
+        share = dr.select(within, strata.parts[0], strata.parts[1]) if within is not None else None
+        w = None if share is None else strata.closed(light / share, strata.number, len(AIMED))
         o -= mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in centre))
         return Emission(mi.Vector3f(o), dr.normalize(mi.Vector3f(d)), w)
 
@@ -88,14 +84,18 @@ class DistantRays(SceneSource):
         """Rays to points of the aperture, or of the scene, see `SceneSource.probes`; their directions are random."""
         rng = mi.PCG32(size=dr.width(sample))
         within = None if self.aperture is None else mi.Bool(True)
-        o, d = self._rays(sample, mi.Point2f(rng.next_float32(), rng.next_float32()), rng, within)
+        o, d, _ = self._rays(sample, mi.Point2f(rng.next_float32(), rng.next_float32()), rng, within)
         origins, directions = (np.array(vector, dtype=np.float64).T for vector in (o, d))
         return origins, directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
     def _rays(
         self, sample: mi.Point2f, towards: mi.Point2f, rng: mi.PCG32, within: mi.Bool | None
-    ) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Rays in the world; those `within` go through the aperture, the others pass it by; None: both."""
+    ) -> tuple[mi.Vector3d, mi.Vector3d, mi.Float64]:
+        """
+        Rays in the world; those `within` go through the aperture, the others pass it by; None: both.
+
+        Also the share of the light of the ray's direction that goes the same way; 0 where there is none.
+        """
         numbers = {name: dr.opaque(mi.Float64, float(value)) for name, value in self.emitter.values.items()}
         axes = [mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in axis)) for axis in self._axes]
         d = dr.zeros(mi.Vector3d, dr.width(sample)) + turned(
@@ -103,7 +103,7 @@ class DistantRays(SceneSource):
         )
         u, v = across(d)
         outer = dr.opaque(mi.Float64, self.scene.radius)
-        point = self._on_disc(mi.Point2d(sample)) * outer
+        point, light = self._on_disc(mi.Point2d(sample)) * outer, mi.Float64(1)
         if within is not None and self.aperture is not None:
             offset = mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in self.aperture.centre - self.scene.centre))
             aside = mi.Point2d(dr.dot(offset, u), dr.dot(offset, v))
@@ -117,8 +117,11 @@ class DistantRays(SceneSource):
                 labels=("point", "rng"),
             )
             point = dr.select(within, aimed, point)
+            whole = outer * outer
+            passing = 1 - _common_area(dr.norm(aside), inner, outer) / (dr.pi * whole)
+            light = dr.select(within, dr.select(dr.squared_norm(point) < whole, inner * inner / whole, 0), passing)
         middle = mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in self.scene.centre))
-        return middle + point.x * u + point.y * v - CLEARANCE * outer * d, d
+        return middle + point.x * u + point.y * v - CLEARANCE * outer * d, d, light
 
     @staticmethod
     def _on_disc(sample: mi.Point2d) -> mi.Point2d:
@@ -129,6 +132,14 @@ class DistantRays(SceneSource):
     @property
     def _axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return self.u, self.v, self.direction
+
+
+def _common_area(apart: mi.Float64, small: mi.Float64, large: mi.Float64) -> mi.Float64:
+    """Area that two discs have in common, by the distance of their middles and their radii: two circular segments."""
+    d = dr.clip(apart, large - small, large + small)  # nearer together the small one lies within
+    sides = [(d * d + a * a - b * b) / (2 * d) for a, b in ((small, large), (large, small))]
+    segments = zip((small, large), sides, strict=True)
+    return sum(r * r * dr.safe_acos(x / r) - x * dr.safe_sqrt(r * r - x * x) for r, x in segments)
 
 
 def _next(rng: Any) -> mi.Point2d:

@@ -4,6 +4,8 @@
 - Light that leaves any other surface is aimed at what can be seen from there: at the detector, and at each lens and
   mirror of the design path from the side on which the design has its light. It goes to the image of the detector by
   that lens or mirror where rays from the surface reach the detector that way, else to its aperture.
+- A side that sees none of these, but other surfaces that transmit, is aimed at what it sees through them: a window
+  through its other faces, see `mistray.sampling.bulk_aiming`.
 - What a surface of the design path scatters backwards is not aimed.
 - Light that a medium scatters is aimed likewise, see `mistray.sampling.bulk_aiming`.
 - A surface that a shape with a ``target`` names has those targets and no others, as have the media on its sides for
@@ -22,20 +24,22 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.kernel.targets import AimSet, Inside, Place, Side, Target
-from mistray.sampling.bulk_aiming import Sight, body_targets
+from mistray.sampling.bulk_aiming import Appearance, Sight, apparent, arrivals, body_targets
 from mistray.sampling.design_path import OPENING, DesignPath, find_design_path
 from mistray.sampling.detector_images import DetectorImages
 from mistray.sampling.outlines import outline
 from mistray.sampling.scattering_bodies import scattering_bodies
 from mistray.sampling.scene_targets import scene_targets
 from mistray.settings import Settings
-from mistray.surfaces.host_points import surface_points
-from mistray.surfaces.host_rays import first_hit
+from mistray.surfaces.host_points import lambertian_directions, surface_points
+from mistray.surfaces.host_rays import first_hit, onward
 from mistray.surfaces.surfaces import SurfaceTable
 
 PATH_POINTS, SEEN_POINTS = 4096, 1024  # points of a surface from which rays to the image are tried
 PROBES, DETECTOR_PROBES = 16, 256  # rays from a surface that look whether a lens, or the detector, can be seen
+THROUGH_PROBES = 64  # rays that look whether something can be seen through other surfaces
 SEEN, DETECTOR_SEEN = 0.04, 0.005  # share of them that must see it
+SECOND_WAY = 0.25  # of two ways by which something is seen, the one with so much less rays than the other is left out
 LANDED = 0.02  # share of the rays to an image that must land on the detector
 MOST_TARGETS = 4
 
@@ -128,16 +132,22 @@ def automatic_bulk_targets(
         return {}
     rng = np.random.default_rng(0)
     images = DetectorImages(path) if path else None
-    sights: list[Sight] = [(target, -1) for target in sky]
-    if not sights:
-        sights.append((outline(table.shapes[table.detector]), table.detector))
-        steps = path.steps[:-1] if path else ()
-        sights += [(outline(table.shapes[step.surface]), step.surface) for step in steps]
+    *optics, end = _sights(table, path)
+    sights = [Sight(target, -1) for target in sky] or [end, *optics]
     found: dict[Place, list[Target]] = {}
     for body in scattering_bodies(table):
         targets = body_targets(table, body, images, sights, rng)
         found |= dict.fromkeys(body.sides, targets) if targets else {}
     return found
+
+
+def _sights(table: SurfaceTable, path: DesignPath | None) -> list[Sight]:
+    """The surfaces of the design path and its end; without a path the detector."""
+    if path is None:
+        return [Sight(outline(table.shapes[table.detector]), table.detector)]
+    *steps, end = path.steps
+    before = [Sight(outline(table.shapes[step.surface]), step.surface, step.before) for step in steps]
+    return [*before, Sight(path.end, end.surface)]
 
 
 def automatic_targets(
@@ -184,43 +194,89 @@ def _seen_targets(
     """The detector, lenses and mirrors that can be seen from either side of surfaces, as targets."""
     if not surfaces:
         return {}
-    candidates = [step.surface for step in images.path.steps] if images else [table.detector]
-    end = candidates[-1]
-    outlines = [outline(table.shapes[candidate]) for candidate in candidates[:-1]]
-    outlines.append(images.path.end if images else outline(table.shapes[end]))
+    sights = _sights(table, images.path if images else None)
+    last, end = len(sights) - 1, sights[-1].surface
     sampled = {surface: surface_points(table, surface, SEEN_POINTS, rng) for surface in surfaces}
     views = [
-        _View((surface, to_back), number, DETECTOR_PROBES if candidate == end else PROBES)
+        _View((surface, to_back), number, DETECTOR_PROBES if number == last else PROBES)
         for surface in surfaces
         for to_back in (False, True)
-        for number, candidate in enumerate(candidates)
+        for number in range(len(sights))
     ]
-    seen = _seen(table, images, views, outlines, sampled, rng)
-    found: dict[Side, list[tuple[float, Target]]] = {}
+    seen = _seen(table, images, views, sights, sampled, rng)
+    found: dict[Side, list[tuple[float, int, Target]]] = {}
     for view, share in zip(views, seen, strict=True):
-        target, direct = outlines[view.number], candidates[view.number] == end
+        target, direct = sights[view.number].target, view.number == last
         if share < (DETECTOR_SEEN if direct else SEEN):
             continue
         if images and not direct:
             points, normals = sampled[view.side[0]]
             image = images.fitted(view.number, points, normals if view.side[1] else -normals, rng)
             if image.landed > LANDED:
-                found.setdefault(view.side, []).append((share, image.target))
+                found.setdefault(view.side, []).append((share, view.number, image.target))
                 if end != OPENING:
                     continue
                 # Against the light, what is seen by that lens beside the opening counts as well
-        found.setdefault(view.side, []).append((share + direct, target))
+        found.setdefault(view.side, []).append((share + direct, view.number, target))
+    for row, shares in enumerate(seen.reshape(-1, len(sights))):
+        side = surfaces[row // 2], bool(row % 2)
+        through = _seen_through(table, side, sights, shares, sampled[side[0]], rng)
+        best = {one.number: one.share for one in reversed(through)}
+        entries = [entry for entry in found.pop(side, []) if shares[entry[1]] >= SECOND_WAY * best.get(entry[1], 0.0)]
+        entries += [(one.share + (one.number == last), one.number, one.target) for one in through]
+        if entries:
+            found[side] = entries
     return {
-        side: [target for _, target in sorted(entries, key=lambda entry: -entry[0])[:MOST_TARGETS]]
+        side: [target for _, _, target in sorted(entries, key=lambda entry: -entry[0])[:MOST_TARGETS]]
         for side, entries in found.items()
     }
+
+
+def _seen_through(
+    table: SurfaceTable,
+    side: Side,
+    sights: Sequence[Sight],
+    shares: np.ndarray,
+    sampled: tuple[np.ndarray, np.ndarray],
+    rng: np.random.Generator,
+) -> list[Appearance]:
+    """
+    What one side of a surface sees through surfaces that are no sights, such as the other face of a window.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    side : Side
+    sights : sequence of Sight
+    shares : (n,) float64
+        Share of the rays to each sight that arrive with nothing between; far fewer through others do not matter.
+    sampled : tuple
+        Points of the surface, and normals.
+    rng : np.random.Generator
+    """
+    (surface, to_back), (points, normals) = side, sampled
+    own = [sight.surface for sight in sights]
+    d = lambertian_directions((normals if to_back else -normals)[:THROUGH_PROBES], rng)
+    hit, _, normal = first_hit(table, points[:THROUGH_PROBES], d, np.full(len(d), surface))
+    other = (hit >= 0) & ~np.isin(hit, own)
+    after, _ = onward(table, hit[other], d[other], normal[other])
+    if np.isfinite(after[:, 0]).sum() < SEEN * len(d):
+        return []
+    ends, least = {Inside(surface, to_back)}, np.maximum(SECOND_WAY * shares, SEEN)
+    ways = arrivals(table, points, ends, sights, THROUGH_PROBES, rng)
+    enough = [way for way, (o, _) in ways.items() if len(o) > THROUGH_PROBES * least[way[0]]]
+    numbers = sorted({way[0] for way in enough if way[-1] not in own})
+    if not numbers:
+        return []
+    found = apparent(table, points, ends, [sights[number] for number in numbers], rng)
+    return [one._replace(number=numbers[one.number]) for one in found if one.by not in own]
 
 
 def _seen(
     table: SurfaceTable,
     images: DetectorImages | None,
     views: Sequence[_View],
-    outlines: Sequence[Target],
+    sights: Sequence[Sight],
     sampled: dict[int, tuple[np.ndarray, np.ndarray]],
     rng: np.random.Generator,
 ) -> np.ndarray:
@@ -228,7 +284,7 @@ def _seen(
     rays = [view.rays for view in views]
     origins = np.concatenate([sampled[view.side[0]][0][: view.rays] for view in views])
     outward = np.concatenate([sampled[view.side[0]][1][: view.rays] * (1 if view.side[1] else -1) for view in views])
-    ends = np.concatenate([outlines[view.number].points(rng.random((view.rays, 2))) for view in views])
+    ends = np.concatenate([sights[view.number].target.points(rng.random((view.rays, 2))) for view in views])
     d = (ends - origins) / np.linalg.norm(ends - origins, axis=1, keepdims=True)
     which = np.repeat(np.arange(len(views)), rays)
     surface = np.array([view.side[0] for view in views])[which]

@@ -180,7 +180,7 @@ class SceneSource(Source):
     distance : float
         From the pivot back to the start of the middle ray, mm.
     aims : bool
-        Whether `aimed_at` changes anything.
+        Whether `aimed_at` changes where its rays start.
     """
 
     emitter: Any
@@ -244,7 +244,7 @@ class SceneSource(Source):
         return float("inf")
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> SceneSource:
-        """The same light, of which more rays go to an aperture, or to a part of it; a beam has all of them there."""
+        """The same light, of which more rays go to an aperture, or to a part of it; of a beam only those that probe."""
         return self
 
     def unaimed(self) -> SceneSource:
@@ -253,7 +253,7 @@ class SceneSource(Source):
 
     @abstractmethod
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
-        """Rays of the source for points of the unit square: origins and directions in the world, (n, 3) float64."""
+        """Rays to what it is aimed at, for points of the unit square: origins and directions, (n, 3) float64 each."""
 
     def edges(self, count: int, within: float = EDGE) -> list[tuple[np.ndarray, np.ndarray]]:
         """

@@ -31,7 +31,7 @@ from mistray.optimize.tolerances.rows import (
     shifted_values,
     whole_values,
 )
-from mistray.ranges import POLAR_DEG
+from mistray.ranges import PST_FIELD_DEG
 from mistray.renamed import renamed
 from mistray.scene import find, load
 
@@ -219,7 +219,7 @@ def rank_edits(
         If there is nothing to edit, a key or step is unknown or out of range, a step in per cent is one of 0, or the
         PST at an angle is 0.
     """
-    angles = tuple(POLAR_DEG.check_each("field_deg", field_deg, "rank_edits"))
+    angles = tuple(PST_FIELD_DEG.check_each("field_deg", field_deg, "rank_edits"))
     loaded = scene if isinstance(scene, mi.Scene) else load(find(scene))
     params = mi.traverse(loaded)
     known = parameters(loaded, params)

@@ -185,13 +185,13 @@ class Collimated(LightSource):
         q = offset - along * d
         x, y = dr.dot(q, mi.Vector3f(*u.tolist())), dr.dot(q, mi.Vector3f(*v.tolist()))
         dist = along + self._stock_distance
-        lit = mi.Mask(active) & self._within(x, y) & (dist > 0)
+        lit = mi.Mask(active) & self.within(x, y) & (dist > 0)
         ds = dr.zeros(mi.DirectionSample3f, dr.width(it))
         ds.p, ds.n, ds.d, ds.dist = it.p - dist * d, mi.Normal3f(d), -d, dist
         ds.time, ds.pdf, ds.delta, ds.emitter = it.time, dr.select(lit, mi.Float(1), 0), True, mi.EmitterPtr(self)
         return ds, dr.select(lit, mi.Spectrum(self.irradiance), 0)
 
-    def _within(self, x: mi.Float, y: mi.Float) -> mi.Mask:
+    def within(self, x: mi.Float, y: mi.Float) -> mi.Mask:
         """Whether coordinates along u and v lie in the cross-section."""
         a, b = self.size
         if self.rectangular:

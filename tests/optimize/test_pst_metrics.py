@@ -304,7 +304,7 @@ class TestRefusals:
             (lambda: pst_band(scene, 20, 50, quantity="sum"), "quantity is 'sum'; choose from mean, integral"),
             (lambda: pst_band(scene, 20, 50, cell_deg=1.0), "cell_deg is given without pst_field_deg"),
             (lambda: pst_band(scene, 20, 50, pst_field_deg=80, **TRACED).value(), "no cell of the PST holds any of it"),
-            (lambda: pst_bin(scene, (20, 40)), "field_deg is .20, 40.; it must lie between 0 and 90"),
+            (lambda: pst_bin(scene, (20, 40)), "field_deg is .20, 40.; it must lie between -90 and 90"),
             (lambda: pst_mask(scene, 20, 1e-3, pst_field_deg=30), "leave out pst_field_deg"),
             (lambda: pst_mask(scene, (20, 40), (1e-3,)), "mask of 2 angles and 1 limits"),
             (lambda: pst_mask(scene, (20, 40), (1e-3, 0)), "limits is 0; it must lie between 1e-30"),

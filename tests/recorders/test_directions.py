@@ -73,10 +73,10 @@ class TestCells:
     ("arguments", "words"),
     [
         ({"field_deg": []}, "field_deg is empty; give at least one"),
-        ({"field_deg": [1.0, float("nan")]}, "field_deg is nan; it must lie between 0 and 90"),
+        ({"field_deg": [1.0, float("nan")]}, "field_deg is nan; it must lie between -90 and 90"),
         ({"field_deg": np.array([[1.0, 2.0], [3.0, 4.0]])}, "field_deg is .*; it must lie"),
-        ({"field_deg": [-0.5, 3.0]}, "field_deg is -0.5; .* between 0 and 90"),
-        ({"field_deg": [3.0, 90.5]}, "field_deg is 90.5; .* between 0 and 90"),
+        ({"field_deg": [-90.5, 3.0]}, "field_deg is -90.5; .* between -90 and 90"),
+        ({"field_deg": [3.0, 90.5]}, "field_deg is 90.5; .* between -90 and 90"),
         ({"field_deg": [3.0, 2.0]}, "field_deg must ascend"),
         ({"field_deg": [2.0, 2.0]}, "field_deg must ascend"),
         ({"field_deg": [1.0, 2.0], "cell_deg": 1.5}, "cell_deg is 1.5; .* distance of two angles, 1 degrees"),
@@ -141,6 +141,8 @@ class TestNearest:
             ((21.9, 125.0), (2, 1)),
             ((19.0, 255.0), (2, 2)),  # -105
             ((10.0, -590.0), (1, 1)),  # 130
+            ((-19.0, -60.0), (2, 1)),  # 19° at 120°
+            ((-19.0, 300.0), (2, 1)),
         ],
     )
     def test_holds(self, direction: tuple[float, ...], cell: tuple[int, int]) -> None:
@@ -264,3 +266,30 @@ def test_sums_are_booked_once() -> None:
     assert found["elsewhere"][6] == found["elsewhere"].sum() == 4.0
     assert found["cells"][:, 0, 0, [0, 5]].max(axis=0).tolist() == [1.0, 2.0]
     assert found["largest"].tolist() == [[2.0]]  # of the scattered ones
+
+
+@pytest.mark.parametrize(
+    ("field_deg", "azimuths_deg", "angles", "azimuths", "width"),
+    [
+        ([-20.0], None, [20.0], [0.0], 360.0),
+        ([-20.0, 0.0, 20.0], None, [0.0, 20.0], [0.0], 360.0),
+        ([-20.0], [0.0], [20.0], [180.0], 10.0),
+        ([-20.0, 0.0], [30.0, 60.0], [0.0, 20.0], [-150.0, -120.0], 30.0),
+        ([-20.0, 0.0, 10.0, 20.0], [90.0], [0.0, 10.0, 20.0], [90.0, -90.0], 10.0),
+        ([-5.0, 5.0], [0.0, 180.0], [5.0], [0.0, 180.0], 180.0),
+        ([-5.0, 5.0], [0.0, 170.0], [5.0], [0.0, 170.0, 180.0, -10.0], 10.0),
+    ],
+)
+def test_negative_field_angles_are_at_the_opposite_azimuth(
+    field_deg: list[float], azimuths_deg: list[float] | None, angles: list[float], azimuths: list[float], width: float
+) -> None:
+    """As those of a beam: (0, sin -θ, cos θ) is θ at 180°. Every direction asked for lies in the middle of a cell."""
+    grid = DirectionGrid.of(field_deg, azimuths_deg)
+    assert (grid.field_deg.tolist(), grid.azimuths_deg.tolist()) == (angles, azimuths)
+    assert grid.azimuth_cell_deg == width
+    for angle in field_deg:
+        for azimuth in azimuths_deg or [0.0]:
+            i, j = grid.nearest(angle, azimuth)
+            assert grid.field_deg[i] == abs(angle)
+            if azimuths_deg and angle:
+                assert (grid.azimuths_deg[j] - azimuth - (180 if angle < 0 else 0)) % 360 == 0

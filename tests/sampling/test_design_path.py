@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,8 @@ from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
 from mistray.physics.sags.terms import sag
+from mistray.recorders.path_key import EVENT_BITS
+from mistray.sampling.design.search import design_sequences
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.outlines import outline
 from mistray.surfaces.host_points import surface_points
@@ -103,6 +106,20 @@ def test_total_reflection_is_part_of_the_path(load_scene):
     assert [(table.ids[step.surface], step.reflects) for step in path.steps] == [
         ("front", False), ("slope", True), ("side", False), ("detector", False)
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("radius", [0.01, 150.0, 1e5])
+def test_the_path_does_not_depend_on_the_size_of_the_beam(radius):
+    """Beams that the lens takes next to nothing of, and that pass it by on all sides on their way to the detector."""
+    prescription = importlib.import_module("mistray.scenes.cooke_triplet.prescription").build()
+    scene = replace(prescription, source=replace(prescription.source, radius=radius)).to_scene()
+    table = table_of(scene)
+    names = [surface.name for surface in (*prescription.surfaces, prescription.detector)]
+    path = find_design_path(table, scene)
+    assert path is not None
+    assert [table.ids[step.surface] for step in path.steps] == names
+    (sequences,) = design_sequences(scene, table).lists.values()
+    assert [[table.ids[code >> EVENT_BITS] for code in one] for one in sequences] == [names[:-1]]
 
 
 def test_no_path_where_the_light_does_not_arrive(load_scene):

@@ -11,8 +11,13 @@ import pytest
 from oracles.statistics import assert_z
 
 import mistray
+from mistray.execute.tracer import prepare
 from mistray.physics.geometry.healpix import pixel
+from mistray.sampling.design_path import find_design_path
+from mistray.sampling.outlines import outline
 from mistray.sampling.sources import scene_sources
+from mistray.settings import Settings
+from mistray.surfaces.surfaces import SurfaceTable
 
 pytestmark = pytest.mark.quick
 
@@ -178,6 +183,49 @@ def test_aimed_rays_gain_what_the_solid_angle_promises(name: str) -> None:
     unaimed = (1 - share) / share / 200_000  # of a random number of hits
     gain = unaimed / relative**2
     assert gain > 0.5 / share * (1 - share) * (1 - 3 * np.sqrt(2 / 31) if name != "cone" else 1)
+
+
+def test_a_sky_is_aimed_at_the_front_of_a_short_scene() -> None:
+    """
+    A cone of sky on a detector in front, whose sphere stands out of that of the scene: π L sin² ρ A, false alarm 1e-4.
+
+    Behind it stands a black stop, whose light is that of rays without aim within 4 errors; false alarm 6e-5.
+    """
+    stop = {"type": "frustum", "r0": 0.0, "z0": 30.0, "r1": RADIUS, "z1": 30.0, "bsdf": BLACK}
+    here = scene({"type": "sky", "half_angle_deg": 60.0}, stop=stop)
+    (run,) = prepare(here, Settings())
+    source = run.source
+    assert source.aperture is not None
+    assert np.linalg.norm(source.aperture.centre - source.scene.centre) + source.aperture.radius > source.scene.radius
+    aimed, blind = (mistray.trace(here, rays=30_000, aim=aim) for aim in ("auto", "none"))
+    exact = np.pi * np.sin(np.radians(60)) ** 2 * np.pi * RADIUS**2
+    assert_z("flux", aimed.energy.detected_W, exact, aimed.energy.detected_se_W, false_alarm=1e-4)
+    assert aimed.energy.detected_se_W < 0.7 * blind.energy.detected_se_W
+    (a, b), n = ((float(np.sum(t.energy.absorbed["stop"])) / t.energy.launched_W for t in (aimed, blind)), 30_000)
+    # Weights of rays beside the aperture are at most 1/0.25 of their share
+    assert abs(a - b) < 4 * np.sqrt((4 + 1) * b / n)
+    assert aimed.energy.launched_W == pytest.approx(blind.energy.launched_W, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["phone_camera", "newtonian"])
+@pytest.mark.parametrize("lamp", ["sun:field_deg=2", "sky:half_angle_deg=10"])
+def test_suns_and_skies_are_aimed_for_short_systems(name: str, lamp: str) -> None:
+    """At the first surface of the design path, whose sphere does not lie within that of the scene."""
+    here = mistray.load(name, lamp)
+    table = SurfaceTable(here, 550.0)
+    path = find_design_path(table, here)
+    assert path is not None
+    assert path.has_optics
+    (run,) = prepare(here, Settings())
+    assert run.source.aperture is not None
+    np.testing.assert_allclose(run.source.aperture.centre, outline(table.shapes[path.steps[0].surface]).centre)
+
+
+def test_a_sky_all_around_is_aimed_at_the_lens() -> None:
+    """An open triplet, whose detector sees more of the sky past the lens than through it."""
+    (run,) = prepare(mistray.load("cooke_triplet", "sky"), Settings())
+    assert run.source.aperture is not None
+    assert run.source.aperture.centre[2] < 5.0
 
 
 def test_shadow_edge_of_the_sun() -> None:

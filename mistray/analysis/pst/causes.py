@@ -39,7 +39,7 @@ def stray_paths(pst: Pst, field_deg: float, n: int | None = None) -> pd.DataFram
     parts = [pst.paths(field_deg, azimuth) for azimuth in azimuths]
     rows = parts[0]
     if len(azimuths) > 1:
-        i, _ = pst.grid.nearest(field_deg, azimuths[0])
+        i, _ = pst.grid.nearest(abs(field_deg), azimuths[0])
         rows = _mean_of(pd.concat(parts, ignore_index=True), len(azimuths), float(pst.stray[i]), float(pst.value[i]))
     rows = rows[rows.percent_of_stray.notna()].reset_index(drop=True)
     rows["label"] = np.array(path_labels(rows), dtype=object)

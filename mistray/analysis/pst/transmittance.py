@@ -74,12 +74,14 @@ def pst(
         Angles are measured from the axis of its first `collimated` source, or from +z if it has none; the size of the
         source does not matter, the light fills everything.
     field_deg : float or sequence of float
-        Field angles, 0 … 90, ascending; each is the middle of a cell over which the PST is averaged.
+        Field angles, -90 … 90, ascending; each is the middle of a cell over which the PST is averaged. A negative one
+        is the positive one at the opposite azimuth, see `DirectionGrid.of`.
     method : {"joined", "adjoint", "forward"}
     convention : {"normal", "projected"}
         See `Pst`.
     azimuths_deg : float or sequence of float, optional
-        Azimuths of a two-dimensional map, from +y towards -x; by default the mean over all azimuths.
+        Azimuths of a two-dimensional map, from +y towards -x; by default the mean over all azimuths, of which the
+        sign of an angle says nothing.
     cell_deg, azimuth_cell_deg : float, optional
         Widths of the cells, see `DirectionGrid.of`.
     wavelength_nm : float or sequence of float, optional

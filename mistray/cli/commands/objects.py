@@ -6,7 +6,7 @@ from mistray.cli.command import Command, Group, Option, angles
 from mistray.cli.options import Options
 from mistray.cli.shared import DETECTOR, ELSE, MACHINE, SCENE, SURFACES, TABLE_FORMATS, TIME, output, setting
 from mistray.errors import MistrayError
-from mistray.ranges import AZIMUTH_DEG, CONE_DEG, PLACE_MM, RAYS, ROWS, SHARE, WAVELENGTH_NM
+from mistray.ranges import AZIMUTH_DEG, CONE_DEG, FIELD_DEG, PLACE_MM, RAYS, ROWS, SHARE, WAVELENGTH_NM
 
 ROWS_SHOWN = 25
 HALF_ANGLE_DEG = 20.0
@@ -37,7 +37,7 @@ COMMAND = Command(
         Group("light from outside (one of the first three)", (
             Option("--half-angle-deg", f"from everywhere within this angle of the axis ({HALF_ANGLE_DEG:g})",
                    CONE_DEG, "DEG"),
-            angles("--field-deg", "a distant source at field angles: numbers, and ranges first:last:step",
+            angles("--field-deg", "a distant source at field angles: numbers, and ranges first:last:step", FIELD_DEG,
                    old="--angles-deg"),
             Option("--disc", "a Lambertian disc across the z axis, mm; its cone is --half-angle-deg",
                    PLACE_MM, ("Z", "RADIUS"), 2),

@@ -30,7 +30,16 @@ from mistray.cli.shared import (
 )
 from mistray.errors import MistrayError
 from mistray.percent import percent_text
-from mistray.ranges import AZIMUTH_DEG, AZIMUTH_WIDTH_DEG, CELL_WIDTH_DEG, PIXELS, POLAR_DEG, RELATIVE_ERROR, ROWS
+from mistray.ranges import (
+    AZIMUTH_DEG,
+    AZIMUTH_WIDTH_DEG,
+    CELL_WIDTH_DEG,
+    PIXELS,
+    POLAR_DEG,
+    PST_FIELD_DEG,
+    RELATIVE_ERROR,
+    ROWS,
+)
 
 if TYPE_CHECKING:
     from mistray.analysis import Pst
@@ -61,7 +70,8 @@ COMMAND = Command(
     (
         SCENE,
         Group("directions (angles: numbers, and ranges first:last:step)", (
-            angles("--field-deg", "field angles, ascending (0:80:2)", old="--angles-deg"),
+            angles("--field-deg", "field angles, ascending; negative ones are at the opposite azimuth (0:80:2)",
+                   PST_FIELD_DEG, old="--angles-deg"),
             angles("--azimuths-deg", "azimuths of a map, from +y towards -x (the mean over all)", AZIMUTH_DEG),
             Option("--cell-deg", "width of the cells of field angle that the PST is averaged over (2)",
                    CELL_WIDTH_DEG, "DEG"),
@@ -89,7 +99,7 @@ COMMAND = Command(
         )),
         output("report.html, CSV, JSON and PNG files", FILES,
                Option("--paths-shown", "strongest stray paths of each angle; 0: no paths (4)", ROWS, "N", default=4),
-               angles("--map-field-deg", "field angles of irradiance maps of the detector (need --out)",
+               angles("--map-field-deg", "field angles of irradiance maps of the detector (need --out)", PST_FIELD_DEG,
                       old="--map-angles-deg"),
                Option("--map-azimuth-deg", "their azimuth (the first one)", AZIMUTH_DEG, "DEG"),
                Option("--map-pixels", f"pixels along their longer side ({MAP_PIXELS})", PIXELS, "N"),
@@ -108,12 +118,8 @@ def run(options: Options) -> int:
     from mistray.report.pst_output import pst_report
     from mistray.report.tables.pst import pst_record, pst_text
 
-    grid = DirectionGrid.of(
-        FIELD_ANGLES if options.field_deg is None else options.field_deg,
-        options.azimuths_deg,
-        options.cell_deg,
-        options.azimuth_cell_deg,
-    )
+    angles_deg = FIELD_ANGLES if options.field_deg is None else options.field_deg
+    grid = DirectionGrid.of(angles_deg, options.azimuths_deg, options.cell_deg, options.azimuth_cell_deg)
     maps_at, shown = _maps_at(options, grid), options.paths_shown
     state = _state(options)
     scene = options.load()
@@ -129,10 +135,10 @@ def run(options: Options) -> int:
 
             found = pst(
                 scene,
-                grid.field_deg,
+                angles_deg,
                 method=options.method,
                 convention=options.convention,
-                azimuths_deg=None if options.azimuths_deg is None else grid.azimuths_deg,
+                azimuths_deg=options.azimuths_deg,
                 cell_deg=options.cell_deg,
                 azimuth_cell_deg=options.azimuth_cell_deg,
                 detector=options.detector,
@@ -192,8 +198,9 @@ def _maps_at(options: Options, grid: DirectionGrid) -> list[tuple[float, float]]
     """Directions whose maps of the detector are drawn; each must lie in a cell."""
     if options.map_field_deg is None:
         return []
-    azimuth = float(grid.azimuths_deg[0]) if options.map_azimuth_deg is None else options.map_azimuth_deg
-    directions = [(angle, azimuth) for angle in dict.fromkeys(options.map_field_deg)]
+    azimuth = float((options.azimuths_deg or [0.0])[0]) if options.map_azimuth_deg is None else options.map_azimuth_deg
+    signed = dict.fromkeys(options.map_field_deg)
+    directions = [(angle, azimuth) if angle >= 0 else (-angle, azimuth + 180) for angle in signed]
     for direction in directions:
         grid.nearest(*direction)
     return directions

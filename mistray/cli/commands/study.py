@@ -26,7 +26,7 @@ from mistray.cli.shared import (
     ray_tree,
 )
 from mistray.errors import MistrayError
-from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, RELATIVE_ERROR
+from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, PST_FIELD_DEG, RELATIVE_ERROR
 
 STATE = "pst_state.npz"
 STEPS = 8
@@ -51,7 +51,7 @@ COMMAND = Command(
         SCENE,
         Group("what is traced", (
             angles("--pst-field-deg", "field angles of the PST, numbers and ranges first:last:step (0:80:2)",
-                   old="--angles-deg"),
+                   PST_FIELD_DEG, old="--angles-deg"),
             Option("--field-deg", "field angles of the ghosts (0, 1/2, 1 and 5/4 of the half field)",
                    FIELD_DEG, "DEG", "+"),
             Option("--azimuth-deg", "azimuth of these fields (as the scene says)", AZIMUTH_DEG, "DEG"),

@@ -11,7 +11,7 @@ from mistray.cli.command import Command, Group, Option, angles
 from mistray.cli.options import Options
 from mistray.cli.shared import SCATTER, SCENE, SCHEDULER, SPECTRUM, SURFACES, TABLE_FORMATS, TIME, output, ray_tree
 from mistray.errors import MistrayError, UnfinishedError
-from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, FINITE
+from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, FINITE, PST_FIELD_DEG
 
 if TYPE_CHECKING:
     from mistray.sweeps import Configuration, Sweep
@@ -44,7 +44,7 @@ COMMAND = Command(
             Option("--field-deg", "field angles, degrees", FIELD_DEG, "DEG", "+"),
             Option("--azimuth-deg", "azimuth of the fields about z, degrees", AZIMUTH_DEG, "DEG"),
             angles("--pst-field-deg", "instead of fields: the PST at these field angles before and after what each "
-                   "configuration moves, paints, coats or blocks", old="--pst-deg"),
+                   "configuration moves, paints, coats or blocks", PST_FIELD_DEG, old="--pst-deg"),
             Option("--rank", "with --pst-field-deg: rank what can be moved, blocked, painted and coated by the "
                    "derivatives of the stray PST; STUDY may be left out", bool),
             Option("--step", "of --rank: steps by kind (position, tilt, rim, scatter, share, coating), key or pattern, "

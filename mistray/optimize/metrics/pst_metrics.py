@@ -16,7 +16,7 @@ from mistray.optimize.metrics.metric import Metric, require_known
 from mistray.optimize.metrics.observation import NORM, smooth_maximum
 from mistray.optimize.metrics.pst_observation import CONVENTION, QUANTITY, Light, PstObservation, named_classes
 from mistray.optimize.metrics.views import PstView, View
-from mistray.ranges import POLAR_DEG, POSITIVE
+from mistray.ranges import POLAR_DEG, POSITIVE, PST_FIELD_DEG
 from mistray.recorders.directions import CELL_DEG
 from mistray.renamed import renamed
 from mistray.surfaces.upload import upload
@@ -68,7 +68,7 @@ def pst_bin(
     ----------
     scene : mi.Scene
     field_deg : float
-        0 … 90.
+        -90 … 90; a negative one is at the opposite azimuth.
     light : str or sequence of str
         See `PstObservation`.
     azimuth_deg : float, optional
@@ -80,7 +80,7 @@ def pst_bin(
         given. Metrics with the same settings share one trace in `combine`.
     """
     CONVENTION.check("convention", convention)
-    settings = {PST_FIELD: (float(POLAR_DEG.check("field_deg", field_deg)),), **traced}
+    settings = {PST_FIELD: (float(PST_FIELD_DEG.check("field_deg", field_deg)),), **traced}
     if azimuth_deg is not None:
         settings = {"azimuths_deg": (float(azimuth_deg),), **settings}
     return _metric(

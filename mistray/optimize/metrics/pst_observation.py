@@ -104,7 +104,10 @@ class PstObservation:
         """
         CONVENTION.check("convention", convention)
         grid = self.pst.grid
-        i, j = grid.nearest(field_deg, float(grid.azimuths_deg[0]) if azimuth_deg is None else azimuth_deg)
+        if azimuth_deg is None:
+            i, j = grid.nearest(abs(field_deg), float(grid.azimuths_deg[0]))
+        else:
+            i, j = grid.nearest(field_deg, azimuth_deg)
         weights = np.zeros(grid.shape)
         weights[i, slice(None) if azimuth_deg is None else j] = 1 / (grid.shape[1] if azimuth_deg is None else 1)
         return self.weighted(weights / grid.mean_cosine[i] if convention == "projected" else weights, light)
