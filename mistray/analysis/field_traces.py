@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
 import mitsuba as mi
 
 from mistray.surfaces.surfaces import require_one, solid_shapes
 from mistray.time_budget import share
-from mistray.trace import Trace, trace
+from mistray.trace import PolarizationChoice, Settings, Trace, trace
+from mistray.trace.polarization_choice import chosen_polarization
 
 NOMINAL_FIELD_DEG = 0.0
+BEAM = ("azimuth_deg", "wavelength_nm", "weights", "detector")  # arguments of a trace that say which light it starts
 
 Progress = Callable[[float, float], None]
 
@@ -83,6 +86,17 @@ class FieldTraces:
         with share(1 / fields):
             self.nominal = trace(self._scene, field_deg=NOMINAL_FIELD_DEG, **bare)
         self.at_yardstick = False
+
+
+def one_for_fields(scene: mi.Scene, wanted: Sequence[float | None], arguments: Mapping[str, Any]) -> PolarizationChoice:
+    """The polarization of the traces of several fields, one for all, see `mistray.trace.polarization_choice`."""
+    given = arguments.get("polarization")
+    if isinstance(given, PolarizationChoice):
+        return given
+    beam = {name: arguments[name] for name in BEAM if name in arguments}
+    known = {f.name for f in fields(Settings)}
+    settings = Settings.unresolved(scene, **{name: value for name, value in arguments.items() if name in known})
+    return chosen_polarization(scene, settings, [{**beam, "field_deg": field} for field in wanted])
 
 
 def _part(progress: Progress | None, done: int, fields: int) -> Callable[[int, int], None] | None:

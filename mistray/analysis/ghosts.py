@@ -14,13 +14,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
 from mistray.analysis.combine import by_path
 from mistray.analysis.estimate import UNKNOWN, Estimate
-from mistray.analysis.field_traces import NOMINAL_FIELD_DEG, FieldTraces, Progress
+from mistray.analysis.field_traces import NOMINAL_FIELD_DEG, FieldTraces, Progress, one_for_fields
 from mistray.analysis.filtered import Filtered, filtered
 from mistray.analysis.irradiance import MapStatistics, brightest, mirror_asymmetry, statistics
 from mistray.analysis.path_analysis import path_analysis
@@ -485,7 +486,7 @@ def ghosts(
     Trace a scene at several field angles and rank its stray light.
 
     The direct image on axis, the denominator of every normalised number, is taken from the field 0; when that is not
-    among ``field_deg`` it is traced as well, without reflections and scatter.
+    among ``field_deg`` it is traced as well, without reflections and scatter. All fields have the same polarization.
 
     Parameters
     ----------
@@ -531,6 +532,8 @@ def ghosts(
     wanted: list[float | None] = [None]
     if field_deg is not None:
         wanted = list(dict.fromkeys(FIELD_DEG.check_each("field_deg", field_deg, "ghosts")))
+    if isinstance(scene, mi.Scene):
+        arguments["polarization"] = one_for_fields(scene, wanted, arguments)
     fields_of = FieldTraces(scene, arguments, progress)
     try:
         with within(seconds):

@@ -41,7 +41,10 @@ class View:
     def observe(self, scene: Any, times: float, changes: Mapping[str, Any]) -> Observation | PstObservation:
         """Trace the scene with so many times the rays; `changes` replace some of the arguments."""
         changes = {name: value for name, value in changes.items() if name != "paths"}  # a trace always has them
-        return Observation(trace(scene, **self._arguments(scene, times, changes)))
+        arguments = self._arguments(scene, times, changes)
+        # That of its gradient, without a pilot: a search and its verification see the same light
+        arguments["polarization"] = Settings.of(scene, polarization=arguments.get("polarization")).polarization
+        return Observation(trace(scene, **arguments))
 
     def _arguments(self, scene: Any, times: float, changes: Mapping[str, Any]) -> dict[str, Any]:
         arguments = {**self.arguments, **changes}

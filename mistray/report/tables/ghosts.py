@@ -18,6 +18,7 @@ from mistray.report.own_sections import own_text
 from mistray.report.tables.scatter import scatter_text
 from mistray.report.tables.text import ABSENT, number, table_text, with_error
 from mistray.settings import BRANCHES
+from mistray.trace.polarization_choice import words_of
 
 LIMIT_WARNING = 1e-6  # of the launched flux
 COATING_WARNING = 1e-4  # of R and T, by interpolation over the angle
@@ -153,6 +154,7 @@ def main_table(report: GhostReport, count: int = 4, per_wavelength: bool = False
     if any(not report.listed(field, count).well_sampled.all() for field in report):
         parts.append(f"*: fewer than {FEWEST_RAYS} rays, RMS radius and irradiance are unreliable")
     parts.append(f"energy closure, worst field: {closure:.1e} of the launched flux")
+    parts.append(words_of(next(iter(report.values())).settings))
     for text in own_text(report):
         parts += ["", text, ""]
     parts += [f"warning: {text}" for text in warnings(report)]
