@@ -125,7 +125,7 @@ def test_help_names_units(capsys):
         (("--half-angle-deg", "0"), "must lie between 1e-6 and 90"),
         (("--half-angle-deg", "95"), "--half-angle-deg: 95 must lie"),
         (("--field-deg", "95"), "must lie between -90 and 90"),
-        (("--field-deg", "90"), "field_deg is 90"),
+        (("--field-deg", "90"), "--field-deg: 90 must lie"),
         (("--field-deg", "10", "--half-angle-deg", "5"), "two kinds of source"),
         (("--field-deg", "10", "--disc", "0", "1"), "two kinds of source"),
         (("--azimuth-deg", "10"), "--azimuth-deg is about --field-deg"),

@@ -16,7 +16,7 @@ from mistray.analysis.estimate import Estimate
 from mistray.explore.controls import NUMBER, VALUES, WAVELENGTH, Control
 from mistray.explore.looks import Looks
 from mistray.explore.traced import Traced
-from mistray.recorders.path_events import FIRST_SCATTERED
+from mistray.recorders.path_events import DIRECT, FIRST_SCATTERED
 
 Floats = npt.NDArray[np.float64]
 OF_FIRST_ORDER = "first order"
@@ -106,6 +106,11 @@ def at_field(
     """
     Estimate the light at a field angle from traces at others: powers in proportion between the two nearest ones.
 
+    The light of a way may rise anywhere between two traced fields a and b. At the share s of the way from a to b the
+    errors hold 2 s (1 - s) |P(b) - P(a)| of each way of the light: half the difference in the middle, where a step may
+    lie, and twice what is missed if it rises with the square of the field. Those of all ways add up, as the same rims
+    cut them. Beyond the traced fields nothing is known, and the error is the estimate itself.
+
     Parameters
     ----------
     traces : mapping of float to Traced
@@ -118,24 +123,43 @@ def at_field(
     ends = sorted({max(below, default=min(traces)), min(above, default=max(traces))})
     found = [guess(traces[f], looks, controls, {**state, "field": f}) for f in ends]
     if len(ends) == 1:
-        note = "" if ends[0] == field else f"field: all as at {ends[0]:g}°"
-        return dataclasses.replace(found[0], left_out=(*([note] if note else []), *found[0].left_out))
+        return found[0] if ends[0] == field else _beyond(found[0], f"field: all as at {ends[0]:g}°")
     share = (field - ends[0]) / (ends[1] - ends[0])
     note = f"field: powers between those at {ends[0]:g}° and {ends[1]:g}°, map and rays of the nearer one"
     shares = (1 - share, share)
     near = found[int(share > 0.5)]
-    both = pd.concat(one.ways.assign(**{key: one.ways[key] * part for key in ("power_W", "power_se_W")})
-                     for one, part in zip(found, shares, strict=True))  # fmt: skip
-    ways = both.groupby("events", sort=False, as_index=False).agg(
-        {"label": "first", "kind": "first", "power_W": "sum", "power_se_W": "sum", "rms_radius_mm": "first"}
+    both = pd.concat(
+        one.ways.assign(
+            **{key: one.ways[key] * part for key in ("power_W", "power_se_W")}, rise_W=sign * one.ways.power_W
+        )
+        for one, part, sign in zip(found, shares, (-1, 1), strict=True)
     )
-    totals: dict[str, Any] = {
-        name: Estimate(*(sum(part * getattr(one, name)[k] for one, part in zip(found, shares, strict=True))
-                         for k in (0, 1)))
-        for name in ("stray_W", "direct_W", "ratio")
-    }  # fmt: skip
+    first = dict.fromkeys(("label", "kind", "rms_radius_mm"), "first")
+    ways = both.groupby("events", sort=False, as_index=False).agg(
+        {**first, **dict.fromkeys(("power_W", "power_se_W", "rise_W"), "sum")}
+    )
+    missed = 2 * share * (1 - share) * np.abs(np.asarray(ways.rise_W))
+    ways = ways.assign(power_se_W=np.hypot(ways.power_se_W, missed))[COLUMNS]
+    stray = np.asarray(ways.kind != DIRECT)
+    totals: dict[str, Any] = {}
+    for name, of_its_ways in (("stray_W", stray), ("direct_W", ~stray)):
+        value, se = np.array([getattr(one, name) for one in found]).T @ shares
+        totals[name] = Estimate(float(value), math.hypot(se, missed[of_its_ways].sum()))
+    light, ratio = totals["direct_W"], math.nan
+    error = totals["stray_W"].se
+    if light.value > 0:
+        ratio = totals["stray_W"].value / light.value
+        error = (error + ratio * light.se) / light.value
+    totals["ratio"] = Estimate(ratio, error)
     left_out = tuple(dict.fromkeys([note, *(text for one in found for text in one.left_out)]))
     return dataclasses.replace(near, ways=ways, left_out=left_out, **totals)
+
+
+def _beyond(near: Guess, note: str) -> Guess:
+    """What is known of a field beyond all that are traced: the order of magnitude, perhaps."""
+    whole = {name: Estimate(*[getattr(near, name).value] * 2) for name in ("stray_W", "direct_W", "ratio")}
+    ways = near.ways.assign(power_se_W=near.ways.power_W)
+    return dataclasses.replace(near, ways=ways, left_out=(note, *near.left_out), **whole)
 
 
 def _ray_factors(of: Traced, looks: Looks, state: Mapping[str, VALUES], moved: list[Control]) -> Floats:

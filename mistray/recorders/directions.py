@@ -66,7 +66,7 @@ class DirectionGrid:
         ----------
         field_deg : float or sequence of float
             -90 … 90; a negative angle is the positive one at the opposite azimuth, as of a `collimated` source. Where
-            angles of both signs are given, all cells have both azimuths.
+            there are others too, all cells have both azimuths.
         azimuths_deg : float or sequence of float, optional
             By default one cell holds all azimuths, and the sign does not matter.
         cell_deg : float, optional
@@ -97,7 +97,7 @@ class DirectionGrid:
             if np.any(given < 0):
                 opposite = azimuths + np.where(azimuths > 0, -180, 180)
                 new = opposite[~np.isin(opposite % 360, azimuths % 360)]
-                azimuths = np.append(azimuths, new) if np.any(given > 0) else opposite
+                azimuths = np.append(azimuths, new) if np.any(given >= 0) else opposite
             least = _least_gap(azimuths)
             span = min(span, least)
             if azimuth_cell_deg is not None:

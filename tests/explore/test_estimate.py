@@ -66,10 +66,22 @@ def test_layers_and_wavelength_together_with_a_coating(at_start):
 
 
 def test_a_field_between_two_that_are_known(at_start):
+    """Both ends weigh the same, and the error holds what a trace finds there, which is not half way."""
     first = at_start.view()
+    alone = at_start.move({"field": 1.0})
+    assert any("all as at 0°" in text for text in alone["left_out"])
+    assert alone["stray_W"] == [first["stray_W"][0]] * 2
+    at_start.move({"field": 0.0})
     at_start.prepare()
     view = at_start.move({"field": 1.0})
     assert view["label"] == "estimate"
+    t = mistray.trace(mistray.load("singlet_window_detector"), rays=2000, field_deg=1.0, max_reflections=2)
+    stray = sum(row.power_W for row in t.paths if row.kind != "direct")
+    direct = sum(row.power_W for row in t.paths if row.kind == "direct")
+    for name, exact in (("stray_W", stray), ("direct_W", direct), ("ratio", stray / direct)):
+        value, error = view[name]
+        assert abs(value - exact) < 2 * error
+        assert error < 0.1 * value
     assert any("between those at 0° and 2°" in text for text in view["left_out"])
     other = at_start.move({"field": 2.0})
     assert other["left_out"] == []
