@@ -25,6 +25,7 @@ from mistray.sampling.sources import field_axes, spectrum_of
 from mistray.settings import Settings
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import within
+from mistray.trace.polarization_choice import unpolarized_notes
 
 Progress = Callable[[PstProgress], None]
 
@@ -143,7 +144,11 @@ def pst(
         **settings,
     )
     with within(seconds):
-        return next(found)
+        result = next(found)
+    light = {"wavelength_nm": wavelength_nm, "weights": weights, "detector": detector}
+    beams = [{**light, "field_deg": float(angle)} for angle in result.field_deg]
+    result.facts["notes"] = [*result.facts["notes"], *unpolarized_notes(scene, beams, **settings)]
+    return result
 
 
 @renamed(angles_deg="field_deg")

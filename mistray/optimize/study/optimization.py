@@ -14,6 +14,7 @@ import numpy as np
 from mistray.analysis.changes.gaps import Contacts, Gap
 from mistray.coatings import LAYER_PARAMETERS, Stack
 from mistray.errors import MistrayError
+from mistray.optimize.metrics.views import seen_unpolarized
 from mistray.optimize.study.checkpoint import Checkpoint
 from mistray.optimize.study.comparison import SEEDS, Comparison, Levels, compare, measure
 from mistray.optimize.study.merit import Merit
@@ -22,7 +23,7 @@ from mistray.optimize.study.searches import Progress, Searches
 from mistray.optimize.study.starts import starts
 from mistray.optimize.study.state import Start, State, Step
 from mistray.optimize.study.study_scene import Placed, StudyScene, band, open_scene, place
-from mistray.optimize.study.terms import UNITS_OF_LAYERS, layer_value, of_layers
+from mistray.optimize.study.terms import UNITS_OF_LAYERS, layer_value, of_layers, traced_metric
 from mistray.optimize.study.variables import Variables, find_variables
 from mistray.optimize.tolerances.proposals import SHAPE_KINDS
 from mistray.optimize.toml.read_study import read_study
@@ -209,6 +210,8 @@ def optimize(
         designs = variables.start, np.array(best.x)
         levels = [_levels(read, opened, variables, x, verification_seeds) for x in designs]
         gaps = contacts.opened(opened.scene)  # which is the result now
+        traced = [traced_metric(term, opened.scene, read.optimizer.seed) for term in read.terms if not of_layers(term)]
+        unpolarized = seen_unpolarized(opened.scene, [view for metric in traced for view in metric.views])
     return Optimization(
         study=read,
         source=source,
@@ -222,7 +225,7 @@ def optimize(
         best=best,
         comparison=compare(*levels),
         gaps=gaps,
-        left_out=tuple(state.left_out),
+        left_out=(*state.left_out, *unpolarized),
         edge_widths=state.edge_widths,
         search_seconds=state.seconds,
         traced_seconds=state.traced_seconds,
