@@ -11,10 +11,9 @@ import mitsuba as mi
 from mistray.surfaces.surfaces import require_one, solid_shapes
 from mistray.time_budget import share
 from mistray.trace import PolarizationChoice, Settings, Trace, trace
-from mistray.trace.polarization_choice import chosen_polarization
+from mistray.trace.polarization_choice import BEAM, chosen_polarization
 
 NOMINAL_FIELD_DEG = 0.0
-BEAM = ("azimuth_deg", "wavelength_nm", "weights", "detector")  # arguments of a trace that say which light it starts
 
 Progress = Callable[[float, float], None]
 

@@ -16,19 +16,23 @@ from typing import Any
 import numpy as np
 
 from mistray.coatings import Ideal
+from mistray.errors import MistrayError
 from mistray.execute.tracer import Run, prepare
 from mistray.recorders.path_events import EVENT_MASK
 from mistray.recorders.path_key import EVENT_BITS, REFLECTED
+from mistray.sampling.sources import source_emitters
 from mistray.settings import Settings, polarized_sources
 from mistray.surfaces.optics import MIRROR
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.trace.both_ways import Arrivals, follow
 
+BEAM = ("azimuth_deg", "wavelength_nm", "weights", "detector")  # what else than the field says which light starts
 WORTH_IT = 0.01  # change of a printed number that Stokes vectors are taken for
 DOUBT, FAR_BELOW = 0.75, 0.1  # shares of that from which the pilot looks more closely, after the first round and before
 SURE = 2.0  # standard errors of the pilot by which a change must exceed that
 ROUNDS = (32, 160, 640)  # start rays of a beam; the second where the first is not clear, the third in doubt
 MOST_HITS = 20_000  # that a beam may take
+NOTED = 3  # beams of a result that stays unpolarised
 MOST_RUNS = 8  # sources and wavelengths that it looks at, spread over all
 LISTED, LEAST_HITS = 8, 4  # stray paths by power and by RMS irradiance that count, and branches of each
 FEWEST = 4  # start rays of a run
@@ -151,6 +155,39 @@ def chosen_polarization(
     return PolarizationChoice(
         "unpolarized", f"Stokes vectors change {largest.words}, and a pilot finds no more", largest.change
     )
+
+
+def unpolarized_notes(
+    scene: Any, beams: Sequence[Mapping[str, Any]] = ({},), polarization: str | None = None, **settings: Any
+) -> list[str]:
+    """
+    What a reader must know of a result of unpolarised light, where Stokes vectors would change a trace.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    beams : sequence of mapping
+        As for `chosen_polarization`; the first, the last and one between are looked at.
+    polarization : str, optional
+        As it was requested; what was given needs no note.
+    **settings
+        The others of `mistray.trace.Settings`.
+
+    Returns
+    -------
+    list of str
+        One sentence, or none: also where the sources of the scene cannot send such light.
+    """
+    chosen = Settings.unresolved(scene, polarization=polarization, **settings)
+    if chosen.polarization != "auto" or not source_emitters(scene):
+        return []
+    try:
+        found = chosen_polarization(scene, chosen, _spread(beams, NOTED))
+    except MistrayError:  # the result needs no light of the sources, and may start at angles that they do not know
+        return []
+    if not abs(found.change) > WORTH_IT or found.mode != "stokes":
+        return []
+    return [f"polarization: {found.reason}; this is of light that is unpolarised at every hit"]
 
 
 def _pilot(runs: Sequence[tuple[str, Run]]) -> list[_Row]:

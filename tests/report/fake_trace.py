@@ -34,6 +34,7 @@ SETTINGS = asdict(Settings(rays=1000, max_events=32)) | {
     "azimuth_deg": 0.0,
     "wavelength_nm": [550.0],
     "variant": "llvm_ad_rgb",
+    "polarization_reason": "no surface tells s from p",
     "versions": {"mistray": "0.1.0", "mitsuba": "3.9.1"},
 }
 

@@ -27,6 +27,7 @@ from mistray.sampling.sources import field_axes, spectrum_of
 from mistray.settings import Settings
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import share, within
+from mistray.trace.polarization_choice import unpolarized_notes
 
 Progress = Callable[[PstProgress], None]
 
@@ -154,12 +155,17 @@ def pst(
     began = time.perf_counter()
     with within(seconds):
         with share(FIRST_SHARE if next_order else 1.0):
-            first = next(pst_of_each([scene], field_deg, **arguments))
-        if not next_order:
-            return first
-        again = {**arguments, "state": None, "resume": False}
-        spent = time.perf_counter() - began
-        return with_next_orders(scene, first, spent, lambda **limit: pst(scene, field_deg, **{**again, **limit}))
+            result = next(pst_of_each([scene], field_deg, **arguments))
+        if next_order:
+            again = {**arguments, "state": None, "resume": False}
+            spent = time.perf_counter() - began
+            result = with_next_orders(
+                scene, result, spent, lambda **limit: next(pst_of_each([scene], field_deg, **{**again, **limit}))
+            )
+    light = {"wavelength_nm": wavelength_nm, "weights": weights, "detector": detector}
+    beams = [{**light, "field_deg": float(angle)} for angle in result.field_deg]
+    result.facts["notes"] = [*result.facts["notes"], *unpolarized_notes(scene, beams, **settings)]
+    return result
 
 
 @renamed(angles_deg="field_deg")

@@ -16,6 +16,7 @@ from mistray.analysis.changes.gaps import Contacts, Gap
 from mistray.analysis.next_order import NextOrder
 from mistray.coatings import LAYER_PARAMETERS, Stack
 from mistray.errors import MistrayError
+from mistray.optimize.metrics.views import seen_unpolarized
 from mistray.optimize.study.checkpoint import Checkpoint
 from mistray.optimize.study.comparison import SEEDS, Comparison, Levels, compare, measure
 from mistray.optimize.study.merit import Merit
@@ -25,7 +26,7 @@ from mistray.optimize.study.searches import Progress, Searches
 from mistray.optimize.study.starts import starts
 from mistray.optimize.study.state import Start, State, Step
 from mistray.optimize.study.study_scene import Placed, StudyScene, band, open_scene, place
-from mistray.optimize.study.terms import UNITS_OF_LAYERS, layer_value, of_layers
+from mistray.optimize.study.terms import UNITS_OF_LAYERS, layer_value, of_layers, traced_metric
 from mistray.optimize.study.variables import Variables, find_variables
 from mistray.optimize.tolerances.proposals import SHAPE_KINDS
 from mistray.optimize.toml.read_study import read_study
@@ -233,6 +234,8 @@ def optimize(
             left = spent if end is None else min(spent, end - time.perf_counter())
             comparison, orders = with_next_orders(read, opened.scene, levels, left, both)
         gaps = contacts.opened(opened.scene)  # which is the result now
+        traced = [traced_metric(term, opened.scene, read.optimizer.seed) for term in read.terms if not of_layers(term)]
+        unpolarized = seen_unpolarized(opened.scene, [view for metric in traced for view in metric.views])
     return Optimization(
         study=read,
         source=source,
@@ -247,7 +250,7 @@ def optimize(
         comparison=comparison,
         next_orders=orders,
         gaps=gaps,
-        left_out=tuple(state.left_out),
+        left_out=(*state.left_out, *unpolarized),
         edge_widths=state.edge_widths,
         search_seconds=state.seconds,
         traced_seconds=state.traced_seconds,
