@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,9 @@ from mistray.recorders.path_events import FIRST_SCATTERED
 
 Floats = npt.NDArray[np.float64]
 OF_FIRST_ORDER = "first order"
-COLUMNS = ["events", "label", "kind", "power_W", "power_se_W", "rms_radius_mm"]
+COLUMNS = ["events", "label", "kind", "power_W", "power_se_W", "rms_radius_mm", "rms_irradiance_W_mm2",
+           "rms_irradiance_se_W_mm2"]  # fmt: skip
+IN_PROPORTION = [name for name in COLUMNS if "_W" in name]  # to the power, the radius being as it was traced
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,7 @@ class Guess:
     Attributes
     ----------
     ways : DataFrame
-        ``events``, ``label``, ``kind``, ``power_W``, ``power_se_W`` and ``rms_radius_mm`` of each way of the light.
+        `COLUMNS` of each way of the light, see `mistray.trace.paths.PathRow`.
     stray_W, direct_W, ratio : Estimate
         Powers, and stray over direct. Their errors are those of the trace, in proportion, and of the sample of rays.
     map_W : (h, w) float64
@@ -76,9 +79,10 @@ def guess(of: Traced, looks: Looks, controls: Mapping[str, Control], state: Mapp
     stray_W = stray_W._replace(se=math.hypot(stray_W.se, of_sample, of.stray_W.value * change_se))
     direct_W = _in_proportion(of.direct_W, float(power[~stray].sum()))
     ratio = stray_W.value / direct_W.value if direct_W.value > 0 else math.nan
-    ways = of.ways[COLUMNS].assign(
-        power_W=power, power_se_W=np.hypot(np.asarray(of.ways.power_se_W) * factor, sampled_se)
-    )
+    ways = of.ways[COLUMNS].copy()
+    for value, se in (("power_W", "power_se_W"), ("rms_irradiance_W_mm2", "rms_irradiance_se_W_mm2")):
+        ways[se] = np.hypot(of.ways[se] * factor, of.ways[value] * factor_se)
+        ways[value] = of.ways[value] * factor
     return Guess(
         ways,
         stray_W,
@@ -124,10 +128,10 @@ def at_field(
     note = f"field: powers between those at {ends[0]:g}° and {ends[1]:g}°, map and rays of the nearer one"
     shares = (1 - share, share)
     near = found[int(share > 0.5)]
-    both = pd.concat(one.ways.assign(**{key: one.ways[key] * part for key in ("power_W", "power_se_W")})
+    both = pd.concat(one.ways.assign(**{key: one.ways[key] * part for key in IN_PROPORTION})
                      for one, part in zip(found, shares, strict=True))  # fmt: skip
     ways = both.groupby("events", sort=False, as_index=False).agg(
-        {"label": "first", "kind": "first", "power_W": "sum", "power_se_W": "sum", "rms_radius_mm": "first"}
+        {name: partial(pd.Series.sum, skipna=False) if name in IN_PROPORTION else "first" for name in COLUMNS[1:]}
     )
     totals: dict[str, Any] = {
         name: Estimate(*(sum(part * getattr(one, name)[k] for one, part in zip(found, shares, strict=True))
