@@ -178,12 +178,13 @@ class GhostReport(Mapping[float, Trace]):
             and aimed; ``path_id`` is the strongest of them, ``wavelength_nm`` and ``polarization`` are means with the
             powers as weights), ``label`` (ghost surfaces and where it scatters, in words), ``percent_of_stray`` with
             its ``_se`` (of the power of all stray paths; ``percent`` is of all light, the direct image included),
-            ``normalised_rms_irradiance`` with its ``_se``, ``well_sampled`` (at least
-            `mistray.analysis.ranking.FEWEST_RAYS` rays), and the ranks among the stray paths, 1 = worst:
-            ``rank_power`` and ``rank_rms_irradiance`` (0 for direct paths). Paths that are not well sampled come last
-            in the second, because the RMS radius of a few rays is too small too often. Per wavelength, the rows are
-            normalised to the on-axis image at their wavelength and ranked among those of the same. Once
-            paths are ranked by peak, rows of all light also have the columns of `mistray.analysis.peaks.with_peaks`.
+            ``normalised_rms_irradiance`` with its ``_se``, and the ranks among the stray paths, 1 = worst:
+            ``rank_power`` and ``rank_rms_irradiance`` (0 for direct paths). The second goes by the lower bound of the
+            irradiance, `mistray.analysis.ranking.SURE` standard errors below it, with paths of few rays, which have
+            none, at the end. ``contested`` says whether the upper bound is above the lower bound of the first. Per
+            wavelength, the rows are normalised to the on-axis image at their wavelength and ranked among those of the
+            same. Once paths are ranked by peak, rows of all light also have the columns of
+            `mistray.analysis.peaks.with_peaks`.
         """
         if not per_wavelength:
             return self._ranked(field_deg, rank_column(self.rank))
