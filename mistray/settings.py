@@ -151,7 +151,8 @@ class Settings:
         surface.
     polarization : {"auto", "unpolarized", "stokes"}
         Average R and T over both polarisations at every hit, or carry the Stokes vector of every branch along. "auto"
-        is "stokes" if a source of the scene is polarised, and otherwise "unpolarized".
+        is "stokes" if a source of the scene is polarised, or where a pilot of a trace finds that this changes a listed
+        path or the stray light by more than 1 %, see `mistray.trace.polarization_choice`; otherwise "unpolarized".
     """
 
     rays: int = RAYS.field(1_000_000)
@@ -178,7 +179,9 @@ class Settings:
         "I (total reflection), M (mirrors), t and r (scatter) and A (absorption), such as TIA",
     )
     polarization: str = Words(("auto", "unpolarized", "stokes")).field(
-        "auto", "means of s and p at every hit, or Stokes vectors along paths; auto: as the sources need it"
+        "auto",
+        "means of s and p at every hit, or Stokes vectors along paths; auto: Stokes where it changes a listed path by "
+        "more than 1 %",
     )
     max_scatters: int = LIMIT.field(1, "scatter events on one path; 0: none")
     max_optical_scatters: int = LIMIT.field(NO_LIMIT, "those of them at surfaces that transmit")
@@ -197,8 +200,8 @@ class Settings:
 
     @classmethod
     def of(cls, scene: Any, **given: Any) -> Settings:
-        """Settings of a scene's ``straylight`` integrator, or the defaults; what is given and not None comes first."""
-        return cls._merged(scene, given).resolved(scene)
+        """The same as `unresolved` without a pilot: "auto" is "stokes" only if a source is polarised."""
+        return cls.unresolved(scene, **given).resolved(scene)
 
     @classmethod
     def without_sources(cls, scene: Any, purpose: str = "", **given: Any) -> Settings:
@@ -218,7 +221,7 @@ class Settings:
         MistrayError
             If there is a purpose, a source is polarised, and nothing says that this does not matter.
         """
-        found = cls._merged(scene, given)
+        found = cls.unresolved(scene, **given)
         if found.polarization != "auto":
             return found
         if purpose and (names := polarized_sources(scene)):
@@ -229,7 +232,8 @@ class Settings:
         return replace(found, polarization="unpolarized")
 
     @classmethod
-    def _merged(cls, scene: Any, given: Mapping[str, Any]) -> Settings:
+    def unresolved(cls, scene: Any, **given: Any) -> Settings:
+        """Settings of a scene's ``straylight`` integrator, or the defaults; what is given and not None comes first."""
         own = getattr(scene.integrator(), "settings", None) or cls()
         unknown = set(given) - {f.name for f in fields(cls)}
         if unknown:
@@ -238,7 +242,7 @@ class Settings:
         return cls(**(values | {key: value for key, value in given.items() if value is not None}))
 
     def resolved(self, scene: Any) -> Settings:
-        """The same with the `polarization` that "auto" is for a scene."""
+        """The same with the `polarization` that "auto" is for the sources of a scene, whatever its surfaces are."""
         if self.polarization != "auto":
             return self
         return replace(self, polarization="stokes" if polarized_sources(scene) else "unpolarized")

@@ -120,6 +120,7 @@ def test_every_option_is_passed_on(capsys: Any, fake: list[dict[str, Any]]) -> N
         "wavelength_nm": [450.0, 550.0],
         "weights": [1.0, 3.0],
         "error_up_to_deg": 60.0,
+        "next_order": True,
         "paths": False,
         "map_pixels": 0,
         "state": Path("run.npz"),

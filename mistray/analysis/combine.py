@@ -24,20 +24,17 @@ def by_path(table: pd.DataFrame, paths: PathTable) -> pd.DataFrame:
         The same columns; ``path_ids`` are those of all members, ``path_id`` is that of the strongest, and
         ``wavelength_nm`` the mean with the powers as weights. A path of one wavelength keeps its numbers.
     """
-    repeated = table.duplicated(["source", "events"], keep=False)
-    if not repeated.any():
+    if not table.duplicated(["source", "events"]).any():
         return table
-    rows = table[repeated]
-    group = rows.groupby(["source", "events"], sort=False).ngroup().to_numpy(np.int64)
+    group = table.groupby(["source", "events"], sort=False).ngroup().to_numpy(np.int64)
     order = np.argsort(group, kind="stable")
     _, starts = np.unique(group[order], return_index=True)
-    ids = rows.path_ids.to_numpy()[order]
+    ids = table.path_ids.to_numpy()[order]
     together = [sum(ids[a:b], ()) for a, b in zip(starts, [*starts[1:], len(order)], strict=True)]
-    numbers = paths.numbers(together)
-    power, wavelength = (rows[name].to_numpy(np.float64) for name in ("power_W", "wavelength_nm"))
+    power, wavelength = (table[name].to_numpy(np.float64) for name in ("power_W", "wavelength_nm"))
     mean = np.bincount(group, power * wavelength) / np.bincount(group, power)
-    heads = rows.iloc[order[starts]].assign(  # the table is sorted: the strongest
-        **numbers.columns, **paths.percents(numbers.light), wavelength_nm=mean, path_ids=together
-    )
-    result = pd.concat([table[~repeated], heads.astype(table.dtypes)])
+    single = np.bincount(group) == 1
+    heads = table.iloc[order[starts]]  # the table is sorted: the strongest
+    mean = np.where(single, heads.wavelength_nm, mean)
+    result = heads.assign(**paths.columns_of(together), wavelength_nm=mean, path_ids=together)
     return result.sort_values("power_W", ascending=False, kind="stable", ignore_index=True)

@@ -16,7 +16,7 @@ from mistray.errors import MistrayError
 from mistray.ranges import FIELD_DEG
 from mistray.recorders.path_events import DIRECT
 from mistray.renamed import renamed
-from mistray.trace import trace
+from mistray.trace import Settings, trace
 
 RIM = 8
 RAYS = 4000
@@ -67,7 +67,7 @@ def critical_rays(
     for field in wanted:
         t = trace(
             scene, rays=rays, field_deg=field, wavelength_nm=wavelength_nm, azimuth_deg=azimuth_deg, max_reflections=0,
-            max_scatters=0,
+            max_scatters=0, polarization=Settings.of(scene).polarization,
         )  # fmt: skip
         angle = float(t.settings["field_deg"])
         image = [row for row in t.paths if row.kind == DIRECT]

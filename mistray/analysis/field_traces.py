@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
 import mitsuba as mi
 
 from mistray.surfaces.surfaces import require_one, solid_shapes
 from mistray.time_budget import share
-from mistray.trace import Trace, trace
+from mistray.trace import PolarizationChoice, Settings, Trace, trace
+from mistray.trace.polarization_choice import BEAM, chosen_polarization
 
 NOMINAL_FIELD_DEG = 0.0
 
@@ -83,6 +85,17 @@ class FieldTraces:
         with share(1 / fields):
             self.nominal = trace(self._scene, field_deg=NOMINAL_FIELD_DEG, **bare)
         self.at_yardstick = False
+
+
+def one_for_fields(scene: mi.Scene, wanted: Sequence[float | None], arguments: Mapping[str, Any]) -> PolarizationChoice:
+    """The polarization of the traces of several fields, one for all, see `mistray.trace.polarization_choice`."""
+    given = arguments.get("polarization")
+    if isinstance(given, PolarizationChoice):
+        return given
+    beam = {name: arguments[name] for name in BEAM if name in arguments}
+    known = {f.name for f in fields(Settings)}
+    settings = Settings.unresolved(scene, **{name: value for name, value in arguments.items() if name in known})
+    return chosen_polarization(scene, settings, [{**beam, "field_deg": field} for field in wanted])
 
 
 def _part(progress: Progress | None, done: int, fields: int) -> Callable[[int, int], None] | None:

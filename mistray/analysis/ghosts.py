@@ -14,13 +14,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
 from mistray.analysis.combine import by_path
 from mistray.analysis.estimate import UNKNOWN, Estimate
-from mistray.analysis.field_traces import NOMINAL_FIELD_DEG, FieldTraces, Progress
+from mistray.analysis.field_traces import NOMINAL_FIELD_DEG, FieldTraces, Progress, one_for_fields
 from mistray.analysis.filtered import Filtered, filtered
 from mistray.analysis.irradiance import MapStatistics, brightest, mirror_asymmetry, statistics
 from mistray.analysis.path_analysis import path_analysis
@@ -181,12 +182,13 @@ class GhostReport(Mapping[float, Trace]):
             and aimed; ``path_id`` is the strongest of them, ``wavelength_nm`` and ``polarization`` are means with the
             powers as weights), ``label`` (ghost surfaces and where it scatters, in words), ``percent_of_stray`` with
             its ``_se`` (of the power of all stray paths; ``percent`` is of all light, the direct image included),
-            ``normalised_rms_irradiance`` with its ``_se``, ``well_sampled`` (at least
-            `mistray.analysis.ranking.FEWEST_RAYS` rays), and the ranks among the stray paths, 1 = worst:
-            ``rank_power`` and ``rank_rms_irradiance`` (0 for direct paths). Paths that are not well sampled come last
-            in the second, because the RMS radius of a few rays is too small too often. Per wavelength, the rows are
-            normalised to the on-axis image at their wavelength and ranked among those of the same. Once
-            paths are ranked by peak, rows of all light also have the columns of `mistray.analysis.peaks.with_peaks`.
+            ``normalised_rms_irradiance`` with its ``_se``, and the ranks among the stray paths, 1 = worst:
+            ``rank_power`` and ``rank_rms_irradiance`` (0 for direct paths). The second goes by the lower bound of the
+            irradiance, `mistray.analysis.ranking.SURE` standard errors below it, with paths of few rays, which have
+            none, at the end. ``contested`` says whether the upper bound is above the lower bound of the first. Per
+            wavelength, the rows are normalised to the on-axis image at their wavelength and ranked among those of the
+            same. Once paths are ranked by peak, rows of all light also have the columns of
+            `mistray.analysis.peaks.with_peaks`.
         """
         if not per_wavelength:
             return self._ranked(field_deg, rank_column(self.rank))
@@ -498,7 +500,7 @@ def ghosts(
     Trace a scene at several field angles and rank its stray light.
 
     The direct image on axis, the denominator of every normalised number, is taken from the field 0; when that is not
-    among ``field_deg`` it is traced as well, without reflections and scatter.
+    among ``field_deg`` it is traced as well, without reflections and scatter. All fields have the same polarization.
 
     Parameters
     ----------
@@ -544,6 +546,8 @@ def ghosts(
     wanted: list[float | None] = [None]
     if field_deg is not None:
         wanted = list(dict.fromkeys(FIELD_DEG.check_each("field_deg", field_deg, "ghosts")))
+    if isinstance(scene, mi.Scene):
+        arguments["polarization"] = one_for_fields(scene, wanted, arguments)
     fields_of = FieldTraces(scene, arguments, progress)
     try:
         with within(seconds):

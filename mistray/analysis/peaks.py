@@ -38,12 +38,12 @@ def with_peaks(table: pd.DataFrame, trace: Trace) -> pd.DataFrame:
     -------
     DataFrame
         The same rows with ``peak_W_mm2`` and ``peak_se_W_mm2``, the irradiance of the brightest pixel, NaN where no map
-        was needed, and ``rank_peak``, 1 = brightest stray path, 0 for direct paths. Paths that are not well sampled
+        was needed, and ``rank_peak``, 1 = brightest stray path, 0 for direct paths. Paths of few rays
         come last, for a few rays in one pixel are too bright too often; so do those without a map.
     """
-    well = table.well_sampled.to_numpy(np.bool_)
+    well = ~table.few_rays.to_numpy(np.bool_)
     value, se = _peaks(trace, list(table.path_ids), well)
-    table = table.assign(peak_W_mm2=value, peak_se_W_mm2=se)
+    table = table.assign(peak_W_mm2=value, peak_se_W_mm2=np.where(well, se, np.nan))
     light, known = table.power_W.to_numpy(np.float64), np.isfinite(value)
     order = np.lexsort((-light, -np.where(known, value, 0.0), ~(well & known)))
     return table.assign(rank_peak=ranks(table, order))

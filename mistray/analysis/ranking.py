@@ -11,11 +11,11 @@ import pandas as pd
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.errors import MistrayError
-from mistray.recorders.path_events import DIRECT, path_labels
+from mistray.recorders.path_events import DIRECT
 from mistray.recorders.sampled import Sampled
 from mistray.trace.paths import PathTable
 
-FEWEST_RAYS = 30  # below this the RMS radius of a path is too uncertain to rank by
+SURE = 2.0  # standard errors from a value to its bounds, by which paths are ranked
 RANKS = {"rms": "rank_rms_irradiance", "power": "rank_power", "peak": "rank_peak"}  # what paths are ranked by: column
 
 
@@ -105,20 +105,31 @@ def ranked(table: pd.DataFrame, paths: PathTable, nominal: DirectImage) -> pd.Da
         The same rows with the columns that `GhostReport.table` lists.
     """
     table = table.copy()
-    table["label"] = path_labels(table)
     numbers = paths.numbers(list(table.path_ids))
     normalised = nominal.dividing(numbers.density, "density")
-    table["normalised_rms_irradiance"], table["normalised_rms_irradiance_se"] = normalised.value, normalised.se
-    table["well_sampled"] = table.rays.to_numpy(np.int64) >= FEWEST_RAYS
-    stray = table.kind != DIRECT
-    of_stray = numbers.light.over(numbers.light[stray.to_numpy()].total()[None]).scaled(100.0)
-    for name, values in (("percent_of_stray", of_stray.value), ("percent_of_stray_se", of_stray.se)):
-        table[name] = np.where(stray, values, np.nan)
-    light, irradiance = (table[name].to_numpy(np.float64) for name in ("power_W", "rms_irradiance_W_mm2"))
-    irradiance = np.where(np.isfinite(irradiance), irradiance, 0.0)
+    few, stray = table.few_rays.to_numpy(np.bool_), (table.kind != DIRECT).to_numpy()
+    of_stray = numbers.light.over(numbers.light[stray].total()[None]).scaled(100.0)
+    for name, found, known in (
+        ("normalised_rms_irradiance", normalised, np.isfinite(table.rms_irradiance_W_mm2)),
+        ("percent_of_stray", of_stray, stray),
+    ):
+        table[name], table[f"{name}_se"] = (
+            np.where(known, found.value, np.nan),
+            np.where(known & ~few, found.se, np.nan),
+        )
+    light, (low, high) = table.power_W.to_numpy(np.float64), bounds(table)
     table["rank_power"] = ranks(table, np.lexsort((-light,)))
-    table["rank_rms_irradiance"] = ranks(table, np.lexsort((-light, -irradiance, ~table.well_sampled)))
+    table["rank_rms_irradiance"] = ranks(table, np.lexsort((-light, -np.where(np.isfinite(low), low, -np.inf))))
+    first = low[table.rank_rms_irradiance == 1]
+    table["contested"] = stray & (table.rank_rms_irradiance > 1) & (high > (first[0] if len(first) else np.inf))
     return table
+
+
+def bounds(table: pd.DataFrame) -> npt.NDArray[np.float64]:
+    """(2, n) lower and upper bounds of the RMS irradiance of rows, W/mm²: `SURE` errors off; NaN without an error."""
+    value, se = (table[f"rms_irradiance{name}_W_mm2"].to_numpy(np.float64) for name in ("", "_se"))
+    with np.errstate(invalid="ignore"):
+        return np.stack([value - SURE * se, value + SURE * se])
 
 
 def ranks(table: pd.DataFrame, order: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:

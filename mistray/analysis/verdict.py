@@ -11,12 +11,12 @@ import pandas as pd
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
-from mistray.analysis.ranking import RANKS
+from mistray.analysis.ranking import RANKS, bounds
 from mistray.ids import event_words
 from mistray.recorders.path_events import DIRECT, way_text
 from mistray.recorders.sampled import Sampled
 
-RANKED_BY = {"rms": "rms_irradiance_W_mm2", "power": "power_W", "peak": "peak_W_mm2"}
+RANKED_BY = {"power": "power_W", "peak": "peak_W_mm2"}
 DEEDS = {"T": "passes", "R": "reflects", "I": "reflects"}  # all other letters: scatters
 
 
@@ -34,8 +34,8 @@ class WorstPath:
     label, kind : str
     power_W, percent_of_stray, normalised, peak_W_mm2 : Estimate
         At that field, as in ``report.table``; the peak is NaN unless paths are ranked by it.
-    well_sampled : bool
-        Whether enough rays took it there.
+    few_rays, contested : bool
+        Whether its numbers have no errors there, and whether it may be as bright as the worst of that field.
     fields : tuple of float
         All fields where light takes this path, ascending, degrees.
     """
@@ -48,7 +48,8 @@ class WorstPath:
     percent_of_stray: Estimate
     normalised: Estimate
     peak_W_mm2: Estimate
-    well_sampled: bool
+    few_rays: bool
+    contested: bool
     fields: tuple[float, ...]
 
 
@@ -86,8 +87,8 @@ def worst_of_all_fields(report: GhostReport, count: int = 10) -> list[WorstPath]
     Parameters
     ----------
     report : GhostReport
-        Its rank is the order, by the number itself: RMS irradiance, power or peak. By RMS irradiance, paths of too few
-        rays come last, as in ``report.table``.
+        Its rank is the order: by the lower bound of the RMS irradiance, by the power or by the peak. Of the first and
+        the last, paths of few rays come at the end, as in ``report.table``.
     count : int
         How many at most.
     """
@@ -95,10 +96,12 @@ def worst_of_all_fields(report: GhostReport, count: int = 10) -> list[WorstPath]
     every = pd.concat(tables, ignore_index=True)
     if every.empty:
         return []
-    value = RANKED_BY[report.rank]
-    sure = every.well_sampled if report.rank != "power" else pd.Series(True, every.index)
-    every = every.assign(way=way_text(every.events), sure=sure)
-    every = every.sort_values(["sure", value, RANKS["rms"]], ascending=[False, False, True], na_position="last")
+    if report.rank == "rms":
+        harm = bounds(every)[0]
+    else:
+        harm = every[RANKED_BY[report.rank]].where(~every.few_rays | (report.rank == "power"))
+    every = every.assign(way=way_text(every.events), harm=harm)
+    every = every.sort_values(["harm", RANKS["rms"]], ascending=[False, True], na_position="last")
     fields = every.groupby("way").field_deg.agg(lambda found: tuple(sorted(set(found))))
     first = every.drop_duplicates("way").head(count)
     return [
@@ -111,7 +114,8 @@ def worst_of_all_fields(report: GhostReport, count: int = 10) -> list[WorstPath]
             percent_of_stray=Estimate(row.percent_of_stray, row.percent_of_stray_se),
             normalised=Estimate(row.normalised_rms_irradiance, row.normalised_rms_irradiance_se),
             peak_W_mm2=Estimate(getattr(row, "peak_W_mm2", math.nan), getattr(row, "peak_se_W_mm2", math.nan)),
-            well_sampled=bool(row.well_sampled),
+            few_rays=bool(row.few_rays),
+            contested=bool(row.contested),
             fields=fields[row.way],
         )
         for row in first.itertuples(index=False)

@@ -54,9 +54,10 @@ def arriving(scene_file: Path) -> Arriving:
     """Trace the beam of a scene that was written, and rays from its detector to the outside."""
     from mistray.analysis.entrances import entrances
     from mistray.scene import load
-    from mistray.trace import trace
+    from mistray.trace import Settings, trace
 
     scene = load(scene_file)
-    found = trace(scene, rays=RAYS, max_reflections=0, max_scatters=0, ledger=False)
+    polarization = Settings.of(scene).polarization
+    found = trace(scene, rays=RAYS, max_reflections=0, max_scatters=0, ledger=False, polarization=polarization)
     share = found.energy.detected_W / found.pupil_W
     return Arriving(scene_file, share, found.energy.greatest_loss, entrances(scene))

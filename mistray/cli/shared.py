@@ -58,6 +58,9 @@ SENSORS = (
            "axis, id", None, "FIELD", "+"),
     MAPS,
 )
+NEXT_ORDER = Option(
+    "--no-next-order", "do not measure the result again with one more scatter event and one more reflection", bool
+)
 TIME = Option("--seconds", "end this time after the start of the command, with what is found so far", SECONDS, "S")
 MACHINE = (
     Option("--variant", "Mitsuba variant; cuda_ad_rgb traces on an NVIDIA GPU (llvm_ad_rgb)", metavar="NAME"),

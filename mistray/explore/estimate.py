@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,9 @@ from mistray.recorders.path_events import DIRECT, FIRST_SCATTERED
 
 Floats = npt.NDArray[np.float64]
 OF_FIRST_ORDER = "first order"
-COLUMNS = ["events", "label", "kind", "power_W", "power_se_W", "rms_radius_mm"]
+COLUMNS = ["events", "label", "kind", "power_W", "power_se_W", "rms_radius_mm", "rms_irradiance_W_mm2",
+           "rms_irradiance_se_W_mm2"]  # fmt: skip
+IN_PROPORTION = [name for name in COLUMNS if "_W" in name]  # to the power, the radius being as it was traced
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,7 @@ class Guess:
     Attributes
     ----------
     ways : DataFrame
-        ``events``, ``label``, ``kind``, ``power_W``, ``power_se_W`` and ``rms_radius_mm`` of each way of the light.
+        `COLUMNS` of each way of the light, see `mistray.trace.paths.PathRow`.
     stray_W, direct_W, ratio : Estimate
         Powers, and stray over direct. Their errors are those of the trace, in proportion, and of the sample of rays.
     map_W : (h, w) float64
@@ -76,9 +79,10 @@ def guess(of: Traced, looks: Looks, controls: Mapping[str, Control], state: Mapp
     stray_W = stray_W._replace(se=math.hypot(stray_W.se, of_sample, of.stray_W.value * change_se))
     direct_W = _in_proportion(of.direct_W, float(power[~stray].sum()))
     ratio = stray_W.value / direct_W.value if direct_W.value > 0 else math.nan
-    ways = of.ways[COLUMNS].assign(
-        power_W=power, power_se_W=np.hypot(np.asarray(of.ways.power_se_W) * factor, sampled_se)
-    )
+    ways = of.ways[COLUMNS].copy()
+    for value, se in (("power_W", "power_se_W"), ("rms_irradiance_W_mm2", "rms_irradiance_se_W_mm2")):
+        ways[se] = np.hypot(of.ways[se] * factor, of.ways[value] * factor_se)
+        ways[value] = of.ways[value] * factor
     return Guess(
         ways,
         stray_W,
@@ -129,14 +133,12 @@ def at_field(
     shares = (1 - share, share)
     near = found[int(share > 0.5)]
     both = pd.concat(
-        one.ways.assign(
-            **{key: one.ways[key] * part for key in ("power_W", "power_se_W")}, rise_W=sign * one.ways.power_W
-        )
+        one.ways.assign(**{key: one.ways[key] * part for key in IN_PROPORTION}, rise_W=sign * one.ways.power_W)
         for one, part, sign in zip(found, shares, (-1, 1), strict=True)
     )
-    first = dict.fromkeys(("label", "kind", "rms_radius_mm"), "first")
+    added = partial(pd.Series.sum, skipna=False)  # what one of both does not know is not known
     ways = both.groupby("events", sort=False, as_index=False).agg(
-        {**first, **dict.fromkeys(("power_W", "power_se_W", "rise_W"), "sum")}
+        {name: added if name in (*IN_PROPORTION, "rise_W") else "first" for name in (*COLUMNS[1:], "rise_W")}
     )
     missed = 2 * share * (1 - share) * np.abs(np.asarray(ways.rise_W))
     ways = ways.assign(power_se_W=np.hypot(ways.power_se_W, missed))[COLUMNS]

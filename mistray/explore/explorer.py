@@ -18,6 +18,7 @@ import numpy as np
 
 from mistray._mitsuba_compat import peek
 from mistray.analysis.estimate import Estimate
+from mistray.analysis.field_traces import one_for_fields
 from mistray.errors import MistrayError
 from mistray.explore.controls import (
     AS_IT_IS,
@@ -117,6 +118,9 @@ class Explorer:
         self.fields = self._fields(field_deg)
         given = None if wavelength_nm is None else [wavelength_nm]
         wavelengths = [float(nm) for nm in spectrum_of(self._scene, given, None)[0]]
+        # One mode for all states, so that the kernels stay and neighbouring states compare
+        asked = self._settings if wavelength_nm is None else {**self._settings, "wavelength_nm": wavelength_nm}
+        self._polarization = one_for_fields(self._scene, self.fields or [None], asked)
         self.controls = controls_of(self.path, self._scene, self.fields, wavelengths, control)
         self._looks = Looks(self._scene, self.controls)
         self.state: dict[str, VALUES] = {name: one.start for name, one in self.controls.items()}
@@ -411,7 +415,8 @@ class Explorer:
 
     def _traced_rays(self, scene: Any, state: Mapping[str, VALUES], rays: int) -> Trace:
         field = self._field(state) if "field" in self.controls or self.fields else None
-        return trace(scene, rays=rays, field_deg=field, **self._spectrum(state), **self._settings)
+        light = {**self._spectrum(state), **self._settings, "polarization": self._polarization}
+        return trace(scene, rays=rays, field_deg=field, **light)
 
     def _chosen_rays(self) -> int:
         """As many as take about `TRACE_S`."""

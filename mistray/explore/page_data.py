@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from mistray.analysis.estimate import Estimate
+from mistray.analysis.ranking import bounds
 from mistray.analysis.verdict import Remedy
 from mistray.explore.estimate import Guess
 from mistray.recorders.path_events import DIRECT
 from mistray.report.figures.layout import glass_bodies, section
 from mistray.report.html.embedded import colour_text, power_codes, rounded
 
-PATHS = 25  # rows of the table
+PATHS = 25  # rows of the table, by either rank
 DIGITS = 4  # of the size of the system, that coordinates are rounded to
 
 
@@ -39,6 +40,8 @@ def drawing(scene: Any) -> dict[str, Any]:
 def view_data(found: Guess) -> dict[str, Any]:
     """Numbers, worst paths and the map of a state."""
     stray = found.ways[found.ways.kind != DIRECT].sort_values("power_W", ascending=False)
+    stray = stray.assign(rank_power=range(len(stray)), low=bounds(stray)[0])
+    stray = stray.sort_values("low", ascending=False, kind="stable").assign(rank_rms=range(len(stray)))
     total = found.stray_W.value
     height, width = found.map_W.shape
     codes = power_codes(found.map_W).ravel()
@@ -49,17 +52,20 @@ def view_data(found: Guess) -> dict[str, Any]:
         "ratio": _pair(found.ratio),
         "left_out": list(found.left_out),
         "count": len(stray),
+        "listed": PATHS,
         "paths": [
             {
                 "events": row.events,
                 "label": row.label,
                 "kind": row.kind,
                 "power_W": row.power_W,
-                "power_se_W": row.power_se_W,
+                "power_se_W": number(row.power_se_W),
                 "percent": 100 * row.power_W / total if total > 0 else 0.0,
                 "rms_radius_mm": number(row.rms_radius_mm),
+                "rank_power": row.rank_power,
+                "rank_rms": row.rank_rms,
             }
-            for row in stray.head(PATHS).itertuples()
+            for row in stray[(stray.rank_rms < PATHS) | (stray.rank_power < PATHS)].itertuples()
         ],
         "map": {
             "width": width,

@@ -17,6 +17,7 @@ from mistray.gradients.geometry_gradient import geometry_columns
 from mistray.gradients.parameter_gradient import gathered
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.optimize.metrics.metric import Metric
+from mistray.optimize.metrics.views import seen_unpolarized
 from mistray.optimize.one_sided import FullKey, OneSided, full_keys, one_sided
 from mistray.optimize.parameters import Parameter, match, parameters
 from mistray.ranges import EDGE_WIDTH as ZONE
@@ -242,6 +243,7 @@ def gradient(
     chosen = chosen_parameters(metric.scene, params, keys)
     request = gradient_request(chosen.values(), edges, edge_width)
     found = gradient_where_smooth(metric, metric.observe(), chosen, request)
+    found.left_out.extend(seen_unpolarized(metric.scene, metric.views))
     if not found.full:
         return found
     return replace(found, one_sided=one_sided(metric, {key: at.step for key, at in found.full.items()}, chosen))

@@ -21,9 +21,9 @@ from mistray.recorders.path_key import host_keys
 from mistray.recorders.recorder import Memory, Recorder, Visit
 from mistray.settings import BATCHES
 
-# Sums of a slot and batch: rays, incident, absorbed, absorbed · x, absorbed · y, absorbed · (x² + y²), and in Stokes
-# mode absorbed · (q, u, v)
-SUMS, STOKES_SUMS = 6, 9
+# Sums of a slot and batch: rays, incident, absorbed, absorbed · x, absorbed · y, absorbed · (x² + y²), absorbed²,
+# absorbed⁴, and in Stokes mode absorbed · (q, u, v)
+SUMS, STOKES_SUMS = 8, 11
 MOST_PROBES = 256  # slots of the table that are tried for a path
 LARGE = 1 << 24  # entries of an array
 USUAL_PROBES = 4  # are enough for most paths while the table is not full
@@ -224,6 +224,7 @@ class Ledger(Recorder):
         x, y = (mi.Float64(coordinate) for coordinate in visit.position)
         a = mi.Float64(visit.absorbed)
         terms = [mi.Float64(1), mi.Float64(visit.weight), a, a * x, a * y, a * (x * x + y * y)]
+        terms += [a * a, a * a * a * a]
         if stokes is not None:
             terms += [a * mi.Float64(component) for component in stokes]
         assert visit.slot is not None

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
-from collections import Counter
-from collections.abc import Iterable, Sequence, Set
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mistray.ids import event_words
 from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.path_key import (
     ABSORBED,
@@ -24,10 +23,11 @@ from mistray.recorders.path_key import (
     TOTAL,
     TRANSMITTED,
 )
+from mistray.recorders.path_names import PathNames
 from mistray.surfaces.optics import DETECTOR, DIFFRACTS, MIRROR, OPAQUE, WALL
 
 if TYPE_CHECKING:
-    import pandas as pd
+    pass
 
 EVENT_MASK = (1 << EVENT_BITS) - 1
 FIRST_SCATTERED = RANDOM_TRANSMITTED  # this event and those above it are scattered ones
@@ -198,105 +198,9 @@ def event_text(events: np.ndarray, lengths: np.ndarray, ids: Sequence[str]) -> t
     )
 
 
-def path_labels(table: pd.DataFrame) -> list[str]:
-    """
-    Names of the paths of a table: what they are called in short, made longer where that does not tell them apart.
-
-    In short that is the surfaces that reflect and scatter, or the kind where none does. Paths of the same events at
-    several wavelengths or from several sources have these in their names, and so have those to several detectors.
-
-    Parameters
-    ----------
-    table : DataFrame
-        With the columns events, kind, ghost_1, ghost_2, scatter_1 and scatters of `mistray.trace.paths.PathRow`, and
-        where there are any source, wavelength_nm and detector.
-
-    Returns
-    -------
-    list of str
-        One for each row, none of them blank.
-    """
-    rows = table[["ghost_1", "ghost_2", "kind", "scatter_1", "scatters"]].itertuples(index=False)
-    short = [short_label(*row) for row in rows]
-    events, names = table.events.tolist(), list(short)
-    ends = table["detector"].tolist() if "detector" in table else [""] * len(short)
-    for end in dict.fromkeys(ends):
-        here = [k for k, other in enumerate(ends) if other == end]
-        for k, name in zip(here, path_names([events[k] for k in here], [short[k] for k in here]), strict=True):
-            names[k] = name
-    for column, form in (("wavelength_nm", "{:.9g} nm"), ("source", "{}"), ("detector", "on {}")):
-        if column in table and table[column].nunique() > 1:
-            count = Counter(names)
-            values = table[column].tolist()
-            names = [
-                f"{name}, {form.format(value)}" if count[name] > 1 else name
-                for name, value in zip(names, values, strict=True)
-            ]
-    return names
-
-
-def short_label(ghost_1: str, ghost_2: str, kind: str, scatter_1: str = "-", scatters: int = 0) -> str:
-    """A path in short: its ghost surfaces in the order of the light and where it scatters, or its kind."""
-    ghosts = " → ".join(name for name in (ghost_1, ghost_2) if name != "-")
-    if kind.startswith("structure"):
-        ghosts += f" ({kind})"  # reads like the surface alone
-    if scatters:
-        more = f" and {scatters - 1} more" if scatters > 1 else ""
-        return f"{ghosts}{', ' if ghosts else ''}scatter at {scatter_1}{more}"
-    return ghosts or ("direct image" if kind == DIRECT else kind)
-
-
-def path_names(events: Sequence[str], labels: Sequence[str]) -> list[str]:
-    """
-    Names of the paths of one table that tell them apart.
-
-    A path keeps its label where no other path of the table has the same one. Paths that share a label are named by
-    their reflections and scatter events; where these are the same too, the surfaces that the light passes on one of
-    these paths and not on all of them are added; and last, if need be, all events.
-
-    Parameters
-    ----------
-    events : sequence of str
-        As of `event_text`, the absorption in the detector at the ends.
-    labels : sequence of str
-        What the paths are called in short, none of them blank.
-
-    Returns
-    -------
-    list of str
-        Different for different event lists.
-    """
-    groups: dict[str, list[int]] = {}
-    for number, label in enumerate(labels):
-        groups.setdefault(label, []).append(number)
-    names = list(labels)
-    for label, members in groups.items():
-        words = {k: event_words(events[k])[:-1] for k in members}
-        if len({tuple(some) for some in words.values()}) == 1:
-            continue
-        common = set.intersection(*(set(some) for some in words.values()))
-        for form in (_turns, lambda some, common=common: _turns(some, common), " ".join):
-            detail = {k: form(some) for k, some in words.items()}
-            of_name: dict[str, set[tuple[str, ...]]] = {}
-            for k, text in detail.items():
-                of_name.setdefault(text, set()).add(tuple(words[k]))
-            done = [k for k, text in detail.items() if text and len(of_name[text]) == 1]
-            for k in done:
-                passed_only = all(word.endswith(":T") for word in event_words(detail[k]))
-                names[k] = (
-                    f"{label} through {', '.join(w.removesuffix(':T') for w in event_words(detail[k]))}"
-                    if passed_only
-                    else detail[k]
-                )
-                del words[k]
-        for k in words:  # it meets nothing
-            names[k] = f"{label} past all surfaces"
-    return names
-
-
-def _turns(words: Sequence[str], common: Set[str] | None = None) -> str:
-    """The events that turn the light, and those surfaces that it passes which are not common to all paths."""
-    return " ".join(w for w in words if not w.endswith(":T") or (common is not None and w not in common))
+def event_keys(events: Iterable[str]) -> list[str]:
+    """Ten hexadecimal digits for each event list, the same for light at random and aimed, in every table and scene."""
+    return [hashlib.blake2b(text.encode(), digest_size=5).hexdigest() for text in way_text(events)]
 
 
 def describe_events(
@@ -321,7 +225,7 @@ def describe_events(
     Returns
     -------
     dict
-        Columns events, path, order, kind, ghost_1, ghost_2, scatter_1, edges, scatters, diffractions,
+        Columns key, label, events, path, order, kind, ghost_1, ghost_2, scatter_1, edges, scatters, diffractions,
         structure_bounces, tir, objects, unique_objects, last_object and critical of `PathRow`, (p,) each.
     """
     e = Events(events, lengths, words, design)
@@ -348,7 +252,16 @@ def describe_events(
     )  # fmt: skip
     last = np.where(lengths > 1, surfaces[np.arange(len(surfaces)), np.maximum(lengths - 2, 0)], len(ids))
     text, letters = event_text(events, lengths, ids)
+    names = PathNames(ids, words, design, LETTERS)
     return {
+        "key": np.array(event_keys(text), dtype=object),
+        "label": np.array(
+            [
+                names.name(row[:length], one)
+                for row, length, one in zip(events.tolist(), lengths.tolist(), kind.tolist(), strict=True)
+            ],
+            dtype=object,
+        ),
         "events": np.array(text, dtype=object),
         "path": np.array(letters, dtype=object),
         "order": order,

@@ -106,7 +106,7 @@ def optimization_report(result: Optimization, command: str = "") -> Report:
         "Optimised",
         source.parent.name if source.name == "scene.xml" else source.stem,
         [*sections, settings_section(facts, command)],
-        lead=[Items(_findings(result)), Note(seeds)],
+        lead=[Items(_findings(result)), Note(seeds), *(Note(order.sentence) for order in result.next_orders)],
         warnings=[*worse_lines(result), *opened_lines(result)],
         csv={
             "terms.csv": terms_frame(result),

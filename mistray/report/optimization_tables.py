@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from mistray.analysis.changes.first_surfaces import entering_text, spoils
+from mistray.analysis.changes.first_surfaces import entering_lines
 from mistray.analysis.changes.gaps import gaps_text
 from mistray.analysis.estimate import Estimate
 from mistray.files.json_values import plain
@@ -75,11 +75,7 @@ def worse_lines(result: Optimization) -> list[str]:
 
 def opened_lines(result: Optimization) -> list[str]:
     """What the result does beside what it is meant to do: gaps, and light that enters by other surfaces."""
-    found = [gaps_text(result.gaps)] if result.gaps else []
-    for place, entering in result.comparison.entering.items():
-        no_gain = "; less stray light is no gain here" if spoils(entering) else ""
-        found.append(f"{place}: {entering_text(entering)}{no_gain}")
-    return found
+    return [*([gaps_text(result.gaps)] if result.gaps else []), *entering_lines(result.comparison.entering)]
 
 
 def comparison_table(comparison: Comparison) -> str:
@@ -147,6 +143,7 @@ def report_text(result: Optimization) -> str:
     lines = [f"{len(result.comparison.seeds)} seeds not used in the search", terms_table(result), ""]
     if any(not row.whole for row in result.comparison.rows):
         lines += [comparison_table(result.comparison), ""]
+    lines += [order.sentence for order in result.next_orders]
     lines += [f"warning: {line}" for line in (*worse_lines(result), *opened_lines(result))]
     lines += [variables_table(result), ""]
     for item in result.placed:
@@ -197,6 +194,7 @@ def optimization_record(result: Optimization) -> dict[str, Any]:
                 "entering": {
                     place: [asdict(one) for one in some] for place, some in result.comparison.entering.items()
                 },
+                "next_orders": [order.record() for order in result.next_orders],
                 "worse": [vars(row) for row in worse(result.comparison, result.study.terms)],
                 "variables": variables,
                 "start": result.starts[result.best.start].name,

@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 from markupsafe import Markup
 
-from mistray.analysis.changes.first_surfaces import entering_text
+from mistray.analysis.changes.first_surfaces import entering_lines
 from mistray.analysis.changes.gaps import gaps_text
 from mistray.analysis.estimate import Estimate
 from mistray.files.json_values import plain
@@ -119,7 +119,7 @@ def together_lines(result: Sensitivity) -> list[str]:
     if found.image is not None:
         lines.append(f"direct image then: {number(100 * found.image.value, 4)} % of what it was")
     lines += [gaps_text(found.gaps)] if found.gaps else []
-    return lines + [f"{place}: {entering_text(entering)}" for place, entering in found.entering.items()]
+    return [*lines, *entering_lines(found.entering)]
 
 
 def changes_table(result: Sensitivity) -> Table:

@@ -6,6 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from mistray.files.json_values import plain
@@ -15,6 +16,7 @@ from mistray.report.parts import settings_section, terms, version_settings
 from mistray.report.tables.text import ABSENT, number, table_text
 from mistray.sweeps import Sweep
 from mistray.sweeps.result import CELL, estimate_of
+from mistray.trace.polarization_choice import words_of
 
 SHOWN = ("direct_W", "stray_W", "ghost_to_signal", "direct_rms_radius_mm", "worst_rms_irradiance_W_mm2")
 CAPTION = "Stray light and direct image over the launched power, with standard errors."
@@ -37,7 +39,18 @@ def rows_table(result: Sweep) -> Table:
 def sweep_text(result: Sweep) -> str:
     """What `mistray sweep` prints: a line for each configuration, wavelength and field."""
     opened = [f"warning: {text}" for text in result.opened]
-    return "\n".join([table_text(rows_table(result)), "", *opened, cache_line(result)])
+    return "\n".join([table_text(rows_table(result)), "", *polarization_lines(result), *opened, cache_line(result)])
+
+
+def polarization_lines(result: Sweep) -> list[str]:
+    """How many rows have each mode, with the reason of the one where Stokes vectors change most."""
+    found = []
+    for mode in dict.fromkeys(row["polarization"] for row in result.rows):
+        rows = [row for row in result.rows if row["polarization"] == mode]
+        worst = max(rows, key=lambda row: np.nan_to_num(abs(row["polarization_change"])))
+        many = "" if len(rows) == len(result.rows) else f"{len(rows)} of {len(result.rows)} rows: "
+        found.append(f"{many}{words_of(worst)}")
+    return found
 
 
 def cache_line(result: Sweep) -> str:
@@ -109,7 +122,7 @@ def sweep_report(result: Sweep, title: str = "scene", command: str = "") -> Repo
             Section("configurations", "Configurations", [configurations]),
             settings_section({**result.arguments, **version_settings()}, command, terms("sweep")),
         ],
-        lead=[Note(f"{size}: {cache_line(result)}.")],
+        lead=[Note(f"{size}: {cache_line(result)}."), *map(Note, polarization_lines(result))],
         warnings=[*result.opened, *result.warnings],
         csv=sweep_tables(result),
         json={"sweep.json": sweep_record(result)},

@@ -11,11 +11,11 @@ import numpy as np
 
 from mistray.sampling.aimed_cones import Sphere, across
 from mistray.sampling.emission_laws import polar
-from mistray.sampling.source import Emission, SceneSource, turned
+from mistray.sampling.source import OPTICS, Emission, SceneSource, turned
 from mistray.sampling.space_filling import stratified_points
 from mistray.sampling.strata import Strata
 
-AIMED = (0.75, 0.25)  # shares of the rays of what goes to the first aperture, and to the rest of the scene
+AIMED = (OPTICS, 1 - OPTICS)  # shares of the rays of what goes to the first aperture, and to the rest of the scene
 CLEARANCE = 1.01  # of the start of the rays from the middle of the scene, in radii
 
 

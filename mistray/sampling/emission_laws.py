@@ -11,6 +11,7 @@ import numpy as np
 
 from mistray.surfaces.upload import upload
 
+LEAST_LOG = -80.0  # exp of it is nothing beside 1, and a float32
 EDGE = 1e-6  # by which rays along the edge of a source lie within it, as a share of its size
 PROFILE_STEPS, LEAST_STEPS = 4096, 512
 
@@ -56,6 +57,38 @@ def direction(height: Any, cosine: Any, sine: Any) -> Any:
     return vector(across * cosine, across * sine, 1 - height)
 
 
+def height_of(d: Any) -> Any:
+    """1 - cos θ of a direction, exact near the axis."""
+    across = d.x * d.x + d.y * d.y
+    return dr.select(d.z > 0, across / (1 + d.z), 1 - d.z)
+
+
+def cone_height(half_angle: Any) -> Any:
+    """1 - cos α of a half angle in radians, exact for small ones."""
+    sine = dr.sin(0.5 * half_angle)
+    return 2 * sine * sine
+
+
+def log_cosine(height: Any) -> Any:
+    """
+    Logarithm of cos θ for 1 - cos θ = `height`, exact near 0; where the cosine is not above 0, a large negative number.
+
+    The log of a rounded 1 - h is divided by what it was rounded to: D. Goldberg, "What every computer scientist should
+    know about floating-point arithmetic", ACM Computing Surveys 23(1), 5-48 (1991), theorem 4.
+    """
+    least = 1e-300 if dr.type_v(height) == dr.VarType.Float64 else 1e-37
+    cosine = 1 - height
+    lost = 1 - cosine
+    return dr.select(lost == 0, -height, dr.log(dr.maximum(cosine, least)) * height / dr.select(lost == 0, 1, lost))
+
+
+def rest_of_power(log: Any) -> Any:
+    """1 - exp(log) for logarithms up to 0, exact near 0; the counterpart of `log_cosine`."""
+    log = dr.maximum(log, LEAST_LOG)
+    power = dr.exp(log)
+    return dr.select(power == 1, -log, (1 - power) * log / dr.select(power == 1, 1, dr.log(power)))
+
+
 def cosine_power(square: Any, exponent: Any, edge: Any) -> Any:
     """
     1 - cos θ of an intensity in proportion to cosⁿ θ within a cone.
@@ -67,19 +100,19 @@ def cosine_power(square: Any, exponent: Any, edge: Any) -> Any:
     exponent : array
         n ≥ 0; 0 is the same intensity in all directions, 1 a Lambertian surface.
     edge : array
-        Cosine of the cone's half angle; below 0 only with n = 0.
+        `cone_height` of the cone's half angle; above 1 only with n = 0.
     """
-    # At n = 0 the powers would make NaN of a negative cosine
-    power = dr.maximum(exponent, 0) + 1
-    top = dr.exp(power * dr.log(dr.maximum(edge, 1e-300 if dr.type_v(edge) == dr.VarType.Float64 else 1e-37)))
-    curved = 1 - dr.exp(dr.log(dr.maximum(1 - square * (1 - top), 0)) / power)
-    return dr.select(exponent == 0, square * (1 - edge), curved)
+    power = exponent + 1
+    curved = rest_of_power(log_cosine(square * rest_of_power(power * log_cosine(edge))) / power)
+    return dr.select(exponent == 0, square * edge, curved)
 
 
 def cosine_power_angle(exponent: float, half_angle: float) -> float:
     """∫ cosⁿ θ dΩ over a cone of a half angle in radians, sr: 2π (1 - cosⁿ⁺¹ α) / (n + 1)."""
-    edge = float(dr.cos(half_angle))
-    return 2 * dr.pi * (1 - (edge if exponent == 0 else max(edge, 0.0) ** (exponent + 1))) / (exponent + 1)
+    edge = cone_height(half_angle)
+    if exponent == 0 or edge >= 1:
+        return float(2 * dr.pi * min(edge, 2.0 if exponent == 0 else 1.0) / (exponent + 1))
+    return float(-2 * dr.pi * np.expm1((exponent + 1) * np.log1p(-edge)) / (exponent + 1))
 
 
 def gaussian(square: Any) -> Any:
@@ -107,6 +140,8 @@ class IntensityTable:
     ----------
     flux : float
         ∫ I dΩ, in that unit · sr.
+    half_angle : float
+        The last angle, rad.
     on_axis : float
         Intensity at 0, mean of all azimuths.
     """
@@ -116,7 +151,7 @@ class IntensityTable:
         steps = max(PROFILE_STEPS // (len(phi) - 1), LEAST_STEPS)
         theta = np.unique(np.concatenate([np.linspace(given[0], given[-1], steps), given]))
         self._height = 2 * np.sin(0.5 * theta) ** 2  # 1 - cos θ
-        self._phi = phi
+        self._phi, self.half_angle = phi, float(given[-1])
         self._intensity = np.stack([np.interp(theta, given, column) for column in values.T], axis=1)
         # ∫ I dφ up to each azimuth, and then the flux up to each angle: both exact, as I is linear in either
         parts = 0.5 * (self._intensity[:, 1:] + self._intensity[:, :-1]) * np.diff(phi)
@@ -162,7 +197,7 @@ class IntensityTable:
     def density(self, d: mi.Vector3d) -> mi.Float64:
         """Of directions d, 1/sr."""
         _, heights, _, phis, intensities, _ = self._tables
-        height = _height_of(d)
+        height = height_of(d)
         phi = dr.atan2(d.y, d.x)
         phi = dr.select(phi < 0, phi + 2 * dr.pi, phi)
         k, t = _cell(heights, len(self._height), height)
@@ -188,9 +223,3 @@ def _linear(first: mi.Float64, last: mi.Float64, share: mi.Float64) -> mi.Float6
     """The x, 0 … 1, up to which a trapezoid from a to b has a share: (a x + (b - a) x²/2) / ((a + b)/2)."""
     root = dr.safe_sqrt(first * first + share * (last * last - first * first))
     return share * (first + last) / dr.maximum(first + root, 1e-300)
-
-
-def _height_of(d: mi.Vector3d) -> mi.Float64:
-    """1 - cos θ of a direction, exact near the axis."""
-    across = d.x * d.x + d.y * d.y
-    return dr.select(d.z > 0, across / (1 + d.z), 1 - d.z)

@@ -20,8 +20,11 @@ from mistray.sampling.strata import Strata
 from mistray.surfaces.upload import upload
 
 NEAR = 20.0  # radii of the scene: rays that start farther away start anew at the scene, where float32 is fine enough
-# Shares of the rays, by the number of targets: to these, the smallest first, and by the source's own law
-AIMED = ((), (0.9, 0.1), (0.75, 0.2, 0.05), (0.8, 0.05, 0.1, 0.05))
+# Half of the rays go to the first aperture, a tenth of them to all of it where a part of it is lit, and half elsewhere.
+# So neither light has more than twice the variance that it would have with all rays, and where a path takes both, the
+# weights of the one are not far above those of the other. Of the rays elsewhere a fifth follow the law of the source,
+# where the others are aimed at the scene.
+OPTICS, UNLIT, BY_LAW = 0.5, 0.1, 0.2
 LOOKS, LEAST_LIT = 256, 0.3  # directions to a target that are looked at, and how many of them must have light
 
 
@@ -333,7 +336,7 @@ class EmittedRays(SceneSource):
         """The plugin's rays, see `Source.start`: those to the aperture and to the scene more often than the others."""
         targets, w = self._targets, None
         if targets:
-            strata = Strata(batch, AIMED[len(targets)])
+            strata = Strata(batch, self._shares)
             sample = stratified_points(strata.group, rng)
         else:
             sample = stratified_points(batch, rng)
@@ -392,7 +395,23 @@ class EmittedRays(SceneSource):
         place = np.array(o, dtype=np.float64).ravel()
         found = [target for target in (self.lit, self.aperture, self.scene) if target is not None]
         outside = [target for target in found if not target.contains(place)]
-        return [target for target in outside if target is outside[-1] or self._lights(target)]
+        return [target for target in outside if (self._misses if target is self.scene else self._lights)(target)]
+
+    @property
+    def _shares(self) -> list[float]:
+        """Shares of the rays: to the targets, and by the law of the source."""
+        optics = [target for target in self._targets if target is not self.scene]
+        to_optics = [OPTICS] if len(optics) == 1 else [OPTICS * (1 - UNLIT), OPTICS * UNLIT][: len(optics)]
+        elsewhere = 1 - sum(to_optics)
+        if len(optics) == len(self._targets):
+            return [*to_optics, elsewhere]
+        return [*to_optics, elsewhere * (1 - BY_LAW), elsewhere * BY_LAW]
+
+    def _misses(self, target: Sphere) -> bool:
+        """Whether the law of the source sends less than half of its light to a target."""
+        sample = mi.Point2d(*(upload(mi.Float64, v) for v in np.random.default_rng(0).random((2, LOOKS))))
+        o, d = self._rays(mi.Point2d(0.5), sample, mi.PCG32(size=LOOKS))
+        return float(np.mean(np.array(Cone(target, o).density(d)) > 0)) < 0.5
 
     def _lights(self, target: Sphere) -> bool:
         """Whether the source sends light to most of a target: else many rays to it would carry none."""

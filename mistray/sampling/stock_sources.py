@@ -72,7 +72,7 @@ class AreaLight:
         found = self.shape.sample_position(0.0, place)
         square, cosine, sine = polar(sample)
         return mi.Vector3f(found.p), mi.Frame3f(found.n).to_world(
-            direction(cosine_power(square, mi.Float(1), mi.Float(0)), cosine, sine)
+            direction(cosine_power(square, mi.Float(1), mi.Float(1)), cosine, sine)
         )
 
     def density(self, place: mi.Point2f, d: mi.Vector3d, n: Mapping[str, mi.Float]) -> mi.Float64:

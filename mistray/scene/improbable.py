@@ -1,4 +1,4 @@
-"""Scatter models of a scene whose numbers are allowed but improbable: a slip of a decimal point, or of a unit."""
+"""Numbers of a scene that are allowed but improbable: a slip of a decimal point, of a unit, or of precision."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ MOST_NAMED = 3  # surfaces of one model in a message
 
 def improbable(scene: mi.Scene) -> list[str]:
     """
-    What is unusual about the scatter models of a scene.
+    What is unusual about the scatter models and the sources of a scene.
 
-    Each model says for itself what it finds unusual, in `advice`; a model that several surfaces share speaks once.
+    Each says for itself what it finds unusual, in `advice`; a model that several surfaces share speaks once.
 
     Parameters
     ----------
@@ -20,7 +20,7 @@ def improbable(scene: mi.Scene) -> list[str]:
     Returns
     -------
     list of str
-        One line for each such model: the surfaces, the values and the usual range.
+        One line for each such model or source: its name, the values and what is usual.
     """
     found: dict[int, tuple[str, list[str]]] = {}
     for shape in scene.shapes():
@@ -28,7 +28,11 @@ def improbable(scene: mi.Scene) -> list[str]:
             advice = getattr(plugin.model, "advice", lambda: None)()
             if advice is not None:
                 found.setdefault(id(plugin), (advice, []))[1].append(shape.id())
-    return [f"{_surfaces(names)}: {advice}" for advice, names in found.values()]
+    sources = (getattr(emitter, "advice", lambda: None)() for emitter in scene.emitters())
+    return [
+        *(f"{_surfaces(names)}: {advice}" for advice, names in found.values()),
+        *(advice for advice in sources if advice is not None),
+    ]
 
 
 def _surfaces(names: list[str]) -> str:

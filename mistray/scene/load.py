@@ -67,7 +67,7 @@ def load(
     Warns
     -----
     MistrayWarning
-        For each scatter model with improbable numbers, see `mistray.scene.improbable`.
+        For each scatter model or source with improbable numbers, see `mistray.scene.improbable`.
     """
     ensure_variant()
     return _loaded(source if isinstance(source, dict) else find(source), None, sources, sensors)

@@ -488,6 +488,14 @@ class Optics:
             taken = taken - clouded
         return left, clouded, taken
 
+    def response(self, surface: int, from_front: bool, cosines: np.ndarray) -> Response:
+        """What the coating of a surface answers to light of one side at cosines of incidence, (m,), exact."""
+        sides = self.complex_indices[surface]
+        if self.host_words[surface] & OPAQUE and sides[0 if from_front else 1].imag > METAL_K:
+            from_front = not from_front  # nothing travels in a metal
+        answer: Response = self.bsdfs[surface].coating.response(self.wavelength_nm, *sides, cosines, from_front)
+        return answer
+
     def shares(self, surface: int, from_front: bool, cosines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """R and T of a surface in unpolarised light at cosines of incidence, (m,) each, exact."""
         opaque = bool(self.host_words[surface] & OPAQUE)

@@ -6,6 +6,7 @@ import re
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from mistray.analysis.changes.first_surfaces import FirstLight
@@ -37,8 +38,9 @@ def numbers_of(t: Trace) -> Numbers:
         field), ``direct_rms_radius_mm``, ``direct_rms_irradiance_W_mm2``; ``worst_path``, the stray path of the highest
         RMS irradiance in words and, of it, ``worst_events``, ``worst_power_W``, ``worst_rms_radius_mm`` and
         ``worst_rms_irradiance_W_mm2``; ``cut_W`` and ``closure``. All but the launched power, what is cut and the
-        closure have a standard error, ``_se`` before the unit. ``first_light`` is what the light of each first surface
-        has, see `FirstLight`.
+        closure have a standard error, ``_se`` before the unit. ``polarization``, ``polarization_reason`` and
+        ``polarization_change`` (NaN where nobody has looked) are those of the trace. ``first_light`` is what the light
+        of each first surface has, see `FirstLight`.
     """
     rows = t.paths.by_way()
     direct = direct_image(t.paths)
@@ -65,6 +67,8 @@ def numbers_of(t: Trace) -> Numbers:
             found = Estimate(float(worst[f"{name}{unit}"].iloc[0]), float(worst[f"{name}_se{unit}"].iloc[0]))
         numbers |= _pair(f"worst_{name}", unit, found)
     numbers |= {"cut_W": float(sum(t.energy.cut.values())), "closure": float(t.energy.closure)}
+    numbers |= {name: t.settings[name] for name in ("polarization", "polarization_reason")}
+    numbers["polarization_change"] = float(t.settings.get("polarization_change", np.nan))
     return numbers | {FIRST_LIGHT: asdict(FirstLight.of_trace(t))}
 
 

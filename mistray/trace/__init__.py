@@ -10,9 +10,21 @@ from mistray.trace.energy import Energy, FluxReport, SurfaceFlux
 from mistray.trace.forward import trace
 from mistray.trace.history import RayHistory
 from mistray.trace.paths import PathRow, PathTable
+from mistray.trace.polarization_choice import PolarizationChoice
 from mistray.trace.result import Trace
 
-__all__ = ["Energy", "FluxReport", "PathRow", "PathTable", "RayHistory", "Settings", "SurfaceFlux", "Trace", "trace"]
+__all__ = [
+    "Energy",
+    "FluxReport",
+    "PathRow",
+    "PathTable",
+    "PolarizationChoice",
+    "RayHistory",
+    "Settings",
+    "SurfaceFlux",
+    "Trace",
+    "trace",
+]
 
 
 def __dir__() -> list[str]:

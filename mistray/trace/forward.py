@@ -6,7 +6,7 @@ import importlib.metadata
 import itertools
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import lru_cache
 from typing import Any, NoReturn
 
@@ -23,6 +23,7 @@ from mistray.recorders.tallies import FIRST_MISS
 from mistray.sampling.sources import field_of, source_emitters
 from mistray.settings import Settings
 from mistray.time_budget import is_limited, share, within
+from mistray.trace.polarization_choice import PolarizationChoice, chosen_polarization
 from mistray.trace.result import Trace
 
 
@@ -59,7 +60,7 @@ def trace(
     below_threshold: str | None = None,
     seed: int | None = None,
     ray_control: str | None = None,
-    polarization: str | None = None,
+    polarization: str | PolarizationChoice | None = None,
     detector: str | Sequence[str] | None = None,
     ledger: bool = True,
     progress: Callable[[int, int], None] | None = None,
@@ -96,7 +97,7 @@ def trace(
     flux_threshold, cut_below, cut_below_W, scatter_threshold, below_threshold
         Where branches end that are too weak, see there.
     splitting, seed, ray_control, polarization
-        See there.
+        See there; a `mistray.trace.PolarizationChoice` is one that was made before.
     detector : str or sequence of str
         Ids of the detectors, by default all of the scene; light on the others is absorbed. Of several detectors
         `Trace.on` shows one.
@@ -125,7 +126,8 @@ def trace(
     """
     if not isinstance(scene, mi.Scene):
         raise MistrayError(f"trace() got {type(scene).__name__}; load the scene first: mistray.load(path)")
-    settings = Settings.of(
+    made = polarization if isinstance(polarization, PolarizationChoice) else None
+    settings = Settings.unresolved(
         scene,
         rays=rays,
         max_reflections=max_reflections,
@@ -147,26 +149,24 @@ def trace(
         below_threshold=below_threshold,
         seed=seed,
         ray_control=ray_control,
-        polarization=polarization,
+        polarization=made.mode if made else polarization,
     )
     field_deg = _field(scene, field_deg, field_mm)
-    beam: dict[str, Any] = {
-        "field_deg": field_deg,
-        "azimuth_deg": azimuth_deg,
-        "wavelength_nm": wavelength_nm,
-        "weights": weights,
-        "detector": detector,
-    }
+    field = {"field_deg": field_deg, "azimuth_deg": azimuth_deg}
+    beam: dict[str, Any] = {**field, "wavelength_nm": wavelength_nm, "weights": weights, "detector": detector}
     recorders = _with_own(scene, recorders)
+    choice = made or chosen_polarization(scene, settings, [beam])
+    settings = replace(settings, polarization=choice.mode)
     runs = prepare(scene, settings, **beam)
     workers, task = current_workers(), None
+    facts = asdict(settings) | choice.facts
     with within(seconds):
         _check_budget(runs)
         if workers is None:
             with later():
                 _execute(runs, ledger, progress, recorders)
                 if requested():
-                    _keep(runs, lambda: _result(scene, runs, settings, field_deg, azimuth_deg, ledger, None))
+                    _keep(runs, lambda: _result(scene, runs, facts, field, ledger, None))
         else:
             if recorders:
                 raise MistrayError(
@@ -176,10 +176,10 @@ def trace(
             try:
                 execute_by_parts(workers, task, runs, progress)
             except UnfinishedError as error:
-                _explain(error, runs, lambda: _result(scene, runs, settings, field_deg, azimuth_deg, ledger, task))
+                _explain(error, runs, lambda: _result(scene, runs, facts, field, ledger, task))
                 raise
             _require_hits(runs)
-    found = _result(scene, runs, settings, field_deg, azimuth_deg, ledger, task)
+    found = _result(scene, runs, facts, field, ledger, task)
     found.recorders = {recorder.name: recorder for recorder in recorders if recorder.name}
     return found
 
@@ -296,9 +296,8 @@ def _explain(error: UnfinishedError, runs: Sequence[Run], result: Callable[[], T
 def _result(
     scene: mi.Scene,
     runs: list[Run],
-    settings: Settings,
-    field_deg: float | None,
-    azimuth_deg: float | None,
+    settings: dict[str, Any],
+    field: dict[str, float | None],
     ledger: bool,
     task: TraceTask | None,
 ) -> Trace:
@@ -310,10 +309,9 @@ def _result(
     found = Trace(
         runs,
         {
-            **asdict(settings),
+            **settings,
             "rays": sum(run.rays if run.parts is None else round(float(run.started.sum())) for run in runs),
-            "field_deg": emitter.field_deg if field_deg is None else float(field_deg),
-            "azimuth_deg": emitter.azimuth_deg if azimuth_deg is None else float(azimuth_deg),
+            **{name: getattr(emitter, name) if value is None else float(value) for name, value in field.items()},
             "wavelength_nm": wavelengths,
             "weights": [
                 sum(run.source.power for run in runs if run.source.wavelength_nm == w) / power for w in wavelengths
@@ -327,6 +325,6 @@ def _result(
         },
         task,
     )
-    if field_deg is None and azimuth_deg is None and found.rays_traced and found.energy.detected_W == 0:
+    if not any(value is not None for value in field.values()) and found.rays_traced and found.energy.detected_W == 0:
         found.notes.append(f"no light reaches the detector: {found.energy.greatest_loss} of it")
     return found

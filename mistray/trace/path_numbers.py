@@ -12,8 +12,15 @@ from mistray.recorders.ledger import SUMS
 from mistray.recorders.sampled import Sampled, batch_error
 
 CHUNK = 1024  # paths that are worked out together
+ERROR_RAYS = 10  # that an error should stand on: the variance of the variance is below 0.1 then
 # Columns of `RunSums.columns`; the last three are the sums of s1, s2, s3
 RAYS, INCIDENT, ABSORBED, BY_X, BY_Y, BY_SQUARE, S1, S2, S3 = range(9)
+SQUARES, FOURTHS = 6, 7  # of the ledger: absorbed², absorbed⁴
+
+
+def is_error(name: str) -> bool:
+    """Whether a column holds standard errors, "x_se_mm" of "x_mm"."""
+    return "_se_" in f"{name}_"
 
 
 class RunSums(NamedTuple):
@@ -49,6 +56,12 @@ class RunSums(NamedTuple):
         return found
 
     @property
+    def weights(self) -> np.ndarray:
+        """Number of rays and the sums of their absorbed flux, of its square and of its fourth power, (p, 4), in Wᵏ."""
+        powers = self.unit ** np.array([0.0, 1.0, 2.0, 4.0])
+        return np.asarray(powers * self.sums[:, :, [RAYS, ABSORBED, SQUARES, FOURTHS]].sum(axis=1))
+
+    @property
     def variance(self) -> np.ndarray:
         """
         Squared standard error of the power, (p,), W².
@@ -70,15 +83,55 @@ class PathNumbers:
         Columns of `PathRow` from ``rays`` to ``s3_se`` but for the percentages, (p,) each.
     light, density : Sampled
         Power, W, and RMS irradiance, W/mm², with what they have in common with others of the same trace.
+    weights : (p, 4) float64
+        See `RunSums.weights`.
     """
 
     columns: dict[str, np.ndarray]
     light: Sampled
     density: Sampled
+    weights: np.ndarray
 
     def __getitem__(self, chosen: np.ndarray) -> PathNumbers:
         columns = {name: column[chosen] for name, column in self.columns.items()}
-        return PathNumbers(columns, self.light[chosen], self.density[chosen])
+        return PathNumbers(columns, self.light[chosen], self.density[chosen], self.weights[chosen])
+
+    def judged(self, kind: np.ndarray) -> dict[str, np.ndarray]:
+        """
+        The columns, and how far their errors may be trusted.
+
+        An error is itself an estimate. Its relative variance is Σw⁴/(Σw²)² of the weights w of the rays, the "variance
+        of the variance", which should be below 0.1 (R. A. Forster et al., "Ten new checks to assess the statistical
+        quality of Monte Carlo solutions in MCNP", LA-UR-94-0000, 1994). Its inverse is the number of rays that the
+        error stands on. A path may lack its rare large weights by chance, so that the value and its error are too
+        small together. So each path is also judged by the weights of all paths of its kind, over the mean of each.
+
+        Parameters
+        ----------
+        kind : (p,) int
+            Kind of each path.
+
+        Returns
+        -------
+        dict
+            `columns` with ``effective_rays``, ``error_rays`` and ``few_rays`` of `PathRow`; standard errors of paths of
+            few rays are NaN.
+        """
+        rays, light, squares, fourths = self.weights.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            effective, own = light**2 / squares, squares**2 / fourths
+            sure = rays >= ERROR_RAYS  # of fewer rays the largest weight over the mean is bounded by their number
+            each = np.where(sure, np.stack([rays, squares * (rays / light) ** 2, fourths * (rays / light) ** 4]), 0)
+            count, second, fourth = (np.bincount(kind, values)[kind] for values in np.nan_to_num(each))
+            pooled = np.where(fourth > 0, rays * second**2 / (count * fourth), np.inf)
+            found = np.nan_to_num(np.minimum(own, pooled), nan=0.0)
+        few = ~(found >= ERROR_RAYS)
+        columns = {
+            name: np.where(few, np.nan, values) if is_error(name) else values for name, values in self.columns.items()
+        }
+        return columns | {
+            "effective_rays": np.nan_to_num(effective, nan=0.0), "error_rays": found, "few_rays": few,
+        }  # fmt: skip
 
     @classmethod
     def joined(cls, parts: Sequence[PathNumbers]) -> PathNumbers:
@@ -88,7 +141,7 @@ class PathNumbers:
             for each in ([part.light for part in parts], [part.density for part in parts])
         )
         columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns}
-        return cls(columns, light, density)
+        return cls(columns, light, density, np.concatenate([part.weights for part in parts]))
 
 
 def path_numbers(runs: Sequence[RunSums]) -> PathNumbers:
@@ -124,6 +177,8 @@ def _chunk(runs: Sequence[RunSums]) -> PathNumbers:
         se = np.sqrt(np.sum(np.square(apart), axis=2))
         # What is absorbed of the light of a run is about the same share of all of it
         shares = [np.where(here[:, ABSORBED] > 0, here[:, INCIDENT] / here[:, ABSORBED], 0) for here, _ in each]
+    for numbers in (values[3], se[3], apart[3]):
+        numbers[total[:, RAYS] < 2] = np.nan  # one ray lies in a point, and says nothing of an area
     columns = {
         "rays": total[:, RAYS].round().astype(np.int64),
         "power_W": power,
@@ -144,7 +199,8 @@ def _chunk(runs: Sequence[RunSums]) -> PathNumbers:
     for number, name in enumerate(("s1", "s2", "s3"), start=5):
         columns |= {name: values[number], f"{name}_se": np.where(np.isfinite(values[number]), se[number], np.nan)}
     light = [Sampled.of(run.sums[:, :, 2], run.started).scaled(run.unit) for run in runs]
-    return PathNumbers(columns, sum(light[1:], start=light[0]), Sampled(values[3], apart[3]))
+    weights = np.sum([run.weights for run in runs], axis=0)
+    return PathNumbers(columns, sum(light[1:], start=light[0]), Sampled(values[3], apart[3]), weights)
 
 
 def _shape(sums: np.ndarray) -> np.ndarray:

@@ -14,18 +14,20 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.ids import event_words
 from mistray.percent import percent_text
+from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.path_events import (
     DIRECT,
     INTERCEPTS,
     LETTERS,
     Events,
     describe_events,
-    path_labels,
+    event_keys,
     way,
     way_letters,
     way_text,
 )
 from mistray.recorders.path_key import EVENT_BITS, host_keys
+from mistray.recorders.path_names import PathNames
 from mistray.recorders.sampled import Sampled, batch_error
 from mistray.settings import BATCHES
 from mistray.trace.path_aliases import KEPT_APART, NAMES, alias_names, aliased
@@ -36,12 +38,17 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from mistray.execute.tracer import Run
-    from mistray.recorders.design_sequences import DesignSequences
     from mistray.recorders.ledger import DecodedPaths
     from mistray.surfaces.surfaces import SurfaceTable
 
 ROWS_PRINTED = 20
-LABELLED_BY = ("detector", "events", "kind", "ghost_1", "ghost_2", "scatter_1", "scatters", "source", "wavelength_nm")
+SAME_KIND = (
+    "source",
+    "detector",
+    "kind",
+    "scatters",
+    "scatter_1",
+)  # what paths have in common whose rays are weighted alike
 IMAGE = 0.9  # share of the light of a detector by which one path may be an image that nobody has declared
 MOMENT_SUMS = [2, 3, 4, 5]  # of the ledger: absorbed, absorbed · x, absorbed · y, absorbed · (x² + y²)
 
@@ -60,8 +67,12 @@ class PathRow:
     wavelength_nm : float
     detector : str
         Id of the detector where it ends.
+    key : str
+        Ten hexadecimal digits that stand for the events, the same in every table, see
+        `mistray.recorders.path_events.event_keys`.
     label : str
-        Name of the path, another one for each path of the table, see `mistray.recorders.path_events.path_labels`.
+        Name of the path by its events and the scene, the same in every table, see `mistray.recorders.path_names`. Light
+        of another source or wavelength that meets the same events has the same name.
     events : str
         Surfaces and what happened there, ``L1_front:T L1_rear:R … detector:A``; T transmitted, R reflected, I totally
         internally reflected, A absorbed; scattered or diffracted at random: t in transmission, r in reflection;
@@ -100,6 +111,14 @@ class PathRow:
         that the detector sees it lit; "-" if there is none.
     rays : int
         Hits of the detector.
+    effective_rays : float
+        (Σw)²/Σw² of the flux w of these: as many rays of equal flux would be as good.
+    error_rays : float
+        (Σw²)²/Σw⁴, the number of rays that the standard error of the power stands on, or what it would be with the
+        weights of the paths of the same kind, where that is less: see `mistray.trace.path_numbers.PathNumbers.judged`.
+    few_rays : bool
+        Whether that is less than `mistray.trace.path_numbers.ERROR_RAYS`, so that no error can be given: the errors of
+        this row are NaN. The sum of several such rows has one, see `PathTable.power`.
     power_W : float
         Flux that the detector absorbs.
     incident_W : float
@@ -124,6 +143,7 @@ class PathRow:
     source: str
     wavelength_nm: float
     detector: str
+    key: str
     label: str
     events: str
     path: str
@@ -142,6 +162,9 @@ class PathRow:
     last_object: str
     critical: str
     rays: int
+    effective_rays: float
+    error_rays: float
+    few_rays: bool
     power_W: float
     power_se_W: float
     incident_W: float
@@ -372,9 +395,12 @@ class PathTable(Sequence[PathRow]):
         np.add.at(sums, group[here], one.paths.sums[self._place[ids[here]]])
         return RunSums(sums, one.started, one.unit)
 
-    def percents(self, light: Sampled) -> dict[str, np.ndarray]:
-        """Columns ``percent`` and ``percent_se`` of the powers of paths of this table, or of groups of them."""
-        return _percents(light, self._numbers.light.total())
+    def columns_of(self, groups: Sequence[Sequence[int]]) -> dict[str, np.ndarray]:
+        """Columns of `PathRow` from ``rays`` on of groups of paths that are all there is of some sources and kinds."""
+        numbers = self.numbers(groups)
+        heads = np.array([group[0] for group in groups], dtype=np.int64)
+        found = numbers.judged(_kinds({name: self._columns[name][heads] for name in SAME_KIND}))
+        return found | _percents(numbers.light, self._numbers.light.total(), found["few_rays"])
 
     def moments(self) -> np.ndarray:
         """
@@ -441,6 +467,7 @@ class PathTable(Sequence[PathRow]):
             ids = np.flatnonzero((self._run == number) & ((self._columns["scatters"] > 0) | (aliases is not None)))
             place = self._place[ids]
             codes, lengths = way(one.paths.events[place]), one.paths.lengths[place]
+            called = PathNames(one.table.event_ids, one.table.event_words, one.design, LETTERS)
             if aliases is not None:
                 names = alias_names(one.table, aliases)
                 codes, lengths, columns = aliased(codes, lengths, names)
@@ -448,15 +475,18 @@ class PathTable(Sequence[PathRow]):
                 columns |= {name: np.array([of.get(v, v) for v in self._columns[name][ids]], object) for name in NAMES}
                 for name, values in columns.items():
                     table.loc[ids, name] = values
+                known = list(dict.fromkeys(names))
+                called = PathNames(known, np.zeros(len(known), np.uint32), DesignSequences(), LETTERS)
             keys = host_keys(np.hstack([apart[ids], codes]), lengths + apart.shape[1])
             _, first, group = np.unique(keys, return_index=True, return_inverse=True)
             head[ids] = ids[first][group]
+            rows = zip(codes[first].tolist(), lengths[first].tolist(), self._columns["kind"][ids[first]], strict=True)
+            table.loc[ids[first], "label"] = [called.name(row[:length], kind) for row, length, kind in rows]
         order = np.argsort(head, kind="stable")
         kept, starts = np.unique(head[order], return_index=True)
         ways = [tuple(ids.tolist()) for ids in np.split(order, starts[1:])] if len(kept) else []
-        together = self.numbers(ways)
-        table = table.loc[kept].assign(**together.columns, **self.percents(together.light), path_ids=ways)
-        table["label"] = path_labels(table)
+        table = table.loc[kept].assign(**self.columns_of(ways), path_ids=ways)
+        table["key"] = event_keys(table.events)
         return table.sort_values("power_W", ascending=False, kind="stable", ignore_index=True)
 
     def to_pandas(self) -> pd.DataFrame:
@@ -500,8 +530,6 @@ def rows_of(
 
 def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTable:
     """The table of all paths of all runs; paths without a hit are left out."""
-    import pandas as pd
-
     of_runs = [
         RunPaths(paths, run.started, run.unit, run.table, run.design) for run, paths in zip(runs, decoded, strict=True)
     ]
@@ -523,15 +551,15 @@ def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTabl
         )
         places.append(place)
     found = PathNumbers.joined(numbers)
-    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]} | found.columns
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    columns |= found.judged(_kinds(columns))
     number = np.repeat(np.arange(len(places)), [len(place) for place in places])
     # By power; equal ones by source, wavelength and events, whatever the order of the shapes in the file
     keys = list(zip((-columns["power_W"]).tolist(), number.tolist(), columns["events"], strict=True))
     order = np.array(sorted(range(len(keys)), key=keys.__getitem__), dtype=np.int64)
     columns = {name: column[order] for name, column in columns.items()}
     columns["path_id"] = np.arange(len(order))
-    columns["label"] = np.array(path_labels(pd.DataFrame({name: columns[name] for name in LABELLED_BY})), dtype=object)
-    columns |= _percents(found.light[order], found.light.total())
+    columns |= _percents(found.light[order], found.light.total(), columns["few_rays"])
     return PathTable(columns, of_runs, number[order], np.concatenate(places)[order], found[order])
 
 
@@ -554,7 +582,14 @@ def undeclared_images(runs: Sequence[Run], paths: PathTable) -> list[str]:
     return found
 
 
-def _percents(light: Sampled, of: Sampled) -> dict[str, np.ndarray]:
-    """Columns ``percent`` and ``percent_se`` of the powers of paths, or of groups of them."""
+def _percents(light: Sampled, of: Sampled, few: np.ndarray) -> dict[str, np.ndarray]:
+    """Columns ``percent`` and ``percent_se`` of the powers of paths, or of groups of them; no error of `few` rays."""
     found = light.over(of[None]).scaled(100.0)
-    return {"percent": found.value, "percent_se": found.se}
+    return {"percent": found.value, "percent_se": np.where(few, np.nan, found.se)}
+
+
+def _kinds(columns: Mapping[str, np.ndarray]) -> np.ndarray:
+    """(p,) numbers of the kinds of paths, which share all of `SAME_KIND`."""
+    keys = [np.unique(columns[name], return_inverse=True)[1] for name in SAME_KIND]
+    _, kind = np.unique(np.stack(keys, axis=1), axis=0, return_inverse=True)
+    return np.asarray(kind).ravel()

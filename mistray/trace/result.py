@@ -30,6 +30,7 @@ from mistray.trace.energy import Energy, FluxReport, energy_ledger, flux_report
 from mistray.trace.history import Ray, RayHistory, read_rays
 from mistray.trace.path_filter import PathFilter
 from mistray.trace.paths import PathTable, path_table, undeclared_images
+from mistray.trace.polarization_choice import words_of
 from mistray.trace.ray_sample import sample_rays
 from mistray.trace.ray_table import check_box, ray_table
 from mistray.trace.sampled_hits import PathHits, sampled_hits
@@ -46,7 +47,8 @@ class Trace:
     Attributes
     ----------
     settings : dict
-        Everything that determines the result: arguments, scene, variant, versions.
+        Everything that determines the result: arguments, scene, variant, versions. "polarization" is the mode that was
+        taken, "polarization_reason" says why, and "polarization_change" is what Stokes vectors change most, relative.
     rays_traced, rays_planned : int
         Start rays that were traced and that were to be; fewer where workers were lost, see `mistray.distribute`.
     paths : PathTable
@@ -540,7 +542,7 @@ class Trace:
             count = f"unfinished: {self.rays_traced} of {self.rays_planned} rays, {count}"
         if self.rays_traced and self.energy.detected_W == 0:
             detected += f", {self.energy.greatest_loss}"
-        return f"Trace({count}, {self.segments:.3g} segments, {detected})"
+        return f"Trace({count}, {self.segments:.3g} segments, {detected}, {words_of(self.settings)})"
 
 
 def _irradiance(runs: Sequence[Run], films: Sequence[np.ndarray]) -> Sampled:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import drjit as dr
@@ -75,6 +76,11 @@ class GaussianBeam(NearSource):
     differentiable = (*MOVES, *own_ranges)
     tolerances = {"waist_x": 0.001, "waist_y": 0.001, "m2_x": 0.05, "m2_y": 0.05, "offset_x": 0.1, "offset_y": 0.1}
     extended = True
+
+    @property
+    def half_angle(self) -> float:
+        nm, n = float(self.wavelengths_nm.min()), self.values
+        return min(n[f"m2_{axis}"] * nm * NM / (math.pi * n[f"waist_{axis}"]) for axis in "xy")
 
     def local(
         self, place: mi.Point2d, sample: mi.Point2d, rng: mi.PCG32, n: Mapping[str, mi.Float64]

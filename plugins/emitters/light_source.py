@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.physics.geometry.pose import pointing_error, rigid_motion
 from mistray.physics.polarization.state import WAYS, polarization_state
 from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, WAVELENGTH_NM, WEIGHT, Range
 from mistray.sampling.source import EmittedRays, SceneSource, SourceRequest
@@ -45,6 +46,10 @@ class LightSource(mi.Emitter):
         Its own numbers.
     light : Light
         Its wavelengths and their weights.
+    matrix : (4, 4) float64
+        From the frame of ``to_world`` to the world, exactly rigid.
+    pointing_error : float
+        How well ``to_world`` says where the axis points, rad.
     stokes : tuple of three float or None
         State of polarisation with respect to the axes u and direction × u of `frame`; None: unpolarised.
     """
@@ -67,10 +72,8 @@ class LightSource(mi.Emitter):
         self.values = {key: self._number(props, key, self.ranges[key], self.defaults.get(key)) for key in self.ranges}
         self.field_deg = self._number(props, "field_deg", FIELD_DEG, 0.0)
         self.azimuth_deg = self._number(props, "azimuth_deg", AZIMUTH_DEG, 0.0)
-        self.matrix = np.array(props.get("to_world", mi.ScalarTransform4f()).matrix, dtype=np.float64).reshape(4, 4)
-        rotation = self.matrix[:3, :3]
-        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5) or np.linalg.det(rotation) < 0:
-            self._fail("to_world scales, shears or mirrors; use a rigid motion and set the size by parameters")
+        to_world = props.get("to_world", mi.ScalarTransform4f()).matrix
+        self.matrix, self.pointing_error = rigid_motion(to_world, self.owner), pointing_error(to_world)
         self.light = self._light(props)
         self.wavelengths_nm, self.weights = self.light.wavelengths_nm, self.light.weights
         self.parameters = {key: mi.Float(self.values[key]) for key in self.differentiable}

@@ -18,6 +18,7 @@ from mistray.sampling.emission_laws import perimeter
 
 PLACE: Mapping[str, Range] = {"x": PLACE_MM, "y": PLACE_MM, "z": PLACE_MM, "tilt_x": FINITE, "tilt_y": FINITE}
 MOVES = tuple(PLACE)
+MOST_ASTRAY = 0.01  # of the half angle of the light: more than that, and the axis is named as too rough
 
 
 class NearSource(LightSource):
@@ -58,6 +59,21 @@ class NearSource(LightSource):
             self._fail(f"{' and '.join(found)} are given; give one of them")
         key = found[0] if found else "power"
         self.given = key, self._number(props, key, POSITIVE, 1.0)
+
+    @property
+    def half_angle(self) -> float:
+        """Of the cone that its light fills, rad; where it fades out, that of 1/e² across the narrower section."""
+        raise NotImplementedError
+
+    def advice(self) -> str | None:
+        """What is unusual about it: a cone so narrow that the precision of its frame leaves its axis open."""
+        if self.pointing_error <= MOST_ASTRAY * self.half_angle:
+            return None
+        return (
+            f"{self.owner}: to_world is in single precision, which gives the axis to {self.pointing_error:.0e} rad, "
+            f"{100 * self.pointing_error / self.half_angle:.0f} % of the half angle of the light; use "
+            "ScalarTransform4d or tilt_x and tilt_y"
+        )
 
     def power_per(self, density: str) -> float:
         """Flux, W, for 1 of one of `densities`."""
@@ -211,6 +227,10 @@ class ConeSource(NearSource):
             self._keep_parameters(set(self.differentiable) - {"half_angle_deg"})  # a hemisphere cannot grow
 
     @property
+    def half_angle(self) -> float:
+        return float(np.radians(self.values["half_angle_deg"]) if self.table is None else self.table.half_angle)
+
+    @property
     def solid_angle(self) -> float:
         """∫ I dΩ for an intensity of 1 on the axis, sr."""
         if self.table is not None:
@@ -225,32 +245,32 @@ class ConeSource(NearSource):
         if self.table is not None:
             return self.offset(place, n), self.table.directions(mi.Point2d(sample))
         square, cosine, sine = laws.polar(sample)
-        height = laws.cosine_power(square, n["exponent"], dr.cos(dr.deg2rad(n["half_angle_deg"])))
+        height = laws.cosine_power(square, n["exponent"], laws.cone_height(dr.deg2rad(n["half_angle_deg"])))
         return self.offset(place, n), laws.direction(height, cosine, sine)
 
     def density(self, place: mi.Point2d, d: mi.Vector3d, n: Mapping[str, mi.Float64]) -> mi.Float64:
         """Of directions, 1/sr; d before the tilts."""
         axes = self._tilted(dr.deg2rad(n["tilt_x"]), dr.deg2rad(n["tilt_y"]))
+        local = mi.Vector3d(*(dr.dot(d, axis) for axis in axes))
         if self.table is not None:
-            return self.table.density(mi.Vector3d(*(dr.dot(d, axis) for axis in axes)))
-        cosine = dr.dot(d, axes[2])
-        exponent, edge = n["exponent"], dr.cos(dr.deg2rad(n["half_angle_deg"]))
-        law = dr.select(exponent == 0, 1, dr.exp(exponent * dr.log(dr.maximum(cosine, 1e-300))))
-        return dr.select(cosine >= edge, law / dr.opaque(mi.Float64, self.solid_angle), 0)
+            return self.table.density(local)
+        height, edge = laws.height_of(local), laws.cone_height(dr.deg2rad(n["half_angle_deg"]))
+        law = dr.exp(n["exponent"] * laws.log_cosine(height))
+        return dr.select(height <= edge, law / dr.opaque(mi.Float64, self.solid_angle), 0)
 
     def local_motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
         if name != "half_angle_deg":
             return self.offset_motion(name, o), mi.Vector3d(0)
         # A ray keeps its share u of the flux within its angle θ, u = (1 - cosⁿ⁺¹ θ) / (1 - cosⁿ⁺¹ α)
-        exponent, edge = self.values["exponent"], float(np.cos(np.radians(self.values["half_angle_deg"])))
+        exponent, half_angle = self.values["exponent"], float(np.radians(self.values["half_angle_deg"]))
+        edge, height = float(laws.cone_height(half_angle)), laws.height_of(d)
         across = dr.sqrt(d.x * d.x + d.y * d.y)
         if exponent == 0:
-            turn = across / (1 + d.z) / (1 - edge)
+            turn = across / (1 + d.z) / edge
         else:
-            power = exponent + 1
-            cosine = dr.maximum(d.z, 1e-12)
-            share = (1 - dr.exp(power * dr.log(cosine))) / (1 - edge**power)
-            turn = dr.select(across > 0, share / across, 0) * edge**exponent / dr.exp(exponent * dr.log(cosine))
-        turn *= np.sqrt(1 - edge * edge) * np.pi / 180
+            ends, at = (mi.Float64(laws.log_cosine(mi.Float64(h))) for h in (edge, height))
+            share = laws.rest_of_power((exponent + 1) * at) / laws.rest_of_power((exponent + 1) * ends)
+            turn = dr.select(across > 0, share / across, 0) * dr.exp(exponent * (ends - at))
+        turn *= np.sin(half_angle) * np.pi / 180
         outward = dr.select(across > 0, mi.Vector2d(d.x, d.y) / across, 0)
         return mi.Vector3d(0), turn * mi.Vector3d(d.z * outward.x, d.z * outward.y, -across)

@@ -12,7 +12,7 @@ from mistray.files.sky_picture import check_picture, is_healpix, read_healpix
 from mistray.physics.geometry.healpix import pixel, sides
 from mistray.plugins.emitters.distant_source import DistantSource
 from mistray.plugins.emitters.point_source import HALF_ANGLE_DEG
-from mistray.sampling.emission_laws import cosine_power, direction, polar
+from mistray.sampling.emission_laws import cone_height, cosine_power, direction, polar
 from mistray.sampling.sky_map import SkyMap, environment
 
 HEALPIX_ROWS = 4  # rings of a map in HEALPix for each N
@@ -117,7 +117,8 @@ class Sky(DistantSource):
         if self.picture is not None:
             return self.picture.directions(sample)
         square, cosine, sine = polar(sample)
-        return direction(cosine_power(square, mi.Float64(0), dr.cos(dr.deg2rad(n["half_angle_deg"]))), cosine, sine)
+        edge = cone_height(dr.deg2rad(n["half_angle_deg"]))
+        return direction(cosine_power(square, mi.Float64(0), edge), cosine, sine)
 
 
 mi.register_emitter("sky", lambda props: Sky(props))

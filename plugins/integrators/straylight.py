@@ -75,8 +75,8 @@ class StrayLight(mi.CppADIntegrator):
                                                            ``allow_all`` ("TRIMtrA"), ``transmit_specular`` ("TIMA"),
                                                            ``reflect_specular`` ("RIMA"), ``halt_all`` ("A")
     polarization          string auto,         auto        average s and p at every hit, or carry the Stokes vector
-                                 unpolarized,              along; ``auto`` does so if a source is polarised
-                                 stokes
+                                 unpolarized,              along; ``auto``: if a source is polarised, or a trace
+                                 stokes                    finds that it matters by more than 1 %
     edges                 bool                 true        count in gradients what rays gain and lose at rims
     edge_width            1      1e-6 … 0.5    none        width of the zones at rims for that, relative to their radii;
                                                            none: the first reverse pass takes that of the least error,

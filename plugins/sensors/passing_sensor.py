@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import ClassVar
 
 import mitsuba as mi
-import numpy as np
 
-from mistray.errors import MistrayError
 from mistray.ids import check_id
+from mistray.physics.geometry.pose import rigid_motion
 from mistray.recorders.passing.cells import PassingLight
 
 
@@ -38,12 +37,7 @@ class PassingSensor(mi.Sensor):
         self.name = str(props.id()) or self.what
         self.owner = f"{self.what} '{self.name}'"
         check_id(self.name, self.what)
-        self.matrix = np.array(props.get("to_world", mi.ScalarTransform4f()).matrix, dtype=np.float64).reshape(4, 4)
-        rotation = self.matrix[:3, :3]
-        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5) or not np.linalg.det(rotation) > 0:
-            raise MistrayError(
-                f"{self.owner}: to_world scales, shears or mirrors; use a rigid motion and set the size by parameters"
-            )
+        self.matrix = rigid_motion(props.get("to_world", mi.ScalarTransform4f()).matrix, self.owner)
 
     def recorder(self) -> PassingLight:
         """A new recorder that has recorded nothing."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from mistray._mitsuba_compat import write_mesh
 from mistray.errors import MistrayError
-from mistray.physics.geometry.pose import moved
+from mistray.physics.geometry.pose import moved, rigid_motion
 from mistray.ranges import AZIMUTH_DEG, PLACE_MM, SPACE, Range
 from mistray.surfaces.gradient_columns import POSE, declare_columns
 
@@ -58,7 +58,7 @@ class FormulaShape(mi.Mesh):
         self.name = str(props.id())
         self.part = str(props.get("part", self.name))
         self.space = SPACE.check("space", props.get("space", -1), f"shape '{self.name}'")
-        self.base = rigid_motion(props, self.name, "set the size by parameters")
+        self.base = rigid_motion(props.get("to_world", mi.ScalarTransform4f()).matrix, f"shape '{self.name}'")
 
     def _finish(self, props: mi.Properties, values: dict[str, float]) -> None:
         self.values = values | {key: float_property(props, key, 0.0) for key in POSE}
@@ -198,16 +198,6 @@ def grid(half_width: float, half_height: float, count: int) -> tuple[np.ndarray,
     b, c, d = a + 1, a + count + 1, a + count + 2
     faces = np.concatenate([np.column_stack([a, b, d]), np.column_stack([a, d, c])]).astype(np.uint32)
     return np.column_stack([x.ravel(), y.ravel()]), faces
-
-
-def rigid_motion(props: mi.Properties, name: str, remedy: str) -> np.ndarray:
-    """``to_world`` of a shape as (4, 4) float64; raises where it scales, shears or mirrors, with the remedy."""
-    to_world = props.get("to_world", mi.ScalarTransform4f())
-    matrix = np.array(to_world.matrix, dtype=np.float64).reshape(4, 4)
-    rotation = matrix[:3, :3]
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5) or np.linalg.det(rotation) < 0:
-        raise MistrayError(f"shape '{name}': to_world scales, shears or mirrors; use a rigid motion and {remedy}")
-    return matrix
 
 
 def check_reach(vertices: np.ndarray, name: str) -> None:

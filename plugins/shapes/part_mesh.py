@@ -8,7 +8,8 @@ import mitsuba as mi
 
 from mistray._mitsuba_compat import mesh_arrays, write_mesh
 from mistray.errors import MistrayError
-from mistray.plugins.shapes.formula_shape import check_reach, rigid_motion
+from mistray.physics.geometry.pose import rigid_motion
+from mistray.plugins.shapes.formula_shape import check_reach
 from mistray.ranges import SPACE
 
 
@@ -52,8 +53,8 @@ class PartMesh(mi.Mesh):
         file = mi.file_resolver().resolve(self.filename)
         description: dict[str, Any] = {"type": "ply", "filename": str(file), "face_normals": True}
         if "to_world" in props:
+            rigid_motion(props["to_world"].matrix, f"shape '{self.name}'", "scale the file")
             description["to_world"] = props["to_world"]
-        rigid_motion(props, self.name, "scale the file")
         try:
             vertices, faces = mesh_arrays(mi.load_dict(description))
         except RuntimeError as error:

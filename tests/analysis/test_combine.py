@@ -68,9 +68,9 @@ def test_the_whole_is_100_percent_without_error():
 def test_one_ray_has_an_unknown_radius():
     rows = made(FakePath(GHOST, 0.1, 1, wavelength=550.0)).paths.by_way()
     row = rows[rows.events == GHOST].iloc[0]
-    assert row.rms_radius_se_mm == math.inf
-    assert row.rms_irradiance_se_W_mm2 == math.inf
-    assert math.isfinite(row.power_se_W)
+    assert (row.rms_radius_mm, row.effective_rays, row.error_rays) == pytest.approx((0, 1, 1))
+    assert row.few_rays
+    assert all(math.isnan(row[name]) for name in ("rms_irradiance_W_mm2", "rms_radius_se_mm", "power_se_W"))
 
 
 def test_a_path_is_one_row_for_all_its_wavelengths():

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from mistray.analysis.changes.first_surfaces import Entering, FirstLight, entering_text, spoils, together
+from mistray.analysis.changes.first_surfaces import (
+    Entering,
+    FirstLight,
+    entering_lines,
+    entering_text,
+    spoils,
+    together,
+)
 
 
 def light(unseen: float = 0.0, direct: float = 0.0, **power: float) -> FirstLight:
@@ -31,10 +38,10 @@ class TestNew:
 
     def test_share_of_the_stray_light(self) -> None:
         (one,) = light(front=4.0, L3=1.0).since(BEFORE)
-        assert one == Entering("L3", pytest.approx(0.2), pytest.approx(0.002))
+        assert one == Entering("L3", pytest.approx(0.2), pytest.approx(0.002), pytest.approx(1 / 8.02))
         # The image does not count: 3 of the light by the front
         (one,) = light(front=4.0, L3=1.0, direct=3.0).since(light(front=4.0, direct=3.0))
-        assert one.share == pytest.approx(0.5)
+        assert (one.share, one.of_before) == pytest.approx((0.5, 1.0))
 
     def test_a_trace_of_it_before_counts_for_none(self) -> None:
         assert [one.surface for one in light(front=4.0, hood=4.0).since(BEFORE)] == ["hood"]
@@ -60,13 +67,31 @@ class TestNew:
 
 def test_no_gain_above_a_percent() -> None:
     assert not spoils(())
-    assert not spoils((Entering("a", 0.009, 0.001),))
-    assert spoils((Entering("a", 0.009, 0.003), Entering("b", 0.002, 0.004)))
-    assert together((Entering("a", 0.009, 0.003), Entering("b", 0.002, 0.004))) == pytest.approx((0.011, 0.005))
+    assert not spoils((Entering("a", 0.009, 0.001, 0.5),))
+    two = Entering("a", 0.009, 0.003, 0.008), Entering("b", 0.002, 0.004, 0.003)
+    assert spoils(two)
+    assert together(two) == pytest.approx((0.011, 0.005))
+
+
+def test_little_light_left_of_much_is_a_gain() -> None:
+    """All that is left is new, and it is a thousandth of what was there."""
+    (one,) = light(front=1e-6, vane=8e-3).since(BEFORE)
+    assert (one.share, one.of_before) == pytest.approx((1.0, 8e-3 / 8.02), rel=1e-3)
+    assert not spoils([one])
+    assert spoils(light(front=1e-6, vane=0.2).since(BEFORE))
 
 
 def test_words() -> None:
-    text = entering_text([Entering(f"s{k}", 0.1, 0.01) for k in range(5)])
+    text = entering_text([Entering(f"s{k}", 0.1, 0.01, 0.1) for k in range(5)])
     assert "50 % (± 2.2 %)" in text
     assert "s0 (10 %)" in text
     assert "2 more" in text
+
+
+def test_three_places_are_told() -> None:
+    places = {f"{k} deg": (Entering("s", 0.1, 0.01, 0.001 * k),) for k in range(5)}
+    lines = entering_lines(places)
+    assert [line.partition(":")[0] for line in lines[:3]] == ["4 deg", "3 deg", "2 deg"]
+    assert "2 more" in lines[3]
+    assert len(entering_lines({"0 deg": places["0 deg"]})) == 1
+    assert entering_lines({}) == []

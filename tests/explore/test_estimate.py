@@ -24,7 +24,10 @@ def test_nothing_moved_is_what_was_traced(at_start):
     assert view["remedy"]["surface"].startswith(("window", "L1"))
     assert view["left_out"] == []
     assert view["stray_W"][0] == pytest.approx(sum(row.power_W for row in stray), rel=1e-12)
-    assert view["paths"][0]["power_W"] == stray[0].power_W
+    strongest = next(path for path in view["paths"] if path["rank_power"] == 0)
+    assert strongest["power_W"] == stray[0].power_W
+    worst = mistray.ghosts(mistray.load("singlet_window_detector"), 0.0, rays=2000, max_reflections=2).top(0.0, 1)
+    assert (view["paths"][0]["label"], view["paths"][0]["rank_rms"]) == (worst.label.iloc[0], 0)
 
 
 @pytest.mark.quick

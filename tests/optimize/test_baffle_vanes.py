@@ -47,7 +47,7 @@ def reduced() -> Study:
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> Optimization:
-    return optimize(script().short_vanes(tmp_path_factory.mktemp("vanes")), reduced())
+    return optimize(script().short_vanes(tmp_path_factory.mktemp("vanes")), reduced(), next_order=False)
 
 
 @pytest.mark.long

@@ -47,7 +47,7 @@ def hit_sums(
 ) -> np.ndarray:
     """(BATCHES, SUMS) of one path from its hits."""
     a = absorbed
-    terms = [np.ones(len(a)), a if incident is None else incident, a, a * x, a * y, a * (x * x + y * y)]
+    terms = [np.ones(len(a)), a if incident is None else incident, a, a * x, a * y, a * (x * x + y * y), a**2, a**4]
     sums = np.zeros((BATCHES, SUMS))
     np.add.at(sums, batch, np.transpose(terms))
     return sums

@@ -34,6 +34,7 @@ SETTINGS = asdict(Settings(rays=1000, max_events=32)) | {
     "azimuth_deg": 0.0,
     "wavelength_nm": [550.0],
     "variant": "llvm_ad_rgb",
+    "polarization_reason": "no surface tells s from p",
     "versions": {"mistray": "0.1.0", "mitsuba": "3.9.1"},
 }
 
@@ -192,7 +193,7 @@ class FakeTrace:
 def paths_at(field_deg: float) -> list[FakePath]:
     """A field with a direct image (below 18 degrees), two ghosts, a structure path and one of very few rays."""
     y = 0.1 * field_deg
-    window = f"{LENS} detector:R window_rear:R L1_front:T L1_rear:T detector:A"
+    window = f"{LENS} detector:R L1_rear:T L1_front:T window_rear:R L1_front:T L1_rear:T detector:A"
     lens = f"{LENS} detector:R L1_rear:R detector:A"
     paths = [
         FakePath(window, 2e-4, 400, 0.0, -y, 0.5),

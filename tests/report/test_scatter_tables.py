@@ -11,7 +11,6 @@ from report.fake_trace import FakePath, FakeTrace, scatter_trace_at, trace_at
 from mistray.analysis.ghosts import GhostReport
 from mistray.cli.ghosts_json import as_json
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
-from mistray.recorders.path_events import short_label as label
 from mistray.report.figures.plots import KINDS
 from mistray.report.ghosts.report import html_text
 from mistray.report.rays.path_sort import parse_path_sort, path_sort_text
@@ -41,19 +40,6 @@ def test_random_and_aimed_light_is_one_path(report):
     assert table.percent_of_stray[table.kind == DIRECT].isna().all()
     assert table.percent_of_stray.sum() == pytest.approx(100, rel=1e-9)
     assert report.summary(10.0).paths_of_kind["single scatter"] == 2
-
-
-@pytest.mark.parametrize(
-    ("row", "words"),
-    [
-        (("-", "-", "single scatter", "barrel", 1), "scatter at barrel"),
-        (("-", "-", "multiple scatter", "barrel", 3), "scatter at barrel and 2 more"),
-        (("detector", "L1_rear", "ghost + scatter", "barrel", 1), "detector → L1_rear, scatter at barrel"),
-        (("detector", "-", "ghost", "-", 0), "detector"),
-    ],
-)
-def test_label(row, words):
-    assert label(*row) == words
 
 
 def test_kinds_have_their_power_and_their_colour(report):

@@ -1,51 +1,71 @@
-"""Names of paths tell them apart in every table."""
+"""Names of paths tell them apart, and are the same in every table."""
 
 from __future__ import annotations
 
+import itertools
 import warnings
+from collections.abc import Sequence
 
+import numpy as np
 import pytest
+from report.fake_ledger import EDGE, GLASS, REFLECTOR, SENSOR, STRUCTURE, design_of, encode
 
 import mistray
 from mistray.analysis.pst.causes import stray_paths
 from mistray.errors import MistrayWarning
-from mistray.recorders.path_events import path_names
+from mistray.recorders.path_events import describe_events
 from mistray.scene.load import shipped_scenes
 
-
-def test_a_label_of_its_own_is_kept() -> None:
-    assert path_names(["a:T b:R d:A", "a:r d:A"], ["b", "scatter at a"]) == ["b", "scatter at a"]
-
-
-def test_paths_of_one_label_are_named_by_their_turns() -> None:
-    assert path_names(["a:t b:T d:A", "a:r b:T d:A"], ["scatter at a"] * 2) == ["a:t", "a:r"]
-
-
-def test_straight_shots_are_named_by_the_surfaces_that_not_all_pass() -> None:
-    names = path_names(["a:T bevel:T d:A", "a:T edge:T c:T d:A", "d:A", "a:T d:A"], ["straight shot"] * 4)
-    through = ["straight shot through a, bevel", "straight shot through a, edge, c", "straight shot through a"]
-    assert [names[k] for k in (0, 1, 3)] == through
-    assert names[2] == "straight shot past all surfaces"
-    both = path_names(["a:T bevel:T d:A", "a:T edge:T c:T d:A"], ["straight shot"] * 2)
-    assert both == ["straight shot through bevel", "straight shot through edge, c"]
-
-
-def test_the_order_of_the_same_surfaces_makes_a_name() -> None:
-    names = path_names(["a:T b:T d:A", "b:T a:T d:A", "a:T b:T a:T d:A"], ["straight shot"] * 3)
-    assert len(set(names)) == 3
+SURFACES = {"front": GLASS, "rear": GLASS, "mirror": REFLECTOR, "bevel": EDGE, "tube": STRUCTURE, "detector": SENSOR}
+DESIGN = "front:T rear:T mirror:R detector:A"
+NAMES = {
+    DESIGN: "direct image",
+    "front:T rear:T mirror:R detector:R mirror:R rear:R mirror:R detector:A": "detector → rear",
+    "front:T rear:R front:R rear:T mirror:R detector:A": "rear → front",
+    "front:T rear:t mirror:R detector:A": "scatter at rear",
+    "front:T rear:T mirror:r detector:A": "scatter at mirror",
+    "tube:R detector:A": "tube (structure)",
+    "tube:r detector:A": "scatter at tube",
+    "front:T rear:T tube:r detector:A": "front:T rear:T tube:r",
+    "front:T rear:T tube:r mirror:R detector:A": "front:T rear:T tube:r mirror:R",
+    "front:T rear:R front:R bevel:T mirror:R detector:A": "rear:R front:R bevel:T mirror:R",
+    "front:T rear:T detector:A": "straight shot through front, rear",
+    "rear:T mirror:R detector:A": "straight shot through rear, mirror:R",
+    "detector:A": "straight shot past all surfaces",
+    "mirror:R detector:R rear:R mirror:R detector:A": "mirror:R detector:R past rear:R",
+    "front:I rear:T mirror:R detector:A": "front:I",
+}
 
 
-def test_equal_paths_share_a_name() -> None:
-    first, second, other = path_names(["a:T d:A", "a:T d:A", "b:T d:A"], ["straight shot"] * 3)
-    assert first == second != other
+def names_of(events: Sequence[str], *design: str) -> list[str]:
+    codes, lengths = encode(events, list(SURFACES))
+    words = np.array(list(SURFACES.values()), dtype=np.uint32)
+    return describe_events(codes, lengths, list(SURFACES), words, design_of(SURFACES, *design))["label"].tolist()
+
+
+def test_names_follow_from_the_events_of_a_path_alone() -> None:
+    """Written down by hand; and the same for each path by itself as in a table with all others."""
+    assert names_of(list(NAMES), DESIGN) == list(NAMES.values())
+    assert [names_of([events], DESIGN)[0] for events in NAMES] == list(NAMES.values())
+
+
+def test_different_paths_have_different_names() -> None:
+    """Every event list of up to four events, 41 371 of them."""
+    words = [f"{name}:{letter}" for name in ("front", "rear", "mirror", "tube") for letter in "TRtr"]
+    words = [*(w for w in words if w not in ("mirror:T", "tube:T", "mirror:t", "tube:t")), "detector:R", "bevel:T"]
+    lists = [" ".join([*some, "detector:A"]) for n in range(5) for some in itertools.product(words, repeat=n)]
+    for design in ([DESIGN], []):
+        assert len(set(names_of(lists, *design))) == len(lists)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("scene", ["phone_camera", "double_gauss_barrel", "cassegrain", "lens_and_reflector"])
 def test_no_name_is_blank_or_given_twice_in_a_pst(scene: str) -> None:
     pst = mistray.pst(mistray.load(scene), [18.0, 20.0, 22.0, 24.0], rays=4_000)
+    named: dict[str, str] = {}
     for angle in pst.field_deg:
         rows = stray_paths(pst, angle)
+        assert all(named.setdefault(*pair) == pair[1] for pair in zip(rows.events, rows.label, strict=True))
         assert rows.events.is_unique
         assert rows.label.is_unique
         assert rows.label.str.strip().astype(bool).all()
@@ -61,13 +81,15 @@ def test_no_name_is_blank_or_given_twice_in_a_table_of_ghosts(scene: str, field:
 @pytest.mark.long
 @pytest.mark.parametrize("scene", sorted(shipped_scenes()))
 def test_every_path_of_a_trace_has_a_name_of_its_own(scene: str) -> None:
-    """At two wavelengths, so that the same events occur twice; in the ledger, in its print and with ways added up."""
+    """At two wavelengths, where the same events have the same name; in the ledger, its print and by ways."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MistrayWarning)  # of improbable scatter
         loaded = mistray.load(scene)
     paths = mistray.trace(loaded, field_deg=0.1, rays=512, wavelength_nm=[550.0, 600.0]).paths
     for table in (paths.to_pandas(), paths.by_way()):
-        assert table.label.is_unique
+        for _, rows in table.groupby(["source", "wavelength_nm"]):
+            assert rows.label.is_unique
+        assert table.groupby(["source", "events"]).label.nunique().max() == 1
         assert table.label.str.strip().astype(bool).all()
     for line, row in zip(str(paths).splitlines()[1:21], paths, strict=False):
         assert line.endswith(row.label)

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 NONE = 0.01  # of the light by a surface after a change: if there was less before, there was none
 LEAST, SURE = 1e-3, 3.0  # share of the light after, and standard errors of it, that a new first surface must have
-SPOILS = 0.01  # share of the light after by new first surfaces that makes a smaller number no gain
-TOLD = 3  # surfaces that a sentence names
+SPOILS = 0.01  # light by new first surfaces, as a share of that after and of that before, that makes less no gain
+TOLD = 3  # surfaces that a sentence names, and places that are told
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,15 @@ class Entering:
         Id of the first surface that the light meets; the detector's where it meets no other.
     share, share_se : float
         Of the light after the change: of all stray light, and of direct light by such surfaces, which passes for it.
+    of_before : float
+        The same light over all stray light before the change. Where a change makes little light of much, most of what
+        is left may well be new.
     """
 
     surface: str
     share: float
     share_se: float
+    of_before: float
 
 
 @dataclass(frozen=True)
@@ -144,7 +148,16 @@ class FirstLight:
             and (name in before.power or self.strongest[name] > before.unseen)
         ]
         whole = sum(value - (0.0 if name in new else self.direct[name]) for name, value in self.power.items())
-        found = [Entering(name, self.power[name] / whole, math.sqrt(self.variance[name]) / whole) for name in new]
+        stray = sum(value - before.direct[name] for name, value in before.power.items())
+        found = [
+            Entering(
+                name,
+                self.power[name] / whole,
+                math.sqrt(self.variance[name]) / whole,
+                self.power[name] / stray if stray > 0 else math.inf,
+            )
+            for name in new
+        ]
         told = (one for one in found if one.share > max(LEAST, SURE * one.share_se))
         return tuple(sorted(told, key=lambda one: -one.share))
 
@@ -156,8 +169,9 @@ def together(entering: Iterable[Entering]) -> Estimate:
 
 
 def spoils(entering: Iterable[Entering]) -> bool:
-    """Whether so much light enters by new surfaces, more than 1 %, that a smaller number is no gain."""
-    return together(entering).value > SPOILS
+    """Whether more than 1 % of the light after, and of that before, enters by new surfaces: less of it is no gain."""
+    found = list(entering)
+    return min(together(found).value, sum(one.of_before for one in found)) > SPOILS
 
 
 def entering_text(entering: Sequence[Entering]) -> str:
@@ -169,6 +183,17 @@ def entering_text(entering: Sequence[Entering]) -> str:
         f"{percent_text(share, 3)} (± {percent_text(se)}) of the light after first meets "
         f"{', '.join([*named, *more])}: none did before"
     )
+
+
+def entering_lines(entering: Mapping[str, Sequence[Entering]]) -> list[str]:
+    """The places with the most of such light, in a line each, and how many more there are."""
+    ranked = sorted(entering.items(), key=lambda item: -sum(one.of_before for one in item[1]))
+    lines = [
+        f"{place}: {entering_text(here)}{'; less stray light is no gain here' if spoils(here) else ''}"
+        for place, here in ranked[:TOLD]
+    ]
+    more = len(ranked) - TOLD
+    return [*lines, f"{more} more with less of such light"] if more > 0 else lines
 
 
 def _first(events: Iterable[str]) -> np.ndarray:

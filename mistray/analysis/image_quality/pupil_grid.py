@@ -2,7 +2,7 @@
 
 A first look with a coarse grid of rays says where light gets through and which direction cosines it has. Then the rays
 of an even grid of direction cosines are found by Newton's method, the OPD of each is exact, and the cells that a rim
-divides are divided further, so that each has the share of light that it should.
+or a vane cuts are divided further, so that each has the share of light that it should.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from mistray.sampling.design_path import DesignPath
 
 Array = npt.NDArray[np.float64]
 
-PARTS = 4  # of the cells that a rim divides, each way
+PARTS = 32  # rays in a cell that is cut
+LOOKS = 8 * 64**2  # rays in all cells together that look for what cuts them
 STEP = 1e-4  # of the differences for slopes, in units of the pupil's size
 NEWTON_STEPS = 5
 ON_GRID = 1e-4  # of a cell, by which rays may miss their places
@@ -244,23 +245,49 @@ def _shares(
     """
     Share of each cell that light gets through, (n,), and the middle of that part from the cell's, (n, 2) coordinates.
 
-    A cell with neighbours of both kinds is divided.
+    A few rays look into every cell, because what is narrower than one, such as a vane, lies between the middles. Cells
+    that are cut, and all cells beside them, are divided: so a vane that one of its cells shows is followed to its end.
     """
-    ringed = np.pad(lit, 1)
     n = len(lit)
-    around = np.stack([ringed[i : i + n, j : j + n] for i in range(3) for j in range(3)])
-    divided = np.flatnonzero((around.any(axis=0) & ~around.all(axis=0)).ravel() & np.isfinite(slopes).all(axis=(1, 2)))
+    known = np.isfinite(slopes).all(axis=(1, 2))
     share, aside = lit.astype(np.float64).ravel(), np.zeros_like(x)
-    if not len(divided):
-        return share, aside
-    at = step * ((np.arange(PARTS) + 0.5) / PARTS - 0.5)
-    parts = np.stack(np.meshgrid(at, at), axis=-1).reshape(-1, 2)
-    moves = np.swapaxes(np.linalg.solve(slopes[divided], np.tile(parts.T, (len(divided), 1, 1))), 1, 2)
-    tried = (x[divided, None] + moves).reshape(-1, 2)
-    passes = path.unobstructed(*bundle.rays(tried), beyond_end=True).passes.reshape(len(divided), -1, 1)
-    share[divided] = passes[..., 0].mean(axis=1)
-    aside[divided] = (moves * passes).sum(axis=1) / np.maximum(passes.sum(axis=1), 1)
+    moved = np.random.default_rng(0).random((len(x), 2))
+
+    def look(cells: npt.NDArray[np.intp], count: int) -> tuple[Array, npt.NDArray[np.bool_]]:
+        """Rays within cells, (m, count, 2) from their middles, and whether they get through, (m, count)."""
+        at = step * ((_net(count) + moved[cells, None]) % 1 - 0.5)
+        moves = np.swapaxes(np.linalg.solve(slopes[cells], np.swapaxes(at, 1, 2)), 1, 2)
+        rays = bundle.rays((x[cells, None] + moves).reshape(-1, 2))
+        return moves, path.unobstructed(*rays, beyond_end=True).passes.reshape(len(cells), count)
+
+    def beside(cells: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Cells and their neighbours."""
+        ringed = np.pad(cells.reshape(n, n), 1)
+        return np.any([ringed[i : i + n, j : j + n] for i in range(3) for j in range(3)], axis=0).ravel()
+
+    divided = np.zeros(len(x), dtype=bool)
+    cut = beside(lit.ravel()) & beside(~lit.ravel())
+    every = np.flatnonzero(known)
+    seen = look(every, 1 << max(0, int(np.log2(LOOKS / len(x)))))[1]
+    cut[every] |= np.any(seen != lit.ravel()[every, None], axis=1)
+    while len(cells := np.flatnonzero(cut & known & ~divided)):
+        moves, passes = look(cells, PARTS)
+        share[cells] = passes.mean(axis=1)
+        aside[cells] = (moves * passes[..., None]).sum(axis=1) / np.maximum(passes.sum(axis=1), 1)[:, None]
+        divided[cells] = True
+        cut = beside(divided & (share > 0) & (share < 1))
     return share, aside
+
+
+def _net(count: int) -> Array:
+    """
+    (count, 2) points of the unit square of which each strip along either axis has its part; a power of 2.
+
+    J. M. Hammersley, "Monte Carlo methods for solving multivariable problems", Ann. N. Y. Acad. Sci. 86, 844 (1960).
+    """
+    k, bits = np.arange(count), int(np.log2(count))
+    reversed_k = sum((((k >> bit) & 1) << (bits - 1 - bit) for bit in range(bits)), np.zeros_like(k))
+    return np.asarray((np.stack([k, reversed_k], axis=1) + 0.5) / count)
 
 
 def _at_stop(path: DesignPath, bundle: Bundle, stop: Stop, x: Array, slopes: Array, h: float) -> tuple[Array, Array]:

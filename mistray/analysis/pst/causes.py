@@ -10,7 +10,6 @@ import pandas as pd
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.pst.result import Pst
-from mistray.recorders.path_events import path_labels
 from mistray.renamed import renamed
 
 GHOSTS = "ghosts"
@@ -31,9 +30,8 @@ def stray_paths(pst: Pst, field_deg: float, n: int | None = None) -> pd.DataFram
     Returns
     -------
     DataFrame
-        The columns of `Pst.paths` and ``label``, the name of the path, see
-        `mistray.recorders.path_events.path_labels`. The errors of several azimuths are added in
-        quadrature, as if their rays were different ones.
+        The columns of `Pst.paths`. The errors of several azimuths are added in quadrature, as if their rays were
+        different ones.
     """
     azimuths = pst.grid.azimuths_deg
     parts = [pst.paths(field_deg, azimuth) for azimuth in azimuths]
@@ -42,7 +40,6 @@ def stray_paths(pst: Pst, field_deg: float, n: int | None = None) -> pd.DataFram
         i, _ = pst.grid.nearest(abs(field_deg), azimuths[0])
         rows = _mean_of(pd.concat(parts, ignore_index=True), len(azimuths), float(pst.stray[i]), float(pst.value[i]))
     rows = rows[rows.percent_of_stray.notna()].reset_index(drop=True)
-    rows["label"] = np.array(path_labels(rows), dtype=object)
     return rows if n is None else rows.head(n)
 
 

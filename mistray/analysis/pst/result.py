@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mistray.analysis.next_order import NextOrder
 from mistray.errors import MistrayError
 from mistray.gradients.pst_gradient import PstRays
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
@@ -76,6 +77,8 @@ class Pst:
         What its pilot has found, where rays of both directions share the light.
     techniques : dict of str to (c, n, m, b) float64
         The part of `by_batch` that rays of each direction have counted, see `budget`.
+    next_orders : tuple of NextOrder
+        The stray light by field angle beside that with one more event on each path, where it was measured.
     """
 
     grid: DirectionGrid
@@ -92,6 +95,7 @@ class Pst:
     source: PstRays | None = field(default=None, repr=False, compare=False)
     plan: Plan | None = field(default=None, repr=False, compare=False)
     techniques: Mapping[str, np.ndarray] = field(default_factory=dict, repr=False, compare=False)
+    next_orders: tuple[NextOrder, ...] = field(default=(), repr=False, compare=False)
 
     def table_gradients(
         self, derivative: np.ndarray, request: GradientRequest, groups: np.ndarray | None = None

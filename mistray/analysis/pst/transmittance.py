@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 
 from mistray.analysis.pst.backward_run import BackwardRun
 from mistray.analysis.pst.forward import forward_pst
+from mistray.analysis.pst.next_order import with_next_orders
 from mistray.analysis.pst.plan import Plan, shared
 from mistray.analysis.pst.request import Numbers, PstRequest
 from mistray.analysis.pst.result import Pst
@@ -24,9 +26,12 @@ from mistray.sampling.plane_wave import hull_points
 from mistray.sampling.sources import field_axes, spectrum_of
 from mistray.settings import Settings
 from mistray.surfaces.surfaces import SurfaceTable
-from mistray.time_budget import within
+from mistray.time_budget import share, within
+from mistray.trace.polarization_choice import unpolarized_notes
 
 Progress = Callable[[PstProgress], None]
+
+FIRST_SHARE = 0.5  # of the time, where further measurements follow
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
@@ -52,6 +57,7 @@ def pst(
     resume: bool = False,
     progress: Progress | None = None,
     seconds: float | None = None,
+    next_order: bool = False,
     **settings: Any,
 ) -> Pst:
     """
@@ -105,6 +111,10 @@ def pst(
     seconds : float, optional
         Time after which the run ends with the rays that it has; forward it is shared by the cells. A note says how many
         there are. The pass that is under way ends first.
+    next_order : bool
+        Measure the PST again with one more scatter event and, apart from that, with one more reflection, see
+        `Pst.next_orders`; in at most the time of the first measurement, and within `seconds`. Where the stray light at
+        some angle changes by more than 5 % and two errors, the result is the PST with that limit.
     **settings
         Fields of `mistray.trace.Settings`, such as ``max_reflections`` and ``max_scatters``; the others are those of
         the scene's integrator.
@@ -123,9 +133,7 @@ def pst(
     """
     if seconds is not None and current_workers() is not None and method == "forward":
         raise MistrayError("seconds is given and workers trace, whose parts are not timed; leave out one of the two")
-    found = pst_of_each(
-        [scene],
-        field_deg,
+    arguments: dict[str, Any] = dict(
         method=method,
         convention=convention,
         azimuths_deg=azimuths_deg,
@@ -144,8 +152,20 @@ def pst(
         progress=progress,
         **settings,
     )
+    began = time.perf_counter()
     with within(seconds):
-        return next(found)
+        with share(FIRST_SHARE if next_order else 1.0):
+            result = next(pst_of_each([scene], field_deg, **arguments))
+        if next_order:
+            again = {**arguments, "state": None, "resume": False}
+            spent = time.perf_counter() - began
+            result = with_next_orders(
+                scene, result, spent, lambda **limit: next(pst_of_each([scene], field_deg, **{**again, **limit}))
+            )
+    light = {"wavelength_nm": wavelength_nm, "weights": weights, "detector": detector}
+    beams = [{**light, "field_deg": float(angle)} for angle in result.field_deg]
+    result.facts["notes"] = [*result.facts["notes"], *unpolarized_notes(scene, beams, **settings)]
+    return result
 
 
 @renamed(angles_deg="field_deg")

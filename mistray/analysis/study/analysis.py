@@ -73,6 +73,7 @@ def stray_light_analysis(
         *map(_in_words, bends),
         *_zero_order_finding(shots),
         *_ghost_finding(report, design),
+        *(order.sentence for order in pst.next_orders),
     ]
     text = (
         "Ghosts of a point source at some field angles, without scatter, and the point source transmittance (PST) at "

@@ -168,6 +168,7 @@ def study(
     name: str = "scene",
     progress: Progress | None = None,
     seconds: float | None = None,
+    next_order: bool = True,
     **settings: Any,
 ) -> Study:
     """
@@ -208,6 +209,8 @@ def study(
         Time for all steps: a quarter for the objects, a third of what is left for the ghosts, a fifth of the rest for
         the images of points with stray light, whose wavefronts take their time beside it, and what is left for the PST.
         Each ends with the rays that it has, and its warnings count them.
+    next_order : bool
+        Measure the PST again with one more event on each path, see `mistray.pst`.
     **settings
         Other fields of `mistray.trace.Settings`, such as ``max_scatters`` or ``seed``.
 
@@ -291,6 +294,7 @@ def study(
             state=state,
             resume=resume,
             progress=lambda at: tell(8, "PST", at.share_done),
+            next_order=next_order,
             **light,
             **{key: value for key, value in given.items() if key != "rays"},
         )

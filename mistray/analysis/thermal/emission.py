@@ -27,6 +27,7 @@ from mistray.physics import planck
 from mistray.ranges import TEMPERATURE_K, WAVELENGTH_UM
 from mistray.time_budget import share, within
 from mistray.trace import Settings
+from mistray.trace.polarization_choice import unpolarized_notes
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -242,6 +243,8 @@ def thermal(
             if progress is not None:
                 progress(done + 1, traces)
     report = _report(*runs, waves, (low, high), float(temperature_K), outside, rules, settings)
+    light = {"wavelength_nm": [1e3 * wave for wave in waves], "detector": detector}
+    report.notes.extend(unpolarized_notes(scene, [light], **settings))
     planned = traces * (rays or RAYS)
     if report.facts["rays"] < 0.99 * planned:  # batches are of one size, so that a few rays may be left out
         report.notes.append(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields as dataclass_fields
 from typing import Any
 
@@ -23,9 +23,10 @@ from mistray.percent import percent_text
 from mistray.ranges import NOT_NEGATIVE
 from mistray.recorders.design_sequences import DesignKeys, DesignSequences
 from mistray.sampling.design.search import design_sequences, traced_table
-from mistray.sampling.sources import scene_sources
+from mistray.sampling.sources import field_of, scene_sources
 from mistray.surfaces.surfaces import SurfaceTable
-from mistray.trace import Settings, Trace, trace
+from mistray.trace import PolarizationChoice, Settings, Trace, trace
+from mistray.trace.polarization_choice import chosen_polarization
 
 FINEST = 1e-3  # of the Airy diameter: radius of the innermost disc
 LOW, HIGH = 49, 40  # frequencies from the size of the detector on, evenly in their logarithm; and evenly to the cut-off
@@ -126,21 +127,35 @@ def transfer(
     frequencies = _frequencies(found, extent, frequencies_per_mm)
     if pixels is not None:
         pixels.at(frequencies, np.zeros(len(frequencies)))  # refuses a table that ends too early before any trace
+    mode = _one_mode(scene, found, table.ids[table.detector], settings)
     fields = []
     for number, image in enumerate(found):
         if progress:
             progress(number, len(found))
-        fields.append(_field(scene, found, image, table, design, frequencies, pixels, settings))
+        one = settings | {"polarization": mode}
+        fields.append(_field(scene, found, image, table, design, frequencies, pixels, one))
     if progress:
         progress(len(found), len(found))
     used = fields[0][1].settings
     facts = {
         name: used[name] for name in ("rays", "seed", "max_reflections", "max_scatters", "wavelength_nm", "weights")
     }
-    facts |= {"seconds": round(time.monotonic() - began, 3)}
+    facts |= mode.facts | {"seconds": round(time.monotonic() - began, 3)}
     results = tuple(one for one, _ in fields)
     notes = (*found.notes, *(f"{one.name}: {text}" for one in results for text in one.notes))
     return Transfer(results, facts, tuple(dict.fromkeys(notes)))
+
+
+def _one_mode(scene: mi.Scene, found: ImageQuality, detector: str, settings: Mapping[str, Any]) -> PolarizationChoice:
+    """The polarization of all fields, see `mistray.trace.polarization_choice`."""
+    given = {name: value for name, value in settings.items() if name != "seconds"}
+    beam = {"wavelength_nm": found.wavelengths_nm.tolist(), "weights": found.weights.tolist(), "detector": detector}
+    fields = [field_of(scene, image.field_mm) if found.near else image.field_deg for image in found]
+    beams = [
+        {**beam, "field_deg": field, "azimuth_deg": image.azimuth_deg}
+        for field, image in zip(fields, found, strict=True)
+    ]
+    return chosen_polarization(scene, Settings.unresolved(scene, **given), beams)
 
 
 # More than 8 parameters would be one too many: what a field is traced with

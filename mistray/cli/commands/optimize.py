@@ -12,7 +12,7 @@ from mistray.cli.command import Command, Option
 from mistray.cli.options import Options
 from mistray.cli.progress import terminal_bar
 from mistray.cli.saved_run import SavedRun
-from mistray.cli.shared import MACHINE, SCENE, TABLE_FORMATS, TIME, output
+from mistray.cli.shared import MACHINE, NEXT_ORDER, SCENE, TABLE_FORMATS, TIME, output
 from mistray.errors import MistrayError
 from mistray.ranges import ROWS, SEEDS
 
@@ -49,6 +49,7 @@ COMMAND = Command(
         Option("--verification-seeds", "seeds on which the result is compared with the given design, at least 2 (8)",
                SEEDS, "N", default=8),
         TIME,
+        NEXT_ORDER,
         Option("--resume", "go on from the checkpoint in --out", bool),
         *MACHINE,
         output("scene.xml, report.html, tables, pictures and the checkpoint", FILES, formats=TABLE_FORMATS),
@@ -81,6 +82,7 @@ def run(options: Options) -> int:
                 progress=shown,
                 verification_seeds=options.verification_seeds,
                 seconds=options.seconds_left(),
+                next_order=not options.no_next_order,
             )
         if folder is not None:
             from mistray.report.optimization import optimization_report, scene_text

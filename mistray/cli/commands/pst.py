@@ -17,6 +17,7 @@ from mistray.cli.saved_run import SavedRun
 from mistray.cli.shared import (
     DETECTOR,
     MAP_FORMATS,
+    NEXT_ORDER,
     SCATTER,
     SCENE,
     SCHEDULER,
@@ -88,7 +89,7 @@ COMMAND = Command(
         )),
         Group("source (default: as the scene says)", SPECTRUM),
         ray_tree("start rays in all, or for each angle (forward); with --relative-error the most (4e6; 2e5)",
-                 TIME, SCHEDULER),
+                 TIME, NEXT_ORDER, SCHEDULER),
         SURFACES,
         SCATTER,
         Group("saved run (not with --method forward)", (
@@ -149,6 +150,7 @@ def run(options: Options) -> int:
                 resume=options.resume,
                 progress=progress,
                 seconds=options.seconds_left(),
+                next_order=not options.no_next_order,
                 **options.spectral_settings(),
             )
         maps = _maps(found, options, maps_at) if options.formats else {}

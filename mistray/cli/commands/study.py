@@ -13,6 +13,7 @@ from mistray.cli.options import Options
 from mistray.cli.progress import terminal_bar
 from mistray.cli.saved_run import SavedRun
 from mistray.cli.shared import (
+    NEXT_ORDER,
     SCATTER,
     SCENE,
     SCHEDULER,
@@ -63,7 +64,7 @@ COMMAND = Command(
             SOURCE,
         )),
         ray_tree("start rays of the PST; objects get a fifth at each angle, ghosts a tenth (1e6; quick: 1e5)",
-                 TIME, SCHEDULER),
+                 TIME, NEXT_ORDER, SCHEDULER),
         SURFACES,
         SCATTER,
         output("report.html and a CSV file of every table", FILES,
@@ -106,6 +107,7 @@ def run(options: Options) -> int:
                 name=options.title,
                 progress=progress,
                 seconds=options.seconds_left(),
+                next_order=not options.no_next_order,
                 **options.spectral_settings(),
             )
         files = options.write(lambda _, command: study_report(found, command))

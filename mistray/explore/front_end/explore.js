@@ -39,6 +39,12 @@ class LiveExplorer {
     this.canvas = make("canvas", { className: "map" });
     this.canvas.setAttribute("role", "img");
     this.table = make("table", { className: "paths" });
+    this.rank = make("select", {}, make("option", { value: "rms", textContent: "RMS irradiance" }), make("option", { value: "power", textContent: "power" }));
+    this.rank.setAttribute("aria-label", "worst by");
+    this.rank.addEventListener("change", () => {
+      this.showNumbers(this.view);
+      this.showPaths(this.view);
+    });
     this.more = make("p", { className: "more" });
     this.svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
     this.svg.setAttribute("class", "rays");
@@ -54,7 +60,7 @@ class LiveExplorer {
       part("answer", this.status, this.difference, this.leftOut, this.numbers, this.said),
       part("picture", make("h2", { textContent: "Stray light on the detector" }), this.canvas),
       part("system", make("h2", { textContent: "Rays of the chosen path" }), this.svg, this.detail),
-      part("list", make("h2", { textContent: "Worst paths" }), make("div", { className: "wide" }, this.table), this.more),
+      part("list", make("h2", { textContent: "Worst paths" }), make("label", {}, "by ", this.rank), make("div", { className: "wide" }, this.table), this.more),
     ));
     this.watch = new ResizeObserver(() => this.drawMap());
     this.watch.observe(this.canvas.parentElement);
@@ -169,29 +175,35 @@ class LiveExplorer {
     const active = this.root.getRootNode().activeElement;
     return active && active.type === "range" && active.matches(":active") ? active : null;
   }
+  worst(view) {
+    const rank = `rank_${this.rank.value}`;
+    return view.paths.filter((path) => path[rank] < view.listed).sort((a, b) => a[rank] - b[rank]);
+  }
   showNumbers(view) {
+    const [worst] = this.worst(view);
     const rows = [
       ["stray light", `${withError(view.stray_W)} W`],
       ["stray over direct", view.ratio[0] === null ? "no direct image here" : withError(view.ratio)],
       ["direct image", `${withError(view.direct_W)} W`],
-      ["worst path", view.paths.length ? `${view.paths[0].label}, ${short(view.paths[0].percent, 3)} % of the stray light` : "none"],
+      ["worst path", worst ? `${worst.label}, ${short(worst.percent, 3)} % of the stray light` : "none"],
       ...(view.remedy ? [["change first", `${view.remedy.surface}: it ${view.remedy.deed} ${short(view.remedy.percent, 3)} % of the stray light${view.label === "traced" ? "" : " of the last trace"}`]] : []),
     ];
     this.numbers.replaceChildren(...rows.flatMap(([name, text]) => [make("dt", { textContent: name }), make("dd", { textContent: text })]));
   }
   showPaths(view) {
     const head = make("thead", {}, make("tr", {}, ...["path", "kind", "power [W]", "% of stray", "rms radius [mm]"].map((text) => make("th", { textContent: text, scope: "col" }))));
-    const rows = view.paths.map((path) => {
+    const paths = this.worst(view);
+    const rows = paths.map((path) => {
       const pick = make("button", { type: "button", textContent: path.label });
       pick.setAttribute("aria-pressed", String(path.events === this.chosen));
       pick.addEventListener("click", () => this.choose(path.events));
-      const cells = [path.kind, `${short(path.power_W)} ± ${short(path.power_se_W, 2)}`, short(path.percent, 3), path.rms_radius_mm === null ? "–" : short(path.rms_radius_mm, 3)];
+      const cells = [path.kind, `${short(path.power_W)} ± ${path.power_se_W === null ? "?" : short(path.power_se_W, 2)}`, short(path.percent, 3), path.rms_radius_mm === null ? "–" : short(path.rms_radius_mm, 3)];
       return make("tr", {}, make("td", {}, pick), ...cells.map((text) => make("td", { textContent: text })));
     });
     const focused = this.table.contains(this.root.getRootNode().activeElement);
     this.table.replaceChildren(head, make("tbody", {}, ...rows));
     if (focused) this.table.querySelector('button[aria-pressed="true"]')?.focus();
-    this.more.textContent = view.count > view.paths.length ? `and ${view.count - view.paths.length} weaker paths` : "";
+    this.more.textContent = view.count > paths.length ? `and ${view.count - paths.length} more paths` : "";
   }
   async choose(events) {
     this.chosen = events;

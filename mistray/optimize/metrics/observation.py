@@ -11,7 +11,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.analysis.ranking import FEWEST_RAYS
 from mistray.errors import MistrayError, nearest
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.ids import event_words
@@ -26,6 +25,7 @@ from mistray.trace import PathRow, Trace
 Selection = str | Sequence[str] | Callable[[PathRow], bool]
 ALL, STRAY = "all", "stray"
 KINDS = (ALL, STRAY, DIRECT, *STRAY_KINDS)
+FEWEST_RAYS = 30  # below this the RMS radius of a path is too uncertain
 NORM = 16.0  # of smooth maxima: 4 % above two equal values, 1.7 times 4096 of them
 TERMS = 4  # sums of a path: flux, and flux times x, y, x² + y²
 # A hit at (x, y) adds its flux times these coefficients of 1, x, y, x², y², x y to each of them

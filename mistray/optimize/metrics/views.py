@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from mistray.errors import MistrayError
 from mistray.optimize.metrics.observation import Observation
 from mistray.optimize.metrics.pst_observation import PstObservation
 from mistray.trace import Settings, trace
+from mistray.trace.polarization_choice import BEAM, unpolarized_notes
 
 METHODS = ("joined", "adjoint")  # of a PST metric, the usual one first
 
@@ -41,7 +42,10 @@ class View:
     def observe(self, scene: Any, times: float, changes: Mapping[str, Any]) -> Observation | PstObservation:
         """Trace the scene with so many times the rays; `changes` replace some of the arguments."""
         changes = {name: value for name, value in changes.items() if name != "paths"}  # a trace always has them
-        return Observation(trace(scene, **self._arguments(scene, times, changes)))
+        arguments = self._arguments(scene, times, changes)
+        # That of its gradient, without a pilot: a search and its verification see the same light
+        arguments["polarization"] = Settings.of(scene, polarization=arguments.get("polarization")).polarization
+        return Observation(trace(scene, **arguments))
 
     def _arguments(self, scene: Any, times: float, changes: Mapping[str, Any]) -> dict[str, Any]:
         arguments = {**self.arguments, **changes}
@@ -88,6 +92,20 @@ class PstView(View):
 
     def _usual_rays(self, scene: Any) -> int:
         return RAYS[METHODS[0]]
+
+
+def seen_unpolarized(scene: Any, views: Sequence[View]) -> list[str]:
+    """What Stokes vectors would change of what some views show, see `unpolarized_notes`."""
+    names = {one.name for one in fields(Settings)}
+    beams: list[dict[str, Any]] = []
+    settings: dict[str, Any] = {}
+    for view in views:
+        given = {name: value for name, value in view.arguments.items() if value is not None}
+        settings |= {name: value for name, value in given.items() if name in names}
+        light = {name: given[name] for name in BEAM if name in given}
+        angles = [None] if "field_deg" not in given else np.atleast_1d(given["field_deg"]).tolist()
+        beams += [{**light, "field_deg": angle} for angle in angles]
+    return unpolarized_notes(scene, beams, **settings)
 
 
 def first_light(observation: Observation | PstObservation) -> dict[str, FirstLight]:

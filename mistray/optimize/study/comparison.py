@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -141,7 +143,16 @@ class Comparison:
         return (row for row in self.rows if row.field_deg is None or row.wavelength_nm is None)
 
 
-def measure(scene: Any, study: Study, seeds: int = SEEDS, times: float = 1.0, paths: bool = False) -> Levels:
+def measure(
+    scene: Any,
+    study: Study,
+    seeds: int = SEEDS,
+    times: float = 1.0,
+    paths: bool = False,
+    *,
+    least: int = 2,
+    seconds: float = math.inf,
+) -> Levels:
     """
     The terms of a study about light, on seeds that the search does not use: those that follow the study's own.
 
@@ -155,6 +166,10 @@ def measure(scene: Any, study: Study, seeds: int = SEEDS, times: float = 1.0, pa
         So many times the rays of the terms for each seed.
     paths : bool
         Keep the paths of PSTs too, for `Levels.light`.
+    least : int
+        Seeds that there are in any case, at least 2.
+    seconds : float
+        No further seed is begun if it would not end within this time.
     """
     SEED_COUNT.check("seeds", seeds)
     numbers = tuple(study.optimizer.seed + 1 + k for k in range(seeds))
@@ -165,7 +180,11 @@ def measure(scene: Any, study: Study, seeds: int = SEEDS, times: float = 1.0, pa
     views = {view.key: view for metric in metrics.values() for view in metric.views}
     values = {cell: np.zeros(seeds) for cell in metrics}
     light: dict[str, FirstLight] = {}
+    began, done = time.perf_counter(), 0
     for j, seed in enumerate(numbers):
+        spent = time.perf_counter() - began
+        if j >= least and spent * (j + 1) / j > seconds:
+            break
         seen = {key: view.observe(scene, times, {"seed": seed, "paths": paths}) for key, view in views.items()}
         for look in seen.values():
             light = added_light(light, first_light(look))
@@ -175,7 +194,9 @@ def measure(scene: Any, study: Study, seeds: int = SEEDS, times: float = 1.0, pa
                 values[cell][j] = float(dr.detach(mi.Float64(metric.function(observations)))[0])
             except MistrayError:
                 values[cell][j] = np.nan  # no light there, or too little
-    return Levels(numbers, values, {cell.term: metric.unit for cell, metric in metrics.items()}, light)
+        done = j + 1
+    values = {cell: row[:done] for cell, row in values.items()}
+    return Levels(numbers[:done], values, {cell.term: metric.unit for cell, metric in metrics.items()}, light)
 
 
 def worse(comparison: Comparison, terms: Sequence[Term]) -> list[Row]:

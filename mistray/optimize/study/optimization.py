@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,17 +13,20 @@ from typing import Any
 import numpy as np
 
 from mistray.analysis.changes.gaps import Contacts, Gap
+from mistray.analysis.next_order import NextOrder
 from mistray.coatings import LAYER_PARAMETERS, Stack
 from mistray.errors import MistrayError
+from mistray.optimize.metrics.views import seen_unpolarized
 from mistray.optimize.study.checkpoint import Checkpoint
 from mistray.optimize.study.comparison import SEEDS, Comparison, Levels, compare, measure
 from mistray.optimize.study.merit import Merit
 from mistray.optimize.study.model import Study
+from mistray.optimize.study.next_orders import LEAST_SEEDS, with_next_orders
 from mistray.optimize.study.searches import Progress, Searches
 from mistray.optimize.study.starts import starts
 from mistray.optimize.study.state import Start, State, Step
 from mistray.optimize.study.study_scene import Placed, StudyScene, band, open_scene, place
-from mistray.optimize.study.terms import UNITS_OF_LAYERS, layer_value, of_layers
+from mistray.optimize.study.terms import UNITS_OF_LAYERS, layer_value, of_layers, traced_metric
 from mistray.optimize.study.variables import Variables, find_variables
 from mistray.optimize.tolerances.proposals import SHAPE_KINDS
 from mistray.optimize.toml.read_study import read_study
@@ -61,7 +65,9 @@ class Optimization:
     best : Step
         The result.
     comparison : Comparison
-        The given design and the result on independent seeds.
+        The given design and the result on independent seeds, with the further event on each path that matters.
+    next_orders : tuple of NextOrder
+        The terms of the result beside those with one more event on each path, where that was measured.
     gaps : tuple of Gap
         Surfaces that meet in the given design and are apart in the result, see `mistray.analysis.changes.gaps`.
     left_out : tuple of str
@@ -84,6 +90,7 @@ class Optimization:
     ended: dict[int, str]
     best: Step
     comparison: Comparison
+    next_orders: tuple[NextOrder, ...]
     gaps: tuple[Gap, ...]
     left_out: tuple[str, ...]
     edge_widths: dict[str, float]
@@ -139,6 +146,7 @@ def optimize(
     progress: Progress | None = None,
     verification_seeds: int = SEEDS,
     seconds: float | None = None,
+    next_order: bool = True,
 ) -> Optimization:
     """
     Make a merit small by the variables of a study.
@@ -165,6 +173,11 @@ def optimize(
     seconds : float, optional
         Time for the searches and the comparison, which has fewer seeds then, at least 2. Searches that it ends can be
         gone on with from the checkpoint.
+    next_order : bool
+        Measure both designs again on these seeds with one more scatter event and, apart from that, with one more
+        reflection on each path, in at most the time of the first measurement, or for three seeds. A search finds what
+        its limits do not see. Where a term of the result changes by more than 5 % and two errors, the comparison is
+        that with one more event.
 
     Returns
     -------
@@ -202,13 +215,27 @@ def optimize(
         )
         searches.run()
         if end is not None:  # both designs are traced on every seed
-            in_time = int((end - time.perf_counter()) / (2 * searches.each))
+            measurements = 2 * (2 if next_order else 1)
+            in_time = int((end - time.perf_counter()) / (measurements * searches.each))
             verification_seeds = min(max(in_time, int(SEED_COUNT.low)), verification_seeds)
         best = searches.best
         started = time.perf_counter()
         designs = variables.start, np.array(best.x)
-        levels = [_levels(read, opened, variables, x, verification_seeds) for x in designs]
+
+        def both(asked: Study, seeds: int, seconds: float, least: int = LEAST_SEEDS) -> tuple[Levels, Levels]:
+            before = _levels(asked, opened, variables, designs[0], seeds, least, seconds / 2)
+            return before, _levels(asked, opened, variables, designs[1], len(before.seeds), len(before.seeds))
+
+        levels = both(read, verification_seeds, math.inf)
+        comparison = compare(*levels)
+        orders: tuple[NextOrder, ...] = ()
+        if next_order and (end is None or time.perf_counter() < end):
+            spent = time.perf_counter() - started
+            left = spent if end is None else min(spent, end - time.perf_counter())
+            comparison, orders = with_next_orders(read, opened.scene, levels, left, both)
         gaps = contacts.opened(opened.scene)  # which is the result now
+        traced = [traced_metric(term, opened.scene, read.optimizer.seed) for term in read.terms if not of_layers(term)]
+        unpolarized = seen_unpolarized(opened.scene, [view for metric in traced for view in metric.views])
     return Optimization(
         study=read,
         source=source,
@@ -220,9 +247,10 @@ def optimize(
         steps=tuple(searches.steps),
         ended=searches.ended,
         best=best,
-        comparison=compare(*levels),
+        comparison=comparison,
+        next_orders=orders,
         gaps=gaps,
-        left_out=tuple(state.left_out),
+        left_out=(*state.left_out, *unpolarized),
         edge_widths=state.edge_widths,
         search_seconds=state.seconds,
         traced_seconds=state.traced_seconds,
@@ -230,8 +258,16 @@ def optimize(
     )
 
 
-def _levels(study: Study, opened: StudyScene, variables: Variables, x: np.ndarray, seeds: int) -> Levels:
-    """All terms of a study at some values of its variables."""
+def _levels(
+    study: Study,
+    opened: StudyScene,
+    variables: Variables,
+    x: np.ndarray,
+    seeds: int,
+    least: int,
+    seconds: float = math.inf,
+) -> Levels:
+    """All terms of a study at some values of its variables; for the seeds see `measure`."""
     variables.apply(x)
     layers = [term for term in study.terms if of_layers(term)]
     numbers = {
@@ -239,5 +275,6 @@ def _levels(study: Study, opened: StudyScene, variables: Variables, x: np.ndarra
         for term in layers
     }
     kinds = {opened.known[key].kind for key in variables.parameters(x) if key in opened.known}
-    found = measure(opened.scene, study, seeds, paths=not kinds.isdisjoint(SHAPE_KINDS))
+    paths = not kinds.isdisjoint(SHAPE_KINDS)
+    found = measure(opened.scene, study, seeds, paths=paths, least=min(least, seeds), seconds=seconds)
     return found.including(numbers, {t.name: UNITS_OF_LAYERS[t.kind] for t in layers})

@@ -17,6 +17,7 @@ from mistray.errors import MistrayError
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.optimize.gradient import Gradient, gradient_request, gradient_where_smooth
 from mistray.optimize.metrics.metric import Metric
+from mistray.optimize.metrics.views import seen_unpolarized
 from mistray.optimize.parameters import Parameter, match, parameters
 from mistray.optimize.tolerances.changes import Change, best_together
 from mistray.optimize.tolerances.draws import Draws, draw_systems
@@ -290,7 +291,7 @@ def sensitivity(
         factor=factor,
         together=proposal,
         draws=draws,
-        left_out=(*found.left_out, *without),
+        left_out=(*found.left_out, *without, *seen_unpolarized(metric.scene, metric.views)),
         edge_width=found.edge_width,
         without_derivative=tuple(_without_derivative(given, known)),
         seconds=found.seconds,

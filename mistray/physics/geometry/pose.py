@@ -5,8 +5,58 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import numpy.typing as npt
+
+from mistray.errors import MistrayError
 
 _ROUND_OFF = 1e-12
+MOST_STRAIN = 1e-5  # scale and shear of a matrix that still counts as rounding of a rigid motion
+ROUNDING = 2e-15  # of the product of two rotations in float64
+SINGLE_RAD = 1e-7  # of a direction in single precision
+
+
+def rigid_motion(to_world: npt.ArrayLike, owner: str, remedy: str = "set the size by parameters") -> np.ndarray:
+    """
+    A frame as exactly rigid as float64 allows, nearest to a given matrix, which may be rounded to single precision.
+
+    The rotation is the orthogonal factor of the polar decomposition R = Q S by Newton-Schulz steps, Q ← Q (3 - QᵀQ)/2:
+    N. J. Higham, "Functions of Matrices", SIAM 2008, section 8.3. What is rigid to the rounding of float64 is kept.
+
+    Parameters
+    ----------
+    to_world : (4, 4) or 16 float
+        From the frame to the world, mm.
+    owner : str
+        Whose frame it is, for the message.
+    remedy : str
+        What stands in the place of scaling.
+
+    Returns
+    -------
+    (4, 4) float64
+
+    Raises
+    ------
+    MistrayError
+        If the matrix scales or shears by more than 1e-5, or mirrors.
+    """
+    matrix = np.array(to_world, dtype=np.float64).reshape(4, 4)
+    rotation = matrix[:3, :3]
+    strain = rotation.T @ rotation - np.eye(3)
+    strain[np.diag_indices(3)] /= 2  # a scale 1 + e is 1 + 2 e there
+    if not np.abs(strain).max() <= MOST_STRAIN or np.linalg.det(rotation) < 0:
+        raise MistrayError(f"{owner}: to_world scales, shears or mirrors; use a rigid motion and {remedy}")
+    while np.abs(excess := rotation.T @ rotation - np.eye(3)).max() > ROUNDING:  # each step squares it
+        rotation = rotation @ (np.eye(3) - 0.5 * excess)
+    matrix[:3, :3] = rotation
+    return matrix
+
+
+def pointing_error(to_world: npt.ArrayLike) -> float:
+    """How well a matrix says where its axes point, rad: 1e-7 if its turn is one in single precision, else 0."""
+    rotation = np.array(to_world, dtype=np.float64).reshape(4, 4)[:3, :3]
+    single = np.array_equal(rotation, rotation.astype(np.float32)) and not np.isin(rotation, (-1.0, 0.0, 1.0)).all()
+    return SINGLE_RAD if single else 0.0
 
 
 def moved(frame: np.ndarray, x: float, y: float, z: float, tilt_x: float, tilt_y: float, tilt_z: float) -> np.ndarray:

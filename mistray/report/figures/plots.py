@@ -186,7 +186,7 @@ def levels_against_field(report: GhostReport) -> Figure:
     shown = set()
     for field in fields:
         top = report.listed(field, 10, "rms")
-        top = top[top.well_sampled]
+        top = top[~top.few_rays]
         for kind, rows in top.groupby("kind"):
             values, errors = rows.normalised_rms_irradiance, rows.normalised_rms_irradiance_se
             label = None if kind in shown else str(kind)

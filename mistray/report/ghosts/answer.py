@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -10,9 +11,11 @@ from markupsafe import Markup
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
+from mistray.analysis.ranking import SURE
 from mistray.analysis.verdict import Remedy, WorstPath, most_stray, remedy, shares_of_kinds, worst_of_all_fields
 from mistray.report.figures.layout import layout_of_fields
 from mistray.report.model import Figure, Group, Items, Link, Note, Part, Table, Value, columns
+from mistray.report.tables.ghosts import mark_of
 from mistray.report.tables.text import number, plain_sentences, with_error
 
 if TYPE_CHECKING:
@@ -61,7 +64,7 @@ def worst_table(report: GhostReport) -> list[Part]:
     rows: list[list[Value]] = [
         [
             k,
-            path.label + ("" if path.well_sampled else " *"),
+            f"{path.label} {mark_of(path)}".rstrip(),
             path.kind,
             Link(f"{path.field_deg:g}", field_anchor(path.field_deg)),
             *(path.power_W, path.percent_of_stray, path.normalised, path.peak_W_mm2),
@@ -133,7 +136,10 @@ def _brightest(report: GhostReport) -> list[Markup]:
     rated = [field for field in report if report.summary(field).brightest_normalised.value > 0]
     if not rated:
         return []
-    field = max(rated, key=lambda at: report.summary(at).brightest_normalised.value)
+    lower = {
+        at: n.value - SURE * n.se for at in rated if math.isfinite((n := report.summary(at).brightest_normalised).se)
+    }
+    field = max(rated, key=lambda at: lower.get(at, -math.inf))
     row = report.top(field, 1, "rms").iloc[0]
     normalised = _plain(report.summary(field).brightest_normalised)
     text = "The brightest path is <b>{}</b> at {:g}°: its RMS irradiance is {} of that of the direct image on axis."

@@ -13,7 +13,7 @@ from markupsafe import Markup
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import FieldSummary, GhostReport
 from mistray.analysis.path_maps import FieldMaps
-from mistray.analysis.ranking import FEWEST_RAYS, RANKS, rank_column
+from mistray.analysis.ranking import RANKS, rank_column
 from mistray.analysis.stray_levels import LEVELS
 from mistray.report.figures.layout import layout
 from mistray.report.ghosts.answer import field_anchor
@@ -22,7 +22,7 @@ from mistray.report.html.markup import image
 from mistray.report.html.thumbnails import DECADES, thumbnail
 from mistray.report.model import Column, Figure, Filter, Fold, Folded, Note, Part, Table, Value, columns
 from mistray.report.parts import thousands
-from mistray.report.tables.ghosts import is_partly_reflected
+from mistray.report.tables.ghosts import CONTESTED, CONTESTED_TEXT, FEW, FEW_TEXT, is_partly_reflected, mark_of
 from mistray.report.tables.levels import TITLES, level_table
 from mistray.report.tables.text import ABSENT, number, with_error
 
@@ -162,8 +162,10 @@ def explored_paths(report: GhostReport, field_deg: float, name: str) -> list[Par
             f"{unmapped} of these paths have no map, because the detector has too many pixels for maps of all of them; "
             "in a box they count among the rest."
         )
-    if not shown.well_sampled.all():
-        notes.append(f"* fewer than {FEWEST_RAYS} rays: RMS radius and irradiance are unreliable, ranked last.")
+    if shown.few_rays.any():
+        notes.append(f"{FEW} {FEW_TEXT}.")
+    if shown.contested.any():
+        notes.append(f"{CONTESTED} {CONTESTED_TEXT}.")
     return [
         explorer(report, field_deg, maps, name),
         _filter(field_deg, name),
@@ -217,7 +219,7 @@ def _heads(table: pd.DataFrame, wavelength: bool) -> list[Column]:
 def _values(row: Any, table: pd.DataFrame, wavelength: bool) -> list[Value]:
     return [
         str(row.path_id),
-        str(row.label) + ("" if row.well_sampled else " *"),
+        f"{row.label} {mark_of(row)}".rstrip(),
         str(row.kind),
         *([f"{row.wavelength_nm:g}"] if wavelength else []),
         str(row.rays),

@@ -31,7 +31,7 @@ ASSUMPTIONS = (
     "{polarization}; the coatings are those of the scene, bare surfaces follow Fresnel.",
     "A source at infinity: one collimated beam for each field angle, with the irradiance that the scene states.",
 )
-UNPOLARIZED = "Unpolarised light at every surface: R and T are the means of s and p at every hit"
+UNPOLARIZED = "Unpolarised light at every surface, R and T are the means of s and p at every hit"
 STOKES = "Polarisation is carried along every path as a Stokes vector; the light of the source is {state}"
 SPECULAR = "Specular light only: reflection and refraction at smooth surfaces; no scattered light reaches the detector."
 SCATTERED = (
@@ -205,10 +205,11 @@ def _levels(report: GhostReport) -> Figure:
 def polarization_words(settings: Mapping[str, Any]) -> str:
     """What the settings of a trace say of the polarisation of its light."""
     if settings["polarization"] != "stokes":
-        return UNPOLARIZED
+        return f"{UNPOLARIZED}: {settings['polarization_reason']}"
     states = settings.get("source_stokes") or {}
     words = [f"s1, s2, s3 = {', '.join(f'{s:g}' for s in state)} ({name})" for name, state in states.items()]
-    return STOKES.format(state="polarised, " + " and ".join(words) if words else "unpolarised")
+    state = "polarised, " + " and ".join(words) if words else "unpolarised"
+    return f"{STOKES.format(state=state)}: {settings['polarization_reason']}"
 
 
 def _settings(report: GhostReport, command: str) -> Section:

@@ -10,7 +10,7 @@ import pandas as pd
 from mistray.analysis.aiming_check import sampling_warnings
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import FieldSummary, GhostReport
-from mistray.analysis.ranking import FEWEST_RAYS
+from mistray.analysis.ranking import SURE
 from mistray.ranges import EVENTS
 from mistray.recorders.path_events import DIRECT
 from mistray.report.model import Table, Value, columns
@@ -18,6 +18,7 @@ from mistray.report.own_sections import own_text
 from mistray.report.tables.scatter import scatter_text
 from mistray.report.tables.text import ABSENT, number, table_text, with_error
 from mistray.settings import BRANCHES
+from mistray.trace.polarization_choice import words_of
 
 LIMIT_WARNING = 1e-6  # of the launched flux
 COATING_WARNING = 1e-4  # of R and T, by interpolation over the angle
@@ -40,9 +41,16 @@ CUT_TEXTS = {
     },
     "medium": "lost where a ray met a surface from the wrong material; the geometry has a gap or an overlap",
 }
-RANKED_BY = {"rms": "RMS irradiance P/(π r_rms²)", "power": "power", "peak": "irradiance of the brightest pixel"}
+RANKED_BY = {
+    "rms": f"RMS irradiance P/(π r_rms²) less {SURE:g} standard errors",
+    "power": "power",
+    "peak": "irradiance of the brightest pixel",
+}
 ABSORBING = 1e-6  # share of the light that a detector reflects, below which it absorbs all
 STRONGEST = "†"  # beside the number of the strongest stray path by power
+FEW, CONTESTED = "*", "≈"  # beside that of a path of few rays, and of one that may be as bright as the first
+FEW_TEXT = "few rays: its numbers have no errors, and it is ranked last"
+CONTESTED_TEXT = f"within {SURE:g} standard errors it may be as bright as the first; more rays decide"
 ZERO_ON_AVERAGE = ("roulette", "scatter_sampling")
 ALL = "all"
 
@@ -101,13 +109,12 @@ def ghost_table(report: GhostReport, count: int = 4, per_wavelength: bool = Fals
     rows: list[list[Value]] = []
     for field in report:
         for row in report.listed(field, count).itertuples(index=False):
-            marks = f"{STRONGEST if row.rank_power == 1 else ' '}{' ' if row.well_sampled else '*'}"
+            marks = f"{STRONGEST if row.rank_power == 1 else ' '}{mark_of(row) or ' '}"
             peak = Estimate(row.peak_W_mm2, row.peak_se_W_mm2) if report.rank == "peak" else ""
             name = [f"{field:g}", f"{row.path_id}{marks}", str(row.label), str(row.kind)]
             rows.append([*name, ALL, *_path_numbers(row), peak])
             for line in report.spectrum(field, row.path_id).itertuples(index=False) if per_wavelength else ():
-                mark = "" if line.well_sampled else "* "
-                rows.append(["", mark, "", "", f"{line.wavelength_nm:g}", *_path_numbers(line), ""])
+                rows.append(["", mark_of(line), "", "", f"{line.wavelength_nm:g}", *_path_numbers(line), ""])
         rest = beyond(report, field, count)
         if len(rest):
             text = f"… and {len(rest)} more paths: {rest.percent_of_stray.sum():.3g} % of the stray light"
@@ -179,9 +186,13 @@ def main_table(report: GhostReport, count: int = 4, per_wavelength: bool = False
         parts.append("rows of one wavelength: normalised to the direct image on axis at that wavelength")
     if any(len(report.top(field, 1)) for field in report):
         parts.append(f"{STRONGEST}: the strongest stray path of the field by power")
-    if any(not report.listed(field, count).well_sampled.all() for field in report):
-        parts.append(f"*: fewer than {FEWEST_RAYS} rays, RMS radius and irradiance are unreliable")
+    listed = pd.concat([report.listed(field, count) for field in report])
+    if listed.few_rays.any():
+        parts.append(f"{FEW}: {FEW_TEXT}")
+    if listed.contested.any() and report.rank == "rms":
+        parts.append(f"{CONTESTED}: {CONTESTED_TEXT}")
     parts.append(f"energy closure, worst field: {closure:.1e} of the launched flux")
+    parts.append(words_of(next(iter(report.values())).settings))
     for text in own_text(report):
         parts += ["", text, ""]
     parts += [f"warning: {text}" for text in warnings(report)]
@@ -216,10 +227,17 @@ def warnings(report: GhostReport) -> list[str]:
     found += dict.fromkeys(text for t in report.values() for text in t.notes)
     fields = list(report)
     found += [f"{_fields([fields[k] for k in at])}: {text}" for at, text in sampling_warnings(list(report.values()))]
-    few = [field for field in report if not report.top(field, 4).well_sampled.all()]
-    if few:
-        found.append(f"{_fields(few)}: some of the worst four paths hold fewer than {FEWEST_RAYS} rays; raise rays")
+    tops = {field: report.top(field, 4) for field in report}
+    if few := [field for field, top in tops.items() if top.few_rays.any()]:
+        found.append(f"{_fields(few)}: some of the worst four paths hold too few rays for an error; raise rays")
+    if report.rank == "rms" and (open_ := [field for field, top in tops.items() if top.contested.any()]):
+        found.append(f"{_fields(open_)}: which path is the worst is open, another may be as bright; raise rays")
     return found
+
+
+def mark_of(row: Any) -> str:
+    """The mark of a row of a path table: `FEW` rays, `CONTESTED`, or nothing."""
+    return FEW if row.few_rays else CONTESTED if row.contested else ""
 
 
 def _fields(field_deg: Sequence[float]) -> str:

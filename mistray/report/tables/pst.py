@@ -200,6 +200,7 @@ def pst_text(pst: Pst, paths_shown: int = 4) -> str:
     if edge is not None:
         first = pst.field_deg[0]
         parts.append(f"edge of the field, half of the direct light at {first:g}°, interpolated: {edge:.1f}°")
+    parts += [order.sentence for order in pst.next_orders]
     parts += [f"warning: {text}" for text in warnings(pst)]
     return "\n".join(parts)
 
@@ -246,7 +247,8 @@ def pst_record(pst: Pst, paths_shown: int = 4) -> dict[str, Any]:
     -------
     dict
         convention, definition, method, facts, grid, field_edge_deg, curve (rows of `curve_frame`, each with its
-        ``paths`` and ``causes``), cells (rows of `cell_frame`, where there are azimuths), breaks and warnings.
+        ``paths`` and ``causes``), cells (rows of `cell_frame`, where there are azimuths), breaks, next_orders and
+        warnings.
     """
     curve = curve_frame(pst).drop(columns=["convention", "method"]).to_dict("records")
     if pst.path_rows is not None:
@@ -263,6 +265,7 @@ def pst_record(pst: Pst, paths_shown: int = 4) -> dict[str, Any]:
         "percent_of_stray": DENOMINATOR.removeprefix("%: "),
         "curve": curve,
         "breaks": [asdict(item) for item in breaks(pst)],
+        "next_orders": [order.record() for order in pst.next_orders],
         "warnings": warnings(pst),
     }
     if pst.grid.shape[1] > 1:

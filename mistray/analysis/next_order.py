@@ -1,0 +1,126 @@
+"""A result beside the same measured with one more scatter event, or one more reflection, on each path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from mistray.percent import percent_text
+from mistray.settings import NO_LIMIT, Settings
+from mistray.surfaces.surfaces import SurfaceTable
+
+LIMITS = {"max_scatters": "scatter event", "max_reflections": "reflection"}
+ERRORS = 2.0  # of one number, beyond which a change is no chance
+MATTERS = 0.05  # relative change that matters
+
+
+@dataclass(frozen=True, eq=False)
+class NextOrder:
+    """
+    Numbers measured twice: with a limit of the events on a path, and with one event more.
+
+    Attributes
+    ----------
+    limit : {"max_scatters", "max_reflections"}
+    allowed : int
+        Its value in the second measurement.
+    names : tuple of str
+        Of the numbers.
+    before, after : (n,) float64
+        In the first and in the second measurement.
+    before_se, after_se : (n,) float64
+        Their standard errors.
+    difference_se : (n,) float64
+        Standard error of `after` - `before`.
+    taken : bool
+        Whether the second measurement is the result.
+    """
+
+    limit: str
+    allowed: int
+    names: tuple[str, ...]
+    before: np.ndarray
+    before_se: np.ndarray
+    after: np.ndarray
+    after_se: np.ndarray
+    difference_se: np.ndarray
+    taken: bool = field(default=False)
+
+    @property
+    def change(self) -> np.ndarray:
+        """Relative change, (n,); infinite from 0, 0 where both are 0."""
+        apart = self.after - self.before
+        known = (self.before != 0) | (apart == 0)
+        return np.where(known, apart / np.where(self.before == 0, 1.0, np.abs(self.before)), np.inf)
+
+    @property
+    def matters(self) -> bool:
+        """
+        Whether a number changes by more than 5 % and by more than two standard errors.
+
+        Of many numbers one must change by so many errors that chance alone does it as rarely as for a single one.
+        """
+        return bool(np.any(self._significant))
+
+    @property
+    def worst(self) -> int:
+        """The number that changes most among those that change for certain, or else among all."""
+        change = np.nan_to_num(np.abs(self.change), nan=-1.0, posinf=np.finfo(float).max)
+        sure = self._significant
+        return int(np.argmax(np.where(sure, change, -1.0) if sure.any() else change))
+
+    @property
+    def _significant(self) -> np.ndarray:
+        from scipy.stats import norm
+
+        count = max(int(np.count_nonzero(np.isfinite(self.after - self.before))), 1)
+        errors = ERRORS if count == 1 else float(norm.isf(norm.sf(ERRORS) / count))
+        apart = np.abs(self.after - self.before)
+        return (apart > errors * self.difference_se) & (apart > MATTERS * np.abs(self.before))
+
+    @property
+    def sentence(self) -> str:
+        """What it found, in words: the number that changes most, both times, and the difference with its error."""
+        k = self.worst
+        second, first = (
+            f"{value:.3g} ± {percent_text(se / abs(value), 1) if value else f'{se:.1g}'}"
+            for value, se in ((self.after[k], self.after_se[k]), (self.before[k], self.before_se[k]))
+        )
+        apart = f"{self.after[k] - self.before[k]:+.2g} ± {self.difference_se[k]:.1g}"
+        event = f"One more {LIMITS[self.limit]} ({self.limit} {self.allowed})"
+        text = f"{event}: {self.names[k]} is {second} instead of {first}, difference {apart}"
+        if self.taken:
+            return f"{text}; the numbers shown are those with {self.limit} {self.allowed}."
+        if self.matters:
+            return f"{text}; the numbers shown are those of the other limit, which changes more."
+        return f"{text}; no number changes by more than {100 * MATTERS:g} % for certain."
+
+    def record(self) -> dict[str, Any]:
+        """All of it as values that JSON knows."""
+        numbers = ("before", "before_se", "after", "after_se", "difference_se")
+        rows = [
+            {"name": name, **{key: float(getattr(self, key)[k]) for key in numbers}}
+            for k, name in enumerate(self.names)
+        ]
+        return {"limit": self.limit, "allowed": self.allowed, "taken": self.taken, "numbers": rows}
+
+
+def next_limits(settings: Settings, table: SurfaceTable) -> dict[str, int]:
+    """
+    The limits that can be raised, by name, and what they are raised to.
+
+    A limit of 0 leaves a kind of light out on purpose and stays; scatter events need something that scatters.
+
+    Parameters
+    ----------
+    settings : Settings
+        Of the first measurement.
+    table : SurfaceTable
+        Of the scene.
+    """
+    scatters = table.optics.scatters or any(interface.scatter for interface in table.interfaces)
+    usable = {"max_scatters": scatters, "max_reflections": True}
+    now = {limit: int(getattr(settings, limit)) for limit, useful in usable.items() if useful}
+    return {limit: value + 1 for limit, value in now.items() if 0 < value < NO_LIMIT}

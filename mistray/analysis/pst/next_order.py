@@ -1,0 +1,65 @@
+"""A PST beside those with one more event on each path; the result is the one that the light asks for."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import replace
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.analysis.next_order import NextOrder, next_limits
+from mistray.analysis.pst.result import Pst
+from mistray.execute.workers import current_workers
+from mistray.settings import Settings
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.time_budget import within
+
+
+def with_next_orders(scene: mi.Scene, first: Pst, seconds: float, measure: Callable[..., Pst]) -> Pst:
+    """
+    Measure a PST with one more scatter event and, apart from that, with one more reflection.
+
+    Each has the seed of the first, and at most half of its time; what a pass takes, it takes. The stray light is
+    compared angle by angle.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    first : Pst
+    seconds : float
+        That it took.
+    measure : callable
+        Gets a limit by its name, as in ``measure(max_scatters=2)``, and gives the PST with it, else as `first`.
+
+    Returns
+    -------
+    Pst
+        With `next_orders`: that with more events if they matter, of both the one that changes more, or else `first`.
+    """
+    facts = first.facts
+    settings = Settings(**facts["settings"])
+    table = SurfaceTable(scene, float(facts["wavelength_nm"][0]), facts["detector"])
+    limits = next_limits(settings, table)
+    timed = first.method != "forward" or current_workers() is None  # parts of workers are not
+    found: list[tuple[Pst, NextOrder]] = []
+    for limit, allowed in limits.items():
+        with within(seconds / len(limits)) if timed else contextlib.nullcontext():
+            more = measure(**{limit: allowed})
+        found.append((more, _compared(first, more, limit, allowed)))
+    mattering = [(more, order) for more, order in found if order.matters]
+    if not mattering:
+        return replace(first, next_orders=tuple(order for _, order in found))
+    chosen, most = max(mattering, key=lambda pair: abs(float(pair[1].change[pair[1].worst])))
+    return replace(chosen, next_orders=tuple(replace(order, taken=order is most) for _, order in found))
+
+
+def _compared(first: Pst, more: Pst, limit: str, allowed: int) -> NextOrder:
+    (before, before_se), (after, after_se) = first.curve("stray"), more.curve("stray")
+    names = tuple(f"the stray PST at {angle:g}°" for angle in first.field_deg)
+    difference_se = np.hypot(before_se, after_se)
+    if first.weight.shape == more.weight.shape and first.facts["rays"] == more.facts["rays"]:
+        apart = replace(first, by_batch=more.by_batch - first.by_batch)  # batch by batch: the same rays
+        difference_se = apart.curve("stray")[1]
+    return NextOrder(limit, allowed, names, before, before_se, after, after_se, difference_se)

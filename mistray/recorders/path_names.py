@@ -1,0 +1,116 @@
+"""Names of paths: what turns the light, and what it passes where it leaves the sequence of the design.
+
+A name follows from the events of its own path and from the scene, so that a path has one name in every table. Events
+that are not of the design are its turns: reflections, scatter, total reflection. From one turn to the next light goes
+by the surfaces that lie between them in the design sequence, forwards or backwards; then they are left out. Else the
+name has those that it passes, or the word `PAST` where it passes none. So different paths have different names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import product
+
+import numpy as np
+
+from mistray.recorders.design_sequences import DesignSequences
+from mistray.recorders.path_key import EVENT_BITS, RANDOM_REFLECTED, RANDOM_TRANSMITTED, REFLECTED, TRANSMITTED
+from mistray.surfaces.optics import DETECTOR, OPAQUE
+
+EVENT_MASK = (1 << EVENT_BITS) - 1
+PAST = "past"
+SOURCE = -1  # in place of the number of a surface
+
+
+class PathNames:
+    """
+    Names of the paths of a scene.
+
+    Parameters
+    ----------
+    ids : sequence of str
+        Names of the surfaces.
+    bits : (s,) uint32
+        Of the surfaces, see `mistray.surfaces.optics`.
+    design : DesignSequences
+        Without a sequence to a detector its paths have all the surfaces in their names that they pass.
+    letters : mapping of int to str
+        Of what happens at a surface.
+    """
+
+    def __init__(
+        self, ids: Sequence[str], bits: np.ndarray, design: DesignSequences, letters: Mapping[int, str]
+    ) -> None:
+        self._ids, self._bits, self._design, self._letters = ids, np.asarray(bits).tolist(), design, letters
+        self._several = sum(bool(word & DETECTOR) for word in self._bits) > 1
+        self._expected: dict[tuple[int, int, int], list[int]] = {}
+
+    def name(self, codes: Sequence[int], kind: str) -> str:
+        """
+        Name of a path.
+
+        Parameters
+        ----------
+        codes : sequence of int
+            Its events, surface << EVENT_BITS | what, the absorption in the detector at the end.
+        kind : str
+            See `mistray.trace.paths.PathRow`.
+        """
+        *events, end = codes
+        detector, designed = end >> EVENT_BITS, set(self._sequence(end >> EVENT_BITS))
+        turns: list[int] = []
+        words: list[str] = []
+        passed: list[int] = []
+        regular, before = True, SOURCE
+        for code in codes:
+            if code != end and (code in designed or code & EVENT_MASK == TRANSMITTED):
+                passed.append(code)
+                continue
+            if passed != self._between(before, code >> EVENT_BITS, detector):
+                regular = False
+                words += [self._word(one) for one in passed] or [PAST]
+            if code != end:
+                turns.append(code)
+                words.append(self._word(code))
+            before, passed = code >> EVENT_BITS, []
+        if turns:
+            text = self._short(turns, kind, designed) if regular else ""
+            text = text or " ".join(words)
+        else:
+            text = "direct image" if kind == "direct" else kind
+            if not regular:
+                through = ", ".join(self._word(code).removesuffix(f":{self._letters[TRANSMITTED]}") for code in events)
+                text += f" through {through}" if events else f" {PAST} all surfaces"
+        return f"{text}, on {self._ids[detector]}" if self._several else text
+
+    def _short(self, turns: Sequence[int], kind: str, designed: set[int]) -> str:
+        """What reflections alone, and scatter once where a surface sends most of it, are called; else nothing."""
+        names = [self._ids[code >> EVENT_BITS] for code in turns]
+        if all(code & EVENT_MASK == REFLECTED for code in turns):
+            return " → ".join(names) + (f" ({kind})" if kind.startswith("structure") else "")
+        surface, what = turns[0] >> EVENT_BITS, turns[0] & EVENT_MASK
+        reflects = bool(self._bits[surface] & OPAQUE) or (surface << EVENT_BITS | REFLECTED) in designed
+        if len(turns) == 1 and what == (RANDOM_REFLECTED if reflects else RANDOM_TRANSMITTED):
+            return f"scatter at {names[0]}"
+        return ""
+
+    def _word(self, code: int) -> str:
+        return f"{self._ids[code >> EVENT_BITS]}:{self._letters[code & EVENT_MASK]}"
+
+    def _sequence(self, detector: int) -> Sequence[int]:
+        """The first sequence of the design to a detector, without the absorption there."""
+        return next(iter(self._design.lists.get(detector, ())), ())
+
+    def _between(self, first: int, last: int, detector: int) -> list[int]:
+        """Events of the design sequence between two surfaces, the nearest places of which count."""
+        key = first, last, detector
+        if key not in self._expected:
+            sequence = self._sequence(detector)
+            places: dict[int, list[int]] = {SOURCE: [-1], detector: [len(sequence)]} if sequence else {}
+            for number, code in enumerate(sequence):
+                places.setdefault(code >> EVENT_BITS, []).append(number)
+            pairs = list(product(places.get(first, []), places.get(last, [])))
+            i, j = min(pairs, key=lambda pair: abs(pair[0] - pair[1]), default=(0, 0))
+            between = sequence[min(i, j) + 1 : max(i, j)]
+            self._expected[key] = list(between if i < j else between[::-1])
+        return self._expected[key]

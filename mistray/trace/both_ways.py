@@ -1,0 +1,471 @@
+"""A short trace on the host, in float64, whose branches carry their flux in both modes: means of s and p, and Stokes.
+
+Both belong to the same rays, so that their ratio has next to no noise, and no kernel is compiled for it. The equations
+are those of `mistray.kernel.polarization`; the axis of a Stokes vector is carried along with it. Light that a surface
+scatters, once along a path and aimed at the targets of the trace, is unpolarised from there on. What media scatter, and
+light that scatters again, is not followed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import numpy.typing as npt
+
+from mistray.execute.tracer import Run
+from mistray.kernel.polarization import NORMAL_INCIDENCE
+from mistray.kernel.scatter_tables import ANGLES, Case, light_indices
+from mistray.kernel.targets import AimSet, Target
+from mistray.recorders.path_key import (
+    ABSORBED,
+    AIMED_REFLECTED,
+    AIMED_TRANSMITTED,
+    EVENT_BITS,
+    REFLECTED,
+    TOTAL,
+    TRANSMITTED,
+)
+from mistray.scatter.evaluate import bsdf
+from mistray.surfaces.host_points import lambertian_directions
+from mistray.surfaces.host_rays import first_hit, specular
+from mistray.surfaces.optics import BACK_MEDIUM_SHIFT, FRONT_MEDIUM_SHIFT, MEDIUM_MASK, MIRROR, OPAQUE
+from mistray.surfaces.upload import upload
+
+SEED = 20  # of its own: the mode of a trace must not hang on its seed
+SCATTERED_RAYS = 256  # of all hits of surfaces that scatter
+_NODES = np.linspace(0, 1, ANGLES + 1)
+LEAST_OF_SCATTER = 1e-2  # of the flux of a scattered ray, below which its branches end
+
+Floats = npt.NDArray[np.float64]
+Whole = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Branches:
+    """
+    Rays on their way, n of them.
+
+    Attributes
+    ----------
+    o, d, axis : (n, 3) float64
+        Where they are (mm), where they go, and the unit vector across that of their Stokes vectors.
+    mean : (n,) float64
+        Flux by the means of s and p, in units of a start ray.
+    light : (n, 4) float64
+        I, Q, U, V in the same units.
+    floor : (n,) float64
+        Flux below which they end.
+    last, medium, reflections, ray : (n,) int
+        Surface and material that they come from, reflections that count, and the number of the start ray.
+    scattered : (n,) bool
+    codes : (n, k) int
+        Their events, surface << EVENT_BITS | what.
+    """
+
+    o: Floats
+    d: Floats
+    axis: Floats
+    mean: Floats
+    light: Floats
+    floor: Floats
+    last: Whole
+    medium: Whole
+    reflections: Whole
+    ray: Whole
+    scattered: npt.NDArray[np.bool_]
+    codes: Whole
+
+    def take(self, chosen: np.ndarray) -> Branches:
+        """Some of them."""
+        return Branches(*(getattr(self, f.name)[chosen] for f in fields(self)))
+
+    @staticmethod
+    def together(parts: list[Branches]) -> Branches:
+        """Those of all parts, of which there is at least one."""
+        return Branches(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Branches)))
+
+    def after(self, code: Whole, d: Floats, axis: Floats, mean: Floats, light: Floats) -> Branches:
+        """The same with one event more."""
+        codes = np.concatenate([self.codes, code[:, None]], axis=1)
+        return replace(self, d=d, axis=axis, mean=mean, light=light, last=code >> EVENT_BITS, codes=codes)
+
+
+@dataclass(frozen=True)
+class Arrivals:
+    """
+    What arrived at the detectors of one run, path by path.
+
+    Attributes
+    ----------
+    path : tuple of int
+        Its events, see `Branches`.
+    mean, stokes : float
+        Flux that the detector absorbs in either mode, W.
+    hits : int
+        Branches that arrived.
+    spread : float
+        RMS distance of them from their centroid, mm, by flux.
+    residual : float
+        Sum of the squares by which `stokes` of a branch is not in proportion to `mean`, W².
+    scattered : bool
+    reflections : int
+        Those that count.
+    """
+
+    path: tuple[int, ...]
+    mean: float
+    stokes: float
+    hits: int
+    spread: float
+    residual: float
+    scattered: bool
+    reflections: int
+
+
+@dataclass(frozen=True)
+class _Shares:
+    """What surfaces make of the light of branches that meet them, (n, …) each; s and p are the columns of R and T."""
+
+    R: Floats
+    T: Floats
+    product_r: npt.NDArray[np.complex128]
+    product_t: npt.NDArray[np.complex128]
+
+
+def follow(run: Run, rays: int) -> tuple[list[Arrivals], int]:
+    """
+    Send some rays of a run through the scene.
+
+    Parameters
+    ----------
+    run : Run
+        Of unpolarised light.
+    rays : int
+        About so many start rays, spread over the beam.
+
+    Returns
+    -------
+    arrivals : list of Arrivals
+    hits : int
+        Hits of surfaces that it took.
+    """
+    branches, unit = _started(run, rays)
+    tree = _Tree(run, np.random.default_rng(SEED))
+    tree.grow(branches)
+    if tree.dim:
+        tree.grow(tree.scatter())
+    return [found for end in tree.ends for found in _by_path(*end, unit)], tree.hits
+
+
+def _started(run: Run, rays: int) -> tuple[Branches, float]:
+    """Start rays of a run as branches, and the flux of one, W."""
+    pilot = replace(run, rays=run.source.count(rays), seed=SEED, parts=None)
+    start = pilot.start_pass(0)
+    if (given := dr.width(start.lane)) > 2 * rays:  # a source may have rays of its own
+        start = start.take(upload(mi.UInt32, np.linspace(0, given - 1, rays).astype(np.int64)))
+    o, d = pilot.exact(start)
+    n = len(o)
+    weight = np.broadcast_to(np.array(start.w, dtype=np.float64), n)
+
+    def numbers(value: mi.UInt32 | None, otherwise: int) -> Whole:
+        return np.full(n, otherwise) if value is None else np.broadcast_to(np.array(value, dtype=np.int64), n)
+
+    light = np.zeros((n, 4))
+    light[:, 0] = weight
+    left = start.left if run.source.shape else None
+    medium = start.medium if run.source.medium else None
+    zero, none = np.zeros(n, dtype=np.int64), np.zeros((n, 0), dtype=np.int64)
+    return Branches(
+        o, d, _across(d), weight.copy(), light, run.settings.flux_threshold * weight, numbers(left, -1),
+        numbers(medium, 0), zero, np.arange(n), np.zeros(n, dtype=bool), none,
+    ), run.source.power / n  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Lit:
+    """Branches that meet a surface where it scatters, R or T there in either mode, and the normal to that side."""
+
+    case: Case
+    branches: Branches
+    outward: Floats
+    mean: Floats
+    own: Floats
+
+    @property
+    def flux(self) -> Floats:
+        """(n,) that is scattered of each."""
+        _, *terms = (np.interp(self.cosine, _NODES, column) for column in self.case.rows.mean(axis=0).T)
+        return np.asarray(self.branches.mean * sum(term * self.mean**power for power, term in enumerate(terms)))
+
+    @property
+    def cosine(self) -> Floats:
+        """(n,) of incidence; that of totals of transmission is in the rarer material, which is close enough."""
+        return np.abs(np.einsum("ij,ij->i", self.branches.d, self.outward))
+
+
+class _Tree:
+    """
+    One generation of branches after the other.
+
+    Attributes
+    ----------
+    ends : list
+        Branches that arrived at a detector, with what it absorbs of each in either mode.
+    dim : list of _Lit
+        What scatters of the branches so far.
+    hits : int
+    """
+
+    def __init__(self, run: Run, rng: np.random.Generator) -> None:
+        self._table, self._settings, self._rng = run.table, run.settings, rng
+        tables = run.scattering.tables
+        self._aims = tables.aims
+        self._cases = {(case.surface, case.from_front, case.event): case for case in tables.all_cases}
+        self._extinction = np.array(run.table.optics.extinction, dtype=np.float64)
+        self.ends: list[tuple[Branches, Floats, Floats]] = []
+        self.dim: list[_Lit] = []
+        self.hits = 0
+
+    def grow(self, branches: Branches) -> None:
+        """Follow branches to their ends."""
+        for _ in range(self._settings.max_events):
+            self.hits += len(branches.o)
+            branches = self._step(branches)
+            if not len(branches.o):
+                break
+
+    def scatter(self) -> Branches:
+        """Scattered rays of hits that are chosen by what they scatter."""
+        flux = np.concatenate([lit.flux for lit in self.dim])
+        lit, self.dim = self.dim, []
+        edges = np.cumsum(np.maximum(flux, 0))
+        if not edges[-1] > 0:
+            return lit[0].branches.take(np.zeros(0, dtype=np.int64))
+        # Systematic sampling: each hit as often as its share says, but for rounding
+        places = (np.arange(SCATTERED_RAYS) + self._rng.random()) * edges[-1] / SCATTERED_RAYS
+        chosen = np.minimum(np.searchsorted(edges, places, side="right"), len(edges) - 1)
+        found, first = [], 0
+        for one in lit:
+            count = len(one.outward)
+            own = chosen[(chosen >= first) & (chosen < first + count)]
+            if len(own):
+                many = edges[-1] / SCATTERED_RAYS / flux[own]
+                found.append(self._rays(one, own - first, many))
+            first += count
+        return Branches.together(found)
+
+    def _step(self, b: Branches) -> Branches:
+        """The children of branches."""
+        table, optics = self._table, self._table.optics
+        surface, p, normal = first_hit(table, b.o, b.d, b.last)
+        hit = np.flatnonzero(surface >= 0)
+        b, surface, p, normal = b.take(hit), surface[hit], p[hit], normal[hit]
+        if not len(hit):
+            return b
+        words, indices = optics.host_words[surface].astype(np.int64), optics.host_indices[surface]
+        along = np.einsum("ij,ij->i", b.d, normal)
+        from_front, cosine = along > 0, np.minimum(np.abs(along), 1)
+        sides = [(words >> shift) & MEDIUM_MASK for shift in (FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT)]
+        near, far = np.where(from_front, sides[0], sides[1]), np.where(from_front, sides[1], sides[0])
+        medium = np.where(near > 0, near, b.medium)
+        left = np.exp(-self._extinction[medium] * np.linalg.norm(p - b.o, axis=1))
+        b = replace(b, o=p, mean=b.mean * left, light=b.light * left[:, None], medium=medium)
+        eta = np.where(from_front, indices[:, 0] / indices[:, 1], indices[:, 1] / indices[:, 0])
+        back, through, total = specular(b.d, normal, eta)
+        opaque = (words & OPAQUE) != 0
+        total &= ~opaque
+        shares = self._shares(surface, from_front, cosine, opaque, total)
+        s = _plane(b, normal)
+        b = replace(b, light=_turned(b, s), axis=s)
+
+        reflected, transmitted = (_child(b.light, *one) for one in ((shares.R, shares.product_r),
+                                                                    (shares.T, shares.product_t)))  # fmt: skip
+        mean_r, mean_t = b.mean * shares.R.mean(axis=1), b.mean * shares.T.mean(axis=1)
+        here = np.flatnonzero(np.isin(surface, table.detectors))
+        if len(here):
+            end = b.take(here)
+            code = (surface[here] << EVENT_BITS) | ABSORBED
+            end = end.after(code, end.d, end.axis, end.mean, end.light)
+            stokes = b.light[:, 0] - reflected[:, 0] - transmitted[:, 0]
+            self.ends.append((end, (b.mean - mean_r - mean_t)[here], stokes[here]))
+        cos_t = np.sqrt(np.maximum(0, 1 - eta**2 * (1 - cosine**2)))
+        kept_r = self._kept(surface, from_front, "reflection", cosine)
+        kept_t = self._kept(surface, from_front, "transmission", np.minimum(cosine, cos_t))
+        allowed = self._settings.allowed
+        mirror = (words & MIRROR) != 0
+        counts = ~total & ~mirror
+        may = np.where(total, "I" in allowed, np.where(mirror, "M" in allowed, "R" in allowed))
+        may &= ~counts | (b.reflections < self._settings.max_reflections)
+        what = np.where(total, TOTAL, REFLECTED)
+        echo = b.after((surface << EVENT_BITS) | what, back, s, mean_r * kept_r, reflected * kept_r[:, None])
+        echo = replace(echo, reflections=b.reflections + counts, medium=medium)
+        code = (surface << EVENT_BITS) | TRANSMITTED
+        onward = b.after(code, through, s, mean_t * kept_t, transmitted * kept_t[:, None])
+        onward = replace(onward, medium=far)
+        children = [echo.take(may), onward.take((~opaque & ~total) & ("T" in allowed))]
+        if self._cases and self._settings.max_scatters:
+            self._light(b, surface, from_front, normal, (reflected, transmitted), shares)
+        found = Branches.together(children)
+        # A branch that only one of the modes leaves dark is followed as well
+        return found.take(np.maximum(found.mean, found.light[:, 0]) > found.floor)
+
+    def _shares(
+        self, surface: Whole, from_front: np.ndarray, cosine: Floats, opaque: np.ndarray, total: np.ndarray
+    ) -> _Shares:
+        """R and T of the coatings, exact."""
+        optics, n = self._table.optics, len(surface)
+        R, T = np.zeros((n, 2)), np.zeros((n, 2))
+        phase_r, phase_t = np.zeros(n), np.zeros(n)
+        for number in np.unique(surface).tolist():
+            for side in (True, False):
+                here = np.flatnonzero((surface == number) & (from_front == side))
+                if not len(here):
+                    continue
+                found = optics.response(number, side, cosine[here])
+                R[here], T[here] = found.R, found.T
+                phase_r[here], phase_t[here] = found.phase_r, found.phase_t
+        T[opaque | total] = 0
+        r, t = (np.sqrt(np.maximum(X[:, 0] * X[:, 1], 0)) * np.exp(1j * phase)
+                for X, phase in ((R, phase_r), (T, phase_t)))  # fmt: skip
+        return _Shares(R, T, r, t)
+
+    def _kept(self, surface: Whole, from_front: np.ndarray, event: str, cosine: Floats) -> Floats:
+        """Share of the coating's R or T that scatter leaves in the specular beam."""
+        kept = np.ones(len(surface))
+        for (number, side, name), case in self._cases.items():
+            here = np.flatnonzero((surface == number) & (from_front == side))
+            if name == event and len(here):
+                loss = case.rows[:, :, 0].mean(axis=0)
+                kept[here] = 1 - np.minimum(np.interp(cosine[here], _NODES, loss), 1)
+        return kept
+
+    def _light(
+        self,
+        b: Branches,
+        surface: Whole,
+        from_front: np.ndarray,
+        normal: Floats,
+        children: tuple[Floats, Floats],
+        shares: _Shares,
+    ) -> None:
+        """Note the hits of surfaces that scatter."""
+        for (number, side, event), case in self._cases.items():
+            here = np.flatnonzero((surface == number) & (from_front == side) & ~b.scattered)
+            reflects = event == "reflection"
+            if not len(here) or ("r" if reflects else "t") not in self._settings.allowed:
+                continue
+            X, child = (shares.R, children[0]) if reflects else (shares.T, children[1])
+            flux = b.light[here, 0]
+            own = np.divide(child[here, 0], flux, out=np.zeros(len(here)), where=flux > 0)
+            outward = normal[here] * (1.0 if side != reflects else -1.0)
+            self.dim.append(_Lit(case, b.take(here), outward, X[here].mean(axis=1), own))
+
+    def _rays(self, lit: _Lit, chosen: Whole, many: Floats) -> Branches:
+        """Rays that a case scatters: towards a target where it has one, else as a Lambertian surface does."""
+        case, b, outward = lit.case, lit.branches.take(chosen), lit.outward[chosen]
+        to_back = case.from_front == (case.event == "transmission")
+        d, per_sr = self._directions(b.o, outward, self._aims.get((case.surface, to_back)))
+        cos_s = np.einsum("ij,ij->i", d, outward)
+        tangent = b.d - np.einsum("ij,ij->i", b.d, outward)[:, None] * outward
+        size = np.linalg.norm(tangent, axis=1, keepdims=True)
+        x = np.where(size > 1e-9, tangent / np.maximum(size, 1e-9), _across(outward))
+        y = np.cross(outward, x)
+        local = np.stack([np.einsum("ij,ij->i", d, v) for v in (x, y)] + [np.maximum(cos_s, 0)], axis=1)
+        lobes = [member.lobe for member in case.members]
+        sides = light_indices(self._table.optics, case.surface, case.from_front)
+        many = many * np.maximum(cos_s, 0) / np.maximum(per_sr, 1e-30)
+        mean, own = (
+            many * bsdf(lobes, case.event, lit.cosine[chosen], local, *sides, X[chosen]) for X in (lit.mean, lit.own)
+        )
+        what = AIMED_TRANSMITTED if case.event == "transmission" else AIMED_REFLECTED
+        light = np.zeros_like(b.light)
+        light[:, 0] = b.light[:, 0] * own
+        flux = b.mean * mean
+        sent = b.after(np.full(len(d), (case.surface << EVENT_BITS) | what), d, _across(d), flux, light)
+        word = int(self._table.optics.host_words[case.surface])
+        medium = (word >> (BACK_MEDIUM_SHIFT if to_back else FRONT_MEDIUM_SHIFT)) & MEDIUM_MASK
+        return replace(
+            sent,
+            floor=LEAST_OF_SCATTER * flux,
+            codes=sent.codes[:, -1:],  # what was before does not matter
+            scattered=np.ones(len(d), dtype=bool),
+            medium=np.full(len(d), medium),
+        )
+
+    def _directions(self, o: Floats, outward: Floats, aim: AimSet | None) -> tuple[Floats, Floats]:
+        """Where scattered rays go, and how many of them for each sr."""
+        flat = [target for target in aim.targets if isinstance(target, Target)] if aim is not None else []
+        if not flat:
+            d = lambertian_directions(outward, self._rng)
+            return d, np.einsum("ij,ij->i", d, outward) / np.pi
+        shares = np.array([target.share for target in flat])
+        chosen = self._rng.choice(len(flat), len(o), p=shares / shares.sum())
+        d, per_sr = np.zeros_like(o), np.zeros(len(o))
+        for k, target in enumerate(flat):
+            at = chosen == k
+            way = target.points(self._rng.random((int(at.sum()), 2))) - o[at]
+            length = np.linalg.norm(way, axis=1)
+            d[at] = way / length[:, None] * (-1 if target.reverse else 1)
+            slope = np.abs(d[at] @ target.normal)
+            per_sr[at] = length**2 / (target.area * np.maximum(slope, 1e-9)) * shares[k] / shares.sum()
+        return d, per_sr
+
+
+def _by_path(end: Branches, mean: Floats, stokes: Floats, unit: float) -> list[Arrivals]:
+    """Branches that arrived after the same number of events, by their events."""
+    paths, number = np.unique(end.codes, axis=0, return_inverse=True)
+    number = number.ravel()
+    found = []
+    for k, path in enumerate(paths):
+        own = np.flatnonzero(number == k)
+        weight, other, p = mean[own], stokes[own], end.o[own]
+        flux, ratio, spread = float(weight.sum()), 1.0, 0.0
+        if flux > 0:
+            ratio = float(other.sum()) / flux
+            spread = float(np.sqrt(weight @ np.sum((p - weight @ p / flux) ** 2, axis=1) / flux))
+        found.append(
+            Arrivals(
+                path=tuple(path.tolist()),
+                mean=unit * flux,
+                stokes=unit * float(other.sum()),
+                hits=len(own),
+                spread=spread,
+                residual=float(np.sum((unit * (other - ratio * weight)) ** 2)),
+                scattered=bool(end.scattered[own[0]]),
+                reflections=int(end.reflections[own[0]]),
+            )
+        )
+    return found
+
+
+def _across(d: Floats) -> Floats:
+    """Unit vectors across directions, (n, 3)."""
+    found = np.cross(d, np.eye(3)[np.argmin(np.abs(d), axis=1)])
+    return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
+
+
+def _plane(b: Branches, normal: Floats) -> Floats:
+    """Unit vectors across the planes of incidence."""
+    s = np.cross(b.d, normal)
+    size = np.linalg.norm(s, axis=1, keepdims=True)
+    return np.asarray(np.where(size**2 > NORMAL_INCIDENCE, s / np.maximum(size, 1e-30), b.axis))
+
+
+def _turned(b: Branches, s: Floats) -> Floats:
+    """Stokes vectors with respect to other axes."""
+    c, n = np.einsum("ij,ij->i", b.axis, s), np.einsum("ij,ij->i", np.cross(b.d, b.axis), s)
+    cos2, sin2 = c * c - n * n, 2 * c * n
+    flux, q, u, v = b.light.T
+    return np.stack([flux, cos2 * q + sin2 * u, cos2 * u - sin2 * q, v], axis=1)
+
+
+def _child(light: Floats, X: Floats, product: npt.NDArray[np.complex128]) -> Floats:
+    """Stokes vectors behind a coating, in the plane of incidence."""
+    flux, q, u, v = light.T
+    half, difference = 0.5 * (X[:, 0] + X[:, 1]), 0.5 * (X[:, 0] - X[:, 1])
+    re, im = product.real, product.imag
+    rest = re * u - im * v, im * u + re * v
+    return np.stack([half * flux + difference * q, difference * flux + half * q, *rest], axis=1)

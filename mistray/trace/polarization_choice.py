@@ -1,0 +1,259 @@
+"""Which mode of polarisation a trace takes where it may choose: the one place that decides.
+
+The mean of s and p at every hit is wrong to second order in the diattenuation D = (Rs - Rp)/(Rs + Rp): after two
+reflections the flux of unpolarised light is 1 + D₁ D₂ cos 2φ times that of the means, with φ between the planes of
+incidence. A pilot of few rays on the host, see `mistray.trace.both_ways`, finds how much that is for the paths that a
+table shows, whatever they meet. Stokes vectors are taken where that is more than `WORTH_IT`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from mistray.coatings import Ideal
+from mistray.errors import MistrayError
+from mistray.execute.tracer import Run, prepare
+from mistray.recorders.path_events import EVENT_MASK
+from mistray.recorders.path_key import EVENT_BITS, REFLECTED
+from mistray.sampling.sources import source_emitters
+from mistray.settings import Settings, polarized_sources
+from mistray.surfaces.optics import MIRROR
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.trace.both_ways import Arrivals, follow
+
+BEAM = ("azimuth_deg", "wavelength_nm", "weights", "detector")  # what else than the field says which light starts
+WORTH_IT = 0.01  # change of a printed number that Stokes vectors are taken for
+DOUBT, FAR_BELOW = 0.75, 0.1  # shares of that from which the pilot looks more closely, after the first round and before
+SURE = 2.0  # standard errors of the pilot by which a change must exceed that
+ROUNDS = (32, 160, 640)  # start rays of a beam; the second where the first is not clear, the third in doubt
+MOST_HITS = 20_000  # that a beam may take
+NOTED = 3  # beams of a result that stays unpolarised
+MOST_RUNS = 8  # sources and wavelengths that it looks at, spread over all
+LISTED, LEAST_HITS = 8, 4  # stray paths by power and by RMS irradiance that count, and branches of each
+FEWEST = 4  # start rays of a run
+PROBED = np.linspace(0.0, 1.0, 17)[1:]  # cosines at which a coating must tell s from p to count
+SAME = 1e-9
+LEAST_SHARE = 0.01  # of the direct light, for a path of it to count
+
+
+@dataclass(frozen=True)
+class PolarizationChoice:
+    """
+    The mode of a trace, and why it has it.
+
+    Attributes
+    ----------
+    mode : {"unpolarized", "stokes"}
+    reason : str
+        In words.
+    change : float
+        Largest change of a listed path, or of the stray light, by Stokes vectors, as a share of the value by the means
+        of s and p; 0 where nothing polarises, NaN where nobody has looked.
+    """
+
+    mode: str
+    reason: str
+    change: float = math.nan
+
+    def __str__(self) -> str:
+        return words_of(self.facts)
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """For the settings of a result."""
+        change = {} if math.isnan(self.change) else {"polarization_change": self.change}
+        return {"polarization": self.mode, "polarization_reason": self.reason, **change}
+
+
+def words_of(settings: Mapping[str, Any]) -> str:
+    """One line about the mode of a trace, from its settings."""
+    return f"polarization: {settings['polarization']} ({settings['polarization_reason']})"
+
+
+@dataclass(frozen=True)
+class _Row:
+    """Flux of a path or of several in either mode, W, with the squares that the error of their ratio comes from."""
+
+    name: str
+    stray: bool = True
+    listed: bool = False
+    mean: float = 0.0
+    stokes: float = 0.0
+    residual: float = 0.0
+    hits: int = 0
+    spread: float = 0.0
+
+    def plus(self, other: Arrivals | _Row) -> _Row:
+        """Both together; the larger spread is close enough to tell bright paths from dim ones."""
+        return replace(
+            self,
+            mean=self.mean + other.mean,
+            stokes=self.stokes + other.stokes,
+            residual=self.residual + other.residual,
+            hits=self.hits + other.hits,
+            spread=max(self.spread, other.spread),
+        )
+
+    @property
+    def change(self) -> float:
+        """Of the flux, relative."""
+        return self.stokes / self.mean - 1 if self.mean > 0 else 0.0
+
+    @property
+    def error(self) -> float:
+        """Standard error of `change` over the branches."""
+        return math.sqrt(self.residual) / self.mean if self.mean > 0 else 0.0
+
+    @property
+    def least(self) -> float:
+        """How much it changes at least."""
+        return abs(self.change) - SURE * self.error
+
+    @property
+    def words(self) -> str:
+        """What changes, and by how much."""
+        return f"{self.name} by {100 * self.change:+.3g} ± {100 * self.error:.1g} %"
+
+
+def chosen_polarization(
+    scene: Any, settings: Settings, beams: Sequence[Mapping[str, Any]] = ({},)
+) -> PolarizationChoice:
+    """
+    The mode of the traces of some beams, one for all.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    settings : Settings
+        With `polarization` "auto", else it is that.
+    beams : sequence of mapping
+        Of each trace, as for `mistray.execute.tracer.prepare`: field_deg, azimuth_deg, wavelength_nm, weights and
+        detector. `MOST_RUNS` of their sources and wavelengths are looked at, spread over all.
+    """
+    if settings.polarization != "auto":
+        return PolarizationChoice(settings.polarization, "as given")
+    if names := polarized_sources(scene):
+        return PolarizationChoice("stokes", f"source '{names[0]}' is polarised")
+    settings = replace(settings, polarization="unpolarized")
+    runs: list[tuple[str, Run]] = []
+    for beam in _spread(beams, MOST_RUNS):
+        field = f" at {beam['field_deg']:g} deg" if len(beams) > 1 and beam.get("field_deg") is not None else ""
+        runs += [(field, run) for run in prepare(scene, settings, **beam)]
+    tables = {id(run.table): run.table for _, run in runs}
+    if not any(_polarizes(table) for table in tables.values()):
+        return PolarizationChoice("unpolarized", "no surface tells s from p", 0.0)
+    rows = _pilot(_spread(runs, MOST_RUNS))
+    surest = max(rows, key=lambda row: row.least, default=_Row("no path"))
+    if surest.least > WORTH_IT:
+        return PolarizationChoice("stokes", f"Stokes vectors change {surest.words}", surest.change)
+    largest = max(rows, key=lambda row: abs(row.change), default=_Row("no path"))
+    return PolarizationChoice(
+        "unpolarized", f"Stokes vectors change {largest.words}, and a pilot finds no more", largest.change
+    )
+
+
+def unpolarized_notes(
+    scene: Any, beams: Sequence[Mapping[str, Any]] = ({},), polarization: str | None = None, **settings: Any
+) -> list[str]:
+    """
+    What a reader must know of a result of unpolarised light, where Stokes vectors would change a trace.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    beams : sequence of mapping
+        As for `chosen_polarization`; the first, the last and one between are looked at.
+    polarization : str, optional
+        As it was requested; what was given needs no note.
+    **settings
+        The others of `mistray.trace.Settings`.
+
+    Returns
+    -------
+    list of str
+        One sentence, or none: also where the sources of the scene cannot send such light.
+    """
+    chosen = Settings.unresolved(scene, polarization=polarization, **settings)
+    if chosen.polarization != "auto" or not source_emitters(scene):
+        return []
+    try:
+        found = chosen_polarization(scene, chosen, _spread(beams, NOTED))
+    except MistrayError:  # the result needs no light of the sources, and may start at angles that they do not know
+        return []
+    if not abs(found.change) > WORTH_IT or found.mode != "stokes":
+        return []
+    return [f"polarization: {found.reason}; this is of light that is unpolarised at every hit"]
+
+
+def _pilot(runs: Sequence[tuple[str, Run]]) -> list[_Row]:
+    """What a table would show of some runs, each with the words for its beam."""
+    found: dict[tuple[Any, ...], _Row] = {}
+    listed: list[_Row] = []
+    own = [sum(1 for where, _ in runs if where == field) for field, _ in runs]
+    hits, beams = 0, len(dict.fromkeys(field for field, _ in runs))
+    for number, count in enumerate(ROUNDS, start=1):
+        before = hits
+        for (field, run), share in zip(runs, own, strict=True):
+            arrivals, taken = follow(run, max(FEWEST, count // share))
+            hits += taken
+            for one in arrivals:
+                key = field, run.source.name, one.path
+                stray = one.scattered or one.reflections > 0
+                row = found.get(key) or _Row(_name(one, run.table) + field, stray, not one.scattered)
+                found[key] = row.plus(one)
+        listed = []
+        for field in dict.fromkeys(field for field, _ in runs):
+            listed += _listed(field, [row for (where, *_), row in found.items() if where == field])
+        sure = any(row.least > WORTH_IT for row in listed)
+        # The first few rays may not have met all that is listed: there only changes far below 1 % are clear
+        limit = DOUBT * WORTH_IT if number > 1 else FAR_BELOW * WORTH_IT
+        doubtful = any(abs(row.change) > limit for row in (listed if number > 1 else found.values()))
+        if sure or not doubtful or number == len(ROUNDS):
+            break
+        if hits + (hits - before) * ROUNDS[number] / count > MOST_HITS * beams:
+            break
+    return listed
+
+
+def _listed(field: str, rows: Sequence[_Row]) -> list[_Row]:
+    """The direct light, the stray paths that a table lists, and all stray light together."""
+    direct = [row for row in rows if not row.stray]
+    whole = sum(row.mean for row in direct)
+    ghosts = [row for row in rows if row.stray and row.listed and row.hits >= LEAST_HITS]
+    by_power = sorted(ghosts, key=lambda row: -row.mean)[:LISTED]
+    by_irradiance = sorted(ghosts, key=lambda row: -row.mean / max(row.spread, 1e-9) ** 2)[:LISTED]
+    total = _Row(f"the stray light{field}")
+    for row in rows:
+        total = total.plus(row) if row.stray else total
+    return [*(row for row in direct if row.mean > LEAST_SHARE * whole), *by_power, *by_irradiance, total]
+
+
+def _name(found: Arrivals, table: SurfaceTable) -> str:
+    """What a path is in words."""
+    if not found.reflections:
+        return "the direct light"
+    words = table.optics.host_words
+    places = [code >> EVENT_BITS for code in found.path if code & EVENT_MASK == REFLECTED]
+    return f"the ghost {' → '.join(table.ids[k] for k in places if not words[k] & MIRROR)}"
+
+
+def _polarizes(table: SurfaceTable) -> bool:
+    """Whether a coating tells s from p at any angle."""
+    for surface, interface in enumerate(table.interfaces):
+        for side in (True, False) if not isinstance(interface.coating, Ideal) else ():
+            found = table.optics.response(surface, side, PROBED)
+            if max(np.ptp(found.R, axis=1).max(), np.ptp(found.T, axis=1).max()) > SAME:
+                return True
+    return False
+
+
+def _spread(given: Sequence[Any], most: int) -> list[Any]:
+    """At most so many of a list, the first and the last among them."""
+    if len(given) <= most:
+        return list(given)
+    return [given[k] for k in np.unique(np.linspace(0, len(given) - 1, most).round().astype(int))]

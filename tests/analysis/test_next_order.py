@@ -1,0 +1,169 @@
+"""A result beside that with one more event on each path: when it matters, and which of them is shown."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from oracles.small_scenes import interface_xml, scene_text, shape_xml, write
+
+import mistray
+from mistray.analysis.next_order import NextOrder, next_limits
+from mistray.analysis.pst.next_order import with_next_orders
+from mistray.analysis.pst.result import Pst
+from mistray.optimize import optimize
+from mistray.recorders.direction_recorder import CLASSES
+from mistray.recorders.directions import DirectionGrid
+from mistray.report.optimization_tables import optimization_record, report_text
+from mistray.report.tables.pst import pst_record, pst_text
+from mistray.settings import NO_LIMIT, Settings
+from mistray.surfaces.surfaces import SurfaceTable
+
+HALF = 0.5  # R of both faces of the plate; T is as much
+
+
+def order(before: Any, after: Any, se: Any) -> NextOrder:
+    before, after, se = (np.atleast_1d(np.asarray(values, float)) for values in (before, after, se))
+    names = tuple(f"number {k}" for k in range(len(before)))
+    return NextOrder("max_scatters", 2, names, before, se, after, se, np.sqrt(2) * se)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "se", "matters"),
+    [
+        (1.0, 1.2, 0.01, True),
+        (1.0, 0.8, 0.01, True),
+        (1.0, 1.04, 1e-4, False),  # for certain, but less than 5 %
+        (1.0, 1.2, 0.1, False),  # 1.4 errors of the difference
+        (0.0, 1e-12, 1e-13, True),
+        (0.0, 0.0, 0.0, False),
+        (1.0, np.nan, 0.1, False),
+        (np.nan, np.nan, np.nan, False),
+    ],
+)
+def test_more_than_two_errors_and_5_percent(before: float, after: float, se: float, matters: bool) -> None:
+    found = order(before, after, se)
+    assert found.matters == matters
+    assert json.dumps(found.record())
+    assert found.sentence
+
+
+def test_many_angles_alarm_as_rarely_as_one() -> None:
+    """Of 2000 pairs of equal curves of 41 angles 4.6 % alarm, the rate of one number; 6 % has a chance of 2e-3."""
+    draws = np.random.default_rng(5).normal(1.0, 0.1, (2000, 2, 41))
+    alarms = [order(before, after, np.full(41, 0.1)).matters for before, after in draws]
+    assert np.mean(alarms) < 0.06
+
+
+def test_the_number_that_changes_most_for_certain_is_named() -> None:
+    found = order([1.0, 1.0, 1e-9], [1.3, 1.1, 1e-8], [0.01, 0.01, 1e-8])  # the last is ten times larger, by chance
+    assert found.worst == 0
+    assert "number 0" in found.sentence
+
+
+def test_limits_of_0_stay_and_scatter_needs_a_scatterer() -> None:
+    plain, rough = (SurfaceTable(mistray.load(name), 550.0) for name in ("cooke_triplet", "baffle_tube"))
+    assert next_limits(Settings(), rough) == {"max_scatters": 2, "max_reflections": 3}
+    assert next_limits(Settings(), plain) == {"max_reflections": 3}
+    assert next_limits(Settings(max_scatters=0, max_reflections=0), rough) == {}
+    assert next_limits(Settings(max_scatters=NO_LIMIT), rough) == {"max_reflections": 3}
+
+
+def curve(level: float, rays: int = 1000, seed: int = 0) -> Pst:
+    """A PST of scattered light at two angles, 10 and 20°, the second ten times darker, with an error of 2 %."""
+    grid = DirectionGrid.of([10.0, 20.0])
+    by_batch = np.zeros((len(CLASSES), *grid.shape, 32))
+    noise = np.random.default_rng(seed).normal(1.0, 0.02 * np.sqrt(32), (2, 1, 32))
+    by_batch[CLASSES.index("single_scatter")] = level * np.array([1.0, 0.1])[:, None, None] * noise
+    facts = {"settings": asdict(Settings()), "wavelength_nm": [550.0], "detector": "detector", "rays": rays}
+    return Pst(grid, by_batch, np.full(32, 1 / 32), facts=facts)
+
+
+def test_the_pst_shown_is_that_which_changes_more() -> None:
+    """Errors of the same rays are those of the batches' differences; of others both errors add up."""
+    first, asked = curve(1e-6), []
+    of_limit = {"max_scatters": curve(1.5e-6), "max_reflections": curve(1.2e-6, rays=500, seed=1)}
+
+    def measure(**limit: int) -> Pst:
+        ((name, allowed),) = limit.items()
+        asked.append((name, allowed))
+        return of_limit[name]
+
+    found = with_next_orders(mistray.load("baffle_tube"), first, 60.0, measure)
+    assert asked == [("max_scatters", 2), ("max_reflections", 3)]
+    scatter, reflection = found.next_orders
+    assert np.array_equal(found.by_batch, of_limit["max_scatters"].by_batch)
+    assert (scatter.taken, reflection.taken, reflection.matters) == (True, False, True)
+    assert scatter.difference_se == pytest.approx(0.5 * first.stray_se, rel=1e-9)  # every batch half as bright again
+    assert reflection.difference_se == pytest.approx(np.hypot(reflection.before_se, reflection.after_se), rel=1e-9)
+    assert scatter.sentence in pst_text(found)
+    assert [item["taken"] for item in pst_record(found)["next_orders"]] == [True, False]
+
+    of_limit = {name: curve(1.01e-6) for name in of_limit}
+    same = with_next_orders(mistray.load("baffle_tube"), first, 60.0, measure)
+    assert np.array_equal(same.by_batch, first.by_batch)
+    assert [order.taken for order in same.next_orders] == [False, False]
+
+
+@pytest.mark.long
+def test_a_baffle_without_light_of_one_scatter() -> None:
+    """From 40° the lens sees no wall that is lit: what arrives has been scattered twice at least."""
+    scene = mistray.load("baffle_tube")
+    arguments: dict[str, Any] = {"rays": 16_000, "seed": 3}
+    once, twice, found = (
+        mistray.pst(scene, [40.0], **arguments, **more)
+        for more in ({"max_scatters": 1}, {"max_scatters": 2}, {"max_scatters": 1, "next_order": True})
+    )
+    assert found.facts["settings"]["max_scatters"] == 2
+    assert found.stray[0] == pytest.approx(twice.stray[0], rel=1e-12) != pytest.approx(once.stray[0])
+    scatter, reflection = found.next_orders
+    assert (scatter.limit, scatter.taken, scatter.before[0]) == ("max_scatters", True, once.stray[0])
+    assert (reflection.limit, reflection.taken) == ("max_reflections", False)
+    assert once.next_orders == ()
+
+
+@pytest.fixture
+def plate(tmp_path: Path) -> Path:
+    """A disc in the beam before a plate whose faces reflect half of the light."""
+    disc = shape_xml("asphere", "disc", 1.0, semi_diameter=0.4)
+    faces = [
+        shape_xml("asphere", name, z, interface_xml(*sides, R=HALF, T=1 - HALF), semi_diameter=50.0)
+        for name, z, sides in (("front", 5.0, ("air", "1.5")), ("rear", 8.0, ("1.5", "air")))
+    ]
+    detector = shape_xml("asphere", "detector", 20.0, sensor=True, half_width=50.0, half_height=50.0)
+    return write(tmp_path, scene_text(disc, *faces, detector))
+
+
+def study(**trace: Any) -> dict[str, Any]:
+    return {
+        "trace": {"rays": 400, **trace},
+        "term": [{"name": "light", "kind": "path_power", "goal": "minimise", "selection": "all"}],
+        "variable": [{"parameters": ["disc.semi_diameter"], "low": 0.2, "high": 0.6}],
+        "optimizer": {"steps": 1},
+    }
+
+
+def test_a_search_that_allowed_too_few_reflections(plate: Path) -> None:
+    """T² arrives directly and T² R² after two reflections, of which one reflection more than one lets through."""
+    result = optimize(plate, study(max_reflections=1), verification_seeds=4)
+    (found,) = result.next_orders
+    assert (found.limit, found.allowed, found.taken) == ("max_reflections", 2, True)
+    assert found.after[0] / found.before[0] == pytest.approx(1 + HALF**2, rel=1e-5)
+    assert result.comparison.total.after == pytest.approx(found.after[0], rel=1e-12)
+    assert found.sentence in report_text(result)
+    assert optimization_record(result)["next_orders"][0]["taken"] is True
+
+
+def test_a_search_that_allowed_enough(plate: Path) -> None:
+    """A third reflection goes back to the source, and nothing changes; without the look nothing is said."""
+    result = optimize(plate, study(), verification_seeds=2)
+    (found,) = result.next_orders
+    assert (found.allowed, found.matters, found.taken) == (3, False, False)
+    assert found.after[0] == pytest.approx(found.before[0], rel=1e-9)
+    alone = optimize(plate, study(), verification_seeds=2, next_order=False)
+    assert alone.next_orders == ()
+    assert alone.comparison.total.after == pytest.approx(result.comparison.total.after, rel=1e-12)

@@ -1,0 +1,167 @@
+"""The mode of polarisation that a trace takes by itself: its pilot against closed forms and field vectors."""
+
+from __future__ import annotations
+
+from math import prod
+
+import numpy as np
+import pytest
+from oracles.polarized import transport
+from oracles.skew_path import Face, SkewPath, skew_path
+from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
+
+import mistray
+from mistray.execute.tracer import prepare
+from mistray.recorders.path_key import EVENT_BITS, REFLECTED, TOTAL, TRANSMITTED
+from mistray.settings import Settings
+from mistray.trace.both_ways import Arrivals, follow
+from mistray.trace.polarization_choice import WORTH_IT, PolarizationChoice, chosen_polarization
+
+GLASS = 1.5
+ABG = '<bsdf type="abg"><float name="A" value="0.01"/><float name="B" value="0.1"/><float name="g" value="2"/></bsdf>'
+KINDS = {"T": TRANSMITTED, "R": REFLECTED, "I": TOTAL}
+
+
+def choice(scene, beams=({},), **settings) -> PolarizationChoice:
+    return chosen_polarization(scene, Settings.unresolved(scene, **settings), beams)
+
+
+def fresnel(angle_deg: float, n: float = GLASS) -> tuple[float, float]:
+    """R of s and p."""
+    c = np.cos(np.radians(angle_deg))
+    t = np.sqrt(1 - (1 - c * c) / n**2)
+    return ((c - n * t) / (c + n * t)) ** 2, ((n * c - t) / (n * c + t)) ** 2
+
+
+def ghost_factor(angle_deg: float) -> float:
+    """First ghost of a plate, two refractions and two reflections in one plane, over that by means of s and p."""
+    r_s, r_p = fresnel(angle_deg)
+    mean = (r_s + r_p) / 2
+    return sum(((1 - r) * r) ** 2 for r in (r_s, r_p)) / 2 / ((1 - mean) * mean) ** 2
+
+
+def by_path(scene, path: SkewPath) -> Arrivals:
+    """What the pilot finds of the middle ray."""
+    (run,) = prepare(scene, Settings(rays=64, max_reflections=4, flux_threshold=0.0, polarization="unpolarized"))
+    codes = [run.table.ids.index(f"face_{k}") << EVENT_BITS | KINDS[hit.kind] for k, hit in enumerate(path.hits)]
+    (found,) = [one for one in follow(run, 32)[0] if one.path[:-1] == tuple(codes)]
+    return found
+
+
+class TestPilot:
+    @pytest.mark.parametrize(
+        "faces",
+        [
+            [Face(35, 10, "T", 1.7), Face(30, 75, "T", 1.0), Face(50, 140, "T", 1.7)],
+            [Face(40, 20, "T", 1.7), Face(25, 100, "R", 1.0), Face(30, 215, "R", 1.0), Face(20, 300, "T", 1.0)],
+            [Face(45, 0, "T", 1.7), Face(50, 40, "I", 1.0), Face(60, 110, "I", 1.0), Face(30, 70, "T", 1.0)],  # a prism
+            [Face(50, 0, "R", GLASS), Face(50, 90, "R", GLASS)],
+            [Face(50, 0, "R", GLASS, ((1.38, 100.0),)), Face(40, 60, "T", GLASS, ((2.3, 60.0), (1.45, 95.0)))],
+        ],
+        ids=["refractions", "reflections", "total", "crossed", "films"],
+    )
+    def test_skew_paths(self, load_scene, faces) -> None:
+        """
+        Flux of both modes against field vectors: of the whole path, and hit by hit for light that forgets its state.
+
+        The tolerance is that of the start rays in float32, and of a beam of 0.01 mm.
+        """
+        path = skew_path(faces)
+        found = by_path(load_scene(path.text), path)
+        launched = np.pi * 0.01**2
+        flux, _ = transport(path.directions, path.hits, 550.0)
+        steps = [transport(path.directions[k : k + 2], [hit], 550.0)[0][-1] for k, hit in enumerate(path.hits)]
+        assert found.stokes / launched == pytest.approx(flux[-1], rel=5e-6)
+        assert found.mean / launched == pytest.approx(prod(steps), rel=5e-6)
+
+    def test_scattered_light(self, load_scene) -> None:
+        """Behind four plates at Brewster's angle a screen gets, and scatters, (1 + s)/2 instead of ((1 + r)/2)⁸."""
+        plates = plates_text(4)
+        rough = interface_xml("air", "air", R=0.0, T=1.0).replace("</bsdf>", f"{ABG}</bsdf>")
+        screen = shape_xml("asphere", "screen", 39.0, rough, semi_diameter=60.0)
+        scene = load_scene(plates.replace("</scene>", f"{screen}</scene>"))
+        (run,) = prepare(
+            scene,
+            Settings(max_reflections=0, polarization="unpolarized"),
+            field_deg=float(np.degrees(np.arctan(GLASS))),
+        )
+        scattered = [one for one in follow(run, 64)[0] if one.scattered]
+        r_s, _ = fresnel(np.degrees(np.arctan(GLASS)))
+        truth = (1 + (1 - r_s) ** 8) / 2 / (1 - r_s / 2) ** 8
+        assert sum(one.stokes for one in scattered) / sum(one.mean for one in scattered) == pytest.approx(
+            truth, rel=1e-5
+        )
+
+
+class TestChoice:
+    @pytest.mark.parametrize(("angle_deg", "factor"), [(30.0, 1.13), (45.0, 1.55), (55.0, 1.71)])
+    def test_a_tilted_plate(self, load_text, angle_deg, factor) -> None:
+        found = choice(load_text(plates_text(1))[0], [{"field_deg": angle_deg}])
+        assert ghost_factor(angle_deg) == pytest.approx(factor, abs=0.005)
+        assert found.mode == "stokes"
+        assert found.change == pytest.approx(ghost_factor(angle_deg) - 1, rel=1e-5)
+        assert "p0_rear → p0_front" in found.reason
+
+    def test_crossed_mirrors_are_weaker(self, load_scene) -> None:
+        """cos 2φ = -1: 1 - D² of the means."""
+        found = choice(load_scene(skew_path([Face(50, 0, "R", GLASS), Face(50, 90, "R", GLASS)]).text))
+        r_s, r_p = fresnel(50.0)
+        assert found.mode == "stokes"
+        assert found.change == pytest.approx(-(((r_s - r_p) / (r_s + r_p)) ** 2), rel=1e-5)
+
+    def test_below_one_percent(self, load_text) -> None:
+        """At 10° the factor is 1.0017; the size is said all the same."""
+        found = choice(load_text(plates_text(1))[0], [{"field_deg": 10.0}])
+        assert found.mode == "unpolarized"
+        assert found.change == pytest.approx(ghost_factor(10.0) - 1, rel=1e-3)
+        assert 0 < found.change < WORTH_IT
+
+    def test_what_does_not_polarize_is_not_traced(self, load_text) -> None:
+        found = choice(load_text(plates_text(1, R=0.1, T=0.9))[0], [{"field_deg": 55.0}])
+        assert (found.mode, found.change) == ("unpolarized", 0.0)
+
+    def test_one_reflection_less(self, load_text) -> None:
+        """Without ghosts the direct light of one plate changes by 0.3 % at 45°."""
+        found = choice(load_text(plates_text(1))[0], [{"field_deg": 45.0}], max_reflections=0)
+        assert found.mode == "unpolarized"
+        assert "direct" in found.reason
+
+    def test_shipped_scenes(self) -> None:
+        """On axis the triplet's ghosts change by 0.95 % at most; the display's double image by 60 %."""
+        assert choice(mistray.load("cooke_triplet"), [{"field_deg": 0.0}]).mode == "unpolarized"
+        found = choice(mistray.load("head_up_display"))
+        assert found.mode == "stokes"
+        assert found.change == pytest.approx(0.595, abs=0.005)
+
+    def test_what_is_given_stays(self, load_text) -> None:
+        scene = load_text(plates_text(1))[0]
+        for mode in ("unpolarized", "stokes"):
+            assert choice(scene, [{"field_deg": 45.0}], polarization=mode).mode == mode
+
+    def test_the_seed_does_not_matter(self, load_text) -> None:
+        scene = load_text(plates_text(1))[0]
+        assert len({str(choice(scene, [{"field_deg": 20.0}], seed=seed, rays=10 + seed)) for seed in range(3)}) == 1
+
+
+def test_trace_and_ghosts_say_it(load_text) -> None:
+    """A trace takes Stokes vectors at 45°; the fields of an analysis have one mode, that which any of them needs."""
+    from mistray.report import main_table
+
+    scene = load_text(plates_text(1))[0]
+    t = mistray.trace(scene, rays=64, field_deg=45.0, flux_threshold=0.0)
+    r_s, r_p = fresnel(45.0)
+    assert t.paths[1].power_W / t.energy.launched_W == pytest.approx(
+        sum(((1 - r) * r) ** 2 for r in (r_s, r_p)) / 2, rel=1e-5
+    )
+    assert t.settings["polarization"] == "stokes"
+    assert t.settings["polarization_change"] == pytest.approx(ghost_factor(45.0) - 1, rel=1e-5)
+    assert t.settings["polarization_reason"] in repr(t)
+    report = mistray.ghosts(scene, field_deg=[0.0, 45.0], rays=64)
+    assert {t.settings["polarization"] for t in report.values()} == {"stokes"}
+    assert "at 45 deg" in main_table(report)
+
+
+def test_a_scene_without_ghosts_has_nothing_to_change(load_scene) -> None:
+    """A black detector alone: no path of stray light, and no number that is not one."""
+    scene = load_scene(scene_text(shape_xml("asphere", "detector", 10.0, sensor=True, half_width=5.0, half_height=5.0)))
+    assert choice(scene).change == 0.0
