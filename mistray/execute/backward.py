@@ -223,7 +223,7 @@ class BackwardTrace:
         """Gaps too thin for float32, and what was assumed of the media, see `Optics.notes`."""
         return [
             *thin_gaps(self.table),
-            *dict.fromkeys(text for band in self.bands for text in band.table.optics.notes),
+            *dict.fromkeys(text for band in self.bands for text in (*band.table.optics.notes, *band.start.notes)),
         ]
 
     @property

@@ -31,7 +31,15 @@ the names, their pages and their sources.
 
 from mistray.materials.catalogue import names
 from mistray.materials.formulas import CAUCHY_RANGE_NM, LINE_C_NM, LINE_D_NM, LINE_F_NM, cauchy_index
-from mistray.materials.lookup import Source, bulk_scatter, complex_index, refractive_index, resolved, source
+from mistray.materials.lookup import (
+    Source,
+    bulk_scatter,
+    complex_index,
+    refractive_index,
+    resolved,
+    source,
+    table_nodes_nm,
+)
 from mistray.materials.spec import BulkScatter, shifted
 
 __all__ = [
@@ -49,6 +57,7 @@ __all__ = [
     "resolved",
     "shifted",
     "source",
+    "table_nodes_nm",
 ]
 
 

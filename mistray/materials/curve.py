@@ -22,10 +22,13 @@ class Curve:
         Wavelength in nm → value; nan where there is none.
     range_nm : tuple of two float or None
         Where the data hold, nm; None if everywhere.
+    nodes_nm : tuple of float
+        Of a table, its wavelengths, ascending, nm; none of a formula.
     """
 
     evaluate: Callable[[float], float]
     range_nm: tuple[float, float] | None = None
+    nodes_nm: tuple[float, ...] = ()
 
     def at(self, wavelength_nm: float, what: str, extrapolate: bool, remedy: str) -> float:
         """
@@ -78,4 +81,4 @@ def table(wavelength_nm: Sequence[float] | np.ndarray, values: Sequence[float] |
     """
     x, order = np.unique(np.asarray(wavelength_nm, dtype=np.float64), return_index=True)
     y = np.asarray(values, dtype=np.float64)[order]
-    return Curve(lambda at: float(np.interp(at, x, y)), (float(x[0]), float(x[-1])))
+    return Curve(lambda at: float(np.interp(at, x, y)), (float(x[0]), float(x[-1])), tuple(x.tolist()))

@@ -135,6 +135,12 @@ def complex_index(material: str, wavelength_nm: float) -> complex:
     return complex(n, found.k.at(wavelength_nm, f"k of material '{spec.text}'", spec.extrapolate, remedy))
 
 
+def table_nodes_nm(material: str) -> tuple[float, ...]:
+    """Wavelengths of the tables of n and k of a material, nm; none where formulas or numbers give them."""
+    found = _material(parse(material))
+    return (*found.n.nodes_nm, *(found.k.nodes_nm if found.k is not None else ()))
+
+
 def source(material: str) -> Source:
     """
     Page and literature reference of a material string.

@@ -156,10 +156,15 @@ def self_emission(
 
 
 def narcissus_nitd(
-    returned: npt.ArrayLike, housing_K: float, cold_K: float, low_um: float, high_um: float
+    returned: npt.ArrayLike,
+    housing_K: float,
+    cold_K: float,
+    low_um: float,
+    high_um: float,
+    scene_K: float | None = None,
 ) -> np.ndarray:
     """
-    Narcissus-induced temperature difference (NITD), K: share · [L(T_h) - L(T_c)]/(dL/dT)(T_h).
+    Narcissus-induced temperature difference (NITD), K: share · [L(T_h) - L(T_c)]/(dL/dT)(T_s).
 
     The change of the scene's temperature that a detector would take for its own cold image, where a share of what it
     sees is the cold space about itself instead of the housing. Losses of the optics act on the scene and on the image
@@ -170,12 +175,18 @@ def narcissus_nitd(
     returned : array_like
         Share of the cone of light that returns to the cold space: reflectance times the part of the cone.
     housing_K, cold_K : float
-        Temperatures T_h of housing and scene, and T_c of the cold space, K; T_h > 0.
+        Temperatures T_h of the housing, and T_c of the cold space, K; T_h > 0.
     low_um, high_um : float
         As in `band_radiance`.
+    scene_K : float, optional
+        Temperature T_s of the scene, K; by default that of the housing.
     """
     missing = band_radiance(housing_K, low_um, high_um) - band_radiance(cold_K, low_um, high_um)
-    return np.asarray(returned, dtype=np.float64) * missing / band_derivative(housing_K, low_um, high_um)
+    return (
+        np.asarray(returned, dtype=np.float64)
+        * missing
+        / band_derivative(housing_K if scene_K is None else scene_K, low_um, high_um)
+    )
 
 
 def _by_temperature(function: Any, temperature_K: npt.ArrayLike) -> Any:

@@ -120,8 +120,10 @@ class DirectionGrid:
     @property
     def solid_angle(self) -> np.ndarray:
         """(n,) solid angle of a cell, sr; the same at all azimuths."""
-        low, high = np.cos(np.radians(self.edges_deg)).T
-        return np.asarray(np.radians(self.azimuth_cell_deg) * (low - high))
+        low, high = np.radians(self.edges_deg).T
+        # cos low - cos high, exact for narrow cells
+        band = 2 * np.sin(0.5 * (high + low)) * np.sin(0.5 * (high - low))
+        return np.asarray(np.radians(self.azimuth_cell_deg) * band)
 
     @property
     def mean_cosine(self) -> np.ndarray:

@@ -24,11 +24,12 @@ SHOWN, RETURNS_SHOWN = 12, 6  # rows of the printed tables
 
 def heading(report: ThermalReport) -> str:
     """What was computed, in one line."""
-    waves = ", ".join(f"{wave:g}" for wave in report.wavelengths_um)
+    waves = ", ".join(f"{wave:.4g}" for wave in report.wavelengths_um)
+    within = f", integrals over the band to {100 * report.band_error:.2g} %" if report.band_error > 0 else ""
     return (
         f"thermal emission on '{report.detector}', {report.band_um[0]:g} to {report.band_um[1]:g} µm, "
         f"{report.temperature_K:g} K where no other is given, detector at {report.detector_K:g} K; "
-        f"{thousands(report.facts['rays'])} rays, traced at {waves} µm"
+        f"{thousands(report.facts['rays'])} rays, traced at {waves} µm{within}"
     )
 
 
@@ -106,7 +107,8 @@ def thermal_record(report: ThermalReport) -> dict[str, Any]:
     """Everything as plain values for JSON."""
     record = row_of(
         report, "total_W_mm2", "scene_W_mm2", "image_W_mm2", "to_image", "self_view", "nitd_K", "lost_W_mm2",
-        "temperature_K", "detector_K", "scene_K", "band_um", "wavelengths_um", "detector", "notes", "facts",
+        "temperature_K", "detector_K", "scene_K", "band_um", "wavelengths_um", "band_error", "detector",
+        "notes", "facts",
     )  # fmt: skip
     record |= {"emitters": report.to_pandas().to_dict("records"), "returned": return_frame(report).to_dict("records")}
     return dict(plain(record))

@@ -6,6 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.errors import MistrayError
 from mistray.kernel.device_targets import DeviceTargets
 from mistray.kernel.targets import AimSet
 from mistray.physics.geometry.sag import in_proportion, sag, sag_derivative
@@ -16,11 +17,13 @@ from mistray.settings import BATCHES
 from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.host_points import lambertian_directions, surface_points
 from mistray.surfaces.host_rays import first_hit
-from mistray.surfaces.optics import BACK_MEDIUM_SHIFT, FRONT_MEDIUM_SHIFT, MEDIUM_MASK, OPAQUE
+from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable
 
 FROM_BACK = 1 / 16  # share of the rays that start on the side away from the light of the design
 PROBES = 256  # rays that look what the detector is in
+BOUNCES = 8  # of these at walls that do not say
+LEAST_SAID = 1 / 16  # of them: what fewer meet does not contradict, such as a lens that is open at its side
 AIMED = 0.4  # share of the others that start towards the opening
 
 
@@ -42,14 +45,18 @@ class DetectorStart:
     ----------
     area : float
         Of the detector, mm².
+    notes : list of str
+        Where the material before the detector is known by walls alone.
 
     Raises
     ------
     MistrayError
-        If the detector is a tube or a stock shape other than a rectangle, see `SurfaceTable.film`.
+        If the detector is a tube or a stock shape other than a rectangle, see `SurfaceTable.film`; or if it, and what
+        it sees, declare different materials before it.
     """
 
     def __init__(self, table: SurfaceTable, light: np.ndarray, aim: AimSet | None, both_sides: bool) -> None:
+        self.notes: list[str] = []
         self._back = FROM_BACK if both_sides else 0.0
         self._table = table
         self.width, self.height, (x0, x1, y0, y1) = table.film()
@@ -70,7 +77,7 @@ class DetectorStart:
         normal = np.array(self._axes[2]).ravel()
         towards = -1.0 if normal @ light > 0 else 1.0  # side of the normal that the light of the design comes from
         self._towards = dr.opaque(mi.Float, towards)
-        media = [self._medium(side) for side in (towards, -towards)]
+        media = [self._medium(side, side == towards) for side in (towards, -towards)]
         self._media = [dr.opaque(mi.UInt32, number) for number, _ in media]
         self._index2 = [dr.opaque(mi.Float, n * n) for _, n in media]
 
@@ -91,27 +98,66 @@ class DetectorStart:
         flat = np.pi * (piece.outer**2 - piece.inner**2) if self._round else (x1 - x0) * (y1 - y0)
         self._stretch = dr.opaque(mi.Float, self.area / flat)
 
-    def _medium(self, side: float) -> tuple[int, float]:
+    def _medium(self, side: float, lit: bool) -> tuple[int, float]:
         """
         Number and index of the material before the detector, on the side of its normal times `side`.
 
-        It is that of the refracting surface that most rays meet first; vacuum, where they meet none.
+        It is what the detector declares there, else what the surfaces that its rays meet first declare: those that
+        refract, of which most count, else opaque ones. It is vacuum where nothing is declared. Behind the
+        detector, what it declares may be its substrate, which contradicts nothing.
         """
-        table = self._table
-        rng = np.random.default_rng(0)
-        points, normals = surface_points(table, table.detector, PROBES, rng)
-        d = lambertian_directions(side * normals, rng)
-        hit, _, normal = first_hit(table, points, d, np.full(PROBES, table.detector))
-        words = table.optics.host_words[hit]
-        clear = (hit >= 0) & ((words & OPAQUE) == 0)
-        if not np.any(clear):
-            return 0, 1.0
-        from_back = (np.einsum("ij,ij->i", d, normal) < 0).astype(int)
-        shift = np.where(from_back, BACK_MEDIUM_SHIFT, FRONT_MEDIUM_SHIFT)
-        media = (words >> shift) & MEDIUM_MASK
-        number = int(np.bincount(media[clear]).argmax())
-        first = int(np.flatnonzero(clear & (media == number))[0])
-        return number, float(table.optics.host_indices[hit[first], from_back[first]])
+        table, optics = self._table, self._table.optics
+        own = int(optics.declared[table.detector, int(side > 0)])
+        hit, from_back = self._first_to_declare(side)
+        said = optics.declared[hit, from_back]
+        opaque = (optics.host_words[hit] & OPAQUE) != 0
+        counts = np.bincount(said[~opaque], minlength=1)
+        if counts.sum() >= (LEAST_SAID * PROBES if own else 1):
+            others = [int(counts.argmax())]
+        else:  # walls count where nothing else does: behind a mirror may stand its glass, which no light is in
+            counts = np.bincount(said[opaque], minlength=1)
+            others = np.argsort(-counts)[: max(1, np.count_nonzero(counts >= LEAST_SAID * PROBES))].tolist()
+        found = [(own, "")] if own else []
+        found += [(number, table.ids[hit[said == number][0]]) for number in others if counts[number]]
+        for other in found[1:]:
+            if lit and other[0] != found[0][0]:
+                raise MistrayError(self._contradiction(found[0], other, side))
+        if lit and found and found[0][1] and not np.any(~opaque):
+            self.notes.append(
+                f"the detector is taken to be in '{optics.media[found[0][0]]}', because surface '{found[0][1]}' "
+                f"declares it; say so by {'back' if side > 0 else 'front'} of the detector"
+            )
+        number = found[0][0] if found else 0
+        return number, float(optics.host_media_n[number])
+
+    def _first_to_declare(self, side: float) -> tuple[np.ndarray, np.ndarray]:
+        """Surfaces that rays of the detector meet, and whether at the back; walls that declare nothing send them on."""
+        table, rng = self._table, np.random.default_rng(0)
+        o, outward = surface_points(table, table.detector, PROBES, rng)
+        outward, left = side * outward, np.full(PROBES, table.detector)
+        met: list[np.ndarray] = []
+        for _ in range(BOUNCES):
+            d = lambertian_directions(outward, rng)
+            left, o, normal = first_hit(table, o, d, left)
+            from_back = np.einsum("ij,ij->i", d, normal) < 0
+            declares = table.optics.declared[left, from_back.astype(int)] > 0
+            hit = (left >= 0) & ~np.isin(left, table.detectors)  # those stand on what is behind them
+            met.append(np.stack([left, from_back])[:, hit & declares])
+            on = hit & ~declares
+            outward = np.where(from_back, 1.0, -1.0)[on, None] * normal[on]
+            left, o = left[on], o[on]
+        surfaces, sides = np.concatenate(met, axis=1)
+        return surfaces, sides
+
+    def _contradiction(self, first: tuple[int, str], second: tuple[int, str], side: float) -> str:
+        """Message: a number of a material and who declares it, "" the detector itself; and those of another one."""
+        media, detector = self._table.optics.media, self._table.ids[self._table.detector]
+        key = "back" if side > 0 else "front"
+        by = f"surface '{first[1]}'" if first[1] else f"its {key}"
+        return (
+            f"detector '{detector}': it stands in '{media[first[0]]}' by {by}, and in '{media[second[0]]}' by surface "
+            f"'{second[1]}', which it sees; correct front or back of one of them"
+        )
 
     def pixel(self, x: mi.Float, y: mi.Float, columns: int, rows: int) -> mi.UInt32:
         """Pixel of a map of the detector, row 0 at the smallest y."""

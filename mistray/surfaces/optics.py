@@ -29,7 +29,7 @@ import numpy as np
 
 from mistray.coatings import METAL_K, Bare, Response, Stack
 from mistray.errors import MistrayError
-from mistray.materials import bulk_scatter
+from mistray.materials import bulk_scatter, complex_index
 from mistray.scatter.edge_diffraction import EdgeDiffraction
 from mistray.surfaces.upload import upload
 
@@ -262,6 +262,22 @@ def _refined(values: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, fl
         intervals *= 2
 
 
+def _index_beside(bsdf: Any, side: int, wavelength_nm: float) -> complex | None:
+    """
+    Index on a side of an opaque surface, 0 in front and 1 behind, as far as it says something of light there.
+
+    None where the scene does not say: air on both sides is what an interface has by itself. None where the material
+    is a metal or not known at this wavelength: such stand behind mirrors, and no light is in them.
+    """
+    if not bsdf.declared[side] or bsdf.materials == ("air", "air"):
+        return None
+    try:
+        n = complex_index((bsdf.front, bsdf.back)[side], wavelength_nm)
+    except MistrayError:
+        return None
+    return None if n.imag > METAL_K else complex(n)
+
+
 class Optics:
     """
     Optical properties of all surfaces at one wavelength.
@@ -296,12 +312,15 @@ class Optics:
         Kinds that occur.
     media : list of str
         Names of the materials by their numbers; 0 is "unknown".
+    declared : (s, 2) int
+        Numbers of the materials in front and behind; 0 where an opaque surface does not say, or light cannot be.
     extinction : mi.Float
         Coefficient of absorption and scatter of each medium, 1/mm.
     albedo : mi.Float
         Share of the scatter in it.
     media_n : mi.Float
         Real index of each medium; 1 where it is unknown.
+    host_media_n : (m,) float64
     host_scattering : (m,) float64
         Coefficient of scatter of each medium, 1/mm.
     asymmetry : mi.Float
@@ -339,6 +358,21 @@ class Optics:
         self.media = ["unknown"]
         absorption, scattering, asymmetry, real = [0.0], [0.0], [0.0], [1.0]
         numbers: dict[tuple[float, ...], int] = {}
+        declared = np.zeros((count, 2), dtype=np.int64)
+
+        def number(n: complex, spec: str) -> int:
+            """Number of a medium; by index, not by name: "air" and "vacuum", "1.5" and "1.50" are one."""
+            cloud = bulk_scatter(spec)
+            key = (round(n.real, 9), float(f"{n.imag:.9g}"), cloud.per_mm, cloud.g)
+            if key not in numbers:
+                numbers[key] = len(self.media)
+                self.media.append(spec.strip())
+                absorption.append(absorption_per_mm(n, wavelength_nm))
+                real.append(n.real)
+                scattering.append(cloud.per_mm)
+                asymmetry.append(cloud.g)
+            return numbers[key]
+
         self.error = 0.0
         rows: list[np.ndarray] = []
         self.tables: list[AngleTable | None] = []
@@ -374,22 +408,16 @@ class Optics:
                 rows.append(np.zeros((2, self.row_floats)))
                 self.rows += 2
             self.tables.append(table)
-            if opaque:
-                continue
-            for n, spec, shift in zip(
-                sides, (bsdf.front, bsdf.back), (FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT), strict=True
-            ):
-                # By index, not by name: "air" and "vacuum", "1.5" and "1.50" are one medium
-                cloud = bulk_scatter(spec)
-                key = (round(n.real, 9), float(f"{n.imag:.9g}"), cloud.per_mm, cloud.g)
-                if key not in numbers:
-                    numbers[key] = len(self.media)
-                    self.media.append(spec.strip())
-                    absorption.append(absorption_per_mm(n, wavelength_nm))
-                    real.append(n.real)
-                    scattering.append(cloud.per_mm)
-                    asymmetry.append(cloud.g)
-                words[i] |= numbers[key] << shift
+            if not opaque:
+                declared[i] = [number(n, spec) for n, spec in zip(sides, (bsdf.front, bsdf.back), strict=True)]
+                words[i] |= (declared[i, 0] << FRONT_MEDIUM_SHIFT) | (declared[i, 1] << BACK_MEDIUM_SHIFT)
+        # What opaque ones declare comes behind: the kernel knows no medium beside them
+        for i in np.flatnonzero(words & OPAQUE).tolist():
+            for side, spec in enumerate((bsdfs[i].front, bsdfs[i].back)):
+                n = _index_beside(bsdfs[i], side, wavelength_nm) if not dark[i, side] else None
+                if n is not None:
+                    declared[i, side] = number(n, spec)
+        self.declared = declared
         if len(self.media) > MEDIUM_MASK:
             raise MistrayError(f"the scene has {len(self.media) - 1} materials; at most {MEDIUM_MASK - 1} are possible")
         for detector in np.flatnonzero(words & DETECTOR).tolist():
@@ -409,7 +437,8 @@ class Optics:
         self.extinction = upload(mi.Float, extinction)
         self.albedo = upload(mi.Float, np.array(scattering) / np.maximum(extinction, np.finfo(float).tiny))
         self.asymmetry = upload(mi.Float, np.array(asymmetry))
-        self.media_n = upload(mi.Float, np.array(real))
+        self.host_media_n = np.array(real)
+        self.media_n = upload(mi.Float, self.host_media_n)
         self.absorbs, self.scatters = bool(extinction.any()), any(scattering)
         dr.eval(self.words, self.indices, self.places, self.table)
         dr.eval(self.extinction, self.albedo, self.asymmetry, self.media_n)

@@ -33,6 +33,8 @@ class Glasses:
         has it.
     given : tuple of str
         Both without the shifts.
+    declared : tuple of bool
+        Whether the scene says what lies in front, and what behind; else it is taken for air.
     parameters : dict of str to mi.Float
         The shifts.
     """
@@ -40,6 +42,7 @@ class Glasses:
     def __init__(self, props: mi.Properties, resolve: Callable[[str], str]) -> None:
         front, back = (resolved(str(props.get(side, "air")), resolve) for side in ("front", "back"))
         self.given = self._names = front, back
+        self.declared = "front" in props, "back" in props
         self.parameters = {name: mi.Float(float(props.get(name, 0.0))) for name in SHIFTS}
 
     def update(self, wavelength_nm: float) -> bool:

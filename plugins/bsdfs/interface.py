@@ -302,6 +302,11 @@ class Interface(mi.BSDF):
         """Materials in front and behind, without shifts of the index."""
         return self._glasses.given
 
+    @property
+    def declared(self) -> tuple[bool, bool]:
+        """Whether the scene says what lies in front, and what behind."""
+        return self._glasses.declared
+
     def _take_glasses(self) -> None:
         """Take new shifts of the indices; raises if they are impossible, and then nothing has changed."""
         try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import mitsuba as mi
 import numpy as np
 import pytest
 
@@ -33,6 +34,20 @@ def paraxial(curvature, z, index) -> tuple[float, float]:
     return -1 / u, -y / u
 
 
+def marginal_sine(curvature, z, index, height) -> float:
+    """Sine of the angle with the axis that a ray parallel to it has behind spheres, by Snell's law in the plane."""
+    p, d = np.array([height, -10.0]), np.array([0.0, 1.0])  # y and z
+    for k, (c, vertex) in enumerate(zip(curvature, z, strict=True)):
+        centre = np.array([0.0, vertex + 1 / c])
+        along = (p - centre) @ d
+        root = math.sqrt(along**2 - (p - centre) @ (p - centre) + 1 / c**2)
+        p = p + (-along - math.copysign(root, c)) * d
+        normal = (centre - p) * c
+        eta, cosine = index[k] / index[k + 1], float(d @ normal)
+        d = eta * d + (math.sqrt(1 - eta**2 * (1 - cosine**2)) - eta * cosine) * normal
+    return abs(float(d[0]))
+
+
 def test_triplet_against_paraxial_rays():
     found, table = measured("cooke_triplet")
     surfaces = triplet().surfaces
@@ -42,7 +57,9 @@ def test_triplet_against_paraxial_rays():
     assert found.focal_length_mm == pytest.approx(focal, rel=1e-6)
     assert found.focal_lengths_mm[0] == pytest.approx(found.focal_lengths_mm[1], rel=1e-9)
     assert found.back_focus_mm == pytest.approx(back, rel=1e-6)
-    assert found.f_number == pytest.approx(4.0, rel=1e-3)
+    assert found.focal_length_mm / found.pupil_diameter_mm == pytest.approx(4.0, rel=1e-3)
+    sine = marginal_sine([1 / s.radius for s in surfaces], [s.z for s in surfaces], index, found.pupil_diameter_mm / 2)
+    assert found.f_number == pytest.approx(1 / (2 * sine), rel=1e-5)
 
 
 def test_thick_lens():
@@ -55,13 +72,45 @@ def test_thick_lens():
     assert abs(found.defocus_mm) < 1e-5
 
 
+def test_image_in_glass():
+    """
+    An ellipsoid of conic -1/n² focuses in its glass at f' = n R/(n - 1) without aberration.
+
+    With the rim at height y and sag z, sin u = y/hypot(y, f' - z) exactly.
+    """
+    n, radius, y = 1.4, 20.0, 14.0
+    focus = n * radius / (n - 1)
+    sag = y * y / radius / (1 + math.sqrt(1 - (1 - 1 / n**2) * (y / radius) ** 2))
+    film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}
+    scene = mistray.load(
+        {
+            "type": "scene",
+            "beam": {"type": "collimated", "radius": 20.0},
+            "front": {
+                "type": "asphere", "radius": radius, "conic": -1 / n**2, "semi_diameter": y,
+                "bsdf": {"type": "interface", "back": "1.4"},
+            },
+            "detector": {
+                "type": "asphere", "half_width": 2.0, "half_height": 2.0, "bsdf": {"type": "interface", "R": 0.0},
+                "to_world": mi.ScalarTransform4f().translate([0, 0, focus]),
+                "sensor": {"type": "irradiancemeter", "film": film},
+            },
+        }
+    )  # fmt: skip
+    path = find_design_path(SurfaceTable(scene, 550.0), scene)
+    found = first_order(scene, path)
+    assert found.focal_length_mm == pytest.approx(focus, rel=1e-6)
+    assert found.f_number == pytest.approx(math.hypot(y, focus - sag) / (2 * n * y), rel=1e-3)
+
+
 def test_newtonian():
     """A paraboloid: half its radius of curvature; its rim is the stop; the diagonal and its holder obstruct it."""
     found, _ = measured("newtonian")
     assert found.focal_length_mm == pytest.approx(50 * 25.4, rel=1e-7)
     assert found.pupil_diameter_mm == pytest.approx(2 * 95.25, rel=1e-4)
     assert found.stop == "mirror_cell"
-    assert found.f_number == pytest.approx(1270 / 190.5, rel=1e-4)
+    # A paraboloid: y = 2f tan(u/2)
+    assert found.f_number == pytest.approx(1 / (2 * math.sin(2 * math.atan(95.25 / 2540))), rel=1e-4)
     # Round detector of half an inch: the base ray meets its edge at atan(h / f) of a mirror
     assert found.field_deg["y"] == pytest.approx(math.degrees(math.atan(12.7 / 1270)), rel=1e-3)
     assert found.field_deg["diagonal"] == found.field_deg["x"]

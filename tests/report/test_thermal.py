@@ -45,6 +45,7 @@ REPORT = ThermalReport(
     scene_K=300.0,
     band_um=(8.0, 12.0),
     wavelengths_um=(8.0, 10.0, 12.0),
+    band_error=0.004,
     detector="detector",
     returned=[
         Return("lens_<rear>", "lens", Estimate(0.0015, 1e-4), Estimate(0.25, 0.02)),

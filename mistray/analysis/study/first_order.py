@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from mistray.analysis.image_quality.design_light import media
 from mistray.sampling.design_path import DesignPath
 from mistray.sampling.outlines import outline
 from mistray.sampling.source import SceneSource
@@ -56,7 +57,8 @@ class FirstOrder:
     stop : str
         Surface that the light just outside of the pupil ends at.
     f_number : float
-        Focal length over the pupil's diameter.
+        Working F-number of the image, 1/(2 n sin u): n of the medium before the detector, u the angle that the light
+        from the edge of the pupil has with the base ray there; ``inf`` if afocal.
     field_deg : dict
         Field angles of the light whose base ray meets the detector's edges: "x" and "y" (half width and half height)
         and "diagonal" (its corner); NaN where there is none below 89°. Of a round detector all are the same.
@@ -99,7 +101,7 @@ def first_order(scene: Any, path: DesignPath) -> FirstOrder:
         pupil_diameter_mm=diameter,
         pupil_area_mm2=area,
         stop=stop,
-        f_number=abs(focal) / diameter if diameter > 0 else math.nan,
+        f_number=_working_f_number(scene, path, diameter / 2) if math.isfinite(focal) else math.inf,
         field_deg=_field(scene, path),
     )
 
@@ -174,6 +176,19 @@ def _pupil(scene: Any, path: DesignPath) -> tuple[float, float, str]:
     surface = Counter(edge[open_ways].tolist()).most_common(1)[0][0]
     area = math.pi * float(np.mean(outer**2 - inner**2)) * free
     return 2 * math.sqrt(float(np.mean(outer**2))), area, path.table.ids[surface] if surface >= 0 else "-"
+
+
+def _working_f_number(scene: Any, path: DesignPath, radius: float) -> float:
+    """1/(2 NA) by rays through a circle of a radius, mm, about the base ray; NaN if none arrives."""
+    phi = 2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
+    x, y = (np.append(0.0, radius * along) for along in (np.cos(phi), np.sin(phi)))
+    o, d = scene_sources(scene, field_deg=0.0)[0].through(x, y)
+    for step in path.steps[:-1]:
+        o, normal = path.meet(step, o, d)
+        d = path.leave(step, d, normal)
+    square = (np.cross(d[1:], d[0]) ** 2).sum(axis=1)
+    square = square[np.isfinite(square)]
+    return 1 / (2 * media(path)[-1].real * math.sqrt(float(square.mean()))) if square.any() else math.nan
 
 
 def _off_axis(centre: np.ndarray, source: SceneSource) -> float:

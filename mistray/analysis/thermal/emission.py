@@ -18,7 +18,7 @@ import numpy as np
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.thermal.narcissus import Return, mean_returns, returns
-from mistray.analysis.thermal.spectrum import band_weights, traced_wavelengths
+from mistray.analysis.thermal.spectrum import BAND_ERROR, DISPERSIVE, TracedBand, band_weights, traced_wavelengths
 from mistray.errors import MistrayError
 from mistray.execute.seen import Seen, see
 from mistray.ids import fits
@@ -95,12 +95,15 @@ class ThermalReport:
         Emission of the detector in its own view (narcissus).
     nitd_K : Estimate
         Narcissus: change of the scene's temperature that would take as much light from the detector as the view of all
-        that is colder than `temperature_K` by way of ghosts and scatter, the detector first of all; see
+        that is colder than `temperature_K` by way of ghosts and scatter, the detector first of all, at `scene_K`; see
         `mistray.physics.planck.narcissus_nitd`. NaN where no scene is seen or nothing is colder.
     temperature_K, detector_K, scene_K : float
     band_um : (float, float)
     wavelengths_um : tuple of float
         At which the optics were traced.
+    band_error : float
+        Bound of the relative error of integrals over the band by these wavelengths; over √3 it is a part of the errors
+        of irradiances. NaN where the optics are not known all over the band.
     detector : str
     returned : list of Return
         Surfaces by which the cold detector sees itself, the strongest first; empty if it is not colder than the rest.
@@ -122,6 +125,7 @@ class ThermalReport:
     scene_K: float
     band_um: tuple[float, float]
     wavelengths_um: tuple[float, ...]
+    band_error: float
     detector: str
     returned: list[Return] = field(default_factory=list)
     facts: dict[str, Any] = field(default_factory=dict)
@@ -201,10 +205,11 @@ def thermal(
         Temperature of the blackbody around the system; by default `temperature_K`.
     wavelengths_um : float or sequence of float, optional
         Where the optics are traced, ascending. By default the middle of the band where nothing depends on the
-        wavelength, else its ends and its middle.
+        wavelength, else as many as tell the integral over the band to 1 %, see `traced_wavelengths`.
     detector : str, optional
     rays : int, optional
-        Of each trace; by default 200 000. There are two for each wavelength: of everything, and of the image.
+        Of each trace; by default 200 000, of more than three wavelengths 600 000 over their number. There are two for
+        each wavelength: of everything, and of the image.
     progress : callable, optional
         Called with the traces done and their number.
     seconds : float, optional
@@ -229,7 +234,10 @@ def thermal(
         WAVELENGTH_UM.check("band_um", end)
     if low >= high:
         raise MistrayError(f"band_um is {low:g} to {high:g}; give the shorter wavelength first")
-    waves = traced_wavelengths(scene, wavelengths_um, (low, high))
+    traced = traced_wavelengths(scene, wavelengths_um, (low, high), [float(temperature_K), outside, *rules.values()])
+    waves = traced.wavelengths_um
+    # More wavelengths than three share the rays of three: the error of the integral is about the same
+    each = rays or min(RAYS, DISPERSIVE * RAYS // len(waves))
     _check_names(scene, rules)
     chosen = Settings.without_sources(scene, **settings)
     runs: tuple[list[Seen], list[Seen]] = ([], [])
@@ -239,20 +247,20 @@ def thermal(
             # Independent traces, whose errors add in quadrature
             more = {**settings, **limits, "seed": (chosen.seed + done) % 2**32}
             with share(1 / (traces - done)):
-                runs[which].append(see(scene, rays or RAYS, wavelength_nm=1e3 * wave, detector=detector, **more))
+                runs[which].append(see(scene, each, wavelength_nm=1e3 * wave, detector=detector, **more))
             if progress is not None:
                 progress(done + 1, traces)
-    report = _report(*runs, waves, (low, high), float(temperature_K), outside, rules, settings)
+    report = _report(*runs, traced, (low, high), float(temperature_K), outside, rules, settings)
     light = {"wavelength_nm": [1e3 * wave for wave in waves], "detector": detector}
     report.notes.extend(unpolarized_notes(scene, [light], **settings))
-    planned = traces * (rays or RAYS)
+    planned = traces * each
     if report.facts["rays"] < 0.99 * planned:  # batches are of one size, so that a few rays may be left out
         report.notes.append(
             f"{report.facts['rays']:.4g} of {planned:.4g} rays were traced in the time; errors are theirs"
         )
     if report.detector_K >= report.temperature_K or not report.self_view.value:
         return report
-    fewer = min(rays or RAYS, RETURN_RAYS)
+    fewer = min(each, RETURN_RAYS)
     found = [
         returns(scene, report.detector, wave, fewer, (chosen.seed + number) % 2**32, chosen)
         for number, wave in enumerate(waves)
@@ -321,7 +329,7 @@ def _emitter(key: Key, kelvin: float, weights: np.ndarray, seen: Sequence[Seen])
 def _report(
     seen: Sequence[Seen],
     image: Sequence[Seen],
-    waves: tuple[float, ...],
+    traced: TracedBand,
     band: tuple[float, float],
     default_K: float,
     scene_K: float,
@@ -329,30 +337,39 @@ def _report(
     settings: Mapping[str, Any],
 ) -> ThermalReport:
     """The report of the traces at the wavelengths, of everything and of the image."""
-    kelvin = _temperatures(seen, default_K, rules)
+    waves, kelvin = traced.wavelengths_um, _temperatures(seen, default_K, rules)
     weights = {k: np.pi * band_weights(k, band, waves) for k in {*kelvin.values(), default_K, scene_K}}
+
+    def known(value: Estimate) -> Estimate:
+        """With the error of the band's integral: that of even chances within its bounds."""
+        more = traced.error / math.sqrt(3) if math.isfinite(traced.error) else 0.0  # a note says if it is not known
+        return Estimate(value.value, math.hypot(value.se, more * value.value))
+
     emitters = [_emitter(key, k, weights[k], seen) for key, k in kelvin.items()]
-    emitters = [e for e in emitters if e.hits or e.kind == "medium"]
+    emitters = [
+        replace(e, irradiance_W_mm2=known(e.irradiance_W_mm2)) for e in emitters if e.hits or e.kind == "medium"
+    ]
     # Surfaces of one trace share its rays: the error of their sum is that of sums by batch
     warmth = [
         np.sum([weights[k][number] * _emission(one, key) for key, k in kelvin.items()], axis=0)
         for number, one in enumerate(seen)
     ]
     detector = seen[0].detector
-    image_irradiance = _sum(weights[scene_K], [one.escaped[2] for one in image])
+    image_irradiance = known(_sum(weights[scene_K], [one.escaped[2] for one in image]))
     return ThermalReport(
         emitters=sorted(emitters, key=lambda e: -e.irradiance_W_mm2.value),
-        total_W_mm2=_sum(np.ones(len(waves)), warmth),
-        scene_W_mm2=_sum(weights[scene_K], [one.escaped[2] for one in seen]),
+        total_W_mm2=known(_sum(np.ones(len(waves)), warmth)),
+        scene_W_mm2=known(_sum(weights[scene_K], [one.escaped[2] for one in seen])),
         image_W_mm2=image_irradiance,
         lost_W_mm2=float(weights[default_K] @ [one.lost[0] for one in seen]),
         self_view=next((e.emission for e in emitters if (e.kind, e.name) == ("surface", detector)), Estimate(0.0, 0.0)),
-        nitd_K=_nitd(seen, image, kelvin, weights, default_K, band),
+        nitd_K=_nitd(seen, image, kelvin, weights, default_K, _per_kelvin(image, scene_K, band, waves)),
         temperature_K=default_K,
         detector_K=kelvin["surface", detector],
         scene_K=scene_K,
         band_um=band,
         wavelengths_um=waves,
+        band_error=traced.error,
         detector=detector,
         facts={
             "rays": sum(one.rays for one in (*seen, *image)),
@@ -360,7 +377,7 @@ def _report(
             "detector_area_mm2": seen[0].detector_area_mm2,
             "settings": {key: value for key, value in settings.items() if value is not None},
         },
-        notes=_notes(seen, image_irradiance, waves, band),
+        notes=_notes(seen, image_irradiance, traced, band),
     )
 
 
@@ -370,7 +387,7 @@ def _nitd(
     kelvin: Mapping[Key, float],
     weights: Mapping[float, np.ndarray],
     housing_K: float,
-    band: tuple[float, float],
+    per_kelvin: Estimate,
 ) -> Estimate:
     """Temperature difference by what is colder than the housing and seen by way of ghosts or scatter."""
     cold = {key: k for key, k in kelvin.items() if k < housing_K}
@@ -391,12 +408,13 @@ def _nitd(
     # However the detector sees itself; a cold shield only where it is not seen directly
     everything, direct = missing(seen, cold), missing(image, other)
     returned = Estimate(everything.value - direct.value, math.hypot(everything.se, direct.se))
-    return returned.over(_per_kelvin(image, weights[housing_K], housing_K, band))
+    return returned.over(per_kelvin)
 
 
-def _per_kelvin(image: Sequence[Seen], weights: np.ndarray, scene_K: float, band: tuple[float, float]) -> Estimate:
+def _per_kelvin(image: Sequence[Seen], scene_K: float, band: tuple[float, float], waves: tuple[float, ...]) -> Estimate:
     """Change of the irradiance of the imaged scene by its temperature, W/(mm² K)."""
-    spectrum = weights / max(float(weights.sum()), np.finfo(float).tiny)
+    above, below = (band_weights(factor * scene_K, band, waves) for factor in (1.001, 0.999))
+    spectrum = (above - below) / max(float((above - below).sum()), np.finfo(float).tiny)
     transmitted = _sum(spectrum, [one.escaped[2] for one in image])
     slope = float(np.pi * planck.band_derivative(scene_K, *band))
     return Estimate(slope * transmitted.value, slope * transmitted.se)
@@ -410,16 +428,23 @@ def _returned(
         np.pi * band_weights(kelvin, report.band_um, report.wavelengths_um)
         for kelvin in (report.temperature_K, report.detector_K)
     )
-    per_kelvin = _per_kelvin(runs[1], housing, report.temperature_K, report.band_um)
+    per_kelvin = _per_kelvin(runs[1], report.scene_K, report.band_um, report.wavelengths_um)
     emissions, missing = mean_returns(found, housing / housing.sum()), mean_returns(found, housing - own)
     parts = {row.id: row.part for row in runs[0][0].rows}
     rows = [Return(name, parts.get(name, ""), emissions[name], missing[name].over(per_kelvin)) for name in emissions]
     return sorted(rows, key=lambda row: -row.emission.value)
 
 
-def _notes(seen: Sequence[Seen], image: Estimate, waves: tuple[float, ...], band: tuple[float, float]) -> list[str]:
+def _notes(seen: Sequence[Seen], image: Estimate, traced: TracedBand, band: tuple[float, float]) -> list[str]:
     """What a reader must know."""
-    notes = []
+    notes, waves = [], traced.wavelengths_um
+    if traced.error > BAND_ERROR:
+        notes.append(
+            f"the optics were traced at {len(waves)} wavelengths, between which they differ: integrals over the band "
+            f"have an error of {percent_text(traced.error)}; leave wavelengths_um (--wavelength-um) out"
+        )
+    if math.isnan(traced.error):
+        notes.append("the optics are not known all over the band: how well these wavelengths stand for it is not known")
     lost = max(one.lost[0] for one in seen)
     view = sum(row.emission for row in seen[0].rows) + seen[0].escaped[0] + seen[0].lost[0]
     if lost > LOST_WARNING * view:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from mistray.coatings import METAL_K, Stack
+from mistray.coatings.table import CoatingTable
 from mistray.errors import MistrayError
+from mistray.materials import table_nodes_nm
 from mistray.physics import planck
 from mistray.ranges import WAVELENGTH_UM
 from mistray.surfaces.optics import unpolarized_shares
@@ -17,12 +22,18 @@ from mistray.surfaces.optics import unpolarized_shares
 if TYPE_CHECKING:
     import mitsuba as mi
 
-DISPERSIVE = 3  # wavelengths where something depends on them
+DISPERSIVE = 3  # wavelengths at first where something depends on them
+MOST_WAVELENGTHS = 64
+BAND_ERROR = 0.01  # relative, of the integral over the band
+EVEN_NODES = 65  # across the band, beside those of tables
+LENGTHS = np.array([1.0, 0.3, 0.1, 0.03, 0.01])  # of bodies, in units of the scene's size
+LEAST_SHARE = 1e-3  # of the band's light: relative to less no error counts
 SAME = 1e-9  # relative difference of what counts as constant
 PROBED_R, PROBED_COSINES = np.array([1e-4, 1e-2, 0.3]), np.array([1.0, 0.8, 0.5, 0.2])
+NUMBERS = 4 + 4 * len(PROBED_COSINES)  # of an interface before those of its scatter
 
 
-def band_weights(temperature_K: float, band_um: tuple[float, float], wavelengths_um: Sequence[float]) -> np.ndarray:
+def band_weights(temperature_K: float, band_um: tuple[float, float], wavelengths_um: npt.ArrayLike) -> np.ndarray:
     """
     Weights with which values at some wavelengths add up to their integral with Planck's spectrum over a band.
 
@@ -47,11 +58,35 @@ def band_weights(temperature_K: float, band_um: tuple[float, float], wavelengths
     return weights
 
 
-def traced_wavelengths(
-    scene: mi.Scene, given: float | Sequence[float] | None, band_um: tuple[float, float]
-) -> tuple[float, ...]:
+@dataclass(frozen=True)
+class TracedBand:
     """
-    The given wavelengths, or the middle of the band where nothing depends on them, else its ends and its middle, µm.
+    Where the optics are traced, and how well that tells what they emit in a band.
+
+    Attributes
+    ----------
+    wavelengths_um : tuple of float
+    error : float
+        Largest relative error of a band's integral by linear interpolation between them; NaN where the optics are not
+        known all over the band.
+    """
+
+    wavelengths_um: tuple[float, ...]
+    error: float
+
+
+def traced_wavelengths(
+    scene: mi.Scene,
+    given: float | Sequence[float] | None,
+    band_um: tuple[float, float],
+    temperatures_K: Sequence[float] = (293.0,),
+) -> TracedBand:
+    """
+    The given wavelengths, or as many as tell the integral over the band to 1 %, µm.
+
+    That is the middle of the band where nothing depends on them. Else its ends and its middle are taken, and then, one
+    by one, nodes of the tables of materials and coatings and an even grid between them. The next lies where what a
+    surface or a body absorbs, reflects or transmits is farthest from the line between its neighbours.
 
     Raises
     ------
@@ -67,25 +102,71 @@ def traced_wavelengths(
             raise MistrayError(f"wavelengths_um is {given}; give one or more in ascending order")
         for wave in waves:
             WAVELENGTH_UM.check("wavelengths_um", float(wave))
-    depends = False
-    for shape in scene.shapes():
-        bsdf = shape.bsdf()
-        if not hasattr(bsdf, "complex_indices"):  # no optical surface
-            continue
-        found = []
+    optical = {shape.id(): shape.bsdf() for shape in scene.shapes() if hasattr(shape.bsdf(), "complex_indices")}
+    for name, bsdf in optical.items():
         for wave in waves:
             try:
-                found.append(_optics(bsdf, 1e3 * wave))
+                _optics(bsdf, 1e3 * wave)
             except MistrayError as error:
                 raise MistrayError(
-                    f"surface '{shape.id()}' at {wave:g} µm: {error}; or give wavelengths_um (--wavelength-um) at "
+                    f"surface '{name}' at {wave:g} µm: {error}; or give wavelengths_um (--wavelength-um) at "
                     "which all materials are known, what the optics emit there is then taken for the whole band"
                 ) from None
-        first = found[0]
-        depends |= any(len(one) != len(first) or not np.allclose(one, first, rtol=SAME, atol=0) for one in found)
-    if given is None and not depends:
-        return (0.5 * (low + high),)
-    return tuple(map(float, waves))
+    nodes = _nodes(list(optical.values()), band_um)
+    try:
+        found = [[_optics(bsdf, 1e3 * wave) for wave in nodes] for bsdf in optical.values()]
+    except MistrayError:  # not known somewhere between those that are given
+        return TracedBand(tuple(map(float, waves)), math.nan)
+    if all(len(one) == len(rows[0]) and np.allclose(one, rows[0], rtol=SAME, atol=0) for rows in found for one in rows):
+        return TracedBand(tuple(map(float, waves)) if given is not None else (0.5 * (low + high),), 0.0)
+    size = float(np.linalg.norm(np.array(scene.bbox().max) - np.array(scene.bbox().min)))
+    shares = np.concatenate([_shares(np.array([one[:NUMBERS] for one in rows]), size) for rows in found], axis=1)
+    weights = np.array([band_weights(kelvin, band_um, nodes) for kelvin in temperatures_K if kelvin > 0])
+    if not len(weights):
+        return TracedBand(tuple(map(float, waves)), 0.0)
+    weights /= weights.sum(axis=1, keepdims=True)
+    whole = np.maximum(weights @ shares, LEAST_SHARE)
+
+    def errors(at: np.ndarray) -> np.ndarray:
+        """(temperatures, nodes, shares) part of the relative error that each node has."""
+        lines = np.stack([np.interp(nodes, at, np.interp(at, nodes, column)) for column in shares.T], axis=1)
+        return np.asarray(weights[:, :, None] * np.abs(shares - lines) / whole[:, None])
+
+    while True:
+        parts = errors(waves)
+        sums = parts.sum(axis=1)
+        worst = float(sums.max())
+        if given is not None or worst <= BAND_ERROR or len(waves) >= MOST_WAVELENGTHS:
+            return TracedBand(tuple(map(float, waves)), worst)
+        row, column = np.unravel_index(int(sums.argmax()), sums.shape)
+        of_node = parts[row, :, column]
+        interval = np.clip(np.searchsorted(waves, nodes, side="right"), 1, len(waves) - 1)
+        chosen = interval == np.bincount(interval, of_node).argmax()
+        apart = np.where(chosen, of_node / np.maximum(weights[row], 1e-300), -1.0)
+        waves = np.sort(np.append(waves, nodes[int(apart.argmax())]))
+
+
+def _nodes(bsdfs: Sequence[Any], band_um: tuple[float, float]) -> np.ndarray:
+    """Wavelengths of the tables of materials and coatings in a band, and an even grid, µm."""
+    found = [np.linspace(*band_um, EVEN_NODES)]
+    for bsdf in bsdfs:
+        if not bsdf.opaque or isinstance(bsdf.coating, Stack):
+            found += [1e-3 * np.array(table_nodes_nm(material)) for material in (bsdf.front, bsdf.back)]
+        if isinstance(bsdf.coating, Stack):
+            found += [1e-3 * np.array(table_nodes_nm(layer.material)) for layer in bsdf.coating.layers]
+        if isinstance(bsdf.coating, CoatingTable):
+            found.append(1e-3 * bsdf.coating.wavelength_nm)
+    every = np.unique(np.concatenate(found))
+    return every[(every >= band_um[0]) & (every <= band_um[1])]
+
+
+def _shares(numbers: np.ndarray, size: float) -> np.ndarray:
+    """(nodes, shares) absorbed in bodies of some lengths, mm, reflected, transmitted and absorbed by a surface."""
+    depths = 4e6 * np.pi * numbers[:, 2:4, None] * (size * LENGTHS)  # k/λ of both sides, 1/nm
+    # From either side R and then T at each cosine
+    sides = numbers[:, 4:].reshape(len(numbers), 2, 2, -1)
+    absorbed = np.clip(1 - sides.sum(axis=2), 0, 1)
+    return np.concatenate([part.reshape(len(numbers), -1) for part in (-np.expm1(-depths), sides, absorbed)], axis=1)
 
 
 def _optics(bsdf: Any, wavelength_nm: float) -> np.ndarray:
@@ -96,11 +177,12 @@ def _optics(bsdf: Any, wavelength_nm: float) -> np.ndarray:
         sides = complex(front), complex(back)
     opaque = bsdf.opaque or max(n.imag for n in sides) > METAL_K
     numbers = [*(n.real for n in sides), *(n.imag / wavelength_nm for n in sides)]
+    scatter: list[float] = []
     for from_front in (True, False):
         shares = unpolarized_shares(bsdf.coating, wavelength_nm, sides, opaque, from_front, PROBED_COSINES)
         numbers += np.concatenate(shares).tolist()
         n_in, n_out = (n.real for n in (sides if from_front else sides[::-1]))
         for model in bsdf.scatter:
             for lobe in model.lobes(wavelength_nm, n_in, n_out, from_front):
-                numbers += [*lobe.shares, *np.asarray(lobe.profile(PROBED_R)).tolist()]
-    return np.array(numbers)
+                scatter += [*lobe.shares, *np.asarray(lobe.profile(PROBED_R)).tolist()]
+    return np.array([*numbers, *scatter])

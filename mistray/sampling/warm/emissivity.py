@@ -10,7 +10,6 @@ from mistray.kernel.interaction import interact
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
 from mistray.surfaces.host_points import across, surface_points
-from mistray.surfaces.optics import BACK_MEDIUM_SHIFT, FRONT_MEDIUM_SHIFT, MEDIUM_MASK
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
@@ -65,10 +64,9 @@ def emissivities(table: SurfaceTable, cosines: np.ndarray) -> np.ndarray:
 def medium_of(table: SurfaceTable, surface: int, side: int) -> int:
     """Number of the material on a side of a surface; 0: one that no surface lets light into."""
     optics = table.optics
-    shift = FRONT_MEDIUM_SHIFT if side == FRONT else BACK_MEDIUM_SHIFT
-    if number := int(optics.host_words[surface] >> shift) & MEDIUM_MASK:
+    if number := int(optics.declared[surface, side]):
         return number
-    material = material_of(table, surface, side)  # of an opaque one, such as the painted edge of a lens
+    material = material_of(table, surface, side)  # an opaque one that does not say is in air
     return optics.media.index(material) if material in optics.media else 0
 
 
