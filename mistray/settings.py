@@ -181,7 +181,7 @@ class Settings:
     polarization: str = Words(("auto", "unpolarized", "stokes")).field(
         "auto",
         "means of s and p at every hit, or Stokes vectors along paths; auto: Stokes where it changes a listed path by "
-        "more than 1 %",
+        "more than a hundredth",
     )
     max_scatters: int = LIMIT.field(1, "scatter events on one path; 0: none")
     max_optical_scatters: int = LIMIT.field(NO_LIMIT, "those of them at surfaces that transmit")

@@ -97,7 +97,7 @@ class Case:
     @cached_property
     def trace(self) -> mistray.trace.Trace:
         """All paths."""
-        return mistray.trace(self.scene, **self.settings)
+        return mistray.trace(self.scene, **{"polarization": "unpolarized", **self.settings})
 
     @cached_property
     def paths(self) -> FrozenPaths:

@@ -151,7 +151,7 @@ def structure(number: int) -> Structure:
             faces[1] = Face(faces[1].form, "bare" if by_oracle else faces[1].coating, faces[1].scatter)
         bodies.append(Body(tuple(faces), rng.random() < 0.4, not by_oracle and rng.random() < 0.15))
     choice = rng.choice
-    settings: dict[str, Any] = {} if by_oracle else {
+    settings: dict[str, Any] = {"polarization": "unpolarized"} if by_oracle else {
         "splitting": choice(("split", "split", "one")),
         "below_threshold": choice(("cut", "cut", "roulette")),
         "polarization": choice(("unpolarized", "unpolarized", "stokes")),

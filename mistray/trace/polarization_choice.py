@@ -28,10 +28,9 @@ from mistray.trace.both_ways import Arrivals, follow
 
 BEAM = ("azimuth_deg", "wavelength_nm", "weights", "detector")  # what else than the field says which light starts
 WORTH_IT = 0.01  # change of a printed number that Stokes vectors are taken for
-DOUBT, FAR_BELOW = 0.75, 0.1  # shares of that from which the pilot looks more closely, after the first round and before
-SURE = 2.0  # standard errors of the pilot by which a change must exceed that
-ROUNDS = (32, 160, 640)  # start rays of a beam; the second where the first is not clear, the third in doubt
-MOST_HITS = 20_000  # that a beam may take
+SURE = 2.0  # standard errors by which a change must exceed that, for the pilot to end early
+ROUNDS = (96, 640)  # start rays of a beam; the second in doubt
+MOST_HITS = 40_000  # that a beam may take
 NOTED = 3  # beams of a result that stays unpolarised
 MOST_RUNS = 8  # sources and wavelengths that it looks at, spread over all
 LISTED, LEAST_HITS = 8, 4  # stray paths by power and by RMS irradiance that count, and branches of each
@@ -148,10 +147,9 @@ def chosen_polarization(
     if not any(_polarizes(table) for table in tables.values()):
         return PolarizationChoice("unpolarized", "no surface tells s from p", 0.0)
     rows = _pilot(_spread(runs, MOST_RUNS))
-    surest = max(rows, key=lambda row: row.least, default=_Row("no path"))
-    if surest.least > WORTH_IT:
-        return PolarizationChoice("stokes", f"Stokes vectors change {surest.words}", surest.change)
     largest = max(rows, key=lambda row: abs(row.change), default=_Row("no path"))
+    if abs(largest.change) > WORTH_IT:
+        return PolarizationChoice("stokes", f"Stokes vectors change {largest.words}", largest.change)
     return PolarizationChoice(
         "unpolarized", f"Stokes vectors change {largest.words}, and a pilot finds no more", largest.change
     )
@@ -210,9 +208,7 @@ def _pilot(runs: Sequence[tuple[str, Run]]) -> list[_Row]:
         for field in dict.fromkeys(field for field, _ in runs):
             listed += _listed(field, [row for (where, *_), row in found.items() if where == field])
         sure = any(row.least > WORTH_IT for row in listed)
-        # The first few rays may not have met all that is listed: there only changes far below 1 % are clear
-        limit = DOUBT * WORTH_IT if number > 1 else FAR_BELOW * WORTH_IT
-        doubtful = any(abs(row.change) > limit for row in (listed if number > 1 else found.values()))
+        doubtful = any(abs(row.change) > WORTH_IT for row in listed)
         if sure or not doubtful or number == len(ROUNDS):
             break
         if hits + (hits - before) * ROUNDS[number] / count > MOST_HITS * beams:

@@ -47,7 +47,7 @@ class TestPlateAt45Degrees:
             assert row.polarization_se < 1e-6
 
     def test_unpolarized_traces_do_not_pretend(self, load_text) -> None:
-        t = mistray.trace(load_text(plates_text(1))[0], rays=64, field_deg=45.0)
+        t = mistray.trace(load_text(plates_text(1))[0], rays=64, field_deg=45.0, polarization="unpolarized")
         assert np.isnan(t.paths[0].polarization)
 
     def test_many_plates_polarize(self, load_text) -> None:

@@ -99,7 +99,9 @@ def scene(number: int) -> str:
 
 def traced(number: int, folder: Path, rays: int = RAYS) -> tuple[Path, Any]:
     path = write(folder, scene(number))
-    return path, mistray.trace(mistray.load(path), rays=rays, seed=number, max_reflections=3, flux_threshold=0.0)
+    return path, mistray.trace(
+        mistray.load(path), rays=rays, seed=number, max_reflections=3, flux_threshold=0.0, polarization="unpolarized"
+    )
 
 
 def faults(t: Any) -> list[str]:
