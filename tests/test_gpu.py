@@ -37,14 +37,14 @@ PROGRAM = """
 
     lens = mistray.load("cooke_triplet")
     for field, t in mistray.ghosts(lens, field_deg=[0.0, 10.0], rays=rays).items():
-        found[f"ghosts at {field:g}"] = {row.events: (row.power_W, row.power_se_W) for row in t.paths}
+        found[f"ghosts at {field:g}"] = {row.events: t.paths.power([row.path_id]) for row in t.paths}
         found[f"energy at {field:g}"] = {
             "detected": (t.energy.detected_W, t.energy.detected_se_W),
             "escaped": (t.energy.escaped_W, t.energy.escaped_se_W),
             "closure": (t.energy.closure, 1e-6),
         }
     t = mistray.trace(lens, rays=rays, max_reflections=2, polarization="stokes")
-    found["polarised"] = {row.events: (row.power_W, row.power_se_W) for row in t.paths}
+    found["polarised"] = {row.events: t.paths.power([row.path_id]) for row in t.paths}
     worst = t.paths[1].path_id
     image, error = t.irradiance_of([worst])
     found["map"] = {"sum": (float(image.sum()), float((error**2).sum() ** 0.5))}
@@ -53,7 +53,7 @@ PROGRAM = """
 
     # A sphere and a detector of Mitsuba's own: rays meet them by OptiX, inside the loop of the kernel
     t = mistray.trace(mistray.load(ball), rays=rays)
-    found["stock shapes"] = {row.events: (row.power_W, row.power_se_W) for row in t.paths}
+    found["stock shapes"] = {row.events: t.paths.power([row.path_id]) for row in t.paths}
 
     phone = mistray.load("phone_camera_scatter")
     p = mistray.pst(phone, [40.0], rays=2 * rays, max_reflections=1)

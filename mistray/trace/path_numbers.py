@@ -12,6 +12,7 @@ from mistray.recorders.ledger import SUMS
 from mistray.recorders.sampled import Sampled, batch_error
 
 CHUNK = 1024  # paths that are worked out together
+ROUNDING = 1e-6  # of numbers of rays of equal weight
 ERROR_RAYS = 10  # that an error should stand on: the variance of the variance is below 0.1 then
 # Columns of `RunSums.columns`; the last three are the sums of s1, s2, s3
 RAYS, INCIDENT, ABSORBED, BY_X, BY_Y, BY_SQUARE, S1, S2, S3 = range(9)
@@ -125,7 +126,7 @@ class PathNumbers:
             count, second, fourth = (np.bincount(kind, values)[kind] for values in np.nan_to_num(each))
             pooled = np.where(fourth > 0, rays * second**2 / (count * fourth), np.inf)
             found = np.nan_to_num(np.minimum(own, pooled), nan=0.0)
-        few = ~(found >= ERROR_RAYS)
+        few = found < ERROR_RAYS * (1 - ROUNDING)
         columns = {
             name: np.where(few, np.nan, values) if is_error(name) else values for name, values in self.columns.items()
         }

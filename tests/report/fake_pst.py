@@ -36,10 +36,20 @@ PATHS = (
     ("detector:A", 0, "straight shot", "-", "-", "-", 0, 0),
 )
 COLUMNS = [
-    "cell", "azimuth_cell", "events", "path", "order", "kind", "ghost_1", "ghost_2", "scatter_1", "scatters",
-    "structure_bounces", "tir", "rays", "pst_normal", "pst_normal_se",
+    "cell", "azimuth_cell", "key", "label", "events", "path", "order", "kind", "ghost_1", "ghost_2", "scatter_1",
+    "scatters", "structure_bounces", "tir", "rays", "pst_normal", "pst_normal_se",
 ]  # fmt: skip
 CLASS_OF_PATH = (0, 2, 3, 3, 3, 4, 2, 1)
+
+
+def label(kind: str, ghost_1: str, ghost_2: str, scatter_1: str) -> str:
+    """The name that a path has in a real table."""
+    if scatter_1 != "-":
+        return f"scatter at {scatter_1}"
+    ghosts = " → ".join(name for name in (ghost_1, ghost_2) if name != "-")
+    if kind == "structure":
+        return f"{ghosts} (structure)"
+    return ghosts or ("direct image" if kind == "direct" else kind)
 
 
 def levels(theta: np.ndarray) -> np.ndarray:
@@ -87,6 +97,8 @@ def fake_pst(
         {
             "cell": i,
             "azimuth_cell": j,
+            "key": f"{p:010x}",
+            "label": label(kind, ghost_1, ghost_2, scatter_1),
             "events": events,
             "path": "".join(word[-1] for word in events.split()),
             "order": order,

@@ -28,8 +28,7 @@ def reflecting(report: GhostReport) -> list[tuple[float, str, Estimate]]:
     for field in report:
         rows = report.top(field, BRIGHTEST, "power")
         for surface, own in rows[rows.ghost_1.astype(bool)].groupby("ghost_1", sort=False):
-            power = Estimate(float(own.power_W.sum()), float(np.hypot.reduce(own.power_se_W)))
-            found.append((field, str(surface), power))
+            found.append((field, str(surface), report.power_of(field, own)))
     return found
 
 

@@ -116,17 +116,13 @@ def test_top_paths_stand_beside_each_other_with_their_shares(pst: Pst) -> None:
     assert [float(share), float(second_share)] == pytest.approx(list(expected.percent_of_stray), rel=5e-3)
 
 
-def test_paths_of_one_name_are_told_apart_by_their_turns() -> None:
+def test_names_are_those_of_the_rows() -> None:
+    """Whatever the other rows of an angle are; that names tell paths apart is held where they are made."""
     pst = fake_pst(field_deg=(40,))
-    rows = pst.path_rows
-    stop = rows.scatter_1 == "stop_wall"
-    twin = {"scatter_1": "barrel_1", "path": "TrRA", "events": "L1_front:T barrel_1:r mirror:R detector:A"}
-    for name, value in twin.items():
-        rows.loc[stop, name] = value
+    pst.path_rows.loc[pst.path_rows.scatter_1 == "stop_wall", "label"] = "L1_front:T barrel_1:r mirror:R"
     text = top_paths_text(pst, 4)
-    assert "  barrel_1:r  " in text
-    assert "  barrel_1:r mirror:R  " in text
-    assert "scatter at window_front  " in text
+    assert "scatter at barrel_1  " in text
+    assert "  L1_front:T barrel_1:r mirror:R" in text
 
 
 def test_text_names_convention_method_and_denominator(pst: Pst) -> None:

@@ -107,7 +107,7 @@ def test_a_small_detector_beside_the_beam(splitting: str, angle_deg: float, half
 def through(trace: mistray.Trace, surface: str) -> tuple[float, float]:
     """Power and its standard error of the light that is scattered in the block and leaves it through a surface."""
     rows = [row for row in trace.paths if row.events.count(":") == 4 and row.events.endswith(f"{surface}:T detector:A")]
-    return sum(row.power_W for row in rows), float(np.sqrt(sum(row.power_se_W**2 for row in rows)))
+    return trace.paths.power([row.path_id for row in rows])
 
 
 def test_aimed_and_unaimed_agree_where_light_is_refracted() -> None:
@@ -164,8 +164,8 @@ def test_a_lens_on_the_design_path_is_aimed_at_the_image_of_the_detector() -> No
     assert sides == {("first", True), ("second", False), ("edge", False)}
 
     def scattered(aim: str, rays: int) -> tuple[float, float]:
-        rows = [row for row in mistray.trace(scene, rays=rays, aim=aim, max_reflections=0).paths if row.scatters]
-        return sum(row.power_W for row in rows), float(np.sqrt(sum(row.power_se_W**2 for row in rows)))
+        paths = mistray.trace(scene, rays=rays, aim=aim, max_reflections=0).paths
+        return paths.power(np.flatnonzero(paths.column("scatters")))
 
     aimed, se = scattered("auto", 20_000)
     blind, blind_se = scattered("none", 400_000)

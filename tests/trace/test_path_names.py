@@ -14,6 +14,7 @@ import mistray
 from mistray.analysis.pst.causes import stray_paths
 from mistray.errors import MistrayWarning
 from mistray.recorders.path_events import describe_events
+from mistray.report.tables.pst import path_frame
 from mistray.scene.load import shipped_scenes
 
 SURFACES = {"front": GLASS, "rear": GLASS, "mirror": REFLECTOR, "bevel": EDGE, "tube": STRUCTURE, "detector": SENSOR}
@@ -63,6 +64,9 @@ def test_different_paths_have_different_names() -> None:
 def test_no_name_is_blank_or_given_twice_in_a_pst(scene: str) -> None:
     pst = mistray.pst(mistray.load(scene), [18.0, 20.0, 22.0, 24.0], rays=4_000)
     named: dict[str, str] = {}
+    file = path_frame(pst)  # of pst_paths.csv
+    assert (file.groupby("events")[["label", "key"]].nunique() == 1).all(axis=None)
+    assert (file.groupby("key").events.nunique() == 1).all()
     for angle in pst.field_deg:
         rows = stray_paths(pst, angle)
         assert all(named.setdefault(*pair) == pair[1] for pair in zip(rows.events, rows.label, strict=True))

@@ -111,7 +111,7 @@ def faults(t: Any) -> list[str]:
         found.append(f"closure {e.closure / e.launched_W:.2g} of the launched flux")
     flux = [e.detected_W, e.escaped_W, *(v for v, _ in e.absorbed.values()), *(row.power_W for row in t.paths)]
     flux += [row.incident_W for row in t.surfaces]
-    spots = [getattr(row, key) for row in t.paths for key in ("power_se_W", "x_mm", "y_mm", "rms_radius_mm")]
+    spots = [getattr(row, key) for row in t.paths for key in ("error_rays", "x_mm", "y_mm", "rms_radius_mm")]
     if not np.isfinite([*flux, *spots]).all() or not np.isfinite(t.irradiance).all():
         found.append("numbers that are not finite")
     if min(flux, default=0.0) < 0:

@@ -70,7 +70,7 @@ def faults(t: Any) -> list[str]:
         **{f"path {row.path_id}": row.power_W for row in t.paths},
     }
     errors = [se for _, se in (*e.absorbed.values(), *e.absorbed_in.values())]
-    spots = [getattr(row, key) for row in t.paths for key in ("power_se_W", "x_mm", "y_mm", "rms_radius_mm")]
+    spots = [getattr(row, key) for row in t.paths for key in ("error_rays", "x_mm", "y_mm", "rms_radius_mm")]
     free = {
         **{name: e.cut[name] for name in noisy},
         "errors": sum(errors) + e.detected_se_W + e.escaped_se_W,

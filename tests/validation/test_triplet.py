@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 import mistray
@@ -28,9 +29,10 @@ def triplet(**coating: Any) -> Any:
 def ghost_share(scene: Any, field_deg: float, **more: Any) -> tuple[float, float]:
     """Ghost power over that of the direct image, and its standard error."""
     paths = mistray.trace(scene, rays=20_000, field_deg=field_deg, **more).paths
-    ghosts = [row for row in paths if row.kind == "ghost"]
+    ghosts = np.flatnonzero(paths.column("kind") == "ghost")
     direct = sum(row.power_W for row in paths if row.kind == "direct")
-    return sum(row.power_W for row in ghosts) / direct, sum(row.power_se_W for row in ghosts) / direct
+    power, se = paths.power(ghosts)
+    return power / direct, se / direct
 
 
 @pytest.mark.parametrize("field_deg", FIELDS_DEG)
