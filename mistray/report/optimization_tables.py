@@ -73,6 +73,13 @@ def worse_lines(result: Optimization) -> list[str]:
     ]
 
 
+def seeds_text(result: Optimization) -> str:
+    """On what the terms before and after were measured."""
+    if result.unverified:
+        return f"warning: measured with the seed of the search only; the comparison failed: {result.unverified}"
+    return f"{len(result.comparison.seeds)} seeds not used in the search"
+
+
 def opened_lines(result: Optimization) -> list[str]:
     """What the result does beside what it is meant to do: gaps, and light that enters by other surfaces."""
     found = [gaps_text(result.gaps)] if result.gaps else []
@@ -144,7 +151,7 @@ def variables_table(result: Optimization) -> str:
 
 def report_text(result: Optimization) -> str:
     """What `mistray optimize` prints at the end."""
-    lines = [f"{len(result.comparison.seeds)} seeds not used in the search", terms_table(result), ""]
+    lines = [seeds_text(result), terms_table(result), ""]
     if any(not row.whole for row in result.comparison.rows):
         lines += [comparison_table(result.comparison), ""]
     lines += [f"warning: {line}" for line in (*worse_lines(result), *opened_lines(result))]
@@ -197,6 +204,7 @@ def optimization_record(result: Optimization) -> dict[str, Any]:
                 "entering": {
                     place: [asdict(one) for one in some] for place, some in result.comparison.entering.items()
                 },
+                "unverified": result.unverified,
                 "worse": [vars(row) for row in worse(result.comparison, result.study.terms)],
                 "variables": variables,
                 "start": result.starts[result.best.start].name,

@@ -13,9 +13,17 @@ import numpy as np
 
 from mistray.analysis.changes.gaps import Contacts, Gap
 from mistray.coatings import LAYER_PARAMETERS, Stack
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, in_words
 from mistray.optimize.study.checkpoint import Checkpoint
-from mistray.optimize.study.comparison import SEEDS, Comparison, Levels, compare, measure
+from mistray.optimize.study.comparison import (
+    SEEDS,
+    Comparison,
+    Levels,
+    compare,
+    measure,
+    of_search,
+    try_terms,
+)
 from mistray.optimize.study.merit import Merit
 from mistray.optimize.study.model import Study
 from mistray.optimize.study.searches import Progress, Searches
@@ -61,7 +69,9 @@ class Optimization:
     best : Step
         The result.
     comparison : Comparison
-        The given design and the result on independent seeds.
+        The given design and the result on independent seeds; on those of the search if `unverified`.
+    unverified : str
+        The error that ended the comparison; empty if there was none.
     gaps : tuple of Gap
         Surfaces that meet in the given design and are apart in the result, see `mistray.analysis.changes.gaps`.
     left_out : tuple of str
@@ -84,6 +94,7 @@ class Optimization:
     ended: dict[int, str]
     best: Step
     comparison: Comparison
+    unverified: str
     gaps: tuple[Gap, ...]
     left_out: tuple[str, ...]
     edge_widths: dict[str, float]
@@ -174,8 +185,9 @@ def optimize(
     ------
     MistrayError
         If the study or the scene cannot be used, a term that is to be minimised is 0 at the start, anything is not
-        finite there, or the checkpoint belongs to something else. A search that comes to a point without a merit ends
-        there and keeps its steps.
+        finite there, the function of a term fails in a trial before the search, or the checkpoint belongs to something
+        else. A search that comes to a point without a merit ends there and keeps its steps. An error after the search
+        is told in the result.
     """
     read = study if isinstance(study, Study) else read_study(study)
     if steps is not None:
@@ -194,6 +206,7 @@ def optimize(
         variables = find_variables(read, opened.params, opened.known, opened.thickness_keys)
         if not state.starts:
             state.starts = starts(variables, placed, wavelengths, weights, read.optimizer.starts, read.optimizer.seed)
+        try_terms(read, opened.scene)
         contacts = Contacts(opened.scene)
         merit = Merit(read, opened.scene, opened.params, variables, opened.thickness_keys)
         searches = Searches(
@@ -207,7 +220,12 @@ def optimize(
         best = searches.best
         started = time.perf_counter()
         designs = variables.start, np.array(best.x)
-        levels = [_levels(read, opened, variables, x, verification_seeds) for x in designs]
+        unverified = ""
+        try:
+            comparison = compare(*(_levels(read, opened, variables, x, verification_seeds) for x in designs))
+        except Exception as error:  # what the search has found is not lost to it
+            unverified, comparison = in_words(error), of_search(read, searches.steps[0], best)
+            variables.apply(designs[1])
         gaps = contacts.opened(opened.scene)  # which is the result now
     return Optimization(
         study=read,
@@ -220,7 +238,8 @@ def optimize(
         steps=tuple(searches.steps),
         ended=searches.ended,
         best=best,
-        comparison=compare(*levels),
+        comparison=comparison,
+        unverified=unverified,
         gaps=gaps,
         left_out=tuple(state.left_out),
         edge_widths=state.edge_widths,
