@@ -255,7 +255,7 @@ class Fit:
 
 
 def fit(
-    model: Model,
+    model: Model | Evaluations,
     observed: Sequence[float] | np.ndarray,
     noise: Sequence[float] | np.ndarray,
     start: Mapping[str, float],
