@@ -49,6 +49,12 @@ class UnfinishedError(MistrayError):
         self.partial = partial
 
 
+def in_words(error: Exception) -> str:
+    """An error in one line; what is not of this package with its type."""
+    text = " ".join(str(error).split())
+    return text if isinstance(error, MistrayError) else f"{type(error).__name__}: {text}"
+
+
 def nearest(word: str, choices: Iterable[str]) -> str:
     """What a wrong word may have meant, or all that there is to choose from, for the end of a message."""
     words = list(choices)

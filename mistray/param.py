@@ -32,6 +32,8 @@ class Param(Demand):
         Usual one, relative to the value; 0.02 in all where that makes 0.
     differentiable : bool
         Whether a trace has derivatives by it, if it is a number.
+    power : float
+        Power of the number with which scattered light grows, for fits; see `mistray.optimize.fit`.
     """
 
     unit: str = "1"
@@ -39,6 +41,7 @@ class Param(Demand):
     doc: str = ""
     tolerance: float = 0.2
     differentiable: bool = True
+    power: float = 1.0
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only

@@ -23,7 +23,7 @@ CLAIMS = {
     """,
     "fit_pst": """
         assert found.covers(TRUTH) and 1e-3 < found.probability
-        assert np.all(found.relative_error < [0.2, 0.08, 0.1]) and found.correlation[0, 1] < -0.5
+        assert np.all(found.standard_error / found.value < [0.2, 0.08, 0.1]) and found.correlation[0, 1] < -0.5
     """,
     "triplet_ar": """
         assert against_mgf2.total.ratio - 4.5 * against_mgf2.total.ratio_se > 3

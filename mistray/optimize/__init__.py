@@ -6,7 +6,7 @@ from mistray._lazy import lazy_package
 
 if TYPE_CHECKING:
     from mistray.optimize.bodies import Body, bodies
-    from mistray.optimize.fit import Fit, fit
+    from mistray.optimize.fit import Evaluations, Fit, fit
     from mistray.optimize.gradient import Gradient, gradient
     from mistray.optimize.metrics.metric import (
         Metric,
@@ -40,7 +40,7 @@ __all__ = lazy_package(
     {
         "bodies": ("Body", "bodies"),
         "tolerances.budget": ("Budget", "budget"),
-        "fit": ("Fit", "fit"),
+        "fit": ("Evaluations", "Fit", "fit"),
         "gradient": ("Gradient", "gradient"),
         "metrics.metric": (
             "Metric",

@@ -70,6 +70,8 @@ class PstBands:
         The values in the scene.
     low, high : (k,) float64
         What the parameters can be.
+    power : (k,) float64
+        Of the parameters, with which the light grows; for `fit`.
     bands : list of tuple
         (azimuth or None, low, high) in degrees of each number, the azimuths of the first band first.
 
@@ -106,6 +108,8 @@ class PstBands:
         self.scene, self.keys = scene, tuple(chosen)
         self.start = np.array([float(p.value.ravel()[0]) for p in chosen.values()])
         self.low, self.high = (np.array([getattr(p, end) for p in chosen.values()]) for end in ("low", "high"))
+        scatter = [p.owner.model.param(p.name) if p.kind == "scatter" else None for p in chosen.values()]
+        self.power = np.array([1.0 if param is None else param.power for param in scatter])
         self._places = [(id(p.owner), p.name) for p in chosen.values()]
         self._request = gradient_request(chosen.values(), edges=False)
         self._light = named_classes(light)

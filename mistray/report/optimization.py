@@ -24,6 +24,7 @@ from mistray.report.optimization_tables import (
     layers_table,
     moved_table,
     opened_lines,
+    seeds_text,
     terms_frame,
     variables_frame,
     worse_lines,
@@ -101,13 +102,18 @@ def optimization_report(result: Optimization, command: str = "") -> Report:
     facts |= {f"optimizer.{key}": value for key, value in asdict(study.optimizer).items()}
     facts["seeds of the comparison"] = result.comparison.seeds
     seeds = f"Measured with {len(result.comparison.seeds)} seeds that the search has not used."
+    unverified = [seeds_text(result).removeprefix("warning: ")] if result.unverified else []
     source = result.source.resolve()
     return Report(
         "Optimised",
         source.parent.name if source.name == "scene.xml" else source.stem,
         [*sections, settings_section(facts, command)],
-        lead=[Items(_findings(result)), Note(seeds), *(Note(order.sentence) for order in result.next_orders)],
-        warnings=[*worse_lines(result), *opened_lines(result)],
+        lead=[
+            Items(_findings(result)),
+            *([] if unverified else [Note(seeds)]),
+            *(Note(order.sentence) for order in result.next_orders),
+        ],
+        warnings=[*unverified, *worse_lines(result), *opened_lines(result)],
         csv={
             "terms.csv": terms_frame(result),
             "variables.csv": variables_frame(result),

@@ -73,6 +73,13 @@ def worse_lines(result: Optimization) -> list[str]:
     ]
 
 
+def seeds_text(result: Optimization) -> str:
+    """On what the terms before and after were measured."""
+    if result.unverified:
+        return f"warning: measured with the seed of the search only; the comparison failed: {result.unverified}"
+    return f"{len(result.comparison.seeds)} seeds not used in the search"
+
+
 def opened_lines(result: Optimization) -> list[str]:
     """What the result does beside what it is meant to do: gaps, and light that enters by other surfaces."""
     return [*([gaps_text(result.gaps)] if result.gaps else []), *entering_lines(result.comparison.entering)]
@@ -140,7 +147,7 @@ def variables_table(result: Optimization) -> str:
 
 def report_text(result: Optimization) -> str:
     """What `mistray optimize` prints at the end."""
-    lines = [f"{len(result.comparison.seeds)} seeds not used in the search", terms_table(result), ""]
+    lines = [seeds_text(result), terms_table(result), ""]
     if any(not row.whole for row in result.comparison.rows):
         lines += [comparison_table(result.comparison), ""]
     lines += [order.sentence for order in result.next_orders]
@@ -195,6 +202,7 @@ def optimization_record(result: Optimization) -> dict[str, Any]:
                     place: [asdict(one) for one in some] for place, some in result.comparison.entering.items()
                 },
                 "next_orders": [order.record() for order in result.next_orders],
+                "unverified": result.unverified,
                 "worse": [vars(row) for row in worse(result.comparison, result.study.terms)],
                 "variables": variables,
                 "start": result.starts[result.best.start].name,

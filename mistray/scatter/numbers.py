@@ -11,7 +11,7 @@ MOST_TOTAL = 0.9  # what is left of a specular beam is as good as nothing from h
 PEAK = Param("1/sr", NOT_NEGATIVE, "BSDF in the specular direction")
 KNEE = Param("1", POSITIVE, "place of the knee, a direction cosine")
 FALLING = Param("1", FALL, "slope beyond the knee, negative", tolerance=0.05)
-ROUGHNESS = Param("nm", ROUGHNESS_NM, "roughness")
+ROUGHNESS = Param("nm", ROUGHNESS_NM, "roughness", power=2.0)
 REFERENCE = Param("nm", WAVELENGTH_NM, "wavelength at which the numbers hold", differentiable=False)
 
 

@@ -18,6 +18,8 @@ from mistray.scatter.lobe import Lobe, Placement, Scatter
 from mistray.scatter.particle_clouds import kept_cloud
 
 DUST = "dust"
+LEVEL_POWER = float(2 * CLEANED_SLOPE * np.log10(300))
+"""By which the covered area, 10^(0.926 log10² level), grows about level 300; 4.6."""
 GREATEST_LOSS = 0.5
 """At grazing incidence, where 1/cos θ would take more than there is, particles take this share of the light."""
 LEAST_DEFLECTION = np.radians(30)
@@ -66,7 +68,7 @@ class Particulate(Placement):
         "incident": scatter of particles is a share of the specular beam.
     """
 
-    level: float | None = Param("1", LEVEL, "cleanliness level of IEST-STD-CC1246").field(None)
+    level: float | None = Param("1", LEVEL, "cleanliness level of IEST-STD-CC1246", power=LEVEL_POWER).field(None)
     coverage_percent: float | None = Param("%", COVERAGE_PERCENT, "area coverage, instead of the level").field(None)
     slope: float = Param("1", SPECTRUM_SLOPE, "slope of the particle distribution", 0.05).field(CLEANED_SLOPE)
     particle: str = Param("string", TEXT, "n + ik of the particles: 'dust', 1.53+0.002i, or file.csv").field(DUST)

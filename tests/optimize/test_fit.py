@@ -12,7 +12,7 @@ import pytest
 import mistray
 from mistray.errors import MistrayError
 from mistray.gradients.table_gradient import GradientRequest
-from mistray.optimize import Modelled, PstBands, fit, pst_bin
+from mistray.optimize import Evaluations, Modelled, PstBands, fit, pst_bin
 
 X = np.linspace(0, 2, 12)
 TRUTH = {"height": 3.0, "decay": 0.7}
@@ -68,7 +68,7 @@ class TestFit:
         with pytest.raises(MistrayError, match="standard error of 0"):
             fit(exponential, data, np.zeros(12), start)
         with pytest.raises(MistrayError, match="above 0"):
-            fit(exponential, data, np.ones(12), {"height": -1.0, "decay": 1.0})
+            fit(exponential, data, np.ones(12), {"height": -1.0, "decay": 1.0}, power=0)
         with pytest.raises(MistrayError, match="2 observed numbers for 2 parameters"):
             fit(exponential, data[:2], np.ones(2), start)
         with pytest.raises(MistrayError, match="shape"):
@@ -81,6 +81,103 @@ class TestFit:
 
         with pytest.raises(MistrayError, match="do not tell height, decay apart"):
             fit(twins, data, np.ones(12), start)
+
+
+ANGLES = np.linspace(0, 3, 20)
+SHAPES = np.exp(-3 * ANGLES), 1 / (1 + ANGLES), np.sin(3 * ANGLES)
+WEAK = {"rough": 0.35, "grey": 1.0, "shift": -0.02}
+SCALES: dict[str, Any] = {"low": (0, 0, -np.inf), "power": (2, 1, 1)}
+
+
+def weak(values: np.ndarray) -> Modelled:
+    """A PST as it is: the square of a roughness, a share, and a displacement of either sign, not quite linear."""
+    rough, grey, shift = values
+    one, two, three = SHAPES
+    value = rough**2 * one + grey * (1 + 0.3 * shift) * two + shift * three
+    by = np.stack([2 * rough * one, (1 + 0.3 * shift) * two, three + 0.3 * grey * two], axis=1)
+    return Modelled(value, np.zeros((20, 20)), by)
+
+
+class TestScales:
+    """Parameters that data hardly know, of either sign, and limits."""
+
+    def test_regions_of_a_weak_roughness(self):
+        """
+        Its square is 0.12 with an error of 0.06: in the logarithm regions were cut off on one side.
+
+        400 draws at 95 %: 380 ± 4.4, outside of 362 … 394 with a probability of 1e-3. The mean χ² of three parameters
+        is 3 ± 0.12, less what the bound takes, which one in forty estimates meets.
+        """
+        truth = np.array(list(WEAK.values()))
+        value = weak(truth).value
+        model, inside, distances, held = Evaluations(weak), 0, [], 0
+        for seed in range(400):
+            data = value * (1 + 0.05 * np.random.default_rng(seed).standard_normal(20))
+            found = fit(model, data, 0.05 * value, {"rough": 0.9, "grey": 0.6, "shift": 0.1}, **SCALES)
+            distances.append(found.distance(WEAK))
+            inside += found.covers(WEAK)
+            if seed < 60:
+                low, high = found.interval("rough")
+                held += low <= WEAK["rough"] <= high
+        assert 362 <= inside <= 394
+        assert np.mean(distances) == pytest.approx(3.0, abs=0.4)
+        # 57 ± 1.7, 50 or less with a probability of 1e-3
+        assert held >= 51
+        assert len(model.points) < 200, "most draws found a point of an earlier one"
+
+    def test_interval_is_the_profile(self):
+        """χ² on a grid: where the least one over the other two parameters is 3.841 above that of all."""
+        value = weak(np.array(list(WEAK.values()))).value
+        data = value * (1 + 0.05 * np.random.default_rng(7).standard_normal(20))
+        found = fit(weak, data, 0.05 * value, dict(WEAK), **SCALES)
+        for k, name in enumerate(WEAK):
+            for end in found.interval(name):
+                step = np.square([end, found.value[k]]) if k == 0 else np.array([end, found.value[k]])
+                others = np.delete(found.slope, k, axis=1) / (0.05 * value)[:, None]
+                left = (found.residual - found.slope[:, k] * (step[0] - step[1])) / (0.05 * value)
+                left -= others @ np.linalg.lstsq(others, left, rcond=None)[0]
+                assert left @ left - found.chi_square == pytest.approx(3.8415, rel=1e-4)
+
+    def test_upper_limit_where_the_best_is_less_than_nothing(self):
+        """One number u with error 1, measured as -0.5: u ≥ 0 ends where (u + 0.5)² - 0.25 = 3.8415."""
+
+        def line(values: np.ndarray) -> Modelled:
+            return Modelled(np.array([values[0] ** 2, 1.0]), np.zeros((2, 2)), np.array([[2 * values[0]], [0.0]]))
+
+        found = fit(line, [-0.5, 1.0], [1.0, 1.0], {"rms": 3.0}, low=0.0, power=2)
+        low, high = found.interval("rms")
+        assert (found.value[0], low) == (0.0, 0.0)
+        assert high**2 == pytest.approx(-0.5 + np.sqrt(0.25 + 3.8415), rel=1e-4)
+        assert str(found).startswith(f"rms < {high:.4g} with 95%")
+        assert found.distance({"rms": 0.0}) == pytest.approx(0.0)
+        assert found.chi_square == pytest.approx(0.25)
+        with pytest.raises(MistrayError, match=r"rms is -1; it lies between 0"):
+            found.distance({"rms": -1.0})
+
+    def test_a_lower_limit_and_no_limit(self):
+        def line(values: np.ndarray) -> Modelled:
+            return Modelled(np.array([values[0], 1.0]), np.zeros((2, 2)), np.array([[1.0], [0.0]]))
+
+        found = fit(line, [9.5, 1.0], [1.0, 1.0], {"x": 0.0}, low=-20, high=9)
+        low, high = found.interval("x")
+        assert (low, high) == pytest.approx((9.5 - np.sqrt(0.25 + 3.8415), 9.0), rel=1e-5)
+        assert "x > " in str(found)
+        assert "all from -1 to 1 agree" in str(fit(line, [0.2, 1.0], [9.0, 1.0], {"x": 0.0}, low=-1, high=1))
+
+    def test_signs_and_starts(self):
+        """From either side and far away the same; a start outside of what can be is refused."""
+        value = weak(np.array([0.5, 1.0, -0.4])).value
+        for start in (3.0, -2.0, 0.0):
+            found = fit(weak, value, 0.01 * value, {"rough": 1.0, "grey": 2.0, "shift": start}, **SCALES)
+            assert found.value == pytest.approx([0.5, 1.0, -0.4], rel=2e-3)
+        with pytest.raises(MistrayError, match="rough starts with -1"):
+            fit(weak, value, value, {"rough": -1.0, "grey": 2.0, "shift": 0.0}, **SCALES)
+        with pytest.raises(MistrayError, match="rough starts with 0; start between above 0"):
+            fit(weak, value, value, {"rough": 0.0, "grey": 2.0, "shift": 0.0}, **SCALES)
+        with pytest.raises(MistrayError, match=r"power is \[-1"):
+            fit(weak, value, value, {"rough": 1.0, "grey": 2.0, "shift": 0.0}, power=-1)
+        with pytest.raises(MistrayError, match="positive definite"):
+            fit(weak, value, np.ones((20, 20)), {"rough": 1.0, "grey": 2.0, "shift": 0.0})
 
 
 KEYS = ("polish.rms_nm", "dust.level", "black.reflectance")
@@ -132,33 +229,49 @@ class TestPstBands:
             next(seen.table_gradients(np.ones((5, 1, 2)), request, np.zeros((1, 2), dtype=int)))
 
 
-@pytest.fixture(scope="module")
-def example():
-    """The example: data and model have rays of their own in each draw."""
+def example(**others: Any) -> Any:
+    """The example, or the same with another system."""
     file = Path(__file__).parents[2] / "examples" / "fit_pst.py"
     spec = importlib.util.spec_from_file_location("fit_pst", file)
     assert spec is not None
     assert spec.loader is not None
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
+    vars(script).update(others)
     return script
+
+
+def better_polish(folder: Path) -> Any:
+    """Another lens, whose polish scatters a ninth: estimates of its roughness meet 0."""
+    text = (Path(mistray.__file__).parents[1] / "scenes" / "lens_and_screen" / "scene.xml").read_text()
+    for old, new in (('"radius" value="62"', '"radius" value="48"'), ('value="-62"', 'value="-90"')):
+        text = text.replace(old, new)
+    (folder / "lens.xml").write_text(text)
+    return example(
+        SCENE=folder / "lens.xml",
+        TRUTH={"polish.rms_nm": 0.5, "dust.level": 300.0, "black.reflectance": 0.04},
+        START={"polish.rms_nm": 1.0, "dust.level": 270.0, "black.reflectance": 0.05},
+    )
 
 
 @pytest.mark.long
 @pytest.mark.validation
-def test_truth_is_near_in_four_draws(example):
+def test_truth_is_near_in_four_draws():
     """χ² of 12 degrees of freedom is beyond 32.9 with a probability of 1e-3; half the covariance doubles it."""
-    assert sum(example.estimate(draw).distance(example.TRUTH) for draw in range(4)) < 32.9
+    script = example()
+    assert sum(script.estimate(draw).distance(script.TRUTH) for draw in range(4)) < 32.9
 
 
 @pytest.mark.slow
 @pytest.mark.validation
-def test_truth_lies_in_the_region_in_18_of_20_draws(example):
+@pytest.mark.parametrize("system", ["example", "better polish"])
+def test_regions_hold_the_truth_in_400_draws(system, tmp_path):
     """
-    The issue asks for 18 of 20 at 95 %: a right covariance fails that with a probability of 7.5 % (binomial), one that
-    gives 91 %, as 80 draws say, with 27 %; seeds are fixed. Half the covariance gives 73 % and fails with 94 %.
+    380 ± 4.4 at 95 %: outside of 368 … 392 with a probability of 0.7 %; the mean of χ² with 3 degrees is 3 ± 0.12.
+
+    Seeds are fixed. The draws have some tens of evaluations of the model in common; each has its own rays.
     """
-    fits = [example.estimate(draw) for draw in range(example.DRAWS)]
-    assert sum(found.covers(example.TRUTH) for found in fits) >= 18
-    # Mean of 20 values of χ² with 3 degrees of freedom: 3 ± 0.55
-    assert np.mean([found.distance(example.TRUTH) for found in fits]) < 3 + 3 * 0.55
+    script = example() if system == "example" else better_polish(tmp_path)
+    fits = [script.estimate(draw) for draw in range(400)]
+    assert 368 <= sum(found.covers(script.TRUTH) for found in fits) <= 392
+    assert np.mean([found.distance(script.TRUTH) for found in fits]) == pytest.approx(3.0, abs=0.3)

@@ -15,8 +15,10 @@ from oracles.small_scenes import plates_text, write
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.optimize import Start, Step, measure
+from mistray.optimize import Start, Step, measure, path_power
 from mistray.optimize import optimize as optimize_and_verify
+from mistray.report.optimization import write_optimization
+from mistray.report.optimization_tables import optimization_record, report_text
 from mistray.scene.recoat import write_recoated
 
 QUARTER_WAVE = 550 / 4 / 1.38
@@ -290,3 +292,65 @@ class TestKernels:
             self.compiled()
         assert len(new) == 5
         assert new[3:] == [0, 0], new
+
+
+class TestOwnTerm:
+    """A kind that is a function of one's own."""
+
+    def given(self, kind: Any) -> dict[str, Any]:
+        return {**study(band=[500.0, 600.0], steps=1), "term": [{"kind": kind, "goal": "minimise", "rays": 32,
+                "wavelength_nm": [500.0, 600.0]}]}  # fmt: skip
+
+    def test_takes_cells_as_it_takes_terms(self, plate: Path) -> None:
+        """It counts the wavelengths, as it did in the search; one wavelength was a number then, and no list."""
+
+        def ghosts(scene: Any, **traced: Any) -> Any:
+            assert len(traced["wavelength_nm"]) in (1, 2)
+            return path_power(scene, "ghost", **traced)
+
+        result = optimize(plate, self.given(ghosts))
+        assert not result.unverified
+        by_line = {row.wavelength_nm: row for row in result.comparison.rows}
+        # The search is at equal weights: the whole is the mean of the two
+        assert by_line[None].after == pytest.approx((by_line[500].after + by_line[600].after) / 2, rel=1e-5)
+        r = reflectance(result.after["AR.thickness_nm[0]"], 500.0)
+        assert by_line[500].after == pytest.approx((r * (1 - r)) ** 2, rel=1e-4)
+
+    def test_is_tried_on_one_cell_before_the_search(self, plate: Path) -> None:
+        def pairs(scene: Any, **traced: Any) -> Any:
+            first, second = traced.pop("wavelength_nm")
+            return path_power(scene, "ghost", wavelength_nm=(first, second), **traced)
+
+        seen: list[Step] = []
+        with pytest.raises(MistrayError, match="term 'pairs': its function fails at one field and one wavelength"):
+            optimize(plate, self.given(pairs), progress=lambda step, start: seen.append(step))
+        assert not seen
+
+    def test_what_a_search_found_outlives_an_error_after_it(self, plate: Path, tmp_path: Path) -> None:
+        searched = False
+
+        def over(step: Step, start: Start) -> None:
+            nonlocal searched
+            searched = step.step == 1
+
+        def late(scene: Any, **traced: Any) -> Any:
+            if searched:
+                raise ZeroDivisionError("no more")
+            return path_power(scene, "ghost", **traced)
+
+        result = optimize(plate, self.given(late), progress=over)
+        assert "ZeroDivisionError: no more" in result.unverified
+        assert result.comparison.seeds == ()
+        assert result.comparison.total.after == result.best.terms["late"] < result.comparison.total.before
+        text = report_text(result)
+        assert "ZeroDivisionError: no more" in text
+        assert optimization_record(result)["unverified"] == result.unverified
+        page = write_optimization(result, tmp_path / "out")[-1].read_text()
+        assert "ZeroDivisionError: no more" in page
+
+        searched = False
+        given = self.given(late)
+        given["optimizer"]["steps"] = 9
+        ended = optimize(plate, given, progress=over)
+        assert "ZeroDivisionError: no more" in ended.ended[0]
+        assert [step.x for step in ended.steps] == [step.x for step in result.steps[:2]]

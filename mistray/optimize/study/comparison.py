@@ -14,11 +14,12 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.analysis.changes.first_surfaces import Entering, FirstLight, spoils
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, in_words
 from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.metrics.views import added_light, first_light, light_since
 from mistray.optimize.study.goals import holds, limit_of
 from mistray.optimize.study.model import Study, Term
+from mistray.optimize.study.state import Step
 from mistray.optimize.study.terms import cell_settings, of_layers, of_pst, traced_metric
 from mistray.ranges import SEEDS as SEED_COUNT
 
@@ -197,6 +198,40 @@ def measure(
         done = j + 1
     values = {cell: row[:done] for cell, row in values.items()}
     return Levels(numbers[:done], values, {cell.term: metric.unit for cell, metric in metrics.items()}, light)
+
+
+def try_terms(study: Study, scene: Any) -> None:
+    """
+    Trace one cell of each term whose kind is a function, its last field and wavelength, as a comparison will.
+
+    Raises
+    ------
+    MistrayError
+        If a function does not take the cell, so that this is known before the search.
+    """
+    for term in study.terms:
+        if not callable(term.kind):
+            continue
+        try:
+            metric = list(_cells(term, scene).values())[-1]
+            metric.value(seed=study.optimizer.seed)
+        except Exception as error:
+            raise MistrayError(
+                f"study '{study.name}', term '{term.name}': its function fails at one field and one wavelength: "
+                f"{in_words(error)}; it must take field_deg and wavelength_nm of one entry too"
+            ) from error
+
+
+def of_search(study: Study, before: Step, after: Step) -> Comparison:
+    """What the search itself knows of two of its steps: its own seeds, so that there are no errors."""
+    rows = []
+    for term in study.terms:
+        b, a = before.terms[term.name], after.terms[term.name]
+        ratio = b / a if a else np.nan
+        rows.append(
+            Row(term.name, unit="", before=b, before_se=np.nan, after=a, after_se=np.nan, ratio=ratio, ratio_se=np.nan)
+        )
+    return Comparison((), tuple(rows))
 
 
 def worse(comparison: Comparison, terms: Sequence[Term]) -> list[Row]:

@@ -15,10 +15,18 @@ import numpy as np
 from mistray.analysis.changes.gaps import Contacts, Gap
 from mistray.analysis.next_order import NextOrder
 from mistray.coatings import LAYER_PARAMETERS, Stack
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, in_words
 from mistray.optimize.metrics.views import seen_unpolarized
 from mistray.optimize.study.checkpoint import Checkpoint
-from mistray.optimize.study.comparison import SEEDS, Comparison, Levels, compare, measure
+from mistray.optimize.study.comparison import (
+    SEEDS,
+    Comparison,
+    Levels,
+    compare,
+    measure,
+    of_search,
+    try_terms,
+)
 from mistray.optimize.study.merit import Merit
 from mistray.optimize.study.model import Study
 from mistray.optimize.study.next_orders import LEAST_SEEDS, with_next_orders
@@ -65,9 +73,12 @@ class Optimization:
     best : Step
         The result.
     comparison : Comparison
-        The given design and the result on independent seeds, with the further event on each path that matters.
+        The given design and the result on independent seeds, with the further event on each path that matters; on the
+        seeds of the search if `unverified`.
     next_orders : tuple of NextOrder
         The terms of the result beside those with one more event on each path, where that was measured.
+    unverified : str
+        The error that ended the comparison; empty if there was none.
     gaps : tuple of Gap
         Surfaces that meet in the given design and are apart in the result, see `mistray.analysis.changes.gaps`.
     left_out : tuple of str
@@ -91,6 +102,7 @@ class Optimization:
     best: Step
     comparison: Comparison
     next_orders: tuple[NextOrder, ...]
+    unverified: str
     gaps: tuple[Gap, ...]
     left_out: tuple[str, ...]
     edge_widths: dict[str, float]
@@ -187,8 +199,9 @@ def optimize(
     ------
     MistrayError
         If the study or the scene cannot be used, a term that is to be minimised is 0 at the start, anything is not
-        finite there, or the checkpoint belongs to something else. A search that comes to a point without a merit ends
-        there and keeps its steps.
+        finite there, the function of a term fails in a trial before the search, or the checkpoint belongs to something
+        else. A search that comes to a point without a merit ends there and keeps its steps. An error after the search
+        is told in the result.
     """
     read = study if isinstance(study, Study) else read_study(study)
     if steps is not None:
@@ -207,6 +220,7 @@ def optimize(
         variables = find_variables(read, opened.params, opened.known, opened.thickness_keys)
         if not state.starts:
             state.starts = starts(variables, placed, wavelengths, weights, read.optimizer.starts, read.optimizer.seed)
+        try_terms(read, opened.scene)
         contacts = Contacts(opened.scene)
         merit = Merit(read, opened.scene, opened.params, variables, opened.thickness_keys)
         searches = Searches(
@@ -221,18 +235,23 @@ def optimize(
         best = searches.best
         started = time.perf_counter()
         designs = variables.start, np.array(best.x)
+        orders: tuple[NextOrder, ...] = ()
+        unverified = ""
 
         def both(asked: Study, seeds: int, seconds: float, least: int = LEAST_SEEDS) -> tuple[Levels, Levels]:
             before = _levels(asked, opened, variables, designs[0], seeds, least, seconds / 2)
             return before, _levels(asked, opened, variables, designs[1], len(before.seeds), len(before.seeds))
 
-        levels = both(read, verification_seeds, math.inf)
-        comparison = compare(*levels)
-        orders: tuple[NextOrder, ...] = ()
-        if next_order and (end is None or time.perf_counter() < end):
-            spent = time.perf_counter() - started
-            left = spent if end is None else min(spent, end - time.perf_counter())
-            comparison, orders = with_next_orders(read, opened.scene, levels, left, both)
+        try:
+            levels = both(read, verification_seeds, math.inf)
+            comparison = compare(*levels)
+            if next_order and (end is None or time.perf_counter() < end):
+                spent = time.perf_counter() - started
+                left = spent if end is None else min(spent, end - time.perf_counter())
+                comparison, orders = with_next_orders(read, opened.scene, levels, left, both)
+        except Exception as error:  # what the search has found is not lost to it
+            unverified, comparison = in_words(error), of_search(read, searches.steps[0], best)
+            variables.apply(designs[1])
         gaps = contacts.opened(opened.scene)  # which is the result now
         traced = [traced_metric(term, opened.scene, read.optimizer.seed) for term in read.terms if not of_layers(term)]
         unpolarized = seen_unpolarized(opened.scene, [view for metric in traced for view in metric.views])
@@ -249,6 +268,7 @@ def optimize(
         best=best,
         comparison=comparison,
         next_orders=orders,
+        unverified=unverified,
         gaps=gaps,
         left_out=(*state.left_out, *unpolarized),
         edge_widths=state.edge_widths,

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mistray.errors import MistrayError, UnfinishedError
+from mistray.errors import MistrayError, UnfinishedError, in_words
 from mistray.optimize.search import METHODS, stop_reason
 from mistray.optimize.search.point import Pieces, Point
 from mistray.optimize.study.checkpoint import Checkpoint
@@ -147,10 +147,10 @@ class Searches:
             result = self.problem.evaluate(y, number)
         except UnfinishedError:
             raise
-        except MistrayError as error:
+        except Exception as error:  # of a function of one's own as well
             if number == 0:
                 raise
-            raise Ended(f"the next point has no merit: {error}") from None
+            raise Ended(f"the next point has no merit: {in_words(error)}") from None
         self._made += 1
         # What is left out comes with numbers that differ from point to point; the last ones stay
         left_out = [*self.state.left_out, *result.pop("left_out")]

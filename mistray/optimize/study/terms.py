@@ -127,7 +127,8 @@ def cell_settings(traced: Mapping[str, Any], field_deg: float | None, line: int 
         lines = traced["wavelength_nm"]
         weights = np.array(traced.get("weights") or [1.0] * len(lines))
         rays = max(1, round(float(weights[line] / weights.sum()) * traced.get("rays", RAYS)))
-        changes |= {"wavelength_nm": lines[line], "weights": None, "rays": rays}
+        # As many entries as a term of one wavelength has, so that a function of one's own need not tell them apart
+        changes |= {"wavelength_nm": (lines[line],), "weights": (1.0,), "rays": rays}
     return changes
 
 
