@@ -137,7 +137,7 @@ def test_aliases_collapse_paths_and_keep_the_flux(lenses: Any, aliases: Any) -> 
         assert row.unique_objects == len({name for name, _ in words})
         power, se = lenses.paths.power(row.path_ids)
         assert row.power_W == pytest.approx(power, rel=1e-12)
-        if len(rows) > 1:
+        if len(rows) > 1 and not row.few_rays:
             assert row.power_se_W == pytest.approx(se, rel=1e-9), "from the batches: what they have in common is in it"
     assert not table.duplicated(["events", "kind", "order"]).any()
 

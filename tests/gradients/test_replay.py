@@ -141,7 +141,7 @@ class Case:
 
 def traced(path: Path, field_deg: float, rays: int) -> Case:
     model = scene_xml.read_scene(path)
-    t = mistray.trace(mistray.load(path), rays=rays, field_deg=field_deg, seed=7)
+    t = mistray.trace(mistray.load(path), rays=rays, field_deg=field_deg, seed=7, polarization="unpolarized")
     (run,) = t._runs
     origin, direction = run.start_rays(np.arange(run.rays))
     weight = np.array(run.start_pass(0).w, dtype=np.float64)
@@ -260,7 +260,9 @@ def compare_ledgers(case: Case) -> None:
     # branches that do not reach the detector may graze a rim too: a tenth of one start ray
     slack = 1e-5 * ledger.launched_W + (len(fragile) + 0.1) * run.unit
     e = case.t.energy
-    assert e.launched_W == pytest.approx(ledger.launched_W, rel=1e-8)  # weights are float32
+    assert e.launched_W == pytest.approx(
+        ledger.launched_W, rel=6e-8
+    )  # weights are float32, each rounded by half a unit
     assert e.detected_W == pytest.approx(ledger.detected_W, abs=slack)
     assert e.escaped_W == pytest.approx(ledger.escaped_W, abs=slack)
     for name, (watt, _) in e.absorbed.items():

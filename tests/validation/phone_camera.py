@@ -424,7 +424,7 @@ def ghost_table(scene: Any, field_deg: float, rays: int, max_reflections: int = 
     """
     report = ghosts(scene, field_deg=[field_deg], rays=rays, max_reflections=max_reflections, flux_threshold=1e-8)
     table = report.table(field_deg)
-    table = table[(table.rank_rms_irradiance > 0) & table.well_sampled].sort_values("rank_rms_irradiance")
+    table = table[(table.rank_rms_irradiance > 0) & ~table.few_rays].sort_values("rank_rms_irradiance")
     names = [_label(events) for events in table.events]
     count: dict[str, int] = {}
     for i, name in enumerate(names):
