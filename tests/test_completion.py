@@ -57,6 +57,14 @@ def test_every_command_and_option_is_described(commands):
         assert command.help
 
 
+@pytest.mark.parametrize("shell", ["fish", "zsh"])
+def test_shells_describe_options_as_their_help_does(shell, commands):
+    """A percent sign is doubled for argparse alone."""
+    text = completion.script(shell, commands)
+    assert " 5 %," in text
+    assert "%%" not in text
+
+
 def test_bash_proposes_commands(bash, commands):
     assert set(bash("")) == {"-h", "--help", "--version", *(command.name for command in commands)}
     assert bash("gh") == ["ghosts"]

@@ -64,7 +64,7 @@ def parameter_options() -> Group:
             unit = "" if param.unit == "1" or not isinstance(param.values, Range) else f", {param.unit}"
             told.setdefault(f"{param.doc}{unit}", []).append(f"{kind}{_default(kind, key)}")
         text = "; ".join(f"{', '.join(kinds)}: {what}" for what, kinds in told.items())
-        options.append(Option(flag(key), text.replace("%", "%%"), *_form(list(by_kind.values()))))
+        options.append(Option(flag(key), text, *_form(list(by_kind.values()))))
     return Group("parameters of the models", tuple(options))
 
 

@@ -62,7 +62,8 @@ class Option:
             how |= {"type": self.type, "action": Joined}
         elif self.type is not None:
             how |= {"type": self.type, "action": "extend" if self.extends else "store"}
-        target.add_argument(*self.name.split(), help=self.help, **how)
+        # argparse takes a help for a format
+        target.add_argument(*self.name.split(), help=self.help.replace("%", "%%"), **how)
 
 
 @dataclass(frozen=True)

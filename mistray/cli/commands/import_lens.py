@@ -65,7 +65,7 @@ COMMAND = Command(
         Group("lenses", (
             Option("--wavelength-nm", "wavelength of the source, nm (batoid: required; others: as the file says)",
                    WAVELENGTH_NM, "NM"),
-            Option("--beam", "the source overfills the entrance pupil by 5 %%, so that the stop has derivatives "
+            Option("--beam", "the source overfills the entrance pupil by 5 %, so that the stop has derivatives "
                    "(pupil), just fills it (exact), or overfills the first surface (front; lens files only) (pupil)",
                    metavar="KIND"),
             Option("--variant", "design variant that a JSON file holds, such as R13=5.272", metavar="NAME"),

@@ -48,7 +48,7 @@ COMMAND = Command(
             Option("--rank", "with --pst-field-deg: rank what can be moved, blocked, painted and coated by the "
                    "derivatives of the stray PST; STUDY may be left out", bool),
             Option("--step", "of --rank: steps by kind (position, tilt, rim, scatter, share, coating), key or pattern, "
-                   "such as rim=0.5 or paint.reflectance=2%% (0.1 mm and deg; 1%% of scatter and R; 1 nm)",
+                   "such as rim=0.5 or paint.reflectance=2% (0.1 mm and deg; 1% of scatter and R; 1 nm)",
                    pairs("no step; write KEY=STEP, such as rim=0.5 or paint.reflectance=2%"), "KEY=STEP", "+"),
             SPECTRUM[0],
         )),
