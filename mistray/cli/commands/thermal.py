@@ -33,7 +33,7 @@ COMMAND = Command(
         )),
         Group("band", (
             Option("--band-um", "of the detector, µm (8 12)", WAVELENGTH_UM, ("LOW", "HIGH"), 2, default=(8.0, 12.0)),
-            Option("--wavelength-um", "where optics are traced, µm (so many that the band is known to 1 %%)",
+            Option("--wavelength-um", "where optics are traced, µm (so many that the band is known to 1 %)",
                    WAVELENGTH_UM, "UM", "+"),
             DETECTOR,
         )),
