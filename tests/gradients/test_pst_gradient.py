@@ -107,12 +107,17 @@ def test_against_differences(scene, key: str) -> None:
 
 
 def test_less_noise_than_one_direction(scene) -> None:
-    """Half the error with a fourth of the start rays; the others, with the light, are as many."""
-    joined, alone = derivative(scene), derivative(scene, method="adjoint", rays=1 << 18)
+    """
+    Half the error with a fourth of the start rays; the others, with the light, are as many.
+
+    The errors of a run are known to 30 %, so they are those of three runs together.
+    """
+    joined = [derivative(scene, seed=seed) for seed in (3, 4, 5)]
+    alone = [derivative(scene, method="adjoint", rays=1 << 18, seed=seed) for seed in (3, 4, 5)]
     for key in STEPS:
-        (found, own), (other, error) = joined[key], alone[key]
-        assert own < 0.5 * error, key
-        assert abs(found - other) < 5 * np.hypot(own, error), key
+        (found, own), (other, error) = (np.array([run[key] for run in runs]).T for runs in (joined, alone))
+        assert np.linalg.norm(own) < 0.5 * np.linalg.norm(error), key
+        assert abs(found.mean() - other.mean()) < 5 * np.hypot(np.linalg.norm(own), np.linalg.norm(error)) / 3, key
 
 
 @pytest.mark.long
