@@ -46,10 +46,9 @@ def as_json(
         if per_wavelength:
             row["per_wavelength"] = _lines(report, row["field_deg"])
         fields.append(row)
-    settings = {key: value for key, value in next(iter(report.values())).settings.items() if key != "field_deg"}
     found = {
         "verdict": verdict_record(report),
-        "settings": settings,
+        "settings": report.settings,
         "ranked_by": report.rank,
         "fields": fields,
         "warnings": warnings(report),

@@ -107,7 +107,7 @@ def test_names_are_escaped(text):
         "3.9.1",
         "closure",
         "W/mm²",
-        "fewer than 30 rays",
+        "few rays: its numbers have no errors",
         "detector → L1_rear",
         "one standard error",
         "max_events",

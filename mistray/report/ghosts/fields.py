@@ -11,7 +11,8 @@ import pandas as pd
 from markupsafe import Markup
 
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.ghosts import FieldSummary, GhostReport
+from mistray.analysis.field_summary import FieldSummary
+from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.path_maps import FieldMaps
 from mistray.analysis.ranking import RANKS, rank_column
 from mistray.analysis.stray_levels import LEVELS

@@ -9,12 +9,14 @@ import pandas as pd
 
 from mistray.analysis.aiming_check import sampling_warnings
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.ghosts import FieldSummary, GhostReport
+from mistray.analysis.field_summary import FieldSummary
+from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.ranking import SURE
 from mistray.ranges import EVENTS
 from mistray.recorders.path_events import DIRECT
 from mistray.report.model import Table, Value, columns
 from mistray.report.own_sections import own_text
+from mistray.report.parts import thousands
 from mistray.report.tables.scatter import scatter_text
 from mistray.report.tables.text import ABSENT, number, table_text, with_error
 from mistray.settings import BRANCHES
@@ -192,7 +194,8 @@ def main_table(report: GhostReport, count: int = 4, per_wavelength: bool = False
     if listed.contested.any() and report.rank == "rms":
         parts.append(f"{CONTESTED}: {CONTESTED_TEXT}")
     parts.append(f"energy closure, worst field: {closure:.1e} of the launched flux")
-    parts.append(words_of(next(iter(report.values())).settings))
+    parts += more_rays(report)
+    parts.append(words_of(report.settings))
     for text in own_text(report):
         parts += ["", text, ""]
     parts += [f"warning: {text}" for text in warnings(report)]
@@ -204,7 +207,7 @@ def warnings(report: GhostReport) -> list[str]:
     found = []
     if report.nominal.power_W.value == 0:
         found.append("no direct light reaches the detector on axis: nothing can be normalised to it")
-    settings = next(iter(report.values())).settings
+    settings = report.settings
     for reason in dict.fromkeys(reason for t in report.values() for reason in t.energy.cut):
         shares = {field: abs(t.energy.cut.get(reason, 0.0)) / t.energy.launched_W for field, t in report.items()}
         if reason in ZERO_ON_AVERAGE:
@@ -230,9 +233,21 @@ def warnings(report: GhostReport) -> list[str]:
     tops = {field: report.top(field, 4) for field in report}
     if few := [field for field, top in tops.items() if top.few_rays.any()]:
         found.append(f"{_fields(few)}: some of the worst four paths hold too few rays for an error; raise rays")
-    if report.rank == "rms" and (open_ := [field for field, top in tops.items() if top.contested.any()]):
-        found.append(f"{_fields(open_)}: which path is the worst is open, another may be as bright; raise rays")
+    if report.rank == "rms":
+        found += [
+            f"{_fields([field])}: which path is the worst is open, path {path_id} may be as bright; raise rays"
+            for field in report
+            for path_id in report.rivals(field).path_id[:1]
+        ]
     return found
+
+
+def more_rays(report: GhostReport) -> list[str]:
+    """Which fields were traced again, and with how many rays; empty if none was."""
+    if not report.traced_again:
+        return []
+    rays = thousands(report.settings["contested_rays"])
+    return [f"{_fields(report.traced_again)}: traced again with {rays} start rays, for the worst path was contested"]
 
 
 def mark_of(row: Any) -> str:
