@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from mistray.analysis.airy import tight, with_airy
 from mistray.analysis.combine import by_path
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.field_summary import FieldSummary
@@ -39,6 +40,7 @@ from mistray.recorders.sampled import Sampled
 from mistray.renamed import renamed
 from mistray.time_budget import is_limited, within
 from mistray.trace import Settings, Trace
+from mistray.trace.light_cones import LightCone
 
 MAPPED_PATHS = 4  # stray paths of each field that get a map of their own
 RAYS_KEPT = 63  # of a path, to choose those from that are drawn
@@ -85,6 +87,7 @@ class GhostReport(Mapping[float, Trace]):
         self._tables: dict[tuple[float, bool], pd.DataFrame] = {}
         self._maps: dict[float, ImagesOfField] = {}
         self._path_maps: dict[float, tuple[set[int], FieldMaps]] = {}  # with the paths that were requested
+        self._cones: dict[float, dict[int, LightCone | None]] = {field: {} for field in traces}
         self._rays: dict[tuple[float, int], list[Polyline]] = {}
         self._summaries: dict[tuple[float, float | None], FieldSummary] = {}
         self.arguments = dict(arguments)
@@ -212,6 +215,19 @@ class GhostReport(Mapping[float, Trace]):
         """The rows of `top`, and last the strongest stray path by power where it is not among them; none of 0."""
         top, strongest = self.top(field_deg, count, rank), self.top(field_deg, min(count, 1), "power")
         return pd.concat([top, strongest[~strongest.path_id.isin(top.path_id)]])
+
+    def with_airy(self, field_deg: float, rows: pd.DataFrame) -> pd.DataFrame:
+        """
+        Rows of a table of a field with the RMS irradiance that diffraction allows, see `mistray.analysis.airy`.
+
+        Where rows have so small a radius that it matters, some rays are traced again for their light cones.
+        """
+        known, wanted = self._cones[field_deg], set(tight(rows).path_id)
+        if wanted - known.keys():
+            tables = [table for (field, _), table in self._tables.items() if field == field_deg]
+            every = [int(i) for i in wanted.union(*(tight(table).path_id for table in tables)) if i not in known]
+            known |= dict.fromkeys(every) | self[field_deg].light_cones(every)
+        return with_airy(rows, {i: cone for i, cone in known.items() if cone is not None})
 
     def spectrum(self, field_deg: float, path_id: int) -> pd.DataFrame:
         """The rows of one path at each of its wavelengths, ascending; columns as in `table`."""

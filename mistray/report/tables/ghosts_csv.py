@@ -20,8 +20,8 @@ from mistray.trace import Trace
 
 
 def path_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
-    """All paths of all fields after ``field_deg``; columns as in `GhostReport.table`, ``path_ids`` as text."""
-    return _of_fields(report, lambda field: report.table(field, per_wavelength))
+    """All paths of all fields after ``field_deg``; columns as in `GhostReport.with_airy`, ``path_ids`` as text."""
+    return _of_fields(report, lambda field: report.with_airy(field, report.table(field, per_wavelength)))
 
 
 def energy_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
