@@ -110,6 +110,7 @@ def test_wide_paths_are_not_looked_at() -> None:
     assert list(tight(table).path_id) == [0]
 
 
+@pytest.mark.long
 def test_where_it_is_told() -> None:
     """The ghost between two reflections at the lune of the stop of a camera, and not the others that are listed."""
     report = mistray.ghosts(mistray.load("phone_camera"), [10.0], rays=50_000, contested_rays=0, seed=2)

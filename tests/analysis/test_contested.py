@@ -131,7 +131,11 @@ def test_what_is_told(traced):
     assert [text for text in warnings(report) if "is open" in text] == [
         f"field 10 deg: which path is the worst is open, path {rival.path_id.iloc[0]} may be as bright; raise rays"
     ]
-    page = html_text(report)
+
+
+@pytest.mark.long
+def test_the_page_tells_the_rays_of_each_field(traced):
+    page = html_text(ghosts(lens_scene(), [0.0, 10.0], rays=100))
     assert "100 start rays at each field" in page
     assert "Field 10 deg: traced again with 400 start rays" in page
 
