@@ -35,8 +35,8 @@ from mistray.analysis.stray_levels import stray_levels
 from mistray.errors import Interrupted, MistrayError, UnfinishedError
 from mistray.files.irradiance_files import Map
 from mistray.ranges import CONTESTED_RAYS, FIELD_DEG, RAYS
+from mistray.recorders.film import Pixels
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
-from mistray.recorders.sampled import Sampled
 from mistray.renamed import renamed
 from mistray.time_budget import is_limited, within
 from mistray.trace import Settings, Trace
@@ -308,8 +308,12 @@ class GhostReport(Mapping[float, Trace]):
 
     def stray_map(self, field_deg: float) -> tuple[Map, Map]:
         """Irradiance map of all but the direct paths and its standard error, (H, W) in W/mm²."""
-        stray = self._field_maps(field_deg).stray
+        stray = self.stray_light(field_deg)
         return stray.value, stray.se
+
+    def stray_light(self, field_deg: float) -> Pixels:
+        """The image of all but the direct paths, W/mm²."""
+        return self._field_maps(field_deg).stray
 
     def stray_statistics(self, field_deg: float) -> MapStatistics:
         """Statistics block of the map without the direct image."""
@@ -377,7 +381,7 @@ class GhostReport(Mapping[float, Trace]):
         together = dict.fromkeys([path_id, *direct, *self.listed(field_deg, MAPPED_PATHS).path_id])
         return self.rays_of_paths(field_deg, list(together))[path_id]
 
-    def _nominal_map(self) -> Sampled:
+    def _nominal_map(self) -> Pixels:
         field = next((field for field, t in self.items() if t is self.nominal_trace), None)
         if field is not None:
             return self._field_maps(field).direct

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from mistray.errors import MistrayError
 from mistray.files.irradiance_files import Extent, Map
+from mistray.recorders.film import in_squares
 from mistray.recorders.sampled import Sampled
 
 
@@ -109,13 +110,9 @@ def averaged(image: Map, extent: Extent, cells: int) -> tuple[Map, Extent]:
         x0, x1, y0, y1 of the whole squares, mm.
     """
     pixels = pixels_averaged(image, cells)
-    rows, columns = image.shape
-    starts = np.arange(0, rows, pixels), np.arange(0, columns, pixels)
-    sums = np.add.reduceat(np.add.reduceat(image, starts[0], axis=0), starts[1], axis=1)
-    counts = np.outer(*(np.diff([*start, end]) for start, end in zip(starts, image.shape, strict=True)))
-    width, height = pixel_size(image, extent)
-    right, top = (low + len(start) * pixels * size
-                  for low, start, size in ((extent[0], starts[1], width), (extent[2], starts[0], height)))  # fmt: skip
+    sums, counts = in_squares(image, pixels), in_squares(np.ones_like(image), pixels)
+    (rows, columns), (width, height) = sums.shape, pixel_size(image, extent)
+    right, top = extent[0] + columns * pixels * width, extent[2] + rows * pixels * height
     return sums / counts, (extent[0], float(right), extent[2], float(top))
 
 
@@ -173,16 +170,17 @@ def mirror_asymmetry(irradiance: Map, irradiance_se: Map) -> tuple[float, float]
     Returns
     -------
     measured : float
-        Σ|E - E'| / Σ(E + E'), 0 … 1, E' being the mirrored map; NaN for a dark map.
+        Σ|E - E'| / Σ(E + E'), 0 … 1, E' being the mirrored map, over the pixels whose errors are known; NaN if there is
+        no light in them.
     expected : float
         The same from the standard errors alone, for Gaussian noise: the mean of |N(0, s)| is s·sqrt(2/π).
     """
-    total = 2.0 * irradiance.sum()
+    difference, noise = np.abs(irradiance - irradiance[:, ::-1]), np.hypot(irradiance_se, irradiance_se[:, ::-1])
+    known = np.isfinite(noise)
+    total = 2.0 * irradiance[known].sum()
     if total == 0:
         return float("nan"), float("nan")
-    difference = np.abs(irradiance - irradiance[:, ::-1])
-    noise = np.hypot(irradiance_se, irradiance_se[:, ::-1])
     # The centre column of an odd width is its own mirror image
     if irradiance.shape[1] % 2:
         noise[:, irradiance.shape[1] // 2] = 0
-    return float(difference.sum() / total), float(np.sqrt(2 / np.pi) * noise.sum() / total)
+    return float(difference[known].sum() / total), float(np.sqrt(2 / np.pi) * noise[known].sum() / total)

@@ -12,9 +12,8 @@ import numpy.typing as npt
 from mistray.analysis.irradiance import pixel_size
 from mistray.analysis.peaks import BYTES_PER_PIXEL, MAP_BYTES
 from mistray.files.irradiance_files import Map
-from mistray.recorders.film import groups_of
+from mistray.recorders.film import Pixels, images_of
 from mistray.recorders.path_events import DIRECT
-from mistray.recorders.sampled import Sampled
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -120,8 +119,8 @@ class FieldMaps:
 class ImagesOfField:
     """Full maps of one field: the direct image, all stray light, and the worst paths with their errors by path_id."""
 
-    direct: Sampled
-    stray: Sampled
+    direct: Pixels
+    stray: Pixels
     paths: dict[int, tuple[Map, Map]]
 
 
@@ -153,8 +152,8 @@ def field_maps(
     shown = set(path_ids)
     strongest = table.sort_values("power_W", ascending=False).path_id.tolist()
     wanted = [*path_ids, *(path_id for path_id in strongest if path_id not in shown)]
-    sizes = [groups_of(pixels) if path_id in direct_ids | worst else 1 for path_id in wanted]
-    room = MAP_BYTES / (BYTES_PER_PIXEL * pixels) - groups_of(pixels) - 1
+    sizes = [images_of(pixels) if path_id in direct_ids | worst else 1 for path_id in wanted]
+    room = MAP_BYTES / (BYTES_PER_PIXEL * pixels) - images_of(pixels) - 1
     chosen = wanted[: int(np.searchsorted(np.cumsum(sizes), room, side="right"))]
     left = set(members) - set(chosen)
     # What is left, direct and stray apart, then path by path
@@ -169,7 +168,7 @@ def field_maps(
     def in_cells(irradiance: Map, cells: int) -> PathMap:
         return PathMap.of(irradiance * (width * height), cells)
 
-    direct, stray, rest = trace.light.scaled(0.0), np.zeros_like(trace.irradiance), np.zeros_like(trace.irradiance)
+    direct, stray, rest = trace.light.none, np.zeros_like(trace.irradiance), np.zeros_like(trace.irradiance)
     paths: dict[int, PathMap] = {}
     others: dict[int, PathMap] = {}
     full: dict[int, tuple[Map, Map]] = {}
@@ -194,9 +193,10 @@ def field_maps(
     return maps, whole
 
 
-def without(light: Sampled, direct: Sampled, value: Map) -> Sampled:
+def without(light: Pixels, direct: Pixels, value: Map) -> Pixels:
     """Map of the stray light, whose value is known, with the noise of all light less the direct image."""
-    return Sampled(value, np.where(value[..., None] > 0, (light - direct).apart, 0.0))
+    noise = np.where(value[..., None] > 0, (light - direct).apart, 0.0)
+    return Pixels(value, noise, np.maximum(light.weights - direct.weights, 0.0))
 
 
 def _cells(lit: npt.NDArray[np.int64], pixels: int) -> int:

@@ -10,7 +10,7 @@ import pandas as pd
 
 from mistray.analysis.irradiance import brightest
 from mistray.analysis.ranking import ranks
-from mistray.recorders.film import groups_of
+from mistray.recorders.film import images_of
 from mistray.trace import Trace
 
 MAP_BYTES = 400e6  # of the maps of paths while they are summed
@@ -53,7 +53,7 @@ def _peaks(trace: Trace, ways: Sequence[Sequence[int]], well: npt.NDArray[np.boo
     """Brightest pixel of each path and its standard error, (n,) each in W/mm²; NaN of those that were not mapped."""
     pixels = trace.irradiance.size
     images = MAP_BYTES / (BYTES_PER_PIXEL * pixels) - 1  # less the one of all others
-    room = max(int(images / groups_of(pixels)), 1)
+    room = max(int(images / images_of(pixels)), 1)
     value, se = np.full((2, len(ways)), np.nan)
     for first in range(0, len(ways), room):
         after = min(first + room, len(ways))

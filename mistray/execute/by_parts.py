@@ -180,7 +180,7 @@ class _Merged:
 
     def __post_init__(self) -> None:
         run = self.run
-        self.films = tuple(np.zeros((film.groups, film.height, film.width)) for film in run.make_films())
+        self.films = tuple(np.zeros((film.images, film.height, film.width)) for film in run.make_films())
         self.surfaces = np.zeros((run.table.count + len(run.table.optics.media), SURFACE_SUMS, BATCHES))
         self.media = np.zeros((len(run.table.optics.media), BATCHES))
         self.channels = np.zeros((CHANNEL_COUNT, BATCHES))

@@ -29,7 +29,8 @@ class Forecast:
     def __init__(self, rays: int, tells: bool = True) -> None:
         self._rays, self._tells = rays, tells
         self._began = time.perf_counter()
-        self._first: tuple[int, float] | None = None  # rays of the first launch, and when it had ended: compiled
+        self._run: Run | None = None  # looked at last
+        self._first = 0, self._began  # rays when its first launch had ended, and when: compiled
 
     def look(self, run: Run, done: int) -> None:
         """
@@ -48,8 +49,8 @@ class Forecast:
             If what is left takes longer than `LONG`.
         """
         now = time.perf_counter()
-        if self._first is None:
-            self._first = done, now
+        if run is not self._run:
+            self._run, self._first = run, (done, now)
             return
         rays, then = self._first
         if not self._tells or now - self._began < FIRST_LOOK or done == rays:

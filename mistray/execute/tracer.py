@@ -26,7 +26,6 @@ from mistray.recorders.ledger import DecodedPaths, Ledger
 from mistray.recorders.path_derivative import MOMENTS, PathDerivative
 from mistray.recorders.path_key import EVENT_BITS
 from mistray.recorders.recorder import Recorder, Recorders
-from mistray.recorders.sampled import Sampled
 from mistray.recorders.start_rays import StartRays, generators
 from mistray.recorders.tallies import CHANNEL_COUNT, STARTED, SURFACE_SUMS, Tallies
 from mistray.sampling.design.search import design_sequences, traced_table
@@ -83,8 +82,8 @@ class Run:
     media : (m, BATCHES) float64
         Flux that each medium absorbs, in `unit`.
     channels : (CHANNEL_COUNT, BATCHES) float64
-    films : tuple of (groups, height, width) float64
-        Detected flux on each detector by group of batches, in `unit`; see `mistray.recorders.film.groups_of`.
+    films : tuple of (images, height, width) float64
+        Detected flux on each detector, in `unit`; see `mistray.recorders.film.Film`.
     paths : DecodedPaths or None
     design : DesignSequences
         The sequences of the direct image.
@@ -313,7 +312,7 @@ class Run:
         self.media = np.array(tallies.media).reshape(-1, BATCHES)
         self.channels = np.array(tallies.channels).reshape(CHANNEL_COUNT, BATCHES)
         self.films = tuple(
-            np.array(found.sums).reshape(film.groups, film.height, film.width)
+            np.array(found.sums).reshape(film.images, film.height, film.width)
             for film, found in zip(films, images, strict=True)
         )
         few = self.ledger is not None and (not requested() or self.ledger.used <= MOST_PATHS_KEPT)
@@ -456,22 +455,6 @@ class Run:
                 if int(recorder.count[0]) >= count:
                     return recorder
         return recorder
-
-
-def image(film: np.ndarray, started: np.ndarray) -> Sampled:
-    """
-    An image of the detector with its noise, which is not known (NaN) where there is one image of all batches.
-
-    Parameters
-    ----------
-    film : (groups, height, width) float64
-        Flux by group of batches.
-    started : (BATCHES,) float64
-        Start rays of the batches.
-    """
-    if len(film) == 1:
-        return Sampled(film[0], np.full((*film.shape[1:], 1), np.nan))
-    return Sampled.of(np.moveaxis(film, 0, -1), started.reshape(len(film), -1).sum(axis=1))
 
 
 def prepare(

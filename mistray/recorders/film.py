@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from scipy.ndimage import correlate1d
 
 from mistray.errors import MistrayError
 from mistray.recorders.recorder import Memory, Recorder, Visit
+from mistray.recorders.sampled import Numbers, Sampled, error_rays, few_rays
 from mistray.settings import BATCHES
 
 FILM_BYTES, LEAST_GROUPS = 1 << 24, 8  # of the images of the detector of a run, by groups of batches
+# Images behind those of the groups: number of rays, and sums of the squares and fourth powers of their flux
+WEIGHTS = 3
+NEIGHBOURS = 5  # pixels across of the square whose rays tell how uneven those of its middle are
 
 
 @dataclass
@@ -33,6 +39,7 @@ class Film:
         pixel that holds it.
     groups : int
         Of batches, a power of two; the film has an image for each of them, whose spread is the error of their sum.
+        Where there are several, the film also has the `WEIGHTS`, which tell how far that error may be trusted.
     image_of_slot : mi.UInt32 or None
         For maps of single paths: the `image_word` of the map of each ledger slot, 0 for none.
     """
@@ -48,14 +55,32 @@ class Film:
     image_of_slot: mi.UInt32 | None = None
     tent: bool = False
 
-    def image(self, batch: mi.UInt32, slot: mi.UInt32 | None, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
-        """First pixel of the image where a hit counts, and whether it does."""
-        group = batch >> dr.opaque(mi.UInt32, (BATCHES // self.groups).bit_length() - 1)
-        if self.image_of_slot is not None:
-            word = dr.gather(mi.UInt32, self.image_of_slot, slot, active)
-            active &= word > 0
-            group = (word >> 1) - 1 + dr.select((word & 1) > 0, group, 0)
-        return group * (self.width * self.height), active
+    @property
+    def images(self) -> int:
+        """Number of images."""
+        return self.groups + (WEIGHTS if self.groups > 1 else 0)
+
+    def image(self, batch: mi.UInt32, slot: mi.UInt32 | None, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool, mi.Bool]:
+        """
+        Where a hit counts.
+
+        Returns
+        -------
+        first : mi.UInt32
+            First pixel of the image of group 0.
+        active : mi.Bool
+            Whether it counts.
+        by_group : mi.Bool
+            Whether there are images for each group.
+        """
+        if self.image_of_slot is None:
+            return mi.UInt32(0), active, mi.Bool(self.groups > 1)
+        word = dr.gather(mi.UInt32, self.image_of_slot, slot, active)
+        return ((word >> 1) - 1) * (self.width * self.height), active & (word > 0), (word & 1) > 0
+
+    def group(self, batch: mi.UInt32) -> mi.UInt32:
+        """Group of a batch."""
+        return batch >> dr.opaque(mi.UInt32, (BATCHES // self.groups).bit_length() - 1)
 
     def places(self, x: mi.Float, y: mi.Float) -> list[tuple[mi.UInt32, mi.Float | None]]:
         """
@@ -92,32 +117,110 @@ class Images(Recorder):
     ----------
     film : Film
     count : int, optional
-        Number of images; by default those of the film.
+        Number of images; by default `Film.images`.
     only : int, optional
         Number of the detector where there are several.
 
     Attributes
     ----------
     sums : (count · height · width,) mi.Float64
-        In units of a start ray.
+        Flux in units of a start ray, see `Film`.
     """
 
     def __init__(self, film: Film, count: int | None = None, only: int | None = None) -> None:
         self._film, self.incident = film, film.incident
         self._only = None if only is None else dr.opaque(mi.UInt32, only)
-        self.sums = dr.zeros(mi.Float64, film.width * film.height * (film.groups if count is None else count))
+        self.sums = dr.zeros(mi.Float64, film.width * film.height * (film.images if count is None else count))
         dr.eval(self.sums)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Add flux to pixels."""
         film = self._film
         here = visit.counted if self._only is None else visit.counted & (visit.surface == self._only)
-        image, on_film = film.image(visit.start.batch, visit.slot, here)
+        first, on_film, by_group = film.image(visit.start.batch, visit.slot, here)
+        size = film.width * film.height
+        image = first + dr.select(by_group, film.group(visit.start.batch) * size, 0)
         for pixel, share in film.places(*visit.position):
             flux = mi.Float64(visit.weight if film.incident else visit.absorbed)
             if share is not None:
                 flux *= mi.Float64(share)
             dr.scatter_reduce(dr.ReduceOp.Add, self.sums, flux, image + pixel, on_film)
+            if film.groups > 1:  # how uneven the rays are
+                square = flux * flux
+                for number, weight in enumerate((mi.Float64(1), square, square * square), film.groups):
+                    place = first + (number * size + pixel)
+                    dr.scatter_reduce(dr.ReduceOp.Add, self.sums, weight, place, on_film & by_group)
+
+
+@dataclass(frozen=True)
+class Pixels(Sampled):
+    """
+    An image with its noise.
+
+    Attributes
+    ----------
+    weights : (WEIGHTS, height, width) float64
+        Number of rays and sums of the squares and fourth powers of their flux in each pixel; NaN where the noise is not
+        known.
+    """
+
+    weights: Numbers
+
+    @classmethod
+    def of_film(cls, film: Numbers, started: Numbers, scale: float = 1.0) -> Pixels:
+        """
+        From the images of a film; the noise is not known (NaN) where there is one image of all batches.
+
+        Parameters
+        ----------
+        film : (images, height, width) float64
+            See `Film`.
+        started : (BATCHES,) float64
+            Start rays of the batches.
+        scale : float, optional
+            What a unit of the film is.
+        """
+        if len(film) == 1:
+            noise = np.full((*film.shape[1:], 1), np.nan)
+            return cls(scale * film[0], noise, np.full((WEIGHTS, *film.shape[1:]), np.nan))
+        groups = len(film) - WEIGHTS
+        found = Sampled.of(np.moveaxis(film[:groups], 0, -1), started.reshape(groups, -1).sum(axis=1)).scaled(scale)
+        powers = scale ** np.array([0.0, 2.0, 4.0])
+        return cls(found.value, found.apart, powers[:, None, None] * film[groups:])
+
+    @property
+    def none(self) -> Pixels:
+        """A dark image of the same size."""
+        return Pixels(*map(np.zeros_like, (self.value, self.apart, self.weights)))
+
+    def __add__(self, other: Sampled) -> Pixels:
+        """Of other light; that of a number without `weights` is not told apart."""
+        both = super().__add__(other)
+        return Pixels(both.value, both.apart, self.weights + getattr(other, "weights", 0.0))
+
+    def __getitem__(self, chosen: Any) -> Sampled:
+        return Sampled(self.value[chosen], np.where(self.few_rays[..., None], np.nan, self.apart)[chosen])
+
+    @property
+    def few_rays(self) -> np.ndarray:
+        """Whether too few rays meet a pixel for its error to be known, (height, width) bool; see `error_rays`."""
+        return self.few_in_squares(1)
+
+    def few_in_squares(self, pixels: int) -> np.ndarray:
+        """The same for squares of so many pixels along a side."""
+
+        def pool(values: Numbers) -> Numbers:
+            for axis in (0, 1):
+                values = correlate1d(values, np.ones(NEIGHBOURS), axis, mode="constant")
+            return values
+
+        light, rays, squares, fourths = (in_squares(values, pixels) for values in (self.value, *self.weights))
+        return few_rays(error_rays(rays, light, squares, fourths, pool))
+
+    @property
+    def se(self) -> Numbers:
+        """Standard error, (height, width); NaN in pixels of few rays."""
+        return np.where(self.few_rays, np.nan, super().se)
 
 
 class Box(Recorder):
@@ -148,6 +251,17 @@ def groups_of(pixels: int) -> int:
     """Groups of batches that have an image of so many pixels each: fewer where the images would be large."""
     most = FILM_BYTES // (8 * pixels)
     return int(np.clip(1 << max(most, 1).bit_length() - 1, LEAST_GROUPS, BATCHES))
+
+
+def images_of(pixels: int) -> int:
+    """Number of images of a map with its noise."""
+    return groups_of(pixels) + WEIGHTS
+
+
+def in_squares(image: Numbers, pixels: int) -> Numbers:
+    """Sums over squares of so many pixels along a side, fewer at the last row and column, (h, w)."""
+    rows, columns = (np.arange(0, size, pixels) for size in image.shape)
+    return np.asarray(np.add.reduceat(np.add.reduceat(image, rows, axis=0), columns, axis=1))
 
 
 def spreads(film: mi.Film) -> bool:

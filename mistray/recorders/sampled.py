@@ -8,6 +8,7 @@ far they vary together, so that the error of their quotient is that of a quotien
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 Numbers = npt.NDArray[np.float64]
+
+ERROR_RAYS = 10  # that an error should stand on: the variance of the variance is below 0.1 then
+ROUNDING = 1e-6  # of numbers of rays of equal weight
 
 
 @dataclass(frozen=True)
@@ -105,3 +109,41 @@ def _alike(*numbers: Sampled) -> list[Sampled]:
 def batch_error(by_batch: np.ndarray, rays: np.ndarray) -> np.ndarray:
     """Standard error of a sum over batches (last axis) of `rays` start rays each, from the spread of their means."""
     return Sampled.of(by_batch, rays).se
+
+
+def error_rays(
+    rays: Numbers, light: Numbers, squares: Numbers, fourths: Numbers, pool: Callable[[Numbers], Numbers]
+) -> Numbers:
+    """
+    Number of rays that each error stands on.
+
+    An error is itself an estimate. Its relative variance is Σw⁴/(Σw²)² of the weights w of the rays, the "variance of
+    the variance", which should be below 0.1 (R. A. Forster et al., "Ten new checks to assess the statistical quality of
+    Monte Carlo solutions in MCNP", LA-UR-94-0000, 1994). Its inverse is the number of rays that the error stands on.
+    A sum may lack its rare large weights by chance, so that the value and its error are too small together. So each is
+    also judged by the weights of all sums of its kind, over the mean of each.
+
+    Parameters
+    ----------
+    rays, light, squares, fourths : (…) float64
+        Number of rays, and sums of their weights and of the second and fourth powers of these.
+    pool : callable
+        Sums numbers (…) over all that are of the kind of each, (…).
+
+    Returns
+    -------
+    (…) float64
+        0 where there is no light.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        own = squares**2 / fourths
+        sure = rays >= ERROR_RAYS  # of fewer rays the largest weight over the mean is bounded by their number
+        each = (rays, squares * (rays / light) ** 2, fourths * (rays / light) ** 4)
+        count, second, fourth = (pool(np.nan_to_num(np.where(sure, values, 0.0))) for values in each)
+        pooled = np.where(fourth > 0, rays * second**2 / (count * fourth), np.inf)
+    return np.nan_to_num(np.minimum(own, pooled), nan=0.0)
+
+
+def few_rays(found: Numbers) -> npt.NDArray[np.bool_]:
+    """Whether `error_rays` are too few for an error."""
+    return np.asarray(found < ERROR_RAYS * (1 - ROUNDING))

@@ -9,11 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from mistray.recorders.ledger import SUMS
-from mistray.recorders.sampled import Sampled, batch_error
+from mistray.recorders.sampled import Sampled, batch_error, error_rays, few_rays
 
 CHUNK = 1024  # paths that are worked out together
-ROUNDING = 1e-6  # of numbers of rays of equal weight
-ERROR_RAYS = 10  # that an error should stand on: the variance of the variance is below 0.1 then
 # Columns of `RunSums.columns`; the last three are the sums of s1, s2, s3
 RAYS, INCIDENT, ABSORBED, BY_X, BY_Y, BY_SQUARE, S1, S2, S3 = range(9)
 SQUARES, FOURTHS = 6, 7  # of the ledger: absorbed², absorbed⁴
@@ -99,13 +97,7 @@ class PathNumbers:
 
     def judged(self, kind: np.ndarray) -> dict[str, np.ndarray]:
         """
-        The columns, and how far their errors may be trusted.
-
-        An error is itself an estimate. Its relative variance is Σw⁴/(Σw²)² of the weights w of the rays, the "variance
-        of the variance", which should be below 0.1 (R. A. Forster et al., "Ten new checks to assess the statistical
-        quality of Monte Carlo solutions in MCNP", LA-UR-94-0000, 1994). Its inverse is the number of rays that the
-        error stands on. A path may lack its rare large weights by chance, so that the value and its error are too
-        small together. So each path is also judged by the weights of all paths of its kind, over the mean of each.
+        The columns, and how far their errors may be trusted, see `mistray.recorders.sampled.error_rays`.
 
         Parameters
         ----------
@@ -120,13 +112,9 @@ class PathNumbers:
         """
         rays, light, squares, fourths = self.weights.T
         with np.errstate(divide="ignore", invalid="ignore"):
-            effective, own = light**2 / squares, squares**2 / fourths
-            sure = rays >= ERROR_RAYS  # of fewer rays the largest weight over the mean is bounded by their number
-            each = np.where(sure, np.stack([rays, squares * (rays / light) ** 2, fourths * (rays / light) ** 4]), 0)
-            count, second, fourth = (np.bincount(kind, values)[kind] for values in np.nan_to_num(each))
-            pooled = np.where(fourth > 0, rays * second**2 / (count * fourth), np.inf)
-            found = np.nan_to_num(np.minimum(own, pooled), nan=0.0)
-        few = found < ERROR_RAYS * (1 - ROUNDING)
+            effective = light**2 / squares
+        found = error_rays(rays, light, squares, fourths, lambda values: np.bincount(kind, values)[kind])
+        few = few_rays(found)
         columns = {
             name: np.where(few, np.nan, values) if is_error(name) else values for name, values in self.columns.items()
         }

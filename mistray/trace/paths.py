@@ -117,7 +117,7 @@ class PathRow:
         (Σw²)²/Σw⁴, the number of rays that the standard error of the power stands on, or what it would be with the
         weights of the paths of the same kind, where that is less: see `mistray.trace.path_numbers.PathNumbers.judged`.
     few_rays : bool
-        Whether that is less than `mistray.trace.path_numbers.ERROR_RAYS`, so that no error can be given: the errors of
+        Whether that is less than `mistray.recorders.sampled.ERROR_RAYS`, so that no error can be given: the errors of
         this row are NaN. The sum of several such rows has one, see `PathTable.power`.
     power_W : float
         Flux that the detector absorbs.

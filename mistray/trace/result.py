@@ -14,14 +14,13 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.execute.by_parts import TraceTask, images_by_parts
-from mistray.execute.tracer import Run, image
+from mistray.execute.tracer import Run
 from mistray.execute.workers import current_workers
 from mistray.gradients.run_gradient import run_gradient
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
-from mistray.recorders.film import image_word
+from mistray.recorders.film import Pixels, image_word
 from mistray.recorders.path_derivative import MOMENTS, HitDerivative, PathDerivative
 from mistray.recorders.recorder import Recorder
-from mistray.recorders.sampled import Sampled
 from mistray.recorders.tallies import SCATTERED_FLUX, SCATTERED_HITS, SCATTERED_SQUARES, SEGMENTS
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.thin_gaps import thin_gaps
@@ -61,7 +60,8 @@ class Trace:
         Absorbed flux density of the detector and its standard error, W/mm²; row 0 is at the smallest y. The error comes
         from the spread of 32 batches of start rays, or of 16 or 8 groups of them where the detector has more than
         65 536 or 131 072 pixels, so that light of one start ray that lands in one pixel several times counts as one.
-        From 32 batches an error is known to 13 %, from 8 to 27 %.
+        From 32 batches an error is known to 13 %, from 8 to 27 %. It is NaN where too few rays meet a pixel, see
+        `mistray.recorders.film.Pixels.few_rays`.
     coating_error : float
         Bound of the error of R and T by interpolation over the angle of incidence, of the worst coating.
     scattered_rays_per_start : float
@@ -200,7 +200,7 @@ class Trace:
         return _with_error(self.light)
 
     @property
-    def light(self) -> Sampled:
+    def light(self) -> Pixels:
         """Irradiance of all light with its noise, (height, width), W/mm²."""
         return _irradiance(self._runs, [run.film for run in self._runs])
 
@@ -323,7 +323,7 @@ class Trace:
         """
         return [_with_error(found) for found in self.each_map(groups, [True] * len(groups))]
 
-    def each_map(self, groups: Sequence[Sequence[int]], with_noise: Sequence[bool]) -> Iterator[Sampled]:
+    def each_map(self, groups: Sequence[Sequence[int]], with_noise: Sequence[bool]) -> Iterator[Pixels]:
         """
         The maps of `maps` one by one.
 
@@ -337,7 +337,7 @@ class Trace:
 
         Yields
         ------
-        Sampled
+        Pixels
             (height, width), W/mm².
         """
         counts = [len(self._runs[0].film) if noise else 1 for noise in with_noise]
@@ -566,12 +566,14 @@ class Trace:
         return f"Trace({count}, {self.segments:.3g} segments, {detected}, {words_of(self.settings)})"
 
 
-def _irradiance(runs: Sequence[Run], films: Sequence[np.ndarray]) -> Sampled:
+def _irradiance(runs: Sequence[Run], films: Sequence[np.ndarray]) -> Pixels:
     """Irradiance of the images of some runs, (images, height, width) each; W/mm²."""
     pixel = runs[0].pixel_area
-    first, *others = (image(film, run.started).scaled(run.unit / pixel) for run, film in zip(runs, films, strict=True))
+    first, *others = (
+        Pixels.of_film(film, run.started, run.unit / pixel) for run, film in zip(runs, films, strict=True)
+    )
     return sum(others, start=first)
 
 
-def _with_error(found: Sampled) -> tuple[np.ndarray, np.ndarray]:
+def _with_error(found: Pixels) -> tuple[np.ndarray, np.ndarray]:
     return found.value, found.se

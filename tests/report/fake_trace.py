@@ -9,8 +9,8 @@ from types import SimpleNamespace
 import numpy as np
 from report.fake_ledger import GLASS, SENSOR, STRUCTURE, decoded, encode, fake_run, hit_sums
 
+from mistray.recorders.film import Pixels
 from mistray.recorders.ledger import SUMS
-from mistray.recorders.sampled import Sampled
 from mistray.settings import BATCHES
 from mistray.trace import Energy, FluxReport, Settings, SurfaceFlux
 from mistray.trace.aimed_rays import AimedSurface
@@ -154,13 +154,16 @@ class FakeTrace:
         """Irradiance of some paths."""
         x0, x1, y0, y1 = EXTENT
         pixel = (x1 - x0) / SHAPE[1] * (y1 - y0) / SHAPE[0]
-        by_batch = np.zeros((*SHAPE, BATCHES))
+        by_batch, weights = np.zeros((*SHAPE, BATCHES)), np.zeros((3, *SHAPE))
         for path in (self.fakes[path_id] for path_id in path_ids):
             places = np.column_stack([path.points[:, ::-1], path.batch])
             limits = [(y0, y1), (x0, x1), (0, BATCHES)]
             counts, _ = np.histogramdd(places, bins=by_batch.shape, range=limits)
-            by_batch += counts * path.power / path.rays / pixel
-        return Sampled.of(by_batch, np.full(BATCHES, START_RAYS / BATCHES))
+            one = path.power / path.rays / pixel
+            by_batch += counts * one
+            weights += np.array([1.0, one**2, one**4])[:, None, None] * counts.sum(axis=2)
+        film = np.concatenate([np.moveaxis(by_batch, 2, 0), weights])
+        return Pixels.of_film(film, np.full(BATCHES, START_RAYS / BATCHES))
 
     def irradiance_of(self, path_ids):
         found = self.sampled(path_ids)

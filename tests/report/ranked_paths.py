@@ -10,10 +10,11 @@ from report.fake_trace import LENS, FakePath, FakeTrace
 from mistray.analysis.ghosts import GhostReport
 
 # Discs of even irradiance: P/(π a²) is the peak and 2P/(π a²) the RMS irradiance, as r_rms² = a²/2
-WIDE = f"{LENS} detector:R window_rear:R L1_front:T L1_rear:T detector:A"  # 1 mW: peak 0.00063, RMS irradiance 0.0013
+# 1 mW: peak 0.00063, RMS irradiance 0.0013
+WIDE = f"{LENS} detector:R L1_rear:T L1_front:T window_rear:R L1_front:T L1_rear:T detector:A"
 ROUND = f"{LENS} detector:R L1_rear:R detector:A"  # 0.2 mW: peak 0.0016, RMS irradiance 0.0032
 # Two discs of 0.1 mW at x = ±1 mm, r_rms = 1 mm: peak 0.0032, RMS irradiance 0.00006
-TWIN = f"{LENS} detector:R L1_front:R L1_rear:T detector:A"
+TWIN = f"{LENS} detector:R L1_rear:T L1_front:R L1_rear:T detector:A"
 ORDERS = {"rms": (ROUND, WIDE, TWIN), "power": (WIDE, ROUND, TWIN), "peak": (TWIN, ROUND, WIDE)}
 LINES = {450.0: 0.5, 650.0: 0.5}
 

@@ -31,7 +31,7 @@ def test_sorted_by_absorbed_flux_and_complete(trace):
 def test_summary_of_intercepts(trace):
     direct, ghost = sorted_paths(trace)[:2]
     assert direct.intercepts == "(4 SpecTran)"
-    assert ghost.intercepts == "(6 SpecTran)(2 SpecRefl)"
+    assert ghost.intercepts == "(8 SpecTran)(2 SpecRefl)"
 
 
 def test_representative_ray_runs_from_source_to_detector(trace):

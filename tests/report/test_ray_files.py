@@ -137,5 +137,5 @@ def test_names_of_rows(trace):
 
 def test_light_that_is_aimed_has_a_name_of_its_own():
     labels = [row.label for row in scatter_trace_at(0.0).paths if row.kind == "single scatter"]
-    assert labels.count("window_rear:t") == labels.count("window_rear:i") == 1
+    assert labels.count("scatter at window_rear") == labels.count("window_rear:i") == 1
     assert len(set(labels)) == len(labels)

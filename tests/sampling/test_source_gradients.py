@@ -165,7 +165,7 @@ def test_gradient(name: str) -> None:
     """By numbers of the source, with what the rim of the detector takes; false alarms 0.02 % each of 31."""
     lamp, key, step = GRADIENTS[name]
     here = scene(lamp)
-    metric = path_power(here, "straight shot", rays=200_000, seed=1)
+    metric = path_power(here, "straight shot", rays=400_000, seed=1)  # half of them go to the detector
     g = mistray.gradient(metric, mi.traverse(here), keys=[f"lamp.{key}"])
     up, down = (exact_flux({**lamp, key: lamp.get(key, 0.0) + sign * step}) for sign in (1, -1))
     (source,) = scene_sources(here)

@@ -73,7 +73,7 @@ def test_a_dark_body_is_opaque_and_says_so() -> None:
     assert t.energy.absorbed["face"][0] == pytest.approx(0.96 * t.energy.launched_W, rel=1e-3)
     note, lost = t.notes
     assert lost == "no light reaches the detector: 'face' takes 96 % of it"
-    assert repr(t).endswith("'face' takes 96 %)")
+    assert "'face' takes 96 %" in repr(t)
     assert "1.5+0.005i" in note
     assert "0.5 mm" in note
     report = mistray.ghosts(scene, rays=100)

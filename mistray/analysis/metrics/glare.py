@@ -245,7 +245,7 @@ def glare_spread(
             raise MistrayError("the trace has no direct image to compare with; trace a field angle within the field")
         (glare,) = light.each_map([stray], [True])
         found = glare.over(flux)
-        spread, se = found.value, found.se
+        spread, se = found.value, np.where(glare.few_rays, np.nan, found.se)
         extent, words = light.extent, "stray light alone"
     else:
         value, se = light.irradiance(field_deg, azimuth_deg)

@@ -11,13 +11,13 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.execute.by_parts import SceneTask, tables_of
-from mistray.execute.tracer import Run, image
+from mistray.execute.tracer import Run
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
 from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.direction_recorder import CLASSES
 from mistray.recorders.directions import DirectionGrid
-from mistray.recorders.film import Film, groups_of
+from mistray.recorders.film import Film, Pixels, groups_of
 from mistray.recorders.path_events import DIRECT, Events, describe_events, way
 from mistray.recorders.path_key import host_keys
 from mistray.recorders.sampled import batch_error
@@ -394,10 +394,12 @@ class ForwardCells:
         columns, rows = self._map_size
         x0, x1, y0, y1 = self.extent
         pixels = self.area * columns * rows / ((x1 - x0) * (y1 - y0))  # on the detector
-        found = [image(part.film, part.started) for part in sums]
-        value = sum(pixels * scale * one.value for scale, one in zip(self._scales(sums), found, strict=True))
-        variance = sum(np.square(pixels * scale * one.se) for scale, one in zip(self._scales(sums), found, strict=True))
-        return np.stack([value, np.sqrt(variance)])
+        first, *others = (
+            Pixels.of_film(part.film, part.started, pixels * scale)
+            for part, scale in zip(sums, self._scales(sums), strict=True)
+        )
+        found = sum(others, start=first)
+        return np.stack([found.value, found.se])
 
 
 class CellsTask(SceneTask):

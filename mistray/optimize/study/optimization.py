@@ -236,6 +236,7 @@ def optimize(
         started = time.perf_counter()
         designs = variables.start, np.array(best.x)
         orders: tuple[NextOrder, ...] = ()
+        unpolarized: tuple[str, ...] = ()
         unverified = ""
 
         def both(asked: Study, seeds: int, seconds: float, least: int = LEAST_SEEDS) -> tuple[Levels, Levels]:
@@ -249,12 +250,15 @@ def optimize(
                 spent = time.perf_counter() - started
                 left = spent if end is None else min(spent, end - time.perf_counter())
                 comparison, orders = with_next_orders(read, opened.scene, levels, left, both)
+            variables.apply(designs[1])
+            metrics = [
+                traced_metric(term, opened.scene, read.optimizer.seed) for term in read.terms if not of_layers(term)
+            ]
+            unpolarized = tuple(seen_unpolarized(opened.scene, [view for metric in metrics for view in metric.views]))
         except Exception as error:  # what the search has found is not lost to it
             unverified, comparison = in_words(error), of_search(read, searches.steps[0], best)
             variables.apply(designs[1])
         gaps = contacts.opened(opened.scene)  # which is the result now
-        traced = [traced_metric(term, opened.scene, read.optimizer.seed) for term in read.terms if not of_layers(term)]
-        unpolarized = seen_unpolarized(opened.scene, [view for metric in traced for view in metric.views])
     return Optimization(
         study=read,
         source=source,

@@ -205,7 +205,7 @@ def layout_figure(
     if trace is not None:
         for row, colour in zip(chosen_rows(trace, paths, path_ids), itertools.cycle(PATH_COLOURS), strict=False):
             history = trace.history(row.path_id, CANDIDATES * rays).rays
-            drawn.append(Drawn(meridional(history, rays), colour, row_name(row)))
+            drawn.append(Drawn(meridional(history, rays), colour, row_name(row, len(trace.wavelengths_nm) > 1)))
         title = f"field {trace.settings['field_deg']:g}°, section x = 0; rays projected onto it"
     return _figure(scene, drawn, title, width=PAPER_WIDTH, size=7.0)
 

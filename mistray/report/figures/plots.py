@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.colors import Colormap
@@ -25,6 +26,7 @@ from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.irradiance import averaged, log10_image, log_range, pixels_averaged
 from mistray.errors import MistrayError
 from mistray.files.irradiance_files import Extent, Map
+from mistray.recorders.film import Pixels
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.replace_file import replace_file
 from mistray.report.figures.figure import Figure, plain_axes
@@ -45,9 +47,11 @@ KINDS = {
     "straight shot": (ORANGE, "v"),
 }
 IRRADIANCE_LABEL = "log₁₀ irradiance [W/mm²]"
+HOW_TO_READ = "black: below the floor or no ray; hatched: few rays, error unknown"
 DECADES = 12.0
 OWN_DECADES = 8.0  # of a map on its own scale
 CELLS, SMALL_CELLS = 512, 192  # along the longer side of a large map, and of one among many
+HATCHED, HATCHES = 1024, 48  # pixels of a hatch along its longer side, and lines
 GREYS = 32  # in the palette of a PNG of maps
 FIELDS_AS_TICKS = 10
 Range = tuple[float, float]
@@ -82,10 +86,10 @@ def ghost_image(report: GhostReport, field_deg: float, limits: Range | None = No
         Floor and top of the scale of both, powers of ten of W/mm², such as `common_range`. Default: each has its own.
     """
     t = report[field_deg]
-    stray, _ = report.stray_map(field_deg)
+    stray = report.stray_light(field_deg)
     panels = [(stray, "stray light, without the direct image")]
     if report.summary(field_deg).direct.power_W.value > 0:
-        panels.insert(0, (t.irradiance, "all light"))
+        panels.insert(0, (t.light, "all light"))
     width, height = 5.6, max(_aspect(t.extent), 0.45)
     figure = Figure(figsize=(width * len(panels), 0.9 + 4.3 * height), dpi=110, layout="constrained")
     grid = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
@@ -119,7 +123,7 @@ def montage(report: GhostReport, columns: int = 4, common: bool = False) -> Figu
     figure.set_layout_engine("constrained", h_pad=0.08)
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     for axes, field in zip(grid.flat, fields, strict=False):
-        scaled_map(axes, report.stray_map(field)[0], report[field].extent, limits, SMALL_CELLS)
+        scaled_map(axes, report.stray_light(field), report[field].extent, limits, SMALL_CELLS)
         axes.set_title(f"{field:g}°", fontsize=10, pad=3)
     for axes in grid.flat[len(fields) :]:
         axes.set_axis_off()
@@ -134,14 +138,14 @@ def montage(report: GhostReport, columns: int = 4, common: bool = False) -> Figu
     return figure
 
 
-def scaled_map(axes: Axes, image: Map, extent: Extent, limits: Range | None, cells: int) -> None:
+def scaled_map(axes: Axes, image: Pixels, extent: Extent, limits: Range | None, cells: int) -> None:
     """
     Draw one map with a colour bar of its own.
 
     Parameters
     ----------
     axes : Axes
-    image : (H, W) float
+    image : Pixels
         W/mm².
     extent : (float, float, float, float)
         x0, x1, y0, y1 in mm.
@@ -150,11 +154,12 @@ def scaled_map(axes: Axes, image: Map, extent: Extent, limits: Range | None, cel
     cells : int
         Most cells along a side; pixels are averaged in squares until they are no more.
     """
-    coarse, whole = averaged(image, extent, cells)
+    coarse, whole = averaged(image.value, extent, cells)
+    few = image.few_in_squares(pixels_averaged(image.value, cells))
     own = limits or log_range([coarse], OWN_DECADES)
     if own is not None and not (coarse >= 10.0 ** own[0]).any():
         own = None
-    picture = draw_map(axes, coarse, whole, own)
+    picture = draw_map(axes, coarse, whole, own, few)
     axes.set_xlim(extent[0], extent[1])
     axes.set_ylim(extent[2], extent[3])
     if picture is not None and own is not None:
@@ -167,7 +172,7 @@ def _how_to_read(image: Map, cells: int, common: bool) -> str:
     pixels = pixels_averaged(image, cells)
     mean = f"; means of {pixels} × {pixels} pixels" if pixels > 1 else ""
     scale = "one scale" if common else "each map on its own scale"
-    return f"{IRRADIANCE_LABEL}, {scale}; black: below the floor or no ray{mean}"
+    return f"{IRRADIANCE_LABEL}, {scale}; {HOW_TO_READ}{mean}"
 
 
 def levels_against_field(report: GhostReport) -> Figure:
@@ -208,8 +213,28 @@ def levels_against_field(report: GhostReport) -> Figure:
     return figure
 
 
-def draw_map(axes: Axes, image: Map, extent: Extent, limits: Range | None) -> Any:
-    """Draw one map on a log10 scale; returns the image for a colour bar, None if there is nothing above the floor."""
+def draw_map(
+    axes: Axes, image: Map, extent: Extent, limits: Range | None, few: npt.NDArray[np.bool_] | None = None
+) -> Any:
+    """
+    Draw one map on a log10 scale.
+
+    Parameters
+    ----------
+    axes : Axes
+    image : (H, W) float
+    extent : (float, float, float, float)
+        x0, x1, y0, y1 in mm.
+    limits : (float, float) or None
+        Floor and top, powers of ten; None: there is no light.
+    few : (H, W) bool, optional
+        Pixels that few rays meet; they are hatched where they are above the floor.
+
+    Returns
+    -------
+    AxesImage or None
+        For a colour bar; None if there is nothing above the floor.
+    """
     axes.set_facecolor("black")
     axes.set_xlim(extent[0], extent[1])
     axes.set_ylim(extent[2], extent[3])
@@ -220,16 +245,21 @@ def draw_map(axes: Axes, image: Map, extent: Extent, limits: Range | None) -> An
     floor, top = limits
     if not floor < top:
         raise MistrayError(f"log10 scale from {floor:g} to {top:g}; the floor must lie below the top")
-    return axes.imshow(
-        log10_image(image, 10.0**floor),
-        origin="lower",
-        extent=extent,
-        cmap=image_colours(),
-        vmin=floor,
-        vmax=top,
-        interpolation="nearest",
-        aspect="equal",
-    )
+    how: dict[str, Any] = {"origin": "lower", "extent": extent, "interpolation": "nearest", "aspect": "equal"}
+    values = log10_image(image, 10.0**floor)
+    picture = axes.imshow(values, cmap=image_colours(), vmin=floor, vmax=top, **how)
+    if few is not None and (hatched := few & (image >= 10.0**floor)).any():
+        axes.imshow(_hatch(hatched), **how)
+    return picture
+
+
+def _hatch(where: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
+    """Grey lines at 45° over some pixels, (h, w, 4) RGBA."""
+    finer = max(round(HATCHED / max(where.shape)), 1)
+    lines = np.kron(where, np.ones((finer, finer), dtype=bool))
+    row, column = np.indices(lines.shape)
+    lines &= (row - column) % (max(lines.shape) // HATCHES) < max(lines.shape) // (HATCHES * 5)
+    return np.where(lines[..., None], [0.65, 0.65, 0.65, 1.0], 0.0)
 
 
 def _error_bars(

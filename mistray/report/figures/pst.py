@@ -19,7 +19,7 @@ from mistray.percent import percent_text
 from mistray.renamed import renamed
 from mistray.report.figures.figure import Figure, legend_label, plain_axes
 from mistray.report.figures.palette import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW
-from mistray.report.figures.plots import Range, draw_map, image_colours
+from mistray.report.figures.plots import HOW_TO_READ, Range, draw_map, image_colours
 from mistray.report.tables.pst import largest_share, name_of
 
 # class: colour, width of the line, marker
@@ -170,7 +170,7 @@ def pst_irradiance(pst: Pst, field_deg: float, azimuth_deg: float = 0.0) -> Figu
     x0, x1, y0, y1 = pst.extent_mm
     figure = Figure(figsize=(5.6, 0.9 + 4.4 * max((y1 - y0) / (x1 - x0), 0.45)), dpi=120, layout="constrained")
     axes = figure.subplots()
-    picture = draw_map(axes, value, pst.extent_mm, log_range([value]))
+    picture = draw_map(axes, value, pst.extent_mm, log_range([value]), np.isnan(se))
     at = "mean over all azimuths" if pst.grid.azimuth_cell_deg >= 360 else f"azimuth {azimuth_deg:g}°"
     axes.set_title(f"source at {field_deg:g}°, {at}", fontsize=10)
     axes.set_xlabel("x [mm]")
@@ -178,9 +178,13 @@ def pst_irradiance(pst: Pst, field_deg: float, azimuth_deg: float = 0.0) -> Figu
     if picture is not None:
         bar = figure.colorbar(picture, ax=axes, shrink=0.95, pad=0.02, extend="min")
         bar.set_label(IRRADIANCE_LABEL, fontsize=8)
-        lit = value > 0
-        median = percent_text(float(np.median(se[lit] / value[lit])))
-        figure.small_print(f"black: below the floor or no ray; relative error of a pixel {median} (median)", right=True)
+        known = np.isfinite(se) & (value > 0)
+        error = (
+            f"; error of the others {percent_text(float(np.median(se[known] / value[known])))} (median)"
+            if known.any()
+            else ""
+        )
+        figure.small_print(HOW_TO_READ + error, right=True)
     return figure
 
 

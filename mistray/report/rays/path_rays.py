@@ -137,6 +137,7 @@ def rays_of_paths(trace: Trace, path_ids: Iterable[int] | None = None, n: int = 
     return lines
 
 
-def row_name(row: PathRow) -> str:
-    """A row of the path table in a legend: id, name and power."""
-    return f"{row.path_id} {row.label}, {row.power_W:.4g} W"
+def row_name(row: PathRow, with_wavelength: bool = False) -> str:
+    """A row of the path table in a legend: id, name, on request the wavelength, and power."""
+    wavelength = f", {row.wavelength_nm:g} nm" if with_wavelength else ""
+    return f"{row.path_id} {row.label}{wavelength}, {row.power_W:.4g} W"

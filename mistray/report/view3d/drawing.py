@@ -142,12 +142,12 @@ def glass_faces(go: Any, scene: Any, surfaces: Sequence[OpenSurface], cut: CutPl
     return faces
 
 
-def path_lines(go: Any, rows: Sequence[PathRow], lines: Sequence[RayLine]) -> list[Any]:
+def path_lines(go: Any, rows: Sequence[PathRow], lines: Sequence[RayLine], with_wavelength: bool) -> list[Any]:
     """Rays of each path as one ``scatter3d`` named like the row."""
     traces = []
     for number, row in enumerate(rows):
         own = [line for line in lines if line.path_id == row.path_id]
-        name = row_name(row)
+        name = row_name(row, with_wavelength)
         texts: list[str] = []
         for line in own:
             places = ["start", *event_words(line.events)]

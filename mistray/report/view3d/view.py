@@ -164,7 +164,7 @@ def view(
     by = colour or (IRRADIANCE if maps else "role" if trace is None else "flux")
     scales = light_scales(shown, flux, maps)
     figure.add_traces(scale_marks(go, scales, box))
-    figure.add_traces(path_lines(go, rows, lines))
+    figure.add_traces(path_lines(go, rows, lines, trace is not None and len(trace.wavelengths_nm) > 1))
     start = 0
     for one in maps:
         cells = one.areas.size * (len(one.across_borders) - 1)
