@@ -245,6 +245,7 @@ SHARE = Range(0.0, 1.0)
 
 # Of a trace
 RAYS = Range(1, 2**32 - 1, whole=True, remedy="use several seeds for more")
+CONTESTED_RAYS = Range(0, RAYS.high, whole=True, remedy=RAYS.remedy)
 LIVE_RAYS = Range(1, 10**7, whole=True, remedy="a trace must end while somebody looks; mistray ghosts takes more")
 SEED = Range(0, 2**32 - 1, whole=True)
 LIMIT = Range(0, 2**15 - 1, whole=True)  # of reflections or scatters: the most is more than a path can have

@@ -7,7 +7,8 @@ from mistray._lazy import lazy_package
 if TYPE_CHECKING:
     from mistray.analysis.critical_rays import critical_rays
     from mistray.analysis.estimate import Estimate
-    from mistray.analysis.ghosts import FieldSummary, GhostReport, ghosts
+    from mistray.analysis.field_summary import FieldSummary
+    from mistray.analysis.ghosts import GhostReport, ghosts
     from mistray.analysis.image_quality.image_quality import image_quality
     from mistray.analysis.image_quality.result import FieldImage, ImageQuality, LineImage, PointSpread
     from mistray.analysis.irradiance import MapStatistics, log10_image, mirror_asymmetry, statistics
@@ -29,7 +30,8 @@ __all__ = lazy_package(
     {
         "critical_rays": ("critical_rays",),
         "estimate": ("Estimate",),
-        "ghosts": ("FieldSummary", "GhostReport", "ghosts"),
+        "field_summary": ("FieldSummary",),
+        "ghosts": ("GhostReport", "ghosts"),
         "image_quality.image_quality": ("image_quality",),
         "image_quality.result": ("FieldImage", "ImageQuality", "LineImage", "PointSpread"),
         "irradiance": ("MapStatistics", "log10_image", "mirror_asymmetry", "statistics"),

@@ -41,8 +41,10 @@ class FieldTraces:
         By field angle, degrees, in the order in which they were requested.
     nominal : Trace or None
         The field on axis, without reflections and scatter if it was not requested: the yardstick of all others.
-    at_yardstick : bool
-        Whether a field that nobody requested is being traced.
+    at_extra : bool
+        Whether a field is being traced that nobody requested, or that is finished with fewer rays.
+    traced_again : list of float
+        Fields that have been traced with more rays than the others, degrees.
     """
 
     def __init__(self, scene: Any, arguments: Mapping[str, Any], progress: Progress | None) -> None:
@@ -51,7 +53,9 @@ class FieldTraces:
         self._scene, self._arguments, self._progress = scene, arguments, progress
         self.traces: dict[float, Trace] = {}
         self.nominal: Trace | None = None
-        self.at_yardstick = False
+        self.at_extra = False
+        self.traced_again: list[float] = []
+        self._wanted: dict[float, float | None] = {}  # field angle → as it was requested
 
     def trace(self, wanted: Sequence[float | None]) -> None:
         """
@@ -70,7 +74,7 @@ class FieldTraces:
             with share(1 / (left - done)):
                 found = trace(self._scene, field_deg=field, progress=part, **self._arguments)
             angle = float(found.settings["field_deg"])
-            self.traces[angle] = found
+            self.traces[angle], self._wanted[angle] = found, field
             if angle == NOMINAL_FIELD_DEG:
                 self.nominal = found
         if None not in wanted:
@@ -78,13 +82,34 @@ class FieldTraces:
         elif self.nominal is None:
             self._trace_yardstick(1)
 
+    def trace_again(self, rays: Mapping[float, int]) -> None:
+        """
+        Trace fields again, in place of what was traced.
+
+        Parameters
+        ----------
+        rays : mapping of float to int
+            Start rays by field angle, degrees.
+        """
+        self.at_extra = True
+        finished = len(self.traces)
+        for done, (field, count) in enumerate(rays.items(), start=finished):
+            part = _part(self._progress, done, finished + len(rays))
+            arguments = {**self._arguments, "rays": count}
+            found = trace(self._scene, field_deg=self._wanted[field], progress=part, **arguments)
+            self.traces[field] = found
+            self.traced_again.append(field)
+            if field == NOMINAL_FIELD_DEG:
+                self.nominal = found
+        self.at_extra = False
+
     def _trace_yardstick(self, fields: int) -> None:
         """Trace the direct image on axis, which nobody requested, as one of so many fields that are left."""
         bare = {**self._arguments, "max_reflections": 0, "max_scatters": 0}
-        self.at_yardstick = True
+        self.at_extra = True
         with share(1 / fields):
             self.nominal = trace(self._scene, field_deg=NOMINAL_FIELD_DEG, **bare)
-        self.at_yardstick = False
+        self.at_extra = False
 
 
 def one_for_fields(scene: mi.Scene, wanted: Sequence[float | None], arguments: Mapping[str, Any]) -> PolarizationChoice:

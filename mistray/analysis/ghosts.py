@@ -11,7 +11,7 @@ which wavelength.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any
 
 import mitsuba as mi
@@ -19,85 +19,34 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from mistray.analysis.airy import tight, with_airy
 from mistray.analysis.combine import by_path
 from mistray.analysis.estimate import UNKNOWN, Estimate
+from mistray.analysis.field_summary import FieldSummary
 from mistray.analysis.field_traces import NOMINAL_FIELD_DEG, FieldTraces, Progress, one_for_fields
 from mistray.analysis.filtered import Filtered, filtered
 from mistray.analysis.irradiance import MapStatistics, brightest, mirror_asymmetry, statistics
 from mistray.analysis.path_analysis import path_analysis
 from mistray.analysis.path_maps import FieldMaps, ImagesOfField, field_maps, without
 from mistray.analysis.peaks import with_peaks
-from mistray.analysis.ranking import DirectImage, direct_image, rank_column, ranked, stray_to_direct
+from mistray.analysis.ranking import DirectImage, bounds, direct_image, rank_column, ranked, stray_to_direct
 from mistray.analysis.scatter_surfaces import scatter_surfaces
 from mistray.analysis.stray_levels import stray_levels
 from mistray.errors import Interrupted, MistrayError, UnfinishedError
 from mistray.files.irradiance_files import Map
-from mistray.ranges import FIELD_DEG
+from mistray.ranges import CONTESTED_RAYS, FIELD_DEG, RAYS
 from mistray.recorders.film import Pixels
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.renamed import renamed
-from mistray.time_budget import within
+from mistray.time_budget import is_limited, within
 from mistray.trace import Settings, Trace
+from mistray.trace.light_cones import LightCone
 
 MAPPED_PATHS = 4  # stray paths of each field that get a map of their own
 RAYS_KEPT = 63  # of a path, to choose those from that are drawn
+CONTESTED_FACTOR = 4  # more rays where which path is the worst is open: half the errors
 
 Polyline = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True, kw_only=True)
-class FieldSummary:
-    """
-    One row of the main table, of all light or of one wavelength.
-
-    Attributes
-    ----------
-    field_deg : float
-        Field angle, degrees.
-    wavelength_nm : float or None
-        None: all light.
-    paths : int
-        Paths that reach the detector, the direct ones included.
-    paths_of_kind : dict
-        Number of paths by kind.
-    direct : DirectImage
-        Direct image at this field.
-    stray_W : Estimate
-        Power of everything that is not the direct image, as the detector absorbs it.
-    direct_incident_W, stray_incident_W : Estimate
-        Power of the direct image and of all other light before the detector reflects its share.
-    stray_of_kind_W : dict
-        As `stray_W`, by kind.
-    ghost_to_signal : Estimate
-        ``stray_W`` over the direct power at this field; NaN out of field.
-    stray_to_nominal : Estimate
-        ``stray_W`` over the direct power on axis.
-    brightest : int or None
-        ``path_id`` of the stray path of the highest RMS irradiance.
-    brightest_normalised : Estimate
-        Its normalised RMS irradiance.
-    map : MapStatistics
-        Statistics block of the whole irradiance map.
-    asymmetry, asymmetry_expected : float
-        See `mistray.analysis.irradiance.mirror_asymmetry`.
-    """
-
-    field_deg: float
-    wavelength_nm: float | None
-    paths: int
-    paths_of_kind: dict[str, int]
-    direct: DirectImage
-    stray_W: Estimate
-    direct_incident_W: Estimate
-    stray_incident_W: Estimate
-    stray_of_kind_W: dict[str, Estimate]
-    ghost_to_signal: Estimate
-    stray_to_nominal: Estimate
-    brightest: int | None
-    brightest_normalised: Estimate
-    map: MapStatistics
-    asymmetry: float
-    asymmetry_expected: float
 
 
 class GhostReport(Mapping[float, Trace]):
@@ -118,6 +67,8 @@ class GhostReport(Mapping[float, Trace]):
         What `mistray.trace` was given at every field.
     rank : {"rms", "power", "peak"}
         What the lists of worst paths go by, see `ghosts`.
+    traced_again : tuple of float
+        Fields that were traced again with more rays, see `ghosts`.
     """
 
     def __init__(
@@ -127,14 +78,16 @@ class GhostReport(Mapping[float, Trace]):
         nominal_trace: Trace,
         arguments: Mapping[str, Any],
         rank: str = "rms",
+        traced_again: Sequence[float] = (),
     ) -> None:
         rank_column(rank)
-        self.scene, self.rank = scene, rank
+        self.scene, self.rank, self.traced_again = scene, rank, tuple(traced_again)
         self._traces = dict(traces)
         self._frames: dict[Trace, pd.DataFrame] = {}
         self._tables: dict[tuple[float, bool], pd.DataFrame] = {}
         self._maps: dict[float, ImagesOfField] = {}
         self._path_maps: dict[float, tuple[set[int], FieldMaps]] = {}  # with the paths that were requested
+        self._cones: dict[float, dict[int, LightCone | None]] = {field: {} for field in traces}
         self._rays: dict[tuple[float, int], list[Polyline]] = {}
         self._summaries: dict[tuple[float, float | None], FieldSummary] = {}
         self.arguments = dict(arguments)
@@ -154,6 +107,25 @@ class GhostReport(Mapping[float, Trace]):
 
     def __len__(self) -> int:
         return len(self._traces)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """
+        The settings of all fields, see `mistray.trace.Trace`, without their angles.
+
+        ``rays`` are those of the field with the fewest. If fields were traced again, ``traced_again_deg`` has their
+        angles and ``contested_rays`` their rays.
+        """
+        rays = {field: int(t.settings["rays"]) for field, t in self.items()}
+        shared = {key: value for key, value in next(iter(self.values())).settings.items() if key != "field_deg"}
+        again = {"traced_again_deg": list(self.traced_again), "contested_rays": max(rays.values())}
+        return shared | {"rays": min(rays.values())} | (again if self.traced_again else {})
+
+    def rivals(self, field_deg: float) -> pd.DataFrame:
+        """The rows of `table` that are contested, the one that may be the brightest first."""
+        table = self.table(field_deg)
+        table = table[table.contested]
+        return table.iloc[np.argsort(-bounds(table)[1], kind="stable")]
 
     def nominal_at(self, wavelength_nm: float) -> DirectImage:
         """Direct image on axis at one wavelength."""
@@ -243,6 +215,19 @@ class GhostReport(Mapping[float, Trace]):
         """The rows of `top`, and last the strongest stray path by power where it is not among them; none of 0."""
         top, strongest = self.top(field_deg, count, rank), self.top(field_deg, min(count, 1), "power")
         return pd.concat([top, strongest[~strongest.path_id.isin(top.path_id)]])
+
+    def with_airy(self, field_deg: float, rows: pd.DataFrame) -> pd.DataFrame:
+        """
+        Rows of a table of a field with the RMS irradiance that diffraction allows, see `mistray.analysis.airy`.
+
+        Where rows have so small a radius that it matters, some rays are traced again for their light cones.
+        """
+        known, wanted = self._cones[field_deg], set(tight(rows).path_id)
+        if wanted - known.keys():
+            tables = [table for (field, _), table in self._tables.items() if field == field_deg]
+            every = [int(i) for i in wanted.union(*(tight(table).path_id for table in tables)) if i not in known]
+            known |= dict.fromkeys(every) | self[field_deg].light_cones(every)
+        return with_airy(rows, {i: cone for i, cone in known.items() if cone is not None})
 
     def spectrum(self, field_deg: float, path_id: int) -> pd.DataFrame:
         """The rows of one path at each of its wavelengths, ascending; columns as in `table`."""
@@ -453,6 +438,7 @@ class GhostReport(Mapping[float, Trace]):
         return FieldSummary(
             field_deg=field_deg,
             wavelength_nm=wavelength_nm,
+            rays=int(t.settings["rays"]),
             paths=len(table),
             paths_of_kind={kind: int((table.kind == kind).sum()) for kind in (DIRECT, *STRAY_KINDS)},
             direct=direct,
@@ -488,6 +474,7 @@ def _incident(t: Trace, rows: pd.DataFrame) -> Estimate:
     return Estimate(incident, se * incident / power if power > 0 else 0.0)
 
 
+# More than 8 parameters: the keywords of a call, each with a default and used one by one
 @renamed(fields_deg="field_deg")
 def ghosts(
     scene: Any,
@@ -498,6 +485,7 @@ def ghosts(
     progress: Progress | None = None,
     rank: str = "rms",
     seconds: float | None = None,
+    contested_rays: float | None = None,
     **settings: Any,
 ) -> GhostReport:
     """
@@ -522,6 +510,11 @@ def ghosts(
     seconds : float, optional
         Time for all fields, in equal shares; each ends with the rays that it has, see `mistray.trace`. Maps, which a
         report asks for later, take as long again.
+    contested_rays : float, optional
+        Start rays of a field where another path may be as bright as the worst one (``contested`` in
+        `GhostReport.table`): it is traced again with so many, which take the place of the first ones. Only where paths
+        are ranked by RMS irradiance, and without a time budget. Default: `CONTESTED_FACTOR` times its rays; not more
+        than these, such as 0: no field is traced again.
     **settings
         rays, max_reflections, max_scatters and the other attributes of `mistray.trace.Settings`; what is left out or
         None takes the scene's own value. And `detector`, the id of the one that is looked at where there are several.
@@ -542,6 +535,8 @@ def ghosts(
         Ctrl-C; the same, of the fields that are finished and of the rays of the one that is not.
     """
     rank_column(rank)
+    if contested_rays is not None:
+        CONTESTED_RAYS.check("contested_rays", contested_rays, "ghosts")
     unknown = set(settings) - {f.name for f in fields(Settings)} - {"detector"}
     if unknown:
         raise MistrayError(f"unknown argument {', '.join(sorted(unknown))} of ghosts; see mistray.trace.Settings")
@@ -556,6 +551,12 @@ def ghosts(
     try:
         with within(seconds):
             fields_of.trace(wanted)
+            report = _report(scene, fields_of, None, arguments, rank)
+            assert isinstance(report, GhostReport)
+            if rank == "rms" and not is_limited():
+                more = _rays_of_contested(report, contested_rays)
+                fields_of.trace_again(more)
+                report = _report(scene, fields_of, None, arguments, rank) if more else report
     except (UnfinishedError, Interrupted) as error:
         error.args = (f"{error}; {_finished(fields_of, wanted)}",)
         error.partial = _report(scene, fields_of, error.partial, arguments, rank)
@@ -564,9 +565,17 @@ def ghosts(
         if not fields_of.traces:
             raise
         raise Interrupted(_finished(fields_of, wanted), _report(scene, fields_of, None, arguments, rank)) from None
-    report = _report(scene, fields_of, None, arguments, rank)
     assert isinstance(report, GhostReport)
     return report
+
+
+def _rays_of_contested(report: GhostReport, wanted: float | None) -> dict[float, int]:
+    """Start rays for the contested fields of a report, by field, where these are more than they had."""
+    had = {field: int(t.settings["rays"]) for field, t in report.items() if len(report.rivals(field))}
+    more = {
+        field: int(min(CONTESTED_FACTOR * rays, RAYS.high) if wanted is None else wanted) for field, rays in had.items()
+    }
+    return {field: rays for field, rays in more.items() if rays > had[field]}
 
 
 def _finished(found: FieldTraces, wanted: Sequence[float | None]) -> str:
@@ -580,7 +589,9 @@ def _report(
 ) -> GhostReport | dict[float, Trace]:
     """Report of the fields that were traced and of one that is not finished; without the yardstick a mapping."""
     traces = dict(found.traces)
-    if isinstance(unfinished, Trace) and unfinished.has_paths and not found.at_yardstick:
+    if isinstance(unfinished, Trace) and unfinished.has_paths and not found.at_extra:
         traces[float(unfinished.settings["field_deg"])] = unfinished
     nominal = traces.get(NOMINAL_FIELD_DEG, found.nominal)
-    return GhostReport(scene, traces, nominal, arguments, rank) if traces and nominal is not None else traces
+    if not traces or nominal is None:
+        return traces
+    return GhostReport(scene, traces, nominal, arguments, rank, found.traced_again)

@@ -35,7 +35,7 @@ class WorstPath:
     power_W, percent_of_stray, normalised, peak_W_mm2 : Estimate
         At that field, as in ``report.table``; the peak is NaN unless paths are ranked by it.
     few_rays, contested : bool
-        Whether its numbers have no errors there, and whether it may be as bright as the worst of that field.
+        Whether its numbers have no errors there, and whether it may be as bright as the worst path of all fields.
     fields : tuple of float
         All fields where light takes this path, ascending, degrees.
     """
@@ -96,14 +96,17 @@ def worst_of_all_fields(report: GhostReport, count: int = 10) -> list[WorstPath]
     every = pd.concat(tables, ignore_index=True)
     if every.empty:
         return []
+    low, high = bounds(every)
     if report.rank == "rms":
-        harm = bounds(every)[0]
+        harm = pd.Series(low, every.index)
     else:
         harm = every[RANKED_BY[report.rank]].where(~every.few_rays | (report.rank == "power"))
-    every = every.assign(way=way_text(every.events), harm=harm)
+    every = every.assign(way=way_text(every.events), harm=harm, high=high)
     every = every.sort_values(["harm", RANKS["rms"]], ascending=[False, True], na_position="last")
     fields = every.groupby("way").field_deg.agg(lambda found: tuple(sorted(set(found))))
     first = every.drop_duplicates("way").head(count)
+    contested = (first.high > first.harm.iloc[0]) & (np.arange(len(first)) > 0)
+    first = first.assign(contested=contested & (report.rank == "rms"))
     return [
         WorstPath(
             field_deg=float(row.field_deg),
@@ -120,6 +123,13 @@ def worst_of_all_fields(report: GhostReport, count: int = 10) -> list[WorstPath]
         )
         for row in first.itertuples(index=False)
     ]
+
+
+def brightest_field(report: GhostReport) -> float | None:
+    """The field of the worst stray path of all by RMS irradiance, degrees; None if none can be normalised."""
+    rated = [field for field in report if report.summary(field).brightest_normalised.value > 0]
+    lower = {field: float(bounds(report.top(field, 1, "rms"))[0, 0]) for field in rated}
+    return max(rated, key=lambda field: -math.inf if math.isnan(lower[field]) else lower[field], default=None)
 
 
 def most_stray(report: GhostReport) -> float | None:

@@ -34,7 +34,8 @@ def as_json(
     fields = []
     for row in summary_frame(report).to_dict("records"):
         row["energy"] = _energy(report[row["field_deg"]].energy)
-        row["worst_paths"] = report.listed(row["field_deg"], WORST_SHOWN).to_dict("records")
+        field = row["field_deg"]
+        row["worst_paths"] = report.with_airy(field, report.listed(field, WORST_SHOWN)).to_dict("records")
         row |= _scatter(report, row["field_deg"])
         row["stray_levels"] = {
             by: report.stray_levels(row["field_deg"], by).drop(columns="path_ids").to_dict("records") for by in LEVELS
@@ -46,10 +47,9 @@ def as_json(
         if per_wavelength:
             row["per_wavelength"] = _lines(report, row["field_deg"])
         fields.append(row)
-    settings = {key: value for key, value in next(iter(report.values())).settings.items() if key != "field_deg"}
     found = {
         "verdict": verdict_record(report),
-        "settings": settings,
+        "settings": report.settings,
         "ranked_by": report.rank,
         "fields": fields,
         "warnings": warnings(report),

@@ -83,10 +83,13 @@ def terminal_bar(
 def progress_bar(options: argparse.Namespace) -> Iterator[Callable[[float, float], None] | None]:
     """A bar on stderr when that is a terminal: a function of what is done and what there is to do."""
     with terminal_bar(options, "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}") as bar:
+        planned = 0.0
 
         def advance(done: float, total: float) -> None:
+            nonlocal planned
             assert bar is not None
-            bar.n = max(done / total, bar.n)
+            bar.n = max(done / total, bar.n if total == planned else 0.0)
+            planned = total
             bar.refresh()
 
         yield None if bar is None else advance

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +14,7 @@ from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.study.eight_steps import Study
 from mistray.analysis.study.step import Fact, StudyStep
+from mistray.analysis.verdict import brightest_field
 from mistray.files.json_values import plain
 from mistray.report.ghosts.answer import answer, field_anchor, verdict_record, worst_table
 from mistray.report.ghosts.fields import explored_paths
@@ -140,10 +140,9 @@ def draw_study(study: Study) -> dict[str, bytes]:
         "ghost_images.png": as_png(montage(report), of_maps=True),
         "ghost_levels.png": as_png(levels_against_field(report)),
     }
-    rated = {field: report.summary(field).brightest_normalised.value for field in report}
-    rated = {field: value for field, value in rated.items() if math.isfinite(value)}
-    if rated:
-        pictures["worst_ghosts.png"] = as_png(layout(report, max(rated, key=lambda field: rated[field])))
+    worst = brightest_field(report)
+    if worst is not None:
+        pictures["worst_ghosts.png"] = as_png(layout(report, worst))
     return pictures
 
 
@@ -253,7 +252,7 @@ def _table(name: str, frame: pd.DataFrame) -> list[Part]:
 
 def _settings(study: Study, command: str) -> Section:
     traced = study.pst.facts.get("settings", {})
-    ghosts = next(iter(study.ghosts.values())).settings
+    ghosts = study.ghosts.settings
     words = {
         "polarization": polarization_words(ghosts),
         "scatter": SCATTERED.format(max_scatters=traced.get("max_scatters", ghosts["max_scatters"])),

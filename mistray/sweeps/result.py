@@ -214,7 +214,7 @@ class Sweep:
         Parameters and errors are those of `trace`. `mistray.report.write_all` writes its files.
         """
         name, _, wavelength = self._cell(configuration, self.field_deg[0], wavelength_nm)
-        return ghosts(self._scene(name), self.field_deg, wavelength, **self.arguments)
+        return ghosts(self._scene(name), self.field_deg, wavelength, contested_rays=0, **self.arguments)
 
     def _scene(self, name: str) -> Any:
         """A scene of its own for each configuration: traces ask theirs again later."""

@@ -27,6 +27,7 @@ from mistray.surfaces.thin_gaps import thin_gaps
 from mistray.trace.aimed_rays import aimed_surfaces, silent_places
 from mistray.trace.energy import Energy, FluxReport, energy_ledger, flux_report
 from mistray.trace.history import Ray, RayHistory, read_rays
+from mistray.trace.light_cones import LightCone, light_cones
 from mistray.trace.path_filter import PathFilter
 from mistray.trace.paths import PathTable, path_table, undeclared_images
 from mistray.trace.polarization_choice import words_of
@@ -416,6 +417,26 @@ class Trace:
             here = {key: path_id for path_id, (where, _, key) in located.items() if where == number}
             if here:
                 found |= {here[key]: rays for key, rays in sample_rays(run, list(here), n).items()}
+        return found
+
+    def light_cones(self, path_ids: Sequence[int]) -> dict[int, LightCone]:
+        """
+        Trace a sample of the rays again for the cones in which the light of paths comes to the detector.
+
+        Parameters
+        ----------
+        path_ids : sequence of int
+
+        Returns
+        -------
+        dict
+            By path; none of a path that is too rare to occur twice in the sample.
+        """
+        located = {int(path_id): self.paths.locate(int(path_id)) for path_id in path_ids}
+        found: dict[int, LightCone] = {}
+        for number, run in enumerate(self._runs):
+            if here := {slot: path_id for path_id, (where, slot, _) in located.items() if where == number}:
+                found |= light_cones(run, here)
         return found
 
     def sampled_hits(self, start_rays: int = 640, n: int = 16) -> list[PathHits]:

@@ -94,16 +94,14 @@ def sampled_hits(run: Run, start_rays: int, most: int) -> SampledHits:
     most : int
         Rays of each path that are kept.
     """
-    # As in `mistray.trace.ray_sample`: multiples of the golden ratio are spread over the batches and over the beam
-    count = min(run.rays, PASS_LANES)
-    lanes = np.unique((np.arange(start_rays) * GOLDEN % 1 * count).astype(np.int64))
+    lanes = spread_lanes(run, start_rays)
     sample = run.start_pass(0).take(upload(mi.UInt32, lanes))
     origins, _ = run.exact(sample)
     place = np.array(sample.lane)
     recorder = BranchRecorder(as_many(CAPACITY, run.settings.max_events), run.settings.max_events)
     run.trace_trees(sample, recorder)
     found = min(int(recorder.count[0]), recorder.capacity)
-    kept = _at_most(np.array(recorder.path)[:found], np.array(recorder.lane)[:found], most)
+    kept = at_most(np.array(recorder.path)[:found], np.array(recorder.lane)[:found], most)
     length = np.array(recorder.length)[kept].astype(np.int64)
     longest = int(length.max(initial=1))
     codes = np.array(recorder.codes).reshape(recorder.capacity, -1)[kept, :longest].astype(np.int64)
@@ -126,7 +124,17 @@ def sampled_hits(run: Run, start_rays: int, most: int) -> SampledHits:
     )
 
 
-def _at_most(paths: npt.NDArray[np.uint64], lanes: npt.NDArray[np.uint32], most: int) -> Whole:
+def spread_lanes(run: Run, start_rays: int) -> Whole:
+    """
+    Numbers of start rays of the first pass of a run, at most so many.
+
+    As in `mistray.trace.ray_sample`: multiples of the golden ratio are spread over the batches and over the beam.
+    """
+    count = min(run.rays, PASS_LANES)
+    return np.unique((np.arange(start_rays) * GOLDEN % 1 * count).astype(np.int64))
+
+
+def at_most(paths: npt.NDArray[np.uint64], lanes: npt.NDArray[np.uint32], most: int) -> Whole:
     """Places of branches of each path, at most so many; start rays are numbered along a curve through the beam."""
     order = np.lexsort((lanes, paths))
     _, first, counts = np.unique(paths[order], return_index=True, return_counts=True)

@@ -179,6 +179,10 @@ class FakeTrace:
         assert len(with_noise) == len(groups)
         return (self.sampled(group) for group in groups)
 
+    def light_cones(self, path_ids):
+        """None: no path is so rich in rays that its cone is known."""
+        return {}
+
     def sampled_rays(self, path_ids, n=8):
         return {path_id: [SimpleNamespace(points=ray) for ray in self.history(path_id, n).rays] for path_id in path_ids}
 

@@ -28,7 +28,7 @@ def test_text(rank):
     report = ranked_report(rank)
     lines = main_table(report, 1).splitlines()
     start = next(k for k, line in enumerate(lines) if line.startswith("Worst 1 "))
-    rows = [line for line in lines[start:] if re.match(r"\s*0 .* → ", line)]
+    rows = [line for line in lines[start:] if re.match(r"\s*0 .* ghost ", line)]
     assert [label(report, ORDERS[rank][0]) in rows[0], label(report, WIDE) in rows[-1]] == [True, True]
     assert len(rows) == len({ORDERS[rank][0], WIDE})
     assert [STRONGEST in line for line in rows] == [label(report, WIDE) in line for line in rows]

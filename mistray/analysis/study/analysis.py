@@ -17,6 +17,7 @@ from mistray.analysis.study.first_order import FirstOrder
 from mistray.analysis.study.step import Fact, StudyStep
 from mistray.analysis.study.transfer import transfer_facts, transfer_findings, transfer_tables
 from mistray.analysis.transfer.result import Transfer
+from mistray.analysis.verdict import brightest_field, most_stray
 from mistray.ids import event_words
 from mistray.percent import percent_text
 from mistray.recorders.direction_recorder import CLASSES
@@ -394,13 +395,11 @@ def _zero_order_finding(shots: pd.DataFrame) -> list[str]:
 
 
 def _ghost_finding(report: GhostReport, design: Sequence[str]) -> list[str]:
-    rated = [report.summary(field) for field in report]
-    rated = [s for s in rated if s.brightest is not None and math.isfinite(s.brightest_normalised.value)]
-    if not rated:
+    field, strongest = brightest_field(report), most_stray(report)
+    if field is None or strongest is None:
         return ["No ghost reaches the detector at the fields that were traced."]
-    worst = max(rated, key=lambda s: s.brightest_normalised.value)
-    (row,) = report.top(worst.field_deg, 1, "rms").itertuples()
-    most = max(rated, key=lambda s: s.stray_W.value)
+    worst, most = report.summary(field), report.summary(strongest)
+    (row,) = report.top(field, 1, "rms").itertuples()
     return [
         f"Brightest ghost: {_ghost_words(row, design)} at {worst.field_deg:g}°, "
         f"{worst.brightest_normalised.value:.2g} of the RMS irradiance of the image on axis. Most ghost light at "

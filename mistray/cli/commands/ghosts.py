@@ -28,7 +28,7 @@ from mistray.cli.shared import (
     ray_tree,
 )
 from mistray.errors import Interrupted, MistrayError, UnfinishedError
-from mistray.ranges import AZIMUTH_DEG, BLOCK, FIELD_DEG, PART, PLACE_MM, SECONDS, STOPS
+from mistray.ranges import AZIMUTH_DEG, BLOCK, CONTESTED_RAYS, FIELD_DEG, PART, PLACE_MM, SECONDS, STOPS
 from mistray.time_budget import within
 
 if TYPE_CHECKING:
@@ -76,6 +76,13 @@ FILES = (
 )
 
 
+CONTESTED = Option(
+    "--contested-rays",
+    "start rays of a field where by RMS irradiance another path may be as bright as "
+    "the worst: it is traced again (4 times --rays; 0: never)",
+    CONTESTED_RAYS,
+    "N",
+)
 _pattern = pairs("no alias; give PATTERN=NAME, part or space")
 
 
@@ -112,7 +119,7 @@ COMMAND = Command(
             DETECTOR,
             *SENSORS,
         )),
-        ray_tree("start rays at each field (1e6)", TIME, SCHEDULER),
+        ray_tree("start rays at each field (1e6)", CONTESTED, TIME, SCHEDULER),
         SURFACES,
         SCATTER,
         output("report.html, CSV, PNG and path-sort files", FILES,
@@ -180,6 +187,7 @@ def run(options: Options) -> int:
                     progress=progress,
                     rank=options.rank,
                     seconds=_seconds_of_trace(options),
+                    contested_rays=options.contested_rays,
                     detector=options.detector,
                     **options.spectral_settings(),
                 )

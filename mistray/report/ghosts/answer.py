@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -11,8 +10,15 @@ from markupsafe import Markup
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
-from mistray.analysis.ranking import SURE
-from mistray.analysis.verdict import Remedy, WorstPath, most_stray, remedy, shares_of_kinds, worst_of_all_fields
+from mistray.analysis.verdict import (
+    Remedy,
+    WorstPath,
+    brightest_field,
+    most_stray,
+    remedy,
+    shares_of_kinds,
+    worst_of_all_fields,
+)
 from mistray.report.figures.layout import layout_of_fields
 from mistray.report.model import Figure, Group, Items, Link, Note, Part, Table, Value, columns
 from mistray.report.tables.ghosts import mark_of
@@ -133,13 +139,9 @@ def _from_where(report: GhostReport, field: float) -> Markup:
 
 
 def _brightest(report: GhostReport) -> list[Markup]:
-    rated = [field for field in report if report.summary(field).brightest_normalised.value > 0]
-    if not rated:
+    field = brightest_field(report)
+    if field is None:
         return []
-    lower = {
-        at: n.value - SURE * n.se for at in rated if math.isfinite((n := report.summary(at).brightest_normalised).se)
-    }
-    field = max(rated, key=lambda at: lower.get(at, -math.inf))
     row = report.top(field, 1, "rms").iloc[0]
     normalised = _plain(report.summary(field).brightest_normalised)
     text = "The brightest path is <b>{}</b> at {:g}°: its RMS irradiance is {} of that of the direct image on axis."

@@ -11,7 +11,8 @@ import pandas as pd
 from markupsafe import Markup
 
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.ghosts import FieldSummary, GhostReport
+from mistray.analysis.field_summary import FieldSummary
+from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.path_maps import FieldMaps
 from mistray.analysis.ranking import RANKS, rank_column
 from mistray.analysis.stray_levels import LEVELS
@@ -22,7 +23,15 @@ from mistray.report.html.markup import image
 from mistray.report.html.thumbnails import DECADES, thumbnail
 from mistray.report.model import Column, Figure, Filter, Fold, Folded, Note, Part, Table, Value, columns
 from mistray.report.parts import thousands
-from mistray.report.tables.ghosts import CONTESTED, CONTESTED_TEXT, FEW, FEW_TEXT, is_partly_reflected, mark_of
+from mistray.report.tables.ghosts import (
+    AIRY_TEXT,
+    CONTESTED,
+    CONTESTED_TEXT,
+    FEW,
+    FEW_TEXT,
+    is_partly_reflected,
+    mark_of,
+)
 from mistray.report.tables.levels import TITLES, level_table
 from mistray.report.tables.text import ABSENT, number, with_error
 
@@ -44,6 +53,10 @@ POLARIZATION = (
     *((f"s{k}", "", f"s{k}", f"s{k}_se") for k in (1, 2, 3)),
 )
 PEAK = ("peak", "W/mm²", "peak_W_mm2", "peak_se_W_mm2")
+AIRY = (
+    ("Airy radius", "mm", "airy_radius_mm", "airy_radius_se_mm"),
+    ("at Airy radius", "W/mm²", "airy_irradiance_W_mm2", "airy_irradiance_se_W_mm2"),
+)
 INCIDENT = ("incident", "W", "incident_W", "incident_se_W")
 PATH_NUMBERS = (
     ("power", "W absorbed", "power_W", "power_se_W"),
@@ -164,6 +177,8 @@ def explored_paths(report: GhostReport, field_deg: float, name: str) -> list[Par
         )
     if shown.few_rays.any():
         notes.append(f"{FEW} {FEW_TEXT}.")
+    if shown.airy_radius_mm.notna().any():
+        notes.append(f"{AIRY_TEXT}.")
     if shown.contested.any():
         notes.append(f"{CONTESTED} {CONTESTED_TEXT}.")
     return [
@@ -184,7 +199,7 @@ def _paths_at_wavelengths(report: GhostReport, field_deg: float, name: str) -> F
     shown = shown_paths(report, field_deg)
     rows: list[list[Value]] = []
     for path_id in shown.path_id:
-        spectrum = report.spectrum(field_deg, path_id)
+        spectrum = report.with_airy(field_deg, report.spectrum(field_deg, path_id))
         rows += [[str(path_id), *_values(row, shown, True)[1:]] for row in spectrum.itertuples(index=False)]
     summary = f"The same paths at each wavelength ({len(rows)} rows)"
     table = Table(_heads(shown, True), rows, name)
@@ -194,7 +209,7 @@ def _paths_at_wavelengths(report: GhostReport, field_deg: float, name: str) -> F
 def shown_paths(report: GhostReport, field_deg: float) -> pd.DataFrame:
     """The rows of a table of paths that a report shows, the worst by its rank first."""
     column = rank_column(report.rank)
-    table = report.table(field_deg).sort_values(column)
+    table = report.with_airy(field_deg, report.table(field_deg)).sort_values(column)
     first = (table[["rank_power", "rank_rms_irradiance"]] <= STRONGEST_SHOWN).any(axis=1)
     return table[first | (table[column] <= ROWS_SHOWN)]
 
@@ -206,6 +221,7 @@ def _numbers(table: pd.DataFrame, wave: bool) -> list[tuple[str, str, str, str]]
         PATH_NUMBERS[0],
         *([INCIDENT] if is_partly_reflected(table) else []),
         *PATH_NUMBERS[1:],
+        *(AIRY if table.airy_radius_mm.notna().any() else ()),
         *([PEAK] if "rank_peak" in table and not wave else []),
         *(POLARIZATION if polarised else []),
     ]

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from mistray.analysis.estimate import UNKNOWN
-from mistray.analysis.ghosts import FieldSummary, GhostReport
+from mistray.analysis.field_summary import FieldSummary
+from mistray.analysis.ghosts import GhostReport
 from mistray.recorders.path_events import STRAY_KINDS
 from mistray.replace_file import replace_file
 from mistray.report.figures.plots import as_png, levels_against_field, montage
@@ -21,7 +22,7 @@ from mistray.report.html.render import html_page
 from mistray.report.model import Column, Figure, Folded, Hover, Note, Part, Report, Section, Table, Value, columns
 from mistray.report.own_sections import own_sections
 from mistray.report.parts import setting_text, settings_section, terms, thousands
-from mistray.report.tables.ghosts import summary_powers, summary_values, warnings
+from mistray.report.tables.ghosts import more_rays, summary_powers, summary_values, warnings
 from mistray.report.tables.text import ABSENT, with_error
 
 ASSUMPTIONS = (
@@ -125,7 +126,7 @@ def ghosts_report(
 
 def _traced(report: GhostReport) -> str:
     """What was traced, in one sentence."""
-    settings = next(iter(report.values())).settings
+    settings = report.settings
     fields = ", ".join(f"{field:g}" for field in report)
     lines = f"{', '.join(f'{wavelength:g}' for wavelength in report.wavelengths_nm)} nm"
     shares = [f"{100 * report.weight(wavelength):.3g}" for wavelength in report.wavelengths_nm]
@@ -136,7 +137,7 @@ def _traced(report: GhostReport) -> str:
     return (
         f"Fields {fields}° at azimuth {setting_text(settings['azimuth_deg'])}°, {lines}, "
         f"{thousands(settings['rays'])} start rays at each field, up to {settings['max_reflections']} reflections"
-        f"{scatters}."
+        f"{'. '.join([scatters, *map(str.capitalize, more_rays(report))])}."
     )
 
 
@@ -213,12 +214,12 @@ def polarization_words(settings: Mapping[str, Any]) -> str:
 
 
 def _settings(report: GhostReport, command: str) -> Section:
-    settings = next(iter(report.values())).settings
+    settings = report.settings
     words = {
         "polarization": polarization_words(settings),
         "scatter": SCATTERED.format(**settings) if report.scatters else SPECULAR,
     }
-    shown: dict[str, Any] = {key: value for key, value in settings.items() if key not in ("field_deg", "versions")}
+    shown: dict[str, Any] = {key: value for key, value in settings.items() if key != "versions"}
     shown["field_deg"] = ", ".join(f"{field:g}" for field in report)
     shown |= {f"version of {name}": version for name, version in dict(settings.get("versions") or {}).items()}
     return settings_section(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,12 +10,14 @@ import pandas as pd
 
 from mistray.analysis.aiming_check import sampling_warnings
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.ghosts import FieldSummary, GhostReport
+from mistray.analysis.field_summary import FieldSummary
+from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.ranking import SURE
 from mistray.ranges import EVENTS
 from mistray.recorders.path_events import DIRECT
 from mistray.report.model import Table, Value, columns
 from mistray.report.own_sections import own_text
+from mistray.report.parts import thousands
 from mistray.report.tables.scatter import scatter_text
 from mistray.report.tables.text import ABSENT, number, table_text, with_error
 from mistray.settings import BRANCHES
@@ -51,6 +54,10 @@ STRONGEST = "†"  # beside the number of the strongest stray path by power
 FEW, CONTESTED = "*", "≈"  # beside that of a path of few rays, and of one that may be as bright as the first
 FEW_TEXT = "few rays: its numbers have no errors, and it is ranked last"
 CONTESTED_TEXT = f"within {SURE:g} standard errors it may be as bright as the first; more rays decide"
+AIRY_TEXT = (
+    "Airy radius: 1.22 λN of the path's own cone of light, where the RMS radius is below it. At Airy radius: power "
+    "over π times its square"
+)
 ZERO_ON_AVERAGE = ("roulette", "scatter_sampling")
 ALL = "all"
 
@@ -104,23 +111,31 @@ def ghost_table(report: GhostReport, count: int = 4, per_wavelength: bool = Fals
     """The worst stray paths of every field and the strongest; per wavelength, each with its spectrum below it."""
     heads = columns(
         "field [deg]", "path", "<ghost and scatter surfaces [1st → 2nd]", "<kind", "λ [nm]", "power [W absorbed]",
-        "RMS radius [mm]", "RMS irradiance [W/mm²]", "normalised [to on-axis image]", "peak [W/mm²]",
+        "RMS radius [mm]", "RMS irradiance [W/mm²]", "normalised [to on-axis image]",
+        "Airy radius [mm]", "at Airy radius [W/mm²]", "peak [W/mm²]",
     )  # fmt: skip
     rows: list[list[Value]] = []
+    floors = listed_paths(report, count).airy_radius_mm.notna().any()
     for field in report:
-        for row in report.listed(field, count).itertuples(index=False):
+        for row in report.with_airy(field, report.listed(field, count)).itertuples(index=False):
             marks = f"{STRONGEST if row.rank_power == 1 else ' '}{mark_of(row) or ' '}"
             peak = Estimate(row.peak_W_mm2, row.peak_se_W_mm2) if report.rank == "peak" else ""
             name = [f"{field:g}", f"{row.path_id}{marks}", str(row.label), str(row.kind)]
-            rows.append([*name, ALL, *_path_numbers(row), peak])
+            rows.append([*name, ALL, *_path_numbers(row), *_at_airy_radius(row), peak])
             for line in report.spectrum(field, row.path_id).itertuples(index=False) if per_wavelength else ():
-                rows.append(["", mark_of(line), "", "", f"{line.wavelength_nm:g}", *_path_numbers(line), ""])
+                rows.append(["", mark_of(line), "", "", f"{line.wavelength_nm:g}", *_path_numbers(line), *[""] * 3])
         rest = beyond(report, field, count)
         if len(rest):
             text = f"… and {len(rest)} more paths: {rest.percent_of_stray.sum():.3g} % of the stray light"
-            rows.append([f"{field:g}", "", text, "", ALL, report.power_of(field, rest), *[""] * 4])
+            rows.append([f"{field:g}", "", text, "", ALL, report.power_of(field, rest), *[""] * 6])
     left_out = [*([] if per_wavelength else ["λ"]), *([] if report.rank == "peak" else ["peak"])]
+    left_out += [] if floors else ["Airy radius", "at Airy radius"]
     return table_text(Table(heads, rows, empty="no stray path reaches the detector").without(*left_out))
+
+
+def listed_paths(report: GhostReport, count: int) -> pd.DataFrame:
+    """The rows of `GhostReport.listed` of all fields, with the columns of `GhostReport.with_airy`."""
+    return pd.concat([report.with_airy(field, report.listed(field, count)) for field in report])
 
 
 def beyond(report: GhostReport, field_deg: float, count: int) -> pd.DataFrame:
@@ -132,6 +147,13 @@ def beyond(report: GhostReport, field_deg: float, count: int) -> pd.DataFrame:
 def _path_numbers(row: Any) -> list[Value]:
     named = ("power{}_W", "rms_radius{}_mm", "rms_irradiance{}_W_mm2", "normalised_rms_irradiance{}")
     return [Estimate(*(getattr(row, name.format(kind)) for kind in ("", "_se"))) for name in named]
+
+
+def _at_airy_radius(row: Any) -> list[Value]:
+    if math.isnan(row.airy_radius_mm):
+        return ["", ""]
+    return [Estimate(row.airy_radius_mm, row.airy_radius_se_mm),
+            Estimate(row.airy_irradiance_W_mm2, row.airy_irradiance_se_W_mm2)]  # fmt: skip
 
 
 def ledger_table(report: GhostReport) -> str:
@@ -186,13 +208,16 @@ def main_table(report: GhostReport, count: int = 4, per_wavelength: bool = False
         parts.append("rows of one wavelength: normalised to the direct image on axis at that wavelength")
     if any(len(report.top(field, 1)) for field in report):
         parts.append(f"{STRONGEST}: the strongest stray path of the field by power")
-    listed = pd.concat([report.listed(field, count) for field in report])
+    listed = listed_paths(report, count)
+    if listed.airy_radius_mm.notna().any():
+        parts.append(AIRY_TEXT)
     if listed.few_rays.any():
         parts.append(f"{FEW}: {FEW_TEXT}")
     if listed.contested.any() and report.rank == "rms":
         parts.append(f"{CONTESTED}: {CONTESTED_TEXT}")
     parts.append(f"energy closure, worst field: {closure:.1e} of the launched flux")
-    parts.append(words_of(next(iter(report.values())).settings))
+    parts += more_rays(report)
+    parts.append(words_of(report.settings))
     for text in own_text(report):
         parts += ["", text, ""]
     parts += [f"warning: {text}" for text in warnings(report)]
@@ -204,7 +229,7 @@ def warnings(report: GhostReport) -> list[str]:
     found = []
     if report.nominal.power_W.value == 0:
         found.append("no direct light reaches the detector on axis: nothing can be normalised to it")
-    settings = next(iter(report.values())).settings
+    settings = report.settings
     for reason in dict.fromkeys(reason for t in report.values() for reason in t.energy.cut):
         shares = {field: abs(t.energy.cut.get(reason, 0.0)) / t.energy.launched_W for field, t in report.items()}
         if reason in ZERO_ON_AVERAGE:
@@ -230,9 +255,21 @@ def warnings(report: GhostReport) -> list[str]:
     tops = {field: report.top(field, 4) for field in report}
     if few := [field for field, top in tops.items() if top.few_rays.any()]:
         found.append(f"{_fields(few)}: some of the worst four paths hold too few rays for an error; raise rays")
-    if report.rank == "rms" and (open_ := [field for field, top in tops.items() if top.contested.any()]):
-        found.append(f"{_fields(open_)}: which path is the worst is open, another may be as bright; raise rays")
+    if report.rank == "rms":
+        found += [
+            f"{_fields([field])}: which path is the worst is open, path {path_id} may be as bright; raise rays"
+            for field in report
+            for path_id in report.rivals(field).path_id[:1]
+        ]
     return found
+
+
+def more_rays(report: GhostReport) -> list[str]:
+    """Which fields were traced again, and with how many rays; empty if none was."""
+    if not report.traced_again:
+        return []
+    rays = thousands(report.settings["contested_rays"])
+    return [f"{_fields(report.traced_again)}: traced again with {rays} start rays, for the worst path was contested"]
 
 
 def mark_of(row: Any) -> str:

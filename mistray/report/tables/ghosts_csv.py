@@ -10,7 +10,8 @@ from typing import Any
 
 import pandas as pd
 
-from mistray.analysis.ghosts import FieldSummary, GhostReport
+from mistray.analysis.field_summary import FieldSummary
+from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.stray_levels import LEVELS
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.report.own_sections import own_tables
@@ -19,8 +20,8 @@ from mistray.trace import Trace
 
 
 def path_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
-    """All paths of all fields after ``field_deg``; columns as in `GhostReport.table`, ``path_ids`` as text."""
-    return _of_fields(report, lambda field: report.table(field, per_wavelength))
+    """All paths of all fields after ``field_deg``; columns as in `GhostReport.with_airy`, ``path_ids`` as text."""
+    return _of_fields(report, lambda field: report.with_airy(field, report.table(field, per_wavelength)))
 
 
 def energy_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
@@ -187,7 +188,7 @@ def _summary_row(s: FieldSummary) -> dict[str, Any]:
     row |= flat(estimates) | {"worst_path_id": s.brightest}
     row |= {f"map_{name}_W_mm2": getattr(s.map, name) for name in ("minimum", "maximum", "mean", "rms")}
     row |= {f"map_{name}": getattr(s.map, name) for name in ("flux_W", "incident_rays")}
-    return row | {"asymmetry": s.asymmetry, "asymmetry_expected": s.asymmetry_expected}
+    return row | {"asymmetry": s.asymmetry, "asymmetry_expected": s.asymmetry_expected, "rays": s.rays}
 
 
 def _of_fields(report: GhostReport, table_of: Callable[[float], pd.DataFrame]) -> pd.DataFrame:

@@ -1,0 +1,103 @@
+"""How wide the cone is in which the light of a path comes to the detector, from a sample of its rays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import mitsuba as mi
+import numpy as np
+import numpy.typing as npt
+
+from mistray.execute.tracer import Run
+from mistray.recorders.branch_recorder import as_many
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.upload import upload
+from mistray.trace.history import Bundle, bundles
+from mistray.trace.sampled_hits import at_most, spread_lanes
+
+CAPACITY = 1 << 14  # branches of 64 events that are recorded
+START_RAYS = 1 << 11  # of the sample, at most
+RAYS = 256  # of each path, at most
+
+
+class LightCone(NamedTuple):
+    """
+    The light of a path at the detector.
+
+    Attributes
+    ----------
+    aperture, aperture_se : float
+        Numerical aperture n sin u of a round cone of even light with the same RMS spread of directions, and its
+        standard error. For a round pupil that is NA; for one with a central obstruction of the relative radius ε it is
+        √(1 + ε²) as much.
+    rays : int
+        That were found.
+    """
+
+    aperture: float
+    aperture_se: float
+    rays: int
+
+
+def light_cones(run: Run, path_of_slot: Mapping[int, int]) -> dict[int, LightCone]:
+    """
+    The light cones of some paths of a run, by tracing some of its rays again.
+
+    Parameters
+    ----------
+    run : Run
+    path_of_slot : mapping of int to int
+        By the slots of the paths in its ledger, what they are called.
+
+    Returns
+    -------
+    dict
+        By these names; none of a path that fewer than two rays of the sample take.
+    """
+    capacity = as_many(CAPACITY, run.settings.max_events)
+    lanes = spread_lanes(run, min(START_RAYS, max(capacity // len(path_of_slot), 1)))
+    slots = np.array(list(path_of_slot), dtype=np.int64)
+    recorder = run.recorder(capacity, slots)
+    run.trace_trees(run.start_pass(0).take(upload(mi.UInt32, lanes)), recorder)
+    count = min(int(recorder.count[0]), recorder.capacity)
+    keys, numbers = np.array(recorder.path)[:count], np.array(recorder.lane)[:count]
+    kept = at_most(keys, numbers, RAYS)
+    assert run.paths is not None
+    name_of_key = {
+        int(key): path_of_slot[int(slot)]
+        for key, slot in zip(run.paths.keys.tolist(), run.paths.slots.tolist(), strict=True)
+        if int(slot) in path_of_slot
+    }
+    found = {}
+    for bundle in bundles(run, recorder, kept, *run.start_rays(numbers[kept])) if len(kept) else ():
+        if len(bundle.numbers) > 1:
+            found[name_of_key[int(keys[kept[bundle.numbers[0]]])]] = _cone(run.table, bundle)
+    return found
+
+
+def _cone(table: SurfaceTable, bundle: Bundle) -> LightCone:
+    """
+    The cone of rays of one path.
+
+    A spot in the plane of the detector is the Fourier transform of the pupil over the direction cosines along that
+    plane, times n/λ. Those of a round cone of even light lie evenly in a disc of the radius sin u, whose mean square
+    distance from its middle is sin²u/2.
+    """
+    way = bundle.points[:, -1] - bundle.points[:, -2]
+    index = np.diff(bundle.opl_mm, axis=1)[:, -1] / np.linalg.norm(way, axis=1)
+    cosines = index[:, None] * bundle.directions[:, -2] @ _axes(table).T
+    weight = bundle.flux_W[:, -1] / bundle.flux_W[:, -1].sum()
+    apart = np.sum(np.square(cosines - weight @ cosines), axis=1)
+    square = float(weight @ apart)
+    error = float(np.sqrt(np.sum(np.square(weight * (apart - square)))))
+    aperture = np.sqrt(2 * square)
+    return LightCone(float(aperture), float(error / aperture) if aperture > 0 else 0.0, len(weight))
+
+
+def _axes(table: SurfaceTable) -> npt.NDArray[np.float64]:
+    """Unit vectors along x and y of the detector, (2, 3)."""
+    if table.detector in table.detector_frames:
+        axes = table.detector_frames[table.detector][1:]
+        return np.asarray(axes / np.linalg.norm(axes, axis=1, keepdims=True))
+    return np.asarray(table.rotations[table.detector].T[:2])
