@@ -25,6 +25,7 @@ DAMPING = 1e-3  # of Levenberg and Marquardt, at the start
 MOST_DAMPING = 1e6
 LIKELY = 0.95
 PRECISE = 1e-6  # of an interval, relative
+FARTHEST = 1e6  # times its distance from its lower bound that a parameter without an upper one can grow to
 LEAST_EFFECT = 0.01  # standard errors by which data change as a parameter takes all its values, to depend on it
 ALIKE = 1e-12  # least eigenvalue of the curvature, of unit diagonal, of parameters that are told apart
 PART = 1e-3  # of a direction that the data do not tell, for a parameter to belong to it
@@ -331,8 +332,8 @@ def fit(
     without another evaluation: the noise of the model is then that of one evaluation, which counts in the likelihood.
 
     A parameter stays where it is if the data change by less than `LEAST_EFFECT` standard errors as it takes all values
-    from its lower to its upper bound. Bounds of which one is infinite do not say how far that is: then it is as far as
-    one step takes it. Of parameters that do the same thing the least change is made. `Fit.untold` names both kinds.
+    from its lower to its upper bound. Without an upper one it is taken to grow a million times. Of parameters that do
+    the same thing the least change is made. `Fit.untold` names both kinds.
 
     Parameters
     ----------
@@ -450,21 +451,17 @@ def _reach(room: np.ndarray, scale: np.ndarray, power: np.ndarray) -> np.ndarray
     """What of the room to the bounds, (2, k), one step takes: not to a bound itself, and not too far."""
     error = 1 / np.sqrt(np.where(scale > 0, scale, np.inf))  # what no datum depends on does not move
     low, high = np.minimum(room[0] + OFF_BOUND * error, 0.0), np.maximum(room[1] - OFF_BOUND * error, 0.0)
-    most = _longest(room, power)
+    most = np.where(power == 0, LONGEST_LOG, np.where(np.isfinite(room[0]), LONGEST * -room[0], np.inf))
     # A start at its lower bound has no distance from it; it goes ten standard deviations
     most = np.where(most > 0, most, 10 * error)
     return np.stack([np.where(power == 0, np.maximum(low, -LONGEST_LOG), low), np.minimum(high, most)])
 
 
-def _longest(room: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Longest step upwards, (k,), by the distances to the bounds, (2, k)."""
-    return np.where(power == 0, LONGEST_LOG, np.where(np.isfinite(room[0]), LONGEST * -room[0], np.inf))
-
-
 def _range(room: np.ndarray, power: np.ndarray) -> np.ndarray:
     """How far a parameter can go, (k,), by the distances to its bounds, (2, k); ∞ where nothing says it."""
-    most = _longest(room, power)
-    return np.where(np.all(np.isfinite(room), axis=0), room[1] - room[0], np.where(most > 0, most, np.inf))
+    above = np.where(np.isfinite(room[0]) & (room[0] < 0), FARTHEST * -room[0], np.inf)
+    finite = np.all(np.isfinite(room), axis=0)
+    return np.where(power == 0, FARTHEST, np.where(finite, room[1] - room[0], above))
 
 
 def _whitened(rows: np.ndarray, aims: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -214,6 +214,14 @@ class TestUntold:
         assert found.distance({"steep": BEST + HALF, "y": -99.0}) == pytest.approx(3.841459, rel=1e-5)
         assert not found.covers({"steep": BEST + 1.01 * HALF, "y": -99.0})
 
+    @pytest.mark.parametrize("power", [0.0, 1.0, 2.0])
+    def test_a_start_of_almost_nothing_is_no_lack_of_effect(self, power):
+        """It begins 1e-4 standard errors above its bound, where it hardly changes a thing."""
+        exact, start = 3 * X + 1, 1e-4 / SLOPE
+        found = fit(line, exact, np.full(12, 0.1), {"steep": start, "y": 0.0}, low=(0, -1), power=(power, 1))
+        assert found.value[0] == pytest.approx(3.0, rel=0.02)
+        assert found.untold == {"y": ()}
+
     def test_a_weak_effect_is_an_effect(self):
         """A position of which all values together move the data by two standard errors is fitted, and limited."""
         found = fit(
