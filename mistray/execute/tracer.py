@@ -290,13 +290,17 @@ class Run:
             ]
             self.ledger = Ledger(capacity, self.settings.max_events, self.settings.stokes) if ledger else None
 
-            def pause(tallies: Tallies = tallies) -> bool:
+            def report(done: int, rays: int, tallies: Tallies = tallies) -> None:
                 self.channels = np.array(tallies.channels).reshape(CHANNEL_COUNT, BATCHES)
+                if progress:
+                    progress(done, rays)
+
+            def pause() -> bool:
                 return self.ledger_full() or time_is_up() or (stop is not None and stop())
 
             others = Recorders(recorders)
             others.attach(self.scene)
-            found = self.launch(tallies, self.ledger, others, *images, progress=progress, stop=pause)
+            found = self.launch(tallies, self.ledger, others, *images, progress=report, stop=pause)
             if requested() or not self.ledger_full():
                 break
             if capacity >= LAST_CAPACITY:

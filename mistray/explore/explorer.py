@@ -245,7 +245,7 @@ class Explorer:
         return self._widget._repr_mimebundle_(**kwargs)
 
     def __repr__(self) -> str:
-        stray = "" if self._guess is None else f", stray light {self._guess.stray_W.value:.4g} W"
+        stray = "" if self._guess is None else f", stray light {self._guess.stray_W.value:.4g} W absorbed"
         return f"Explorer('{self.path}', {len(self.controls)} controls{stray})"
 
     # -- what takes time ---------------------------------------------------------------------------------------------

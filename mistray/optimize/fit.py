@@ -25,6 +25,10 @@ DAMPING = 1e-3  # of Levenberg and Marquardt, at the start
 MOST_DAMPING = 1e6
 LIKELY = 0.95
 PRECISE = 1e-6  # of an interval, relative
+FARTHEST = 1e6  # times its distance from its lower bound that a parameter without an upper one can grow to
+LEAST_EFFECT = 0.01  # standard errors by which data change as a parameter takes all its values, to depend on it
+ALIKE = 1e-12  # least eigenvalue of the curvature, of unit diagonal, of parameters that are told apart
+PART = 1e-3  # of a direction that the data do not tell, for a parameter to belong to it
 
 
 class Evaluations:
@@ -130,9 +134,15 @@ class Fit:
 
     @property
     def covariance(self) -> np.ndarray:
-        """(k, k), of the parameters in their scales, as if there were no bounds."""
-        rows, _ = _whitened(self.slope, self.residual, self.noise)
-        return np.asarray(np.linalg.inv(rows.T @ rows))
+        """(k, k), of the parameters in their scales, as if there were no bounds; ∞ and beside it NaN of untold ones."""
+        size, weights, directions = self._directions()
+        told = weights > ALIKE
+        scaled = directions[:, told] / size[:, None]
+        found = np.asarray((scaled / weights[told]) @ scaled.T)
+        blind = np.diag(self._blind()) > PART**2
+        found[blind] = found[:, blind] = np.nan
+        found[blind, blind] = np.inf
+        return found
 
     @property
     def standard_error(self) -> np.ndarray:
@@ -142,9 +152,20 @@ class Fit:
 
     @property
     def correlation(self) -> np.ndarray:
-        """(k, k)."""
+        """(k, k); NaN of parameters that the data do not tell."""
         spread = np.sqrt(np.diag(self.covariance))
-        return np.asarray(self.covariance / np.outer(spread, spread))
+        with np.errstate(invalid="ignore"):
+            return np.asarray(self.covariance / np.outer(spread, spread))
+
+    @property
+    def untold(self) -> dict[str, tuple[str, ...]]:
+        """Parameters that the data do not tell → those they are not told from; none if no datum depends on it."""
+        blind = np.abs(self._blind())
+        return {
+            name: tuple(other for other, part in zip(self.names, row, strict=True) if part > PART**2 and other != name)
+            for name, row, own in zip(self.names, blind, np.diag(blind), strict=True)
+            if own > PART**2
+        }
 
     @property
     def chi_square(self) -> float:
@@ -152,9 +173,14 @@ class Fit:
         return self._chi_square(np.zeros(len(self.names)))
 
     @property
+    def told(self) -> int:
+        """Number of parameters, or of combinations of them, that the data tell."""
+        return int(np.sum(self._directions()[1] > ALIKE))
+
+    @property
     def degrees(self) -> int:
         """Degrees of freedom of `chi_square`."""
-        return len(self.residual) - len(self.names)
+        return len(self.residual) - self.told
 
     @property
     def probability(self) -> float:
@@ -165,7 +191,8 @@ class Fit:
         """
         Minus twice the logarithm of the likelihood ratio of other values and of the estimate.
 
-        If the other values are the truth, it is χ² with k degrees of freedom; smaller where bounds hold the estimate.
+        If the other values are the truth, it is χ² with `told` degrees of freedom; smaller where bounds hold the
+        estimate.
 
         Raises
         ------
@@ -183,7 +210,7 @@ class Fit:
 
     def covers(self, values: Mapping[str, float], probability: float = LIKELY) -> bool:
         """Whether values lie in the region that holds the truth with this probability."""
-        return self.distance(values) <= float(chi2.ppf(probability, len(self.names)))
+        return self.distance(values) <= float(chi2.ppf(probability, max(self.told, 1)))
 
     def interval(self, name: str, probability: float = LIKELY) -> tuple[float, float]:
         """
@@ -203,10 +230,12 @@ class Fit:
         Returns
         -------
         (float, float)
-            In the unit of the parameter.
+            In the unit of the parameter; its bounds, perhaps infinite, where the data do not tell it, see `untold`.
         """
         k = self.names.index(name)
         rows, aims = _whitened(self.slope, self.residual, self.noise)
+        if not np.any(rows[:, k]):
+            return float(self.low[k]), float(self.high[k])
         others = np.arange(len(self.names)) != k
         room = self._room()
         allowed = self.chi_square + float(chi2.ppf(probability, 1))
@@ -219,10 +248,12 @@ class Fit:
         here = _scaled(self.value, self.power)
         ends = []
         for end, bound in zip(room[:, k], (self.low[k], self.high[k]), strict=True):
-            if np.isfinite(end) and excess(end) <= 0:
+            # What is longer than this is told no better than directions that are not told at all
+            longest = np.sign(end) / np.linalg.norm(rows[:, k]) / np.sqrt(ALIKE)
+            if excess(end if np.isfinite(end) else longest) <= 0:
                 ends.append(float(bound))
                 continue
-            far = np.sign(end) / np.linalg.norm(rows[:, k])
+            far = longest * np.sqrt(ALIKE)
             while excess(far) < 0:
                 far *= 2
             far = far if abs(far) < abs(end) else end
@@ -230,17 +261,21 @@ class Fit:
         return ends[0], ends[1]
 
     def __str__(self) -> str:
-        lines = []
+        lines, untold = [], self.untold
         for name, value, low, high in zip(self.names, self.value, self.low, self.high, strict=True):
             first, last = self.interval(name)
-            if first > low and last < high:
+            others = untold.get(name)
+            if others == ():
+                lines.append(f"{name}: no datum depends on it, it stays {value:.4g}")
+            elif first > low and last < high:
                 lines.append(f"{name} = {value:.4g}, from {first:.4g} to {last:.4g} with {LIKELY:.0%}")
             elif first > low:
                 lines.append(f"{name} > {first:.4g} with {LIKELY:.0%}, best {value:.4g}")
             elif last < high:
                 lines.append(f"{name} < {last:.4g} with {LIKELY:.0%}, best {value:.4g}")
             else:
-                lines.append(f"{name}: all from {low:.4g} to {high:.4g} agree with the data, best {value:.4g}")
+                along = f" with some {' and '.join(others)}" if others else ""
+                lines.append(f"{name}: all from {low:.4g} to {high:.4g} agree with the data{along}, best {value:.4g}")
         lines.append(f"χ² = {self.chi_square:.1f} with {self.degrees} degrees of freedom, P = {self.probability:.2g}")
         return "\n".join(lines)
 
@@ -248,6 +283,29 @@ class Fit:
         """χ² at a step in the scales from the estimate."""
         rows, aims = _whitened(self.slope, self.residual, self.noise)
         return float(np.sum(np.square(aims - rows @ step)))
+
+    def _directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """
+        What the data tell of directions in the parameters.
+
+        Returns
+        -------
+        size : (k,) float64
+            Inverse standard error of each scale, were the others known; 1 where no datum depends on it.
+        weights : (k,) float64
+            Eigenvalues of the curvature in these units: 0 … k.
+        directions : (k, k) float64
+            Their directions, as columns.
+        """
+        rows, _ = _whitened(self.slope, self.residual, self.noise)
+        size = np.linalg.norm(rows, axis=0)
+        size = np.where(size > 0, size, 1.0)
+        return size, *np.linalg.eigh((rows / size).T @ (rows / size))
+
+    def _blind(self) -> np.ndarray:
+        """Projection on the directions that the data do not tell, (k, k)."""
+        _, weights, directions = self._directions()
+        return np.asarray(directions[:, weights <= ALIKE] @ directions[:, weights <= ALIKE].T)
 
     def _room(self) -> np.ndarray:
         """Steps in the scales from the estimate to the bounds, (2, k)."""
@@ -273,6 +331,10 @@ def fit(
     every step. It ends with the first step that is shorter than a standard deviation, or than `Evaluations.settled`,
     without another evaluation: the noise of the model is then that of one evaluation, which counts in the likelihood.
 
+    A parameter stays where it is if the data change by less than `LEAST_EFFECT` standard errors as it takes all values
+    from its lower to its upper bound. Without an upper one it is taken to grow a million times. Of parameters that do
+    the same thing the least change is made. `Fit.untold` names both kinds.
+
     Parameters
     ----------
     model : callable
@@ -284,7 +346,7 @@ def fit(
     start : mapping of str to float
         Name → first guess, in the order in which the model takes them.
     low, high : float or (k,) float
-        What the parameters can be.
+        What the parameters can be. Give a position or another parameter of either sign finite ones, as `PstBands` does.
     power : float or (k,) float
         Scales: the power of each parameter with which the model grows linearly, 1 for a share of light or a position, 2
         for a roughness. 0 stands for its logarithm (G. E. P. Box, D. R. Cox, J. R. Stat. Soc. B 26, 211, 1964). With
@@ -299,7 +361,7 @@ def fit(
     Raises
     ------
     MistrayError
-        For shapes and values that do not fit, data that do not tell the parameters apart, and if it does not settle.
+        For shapes and values that do not fit, and if it does not settle.
     """
     names, guess = tuple(start), np.array(list(start.values()), dtype=np.float64)
     data, spread = _checked_data(names, observed, noise)
@@ -333,10 +395,10 @@ def fit(
         total = spread + here.covariance
         slope = here.jacobian / _stretch(_unscaled(x, powers), powers)
         rows, aims = _whitened(slope, data - here.value, total)
+        depends = np.linalg.norm(rows, axis=0) > LEAST_EFFECT / _range(bounds - x, powers)
+        slope, rows = slope * depends, rows * depends
         curvature = rows.T @ rows
         scale = np.diag(curvature)
-        if not np.all(scale > 0) or np.linalg.cond(curvature / np.sqrt(np.outer(scale, scale))) > 1e12:
-            raise MistrayError(f"the data do not tell {', '.join(names)} apart; fix one of them or add other data")
         chi_square = float(aims @ aims)
         ahead = _least_squares(rows, aims, bounds - x)
         if ahead @ curvature @ ahead < memory.settled**2:
@@ -387,12 +449,19 @@ def _checked_data(
 
 def _reach(room: np.ndarray, scale: np.ndarray, power: np.ndarray) -> np.ndarray:
     """What of the room to the bounds, (2, k), one step takes: not to a bound itself, and not too far."""
-    off = OFF_BOUND / np.sqrt(scale)
-    low, high = np.minimum(room[0] + off, 0.0), np.maximum(room[1] - off, 0.0)
+    error = 1 / np.sqrt(np.where(scale > 0, scale, np.inf))  # what no datum depends on does not move
+    low, high = np.minimum(room[0] + OFF_BOUND * error, 0.0), np.maximum(room[1] - OFF_BOUND * error, 0.0)
     most = np.where(power == 0, LONGEST_LOG, np.where(np.isfinite(room[0]), LONGEST * -room[0], np.inf))
     # A start at its lower bound has no distance from it; it goes ten standard deviations
-    most = np.where(most > 0, most, 10 / np.sqrt(scale))
+    most = np.where(most > 0, most, 10 * error)
     return np.stack([np.where(power == 0, np.maximum(low, -LONGEST_LOG), low), np.minimum(high, most)])
+
+
+def _range(room: np.ndarray, power: np.ndarray) -> np.ndarray:
+    """How far a parameter can go, (k,), by the distances to its bounds, (2, k); ∞ where nothing says it."""
+    above = np.where(np.isfinite(room[0]) & (room[0] < 0), FARTHEST * -room[0], np.inf)
+    finite = np.all(np.isfinite(room), axis=0)
+    return np.where(power == 0, FARTHEST, np.where(finite, room[1] - room[0], above))
 
 
 def _whitened(rows: np.ndarray, aims: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -402,14 +471,14 @@ def _whitened(rows: np.ndarray, aims: np.ndarray, noise: np.ndarray) -> tuple[np
 
 
 def _least_squares(rows: np.ndarray, aims: np.ndarray, room: np.ndarray) -> np.ndarray:
-    """Step within some room (2, k) that makes |rows step - aims| least."""
-    if not rows.shape[1]:
-        return np.zeros(0)
+    """Step within some room (2, k) that makes |rows step - aims| least, of several the shortest in standard errors."""
     size = np.linalg.norm(rows, axis=0)
-    free = room[1] > room[0]
+    free = (room[1] > room[0]) & (size > 0)
     step = np.zeros(rows.shape[1])
     if np.any(free):
-        found = lsq_linear(rows[:, free] / size[free], aims, room[:, free] * size[free], method="bvls")
+        shortest = np.sqrt(ALIKE) * np.eye(int(np.sum(free)))
+        scaled, sought = np.vstack([rows[:, free] / size[free], shortest]), np.append(aims, np.zeros(len(shortest)))
+        found = lsq_linear(scaled, sought, room[:, free] * size[free], method="bvls")
         step[free] = found.x / size[free]
     return np.clip(step, *room)
 

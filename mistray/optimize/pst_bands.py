@@ -15,10 +15,13 @@ from mistray.gradients.parameter_gradient import parameter_gradient
 from mistray.optimize.gradient import chosen_parameters, gradient_request
 from mistray.optimize.metrics.pst_observation import Light, PstObservation, named_classes
 from mistray.optimize.metrics.views import PstView
+from mistray.optimize.parameters import Parameter
 from mistray.optimize.scene_values import assign
 from mistray.recorders.direction_recorder import CLASSES
 from mistray.recorders.sampled import batch_error
 from mistray.settings import BATCHES
+
+TOLERANCES = 1e4  # that a parameter without a range may be off
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,16 @@ class Modelled:
     value: np.ndarray
     covariance: np.ndarray
     jacobian: np.ndarray
+
+
+def _ends(scene: Any, chosen: Sequence[Parameter], value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least and greatest values of some parameters, finite for those of either sign, see `PstBands`."""
+    box = scene.bbox()
+    size = float(np.linalg.norm(np.array(box.max) - np.array(box.min)))
+    low, high = (np.array([getattr(p, end) for p in chosen]) for end in ("low", "high"))
+    reach = np.array([size if p.unit == "mm" else TOLERANCES * p.tolerance for p in chosen])
+    signed = np.isinf(low)
+    return np.where(signed, value - reach, low), np.where(signed, np.minimum(high, value + reach), high)
 
 
 class PstBands:
@@ -69,7 +82,8 @@ class PstBands:
     start : (k,) float64
         The values in the scene.
     low, high : (k,) float64
-        What the parameters can be.
+        What the parameters can be. Those of either sign without a range are near their values in the scene: lengths
+        within the size of the scene, others within ten thousand of their tolerances.
     power : (k,) float64
         Of the parameters, with which the light grows; for `fit`.
     bands : list of tuple
@@ -107,7 +121,7 @@ class PstBands:
                 raise MistrayError(f"parameter '{key}' has {parameter.value.size} entries; fit parameters of one entry")
         self.scene, self.keys = scene, tuple(chosen)
         self.start = np.array([float(p.value.ravel()[0]) for p in chosen.values()])
-        self.low, self.high = (np.array([getattr(p, end) for p in chosen.values()]) for end in ("low", "high"))
+        self.low, self.high = _ends(scene, list(chosen.values()), self.start)
         scatter = [p.owner.model.param(p.name) if p.kind == "scatter" else None for p in chosen.values()]
         self.power = np.array([1.0 if param is None else param.power for param in scatter])
         self._places = [(id(p.owner), p.name) for p in chosen.values()]

@@ -21,8 +21,7 @@ BOX_ROOM = 1e-6  # around the boxes of surfaces, in units of their size
 
 def local(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Points (n, 3) and directions (n, 3) of the world in the frame of an analytic surface's vertex."""
-    rotation = table.rotations[surface]
-    return (o - table.vertices[surface]) @ rotation, d @ rotation
+    return _place(table, surface, o), d @ table.rotations[surface]
 
 
 def crossings(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -> np.ndarray:
@@ -49,15 +48,14 @@ def crossings(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -
 
 def inside(table: SurfaceTable, surface: int, p: np.ndarray) -> np.ndarray:
     """Whether points (n, 3) of the sheet of an analytic surface lie within its bounds; NaN does not."""
-    q, _ = local(table, surface, p, p)
     with np.errstate(invalid="ignore"):
-        return table.pieces[surface].inside(q)
+        return table.pieces[surface].inside(_place(table, surface, p))
 
 
 def normals(table: SurfaceTable, surface: int, p: np.ndarray) -> np.ndarray:
     """Unit normals, from front to back, at points (n, 3) of an analytic surface."""
     piece = table.pieces[surface]
-    q, _ = local(table, surface, p, p)
+    q = _place(table, surface, p)
     normal = piece.sign * piece.gradient(q) @ table.rotations[surface].T
     return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
@@ -94,12 +92,14 @@ def first_hit(
         from_here, along = o[rays], d[rays]
         t = crossings(table, piece.index, from_here, along)
         nearest = np.where(last[rays] == piece.index, piece.self_hit, 0.0)
-        for k in range(t.shape[1]):
-            with np.errstate(invalid="ignore"):
-                nearer = (t[:, k] > nearest) & (t[:, k] < best[rays])
-            some = np.flatnonzero(nearer)
-            some = some[inside(table, piece.index, from_here[some] + t[some, k, None] * along[some])]
-            best[rays[some]], surface[rays[some]] = t[some, k], piece.index
+        with np.errstate(invalid="ignore"):
+            some, crossing = np.nonzero((t > nearest[:, None]) & (t < best[rays, None]))
+        if not len(some):
+            continue
+        t = t[some, crossing]
+        own = np.flatnonzero(inside(table, piece.index, from_here[some] + t[:, None] * along[some]))
+        own = own[np.argsort(-t[own], kind="stable")]  # of two crossings of a ray the nearer one is written last
+        best[rays[some[own]]], surface[rays[some[own]]] = t[own], piece.index
     # Mitsuba aborts the process when it is asked for the hits of no rays
     stock = _stock_hit(table, o, d, best) if table.stock_scene is not None and len(o) else None
     if stock is not None:
@@ -111,6 +111,11 @@ def first_hit(
         here = surface == number
         normal[here] = normals(table, int(number), p[here])
     return surface, p, normal
+
+
+def _place(table: SurfaceTable, surface: int, p: np.ndarray) -> np.ndarray:
+    """Points (n, 3) of the world in the frame of an analytic surface's vertex."""
+    return np.asarray((p - table.vertices[surface]) @ table.rotations[surface])
 
 
 def _near(table: SurfaceTable, o: np.ndarray, d: np.ndarray) -> Iterator[tuple[Surface, np.ndarray, np.ndarray]]:

@@ -19,6 +19,7 @@ from mistray.optimize.bodies import bodies
 from mistray.optimize.gradient import gradient_request, gradient_seen
 from mistray.optimize.metrics.pst_metrics import pst_bin
 from mistray.optimize.metrics.pst_observation import Light
+from mistray.optimize.metrics.views import seen_unpolarized
 from mistray.optimize.parameters import Parameter, match, parameters
 from mistray.optimize.scene_values import changed
 from mistray.optimize.tolerances.proposals import structure
@@ -102,7 +103,7 @@ class EditRanking:
         The largest change at any field angle first, two standard errors taken off; those of which a step opens a gap
         after the others.
     left_out : tuple of str
-        What the derivatives do not contain.
+        What the derivatives do not contain, and what Stokes vectors would change by more than 1 %.
     edge_width : tuple of float or None
         Width of the zones at rims at each field angle, see `mistray.optimize.Gradient`.
     """
@@ -247,6 +248,7 @@ def rank_edits(
         values.append(Estimate(found.value, found.value_se))
         widths.append(found.edge_width)
         left_out |= dict.fromkeys(found.left_out)
+    left_out |= dict.fromkeys(seen_unpolarized(loaded, metrics[0].views))
     if progress is not None:
         progress(len(metrics) + 1, len(metrics) + 1)
     edits = [

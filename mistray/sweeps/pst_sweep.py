@@ -16,6 +16,7 @@ from mistray.analysis.changes.gaps import Contacts, Gap, gaps_text
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.transmittance import pst_of_each
 from mistray.errors import MistrayError
+from mistray.optimize.metrics.views import View, seen_unpolarized
 from mistray.optimize.scene_values import assign
 from mistray.renamed import renamed
 from mistray.scene import coat, find, load
@@ -75,10 +76,19 @@ class PstSweep:
     gaps : dict of str to tuple of Gap
         Of each configuration: surfaces that meet in the scene as it is and are apart in this one, see
         `mistray.analysis.changes.gaps`.
+    unpolarized : dict of str to list of str
+        Of each configuration: what Stokes vectors would change by more than 1 %, see
+        `mistray.trace.polarization_choice.unpolarized_notes`.
     """
 
-    def __init__(self, found: Mapping[str, Pst], gaps: Mapping[str, tuple[Gap, ...]] | None = None) -> None:
+    def __init__(
+        self,
+        found: Mapping[str, Pst],
+        gaps: Mapping[str, tuple[Gap, ...]] | None = None,
+        unpolarized: Mapping[str, list[str]] | None = None,
+    ) -> None:
         self.pst = dict(found)
+        self.unpolarized = {name: list((unpolarized or {}).get(name, ())) for name in found}
         self.gaps = {name: tuple((gaps or {}).get(name, ())) for name in found}
         self.configurations = tuple(found)
         self.field_deg = next(iter(found.values())).field_deg
@@ -125,7 +135,11 @@ class PstSweep:
 
     @property
     def warnings(self) -> list[str]:
-        """What a configuration does beside what it is meant to do: gaps that it opens, light that gets in by them."""
+        """
+        What to know before trusting the numbers.
+
+        Gaps that a configuration opens, light that gets in by them, and what Stokes vectors would change.
+        """
         found = [f"{name}: {gaps_text(gaps)}" for name, gaps in self.gaps.items() if gaps]
         for name in self.configurations[1:]:
             for angle in self.field_deg:
@@ -133,7 +147,7 @@ class PstSweep:
                 if change.entering:
                     no_gain = f"; {change.ratio:.3g} is no gain" if change.ratio < 1 and not change.gain else ""
                     found.append(f"{name} at {angle:g} deg: {entering_text(change.entering)}{no_gain}")
-        return found
+        return found + [f"{name}: {note}" for name, notes in self.unpolarized.items() for note in notes]
 
     def to_pandas(self, classes: str | Sequence[str] = "stray") -> pd.DataFrame:
         """
@@ -218,6 +232,8 @@ def sweep_pst(
     every = [Configuration(AS_IT_IS), *wanted]
     at: list[str] = []  # the configuration that is being made, for messages
     gaps: dict[str, tuple[Gap, ...]] = {}
+    unpolarized: dict[str, list[str]] = {}
+    view = View({"field_deg": field_deg, **arguments})
 
     def scenes() -> Iterator[mi.Scene]:
         contacts = None
@@ -227,6 +243,7 @@ def sweep_pst(
                 scene = _edited(source, one, Path(folder))
                 contacts = Contacts(scene) if contacts is None else contacts
                 gaps[one.name] = contacts.opened(scene)
+                unpolarized[one.name] = seen_unpolarized(scene, [view])
                 yield scene
         at.clear()
 
@@ -239,7 +256,7 @@ def sweep_pst(
     except MistrayError as error:
         error.args = ("".join(at) + str(error).removeprefix("".join(at)),)
         raise
-    return PstSweep(found, gaps)
+    return PstSweep(found, gaps, unpolarized)
 
 
 def _edited(source: Path, one: Configuration, folder: Path) -> mi.Scene:

@@ -41,6 +41,17 @@ def row(rows, name, side=None):
     return found
 
 
+def test_unpolarised_light_is_noted(load):
+    """Through four plates at Brewster's angle (1 + s)/2 of the light, where the means of s and p have ((1 + r)/2)⁸."""
+    scene = load(plates_text(4))
+    angle = float(np.degrees(np.arctan(1.5)))
+    r_s = ((1.5**2 - 1) / (1.5**2 + 1)) ** 2
+    truth = 100 * ((1 + (1 - r_s) ** 8) / 2 / (1 - r_s / 2) ** 8 - 1)
+    (note,) = [text for text in objects(scene, field_deg=angle, rays=2000).warnings if "Stokes" in text]
+    assert f"direct light by +{truth:.3g}" in note
+    assert not [text for text in objects(scene, field_deg=10.0, rays=2000).warnings if "Stokes" in text]
+
+
 def plate_text(**coating):
     """A plate of radius 50 and a smaller detector behind it."""
     text = plates_text(1, **coating)

@@ -189,6 +189,16 @@ def test_a_long_trace_names_the_limit_to_lower(tmp_path: Path, monkeypatch: pyte
         mistray.trace(scene, rays=1e8, max_reflections=6, flux_threshold=1e-12, progress=press)
 
 
+def test_a_long_trace_is_told_of_at_the_first_launch_of_a_run(plates: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second wavelength is a run of its own, of which nothing was counted when it was looked at."""
+    mistray.trace(plates, rays=2000, wavelength_nm=[500, 600])  # then one launch is enough for a run
+    forecast = importlib.import_module("mistray.execute.forecast")
+    monkeypatch.setattr(forecast, "FIRST_LOOK", 0.0)
+    monkeypatch.setattr(forecast, "LONG", -1.0)
+    with pytest.warns(mistray.MistrayWarning, match=r"a start ray has \d\S* ray segments; lower rays \(1e\+03\)"):
+        mistray.trace(plates, rays=2000, wavelength_nm=[500, 600])
+
+
 def test_mirrors_that_shut_light_in_end(tmp_path: Path) -> None:
     mirror = interface_xml(R=1.0, mirror=True)
     walls = [shape_xml("asphere", f"m{k}", 10.0 * k, mirror, semi_diameter=5.0) for k in (1, 2)]

@@ -76,12 +76,6 @@ class TestFit:
         with pytest.raises(MistrayError, match="12 numbers for 11"):
             fit(exponential, data[:11], np.ones(11), start)
 
-        def twins(values: np.ndarray) -> Modelled:
-            return Modelled(values.sum() * X + 1, np.zeros((12, 12)), np.stack([X, X], axis=1))
-
-        with pytest.raises(MistrayError, match="do not tell height, decay apart"):
-            fit(twins, data, np.ones(12), start)
-
 
 ANGLES = np.linspace(0, 3, 20)
 SHAPES = np.exp(-3 * ANGLES), 1 / (1 + ANGLES), np.sin(3 * ANGLES)
@@ -180,6 +174,100 @@ class TestScales:
             fit(weak, value, np.ones((20, 20)), {"rough": 1.0, "grey": 2.0, "shift": 0.0})
 
 
+LINE = 3 * X + 1 + 0.1 * np.random.default_rng(0).standard_normal(12)
+SLOPE = 10 * np.linalg.norm(X)  # of the line by its steepness, in standard errors
+BEST = float(X @ (LINE - 1) / (X @ X))
+HALF = np.sqrt(3.841459) / SLOPE
+
+
+def line(values: np.ndarray, effect: float = 0.0) -> Modelled:
+    """A steepness, and a position that hardly changes a thing."""
+    by = np.stack([X, effect * np.sin(X)], axis=1)
+    return Modelled(by @ values + 1, np.zeros((12, 12)), by)
+
+
+def twins(values: np.ndarray) -> Modelled:
+    """Two parameters that do the same thing, and one that does not."""
+    by = np.stack([X, X, np.sin(X)], axis=1)[:, : len(values)]
+    return Modelled(by @ values + 1, np.zeros((12, 12)), by)
+
+
+class TestUntold:
+    """Parameters that data do not tell stay where they are, and the others are as without them."""
+
+    @pytest.mark.parametrize("effect", [0.0, 1e-18, -1e-9])
+    @pytest.mark.parametrize("place", [0.0, 22.0])
+    def test_a_position_without_effect_stays(self, effect, place):
+        """Rounding leaves a derivative of 1e-18: the step that it asks for is 1e17 long."""
+        found = fit(
+            lambda values: line(values, effect), LINE, np.full(12, 0.1), {"steep": 1.0, "y": place},
+            low=(-np.inf, -100), high=(np.inf, 100),
+        )  # fmt: skip
+        assert found.value == pytest.approx([BEST, place], rel=1e-6)
+        assert found.untold == {"y": ()}
+        assert (found.told, found.degrees) == (1, 11)
+        assert found.interval("steep") == pytest.approx((BEST - HALF, BEST + HALF), rel=1e-5)
+        assert found.interval("y") == (-100, 100)
+        assert f"y: no datum depends on it, it stays {place:.4g}" in str(found)
+        assert found.standard_error == pytest.approx([1 / SLOPE, np.inf])
+        assert np.isnan(found.correlation[0, 1])
+        assert found.distance({"steep": BEST + HALF, "y": -99.0}) == pytest.approx(3.841459, rel=1e-5)
+        assert not found.covers({"steep": BEST + 1.01 * HALF, "y": -99.0})
+
+    @pytest.mark.parametrize("power", [0.0, 1.0, 2.0])
+    def test_a_start_of_almost_nothing_is_no_lack_of_effect(self, power):
+        """It begins 1e-4 standard errors above its bound, where it hardly changes a thing."""
+        exact, start = 3 * X + 1, 1e-4 / SLOPE
+        found = fit(line, exact, np.full(12, 0.1), {"steep": start, "y": 0.0}, low=(0, -1), power=(power, 1))
+        assert found.value[0] == pytest.approx(3.0, rel=0.02)
+        assert found.untold == {"y": ()}
+
+    def test_a_weak_effect_is_an_effect(self):
+        """A position of which all values together move the data by two standard errors is fitted, and limited."""
+        found = fit(
+            lambda values: line(values, 1e-3), LINE, np.full(12, 0.1), {"steep": 1.0, "y": 0.0},
+            low=(-np.inf, -100), high=(np.inf, 100),
+        )  # fmt: skip
+        both = np.linalg.lstsq(np.stack([X, 1e-3 * np.sin(X)], axis=1), LINE - 1, rcond=None)[0]
+        assert abs(both[1]) > 100, "else the bound does not hold it"
+        assert found.value[1] == np.sign(both[1]) * 100
+        assert not found.untold
+
+    def test_two_that_do_the_same_are_known_as_a_sum(self):
+        found = fit(twins, LINE, np.full(12, 0.1), {"a": 1.0, "b": 0.5})
+        assert found.value == pytest.approx([BEST / 2 + 0.25, BEST / 2 - 0.25], rel=1e-6), "the least change of both"
+        assert found.untold == {"a": ("b",), "b": ("a",)}
+        assert (found.told, found.degrees) == (1, 11)
+        assert found.interval("a") == (-np.inf, np.inf)
+        assert "a: all from -inf to inf agree with the data with some b" in str(found)
+        assert np.all(np.isinf(found.standard_error))
+        assert found.covers({"a": 100.0, "b": BEST - 100})
+        assert found.distance({"a": 100.0, "b": BEST - 100 + HALF}) == pytest.approx(3.841459, rel=1e-5)
+
+    def test_bounds_of_one_limit_the_other(self):
+        """Of a sum s ± h, with a in 0 … 1, b is from s - h - 1 to s + h."""
+        found = fit(twins, LINE, np.full(12, 0.1), {"a": 0.5, "b": 1.0}, low=(0, -np.inf), high=(1, np.inf))
+        assert found.interval("a") == (0, 1)
+        assert found.interval("b") == pytest.approx((BEST - HALF - 1, BEST + HALF), rel=1e-5)
+        limited = fit(twins, LINE, np.full(12, 0.1), {"a": 0.5, "b": 1.0}, low=0)
+        assert limited.interval("a") == pytest.approx((0, BEST + HALF), rel=1e-5)
+
+    def test_a_third_is_told_beside_them(self):
+        found = fit(twins, LINE, np.full(12, 0.1), {"a": 1.0, "b": 0.5, "c": 0.0})
+        by = np.stack([X, np.sin(X)], axis=1)
+        best, error = np.linalg.lstsq(by, LINE - 1, rcond=None)[0], np.sqrt(np.linalg.inv(by.T @ by)[1, 1]) / 10
+        assert found.value[2] == pytest.approx(best[1], rel=1e-6)
+        assert found.standard_error[2] == pytest.approx(error)
+        assert found.interval("c") == pytest.approx(best[1] + error * np.sqrt(3.841459) * np.array([-1, 1]), rel=1e-5)
+        assert set(found.untold) == {"a", "b"}
+
+    def test_nothing_told(self):
+        found = fit(lambda _: Modelled(np.ones(12), np.zeros((12, 12)), np.zeros((12, 1))), LINE, np.ones(12), {"a": 1})
+        assert (found.told, found.degrees, found.evaluations) == (0, 12, 1)
+        assert found.value[0] == 1
+        assert found.covers({"a": -1e9})
+
+
 KEYS = ("polish.rms_nm", "dust.level", "black.reflectance")
 SETTINGS: dict[str, Any] = {"azimuths_deg": (0, 180), "rays": 2000, "max_scatters": 1, "seed": 5}
 
@@ -217,6 +305,26 @@ class TestPstBands:
         solid = -np.diff(np.cos(np.radians([20, 22, 24])))
         parts = narrow.measure(narrow.start)[0].reshape(2, 2)
         assert wide.measure(wide.start)[0] == pytest.approx(solid @ parts / solid.sum(), rel=1e-6)
+
+    def test_positions_are_within_the_size_of_the_scene(self, scene):
+        """The box is that of the housing, 60 mm wide, from the vertex of the lens to the board at 62.6 mm."""
+        bands = PstBands(scene, ("screen.y", "lens_front.conic", *KEYS), (20, 22), cell_deg=2.0)
+        size = np.sqrt(2 * 60**2 + 62.6**2)
+        assert (bands.low[0], bands.high[0]) == pytest.approx((-size, size), rel=1e-3)
+        assert np.all(np.isfinite(bands.low))
+        assert bands.high[1] <= (62 / 10) ** 2 - 1, "a sphere over the whole lens"
+        assert bands.low[2:].tolist() == [0, 1, 0]
+
+    @pytest.mark.long
+    def test_data_of_an_azimuth_that_shows_no_screen(self, scene):
+        """Where the lens does not light the screen, neither its place nor its paint is told; the roughness is."""
+        keys = ("polish.rms_nm", "black.reflectance", "screen.y")
+        bands = PstBands(scene, keys, (20, 22, 24, 26, 28), cell_deg=2.0, **{**SETTINGS, "azimuths_deg": (180,)})
+        value, _ = bands.measure(bands.start)
+        start = dict(zip(keys, bands.start * [1.2, 1, 1], strict=True))
+        found = fit(bands, value, 0.05 * value, start, low=bands.low, high=bands.high, power=bands.power)
+        assert found.value == pytest.approx(bands.start, rel=0.05)
+        assert found.untold == {"black.reflectance": (), "screen.y": ()}
 
     def test_bad_input_is_one_clear_line(self, scene):
         with pytest.raises(MistrayError, match="multiples of cell_deg"):

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 from oracles.scatter_scenes import beam_xml, placed_xml, wall_xml
-from oracles.small_scenes import interface_xml
+from oracles.small_scenes import interface_xml, plates_text, write
 
 from mistray.cli.program import main
 from mistray.errors import MistrayError
 from mistray.physics import thinfilm
 from mistray.prescription import Structure
-from mistray.sweeps import Configuration, PstSweep, read_configurations, sweep_pst
+from mistray.sweeps import Configuration, PstSweep, rank_edits, read_configurations, sweep_pst
 
 RAYS = 20_000
 ANGLE = 10.0
@@ -45,6 +45,17 @@ def test_nothing_changes_nothing(scene: Path) -> None:
     assert change.ratio == 1
     assert change.ratio_se < 1e-12 * change.before_se / change.before  # sums of the same rays in another order
     assert change.before_se > 0
+
+
+@pytest.mark.long
+def test_edits_say_that_their_light_is_unpolarised(tmp_path: Path) -> None:
+    """The ghost of a plate at 45° is 1.548 times as bright by Stokes vectors; what is given is taken."""
+    scene, edit = write(tmp_path, plates_text(1)), Configuration("bent", {"p0_front.curvature": [1e-5]})
+    told = "Stokes vectors change the ghost p0_rear → p0_front by +54.8"
+    found = sweep_pst(scene, [edit], [45.0], rays=2000)
+    assert [text.partition(": ")[0] for text in found.warnings if told in text] == ["as it is", "bent"]
+    assert not sweep_pst(scene, [edit], [45.0], rays=2000, polarization="unpolarized").warnings
+    assert any(told in text for text in rank_edits(scene, 45.0, rays=2000, keys=["p0_front.z"]).left_out)
 
 
 def test_painted_and_moved_light_is_in_proportion(scene: Path) -> None:

@@ -33,6 +33,17 @@ def fresnel(angle_deg: float, n: float = GLASS) -> tuple[float, float]:
     return ((c - n * t) / (c + n * t)) ** 2, ((n * c - t) / (n * c + t)) ** 2
 
 
+def film_powers(film: tuple[float, float], angle_deg: float = 45.0, n: float = GLASS) -> list[float]:
+    """R of s and p of one film (index, nm) within glass, by Airy's sum (Born & Wolf, 7.6) at 550 nm."""
+    c = np.cos(np.radians(angle_deg))
+    inner = np.sqrt(1 - (n / film[0]) ** 2 * (1 - c * c))
+    turn = np.exp(4j * np.pi * film[0] * film[1] * inner / 550.0)
+    r = np.array(
+        [(n * c - film[0] * inner) / (n * c + film[0] * inner), (film[0] * c - n * inner) / (film[0] * c + n * inner)]
+    )
+    return list(np.abs(r * (1 - turn) / (1 - r**2 * turn)) ** 2)
+
+
 def ghost_factor(angle_deg: float) -> float:
     """First ghost of a plate, two refractions and two reflections in one plane, over that by means of s and p."""
     r_s, r_p = fresnel(angle_deg)
@@ -108,6 +119,20 @@ class TestChoice:
         r_s, r_p = fresnel(50.0)
         assert found.mode == "stokes"
         assert found.change == pytest.approx(-(((r_s - r_p) / (r_s + r_p)) ** 2), rel=1e-5)
+
+    @pytest.mark.parametrize("azimuth_deg", [0.0, 90.0, 35.0])
+    @pytest.mark.parametrize("films", [((2.3, 60.0), (2.3, 60.0)), ((2.3, 60.0), (1.38, 150.0))])
+    def test_two_cubes(self, load_scene, films, azimuth_deg) -> None:
+        """Films within glass at 45° that reflect one after the other, in planes at an angle φ: 1 + D₁ D₂ cos 2φ."""
+        glass = Face(0, 0, "T", GLASS)
+        cubes = [Face(45, turn, "R", GLASS, (film,)) for turn, film in zip((0.0, azimuth_deg), films, strict=True)]
+        path = skew_path([glass, *cubes, Face(0, 0, "T", 1.0)])
+        across = [np.cross(path.directions[k], path.directions[k + 1]) for k in (1, 2)]
+        cosine = across[0] @ across[1] / np.linalg.norm(across[0]) / np.linalg.norm(across[1])
+        d = [(r_s - r_p) / (r_s + r_p) for r_s, r_p in map(film_powers, films)]
+        found = choice(load_scene(path.text))
+        assert found.mode == "stokes"
+        assert found.change == pytest.approx(d[0] * d[1] * (2 * cosine**2 - 1), rel=1e-4)
 
     def test_below_one_percent(self, load_text) -> None:
         """At 10° the factor is 1.0017; the size is said all the same."""

@@ -33,6 +33,7 @@ from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.thin_gaps import thin_gaps
 from mistray.time_budget import share, within
+from mistray.trace.polarization_choice import unpolarized_notes
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -53,6 +54,7 @@ class _Traced:
     detector: DetectorView
     critical: View
     illuminated: list[View]
+    unpolarized: list[str]  # what Stokes vectors would change
 
 
 @renamed(angles_deg="field_deg")
@@ -203,7 +205,7 @@ class Objects:
                 f"up to {lost:.1e} of the light met a surface from the wrong material; the geometry has a gap or an "
                 "overlap"
             )
-        return found
+        return [*found, *self._traced.unpolarized]
 
     def estimates(self) -> pd.DataFrame:
         """
@@ -367,6 +369,11 @@ def objects(
     with within(seconds):
         critical = followed(0, view, backward=True)
         illuminated = [followed(k, one) for k, one in enumerate(sources, start=1)]
+    light_of_source = {"wavelength_nm": wavelength, "detector": detector}
+    beams = [{**light_of_source, "field_deg": angle, "azimuth_deg": azimuth_deg} for angle in angles]
+    unpolarized = unpolarized_notes(
+        scene, beams or [light_of_source], ray_control=chosen.ray_control, max_events=chosen.max_events
+    )
     fewest = min(int(one.rays.sum()) for one in (critical, *illuminated))
     facts = {
         "rays": fewest,
@@ -384,4 +391,4 @@ def objects(
         "seed": chosen.seed,
         "variant": mi.variant(),
     }
-    return Objects(scene, _Traced(table, places, view, critical, illuminated), angles, facts)
+    return Objects(scene, _Traced(table, places, view, critical, illuminated, unpolarized), angles, facts)

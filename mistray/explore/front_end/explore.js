@@ -182,16 +182,16 @@ class LiveExplorer {
   showNumbers(view) {
     const [worst] = this.worst(view);
     const rows = [
-      ["stray light", `${withError(view.stray_W)} W`],
+      ["stray light", `${withError(view.stray_W)} W absorbed`],
       ["stray over direct", view.ratio[0] === null ? "no direct image here" : withError(view.ratio)],
-      ["direct image", `${withError(view.direct_W)} W`],
+      ["direct image", `${withError(view.direct_W)} W absorbed`],
       ["worst path", worst ? `${worst.label}, ${short(worst.percent, 3)} % of the stray light` : "none"],
       ...(view.remedy ? [["change first", `${view.remedy.surface}: it ${view.remedy.deed} ${short(view.remedy.percent, 3)} % of the stray light${view.label === "traced" ? "" : " of the last trace"}`]] : []),
     ];
     this.numbers.replaceChildren(...rows.flatMap(([name, text]) => [make("dt", { textContent: name }), make("dd", { textContent: text })]));
   }
   showPaths(view) {
-    const head = make("thead", {}, make("tr", {}, ...["path", "kind", "power [W]", "% of stray", "rms radius [mm]"].map((text) => make("th", { textContent: text, scope: "col" }))));
+    const head = make("thead", {}, make("tr", {}, ...["path", "kind", "power [W absorbed]", "% of stray", "rms radius [mm]"].map((text) => make("th", { textContent: text, scope: "col" }))));
     const paths = this.worst(view);
     const rows = paths.map((path) => {
       const pick = make("button", { type: "button", textContent: path.label });

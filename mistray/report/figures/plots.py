@@ -186,7 +186,7 @@ def levels_against_field(report: GhostReport) -> Figure:
     for kind, estimates in series.items():
         values, errors = zip(*estimates, strict=True)
         _error_bars(left, fields, values, errors, kind, "direct image" if kind == DIRECT else kind)
-    left.set_ylabel("power on the detector [W]")
+    left.set_ylabel("power [W absorbed]")
     left.set_title("Power", fontsize=10)
     shown = set()
     for field in fields:

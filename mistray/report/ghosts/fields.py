@@ -126,12 +126,13 @@ def field_section(report: GhostReport, s: FieldSummary, pictures: Mapping[str, b
 
 def _headline(report: GhostReport, s: FieldSummary) -> str:
     """What stands on the line that opens a field."""
-    direct = with_error(s.direct.power_W) if s.direct.power_W.value > 0 else "no"
-    text = f"Field {s.field_deg:g}°: {direct}{' W' if direct != 'no' else ''} direct light"
+    power = s.direct.power_W
+    direct = f"{with_error(power)} W direct light absorbed" if power.value > 0 else "no direct light"
+    text = f"Field {s.field_deg:g}°: {direct}"
     worst = report.top(s.field_deg, 1)
     if worst.empty:
         return f"{text}, no stray light"
-    return f"{text}, {with_error(s.stray_W)} W stray light; worst path {worst.label.iloc[0]}"
+    return f"{text}, {with_error(s.stray_W)} W stray light absorbed; worst path {worst.label.iloc[0]}"
 
 
 def mapped_paths(report: GhostReport, field_deg: float) -> FieldMaps:

@@ -145,7 +145,7 @@ def _summary(report: GhostReport, summaries: Sequence[FieldSummary], per_wavelen
     """Statistics of every field; on request at each wavelength too."""
     nominal = report.nominal
     text = (
-        f"Nominal image (on axis, direct): {with_error(nominal.power_W)} W, "
+        f"Nominal image (on axis, direct): {with_error(nominal.power_W)} W absorbed, "
         f"RMS radius {with_error(nominal.rms_radius_mm)} mm, "
         f"RMS irradiance {with_error(nominal.rms_irradiance_W_mm2)} W/mm²."
     )
@@ -197,7 +197,9 @@ def _levels(report: GhostReport) -> Figure:
     for s in (report.summary(field) for field in fields):
         powers = {"direct image": s.direct.power_W, "stray light": s.stray_W}
         powers |= {kind: s.stray_of_kind_W[kind] for kind in STRAY_KINDS if s.paths_of_kind[kind]}
-        shown = [(name, f"{with_error(power)} W" if power.value > 0 else ABSENT) for name, power in powers.items()]
+        shown = [
+            (name, f"{with_error(power)} W absorbed" if power.value > 0 else ABSENT) for name, power in powers.items()
+        ]
         values.append([*shown, ("worst path, normalised", with_error(s.brightest_normalised))])
     hover = Hover("data-levels", fields, [f"field {field:g}°" for field in fields], values)
     return Figure(functools.partial(levels_against_field, report), LEVELS, hover=hover)

@@ -329,7 +329,7 @@ class Explorer {
       filterTable(this.table);
       const more = rest > 0 ? `, and ${short(100 * rest / total, 3)} % of it come from ${this.below(rest, total)}` : "";
       const [x0, x1, y0, y1] = this.box.mm.map((v) => short(v));
-      this.say(`Box x ${x0} … ${x1}, y ${y0} … ${y1} mm: ${short(total, 3)} W, ${fed} of ${this.order.length} paths of the table light it${more}.`);
+      this.say(`Box x ${x0} … ${x1}, y ${y0} … ${y1} mm: ${short(total, 3)} W absorbed, ${fed} of ${this.order.length} paths of the table light it${more}.`);
       this.draw();
     });
   }
