@@ -17,6 +17,7 @@ from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene
 from oracles.small_scenes import interface_xml, write
 from oracles.statistics import assert_z
 from scipy.integrate import quad
+from scipy.special import expn
 
 import mistray
 from mistray.analysis.thermal.emission import ThermalReport, _per_kelvin, thermal
@@ -84,7 +85,41 @@ class TestConeOfOptics:
         check("image", report.image_W_mm2, (1 - row.emissivity) * whole, 0.01)
         assert report.to_image.value == pytest.approx(row.emissivity / (1 - row.emissivity), rel=0.02)
         assert math.isnan(report.nitd_K.value), "nothing is cold"
+        (note,) = report.notes
+        assert "declare design_path" in note, "the beam misses a detector of 0.02 mm"
+
+    def test_the_image_comes_by_the_design_path(self, tmp_path: Path) -> None:
+        """A detector at the focus of a mirror: the sky beside the mirror is no image."""
+        mirror = interface_xml(R=0.9, mirror=True)
+        scene = load(
+            tmp_path,
+            placed_xml(
+                "asphere", "detector", at=(0, 0, 50), facing=(0, 0, -1), pixels=4, half_width=0.05, half_height=0.05
+            ),
+            placed_xml("asphere", "mirror", mirror, at=(0, 0, 100), radius=-100.0, conic=-1.0, semi_diameter=10.3),
+        )
+        report = thermal(scene, 293.0, BAND, rays=200_000, aim="none", seed=4)
+        sine2 = 10.3**2 / (10.3**2 + (50 - 10.3**2 / 200) ** 2)  # of the mirror's rim, seen from the detector
+        check("image", report.image_W_mm2, 0.9 * sine2 * math.pi * RADIANCE, 0.02)
+        check("scene", report.scene_W_mm2, (1 - 0.1 * sine2) * math.pi * RADIANCE, 0.01)
         assert report.notes == []
+
+    def test_means_have_the_error_of_the_wavelengths(self, tmp_path: Path) -> None:
+        """A slab absorbs 1 - 2 E₃(4πkd/λ); what three wavelengths leave open is in the error of its emission as well."""
+        glass = "1.0001+0.00002i"
+        scene = load(
+            tmp_path,
+            detector_xml(),
+            placed_xml("asphere", "front", interface_xml("air", glass), at=(0, 0, -9), semi_diameter=400.0),
+            placed_xml("asphere", "rear", interface_xml(glass, "air"), at=(0, 0, -6), semi_diameter=400.0),
+        )
+        report = thermal(scene, 293.0, BAND, rays=200_000, aim="none")
+        (slab,) = (e for e in report.emitters if e.kind == "medium")
+        um = np.linspace(*BAND, 2001)
+        planckian = planck.spectral_radiance(um, 293.0)
+        exact = np.average(1 - 2 * expn(3, 4 * np.pi * 2e-5 * 3e3 / um), weights=planckian)
+        check("emission", slab.emission, exact, 0.01)
+        assert slab.emission.se > report.band_error / math.sqrt(3) * exact * 0.99 > 1e-3 * exact
 
     def test_temperatures(self, tmp_path: Path) -> None:
         """Each part has its own; the last name that fits holds; the scene has one, too."""
@@ -150,7 +185,7 @@ class TestNarcissus:
         at_scene, at_housing = (planck.narcissus_nitd(1.0, 295.0, 77.0, *BAND, scene_K) for scene_K in (310.0, None))
         slopes = planck.band_derivative(295.0, *BAND) / planck.band_derivative(310.0, *BAND)
         assert at_scene == pytest.approx(at_housing * slopes, rel=1e-12)
-        image, waves = [SimpleNamespace(escaped=(0, 0, np.full(16, 0.4)))] * 2, (8.0, 12.0)
+        image, waves = [SimpleNamespace(image=(0, 0, np.full(16, 0.4)))] * 2, (8.0, 12.0)
         found = _per_kelvin(image, 310.0, BAND, waves)
         assert found.value == pytest.approx(0.4 * np.pi * planck.band_derivative(310.0, *BAND), rel=1e-9)
 
@@ -178,8 +213,9 @@ class TestNarcissus:
             placed_xml("frustum", "tube", r0=4.0, z0=-8.0, r1=4.0, z1=0.5),
         )  # fmt: skip
         settings = {"max_reflections": 1, "max_scatters": 0}
+        narrow = (9.99, 10.01)  # so that one wavelength stands for the band
         report = thermal(
-            scene, 293.0, BAND, temperatures={"detector": 77.0}, rays=400_000, wavelengths_um=10.0, **settings
+            scene, 293.0, narrow, temperatures={"detector": 77.0}, rays=400_000, wavelengths_um=10.0, **settings
         )
         assert {back.surface for back in report.returned} == {"front", "rear"}
         single = sum(back.emission.value for back in report.returned)

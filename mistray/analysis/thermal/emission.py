@@ -12,6 +12,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -88,7 +89,8 @@ class ThermalReport:
     scene_W_mm2 : Estimate
         Of a blackbody around the system at `scene_K`, by all paths.
     image_W_mm2 : Estimate
-        The part of it that makes the image: no scatter, no reflection but those of mirrors.
+        The part of it that makes the image: by the sequences of the design, or, where there are none, all light that is
+        neither scattered nor reflected but at mirrors.
     lost_W_mm2 : float
         What a blackbody at `temperature_K` would add by the paths that were not followed.
     self_view : Estimate
@@ -103,7 +105,7 @@ class ThermalReport:
         At which the optics were traced.
     band_error : float
         Bound of the relative error of integrals over the band by these wavelengths; over √3 it is a part of the errors
-        of irradiances. NaN where the optics are not known all over the band.
+        of means and integrals over the band. NaN where the optics are not known all over the band.
     detector : str
     returned : list of Return
         Surfaces by which the cold detector sees itself, the strongest first; empty if it is not colder than the rest.
@@ -303,6 +305,11 @@ def _emission(one: Seen, key: Key) -> np.ndarray:
     return next((row.emission_by_batch for row in one.rows if row.id == name), nothing)
 
 
+def _image(one: Seen) -> np.ndarray:
+    """Share of the imaged scene from single batches of a trace without ghosts and scatter."""
+    return (one.image or one.escaped)[2]
+
+
 def _sum(weights: np.ndarray, by_batch: Sequence[np.ndarray]) -> Estimate:
     """Sum over the wavelengths, whose traces are independent, of weight times the mean of the batches."""
     value = math.fsum(float(w * np.mean(batches)) for w, batches in zip(weights, by_batch, strict=True))
@@ -339,15 +346,12 @@ def _report(
     """The report of the traces at the wavelengths, of everything and of the image."""
     waves, kelvin = traced.wavelengths_um, _temperatures(seen, default_K, rules)
     weights = {k: np.pi * band_weights(k, band, waves) for k in {*kelvin.values(), default_K, scene_K}}
-
-    def known(value: Estimate) -> Estimate:
-        """With the error of the band's integral: that of even chances within its bounds."""
-        more = traced.error / math.sqrt(3) if math.isfinite(traced.error) else 0.0  # a note says if it is not known
-        return Estimate(value.value, math.hypot(value.se, more * value.value))
-
+    known = partial(_with_band_error, bound=traced.error)
     emitters = [_emitter(key, k, weights[k], seen) for key, k in kelvin.items()]
     emitters = [
-        replace(e, irradiance_W_mm2=known(e.irradiance_W_mm2)) for e in emitters if e.hits or e.kind == "medium"
+        replace(e, emission=known(e.emission), irradiance_W_mm2=known(e.irradiance_W_mm2))
+        for e in emitters
+        if e.hits or e.kind == "medium"
     ]
     # Surfaces of one trace share its rays: the error of their sum is that of sums by batch
     warmth = [
@@ -355,7 +359,7 @@ def _report(
         for number, one in enumerate(seen)
     ]
     detector = seen[0].detector
-    image_irradiance = known(_sum(weights[scene_K], [one.escaped[2] for one in image]))
+    image_irradiance = known(_sum(weights[scene_K], [_image(one) for one in image]))
     return ThermalReport(
         emitters=sorted(emitters, key=lambda e: -e.irradiance_W_mm2.value),
         total_W_mm2=known(_sum(np.ones(len(waves)), warmth)),
@@ -363,7 +367,7 @@ def _report(
         image_W_mm2=image_irradiance,
         lost_W_mm2=float(weights[default_K] @ [one.lost[0] for one in seen]),
         self_view=next((e.emission for e in emitters if (e.kind, e.name) == ("surface", detector)), Estimate(0.0, 0.0)),
-        nitd_K=_nitd(seen, image, kelvin, weights, default_K, _per_kelvin(image, scene_K, band, waves)),
+        nitd_K=known(_nitd(seen, image, kelvin, weights, default_K, _per_kelvin(image, scene_K, band, waves))),
         temperature_K=default_K,
         detector_K=kelvin["surface", detector],
         scene_K=scene_K,
@@ -379,6 +383,12 @@ def _report(
         },
         notes=_notes(seen, image_irradiance, traced, band),
     )
+
+
+def _with_band_error(value: Estimate, bound: float) -> Estimate:
+    """A mean or an integral over the band, with the error of its wavelengths: even chances within their bound."""
+    more = bound / math.sqrt(3) if math.isfinite(bound) else 0.0  # a note says if it is not known
+    return Estimate(value.value, math.hypot(value.se, more * value.value))
 
 
 def _nitd(
@@ -415,7 +425,7 @@ def _per_kelvin(image: Sequence[Seen], scene_K: float, band: tuple[float, float]
     """Change of the irradiance of the imaged scene by its temperature, W/(mm² K)."""
     above, below = (band_weights(factor * scene_K, band, waves) for factor in (1.001, 0.999))
     spectrum = (above - below) / max(float((above - below).sum()), np.finfo(float).tiny)
-    transmitted = _sum(spectrum, [one.escaped[2] for one in image])
+    transmitted = _sum(spectrum, [_image(one) for one in image])
     slope = float(np.pi * planck.band_derivative(scene_K, *band))
     return Estimate(slope * transmitted.value, slope * transmitted.se)
 
@@ -431,13 +441,18 @@ def _returned(
     per_kelvin = _per_kelvin(runs[1], report.scene_K, report.band_um, report.wavelengths_um)
     emissions, missing = mean_returns(found, housing / housing.sum()), mean_returns(found, housing - own)
     parts = {row.id: row.part for row in runs[0][0].rows}
-    rows = [Return(name, parts.get(name, ""), emissions[name], missing[name].over(per_kelvin)) for name in emissions]
+    known = partial(_with_band_error, bound=report.band_error)
+    rows = [
+        Return(name, parts.get(name, ""), known(emissions[name]), known(missing[name].over(per_kelvin)))
+        for name in emissions
+    ]
     return sorted(rows, key=lambda row: -row.emission.value)
 
 
 def _notes(seen: Sequence[Seen], image: Estimate, traced: TracedBand, band: tuple[float, float]) -> list[str]:
     """What a reader must know."""
-    notes, waves = [], traced.wavelengths_um
+    waves = traced.wavelengths_um
+    notes = list(dict.fromkeys(text for one in seen for text in one.notes))
     if traced.error > BAND_ERROR:
         notes.append(
             f"the optics were traced at {len(waves)} wavelengths, between which they differ: integrals over the band "
