@@ -123,12 +123,12 @@ def traced_wavelengths(
     if all(len(one) == len(rows[0]) and np.allclose(one, rows[0], rtol=SAME, atol=0) for rows in found for one in rows):
         return TracedBand(tuple(map(float, waves)) if given is not None else (0.5 * (low + high),), 0.0)
     lengths = _lengths(scene, 1e3 * waves[0])
-    parts = [
+    does = [
         _shares(np.array([one[:NUMBERS] for one in rows]), lengths[name])
         for name, rows in zip(optical, found, strict=True)
     ]
-    shares = np.concatenate([share for share, _ in parts], axis=1)
-    least = np.concatenate([floor for _, floor in parts])
+    shares = np.concatenate([share for share, _ in does], axis=1)
+    least = np.concatenate([floor for _, floor in does])
     weights = np.array([band_weights(kelvin, band_um, nodes) for kelvin in temperatures_K if kelvin > 0])
     if not len(weights):
         return TracedBand(tuple(map(float, waves)), 0.0)
