@@ -9,12 +9,19 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.execute.backward import PASS_LANES, BackwardTrace
+from mistray.recorders.direction_recorder import DIRECT
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.sampled import batch_error
 from mistray.recorders.tallies import ABSORBED_HERE, ESCAPED, HITS, INCIDENT
-from mistray.sampling.sources import spectrum_of
+from mistray.sampling.design.sequences import has_optics
+from mistray.sampling.sources import field_axes, spectrum_of
 from mistray.settings import Settings
 from mistray.time_budget import is_limited, time_is_up
+
+NO_DESIGN = (
+    "no design path to '{}' was found: its image is all light that is neither scattered nor a ghost; "
+    "declare design_path where that is not so"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +73,9 @@ class Seen:
         Material → (emission, standard error, by batch) of absorbing media.
     escaped : tuple
         Share of the rays that leave the scene, standard error, by batch.
+    image : tuple or None
+        Share of the rays that leave by a sequence of the design, against the light of the image. None in a scene
+        without lenses and mirrors, and where no sequence leads to the detector.
     lost : tuple
         Share that limits and thresholds cut, standard error, by batch.
     detector : str
@@ -73,17 +83,21 @@ class Seen:
     wavelength_nm : float
     rays : int
     seconds : float
+    notes : list of str
+        What was assumed of the media, see `BackwardTrace.notes`, and of the image.
     """
 
     rows: list[SeenSurface]
     media: dict[str, tuple[float, float, np.ndarray]]
     escaped: tuple[float, float, np.ndarray]
+    image: tuple[float, float, np.ndarray] | None
     lost: tuple[float, float, np.ndarray]
     detector: str
     detector_area_mm2: float
     wavelength_nm: float
     rays: int
     seconds: float
+    notes: list[str]
 
 
 def see(
@@ -116,7 +130,7 @@ def see(
     """
     chosen = Settings.without_sources(scene, rays=rays, **settings)
     wavelength = float(spectrum_of(scene, wavelength_nm, None)[0][0])
-    whole = DirectionGrid.of([45.0], cell_deg=90.0)
+    whole = DirectionGrid.of([45.0], cell_deg=90.0, rotation=field_axes(scene))
     trace = BackwardTrace(scene, whole, chosen, wavelength, detector=detector, both_sides=False)
     done = 0
     while done < chosen.rays and not (done and time_is_up()):
@@ -156,14 +170,19 @@ def see(
         for name, row in zip(trace.table.optics.media[1:], trace.sums["media"][1:], strict=True)
         if row.any()
     }
+    detector_id = trace.table.ids[trace.table.detector]
+    optics, designed = has_optics(trace.table), bool(trace.design.lists.get(trace.table.detector))
+    notes = trace.notes if designed or not optics else [*trace.notes, NO_DESIGN.format(detector_id)]
     return Seen(
         rows=rows,
         media=media,
         escaped=estimate(trace.sums["channels"][ESCAPED]),
+        image=estimate(trace.sums["cells"][DIRECT, 0, 0]) if designed and optics else None,
         lost=estimate(trace.lost),
-        detector=trace.table.ids[trace.table.detector],
+        detector=detector_id,
         detector_area_mm2=trace.area,
         wavelength_nm=wavelength,
         rays=round(float(started.sum())),
         seconds=trace.seconds,
+        notes=notes,
     )

@@ -15,7 +15,7 @@ from mistray.kernel.targets import Target
 from mistray.materials import complex_index
 from mistray.sampling.aimed_cones import Sphere
 from mistray.sampling.design.probes import Order, Probes
-from mistray.sampling.design.sequences import chosen_orders, has_optics
+from mistray.sampling.design.sequences import chosen_orders, has_optics, is_plane
 from mistray.sampling.outlines import outline
 from mistray.sampling.source import SceneSource
 from mistray.sampling.sources import scene_sources, source_emitters
@@ -29,6 +29,8 @@ MOST_AIMS = 8  # lenses and mirrors, the nearest first, that light from anywhere
 # Of the part of the first aperture that light comes through: fewest probes that find it, room around it, and up to what
 # share of the aperture's radius it is a target of its own
 LEAST_ARRIVALS, MARGIN, WORTH_IT = 64, 1.05, 0.8
+LARGE_FRONT = 1 / 3  # of the radius of a front, below which what stands behind it is aimed at
+STRAIGHT = 1e-6  # rad by which light may turn that goes straight on
 SAME_PLACE = 1e-9  # share of a distance by which two surfaces in one plane may differ
 OPENING = -1  # in place of the number of a surface: where a backward path leaves the system
 
@@ -323,11 +325,30 @@ def sphere_of(target: Target) -> Sphere:
 
 
 def first_aperture(table: SurfaceTable, scene: mi.Scene) -> Sphere | None:
-    """A sphere around the first surface that the design path meets; None where there is no such path."""
+    """
+    A sphere around the first surface of the design path; None where there is no such path.
+
+    Light goes straight on through planes, and between equal indices. Behind a front of these that is far larger, it is
+    the smallest of them and the surface behind: a lens behind haze, or behind a large window, is what light must meet.
+    """
     path = find_design_path(table.on(table.detectors[0]) if len(table.detectors) > 1 else table, scene)
     if path is None:
         return None
-    return sphere_of(outline(table.shapes[path.steps[0].surface]))
+    spheres: list[Sphere] = []
+    for step in path.steps:
+        if spheres and (step is path.steps[-1] or np.linalg.norm(step.before - path.steps[0].before) > STRAIGHT):
+            break
+        spheres.append(sphere_of(outline(table.shapes[step.surface])))
+        if step.reflects or not _passes_straight(path.table, step.surface):
+            break
+    least = min(spheres, key=lambda sphere: sphere.radius)
+    return least if least.radius < LARGE_FRONT * spheres[0].radius else spheres[0]
+
+
+def _passes_straight(table: SurfaceTable, surface: int) -> bool:
+    """Whether it is plane, or has equal indices on both sides."""
+    n_front, n_back = table.optics.host_indices[surface, :2]
+    return bool(n_front == n_back) or is_plane(table, surface)
 
 
 def footprint(table: SurfaceTable, source: SceneSource, aperture: Sphere) -> Sphere | None:

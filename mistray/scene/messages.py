@@ -154,7 +154,8 @@ def _syntax(match: re.Match[str], element: Element) -> str:
 
 
 def _number(match: re.Match[str], element: Element) -> str:
-    if element.owner.values.get(element.name, match[2]) != match[2]:
+    # Transforms and points hold their numbers in other attributes than "value"
+    if element.owner.values.get(element.name) not in (None, "", match[2]):
         return f"{element.owner}: {element.name} is given twice; keep one of them"
     subject = f"{element.owner}: {element.name}" if element.name else "a value"
     return f"{subject} is '{match[2]}'; it must be {NUMBERS.get(match[1], 'a ' + match[1])}"

@@ -37,6 +37,7 @@ LISTED, LEAST_HITS = 8, 4  # stray paths by power and by RMS irradiance that cou
 FEWEST = 4  # start rays of a run
 PROBED = np.linspace(0.0, 1.0, 17)[1:]  # cosines at which a coating must tell s from p to count
 SAME = 1e-9
+ROUNDED = 5e-4  # relative: of a number with three digits a smaller error does not show
 LEAST_SHARE = 0.01  # of the direct light, for a path of it to count
 
 
@@ -116,7 +117,8 @@ class _Row:
     @property
     def words(self) -> str:
         """What changes, and by how much."""
-        return f"{self.name} by {100 * self.change:+.3g} ± {100 * self.error:.1g} %"
+        shown = self.error > ROUNDED * abs(self.change)
+        return f"{self.name} by {100 * self.change:+.3g}{f' ± {100 * self.error:.1g}' if shown else ''} %"
 
 
 def chosen_polarization(

@@ -17,7 +17,7 @@ import mistray
 from mistray.physics.sags.terms import sag
 from mistray.recorders.path_key import EVENT_BITS
 from mistray.sampling.design.search import design_sequences
-from mistray.sampling.design_path import find_design_path
+from mistray.sampling.design_path import find_design_path, first_aperture
 from mistray.sampling.outlines import outline
 from mistray.surfaces.host_points import surface_points
 from mistray.surfaces.host_rays import first_hit
@@ -120,6 +120,31 @@ def test_the_path_does_not_depend_on_the_size_of_the_beam(radius):
     assert [table.ids[step.surface] for step in path.steps] == names
     (sequences,) = design_sequences(scene, table).lists.values()
     assert [[table.ids[code >> EVENT_BITS] for code in one] for one in sequences] == [names[:-1]]
+
+
+@pytest.mark.parametrize(
+    ("inside", "radius", "aimed"),
+    [("1.0 scatter=0.002 g=0.8", 0.0, "lens"), ("N-BK7", 0.0, "lens"), ("N-BK7", 300.0, "front")],
+    ids=["haze", "window", "dome"],
+)
+def test_light_is_aimed_at_the_lens_behind_a_large_front(load_scene, inside: str, radius: float, aimed: str) -> None:
+    """Haze and windows of ten times its size let light go straight on; behind a dome it does not."""
+    scene = load_scene(
+        scene_text(
+            shape_xml("asphere", "front", -50.0, interface_xml("air", inside), semi_diameter=60.0, radius=radius),
+            shape_xml("asphere", "behind", -20.0, interface_xml(inside, "air"), semi_diameter=60.0, radius=radius),
+            shape_xml("asphere", "lens", 0.0, interface_xml("air", "N-BK7"), semi_diameter=6.0, radius=30.0),
+            shape_xml("asphere", "rear", 4.0, interface_xml("N-BK7", "air"), semi_diameter=6.0),
+            shape_xml("asphere", "detector", 50.0, sensor=True, semi_diameter=6.0),
+            radius=5.0,
+            distance=80.0,
+        )
+    )
+    table = table_of(scene)
+    sphere = first_aperture(table, scene)
+    ids = {"lens": 6.0, "front": 60.0}
+    assert sphere is not None
+    assert sphere.radius == pytest.approx(ids[aimed], rel=1e-6)
 
 
 def test_no_path_where_the_light_does_not_arrive(load_scene):

@@ -98,3 +98,14 @@ def test_shapes_beyond_all_measure_are_refused(size):
     scene = {"type": "scene", "L1": {"type": "asphere", "semi_diameter": size}}
     with pytest.raises(MistrayError, match=r"shape 'L1': semi_diameter is 1e.*"):
         mistray.load(scene)
+
+
+@pytest.mark.parametrize("place", ['<translate y="up"/>', '<rotate x="1" angle="up"/>', '<scale value="up"/>'])
+def test_no_number_in_a_transform(place: str, tmp_path):
+    """Its numbers stand in attributes of their own: it is given once."""
+    text = f'<shape type="asphere" id="L1"><transform name="to_world">{place}</transform></shape>'
+    (tmp_path / "lens.xml").write_text(f'<scene version="3.0.0">{text}</scene>')
+    with pytest.raises(MistrayError) as caught:
+        mistray.load(tmp_path / "lens.xml")
+    assert "'up'" in str(caught.value)
+    assert "twice" not in str(caught.value)

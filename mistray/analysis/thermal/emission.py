@@ -12,6 +12,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -88,7 +89,10 @@ class ThermalReport:
     scene_W_mm2 : Estimate
         Of a blackbody around the system at `scene_K`, by all paths.
     image_W_mm2 : Estimate
-        The part of it that makes the image: no scatter, no reflection but those of mirrors.
+        The part of it that makes the image: by the sequences of the design, or, where there are none, all light that is
+        neither scattered nor reflected but at mirrors.
+    to_image : Estimate
+        Self-emission over the irradiance of the imaged scene; NaN where none is seen.
     lost_W_mm2 : float
         What a blackbody at `temperature_K` would add by the paths that were not followed.
     self_view : Estimate
@@ -103,7 +107,7 @@ class ThermalReport:
         At which the optics were traced.
     band_error : float
         Bound of the relative error of integrals over the band by these wavelengths; over √3 it is a part of the errors
-        of irradiances. NaN where the optics are not known all over the band.
+        of means and integrals over the band. NaN where the optics are not known all over the band.
     detector : str
     returned : list of Return
         Surfaces by which the cold detector sees itself, the strongest first; empty if it is not colder than the rest.
@@ -117,6 +121,7 @@ class ThermalReport:
     total_W_mm2: Estimate
     scene_W_mm2: Estimate
     image_W_mm2: Estimate
+    to_image: Estimate
     lost_W_mm2: float
     self_view: Estimate
     nitd_K: Estimate
@@ -130,11 +135,6 @@ class ThermalReport:
     returned: list[Return] = field(default_factory=list)
     facts: dict[str, Any] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
-
-    @property
-    def to_image(self) -> Estimate:
-        """Self-emission over the irradiance of the imaged scene; NaN where none is seen."""
-        return self.total_W_mm2.over(self.image_W_mm2)
 
     def by_part(self) -> dict[str, Estimate]:
         """
@@ -243,9 +243,11 @@ def thermal(
     runs: tuple[list[Seen], list[Seen]] = ([], [])
     traces = 2 * len(waves)
     with within(seconds):
-        for done, (wave, (which, limits)) in enumerate(itertools.product(waves, enumerate(({}, IMAGE_ONLY)))):
-            # Independent traces, whose errors add in quadrature
-            more = {**settings, **limits, "seed": (chosen.seed + done) % 2**32}
+        for done, ((number, wave), (which, limits)) in enumerate(
+            itertools.product(enumerate(waves), enumerate(({}, IMAGE_ONLY)))
+        ):
+            # Wavelengths are independent; both traces of one start the same rays, so that differences have less noise
+            more = {**settings, **limits, "seed": (chosen.seed + number) % 2**32}
             with share(1 / (traces - done)):
                 runs[which].append(see(scene, each, wavelength_nm=1e3 * wave, detector=detector, **more))
             if progress is not None:
@@ -303,11 +305,31 @@ def _emission(one: Seen, key: Key) -> np.ndarray:
     return next((row.emission_by_batch for row in one.rows if row.id == name), nothing)
 
 
+def _image(one: Seen) -> np.ndarray:
+    """Share of the imaged scene from single batches of a trace without ghosts and scatter."""
+    return (one.image or one.escaped)[2]
+
+
 def _sum(weights: np.ndarray, by_batch: Sequence[np.ndarray]) -> Estimate:
     """Sum over the wavelengths, whose traces are independent, of weight times the mean of the batches."""
     value = math.fsum(float(w * np.mean(batches)) for w, batches in zip(weights, by_batch, strict=True))
     errors = [float(w * np.std(b, ddof=1)) / math.sqrt(len(b)) for w, b in zip(weights, by_batch, strict=True)]
     return Estimate(value, math.hypot(*errors))
+
+
+def _total(by_wave: Sequence[np.ndarray]) -> Estimate:
+    """Sum over the wavelengths of what has their weights."""
+    return _sum(np.ones(len(by_wave)), by_wave)
+
+
+def _ratio(top: Sequence[np.ndarray], bottom: Sequence[np.ndarray]) -> Estimate:
+    """Ratio of two such sums, whose batches are of the same rays; NaN where nothing is below."""
+    whole = _total(bottom).value
+    if whole <= 0:
+        return UNKNOWN
+    quotient = _total(top).value / whole
+    rest = _total([(above - quotient * below) / whole for above, below in zip(top, bottom, strict=True)])
+    return Estimate(quotient, rest.se)
 
 
 def _emitter(key: Key, kelvin: float, weights: np.ndarray, seen: Sequence[Seen]) -> Emitter:
@@ -339,15 +361,12 @@ def _report(
     """The report of the traces at the wavelengths, of everything and of the image."""
     waves, kelvin = traced.wavelengths_um, _temperatures(seen, default_K, rules)
     weights = {k: np.pi * band_weights(k, band, waves) for k in {*kelvin.values(), default_K, scene_K}}
-
-    def known(value: Estimate) -> Estimate:
-        """With the error of the band's integral: that of even chances within its bounds."""
-        more = traced.error / math.sqrt(3) if math.isfinite(traced.error) else 0.0  # a note says if it is not known
-        return Estimate(value.value, math.hypot(value.se, more * value.value))
-
+    known = partial(_with_band_error, bound=traced.error)
     emitters = [_emitter(key, k, weights[k], seen) for key, k in kelvin.items()]
     emitters = [
-        replace(e, irradiance_W_mm2=known(e.irradiance_W_mm2)) for e in emitters if e.hits or e.kind == "medium"
+        replace(e, emission=known(e.emission), irradiance_W_mm2=known(e.irradiance_W_mm2))
+        for e in emitters
+        if e.hits or e.kind == "medium"
     ]
     # Surfaces of one trace share its rays: the error of their sum is that of sums by batch
     warmth = [
@@ -355,15 +374,17 @@ def _report(
         for number, one in enumerate(seen)
     ]
     detector = seen[0].detector
-    image_irradiance = known(_sum(weights[scene_K], [one.escaped[2] for one in image]))
+    imaged = [weight * _image(one) for weight, one in zip(weights[scene_K], image, strict=True)]
+    image_irradiance = known(_total(imaged))
     return ThermalReport(
         emitters=sorted(emitters, key=lambda e: -e.irradiance_W_mm2.value),
-        total_W_mm2=known(_sum(np.ones(len(waves)), warmth)),
+        total_W_mm2=known(_total(warmth)),
         scene_W_mm2=known(_sum(weights[scene_K], [one.escaped[2] for one in seen])),
         image_W_mm2=image_irradiance,
+        to_image=known(_ratio(warmth, imaged)),
         lost_W_mm2=float(weights[default_K] @ [one.lost[0] for one in seen]),
         self_view=next((e.emission for e in emitters if (e.kind, e.name) == ("surface", detector)), Estimate(0.0, 0.0)),
-        nitd_K=_nitd(seen, image, kelvin, weights, default_K, _per_kelvin(image, scene_K, band, waves)),
+        nitd_K=known(_nitd(seen, image, kelvin, weights, default_K, _per_kelvin(image, scene_K, band, waves))),
         temperature_K=default_K,
         detector_K=kelvin["surface", detector],
         scene_K=scene_K,
@@ -381,13 +402,19 @@ def _report(
     )
 
 
+def _with_band_error(value: Estimate, bound: float) -> Estimate:
+    """A mean or an integral over the band, with the error of its wavelengths: even chances within their bound."""
+    more = bound / math.sqrt(3) if math.isfinite(bound) else 0.0  # a note says if it is not known
+    return Estimate(value.value, math.hypot(value.se, more * value.value))
+
+
 def _nitd(
     seen: Sequence[Seen],
     image: Sequence[Seen],
     kelvin: Mapping[Key, float],
     weights: Mapping[float, np.ndarray],
     housing_K: float,
-    per_kelvin: Estimate,
+    per_kelvin: Sequence[np.ndarray],
 ) -> Estimate:
     """Temperature difference by what is colder than the housing and seen by way of ghosts or scatter."""
     cold = {key: k for key, k in kelvin.items() if k < housing_K}
@@ -395,29 +422,26 @@ def _nitd(
     if not cold:
         return UNKNOWN
 
-    def missing(runs: Sequence[Seen], pieces: Mapping[Key, float]) -> Estimate:
-        by_batch = [
-            sum(
-                ((weights[housing_K] - weights[k])[number] * _emission(one, key) for key, k in pieces.items()),
-                np.zeros_like(one.escaped[2]),
-            )
-            for number, one in enumerate(runs)
-        ]
-        return _sum(np.ones(len(runs)), by_batch)
+    def missing(number: int, one: Seen, pieces: Mapping[Key, float]) -> np.ndarray:
+        parts = ((weights[housing_K] - weights[k])[number] * _emission(one, key) for key, k in pieces.items())
+        return sum(parts, np.zeros_like(one.escaped[2]))
 
     # However the detector sees itself; a cold shield only where it is not seen directly
-    everything, direct = missing(seen, cold), missing(image, other)
-    returned = Estimate(everything.value - direct.value, math.hypot(everything.se, direct.se))
-    return returned.over(per_kelvin)
+    returned = [
+        missing(number, everything, cold) - missing(number, direct, other)
+        for number, (everything, direct) in enumerate(zip(seen, image, strict=True))
+    ]
+    return _ratio(returned, per_kelvin)
 
 
-def _per_kelvin(image: Sequence[Seen], scene_K: float, band: tuple[float, float], waves: tuple[float, ...]) -> Estimate:
-    """Change of the irradiance of the imaged scene by its temperature, W/(mm² K)."""
+def _per_kelvin(
+    image: Sequence[Seen], scene_K: float, band: tuple[float, float], waves: tuple[float, ...]
+) -> list[np.ndarray]:
+    """Change of the irradiance of the imaged scene by its temperature, W/(mm² K), by wavelength and batch."""
     above, below = (band_weights(factor * scene_K, band, waves) for factor in (1.001, 0.999))
     spectrum = (above - below) / max(float((above - below).sum()), np.finfo(float).tiny)
-    transmitted = _sum(spectrum, [one.escaped[2] for one in image])
     slope = float(np.pi * planck.band_derivative(scene_K, *band))
-    return Estimate(slope * transmitted.value, slope * transmitted.se)
+    return [slope * weight * _image(one) for weight, one in zip(spectrum, image, strict=True)]
 
 
 def _returned(
@@ -428,16 +452,21 @@ def _returned(
         np.pi * band_weights(kelvin, report.band_um, report.wavelengths_um)
         for kelvin in (report.temperature_K, report.detector_K)
     )
-    per_kelvin = _per_kelvin(runs[1], report.scene_K, report.band_um, report.wavelengths_um)
+    per_kelvin = _total(_per_kelvin(runs[1], report.scene_K, report.band_um, report.wavelengths_um))
     emissions, missing = mean_returns(found, housing / housing.sum()), mean_returns(found, housing - own)
     parts = {row.id: row.part for row in runs[0][0].rows}
-    rows = [Return(name, parts.get(name, ""), emissions[name], missing[name].over(per_kelvin)) for name in emissions]
+    known = partial(_with_band_error, bound=report.band_error)
+    rows = [
+        Return(name, parts.get(name, ""), known(emissions[name]), known(missing[name].over(per_kelvin)))
+        for name in emissions
+    ]
     return sorted(rows, key=lambda row: -row.emission.value)
 
 
 def _notes(seen: Sequence[Seen], image: Estimate, traced: TracedBand, band: tuple[float, float]) -> list[str]:
     """What a reader must know."""
-    notes, waves = [], traced.wavelengths_um
+    waves = traced.wavelengths_um
+    notes = list(dict.fromkeys(text for one in seen for text in one.notes))
     if traced.error > BAND_ERROR:
         notes.append(
             f"the optics were traced at {len(waves)} wavelengths, between which they differ: integrals over the band "

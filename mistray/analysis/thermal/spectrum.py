@@ -18,6 +18,7 @@ from mistray.materials import table_nodes_nm
 from mistray.physics import planck
 from mistray.ranges import WAVELENGTH_UM
 from mistray.surfaces.optics import unpolarized_shares
+from mistray.surfaces.surfaces import SurfaceTable
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -26,8 +27,10 @@ DISPERSIVE = 3  # wavelengths at first where something depends on them
 MOST_WAVELENGTHS = 64
 BAND_ERROR = 0.01  # relative, of the integral over the band
 EVEN_NODES = 65  # across the band, beside those of tables
-LENGTHS = np.array([1.0, 0.3, 0.1, 0.03, 0.01])  # of bodies, in units of the scene's size
-LEAST_SHARE = 1e-3  # of the band's light: relative to less no error counts
+LENGTHS = np.array([1.0, 2.0, 4.0, 8.0, 16.0])  # in a body, in units of its thinnest place
+OPEN_LENGTHS = np.array([1.0, 0.3, 0.1, 0.03, 0.01])  # where nothing closes it, in units of the scene's size
+LEAST_SHARE = 1e-4  # of the band's light: relative to less no error counts
+LEAST_PASSED = 0.03  # the same of what a body passes
 SAME = 1e-9  # relative difference of what counts as constant
 PROBED_R, PROBED_COSINES = np.array([1e-4, 1e-2, 0.3]), np.array([1.0, 0.8, 0.5, 0.2])
 NUMBERS = 4 + 4 * len(PROBED_COSINES)  # of an interface before those of its scatter
@@ -119,13 +122,18 @@ def traced_wavelengths(
         return TracedBand(tuple(map(float, waves)), math.nan)
     if all(len(one) == len(rows[0]) and np.allclose(one, rows[0], rtol=SAME, atol=0) for rows in found for one in rows):
         return TracedBand(tuple(map(float, waves)) if given is not None else (0.5 * (low + high),), 0.0)
-    size = float(np.linalg.norm(np.array(scene.bbox().max) - np.array(scene.bbox().min)))
-    shares = np.concatenate([_shares(np.array([one[:NUMBERS] for one in rows]), size) for rows in found], axis=1)
+    lengths = _lengths(scene, 1e3 * waves[0])
+    does = [
+        _shares(np.array([one[:NUMBERS] for one in rows]), lengths[name])
+        for name, rows in zip(optical, found, strict=True)
+    ]
+    shares = np.concatenate([share for share, _ in does], axis=1)
+    least = np.concatenate([floor for _, floor in does])
     weights = np.array([band_weights(kelvin, band_um, nodes) for kelvin in temperatures_K if kelvin > 0])
     if not len(weights):
         return TracedBand(tuple(map(float, waves)), 0.0)
     weights /= weights.sum(axis=1, keepdims=True)
-    whole = np.maximum(weights @ shares, LEAST_SHARE)
+    whole = np.maximum(weights @ shares, least)
 
     def errors(at: np.ndarray) -> np.ndarray:
         """(temperatures, nodes, shares) part of the relative error that each node has."""
@@ -160,13 +168,42 @@ def _nodes(bsdfs: Sequence[Any], band_um: tuple[float, float]) -> np.ndarray:
     return every[(every >= band_um[0]) & (every <= band_um[1])]
 
 
-def _shares(numbers: np.ndarray, size: float) -> np.ndarray:
-    """(nodes, shares) absorbed in bodies of some lengths, mm, reflected, transmitted and absorbed by a surface."""
-    depths = 4e6 * np.pi * numbers[:, 2:4, None] * (size * LENGTHS)  # k/λ of both sides, 1/nm
+def _lengths(scene: mi.Scene, wavelength_nm: float) -> dict[str, np.ndarray]:
+    """Surface id → (2, m) lengths of rays, mm, in the bodies before and behind it."""
+    table = SurfaceTable(scene, wavelength_nm)
+    found = {}
+    for number, name in enumerate(table.ids):
+        thinnest = table.bodies.thickness(number)[:, None]
+        closed = np.minimum(thinnest * LENGTHS, table.bodies.size)
+        found[name] = np.where(np.isfinite(thinnest), closed, table.bodies.size * OPEN_LENGTHS)
+    return found
+
+
+def _shares(numbers: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    What a surface and the bodies at it do with light, and the least of each to which errors are relative.
+
+    Parameters
+    ----------
+    numbers : (nodes, n) float64
+        See `_optics`.
+    lengths : (2, m) float64
+        In the body before it and behind it, mm.
+
+    Returns
+    -------
+    (nodes, shares) float64
+        Absorbed and passed by the bodies; reflected, transmitted and absorbed by the surface.
+    (shares,) float64
+    """
+    depths = 4e6 * np.pi * numbers[:, 2:4, None] * lengths  # k/λ of both sides, 1/nm
     # From either side R and then T at each cosine
     sides = numbers[:, 4:].reshape(len(numbers), 2, 2, -1)
-    absorbed = np.clip(1 - sides.sum(axis=2), 0, 1)
-    return np.concatenate([part.reshape(len(numbers), -1) for part in (-np.expm1(-depths), sides, absorbed)], axis=1)
+    parts = [-np.expm1(-depths), np.exp(-depths), sides, np.clip(1 - sides.sum(axis=2), 0, 1)]
+    flat = [part.reshape(len(numbers), -1) for part in parts]
+    floors = [LEAST_SHARE, LEAST_PASSED, LEAST_SHARE, LEAST_SHARE]
+    least = np.concatenate([np.full(part.shape[1], floor) for part, floor in zip(flat, floors, strict=True)])
+    return np.concatenate(flat, axis=1), least
 
 
 def _optics(bsdf: Any, wavelength_nm: float) -> np.ndarray:

@@ -42,6 +42,14 @@ FLAT, PARALLEL = 1e-5, 1e-3  # sag in units of the size, and rad, that the sides
 _WHAT = (1 << EVENT_BITS) - 1
 
 
+def is_plane(table: SurfaceTable, surface: int) -> bool:
+    """Whether a surface is a plane; of a stock shape that is not known."""
+    if surface >= len(table.pieces):
+        return False
+    piece = table.pieces[surface]
+    return bool(piece.z_range[1] - piece.z_range[0] <= FLAT * piece.size)
+
+
 def chosen_orders(table: SurfaceTable, found: Counter[Order]) -> list[tuple[Order, list[Order]]]:
     """
     The arms by which probes come to a detector.
@@ -211,14 +219,7 @@ class _Rules:
         """Whether two events in a row are the passage through a plane-parallel plate."""
         a, b = first >> EVENT_BITS, second >> EVENT_BITS
         passes = first & _WHAT == second & _WHAT == TRANSMITTED
-        return passes and a != b and self._flat(a) and self._flat(b) and self._parallel(a, b)
-
-    def _flat(self, place: int) -> bool:
-        """Whether a surface is a plane."""
-        if place >= len(self._table.pieces):
-            return False
-        piece = self._table.pieces[place]
-        return piece.z_range[1] - piece.z_range[0] <= FLAT * piece.size
+        return passes and a != b and is_plane(self._table, a) and is_plane(self._table, b) and self._parallel(a, b)
 
     def _parallel(self, a: int, b: int) -> bool:
         axes = self._table.rotations[[a, b], :, 2]
