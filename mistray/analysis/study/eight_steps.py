@@ -219,14 +219,12 @@ def study(
     MistrayError
         For arguments out of range, or a scene without a source or a detector.
     """
-    if not isinstance(scene, mi.Scene):
-        raise MistrayError(f"study() got {type(scene).__name__}; load the scene first: mistray.load(path)")
+    scene = _loaded(scene)
     angles, given_fields = _check(settings, pst_field_deg, field_deg, convention, relative_error)
     given = {key: value for key, value in settings.items() if value is not None}
     count = rays if rays is not None else QUICK_RAYS if quick else RAYS
     tell = progress or (lambda number, what, share: None)
-    chosen = Settings.of(scene, **given | {"rays": count})
-    _check_pst(scene, chosen)
+    chosen = _checked(scene, Settings.of(scene, **given | {"rays": count}))
     first = scene_sources(scene, wavelength_nm=wavelength_nm, weights=weights)[0].wavelength_nm
     table = SurfaceTable(scene, first, stokes=chosen.stokes)
     path = find_design_path(table, scene)
@@ -262,10 +260,9 @@ def study(
         tell(6, "coatings and scatter models", 0.0)
         done(coatings_and_scatter(table, path))
         tell(7, "importance sampling", 0.0)
-        scatters = any(interface.scatter for interface in table.interfaces) and chosen.max_scatters
-        few = given | {"rays": max(1, round(CHECK_SHARE * count))}
         with share(PROBE_TIME):
-            probe = trace(scene, field_deg=0.0, wavelength_nm=first, **few) if scatters else None
+            few = given | {"rays": max(1, round(CHECK_SHARE * count))}
+            probe = trace(scene, field_deg=0.0, wavelength_nm=first, **few) if _scatters(table, chosen) else None
         done(importance_sampling(table, path, importance_targets(table, scene, chosen), probe))
         with share(GHOST_TIME):
             report = ghosts(
@@ -302,9 +299,18 @@ def study(
     assert isinstance(transmittance, float)
     design = [table.ids[step.surface] for step in path.steps] if path is not None else []
     done(stray_light_analysis(report, curve, numbers, transmittance, design, images))
-    light_of = _angles_and_light(report, curve)
-    asked = {"rays": count, **light_of, "convention": convention, "relative_error": relative_error, **given}
-    return Study(scene, name, tuple(steps), asked)
+    asked = _angles_and_light(report, curve) | {"convention": convention, "relative_error": relative_error}
+    return Study(scene, name, tuple(steps), {"rays": count, **asked, **given})
+
+
+def _loaded(scene: Any) -> mi.Scene:
+    if isinstance(scene, mi.Scene):
+        return scene
+    raise MistrayError(f"study() got {type(scene).__name__}; load the scene first: mistray.load(path)")
+
+
+def _scatters(table: SurfaceTable, chosen: Settings) -> bool:
+    return chosen.max_scatters > 0 and any(interface.scatter for interface in table.interfaces)
 
 
 def _angles_and_light(report: GhostReport, curve: Pst) -> dict[str, Any]:
@@ -337,7 +343,7 @@ def _check(
     return angles, None if field_deg is None else FIELD_DEG.check_each("field_deg", field_deg)
 
 
-def _check_pst(scene: mi.Scene, chosen: Settings) -> None:
+def _checked(scene: mi.Scene, chosen: Settings) -> Settings:
     """Refuse light and limits that a PST has none of."""
     if polarized := polarized_sources(scene):
         raise MistrayError(
@@ -349,6 +355,7 @@ def _check_pst(scene: mi.Scene, chosen: Settings) -> None:
             f"max_random_scatters is {chosen.max_random_scatters}; a PST that is traced backwards has no such "
             "limit; leave it out"
         )
+    return chosen
 
 
 def _fields(numbers: FirstOrder | None) -> list[float]:

@@ -148,6 +148,7 @@ class Optimization:
         return {key: value for key, value in moved.items() if key not in self.thickness_keys.values()}
 
 
+# More than 8 parameters: the keywords of a call, each with a default and used one by one
 def optimize(
     scene: str | Path,
     study: str | Path | Mapping[str, Any] | Study,
