@@ -121,14 +121,16 @@ def test_out_of_field_there_is_no_signal(report):
 
 
 def test_maps_of_direct_and_stray_add_to_the_whole(report):
-    direct, direct_se = report[10.0].irradiance_of([0])
-    stray, stray_se = report.stray_map(10.0)
-    np.testing.assert_allclose(direct + stray, report[10.0].irradiance, rtol=1e-12)
+    (direct,), stray, light = report[10.0].each_map([[0]], [True]), report.stray_light(10.0), report[10.0].light
+    np.testing.assert_allclose(direct.value + stray.value, light.value, rtol=1e-12)
+    np.testing.assert_allclose(direct.weights + stray.weights, light.weights, rtol=1e-9, atol=1e-9)
     # Paths of one trace share start rays: the squares of the errors add where only one of the two has light
-    apart = (direct == 0) | (stray == 0)
-    both = np.hypot(direct_se, stray_se)
-    np.testing.assert_allclose(both[apart], report[10.0].irradiance_se[apart], rtol=1e-9)
-    assert np.all(stray_se[stray > 0] > 0)
+    apart = (direct.value == 0) | (stray.value == 0)
+    whole, own, others = (np.square(one.apart).sum(axis=-1) for one in (light, direct, stray))
+    np.testing.assert_allclose((own + others)[apart], whole[apart], rtol=1e-9)
+    value, se = report.stray_map(10.0)
+    assert np.all((se > 0) | np.isnan(se) | (value == 0))
+    np.testing.assert_array_equal(np.isnan(se), stray.few_rays)
 
 
 def test_maps_are_there_for_the_worst_paths_only(report):
