@@ -29,8 +29,9 @@ class Forecast:
     def __init__(self, rays: int, tells: bool = True) -> None:
         self._rays, self._tells = rays, tells
         self._began = time.perf_counter()
-        self._run: Run | None = None  # looked at last
+        self._run: Run | None = None  # that is to be looked at
         self._first = 0, self._began  # rays when its first launch had ended, and when: compiled
+        self._due = False
 
     def look(self, run: Run, done: int) -> None:
         """
@@ -50,14 +51,15 @@ class Forecast:
         """
         now = time.perf_counter()
         if run is not self._run:
-            self._run, self._first = run, (done, now)
+            self._run, self._first, self._due = run, (done, now), True
             return
         rays, then = self._first
-        if not self._tells or now - self._began < FIRST_LOOK or done == rays:
+        if not (self._tells and self._due) or now - self._began < FIRST_LOOK or done == rays:
             return
-        self._tells = False
+        self._due = False
         left = (now - then) / (done - rays) * (self._rays - done)
         if left > LONG:
+            self._tells = False
             segments = float(run.channels[SEGMENTS].sum() / run.started.sum())
             warnings.warn(
                 f"the trace takes {duration(left)} more: a start ray has {segments:.3g} ray segments; "

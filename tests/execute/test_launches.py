@@ -7,6 +7,7 @@ import os
 import signal
 from pathlib import Path
 from typing import Any
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 import pytest
@@ -189,14 +190,19 @@ def test_a_long_trace_names_the_limit_to_lower(tmp_path: Path, monkeypatch: pyte
         mistray.trace(scene, rays=1e8, max_reflections=6, flux_threshold=1e-12, progress=press)
 
 
-def test_a_long_trace_is_told_of_at_the_first_launch_of_a_run(plates: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The second wavelength is a run of its own, of which nothing was counted when it was looked at."""
-    mistray.trace(plates, rays=2000, wavelength_nm=[500, 600])  # then one launch is enough for a run
+def test_each_run_is_forecast_by_its_own_launches(plates: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first launch of a run compiles its kernel: a minute of that says nothing of the rays to come."""
     forecast = importlib.import_module("mistray.execute.forecast")
-    monkeypatch.setattr(forecast, "FIRST_LOOK", 0.0)
-    monkeypatch.setattr(forecast, "LONG", -1.0)
-    with pytest.warns(mistray.MistrayWarning, match=r"a start ray has \d\S* ray segments; lower rays \(1e\+03\)"):
-        mistray.trace(plates, rays=2000, wavelength_nm=[500, 600])
+    clock = iter([0.0, 3.0, 4.0, 64.0, 65.0])
+    first, second = mistray.trace(plates, rays=2000, wavelength_nm=[500, 600])._runs
+    monkeypatch.setattr(forecast.time, "perf_counter", lambda: next(clock))
+    look = forecast.Forecast(1_000_000).look
+    with catch_warnings():
+        simplefilter("error")
+        for run, done in ((first, 1000), (first, 400_000), (second, 401_000)):
+            look(run, done)
+    with pytest.warns(mistray.MistrayWarning, match=r"takes 10 min more: a start ray has \d\S* ray segments"):
+        look(second, 402_000)  # 1000 rays a second
 
 
 def test_mirrors_that_shut_light_in_end(tmp_path: Path) -> None:
