@@ -10,7 +10,7 @@ from mistray.execute.tracer import Run
 from mistray.recorders.tallies import SEGMENTS
 
 LONG = 120.0  # s: who waits for longer shall know it
-FIRST_LOOK = 2.0  # s after the start
+FIRST_LOOK = 2.0  # s after the first launch of a run: the next ones are short, and take longer for a ray
 LARGE_TREE = 10_000  # ray segments of a start ray; a lens has some hundred
 
 
@@ -28,9 +28,8 @@ class Forecast:
 
     def __init__(self, rays: int, tells: bool = True) -> None:
         self._rays, self._tells = rays, tells
-        self._began = time.perf_counter()
         self._run: Run | None = None  # that is to be looked at
-        self._first = 0, self._began  # rays when its first launch had ended, and when: compiled
+        self._first = 0, 0.0  # rays when its first launch had ended, and when: compiled
         self._due = False
 
     def look(self, run: Run, done: int) -> None:
@@ -54,7 +53,7 @@ class Forecast:
             self._run, self._first, self._due = run, (done, now), True
             return
         rays, then = self._first
-        if not (self._tells and self._due) or now - self._began < FIRST_LOOK or done == rays:
+        if not (self._tells and self._due) or now - then < FIRST_LOOK or done == rays:
             return
         self._due = False
         left = (now - then) / (done - rays) * (self._rays - done)

@@ -101,7 +101,7 @@ class TestHitsInARow:
         scene = plate(load_scene)
         free, limited = (energy(scene, max_reflections=8, max_consecutive=k) for k in (1000, 1))
         assert limited.cut["max_consecutive"] == 0
-        assert limited.detected_W == free.detected_W
+        assert limited.detected_W == pytest.approx(free.detected_W, rel=1e-14)  # threads add in any order
 
     def test_a_branch_that_comes_later_knows_its_run(self, load_scene) -> None:
         """In a glass tube whose wall sends R inwards and T outwards, all that stays inside ends at the same hit."""
