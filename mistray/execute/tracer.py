@@ -21,7 +21,7 @@ from mistray.kernel.scattering import Scattering
 from mistray.recorders.adjoint import CHANNELS, Adjoint
 from mistray.recorders.branch_recorder import BranchRecorder, PathChoice
 from mistray.recorders.design_sequences import DesignSequences
-from mistray.recorders.film import Box, Film, Images, groups_of, spreads
+from mistray.recorders.film import Box, Film, Images, Pixels, groups_of, spreads
 from mistray.recorders.ledger import DecodedPaths, Ledger
 from mistray.recorders.path_derivative import MOMENTS, PathDerivative
 from mistray.recorders.path_key import EVENT_BITS
@@ -127,6 +127,11 @@ class Run:
             groups_of(width * height),
             tent=spreads(self.table.shapes[detector].sensor().film()),
         )
+
+    @property
+    def light(self) -> Pixels:
+        """The image on the only detector, in `unit`."""
+        return Pixels.of_film(self.film, self.started)
 
     def make_films(self) -> list[Film]:
         """The pixel grids of all detectors."""

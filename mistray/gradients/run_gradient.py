@@ -17,7 +17,7 @@ from mistray.gradients.replay import scatter_event
 from mistray.gradients.replay_surfaces import Hit, ReplaySurfaces, Split
 from mistray.gradients.scatter_replay import ScatterReplay
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
-from mistray.recorders.film import Film, Pixels
+from mistray.recorders.film import Film
 from mistray.recorders.path_derivative import MOMENTS, PathDerivative
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.tallies import HITS
@@ -185,9 +185,7 @@ def run_gradient(
     if edges is not None and full.any:
         raw.full.append(full)
     if edges is not None and traced and not request.edge_samples:
-        strange = float(adjoint.unknown[0]) / max(
-            float(Pixels.of_film(run.film, run.started).value.sum()), np.finfo(float).tiny
-        )
+        strange = float(adjoint.unknown[0]) / max(float(run.light.value.sum()), np.finfo(float).tiny)
         if strange > UNKNOWN_SHARE:
             raw.left_out.append(
                 f"light past rims on paths that the trace has not met: {strange:.1e} of what is detected"

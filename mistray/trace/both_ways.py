@@ -36,6 +36,7 @@ from mistray.surfaces.upload import upload
 
 SEED = 20  # of its own: the mode of a trace must not hang on its seed
 SCATTERED_RAYS = 256  # of all hits of surfaces that scatter
+MOST_BRANCHES, MOST_HITS = 8_000, 100_000  # of a generation, and of all: trees of deep limits have no end
 _NODES = np.linspace(0, 1, ANGLES + 1)
 LEAST_OF_SCATTER = 1e-2  # of the flux of a scattered ray, below which its branches end
 
@@ -230,11 +231,14 @@ class _Tree:
         self.hits = 0
 
     def grow(self, branches: Branches) -> None:
-        """Follow branches to their ends."""
+        """Follow branches to their ends; where there are too many, the brightest."""
+        last = self.hits + MOST_HITS
         for _ in range(self._settings.max_events):
+            if len(branches.o) > MOST_BRANCHES:
+                branches = branches.take(np.sort(np.argsort(-branches.mean, kind="stable")[:MOST_BRANCHES]))
             self.hits += len(branches.o)
             branches = self._step(branches)
-            if not len(branches.o):
+            if not len(branches.o) or self.hits > last:
                 break
 
     def scatter(self) -> Branches:

@@ -78,16 +78,16 @@ class TestTent:
         x, y, w, _ = recorded(run)
         zero = np.zeros((0, len(x), 3))
         expected = tent_image([Hits(x, y, 0.9 * w, w, zero, [])], (-1.5, 1.5, -1.0, 1.0), (8, 8))
-        np.testing.assert_allclose(run.film.sum(axis=0), expected, rtol=2e-4, atol=1e-6 * expected.max())
-        np.testing.assert_allclose(run.film.sum(), 0.9 * w.sum(), rtol=1e-6)
+        np.testing.assert_allclose(run.light.value, expected, rtol=2e-4, atol=1e-6 * expected.max())
+        np.testing.assert_allclose(run.light.value.sum(), 0.9 * w.sum(), rtol=1e-6)
         assert np.any(np.abs(x) > 1.5 - 1.5 / 8)  # beyond the centres of the outer pixels
 
     def test_a_box_counts_in_one(self, load_scene) -> None:
         run = executed(load_scene(lens_text()))
         x, y, w, _ = recorded(run)
         expected, _, _ = np.histogram2d(y, x, bins=8, range=((-1.0, 1.0), (-1.5, 1.5)), weights=0.9 * w)
-        np.testing.assert_allclose(run.film.sum(axis=0), expected, rtol=2e-3, atol=1e-3 * expected.max())
-        np.testing.assert_allclose(run.film.sum(), 0.9 * w.sum(), rtol=1e-6)
+        np.testing.assert_allclose(run.light.value, expected, rtol=2e-3, atol=1e-3 * expected.max())
+        np.testing.assert_allclose(run.light.value.sum(), 0.9 * w.sum(), rtol=1e-6)
 
     def test_maps_of_paths_are_spread_as_well(self, load_scene) -> None:
         t = mistray.trace(load_scene(lens_text('<rfilter type="tent"/>')), rays=RAYS)
@@ -114,7 +114,7 @@ class TestDerivativeOfHits:
     def test_by_pixels(self, load_scene, film: str) -> None:
         run = executed(load_scene(lens_text(f'<rfilter type="{film}"/>')))
         pixel = np.random.default_rng(2).normal(size=(8, 8))
-        expected = np.sum(pixel * run.film)
+        expected = np.sum(pixel * run.light.value)
         assert gains(run, metric(run, pixel=upload(mi.Float, pixel))) == pytest.approx(expected, rel=1e-5)
 
     def test_by_moments_of_paths(self, load_scene) -> None:
