@@ -28,8 +28,24 @@ def report():
     return GhostReport(lens_scene(), traces, traces[0.0], {})
 
 
-def images(figure):
+def drawn(figure):
     return [image for axes in figure.axes for image in axes.get_images()]
+
+
+def images(figure):
+    """Maps, without the hatches, which have colours of their own."""
+    return [image for image in drawn(figure) if image.get_array().ndim == 2]
+
+
+def test_pixels_of_few_rays_are_hatched(report):
+    few, value = report.stray_light(20.0).few_rays, report.stray_map(20.0)[0]
+    (image, hatch) = drawn(ghost_image(report, 20.0))
+    lines = hatch.get_array()[..., 3] > 0
+    size = lines.shape[0] // value.shape[0]
+    assert size >= 1
+    hatched = lines.reshape(value.shape[0], size, value.shape[1], size).any(axis=(1, 3))
+    assert not hatched[~few | (value < 10.0 ** image.get_clim()[0])].any()
+    assert hatched.any()
 
 
 def test_ghost_image_shows_log10_of_the_map(report):

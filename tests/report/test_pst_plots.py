@@ -155,7 +155,7 @@ def test_irradiance_is_a_log_map_in_mm(pst: Pst) -> None:
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [mm]", "y [mm]")
     assert "W/mm²" in bar.get_ylabel()
     assert axes.get_title() == "source at 40°, mean over all azimuths"
-    assert "relative error of a pixel 10 %" in figure.get_supxlabel()
+    assert "relative error of the others 10 %" in figure.get_supxlabel()
 
 
 def test_irradiance_names_the_azimuth_and_a_dark_detector() -> None:

@@ -180,7 +180,7 @@ def pst_irradiance(pst: Pst, field_deg: float, azimuth_deg: float = 0.0) -> Figu
         bar.set_label(IRRADIANCE_LABEL, fontsize=8)
         known = np.isfinite(se) & (value > 0)
         error = (
-            f"; error of the others {percent_text(float(np.median(se[known] / value[known])))} (median)"
+            f"; relative error of the others {percent_text(float(np.median(se[known] / value[known])))} (median)"
             if known.any()
             else ""
         )
