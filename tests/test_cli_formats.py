@@ -86,7 +86,7 @@ def test_pst_in_all_formats(capsys: pytest.CaptureFixture[str], fake: list[Any],
     back = read_irradiance(out / "irradiance_20deg.fits")
     value, se = fake[0].irradiance(20.0)
     assert np.array_equal(back.irradiance, value)
-    assert np.array_equal(back.irradiance_se, se)
+    assert np.array_equal(back.irradiance_se, se, equal_nan=True)
     assert back.facts["source_W_mm2"] == 1.0
     assert len(pd.read_parquet(out / "pst.parquet")) == 3
     assert (out / "pst_paths.parquet").is_file()

@@ -127,7 +127,9 @@ def test_light_of_a_trace_goes_on(tmp_path: Path) -> None:
     assert again.energy.launched_W == pytest.approx(t.energy.detected_W, rel=1e-9)
     assert abs(again.energy.closure) < 1e-6
     error = np.sqrt(whole.irradiance_se**2 + 2 * again.irradiance_se**2)
-    assert_z("image", again.irradiance, whole.irradiance, error, false_alarm=1e-3)
+    known = np.isfinite(error)
+    assert known.mean() > 0.5
+    assert_z("image", again.irradiance[known], whole.irradiance[known], error[known], false_alarm=1e-3)
 
 
 def test_flux_and_wavelengths(tmp_path: Path) -> None:

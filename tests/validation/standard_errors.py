@@ -76,7 +76,7 @@ def rows_of(table: pd.DataFrame, kind: str = "", wavelength: bool = True) -> Ite
 
 def pixels_of(kind: str, value: np.ndarray, se: np.ndarray, of: float = 0.0) -> Iterator[Entry]:
     """Pixels of a map."""
-    for place in np.argwhere(value > 0):
+    for place in np.argwhere((value > 0) & np.isfinite(se)):
         yield kind, f"{of:g} {tuple(place.tolist())}", float(value[tuple(place)]), float(se[tuple(place)])
 
 

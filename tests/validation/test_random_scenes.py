@@ -75,7 +75,7 @@ def faults(t: Any) -> list[str]:
         **{name: e.cut[name] for name in noisy},
         "errors": sum(errors) + e.detected_se_W + e.escaped_se_W,
         "places on the detector": float(np.sum(np.abs(spots))),
-        "map": float(np.sum(t.irradiance) + np.sum(t.irradiance_se)),
+        "map": float(np.sum(t.irradiance) + np.nansum(t.irradiance_se)),
     }
     found += [f"{name}: {value}" for name, value in (flux | free).items() if not np.isfinite(value)]
     found += [f"{name}: {value:.3g} W is negative" for name, value in flux.items() if value < 0]
