@@ -47,7 +47,7 @@ PROGRAM = """
     found["polarised"] = {row.events: t.paths.power([row.path_id]) for row in t.paths}
     worst = t.paths[1].path_id
     image, error = t.irradiance_of([worst])
-    found["map"] = {"sum": (float(image.sum()), float(np.nansum(error**2) ** 0.5))}
+    found["map"] = {"sum": (float(image.sum()), float((error[error > 0] ** 2).sum() ** 0.5))}
     plate = mistray.trace(mistray.load("plate"), rays=rays)  # all rays of a path have the same optical path
     found["history"] = {"opl": (float(plate.history(1, n=1).to_pandas().opl_mm.iloc[-1]), 1e-6)}
 
