@@ -106,6 +106,7 @@ def test_against_differences(scene, key: str) -> None:
     assert abs(found - expected) < 4 * np.hypot(error, own) + 0.02 * abs(expected)
 
 
+@pytest.mark.long
 def test_less_noise_than_one_direction(scene) -> None:
     """
     Half the error with a fourth of the start rays; the others, with the light, are as many.
