@@ -9,7 +9,6 @@ import numpy.typing as npt
 import pandas as pd
 
 from mistray.physics.imaging.ideal import airy_diameter
-from mistray.recorders.sampled import ERROR_RAYS
 from mistray.trace.light_cones import LightCone
 
 SLOWEST = 100.0  # F-number: where the RMS radius is above its Airy radius, nobody looks for the cone of a path
@@ -32,7 +31,7 @@ def with_airy(table: pd.DataFrame, cones: Mapping[int, LightCone]) -> pd.DataFra
     table : DataFrame
         With ``path_id`` and the columns of `mistray.trace.PathRow`.
     cones : mapping of int to LightCone
-        By ``path_id``; one of fewer than `ERROR_RAYS` rays tells nothing.
+        By ``path_id``; one that is not `known` tells nothing.
 
     Returns
     -------
@@ -42,7 +41,7 @@ def with_airy(table: pd.DataFrame, cones: Mapping[int, LightCone]) -> pd.DataFra
         known.
     """
     known = [cones.get(path_id) for path_id in table.path_id]
-    sure = [cone is not None and cone.rays >= ERROR_RAYS and cone.aperture > 0 for cone in known]
+    sure = [cone is not None and cone.known for cone in known]
     aperture, aperture_se = (
         np.array(
             [

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from mistray.execute.tracer import Run
 from mistray.recorders.branch_recorder import as_many
+from mistray.recorders.sampled import ERROR_RAYS
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 from mistray.trace.history import Bundle, bundles
@@ -38,6 +39,11 @@ class LightCone(NamedTuple):
     aperture: float
     aperture_se: float
     rays: int
+
+    @property
+    def known(self) -> bool:
+        """Whether enough rays were found, and they are no parallel beam."""
+        return self.rays >= ERROR_RAYS and self.aperture > 0
 
 
 def light_cones(run: Run, path_of_slot: Mapping[int, int]) -> dict[int, LightCone]:
