@@ -278,7 +278,7 @@ def _attempts(table: SurfaceTable, source: SceneSource) -> Iterator[tuple[SceneS
     yield source, MANY_PROBES
     words = table.optics.host_words
     optics = [k for k in range(table.count) if (words[k] & OPAQUE) == 0 or (words[k] & MIRROR) != 0]
-    aims = [sphere_of(outline(table.shapes[k])) for k in (*optics, table.detector)]
+    aims = [sphere_of(outline(table.shapes[k])) for k in (*optics, *table.detectors)]
     places = source.probes(mi.Point2f(mi.Float([0.5]), mi.Float([0.5])))[0]
     aims.sort(key=lambda aim: float(np.linalg.norm(aim.centre - places[0])))
     for aim in aims[:MOST_AIMS]:
