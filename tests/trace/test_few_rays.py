@@ -8,8 +8,9 @@ from report.fake_ledger import hit_sums
 
 import mistray
 from mistray.recorders.ledger import SUMS
+from mistray.recorders.sampled import ERROR_RAYS
 from mistray.settings import BATCHES
-from mistray.trace.path_numbers import ERROR_RAYS, PathNumbers, RunSums, path_numbers
+from mistray.trace.path_numbers import PathNumbers, RunSums, path_numbers
 
 pytestmark = pytest.mark.quick
 
