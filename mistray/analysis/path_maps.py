@@ -195,7 +195,7 @@ def field_maps(
 
 def without(light: Pixels, direct: Pixels, value: Map) -> Pixels:
     """Map of the stray light, whose value is known, with the noise of all light less the direct image."""
-    noise = np.where(value[..., None] > 0, (light - direct).apart, 0.0)
+    noise = np.where(value[..., None] > 0, light.apart - direct.apart, 0.0)
     return Pixels(value, noise, np.maximum(light.weights - direct.weights, 0.0))
 
 

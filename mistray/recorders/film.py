@@ -193,12 +193,14 @@ class Pixels(Sampled):
         return Pixels(*map(np.zeros_like, (self.value, self.apart, self.weights)))
 
     def __add__(self, other: Sampled) -> Pixels:
-        """Of other light; that of a number without `weights` is not told apart."""
+        """Of other light, an image as well."""
+        assert isinstance(other, Pixels)
         both = super().__add__(other)
-        return Pixels(both.value, both.apart, self.weights + getattr(other, "weights", 0.0))
+        return Pixels(both.value, both.apart, self.weights + other.weights)
 
     def __getitem__(self, chosen: Any) -> Sampled:
-        return Sampled(self.value[chosen], np.where(self.few_rays[..., None], np.nan, self.apart)[chosen])
+        few = self.few_rays[chosen]
+        return Sampled(self.value[chosen], np.where(few[..., None], np.nan, self.apart[chosen]))
 
     @property
     def few_rays(self) -> np.ndarray:
@@ -210,8 +212,9 @@ class Pixels(Sampled):
 
         def pool(values: Numbers) -> Numbers:
             around = np.pad(values, NEIGHBOURS // 2)
-            windows = np.lib.stride_tricks.sliding_window_view(around, (NEIGHBOURS, NEIGHBOURS))
-            return np.asarray(windows.sum(axis=(2, 3)))
+            for axis in (0, 1):
+                around = np.lib.stride_tricks.sliding_window_view(around, NEIGHBOURS, axis).sum(axis=-1)
+            return around
 
         light, rays, squares, fourths = (in_squares(values, pixels) for values in (self.value, *self.weights))
         return few_rays(error_rays(rays, light, squares, fourths, pool))
