@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -105,6 +106,13 @@ class NextOrder:
             for k, name in enumerate(self.names)
         ]
         return {"limit": self.limit, "allowed": self.allowed, "taken": self.taken, "numbers": rows}
+
+
+def decided(orders: Sequence[NextOrder]) -> tuple[NextOrder, ...]:
+    """The same, with the one `taken` that changes most of those that matter, where any does."""
+    mattering = [order for order in orders if order.matters]
+    most = max(mattering, key=lambda order: abs(float(order.change[order.worst])), default=None)
+    return tuple(replace(order, taken=order is most) for order in orders)
 
 
 def next_limits(settings: Settings, table: SurfaceTable) -> dict[str, int]:

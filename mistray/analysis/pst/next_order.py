@@ -9,7 +9,7 @@ from dataclasses import replace
 import mitsuba as mi
 import numpy as np
 
-from mistray.analysis.next_order import NextOrder, next_limits
+from mistray.analysis.next_order import NextOrder, decided, next_limits
 from mistray.analysis.pst.result import Pst
 from mistray.execute.workers import current_workers
 from mistray.settings import Settings
@@ -48,11 +48,9 @@ def with_next_orders(scene: mi.Scene, first: Pst, seconds: float, measure: Calla
         with within(seconds / len(limits)) if timed else contextlib.nullcontext():
             more = measure(**{limit: allowed})
         found.append((more, _compared(first, more, limit, allowed)))
-    mattering = [(more, order) for more, order in found if order.matters]
-    if not mattering:
-        return replace(first, next_orders=tuple(order for _, order in found))
-    chosen, most = max(mattering, key=lambda pair: abs(float(pair[1].change[pair[1].worst])))
-    return replace(chosen, next_orders=tuple(replace(order, taken=order is most) for _, order in found))
+    orders = decided([order for _, order in found])
+    chosen = next((more for (more, _), order in zip(found, orders, strict=True) if order.taken), first)
+    return replace(chosen, next_orders=orders)
 
 
 def _compared(first: Pst, more: Pst, limit: str, allowed: int) -> NextOrder:

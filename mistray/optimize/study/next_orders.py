@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mistray.analysis.next_order import LIMITS, NextOrder, next_limits
+from mistray.analysis.next_order import LIMITS, NextOrder, decided, next_limits
 from mistray.optimize.study.comparison import Comparison, Levels, compare
 from mistray.optimize.study.model import Study, Term
 from mistray.optimize.study.terms import of_layers
@@ -56,12 +56,9 @@ def with_next_orders(
         )
         levels = measure(replace(study, terms=terms), len(first[1].seeds), seconds / len(limits))
         found.append((levels, _compared(first[1], levels[1], limit, of_term)))
-    mattering = [pair for pair in found if pair[1].matters]
-    orders = tuple(order for _, order in found)
-    if not mattering:
-        return compare(*first), orders
-    chosen, most = max(mattering, key=lambda pair: abs(float(pair[1].change[pair[1].worst])))
-    return compare(*chosen), tuple(replace(order, taken=order is most) for order in orders)
+    orders = decided([order for _, order in found])
+    chosen = next((levels for (levels, _), order in zip(found, orders, strict=True) if order.taken), first)
+    return compare(*chosen), orders
 
 
 def _raised(study: Study, scene: Any, limit: str) -> dict[str, int]:
