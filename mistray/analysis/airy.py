@@ -40,18 +40,9 @@ def with_airy(table: pd.DataFrame, cones: Mapping[int, LightCone]) -> pd.DataFra
         times its square, each with its ``_se``; NaN where the RMS radius is not below the Airy radius or no cone is
         known.
     """
-    known = [cones.get(path_id) for path_id in table.path_id]
-    sure = [cone is not None and cone.known for cone in known]
-    aperture, aperture_se = (
-        np.array(
-            [
-                (cone.aperture, cone.aperture_se) if cone and ok else (np.nan,) * 2
-                for cone, ok in zip(known, sure, strict=True)
-            ]
-        )
-        .reshape(-1, 2)
-        .T
-    )
+    found = [cones.get(path_id) for path_id in table.path_id]
+    known = [(cone.aperture, cone.aperture_se) if cone and cone.known else (np.nan, np.nan) for cone in found]
+    aperture, aperture_se = np.reshape(known, (-1, 2)).T
     wavelength, raw, power, power_se = (
         table[name].to_numpy(np.float64) for name in ("wavelength_nm", "rms_radius_mm", "power_W", "power_se_W")
     )

@@ -36,7 +36,7 @@ from mistray.surfaces.upload import upload
 
 SEED = 20  # of its own: the mode of a trace must not hang on its seed
 SCATTERED_RAYS = 256  # of all hits of surfaces that scatter
-MOST_BRANCHES, MOST_HITS = 8_000, 100_000  # of a generation, and of all: trees of deep limits have no end
+MOST_BRANCHES, MOST_IN_ALL = 8_000, 100_000  # of a generation, and of a tree: those of deep limits have no end
 _NODES = np.linspace(0, 1, ANGLES + 1)
 LEAST_OF_SCATTER = 1e-2  # of the flux of a scattered ray, below which its branches end
 
@@ -232,7 +232,7 @@ class _Tree:
 
     def grow(self, branches: Branches) -> None:
         """Follow branches to their ends; where there are too many, the brightest."""
-        last = self.hits + MOST_HITS
+        last = self.hits + MOST_IN_ALL
         for _ in range(self._settings.max_events):
             if len(branches.o) > MOST_BRANCHES:
                 branches = branches.take(np.sort(np.argsort(-branches.mean, kind="stable")[:MOST_BRANCHES]))
