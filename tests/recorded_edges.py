@@ -14,8 +14,8 @@ from mistray.execute.tracer import Run, prepare
 from mistray.gradients.edge_widths import widths_of
 from mistray.gradients.edges import Edges
 from mistray.recorders.adjoint import Adjoint
-from mistray.recorders.path_events import EVENT_MASK, INTERCEPTS
-from mistray.recorders.path_key import EVENT_BITS
+from mistray.recorders.path_events import INTERCEPTS
+from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.recorders.start_rays import StartRays
 from mistray.settings import Settings
 from mistray.surfaces.upload import upload

@@ -24,8 +24,7 @@ from mistray.gradients.replay_surfaces import TABLE_CHANNELS, Numbers, ReplaySur
 from mistray.gradients.run_gradient import HITS_PER_RAY
 from mistray.gradients.table_gradient import GradientRequest
 from mistray.recorders.film import Film
-from mistray.recorders.path_events import EVENT_MASK
-from mistray.recorders.path_key import EVENT_BITS, RANDOM_TRANSMITTED, TRANSMITTED
+from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, RANDOM_TRANSMITTED, TRANSMITTED
 from mistray.surfaces.gradient_columns import GEOMETRY
 from mistray.surfaces.optics import IDEAL, TABLED
 from mistray.surfaces.surfaces import SurfaceTable

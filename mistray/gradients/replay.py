@@ -22,8 +22,7 @@ import mitsuba as mi
 
 from mistray.gradients.replay_surfaces import Hit, ReplaySurfaces, Split
 from mistray.gradients.scatter_replay import ScatterEvent, ScatterReplay
-from mistray.recorders.path_events import EVENT_MASK
-from mistray.recorders.path_key import EVENT_BITS, RANDOM_TRANSMITTED, TRANSMITTED
+from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, RANDOM_TRANSMITTED, TRANSMITTED
 
 if TYPE_CHECKING:
     from mistray.gradients.start_motion import StartMotion

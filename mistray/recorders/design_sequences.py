@@ -13,7 +13,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.recorders.path_key import EVENT_BITS, REFLECTED, TOTAL, host_keys
+from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, REFLECTED, TOTAL, host_keys
 from mistray.surfaces.upload import upload
 
 Sequences = tuple[tuple[int, ...], ...]
@@ -41,7 +41,7 @@ class DesignSequences:
         """Surfaces where a sequence of a detector is reflected, totally or not."""
         kinds = (REFLECTED, TOTAL)
         codes = {code for one in self.lists.get(detector, ()) for code in one}
-        return frozenset(code >> EVENT_BITS for code in codes if code & ((1 << EVENT_BITS) - 1) in kinds)
+        return frozenset(code >> EVENT_BITS for code in codes if code & EVENT_MASK in kinds)
 
     def direct(self, events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
         """

@@ -7,7 +7,6 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from mistray.recorders.path_key import (
     AIMED_REFLECTED,
     AIMED_TRANSMITTED,
     EVENT_BITS,
+    EVENT_MASK,
     RANDOM_REFLECTED,
     RANDOM_TRANSMITTED,
     REFLECTED,
@@ -26,10 +26,6 @@ from mistray.recorders.path_key import (
 from mistray.recorders.path_names import PathNames
 from mistray.surfaces.optics import DETECTOR, DIFFRACTS, MIRROR, OPAQUE, WALL
 
-if TYPE_CHECKING:
-    pass
-
-EVENT_MASK = (1 << EVENT_BITS) - 1
 FIRST_SCATTERED = RANDOM_TRANSMITTED  # this event and those above it are scattered ones
 INTERCEPTS = {
     ABSORBED: "Absorbed",

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 ABSORBED, TRANSMITTED, REFLECTED, TOTAL = range(4)
 RANDOM_TRANSMITTED, RANDOM_REFLECTED, AIMED_TRANSMITTED, AIMED_REFLECTED = range(4, 8)
 EVENT_BITS = 3
+EVENT_MASK = (1 << EVENT_BITS) - 1
 # Scatter events of a path are counted in one word: all of them, those at random, those at surfaces that transmit; bits
 # say whether one of them was not diffraction, and whether the last was at a surface that lets nothing through
 COUNT_MASK, RANDOM_SHIFT, OPTICAL_SHIFT, NOT_DIFFRACTED, AT_WALL = 0x3FF, 10, 20, 1 << 30, 1 << 31

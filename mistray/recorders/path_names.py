@@ -14,10 +14,16 @@ from itertools import product
 import numpy as np
 
 from mistray.recorders.design_sequences import DesignSequences
-from mistray.recorders.path_key import EVENT_BITS, RANDOM_REFLECTED, RANDOM_TRANSMITTED, REFLECTED, TRANSMITTED
+from mistray.recorders.path_key import (
+    EVENT_BITS,
+    EVENT_MASK,
+    RANDOM_REFLECTED,
+    RANDOM_TRANSMITTED,
+    REFLECTED,
+    TRANSMITTED,
+)
 from mistray.surfaces.optics import DETECTOR, OPAQUE
 
-EVENT_MASK = (1 << EVENT_BITS) - 1
 PAST = "past"
 SOURCE = -1  # in place of the number of a surface
 

@@ -12,7 +12,15 @@ import numpy as np
 from mistray.recorders.design_sequences import DesignKeys
 from mistray.recorders.direction_recorder import DirectionRecorder, class_of_arrival, class_of_departure
 from mistray.recorders.directions import DirectionGrid
-from mistray.recorders.path_key import COUNT_MASK, EVENT_BITS, NO_EVENT, RANDOM_TRANSMITTED, family_of, mixed_word
+from mistray.recorders.path_key import (
+    COUNT_MASK,
+    EVENT_BITS,
+    EVENT_MASK,
+    NO_EVENT,
+    RANDOM_TRANSMITTED,
+    family_of,
+    mixed_word,
+)
 from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.weighing import StartWeighing
@@ -184,7 +192,7 @@ class DepartureSamples(_StartSamples):
             k: mi.UInt32, before: mi.UInt32, order: mi.UInt32, going: mi.Bool
         ) -> tuple[mi.UInt32, mi.UInt32, mi.UInt32, mi.Bool]:
             code = departure.event(k, going)
-            scattered = going & ((code & ((1 << EVENT_BITS) - 1)) >= RANDOM_TRANSMITTED)
+            scattered = going & ((code & EVENT_MASK) >= RANDOM_TRANSMITTED)
             surface = code >> EVENT_BITS
             row = worth_row(surface, before, order)
             here = scattered & (order != last) & (surface < self._surfaces)

@@ -9,8 +9,8 @@ import numpy as np
 
 from mistray.execute.tracer import Run
 from mistray.kernel.targets import AimSet, Inside, Target
-from mistray.recorders.path_events import EVENT_MASK, FIRST_SCATTERED
-from mistray.recorders.path_key import EVENT_BITS
+from mistray.recorders.path_events import FIRST_SCATTERED
+from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.recorders.tallies import AIMED, HITS, INCIDENT, LANDED
 from mistray.sampling.outlines import outline
 from mistray.sampling.scattering_bodies import medium_of

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mistray.recorders.branch_recorder import NODE_FLOATS, BranchRecorder
-from mistray.recorders.path_events import EVENT_MASK, INTERCEPTS
-from mistray.recorders.path_key import EVENT_BITS
+from mistray.recorders.path_events import INTERCEPTS
+from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.trace.precise import retrace
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.ids import check_id
 from mistray.recorders.design_sequences import DesignSequences
-from mistray.recorders.path_events import EVENT_MASK, Events, distinct, event_text, way
-from mistray.recorders.path_key import EVENT_BITS, TRANSMITTED
+from mistray.recorders.path_events import Events, distinct, event_text, way
+from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, TRANSMITTED
 from mistray.trace.path_filter import named_like, unknown_name
 
 if TYPE_CHECKING:

@@ -42,13 +42,8 @@ if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
 
 ROWS_PRINTED = 20
-SAME_KIND = (
-    "source",
-    "detector",
-    "kind",
-    "scatters",
-    "scatter_1",
-)  # what paths have in common whose rays are weighted alike
+# What paths have in common whose rays are weighted alike
+SAME_KIND = ("source", "detector", "kind", "scatters", "scatter_1")
 IMAGE = 0.9  # share of the light of a detector by which one path may be an image that nobody has declared
 MOMENT_SUMS = [2, 3, 4, 5]  # of the ledger: absorbed, absorbed · x, absorbed · y, absorbed · (x² + y²)
 

@@ -18,8 +18,7 @@ import numpy as np
 from mistray.coatings import Ideal
 from mistray.errors import MistrayError
 from mistray.execute.tracer import Run, prepare
-from mistray.recorders.path_events import EVENT_MASK
-from mistray.recorders.path_key import EVENT_BITS, REFLECTED
+from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, REFLECTED
 from mistray.sampling.sources import source_emitters
 from mistray.settings import Settings, polarized_sources
 from mistray.surfaces.optics import MIRROR

@@ -9,8 +9,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from mistray.recorders.path_events import EVENT_MASK, FIRST_SCATTERED
-from mistray.recorders.path_key import ABSORBED, AIMED_TRANSMITTED, EVENT_BITS, RANDOM_TRANSMITTED, TRANSMITTED
+from mistray.recorders.path_events import FIRST_SCATTERED
+from mistray.recorders.path_key import (
+    ABSORBED,
+    AIMED_TRANSMITTED,
+    EVENT_BITS,
+    EVENT_MASK,
+    RANDOM_TRANSMITTED,
+    TRANSMITTED,
+)
 from mistray.surfaces.host_rays import indices_along, specular
 from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable

@@ -15,7 +15,8 @@ from mistray.errors import MistrayError
 from mistray.execute.tracer import Run
 from mistray.recorders.branch_recorder import BranchRecorder
 from mistray.recorders.film import Box
-from mistray.recorders.path_events import EVENT_MASK, INTERCEPTS, Events
+from mistray.recorders.path_events import INTERCEPTS, Events
+from mistray.recorders.path_key import EVENT_MASK
 from mistray.surfaces.upload import upload
 from mistray.trace.history import Ray, RayHistory, bundles
 from mistray.trace.path_filter import PathFilter, Rows

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from mistray.execute.tracer import PASS_LANES, Run
 from mistray.recorders.branch_recorder import NODE_FLOATS, BranchRecorder, as_many
-from mistray.recorders.path_key import EVENT_BITS
+from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.surfaces.host_rays import normals
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
@@ -116,7 +116,7 @@ def sampled_hits(run: Run, start_rays: int, most: int) -> SampledHits:
         np.array(recorder.weight)[kept],
         length,
         surface,
-        np.where(there, codes & ((1 << EVENT_BITS) - 1), -1),
+        np.where(there, codes & EVENT_MASK, -1),
         start,
         points,
         arrival,

@@ -25,8 +25,8 @@ from tiers import slow_unless
 
 import mistray
 from mistray.recorders.branch_recorder import NODE_FLOATS
-from mistray.recorders.path_events import EVENT_MASK, INTERCEPTS
-from mistray.recorders.path_key import EVENT_BITS
+from mistray.recorders.path_events import INTERCEPTS
+from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.scatter.kinds import KINDS
 from mistray.trace.precise import retrace
 

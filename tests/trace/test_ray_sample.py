@@ -7,8 +7,8 @@ import pytest
 
 import mistray
 from mistray.execute import tracer
-from mistray.recorders.path_events import EVENT_MASK, LETTERS
-from mistray.recorders.path_key import EVENT_BITS
+from mistray.recorders.path_events import LETTERS
+from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.report.html.embedded import power_codes
 
 RAYS = 5000

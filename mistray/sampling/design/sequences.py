@@ -28,7 +28,7 @@ from mistray.errors import MistrayError
 from mistray.ids import event_words
 from mistray.recorders.design_sequences import Sequences
 from mistray.recorders.path_events import LETTERS
-from mistray.recorders.path_key import EVENT_BITS, REFLECTED, TOTAL, TRANSMITTED
+from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, REFLECTED, TOTAL, TRANSMITTED
 from mistray.sampling.design.probes import Order
 from mistray.surfaces.optics import BACK_MEDIUM_SHIFT, DIFFRACTS, FRONT_MEDIUM_SHIFT, MEDIUM_MASK, MIRROR, OPAQUE, WALL
 from mistray.surfaces.surfaces import SurfaceTable
@@ -39,7 +39,6 @@ PLATED = 0.2  # share of the probes of an arm that pass, or miss, a plate that i
 MOST_COMBINED = 4096  # sequences of a detector; of more combinations those that probes have found are taken
 MOST_RINGS = 8  # passages by rings of an order whose subsets are all sequences
 FLAT, PARALLEL = 1e-5, 1e-3  # sag in units of the size, and rad, that the sides of a plane-parallel plate may have
-_WHAT = (1 << EVENT_BITS) - 1
 
 
 def is_plane(table: SurfaceTable, surface: int) -> bool:
@@ -188,18 +187,18 @@ class _Rules:
 
     def _turns(self, code: int) -> bool:
         """Whether an event is a reflection of all light, and none at a beam splitter."""
-        what, place = code & _WHAT, code >> EVENT_BITS
+        what, place = code & EVENT_MASK, code >> EVENT_BITS
         return what == TOTAL or (what == REFLECTED and bool(self._opaque[place] or self._mirror[place]))
 
     def splits(self, code: int) -> bool:
         """Whether an event is a reflection at a beam splitter, or its passage if it is declared as a mirror."""
-        what, place = code & _WHAT, code >> EVENT_BITS
+        what, place = code & EVENT_MASK, code >> EVENT_BITS
         return not self._opaque[place] and what == (TRANSMITTED if self._mirror[place] else REFLECTED)
 
     def optics_of(self, order: Order) -> int:
         """How many powered faces and declared mirrors it goes over."""
         steps = self.powered(order)
-        return sum(code & _WHAT == TRANSMITTED or bool(self._mirror[code >> EVENT_BITS]) for code in steps)
+        return sum(code & EVENT_MASK == TRANSMITTED or bool(self._mirror[code >> EVENT_BITS]) for code in steps)
 
     def without_rings(self, order: Order) -> Order:
         """An order without the rings of edges."""
@@ -218,7 +217,7 @@ class _Rules:
     def _plate(self, first: int, second: int) -> bool:
         """Whether two events in a row are the passage through a plane-parallel plate."""
         a, b = first >> EVENT_BITS, second >> EVENT_BITS
-        passes = first & _WHAT == second & _WHAT == TRANSMITTED
+        passes = first & EVENT_MASK == second & EVENT_MASK == TRANSMITTED
         return passes and a != b and is_plane(self._table, a) and is_plane(self._table, b) and self._parallel(a, b)
 
     def _parallel(self, a: int, b: int) -> bool:
@@ -230,7 +229,7 @@ class _Rules:
         return tuple(self._step(code) for code in order)
 
     def _step(self, code: int) -> Hashable:
-        what, place = code & _WHAT, code >> EVENT_BITS
+        what, place = code & EVENT_MASK, code >> EVENT_BITS
         if what == REFLECTED and self._opaque[place]:
             # Of mirrors that are not declared only those with the same coating stand in one another's place
             return what, True if self._mirror[place] else self._table.interfaces[place].coating

@@ -15,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.recorders.path_key import EVENT_BITS, FIRST_KEY, RANDOM_TRANSMITTED, extend_key
+from mistray.recorders.path_key import EVENT_MASK, FIRST_KEY, RANDOM_TRANSMITTED, extend_key
 from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
 from mistray.settings import BATCHES
 from mistray.surfaces.upload import upload
@@ -158,7 +158,7 @@ class LightVertices:
 
         def back(k: mi.UInt32, key: mi.UInt64, going: mi.Bool) -> tuple[mi.UInt32, mi.UInt64, mi.Bool]:
             code = departure.event(k - 1, going)
-            going = going & ((code & ((1 << EVENT_BITS) - 1)) < RANDOM_TRANSMITTED)
+            going = going & ((code & EVENT_MASK) < RANDOM_TRANSMITTED)
             return k - 1, dr.select(going, extend_key(key, code), key), going & (k > 1)
 
         width = dr.width(number)
