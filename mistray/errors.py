@@ -15,7 +15,20 @@ class MistrayError(ValueError):
 
 
 class MistrayWarning(UserWarning):
-    """Input that is possible but improbable, or has an old name; one line says what is usual, or the new name."""
+    """
+    What a user should know of a result or of its input, in one line: a note, an improbable number, an old name.
+
+    Parameters
+    ----------
+    message : str
+    code : str
+        Of a note of a result, such as "aimed", see docs/warnings.md; "" otherwise. The text ends with it in brackets:
+        `warnings.filterwarnings` can choose by it.
+    """
+
+    def __init__(self, message: str, code: str = "") -> None:
+        super().__init__(f"{message} [{code}]" if code else message)
+        self.code = code
 
 
 class Interrupted(KeyboardInterrupt):

@@ -19,6 +19,7 @@ LAYERS = [
     {"errors"},
     {"ids"},
     {"percent"},
+    {"notes"},
     {"ranges"},
     {"param"},
     {"renamed"},

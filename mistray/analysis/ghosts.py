@@ -25,6 +25,7 @@ from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.field_summary import FieldSummary
 from mistray.analysis.field_traces import NOMINAL_FIELD_DEG, FieldTraces, Progress, one_for_fields
 from mistray.analysis.filtered import Filtered, filtered
+from mistray.analysis.ghost_notes import ghost_notes
 from mistray.analysis.irradiance import MapStatistics, brightest, mirror_asymmetry, statistics
 from mistray.analysis.path_analysis import path_analysis
 from mistray.analysis.path_maps import FieldMaps, ImagesOfField, field_maps, without
@@ -34,6 +35,7 @@ from mistray.analysis.scatter_surfaces import scatter_surfaces
 from mistray.analysis.stray_levels import stray_levels
 from mistray.errors import Interrupted, MistrayError, UnfinishedError
 from mistray.files.irradiance_files import Map
+from mistray.notes import Note, warns
 from mistray.ranges import CONTESTED_RAYS, FIELD_DEG, RAYS
 from mistray.recorders.film import Pixels
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
@@ -120,6 +122,11 @@ class GhostReport(Mapping[float, Trace]):
         shared = {key: value for key, value in next(iter(self.values())).settings.items() if key != "field_deg"}
         again = {"traced_again_deg": list(self.traced_again), "contested_rays": max(rays.values())}
         return shared | {"rays": min(rays.values())} | (again if self.traced_again else {})
+
+    @property
+    def notes(self) -> list[Note]:
+        """What a reader must know of the numbers; `ghosts` raises them as warnings, see docs/warnings.md."""
+        return ghost_notes(self)
 
     def rivals(self, field_deg: float) -> pd.DataFrame:
         """The rows of `table` that are contested, the one that may be the brightest first."""
@@ -476,6 +483,7 @@ def _incident(t: Trace, rows: pd.DataFrame) -> Estimate:
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
 @renamed(fields_deg="field_deg")
+@warns
 def ghosts(
     scene: Any,
     field_deg: float | Sequence[float] | None = None,

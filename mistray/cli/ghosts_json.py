@@ -28,7 +28,6 @@ def as_json(
     from mistray.files.json_values import plain
     from mistray.report.ghosts.answer import verdict_record
     from mistray.report.own_sections import own_record
-    from mistray.report.tables.ghosts import warnings
     from mistray.report.tables.ghosts_csv import summary_frame
 
     fields = []
@@ -52,7 +51,7 @@ def as_json(
         "settings": report.settings,
         "ranked_by": report.rank,
         "fields": fields,
-        "warnings": warnings(report),
+        "warnings": report.notes,
     }
     sections = own_record(report)
     return dict(plain(found)) | ({"sections": sections} if sections else {})
@@ -88,7 +87,7 @@ def _lines(report: GhostReport, field_deg: float) -> list[dict[str, Any]]:
 
 def _scatter(report: GhostReport, field_deg: float) -> dict[str, Any]:
     """Where the scattered light of a field comes from, and how well it was sampled."""
-    from mistray.analysis.aiming_check import sampling_check
+    from mistray.trace.sampling_check import sampling_check
 
     return {
         "scattered_by": report.scatter_surfaces(field_deg).to_dict("records"),

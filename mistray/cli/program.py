@@ -40,6 +40,7 @@ from mistray.cli.options import Options
 from mistray.cli.signals import ignore
 from mistray.errors import Interrupted, MistrayError
 from mistray.interrupts import requested
+from mistray.notes import quiet
 from mistray.replace_file import guarding, written
 
 BAD_INPUT = 2
@@ -120,7 +121,7 @@ def _command(arguments: list[str]) -> int:
         # Names that are no text in the locale's encoding stand in reports, which are UTF-8
         options.command_line = as_text(shlex.join(["mistray", *arguments]))
         options.guard = guard_of(options)
-        with guarding(options.guard):
+        with guarding(options.guard), quiet():  # commands print the notes of their results
             return int(options.run(options))
     except SystemExit as stop:
         return int(stop.code or 0)

@@ -20,6 +20,7 @@ from mistray.kernel.launches import launches_of
 from mistray.kernel.ray_tree import trace_tree
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
+from mistray.notes import Note
 from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.design_sequences import DesignKeys
 from mistray.recorders.direction_recorder import DirectionRecorder
@@ -219,7 +220,7 @@ class BackwardTrace:
         ]
 
     @property
-    def notes(self) -> list[str]:
+    def notes(self) -> list[Note]:
         """Gaps too thin for float32, and what was assumed of the media, see `Optics.notes`."""
         return [
             *thin_gaps(self.table),

@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.execute.backward import PASS_LANES, BackwardTrace
+from mistray.notes import Code, Note
 from mistray.recorders.direction_recorder import DIRECT
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.sampled import batch_error
@@ -83,7 +84,7 @@ class Seen:
     wavelength_nm : float
     rays : int
     seconds : float
-    notes : list of str
+    notes : list of Note
         What was assumed of the media, see `BackwardTrace.notes`, and of the image.
     """
 
@@ -97,7 +98,7 @@ class Seen:
     wavelength_nm: float
     rays: int
     seconds: float
-    notes: list[str]
+    notes: list[Note]
 
 
 def see(
@@ -172,7 +173,9 @@ def see(
     }
     detector_id = trace.table.ids[trace.table.detector]
     optics, designed = has_optics(trace.table), bool(trace.design.lists.get(trace.table.detector))
-    notes = trace.notes if designed or not optics else [*trace.notes, NO_DESIGN.format(detector_id)]
+    notes = (
+        trace.notes if designed or not optics else [*trace.notes, Note(NO_DESIGN.format(detector_id), Code.DESIGN_PATH)]
+    )
     return Seen(
         rows=rows,
         media=media,

@@ -37,6 +37,7 @@ from mistray.explore.looks import Looks
 from mistray.explore.page_data import drawing, remedy_data, view_data
 from mistray.explore.saving import Saving
 from mistray.explore.traced import Traced, traced
+from mistray.notes import quiet
 from mistray.optimize import gradient, path_power
 from mistray.optimize.scene_values import assign
 from mistray.prescription.by_text import BARE
@@ -416,7 +417,8 @@ class Explorer:
     def _traced_rays(self, scene: Any, state: Mapping[str, VALUES], rays: int) -> Trace:
         field = self._field(state) if "field" in self.controls or self.fields else None
         light = {**self._spectrum(state), **self._settings, "polarization": self._polarization}
-        return trace(scene, rays=rays, field_deg=field, **light)
+        with quiet():
+            return trace(scene, rays=rays, field_deg=field, **light)
 
     def _chosen_rays(self) -> int:
         """As many as take about `TRACE_S`."""

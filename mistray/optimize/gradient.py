@@ -16,6 +16,7 @@ from mistray.gradients.edge_widths import EQUAL, WidthErrors, further_samples, l
 from mistray.gradients.geometry_gradient import geometry_columns
 from mistray.gradients.parameter_gradient import gathered
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
+from mistray.notes import warns
 from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.metrics.views import seen_unpolarized
 from mistray.optimize.one_sided import FullKey, OneSided, full_keys, one_sided
@@ -202,6 +203,7 @@ ONSET = (
 INDEX_OF_SCATTER = "the change of what surfaces scatter with the index of the materials beside them"
 
 
+@warns
 def gradient(
     metric: Metric,
     params: Mapping[str, Any],

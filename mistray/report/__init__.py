@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from mistray.report.rays.ray_files import read_rays, write_rays
     from mistray.report.step.export import StepExport, export_step
     from mistray.report.study_output import study_text, write_study
-    from mistray.report.tables.ghosts import main_table, warnings
+    from mistray.report.tables.ghosts import main_table
     from mistray.report.tables.ghosts_csv import write_csv
     from mistray.report.tables.pst import pst_text
     from mistray.report.tables.text import with_error
@@ -56,7 +56,7 @@ __all__ = lazy_package(
         "rays.ray_files": ("read_rays", "write_rays"),
         "step.export": ("StepExport", "export_step"),
         "study_output": ("study_text", "write_study"),
-        "tables.ghosts": ("main_table", "warnings"),
+        "tables.ghosts": ("main_table",),
         "tables.text": ("with_error",),
         "image_quality": ("quality_text", "write_quality"),
         "thermal": ("thermal_text", "write_thermal"),

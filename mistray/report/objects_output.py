@@ -139,7 +139,7 @@ def objects_text(found: Objects, estimates: pd.DataFrame, count: int = ROWS_SHOW
         parts.append(APART.format(", ".join(row.id for row in found.apart)))
     parts += ["", "Light by one scatter event, estimated as Φ · BSDF · π GCF",
               table_text(estimate_table(estimates, ESTIMATES_SHOWN)), "", "±: one standard error"]  # fmt: skip
-    parts += [f"warning: {text}" for text in found.warnings]
+    parts += [f"warning: {text}" for text in found.notes]
     return "\n".join(parts)
 
 
@@ -189,7 +189,7 @@ def objects_record(found: Objects, estimates: pd.DataFrame) -> dict[str, Any]:
         **{name: found.to_pandas(name).to_dict("records") for name in LISTS},
         "estimates": estimates.to_dict("records"),
         "straight_shots": shot_frame(found).to_dict("records"),
-        "warnings": found.warnings,
+        "warnings": found.notes,
     }
     return dict(plain(record))
 
@@ -223,7 +223,7 @@ def objects_report(found: Objects, estimates: pd.DataFrame, title: str = "scene"
         title,
         sections,
         lead=[Note(Markup("{}.<br>{}.").format(first, second), "sub"), Note(_finding(found, estimates))],
-        warnings=found.warnings,
+        warnings=found.notes,
         tab="Objects",
         csv=csv_tables(found, estimates),
         json={"objects.json": {"title": title, "command": command} | objects_record(found, estimates)},

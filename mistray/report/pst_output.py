@@ -40,7 +40,6 @@ from mistray.report.tables.pst import (
     paths_table,
     pst_record,
     shown_classes,
-    warnings,
 )
 from mistray.report.tables.text import ABSENT, number, plain_sentences, with_error
 
@@ -163,7 +162,7 @@ def pst_report(
         title,
         [*sections, settings_section(_facts(pst), command, terms("pst"), link="Definitions and settings")],
         lead=[Note(Markup("{}.<br>{}.").format(definition, run), "sub"), Items(pst_verdict(pst), "verdict")],
-        warnings=warnings(pst),
+        warnings=pst.notes,
         tab="PST",
         scripts=("report", "hover"),
         csv=csv_tables(pst),

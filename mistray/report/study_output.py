@@ -25,8 +25,6 @@ from mistray.report.model import Figure, Folded, Items, Note, Part, Report, Sect
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section, terms, thousands
 from mistray.report.pst_output import causes_figure, curve_figure, pst_verdict, pst_verdict_record
-from mistray.report.tables import ghosts as tables
-from mistray.report.tables import pst as pst_tables
 from mistray.report.tables.frames import frame_table, value_text
 from mistray.report.tables.text import ABSENT
 from mistray.report.transfer import transfer_parts
@@ -68,8 +66,8 @@ def step_warnings(study: Study, step: StudyStep) -> list[str]:
     found = list(step.warnings)
     if step.key == "analysis":
         # That scatter is not followed is meant so in the ghost analysis
-        found += [f"ghosts, {text}" for text in tables.warnings(study.ghosts) if "max_scatters" not in text]
-        found += [f"PST, {text}" for text in pst_tables.warnings(study.pst) if text not in found]
+        found += [f"ghosts, {text}" for text in study.ghosts.notes if "max_scatters" not in text]
+        found += [f"PST, {text}" for text in study.pst.notes if text not in found]
     return found
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.kernel.device_targets import DeviceTargets
 from mistray.kernel.targets import AimSet
+from mistray.notes import Code, Note
 from mistray.physics.geometry.sag import in_proportion, sag, sag_derivative
 from mistray.recorders.start_rays import StartRays, generators
 from mistray.sampling.outlines import detector_area
@@ -45,7 +46,7 @@ class DetectorStart:
     ----------
     area : float
         Of the detector, mm².
-    notes : list of str
+    notes : list of Note
         Where the material before the detector is known by walls alone.
 
     Raises
@@ -56,7 +57,7 @@ class DetectorStart:
     """
 
     def __init__(self, table: SurfaceTable, light: np.ndarray, aim: AimSet | None, both_sides: bool) -> None:
-        self.notes: list[str] = []
+        self.notes: list[Note] = []
         self._back = FROM_BACK if both_sides else 0.0
         self._table = table
         self.width, self.height, (x0, x1, y0, y1) = table.film()
@@ -123,10 +124,11 @@ class DetectorStart:
             if lit and other[0] != found[0][0]:
                 raise MistrayError(self._contradiction(found[0], other, side))
         if lit and found and found[0][1] and not np.any(~opaque):
-            self.notes.append(
+            text = (
                 f"the detector is taken to be in '{optics.media[found[0][0]]}', because surface '{found[0][1]}' "
                 f"declares it; say so by {'back' if side > 0 else 'front'} of the detector"
             )
+            self.notes.append(Note(text, Code.MATERIAL))
         number = found[0][0] if found else 0
         return number, float(optics.host_media_n[number])
 

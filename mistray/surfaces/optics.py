@@ -30,6 +30,7 @@ import numpy as np
 from mistray.coatings import METAL_K, Bare, Response, Stack
 from mistray.errors import MistrayError
 from mistray.materials import bulk_scatter, complex_index
+from mistray.notes import Code, Note
 from mistray.scatter.edge_diffraction import EdgeDiffraction
 from mistray.surfaces.upload import upload
 
@@ -333,7 +334,7 @@ class Optics:
         Whether a medium takes light from the beam, and whether one scatters it.
     error : float
         Largest interpolation error of the tables.
-    notes : list of str
+    notes : list of Note
         Which media were taken as opaque, and why; a metal is not named unless it is thin.
     """
 
@@ -453,7 +454,7 @@ class Optics:
             raise MistrayError(f"surface '{name}': {error}") from None
         return complex(front), complex(back)
 
-    def _dark(self, ids: Sequence[str], bodies: Bodies) -> tuple[np.ndarray, list[str]]:
+    def _dark(self, ids: Sequence[str], bodies: Bodies) -> tuple[np.ndarray, list[Note]]:
         """(s, 2) bool: the sides of surfaces on which nothing travels; and what a reader should know of them."""
         n = np.array(self.complex_indices)
         if not n.imag.any():
@@ -472,7 +473,7 @@ class Optics:
         dark = is_dark(n, self.wavelength_nm, length)
         passed = np.exp(-absorption_per_mm(n, self.wavelength_nm) * length)
         at = f"at {self.wavelength_nm:g} nm"
-        notes: dict[tuple[str, bool], str] = {}
+        notes: dict[tuple[str, bool], Note] = {}
         for i, side in np.argwhere(dark):
             bsdf = self.bsdfs[i]
             medium, where = ((bsdf.front, "in front of"), (bsdf.back, "behind"))[side]
@@ -487,7 +488,7 @@ class Optics:
                 text = f"{medium} {where} {ids[i]} is taken as opaque: no light {at} gets through {why}"
             else:
                 continue
-            notes.setdefault((medium, bool(closed[i, side])), text)
+            notes.setdefault((medium, bool(closed[i, side])), Note(text, Code.MATERIAL))
         return dark, list(notes.values())
 
     def _kind(self, bsdf: Any, k: float) -> int:

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from mistray.notes import Code, Note
 from mistray.physics.geometry.sag import conic_end
 from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.surfaces import SurfaceTable
@@ -15,7 +16,7 @@ SAMPLES = 65  # of the common aperture, in equal areas
 SHARE = 0.02  # of it that may be thinner: where surfaces touch
 
 
-def thin_gaps(table: SurfaceTable) -> list[str]:
+def thin_gaps(table: SurfaceTable) -> list[Note]:
     """
     What float32 does not resolve, one line for each gap.
 
@@ -35,11 +36,12 @@ def thin_gaps(table: SurfaceTable) -> list[str]:
         place = abs(a.z) if a.frame == 0 else float(np.linalg.norm(table.vertices[a.index] - table.centre))
         least = ROUNDINGS * float(np.spacing(np.float32(place)))
         if np.mean(gap < least) > SHARE:
-            found.append(
+            text = (
                 f"surfaces '{table.ids[a.index]}' and '{table.ids[b.index]}' are {np.median(gap):.2g} mm apart; "
                 f"rays are placed to {least:.2g} mm there, {place:.4g} mm from the middle: light may be lost; trace "
                 "these parts alone"
             )
+            found.append(Note(text, Code.THIN_GAP))
     return found
 
 

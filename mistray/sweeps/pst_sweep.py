@@ -16,6 +16,7 @@ from mistray.analysis.changes.gaps import Contacts, Gap, gaps_text
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.transmittance import pst_of_each
 from mistray.errors import MistrayError
+from mistray.notes import warns
 from mistray.optimize.metrics.views import View, seen_unpolarized
 from mistray.optimize.scene_values import assign
 from mistray.renamed import renamed
@@ -85,7 +86,7 @@ class PstSweep:
         self,
         found: Mapping[str, Pst],
         gaps: Mapping[str, tuple[Gap, ...]] | None = None,
-        unpolarized: Mapping[str, list[str]] | None = None,
+        unpolarized: Mapping[str, Sequence[str]] | None = None,
     ) -> None:
         self.pst = dict(found)
         self.unpolarized = {name: list((unpolarized or {}).get(name, ())) for name in found}
@@ -184,6 +185,7 @@ class PstSweep:
 
 
 @renamed(angles_deg="field_deg")
+@warns
 def sweep_pst(
     scene: str | Path,
     configurations: Given,
@@ -232,7 +234,7 @@ def sweep_pst(
     every = [Configuration(AS_IT_IS), *wanted]
     at: list[str] = []  # the configuration that is being made, for messages
     gaps: dict[str, tuple[Gap, ...]] = {}
-    unpolarized: dict[str, list[str]] = {}
+    unpolarized: dict[str, Sequence[str]] = {}
     view = View({"field_deg": field_deg, **arguments})
 
     def scenes() -> Iterator[mi.Scene]:

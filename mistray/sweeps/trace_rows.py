@@ -13,6 +13,7 @@ import mitsuba as mi
 from mistray.analysis.changes.gaps import Contacts, Gap
 from mistray.cache import Cache, open_cache
 from mistray.errors import MistrayError, UnfinishedError
+from mistray.notes import warns
 from mistray.optimize.scene_values import changed
 from mistray.ranges import FIELD_DEG
 from mistray.renamed import renamed
@@ -30,6 +31,7 @@ Progress = Callable[[float, float], None]
 
 
 @renamed(fields_deg="field_deg")
+@warns
 def sweep(
     scene: str | Path | dict[str, Any] | mi.Scene,
     field_deg: float | Sequence[float] | None = None,

@@ -18,6 +18,7 @@ from mistray.execute.forecast import Forecast
 from mistray.execute.tracer import MOST_PATHS_KEPT, PASS_LANES, Run, prepare
 from mistray.execute.workers import current_workers
 from mistray.interrupts import later, requested
+from mistray.notes import Code, Note, warns
 from mistray.recorders import Recorder
 from mistray.recorders.tallies import FIRST_MISS
 from mistray.sampling.sources import field_of, source_emitters
@@ -34,6 +35,7 @@ def versions() -> dict[str, str]:
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
+@warns
 def trace(
     scene: mi.Scene,
     rays: float | None = None,
@@ -326,5 +328,6 @@ def _result(
         task,
     )
     if not any(value is not None for value in field.values()) and found.rays_traced and found.energy.detected_W == 0:
-        found.notes.append(f"no light reaches the detector: {found.energy.greatest_loss} of it")
+        text = f"no light reaches the detector: {found.energy.greatest_loss} of it"
+        found.own_notes.append(Note(text, Code.NO_LIGHT))
     return found

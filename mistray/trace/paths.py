@@ -13,6 +13,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.ids import event_words
+from mistray.notes import Code, Note
 from mistray.percent import percent_text
 from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.path_events import (
@@ -558,7 +559,7 @@ def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTabl
     return PathTable(columns, of_runs, number[order], np.concatenate(places)[order], found[order])
 
 
-def undeclared_images(runs: Sequence[Run], paths: PathTable) -> list[str]:
+def undeclared_images(runs: Sequence[Run], paths: PathTable) -> list[Note]:
     """Notes on detectors without a design path whose light comes by one path that nothing scatters, but for a tenth."""
     found = []
     table, design = runs[0].table, runs[0].design
@@ -570,10 +571,11 @@ def undeclared_images(runs: Sequence[Run], paths: PathTable) -> list[str]:
         share, row = power[own[0]] / power[own].sum(), paths[int(own[0])]
         words = event_words(row.events)[:-1]
         if share > IMAGE and words and not row.scatters:
-            found.append(
+            text = (
                 f"detector '{row.detector}': no design path leads to it, and {percent_text(share)} of its light comes "
                 f'by {" ".join(words)}; if that is the image, declare design_path="{" ".join(words)}" at the detector'
             )
+            found.append(Note(text, Code.DESIGN_PATH))
     return found
 
 

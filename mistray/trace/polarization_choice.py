@@ -18,6 +18,7 @@ import numpy as np
 from mistray.coatings import Ideal
 from mistray.errors import MistrayError
 from mistray.execute.tracer import Run, prepare
+from mistray.notes import Code, Note
 from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, REFLECTED
 from mistray.sampling.sources import source_emitters
 from mistray.settings import Settings, polarized_sources
@@ -158,7 +159,7 @@ def chosen_polarization(
 
 def unpolarized_notes(
     scene: Any, beams: Sequence[Mapping[str, Any]] = ({},), polarization: str | None = None, **settings: Any
-) -> list[str]:
+) -> list[Note]:
     """
     What a reader must know of a result of unpolarised light, where Stokes vectors would change a trace.
 
@@ -174,7 +175,7 @@ def unpolarized_notes(
 
     Returns
     -------
-    list of str
+    list of Note
         One sentence, or none: also where the sources of the scene cannot send such light.
     """
     chosen = Settings.unresolved(scene, polarization=polarization, **settings)
@@ -186,7 +187,8 @@ def unpolarized_notes(
         return []
     if not abs(found.change) > WORTH_IT or found.mode != "stokes":
         return []
-    return [f"polarization: {found.reason}; this is of light that is unpolarised at every hit"]
+    text = f"polarization: {found.reason}; this is of light that is unpolarised at every hit"
+    return [Note(text, Code.POLARIZATION)]
 
 
 def _pilot(runs: Sequence[tuple[str, Run]]) -> list[_Row]:

@@ -18,6 +18,7 @@ from mistray.execute.tracer import Run
 from mistray.execute.workers import current_workers
 from mistray.gradients.run_gradient import run_gradient
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
+from mistray.notes import Note, unfinished
 from mistray.recorders.film import Pixels, image_word
 from mistray.recorders.path_derivative import MOMENTS, HitDerivative, PathDerivative
 from mistray.recorders.recorder import Recorder
@@ -34,6 +35,7 @@ from mistray.trace.polarization_choice import words_of
 from mistray.trace.ray_sample import sample_rays
 from mistray.trace.ray_table import check_box, ray_table
 from mistray.trace.sampled_hits import PathHits, sampled_hits
+from mistray.trace.trace_notes import trace_notes
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -70,11 +72,11 @@ class Trace:
         Largest share that one of those hits has of their flux; NaN if there are none.
     effective_scattered_rays : float
         (Σ flux)²/Σ flux² of those hits: as many hits of equal flux would be as good.
-    notes : list of str
-        What a reader must know: gaps too thin for float32, see `mistray.surfaces.thin_gaps`, media that were taken as
-        opaque because no light gets through their bodies, that only a part of the rays was traced, that a detector has
-        no design path and gets nearly all of its light by one path, and that the detector gets no light of the sources
-        at the field of their own, for which a scene is made.
+    own_notes : list of Note
+        What a reader must know of the scene, its sources and the rays: gaps too thin for float32, see
+        `mistray.surfaces.thin_gaps`, media that were taken as opaque because no light gets through their bodies, that
+        only a part of the rays was traced, that a detector has no design path and gets nearly all of its light by one
+        path, and that the detector gets no light of the sources at the field of their own, for which a scene is made.
     aiming : list of AimedSurface
         Surfaces and media that aimed rays at targets.
     silent : list of SilentPlace
@@ -106,14 +108,19 @@ class Trace:
         self.scattered_rays_per_start = hits / self.rays_traced
         self.largest_ray_share = max(run.unit * run.largest for run in runs) / flux if flux > 0 else float("nan")
         self.effective_scattered_rays = flux**2 / squares if squares > 0 else 0.0
-        self.notes = thin_gaps(runs[0].table)
-        self.notes += dict.fromkeys(text for run in runs for text in run.table.optics.notes)
+        self.own_notes = thin_gaps(runs[0].table)
+        self.own_notes += dict.fromkeys(note for run in runs for note in run.table.optics.notes)
         if self.rays_traced != self.rays_planned:
-            self.notes.append(f"{self.rays_traced:.4g} of {self.rays_planned:.4g} rays were traced; errors are theirs")
-        self.notes += undeclared_images(runs, self._paths) if self._paths is not None else []
+            self.own_notes.append(unfinished(self.rays_traced, self.rays_planned))
+        self.own_notes += undeclared_images(runs, self._paths) if self._paths is not None else []
         self.aiming, self.silent = aimed_surfaces(runs), silent_places(runs)
         self.segments = round(sum(float(run.channels[SEGMENTS].sum()) for run in runs))
         self.seconds = sum(run.seconds for run in runs)
+
+    @property
+    def notes(self) -> list[Note]:
+        """What a reader must know of the numbers; `trace` raises them as warnings, see docs/warnings.md."""
+        return [note for _, note in trace_notes([self])]
 
     @property
     def paths(self) -> PathTable:

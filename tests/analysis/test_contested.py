@@ -14,7 +14,7 @@ from mistray.analysis.verdict import brightest_field, worst_of_all_fields
 from mistray.cli.ghosts_json import as_json
 from mistray.errors import Interrupted, MistrayError
 from mistray.report.ghosts.report import html_text
-from mistray.report.tables.ghosts import CONTESTED, main_table, warnings
+from mistray.report.tables.ghosts import CONTESTED, main_table
 from mistray.report.tables.ghosts_csv import summary_frame
 
 BRIGHT = f"{LENS} detector:R L1_rear:R detector:A"
@@ -128,7 +128,7 @@ def test_what_is_told(traced):
     text = main_table(report)
     assert "field 10 deg: traced again with 400 start rays" in text
     assert f"{rival.path_id.iloc[0]} {CONTESTED}" in text
-    assert [text for text in warnings(report) if "is open" in text] == [
+    assert [text for text in report.notes if "is open" in text] == [
         f"field 10 deg: which path is the worst is open, path {rival.path_id.iloc[0]} may be as bright; raise rays"
     ]
 

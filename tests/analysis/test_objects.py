@@ -47,9 +47,9 @@ def test_unpolarised_light_is_noted(load):
     angle = float(np.degrees(np.arctan(1.5)))
     r_s = ((1.5**2 - 1) / (1.5**2 + 1)) ** 2
     truth = 100 * ((1 + (1 - r_s) ** 8) / 2 / (1 - r_s / 2) ** 8 - 1)
-    (note,) = [text for text in objects(scene, field_deg=angle, rays=2000).warnings if "Stokes" in text]
+    (note,) = [text for text in objects(scene, field_deg=angle, rays=2000).notes if "Stokes" in text]
     assert f"direct light by +{truth:.3g}" in note
-    assert not [text for text in objects(scene, field_deg=10.0, rays=2000).warnings if "Stokes" in text]
+    assert not [text for text in objects(scene, field_deg=10.0, rays=2000).notes if "Stokes" in text]
 
 
 def plate_text(**coating):
@@ -90,7 +90,7 @@ def test_a_tube_seen_from_its_end(load):
 
 def test_an_open_tube_reports_a_path_without_surfaces(load):
     found = objects(load(open_tube_text(3.0, 1.0, 0.7)), rays=20_000)
-    assert any("with no surface in between" in text for text in found.warnings)
+    assert any("with no surface in between" in text for text in found.notes)
     steepest = np.degrees(np.arctan(1.7 / 3.0))
     low, high = found.straight_shots[0].field_deg
     assert low < 2
@@ -292,7 +292,7 @@ def test_light_past_a_lens_is_a_straight_shot(phone):
     assert shots["L3_bevel_2",].missed == ("L3_rear",)
     low, high = shots["L3_bevel_2",].field_deg
     assert 15 < low < high < 27
-    assert any("past L3_rear through L3_bevel_2" in text for text in phone.warnings)
+    assert any("past L3_rear through L3_bevel_2" in text for text in phone.notes)
 
 
 # ---- ray controls
@@ -420,7 +420,7 @@ def test_a_detector_in_a_closed_box_says_so(load):
         )
     )
     found = objects(scene, rays=20_000)
-    assert any("no ray from the detector leaves the scene" in text for text in found.warnings)
-    assert any("without a design path" in text for text in found.warnings)
+    assert any("no ray from the detector leaves the scene" in text for text in found.notes)
+    assert any("without a design path" in text for text in found.notes)
     assert not found.common
     assert row(found.critical, "lid").stop == ""

@@ -15,7 +15,6 @@ from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_x
 
 import mistray
 from mistray.errors import Interrupted
-from mistray.report.tables.ghosts import warnings
 from mistray.settings import BATCHES
 
 launches = importlib.import_module("mistray.kernel.launches")
@@ -88,7 +87,7 @@ def test_trees_have_a_limit_which_is_booked(plates: Any, splitting: str) -> None
 
 def test_a_report_names_the_limit_of_trees(plates: Any) -> None:
     report = mistray.ghosts(plates, [0], rays=1000, max_segments=50)
-    assert any("max_segments = 50" in text for text in warnings(report))
+    assert any("max_segments = 50" in text for text in report.notes)
 
 
 @pytest.mark.parametrize("value", [0, -1, 2**32, 1.5])

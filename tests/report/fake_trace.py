@@ -77,10 +77,9 @@ class FakeTrace:
         self.paths = self._path_table()
         self.extent = EXTENT
         self.coating_error = 0.0
-        self.notes = []
+        self.own_notes = []
         self.recorders = {}
         self.tables = []  # no surfaces: a report of it says nothing of coatings
-        self.notes = []
         self.recorders = {}
         self.shares = shares or {550.0: 1.0}
         self.wavelengths_nm = sorted(self.shares)

@@ -18,7 +18,6 @@ from mistray.report.tables.pst import (
     pst_record,
     pst_text,
     top_paths_text,
-    warnings,
 )
 
 
@@ -152,12 +151,12 @@ def test_field_edge_is_where_direct_light_is_half() -> None:
 
 
 def test_warnings_are_the_notes_and_large_errors() -> None:
-    assert warnings(fake_pst()) == FACTS["notes"]
-    noisy = warnings(fake_pst(field_deg=(0, 70, 80), noise=0.5, notes=[]))
+    assert fake_pst().notes == FACTS["notes"]
+    noisy = fake_pst(field_deg=(0, 70, 80), noise=0.5, notes=[]).notes
     assert len(noisy) == 1
     assert noisy[0].startswith("standard error up to ")
     assert "at 70, 80°" in noisy[0]
-    many = warnings(fake_pst(noise=1.0, notes=[]))[0]
+    many = fake_pst(noise=1.0, notes=[]).notes[0]
     assert "angles from" in many
 
 

@@ -14,7 +14,7 @@ from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.report.figures.plots import KINDS
 from mistray.report.ghosts.report import html_text
 from mistray.report.rays.path_sort import parse_path_sort, path_sort_text
-from mistray.report.tables.ghosts import main_table, warnings
+from mistray.report.tables.ghosts import main_table
 from mistray.report.tables.ghosts_csv import csv_tables, write_csv
 from mistray.report.tables.scatter import scatter_text
 
@@ -88,7 +88,7 @@ def test_the_sampling_is_judged(report):
     assert re.search(r"^ *0 +0\.65 +400 +1$", text, re.MULTILINE)
     assert re.search(r"^window_rear +0\.8 +0\.8$", text, re.MULTILINE)
     assert re.search(r"^stop_wall +0\.05! +0\.05!$", text, re.MULTILINE)
-    (few,) = (line for line in warnings(report) if "few aimed rays" in line)
+    (few,) = (line for line in report.notes if "few aimed rays" in line)
     assert few.startswith("field 0, 10 deg:")
     assert "stop_wall" in few
 

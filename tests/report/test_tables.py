@@ -12,7 +12,7 @@ from report.fake_trace import SHARES, trace_at, trace_in_colours
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
 from mistray.report.model import Table, columns
-from mistray.report.tables.ghosts import main_table, warnings
+from mistray.report.tables.ghosts import main_table
 from mistray.report.tables.ghosts_csv import csv_tables, write_csv
 from mistray.report.tables.text import table_text, with_error
 
@@ -97,19 +97,19 @@ def test_surfaces_csv_keeps_the_columns_of_the_flux_report(report, tmp_path):
 
 def test_a_limit_that_cuts_light_is_a_warning():
     t = trace_at(0.0, cut_events=1e-4)
-    found = warnings(GhostReport(lens_scene(), {0.0: t}, t, {}))
+    found = GhostReport(lens_scene(), {0.0: t}, t, {}).notes
     assert any("2.0e-05 of the launched flux was cut by max_events = 32" in text for text in found)
 
 
 def test_an_open_energy_balance_is_a_warning():
     t = trace_at(0.0)
     t.energy = replace(t.energy, escaped_W=t.energy.escaped_W + 0.0015)
-    found = warnings(GhostReport(lens_scene(), {0.0: t}, t, {}))
+    found = GhostReport(lens_scene(), {0.0: t}, t, {}).notes
     assert any("field 0 deg: the energy closes to 3.0e-04 only" in text for text in found)
 
 
 def test_undersampled_paths_among_the_worst_are_a_warning(report):
-    assert any("field 0, 10, 20 deg: some of the worst four paths hold too few rays" in w for w in warnings(report))
+    assert any("field 0, 10, 20 deg: some of the worst four paths hold too few rays" in w for w in report.notes)
 
 
 @pytest.fixture(scope="module")
@@ -166,8 +166,8 @@ def test_absorption_in_glass_is_in_the_ledger(report):
 def test_a_coarse_coating_is_told():
     t = trace_at(0.0)
     report = GhostReport(lens_scene(), {0.0: t}, t, {})
-    assert not any("too fast with the angle" in line for line in warnings(report))
+    assert not any("too fast with the angle" in line for line in report.notes)
     t.coating_error = 2e-3
-    (line,) = (line for line in warnings(report) if "too fast with the angle" in line)
+    (line,) = (line for line in report.notes if "too fast with the angle" in line)
     assert line.startswith("field 0 deg")
     assert "2.0e-03" in line

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mistray
-from mistray.report import main_table, warnings
+from mistray.report import main_table
 from mistray.surfaces.optics import DARK, is_dark
 
 T = mi.ScalarTransform4d
@@ -52,7 +52,7 @@ def test_transmittance_of_a_plate(wavelength_nm, thickness_mm) -> None:
         through = once**2 * np.exp(-4e6 * np.pi * k * thickness_mm / wavelength_nm)
         assert t.energy.detected_W / t.energy.launched_W == pytest.approx(through, rel=5e-5), k
         assert abs(t.energy.closure) < 1e-6
-        assert t.notes == []
+        assert t.own_notes == []
 
 
 def test_oblique(tmp_path) -> None:
@@ -71,13 +71,13 @@ def test_a_dark_body_is_opaque_and_says_so() -> None:
     t = mistray.trace(scene, rays=100, max_reflections=0)
     assert t.energy.detected_W == 0
     assert t.energy.absorbed["face"][0] == pytest.approx(0.96 * t.energy.launched_W, rel=1e-3)
-    note, lost = t.notes
+    note, lost = t.own_notes
     assert lost == "no light reaches the detector: 'face' takes 96 % of it"
     assert "'face' takes 96 %" in repr(t)
     assert "1.5+0.005i" in note
     assert "0.5 mm" in note
     report = mistray.ghosts(scene, rays=100)
-    assert note in warnings(report)
+    assert note in report.notes
     assert note in main_table(report)
     assert note in mistray.pst(plate("1.5+0.005i", 0.5, 550.0), field_deg=[0, 10], rays=100).facts["notes"]
 
@@ -107,10 +107,10 @@ def test_metals() -> None:
     R = abs((n - 1) / (n + 1)) ** 2
     assert t.energy.detected_W / t.energy.launched_W == pytest.approx(R, rel=1e-5)
     assert t.energy.absorbed["mirror"][0] / t.energy.launched_W == pytest.approx(1 - R, rel=1e-4)
-    assert t.notes == []
+    assert t.own_notes == []
     leaf = mistray.trace(plate("Au", 1e-4, 550.0), rays=100, max_reflections=0)
     assert leaf.energy.detected_W == 0
-    note, lost = leaf.notes
+    note, lost = leaf.own_notes
     assert lost.startswith("no light reaches the detector: max_reflections cuts")
     assert "Au" in note
     assert "0.0001 mm" in note
@@ -133,8 +133,8 @@ def test_what_nothing_closes() -> None:
     n = mistray.materials.complex_index("Si", 550.0)
     assert 1e-3 < n.imag < 0.05
     assert t.energy.detected_W / t.energy.launched_W == pytest.approx(1 - abs((n - 1) / (n + 1)) ** 2, rel=1e-5)
-    assert len(t.notes) == 1
-    assert "Si" in t.notes[0]
+    assert len(t.own_notes) == 1
+    assert "Si" in t.own_notes[0]
 
 
 def test_a_cube_of_triangles() -> None:
@@ -159,7 +159,7 @@ def test_a_cube_of_triangles() -> None:
     table = dark._runs[0].table
     assert table.bodies.thickness(table.ids.index("cube"))[0] == pytest.approx(2.0, rel=1e-4)
     assert dark.energy.detected_W == 0
-    note, lost = dark.notes
+    note, lost = dark.own_notes
     assert "cube" in note
     assert lost.startswith("no light reaches the detector: 'cube' takes")
 

@@ -10,7 +10,6 @@ import pytest
 
 import mistray
 from mistray.optimize.metrics import metric as metrics
-from mistray.report.tables.ghosts import warnings
 
 FILM = {"type": "irradiancemeter", "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}}
 PLACES = [(0.0, 0.0, 1e4), (0.0, 0.0, 1e5), (-3e4, 5e4, -1e5)]
@@ -134,20 +133,20 @@ def test_thin_gap(z: float, gap: float) -> None:
     assert t.energy.detected_W / t.energy.launched_W == pytest.approx(
         1 / (1 + 4 * reflectance / (1 - reflectance)), rel=1e-4
     )
-    assert t.notes == []
+    assert t.own_notes == []
 
 
 def test_unresolved_gap() -> None:
     """The stop at the origin makes the scene 3 m long."""
     scene = plates(3000.0, 1e-4, stop=True)
-    line, lost = mistray.trace(scene, rays=500, max_reflections=2).notes
+    line, lost = mistray.trace(scene, rays=500, max_reflections=2).own_notes
     assert lost.startswith("no light reaches the detector")
     assert "'s1'" in line
     assert "'s2'" in line
     assert "0.0001 mm" in line
     report = mistray.ghosts(scene, field_deg=[0.0], rays=500)
-    assert line in warnings(report)
-    assert not mistray.trace(plates(3000.0, 1e-2, stop=True), rays=500, max_reflections=2).notes
+    assert line in report.notes
+    assert not mistray.trace(plates(3000.0, 1e-2, stop=True), rays=500, max_reflections=2).own_notes
 
 
 @pytest.mark.parametrize(("field_deg", "azimuth_deg"), [(0.0, 0.0), (17.3, 0.0), (35.0, 61.0)])

@@ -19,6 +19,7 @@ from mistray.analysis.image_quality.result import FieldImage, ImageQuality, Line
 from mistray.analysis.image_quality.stop import Region, Stop, find_stop, lit_region
 from mistray.errors import MistrayError
 from mistray.interrupts import check
+from mistray.notes import warns
 from mistray.ranges import FIELD_DEG, PLACE_MM, PUPIL_CELLS
 from mistray.sampling.aimed_cones import Sphere
 from mistray.sampling.design_path import DesignPath, find_design_path, sphere_of
@@ -56,6 +57,7 @@ class _System:
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
+@warns
 def image_quality(
     scene: mi.Scene,
     field_deg: float | Sequence[float] = 0.0,

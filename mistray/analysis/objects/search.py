@@ -24,6 +24,7 @@ from mistray.analysis.objects.view import SIDES, View
 from mistray.errors import MistrayError
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
+from mistray.notes import Code, Note, unfinished, warns
 from mistray.ranges import FIELD_DEG, PART
 from mistray.renamed import renamed
 from mistray.sampling.sources import field_axes, spectrum_of
@@ -54,10 +55,10 @@ class _Traced:
     detector: DetectorView
     critical: View
     illuminated: list[View]
-    unpolarized: list[str]  # what Stokes vectors would change
+    unpolarized: list[Note]  # what Stokes vectors would change
 
 
-@renamed(angles_deg="field_deg")
+@renamed(angles_deg="field_deg", warnings="notes")
 class Objects:
     """
     Result of `objects`.
@@ -175,36 +176,40 @@ class Objects:
         return str(self.facts["source"])
 
     @property
-    def warnings(self) -> list[str]:
+    def notes(self) -> list[Note]:
         """What a reader must know before trusting the lists; empty if all is well."""
-        found = []
+        found: list[Note] = []
         if self._traced.places.path is None:
-            found.append(
+            text = (
                 "no light of the scene's source reaches the detector, or there is no source: without a design path no "
                 "surface counts as an optic, and places are not known"
             )
+            found.append(Note(text, Code.DESIGN_PATH))
         threshold = float(self.facts["threshold"])
         shots = [shot for shot in self.straight_shots if shot.share > threshold]
         for shot in shots[:SHOTS_TOLD]:
             low, high = shot.field_deg
-            found.append(
+            text = (
                 f"the detector sees the outside {describe(shot)}: {shot.share:.2g} of its view, field "
                 f"angles {low:.3g} to {high:.3g}°"
             )
+            found.append(Note(text, Code.OUTSIDE_SEEN))
         if len(shots) > SHOTS_TOLD:
-            found.append(f"… and in {len(shots) - SHOTS_TOLD} more ways")
+            found.append(Note(f"… and in {len(shots) - SHOTS_TOLD} more ways", Code.OUTSIDE_SEEN))
         if not self._traced.critical.ways_out():
-            found.append("no ray from the detector leaves the scene: it is closed in, or the rays are too few")
+            text = "no ray from the detector leaves the scene: it is closed in, or the rays are too few"
+            found.append(Note(text, Code.CLOSED_IN))
         rays, planned = self.facts["rays"], self.facts["rays_planned"]
         if rays < planned:
-            found.append(f"{rays:.4g} of {planned:.4g} rays were traced in the time; errors are theirs")
+            found.append(unfinished(rays, planned))
         found += thin_gaps(self._traced.table)
         lost = max(view.lost for view in (self._traced.critical, *self._traced.illuminated))
         if lost > threshold:
-            found.append(
+            text = (
                 f"up to {lost:.1e} of the light met a surface from the wrong material; the geometry has a gap or an "
                 "overlap"
             )
+            found.append(Note(text, Code.MEDIUM))
         return [*found, *self._traced.unpolarized]
 
     def estimates(self) -> pd.DataFrame:
@@ -250,6 +255,7 @@ def _gap(number: int, views: Sequence[View]) -> int:
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
 @renamed(angles_deg="field_deg")
+@warns
 def objects(
     scene: mi.Scene,
     *,

@@ -23,6 +23,7 @@ from mistray.execute.backward import FIRST_PASS, BackwardTrace
 from mistray.execute.forecast import LONG, duration
 from mistray.gradients.pst_gradient import PstRays
 from mistray.interrupts import later, requested
+from mistray.notes import Code, Note, unfinished
 from mistray.percent import percent_text
 from mistray.recorders.direction_recorder import DIFFRACTED, MULTIPLE, SINGLE
 from mistray.recorders.path_sums import join_sums
@@ -256,12 +257,13 @@ class BackwardRun:
         lines = [*notes(bare, largest, rays), *trace.notes]
         wanted, up_to_deg = self._wanted
         if wanted is None and rays < trace.settings.rays:
-            lines.append(f"{rays:.4g} of {trace.settings.rays:.4g} rays were traced; errors are theirs")
+            lines.append(unfinished(rays, trace.settings.rays))
         if wanted is not None and (worst := self._worst(up_to_deg)) > wanted and np.isfinite(worst):
-            lines.append(
+            text = (
                 f"errors of up to {percent_text(worst)} are left where {percent_text(wanted)} was requested; ask for "
                 "less, or allow more rays"
             )
+            lines.append(Note(text, Code.ERROR))
         facts: dict[str, Any] = {
             "detector": trace.table.ids[trace.table.detector],
             "detector_area_mm2": trace.area,

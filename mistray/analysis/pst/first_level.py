@@ -16,6 +16,7 @@ import numpy as np
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.transmittance import pst
 from mistray.errors import MistrayError
+from mistray.notes import warns
 from mistray.renamed import renamed
 from mistray.settings import Settings
 
@@ -71,6 +72,7 @@ class FirstLevel:
 
 
 @renamed(angles_deg="field_deg")
+@warns
 def first_level(
     scene: mi.Scene,
     field_deg: Any = range(0, 81, 2),

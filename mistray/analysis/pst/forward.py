@@ -16,6 +16,7 @@ from mistray.analysis.pst.state import PstProgress
 from mistray.errors import MistrayError
 from mistray.execute.passes import execute_passes
 from mistray.execute.workers import current_workers
+from mistray.notes import Code, Note
 from mistray.percent import percent_text
 from mistray.ranges import RELATIVE_ERROR
 from mistray.recorders.directions import DirectionGrid
@@ -230,9 +231,10 @@ def _result(
     lines = [*thin_gaps(cells.table), *notes(result, largest, float(stack("rays").min()))]
     if late[np.isfinite(errors)].any():
         worst = float(errors[late & np.isfinite(errors)].max())
-        lines.append(
+        text = (
             f"errors of up to {percent_text(worst)} are left where {percent_text(relative_error or 0)} was requested; "
             "take more rays"
         )
+        lines.append(Note(text, Code.ERROR))
     result.facts["notes"] = [*lines, *cells.notes]
     return result

@@ -14,6 +14,7 @@ from mistray.execute.by_parts import SceneTask, tables_of
 from mistray.execute.tracer import Run
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
+from mistray.notes import Note
 from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.direction_recorder import CLASSES
 from mistray.recorders.directions import DirectionGrid
@@ -313,7 +314,7 @@ class ForwardCells:
         self.progress: Callable[[CellPass, int, float], None] | None = None
 
     @property
-    def notes(self) -> list[str]:
+    def notes(self) -> list[Note]:
         """What was assumed of the media, see `Optics.notes`."""
         return list(dict.fromkeys(text for run in self._runs for text in run.table.optics.notes))
 

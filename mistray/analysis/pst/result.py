@@ -13,6 +13,8 @@ from mistray.analysis.next_order import NextOrder
 from mistray.errors import MistrayError
 from mistray.gradients.pst_gradient import PstRays
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
+from mistray.notes import Code, Note
+from mistray.percent import percent_text
 from mistray.recorders.direction_recorder import CLASSES
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.path_events import DIRECT
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from mistray.analysis.pst.plan import Plan
 
 STRAY = CLASSES[1:]
+LARGE_ERROR = 0.1  # relative, of the PST at an angle
 CONVENTIONS = ("normal", "projected")
 AGAINST, WITH = "against the light", "with the light"  # techniques
 
@@ -96,6 +99,18 @@ class Pst:
     plan: Plan | None = field(default=None, repr=False, compare=False)
     techniques: Mapping[str, np.ndarray] = field(default_factory=dict, repr=False, compare=False)
     next_orders: tuple[NextOrder, ...] = field(default=(), repr=False, compare=False)
+
+    @property
+    def notes(self) -> list[Note]:
+        """What a reader must know of the numbers; `pst` raises them as warnings, see docs/warnings.md."""
+        found = list(self.facts.get("notes", ()))
+        value, se = self.curve()
+        doubtful = (value > 0) & (se > LARGE_ERROR * value)
+        if doubtful.any():
+            worst = float((se[doubtful] / value[doubtful]).max())
+            text = f"standard error up to {percent_text(worst)} at {_angles(self.field_deg[doubtful])}; give more rays"
+            found.append(Note(text, Code.ERROR))
+        return found
 
     def table_gradients(
         self, derivative: np.ndarray, request: GradientRequest, groups: np.ndarray | None = None
@@ -363,7 +378,7 @@ def _numbers(classes: str | Sequence[str]) -> list[int]:
     return [CLASSES.index(name) for name in members(classes)]
 
 
-def notes(found: Pst, largest: np.ndarray, rays: float) -> list[str]:
+def notes(found: Pst, largest: np.ndarray, rays: float) -> list[Note]:
     """
     What a reader of a PST should know, one line each.
 
@@ -375,24 +390,28 @@ def notes(found: Pst, largest: np.ndarray, rays: float) -> list[str]:
     rays : float
         Rays that have looked for the light of each cell.
     """
-    lines = []
+    lines: list[Note] = []
     value, _ = found.map()
     dark = found.grid.field_deg[np.any(value == 0, axis=1)]
     if dark.size:
-        lines.append(
+        text = (
             f"no light was seen at {_angles(dark)} in {rays:.3g} rays. That sets no upper limit: a path that rays "
             "seldom find can carry light. If more rays see none either, the detector may be closed in, or limits cut "
             "all paths"
         )
+        lines.append(Note(text, Code.NO_LIGHT))
     heavy = found.grid.field_deg[np.any(largest > 0.1, axis=1)]
     if heavy.size:
-        lines.append(
+        text = (
             f"single rays carry more than 10 % of the scattered light at {_angles(heavy)}; errors there may be too "
             "low, take more rays"
         )
+        lines.append(Note(text, Code.ONE_RAY))
     return lines
 
 
 def _angles(angles: np.ndarray) -> str:
-    shown = ", ".join(f"{angle:g}" for angle in angles[:8])
-    return f"{shown}{' …' if len(angles) > 8 else ''}°"
+    """Angles as text, many of them by the first and the last."""
+    if len(angles) <= 4:
+        return f"{', '.join(f'{angle:g}' for angle in angles)}°"
+    return f"{len(angles)} angles from {angles[0]:g} to {angles[-1]:g}°"

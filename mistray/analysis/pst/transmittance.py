@@ -20,6 +20,7 @@ from mistray.analysis.pst.state import PstProgress
 from mistray.errors import MistrayError, UnfinishedError
 from mistray.execute.backward import BackwardTrace
 from mistray.execute.workers import current_workers
+from mistray.notes import warns
 from mistray.recorders.directions import DirectionGrid
 from mistray.renamed import renamed
 from mistray.sampling.plane_wave import hull_points
@@ -36,6 +37,7 @@ FIRST_SHARE = 0.5  # of the time, where further measurements follow
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
 @renamed(angles_deg="field_deg")
+@warns
 def pst(
     scene: mi.Scene,
     field_deg: float | Sequence[float] | np.ndarray = range(0, 81, 2),

@@ -25,6 +25,7 @@ from mistray.analysis.study.surfaces import coatings_and_scatter, importance_sam
 from mistray.analysis.study.transfer import images_with_stray_light
 from mistray.analysis.transfer.result import Transfer
 from mistray.errors import MistrayError
+from mistray.notes import warns
 from mistray.ranges import FIELD_DEG, RELATIVE_ERROR
 from mistray.recorders.directions import DirectionGrid
 from mistray.renamed import renamed
@@ -151,6 +152,7 @@ class Study(Mapping[str, StudyStep]):
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
 @renamed(angles_deg="pst_field_deg", fields_deg="field_deg")
+@warns
 def study(
     scene: mi.Scene,
     pst_field_deg: float | Sequence[float] | np.ndarray = range(0, 81, 2),

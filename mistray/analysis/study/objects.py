@@ -78,7 +78,7 @@ def _critical(found: Objects) -> StudyStep:
         tables={"critical": _frame(rows), "straight_shots": shots},
         findings=tuple(findings),
         # The ways past the optics stand in a table and among the findings
-        warnings=tuple(text for text in found.warnings if "sees the outside" not in text and "more ways" not in text),
+        warnings=tuple(text for text in found.notes if "sees the outside" not in text and "more ways" not in text),
         result=found,
     )
 

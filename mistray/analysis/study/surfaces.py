@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from mistray.analysis.aiming_check import SamplingCheck, sampling_check
 from mistray.analysis.study.models import role
 from mistray.analysis.study.step import Fact, StudyStep, count_of
 from mistray.coatings import Bare, Ideal
@@ -25,6 +24,7 @@ from mistray.surfaces.host_rays import normals
 from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.trace import Trace
+from mistray.trace.sampling_check import SamplingCheck, sampling_check
 
 BUDGET_ROUNDING = 1e-9
 SAME_DIGITS = 9
@@ -304,7 +304,7 @@ def importance_sampling(
         facts=_sampling_facts(check, probe),
         tables={**tables, "aimed_rays": _aimed(check)},
         findings=tuple(findings),
-        warnings=check.warnings,
+        warnings=check.notes,
         result=check,
     )
 

@@ -23,6 +23,7 @@ from mistray.analysis.thermal.spectrum import BAND_ERROR, DISPERSIVE, TracedBand
 from mistray.errors import MistrayError
 from mistray.execute.seen import Seen, see
 from mistray.ids import fits
+from mistray.notes import Code, Note, unfinished, warns
 from mistray.percent import percent_text
 from mistray.physics import planck
 from mistray.ranges import TEMPERATURE_K, WAVELENGTH_UM
@@ -113,7 +114,7 @@ class ThermalReport:
         Surfaces by which the cold detector sees itself, the strongest first; empty if it is not colder than the rest.
     facts : dict
         Plain values: rays, seconds, settings.
-    notes : list of str
+    notes : list of Note
         What a reader must know.
     """
 
@@ -134,7 +135,7 @@ class ThermalReport:
     detector: str
     returned: list[Return] = field(default_factory=list)
     facts: dict[str, Any] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
+    notes: list[Note] = field(default_factory=list)
 
     def by_part(self) -> dict[str, Estimate]:
         """
@@ -171,6 +172,7 @@ class ThermalReport:
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
+@warns
 def thermal(
     scene: mi.Scene,
     temperature_K: float = 293.0,
@@ -257,9 +259,7 @@ def thermal(
     report.notes.extend(unpolarized_notes(scene, [light], **settings))
     planned = traces * each
     if report.facts["rays"] < 0.99 * planned:  # batches are of one size, so that a few rays may be left out
-        report.notes.append(
-            f"{report.facts['rays']:.4g} of {planned:.4g} rays were traced in the time; errors are theirs"
-        )
+        report.notes.append(unfinished(report.facts["rays"], planned))
     if report.detector_K >= report.temperature_K or not report.self_view.value:
         return report
     fewer = min(each, RETURN_RAYS)
@@ -463,29 +463,34 @@ def _returned(
     return sorted(rows, key=lambda row: -row.emission.value)
 
 
-def _notes(seen: Sequence[Seen], image: Estimate, traced: TracedBand, band: tuple[float, float]) -> list[str]:
+def _notes(seen: Sequence[Seen], image: Estimate, traced: TracedBand, band: tuple[float, float]) -> list[Note]:
     """What a reader must know."""
     waves = traced.wavelengths_um
-    notes = list(dict.fromkeys(text for one in seen for text in one.notes))
+    notes = list(dict.fromkeys(note for one in seen for note in one.notes))
     if traced.error > BAND_ERROR:
-        notes.append(
+        text = (
             f"the optics were traced at {len(waves)} wavelengths, between which they differ: integrals over the band "
             f"have an error of {percent_text(traced.error)}; leave wavelengths_um (--wavelength-um) out"
         )
+        notes.append(Note(text, Code.BAND))
     if math.isnan(traced.error):
-        notes.append("the optics are not known all over the band: how well these wavelengths stand for it is not known")
+        text = "the optics are not known all over the band: how well these wavelengths stand for it is not known"
+        notes.append(Note(text, Code.BAND))
     lost = max(one.lost[0] for one in seen)
     view = sum(row.emission for row in seen[0].rows) + seen[0].escaped[0] + seen[0].lost[0]
     if lost > LOST_WARNING * view:
-        notes.append(
+        text = (
             f"{percent_text(lost / view)} of what the detector sees was not followed to its source; raise "
             "max_reflections and max_scatters, or set below_threshold to roulette"
         )
+        notes.append(Note(text, Code.CUT))
     if image.value <= 0:
-        notes.append("the detector sees no scene: no ray leaves the system without a ghost reflection or scatter")
+        text = "the detector sees no scene: no ray leaves the system without a ghost reflection or scatter"
+        notes.append(Note(text, Code.NO_LIGHT))
     if waves[0] < band[0] or waves[-1] > band[1]:
-        notes.append(
+        text = (
             f"the optics were traced at {', '.join(f'{w:g}' for w in waves)} µm, outside of the band: their emissivity "
             "there is taken for that in the band"
         )
+        notes.append(Note(text, Code.BAND))
     return notes

@@ -19,6 +19,7 @@ from mistray.analysis.transfer.image_spread import CLASSES, DIRECT, ImageSpread
 from mistray.analysis.transfer.pixels import PixelResponse, pixel_response
 from mistray.analysis.transfer.result import AZIMUTHS, FieldTransfer, Transfer
 from mistray.errors import MistrayError
+from mistray.notes import warns
 from mistray.percent import percent_text
 from mistray.ranges import NOT_NEGATIVE
 from mistray.recorders.design_sequences import DesignKeys, DesignSequences
@@ -39,6 +40,7 @@ Progress = Callable[[int, int], None]
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
+@warns
 def transfer(
     scene: mi.Scene,
     field_deg: float | Sequence[float] | None = None,

@@ -13,6 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError, nearest
+from mistray.notes import quiet
 from mistray.optimize.metrics.observation import NORM, Observation, Selection, smooth_maximum, smooth_minimum
 from mistray.optimize.metrics.views import View
 from mistray.ranges import FIELD_DEG, POSITIVE, Range
@@ -87,7 +88,8 @@ class Metric:
         list of Observation or PstObservation
         """
         POSITIVE.check("times", times)
-        return [view.observe(self.scene, times, changes) for view in self.views]
+        with quiet():
+            return [view.observe(self.scene, times, changes) for view in self.views]
 
     def evaluate(self, observations: list[Any]) -> Any:
         """

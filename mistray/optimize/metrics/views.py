@@ -12,6 +12,7 @@ from mistray.analysis.changes.first_surfaces import Entering, FirstLight
 from mistray.analysis.pst.request import RAYS
 from mistray.analysis.pst.transmittance import pst_of_each
 from mistray.errors import MistrayError
+from mistray.notes import Note
 from mistray.optimize.metrics.observation import Observation
 from mistray.optimize.metrics.pst_observation import PstObservation
 from mistray.trace import Settings, trace
@@ -94,7 +95,7 @@ class PstView(View):
         return RAYS[METHODS[0]]
 
 
-def seen_unpolarized(scene: Any, views: Sequence[View]) -> list[str]:
+def seen_unpolarized(scene: Any, views: Sequence[View]) -> list[Note]:
     """What Stokes vectors would change of what some views show, see `unpolarized_notes`."""
     names = {one.name for one in fields(Settings)}
     beams: list[dict[str, Any]] = []

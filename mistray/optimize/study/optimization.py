@@ -16,6 +16,7 @@ from mistray.analysis.changes.gaps import Contacts, Gap
 from mistray.analysis.next_order import NextOrder
 from mistray.coatings import LAYER_PARAMETERS, Stack
 from mistray.errors import MistrayError, in_words
+from mistray.notes import warns
 from mistray.optimize.metrics.views import seen_unpolarized
 from mistray.optimize.study.checkpoint import Checkpoint
 from mistray.optimize.study.comparison import (
@@ -149,6 +150,7 @@ class Optimization:
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
+@warns
 def optimize(
     scene: str | Path,
     study: str | Path | Mapping[str, Any] | Study,

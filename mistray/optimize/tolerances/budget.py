@@ -15,6 +15,7 @@ import numpy as np
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
 from mistray.ids import fits
+from mistray.notes import warns
 from mistray.optimize.gradient import gradient
 from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.parameters import Parameter, parameters
@@ -147,6 +148,7 @@ class Budget:
         return file.text(folder)
 
 
+@warns
 def budget(
     scene: str | Path, study: str | Path | Mapping[str, Any] | BudgetStudy, *, progress: Progress | None = None
 ) -> Budget:

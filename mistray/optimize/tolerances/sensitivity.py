@@ -15,6 +15,7 @@ from mistray.analysis.changes.gaps import Gap
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
 from mistray.kernel.scatter_tables import ScatterTables
+from mistray.notes import warns
 from mistray.optimize.gradient import Gradient, gradient_request, gradient_where_smooth
 from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.metrics.views import seen_unpolarized
@@ -175,6 +176,7 @@ class Sensitivity:
 
 # The arguments are the options of `mistray sensitivity`, all but the metric by keyword
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
+@warns
 def sensitivity(
     metric: Metric,
     params: Mapping[str, Any] | None = None,

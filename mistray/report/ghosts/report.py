@@ -22,7 +22,7 @@ from mistray.report.html.render import html_page
 from mistray.report.model import Column, Figure, Folded, Hover, Note, Part, Report, Section, Table, Value, columns
 from mistray.report.own_sections import own_sections
 from mistray.report.parts import setting_text, settings_section, terms, thousands
-from mistray.report.tables.ghosts import more_rays, summary_powers, summary_values, warnings
+from mistray.report.tables.ghosts import more_rays, summary_powers, summary_values
 from mistray.report.tables.text import ABSENT, with_error
 
 ASSUMPTIONS = (
@@ -119,7 +119,7 @@ def ghosts_report(
         title,
         [*sections, *own_sections(report), _settings(report, command)],
         lead=[Note(_traced(report), "sub"), *answer(report)],
-        warnings=warnings(report),
+        warnings=report.notes,
         scripts=("report", "hover", "drawing", "explorer"),
     )
 

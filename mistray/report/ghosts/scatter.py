@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from mistray.analysis.aiming_check import LEAST_LANDED, SamplingCheck, sampling_check
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
 from mistray.report.model import Note, Noted, Part, Table, Value, columns
 from mistray.report.parts import thousands
 from mistray.report.tables.scatter import sampling_table
 from mistray.report.tables.text import ABSENT, number
+from mistray.trace.sampling_check import LEAST_LANDED, SamplingCheck, sampling_check
 
 SCATTERED = (
     "Light on the detector by the first surface that scatters it, ghosts that scatter included; in brackets the share "

@@ -10,6 +10,7 @@ from typing import Any
 from mistray.errors import MistrayError
 from mistray.io.cad.part import unique_names
 from mistray.io.cad.write_step import Colour, StepFile
+from mistray.notes import warns
 from mistray.ranges import FIELD_DEG, RAYS_DRAWN, ROWS, SIZE_MM
 from mistray.recorders.path_events import DIRECT
 from mistray.report.rays.path_rays import one_of_each, rays_of_paths
@@ -61,6 +62,7 @@ class StepExport:
 
 
 # More than 8 parameters: what may be in the file
+@warns
 def export_step(
     scene: Any,
     path: str | Path,

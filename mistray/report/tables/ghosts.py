@@ -1,4 +1,4 @@
-"""The printed tables of a ghost analysis, and what a reader must know before trusting them."""
+"""The printed tables of a ghost analysis."""
 
 from __future__ import annotations
 
@@ -8,42 +8,19 @@ from typing import Any
 
 import pandas as pd
 
-from mistray.analysis.aiming_check import sampling_warnings
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.field_summary import FieldSummary
+from mistray.analysis.ghost_notes import fields_text
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.ranking import SURE
-from mistray.ranges import EVENTS
 from mistray.recorders.path_events import DIRECT
 from mistray.report.model import Table, Value, columns
 from mistray.report.own_sections import own_text
 from mistray.report.parts import thousands
 from mistray.report.tables.scatter import scatter_text
 from mistray.report.tables.text import ABSENT, number, table_text, with_error
-from mistray.settings import BRANCHES
 from mistray.trace.polarization_choice import words_of
 
-LIMIT_WARNING = 1e-6  # of the launched flux
-COATING_WARNING = 1e-4  # of R and T, by interpolation over the angle
-CLOSURE_WARNING = 1e-5
-CUT_TEXTS = {
-    "flux_threshold": "cut by flux_threshold = {flux_threshold:g} (after scatter: scatter_threshold = "
-    "{scatter_threshold:g}); lower it, or use below_threshold = roulette",
-    "max_reflections": "not followed beyond max_reflections = {max_reflections}; raise it to see where it goes",
-    "max_scatters": "not scattered: max_scatters = {max_scatters} or another limit of scatter; raise it to see where "
-    "it goes",
-    "max_generations": "not followed beyond max_generations = {max_generations}; raise it to see where it goes",
-    "max_events": "cut by max_events = {max_events}; ",
-    "max_consecutive": "cut by max_consecutive = {max_consecutive}; raise it to see where it goes",
-    "ray_control": "refused by ray_control = {ray_control}",
-    "max_segments": "left of trees of more than max_segments = {max_segments} ray segments; lower max_reflections or "
-    "max_scatters, or raise it",
-    **{
-        f"{branch}_below": f"cut by what cut_below says of {branch.replace('_', ' ')}; lower it"
-        for branch in BRANCHES.values()
-    },
-    "medium": "lost where a ray met a surface from the wrong material; the geometry has a gap or an overlap",
-}
 RANKED_BY = {
     "rms": f"RMS irradiance P/(π r_rms²) less {SURE:g} standard errors",
     "power": "power",
@@ -58,7 +35,6 @@ AIRY_TEXT = (
     "Airy radius: 1.22 λN of the path's own cone of light, where the RMS radius is below it. At Airy radius: power "
     "over π times its square"
 )
-ZERO_ON_AVERAGE = ("roulette", "scatter_sampling")
 ALL = "all"
 
 
@@ -220,48 +196,8 @@ def main_table(report: GhostReport, count: int = 4, per_wavelength: bool = False
     parts.append(words_of(report.settings))
     for text in own_text(report):
         parts += ["", text, ""]
-    parts += [f"warning: {text}" for text in warnings(report)]
+    parts += [f"warning: {text}" for text in report.notes]
     return "\n".join(parts)
-
-
-def warnings(report: GhostReport) -> list[str]:
-    """What a reader must know before trusting the numbers; empty if all is well."""
-    found = []
-    if report.nominal.power_W.value == 0:
-        found.append("no direct light reaches the detector on axis: nothing can be normalised to it")
-    settings = report.settings
-    for reason in dict.fromkeys(reason for t in report.values() for reason in t.energy.cut):
-        shares = {field: abs(t.energy.cut.get(reason, 0.0)) / t.energy.launched_W for field, t in report.items()}
-        if reason in ZERO_ON_AVERAGE:
-            continue
-        large = [field for field, share in shares.items() if share > LIMIT_WARNING]
-        if large:
-            share = max(shares.values())
-            found.append(f"{_fields(large)}: up to {share:.1e} of the launched flux was {_cut_text(reason, settings)}")
-    open_ends = [field for field, t in report.items() if abs(t.energy.closure) > CLOSURE_WARNING]
-    if open_ends:
-        worst = max(abs(report[field].energy.closure) for field in open_ends)
-        found.append(f"{_fields(open_ends)}: the energy closes to {worst:.1e} only, not to {CLOSURE_WARNING:g}")
-    coarse = [field for field, t in report.items() if t.coating_error > COATING_WARNING]
-    if coarse:
-        worst = max(report[field].coating_error for field in coarse)
-        found.append(
-            f"{_fields(coarse)}: R of a coating in total reflection varies too fast with the angle for its table; the "
-            f"error is up to {worst:.1e}"
-        )
-    found += dict.fromkeys(text for t in report.values() for text in t.notes)
-    fields = list(report)
-    found += [f"{_fields([fields[k] for k in at])}: {text}" for at, text in sampling_warnings(list(report.values()))]
-    tops = {field: report.top(field, 4) for field in report}
-    if few := [field for field, top in tops.items() if top.few_rays.any()]:
-        found.append(f"{_fields(few)}: some of the worst four paths hold too few rays for an error; raise rays")
-    if report.rank == "rms":
-        found += [
-            f"{_fields([field])}: which path is the worst is open, path {path_id} may be as bright; raise rays"
-            for field in report
-            for path_id in report.rivals(field).path_id[:1]
-        ]
-    return found
 
 
 def more_rays(report: GhostReport) -> list[str]:
@@ -269,22 +205,11 @@ def more_rays(report: GhostReport) -> list[str]:
     if not report.traced_again:
         return []
     rays = thousands(report.settings["contested_rays"])
-    return [f"{_fields(report.traced_again)}: traced again with {rays} start rays, for the worst path was contested"]
+    return [
+        f"{fields_text(report.traced_again)}: traced again with {rays} start rays, for the worst path was contested"
+    ]
 
 
 def mark_of(row: Any) -> str:
     """The mark of a row of a path table: `FEW` rays, `CONTESTED`, or nothing."""
     return FEW if row.few_rays else CONTESTED if row.contested else ""
-
-
-def _fields(field_deg: Sequence[float]) -> str:
-    return f"field {', '.join(f'{field:g}' for field in field_deg)} deg"
-
-
-def _cut_text(reason: str, settings: dict[str, Any]) -> str:
-    """How a reason of the energy ledger reads in a warning."""
-    text = CUT_TEXTS.get(reason, f"lost to '{reason}'").format(**settings)
-    if reason == "max_events":
-        longest = settings["max_events"] >= EVENTS.high
-        text += "light is trapped there, and no path can be longer" if longest else f"raise it, up to {EVENTS.high}"
-    return text

@@ -20,7 +20,6 @@ from mistray.report.tables.text import ABSENT, number, table_text
 
 RARE = ("straight_shot", "edge_diffraction")  # classes that are shown where there are any
 ALL_CLASSES = ("total", "stray", *CLASSES)
-LARGE_ERROR = 0.1  # relative
 DEFINITIONS = {
     "normal": "PST = E_det/E_⊥: irradiance on the detector over that on a plane across the beam (normal)",
     "projected": "PST = E_det/(E_⊥ cos θ): irradiance on the detector over that on the aperture's plane (projected)",
@@ -201,7 +200,7 @@ def pst_text(pst: Pst, paths_shown: int = 4) -> str:
         first = pst.field_deg[0]
         parts.append(f"edge of the field, half of the direct light at {first:g}°, interpolated: {edge:.1f}°")
     parts += [order.sentence for order in pst.next_orders]
-    parts += [f"warning: {text}" for text in warnings(pst)]
+    parts += [f"warning: {text}" for text in pst.notes]
     return "\n".join(parts)
 
 
@@ -218,19 +217,6 @@ def heading(pst: Pst) -> str:
     around = "all azimuths" if pst.grid.azimuth_cell_deg >= 360 else f"{pst.grid.azimuth_cell_deg:g}° of azimuth"
     parts.append(f"means over cells of {widths[-1]:g}° and {around}")
     return f"{DEFINITIONS[pst.convention]}\n{'; '.join(parts)}"
-
-
-def warnings(pst: Pst) -> list[str]:
-    """What a reader must know before trusting the numbers: the notes of the run, and where errors are large."""
-    found = [str(text) for text in pst.facts.get("notes", ())]
-    value, se = pst.curve()
-    doubtful = (value > 0) & (se > LARGE_ERROR * value)
-    if doubtful.any():
-        worst = float((se[doubtful] / value[doubtful]).max())
-        found.append(
-            f"standard error up to {percent_text(worst)} at {_angles(pst.field_deg[doubtful])}; give more rays"
-        )
-    return found
 
 
 def pst_record(pst: Pst, paths_shown: int = 4) -> dict[str, Any]:
@@ -266,15 +252,8 @@ def pst_record(pst: Pst, paths_shown: int = 4) -> dict[str, Any]:
         "curve": curve,
         "breaks": [asdict(item) for item in breaks(pst)],
         "next_orders": [order.record() for order in pst.next_orders],
-        "warnings": warnings(pst),
+        "warnings": pst.notes,
     }
     if pst.grid.shape[1] > 1:
         record["cells"] = cell_frame(pst).drop(columns=["convention", "method"]).to_dict("records")
     return dict(plain(record))
-
-
-def _angles(field_deg: np.ndarray) -> str:
-    """Angles as text, many of them by the first and the last."""
-    if len(field_deg) <= 4:
-        return f"{', '.join(f'{angle:g}' for angle in field_deg)}°"
-    return f"{len(field_deg)} angles from {field_deg[0]:g} to {field_deg[-1]:g}°"

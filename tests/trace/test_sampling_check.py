@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import mistray
-from mistray.analysis.aiming_check import sampling_check, sampling_warnings
 from mistray.trace.aimed_rays import SilentPlace
+from mistray.trace.sampling_check import sampling_check, sampling_notes
 
 
 @dataclass
@@ -32,7 +32,7 @@ class Traced:
 
 
 def warnings_of(**values: Any) -> tuple[str, ...]:
-    return sampling_check(Traced(**values)).warnings
+    return sampling_check(Traced(**values)).notes
 
 
 def test_shares_are_those_of_the_rays():
@@ -42,7 +42,7 @@ def test_shares_are_those_of_the_rays():
         ("b", 400, 1.0, False),
     ]
     assert (check.hits_per_start, check.largest_share, check.effective_hits) == (1.0, 0.001, 5000.0)
-    assert check.warnings == ()
+    assert check.notes == ()
 
 
 def test_several_traces_share_a_line():
@@ -53,19 +53,19 @@ def test_several_traces_share_a_line():
         Traced([], 0.0, float("nan")),
         Traced([Surface("a", 1000, 500)], 0.01, 0.3, silent=[SilentPlace("wall", 0.5), SilentPlace("edge", 0.1)]),
     ]
-    low, silent, few, many, single = sampling_warnings(traces)
+    low, silent, few, many, single = sampling_notes(traces)
     assert low[0] == [0, 1]
     assert "b 5 %, a 10 %" in low[1]
     assert silent[0] == [0, 3]
     assert "wall 50 %, edge 10 %" in silent[1]
     assert (few[0], many[0], single[0]) == ([3], [0, 1], [0, 3])
     assert ("0.01" in few[1], "50" in many[1], "30 %" in single[1]) == (True, True, True)
-    assert sampling_warnings([]) == []
+    assert sampling_notes([]) == []
 
 
 def test_nothing_scatters_nothing_to_say():
     check = sampling_check(Traced([], 0.0, float("nan"), 0.0))
-    assert (check.rows, check.warnings) == ((), ())
+    assert (check.rows, check.notes) == ((), ())
     assert np.isnan(check.largest_share)
 
 
@@ -73,7 +73,7 @@ def test_nothing_scatters_nothing_to_say():
 def test_few_aimed_rays_that_land_are_named(landed, low):
     check = sampling_check(Traced([Surface("window_front", 1000, landed)]))
     assert check.rows[0].low is low
-    assert any("window_front" in text for text in check.warnings) is low
+    assert any("window_front" in text for text in check.notes) is low
 
 
 def test_a_share_of_a_few_rays_is_no_reason_to_warn():
@@ -112,7 +112,7 @@ def test_one_ray_that_brings_much():
 def test_all_that_land_are_named_unless_the_target_is_the_detector(landed, at_detector, tight):
     check = sampling_check(Traced([Surface("window_front", 1000, landed, at_detector)]))
     assert check.rows[0].tight is tight
-    assert any("window_front" in text for text in check.warnings) is tight
+    assert any("window_front" in text for text in check.notes) is tight
 
 
 def test_places_that_send_nothing_are_one_line_of_a_count_and_the_three_with_most_light():
@@ -156,10 +156,10 @@ def test_a_medium_whose_light_is_not_found_is_named():
     (place,) = blind.silent
     assert place.id == "(1.0_scatter=0.01)"
     assert 0.9 < place.share < 1.1  # the whole beam, less what is scattered before, and once more what comes back
-    assert any("(1.0_scatter=0.01)" in text for text in sampling_check(blind).warnings)
+    assert any("(1.0_scatter=0.01)" in text for text in sampling_check(blind).notes)
     aimed = mistray.trace(hazy_scene(), rays=5000)
     assert aimed.silent == []
-    assert not any("(1.0_scatter=0.01)" in text for text in sampling_check(aimed).warnings)
+    assert not any("(1.0_scatter=0.01)" in text for text in sampling_check(aimed).notes)
 
 
 @pytest.mark.parametrize(("scale", "low", "tight"), [(0.1, False, True), (0.35, False, False), (9.0, True, False)])

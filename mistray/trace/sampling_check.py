@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
+from mistray.notes import Code, Note
 from mistray.percent import percent_text
-from mistray.trace import Trace
+
+if TYPE_CHECKING:
+    from mistray.trace.result import Trace
 
 LEAST_LANDED = 0.2  # share of the aimed rays of a surface that should reach the detector
 LEAST_HITS, MOST_HITS = 0.1, 10.0  # hits of the detector by scattered rays, per start ray; about 1 is right
@@ -57,7 +61,7 @@ class SamplingCheck:
         Largest share of the scattered light that came with one ray; NaN without such light.
     effective_hits : float
         Hits of equal flux that would be as good as those there were.
-    warnings : tuple of str
+    notes : tuple of Note
         What to change, one line each; empty if nothing.
     """
 
@@ -65,7 +69,7 @@ class SamplingCheck:
     hits_per_start: float
     largest_share: float
     effective_hits: float
-    warnings: tuple[str, ...]
+    notes: tuple[Note, ...]
 
 
 def _names(found: Sequence[str]) -> str:
@@ -81,18 +85,18 @@ def sampling_check(trace: Trace) -> SamplingCheck:
     Parameters
     ----------
     trace : Trace
-        Result of `mistray.trace`. Where nothing scatters there are no rows and no warnings.
+        Result of `mistray.trace`. Where nothing scatters there are no rows and no notes.
     """
     return SamplingCheck(
         _rows(trace),
         trace.scattered_rays_per_start,
         trace.largest_ray_share,
         trace.effective_scattered_rays,
-        tuple(text for _, text in sampling_warnings([trace])),
+        tuple(note for _, note in sampling_notes([trace])),
     )
 
 
-def sampling_warnings(traces: Sequence[Trace]) -> list[tuple[list[int], str]]:
+def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     """
     What to change, each line once for all traces that it is about.
 
@@ -103,13 +107,13 @@ def sampling_warnings(traces: Sequence[Trace]) -> list[tuple[list[int], str]]:
 
     Returns
     -------
-    list of (list of int, str)
+    list of (list of int, Note)
         Numbers of the traces, and the line, with the worst figures of any of them.
     """
-    found: list[tuple[list[int], str]] = []
+    found: list[tuple[list[int], Note]] = []
     rows = [_rows(t) for t in traces]
 
-    def named(values: Sequence[Mapping[str, float]], worst: Callable[..., float], text: str) -> None:
+    def named(code: Code, values: Sequence[Mapping[str, float]], worst: Callable[..., float], text: str) -> None:
         """A line about places that have a figure each, the worst place first."""
         at = [k for k, each in enumerate(values) if each]
         if not at:
@@ -118,17 +122,18 @@ def sampling_warnings(traces: Sequence[Trace]) -> list[tuple[list[int], str]]:
         order = sorted(places, key=lambda name: places[name], reverse=worst is max)
         names = _names([f"{name} {percent_text(places[name])}" for name in order])
         count = f"{len(places)} surfaces or bodies scatter" if len(places) > 1 else "one surface or body scatters"
-        found.append((at, text.format(names=names, count=count)))
+        found.append((at, Note(text.format(names=names, count=count), code)))
 
     def numbers(
-        values: Sequence[float], wrong: Callable[[float], bool], worst: Callable[..., float], text: str
+        code: Code, values: Sequence[float], wrong: Callable[[float], bool], worst: Callable[..., float], text: str
     ) -> None:
         """A line about one figure of each trace."""
         at = [k for k, value in enumerate(values) if wrong(value)]
         if at:
-            found.append((at, text.format(worst(values[k] for k in at))))
+            found.append((at, Note(text.format(worst(values[k] for k in at)), code)))
 
     named(
+        Code.AIMED,
         [{row.surface: row.share_landed for row in each if row.low} for each in rows],
         min,
         f"few aimed rays reach the detector (less than {100 * LEAST_LANDED:g} %): {{names}}. Give these surfaces a "
@@ -141,8 +146,9 @@ def sampling_warnings(traces: Sequence[Trace]) -> list[tuple[list[int], str]]:
             f"every aimed ray reaches the detector: {names}. These targets may be too small; enlarge them until some "
             "rays miss"
         )
-        found.append(([k for k, each in enumerate(tight) if each], text))
+        found.append(([k for k, each in enumerate(tight) if each], Note(text, Code.TARGET)))
     named(
+        Code.SILENT,
         [{place.id: place.share for place in t.silent if place.share >= LEAST_LIT} for t in traces],
         max,
         "{count} light, but none of it reaches the detector: {names} (share of the launched flux). If the detector "
@@ -152,6 +158,7 @@ def sampling_warnings(traces: Sequence[Trace]) -> list[tuple[list[int], str]]:
     scatters = [bool(each or t.scattered_rays_per_start > 0 or t.silent) for each, t in zip(rows, traces, strict=True)]
     judged = [n if any_light else LEAST_HITS for n, any_light in zip(hits, scatters, strict=True)]
     numbers(
+        Code.SCATTERED_RAYS,
         judged,
         lambda n: n < LEAST_HITS,
         min,
@@ -159,6 +166,7 @@ def sampling_warnings(traces: Sequence[Trace]) -> list[tuple[list[int], str]]:
         "aimed_rays, or give the surfaces that scatter a target",
     )
     numbers(
+        Code.SCATTERED_RAYS,
         judged,
         lambda n: n > MOST_HITS,
         max,
@@ -166,6 +174,7 @@ def sampling_warnings(traces: Sequence[Trace]) -> list[tuple[list[int], str]]:
         "rays with fewer scattered ones: lower aimed_rays or scatter_rays, or raise scatter_threshold",
     )
     numbers(
+        Code.ONE_RAY,
         [100 * t.largest_ray_share for t in traces],
         lambda share: share > 100 * LARGEST_SHARE,
         max,

@@ -1,0 +1,42 @@
+"""What a reader of a ghost analysis must know before trusting the numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from mistray.notes import Code, Note
+from mistray.trace.trace_notes import trace_notes
+
+if TYPE_CHECKING:
+    from mistray.analysis.ghosts import GhostReport
+
+WORST = 4  # paths of a field whose errors must be known
+
+
+def ghost_notes(report: GhostReport) -> list[Note]:
+    """Notes of the traces, each once with the fields that it is about, and of the ranking; empty if all is well."""
+    found: list[Note] = []
+    if report.nominal.power_W.value == 0:
+        text = "no direct light reaches the detector on axis: nothing can be normalised to it"
+        found.append(Note(text, Code.NO_LIGHT))
+    fields = list(report)
+    own = {note for t in report.values() for note in t.own_notes}
+    found += [
+        note if note in own else note.beside(fields_text([fields[k] for k in at]))
+        for at, note in trace_notes(list(report.values()))
+    ]
+    if few := [field for field in report if report.top(field, WORST).few_rays.any()]:
+        text = "some of the worst four paths hold too few rays for an error; raise rays"
+        found.append(Note(text, Code.FEW_RAYS).beside(fields_text(few)))
+    if report.rank == "rms":
+        for field in report:
+            for path_id in report.rivals(field).path_id[:1]:
+                text = f"which path is the worst is open, path {path_id} may be as bright; raise rays"
+                found.append(Note(text, Code.CONTESTED).beside(fields_text([field])))
+    return found
+
+
+def fields_text(field_deg: Sequence[float]) -> str:
+    """Fields before a line that is about them."""
+    return f"field {', '.join(f'{field:g}' for field in field_deg)} deg"

@@ -1,0 +1,123 @@
+"""What a reader of a result must know: notes with a code, which Python hears as warnings."""
+
+from __future__ import annotations
+
+import functools
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from enum import StrEnum
+from typing import Any, ParamSpec, TypeVar
+
+from mistray.errors import MistrayWarning
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class Code(StrEnum):
+    """What a note is about; the value is the code of its warning. Each stands in docs/warnings.md with its remedy."""
+
+    CUT = "cut"
+    MEDIUM = "medium"
+    CLOSURE = "closure"
+    COATING = "coating"
+    THIN_GAP = "thin-gap"
+    MATERIAL = "material"
+    DESIGN_PATH = "design-path"
+    NO_LIGHT = "no-light"
+    UNFINISHED = "unfinished"
+    AIMED = "aimed"
+    TARGET = "target"
+    SILENT = "silent"
+    SCATTERED_RAYS = "scattered-rays"
+    ONE_RAY = "one-ray"
+    FEW_RAYS = "few-rays"
+    CONTESTED = "contested"
+    ERROR = "error"
+    POLARIZATION = "polarization"
+    OUTSIDE_SEEN = "outside-seen"
+    CLOSED_IN = "closed-in"
+    BAND = "band"
+
+
+class Note(str):
+    """
+    One line that a reader of a result must know.
+
+    Parameters
+    ----------
+    text : str
+    code : Code
+        What it is about.
+    warns : bool
+        Whether the public functions raise it as a `MistrayWarning`, too; small losses only stand in the notes.
+    """
+
+    __slots__ = ("code", "warns")
+    code: Code
+    warns: bool
+
+    def __new__(cls, text: str, code: Code, warns: bool = True) -> Note:
+        """See `Note`."""
+        note = super().__new__(cls, text)
+        note.code, note.warns = code, warns
+        return note
+
+    def __getnewargs__(self) -> tuple[str, Code, bool]:  # type: ignore[override]
+        """For copies and other processes."""
+        return str(self), self.code, self.warns
+
+    def beside(self, words: str) -> Note:
+        """The same note with words before it, such as the fields that it is about."""
+        return Note(f"{words}: {self}", self.code, self.warns)
+
+
+_quiet: ContextVar[bool] = ContextVar("quiet", default=False)
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Notes of what is traced inside are no warnings: the caller prints them, or they are about a step of its own."""
+    before = _quiet.set(True)
+    try:
+        yield
+    finally:
+        _quiet.reset(before)
+
+
+def warns(function: Callable[P, T]) -> Callable[P, T]:
+    """
+    Raise the notes of a public function's result as warnings, at the line that has called it.
+
+    Functions that it calls for its result warn of nothing themselves. A result without ``notes`` has none to raise.
+    """
+
+    @functools.wraps(function)
+    def warning(*args: P.args, **kwargs: P.kwargs) -> T:
+        if _quiet.get():
+            return function(*args, **kwargs)
+        with quiet():
+            result: Any = function(*args, **kwargs)
+        level = _level_of_caller()
+        for note in getattr(result, "notes", ()):
+            if isinstance(note, Note) and note.warns:
+                warnings.warn(MistrayWarning(note, note.code), stacklevel=level)
+        return result
+
+    return warning
+
+
+def _level_of_caller() -> int:
+    """The ``stacklevel`` of the line that has called a decorated function, by an old name of an argument or not."""
+    level, frame = 2, sys._getframe(2)
+    while frame.f_globals.get("__name__") == "mistray.renamed" and frame.f_back is not None:
+        level, frame = level + 1, frame.f_back
+    return level
+
+
+def unfinished(rays: float, planned: float) -> Note:
+    """The note of a result that has fewer rays than it was to have."""
+    return Note(f"{rays:.4g} of {planned:.4g} rays were traced; errors are theirs", Code.UNFINISHED)

@@ -1,0 +1,102 @@
+"""What a reader of traces must know: light that limits cut, open energy, coarse tables, poor sampling of scatter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from mistray.notes import Code, Note
+from mistray.ranges import EVENTS
+from mistray.settings import BRANCHES
+from mistray.trace.sampling_check import sampling_notes
+
+if TYPE_CHECKING:
+    from mistray.trace.result import Trace
+
+LEAST_CUT = 1e-6  # of the launched flux: less is not worth a note
+MUCH_CUT = 0.01  # of the launched flux: more is a warning
+COARSE = 1e-4  # of R and T, by interpolation over the angle
+OPEN = 1e-5  # of the launched flux, by which the energy does not close
+ZERO_ON_AVERAGE = ("roulette", "scatter_sampling")
+MEDIUM = "medium"
+CUT_TEXTS = {
+    "flux_threshold": "cut by flux_threshold = {flux_threshold:g} (after scatter: scatter_threshold = "
+    "{scatter_threshold:g}); lower it, or use below_threshold = roulette",
+    "max_reflections": "not followed beyond max_reflections = {max_reflections}; raise it to see where it goes",
+    "max_scatters": "not scattered: max_scatters = {max_scatters} or another limit of scatter; raise it to see where "
+    "it goes",
+    "max_generations": "not followed beyond max_generations = {max_generations}; raise it to see where it goes",
+    "max_events": "cut by max_events = {max_events}; ",
+    "max_consecutive": "cut by max_consecutive = {max_consecutive}; raise it to see where it goes",
+    "ray_control": "refused by ray_control = {ray_control}",
+    "max_segments": "left of trees of more than max_segments = {max_segments} ray segments; lower max_reflections or "
+    "max_scatters, or raise it",
+    **{
+        f"{branch}_below": f"cut by what cut_below says of {branch.replace('_', ' ')}; lower it"
+        for branch in BRANCHES.values()
+    },
+    MEDIUM: "lost where a ray met a surface from the wrong material; the geometry has a gap or an overlap, or a "
+    "surface has front and back exchanged",
+}
+
+
+def trace_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
+    """
+    What a reader must know before trusting the numbers, each line once for all traces that it is about.
+
+    Parameters
+    ----------
+    traces : sequence of Trace
+        Of one scene and equal settings, at several fields say.
+
+    Returns
+    -------
+    list of (list of int, Note)
+        Numbers of the traces, and the line, with the worst figures of any of them.
+    """
+    return [*_cut(traces), *_open(traces), *_coarse(traces), *_own(traces), *sampling_notes(traces)]
+
+
+def _cut(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
+    """Light that was not followed, by the reasons of the energy ledger."""
+    found = []
+    for reason in dict.fromkeys(reason for t in traces for reason in t.energy.cut if reason not in ZERO_ON_AVERAGE):
+        shares = [abs(t.energy.cut.get(reason, 0.0)) / t.energy.launched_W for t in traces]
+        if at := [k for k, share in enumerate(shares) if share > LEAST_CUT]:
+            text = f"up to {max(shares):.1e} of the launched flux was {_cut_text(reason, traces[at[0]].settings)}"
+            code = Code.MEDIUM if reason == MEDIUM else Code.CUT
+            found.append((at, Note(text, code, reason == MEDIUM or max(shares) > MUCH_CUT)))
+    return found
+
+
+def _cut_text(reason: str, settings: dict[str, Any]) -> str:
+    """How a reason of the energy ledger reads in a note."""
+    text = CUT_TEXTS.get(reason, f"lost to '{reason}'").format(**settings)
+    if reason == "max_events":
+        longest = settings["max_events"] >= EVENTS.high
+        text += "light is trapped there, and no path can be longer" if longest else f"raise it, up to {EVENTS.high}"
+    return text
+
+
+def _open(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
+    """Traces whose energy does not close."""
+    at = [k for k, t in enumerate(traces) if abs(t.energy.closure) > OPEN]
+    worst = max((abs(traces[k].energy.closure) for k in at), default=0.0)
+    return [(at, Note(f"the energy closes to {worst:.1e} only, not to {OPEN:g}", Code.CLOSURE))] if at else []
+
+
+def _coarse(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
+    """Traces with a coating that its table does not resolve."""
+    at = [k for k, t in enumerate(traces) if t.coating_error > COARSE]
+    worst = max((traces[k].coating_error for k in at), default=0.0)
+    text = (
+        "R of a coating in total reflection varies too fast with the angle for its table; the error is up to "
+        f"{worst:.1e}"
+    )
+    return [(at, Note(text, Code.COATING))] if at else []
+
+
+def _own(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
+    """What traces say of their scene, sources and rays."""
+    lines = dict.fromkeys(note for t in traces for note in t.own_notes)
+    return [([k for k, t in enumerate(traces) if note in t.own_notes], note) for note in lines]
