@@ -21,6 +21,7 @@ SUPPORTED_RELEASE = "3.9"
 
 _POSITIONS = "vertex_positions"
 _FACES = "faces"
+_APART = "vertex_apart"  # attribute of our meshes; Mitsuba's loader merges meshes of equal BSDFs that have none
 
 
 def import_mitsuba() -> Any:
@@ -80,6 +81,43 @@ def silence_warnings() -> None:
     """Keep Mitsuba's log, which goes to stdout, out of the output of a program; a variant must be set."""
     mi = import_mitsuba()
     mi.set_log_level(mi.LogLevel.Error)
+
+
+def build_mesh(mesh: Any, name: str, vertices: npt.ArrayLike, faces: npt.ArrayLike, props: Any) -> None:
+    """
+    Construct the `mi.Mesh` that a shape is, so that Mitsuba's loaders leave it alone.
+
+    By default ``mi.load_file`` and ``mi.load_dict`` merge the meshes of a scene. A merged mesh is no longer an object
+    of its class: its formula, its name and its part would be lost. Meshes with attributes are not merged.
+
+    Parameters
+    ----------
+    mesh : mi.Mesh
+        An object whose constructor runs.
+    name : str
+    vertices, faces
+        As in `write_mesh`.
+    props : mi.Properties
+
+    Raises
+    ------
+    MistrayError
+        If its sensor is attached to another shape as well.
+    """
+    import numpy as np
+
+    mi = import_mitsuba()
+    try:
+        mi.Mesh.__init__(mesh, name, len(np.asarray(vertices)), len(np.asarray(faces)), props)
+        write_mesh(mesh, vertices, faces)
+    except RuntimeError as error:
+        if "attached to a single shape" not in str(error):
+            raise
+        raise MistrayError(
+            f"shape '{name}': its sensor is that of another shape too; give it one of its own. Mitsuba's loaders take "
+            "equal sensors for one: load with optimize=False or mistray.load"
+        ) from None
+    mesh.add_attribute(_APART, 1, np.ones(mesh.vertex_count(), dtype=np.float32))
 
 
 def write_mesh(mesh: Any, vertices: npt.ArrayLike, faces: npt.ArrayLike) -> None:

@@ -118,7 +118,7 @@ OTHERS = [
     Case("no version", (' version="3.0.0"', ""), words=('write <scene version="3.0.0">',)),
     Case("unknown tag", ("<integrator", "<lamp/><integrator"), words=("line 2", "<lamp> is no element of a scene")),
     Case("unknown plugin", ('"asphere"', '"aspheer"'), words=("no plugin 'aspheer'", "did you mean 'asphere'?")),
-    Case("unknown bsdf parameter", bsdf('<float name="r" value="0.1"/>'), words=("'r' = 0.1", "one of front, back")),
+    Case("unknown bsdf parameter", bsdf('<float name="r" value="0.1"/>'), words=("'r' = 0.1", "did you mean 'R'?")),
     Case("unknown source parameter", source('<float name="field" value="2"/>'), words=("mean 'field_deg'?",)),
     Case(
         "unknown integrator parameter",

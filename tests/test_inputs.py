@@ -286,7 +286,7 @@ ELSEWHERE = {
     "mistray/analysis/pst/state.py: zipfile.ZipFile": "bytes of open_input",
     "mistray/io/cad/mesh.py: trimesh.load_scene": "bytes of read_file",
     "mistray/io/oslo.py: parse": "optiland's reader; after require_file",
-    "mistray/scene/load.py: mi.parser.parse_file": "after check_depth",
+    "mistray/scene/load.py: mi.parser.parse_file": "after check_source",
 }
 
 

@@ -61,8 +61,9 @@ LAYERS = [
 PURE = {"physics": {"errors", "ranges", "physics"}}
 # Plugins are looked up by Mitsuba: they use these, and no module imports them.
 PLUGINS_MAY_IMPORT = {
-    "errors", "ids", "ranges", "param", "settings", "files", "_mitsuba_compat", "physics", "materials", "coatings",
-    "spectra", "scatter", "surfaces", "recorders", "kernel", "sampling", "execute", "gradients", "trace", "plugins",
+    "errors", "ids", "ranges", "param", "settings", "files", "_variant", "_mitsuba_compat", "physics", "materials",
+    "coatings", "spectra", "scatter", "surfaces", "recorders", "kernel", "sampling", "execute", "gradients",
+    "trace", "plugins",
 }  # fmt: skip
 # A shipped scene is a prescription written in Python.
 SCENES_MAY_IMPORT = {"errors", "materials", "prescription", "scenes"}

@@ -133,15 +133,15 @@ def test_scenes_are_loaded_one_shape_after_the_other(monkeypatch: pytest.MonkeyP
     depth = {"now": 0, "most": 0}
     from mistray.plugins.shapes import formula_shape
 
-    write = formula_shape.write_mesh
+    build = formula_shape.build_mesh
 
     def watched(*arguments: Any) -> None:
         depth["now"] += 1
         depth["most"] = max(depth["most"], depth["now"])
-        write(*arguments)
+        build(*arguments)
         depth["now"] -= 1
 
-    monkeypatch.setattr(formula_shape, "write_mesh", watched)
+    monkeypatch.setattr(formula_shape, "build_mesh", watched)
     for _ in range(3):
         mistray.load("newtonian")
     assert depth["most"] == 1

@@ -19,7 +19,7 @@ import mitsuba as mi
 from mistray.errors import MistrayError
 from mistray.materials.mate import shown
 from mistray.read_file import require_file
-from mistray.scene.depth import FILE
+from mistray.scene.messages import FILE
 from mistray.scene.xml_file import DEEPEST
 
 # The plugins that come with Mitsuba, without `blender`, which reads memory at addresses that the scene gives

@@ -1,4 +1,4 @@
-"""What makes no optical system although each of its surfaces is in order: surfaces that overlap."""
+"""What makes no optical system although each of its parts is in order: no scene at all, surfaces that overlap."""
 
 from __future__ import annotations
 
@@ -14,6 +14,12 @@ from mistray.errors import MistrayError
 from mistray.physics.geometry.crossing import SAMPLES, meeting
 
 TOLERANCE = 1e-7  # heights, relative to the radius of the surface: what is written with fewer digits than that touches
+
+
+def require_scene(scene: Any, function: str) -> None:
+    """Raise `MistrayError` if what a function is given is no scene, such as the name of one."""
+    if not isinstance(scene, mi.Scene):
+        raise MistrayError(f"{function}() got {type(scene).__name__}; load the scene first: mistray.load(path)")
 
 
 @dataclass(frozen=True)

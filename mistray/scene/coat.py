@@ -18,7 +18,7 @@ from mistray.prescription.scatter import Scatter
 from mistray.prescription.scene_file import finish_lines, seen_from, shared_lines
 from mistray.replace_file import replace_file
 from mistray.scene.add_structures import shared_objects
-from mistray.scene.depth import check_depth
+from mistray.scene.depth import check_source
 from mistray.scene.files import filled
 from mistray.scene.load import Parts, find, load_text
 from mistray.scene.recoat import COATED, Refit, refitted
@@ -156,7 +156,7 @@ def write_coated(source: str | Path, target: str | Path, rules: Rules) -> Coated
 
 def coated_text(path: Path, rules: Rules, folder: Path) -> tuple[str, Coated]:
     """The text of a scene file after some rules, for a file in a folder, and what became of it."""
-    check_depth(path)
+    check_source(path)
     file = SceneFile(path)
     shared = dict(shared_objects(file))
     painter = Painter(f"scene '{path}'", list(faces_of(file)), shared, file.ids, str(path.parent))

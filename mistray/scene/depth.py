@@ -1,86 +1,224 @@
 """
-What Mitsuba's reader of scene files does not survive, looked for before it.
+What Mitsuba's reader of scene files does not survive, or does not notice, looked for before it reads.
 
-Elements that lie within each other some thousand levels deep end the process, and an included pipe would be waited for.
+Elements that lie within each other some thousand levels deep end the process, an included pipe would be waited for, and
+a few files that include each other, or parameters of parameters, grow without end. Of a number that is not there
+Mitsuba makes a 0, and it drops the last row of a matrix.
 """
 
 from __future__ import annotations
 
+import math
 import os
+import re
+from collections.abc import Mapping
 from pathlib import Path
 from xml.parsers import expat
 
 from mistray.errors import MistrayError
+from mistray.materials.mate import printable
 from mistray.read_file import read_file, require_file
-from mistray.scene.files import filled
+from mistray.scene.files import MOST_TEXT, filled
+from mistray.scene.messages import FILE, VALUE_TAGS, Element
 from mistray.scene.xml_file import DEEPEST, too_deep
 
-FILE = "filename"  # by which elements, and all of Mitsuba's plugins, name a file
+DEEPEST_FILE = 15  # files within each other, the scene's own counted, as Mitsuba has it
+MOST_INCLUDES = 1000  # each counted as often as it is read
+LONGEST_SHOWN = 60  # characters of a value that a message repeats
+
+AXES = ("x", "y", "z")
+# Attributes that are numbers, and where one holds several: how many there may be
+NUMBERS: Mapping[str, tuple[str, ...]] = {
+    "float": ("value",),
+    "point": AXES,
+    "vector": AXES,
+    "translate": AXES,
+    "scale": AXES,
+    "rotate": ("angle", *AXES),
+}
+LISTS: Mapping[str, Mapping[str, tuple[int, ...]]] = {
+    **{tag: {"value": (1, 3)} for tag in ("point", "vector", "translate", "scale", "rotate", "rgb")},
+    "matrix": {"value": (9, 16)},
+    "lookat": {"origin": (3,), "target": (3,), "up": (3,)},
+}
+MAY_BE_EMPTY = {("lookat", "up")}
+LAST_ROW = [0.0, 0.0, 0.0, 1.0]  # of a matrix; Mitsuba takes it for this whatever it says
+
+_NUMBER = re.compile(
+    r"[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[+-]?[0-9]+)?|(?P<word>inf(?:inity)?|nan(?:\(\w*\))?))",
+    re.IGNORECASE | re.ASCII,
+)
 
 
-def check_depth(path: Path) -> None:
+def check_source(path: Path, text: str | None = None) -> None:
     """
-    Refuse a scene file that would end or hold the process.
+    Refuse a scene file that Mitsuba would not survive, or would read as another one than it is.
 
     Parameters
     ----------
     path : Path
-        What is wrong with it otherwise is left to its reader; included files are looked at by themselves.
+        What is wrong with it otherwise is left to its reader.
+    text : str, optional
+        What stands for its content.
 
     Raises
     ------
     MistrayError
-        An element lies deeper than `DEEPEST` levels, or an attribute ``filename`` names a pipe or a device.
+        An element lies deeper than `DEEPEST` levels, files lie deeper than `DEEPEST_FILE` within each other, the scene
+        is larger than `MOST_INCLUDES` and `MOST_TEXT` allow, an attribute ``filename`` names a pipe or a device, or a
+        number is missing or none.
     """
-    _Look(path).run()
+    _Look(path).read(path, [path.parent, Path()], (), text)
 
 
 class _Look:
+    """What Mitsuba meets, in its order: included files in their places, and parameters of all files together."""
+
     def __init__(self, path: Path) -> None:
-        self.waiting, self.looked_at = [path], set[Path]()
-        self.folders = [path.parent, Path()]
+        self.path = path
         self.defaults: dict[str, str] = {}
+        self.contents: dict[Path, bytes] = {}
+        self.includes = self.text = 0
 
-    def run(self) -> None:
-        while self.waiting:
-            file = self.waiting.pop()
-            if file.resolve() not in self.looked_at:
-                self.looked_at.add(file.resolve())
-                self.folders.append(file.parent)
-                self._look(file)
-
-    def _look(self, path: Path) -> None:
-        depth = 0
+    def read(self, path: Path, folders: list[Path], within: tuple[Path, ...], text: str | None = None) -> None:
+        """A file with what it includes; `folders` are looked in one after the other."""
+        data = self._content(path) if text is None else text.encode()
+        self._grow(len(data), f"scene '{self.path}'")
+        folders = [path.parent, *folders]
+        stack: list[Element] = []
         parser = expat.ParserCreate()
 
-        def start(tag: str, attributes: dict[str, str]) -> None:
-            nonlocal depth
-            depth += 1
-            if depth > DEEPEST:
+        def start(tag: str, given: dict[str, str]) -> None:
+            if len(stack) >= DEEPEST:
                 raise too_deep(path, parser.CurrentLineNumber, tag)
-            where = f"scene '{path}', line {parser.CurrentLineNumber}: <{tag}>"
-            value, name = (filled(attributes.get(key, ""), self.defaults) for key in ("value", FILE))
+            element = Element(tag, given.get("type", ""), given.get("id", ""), given.get("name", ""))
+            element.parent = stack[-1] if len(stack) > 1 else None
+            stack.append(element)
+            line = f"scene '{path}', line {parser.CurrentLineNumber}"
+            values = {key: self._filled(value, f"{line}: {_where(element)}{key}") for key, value in given.items()}
+            if mistake := _twice(element) or _mistake(element, values):
+                raise MistrayError(f"{line}: {_where(element)}{mistake}")
             if tag == "default":
-                self.defaults.setdefault(attributes.get("name", ""), value)
+                self.defaults.setdefault(element.name, values.get("value", ""))
             elif tag == "path":
-                self.folders += [folder / value for folder in self.folders]
-            for folder in self.folders if name else ():
-                self._check(folder / name, where, tag)
+                folders[:0] = [folder / values.get("value", "") for folder in folders]
+            if name := values.get(FILE):
+                for folder in folders:
+                    if os.path.exists(folder / name) and not os.path.isdir(folder / name):
+                        require_file(folder / name, f"{line}: <{tag}> file")
+                if tag == "include":
+                    self._include(name, folders, (*within, path), f"{line}: <include> '{printable(name)}'")
 
-        def end(tag: str) -> None:
-            nonlocal depth
-            depth -= 1
-
-        parser.StartElementHandler, parser.EndElementHandler = start, end
+        parser.StartElementHandler = start
+        parser.EndElementHandler = lambda tag: stack.pop()
         try:
-            parser.Parse(read_file(path, "scene"), True)
+            parser.Parse(data, True)
         except MistrayError:
             raise
         except (ValueError, LookupError, expat.ExpatError):  # Mitsuba will say what is wrong
             return
 
-    def _check(self, file: Path, where: str, tag: str) -> None:
-        if os.path.exists(file) and not os.path.isdir(file):
-            require_file(file, f"{where} file")
-            if tag == "include":
-                self.waiting.append(file)
+    def _include(self, name: str, folders: list[Path], within: tuple[Path, ...], where: str) -> None:
+        file = next((folder / name for folder in folders if os.path.isfile(folder / name)), None)
+        if file is None:
+            return
+        self.includes += 1
+        if any(os.path.samefile(file, one) for one in within):
+            raise MistrayError(f"{where} lies within itself; take one of the two out")
+        if len(within) >= DEEPEST_FILE:
+            raise MistrayError(f"{where} lies within {DEEPEST_FILE} files; put some of them together")
+        if self.includes > MOST_INCLUDES:
+            raise MistrayError(
+                f"scene '{self.path}': it includes more than {MOST_INCLUDES} files, the last '{printable(name)}'; "
+                "put some of them together"
+            )
+        self.read(file, folders, within)
+
+    def _content(self, path: Path) -> bytes:
+        if path not in self.contents:
+            if os.path.isfile(path):  # large ones are not read
+                self._grow(0 if os.path.getsize(path) <= MOST_TEXT else MOST_TEXT + 1, f"scene '{path}'")
+            self.contents[path] = read_file(path, "scene")
+        return self.contents[path]
+
+    def _filled(self, text: str, where: str) -> str:
+        """A value with its parameters in place."""
+        if "$" not in text:
+            return text
+        try:
+            whole = filled(text, self.defaults)
+        except MistrayError as error:
+            raise MistrayError(f"{where} {error}") from None
+        self._grow(len(whole), where)
+        return whole
+
+    def _grow(self, size: int, where: str) -> None:
+        self.text += size
+        if self.text > MOST_TEXT:
+            raise MistrayError(
+                f"{where}: the scene has more than {MOST_TEXT >> 20} MiB of text, includes and parameters in place; "
+                "make it smaller"
+            )
+
+
+def _where(element: Element) -> str:
+    """The object that an element belongs to, for a message; empty where there is none."""
+    operation = element.parent is not None and element.parent.tag == "transform"
+    owner = element.parent.parent if operation and element.parent is not None else element.owner
+    if owner is None or owner.tag in ("default", "scene", "include", "path"):
+        return f"<{element.tag}> '{printable(element.name)}': " if element.name else f"<{element.tag}>: "
+    if operation and element.parent is not None:
+        return f"{printable(str(owner))}: {printable(element.parent.name)}: "
+    return f"{printable(str(owner))}: "
+
+
+def _twice(element: Element) -> str:
+    """Whether a value is given twice, in words; the object that it belongs to remembers it."""
+    if element.tag not in VALUE_TAGS or element.parent is None or not element.name:
+        return ""
+    if element.name in element.parent.values:
+        return f"{printable(element.name)} is given twice; keep one of them"
+    element.parent.values[element.name] = ""
+    return ""
+
+
+def _mistake(element: Element, values: Mapping[str, str]) -> str:
+    """What is wrong with the numbers of an element; empty if nothing is."""
+    tag = element.tag
+    for key in NUMBERS.get(tag, ()):
+        name = printable(element.name) if tag == "float" else f"{key} of {_named(element)}"
+        if key in values and "$" not in values[key] and (reason := _no_number(values[key])):
+            return f"{name} is {_shown(values[key])}; {reason}"
+    for key, counts in LISTS.get(tag, {}).items():
+        if key not in values or "$" in values[key] or (not values[key] and (tag, key) in MAY_BE_EMPTY):
+            continue
+        words = values[key].replace(",", " ").split()
+        name = f"{key} of {_named(element)}"
+        if len(words) not in counts:
+            several = " or ".join(str(count) for count in counts)
+            return f"{name} is {_shown(values[key])}; give {several} numbers, not {len(words)}"
+        for word in words:
+            if reason := _no_number(word):
+                return f"{name} holds {_shown(word)}; {reason}"
+        if len(words) == 16 and [float(word) for word in words[12:]] != LAST_ROW:
+            return f"{name} has '{' '.join(words[12:])}' as its last row; it must be '0 0 0 1'"
+    return ""
+
+
+def _named(element: Element) -> str:
+    return f"<{element.tag}> '{printable(element.name)}'" if element.name else f"<{element.tag}>"
+
+
+def _no_number(text: str) -> str:
+    """Why a text is no number, or what to do about it; empty if it is one that Mitsuba reads as written."""
+    match = _NUMBER.fullmatch(text.strip())
+    if match is None:
+        return "it must be a number"
+    value = float(match[0]) if match["word"] is None else math.nan
+    if math.isinf(value) or (value == 0 and re.match(r"[^e]*[1-9]", match[0], re.IGNORECASE)):
+        return "it is beyond the range of numbers; write inf or 0 if that is meant"
+    return ""
+
+
+def _shown(text: str) -> str:
+    return f"'{printable(text if len(text) <= LONGEST_SHOWN else text[:LONGEST_SHOWN] + '…')}'"

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
+from mistray.errors import MistrayError
+from mistray.materials.mate import shown
 from mistray.scene.xml_file import SceneFile
 
+MOST_TEXT = 32 << 20  # characters of a scene, each file counted as often as it is read, parameters in place
 LONGEST_NAME = 6  # words of a file name with blanks, within a longer text such as a list of layers
 
 
@@ -68,11 +71,28 @@ def named_files(text: str, folders: Iterable[Path]) -> Iterator[Path]:
                 yield (folder / name).resolve()
 
 
-def filled(text: str, defaults: dict[str, str]) -> str:
-    """A value with the parameters, ``$name``, in place; longest names first, as they may begin alike."""
-    for name in sorted(defaults, key=len, reverse=True):
-        text = text.replace(f"${name}", defaults[name]) if name else text
-    return text
+def filled(text: str, defaults: Mapping[str, str]) -> str:
+    """
+    A value with the parameters, ``$name``, in place; longest names first, as they may begin alike.
+
+    A dollar after a backslash is one, as in Mitsuba.
+
+    Raises
+    ------
+    MistrayError
+        If it would have more than `MOST_TEXT` characters; it is not made then.
+    """
+    whole = text
+    for name in sorted(filter(None, defaults), key=len, reverse=True) if "$" in text else ():
+        if f"${name}" not in whole:
+            continue
+        parts = re.split(rf"(?<!\\)\${re.escape(name)}", whole)
+        if len(whole) + (len(parts) - 1) * (len(defaults[name]) - len(name) - 1) > MOST_TEXT:
+            raise MistrayError(
+                f"'{shown([text])}' has more than {MOST_TEXT >> 20} MiB with its parameters in place; shorten it"
+            )
+        whole = defaults[name].join(parts)
+    return whole.replace("\\$", "$")
 
 
 def _names(text: str) -> Iterator[str]:

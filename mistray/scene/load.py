@@ -21,7 +21,7 @@ from mistray.ids import check_id
 from mistray.materials.mate import shown
 from mistray.scene.allowed_plugins import RESOURCES, check_dict, check_file
 from mistray.scene.check import check_overlaps
-from mistray.scene.depth import check_depth
+from mistray.scene.depth import check_source
 from mistray.scene.improbable import improbable
 from mistray.scene.messages import explain, is_interrupt
 from mistray.scene.other_sensors import sensor_dicts
@@ -92,8 +92,7 @@ def load_text(path: Path, text: str, sources: Parts = None, sensors: Parts = Non
 def _loaded(given: Path | dict[str, Any], text: str | None, sources: Parts, sensors: Parts) -> mi.Scene:
     """The scene of a dict, of a file, or of a text in the place of a file."""
     if isinstance(given, Path):
-        if text is None:
-            check_depth(given)
+        check_source(given, text)
         name = _utf8(given)
     try:
         scene = _from_dict(given) if isinstance(given, dict) else _from_file(name, text)

@@ -14,12 +14,14 @@ from xml.parsers import expat
 from mistray._variant import PLUGIN_ROOT
 from mistray.materials.mate import printable
 from mistray.read_file import read_file
-from mistray.scene.depth import FILE
 
+FILE = "filename"  # by which elements, and all of Mitsuba's plugins, name a file
 VALUE_TAGS = ("float", "integer", "boolean", "string", "point", "vector", "rgb", "spectrum", "transform")
 NUMBERS = {"floating point": "a number", "integer": "a whole number", "boolean": "'true' or 'false'"}
 
 TEXT = "string"  # what Mitsuba calls a scene that comes as a text
+LONGEST_REASON = 600  # characters of a message
+NAMES_OFFERED = 5  # nearest to one that does not exist
 WORD_SHOWN = 80  # characters of a value without spaces that a message repeats
 
 _LONG_WORD = re.compile(rf"[^\s']{{{2 * WORD_SHOWN},}}")
@@ -66,7 +68,7 @@ class Element:
     def __str__(self) -> str:
         if self.id:
             return f"{self.tag or self.plugin or 'object'} '{self.id}'"
-        what = self.plugin or f"<{self.tag}>"
+        what = self.plugin or (f"<{self.tag}>" if self.tag else "the scene")
         return f"{what} of {self.parent}" if self.parent is not None and self.parent.tag != "scene" else what
 
 
@@ -102,7 +104,7 @@ def explain(error: Exception, source: Path | dict[str, Any], content: str | None
             where = where if of_text else f"scene '{place['file']}', line {line}"
             element = _in_file(Path(place["file"]), line, column, data) or element
     reason = _LONG_WORD.sub(lambda word: f"{word[0][:WORD_SHOWN]}…", " ".join(_reason(text, element, source).split()))
-    return f"{where}: {printable(reason)}"
+    return f"{where}: {_short(printable(reason), LONGEST_REASON)}"
 
 
 def is_interrupt(error: Exception) -> bool:
@@ -122,8 +124,10 @@ def _reason(text: str, element: Element, source: Path | dict[str, Any]) -> str:
         unknown = {key: value for key, value in strange.items() if difflib.get_close_matches(key, known)}
     if unknown:
         key, value = next(iter(unknown.items()))
-        shown = str(value).strip('"')
-        return f"unknown parameter '{key}' = {shown} of {element}; {_choose(key, known, 'remove it')}"
+        written = str(value).strip('"')
+        # Of a matrix the text has the first line
+        of_value = "" if written.startswith("[[") else f" = {_short(written, WORD_SHOWN)}"
+        return f"unknown parameter '{key}'{of_value} of {element}; {_choose(key, known, 'remove it')}"
     if own:
         kind = re.match(r"(\w+)( '(bsdf|coating)?')?: ", own)  # a nested bsdf has no name of its own
         if kind and (kind[1] in ("interface", "thinfilm") or _is_model(kind[1], element.plugin)):
@@ -141,7 +145,8 @@ def _reason(text: str, element: Element, source: Path | dict[str, Any]) -> str:
     plain, file = plain.strip(), str(element.values.get(FILE, ""))
     if file and file not in plain:
         return f"{element}: file '{file}': {plain}; give another one"
-    return f"{plain}; correct {'the dict' if isinstance(source, dict) else 'the file'}"
+    subject = f"{element}: " if element.tag or element.plugin else ""
+    return f"{subject}{plain}; correct {'the dict' if isinstance(source, dict) else 'the file'}"
 
 
 def _is_model(name: str, plugin: str) -> bool:
@@ -154,9 +159,6 @@ def _syntax(match: re.Match[str], element: Element) -> str:
 
 
 def _number(match: re.Match[str], element: Element) -> str:
-    # Transforms and points hold their numbers in other attributes than "value"
-    if element.owner.values.get(element.name) not in (None, "", match[2]):
-        return f"{element.owner}: {element.name} is given twice; keep one of them"
     subject = f"{element.owner}: {element.name}" if element.name else "a value"
     return f"{subject} is '{match[2]}'; it must be {NUMBERS.get(match[1], 'a ' + match[1])}"
 
@@ -184,8 +186,20 @@ _REASONS: list[tuple[str | re.Pattern[str], Callable[[re.Match[str], Element], s
         lambda m, _: f"the id '{m[1]}' is taken by line {m[2]}; give each object its own",
     ),
     (
-        r"undefined parameter: \$(\w+)",
-        lambda m, e: f"{e.owner}: '${m[1]}' is not defined; add a <default name=\"{m[1]}\"> or write the value",
+        r"undefined parameter: \$(\w*)",
+        lambda m, e: (
+            f"{e.owner}: '${m[1]}' is not defined; add a <default name=\"{m[1]}\"> or write the value"
+            if m[1]
+            else f"{e.owner}: a value holds $, by which scene files know parameters, and no name after it; take it out"
+        ),
+    ),
+    (
+        r"The property \"(\w+)\" has the wrong type \(expected (\w+), got (\w+)\)",
+        lambda m, e: f"{e}: {m[1]} is given as {m[3]}; it must be of the type {m[2]}",
+    ),
+    (
+        r"Property \"(\w+)\": (.+?)!?$",
+        lambda m, e: f"{e}: {m[1]}: {m[2]}; correct it",
     ),
     (
         r"unresolved reference to \"(.+?)\"",
@@ -245,10 +259,16 @@ def _plugins() -> dict[str, Any]:
 
 
 def _choose(word: str, known: list[str], otherwise: str) -> str:
-    close = difflib.get_close_matches(word, known, n=1)
-    if close:
+    same = [name for name in known if name.casefold() == word.casefold()]
+    if close := same or difflib.get_close_matches(word, known, n=1):
         return f"did you mean '{close[0]}'?"
-    return f"{otherwise}, or use one of {', '.join(known)}" if known else otherwise
+    nearest = difflib.get_close_matches(word, known, n=NAMES_OFFERED, cutoff=0.0)
+    return f"{otherwise}, or use one such as {', '.join(nearest)}" if known else otherwise
+
+
+def _short(text: str, most: int) -> str:
+    """The beginning and the end of a text that is too long for a message."""
+    return text if len(text) <= most else f"{text[: most * 2 // 3]} … {text[-most // 3 :]}"
 
 
 def _in_file(path: Path, line: int, column: int, data: bytes | None) -> Element | None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from mistray.errors import MistrayError
 from mistray.read_file import read_file
 from mistray.scatter.kinds import KINDS
-from mistray.scene.depth import check_depth
+from mistray.scene.depth import check_source
 from mistray.scene.xml_file import names_a_file
 
 # What else says a value in a file; a new value takes its place
@@ -44,7 +44,7 @@ class SceneText:
     def __init__(self, source: str | Path, own: bool = True) -> None:
         self.path = Path(source)
         builder = ElementTree.TreeBuilder(insert_comments=True)
-        check_depth(self.path)
+        check_source(self.path)
         data = read_file(source, "scene")
         try:
             self._root = ElementTree.fromstring(data, ElementTree.XMLParser(target=builder))

@@ -22,6 +22,7 @@ from mistray.notes import Code, Note, warns
 from mistray.recorders import Recorder
 from mistray.recorders.tallies import FIRST_MISS
 from mistray.sampling.sources import field_of, source_emitters
+from mistray.scene.check import require_scene
 from mistray.settings import Settings
 from mistray.time_budget import is_limited, share, within
 from mistray.trace.polarization_choice import PolarizationChoice, chosen_polarization
@@ -126,8 +127,7 @@ def trace(
     Interrupted
         Ctrl-C, after rays of every source and wavelength were traced: ``partial`` is a `Trace` of them.
     """
-    if not isinstance(scene, mi.Scene):
-        raise MistrayError(f"trace() got {type(scene).__name__}; load the scene first: mistray.load(path)")
+    require_scene(scene, "trace")
     made = polarization if isinstance(polarization, PolarizationChoice) else None
     settings = Settings.unresolved(
         scene,

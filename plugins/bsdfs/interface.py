@@ -428,8 +428,9 @@ class Interface(mi.BSDF):
         """Called by a shape that carries this interface: whether the normals of its mesh look to the front."""
         if self._turned not in (None, turned) and self.front != self.back:
             raise MistrayError(
-                f"{self.title} has '{self.front}' and '{self.back}' on its sides and is shared by a detector and "
-                f"another shape, the last '{by.name}'; give the detector an interface of its own"
+                f"{self.title} has '{self.front}' and '{self.back}' on its sides and is shared by a detector "
+                f"and another shape, the last '{by.name}'; give it an interface of its own. Mitsuba's loaders take "
+                "equal ones for one: load with optimize=False or mistray.load"
             )
         self._turned = turned
         if self.sample_axis is not None:

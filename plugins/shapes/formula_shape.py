@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray._mitsuba_compat import write_mesh
+from mistray._mitsuba_compat import build_mesh, write_mesh
 from mistray.errors import MistrayError
 from mistray.physics.geometry.pose import moved, rigid_motion
 from mistray.ranges import AZIMUTH_DEG, PLACE_MM, SPACE, Range
@@ -68,9 +68,7 @@ class FormulaShape(mi.Mesh):
         self.parameters = {
             key: (mi.Float64 if key in self.in_double else mi.Float)(value) for key, value in self.values.items()
         }
-        vertices, faces = self._checked_mesh()
-        mi.Mesh.__init__(self, self.name, len(vertices), len(faces), props)
-        write_mesh(self, vertices, faces)
+        build_mesh(self, self.name, *self._checked_mesh(), props)
         if hasattr(self.bsdf(), "carried"):
             self.bsdf().carried(self, self.detects)
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import mitsuba as mi
 
-from mistray._mitsuba_compat import mesh_arrays, write_mesh
+from mistray._mitsuba_compat import build_mesh, mesh_arrays
 from mistray.errors import MistrayError
 from mistray.physics.geometry.pose import rigid_motion
 from mistray.plugins.shapes.formula_shape import check_reach
@@ -70,8 +70,7 @@ class PartMesh(mi.Mesh):
                 f"{len(vertices)}; the file is damaged, export it again"
             )
         check_reach(vertices, self.name)
-        mi.Mesh.__init__(self, self.name, len(vertices), len(faces), props)
-        write_mesh(self, vertices, faces)
+        build_mesh(self, self.name, vertices, faces, props)
 
     def to_string(self) -> str:
         return f"PartMesh[id = {self.name}, {self.face_count()} triangles, filename = {self.filename}]"

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import pytest
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.scene.depth import check_depth
+from mistray.scene.depth import check_source
 from mistray.scene.xml_file import DEEPEST
 
 
@@ -31,18 +32,164 @@ def test_included_files_are_looked_at(tmp_path: Path) -> None:
     path = tmp_path / "scene.xml"
     path.write_text('<scene version="3.0.0"><include filename="part.xml"/><include filename="scene.xml"/></scene>')
     with pytest.raises(MistrayError, match=r"part\.xml', line 2"):
-        check_depth(path)
+        check_source(path)
 
 
 @pytest.mark.parametrize("data", [nested(DEEPEST).encode(), b"<scene", b"", b"\x00\xff", b'<?xml encoding="?"?><a/>'])
 def test_other_files_are_left_to_the_reader(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "scene.xml"
     path.write_bytes(data)
-    check_depth(path)
+    check_source(path)
 
 
 def test_every_shipped_scene_is_far_from_the_limit() -> None:
     from mistray.scene.load import shipped_scenes
 
     for path in shipped_scenes().values():
-        check_depth(path)
+        check_source(path)
+
+
+def scene_of(folder: Path, text: str, name: str = "scene.xml") -> Path:
+    """A file with these elements in a scene."""
+    path = folder / name
+    path.write_text(f'<scene version="3.0.0">{text}</scene>')
+    return path
+
+
+def refusal(folder: Path, text: str) -> str:
+    """What `mistray.load` says of these elements: one line."""
+    with pytest.raises(MistrayError) as caught:
+        mistray.load(scene_of(folder, text))
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 500
+    return str(caught.value)
+
+
+LENS = '<shape type="asphere" id="L1">{}<float name="semi_diameter" value="5"/></shape>'
+
+
+@pytest.mark.parametrize("value", ["", " ", "\t", "$none", "$blank", "5x", "1,5", "0x10", "1e400", "1e-400", "--1"])
+def test_what_is_no_number_is_refused(tmp_path: Path, value: str) -> None:
+    """Mitsuba makes 0 of what is empty, a plane of an empty radius, and inf or 0 of what it cannot hold."""
+    defaults = '<default name="none" value=""/><default name="blank" value="$none $none"/>'
+    said = refusal(tmp_path, defaults + LENS.format(f'<float name="radius" value="{value}"/>'))
+    assert "shape 'L1': radius is '" in said
+    assert "must be a number" in said or "beyond the range" in said
+
+
+@pytest.mark.parametrize(
+    ("operation", "words"),
+    [
+        ('<translate z=""/>', "z of <translate> is ''"),
+        ('<translate z="5x"/>', "z of <translate> is '5x'"),
+        ('<translate value=" "/>', "give 1 or 3 numbers"),
+        ('<translate value="1 2"/>', "give 1 or 3 numbers, not 2"),
+        ('<scale x=""/>', "x of <scale> is ''"),
+        ('<rotate angle="" z="1"/>', "angle of <rotate> is ''"),
+        ('<rotate angle="3" z="1" x=" "/>', "x of <rotate> is ' '"),
+        ('<lookat origin="" target="0 0 1"/>', "origin of <lookat> is ''"),
+        ('<matrix value=""/>', "give 9 or 16 numbers"),
+        ('<matrix value="1 0 0 0  0 1 0 0  0 0 1 0  0 0 0 0"/>', "'0 0 0 0' as its last row"),
+        ('<matrix value="1 0 0 0  0 1 0 0  0 0 1 0  0 0 1 1"/>', "'0 0 1 1' as its last row"),
+        ('<matrix value="1 0 0 0  0 1 0 0  0 0 x 0  0 0 0 1"/>', "holds 'x'"),
+    ],
+)
+def test_numbers_of_transforms(tmp_path: Path, operation: str, words: str) -> None:
+    """Mitsuba makes 0 of what is empty, and the unit matrix's last row of any."""
+    said = refusal(tmp_path, LENS.format(f'<transform name="to_world">{operation}</transform>'))
+    assert "shape 'L1': to_world: " in said
+    assert words in said
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        LENS.format('<float name="radius" value=" -1.5e+01 "/>'),
+        LENS.format('<float name="radius" value="inf"/>'),
+        LENS.format('<transform name="to_world"><lookat origin="0 0 0" target="0 0 1" up=""/></transform>'),
+        LENS.format('<transform name="to_world"><matrix value="1 0 0, 0 1 0, 0 0 1"/><translate/></transform>'),
+        '<default name="a" value="5"/><default name="ab" value="$a."/>' + LENS.format('<float name="z" value="-$ab"/>'),
+    ],
+)
+def test_other_numbers_are_taken_as_they_are(tmp_path: Path, text: str) -> None:
+    assert mistray.load(scene_of(tmp_path, text)) is not None
+
+
+def test_a_point_of_a_stock_plugin_needs_its_numbers(tmp_path: Path) -> None:
+    for attributes in ('x="" y="0" z="0"', 'value="1 2"', 'value=""'):
+        assert "'lamp'" in refusal(
+            tmp_path, f'<emitter type="point" id="lamp"><point name="position" {attributes}/></emitter>'
+        )
+
+
+def test_includes_that_multiply(tmp_path: Path) -> None:
+    """Fourteen files of two kilobytes, six includes each: 1.6e10 files; Mitsuba would not end."""
+    for k in range(14):
+        include = f'<include filename="part{k + 1}.xml"/>' if k < 13 else ""
+        scene_of(tmp_path, include * 6, f"part{k}.xml")
+    began = time.monotonic()
+    with pytest.raises(MistrayError, match=r"part0\.xml': it includes more than 1000 files, .*; put"):
+        mistray.load(tmp_path / "part0.xml")
+    assert time.monotonic() - began < 20
+
+
+def test_parameters_that_double(tmp_path: Path) -> None:
+    """Each of 26 lines is twice as long as the one before: Mitsuba took 4 GB. No value is made that is too long."""
+    lines = "".join(f'<default name="p{k + 1}" value="$p{k}$p{k}"/>' for k in range(40))
+    said = refusal(tmp_path, f'<default name="p0" value="{"x" * 64}"/>{lines}')
+    assert "<default> 'p" in said
+    assert "more than 32 MiB" in said
+    wide = "".join(f'<shape type="$p0" id="s{k}"/>' for k in range(400))
+    assert "more than 32 MiB" in refusal(tmp_path, f'<default name="p0" value="{"x" * 100_000}"/>{wide}')
+
+
+def test_files_within_each_other(tmp_path: Path) -> None:
+    """Mitsuba ends at fifteen files, with as many lines and no name of a file."""
+    for k in range(16):
+        scene_of(tmp_path, f'<include filename="{k + 1}.xml"/>' if k < 15 else "", f"{k}.xml")
+    assert mistray.load(tmp_path / "1.xml") is not None
+    with pytest.raises(MistrayError, match=r"14\.xml', line 1: <include> '15\.xml' lies within 15 files"):
+        mistray.load(tmp_path / "0.xml")
+    assert "'scene.xml' lies within itself" in refusal(tmp_path, '<include filename="scene.xml"/>')
+
+
+def test_large_files_are_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "scene.xml"
+    with path.open("wb") as file:
+        file.truncate(1 << 40)  # sparse: a terabyte of nothing
+    with pytest.raises(MistrayError, match="more than 32 MiB of text"):
+        mistray.load(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "words", "not_in"),
+    [
+        (
+            LENS.format('<transform name="0"><translate z="5"/></transform>'),
+            ("unknown parameter '0' of shape 'L1'",),
+            "[[",
+        ),
+        (
+            LENS.format(f'<string name="layers" value="{"MgF2 100 " * 20_000}"/>'),
+            ("'layers' = MgF2 100",),
+            "half_width",
+        ),
+        (LENS.format('<float name="z" value="1"/><float name="z" value="1"/>'), ("'L1': z is given twice",), "correct"),
+        (LENS.format('<float name="Radius" value="1"/>'), ("did you mean 'radius'?",), "one such"),
+        ('<shape type="sphere" id="${jndi}"/>', ("holds $", "take it out"), "undefined"),
+        ('<string name="x" value="1"/>', ("unknown parameter 'x' = 1 of <scene>",), "<>"),
+    ],
+)
+def test_messages(tmp_path: Path, text: str, words: tuple[str, ...], not_in: str) -> None:
+    said = refusal(tmp_path, text)
+    assert all(word in said for word in words)
+    assert not_in not in said
+
+
+@pytest.mark.parametrize(("value", "words"), [("-5", "width: value -5 is out of bounds"), ("1e99", "width is '1e99'")])
+def test_numbers_that_a_stock_plugin_refuses(tmp_path: Path, value: str, words: str) -> None:
+    film = f'<film type="hdrfilm"><integer name="width" value="{value}"/></film>'
+    said = refusal(tmp_path, LENS.format(f'<sensor type="irradiancemeter">{film}</sensor>'))
+    assert "hdrfilm of irradiancemeter of shape 'L1'" in said
+    assert words in said
+    assert "properties.h" not in said

@@ -25,6 +25,7 @@ from mistray.sampling.aimed_cones import Sphere
 from mistray.sampling.design_path import DesignPath, find_design_path, sphere_of
 from mistray.sampling.outlines import outline
 from mistray.sampling.sources import field_of, scene_sources, spectrum_of
+from mistray.scene.check import require_scene
 from mistray.surfaces.surfaces import SurfaceTable
 
 FIRST_GRID, LAST_GRID = 64, 512  # where the grid is as fine as the wavefront asks for
@@ -112,6 +113,7 @@ def image_quality(
         If no light reaches the detector by the design path, at a field or at all; if the light does not converge; if a
         surface on the way is a mesh; if the source is neither far away nor a point.
     """
+    require_scene(scene, "image_quality")
     began = time.monotonic()
     angles, names = _fields(scene, field_deg, field_mm)
     if grid is not None:

@@ -28,6 +28,7 @@ from mistray.notes import Code, Note, unfinished, warns
 from mistray.ranges import FIELD_DEG, PART
 from mistray.renamed import renamed
 from mistray.sampling.sources import field_axes, spectrum_of
+from mistray.scene.check import require_scene
 from mistray.settings import RAY_CONTROLS, Settings
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.optics import OPAQUE
@@ -324,8 +325,7 @@ def objects(
     MistrayError
         For arguments out of range, more than one kind of source, a scene without detector, or an unknown stop.
     """
-    if not isinstance(scene, mi.Scene):
-        raise MistrayError(f"objects() got {type(scene).__name__}; load the scene first: mistray.load(path)")
+    require_scene(scene, "objects")
     unknown = set(settings) - set(USED_SETTINGS)
     if unknown:
         raise MistrayError(

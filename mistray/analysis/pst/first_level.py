@@ -18,6 +18,7 @@ from mistray.analysis.pst.transmittance import pst
 from mistray.errors import MistrayError
 from mistray.notes import warns
 from mistray.renamed import renamed
+from mistray.scene.check import require_scene
 from mistray.settings import Settings
 
 if TYPE_CHECKING:
@@ -101,6 +102,7 @@ def first_level(
     MistrayError
         For an empty or unknown limit, and what `mistray.pst` raises.
     """
+    require_scene(scene, "first_level")
     chosen = {name: dict(change) for name, change in (LIMITS if limits is None else limits).items()}
     if not chosen:
         raise MistrayError("first_level: limits is empty; give at least one set of limits")

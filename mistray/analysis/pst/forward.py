@@ -22,6 +22,7 @@ from mistray.ranges import RELATIVE_ERROR
 from mistray.recorders.directions import DirectionGrid
 from mistray.sampling.plane_wave import Entrance
 from mistray.sampling.sources import spectrum_of
+from mistray.scene.check import require_scene
 from mistray.settings import Settings
 from mistray.surfaces.thin_gaps import thin_gaps
 
@@ -79,8 +80,7 @@ def forward_pst(
     UnfinishedError
         If workers of `mistray.distribute` are gone; ``partial`` has the finished cells by their numbers.
     """
-    if not isinstance(scene, mi.Scene):
-        raise MistrayError(f"forward_pst() got {type(scene).__name__}; load the scene first: mistray.load(path)")
+    require_scene(scene, "forward_pst")
     request = PstRequest(method="forward") if request is None else request
     settings = Settings.without_sources(scene, "a PST") if settings is None else settings
     settings = settings if request.rays is None else replace(settings, rays=request.rays)

@@ -25,6 +25,7 @@ from mistray.recorders.directions import DirectionGrid
 from mistray.renamed import renamed
 from mistray.sampling.plane_wave import hull_points
 from mistray.sampling.sources import field_axes, spectrum_of
+from mistray.scene.check import require_scene
 from mistray.settings import Settings
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import share, within
@@ -133,6 +134,7 @@ def pst(
         If workers of `mistray.distribute` are gone; ``partial`` is the PST of the passes before, or, forward, the
         finished cells by their numbers of angle and azimuth.
     """
+    require_scene(scene, "pst")
     if seconds is not None and current_workers() is not None and method == "forward":
         raise MistrayError("seconds is given and workers trace, whose parts are not timed; leave out one of the two")
     arguments: dict[str, Any] = dict(

@@ -32,6 +32,7 @@ from mistray.renamed import renamed
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.sources import scene_sources
+from mistray.scene.check import require_scene
 from mistray.settings import NO_LIMIT, polarized_sources
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import share, within
@@ -221,7 +222,7 @@ def study(
     MistrayError
         For arguments out of range, or a scene without a source or a detector.
     """
-    scene = _loaded(scene)
+    require_scene(scene, "study")
     angles, given_fields = _check(settings, pst_field_deg, field_deg, convention, relative_error)
     given = {key: value for key, value in settings.items() if value is not None}
     count = rays if rays is not None else QUICK_RAYS if quick else RAYS
@@ -303,12 +304,6 @@ def study(
     done(stray_light_analysis(report, curve, numbers, transmittance, design, images))
     asked = _angles_and_light(report, curve) | {"convention": convention, "relative_error": relative_error}
     return Study(scene, name, tuple(steps), {"rays": count, **asked, **given})
-
-
-def _loaded(scene: Any) -> mi.Scene:
-    if isinstance(scene, mi.Scene):
-        return scene
-    raise MistrayError(f"study() got {type(scene).__name__}; load the scene first: mistray.load(path)")
 
 
 def _scatters(table: SurfaceTable, chosen: Settings) -> bool:

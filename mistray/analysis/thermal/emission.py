@@ -27,6 +27,7 @@ from mistray.notes import Code, Note, unfinished, warns
 from mistray.percent import percent_text
 from mistray.physics import planck
 from mistray.ranges import TEMPERATURE_K, WAVELENGTH_UM
+from mistray.scene.check import require_scene
 from mistray.time_budget import share, within
 from mistray.trace import Settings
 from mistray.trace.polarization_choice import unpolarized_notes
@@ -225,6 +226,7 @@ def thermal(
         If a temperature or the band is out of range, a name fits no surface, part or material, or a material is not
         known in the band.
     """
+    require_scene(scene, "thermal")
     low, high = (float(v) for v in band_um)
     rules = {pattern: float(kelvin) for pattern, kelvin in (temperatures or {}).items()}
     outside = float(temperature_K if scene_K is None else scene_K)

@@ -25,6 +25,7 @@ from mistray.ranges import NOT_NEGATIVE
 from mistray.recorders.design_sequences import DesignKeys, DesignSequences
 from mistray.sampling.design.search import design_sequences, traced_table
 from mistray.sampling.sources import field_of, scene_sources
+from mistray.scene.check import require_scene
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.trace import PolarizationChoice, Settings, Trace, trace
 from mistray.trace.polarization_choice import chosen_polarization
@@ -99,8 +100,7 @@ def transfer(
         for several sources, and for numbers out of range.
     """
     began = time.monotonic()
-    if not isinstance(scene, mi.Scene):
-        raise MistrayError(f"transfer() got {type(scene).__name__}; load the scene first: mistray.load(path)")
+    require_scene(scene, "transfer")
     unknown = set(settings) - {one.name for one in dataclass_fields(Settings)} - {"seconds"}
     if unknown:
         raise MistrayError(

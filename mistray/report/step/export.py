@@ -16,6 +16,7 @@ from mistray.recorders.path_events import DIRECT
 from mistray.report.rays.path_rays import one_of_each, rays_of_paths
 from mistray.report.step.beams import Beam, BeamFinder
 from mistray.report.step.bodies import DETECTORS, MECHANICS, OPTICS, bodies_of
+from mistray.scene.check import require_scene
 from mistray.trace import trace
 
 COLOURS: dict[str, Colour] = {
@@ -113,6 +114,7 @@ def export_step(
     MistrayError
         For numbers out of range, a field without light on the detector, a file that cannot be written.
     """
+    require_scene(scene, "export_step")
     fields: list[float] = []
     if field_deg is not None:
         fields = list(dict.fromkeys(FIELD_DEG.check_each("field_deg", field_deg, "export_step")))

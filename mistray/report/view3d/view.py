@@ -28,6 +28,7 @@ from mistray.report.view3d.controls import (
     shown_box,
 )
 from mistray.report.view3d.drawing import ROLES, glass_faces, outlines, path_lines, surface_mesh, wall_mesh
+from mistray.scene.check import require_scene
 
 if TYPE_CHECKING:
     from mistray.recorders.passing.surface_maps import SurfaceMap
@@ -136,6 +137,7 @@ def view(
     MistrayError
         If plotly is missing, an argument is out of range or needs a trace, or the trace is of another scene.
     """
+    require_scene(scene, "view")
     go = graph_objects()
     _check(trace, path_ids, colour, cut_deg, cut_mm)
     check_count(rays)
