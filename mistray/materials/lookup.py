@@ -95,6 +95,32 @@ def refractive_index(material: str, wavelength_nm: float) -> float:
     return _real(spec, _material(spec), wavelength_nm)
 
 
+def nearest_known_nm(material: str, wavelength_nm: float, with_k: bool = False) -> float:
+    """
+    The wavelength nearest to another one at which n of a material is known, nm.
+
+    Parameters
+    ----------
+    material : str
+    wavelength_nm : float
+    with_k : bool
+        Known must be k, too, if it is known anywhere.
+
+    Raises
+    ------
+    MistrayError
+        If the string is not understood.
+    """
+    spec = parse(material)
+    if spec.extrapolate:
+        return wavelength_nm
+    found = _material(spec)
+    for curve in (found.n, *([found.k] if with_k and found.k is not None else [])):
+        if curve.range_nm is not None:
+            wavelength_nm = min(max(wavelength_nm, curve.range_nm[0]), curve.range_nm[1])
+    return wavelength_nm
+
+
 def bulk_scatter(material: str) -> BulkScatter:
     """Scatter inside of a material, from the suffixes ``scatter=`` and ``g=`` of its string; none without them."""
     return parse(material).bulk
@@ -131,7 +157,7 @@ def complex_index(material: str, wavelength_nm: float) -> complex:
             f"material '{spec.text}': k is unknown ({where}); append ' k=0' if its absorption does not matter, else "
             "' k=VALUE'"
         )
-    remedy = "append ' k=VALUE' or ' extrapolate', or use a wavelength inside"
+    remedy = "append ' k=VALUE', or use a wavelength inside"
     return complex(n, found.k.at(wavelength_nm, f"k of material '{spec.text}'", spec.extrapolate, remedy))
 
 
@@ -184,7 +210,7 @@ def _check_wavelength(spec: Spec, wavelength_nm: float) -> None:
 
 
 def _real(spec: Spec, found: _Material, wavelength_nm: float) -> float:
-    remedy = "use a wavelength inside, or append ' extrapolate' to the material"
+    remedy = "use a wavelength inside, or a material that is known there"
     n = found.n.at(wavelength_nm, f"material '{spec.text}'", spec.extrapolate, remedy) + spec.shift
     if not n > 0:
         if spec.shift:

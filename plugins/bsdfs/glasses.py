@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.materials import complex_index, refractive_index, resolved, shifted
+from mistray.materials import complex_index, nearest_known_nm, refractive_index, resolved, shifted
 from mistray.ranges import INDEX_SHIFT
 
 SHIFTS = ("n_front_shift", "n_back_shift")
@@ -52,7 +52,8 @@ class Glasses:
         Raises
         ------
         MistrayError
-            If a number is impossible at this wavelength; then nothing has changed.
+            If a number is impossible at this wavelength, or at the nearest one at which the material is known; then
+            nothing has changed.
         """
         values = tuple(np.array(dr.detach(value), dtype=np.float64) for value in self.parameters.values())
         for name, value in zip(SHIFTS, values, strict=True):
@@ -61,7 +62,7 @@ class Glasses:
             INDEX_SHIFT.check(name, float(value[0]))
         front, back = (shifted(material, float(value[0])) for material, value in zip(self.given, values, strict=True))
         for material in (front, back):
-            refractive_index(material, wavelength_nm)
+            refractive_index(material, nearest_known_nm(material, wavelength_nm))
         changed = (front, back) != self._names
         self._names, self._held = (front, back), values
         return changed

@@ -13,13 +13,14 @@ import numpy as np
 from mistray.coatings import Bare, Coating, CoatingTable, Ideal
 from mistray.coatings.simple import check_shares
 from mistray.errors import MistrayError
-from mistray.materials import complex_index, refractive_index
+from mistray.materials import complex_index, nearest_known_nm, refractive_index
 from mistray.physics.fresnel import reflectance
 from mistray.plugins.bsdfs.glasses import SHIFTS, Glasses
 from mistray.plugins.bsdfs.lobe_sum import LobeSum
 from mistray.plugins.bsdfs.sample_axis import SampleAxis, SampleFrame, common_axis
 from mistray.ranges import AIMED_RAYS, SHARE, WAVELENGTH_NM
 from mistray.scatter import Scatter
+from mistray.spectra.spectrum import DEFAULT_NM
 from mistray.surfaces.optics import (
     REFLECTION_BACK,
     REFLECTION_FRONT,
@@ -30,7 +31,6 @@ from mistray.surfaces.optics import (
     unpolarized_shares,
 )
 
-STOCK_WAVELENGTH_NM = 550.0
 STOCK_BODY_MM = 1.0  # stock integrators know no absorption on the way: what is dark after this length is opaque
 UNNAMED = ("bsdf", "coating")  # names that come from the place in a dict
 SIDES = (
@@ -88,8 +88,8 @@ class Interface(mi.BSDF):
                               one              (one in, one out; unbiased), whatever the trace does elsewhere
     scatter_rays      1       0 … 255 0        random scattered rays at every hit of the ray tree; 0: the setting of
                                                the trace
-    wavelength_nm     nm      > 0     550      wavelength for *stock* integrators only; the ray tree uses the
-                                               wavelength of its source
+    wavelength_nm     nm      > 0     source   wavelength for *stock* integrators only; by default the first one of
+                                               the scene's first source
     ================= ======= ======= ======== ===========================================================
 
     Models of scatter add up. What they scatter relative to R and T is taken from the specular beams, what is absolute
@@ -97,8 +97,10 @@ class Interface(mi.BSDF):
 
     Source: Fresnel's equations, see `mistray.physics.thinfilm`. Under a stock integrator the plugin is a delta BSDF
     for unpolarised light, plus the lobes of its scatter. R and T of a coating then come from the same table over the
-    angle that the ray tree uses, at ``wavelength_nm``. A material without k is taken for transparent there. The
-    components are the reflected and the transmitted beam, then reflected and transmitted scatter. In the mode
+    angle that the ray tree uses, at ``wavelength_nm``. Without it `mistray.load` takes the first wavelength of the
+    scene's first source; it is 550 nm where there is none, or where Mitsuba's own loader made the scene. A material
+    without k is taken for transparent there. The ray tree knows nothing of it: it evaluates materials at the wavelengths
+    that are traced, and they need not be known anywhere else. The components are the reflected and the transmitted beam, then reflected and transmitted scatter. In the mode
     "radiance" light is scattered from wo to wi.
 
     .. code-block:: xml
@@ -121,9 +123,8 @@ class Interface(mi.BSDF):
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.name = "" if props.id() in UNNAMED else str(props.id())
-        self.wavelength_nm = WAVELENGTH_NM.check(
-            "wavelength_nm", props.get("wavelength_nm", STOCK_WAVELENGTH_NM), self.title
-        )
+        self.wavelength_nm = WAVELENGTH_NM.check("wavelength_nm", props.get("wavelength_nm", DEFAULT_NM), self.title)
+        self._own_wavelength = "wavelength_nm" in props
         self._glasses = Glasses(props, _resolve)
         self.is_nested = False
         self.mirror = bool(props.get("mirror", False))
@@ -314,6 +315,19 @@ class Interface(mi.BSDF):
                 self._stock = None
         except MistrayError as error:
             raise MistrayError(f"{self.title}: {error}" if self.name else str(error)) from None
+
+    def lit_by(self, wavelength_nm: float) -> None:
+        """Take the wavelength of the scene's light, nm, for stock integrators, unless the scene gives another one."""
+        if not self._own_wavelength and wavelength_nm != self.wavelength_nm:
+            self.wavelength_nm, self._stock = wavelength_nm, None
+
+    @property
+    def known_indices(self) -> tuple[float, float]:
+        """Real indices in front and behind, each at `wavelength_nm` or the nearest one at which it is known."""
+        front, back = (
+            refractive_index(name, nearest_known_nm(name, self.wavelength_nm)) for name in (self.front, self.back)
+        )
+        return front, back
 
     def indices(self, wavelength_nm: float) -> tuple[float, float]:
         """Real refractive indices of the front and the back material at a wavelength in nm."""

@@ -131,7 +131,7 @@ def test_extrapolation_onto_a_pole_is_an_error():
         ("n(0)=1.5", 550.0, "wavelength 0 nm"),
         ("n(550)=1.5 n(550)=1.6", 550.0, "is there twice"),
         ("n(500)=1.5 n(600)=1.4", 650.0, "500 … 600 nm"),
-        ("N-BK7", 200.0, "300 … 2500 nm; use a wavelength inside, or append ' extrapolate'"),
+        ("N-BK7", 200.0, "300 … 2500 nm; use a wavelength inside"),
         ("glass.agf", 550.0, "Write 'glass.agf:NAME'"),
         ("COATING.DAT", 550.0, "Write 'COATING.DAT:NAME'"),
         ("nowhere/glass.csv", 550.0, "nowhere/glass.csv: No such file"),
