@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.coatings import Coating, CoatingTable, Stack
 from mistray.errors import MistrayError
 from mistray.materials import complex_index, nearest_known_nm, refractive_index, resolved, shifted
 from mistray.ranges import INDEX_SHIFT
@@ -79,6 +80,26 @@ class Glasses:
     @property
     def back(self) -> str:
         return self._names[1]
+
+    def known_indices(self, wavelength_nm: float) -> tuple[float, float]:
+        """Real indices in front and behind, each at a wavelength or the nearest one at which it is known."""
+        front, back = (refractive_index(name, nearest_known_nm(name, wavelength_nm)) for name in self._names)
+        return front, back
+
+    def nearest_nm(self, wavelength_nm: float, coating: Coating) -> float:
+        """
+        The wavelength nearest to another one at which the materials and a coating between them are known.
+
+        Mitsuba's kernels call the BSDFs of all scenes of the process, and a scene that is not rendered must not end the
+        rendering of another one.
+        """
+        for material in self._names:
+            wavelength_nm = nearest_known_nm(material, wavelength_nm)
+        for layer in coating.layers if isinstance(coating, Stack) else ():
+            wavelength_nm = nearest_known_nm(layer.material, wavelength_nm, with_k=True)
+        if isinstance(coating, CoatingTable) and len(coating.wavelength_nm) > 1:
+            wavelength_nm = float(np.clip(wavelength_nm, coating.wavelength_nm[0], coating.wavelength_nm[-1]))
+        return wavelength_nm
 
     def transparent(self, wavelength_nm: float) -> tuple[complex, complex]:
         """Indices for stock integrators, which know no absorption in media: without k a material is transparent."""
