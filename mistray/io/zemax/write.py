@@ -27,7 +27,7 @@ from mistray.physics.geometry.outline import ALL
 from mistray.prescription.sequential.table import Decentre, Row, Sequential
 from mistray.replace_file import replace_file
 
-_INFRARED = ("GERMANIUM", "SILICON", "ZNSE")  # these are not in Zemax's catalogue MISC
+_INFRARED = ("GERMANIUM", "SILICON", "ZNSE", "ZNS_IR", "CDTE", "KRS5")  # these are not in Zemax's catalogue MISC
 # A Vd of 0 means "no dispersion" to OpticStudio and a division by zero to others. In light of the d line alone no
 # program looks at Vd, so that there one stands that all can divide by and that `read_zemax` knows.
 _NO_DISPERSION_VD, _ANY_VD = 0.0, 1e10
