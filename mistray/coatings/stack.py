@@ -11,7 +11,7 @@ import numpy as np
 
 from mistray.coatings.response import Response, layered_response
 from mistray.errors import MistrayError
-from mistray.materials import complex_index, resolved
+from mistray.materials import complex_index, nearest_known_nm, resolved
 from mistray.ranges import INDEX_SHIFT, LAYER_NM, check_fields
 
 SIDES = ("outside", "front", "back")
@@ -85,9 +85,16 @@ class Stack:
     def __str__(self) -> str:
         return f"coating '{self.name}'" if self.name else "coating"
 
-    def indices(self, wavelength_nm: float) -> tuple[complex, ...]:
+    def indices(self, wavelength_nm: float, nearest: bool = False) -> tuple[complex, ...]:
         """
         N = n + ik of the layers in the coating's own order.
+
+        Parameters
+        ----------
+        wavelength_nm : float
+            In vacuum, nm.
+        nearest : bool
+            Each layer at the nearest wavelength at which its material is known.
 
         Raises
         ------
@@ -97,13 +104,14 @@ class Stack:
         result = []
         for number, layer in enumerate(self.layers, start=1):
             try:
-                index = layer.index(wavelength_nm)
+                at = nearest_known_nm(layer.material, wavelength_nm, with_k=True) if nearest else wavelength_nm
+                index = layer.index(at)
             except MistrayError as error:
                 raise MistrayError(f"{self}, layer {number}: {error}") from None
             if not (index.real > 0 and index.imag >= 0):
                 raise MistrayError(
                     f"{self}, layer {number} ({layer.material}): n = {index.real:g}, k = {index.imag:g} at "
-                    f"{wavelength_nm:g} nm; n must be greater than 0 and k 0 or greater, change n_shift or k_shift"
+                    f"{at:g} nm; n must be greater than 0 and k 0 or greater, change n_shift or k_shift"
                 )
             result.append(index)
         return tuple(result)

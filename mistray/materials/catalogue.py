@@ -5,12 +5,13 @@ from __future__ import annotations
 import difflib
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass
 from functools import cache, lru_cache
 from itertools import chain
 from pathlib import Path
 
 from mistray.errors import MistrayError
+from mistray.materials import infrared
+from mistray.materials.entry import Entry
 from mistray.materials.pages import SUPPLIERS, data_folder
 
 _PMMA = "organic/(C5H8O2)n - poly(methyl methacrylate)/nk"
@@ -20,36 +21,17 @@ _POLYMERS = "other/commercial polymers"
 _PHONE = "Stray Light Analysis of a Mobile Phone Camera (with FRED), Table 5 (nd) and Figure 6 (Vd)"
 
 
-@dataclass(frozen=True)
-class Entry:
-    """
-    What a name stands for.
-
-    Attributes
-    ----------
-    name : str
-        As the catalogue spells it; glasses have their maker in front, as in ``schott/N-BK7``.
-    page : str
-        Page of n, and of k where `k_page` is None; literature where `nd_vd` has n.
-    k_page : str or None
-        Page of k, where another page has it.
-    nd_vd : (float, float) or None
-        nd and Vd of a material that has no page. Its k is unknown.
-    """
-
-    name: str
-    page: str
-    k_page: str | None = None
-    nd_vd: tuple[float, float] | None = None
-
+_IR = {entry.name: entry for entry in infrared.BY_WAVELENGTH}
 
 _PINNED = [
     # Crystals and glasses of no one maker
     Entry("fused silica", "main/SiO2/nk/Malitson", "specs/schott/misc/LITHOSIL-Q"),
-    Entry("sapphire", "main/Al2O3/nk/Malitson-o"),
-    Entry("CaF2", "main/CaF2/nk/Daimon-20", "specs/schott/misc/LITHOTEC-CAF2"),
-    Entry("BaF2", "main/BaF2/nk/Malitson"),
+    _IR["sapphire"],
+    _IR["CaF2"],
+    _IR["BaF2"],
+    _IR["MgF2 crystal"],
     Entry("LiF", "main/LiF/nk/Li"),
+    _IR["KRS-5"],
     Entry("diamond", "main/C/nk/Phillip"),
     Entry("soda lime", "glass/misc/soda-lime/nk/Rubin-clear"),
     Entry("water", "main/H2O/nk/Hale"),
@@ -84,8 +66,9 @@ _PINNED = [
     Entry("W", "main/W/nk/Weaver"),
     Entry("brass", "other/alloys/Cu-Zn/nk/Querry-Cu70Zn30"),
     Entry("stainless steel", "other/alloys/stainless steel/nk/Karlsson-austenitic"),
-    Entry("Si", "main/Si/nk/Schinke"),
-    Entry("Ge", "main/Ge/nk/Nunley"),
+    _IR["Si"],
+    _IR["Ge"],
+    _IR["CdTe"],
     # Coating materials: thin films where the database has one with k in the visible
     Entry("Al2O3", "main/Al2O3/nk/Franta"),
     Entry("AlN", "main/AlN/nk/Beliaev1"),
@@ -107,8 +90,8 @@ _PINNED = [
     Entry("WO3", "main/WO3/nk/Kulikova"),
     Entry("Y2O3", "main/Y2O3/nk/Nigara"),
     Entry("YbF3", "main/YbF3/nk/Amotchkina"),
-    Entry("ZnS", "main/ZnS/nk/Amotchkina"),
-    Entry("ZnSe", "main/ZnSe/nk/Amotchkina"),
+    _IR["ZnS"],
+    _IR["ZnSe"],
     Entry("ZrO2", "main/ZrO2/nk/Synowicki"),
 ]
 
@@ -123,6 +106,7 @@ MAKERS: dict[str, tuple[str, ...]] = {
     "hikari": ("optical",),
     "sumita": ("optical",),
     "lzos": ("optical",),
+    **infrared.MAKERS,
 }
 """Glass makers and the folders of their pages; a name without its maker in front is looked up in this order."""
 
@@ -133,12 +117,10 @@ _WORDS = {
     "aluminum": "Al",
     "chromium": "Cr",
     "copper": "Cu",
-    "germanium": "Ge",
     "gold": "Au",
     "nickel": "Ni",
     "polycarbonate": "PC",
     "polystyrene": "PS",
-    "silicon": "Si",
     "silver": "Ag",
     "titanium": "Ti",
     "tungsten": "W",
@@ -182,7 +164,8 @@ def find(name: str) -> Entry:
     Entry of a name, a glass with its maker (``schott/N-BK7``) or a page (``main/Ag/nk/Yang``).
 
     A name spelt exactly as a catalogue spells it means that entry: ``LaF3`` is the fluoride, ``LAF3`` the glass.
-    Otherwise capitals do not matter. A glass without its maker is the one of the first maker in `MAKERS` who has it.
+    Otherwise capitals do not matter, and materials of the infrared have the names that lens files give them. A glass
+    without its maker is the one of the first maker in `MAKERS` who has it.
 
     Raises
     ------
@@ -210,6 +193,10 @@ def find(name: str) -> Entry:
             "its R, 0.07 say"
         )
     found = [hits[name.lower()] for hits in _by_lower_case() if name.lower() in hits]
+    if not found and infrared.plain(name) in infrared.OTHER_NAMES:
+        return find(infrared.OTHER_NAMES[infrared.plain(name)])
+    if (why := infrared.without_page(name)) is not None:
+        raise MistrayError(f"material '{name}' {why}")
     if not found:
         raise _unknown(name, _close(name, chain(*glasses().values(), PINNED)))
     if found[0].name in PINNED and len(found) > 1:

@@ -30,6 +30,10 @@ class Curve:
     range_nm: tuple[float, float] | None = None
     nodes_nm: tuple[float, ...] = ()
 
+    def covers(self, wavelength_nm: float) -> bool:
+        """Whether there are data at a wavelength, nm."""
+        return self.range_nm is None or self.range_nm[0] <= wavelength_nm <= self.range_nm[1]
+
     def at(self, wavelength_nm: float, what: str, extrapolate: bool, remedy: str) -> float:
         """
         Value at a wavelength.
@@ -51,7 +55,7 @@ class Curve:
         MistrayError
             If the wavelength is outside of the range and `extrapolate` is false, or if there is no value.
         """
-        if self.range_nm is not None and not extrapolate and not self.range_nm[0] <= wavelength_nm <= self.range_nm[1]:
+        if self.range_nm is not None and not (extrapolate or self.covers(wavelength_nm)):
             low, high = self.range_nm
             raise MistrayError(f"{what}: {wavelength_nm:g} nm is outside of its {low:g} … {high:g} nm; {remedy}")
         try:

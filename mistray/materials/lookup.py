@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 from mistray.errors import MistrayError
 from mistray.materials import agf, user_table
-from mistray.materials.catalogue import Entry, find
+from mistray.materials.catalogue import PINNED, find, glasses
 from mistray.materials.curve import Curve, constant, table
+from mistray.materials.entry import Entry
 from mistray.materials.formulas import CAUCHY_RANGE_NM, cauchy_index
+from mistray.materials.infrared import MAKERS
 from mistray.materials.mate import read_mate
-from mistray.materials.pages import read_page
-from mistray.materials.spec import AbbeNumber, BulkScatter, Constant, Samples, Spec, UserFile, parse
+from mistray.materials.pages import book, read_page
+from mistray.materials.spec import AbbeNumber, BulkScatter, Constant, Name, Samples, Spec, UserFile, parse
+
+CLEAR_K = 1e-3  # of what may stand for a material that light passes
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,8 @@ class Source:
         Whether there is a k at all.
     k_page, k_reference : str or None
         Where k comes from, if not from the same source as n.
+    beyond : Source or None
+        The page that is asked for wavelengths outside of `n_range_nm`, where the name stands for several.
     """
 
     name: str
@@ -52,6 +58,7 @@ class Source:
     k_known: bool
     k_page: str | None = None
     k_reference: str | None = None
+    beyond: Source | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +99,36 @@ def refractive_index(material: str, wavelength_nm: float) -> float:
     """
     spec = parse(material)
     _check_wavelength(spec, wavelength_nm)
-    return _real(spec, _material(spec), wavelength_nm)
+    return _real(spec, _material(spec, wavelength_nm), wavelength_nm)
+
+
+def nearest_known_nm(material: str, wavelength_nm: float, with_k: bool = False) -> float:
+    """
+    The wavelength nearest to another one at which n of a material is known, nm.
+
+    Parameters
+    ----------
+    material : str
+    wavelength_nm : float
+    with_k : bool
+        Known must be k, too, if it is known anywhere.
+
+    Raises
+    ------
+    MistrayError
+        If the string is not understood.
+    """
+    spec = parse(material)
+    if spec.extrapolate:
+        return wavelength_nm
+    nearest = []
+    for found in _materials(spec):
+        at = wavelength_nm
+        for curve in (found.n, found.k if with_k else None):
+            if curve is not None and curve.range_nm is not None:
+                at = min(max(at, curve.range_nm[0]), curve.range_nm[1])
+        nearest.append(at)
+    return min(nearest, key=lambda at: abs(at - wavelength_nm))
 
 
 def bulk_scatter(material: str) -> BulkScatter:
@@ -123,7 +159,7 @@ def complex_index(material: str, wavelength_nm: float) -> complex:
     """
     spec = parse(material)
     _check_wavelength(spec, wavelength_nm)
-    found = _material(spec)
+    found = _material(spec, wavelength_nm)
     n = _real(spec, found, wavelength_nm)
     if found.k is None:
         where = f"{found.page} gives n only" if found.page else found.reference
@@ -131,14 +167,14 @@ def complex_index(material: str, wavelength_nm: float) -> complex:
             f"material '{spec.text}': k is unknown ({where}); append ' k=0' if its absorption does not matter, else "
             "' k=VALUE'"
         )
-    remedy = "append ' k=VALUE' or ' extrapolate', or use a wavelength inside"
+    remedy = "append ' k=VALUE', or use a wavelength inside"
     return complex(n, found.k.at(wavelength_nm, f"k of material '{spec.text}'", spec.extrapolate, remedy))
 
 
 def table_nodes_nm(material: str) -> tuple[float, ...]:
     """Wavelengths of the tables of n and k of a material, nm; none where formulas or numbers give them."""
-    found = _material(parse(material))
-    return (*found.n.nodes_nm, *(found.k.nodes_nm if found.k is not None else ()))
+    curves = [curve for found in _materials(parse(material)) for curve in (found.n, found.k) if curve is not None]
+    return tuple(dict.fromkeys(node for curve in curves for node in curve.nodes_nm))
 
 
 def source(material: str) -> Source:
@@ -150,19 +186,22 @@ def source(material: str) -> Source:
     MistrayError
         If the string is not understood.
     """
-    spec = parse(material)
-    found = _material(spec)
-    return Source(
-        name=found.name,
-        page=found.page,
-        reference=found.reference,
-        comment=found.comment,
-        n_range_nm=found.n.range_nm,
-        k_range_nm=found.k.range_nm if found.k else None,
-        k_known=found.k is not None,
-        k_page=found.k_page,
-        k_reference=found.k_reference,
-    )
+    known: Source | None = None
+    for found in reversed(_materials(parse(material))):
+        known = Source(
+            name=found.name,
+            page=found.page,
+            reference=found.reference,
+            comment=found.comment,
+            n_range_nm=found.n.range_nm,
+            k_range_nm=found.k.range_nm if found.k else None,
+            k_known=found.k is not None,
+            k_page=found.k_page,
+            k_reference=found.k_reference,
+            beyond=known,
+        )
+    assert known is not None
+    return known
 
 
 def resolved(material: str, resolve: Callable[[str], str]) -> str:
@@ -184,40 +223,99 @@ def _check_wavelength(spec: Spec, wavelength_nm: float) -> None:
 
 
 def _real(spec: Spec, found: _Material, wavelength_nm: float) -> float:
-    remedy = "use a wavelength inside, or append ' extrapolate' to the material"
-    n = found.n.at(wavelength_nm, f"material '{spec.text}'", spec.extrapolate, remedy) + spec.shift
-    if not n > 0:
-        if spec.shift:
-            raise MistrayError(
-                f"material '{spec.text}': index {n:g} at {wavelength_nm:g} nm; it must be greater than 0, change the "
-                "shift"
-            )
+    name = f"material '{spec.text}'"
+    if not (found.n.covers(wavelength_nm) or spec.extrapolate):
         raise MistrayError(
-            f"material '{spec.text}': index {n:g} at {wavelength_nm:g} nm; its data do not hold there, use another "
-            "wavelength"
+            f"{name}: {wavelength_nm:g} nm is outside of its {_known(spec)}; {_remedy(spec, wavelength_nm)}"
         )
+    n = found.n.at(wavelength_nm, name, spec.extrapolate, "") + spec.shift
+    if not n > 0:
+        where = f"{name}: index {n:g} at {wavelength_nm:g} nm"
+        if spec.shift:
+            raise MistrayError(f"{where}; it must be greater than 0, change the shift")
+        raise MistrayError(f"{where}; its data do not hold there, use another wavelength")
     return n
 
 
-def _material(spec: Spec) -> _Material:
-    """The material of a string; an explicit k replaces that of the data."""
+def _known(spec: Spec) -> str:
+    """Where n is known: the ranges of all pages, as one where they overlap."""
+    ends: list[list[float]] = []
+    for low, high in sorted(found.n.range_nm for found in _materials(spec) if found.n.range_nm is not None):
+        if ends and low <= ends[-1][1]:
+            ends[-1][1] = max(ends[-1][1], high)
+        else:
+            ends.append([low, high])
+    return " and ".join(f"{low:g} … {high:g} nm" for low, high in ends)
+
+
+def _remedy(spec: Spec, wavelength_nm: float) -> str:
+    """What to do where the data of a material end: another page of it, or the material of the nearest index."""
+    inside = "use a wavelength inside"
+    if not isinstance(spec.form, Name):
+        return f"{inside}, or a material that is known there"
+    pages = dict.fromkeys(page for entry in find(spec.form.name).chain for page in book(entry.page))
+    others = [Entry(page, page) for page in pages]
+    near = _nearest(spec, wavelength_nm, others)
+    if near is not None:
+        return f"{inside}, or '{near[0]}', which is known there"
+    pinned = [entry for entry in PINNED.values() if entry.nd_vd is None]
+    near = _nearest(spec, wavelength_nm, [*pinned, *(entry for maker in MAKERS for entry in glasses()[maker].values())])
+    if near is None:
+        return inside
+    return f"{inside}; the nearest material that is known there is '{near[0]}' (n = {near[1]:.4g})"
+
+
+def _nearest(spec: Spec, wavelength_nm: float, entries: Sequence[Entry]) -> tuple[str, float] | None:
+    """Of the transparent materials that are known at a wavelength the one whose n is nearest: its name and n there."""
+    wanted = _real(spec, _material(spec, at := nearest_known_nm(spec.text, wavelength_nm)), at)
+    near: list[tuple[float, str, float]] = []
+    for entry in entries:
+        for found in _from_pages(entry) if _has_n(entry) else ():
+            if found.n.covers(wavelength_nm):
+                n = found.n.at(wavelength_nm, entry.name, False, "")
+                dark = (
+                    found.k is not None and found.k.covers(wavelength_nm) and found.k.evaluate(wavelength_nm) > CLEAR_K
+                )
+                if not dark:
+                    near.append((abs(n - wanted), entry.name, n))
+                break
+    return min(near)[1:] if near else None
+
+
+def _has_n(entry: Entry) -> bool:
+    return read_page(entry.page).n is not None
+
+
+def _material(spec: Spec, wavelength_nm: float) -> _Material:
+    """What a string means at a wavelength: the first page that covers it, else the one that comes nearest to it."""
+    found = _materials(spec)
+    for one in found:
+        if one.n.covers(wavelength_nm):
+            return one
+    return min(found, key=lambda one: min(abs(wavelength_nm - end) for end in one.n.range_nm or (0.0,)))
+
+
+def _materials(spec: Spec) -> tuple[_Material, ...]:
+    """The material of a string, one for each of its pages; an explicit k replaces that of the data."""
     form = spec.form
     if isinstance(form, Constant):
         k = form.k if spec.k is None else spec.k
-        return _Material(constant(form.n), constant(k or 0.0), spec.text, None, "given in the string")
+        return (_Material(constant(form.n), constant(k or 0.0), spec.text, None, "given in the string"),)
+    found: tuple[_Material, ...]
     if isinstance(form, AbbeNumber):
-        found = _abbe(form)
+        found = (_abbe(form),)
     elif isinstance(form, Samples):
-        found = _Material(table(*zip(*form.points, strict=True)), None, spec.text, None, "a table of n in the string")
+        found = (
+            _Material(table(*zip(*form.points, strict=True)), None, spec.text, None, "a table of n in the string"),
+        )
     elif isinstance(form, UserFile):
-        found = _from_file(form, spec.text)
+        found = (_from_file(form, spec.text),)
     else:
         found = _from_pages(find(form.name))
     if spec.k is None:
         return found
-    return _Material(
-        found.n, constant(spec.k), found.name, found.page, found.reference, found.comment, None, "given in the string"
-    )
+    given = {"k": constant(spec.k), "k_page": None, "k_reference": "given in the string"}
+    return tuple(replace(one, **given) for one in found)
 
 
 @lru_cache(maxsize=256)
@@ -227,18 +325,27 @@ def _abbe(form: AbbeNumber) -> _Material:
 
 
 @lru_cache(maxsize=256)
-def _from_pages(entry: Entry) -> _Material:
+def _from_pages(entry: Entry) -> tuple[_Material, ...]:
+    return tuple(_from_page(one) for one in entry.chain)
+
+
+def _from_page(entry: Entry) -> _Material:
     if entry.nd_vd is not None:
         return replace(_abbe(AbbeNumber(*entry.nd_vd)), name=entry.name, reference=entry.page)
     page = read_page(entry.page)
     if page.n is None:
         raise MistrayError(f"material '{entry.name}': its page {entry.page} has k only; use another page")
+    n = page.n
+    if entry.to_nm is not None and n.range_nm is not None:
+        n = replace(n, range_nm=(n.range_nm[0], entry.to_nm))
+    found = _Material(n, page.k, entry.name, page.path, page.reference, page.comment)
+    if entry.k_stated:
+        k = replace(table(*zip(*entry.k_stated, strict=True)), range_nm=None)
+        return replace(found, k=k, k_reference=entry.k_reference)
     if entry.k_page is None:
-        return _Material(page.n, page.k, entry.name, page.path, page.reference, page.comment)
+        return found
     k_page = read_page(entry.k_page)
-    return _Material(
-        page.n, k_page.k, entry.name, page.path, page.reference, page.comment, k_page.path, k_page.reference
-    )
+    return replace(found, k=k_page.k, k_page=k_page.path, k_reference=k_page.reference)
 
 
 def _from_file(form: UserFile, text: str) -> _Material:

@@ -62,6 +62,15 @@ def data_folder() -> Path:
 
 
 @cache
+def book(path: str) -> tuple[str, ...]:
+    """The pages that are of the same material as a page of a paper; those of makers stand alone."""
+    folder, _, _ = path.rpartition("/")
+    if path.startswith(SUPPLIERS) or not (data_folder() / folder).is_dir():
+        return (path,)
+    return tuple(f"{folder}/{file.stem}" for file in sorted((data_folder() / folder).glob("*.yml")))
+
+
+@cache
 def read_page(path: str) -> Page:
     """
     Read a page.

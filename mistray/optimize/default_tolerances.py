@@ -68,7 +68,7 @@ def about_bsdf(owner: Any, name: str, value: np.ndarray) -> About:
     if name in SHIFTS:
         if owner.opaque and not isinstance(owner.coating, Stack):
             return None
-        n = owner.indices(owner.wavelength_nm)[SHIFTS.index(name)]
+        n = owner.known_indices[SHIFTS.index(name)]
         return "index", "1", INDEX if n > GAS else INDEX_OF_AIR, value[0] - n, math.inf
     if name in IDEAL_PARAMETERS:
         if value[0] == 0:
@@ -76,7 +76,7 @@ def about_bsdf(owner: Any, name: str, value: np.ndarray) -> About:
         return "share", "1", max(SHARE * min(value[0], 1 - value[0]), LEAST_SHARE), 0.0, 1.0
     if name == "thickness_nm":
         return "coating", "nm", THICKNESS * float(value.mean()) or 1.0, 0.0, math.inf
-    indices = np.array(owner.coating.indices(owner.design_nm))
+    indices = np.array(owner.coating.indices(owner.design_nm, nearest=True))
     if name == "n_shift":
         return "coating", "1", LAYER_INDEX, float(np.max(value - indices.real)), math.inf
     return "coating", "1", LAYER_K, float(np.max(value - indices.imag)), math.inf

@@ -63,7 +63,7 @@ def coating_of(text: str, known: Mapping[str, Coating] = MappingProxyType({})) -
         design_nm = own.get("design_nm", 550.0)
         found = coating_from_text(recipe, design_nm)
         if isinstance(found, Stack):
-            found.indices(design_nm)
+            found.indices(design_nm, nearest=True)
     except MistrayError as error:
         near = difflib.get_close_matches(recipe, known, n=1)
         hint = f"; or did you mean '{near[0]}' of the scene?" if near else ""

@@ -12,10 +12,9 @@ from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, PLACE_MM
 from mistray.sampling.source import SceneSource, SourceRequest
 from mistray.sampling.stock_sources import stock_source
-from mistray.spectra.spectrum import of_lines
+from mistray.spectra.spectrum import DEFAULT_NM, of_lines
 from mistray.surfaces.surfaces import solid_shapes
 
-DEFAULT_NM = 550.0  # where a scene has no source
 NO_SOURCE = "the scene has no source; add an emitter, such as 'collimated' or 'point_source'"
 
 

@@ -17,6 +17,7 @@ from mistray.errors import MistrayError
 from mistray.sampling.emission_laws import cosine_power, direction, polar
 from mistray.sampling.sky_map import environment
 from mistray.sampling.source import EmittedRays, SceneSource, SourceRequest
+from mistray.spectra.spectrum import DEFAULT_NM
 
 LUMINANCE = np.array([0.212671, 0.715160, 0.072169])  # of linear sRGB, as `mi.luminance`
 DISTANT_DEG = 1e-9  # diameter of what has none
@@ -40,7 +41,7 @@ class AreaLight:
         self.radiance = _value(mi.traverse(emitter), "radiance", f"shape '{self.name}', its area emitter")
         self.field_deg = self.azimuth_deg = 0.0
         self.matrix = np.eye(4)
-        self.wavelengths_nm, self.weights = np.array([550.0]), np.ones(1)
+        self.wavelengths_nm, self.weights = np.array([DEFAULT_NM]), np.ones(1)
 
     def power(self, field_deg: float | None = None) -> float:
         """Flux, W: π · radiance · area."""

@@ -37,9 +37,9 @@ class _Placed:
         return np.asarray(self.z + self.sign * self.shape.sag(r))
 
     def material(self, ahead: bool) -> tuple[float, str]:
-        """Index, at the wavelength of the stock integrators, and name of the material behind or ahead on the axis."""
+        """Index, at the wavelength of the light or near it, and name of the material behind or ahead on the axis."""
         bsdf = self.shape.bsdf()
-        front, back = bsdf.indices(bsdf.wavelength_nm)
+        front, back = bsdf.known_indices
         return (back, bsdf.back) if ahead == (self.sign > 0) else (front, bsdf.front)
 
     def __str__(self) -> str:
@@ -99,10 +99,10 @@ def check_overlaps(scene: mi.Scene) -> None:
     for axis in axes:
         axis.placed.sort(key=lambda item: item.z)
         _check_crossings(axis)
-    if not all(hasattr(shape.bsdf(), "indices") for shape in shapes):
+    if not all(hasattr(shape.bsdf(), "known_indices") for shape in shapes):
         return
     detectors = [shape.bsdf() for shape in shapes if shape.is_sensor()]
-    around = {bsdf.indices(bsdf.wavelength_nm)[0]: bsdf.front for bsdf in detectors}
+    around = {bsdf.known_indices[0]: bsdf.front for bsdf in detectors}
     for axis in axes:
         if sum(not item.shape.bsdf().opaque for item in axis.placed) < 2:
             continue

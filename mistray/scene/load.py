@@ -27,6 +27,7 @@ from mistray.scene.messages import explain, is_interrupt
 from mistray.scene.other_sensors import sensor_dicts
 from mistray.scene.other_sources import source_dicts, with_parts
 from mistray.scene.source import remember
+from mistray.spectra.spectrum import DEFAULT_NM
 
 LONGEST_NAME = 400  # characters of a path that a message repeats
 Part = str | Mapping[str, Any]
@@ -110,11 +111,20 @@ def _loaded(given: Path | dict[str, Any], text: str | None, sources: Parts, sens
         scene = _with_parts(scene, others, more)
     for shape in scene.shapes():
         check_id(shape.id(), "shape")
+    _light_interfaces(scene)
     check_overlaps(scene)
     for line in improbable(scene):
         warnings.warn(line, MistrayWarning, stacklevel=3)
     remember(scene, given, others, more, text)
     return scene
+
+
+def _light_interfaces(scene: mi.Scene) -> None:
+    """Tell the interfaces the wavelength of the scene's light: the first one of its first source."""
+    lines = [getattr(emitter, "wavelengths_nm", (DEFAULT_NM,)) for emitter in scene.emitters()]
+    for shape in scene.shapes():
+        if lines and hasattr(shape.bsdf(), "lit_by"):
+            shape.bsdf().lit_by(float(lines[0][0]))
 
 
 def _with_parts(scene: mi.Scene, sources: Sequence[Part], sensors: Sequence[Part]) -> mi.Scene:

@@ -27,6 +27,7 @@ from mistray.spectra.cie import LUMENS_PER_WATT, daylight, luminous_efficiency, 
 from mistray.spectra.lines import LINES
 
 Array = npt.NDArray[np.float64]
+DEFAULT_NM = 550.0  # of light whose wavelength nothing states
 DEFAULT_BAND_NM = (400.0, 700.0)
 DEFAULT_BANDS = 6
 BANDS = Range(1, 200, whole=True)

@@ -41,7 +41,7 @@ class EdgeDiffraction(Scatterer):
     n_front_shift     1       ±            0            by itself only; see ``interface`` (differentiable)
     n_back_shift      1       ±            0            by itself only; see ``interface`` (differentiable)
     mirror            bool                 false        by itself only; see ``interface``
-    wavelength_nm     nm      > 0          550          by itself only; see ``interface``
+    wavelength_nm     nm      > 0          source       by itself only; see ``interface``
     ================= ======= ============ ============ ========================================================
 
     Reciprocal. Source: see `mistray.physics.diffraction`.

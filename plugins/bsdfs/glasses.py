@@ -8,8 +8,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.coatings import Coating, CoatingTable, Stack
 from mistray.errors import MistrayError
-from mistray.materials import complex_index, refractive_index, resolved, shifted
+from mistray.materials import complex_index, nearest_known_nm, refractive_index, resolved, shifted
 from mistray.ranges import INDEX_SHIFT
 
 SHIFTS = ("n_front_shift", "n_back_shift")
@@ -52,7 +53,8 @@ class Glasses:
         Raises
         ------
         MistrayError
-            If a number is impossible at this wavelength; then nothing has changed.
+            If a number is impossible at this wavelength, or at the nearest one at which the material is known; then
+            nothing has changed.
         """
         values = tuple(np.array(dr.detach(value), dtype=np.float64) for value in self.parameters.values())
         for name, value in zip(SHIFTS, values, strict=True):
@@ -61,7 +63,7 @@ class Glasses:
             INDEX_SHIFT.check(name, float(value[0]))
         front, back = (shifted(material, float(value[0])) for material, value in zip(self.given, values, strict=True))
         for material in (front, back):
-            refractive_index(material, wavelength_nm)
+            refractive_index(material, nearest_known_nm(material, wavelength_nm))
         changed = (front, back) != self._names
         self._names, self._held = (front, back), values
         return changed
@@ -78,6 +80,26 @@ class Glasses:
     @property
     def back(self) -> str:
         return self._names[1]
+
+    def known_indices(self, wavelength_nm: float) -> tuple[float, float]:
+        """Real indices in front and behind, each at a wavelength or the nearest one at which it is known."""
+        front, back = (refractive_index(name, nearest_known_nm(name, wavelength_nm)) for name in self._names)
+        return front, back
+
+    def nearest_nm(self, wavelength_nm: float, coating: Coating) -> float:
+        """
+        The wavelength nearest to another one at which the materials and a coating between them are known.
+
+        Mitsuba's kernels call the BSDFs of all scenes of the process, and a scene that is not rendered must not end the
+        rendering of another one.
+        """
+        for material in self._names:
+            wavelength_nm = nearest_known_nm(material, wavelength_nm)
+        for layer in coating.layers if isinstance(coating, Stack) else ():
+            wavelength_nm = nearest_known_nm(layer.material, wavelength_nm, with_k=True)
+        if isinstance(coating, CoatingTable) and len(coating.wavelength_nm) > 1:
+            wavelength_nm = float(np.clip(wavelength_nm, coating.wavelength_nm[0], coating.wavelength_nm[-1]))
+        return wavelength_nm
 
     def transparent(self, wavelength_nm: float) -> tuple[complex, complex]:
         """Indices for stock integrators, which know no absorption in media: without k a material is transparent."""

@@ -20,6 +20,7 @@ from mistray.plugins.bsdfs.lobe_sum import LobeSum
 from mistray.plugins.bsdfs.sample_axis import SampleAxis, SampleFrame, common_axis
 from mistray.ranges import AIMED_RAYS, SHARE, WAVELENGTH_NM
 from mistray.scatter import Scatter
+from mistray.spectra.spectrum import DEFAULT_NM
 from mistray.surfaces.optics import (
     REFLECTION_BACK,
     REFLECTION_FRONT,
@@ -30,7 +31,6 @@ from mistray.surfaces.optics import (
     unpolarized_shares,
 )
 
-STOCK_WAVELENGTH_NM = 550.0
 STOCK_BODY_MM = 1.0  # stock integrators know no absorption on the way: what is dark after this length is opaque
 UNNAMED = ("bsdf", "coating")  # names that come from the place in a dict
 SIDES = (
@@ -88,8 +88,8 @@ class Interface(mi.BSDF):
                               one              (one in, one out; unbiased), whatever the trace does elsewhere
     scatter_rays      1       0 … 255 0        random scattered rays at every hit of the ray tree; 0: the setting of
                                                the trace
-    wavelength_nm     nm      > 0     550      wavelength for *stock* integrators only; the ray tree uses the
-                                               wavelength of its source
+    wavelength_nm     nm      > 0     source   wavelength for *stock* integrators only; by default the first one of
+                                               the scene's first source
     ================= ======= ======= ======== ===========================================================
 
     Models of scatter add up. What they scatter relative to R and T is taken from the specular beams, what is absolute
@@ -97,9 +97,12 @@ class Interface(mi.BSDF):
 
     Source: Fresnel's equations, see `mistray.physics.thinfilm`. Under a stock integrator the plugin is a delta BSDF
     for unpolarised light, plus the lobes of its scatter. R and T of a coating then come from the same table over the
-    angle that the ray tree uses, at ``wavelength_nm``. A material without k is taken for transparent there. The
-    components are the reflected and the transmitted beam, then reflected and transmitted scatter. In the mode
-    "radiance" light is scattered from wo to wi.
+    angle that the ray tree uses, at ``wavelength_nm``. Without it `mistray.load` takes the first wavelength of the
+    scene's first source; it is 550 nm where there is none, or where Mitsuba's own loader made the scene. If materials
+    or coating are not known there, it is the nearest wavelength at which they are. A material without k is taken for
+    transparent. The ray tree evaluates materials at the wavelengths that are traced, and
+    they need not be known anywhere else. The components are the reflected and the transmitted beam, then reflected and
+    transmitted scatter. In the mode "radiance" light is scattered from wo to wi.
 
     .. code-block:: xml
 
@@ -121,9 +124,8 @@ class Interface(mi.BSDF):
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.name = "" if props.id() in UNNAMED else str(props.id())
-        self.wavelength_nm = WAVELENGTH_NM.check(
-            "wavelength_nm", props.get("wavelength_nm", STOCK_WAVELENGTH_NM), self.title
-        )
+        self.wavelength_nm = WAVELENGTH_NM.check("wavelength_nm", props.get("wavelength_nm", DEFAULT_NM), self.title)
+        self._own_wavelength = "wavelength_nm" in props
         self._glasses = Glasses(props, _resolve)
         self.is_nested = False
         self.mirror = bool(props.get("mirror", False))
@@ -315,6 +317,16 @@ class Interface(mi.BSDF):
         except MistrayError as error:
             raise MistrayError(f"{self.title}: {error}" if self.name else str(error)) from None
 
+    def lit_by(self, wavelength_nm: float) -> None:
+        """Take the wavelength of the scene's light, nm, for stock integrators, unless the scene gives another one."""
+        if not self._own_wavelength and wavelength_nm != self.wavelength_nm:
+            self.wavelength_nm, self._stock = wavelength_nm, None
+
+    @property
+    def known_indices(self) -> tuple[float, float]:
+        """Real indices in front and behind, each at `wavelength_nm` or the nearest one at which it is known."""
+        return self._glasses.known_indices(self.wavelength_nm)
+
     def indices(self, wavelength_nm: float) -> tuple[float, float]:
         """Real refractive indices of the front and the back material at a wavelength in nm."""
         return refractive_index(self.front, wavelength_nm), refractive_index(self.back, wavelength_nm)
@@ -336,17 +348,18 @@ class Interface(mi.BSDF):
     # -- Mitsuba's protocol --------------------------------------------------------------------------------------
 
     def _stock_table(self) -> dict[str, Any]:
-        """The coating at `wavelength_nm` for stock integrators: tables, and whether nothing is transmitted."""
+        """The coating at one wavelength for stock integrators: tables, and whether nothing is transmitted."""
         coating = self.coating
         if self._stock is None or self._stock[0] is not coating:
-            sides = self._glasses.transparent(self.wavelength_nm)
-            opaque = coating.opaque or bool(np.any(is_dark(sides, self.wavelength_nm, STOCK_BODY_MM)))
+            wavelength_nm = self._glasses.nearest_nm(self.wavelength_nm, coating)
+            sides = self._glasses.transparent(wavelength_nm)
+            opaque = coating.opaque or bool(np.any(is_dark(sides, wavelength_nm, STOCK_BODY_MM)))
             tables = {}
             if not self.ideal and (opaque or not isinstance(coating, Bare)):
-                table = angle_table(coating, self.wavelength_nm, *sides, opaque, False)
+                table = angle_table(coating, wavelength_nm, *sides, opaque, False)
                 for name, part in (("refraction", table.refraction), ("total", table.total)):
                     tables[name] = mi.Float(np.ascontiguousarray(part[:, :, 0]).ravel()), len(part) - 1
-            self._stock = coating, {"n": sides, "opaque": opaque, "tables": tables}
+            self._stock = coating, {"nm": wavelength_nm, "n": sides, "opaque": opaque, "tables": tables}
         return self._stock[1]
 
     def _specular(self, cos_wi: mi.Float, active: mi.Mask) -> tuple[mi.Float, mi.Float, mi.Float, mi.Float]:
@@ -372,18 +385,18 @@ class Interface(mi.BSDF):
         return r, t, -dr.mulsign(cos_t, cos_wi), eta
 
     def _lobe_sum(self) -> LobeSum:
-        """What scatters at `wavelength_nm`, for stock integrators."""
+        """What scatters, for stock integrators."""
         models, stock = self.scatter, self._stock_table()
         if self._lobes is None or self._lobes[0] is not stock or self._lobes[1].models != list(models):
             n = tuple(n.real for n in stock["n"])
-            lobes = LobeSum(self.scatterers, self.wavelength_nm, n, stock["opaque"], self._stock_shares, self.title)
+            lobes = LobeSum(self.scatterers, stock["nm"], n, stock["opaque"], self._stock_shares, self.title)
             self._lobes = stock, lobes
         return self._lobes[1]
 
     def _stock_shares(self, from_front: bool, cosines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """R and T for stock integrators at cosines of incidence, (m,) each."""
         stock = self._stock_table()
-        return unpolarized_shares(self.coating, self.wavelength_nm, stock["n"], stock["opaque"], from_front, cosines)
+        return unpolarized_shares(self.coating, stock["nm"], stock["n"], stock["opaque"], from_front, cosines)
 
     def _sample(self, si: mi.SurfaceInteraction3f) -> SampleFrame | None:
         """How the sample lies at a hit, if a model of scatter depends on it."""

@@ -48,7 +48,7 @@ class Paint(Scatterer):
     n_front_shift     1       ±            0          by itself only; see ``interface`` (differentiable)
     n_back_shift      1       ±            0          by itself only; see ``interface`` (differentiable)
     mirror            bool                 false      by itself only; see ``interface``
-    wavelength_nm     nm      > 0          550        by itself only; see ``interface``
+    wavelength_nm     nm      > 0          source     by itself only; see ``interface``
     ================= ======= ============ ========== ==========================================================
 
     Reciprocal, also at grazing incidence. Source: see `mistray.scatter.paint`.

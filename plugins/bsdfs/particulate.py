@@ -41,7 +41,7 @@ class Particulate(Scatterer):
     n_front_shift     1       ±            0          by itself only; see ``interface`` (differentiable)
     n_back_shift      1       ±            0          by itself only; see ``interface`` (differentiable)
     mirror            bool                 false      by itself only; see ``interface``
-    wavelength_nm     nm      > 0          550        by itself only; see ``interface``
+    wavelength_nm     nm      > 0          source     by itself only; see ``interface``
     ================= ======= ============ ========== ==========================================================
 
     Not reciprocal: it scatters by 1/cos of the angle of incidence up to a limit. Source: see

@@ -38,7 +38,7 @@ class PhongLobe(Scatterer):
     n_front_shift     1       ±            0          by itself only; see ``interface`` (differentiable)
     n_back_shift      1       ±            0          by itself only; see ``interface`` (differentiable)
     mirror            bool                 false      by itself only; see ``interface``
-    wavelength_nm     nm      > 0          550        by itself only; see ``interface``
+    wavelength_nm     nm      > 0          source     by itself only; see ``interface``
     ================= ======= ============ ========== ==========================================================
 
     Reciprocal in reflection where R is constant; in transmission it is not. At oblique incidence the horizon cuts a

@@ -46,7 +46,7 @@ class Polynomial(Scatterer):
     n_front_shift     1       ±            0          by itself only; see ``interface`` (differentiable)
     n_back_shift      1       ±            0          by itself only; see ``interface`` (differentiable)
     mirror            bool                 false      by itself only; see ``interface``
-    wavelength_nm     nm      > 0          550        by itself only; see ``interface``
+    wavelength_nm     nm      > 0          source     by itself only; see ``interface``
     ================= ======= ============ ========== ==========================================================
 
     Reciprocal in reflection where R is constant. A fit may rise where it was not fitted: look at it up to grazing

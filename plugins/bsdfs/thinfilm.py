@@ -43,7 +43,7 @@ class ThinFilm(Interface):
     T              1       0 … 1   0        constant transmittance beside R (differentiable)
     first          string          outside  where the first layer lies: ``outside`` is the side of lower
                                             index (metals count as substrate), else ``front`` or ``back``
-    design_nm      nm      > 0     550      wavelength of thicknesses in waves; the materials of the layers
+    design_nm      nm      > 0     550      wavelength of thicknesses in waves; the materials of such layers
                                             must be known there
     n_shift        list            0        numbers, one for each layer, added to its n (differentiable)
     k_shift        list            0        the same for k (differentiable)
@@ -53,7 +53,7 @@ class ThinFilm(Interface):
     n_front_shift  1       ±       0        by itself only; see ``interface`` (differentiable)
     n_back_shift   1       ±       0        by itself only; see ``interface`` (differentiable)
     mirror         bool            false    by itself only; see ``interface``
-    wavelength_nm  nm      > 0     550      by itself only; see ``interface``
+    wavelength_nm  nm      > 0     source   by itself only; see ``interface``
     ============== ======= ======= ======== ==============================================================
 
     In ``mi.traverse`` layers have ``thickness_nm`` (nm, ≥ 0), ``n_shift`` and ``k_shift``: arrays with one
@@ -150,7 +150,9 @@ class ThinFilm(Interface):
             for layer, d, n, k in zip(self._layers, *values, strict=True)
         )
         stack = Stack(layers, self._first, self.name, self._opaque)
-        stack.indices(self.design_nm)  # unknown materials and impossible shifts are errors of the scene, now
+        stack.indices(
+            self.design_nm, nearest=True
+        )  # unknown materials and impossible shifts are errors of the scene, now
         return stack
 
     def _summary(self) -> str:

@@ -14,9 +14,7 @@ from mistray.physics.geometry.pose import pointing_error, rigid_motion
 from mistray.physics.polarization.state import WAYS, polarization_state
 from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, WAVELENGTH_NM, WEIGHT, Range
 from mistray.sampling.source import EmittedRays, SceneSource, SourceRequest
-from mistray.spectra.spectrum import BANDS, Light, light_of, of_lines
-
-DEFAULT_NM = 550.0
+from mistray.spectra.spectrum import BANDS, DEFAULT_NM, Light, light_of, of_lines
 
 
 class LightSource(mi.Emitter):

@@ -33,7 +33,11 @@ def test_every_pinned_material_is_listed():
 def test_row_of_a_material(name):
     _, _, n, k, n_range, k_range, page, reference = MATERIALS[name]
     found = source(name)
-    assert float(n) == pytest.approx(refractive_index(name, 550.0), abs=5.1e-5)
+    if n == "unknown":
+        with pytest.raises(MistrayError):
+            refractive_index(name, 550.0)
+    else:
+        assert float(n) == pytest.approx(refractive_index(name, 550.0), abs=5.1e-5)
     if k == "unknown":
         with pytest.raises(MistrayError):
             complex_index(name, 550.0)
@@ -46,6 +50,24 @@ def test_row_of_a_material(name):
     author, _, journal = reference.partition(", ")
     assert re.split(" and | et al", author)[0] in found.reference
     assert journal in found.reference
+
+
+def test_pages_of_the_infrared():
+    """Each page beyond the first of a name has its row, in the order in which they are asked."""
+    listed = iter(rows("In the infrared"))
+    for name in PINNED:
+        found = source(name).beyond
+        while found is not None:
+            of, n_range, k_range, page, reference = next(listed)
+            k_known = "unknown" if not found.k_known else "stated" if found.k_range_nm is None else found.k_range_nm
+            assert of == f"`{name}`"
+            assert n_range == "{:.6g} … {:.6g}".format(*found.n_range_nm)
+            assert k_range == (k_known if isinstance(k_known, str) else "{:.6g} … {:.6g}".format(*k_known))
+            assert re.findall(r"`(.+?)`", page) == [part for part in (found.page, found.k_page) if part]
+            assert re.split(" and | et al", reference.partition(", ")[0])[0] in found.reference
+            assert reference.partition(", ")[2] in found.reference
+            found = found.beyond
+    assert next(listed, None) is None
 
 
 def test_materials_of_the_phone_camera_study():

@@ -125,7 +125,10 @@ class TestParameters:
             ({"layers": "MgF2 -5"}, "coating 'ar', layer 1 (MgF2): thickness_nm is -5; it must lie"),
             ({"layers": "MgF 5"}, "coating 'ar', layer 1: material 'MgF' is unknown"),
             ({"layers": "nd=1.5 Vd=50 5"}, "coating 'ar', layer 1: material 'nd=1.5 Vd=50': k is unknown"),
-            ({"layers": "N-BK7 5", "design_nm": 9000.0}, "coating 'ar', layer 1: material 'N-BK7': 9000 nm is outside"),
+            (
+                {"layers": "N-BK7 0.25w", "design_nm": 9000.0},
+                "coating 'ar', layer 1: material 'N-BK7': 9000 nm is outside",
+            ),
             ({"layers": "1.38 5", "design_nm": 0.0}, "design_nm is 0; it must lie"),
             ({"layers": "1.38 5", "first": "top"}, "coating 'ar': first = 'top'; it is outside, front or back"),
             ({"layers": "1.38 5, 2 5", "n_shift": "0.1"}, "thinfilm 'ar': n_shift has 1 numbers for 2 layers"),

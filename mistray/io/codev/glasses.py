@@ -23,6 +23,7 @@ from mistray.io.glasses import FileGlasses, remedy
 from mistray.io.zemax.glasses import SYNONYMS
 from mistray.materials.agf import glass_names
 from mistray.materials.catalogue import MAKERS, PINNED, glasses
+from mistray.materials.infrared import OTHER_NAMES, plain, without_page
 from mistray.materials.mate import shown
 
 _CODE = re.compile(r"(\d{1,12})\.(\d{2,12})|(\d{3})(\d{3})")
@@ -54,7 +55,7 @@ class CodevGlasses(FileGlasses):
     ) -> None:
         super().__init__(replaced, wavelengths_nm)
         self._private = private
-        self._agf = [(file, {_plain(name): name for name in glass_names(Path(file))}) for file in agf]
+        self._agf = [(file, {plain(name): name for name in glass_names(Path(file))}) for file in agf]
 
     def material(self, word: str) -> str:
         """
@@ -79,21 +80,23 @@ class CodevGlasses(FileGlasses):
             n, v = (match[1], match[2]) if match[1] else (match[3], match[4])
             return self._fictitious(word, 1 + int(n) / 10 ** len(n), int(v) / 10 ** (len(v) - 2))
         glass, _, maker = name.rpartition("_")
-        if maker.lower() not in MAKERS:
-            glass, maker = name, ""
-        wanted = _plain(glass)
+        if maker.lower() not in MAKERS:  # SPECIAL is CODE V's catalogue of what is no glass, such as GERMLW_SPECIAL
+            glass, maker = glass if maker == "SPECIAL" else name, ""
+        wanted = plain(glass)
         for file, names in self._agf:
             if wanted in names:
                 return f"{file}:{names[wanted]}"
         makers = [maker.lower()] if maker else list(MAKERS)
-        known = {_plain(key): entry.name for each in reversed(makers) for key, entry in glasses()[each].items()}
+        known = {plain(key): entry.name for each in reversed(makers) for key, entry in glasses()[each].items()}
         if wanted in known:
             return known[wanted]
-        other = SYNONYMS | {_plain(key): key for key in PINNED}
+        other = OTHER_NAMES | {plain(key): key for key in PINNED} | {plain(key): name for key, name in SYNONYMS.items()}
         if not maker and wanted in other:
             if other[wanted] != "air":
                 self._note(f"glass {word}: taken to be {other[wanted]}")
             return other[wanted]
+        if (why := without_page(word)) is not None:
+            raise MistrayError(f"glass '{shown([word])}' {why}; {remedy(word)}")
         raise self._unknown(word, wanted, known, maker)
 
     def _fictitious(self, word: str, nd: float, vd: float) -> str:
@@ -133,8 +136,3 @@ def table_material(wavelengths_nm: Sequence[float], indices: Sequence[float], us
 def _lagrange(x: np.ndarray, y: np.ndarray, at: float) -> float:
     others = [np.delete(x, k) for k in range(len(x))]
     return float(sum(y[k] * np.prod((at - rest) / (x[k] - rest)) for k, rest in enumerate(others)))
-
-
-def _plain(name: str) -> str:
-    """A name as CODE V writes it: capitals, digits and nothing else."""
-    return re.sub(r"[^A-Z0-9]", "", name.upper())

@@ -18,6 +18,7 @@ from mistray.io.glasses import FileGlasses, remedy
 from mistray.io.zemax.lines import Line
 from mistray.materials.agf import glass_names
 from mistray.materials.catalogue import MAKERS, PINNED, glasses
+from mistray.materials.infrared import OTHER_NAMES, plain, without_page
 from mistray.prescription.sequential.table import Unread
 
 MODEL_NAMES = ("___BLANK", "MODEL")
@@ -37,6 +38,11 @@ SYNONYMS = {
     "GERMANIUM": "Ge",
     "SILICON": "Si",
     "ZNSE": "ZnSe",
+    "ZNS_IR": "ZnS",
+    "ZNS_BROAD": "ZnS",
+    "CDTE": "CdTe",
+    "KRS5": "KRS-5",
+    "MGF2": "MgF2 crystal",
     "WATER": "water",
     "PMMA": "PMMA",
     "ACRYLIC": "PMMA",
@@ -145,6 +151,11 @@ class Glasses(FileGlasses):
             if material != "air":
                 self._note(f"glass {name}: taken to be {material}")
             return material
+        if plain(name) in OTHER_NAMES:
+            self._note(f"glass {name}: taken to be {OTHER_NAMES[plain(name)]}")
+            return OTHER_NAMES[plain(name)]
+        if (why := without_page(name)) is not None:
+            raise line.error(f"glass '{line.word(0)}' {why}; {remedy(name)}")
         for maker in MAKERS:
             if (found := _of_maker(maker, name)) is not None:
                 of = f"the file's catalogues {' '.join(self._catalogues)}" if self._catalogues else "the file"

@@ -20,14 +20,14 @@ from mistray.errors import MistrayError
 from mistray.io.zemax.glasses import SYNONYMS
 from mistray.io.zemax.sags import type_of
 from mistray.io.zemax.system import MOST_WAVELENGTHS
-from mistray.materials import LINE_C_NM, LINE_D_NM, LINE_F_NM, refractive_index, source
+from mistray.materials import LINE_C_NM, LINE_D_NM, LINE_F_NM, nearest_known_nm, refractive_index, source
 from mistray.materials.catalogue import MAKERS
 from mistray.materials.spec import AbbeNumber, Constant, Name, Spec, UserFile, parse
 from mistray.physics.geometry.outline import ALL
 from mistray.prescription.sequential.table import Decentre, Row, Sequential
 from mistray.replace_file import replace_file
 
-_INFRARED = ("GERMANIUM", "SILICON", "ZNSE")  # these are not in Zemax's catalogue MISC
+_INFRARED = ("GERMANIUM", "SILICON", "ZNSE", "ZNS_IR", "CDTE", "KRS5")  # these are not in Zemax's catalogue MISC
 # A Vd of 0 means "no dispersion" to OpticStudio and a division by zero to others. In light of the d line alone no
 # program looks at Vd, so that there one stands that all can divide by and that `read_zemax` knows.
 _NO_DISPERSION_VD, _ANY_VD = 0.0, 1e10
@@ -229,17 +229,14 @@ class _Writer:
         if spec.k or spec.bulk.per_mm or (isinstance(spec.form, Constant) and spec.form.k):
             self._lose(f"material '{material}' ({where}): its absorption and scatter")
         if isinstance(spec.form, (Name, UserFile)) and not spec.shift and (name := self._catalogue_name(spec)):
-            try:
-                nd, vd = self._abbe(material)
-            except MistrayError:  # its data do not reach from the F to the C line
-                nd, vd = 0.0, 0.0
+            nd, vd = self._abbe(material) if self._visible(material) else (0.0, 0.0)
             return [f"GLAS {name} 0 0 {_number(nd)} {_number(vd)} 0 0 0 0 0 0"]
         at_d = all(abs(nm - LINE_D_NM) < _D_LINE_NM for nm in self.lens.wavelengths_nm)
         if isinstance(spec.form, AbbeNumber) and not spec.shift:
             nd, vd = spec.form.nd, spec.form.vd
             if not at_d:
                 self._lose(f"material '{material}': programs have formulas of their own for nd and Vd off 587.56 nm")
-        elif isinstance(spec.form, Constant) or len(self.lens.wavelengths_nm) == 1:
+        elif isinstance(spec.form, Constant) or len(self.lens.wavelengths_nm) == 1 or not self._visible(material):
             nd, vd = refractive_index(material, self.lens.wavelength_nm), _ANY_VD if at_d else _NO_DISPERSION_VD
             if not at_d:
                 self._lose(f"material '{material}': written with Vd = 0, no dispersion, which not all programs know")
@@ -268,6 +265,10 @@ class _Writer:
         if name is not None and catalogue not in self.catalogues:
             self.catalogues.append(catalogue)
         return name
+
+    def _visible(self, material: str) -> bool:
+        """Whether its index is known from the F to the C line."""
+        return all(nearest_known_nm(material, nm) == nm for nm in (LINE_F_NM, LINE_C_NM))
 
     def _abbe(self, material: str) -> tuple[float, float]:
         f, d, c = (refractive_index(material, nm) for nm in (LINE_F_NM, LINE_D_NM, LINE_C_NM))

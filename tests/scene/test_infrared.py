@@ -1,0 +1,131 @@
+"""Scenes whose materials are known in the infrared alone: all is evaluated at the wavelengths that are traced."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import mistray
+from mistray.cli import main
+
+# Far more dispersion than germanium has, so that an index of another wavelength shows
+BODY = "n(8000)=4.4 n(10000)=4.0 n(12000)=3.6 k=0"
+INDEX = {8000.0: 4.4, 12000.0: 3.6}
+WINDOW = """MODE SEQ
+UNIT MM
+ENPD 8
+GCAT INFRARED
+FTYP 0 0 1 3
+YFLN 0
+WAVM 1 8.0 1
+WAVM 2 10.0 1
+WAVM 3 12.0 1
+PWAV 2
+SURF 0
+  CURV 0.0
+  DISZ INFINITY
+SURF 1
+  COMM window
+  CURV 0.0
+  DISZ 3
+  GLAS GERMANIUM 0 0 4.0 800
+  DIAM 8 1
+SURF 2
+  STOP
+  CURV 0.0
+  DISZ 20
+  DIAM 8 1
+SURF 3
+  CURV 0.0
+  DISZ 0
+  DIAM 10 1
+"""
+
+
+@pytest.fixture(scope="module")
+def scene_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The window of a lens file, as the command imports it."""
+    folder = tmp_path_factory.mktemp("infrared")
+    (folder / "window.zmx").write_text(WINDOW)
+    scene = folder / "window.xml"
+    assert main(["import", str(folder / "window.zmx"), "-o", str(scene), "--glass", f"GERMANIUM={BODY}"]) == 0
+    return scene
+
+
+def test_each_wavelength_has_its_own_index(scene_file: Path) -> None:
+    """What passes a plane window directly is (4n/(n + 1)²)², by Fresnel's equations; nothing is left to chance."""
+    scene = mistray.load(scene_file)
+    for wavelength, n in INDEX.items():
+        t = mistray.trace(scene, rays=500, wavelength_nm=wavelength, max_reflections=0)
+        within = t.paths[0].rays / 500  # the beam is a little wider than the stop
+        assert t.paths[0].power_W / (within * t.energy.launched_W) == pytest.approx(
+            (4 * n / (n + 1) ** 2) ** 2, rel=2e-5
+        )
+
+
+def test_other_wavelengths_are_refused_when_they_are_traced(scene_file: Path) -> None:
+    """The scene is in order; light of 550 nm is what has no index, and the surface is named."""
+    with pytest.raises(mistray.MistrayError, match=r"surface '.*550 nm is outside of its 8000 … 12000 nm") as error:
+        mistray.trace(mistray.load(scene_file), rays=500, wavelength_nm=550.0)
+    assert "extrapolate" not in str(error.value)
+
+
+def test_a_source_without_wavelengths_loads_too(scene_file: Path) -> None:
+    """Its light is taken to be 550 nm, which a call may change."""
+    text = scene_file.read_text()
+    lines = re.compile(r'<string name="(wavelength_nm|weights)" value="[^"]*"/>')
+    assert len(lines.findall(text)) == 2
+    other = scene_file.with_name("unlit.xml")
+    other.write_text(lines.sub("", text))
+    assert mistray.trace(mistray.load(other), rays=500, wavelength_nm=1e4, max_reflections=0).paths[0].power_W > 0
+
+
+def block(**more: Any) -> dict[str, Any]:
+    """A plane face into a body of index 2 at 8 µm and 3 at 12 µm, before a black plate."""
+    size = {"type": "asphere", "semi_diameter": 50.0}
+    body = "n(8000)=2 n(12000)=3 k=0"
+    return {
+        "type": "scene",
+        "beam": {"type": "collimated", "radius": 3.0, "wavelength_nm": "8000, 12000"},
+        "sky": {"type": "constant", "radiance": 1.0},
+        "face": {**size, "bsdf": {"type": "interface", "back": body, **more}},
+    }
+
+
+@pytest.mark.parametrize(("more", "n"), [({}, 2.0), ({"wavelength_nm": 12000.0}, 3.0)])
+def test_stock_integrators_take_the_wavelength_of_the_source(more: dict[str, float], n: float) -> None:
+    """From within glass the sky has n² of its radiance where the face passes it, and 1 where it reflects the open."""
+    scene = mistray.load(block(**more))
+    camera = {
+        "type": "perspective",
+        "fov": 1.0,
+        "to_world": mi.ScalarTransform4f().look_at([0, 0, 5], [0, 0, 0], [0, 1, 0]),
+        "film": {"type": "hdrfilm", "width": 2, "height": 2, "rfilter": {"type": "box"}, "pixel_format": "luminance"},
+    }
+    path = mi.load_dict({"type": "path", "max_depth": 2})
+    seen = np.array(mi.render(scene, sensor=mi.load_dict(camera), integrator=path, spp=4096))
+    passed = 4 * n / (n + 1) ** 2
+    # The mean of 16384 samples has a relative error of 4e-3 at most: it fails by chance in 6e-7 of runs
+    assert seen.mean() == pytest.approx(n**2 * passed + 1 - passed, rel=2e-2)
+
+
+def test_layers_of_the_infrared_need_no_wavelength_of_design() -> None:
+    """Thicknesses in nm are what they are; only those in waves need the index at `design_nm`."""
+    body = {"type": "interface", "coating": {"type": "thinfilm", "layers": f"{BODY} 600, 2.2 1100"}}
+    scene = mistray.load({"type": "scene", "a": {"type": "asphere", "semi_diameter": 5.0, "bsdf": body}})
+    assert scene.shapes()[0].bsdf().coating.indices(8000.0)[0] == pytest.approx(4.4)
+    assert scene.shapes()[0].bsdf().coating.indices(12000.0)[0] == pytest.approx(3.6)
+
+
+def test_a_lens_of_the_infrared_is_exported(scene_file: Path, tmp_path: Path, capsys: Any) -> None:
+    """A body without F, d and C lines goes into a Zemax file with its index at the primary wavelength, and is named."""
+    assert main(["export", str(scene_file), "-o", str(tmp_path / "again.zmx")]) == 0
+    assert "index at 10000 nm alone" in capsys.readouterr().out
+    again = tmp_path / "again.xml"
+    assert main(["import", str(tmp_path / "again.zmx"), "-o", str(again)]) == 0
+    assert mistray.load(again).shapes()[0].bsdf().indices(8000.0)[1] == pytest.approx(4.0)
