@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from mistray.cli.arguments import INTERRUPTED, Help, Parser, as_text
-from mistray.cli.claims import guard_of
+from mistray.cli.claims import guard_of, named_places
 from mistray.cli.commands import (
     app,
     bsdf,
@@ -40,7 +40,7 @@ from mistray.cli.options import Options
 from mistray.cli.signals import ignore
 from mistray.errors import Interrupted, MistrayError
 from mistray.interrupts import requested
-from mistray.replace_file import guarding, written
+from mistray.replace_file import guarding, incomplete_notes, written
 
 BAD_INPUT = 2
 FILES_NAMED = 3  # of those that an interrupted command has written
@@ -120,6 +120,8 @@ def _command(arguments: list[str]) -> int:
         # Names that are no text in the locale's encoding stand in reports, which are UTF-8
         options.command_line = as_text(shlex.join(["mistray", *arguments]))
         options.guard = guard_of(options)
+        for note in incomplete_notes(named_places(options)):
+            print(f"mistray: warning: {note}", file=sys.stderr)
         with guarding(options.guard):
             return int(options.run(options))
     except SystemExit as stop:
