@@ -105,6 +105,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(f"{place}{error.strerror or error}; check the place, its permissions and its free space")
     except MemoryError:
         return _fail("out of memory; use fewer rays, fields or pixels")
+    except RecursionError:
+        return _fail("an argument or a file is nested too deeply; write it with fewer brackets or levels")
     except RuntimeError as error:  # Mitsuba, Dr.Jit
         return _interrupted() if _stopped(error) else _fail(str(error))
     except KeyboardInterrupt as error:
@@ -117,6 +119,7 @@ def _command(arguments: list[str]) -> int:
         began = time.monotonic()
         options = _parser().parse_args(arguments, Options())
         options.began = began
+        _check_working_folder()
         # Names that are no text in the locale's encoding stand in reports, which are UTF-8
         options.command_line = as_text(shlex.join(["mistray", *arguments]))
         options.guard = guard_of(options)
@@ -126,6 +129,14 @@ def _command(arguments: list[str]) -> int:
             return int(options.run(options))
     except SystemExit as stop:
         return int(stop.code or 0)
+
+
+def _check_working_folder() -> None:
+    """Mitsuba aborts the process where there is none."""
+    try:
+        os.getcwd()
+    except OSError:
+        raise MistrayError("the working folder was deleted; change to one that exists, such as by: cd") from None
 
 
 def _stopped(error: BaseException | None) -> bool:
