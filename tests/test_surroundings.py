@@ -16,13 +16,14 @@ from mistray.report import writable_directory
 from mistray.report.figures.figure import Figure
 
 MISTRAY = [sys.executable, "-m", "mistray"]
-OPTIONS = [
-    (module.COMMAND.name, word)
+# An option of every kind
+KINDS = {
+    (str(option.type), option.nargs): (module.COMMAND.name, word)
     for module in COMMANDS
     for option in module.COMMAND.options
     for word in option.name.split()
     if word.startswith("--") and option.type is not bool
-]
+}
 
 
 def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
@@ -35,11 +36,11 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 @pytest.mark.quick
 def test_two_dashes_are_no_value(capsys: pytest.CaptureFixture[str]) -> None:
     """argparse of Python 3.11 makes an empty list of them."""
-    assert len(OPTIONS) > 200
-    for command, option in OPTIONS:
+    assert len(KINDS) > 30
+    for command, option in KINDS.values():
         line = refused(capsys, command, f"{option}=--")
         assert option in line
-        assert "'--' is no value" in line or "expected 2 arguments" in line
+        assert "'--' is no value" in line or "expected" in line
 
 
 @pytest.mark.quick
@@ -77,7 +78,7 @@ def test_closed_streams(tmp_path: Path) -> None:
         words = " ".join([*MISTRAY, f"ghosts plate --rays 100 --json --force --out {tmp_path / 'out'} {closed}"])
         done = subprocess.run(words, shell=True, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
-        assert (out in done.stdout) == bool(out)
+        assert out in done.stdout if out else done.stdout == ""
         assert "mistray: " not in done.stdout
     done = subprocess.run(f"{' '.join(MISTRAY)} ghosts nothing 2>&-", shell=True, capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (2, "", "")
