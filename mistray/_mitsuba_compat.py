@@ -6,8 +6,10 @@ numpy, so that `mistray doctor` can say that it is missing.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
-import os.path
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.errors import MistrayError
@@ -38,6 +40,9 @@ def import_mitsuba() -> Any:
     MistrayError
         Mitsuba is missing, broken or of another release.
     """
+    if "HOME" not in os.environ:  # Dr.Jit asks nobody else where it keeps compiled kernels
+        with contextlib.suppress(RuntimeError):
+            os.environ["HOME"] = str(Path.home())  # of the user's entry
     try:
         with importing():
             mi = importlib.import_module("mitsuba")
@@ -52,6 +57,8 @@ def import_remedy(reason: str) -> str:
     """What to do when Mitsuba or Dr.Jit cannot be imported, by the text of the ImportError."""
     if "libatomic" in reason:  # the wheel of drjit 1.5 needs it and does not bring it
         return "install libatomic: apt-get install libatomic1 (Debian, Ubuntu), dnf install libatomic (Fedora)"
+    if "current_path" in reason:
+        return "the working folder was deleted, change to one that exists"
     return f"run: pip install --force-reinstall 'mitsuba=={SUPPORTED_RELEASE}.*'"
 
 

@@ -1,30 +1,50 @@
-"""Files that appear whole or not at all."""
+"""
+Files that appear whole or not at all, also after a power cut.
+
+A file is written to a draft beside it, which is synced and then renamed. Several files that belong together cannot be
+renamed at once: while that goes on, a file `incomplete` in their folder names them. It is made before the first rename
+and removed after the last, so that it stays if the process is ended between the two.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import json
 import os
 import re
 import secrets
 import shutil
 import sys
-import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import time
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from mistray.errors import MistrayError
+from mistray.interrupts import later, requested
+from mistray.read_file import open_input
 
 # Names of what is open already, such as /dev/stdout: where that is a file, it is written on, and not replaced
 _OPEN = re.compile(r"/dev/std(?P<name>in|out|err)|(/dev|/proc/self)/fd/(?P<number>\d+)")
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 FREE = "free some space"  # the remedy then
 _STANDARD = {"in": 0, "out": 1, "err": 2}
+INCOMPLETE = "incomplete"  # file that names those of which some are still the old ones
+NOTE = "mistray was ended while it replaced these files: some may be old, others new; run the command again"
+OLD_DRAFT_SECONDS = 3600.0  # a draft of this age was left behind, if its process has ended
+_DRAFT = re.compile(r"\.mistray-(?:(?P<process>\d+)-)?[0-9a-z_]{8}")
 written: list[Path] = []  # files of this process, the last one last
 _drafts: set[Path] = set()  # folders with files that are not finished
+_swept: set[Path] = set()  # folders that were searched for old drafts
+collected: dict[str, dict[str, bytes]] = {}  # real path of a folder → its files, which `replace_folder` writes as one
+
+
+def draft_name() -> str:
+    """A name of its own for a draft of this process."""
+    return f".mistray-{os.getpid()}-{secrets.token_hex(4)}"
 
 
 @contextlib.contextmanager
@@ -37,7 +57,9 @@ def draft_folder(place: Path) -> Iterator[Path]:
     place : Path
         Folder that it is in.
     """
-    folder = Path(tempfile.mkdtemp(prefix=".mistray-", dir=place))
+    sweep_drafts(place)
+    folder = place / draft_name()
+    folder.mkdir()
     _drafts.add(folder)
     try:
         yield folder
@@ -50,6 +72,62 @@ def remove_drafts() -> None:
     """Remove the folders of `draft_folder`, before a process ends at once."""
     for folder in list(_drafts):
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def sweep_drafts(place: Path) -> None:
+    """Remove old drafts of processes that were killed, once for each folder."""
+    if place in _swept:
+        return
+    _swept.add(place)
+    with contextlib.suppress(OSError):
+        for entry in list(os.scandir(place)):
+            match = _DRAFT.fullmatch(entry.name)
+            if match is None or _runs(match["process"]):
+                continue
+            with contextlib.suppress(OSError):
+                if entry.stat(follow_symlinks=False).st_mtime > time.time() - OLD_DRAFT_SECONDS:
+                    continue
+                if entry.is_dir(follow_symlinks=False):
+                    shutil.rmtree(entry.path, ignore_errors=True)
+                else:
+                    os.unlink(entry.path)
+
+
+def _runs(process: str | None) -> bool:
+    """Whether a process of this number is alive; False where no number is known."""
+    if process is None or os.name != "posix":
+        return False
+    try:
+        os.kill(int(process), 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:  # of another user
+        return True
+    return True
+
+
+def sync(path: Path) -> None:
+    """
+    Wait until a file, or the names in a folder, are on the disk.
+
+    Raises
+    ------
+    OSError
+        If the disk does not take a file. That a folder cannot be synced, as on some systems, is passed over.
+    """
+    try:
+        number = os.open(path, os.O_RDONLY)
+    except OSError:
+        if path.is_dir():
+            return
+        raise
+    try:
+        os.fsync(number)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EBADF):  # no disk, such as some shared folders
+            raise
+    finally:
+        os.close(number)
 
 
 @dataclass
@@ -101,6 +179,11 @@ class Guard:
         self._written.update(map(os.path.abspath, wanted))
 
 
+def is_input(path: str | Path) -> bool:
+    """Whether the command of the guard, if there is one, reads a file."""
+    return any(_same(Path(path), source) for guard in _guards for source in guard.inputs)
+
+
 def _is_dangling(path: str | Path) -> bool:
     """Whether the path is a link to nothing."""
     return os.path.islink(path) and not os.path.exists(path)
@@ -150,7 +233,8 @@ def replace_files(files: Mapping[Any, str | bytes], what: str = "file") -> list[
     Write files through drafts beside them: on an error, or when interrupted, all old files stay as they were.
 
     The drafts have names of their own: of two processes that write the same file one comes last, and either is whole.
-    To what is no file, or is open already, such as /dev/stdout, the content is written as it is.
+    To what is no file, or is open already, such as /dev/stdout, the content is written as it is. What belongs to a
+    folder that is replaced as one appears with it, see `mistray.replace_folder`.
 
     Parameters
     ----------
@@ -171,31 +255,177 @@ def replace_files(files: Mapping[Any, str | bytes], what: str = "file") -> list[
     """
     whole = {Path(path): text.encode("utf-8") if isinstance(text, str) else text for path, text in files.items()}
     claim_files(whole)
+    now: dict[Path, bytes] = {}
+    for path, data in whole.items():
+        if os.path.isdir(path):
+            raise MistrayError(f"{what} '{path}' is a folder; name a file")
+        if opened(path) is not None or not (os.path.isfile(path) or not os.path.exists(path)):
+            continue
+        folder = collected.get(os.path.realpath(path.parent))
+        if folder is None:
+            now[path] = data
+        else:
+            folder[path.name] = data
+    rename_drafts(now, what)
+    for path, data in whole.items():
+        if opened(path) is not None or (os.path.exists(path) and not os.path.isfile(path)):
+            with telling(path, what):
+                _write_on(path, data)
+    return list(whole)
+
+
+def rename_drafts(files: Mapping[Path, bytes], what: str = "file", obsolete: Collection[Path] = ()) -> None:
+    """
+    Write files through drafts, whatever a guard says, and remove others that the new ones make obsolete.
+
+    Parameters
+    ----------
+    files : mapping of Path to bytes
+        None of them a folder. The last one gives the set its name in the file `incomplete`.
+    what : str
+        Kind of file, for the message.
+    obsolete : collection of Path
+        Removed with the renames.
+
+    Raises
+    ------
+    MistrayError
+        If one cannot be written; all old files stay, unless it is a rename that fails. Then `incomplete` stays as well.
+    """
     drafts: dict[Path, Path] = {}
     path = Path()
+    before = requested()
     try:
-        for path, data in whole.items():
-            if os.path.isdir(path):
-                raise MistrayError(f"{what} '{path}' is a folder; name a file")
-            if opened(path) is None and (os.path.isfile(path) or not os.path.exists(path)):
-                drafts[path] = path.with_name(f".{secrets.token_hex(4)}.part")
+        for path, data in files.items():
+            sweep_drafts(path.parent)
+            drafts[path] = path.with_name(draft_name())
+            with telling(path, what):
                 drafts[path].write_bytes(data)
-        for path, data in whole.items():
-            if path in drafts:
-                os.replace(drafts[path], path)
-                written.append(path)
-            else:
-                _write_on(path, data)
+                sync(drafts[path])
+        with later(), _marked([*files], obsolete) as moved:
+            for path, draft in drafts.items():
+                with telling(path, what):
+                    os.replace(draft, path)
+                moved.append(path)
+            for path in obsolete:
+                path.unlink(missing_ok=True)
+    finally:
+        for draft in drafts.values():
+            with contextlib.suppress(OSError):
+                draft.unlink(missing_ok=True)
+    if requested() and not before:
+        raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def telling(path: Path, what: str) -> Iterator[None]:
+    """Say in one line why a file cannot be written."""
+    try:
+        yield
     except BrokenPipeError:  # the reader, such as head, has seen enough
         raise
     except OSError as error:
         check = FREE if error.errno in NO_ROOM else "check the folder and its permissions"
         raise MistrayError(f"{what} '{path}': {error.strerror}; {check}, or choose another") from None
+
+
+@contextlib.contextmanager
+def _marked(files: Sequence[Path], obsolete: Collection[Path]) -> Iterator[list[Path]]:
+    """A block that moves files, and notes each: if it ends after some of them, `incomplete` names all of them."""
+    several = len(files) + len(obsolete) > 1
+    before = {folder: incomplete_sets(folder) for folder in sorted({path.parent for path in files})}
+    for folder, sets in before.items() if several else ():
+        own = [path.name for path in files if path.parent == folder]
+        names = {*own, *(path.name for path in obsolete if path.parent == folder), *sets.get(own[-1], ())}
+        _mark(folder, {**sets, own[-1]: sorted(names)})
+    moved: list[Path] = []
+    try:
+        yield moved
+    except BaseException:
+        for folder, sets in before.items() if several and not moved else ():
+            _mark(folder, sets)
+        raise
     finally:
-        for draft in drafts.values():
-            with contextlib.suppress(OSError):
+        written.extend(moved)
+    for folder in before:
+        sync(folder)
+        sets = incomplete_sets(folder)
+        if sets:
+            done = {path.name for path in (*files, *obsolete) if path.parent == folder}
+            _mark(folder, sets_without(sets, done))
+
+
+def sets_without(sets: Mapping[str, Collection[str]], done: Collection[str]) -> dict[str, list[str]]:
+    """What is left of `incomplete_sets` when some files are new."""
+    return {name: left for name, names in sets.items() if (left := sorted({*names} - {*done}))}
+
+
+def incomplete_sets(folder: Path) -> dict[str, list[str]]:
+    """
+    The files of which a folder may hold old ones beside new ones.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    dict
+        Name of the last file of a set → names of all; empty where there is no file `incomplete`, or it is of others.
+    """
+    try:
+        with open_input(folder / INCOMPLETE) as file:
+            found = json.loads(file.read())["sets"]
+        return {str(name): [str(one) for one in names] for name, names in found.items()}
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return {}
+
+
+def incomplete_notes(places: Iterable[str | Path]) -> list[str]:
+    """
+    What is to be said of folders in which mistray was ended between two renames.
+
+    Parameters
+    ----------
+    places : iterable of str or Path
+        Folders, or files in them; what is not there counts for nothing.
+    """
+    folders: dict[Path, None] = {}
+    for place in map(Path, places):
+        with contextlib.suppress(OSError, ValueError):
+            folders[place if place.is_dir() else place.parent] = None
+    notes = []
+    for folder in folders:
+        for name, names in incomplete_sets(folder).items():
+            notes.append(
+                f"folder '{folder}' is incomplete: mistray was ended while it replaced {name} and {len(names)} files "
+                f"in all, so that some are old; run that command again, or remove '{folder / INCOMPLETE}'"
+            )
+    return notes
+
+
+def incomplete_bytes(sets: Mapping[str, Collection[str]]) -> bytes:
+    """The content of a file `incomplete`."""
+    return json.dumps({"note": NOTE, "sets": {name: [*names] for name, names in sets.items()}}, indent=1).encode()
+
+
+def _mark(folder: Path, sets: Mapping[str, Collection[str]]) -> None:
+    """Write, renew or remove the file `incomplete`, and wait until the disk has it."""
+    path = folder / INCOMPLETE
+    if path.exists() and not incomplete_sets(folder):
+        raise MistrayError(f"file '{path}' is none of mistray, which needs its name; rename it")
+    with telling(path, "file"):
+        if sets:
+            draft = folder / draft_name()
+            try:
+                draft.write_bytes(incomplete_bytes(sets))
+                sync(draft)
+                os.replace(draft, path)
+            finally:
                 draft.unlink(missing_ok=True)
-    return list(whole)
+        else:
+            path.unlink(missing_ok=True)
+        sync(folder)
 
 
 def _write_on(path: Path, data: bytes) -> None:

@@ -333,5 +333,5 @@ def test_an_entry_of_the_cache_that_is_a_pipe_is_none(tmp_path: Path, patience: 
     (entry,) = (file for file in (tmp_path / "cache").iterdir() if "0" * 64 in file.name)
     entry.unlink()
     os.mkfifo(entry)
-    assert cache.get("0" * 64) is None
+    assert cache.get("0" * 64, bytes) is None
     assert len(cache.problems) == 1

@@ -308,9 +308,9 @@ def test_an_entry_of_the_cache_is_not_unpickled(tmp_path: Path) -> None:
     mark, cache = tmp_path / "mark", Cache(tmp_path / "cache", 1 << 20)
     cache.put("0" * 64, pickle.dumps(Marks(mark)))
     (entry,) = [file for file in (tmp_path / "cache").rglob("*") if file.is_file() and file.stat().st_size]
-    assert cache.get("0" * 64) == pickle.dumps(Marks(mark))  # bytes as they were put
+    assert cache.get("0" * 64, bytes) == pickle.dumps(Marks(mark))  # bytes as they were put
     entry.write_bytes(pickle.dumps(Marks(mark)))
-    assert cache.get("0" * 64) is None
+    assert cache.get("0" * 64, bytes) is None
     assert not mark.exists()
 
 

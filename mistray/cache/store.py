@@ -4,7 +4,8 @@ Several processes may use one folder at once, without locks:
 
 - An entry is written to a draft of a name of its own and then renamed, so that a reader finds all of it or nothing. Two
   processes that compute the same write the same, and the later one wins.
-- An entry begins with its key and a checksum. One that does not agree is reported, removed and computed again.
+- An entry begins with its key and a checksum. One that does not agree, or that is none of the results that are asked
+  for, is reported, removed and computed again.
 - Reading sets the time of the file, so that those that were not read for longest go first when the folder is full.
 
 A folder that cannot be written, or a disk that is full, ends in one line for the user and nothing else: who asks for a
@@ -19,12 +20,15 @@ import os
 import re
 import secrets
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from mistray.errors import MistrayError
 from mistray.read_file import open_input
+
+T = TypeVar("T")
 
 MAGIC = b"mistray cache 1"  # the number changes when the form of the files does
 ENDING, DRAFT_ENDING = ".result", ".draft"
@@ -73,14 +77,16 @@ class Cache:
         self._writable = True
         self._room = 0.0  # bytes that may be written until the size is looked at
 
-    def get(self, key: str) -> bytes | None:
+    def get(self, key: str, read: Callable[[bytes], T]) -> T | None:
         """
-        The content of an entry, or None where there is none that is whole.
+        What an entry holds, or None where there is none that is whole and of the right form.
 
         Parameters
         ----------
         key : str
             From `key_of`.
+        read : callable
+            Content → what it means; raises a ValueError, TypeError or KeyError of one that is no such result.
         """
         path = self._path(key)
         try:
@@ -91,15 +97,16 @@ class Cache:
         except OSError as error:
             self._tell(f"cache '{self.folder}': {error.strerror}; nothing is read from it, {self._remedy}")
             return None
-        content = _opened(data, key)
-        if content is None:
+        try:
+            found = read(_opened(data, key))
+        except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
             self._tell(f"cache entry '{path}' is damaged; its result is computed again")
             with contextlib.suppress(OSError):
                 path.unlink(missing_ok=True)
             return None
         with contextlib.suppress(OSError):  # a folder that may only be read
             os.utime(path)
-        return content
+        return found
 
     def put(self, key: str, content: bytes) -> None:
         """
@@ -232,10 +239,12 @@ class _File:
         return self.path.suffix == DRAFT_ENDING and self.used < time.time() - OLD_DRAFT_SECONDS
 
 
-def _opened(data: bytes, key: str) -> bytes | None:
-    """The content of an entry; None if it is not that of the key, or not whole."""
+def _opened(data: bytes, key: str) -> bytes:
+    """The content of an entry; ValueError if it is not that of the key, or not whole."""
     magic, _, rest = data.partition(b"\n")
     written, _, rest = rest.partition(b"\n")
     checksum, _, content = rest.partition(b"\n")
     whole = magic == MAGIC and written == key.encode() and checksum == hashlib.sha256(content).hexdigest().encode()
-    return content if whole else None
+    if not whole:
+        raise ValueError("no whole entry")
+    return content

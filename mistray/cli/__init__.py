@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 
@@ -14,10 +15,28 @@ __all__ = ["main"]
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command, see `mistray.cli.program.main`, from the first moment on with a handler of Ctrl-C."""
+    if argv is None:
+        _open_closed()
     code = _run(argv)
     if argv is None and code == INTERRUPTED:
         leave_at_once(code)
     return code
+
+
+def _open_closed() -> None:
+    """
+    Give standard streams that are closed to the null device.
+
+    A file that is opened would take their number, and what a library prints would be written into it; Python prints on
+    stdout what is for a stderr of None.
+    """
+    for number in (0, 1, 2):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - for as long as the process
 
 
 def _run(argv: Sequence[str] | None) -> int:

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import chain
+from pathlib import Path
 from typing import Any, NoReturn
 
 from mistray.errors import MistrayError
@@ -38,6 +39,12 @@ class Parser(argparse.ArgumentParser):
         """Declare what has been left for later."""
         while self._later:
             self._later.pop(0)(self)
+
+    def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
+        """Values of an action; argparse of 3.11 takes the two dashes of --option=-- away, and leaves an empty list."""
+        if action.option_strings and "--" in arg_strings:
+            raise argparse.ArgumentError(action, "'--' is no value; give one, or leave the option out")
+        return super()._get_values(action, arg_strings)  # type: ignore[misc]
 
     def take_old_name(self, old: str, new: str) -> None:
         """Accept an option by an old name too, with a warning; the help does not show it."""
@@ -116,6 +123,13 @@ class OrAlone(argparse.Action):
     def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
         """Keep them."""
         setattr(namespace, self.dest, values or [""])
+
+
+def place(text: str) -> Path:
+    """The type of an argument that names a file or a folder; an empty text would mean the current folder."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError(f"'{text}' names nothing; give a file or folder, . for the current folder")
+    return Path(text)
 
 
 def as_text(name: str) -> str:

@@ -77,6 +77,13 @@ def _refuse(options: argparse.Namespace, paths: Sequence[Path]) -> None:
         raise MistrayError(f"output '{old[0]}' exists{more}; name another one{resume}, or replace with --force")
 
 
+def named_places(options: argparse.Namespace) -> list[str]:
+    """Files and folders that there are among the arguments, read or written."""
+    own = ("outputs", "folder_files", "command_line")
+    texts = _texts({name: value for name, value in vars(options).items() if name not in own})
+    return [text for text in dict.fromkeys(texts) if "\0" not in text and os.path.exists(text)]
+
+
 def input_files(options: argparse.Namespace) -> list[Path]:
     """
     Files that a command reads: what its arguments name, and what scenes, lenses, TOML and JSON files among them name.

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from mistray.cli.arguments import Angles, Help, Joined, OrAlone, Parser
+from mistray.cli.arguments import Angles, Help, Joined, OrAlone, Parser, place
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class Option:
         elif isinstance(self.type, Angles):
             how |= {"type": self.type, "action": Joined}
         elif self.type is not None:
-            how |= {"type": self.type, "action": "extend" if self.extends else "store"}
+            how |= {"type": place if self.type is Path else self.type, "action": "extend" if self.extends else "store"}
         # argparse takes a help for a format
         target.add_argument(*self.name.split(), help=self.help.replace("%", "%%"), **how)
 

@@ -193,10 +193,11 @@ class Options(argparse.Namespace):
         """
         if self.out is None:
             return []
+        from mistray.replace_folder import replacing_folder
         from mistray.report.formats import write_formats
         from mistray.report.output import write_report
 
-        with self.working("drawing the report"):
+        with self.working("drawing the report"), replacing_folder(self.out):
             report = make(f"{self.title}{note}", self.command_line)
             files = write_report(report, self.out, scene(self.out) if scene else "")
             facts = {"command": self.command_line}

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from mistray.cli.arguments import INTERRUPTED, Help, Parser, as_text
-from mistray.cli.claims import guard_of
+from mistray.cli.claims import guard_of, named_places
 from mistray.cli.commands import (
     app,
     bsdf,
@@ -41,7 +41,7 @@ from mistray.cli.signals import ignore
 from mistray.errors import Interrupted, MistrayError
 from mistray.interrupts import requested
 from mistray.notes import quiet
-from mistray.replace_file import guarding, written
+from mistray.replace_file import guarding, incomplete_notes, written
 
 BAD_INPUT = 2
 FILES_NAMED = 3  # of those that an interrupted command has written
@@ -106,6 +106,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(f"{place}{error.strerror or error}; check the place, its permissions and its free space")
     except MemoryError:
         return _fail("out of memory; use fewer rays, fields or pixels")
+    except RecursionError:
+        return _fail("an argument or a file is nested too deeply; write it with fewer brackets or levels")
     except RuntimeError as error:  # Mitsuba, Dr.Jit
         return _interrupted() if _stopped(error) else _fail(str(error))
     except KeyboardInterrupt as error:
@@ -118,13 +120,24 @@ def _command(arguments: list[str]) -> int:
         began = time.monotonic()
         options = _parser().parse_args(arguments, Options())
         options.began = began
+        _check_working_folder()
         # Names that are no text in the locale's encoding stand in reports, which are UTF-8
         options.command_line = as_text(shlex.join(["mistray", *arguments]))
         options.guard = guard_of(options)
+        for note in incomplete_notes(named_places(options)):
+            print(f"mistray: warning: {note}", file=sys.stderr)
         with guarding(options.guard), quiet():  # commands print the notes of their results
             return int(options.run(options))
     except SystemExit as stop:
         return int(stop.code or 0)
+
+
+def _check_working_folder() -> None:
+    """Mitsuba aborts the process where there is none."""
+    try:
+        os.getcwd()
+    except OSError:
+        raise MistrayError("the working folder was deleted; change to one that exists, such as by: cd") from None
 
 
 def _stopped(error: BaseException | None) -> bool:

@@ -13,6 +13,10 @@ from typing import Any
 FIRST_SECOND = 1.0  # s, after which what is still at work says so
 
 
+def _is_terminal() -> bool:
+    return sys.stderr is not None and sys.stderr.isatty()  # None: closed from the start
+
+
 @contextlib.contextmanager
 def working(what: str, quiet: bool = False) -> Iterator[None]:
     """
@@ -25,7 +29,7 @@ def working(what: str, quiet: bool = False) -> Iterator[None]:
     quiet : bool
         No line.
     """
-    if quiet or not sys.stderr.isatty():
+    if quiet or not _is_terminal():
         yield
         return
     ended, began = threading.Event(), time.time()
@@ -70,7 +74,7 @@ def terminal_bar(
     total : float
         ``n`` of a full bar.
     """
-    if options.quiet or not sys.stderr.isatty():
+    if options.quiet or not _is_terminal():
         yield None
         return
     from tqdm import tqdm

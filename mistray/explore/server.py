@@ -10,6 +10,7 @@ import contextlib
 import hmac
 import json
 import secrets
+import socket
 import threading
 from collections.abc import Iterator
 from http import HTTPStatus
@@ -23,6 +24,7 @@ from mistray.explore.explorer import Explorer
 
 LOOPBACK = "127.0.0.1"
 MOST_BYTES = 1 << 20  # of a request
+MOST_STRANGE = 32  # connections that have not told the token
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src data:; "
@@ -53,10 +55,13 @@ class PageServer(ThreadingHTTPServer):
 
     daemon_threads = True
     allow_reuse_address = False
+    request_queue_size = 128  # connections that wait to be taken
 
     def __init__(self, explorer: Explorer, port: int = 0) -> None:
         self.explorer = explorer
         self.token = secrets.token_urlsafe(24)
+        self._strange: dict[Any, None] = {}  # connections that have not told the token, the oldest first
+        self._lock = threading.Lock()
         try:
             super().__init__((LOOPBACK, port), _Handler)
         except OSError as error:
@@ -78,6 +83,27 @@ class PageServer(ThreadingHTTPServer):
     def hosts(self) -> tuple[str, ...]:
         """What requests may call this machine."""
         return (f"{LOOPBACK}:{self.port}", f"localhost:{self.port}")
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer a connection in a thread of its own; close the oldest of those that have not told the token yet."""
+        with self._lock:
+            self._strange[request] = None
+            oldest = next(iter(self._strange)) if len(self._strange) > MOST_STRANGE else None
+            self._strange.pop(oldest, None)
+        if oldest is not None:
+            with contextlib.suppress(OSError):
+                oldest.shutdown(socket.SHUT_RDWR)
+        super().process_request(request, client_address)
+
+    def trust(self, connection: Any) -> None:
+        """Keep a connection that has told the token."""
+        with self._lock:
+            self._strange.pop(connection, None)
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection."""
+        self.trust(request)
+        super().shutdown_request(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Say nothing of pages that were closed while they were answered."""
@@ -126,7 +152,7 @@ class _Handler(BaseHTTPRequestHandler):
         if self.headers.get("Content-Type", "").partition(";")[0].strip() != "application/json":
             return self._say(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "a call is application/json")
         length = self.headers.get("Content-Length", "")
-        if not length.isascii() or not length.isdigit() or int(length) > MOST_BYTES:
+        if not length.isascii() or not length.isdigit() or len(length) > 9 or int(length) > MOST_BYTES:
             return self._say(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a call has at most {MOST_BYTES} bytes")
         try:
             asked = json.loads(self.rfile.read(int(length)))
@@ -146,10 +172,11 @@ class _Handler(BaseHTTPRequestHandler):
         token, name = (parts[1], parts[2]) if len(parts) == 3 else ("", "")
         known = hmac.compare_digest(token.encode("utf-8", "replace"), self.server.token.encode())
         origin = self.headers.get("Origin")
-        here = self.headers.get("Host", "") in self.server.hosts
+        here = [name in self.server.hosts for name in self.headers.get_all("Host", [])] == [True]
         if not known or not here or (origin is not None and origin not in [f"http://{h}" for h in self.server.hosts]):
             self._say(HTTPStatus.FORBIDDEN, "open the address that mistray app has printed")
             return None
+        self.server.trust(self.connection)
         return name
 
     def _say(self, status: HTTPStatus, what: str) -> None:

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from mistray.analysis.ghosts import GhostReport
-from mistray.replace_file import claim_files, draft_folder, written
 from mistray.report.colour import ColourPictures, Look
 from mistray.report.figures.layout import layout
 from mistray.report.figures.plots import as_png, ghost_image, levels_against_field, montage
@@ -15,10 +14,10 @@ from mistray.report.ghosts.fields import mapped_paths
 from mistray.report.ghosts.report import ghosts_report
 from mistray.report.ghosts.surface_maps import surface_map_figures
 from mistray.report.html.render import html_page
-from mistray.report.output import nearest_directory, told, writable_directory
+from mistray.report.output import csv_text, write_files
 from mistray.report.pdf import pdf_bytes
 from mistray.report.rays.path_sort import path_sort_text
-from mistray.report.tables.ghosts_csv import write_csv
+from mistray.report.tables.ghosts_csv import csv_tables
 
 PATHS_SORTED = 1000  # paths in a path-sort file
 
@@ -63,7 +62,7 @@ def write_png(report: GhostReport, directory: str | Path, look: Look | None = No
     ----------
     report : GhostReport
     directory : str or Path
-        Must exist.
+        Made if it is missing.
     look : Look, optional
         See `draw`.
 
@@ -72,7 +71,7 @@ def write_png(report: GhostReport, directory: str | Path, look: Look | None = No
     list of Path
         The files written.
     """
-    return _write(draw(report, look), Path(directory))
+    return write_files(draw(report, look), directory)
 
 
 def write_all(
@@ -87,9 +86,8 @@ def write_all(
     """
     Write CSV, PNG, path-sort files (of the `PATHS_SORTED` strongest paths) and report.html.
 
-    All files are made in a temporary directory, in the target or, where that is still to be made, beside it, and moved
-    at the end, so that a failure leaves nothing half-written. Files of the same names are replaced, others are left
-    alone.
+    All of them or none, see `mistray.report.output.write_files`: files of the same names are replaced, those of an
+    earlier report that this one does not have go, and files of others are left alone.
 
     Parameters
     ----------
@@ -112,22 +110,14 @@ def write_all(
     list of Path
         The files written.
     """
-    target = writable_directory(directory)
-    with told(directory), draft_folder(nearest_directory(target)) as draft:
-        for field in report:
-            mapped_paths(report, field)  # before the pictures, whose maps then come from the same run of the rays
-        pictures = draw(report, look)
-        drafts = [*write_csv(report, draft, per_wavelength), *_write(pictures, draft)]
-        for field in report:
-            path = draft / f"path_sort_{field:g}deg.txt"
-            path.write_text(path_sort_text(report[field], PATHS_SORTED), encoding="utf-8")
-            drafts.append(path)
-        drafts += _write(pages(report, title, command, pictures, per_wavelength, pdf), draft)
-        target.mkdir(parents=True, exist_ok=True)
-        claim_files(target / path.name for path in drafts)
-        files = [path.replace(target / path.name) for path in drafts]
-        written.extend(files)
-        return files
+    for field in report:
+        mapped_paths(report, field)  # before the pictures, whose maps then come from the same run of the rays
+    pictures = draw(report, look)
+    tables = csv_tables(report, per_wavelength)
+    files: dict[str, str | bytes] = {name: csv_text(table, in_full=True) for name, table in tables.items()}
+    files |= pictures
+    files |= {f"path_sort_{field:g}deg.txt": path_sort_text(report[field], PATHS_SORTED) for field in report}
+    return write_files(files | pages(report, title, command, pictures, per_wavelength, pdf), directory)
 
 
 def pages(
@@ -142,9 +132,3 @@ def pages(
     made = ghosts_report(report, title, command, pictures, per_wavelength)
     found = {made.page: html_page(made).encode()}
     return found | ({pdf_name(made.page): pdf_bytes(made)} if pdf else {})
-
-
-def _write(pictures: dict[str, bytes], directory: Path) -> list[Path]:
-    for name, png in pictures.items():
-        (directory / name).write_bytes(png)
-    return [directory / name for name in pictures]

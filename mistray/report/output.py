@@ -12,6 +12,7 @@ import pandas as pd
 
 from mistray.errors import MistrayError
 from mistray.replace_file import FREE, NO_ROOM, replace_files
+from mistray.replace_folder import replacing_folder
 from mistray.report.model import Report
 
 PROBE = 1 << 16  # bytes for which there must be room
@@ -27,6 +28,8 @@ def writable_directory(directory: str | Path) -> Path:
         The path is a file, it may not be written, or there is no room.
     """
     with told(directory):
+        if not str(directory):
+            raise MistrayError("output directory '' has no name; name a directory, or '.' for the current one")
         target = Path(directory).expanduser().resolve()
         if target.exists() and not target.is_dir():
             raise MistrayError(f"output directory '{directory}' is a file; name a directory")
@@ -37,7 +40,7 @@ def writable_directory(directory: str | Path) -> Path:
 
 def write_files(files: Mapping[str, str | bytes], directory: str | Path) -> list[Path]:
     """
-    Write finished files by name into one directory, all of them or none.
+    Write finished files by name into one directory, all of them or none; see `mistray.replace_folder`.
 
     Parameters
     ----------
@@ -57,9 +60,8 @@ def write_files(files: Mapping[str, str | bytes], directory: str | Path) -> list
         See `writable_directory`.
     """
     target = writable_directory(directory)
-    with told(directory):
-        target.mkdir(parents=True, exist_ok=True)
-    return replace_files({target / name: content for name, content in files.items()})
+    with told(directory), replacing_folder(target):
+        return replace_files({target / name: content for name, content in files.items()})
 
 
 def write_report(report: Report, directory: str | Path, scene: str = "") -> list[Path]:
@@ -87,9 +89,9 @@ def write_report(report: Report, directory: str | Path, scene: str = "") -> list
     return write_files({**files, **report.files, report.page: html_page(report)}, directory)
 
 
-def csv_text(table: pd.DataFrame) -> str:
-    """A table as CSV without its index, numbers with nine digits."""
-    return str(table.to_csv(index=False, lineterminator="\n", float_format="%.9g"))
+def csv_text(table: pd.DataFrame, in_full: bool = False) -> str:
+    """A table as CSV without its index, numbers with nine digits or in full."""
+    return str(table.to_csv(index=False, lineterminator="\n", float_format=None if in_full else "%.9g"))
 
 
 @contextlib.contextmanager

@@ -47,16 +47,22 @@ def kept_cloud(
     numbers = [None if number is None else float(number) for number in numbers]
     key = key_of({"kind": "cloud of particles", "code": code_fingerprint(), "arguments": numbers})
     told = len(cache.problems)
-    content = cache.get(key)
-    if content is not None:
-        extinction, scattering, log_f = json.loads(content)
-        found = Cloud.of_nodes(extinction, scattering, log_f)
-    else:
+    found = cache.get(key, _read)
+    if found is None:
         found = cloud(*arguments)
         cache.put(key, json.dumps([found.extinction, found.scattering, np.asarray(found.nodes).tolist()]).encode())
     for problem in cache.problems[told:]:
         LOG.warning(problem)
     return found
+
+
+def _read(content: bytes) -> Cloud:
+    """A cloud as it is kept; ValueError or TypeError for what is none."""
+    extinction, scattering, log_f = json.loads(content)
+    numbers = np.array([extinction, scattering, *log_f], dtype=np.float64)
+    if not (np.isfinite(numbers).all() and 0 <= scattering <= extinction * (1 + 1e-3)):
+        raise ValueError("no cloud")
+    return Cloud.of_nodes(extinction, scattering, log_f)
 
 
 @lru_cache(maxsize=8)

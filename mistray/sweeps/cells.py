@@ -14,7 +14,7 @@ from mistray.cache import Cache, code_fingerprint, file_fingerprint, key_of
 from mistray.errors import MistrayError
 from mistray.scene.files import scene_files
 from mistray.sweeps.configurations import Resolved
-from mistray.sweeps.numbers import Numbers
+from mistray.sweeps.numbers import Numbers, read_numbers
 from mistray.trace import Settings
 
 CHANGED = "sweep: files of the scene were changed while it was traced; the rows since then are not kept"
@@ -71,8 +71,8 @@ class KeptRows:
 
     def read(self, cells: Iterable[Cell]) -> dict[Cell, Numbers]:
         """The rows that there are."""
-        contents = {cell: self.store.get(self.key(cell)) for cell in cells}
-        return {cell: json.loads(content) for cell, content in contents.items() if content is not None}
+        found = {cell: self.store.get(self.key(cell), read_numbers) for cell in cells}
+        return {cell: numbers for cell, numbers in found.items() if numbers is not None}
 
     def keep(self, cell: Cell, numbers: Numbers) -> None:
         """Keep a row, unless files of the scene are others by now: some are read when a trace needs them."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import re
 from dataclasses import asdict
 from typing import Any
@@ -18,6 +20,16 @@ from mistray.trace import Trace
 KIND_COLUMNS = {kind: re.sub(r"\W+", "_", kind).lower() for kind in STRAY_KINDS}
 """Kinds of stray paths and the beginnings of their columns."""
 FIRST_LIGHT = "first_light"
+TEXTS = ("worst_path", "worst_events", "polarization", "polarization_reason")
+_PAIRS = {"detected": "_W", "direct": "_W", "stray": "_W", "ghost_to_signal": "",
+          **dict.fromkeys(KIND_COLUMNS.values(), "_W"),
+          "direct_rms_radius": "_mm", "direct_rms_irradiance": "_W_mm2", "worst_power": "_W", "worst_rms_radius": "_mm",
+          "worst_rms_irradiance": "_W_mm2"}  # fmt: skip
+COLUMNS = (
+    *("rays", "paths", "launched_W", "cut_W", "closure", "polarization_change", *TEXTS),
+    *(f"{name}{se}{unit}" for name, unit in _PAIRS.items() for se in ("", "_se")),
+)
+"""What every row has, beside `FIRST_LIGHT`."""
 Numbers = dict[str, Any]
 
 
@@ -70,6 +82,27 @@ def numbers_of(t: Trace) -> Numbers:
     numbers |= {name: t.settings[name] for name in ("polarization", "polarization_reason")}
     numbers["polarization_change"] = float(t.settings.get("polarization_change", np.nan))
     return numbers | {FIRST_LIGHT: asdict(FirstLight.of_trace(t))}
+
+
+def read_numbers(content: bytes) -> Numbers:
+    """
+    A row as it was kept, JSON of `numbers_of`.
+
+    Raises
+    ------
+    ValueError, TypeError, KeyError
+        If it is none: another form, a column is missing, or a value is of another kind or infinite.
+    """
+    row: Numbers = json.loads(content)
+    first = FirstLight(**row[FIRST_LIGHT])
+    numbers = [row[name] for name in COLUMNS if name not in TEXTS] + [first.unseen]
+    for part in (first.power, first.variance, first.direct, first.strongest):
+        numbers += part.values()
+    if any(type(number) not in (int, float) or math.isinf(number) for number in numbers):
+        raise ValueError("what should be a number is none, or infinite")
+    if any(not isinstance(row[name], str | None) for name in TEXTS):
+        raise ValueError("what should be a text is none")
+    return row
 
 
 def _power(t: Trace, rows: pd.DataFrame) -> Estimate:

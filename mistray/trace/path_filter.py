@@ -47,6 +47,8 @@ from mistray.recorders.path_events import LETTERS, Events
 from mistray.recorders.path_key import REFLECTED, TOTAL, TRANSMITTED
 
 FLAGS = "HMTRIGSBDL"
+MOST_DEEP = 100  # brackets and ! within each other
+MOST_SHOWN = 200  # letters of a filter in a message
 COMPARISONS: dict[str, Callable[[np.ndarray, float], np.ndarray]] = {
     "=": operator.eq,
     "==": operator.eq,
@@ -309,13 +311,13 @@ class _Parser:
     """Recursive descent over the tokens of a filter."""
 
     def __init__(self, text: str) -> None:
-        self._text, self._at = text, 0
+        self._text, self._at, self._depth = text, 0, 0
         self.columns: set[str] = set()
 
     def whole(self) -> _Term:
         term = self._join("|", lambda: self._join("^", lambda: self._join("&", self._not)))
         if self._look():
-            self._fail(f"'{self._text[self._at :].strip()}' is left over; join terms with & | or ^")
+            self._fail(f"'{_short(self._text[self._at :].strip())}' is left over; join terms with & | or ^")
         return term
 
     def _join(self, sign: str, part: Callable[[], _Term]) -> _Term:
@@ -325,6 +327,14 @@ class _Parser:
         return terms[0] if len(terms) == 1 else _Join(sign, tuple(terms))
 
     def _not(self) -> _Term:
+        if self._depth > MOST_DEEP:
+            self._fail(f"brackets and ! stand {self._depth} deep at character {self._at}; {MOST_DEEP} are the most")
+        self._depth += 1
+        term = self._within()
+        self._depth -= 1
+        return term
+
+    def _within(self) -> _Term:
         if self._take("!"):
             return _Not(self._not())
         if self._take("("):
@@ -414,7 +424,12 @@ class _Parser:
 
     def _need(self, sign: str) -> None:
         if not self._take(sign):
-            self._fail(f"a '{sign}' is missing after '{self._text[: self._at].strip()}'")
+            self._fail(f"a '{sign}' is missing after '{_short(self._text[: self._at].strip())}'")
 
     def _fail(self, what: str) -> NoReturn:
-        raise MistrayError(f"filter '{self._text}': {what}")
+        raise MistrayError(f"filter '{_short(self._text)}': {what}")
+
+
+def _short(text: str) -> str:
+    """A text for a message."""
+    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}…"

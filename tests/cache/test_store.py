@@ -35,17 +35,17 @@ def entry(cache: Cache, key: str = KEY) -> Path:
 class TestContent:
     @pytest.mark.parametrize("content", [b"", b"\n", b"one", b"two\nlines\n", bytes(range(256)) * 500])
     def test_comes_back(self, cache: Cache, content: bytes) -> None:
-        assert cache.get(KEY) is None
+        assert cache.get(KEY, bytes) is None
         cache.put(KEY, content)
-        assert cache.get(KEY) == content
-        assert Cache(cache.folder, LIMIT).get(KEY) == content
+        assert cache.get(KEY, bytes) == content
+        assert Cache(cache.folder, LIMIT).get(KEY, bytes) == content
         assert cache.problems == []
         assert [path.name for path in cache.folder.iterdir()] == [f"{KEY}.result"]
 
     def test_the_later_one_wins(self, cache: Cache) -> None:
         for content in (b"first", b"second"):
             cache.put(KEY, content)
-        assert cache.get(KEY) == b"second"
+        assert cache.get(KEY, bytes) == b"second"
         assert cache.contents().entries == 1
 
     def test_a_key_is_no_path(self, cache: Cache) -> None:
@@ -61,7 +61,7 @@ class TestContent:
         monkeypatch.setattr(os, "replace", interrupted)
         with pytest.raises(KeyboardInterrupt):
             cache.put(KEY, b"new")
-        assert cache.get(KEY) == b"old"
+        assert cache.get(KEY, bytes) == b"old"
         assert len(list(cache.folder.iterdir())) == 1
 
 
@@ -100,13 +100,13 @@ class TestDamage:
         self.is_told_once_and_made_again(cache)
 
     def is_told_once_and_made_again(self, cache: Cache) -> None:
-        assert cache.get(KEY) is None
+        assert cache.get(KEY, bytes) is None
         assert len(cache.problems) == 1
         assert f"'{entry(cache)}' is damaged" in cache.problems[0]
-        assert cache.get(KEY) is None
+        assert cache.get(KEY, bytes) is None
         assert len(cache.problems) == 1
         cache.put(KEY, b"again")
-        assert cache.get(KEY) == b"again"
+        assert cache.get(KEY, bytes) == b"again"
 
 
 class TestDisk:
@@ -149,7 +149,7 @@ class TestDisk:
             raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
         monkeypatch.setattr(store.os, "utime", refuse)
-        assert cache.get(KEY) == b"kept"
+        assert cache.get(KEY, bytes) == b"kept"
         assert cache.problems == []
         monkeypatch.setattr(Path, "open", refuse)
         self.is_told(cache, "Read-only file system")
@@ -160,7 +160,7 @@ class TestDisk:
         file = tmp_path / "file"
         file.write_text("no folder")
         cache = Cache(file / "cache", LIMIT)
-        assert cache.get(KEY) is None
+        assert cache.get(KEY, bytes) is None
         with pytest.raises(MistrayError, match="Not a directory; check MISTRAY_CACHE"):
             cache.contents()
         self.is_told(cache, "Not a directory")
@@ -170,7 +170,7 @@ class TestDisk:
         file = tmp_path / "file"
         file.write_text("no folder")
         cache = Cache(file, LIMIT)
-        assert cache.get(KEY) is None
+        assert cache.get(KEY, bytes) is None
         self.is_told(cache, "File exists")
 
 
@@ -181,7 +181,7 @@ class TestSize:
         for number, key in enumerate(keys[:8]):
             cache.put(key, b"x" * 850)
             os.utime(entry(cache, key), (1000 + number, 1000 + number))
-        assert cache.get(keys[0]) is not None  # read now
+        assert cache.get(keys[0], bytes) is not None  # read now
         for key in keys[8:]:
             cache.put(key, b"x" * 850)
         there = [entry(cache, key).exists() for key in keys]
@@ -197,8 +197,8 @@ class TestSize:
         other = key_of({})
         cache.put(other, b"small")
         cache.put(KEY, b"x" * 5000)
-        assert cache.get(KEY) == b"x" * 5000
-        assert cache.get(other) is None
+        assert cache.get(KEY, bytes) == b"x" * 5000
+        assert cache.get(other, bytes) is None
 
     def test_files_of_others_stay(self, tmp_path: Path) -> None:
         names = ["thesis.tex", f"{KEY}.txt", "short.result", f"x{KEY}.result"]
@@ -252,7 +252,7 @@ def use(folder: str, seed: int, rounds: int) -> tuple[int, int, list[str]]:
     for _ in range(rounds):
         number = order.randrange(KEYS)
         key = key_of({"number": number})
-        found = cache.get(key)
+        found = cache.get(key, bytes)
         if found is None:
             cache.put(key, content_of(number))
         else:
@@ -285,5 +285,5 @@ class TestTogether:
         cache.put(KEY, content_of(5))
         whole = entry(cache).read_bytes()
         entry(cache).write_bytes(whole[: len(whole) // 2])
-        assert cache.get(KEY) is None
+        assert cache.get(KEY, bytes) is None
         assert cache.problems

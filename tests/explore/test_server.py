@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import http.client
 import json
+import socket
 import threading
+import time
 
 import pytest
 
 from mistray.errors import MistrayError
 from mistray.explore.assets import asset
-from mistray.explore.server import LOOPBACK, MOST_BYTES, PageServer, serving
+from mistray.explore.server import LOOPBACK, MOST_BYTES, MOST_STRANGE, PageServer, serving
 
 
 @pytest.fixture(scope="module")
@@ -136,3 +138,38 @@ def test_who_waits_is_told(server, explorer):
 def test_a_port_that_is_taken(server, explorer):
     with pytest.raises(MistrayError, match=str(server.port)):
         PageServer(explorer, server.port)
+
+
+@pytest.mark.parametrize("length", ["9" * 5000, "0" * 20 + "2", "-1", "1_0", "٣", "", "2 3"])
+def test_lengths_that_are_none(server, length):
+    """Refused with an answer, and nothing of the body is read."""
+    lines = [f"POST /{server.token}/call HTTP/1.1", f"Host: {LOOPBACK}:{server.port}", "Content-Type: application/json"]
+    with socket.create_connection((LOOPBACK, server.port), timeout=30) as made:
+        made.sendall("\r\n".join([*lines, f"Content-Length: {length}", "", "{}"]).encode())
+        assert made.recv(1000).startswith(b"HTTP/1.1 413")
+
+
+def test_a_second_host(server):
+    lines = [f"GET /{server.token}/ HTTP/1.1", f"Host: {LOOPBACK}:{server.port}", "Host: evil.example", "", ""]
+    with socket.create_connection((LOOPBACK, server.port), timeout=30) as made:
+        made.sendall("\r\n".join(lines).encode())
+        assert made.recv(1000).startswith(b"HTTP/1.1 403")
+
+
+def test_connections_that_say_nothing(server):
+    """The oldest are closed; the page is answered all the while, and one that knows the token is kept."""
+    kept = http.client.HTTPConnection(LOOPBACK, server.port, timeout=30)
+    kept.request("GET", f"/{server.token}/page.js")
+    assert kept.getresponse().read()
+    before = threading.active_count()
+    idle = [socket.create_connection((LOOPBACK, server.port), timeout=30) for _ in range(100)]
+    assert idle[0].recv(1) == b""  # closed
+    assert ask(server, "GET", f"/{server.token}/")[0] == 200
+    kept.request("GET", f"/{server.token}/")
+    assert kept.getresponse().status == 200
+    deadline = time.monotonic() + 10
+    while threading.active_count() > before + MOST_STRANGE + 2 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert threading.active_count() <= before + MOST_STRANGE + 2
+    for one in (kept, *idle):
+        one.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +90,19 @@ def test_trouble_is_one_line(folder: Path, caplog: pytest.LogCaptureFixture, mon
         f"cache '{folder}': File exists; results are not kept, make room or name another folder in MISTRAY_CACHE, or "
         "switch the cache off"
     ]
+
+
+@pytest.mark.parametrize(
+    "content", [b"null", b"[]", b"{}", b"7", b"[1, 1, []]", b"[1, 2, [0]]", b"[NaN, 0, [0]]", b"\xff"]
+)
+def test_another_form(folder: Path, caplog: pytest.LogCaptureFixture, content: bytes) -> None:
+    before = kept_cloud(*SMALL)
+    (path,) = folder.iterdir()
+    magic, key, _, _ = path.read_bytes().split(b"\n", 3)
+    path.write_bytes(b"\n".join((magic, key, hashlib.sha256(content).hexdigest().encode(), content)))
+    _forget()
+    assert kept_cloud(*SMALL).extinction == before.extinction
+    assert [f"'{path}' is damaged" in record.getMessage() for record in caplog.records] == [True]
 
 
 def test_damage(folder: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import os
 import shutil
@@ -22,6 +23,7 @@ from mistray.errors import MistrayError
 from mistray.sweeps import trace_rows as sweeping
 from mistray.sweeps.cells import Cell, KeptRows, SceneContents, foreign_plugins, traced_facts
 from mistray.sweeps.configurations import Resolved
+from mistray.sweeps.numbers import COLUMNS, FIRST_LIGHT, TEXTS
 from mistray.trace import Settings
 
 pytestmark = pytest.mark.quick
@@ -32,8 +34,15 @@ LENS = scene_text(
     shape_xml("asphere", "rear", 3.0, interface_xml("glass.csv k=0", "air"), radius=-30.0, semi_diameter=4.0),
     shape_xml("asphere", "detector", 24.0, sensor=True, half_width=8.0, half_height=8.0),
 )
+LIGHT = ("power", "variance", "direct", "strongest")
 STATES = {"a": {}, "b": {"detector.z": 0.5}}
 ASKED: dict[str, Any] = {"field_deg": [0, 5], "wavelength_nm": [500], "configurations": STATES, "rays": 64}
+
+
+def made_up(number: int, **numbers: Any) -> dict[str, Any]:
+    """A row with a number of its own."""
+    row = {**dict.fromkeys(COLUMNS, 0.0), **dict.fromkeys(TEXTS), FIRST_LIGHT: {key: {} for key in LIGHT}}
+    return row | {"number": number} | numbers
 
 
 @pytest.fixture
@@ -56,7 +65,7 @@ def traces(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
     def note(scene: Any, cell: Any, *_: Any) -> dict[str, Any]:
         done.append(str(cell))
-        return {"stray_W": 0.1 + len(done), "stray_se_W": float("nan"), "worst_path": None, "number": len(done)}
+        return made_up(len(done), stray_W=0.1 + len(done), stray_se_W=float("nan"), worst_path=None)
 
     monkeypatch.setattr(sweeping, "_traced", note)
     return done
@@ -96,12 +105,12 @@ class TestReuse:
             if len(done) == 3:
                 raise KeyboardInterrupt
             done.append(cell)
-            return {"number": len(done)}
+            return made_up(len(done))
 
         monkeypatch.setattr(sweeping, "_traced", fail)
         with pytest.raises(KeyboardInterrupt):
             mistray.sweep(lens, cache=kept, **ASKED)
-        monkeypatch.setattr(sweeping, "_traced", lambda *_: {"number": 0})
+        monkeypatch.setattr(sweeping, "_traced", lambda *_: made_up(0))
         found = mistray.sweep(lens, cache=kept, **ASKED)
         assert [row["number"] for row in found.rows] == [1, 2, 3, 0]
 
@@ -119,7 +128,7 @@ class TestReuse:
             done.append(str(cell))
             if len(done) == 3:
                 (lens.parent / "glass.csv").write_text(TABLE.replace("1.53", "1.6"))
-            return {"number": len(done)}
+            return made_up(len(done))
 
         monkeypatch.setattr(sweeping, "_traced", change)
         found = mistray.sweep(lens, cache=kept, **ASKED)
@@ -270,6 +279,31 @@ class TestTrouble:
         again = mistray.sweep(lens, cache=kept, **ASKED)
         assert (again.reused, again.warnings) == (4, ())
         assert len(first.rows) == 4
+
+    @pytest.mark.parametrize(
+        "content",
+        [b"", b"null", b"[]", b"{}", b"7", b"NaN", b"1e999", b'"row"', b"\xff\xfe", b"[" * 100_000, b"{" + b'"a":' * 9,
+         b"STRAY:1e999", b'STRAY:"1"', b"STRAY:true", b"STRAY:null", b"STRAY:[]", b"STRAY:" + b"9" * 5000, b"-STRAY",
+         b"-first_light", b"first_light:3", b'first_light:{"power":{}}', b"worst_path:3"],
+    )  # fmt: skip
+    def test_an_entry_of_another_form(self, lens: Path, kept: Path, traces: list[str], content: bytes) -> None:
+        """Its sum agrees; it is named once, removed and made again."""
+        mistray.sweep(lens, cache=kept, **ASKED)
+        path = sorted(kept.iterdir())[1]
+        magic, key, _, old = path.read_bytes().split(b"\n", 3)
+        content = content.replace(b"STRAY", b"stray_W")
+        if content.startswith(b"-"):
+            content = json.dumps({k: v for k, v in json.loads(old).items() if k != content[1:].decode()}).encode()
+        elif b":" in content and not content.startswith(b"{"):
+            name, _, value = content.partition(b":")
+            row = json.dumps({**json.loads(old), name.decode(): "HERE"})
+            content = row.encode().replace(b'"HERE"', value)
+        path.write_bytes(b"\n".join((magic, key, hashlib.sha256(content).hexdigest().encode(), content)))
+        found = mistray.sweep(lens, cache=kept, **ASKED)
+        assert found.reused == 3
+        assert [f"'{path}' is damaged" in line for line in found.warnings] == [True]
+        again = mistray.sweep(lens, cache=kept, **ASKED)
+        assert (again.reused, again.warnings) == (4, ())
 
     @pytest.mark.parametrize("place", ["file/cache", "file"])
     def test_a_folder_that_cannot_be(self, lens: Path, tmp_path: Path, traces: list[str], place: str) -> None:

@@ -227,10 +227,11 @@ def _seconds_of_trace(options: Options) -> float | None:
 
 def _write_report(report: GhostReport, extra: _Extra, options: Options, look: Look | None) -> list[Path]:
     """All files; where there is no room for them the tables, as many as there is room for."""
+    from mistray.replace_folder import replacing_folder
     from mistray.report import main_table, write_all
 
     try:
-        with options.working("drawing the report"):
+        with options.working("drawing the report"), replacing_folder(options.out):
             pdf = "pdf" in options.formats
             named = (options.title, options.command_line)
             files = write_all(report, options.out, *named, options.per_wavelength, look, pdf)
@@ -277,15 +278,13 @@ class _Extra:
 
     def write(self) -> list[Path]:
         """The tables as CSV."""
-        from mistray.replace_file import replace_file
+        from mistray.report.output import csv_text, write_files
 
         tables = dict(self.tables)
         if self._rays is not None:
             tables |= {"filtered_paths": self._filtered, "filtered_rays": self._rays()}
-        return [
-            replace_file(self._options.out / f"{name}.csv", table.to_csv(index=False, lineterminator="\n"), "table")
-            for name, table in tables.items()
-        ]
+        files = {f"{name}.csv": csv_text(table, in_full=True) for name, table in tables.items()}
+        return write_files(files, self._options.out) if files else []
 
 
 def _aliases(words: list[str | tuple[str, str]] | None) -> dict[str, str] | str | None:
@@ -319,6 +318,7 @@ def _write_tables(report: Any, options: Options) -> list[Path]:
     """Write the tables of what is finished, as many as there is room for; maps would take as long as the trace has."""
     from mistray.analysis import GhostReport
     from mistray.replace_file import replace_file
+    from mistray.report.output import csv_text
     from mistray.report.tables.ghosts_csv import csv_tables
 
     files: list[Path] = []
@@ -326,7 +326,7 @@ def _write_tables(report: Any, options: Options) -> list[Path]:
         with contextlib.suppress(OSError, MistrayError):
             options.out.mkdir(parents=True, exist_ok=True)
             for name, table in csv_tables(report, options.per_wavelength).items():
-                files.append(replace_file(options.out / name, table.to_csv(index=False, lineterminator="\n"), "table"))
+                files.append(replace_file(options.out / name, csv_text(table, in_full=True), "table"))
     return files
 
 

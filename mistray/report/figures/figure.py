@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import re
+import warnings
 from typing import Any, Literal
 
 from matplotlib import figure
 from matplotlib.axes import Axes
 from matplotlib.text import Text
 from matplotlib.ticker import FixedFormatter, FuncFormatter
+
+from mistray.errors import MistrayWarning
+
+_GLYPH = re.compile(r"Glyph (?P<code>\d+) \(\\N\{(?P<name>[^}]*)\}\) missing")
 
 
 def legend_label(name: str) -> str:
@@ -55,6 +61,26 @@ class Figure(figure.Figure):
     def small_print(self, text: str, right: bool = False) -> None:
         """Say below all panels, in their middle or on the right, how to read them."""
         self.supxlabel(text, fontsize=7.5, color="#555555", **({"x": 0.99, "ha": "right"} if right else {}))
+
+    def savefig(self, *args: Any, **options: Any) -> None:
+        """Write the figure, and say in one line which letters of names its font does not have."""
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            super().savefig(*args, **options)
+        missing: dict[str, None] = {}
+        for warning in caught:
+            glyph = _GLYPH.match(str(warning.message))
+            if glyph is None:
+                warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+            else:
+                missing[f"'{chr(int(glyph['code']))}' ({glyph['name']})"] = None
+        if missing:
+            warnings.warn(
+                f"picture: its font has no {', '.join(missing)}, a box stands there; use other letters in names, or "
+                "another font.family of Matplotlib",
+                MistrayWarning,
+                stacklevel=1,
+            )
 
     def draw(self, renderer: Any) -> None:
         """Draw the figure; every way to a file leads here first."""

@@ -14,6 +14,7 @@ from mistray.analysis.field_summary import FieldSummary
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.stray_levels import LEVELS
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
+from mistray.report.output import csv_text, write_files
 from mistray.report.own_sections import own_tables
 from mistray.report.tables.frames import flat
 from mistray.trace import Trace
@@ -137,7 +138,7 @@ def write_csv(report: GhostReport, directory: str | Path, per_wavelength: bool =
     ----------
     report : GhostReport
     directory : str or Path
-        Must exist.
+        Made if it is missing.
     per_wavelength : bool
         Write the same tables at each wavelength too, as summary_per_wavelength.csv and so on.
 
@@ -146,12 +147,8 @@ def write_csv(report: GhostReport, directory: str | Path, per_wavelength: bool =
     list of Path
         The files written.
     """
-    files = []
-    for name, table in csv_tables(report, per_wavelength).items():
-        path = Path(directory) / name
-        table.to_csv(path, index=False, lineterminator="\n")
-        files.append(path)
-    return files
+    tables = csv_tables(report, per_wavelength)
+    return write_files({name: csv_text(table, in_full=True) for name, table in tables.items()}, directory)
 
 
 def _by_wavelength(
