@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import time
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
 from mistray.analysis.ghosts import GhostReport
+from mistray.analysis.verdict import brightest_field, most_stray
+from mistray.errors import MistrayWarning
 from mistray.replace_file import claim_files, draft_folder, written
 from mistray.report.colour import ColourPictures, Look
 from mistray.report.figures.layout import layout
@@ -19,11 +23,45 @@ from mistray.report.output import nearest_directory, told, writable_directory
 from mistray.report.pdf import pdf_bytes
 from mistray.report.rays.path_sort import path_sort_text
 from mistray.report.tables.ghosts_csv import write_csv
+from mistray.time_budget import coarse_first, is_limited, left
 
 PATHS_SORTED = 1000  # paths in a path-sort file
+NO_PAGE = "the time was up before pictures and report.html were made; the tables are written, more seconds are needed"
+
+AGAIN, OTHERS = 1.0, 2.5  # time of the page for a field, and for all together, in those of the maps and rays of one
 
 
-def draw(report: GhostReport, look: Look | None = None) -> dict[str, bytes]:
+def drawable(report: GhostReport) -> GhostReport:
+    """
+    Make the maps and rays of fields, the worst ones first.
+
+    Returns
+    -------
+    GhostReport
+        Of the fields that there is time to draw, of none if it is too short for a page; of all where there is no time
+        budget.
+    """
+    if not is_limited():
+        for field in report:
+            mapped_paths(report, field)  # before the pictures, whose maps then come from the same run of the rays
+        return report
+    worst = [field for field in (most_stray(report), brightest_field(report)) if field is not None]
+    drawn: list[float] = []
+    took = 0.0
+    for field in dict.fromkeys([*worst, *coarse_first(list(report))]):
+        if left() < ((1 + AGAIN) * (1 + len(drawn)) + OTHERS) * took:
+            break
+        began = time.perf_counter()
+        mapped_paths(report, field)
+        as_png(layout(report, field))
+        took = max(took, time.perf_counter() - began)
+        if left() < (AGAIN * (1 + len(drawn)) + OTHERS) * took:
+            break
+        drawn.append(field)
+    return report.of({field: report[field] for field in report if field in drawn})
+
+
+def draw(report: GhostReport, look: Look | None = None, shown: GhostReport | None = None) -> dict[str, bytes]:
     """
     All pictures as PNG, by file name.
 
@@ -32,6 +70,8 @@ def draw(report: GhostReport, look: Look | None = None) -> dict[str, bytes]:
     report : GhostReport
     look : Look, optional
         Draw colour pictures, too, like this.
+    shown : GhostReport, optional
+        The fields that are drawn, see `drawable`. Default: all.
 
     Returns
     -------
@@ -40,18 +80,19 @@ def draw(report: GhostReport, look: Look | None = None) -> dict[str, bytes]:
         layout_<field>deg.png; where light on surfaces is recorded surface_maps_<field>deg.png; with a look also
         colour_<field>deg.png.
     """
+    shown = report if shown is None else shown
     pictures = {
-        "overview.png": as_png(montage(report), of_maps=True),
-        "overview_common.png": as_png(montage(report, common=True), of_maps=True),
+        "overview.png": as_png(montage(shown), of_maps=True),
+        "overview_common.png": as_png(montage(shown, common=True), of_maps=True),
         "levels.png": as_png(levels_against_field(report)),
     }
-    for field in report:
-        pictures[f"ghosts_{field:g}deg.png"] = as_png(ghost_image(report, field), of_maps=True)
-        pictures[f"layout_{field:g}deg.png"] = as_png(layout(report, field))
-    pictures |= {name: as_png(figure) for name, figure in surface_map_figures(report).items()}
+    for field in shown:
+        pictures[f"ghosts_{field:g}deg.png"] = as_png(ghost_image(shown, field), of_maps=True)
+        pictures[f"layout_{field:g}deg.png"] = as_png(layout(shown, field))
+    pictures |= {name: as_png(figure) for name, figure in surface_map_figures(shown).items()}
     if look is not None:
-        colours = ColourPictures(report, look)
-        pictures |= {f"colour_{field:g}deg.png": as_png(colours.figure(field)) for field in report}
+        colours = ColourPictures(shown, look)
+        pictures |= {f"colour_{field:g}deg.png": as_png(colours.figure(field)) for field in shown}
     return pictures
 
 
@@ -89,7 +130,8 @@ def write_all(
 
     All files are made in a temporary directory, in the target or, where that is still to be made, beside it, and moved
     at the end, so that a failure leaves nothing half-written. Files of the same names are replaced, others are left
-    alone.
+    alone. In a time budget, see `drawable`, the other fields stand in the tables alone; if it is too short for any
+    picture only the tables are written.
 
     Parameters
     ----------
@@ -111,18 +153,26 @@ def write_all(
     -------
     list of Path
         The files written.
+
+    Warns
+    -----
+    MistrayWarning
+        There is no page, because a time budget is used up.
     """
     target = writable_directory(directory)
     with told(directory), draft_folder(nearest_directory(target)) as draft:
-        for field in report:
-            mapped_paths(report, field)  # before the pictures, whose maps then come from the same run of the rays
-        pictures = draw(report, look)
-        drafts = [*write_csv(report, draft, per_wavelength), *_write(pictures, draft)]
-        for field in report:
+        drafts = write_csv(report, draft, per_wavelength)
+        shown = drawable(report)
+        pictures = draw(report, look, shown) if shown else {}
+        drafts += _write(pictures, draft)
+        for field in shown:
             path = draft / f"path_sort_{field:g}deg.txt"
             path.write_text(path_sort_text(report[field], PATHS_SORTED), encoding="utf-8")
             drafts.append(path)
-        drafts += _write(pages(report, title, command, pictures, per_wavelength, pdf), draft)
+        if shown:
+            drafts += _write(pages(report, title, command, pictures, per_wavelength, pdf, shown), draft)
+        else:
+            warnings.warn(NO_PAGE, MistrayWarning, stacklevel=2)
         target.mkdir(parents=True, exist_ok=True)
         claim_files(target / path.name for path in drafts)
         files = [path.replace(target / path.name) for path in drafts]
@@ -137,9 +187,10 @@ def pages(
     pictures: Mapping[str, bytes],
     per_wavelength: bool,
     pdf: bool,
+    shown: GhostReport,
 ) -> dict[str, bytes]:
-    """The report as a page, and as PDF, by file name; arguments as in `write_all`."""
-    made = ghosts_report(report, title, command, pictures, per_wavelength)
+    """The report as a page, and as PDF, by file name; arguments as in `write_all` and `draw`."""
+    made = ghosts_report(report, title, command, pictures, per_wavelength, shown)
     found = {made.page: html_page(made).encode()}
     return found | ({pdf_name(made.page): pdf_bytes(made)} if pdf else {})
 

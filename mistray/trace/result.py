@@ -108,12 +108,19 @@ class Trace:
         self.effective_scattered_rays = flux**2 / squares if squares > 0 else 0.0
         self.notes = thin_gaps(runs[0].table)
         self.notes += dict.fromkeys(text for run in runs for text in run.table.optics.notes)
-        if self.rays_traced != self.rays_planned:
-            self.notes.append(f"{self.rays_traced:.4g} of {self.rays_planned:.4g} rays were traced; errors are theirs")
+        if self.fewer_rays:
+            self.notes.append(self.fewer_rays)
         self.notes += undeclared_images(runs, self._paths) if self._paths is not None else []
         self.aiming, self.silent = aimed_surfaces(runs), silent_places(runs)
         self.segments = round(sum(float(run.channels[SEGMENTS].sum()) for run in runs))
         self.seconds = sum(run.seconds for run in runs)
+
+    @property
+    def fewer_rays(self) -> str:
+        """The sentence that says so where not all rays were traced; else empty."""
+        if self.rays_traced == self.rays_planned:
+            return ""
+        return f"{self.rays_traced:.4g} of {self.rays_planned:.4g} rays were traced; errors are theirs"
 
     @property
     def paths(self) -> PathTable:

@@ -21,6 +21,7 @@ from mistray.report.parts import thousands
 from mistray.report.tables.scatter import scatter_text
 from mistray.report.tables.text import ABSENT, number, table_text, with_error
 from mistray.settings import BRANCHES
+from mistray.time_budget import not_traced
 from mistray.trace.polarization_choice import words_of
 
 LIMIT_WARNING = 1e-6  # of the launched flux
@@ -227,6 +228,8 @@ def main_table(report: GhostReport, count: int = 4, per_wavelength: bool = False
 def warnings(report: GhostReport) -> list[str]:
     """What a reader must know before trusting the numbers; empty if all is well."""
     found = []
+    if missing := [f"{field:g}" for field in report.not_traced]:
+        found.append(not_traced(missing, len(missing) + len(report), "fields, deg"))
     if report.nominal.power_W.value == 0:
         found.append("no direct light reaches the detector on axis: nothing can be normalised to it")
     settings = report.settings
@@ -249,7 +252,11 @@ def warnings(report: GhostReport) -> list[str]:
             f"{_fields(coarse)}: R of a coating in total reflection varies too fast with the angle for its table; the "
             f"error is up to {worst:.1e}"
         )
-    found += dict.fromkeys(text for t in report.values() for text in t.notes)
+    found += dict.fromkeys(text for t in report.values() for text in t.notes if text != t.fewer_rays)
+    if fewer := {field: t for field, t in report.items() if t.fewer_rays}:
+        least = min(fewer.values(), key=lambda t: t.rays_traced)
+        most = "" if len(fewer) == 1 else f"; of the other {len(fewer) - 1} fields more"
+        found.append(f"{_fields([field for field, t in fewer.items() if t is least])}: {least.fewer_rays}{most}")
     fields = list(report)
     found += [f"{_fields([fields[k] for k in at])}: {text}" for at, text in sampling_warnings(list(report.values()))]
     tops = {field: report.top(field, 4) for field in report}
