@@ -2,7 +2,8 @@
 A time budget that holds for all that is called in a block: every trace in it ends in time with the rays that it has.
 
 It is asked where interrupts are asked, between two launches of the kernel or two passes. What has begun to count always
-goes on to its first launch, so that there is a result.
+goes on to its first launch, so that there is a result. Of many things that are done one after the other, see `Shares`,
+those come to nothing for which there is no time: they are not begun, and the result names them.
 """
 
 from __future__ import annotations
@@ -10,10 +11,16 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextvars import ContextVar
+from typing import TypeVar
 
 from mistray.ranges import SECONDS
+
+LEAST = 0.25  # s, the shortest share: a trace takes about as long whatever its rays
+NAMED = 6  # of what has not been traced, in a sentence
+
+Thing = TypeVar("Thing")
 
 _end: ContextVar[float] = ContextVar("end", default=math.inf)  # by `time.perf_counter`
 
@@ -57,6 +64,83 @@ def is_limited() -> bool:
     return math.isfinite(_end.get())
 
 
+def left() -> float:
+    """What is left of it, s; infinite where there is none, and below 0 where it is used up."""
+    return _end.get() - time.perf_counter()
+
+
 def time_is_up() -> bool:
     """Whether it is used up; never where there is none."""
-    return time.perf_counter() >= _end.get()
+    return left() <= 0
+
+
+class Shares:
+    """
+    Equal shares of the time that is left, for things that are done one after the other.
+
+    What a thing takes beyond its share, such as the tables of a field, counts for those that come after it, and there
+    is not one more for which the time is too short.
+
+    Parameters
+    ----------
+    count : int
+        Things to do.
+    after : float
+        What is to be done later for each thing, as a part of what it takes beyond its share.
+    """
+
+    def __init__(self, count: int, after: float = 0.0) -> None:
+        self._count, self._after, self._done = count, after, 0
+        self._beyond = 0.0  # s, of the last one
+
+    def enough(self) -> bool:
+        """Whether there is time for one more; always for the first."""
+        return not self._done or self._left() >= LEAST + self._each
+
+    @property
+    def _each(self) -> float:
+        return (1 + self._after) * self._beyond
+
+    def _left(self) -> float:
+        return left() - self._done * self._after * self._beyond
+
+    @contextlib.contextmanager
+    def one(self) -> Iterator[None]:
+        """The block in which a thing is done, with its share of the time."""
+        began = time.perf_counter()
+        seconds = max(self._left() / max(self._count - self._done, 1) - self._each, LEAST)
+        before = _end.set(min(_end.get(), began + seconds))
+        try:
+            yield
+        finally:
+            _end.reset(before)
+        self._done += 1
+        self._beyond = max(time.perf_counter() - began - seconds, 0.0)
+
+
+def coarse_first(things: Sequence[Thing]) -> list[Thing]:
+    """The same in an order of which every beginning is spread over all: the ends first, then what halves the gaps."""
+    last = len(things) - 1
+    step = 1 << max(last, 1).bit_length()
+    order: dict[int, None] = dict.fromkeys((0, last) if things else ())
+    while step > 1:
+        step //= 2
+        order |= dict.fromkeys(range(0, last + 1, step))
+    return [things[k] for k in order]
+
+
+def not_traced(names: Sequence[str], count: int, what: str) -> str:
+    """
+    The sentence about what has not been traced, because the time was up.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of what has not been traced.
+    count : int
+        How many things were requested.
+    what : str
+        What they are, in the plural.
+    """
+    listed = f"{', '.join(names[:NAMED])}{', …' if len(names) > NAMED else ''}"
+    return f"not traced, for the time was up: {len(names)} of {count} {what} ({listed})"

@@ -9,7 +9,7 @@ from typing import Any
 import mitsuba as mi
 
 from mistray.surfaces.surfaces import require_one, solid_shapes
-from mistray.time_budget import share
+from mistray.time_budget import Shares, coarse_first, is_limited
 from mistray.trace import PolarizationChoice, Settings, Trace, trace
 from mistray.trace.polarization_choice import BEAM, chosen_polarization
 
@@ -21,6 +21,9 @@ Progress = Callable[[float, float], None]
 class FieldTraces:
     """
     Traces of fields one after the other, in equal shares of a time budget; what is finished stays at an interrupt.
+
+    Where the budget is too short for all fields, those are left out for which there is no time; the others are spread
+    over all of them.
 
     Parameters
     ----------
@@ -45,6 +48,8 @@ class FieldTraces:
         Whether a field is being traced that nobody requested, or that is finished with fewer rays.
     traced_again : list of float
         Fields that have been traced with more rays than the others, degrees.
+    not_traced : list of float
+        Fields that the time was too short for, degrees.
     """
 
     def __init__(self, scene: Any, arguments: Mapping[str, Any], progress: Progress | None) -> None:
@@ -55,9 +60,10 @@ class FieldTraces:
         self.nominal: Trace | None = None
         self.at_extra = False
         self.traced_again: list[float] = []
+        self.not_traced: list[float] = []
         self._wanted: dict[float, float | None] = {}  # field angle → as it was requested
 
-    def trace(self, wanted: Sequence[float | None]) -> None:
+    def trace(self, wanted: Sequence[float | None], finish: Callable[[float], None]) -> None:
         """
         Trace fields, that on axis first: without it what is finished at an interrupt is no report.
 
@@ -65,22 +71,36 @@ class FieldTraces:
         ----------
         wanted : sequence of float or None
             Field angles, degrees; None: that of the scene's source.
+        finish : callable
+            Does what else a field takes of its share of a time budget, once it is traced; not called without a budget.
         """
-        left = len(wanted)
+        count = len(wanted)
+        ordered = coarse_first(wanted) if is_limited() else wanted
+        order = sorted(ordered, key=lambda angle: angle != NOMINAL_FIELD_DEG)
+        shares = Shares(count)
         if None not in wanted and NOMINAL_FIELD_DEG not in wanted:
-            self._trace_yardstick(left + 1)
-        for done, field in enumerate(sorted(wanted, key=lambda angle: angle != NOMINAL_FIELD_DEG)):
-            part = _part(self._progress, done, left)
-            with share(1 / (left - done)):
+            shares = Shares(count + 1)
+            with shares.one():
+                self._trace_yardstick()
+        for done, field in enumerate(order):
+            if self.traces and not shares.enough():
+                break
+            part = _part(self._progress, done, count)
+            with shares.one():
                 found = trace(self._scene, field_deg=field, progress=part, **self._arguments)
-            angle = float(found.settings["field_deg"])
-            self.traces[angle], self._wanted[angle] = found, field
-            if angle == NOMINAL_FIELD_DEG:
-                self.nominal = found
+                angle = float(found.settings["field_deg"])
+                self.traces[angle], self._wanted[angle] = found, field
+                if angle == NOMINAL_FIELD_DEG:
+                    self.nominal = found
+                if is_limited() and self.nominal is not None:
+                    finish(angle)
         if None not in wanted:
-            self.traces = {angle: self.traces[angle] for angle in wanted if angle is not None}
+            given = [angle for angle in wanted if angle is not None]
+            self.not_traced = [angle for angle in given if angle not in self.traces]
+            self.traces = {angle: self.traces[angle] for angle in given if angle in self.traces}
         elif self.nominal is None:
-            self._trace_yardstick(1)
+            with shares.one():
+                self._trace_yardstick()
 
     def trace_again(self, rays: Mapping[float, int]) -> None:
         """
@@ -103,12 +123,11 @@ class FieldTraces:
                 self.nominal = found
         self.at_extra = False
 
-    def _trace_yardstick(self, fields: int) -> None:
-        """Trace the direct image on axis, which nobody requested, as one of so many fields that are left."""
+    def _trace_yardstick(self) -> None:
+        """Trace the direct image on axis, which nobody requested."""
         bare = {**self._arguments, "max_reflections": 0, "max_scatters": 0}
         self.at_extra = True
-        with share(1 / fields):
-            self.nominal = trace(self._scene, field_deg=NOMINAL_FIELD_DEG, **bare)
+        self.nominal = trace(self._scene, field_deg=NOMINAL_FIELD_DEG, **bare)
         self.at_extra = False
 
 

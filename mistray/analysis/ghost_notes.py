@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from mistray.notes import Code, Note
+from mistray.notes import Code, Note, unfinished
+from mistray.time_budget import not_traced
 from mistray.trace.trace_notes import trace_notes
 
 if TYPE_CHECKING:
@@ -17,15 +18,21 @@ WORST = 4  # paths of a field whose errors must be known
 def ghost_notes(report: GhostReport) -> list[Note]:
     """Notes of the traces, each once with the fields that it is about, and of the ranking; empty if all is well."""
     found: list[Note] = []
+    if missing := [f"{field:g}" for field in report.not_traced]:
+        found.append(Note(not_traced(missing, len(missing) + len(report), "fields, deg"), Code.UNFINISHED))
     if report.nominal.power_W.value == 0:
         text = "no direct light reaches the detector on axis: nothing can be normalised to it"
         found.append(Note(text, Code.NO_LIGHT))
     fields = list(report)
     own = {note for t in report.values() for note in t.own_notes}
-    found += [
-        note if note in own else note.beside(fields_text([fields[k] for k in at]))
-        for at, note in trace_notes(list(report.values()))
-    ]
+    notes = [(at, note) for at, note in trace_notes(list(report.values())) if note.code != Code.UNFINISHED]
+    found += [note if note in own else note.beside(fields_text([fields[k] for k in at])) for at, note in notes]
+    if fewer := {field: t for field, t in report.items() if t.rays_traced != t.rays_planned}:
+        least = min(t.rays_traced for t in fewer.values())
+        of_least = [field for field, t in fewer.items() if t.rays_traced == least]
+        text = f"{unfinished(least, fewer[of_least[0]].rays_planned)}"
+        more = f"; of {len(fewer) - len(of_least)} other fields more" if len(fewer) > len(of_least) else ""
+        found.append(Note(text + more, Code.UNFINISHED).beside(fields_text(of_least)))
     if few := [field for field in report if report.top(field, WORST).few_rays.any()]:
         text = "some of the worst four paths hold too few rays for an error; raise rays"
         found.append(Note(text, Code.FEW_RAYS).beside(fields_text(few)))

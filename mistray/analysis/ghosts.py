@@ -10,6 +10,8 @@ which wavelength.
 
 from __future__ import annotations
 
+import copy
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from typing import Any
@@ -21,16 +23,16 @@ import pandas as pd
 
 from mistray.analysis.airy import tight, with_airy
 from mistray.analysis.combine import by_path
-from mistray.analysis.estimate import UNKNOWN, Estimate
-from mistray.analysis.field_summary import FieldSummary
+from mistray.analysis.estimate import Estimate
+from mistray.analysis.field_summary import FieldSummary, field_summary, power_of
 from mistray.analysis.field_traces import NOMINAL_FIELD_DEG, FieldTraces, Progress, one_for_fields
 from mistray.analysis.filtered import Filtered, filtered
 from mistray.analysis.ghost_notes import ghost_notes
-from mistray.analysis.irradiance import MapStatistics, brightest, mirror_asymmetry, statistics
+from mistray.analysis.irradiance import MapStatistics, brightest, statistics
 from mistray.analysis.path_analysis import path_analysis
 from mistray.analysis.path_maps import FieldMaps, ImagesOfField, field_maps, without
 from mistray.analysis.peaks import with_peaks
-from mistray.analysis.ranking import DirectImage, bounds, direct_image, rank_column, ranked, stray_to_direct
+from mistray.analysis.ranking import DirectImage, bounds, direct_image, rank_column, ranked
 from mistray.analysis.scatter_surfaces import scatter_surfaces
 from mistray.analysis.stray_levels import stray_levels
 from mistray.errors import Interrupted, MistrayError, UnfinishedError
@@ -38,7 +40,7 @@ from mistray.files.irradiance_files import Map
 from mistray.notes import Note, warns
 from mistray.ranges import CONTESTED_RAYS, FIELD_DEG, RAYS
 from mistray.recorders.film import Pixels
-from mistray.recorders.path_events import DIRECT, STRAY_KINDS
+from mistray.recorders.path_events import DIRECT
 from mistray.renamed import renamed
 from mistray.time_budget import is_limited, within
 from mistray.trace import Settings, Trace
@@ -71,6 +73,8 @@ class GhostReport(Mapping[float, Trace]):
         What the lists of worst paths go by, see `ghosts`.
     traced_again : tuple of float
         Fields that were traced again with more rays, see `ghosts`.
+    not_traced : tuple of float
+        Fields that were requested and for which the time was too short, see `ghosts`.
     """
 
     def __init__(
@@ -81,15 +85,18 @@ class GhostReport(Mapping[float, Trace]):
         arguments: Mapping[str, Any],
         rank: str = "rms",
         traced_again: Sequence[float] = (),
+        not_traced: Sequence[float] = (),
     ) -> None:
         rank_column(rank)
         self.scene, self.rank, self.traced_again = scene, rank, tuple(traced_again)
+        self.not_traced = tuple(not_traced)
         self._traces = dict(traces)
         self._frames: dict[Trace, pd.DataFrame] = {}
         self._tables: dict[tuple[float, bool], pd.DataFrame] = {}
+        self._stray: dict[tuple[float, str], pd.DataFrame] = {}  # by field and rank
         self._maps: dict[float, ImagesOfField] = {}
         self._path_maps: dict[float, tuple[set[int], FieldMaps]] = {}  # with the paths that were requested
-        self._cones: dict[float, dict[int, LightCone | None]] = {field: {} for field in traces}
+        self._cones: defaultdict[float, dict[int, LightCone | None]] = defaultdict(dict)
         self._rays: dict[tuple[float, int], list[Polyline]] = {}
         self._summaries: dict[tuple[float, float | None], FieldSummary] = {}
         self.arguments = dict(arguments)
@@ -110,18 +117,25 @@ class GhostReport(Mapping[float, Trace]):
     def __len__(self) -> int:
         return len(self._traces)
 
+    def of(self, traces: Mapping[float, Trace], not_traced: Sequence[float] = ()) -> GhostReport:
+        """The report of these fields; where they are the same as here, what either makes of them the other has, too."""
+        found = copy.copy(self)
+        found._traces, found.not_traced = dict(traces), tuple(not_traced)
+        return found
+
     @property
     def settings(self) -> dict[str, Any]:
         """
         The settings of all fields, see `mistray.trace.Trace`, without their angles.
 
         ``rays`` are those of the field with the fewest. If fields were traced again, ``traced_again_deg`` has their
-        angles and ``contested_rays`` their rays.
+        angles and ``contested_rays`` their rays; ``not_traced_deg`` has the fields without a trace, if there are any.
         """
         rays = {field: int(t.settings["rays"]) for field, t in self.items()}
         shared = {key: value for key, value in next(iter(self.values())).settings.items() if key != "field_deg"}
         again = {"traced_again_deg": list(self.traced_again), "contested_rays": max(rays.values())}
-        return shared | {"rays": min(rays.values())} | (again if self.traced_again else {})
+        missing = {"not_traced_deg": list(self.not_traced)} if self.not_traced else {}
+        return shared | {"rays": min(rays.values())} | (again if self.traced_again else {}) | missing
 
     @property
     def notes(self) -> list[Note]:
@@ -216,7 +230,9 @@ class GhostReport(Mapping[float, Trace]):
         """
         column = rank_column(self.rank if rank is None else rank)
         table = self._ranked(field_deg, column)
-        return table[table.kind != DIRECT].sort_values(column).head(count)
+        if (field_deg, column) not in self._stray:
+            self._stray[field_deg, column] = table[table.kind != DIRECT].sort_values(column)
+        return self._stray[field_deg, column].head(count)
 
     def listed(self, field_deg: float, count: int = 4, rank: str | None = None) -> pd.DataFrame:
         """The rows of `top`, and last the strongest stray path by power where it is not among them; none of 0."""
@@ -291,7 +307,7 @@ class GhostReport(Mapping[float, Trace]):
 
     def power_of(self, field_deg: float, rows: pd.DataFrame) -> Estimate:
         """Power of some rows of a table of this field together, W; the error is that of the sum."""
-        return _power(self[field_deg], rows)
+        return power_of(self[field_deg], rows.path_ids)
 
     def _known(self, wavelength_nm: float) -> float:
         if wavelength_nm not in self.wavelengths_nm:
@@ -434,51 +450,8 @@ class GhostReport(Mapping[float, Trace]):
     def _summarised(self, field_deg: float, wavelength_nm: float | None) -> FieldSummary:
         t = self[field_deg]
         rows, table = self._rows(t), self.table(field_deg, per_wavelength=wavelength_nm is not None)
-        if wavelength_nm is None:
-            nominal, irradiance = self.nominal, (t.irradiance, t.irradiance_se)
-        else:
-            nominal, irradiance = self.nominal_at(wavelength_nm), t.irradiance_at(wavelength_nm)
-            rows, table = (part[part.wavelength_nm == wavelength_nm] for part in (rows, table))
-        direct = direct_image(t.paths, wavelength_nm)
-        worst = table[table.kind != DIRECT].sort_values("rank_rms_irradiance").head(1)
-        asymmetry, expected = mirror_asymmetry(*irradiance)
-        return FieldSummary(
-            field_deg=field_deg,
-            wavelength_nm=wavelength_nm,
-            rays=int(t.settings["rays"]),
-            paths=len(table),
-            paths_of_kind={kind: int((table.kind == kind).sum()) for kind in (DIRECT, *STRAY_KINDS)},
-            direct=direct,
-            stray_W=_power(t, rows[rows.kind != DIRECT]),
-            direct_incident_W=_incident(t, rows[rows.kind == DIRECT]),
-            stray_incident_W=_incident(t, rows[rows.kind != DIRECT]),
-            stray_of_kind_W={kind: _power(t, rows[rows.kind == kind]) for kind in STRAY_KINDS},
-            ghost_to_signal=stray_to_direct(t.paths, direct, wavelength_nm),
-            stray_to_nominal=stray_to_direct(t.paths, nominal, wavelength_nm),
-            brightest=int(worst.path_id.iloc[0]) if len(worst) else None,
-            brightest_normalised=(
-                Estimate(
-                    float(worst.normalised_rms_irradiance.iloc[0]), float(worst.normalised_rms_irradiance_se.iloc[0])
-                )
-                if len(worst)
-                else UNKNOWN
-            ),
-            map=statistics(*irradiance, t.extent, int(table.rays.sum())),
-            asymmetry=asymmetry,
-            asymmetry_expected=expected,
-        )
-
-
-def _power(t: Trace, rows: pd.DataFrame) -> Estimate:
-    """Power of some rows of a path table of a trace together, W."""
-    return Estimate(*t.paths.power([i for path_ids in rows.path_ids for i in path_ids]))
-
-
-def _incident(t: Trace, rows: pd.DataFrame) -> Estimate:
-    """The same before the detector, which absorbs about the same share of all of it, reflects some."""
-    power, se = _power(t, rows)
-    incident = float(rows.incident_W.sum())
-    return Estimate(incident, se * incident / power if power > 0 else 0.0)
+        nominal = self.nominal if wavelength_nm is None else self.nominal_at(wavelength_nm)
+        return field_summary(t, rows, table, field_deg, wavelength_nm, nominal)
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
@@ -516,8 +489,9 @@ def ghosts(
         What the lists of worst paths go by: the RMS irradiance, the power, or the brightest pixel, for which the same
         rays are traced once more or several times. Every list names the strongest path by power, too.
     seconds : float, optional
-        Time for all fields, in equal shares; each ends with the rays that it has, see `mistray.trace`. Maps, which a
-        report asks for later, take as long again.
+        Time for all fields, in equal shares; each ends with the rays that it has, see `mistray.trace`. Fields for which
+        it is too short are in `GhostReport.not_traced`; those that are traced are spread over all. Maps, which a report
+        asks for later, take as long again.
     contested_rays : float, optional
         Start rays of a field where another path may be as bright as the worst one (``contested`` in
         `GhostReport.table`): it is traced again with so many, which take the place of the first ones. Only where paths
@@ -553,13 +527,23 @@ def ghosts(
     wanted: list[float | None] = [None]
     if field_deg is not None:
         wanted = list(dict.fromkeys(FIELD_DEG.check_each("field_deg", field_deg, "ghosts")))
-    if isinstance(scene, mi.Scene):
-        arguments["polarization"] = one_for_fields(scene, wanted, arguments)
     fields_of = FieldTraces(scene, arguments, progress)
+    report: Any = {}
+
+    def tabulate(field: float) -> None:
+        """Make the tables of a field that take time."""
+        nonlocal report
+        report = report.of(fields_of.traces) if report else _report(scene, fields_of, None, arguments, rank)
+        report.summary(field)
+        report.listed(field)
+
     try:
         with within(seconds):
-            fields_of.trace(wanted)
-            report = _report(scene, fields_of, None, arguments, rank)
+            if isinstance(scene, mi.Scene):
+                arguments["polarization"] = one_for_fields(scene, wanted, arguments)
+            fields_of.trace(wanted, tabulate)
+            traces, missing = fields_of.traces, fields_of.not_traced
+            report = report.of(traces, missing) if report else _report(scene, fields_of, None, arguments, rank)
             assert isinstance(report, GhostReport)
             if rank == "rms" and not is_limited():
                 more = _rays_of_contested(report, contested_rays)

@@ -32,6 +32,9 @@ def as_json(
 
     fields = []
     for row in summary_frame(report).to_dict("records"):
+        if row["field_deg"] in report.not_traced:
+            fields.append(row)
+            continue
         row["energy"] = _energy(report[row["field_deg"]].energy)
         field = row["field_deg"]
         row["worst_paths"] = report.with_airy(field, report.listed(field, WORST_SHOWN)).to_dict("records")

@@ -18,6 +18,10 @@ from mistray.errors import MistrayError
 from mistray.interrupts import check, later
 from mistray.ranges import SECONDS
 
+START_S = 1.7  # what `Options.start` takes on a free machine of 2024, in which a report takes `PAGE_S`
+PAGE_S = 3.0
+MOST_OF_PAGE = 0.5  # of the time that is left
+
 if TYPE_CHECKING:
     from mistray.report import IrradianceMap
     from mistray.report.model import Report
@@ -61,11 +65,21 @@ class Options(argparse.Namespace):
         path = Path(self.scene).resolve()
         return as_text(path.parent.name if path.name == "scene.xml" else path.stem)
 
-    def seconds_left(self) -> float | None:
-        """What is left of --seconds; None where it is not given."""
+    def seconds_left(self, page_s: float = PAGE_S) -> float | None:
+        """
+        What is left of --seconds for traces; None where it is not given.
+
+        Parameters
+        ----------
+        page_s : float
+            What the report takes on a free machine that is as fast as the one on which `START_S` was measured; 0
+            without --out.
+        """
         if self.seconds is None:
             return None
-        return max(float(self.seconds - (time.monotonic() - self.began)), SECONDS.low)
+        left = float(self.seconds - (time.monotonic() - self.began))
+        page = 0.0 if self.out is None else min(page_s * max(self.start_s / START_S, 1.0), MOST_OF_PAGE * left)
+        return max(left - page, SECONDS.low)
 
     def check(self) -> None:
         """Refuse weights that do not fit the wavelengths, and --formats that cannot be written."""
@@ -100,6 +114,7 @@ class Options(argparse.Namespace):
                 set_threads(self.threads)
             silence_warnings()
         check()
+        self.start_s = time.monotonic() - self.began
         return claim_folder(self) if self.folder_files else None
 
     def claim(self) -> list[Path]:

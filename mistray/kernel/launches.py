@@ -24,8 +24,10 @@ from mistray.recorders.start_rays import StartRays
 from mistray.settings import BATCHES, Settings
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
+from mistray.time_budget import left
 
 SECONDS = 1.0  # of a launch
+SHORTEST = 0.1  # the same where a time budget ends or has ended: what a launch costs beside its rays stays small
 STRETCH = 1.5  # a launch may be so much longer if it is the last one then
 GROWTH = 512.0  # from a launch to the next
 PACKET, PACKETS = 16, 1 << 12  # fewest neighbours that stay together, since they walk similar trees; so many groups
@@ -43,8 +45,8 @@ class Launches:
 
     @property
     def lanes(self) -> int:
-        """Rays of the next launch at most, but for `STRETCH`."""
-        return max(BATCHES, int(self._rate * SECONDS))
+        """Rays of the next launch at most, but for `STRETCH`; fewer where a time budget ends sooner."""
+        return max(BATCHES, int(self._rate * min(SECONDS, max(left(), SHORTEST))))
 
     def run(self, start: StartRays, trace: Callable[[StartRays], object], seed: int = 0) -> Iterator[int]:
         """

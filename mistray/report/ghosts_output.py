@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import time
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
 from mistray.analysis.ghosts import GhostReport
+from mistray.analysis.verdict import brightest_field, most_stray
+from mistray.errors import MistrayWarning
 from mistray.report.colour import ColourPictures, Look
 from mistray.report.figures.layout import layout
 from mistray.report.figures.plots import as_png, ghost_image, levels_against_field, montage
@@ -18,11 +22,45 @@ from mistray.report.output import csv_text, write_files
 from mistray.report.pdf import pdf_bytes
 from mistray.report.rays.path_sort import path_sort_text
 from mistray.report.tables.ghosts_csv import csv_tables
+from mistray.time_budget import coarse_first, is_limited, left
 
 PATHS_SORTED = 1000  # paths in a path-sort file
+NO_PAGE = "the time was up before pictures and report.html were made; the tables are written, more seconds are needed"
+
+AGAIN, OTHERS = 1.0, 2.5  # time of the page for a field, and for all together, in those of the maps and rays of one
 
 
-def draw(report: GhostReport, look: Look | None = None) -> dict[str, bytes]:
+def drawable(report: GhostReport) -> GhostReport:
+    """
+    Make the maps and rays of fields, the worst ones first.
+
+    Returns
+    -------
+    GhostReport
+        Of the fields that there is time to draw, of none if it is too short for a page; of all where there is no time
+        budget.
+    """
+    if not is_limited():
+        for field in report:
+            mapped_paths(report, field)  # before the pictures, whose maps then come from the same run of the rays
+        return report
+    worst = [field for field in (most_stray(report), brightest_field(report)) if field is not None]
+    drawn: list[float] = []
+    took = 0.0
+    for field in dict.fromkeys([*worst, *coarse_first(list(report))]):
+        if left() < ((1 + AGAIN) * (1 + len(drawn)) + OTHERS) * took:
+            break
+        began = time.perf_counter()
+        mapped_paths(report, field)
+        as_png(layout(report, field))
+        took = max(took, time.perf_counter() - began)
+        if left() < (AGAIN * (1 + len(drawn)) + OTHERS) * took:
+            break
+        drawn.append(field)
+    return report.of({field: report[field] for field in report if field in drawn})
+
+
+def draw(report: GhostReport, look: Look | None = None, shown: GhostReport | None = None) -> dict[str, bytes]:
     """
     All pictures as PNG, by file name.
 
@@ -31,6 +69,8 @@ def draw(report: GhostReport, look: Look | None = None) -> dict[str, bytes]:
     report : GhostReport
     look : Look, optional
         Draw colour pictures, too, like this.
+    shown : GhostReport, optional
+        The fields that are drawn, see `drawable`. Default: all.
 
     Returns
     -------
@@ -39,18 +79,19 @@ def draw(report: GhostReport, look: Look | None = None) -> dict[str, bytes]:
         layout_<field>deg.png; where light on surfaces is recorded surface_maps_<field>deg.png; with a look also
         colour_<field>deg.png.
     """
+    shown = report if shown is None else shown
     pictures = {
-        "overview.png": as_png(montage(report), of_maps=True),
-        "overview_common.png": as_png(montage(report, common=True), of_maps=True),
+        "overview.png": as_png(montage(shown), of_maps=True),
+        "overview_common.png": as_png(montage(shown, common=True), of_maps=True),
         "levels.png": as_png(levels_against_field(report)),
     }
-    for field in report:
-        pictures[f"ghosts_{field:g}deg.png"] = as_png(ghost_image(report, field), of_maps=True)
-        pictures[f"layout_{field:g}deg.png"] = as_png(layout(report, field))
-    pictures |= {name: as_png(figure) for name, figure in surface_map_figures(report).items()}
+    for field in shown:
+        pictures[f"ghosts_{field:g}deg.png"] = as_png(ghost_image(shown, field), of_maps=True)
+        pictures[f"layout_{field:g}deg.png"] = as_png(layout(shown, field))
+    pictures |= {name: as_png(figure) for name, figure in surface_map_figures(shown).items()}
     if look is not None:
-        colours = ColourPictures(report, look)
-        pictures |= {f"colour_{field:g}deg.png": as_png(colours.figure(field)) for field in report}
+        colours = ColourPictures(shown, look)
+        pictures |= {f"colour_{field:g}deg.png": as_png(colours.figure(field)) for field in shown}
     return pictures
 
 
@@ -87,7 +128,8 @@ def write_all(
     Write CSV, PNG, path-sort files (of the `PATHS_SORTED` strongest paths) and report.html.
 
     All of them or none, see `mistray.report.output.write_files`: files of the same names are replaced, those of an
-    earlier report that this one does not have go, and files of others are left alone.
+    earlier report that this one does not have go, and files of others are left alone. In a time budget, see `drawable`,
+    the other fields stand in the tables alone; if it is too short for any picture only the tables are written.
 
     Parameters
     ----------
@@ -109,15 +151,23 @@ def write_all(
     -------
     list of Path
         The files written.
+
+    Warns
+    -----
+    MistrayWarning
+        There is no page, because a time budget is used up.
     """
-    for field in report:
-        mapped_paths(report, field)  # before the pictures, whose maps then come from the same run of the rays
-    pictures = draw(report, look)
     tables = csv_tables(report, per_wavelength)
     files: dict[str, str | bytes] = {name: csv_text(table, in_full=True) for name, table in tables.items()}
-    files |= pictures
-    files |= {f"path_sort_{field:g}deg.txt": path_sort_text(report[field], PATHS_SORTED) for field in report}
-    return write_files(files | pages(report, title, command, pictures, per_wavelength, pdf), directory)
+    shown = drawable(report)
+    if shown:
+        pictures = draw(report, look, shown)
+        files |= pictures
+        files |= {f"path_sort_{field:g}deg.txt": path_sort_text(report[field], PATHS_SORTED) for field in shown}
+        files |= pages(report, title, command, pictures, per_wavelength, pdf, shown)
+    else:
+        warnings.warn(NO_PAGE, MistrayWarning, stacklevel=2)
+    return write_files(files, directory)
 
 
 def pages(
@@ -127,8 +177,9 @@ def pages(
     pictures: Mapping[str, bytes],
     per_wavelength: bool,
     pdf: bool,
+    shown: GhostReport,
 ) -> dict[str, bytes]:
-    """The report as a page, and as PDF, by file name; arguments as in `write_all`."""
-    made = ghosts_report(report, title, command, pictures, per_wavelength)
+    """The report as a page, and as PDF, by file name; arguments as in `write_all` and `draw`."""
+    made = ghosts_report(report, title, command, pictures, per_wavelength, shown)
     found = {made.page: html_page(made).encode()}
     return found | ({pdf_name(made.page): pdf_bytes(made)} if pdf else {})

@@ -190,7 +190,7 @@ def study_report(study: Study, command: str = "") -> Report:
         "Stray-light study",
         study.name,
         [
-            Section("worst", "The worst ghosts of all fields", worst_table(study.ghosts), "Worst ghosts"),
+            Section("worst", "The worst ghosts of all fields", worst_table(study.ghosts, study.ghosts), "Worst ghosts"),
             Section("findings", "Findings", findings, "Findings"),
             *(_step(study, step, pictures) for step in study.steps),
             _settings(study, command),
@@ -200,7 +200,7 @@ def study_report(study: Study, command: str = "") -> Report:
             Note(VERDICTS["pst"], "h3"),
             Items(pst_verdict(study.pst), "verdict"),
             Note(VERDICTS["ghosts"], "h3"),
-            *answer(study.ghosts),
+            *answer(study.ghosts, study.ghosts),
         ],
         warnings=study_warnings(study),
         contents=True,

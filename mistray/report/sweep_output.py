@@ -89,7 +89,8 @@ def sweep_record(result: Sweep) -> dict[str, Any]:
         "rows": [
             {**result.shown(row), "entering": [asdict(one) for one in result.entering(*(row[key] for key in CELL))]}
             for row in result.rows
-        ],
+        ]
+        + [dict.fromkeys(result.rows[0], None) | dict(zip(CELL, cell, strict=True)) for cell in result.not_traced],
         "gaps": {name: [asdict(gap) for gap in gaps] for name, gaps in result.gaps.items() if gaps},
         "settings": result.arguments,
         "cache": None if result.cache_folder is None else str(result.cache_folder),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -59,6 +60,8 @@ class Sweep:
     gaps : mapping of str to tuple of Gap
         By configuration: surfaces that meet in the scene as it is and are apart in this one, see
         `mistray.analysis.changes.gaps`.
+    not_traced : tuple of (str, float, float)
+        The entries of `CELL` of rows for which a time budget was too short.
     """
 
     source: Source
@@ -71,6 +74,7 @@ class Sweep:
     cache_folder: Path | None = None
     warnings: tuple[str, ...] = ()
     gaps: Mapping[str, tuple[Gap, ...]] = field(default_factory=dict)
+    not_traced: tuple[tuple[str, float, float], ...] = ()
     _scenes: dict[str, Any] = field(default_factory=dict, init=False)
 
     def __len__(self) -> int:
@@ -86,10 +90,17 @@ class Sweep:
             Columns ``configuration``, ``field_deg``, ``wavelength_nm``, the numbers of
             `mistray.sweeps.numbers.numbers_of`, and, where one of several configurations is the scene as it is,
             ``entering``, ``entering_percent``, ``entering_percent_se`` and ``gap_mm``, as of `PstSweep.to_pandas`.
+            Rows that are not traced are the last, of NaN.
         """
         import pandas as pd
 
-        return pd.DataFrame([self.shown(row) for row in self.rows])
+        missing = [dict(zip(CELL, cell, strict=True)) for cell in self.not_traced]
+        return pd.DataFrame([*(self.shown(row) for row in self.rows), *missing])
+
+    @cached_property
+    def _row_of(self) -> dict[tuple[Any, ...], Numbers]:
+        """Rows by the entries of `CELL`."""
+        return {tuple(row[key] for key in CELL): row for row in self.rows}
 
     def shown(self, row: Numbers) -> Numbers:
         """A row of `rows` with the columns of `to_pandas`."""
@@ -127,8 +138,8 @@ class Sweep:
         return () if light[0] is None or light[1] is None else light[0].since(light[1])
 
     def _first_light(self, cell: tuple[str | None, float, float]) -> FirstLight | None:
-        found = (row for row in self.rows if tuple(row[key] for key in CELL) == cell)
-        return next((FirstLight(**row[FIRST_LIGHT]) for row in found if FIRST_LIGHT in row), None)
+        row = self._row_of.get(cell, {})
+        return FirstLight(**row[FIRST_LIGHT]) if FIRST_LIGHT in row else None
 
     @property
     def opened(self) -> list[str]:
@@ -139,7 +150,7 @@ class Sweep:
             entering = self.entering(*cell)
             if not entering:
                 continue
-            before = next(one for one in self.rows if tuple(one[key] for key in CELL) == (self.base, *cell[1:]))
+            before = self._row_of[(self.base, *cell[1:])]
             less = row["stray_W"] < before["stray_W"] and spoils(entering)
             no_gain = "; less stray light is no gain here" if less else ""
             found.append(f"{cell[0]} at {cell[1]:g} deg, {cell[2]:g} nm: {entering_text(entering)}{no_gain}")
@@ -180,10 +191,9 @@ class Sweep:
             If there is no such row or column.
         """
         where = self._cell(configuration, field_deg, wavelength_nm)
-        row = next((row for row in self.rows if tuple(row[key] for key in CELL) == where), None)
-        if row is None:
+        if where not in self._row_of:
             raise MistrayError("sweep: this row was not finished; run it again")
-        return estimate_of(row, name)
+        return estimate_of(self._row_of[where], name)
 
     def trace(
         self, configuration: str | None = None, field_deg: float | None = None, wavelength_nm: float | None = None

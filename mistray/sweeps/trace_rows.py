@@ -24,10 +24,12 @@ from mistray.sweeps.cells import Cell, KeptRows, SceneContents, foreign_plugins,
 from mistray.sweeps.configurations import Configuration, Resolved, as_configurations, resolve
 from mistray.sweeps.numbers import Numbers, numbers_of
 from mistray.sweeps.result import CELL, Source, Sweep
-from mistray.time_budget import share, time_is_up, within
+from mistray.time_budget import Shares, coarse_first, is_limited, not_traced, time_is_up, within
 from mistray.trace import Settings, trace
 
 Progress = Callable[[float, float], None]
+
+LATER = 0.2  # what a row takes in tables and reports, as a part of what its trace takes beside the rays
 
 
 @renamed(fields_deg="field_deg")
@@ -72,7 +74,8 @@ def sweep(
         Called now and then with (rows done, rows to do); the first counts parts of a row too.
     seconds : float, optional
         Time for all rows that are not in the cache, in equal shares; each ends with the rays that it has. A row of
-        fewer rays than requested is not cached, and a warning counts them.
+        fewer rays than requested is not cached, and a warning counts them. Rows for which it is too short are in
+        `Sweep.not_traced`; those that are traced are spread over configurations, wavelengths and fields.
     **settings
         rays (in each row), seed and the other attributes of `mistray.trace.Settings`.
 
@@ -112,11 +115,15 @@ def sweep(
     reused, short = len(found), list[Cell]()
     contacts = Contacts(loaded) if any(one.values for one in chosen) else None
     gaps: dict[str, tuple[Gap, ...]] = {}
+    over = False  # all is done, or the time is up
 
     def result() -> Sweep:
         rows = [dict(zip(CELL, cell.name, strict=True)) | found[cell] for cell in cells if cell in found]
         folder = None if kept is None else kept.store.folder
         said = [*warnings, *([] if kept is None else kept.problems)]
+        missing = [cell for cell in cells if cell not in found]
+        if missing and over:
+            said.append(not_traced([str(cell) for cell in missing], len(cells), "rows"))
         if short:
             said.append(f"the time was up in {len(short)} of {len(cells)} rows, which have fewer rays, see the column "
                         "rays; their errors are larger")  # fmt: skip
@@ -131,12 +138,13 @@ def sweep(
             cache_folder=folder,
             warnings=tuple(said),
             gaps=dict(gaps),
+            not_traced=tuple(cell.name for cell in missing) if over else (),
         )
 
-    def trace_row(cell: Cell) -> None:
+    def trace_row(cell: Cell, shares: Shares) -> None:
         part = _part(progress, len(found), len(cells))
         try:
-            with share(1 / (len(cells) - len(found))):
+            with shares.one():
                 found[cell] = _traced(loaded, cell, arguments, part)
                 unfinished = time_is_up()
         except UnfinishedError as error:
@@ -149,13 +157,23 @@ def sweep(
             kept.keep(cell, found[cell])
 
     with within(seconds):
-        for one in chosen:
-            missing = [cell for cell in cells if cell.configuration is one and cell not in found]
-            with _state(loaded, one):
+        order = coarse_first if is_limited() else list
+        left: dict[str, list[Cell]] = {one.name: [] for one in chosen}
+        for cell in cells:
+            if cell not in found:
+                left[cell.configuration.name].append(cell)
+        states = Shares(len(chosen), LATER)
+        for one in order(chosen):
+            if not states.enough():
+                break
+            with states.one(), _state(loaded, one):
                 if contacts is not None:
                     gaps[one.name] = contacts.opened(loaded)
-                for cell in missing:
-                    trace_row(cell)
+                shares = Shares(len(left[one.name]), LATER)
+                for cell in order(left[one.name]):
+                    if shares.enough():
+                        trace_row(cell, shares)
+    over = True
     if progress is not None:
         progress(len(cells), len(cells))
     return result()

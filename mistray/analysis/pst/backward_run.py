@@ -27,7 +27,7 @@ from mistray.notes import Code, Note, unfinished
 from mistray.percent import percent_text
 from mistray.recorders.direction_recorder import DIFFRACTED, MULTIPLE, SINGLE
 from mistray.recorders.path_sums import join_sums
-from mistray.time_budget import is_limited, share, time_is_up
+from mistray.time_budget import is_limited, left, share, time_is_up
 
 PILOT_SHARE = 6  # a run to an error takes about so many times the rays of its pilot,
 SHORT_OF_IT = 1.5  # or so many times more: each further round of a pilot is as long as all before
@@ -108,9 +108,9 @@ class BackwardRun:
         started = time.perf_counter()
         counts = self._counts(up_to_deg).ravel()
         pilot = Pilot(self._trace, self._points, counts, wanted is not None)
-        plan = pilot.search(0)
         # Of a fixed number of rays it has one size, so that the run may be continued; its first variances know little
         with share(1 / (1 + PILOT_SHARE)):
+            plan = pilot.search(0)
             while wanted is not None and not time_is_up():
                 asked = self._budget(plan, wanted) / PILOT_SHARE
                 if asked <= SHORT_OF_IT * pilot.rays:
@@ -146,7 +146,7 @@ class BackwardRun:
         trace = self._trace
         before = float(trace.rays.sum())
         started, saved, saving = time.perf_counter() - self._pilot_seconds, -np.inf, 0.0
-        all_saved = True
+        all_saved, took = True, 0.0  # s of the last pass
         if self._light is None and plan is not None:
             self._take(plan)
         most = self._budget(plan, wanted) if plan is not None else trace.settings.rays
@@ -154,7 +154,7 @@ class BackwardRun:
             done, spent = round(before), time.perf_counter() - started
             progress(PstProgress(done, max(most, done), math.inf, wanted, spent, self._seconds_left))
         with later(), trace.shared(most):
-            while trace.rays.sum() < most and not requested() and not (trace.passes and time_is_up()):
+            while trace.rays.sum() < most and not requested() and not (trace.passes and left() < took):
                 began = time.perf_counter()
                 # Only a run of a single pass has a pass of its own size, so that a run may be continued at any time
                 try:
@@ -166,6 +166,7 @@ class BackwardRun:
                     self._light.go_on(plan.forward_rays(float(trace.rays.sum())))
                 self._table, all_saved = None, False
                 now = time.perf_counter()
+                took = now - began
                 if self._state is not None and (saving <= SAVING * (now - saved) or now - began > LONG_PASS):
                     self._save()
                     saved, all_saved = time.perf_counter(), True

@@ -14,7 +14,9 @@ from mistray.analysis.pst.result import Pst
 from mistray.execute.workers import current_workers
 from mistray.settings import Settings
 from mistray.surfaces.surfaces import SurfaceTable
-from mistray.time_budget import within
+from mistray.time_budget import left, within
+
+LEAST_SHARE = 0.4  # of the time of the first measurement, in which another one is prepared and begins
 
 
 def with_next_orders(scene: mi.Scene, first: Pst, seconds: float, measure: Callable[..., Pst]) -> Pst:
@@ -22,7 +24,7 @@ def with_next_orders(scene: mi.Scene, first: Pst, seconds: float, measure: Calla
     Measure a PST with one more scatter event and, apart from that, with one more reflection.
 
     Each has the seed of the first, and at most half of its time; what a pass takes, it takes. The stray light is
-    compared angle by angle.
+    compared angle by angle. A note says so where a time budget is too short for one of them.
 
     Parameters
     ----------
@@ -45,6 +47,9 @@ def with_next_orders(scene: mi.Scene, first: Pst, seconds: float, measure: Calla
     timed = first.method != "forward" or current_workers() is None  # parts of workers are not
     found: list[tuple[Pst, NextOrder]] = []
     for limit, allowed in limits.items():
+        if left() < LEAST_SHARE * seconds:
+            first.facts["notes"] = [*first.facts["notes"], f"the time was up before {limit} = {allowed} was measured"]
+            continue
         with within(seconds / len(limits)) if timed else contextlib.nullcontext():
             more = measure(**{limit: allowed})
         found.append((more, _compared(first, more, limit, allowed)))

@@ -28,6 +28,7 @@ from mistray.sampling.sharing.cell_starts import whole_batches
 from mistray.sampling.sharing.families import FamilyVariances
 from mistray.sampling.sharing.map_samples import MapSamples
 from mistray.sampling.sharing.start_map import StartMap
+from mistray.time_budget import time_is_up
 
 FIRST_ROUND, LEAST_ROUNDS = 1 << 12, 5  # rays of the first round, each of the next takes twice as many
 ROUNDS_TO_AN_ERROR = 6  # at least: what the pilot has not met makes the run too short
@@ -95,9 +96,13 @@ class Pilot:
         return float(self._pace @ (plan.forward_rays(rays).sum(), rays))
 
     def search(self, rays: float) -> Plan:
-        """Go on for `LEAST_ROUNDS` or `ROUNDS_TO_AN_ERROR` at least, and to so many rays against the light."""
+        """
+        Go on for `LEAST_ROUNDS` or `ROUNDS_TO_AN_ERROR` at least, and to so many rays against the light.
+
+        A time budget ends it after any round.
+        """
         least = ROUNDS_TO_AN_ERROR if self._to_an_error else LEAST_ROUNDS
-        while self._plan is None or self._rounds < least or self.rays < rays:
+        while self._plan is None or (not time_is_up() and (self._rounds < least or self.rays < rays)):
             self._plan = self._round(FIRST_ROUND << self._rounds)
         sharing = self._plan.sharing
         return replace(self._plan, sharing=replace(sharing, families=self._families(sharing.rays)))

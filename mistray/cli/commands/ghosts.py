@@ -41,9 +41,8 @@ if TYPE_CHECKING:
 
 
 # Of --seconds: the maps of a report trace the same rays again, and pictures take seconds, more with each field
-SHARE_OF_TRACE = 0.45
+SHARE_OF_TRACE = 0.5
 PAGE_S, FIELD_S = 4.0, 1.0
-MOST_OF_PICTURES = 0.4
 ALL_ALIASES = ("part", "space")
 # Of `mistray.analysis.ranking` and `mistray.analysis.path_analysis`, not imported to parse a command line
 RANKS = ("rms", "power", "peak")
@@ -51,8 +50,9 @@ SORT_KEYS = ("power_W", "objects", "branches", "last_object", "unique_objects", 
 OF_COLOUR = ("stops", "reference", "white", "block")  # options of the colour pictures
 
 # What --out writes
+PAGE = "report.html"
 FILES = (
-    "report.html",
+    PAGE,
     "summary*.csv",
     "paths*.csv",
     "energy*.csv",
@@ -178,7 +178,7 @@ def run(options: Options) -> int:
     files, report = [], None
     try:
         # The maps of the report are traced by the workers as well
-        with within(options.seconds_left()), options.workers():
+        with within(options.seconds_left(0.0)), options.workers():
             with progress_bar(options) as progress:
                 report = ghosts(
                     scene,
@@ -213,16 +213,16 @@ def run(options: Options) -> int:
     def text() -> str:
         return "\n\n".join([main_table(report, WORST_SHOWN, lines), *extra.texts()])
 
-    return options.show(lambda: as_json(report, lines, options.filter, extra.tables), text, files)
+    page = PAGE if options.out is None or options.out / PAGE in files else files[0].name
+    return options.show(lambda: as_json(report, lines, options.filter, extra.tables), text, files, page)
 
 
 def _seconds_of_trace(options: Options) -> float | None:
     """What of --seconds the trace has, so that the report of its rays is written in time, too."""
-    left = options.seconds_left()
+    left = options.seconds_left(PAGE_S + FIELD_S * len(options.field_deg or [None]))
     if left is None or options.out is None:
         return left
-    pictures = min(PAGE_S + FIELD_S * len(options.field_deg or [None]), MOST_OF_PICTURES * left)
-    return max(SHARE_OF_TRACE * (left - pictures), SECONDS.low)
+    return max(SHARE_OF_TRACE * left, SECONDS.low)
 
 
 def _write_report(report: GhostReport, extra: _Extra, options: Options, look: Look | None) -> list[Path]:

@@ -12,6 +12,7 @@ from mistray.cli.options import Options
 from mistray.cli.shared import SCATTER, SCENE, SCHEDULER, SPECTRUM, SURFACES, TABLE_FORMATS, TIME, output, ray_tree
 from mistray.errors import MistrayError, UnfinishedError
 from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, FINITE, PST_FIELD_DEG
+from mistray.time_budget import within
 
 if TYPE_CHECKING:
     from mistray.sweeps import Configuration, Sweep
@@ -85,7 +86,8 @@ def run(options: Options) -> int:
         configurations.insert(0, Configuration(AS_IT_IS))
     before = _entries(options)
     try:
-        with options.tracing() as progress:
+        # The scene is loaded in that time as well
+        with options.tracing() as progress, within(options.seconds_left()):
             result = sweep(
                 options.scene,
                 options.field_deg,
@@ -94,7 +96,6 @@ def run(options: Options) -> int:
                 azimuth_deg=options.azimuth_deg,
                 cache=False if options.no_cache else None,
                 progress=progress,
-                seconds=options.seconds_left(),
                 **options.settings(),
             )
     except UnfinishedError as error:

@@ -42,9 +42,9 @@ DEEDS = {"reflects": "is reflected there", "scatters": "is scattered there", "pa
 Sentence = str | Markup
 
 
-def answer(report: GhostReport) -> list[Part]:
-    """The verdict beside the picture of the worst paths."""
-    worst = worst_of_all_fields(report, PATHS_DRAWN)
+def answer(report: GhostReport, shown: GhostReport) -> list[Part]:
+    """The verdict beside the picture of the worst paths of the fields that are shown."""
+    worst = worst_of_all_fields(shown, PATHS_DRAWN)
     parts: list[Part] = [Items(verdict(report), "verdict")]
     if worst:
         parts.append(Figure(functools.partial(draw_answer, report, worst), DRAWN, _told(worst)))
@@ -58,8 +58,8 @@ def draw_answer(report: GhostReport, worst: Sequence[WorstPath]) -> Drawing:
     )
 
 
-def worst_table(report: GhostReport) -> list[Part]:
-    """The worst paths of all fields."""
+def worst_table(report: GhostReport, shown: GhostReport) -> list[Part]:
+    """The worst paths of all fields, with links to those that are shown."""
     worst = worst_of_all_fields(report)
     if not worst:
         return [Note("No stray path reaches the detector.")]
@@ -72,7 +72,9 @@ def worst_table(report: GhostReport) -> list[Part]:
             k,
             f"{path.label} {mark_of(path)}".rstrip(),
             path.kind,
-            Link(f"{path.field_deg:g}", field_anchor(path.field_deg)),
+            Link(f"{path.field_deg:g}", field_anchor(path.field_deg))
+            if path.field_deg in shown
+            else f"{path.field_deg:g}",
             *(path.power_W, path.percent_of_stray, path.normalised, path.peak_W_mm2),
             ", ".join(f"{field:g}" for field in path.fields),
         ]

@@ -42,6 +42,7 @@ SCATTERED = (
 
 
 OVERVIEW = "Stray light on the detector at every field, without the direct image. Each map has its own log10 scale."
+UNDRAWN = "in the tables alone, for the time was up before they were drawn"
 ON_ONE_SCALE = "The same on one scale"
 FIELDS = "On a screen, open a field for its paths, their maps and rays, and for what lights a spot of the detector."
 LEVELS = "Power by kind of light, and the ten worst stray paths at every field."
@@ -94,17 +95,24 @@ def html_text(
 
 
 def ghosts_report(
-    report: GhostReport, title: str, command: str, pictures: Mapping[str, bytes], per_wavelength: bool
+    report: GhostReport,
+    title: str,
+    command: str,
+    pictures: Mapping[str, bytes],
+    per_wavelength: bool,
+    shown: GhostReport | None = None,
 ) -> Report:
-    """The report of a ghost analysis; see `write_html`."""
-    for field in report:
+    """The report of a ghost analysis, see `write_html`; `shown`: the fields with maps and a section, by default all."""
+    shown = report if shown is None else shown
+    for field in shown:
         mapped_paths(report, field)  # first of all: the maps of the summaries come from the same run of the rays
     summaries = [report.summary(field) for field in report]
-    fields = [page_data(report), *(field_section(report, s, pictures, per_wavelength) for s in summaries)]
+    drawn = (s for s in summaries if s.field_deg in shown)
+    fields = [page_data(shown), *(field_section(report, s, pictures, per_wavelength) for s in drawn)]
     sections = [
-        Section("worst", "The worst paths of all fields", worst_table(report), "Worst paths"),
-        Section("pictures", "Pictures", _pictures(report, pictures), "Pictures"),
-        Section("summary", "Every field", _summary(report, summaries, per_wavelength), "Summary"),
+        Section("worst", "The worst paths of all fields", worst_table(report, shown), "Worst paths"),
+        Section("pictures", "Pictures", _pictures(report, shown, pictures), "Pictures"),
+        Section("summary", "Every field", _summary(report, shown, summaries, per_wavelength), "Summary"),
         Section("fields", "Field by field", [Note(FIELDS), *fields], "Fields"),
         Section("energy", "Energy ledger", energy_ledger(report, per_wavelength), "Energy", "always"),
     ]
@@ -118,8 +126,8 @@ def ghosts_report(
         "Ghost analysis",
         title,
         [*sections, *own_sections(report), _settings(report, command)],
-        lead=[Note(_traced(report), "sub"), *answer(report)],
-        warnings=report.notes,
+        lead=[Note(_traced(report), "sub"), *answer(report, shown)],
+        warnings=[*_undrawn(report, shown), *report.notes],
         scripts=("report", "hover", "drawing", "explorer"),
     )
 
@@ -141,7 +149,17 @@ def _traced(report: GhostReport) -> str:
     )
 
 
-def _summary(report: GhostReport, summaries: Sequence[FieldSummary], per_wavelength: bool) -> list[Part]:
+def _undrawn(report: GhostReport, shown: GhostReport) -> list[str]:
+    """Which fields have no pictures."""
+    missing = [f"{field:g}" for field in report if field not in shown]
+    if not missing:
+        return []
+    return [f"{UNDRAWN}: {len(missing)} of {len(report)} fields ({', '.join(missing)} deg)"]
+
+
+def _summary(
+    report: GhostReport, shown: GhostReport, summaries: Sequence[FieldSummary], per_wavelength: bool
+) -> list[Part]:
     """Statistics of every field; on request at each wavelength too."""
     nominal = report.nominal
     text = (
@@ -150,15 +168,15 @@ def _summary(report: GhostReport, summaries: Sequence[FieldSummary], per_wavelen
         f"RMS irradiance {with_error(nominal.rms_irradiance_W_mm2)} W/mm²."
     )
     kinds = [kind for kind in STRAY_KINDS if any(s.paths_of_kind[kind] for s in summaries)]
-    parts: list[Part] = [Note(text), _summary_table(report, summaries, kinds, "t-summary")]
+    parts: list[Part] = [Note(text), _summary_table(shown, summaries, kinds, "t-summary")]
     if per_wavelength:
         lines = [report.summary(s.field_deg, line) for s in summaries for line in report.wavelengths_nm]
-        table = _summary_table(report, lines, kinds, "t-summary-waves").without("peak stray/peak nominal")
+        table = _summary_table(shown, lines, kinds, "t-summary-waves").without("peak stray/peak nominal")
         parts += [Note("At each wavelength", "h3"), Note(AT_WAVELENGTHS), table]
     return parts
 
 
-def _summary_table(report: GhostReport, summaries: Sequence[FieldSummary], kinds: Sequence[str], name: str) -> Table:
+def _summary_table(shown: GhostReport, summaries: Sequence[FieldSummary], kinds: Sequence[str], name: str) -> Table:
     rows: list[list[Value]] = [
         [
             f"{s.field_deg:g}",
@@ -166,7 +184,9 @@ def _summary_table(report: GhostReport, summaries: Sequence[FieldSummary], kinds
             s.paths,
             *summary_values(s, summaries, UNKNOWN),
             *(s.stray_of_kind_W[kind] if s.paths_of_kind[kind] else ABSENT for kind in kinds),
-            *(s.ghost_to_signal, s.stray_to_nominal, report.peak_to_nominal(s.field_deg), s.brightest_normalised),
+            *(s.ghost_to_signal, s.stray_to_nominal),
+            shown.peak_to_nominal(s.field_deg) if s.field_deg in shown else ABSENT,
+            s.brightest_normalised,
         ]
         for s in summaries
     ]
@@ -179,12 +199,12 @@ def _summary_table(report: GhostReport, summaries: Sequence[FieldSummary], kinds
     return table.without("λ") if all(s.wavelength_nm is None for s in summaries) else table
 
 
-def _pictures(report: GhostReport, pictures: Mapping[str, bytes]) -> list[Part]:
+def _pictures(report: GhostReport, shown: GhostReport, pictures: Mapping[str, bytes]) -> list[Part]:
     """The stray light of all fields, and levels against the field."""
-    own = pictures.get("overview.png") or as_png(montage(report), of_maps=True)
+    own = pictures.get("overview.png") or as_png(montage(shown), of_maps=True)
     drawn: list[Part] = [Figure(own, OVERVIEW, "stray light on the detector at every field")]
-    if len(report) > 1:
-        common = pictures.get("overview_common.png") or as_png(montage(report, common=True), of_maps=True)
+    if len(shown) > 1:
+        common = pictures.get("overview_common.png") or as_png(montage(shown, common=True), of_maps=True)
         told = "stray light on the detector at every field, on one scale"
         drawn.append(Folded(ON_ONE_SCALE, [Figure(common, text=told)]))
     return [*drawn, _levels(report)]

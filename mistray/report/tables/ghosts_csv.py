@@ -104,9 +104,12 @@ def analysis_frame(report: GhostReport, sort: str, least_share: float) -> pd.Dat
 
 
 def summary_frame(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
-    """Main table with full precision, one row for each field (and wavelength)."""
+    """Main table with full precision, one row for each field (and wavelength); of NaN for one that is not traced."""
     lines = report.wavelengths_nm if per_wavelength else [None]
-    return pd.DataFrame([_summary_row(report.summary(field, wavelength)) for field in report for wavelength in lines])
+    rows = [_summary_row(report.summary(field, wavelength)) for field in report for wavelength in lines]
+    missing = [{"field_deg": field} | ({} if line is None else {"wavelength_nm": line})
+               for field in report.not_traced for line in lines]  # fmt: skip
+    return pd.DataFrame([*rows, *missing])
 
 
 def csv_tables(report: GhostReport, per_wavelength: bool = False) -> dict[str, pd.DataFrame]:
