@@ -20,6 +20,7 @@ from mistray.execute.workers import current_workers
 from mistray.interrupts import later, requested
 from mistray.recorders import Recorder
 from mistray.recorders.tallies import FIRST_MISS
+from mistray.renamed import renamed
 from mistray.sampling.sources import field_of, source_emitters
 from mistray.settings import Settings
 from mistray.time_budget import is_limited, share, within
@@ -34,6 +35,7 @@ def versions() -> dict[str, str]:
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
+@renamed()
 def trace(
     scene: mi.Scene,
     rays: float | None = None,

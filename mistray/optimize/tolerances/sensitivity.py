@@ -26,6 +26,7 @@ from mistray.optimize.tolerances.proposals import SEEDS, free_keys, traced_chang
 from mistray.optimize.tolerances.rows import Line, Row, Table, lines_of, shifted_values, whole_values
 from mistray.optimize.tolerances.steps import Progress, Steps
 from mistray.ranges import FACTOR, POSITIVE
+from mistray.renamed import renamed
 from mistray.sampling.sources import spectrum_of
 from mistray.surfaces.surfaces import SurfaceTable
 
@@ -175,6 +176,7 @@ class Sensitivity:
 
 # The arguments are the options of `mistray sensitivity`, all but the metric by keyword
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
+@renamed()
 def sensitivity(
     metric: Metric,
     params: Mapping[str, Any] | None = None,
