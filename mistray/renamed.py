@@ -1,4 +1,4 @@
-"""Old names of arguments, attributes and keys: they still work, with a warning that says the new one."""
+"""Names of arguments, attributes and keys: old ones still work, with a warning; wrong ones say what was meant."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
-from mistray.errors import MistrayError, MistrayWarning
+from mistray.errors import MistrayError, MistrayWarning, nearest
 
 T = TypeVar("T", bound=Callable[..., Any])
 
@@ -21,7 +21,8 @@ def renamed(**names: str) -> Callable[[T], T]:
     Parameters
     ----------
     **names
-        Old name = new name. A call by the old name warns; one by both raises `MistrayError`.
+        Old name = new name; none: there are no old names. A call by the old name warns; one by both raises
+        `MistrayError`, and so does one by a name that there is not.
     """
 
     def decorate(target: T) -> T:
@@ -71,7 +72,9 @@ def by_new_names(given: Mapping[str, Any], names: Mapping[str, str], owner: str)
 
 def _by_either_name(function: Any, names: Mapping[str, str], title: str = "") -> Any:
     owner = f"{title or function.__name__}: "
-    places = {name: number for number, name in enumerate(inspect.signature(function).parameters)}
+    parameters = inspect.signature(function).parameters
+    places = {name: number for number, name in enumerate(parameters)}
+    passes_on = any(one.kind is one.VAR_KEYWORD for one in parameters.values())
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
@@ -80,6 +83,10 @@ def _by_either_name(function: Any, names: Mapping[str, str], title: str = "") ->
                 if old in kwargs and places.get(new, math.inf) < len(args):
                     raise MistrayError(f"{owner}{old} is the old name of {new}, and both are given; leave out {old}")
             kwargs = by_new_names(kwargs, names, owner)
+        wrong = "" if passes_on else next((name for name in kwargs if name not in parameters), "")
+        if wrong:
+            known = [name for name in parameters if name != "self"]
+            raise MistrayError(f"{owner}there is no argument '{wrong}'; {nearest(wrong, known)}")
         return function(*args, **kwargs)
 
     vars(call)["_old_names"] = {**old_names(function), **names}

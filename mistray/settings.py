@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import difflib
+import inspect
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -235,9 +237,7 @@ class Settings:
     def unresolved(cls, scene: Any, **given: Any) -> Settings:
         """Settings of a scene's ``straylight`` integrator, or the defaults; what is given and not None comes first."""
         own = getattr(scene.integrator(), "settings", None) or cls()
-        unknown = set(given) - {f.name for f in fields(cls)}
-        if unknown:
-            raise MistrayError(f"unknown argument {', '.join(sorted(unknown))} of a trace")
+        refuse_unknown(given, cls)
         values = {f.name: getattr(own, f.name) for f in fields(cls)}
         return cls(**(values | {key: value for key, value in given.items() if value is not None}))
 
@@ -283,3 +283,29 @@ class Settings:
 def polarized_sources(scene: Any) -> list[str]:
     """Names of the sources of a scene whose light is polarised."""
     return [emitter.name for emitter in scene.emitters() if getattr(emitter, "polarized", False)]
+
+
+def refuse_unknown(given: Iterable[str], owner: Callable[..., Any], more: Iterable[str] = ()) -> None:
+    """
+    Refuse keywords that no argument has.
+
+    Parameters
+    ----------
+    given : iterable of str
+        Those that a function hands on to a trace.
+    owner : callable
+        The function, whose own arguments may be meant.
+    more : iterable of str
+        What may be given beside the fields of `Settings`.
+
+    Raises
+    ------
+    MistrayError
+    """
+    allowed = {f.name for f in fields(Settings)} | set(more)
+    known = [name for name in inspect.signature(owner).parameters if name not in ("scene", "settings")]
+    for name in given:
+        if name not in allowed:
+            near = difflib.get_close_matches(name, [*known, *allowed], n=1)
+            said = f"did you mean '{near[0]}'?" if near else "see mistray.trace.Settings"
+            raise MistrayError(f"unknown argument {name} of {owner.__name__}; {said}")

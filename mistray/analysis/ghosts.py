@@ -13,7 +13,6 @@ from __future__ import annotations
 import copy
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields
 from typing import Any
 
 import mitsuba as mi
@@ -42,8 +41,9 @@ from mistray.ranges import CONTESTED_RAYS, FIELD_DEG, RAYS
 from mistray.recorders.film import Pixels
 from mistray.recorders.path_events import DIRECT
 from mistray.renamed import renamed
+from mistray.settings import refuse_unknown
 from mistray.time_budget import is_limited, within
-from mistray.trace import Settings, Trace
+from mistray.trace import Trace
 from mistray.trace.light_cones import LightCone
 
 MAPPED_PATHS = 4  # stray paths of each field that get a map of their own
@@ -519,9 +519,7 @@ def ghosts(
     rank_column(rank)
     if contested_rays is not None:
         CONTESTED_RAYS.check("contested_rays", contested_rays, "ghosts")
-    unknown = set(settings) - {f.name for f in fields(Settings)} - {"detector"}
-    if unknown:
-        raise MistrayError(f"unknown argument {', '.join(sorted(unknown))} of ghosts; see mistray.trace.Settings")
+    refuse_unknown(settings, ghosts, ["detector"])
     given = {"azimuth_deg": azimuth_deg, "wavelength_nm": wavelength_nm, "weights": weights, **settings}
     arguments = {key: value for key, value in given.items() if value is not None}
     wanted: list[float | None] = [None]

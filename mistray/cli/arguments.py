@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, NoReturn
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, nearest
 from mistray.ranges import FINITE, POLAR_DEG, Range
 from mistray.renamed import by_new_names
 
@@ -29,7 +30,14 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raise instead of printing the usage and exiting."""
-        raise MistrayError(f"{message}; see '{self.prog} --help'")
+        see = f"see '{self.prog} --help'"
+        raise MistrayError(f"{message} S{see[1:]}" if message.endswith("?") else f"{message}; {see}")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Refuse a command or another word that is none of those to choose from."""
+        if action.choices is not None and value not in action.choices:
+            wrong = f"invalid choice: {value!r}; {nearest(str(value), map(str, action.choices))}"
+            raise argparse.ArgumentError(action, wrong)
 
     def declare_when_used(self, declare: Callable[[Parser], None]) -> None:
         """Leave the declaration of arguments for when this parser is used, and not another one."""
@@ -58,6 +66,10 @@ class Parser(argparse.ArgumentParser):
         """What argparse finds, with the values of old names under the new ones."""
         self.declare_all()
         found, others = super().parse_known_args(args, namespace)
+        if others:  # here, where it is known whose arguments they are: a command's or the program's
+            wrong = next((word for word in others if word.startswith("-")), "").split("=")[0]
+            close = difflib.get_close_matches(wrong, self._option_string_actions, n=1)
+            self.error(f"unrecognized arguments: {' '.join(others)}{f'; did you mean {close[0]}?' if close else ''}")
         for old, new in self._old_names.items():
             before, now = (self._option_string_actions[name].dest for name in (old, new))
             if hasattr(found, before):

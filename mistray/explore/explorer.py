@@ -8,7 +8,6 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import fields
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -47,7 +46,7 @@ from mistray.scene import Rules, find, load
 from mistray.scene.check import check_overlaps
 from mistray.scene.coat import coated_text
 from mistray.scene.load import load_text
-from mistray.settings import Settings
+from mistray.settings import refuse_unknown
 from mistray.surfaces.surfaces import require_one, solid_shapes
 from mistray.trace import Trace, trace
 
@@ -109,9 +108,7 @@ class Explorer:
         rays: float | None = None,
         **settings: Any,
     ) -> None:
-        unknown = set(settings) - {f.name for f in fields(Settings)}
-        if unknown:
-            raise MistrayError(f"unknown argument {', '.join(sorted(unknown))}; see mistray.trace.Settings")
+        refuse_unknown(settings, Explorer)
         self.path = find(scene)
         self._scene = load(self.path)
         require_one([shape.id() for shape in solid_shapes(self._scene) if shape.is_sensor()])

@@ -25,6 +25,7 @@ from mistray.recorders.path_key import (
 from mistray.surfaces.optics import DETECTOR, OPAQUE
 
 PAST = "past"
+ARROW, SCATTER_AT, DIRECT_IMAGE = " → ", "scatter at ", "direct image"
 SOURCE = -1  # in place of the number of a surface
 
 
@@ -83,7 +84,7 @@ class PathNames:
             text = self._short(turns, kind, designed) if regular else ""
             text = text or " ".join(words)
         else:
-            text = "direct image" if kind == "direct" else kind
+            text = DIRECT_IMAGE if kind == "direct" else kind
             if not regular:
                 through = ", ".join(self._word(code).removesuffix(f":{self._letters[TRANSMITTED]}") for code in events)
                 text += f" through {through}" if events else f" {PAST} all surfaces"
@@ -93,11 +94,11 @@ class PathNames:
         """What reflections alone, and scatter once where a surface sends most of it, are called; else nothing."""
         names = [self._ids[code >> EVENT_BITS] for code in turns]
         if all(code & EVENT_MASK == REFLECTED for code in turns):
-            return " → ".join(names) + (f" ({kind})" if kind.startswith("structure") else "")
+            return ARROW.join(names) + (f" ({kind})" if kind.startswith("structure") else "")
         surface, what = turns[0] >> EVENT_BITS, turns[0] & EVENT_MASK
         reflects = bool(self._bits[surface] & OPAQUE) or (surface << EVENT_BITS | REFLECTED) in designed
         if len(turns) == 1 and what == (RANDOM_REFLECTED if reflects else RANDOM_TRANSMITTED):
-            return f"scatter at {names[0]}"
+            return f"{SCATTER_AT}{names[0]}"
         return ""
 
     def _word(self, code: int) -> str:

@@ -110,10 +110,7 @@ class SurfaceTable:
         stokes: bool = False,
     ) -> None:
         # In the order of their ids: a ray that meets two surfaces within the rounding must not see the scene's order
-        solid = solid_shapes(scene)
-        named = {shape.id() or f"shape_{number}": shape for number, shape in enumerate(solid, start=1)}
-        if len(named) < len(solid):
-            raise MistrayError("two shapes of the scene have the same id; give every shape an id of its own")
+        named = named_shapes(scene)
         shapes = sorted(named.items())
         analytic = [(name, shape) for name, shape in shapes if is_analytic(shape)]
         stock = [(name, shape) for name, shape in shapes if not is_analytic(shape)]
@@ -121,7 +118,7 @@ class SurfaceTable:
         self.shapes = [shape for _, shape in analytic + stock]
         numbers = {name: i for i, name in enumerate(self.ids)}
         self.listed = [numbers[name] for name in named]
-        self.parts = [getattr(shape, "part", "") or name for name, shape in analytic + stock]
+        self.parts = [part_of(name, shape) for name, shape in analytic + stock]
         self.spaces = [int(getattr(shape, "space", -1)) for shape in self.shapes]
         self.count = len(self.shapes)
         self.wavelength_nm = wavelength_nm
@@ -184,7 +181,7 @@ class SurfaceTable:
     @property
     def event_ids(self) -> list[str]:
         """Names of the places of events: the surfaces, then the media in brackets."""
-        return [*self.ids, *(f"({medium})".replace(" ", "_") for medium in self.optics.media)]
+        return [*self.ids, *map(medium_id, self.optics.media)]
 
     @property
     def event_parts(self) -> list[str]:
@@ -376,6 +373,25 @@ def is_analytic(shape: Any) -> bool:
 def solid_shapes(scene: mi.Scene) -> list[Any]:
     """The shapes that light meets: all but those that only say where scattered rays are aimed at."""
     return [shape for shape in scene.shapes() if not getattr(shape.bsdf(), "is_target", False)]
+
+
+def named_shapes(scene: mi.Scene) -> dict[str, Any]:
+    """`solid_shapes` by their ids, in the order of the scene; raises `MistrayError` for an id that is given twice."""
+    solid = solid_shapes(scene)
+    named = {shape.id() or f"shape_{number}": shape for number, shape in enumerate(solid, start=1)}
+    if len(named) < len(solid):
+        raise MistrayError("two shapes of the scene have the same id; give every shape an id of its own")
+    return named
+
+
+def part_of(name: str, shape: Any) -> str:
+    """Name of the part that a shape belongs to: its own, where it says nothing."""
+    return getattr(shape, "part", "") or name
+
+
+def medium_id(medium: str) -> str:
+    """Name of a medium among the places of events."""
+    return f"({medium})".replace(" ", "_")
 
 
 def require_one(detectors: Sequence[str]) -> None:

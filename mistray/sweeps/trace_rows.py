@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from mistray.renamed import renamed
 from mistray.sampling.sources import scene_sources, source_emitters, spectrum, spectrum_of
 from mistray.scene import find, load
 from mistray.scene.check import check_overlaps
+from mistray.settings import refuse_unknown
 from mistray.sweeps.cells import Cell, KeptRows, SceneContents, foreign_plugins, traced_facts
 from mistray.sweeps.configurations import Configuration, Resolved, as_configurations, resolve
 from mistray.sweeps.numbers import Numbers, numbers_of
@@ -92,9 +92,7 @@ def sweep(
     UnfinishedError
         If workers are gone, see `mistray.distribute`; its `partial` is a Sweep of the rows that were finished.
     """
-    unknown = set(settings) - {f.name for f in fields(Settings)}
-    if unknown:
-        raise MistrayError(f"unknown argument {', '.join(sorted(unknown))} of sweep; see mistray.trace.Settings")
+    refuse_unknown(settings, sweep)
     source: Source = find(scene) if isinstance(scene, str | Path) else scene
     contents = SceneContents(source) if isinstance(source, Path) and cache is not False else None  # before it is read
     loaded = source if isinstance(source, mi.Scene) else load(source)

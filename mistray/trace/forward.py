@@ -21,6 +21,7 @@ from mistray.interrupts import later, requested
 from mistray.notes import Code, Note, warns
 from mistray.recorders import Recorder
 from mistray.recorders.tallies import FIRST_MISS
+from mistray.renamed import renamed
 from mistray.sampling.sources import field_of, source_emitters
 from mistray.scene.check import require_scene
 from mistray.settings import Settings
@@ -36,6 +37,7 @@ def versions() -> dict[str, str]:
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
+@renamed()
 @warns
 def trace(
     scene: mi.Scene,

@@ -13,7 +13,7 @@ from mistray.ids import check_id
 from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.path_events import Events, distinct, event_text, way
 from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, TRANSMITTED
-from mistray.trace.path_filter import named_like, unknown_name
+from mistray.trace.filter_rows import named_like, unknown_name
 
 if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable

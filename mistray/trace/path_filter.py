@@ -20,7 +20,9 @@ L(x)   meets x last before the detector
 
 ``H(barrel) >= 2`` counts events. ``name operator value`` compares a column of the table, with ``= != < <= > >=``; text
 needs quotation marks if it is more than a word, and may have ``*`` and ``?``: ``kind = "single scatter"``. A text in
-quotation marks alone is a path: these events in this order, others between: ``"detector:R window_rear:R"``.
+quotation marks alone is a path: these events in this order, others between: ``"detector:R window_rear:R"``. Or it is
+what a report calls a path or a kind of paths: ``"S22 -> S8" & power_W > 1e-9``. A filter that is nothing else needs no
+quotation marks, see `mistray.trace.named_paths`.
 
 A name with brackets or commas needs quotation marks of either kind: ``H("lens (1)")``. In a path a name with blanks
 stands in marks of the other kind: ``"detector:R 'window rear':R"``. For a name that holds both kinds write ``?`` for
@@ -32,19 +34,20 @@ round brackets.
 
 from __future__ import annotations
 
-import difflib
 import operator
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import reduce
-from typing import NamedTuple, NoReturn
+from typing import NoReturn
 
 import numpy as np
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, nearest
 from mistray.recorders.path_events import LETTERS, Events
 from mistray.recorders.path_key import REFLECTED, TOTAL, TRANSMITTED
+from mistray.trace.filter_rows import Bounds, Rows, UnknownError, exactly, like, like_pattern, places
+from mistray.trace.named_paths import KINDS, Kind, Named, Whole, read_events, read_name
 
 FLAGS = "HMTRIGSBDL"
 MOST_DEEP = 100  # brackets and ! within each other
@@ -64,40 +67,6 @@ _TOKEN = re.compile(
 )
 
 
-class Bounds(NamedTuple):
-    """Of each row whether a filter holds for certain, and whether it may; they differ where a ray is to decide."""
-
-    certain: np.ndarray
-    possible: np.ndarray
-
-
-@dataclass(frozen=True)
-class Rows:
-    """
-    What a filter is asked about.
-
-    Attributes
-    ----------
-    events : Events
-        Of each row.
-    ids, parts : sequence of str
-        Names and parts of the places of events.
-    columns : mapping of str to (n,) array
-        By their names.
-    by_ray : frozenset of str
-        Names of columns that a ray has and a path does not: a path may hold, and may not.
-    surfaces : int
-        How many of the places are surfaces; the others are media.
-    """
-
-    events: Events
-    ids: Sequence[str]
-    parts: Sequence[str]
-    columns: Mapping[str, np.ndarray]
-    surfaces: int
-    by_ray: frozenset[str] = field(default_factory=frozenset)
-
-
 class PathFilter:
     """
     A filter of paths and rays; the language stands at the head of `mistray.trace.path_filter`.
@@ -111,6 +80,8 @@ class PathFilter:
     ----------
     columns : frozenset of str
         Names of the columns that it compares.
+    name : str
+        The text, if all of it is the name of a path; else empty.
 
     Raises
     ------
@@ -121,14 +92,22 @@ class PathFilter:
     def __init__(self, text: str) -> None:
         self.text = text
         parser = _Parser(text)
-        self._term = parser.whole() if text.strip() else _All()
-        self.columns = frozenset(parser.columns)
+        self._term: _Term = read_name(text) or parser.filter()
+        self.columns = frozenset(parser.columns | _columns_of(self._term))
+        self.name = text.strip() if isinstance(self._term, Named) else ""
+
+    @classmethod
+    def in_order(cls, words: Sequence[str]) -> PathFilter:
+        """What meets some surfaces in this order, each perhaps with a letter of what happens there."""
+        found = cls("")
+        found.text, found._term = " ".join(words), _Sequence(tuple(words))
+        return found
 
     def bounds(self, rows: Rows) -> Bounds:
         """Which rows hold; `MistrayError` for a name or a column that there is not."""
         try:
             return self._term.bounds(rows)
-        except _UnknownError as error:
+        except UnknownError as error:
             raise MistrayError(f"filter '{self.text}': {error}") from None
 
     def holds(self, rows: Rows) -> np.ndarray:
@@ -139,18 +118,10 @@ class PathFilter:
         return f"PathFilter({self.text!r})"
 
 
-class _UnknownError(Exception):
-    """A name that the scene or the table does not have."""
-
-
-def _exactly(held: np.ndarray) -> Bounds:
-    return Bounds(held, held)
-
-
 @dataclass(frozen=True)
 class _All:
     def bounds(self, rows: Rows) -> Bounds:
-        return _exactly(np.full(len(rows.events), True))
+        return exactly(np.full(len(rows.events), True))
 
 
 @dataclass(frozen=True)
@@ -196,11 +167,11 @@ class _Flag:
 
     def bounds(self, rows: Rows) -> Bounds:
         events = rows.events
-        here = _places(self.name, rows)[events.places]
+        here = places(self.name, rows)[events.places]
         if self.letter == "M":
-            return _exactly(~(events.inside & here).any(axis=1))
+            return exactly(~(events.inside & here).any(axis=1))
         count = (_HAPPENS[self.letter](events, rows.surfaces) & here).sum(axis=1)
-        return _exactly(COMPARISONS[self.compare](count, self.value))
+        return exactly(COMPARISONS[self.compare](count, self.value))
 
 
 def _last(events: Events, _: int) -> np.ndarray:
@@ -220,37 +191,6 @@ _HAPPENS: dict[str, Callable[[Events, int], np.ndarray]] = {
 }
 
 
-def _places(name: str, rows: Rows) -> np.ndarray:
-    """(s,) which places of events a name means."""
-    found = named_like(name, rows.ids, rows.parts)
-    if not found.any():
-        raise _UnknownError(unknown_name(name, rows.ids, rows.parts))
-    return found
-
-
-def named_like(name: str, ids: Sequence[str], parts: Sequence[str]) -> np.ndarray:
-    """(s,) which surfaces or materials have this name or are of a part that has it; * and ? stand for any letters."""
-    fits = _like_pattern(name)
-    return np.array([any(map(fits, pair)) for pair in zip(ids, parts, strict=True)], dtype=bool)
-
-
-def unknown_name(name: str, ids: Sequence[str], parts: Sequence[str]) -> str:
-    """What to say of a name that there is not."""
-    return f"no surface, part or material is called '{name}'{_like(name, [*ids, *parts])}"
-
-
-def _like_pattern(name: str) -> Callable[[str], bool]:
-    """Whether a text is this name, in which * and ? stand for any letters and any one letter."""
-    pattern = re.compile(re.escape(name).replace(r"\*", ".*").replace(r"\?", "."), re.DOTALL)
-    return lambda text: pattern.fullmatch(text) is not None
-
-
-def _like(name: str, known: Sequence[str]) -> str:
-    """The nearest name that there is, or all of a few."""
-    near = difflib.get_close_matches(name, known, 1, 0.5)
-    return f"; did you mean '{near[0]}'?" if near else f"; use one of {', '.join(list(dict.fromkeys(known))[:12])}"
-
-
 @dataclass(frozen=True)
 class _Compare:
     column: str
@@ -262,19 +202,19 @@ class _Compare:
             count = len(rows.events)
             return Bounds(np.full(count, False), np.full(count, True))
         if self.column not in rows.columns:
-            raise _UnknownError(
-                f"there is no column '{self.column}'{_like(self.column, [*rows.columns, *rows.by_ray])}"
-            )
+            raise UnknownError(f"there is no column '{self.column}'{like(self.column, [*rows.columns, *rows.by_ray])}")
         values = np.asarray(rows.columns[self.column])
         if values.dtype.kind in "OUT":
             if self.compare not in ("=", "==", "!="):
-                raise _UnknownError(f"'{self.column}' is text; compare it with = or !=")
-            fits = _like_pattern(str(self.value))
+                raise UnknownError(f"'{self.column}' is text; compare it with = or !=")
+            fits, known = like_pattern(str(self.value)), rows.texts_of(self.column)
+            if known and not any(map(fits, known)):
+                raise UnknownError(f"'{self.column}' is never '{self.value}'{like(str(self.value), known)}")
             same = np.array([fits(str(value)) for value in values], dtype=bool)
-            return _exactly(~same if self.compare == "!=" else same)
+            return exactly(~same if self.compare == "!=" else same)
         if isinstance(self.value, str):
-            raise _UnknownError(f"'{self.column}' is a number; compare it with one, not with '{self.value}'")
-        return _exactly(np.asarray(COMPARISONS[self.compare](values, self.value)))
+            raise UnknownError(f"'{self.column}' is a number; compare it with one, not with '{self.value}'")
+        return exactly(np.asarray(COMPARISONS[self.compare](values, self.value)))
 
 
 @dataclass(frozen=True)
@@ -282,20 +222,26 @@ class _Sequence:
     words: tuple[str, ...]
 
     def bounds(self, rows: Rows) -> Bounds:
-        return _exactly(in_order(self.words, rows))
+        return exactly(_in_order(self.words, rows))
 
 
-def in_order(words: Sequence[str], rows: Rows) -> np.ndarray:
+def _columns_of(term: _Term) -> frozenset[str]:
+    """Columns that a term reads which no comparison names."""
+    return frozenset(term.columns) if isinstance(term, Kind | Whole | Named) else frozenset()
+
+
+def _in_order(words: Sequence[str], rows: Rows) -> np.ndarray:
     """(n,) whether these surfaces, each perhaps with a letter of what happens there, come in this order."""
     codes, inside = rows.events.codes, rows.events.inside
     after = np.zeros(len(codes), dtype=np.int64)  # events that are used up
     held = np.full(len(codes), True)
     letters = {letter: what for what, letter in LETTERS.items()}
     for word in words:
-        name, _, letter = word.rpartition(":") if word[-2:-1] == ":" else (word, "", "")
+        ends = word[-2:-1] == ":" and word not in rows.ids  # an id may end like an event
+        name, _, letter = word.rpartition(":") if ends else (word, "", "")
         if letter and letter not in letters:
-            raise _UnknownError(f"'{word}' ends in '{letter}'; a letter is one of {', '.join(letters)}")
-        here = inside & _places(name, rows)[rows.events.places]
+            raise UnknownError(f"'{word}' ends in '{letter}'; a letter is one of {', '.join(letters)}")
+        here = inside & places(name, rows)[rows.events.places]
         if letter:
             here &= rows.events.happens(letters[letter])
         here &= np.arange(codes.shape[1]) >= after[:, None]
@@ -304,7 +250,7 @@ def in_order(words: Sequence[str], rows: Rows) -> np.ndarray:
     return held
 
 
-_Term = _All | _Not | _Join | _Flag | _Compare | _Sequence
+_Term = _All | _Not | _Join | _Flag | _Compare | _Sequence | Kind | Whole | Named
 
 
 class _Parser:
@@ -313,6 +259,17 @@ class _Parser:
     def __init__(self, text: str) -> None:
         self._text, self._at, self._depth = text, 0, 0
         self.columns: set[str] = set()
+
+    def filter(self) -> _Term:
+        """The whole text; events of a path stand without quotation marks where they can be no filter."""
+        if not self._text.strip():
+            return _All()
+        try:
+            return self.whole()
+        except MistrayError:
+            if (events := read_events(self._text)) is None:
+                raise
+            return events
 
     def whole(self) -> _Term:
         term = self._join("|", lambda: self._join("^", lambda: self._join("&", self._not)))
@@ -350,6 +307,9 @@ class _Parser:
         self._at = found.end()
         if found["text"]:
             mark, path = found["text"][0], found["text"][1:-1]
+            if named := read_name(path):
+                self.columns |= named.columns
+                return named
             inner = "'" if mark == '"' else '"'
             pieces = re.findall(rf"{inner}[^{inner}]*{inner}\S*|\S+", path)
             words = tuple(piece.replace(inner, "") if piece.startswith(inner) else piece for piece in pieces)
@@ -367,11 +327,11 @@ class _Parser:
                 self._fail(f"{word}({name or '*'}) {compare} {value} compares nothing; a count is a number of events")
             return _Flag(word, name or "*", compare, float(value))
         compared = self._compared()
+        if compared is None and word in KINDS:
+            self.columns |= Kind.columns
+            return Kind(word)
         if compared is None:
-            self._fail(
-                f"'{word}' is neither a flag ({' '.join(FLAGS)}) nor compared with anything; write H({word}) for a "
-                "surface"
-            )
+            self._fail(f"'{word}' is no kind of path; {nearest(word, KINDS)} For a surface write H({word})")
         self.columns.add(word)
         return _Compare(word, *compared)
 

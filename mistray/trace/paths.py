@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, overload
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 
@@ -20,7 +19,6 @@ from mistray.recorders.path_events import (
     DIRECT,
     INTERCEPTS,
     LETTERS,
-    Events,
     describe_events,
     event_keys,
     way,
@@ -31,16 +29,17 @@ from mistray.recorders.path_key import EVENT_BITS, host_keys
 from mistray.recorders.path_names import PathNames
 from mistray.recorders.sampled import Sampled, batch_error
 from mistray.settings import BATCHES
+from mistray.trace.named_paths import tell
 from mistray.trace.path_aliases import KEPT_APART, NAMES, alias_names, aliased
-from mistray.trace.path_filter import PathFilter, Rows
+from mistray.trace.path_filter import PathFilter
 from mistray.trace.path_numbers import CHUNK, PathNumbers, RunSums, path_numbers
+from mistray.trace.run_paths import RunPaths, rows_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from mistray.execute.tracer import Run
     from mistray.recorders.ledger import DecodedPaths
-    from mistray.surfaces.surfaces import SurfaceTable
 
 ROWS_PRINTED = 20
 # What paths have in common whose rays are weighted alike
@@ -195,16 +194,6 @@ class PathRow:
         return [(name, names[letter]) for name, letter in (event.rsplit(":", 1) for event in event_words(self.events))]
 
 
-class RunPaths(NamedTuple):
-    """The ledger of a run: contents, start rays by batch (BATCHES,), flux of a start ray (W), surfaces, design."""
-
-    paths: DecodedPaths
-    started: np.ndarray
-    unit: float
-    table: SurfaceTable
-    design: DesignSequences
-
-
 class PathTable(Sequence[PathRow]):
     """
     Paths to the detector, the strongest first.
@@ -274,16 +263,16 @@ class PathTable(Sequence[PathRow]):
         Parameters
         ----------
         *surfaces : str
-            Shape ids, each with an optional letter of what happened there, as in ``:T``; they must occur in this order,
-            other events may lie between. ``find("detector:R", "window_rear:R")`` are the detector-window ghosts.
+            Ids of surfaces, media or parts, each with an optional letter of what happened there, as in ``:T``; they
+            must occur in this order, other events may lie between. ``*`` and ``?`` stand for any letters.
+            ``find("detector:R", "window_rear:R")`` are the detector-window ghosts.
+
+        Raises
+        ------
+        MistrayError
+            For a name or a letter that there is not.
         """
-        letters = "".join(LETTERS.values())
-        pattern = re.compile(
-            "(?:^| )"
-            + ".* ".join(re.escape(word) + ("(?= )" if ":" in word else f":[{letters}](?= )") for word in surfaces)
-        )
-        found = [bool(pattern.search(events + " ")) for events in self._columns["events"]]
-        return list(self._rows(np.array(found, dtype=bool)))
+        return self._that_pass(PathFilter.in_order(surfaces))
 
     def select(self, selection: str) -> list[PathRow]:
         """
@@ -293,9 +282,17 @@ class PathTable(Sequence[PathRow]):
         ----------
         selection : str
             Such as ``"S(barrel*) & !G & power_W > 1e-9"``, see `mistray.trace.path_filter`; columns are the attributes
-            of `PathRow`.
+            of `PathRow`. Or a kind, as "ghost" or "stray", all events of a path, or its `label`, with -> for the arrow.
+
+        Raises
+        ------
+        MistrayError
+            For a filter that cannot be read or names what there is not.
         """
-        return list(self._rows(np.sort(np.concatenate([ids for ids, _ in self.chosen(PathFilter(selection))]))))
+        return self._that_pass(PathFilter(selection))
+
+    def _that_pass(self, wanted: PathFilter) -> list[PathRow]:
+        return list(self._rows(np.sort(np.concatenate([ids for ids, _ in self.chosen(wanted)]))))
 
     def chosen(self, wanted: PathFilter, by_ray: frozenset[str] = frozenset()) -> list[tuple[np.ndarray, np.ndarray]]:
         """
@@ -312,14 +309,18 @@ class PathTable(Sequence[PathRow]):
         list of (ids, slots)
             Of each run the `path_id` of the paths and their places in its ledger.
         """
-        found = []
-        for number, one in enumerate(self._of_runs):
-            ids = np.flatnonzero(self._run == number)
+        of_runs = [np.flatnonzero(self._run == number) for number in range(len(self._of_runs))]
+        sources = list(dict.fromkeys(one.source for one in self._of_runs))
+        rows = []
+        for one, ids in zip(self._of_runs, of_runs, strict=True):
             columns = {name: column[ids] for name, column in self._columns.items() if name not in by_ray}
-            place = self._place[ids]
-            held = wanted.bounds(rows_of(one, place, columns, by_ray)).possible
-            found.append((ids[held], one.paths.slots[place[held]]))
-        return found
+            rows.append(rows_of(one, self._place[ids], columns, by_ray, sources))
+        held = [wanted.bounds(own).possible for own in rows]
+        if wanted.name:
+            tell(wanted.name, rows, held)
+        chosen = [own[here] for own, here in zip(of_runs, held, strict=True)]
+        slots = [one.paths.slots[self._place[ids]] for one, ids in zip(self._of_runs, chosen, strict=True)]
+        return list(zip(chosen, slots, strict=True))
 
     def ids_of_keys(self, run: int, keys: np.ndarray) -> np.ndarray:
         """The `path_id` of paths of a run by their keys, (n,) uint64."""
@@ -515,19 +516,11 @@ class PathTable(Sequence[PathRow]):
         return "\n".join(lines)
 
 
-def rows_of(
-    run: RunPaths, place: np.ndarray, columns: Mapping[str, np.ndarray], by_ray: frozenset[str] = frozenset()
-) -> Rows:
-    """What a filter is asked about: the paths at these places of the ledger of a run, with columns of as many rows."""
-    paths, table = run.paths, run.table
-    events = Events(paths.events[place], paths.lengths[place], table.event_words, run.design)
-    return Rows(events, table.event_ids, table.event_parts, columns, table.count, by_ray)
-
-
 def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTable:
     """The table of all paths of all runs; paths without a hit are left out."""
     of_runs = [
-        RunPaths(paths, run.started, run.unit, run.table, run.design) for run, paths in zip(runs, decoded, strict=True)
+        RunPaths(paths, run.started, run.unit, run.table, run.design, run.source.name)
+        for run, paths in zip(runs, decoded, strict=True)
     ]
     parts, places, numbers = [], [], []
     for run, one in zip(runs, of_runs, strict=True):

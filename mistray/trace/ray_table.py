@@ -18,8 +18,9 @@ from mistray.recorders.film import Box
 from mistray.recorders.path_events import INTERCEPTS, Events
 from mistray.recorders.path_key import EVENT_MASK
 from mistray.surfaces.upload import upload
+from mistray.trace.filter_rows import Rows
 from mistray.trace.history import Ray, RayHistory, bundles
-from mistray.trace.path_filter import PathFilter, Rows
+from mistray.trace.path_filter import PathFilter
 from mistray.trace.paths import PathRow, PathTable
 
 if TYPE_CHECKING:

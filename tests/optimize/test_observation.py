@@ -11,14 +11,19 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from oracles.derivatives import central_differences
+from report.fake_ledger import GLASS, SENSOR, encode
 
 from mistray.errors import MistrayError
 from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.metrics.observation import Observation, smooth_maximum, smooth_minimum
+from mistray.recorders.design_sequences import DesignSequences
+from mistray.recorders.path_events import Events, describe_events
 from mistray.recorders.sampled import Sampled
+from mistray.trace.filter_rows import Rows
 from mistray.trace.paths import PathRow
 
 HALF_MM, PIXELS = 2.0, 8
+SURFACES = {"lens_front": GLASS, "lens_rear": GLASS, "detector": SENSOR}
 # Kind and events of each path; the third is the second at another wavelength, the last are scattered and aimed alike
 PATHS = (
     ("direct", "lens_front:T lens_rear:T detector:A"),
@@ -58,6 +63,15 @@ class Paths(list):
             values |= {"path_id": number, "source": "sun", "kind": kind, "events": events, "rays": len(mine)}
             self.append(PathRow(**values | {"power_W": float(mine[:, FLUX].sum())}))
 
+    def chosen(self, wanted: Any) -> list[tuple[np.ndarray, np.ndarray]]:
+        events, lengths = encode([row.events for row in self], list(SURFACES))
+        words = np.array(list(SURFACES.values()), dtype=np.uint32)
+        facts = describe_events(events, lengths, list(SURFACES), words, DesignSequences())
+        facts |= {name: np.array([getattr(row, name) for row in self], object) for name in ("kind", "detector")}
+        names = list(SURFACES)
+        held = wanted.holds(Rows(Events(events, lengths, words, DesignSequences()), names, names, facts, len(names)))
+        return [(np.flatnonzero(held), np.flatnonzero(held))]
+
     def moments(self) -> np.ndarray:
         x, y = self.hits[:, X], self.hits[:, Y]
         terms = self.hits[:, FLUX, None] * np.column_stack([np.ones_like(x), x, y, x * x + y * y])
@@ -92,7 +106,6 @@ def observed(hits: np.ndarray = HITS) -> Observation:
         extent=(-HALF_MM, HALF_MM, -HALF_MM, HALF_MM),
         energy=SimpleNamespace(launched_W=100.0),
         settings={"field_deg": 3.0},
-        surfaces=[SimpleNamespace(id=name) for name in ("lens_front", "lens_rear", "detector")],
         each_map=lambda groups, _: [sampled(ids) for ids in groups],
         seconds=0.0,
     )
@@ -268,8 +281,8 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("selection", "message"),
         [
-            ("gost", "selection 'gost' is no kind of path; did you mean 'ghost'"),
-            ("lens_fron:T detector:A", "there is no surface 'lens_fron'; did you mean 'lens_front'"),
+            ("gost", "'gost' is no kind of path; did you mean 'ghost'"),
+            ("lens_fron:T detector:A", "is called 'lens_fron'; did you mean 'lens_front'"),
             ("lens_front:X detector:A", "'X' after 'lens_front:' is no event"),
             ("", "the selection of paths is ''"),
             ([], r"the selection of paths is \[\]"),

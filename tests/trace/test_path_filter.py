@@ -11,7 +11,8 @@ from report.fake_ledger import EDGE, GLASS, REFLECTOR, RING, SENSOR, STRUCTURE, 
 import mistray
 from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.path_events import Events, describe_events
-from mistray.trace.path_filter import PathFilter, Rows
+from mistray.trace.filter_rows import Rows
+from mistray.trace.path_filter import PathFilter
 
 SURFACES = {
     "L1_front": GLASS,
@@ -223,7 +224,15 @@ def test_a_path_cannot_decide_for_its_rays(rows: Rows) -> None:
         ('""', ("quotation",)),
         ('"L1_rear:Q"', ("L1_rear:Q", "'Q'")),
         ('"nowhere:T"', ("nowhere",)),
-        ("ghost", ("ghost", "H(ghost)")),
+        ("gost", ("gost", "'ghost'", "H(gost)")),
+        ("kind = gost", ("gost", "ghost")),
+        ("ghost_1 = L1_fron", ("L1_fron", "L1_front")),
+        ("L1_fron -> L1_rear", ("L1_fron", "L1_front")),
+        ("scatter at L1_fron", ("L1_fron", "L1_front")),
+        ("direct image, on detectr", ("detectr", "detector")),
+        ("L1_fron:T detector:A", ("L1_fron", "L1_front")),
+        ("L1_front:X detector:A", ("'X'", "L1_front")),
+        ("L1_front -> L1_rear & I", ("L1_rear & I", "quotation")),
     ],
 )
 def test_errors_name_the_filter_and_what_is_wrong(text: str, names: tuple[str, ...], rows: Rows) -> None:

@@ -213,9 +213,9 @@ class TestPathTable:
         assert one
         assert not paths.find("L1_front:R", "L3_rear:R")
         assert len(paths.find("L1_front")) == len(paths)
-        assert not paths.find("L1_fron")
-        assert not paths.find("1_front:T")
-        assert not paths.find("L1_front:.")
+        for wrong, near in (("L1_fron", "'L1_front'"), ("1_front:T", "'L1_front'"), ("L1_front:.", "one of A")):
+            with pytest.raises(mistray.MistrayError, match=near):
+                paths.find(wrong)
         assert len(paths.find("detector:A")) == len(paths)
         assert paths.find() == list(paths)
         rows = paths.find("L2_front:T", "L2_front:T")

@@ -21,6 +21,7 @@ from mistray.errors import MistrayError
 from mistray.interrupts import check
 from mistray.notes import warns
 from mistray.ranges import FIELD_DEG, PLACE_MM, PUPIL_CELLS
+from mistray.renamed import renamed
 from mistray.sampling.aimed_cones import Sphere
 from mistray.sampling.design_path import DesignPath, find_design_path, sphere_of
 from mistray.sampling.outlines import outline
@@ -58,6 +59,7 @@ class _System:
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
+@renamed()
 @warns
 def image_quality(
     scene: mi.Scene,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,7 @@ from mistray.sampling.design_path import find_design_path
 from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.sources import scene_sources
 from mistray.scene.check import require_scene
-from mistray.settings import NO_LIMIT, polarized_sources
+from mistray.settings import NO_LIMIT, polarized_sources, refuse_unknown
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import share, within
 from mistray.trace import Settings, trace
@@ -329,9 +329,7 @@ def _check(
     relative_error: float | None,
 ) -> tuple[list[float], list[float] | None]:
     """Angles of the PST and fields of the ghosts; refuses before the first step what the last one would refuse."""
-    unknown = set(settings) - {f.name for f in fields(Settings)}
-    if unknown:
-        raise MistrayError(f"unknown argument {', '.join(sorted(unknown))} of study; see mistray.trace.Settings")
+    refuse_unknown(settings, study)
     angles = DirectionGrid.of(pst_field_deg).field_deg.tolist()
     if convention not in CONVENTIONS:
         raise MistrayError(f"convention is '{convention}'; use {' or '.join(map(repr, CONVENTIONS))}")

@@ -53,7 +53,7 @@ def coatings_and_scatter(table: SurfaceTable, path: DesignPath | None) -> StudyS
         for name, front in sides.items():
             numbers[name] = _budget(table, i, front)
             models += _models(table, i, name, front)
-        common = {
+        common: dict[str, Any] = {
             "surface": table.ids[i],
             "part": table.parts[i],
             "role": role(table, path, i),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields as dataclass_fields
 from typing import Any
 
 import mitsuba as mi
@@ -26,6 +25,7 @@ from mistray.recorders.design_sequences import DesignKeys, DesignSequences
 from mistray.sampling.design.search import design_sequences, traced_table
 from mistray.sampling.sources import field_of, scene_sources
 from mistray.scene.check import require_scene
+from mistray.settings import refuse_unknown
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.trace import PolarizationChoice, Settings, Trace, trace
 from mistray.trace.polarization_choice import chosen_polarization
@@ -101,11 +101,7 @@ def transfer(
     """
     began = time.monotonic()
     require_scene(scene, "transfer")
-    unknown = set(settings) - {one.name for one in dataclass_fields(Settings)} - {"seconds"}
-    if unknown:
-        raise MistrayError(
-            f"unknown argument {', '.join(sorted(unknown))} of transfer; see its help and mistray.trace.Settings"
-        )
+    refuse_unknown(settings, transfer, ["seconds"])
     pixels = pixel_response(pixel_mm, diffusion_mm, detector_table)
     names = list(dict.fromkeys(source.name for source in scene_sources(scene)))
     if len(names) > 1:

@@ -133,8 +133,9 @@ COMMAND = Command(
                       f"{', '.join(SORT_KEYS)}; with --out path_analysis.csv", SORT_KEYS, "KEY"),
                Option("--least-share", "in the path analysis paths below this share of all light stand together (0)",
                       PART, "S"),
-               Option("--filter", "add the paths that pass a filter, such as 'G(lens*) & !S' (docs/rays.md), and with "
-                      "--out filtered_paths.csv and filtered_rays.csv", metavar="EXPR"),
+               Option("--filter", "add the paths that pass a filter, such as 'G(lens*) & !S', or have a name, such as "
+                      "'L2_rear -> L1_front' (docs/rays.md); with --out filtered_paths.csv and filtered_rays.csv",
+                      metavar="EXPR"),
                formats=(*TABLE_FORMATS, *MAP_FORMATS)),
         Group("colour pictures (need --out and three wavelengths or more)", (
             Option("--colour", "draw the ghosts as a photograph would show them", bool),
@@ -154,18 +155,18 @@ def run(options: Options) -> int:
     options.start()
     from mistray.analysis import ghosts
     from mistray.report import main_table
-    from mistray.trace.path_filter import PathFilter
+    from mistray.trace.check_paths import check_paths
 
     if options.field_mm and options.field_deg:
         raise MistrayError("--field-deg and --field-mm are given; give one of them")
     look = _look(options)
-    PathFilter(options.filter or "")  # an error in its text shows before the trace
     _aliases(options.alias)
     if options.path_analysis is None:
         options.refuse(["least_share"], " is about the path analysis; add --path-analysis power_W, or leave it out")
     if not 0 <= (options.least_share or 0.0) < 1:
         raise MistrayError(f"--least-share is {options.least_share:g}; it is a share of all light, 0 to 1")
     scene = options.load()
+    check_paths(scene, [options.filter] if options.filter else [])  # before anything is traced
     if options.field_mm:
         from mistray.sampling.sources import field_of
 

@@ -53,13 +53,14 @@ COMMAND = Command(
         "mistray sensitivity baffle_tube --metric pst_band --band-deg 20 80 --rays 2e5",
         "mistray sensitivity phone_camera --parameter '*.R' --together 'L*.R' --monte-carlo 100",
         "mistray sensitivity phone_camera_scatter --metric path_power --paths stray --kind scatter --json",
+        "mistray sensitivity phone_camera --metric path_power --paths 'detector -> window_rear' --rays 1e4",
     ),
     (
         SCENE,
         Group("metric", (
             Option("--metric", f"{', '.join(METRICS)} (path_power)", tuple(METRICS), "NAME", default="path_power"),
-            Option("--paths", "of path_power and the like: ghost, stray … or the events of one path (ghost)",
-                   metavar="KIND"),
+            Option("--paths", "of path_power and the like: ghost, stray …, a name as 'L2_rear -> L1_front', all "
+                   "events of a path, or a filter (docs/rays.md) (ghost)", metavar="PATHS"),
             Option("--field-deg", "field angles, averaged (the source's own); of pst_bin one, that of the PST",
                    FIELD_DEG, "DEG", "+", old="--angle-deg"),
             Option("--band-deg", "of pst_band: its ends, degrees", POLAR_DEG, ("LOW", "HIGH"), 2),

@@ -29,6 +29,11 @@ def _cut(text: str) -> float | str:
     return WHOLE if text == WHOLE else AZIMUTH_DEG(text)
 
 
+def _row(text: str) -> int | str:
+    """A row of the path table by its number, or rows by what they are called."""
+    return ROWS(text) if text.strip().lstrip("+-").isdigit() else text
+
+
 # fmt: off
 COMMAND = Command(
     "view",
@@ -57,7 +62,8 @@ COMMAND = Command(
         SCATTER,
         Group("picture", (
             Option("--paths", "paths, strongest first, each at its strongest wavelength (8; 4 in a layout)", ROWS, "N"),
-            Option("--path-ids", "these rows instead", ROWS, "ID", "+"),
+            Option("--path-ids", "these rows instead, by number or by name, as 'L2_rear -> L1_front' (docs/rays.md)",
+                   _row, "ID", "+"),
             Option("--filter", "strongest rows that pass a filter, as 'G(lens*) & !S' (docs/rays.md)", metavar="EXPR"),
             Option("--rays-per-path", "most rays of each path (10; 7 in a layout)", RAYS_DRAWN, "N"),
             Option("--colour", "of surfaces: incident flux, absorbed flux, by place with --surface-maps (then the "
@@ -90,10 +96,9 @@ def run(options: Options) -> int:
     from mistray.report.rays.ray_files import format_of, write_rays
     from mistray.report.view3d.view import MOST_PATHS, RAYS_PER_PATH, graph_objects
     from mistray.trace import trace
-    from mistray.trace.path_filter import PathFilter
+    from mistray.trace.check_paths import check_paths
 
     if options.filter is not None:
-        PathFilter(options.filter)  # an error in its text shows before the trace
         options.refuse(["path_ids"], NO_EFFECT + "beside --filter; give one of them")
     page = options.out
     if page is None and options.layout is None and not options.save_rays:
@@ -112,6 +117,8 @@ def run(options: Options) -> int:
         writable_directory(file.parent)
     claim_files(options, page, options.layout, *options.save_rays)
     scene = options.load()
+    texts = [options.filter, *(options.path_ids or ())]
+    check_paths(scene, [text for text in texts if isinstance(text, str)])  # before anything is traced
     traced = None
     if not options.no_trace:
         with options.tracing() as progress:

@@ -14,13 +14,14 @@ import numpy as np
 
 from mistray.errors import MistrayError, nearest
 from mistray.notes import quiet
-from mistray.optimize.metrics.observation import NORM, Observation, Selection, smooth_maximum, smooth_minimum
+from mistray.optimize.metrics.observation import NORM, Observation, Selection, smooth_maximum, smooth_minimum, texts_of
 from mistray.optimize.metrics.views import View
 from mistray.ranges import FIELD_DEG, POSITIVE, Range
 from mistray.recorders.path_events import DIRECT
 from mistray.renamed import renamed
 from mistray.scene.check import require_scene
 from mistray.trace import trace
+from mistray.trace.check_paths import check_paths
 
 AXIS_DEG = 0.0
 STEP_DEG = Range(0.0, 45.0, above=True, below=True, unit="degrees", remedy="give a small angle, 0.5 say")
@@ -221,7 +222,7 @@ def path_power(scene: Any, selection: Selection = "ghost", **traced: Any) -> Met
     **traced
         `field_deg`, `wavelength_nm`, `weights` of `Metric`, and arguments of `mistray.trace`.
     """
-    return _mean(scene, lambda o: o.power(selection) / o.pupil_W, traced, "W/W", "path power")
+    return _of_paths(scene, selection, lambda o: o.power(selection) / o.pupil_W, traced, "W/W", "path power")
 
 
 @_FIELDS
@@ -232,7 +233,7 @@ def ghost_to_signal(scene: Any, selection: Selection = "ghost", **traced: Any) -
     Raises when evaluated `MistrayError` if there is no direct light at a field. Parameters as for `path_power`.
     """
     name = "ghost-to-signal ratio"
-    return _mean(scene, lambda o: o.power(selection) / _signal(o, name), traced, "1", name)
+    return _of_paths(scene, selection, lambda o: o.power(selection) / _signal(o, name), traced, "1", name)
 
 
 @_FIELDS
@@ -269,7 +270,7 @@ def peak_irradiance(scene: Any, selection: Selection = "ghost", *, norm: float =
     **traced
         As for `path_power`.
     """
-    return _mean(scene, lambda o: o.peak(selection, norm), traced, "W/mm2", "peak irradiance")
+    return _of_paths(scene, selection, lambda o: o.peak(selection, norm), traced, "W/mm2", "peak irradiance")
 
 
 @_FIELDS
@@ -291,8 +292,9 @@ def ghost_rms_irradiance(scene: Any, selection: Selection = "ghost", *, norm: fl
     **traced
         As for `path_power`.
     """
-    return _mean(
+    return _of_paths(
         scene,
+        selection,
         lambda o: _brightest(o, selection, norm),
         traced,
         "W/mm2",
@@ -308,8 +310,9 @@ def ghost_focus(scene: Any, selection: Selection = "ghost", *, norm: float = NOR
     The smooth minimum over the single paths of a selection: of one path its own RMS radius. Parameters as for
     `ghost_rms_irradiance`.
     """
-    return _mean(
+    return _of_paths(
         scene,
+        selection,
         lambda o: smooth_minimum(o.moments_of_each(selection).rms_radius, norm),
         traced,
         "mm",
@@ -428,6 +431,19 @@ def _signal(observation: Observation, name: str) -> Any:
             "of view"
         )
     return power
+
+
+def _of_paths(
+    scene: Any,
+    selection: Selection,
+    number: Callable[[Observation], Any],
+    traced: dict[str, Any],
+    unit: str,
+    name: str,
+) -> Metric:
+    """The mean over the fields of a number of some paths, which the scene must be able to have."""
+    check_paths(scene, texts_of(selection))
+    return _mean(scene, number, traced, unit, name)
 
 
 def _mean(scene: Any, number: Callable[[Observation], Any], traced: dict[str, Any], unit: str, name: str) -> Metric:

@@ -11,20 +11,19 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.errors import MistrayError, nearest
+from mistray.errors import MistrayError
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
-from mistray.ids import event_words
 from mistray.ranges import NORM as NORMS
 from mistray.recorders.path_derivative import MOMENTS, HitDerivative
-from mistray.recorders.path_events import DIRECT, LETTERS, STRAY_KINDS, way_text
+from mistray.recorders.path_events import way_text
 from mistray.recorders.sampled import Sampled
 from mistray.settings import BATCHES
 from mistray.surfaces.upload import upload
 from mistray.trace import PathRow, Trace
+from mistray.trace.named_paths import ALL, KINDS
+from mistray.trace.path_filter import PathFilter
 
 Selection = str | Sequence[str] | Callable[[PathRow], bool]
-ALL, STRAY = "all", "stray"
-KINDS = (ALL, STRAY, DIRECT, *STRAY_KINDS)
 FEWEST_RAYS = 30  # below this the RMS radius of a path is too uncertain
 NORM = 16.0  # of smooth maxima: 4 % above two equal values, 1.7 times 4096 of them
 TERMS = 4  # sums of a path: flux, and flux times x, y, x² + y²
@@ -127,14 +126,15 @@ class Observation:
         Parameters
         ----------
         selection : str, sequence of str or callable
-            A `kind` of the path table ("direct", "ghost", "structure", …), "stray" (all but "direct"), "all", the
-            events of one path as in its `events` (light that was scattered at random and light that was aimed go the
-            same way and count as one), several of these, or a function of a `PathRow`.
+            A `kind` of the path table ("direct", "ghost", "structure", …), "stray" (all but "direct"), "all", a path by
+            its `label` ("L1_rear -> L1_front") or all its `events` (light that was scattered at random and light that
+            was aimed go the same way and count as one), a filter ("G(L1*) & !S", see `mistray.trace.path_filter`),
+            several of these, or a function of a `PathRow`.
 
         Raises
         ------
         MistrayError
-            If the text is neither a kind nor the events of a path of this scene, or the selection is empty.
+            If a text can mean no path of this scene, or the selection is empty.
         """
         return self._sums_of([self.chosen(selection)])[0]
 
@@ -203,54 +203,13 @@ class Observation:
         """Numbers of the rows of the path table that a selection holds, ascending; see `power` for what it can be."""
         if callable(selection):
             return np.array([k for k, row in enumerate(self._rows) if selection(row)], dtype=np.int64)
-        names = [selection] if isinstance(selection, str) else list(selection)
-        if not names or not all(isinstance(name, str) and name.strip() for name in names):
-            raise MistrayError(f"the selection of paths is {selection!r}; give one or more of {', '.join(KINDS)}")
-        for name in names:
-            if name not in KINDS:
-                self._check_events(name)
-        held = np.zeros(len(self._rows), dtype=bool)
-        for name in names:
-            if name == ALL:
-                held[:] = True
-            elif name == STRAY:
-                held |= self._kinds != DIRECT
-            elif name in KINDS:
-                held |= self._kinds == name
-            else:
-                held |= self._ways == way_text([name])[0]
-        return np.flatnonzero(held)
-
-    @cached_property
-    def _kinds(self) -> np.ndarray:
-        """Kinds of the rows."""
-        return np.array([row.kind for row in self._rows], dtype=object)
+        held = [ids for text in texts_of(selection) for ids, _ in self.trace.paths.chosen(PathFilter(text))]
+        return np.unique(np.concatenate(held))
 
     @cached_property
     def _ways(self) -> np.ndarray:
         """Events of the rows, scattered at random or aimed alike."""
         return np.array(way_text(row.events for row in self._rows), dtype=object)
-
-    def _check_events(self, text: str) -> None:
-        """Raise if a text cannot be the events of a path of this scene."""
-        if ":" not in text:
-            raise MistrayError(
-                f"selection '{text}' is no kind of path; {nearest(text, KINDS)} Or give the events of one"
-            )
-        met = {event.rpartition(":")[0] for events in self._ways for event in event_words(events)}
-        known = list(dict.fromkeys((*(surface.id for surface in self.trace.surfaces), *sorted(met))))
-        for event in event_words(text):
-            surface, _, letter = event.rpartition(":")
-            if surface not in known:  # a wrong letter does not end its event, so that the next one belongs to it
-                surface = next((name for name in known if event.startswith(f"{name}:")), surface)
-                letter = event.removeprefix(f"{surface}:").split(" ")[0]
-            if surface not in known:
-                raise MistrayError(f"selection '{text}': there is no surface '{surface}'; {nearest(surface, known)}")
-            if letter not in LETTERS.values():
-                raise MistrayError(
-                    f"selection '{text}': '{letter}' after '{surface}:' is no event; use one of "
-                    f"{', '.join(LETTERS.values())} as in the path table"
-                )
 
     def _sums_of(self, groups: Sequence[Sequence[int] | np.ndarray]) -> tuple[mi.Float64, ...]:
         """Sums of groups of rows, TERMS arrays of (groups,)."""
@@ -335,6 +294,16 @@ class Observation:
         height, width = self.trace.irradiance.shape
         by_irradiance = np.broadcast_to(np.array(dr.grad(image)), height * width).reshape(height, width)
         return np.asarray(by_irradiance / self._pixel_area)
+
+
+def texts_of(selection: Selection) -> list[str]:
+    """The texts of a selection, none of a function; raises `MistrayError` where it is empty or no text."""
+    if callable(selection):
+        return []
+    texts = [selection] if isinstance(selection, str) else list(selection)
+    if not texts or not all(isinstance(text, str) and text.strip() for text in texts):
+        raise MistrayError(f"the selection of paths is {selection!r}; give one or more of {', '.join(KINDS)}")
+    return texts
 
 
 def named(selection: Selection) -> str:

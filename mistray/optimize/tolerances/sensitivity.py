@@ -27,6 +27,7 @@ from mistray.optimize.tolerances.proposals import SEEDS, free_keys, traced_chang
 from mistray.optimize.tolerances.rows import Line, Row, Table, lines_of, shifted_values, whole_values
 from mistray.optimize.tolerances.steps import Progress, Steps
 from mistray.ranges import FACTOR, POSITIVE
+from mistray.renamed import renamed
 from mistray.sampling.sources import spectrum_of
 from mistray.surfaces.surfaces import SurfaceTable
 
@@ -176,6 +177,7 @@ class Sensitivity:
 
 # The arguments are the options of `mistray sensitivity`, all but the metric by keyword
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
+@renamed()
 @warns
 def sensitivity(
     metric: Metric,

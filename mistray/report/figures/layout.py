@@ -169,7 +169,7 @@ def layout_figure(
     scene: Any,
     trace: Trace | None = None,
     paths: int = PATHS_DRAWN,
-    path_ids: Sequence[int] | None = None,
+    path_ids: Sequence[int | str] | None = None,
     rays: int = RAYS_DRAWN,
 ) -> Figure:
     """
@@ -182,8 +182,8 @@ def layout_figure(
         Of this scene; without it the section alone is drawn.
     paths : int
         Number of rows of the path table to draw, the strongest first.
-    path_ids : sequence of int, optional
-        Draw these rows instead.
+    path_ids : sequence of int or str, optional
+        Draw these rows instead, see `mistray.report.view`.
     rays : int
         Rays of each path, those nearest to the plane x = 0 and spread over the beam; they are projected onto the plane.
 

@@ -60,24 +60,32 @@ class RayLine:
         return self.path_id, self.events, self.wavelength_nm, self.start_ray
 
 
-def chosen_rows(trace: Trace, count: int, path_ids: Sequence[int] | None = None) -> list[PathRow]:
+def chosen_rows(trace: Trace, count: int, path_ids: Sequence[int | str] | None = None) -> list[PathRow]:
     """
-    The strongest rows of the path table, or those requested.
+    The strongest rows of the path table, or those requested: by their ids, or all that have a name or pass a filter.
 
     A path at several wavelengths counts once, with its strongest row: the rays of the others would lie on its own.
 
     Raises
     ------
     MistrayError
-        If `count` is below 0, or for an unknown id.
+        If `count` is below 0, for an unknown id, and for a text by which no light goes.
     """
     if count < 0:
         raise MistrayError(f"paths is {count}; give the number of rows of the path table to draw, 0 or more")
     if path_ids is None:
         return one_of_each(trace.paths, count)
+    rows: list[PathRow] = []
     for path_id in path_ids:
-        trace.paths.locate(path_id)
-    return [trace.paths[path_id] for path_id in dict.fromkeys(path_ids)]
+        if isinstance(path_id, str):
+            found = one_of_each(trace.paths.select(path_id), len(trace.paths))
+            if not found:
+                raise MistrayError(f"no path of this trace is meant by '{path_id}'; see mistray ghosts --filter")
+            rows += found
+        else:
+            trace.paths.locate(path_id)
+            rows.append(trace.paths[path_id])
+    return list({row.path_id: row for row in rows}.values())
 
 
 def one_of_each(rows: Iterable[PathRow], count: int) -> list[PathRow]:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.errors import MistrayError
+from mistray.renamed import renamed
 from mistray.replace_file import replace_file
 from mistray.report.figures.cut_open import CutPlane, OpenSurface, open_surfaces
 from mistray.report.parts import thousands
@@ -88,12 +89,13 @@ class View:
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
+@renamed()
 def view(
     scene: Any,
     trace: Trace | None = None,
     *,
     paths: int = MOST_PATHS,
-    path_ids: Sequence[int] | None = None,
+    path_ids: Sequence[int | str] | None = None,
     rays: int = RAYS_PER_PATH,
     colour: str | None = None,
     cut_deg: float | None = 180.0,
@@ -111,8 +113,9 @@ def view(
         Of this scene; without it there are no rays and no fluxes.
     paths : int
         Number of rows of the path table to draw, the strongest first.
-    path_ids : sequence of int, optional
-        Draw these rows instead.
+    path_ids : sequence of int or str, optional
+        Draw these rows instead: by number, or all that have a name ("L2_rear -> L1_front"), are of a kind ("ghost"), or
+        pass a filter, see `mistray.trace.path_filter`.
     rays : int
         Most rays of each path.
     colour : {"flux", "absorbed", "irradiance", "role"}, optional
@@ -186,7 +189,7 @@ def graph_objects() -> Any:
 
 
 def _check(
-    trace: Trace | None, path_ids: Sequence[int] | None, colour: str | None, cut_deg: float | None, cut_mm: float
+    trace: Trace | None, path_ids: Sequence[int | str] | None, colour: str | None, cut_deg: float | None, cut_mm: float
 ) -> None:
     if colour not in (None, "role", IRRADIANCE, *COLOURINGS):
         raise MistrayError(f"colour is '{colour}'; choose {', '.join(COLOURINGS)}, {IRRADIANCE} or role")

@@ -1,0 +1,61 @@
+"""Looks whether a scene can have the paths that a text means, before anything is traced."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import fields
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.recorders.design_sequences import DesignSequences
+from mistray.recorders.path_events import Events
+from mistray.sampling.sources import source_emitters
+from mistray.surfaces.surfaces import medium_id, named_shapes, part_of
+from mistray.trace.filter_rows import Rows
+from mistray.trace.path_filter import PathFilter
+from mistray.trace.paths import PathRow
+from mistray.trace.ray_table import BY_RAY
+
+COLUMNS = {f.name: np.zeros(0, dtype=object if f.type == "str" else np.float64) for f in fields(PathRow)}
+
+
+def check_paths(scene: mi.Scene, selections: Iterable[str], of_rays: bool = False) -> None:
+    """
+    Refuse texts that can mean no path of a scene, see `mistray.trace.path_filter`.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    selections : iterable of str
+    of_rays : bool
+        Whether they may also compare columns that only a ray has.
+
+    Raises
+    ------
+    MistrayError
+        For a text that cannot be read, and for surfaces, kinds, sources and columns that there are not.
+    """
+    wanted = [PathFilter(text) for text in selections]
+    if wanted:
+        rows = _no_rows(scene, BY_RAY if of_rays else frozenset())
+        for one in wanted:
+            one.bounds(rows)
+
+
+def _no_rows(scene: mi.Scene, by_ray: frozenset[str]) -> Rows:
+    """A path table of the scene without a path."""
+    shapes = named_shapes(scene)
+    bsdfs: list[Any] = [shape.bsdf() for shape in shapes.values()]
+    media = list(dict.fromkeys(getattr(bsdf, side, "").strip() for bsdf in bsdfs for side in ("front", "back")))
+    emitters = enumerate(source_emitters(scene), start=1)
+    return Rows(
+        Events(np.zeros((0, 1), np.uint32), np.zeros(0, np.int64), np.zeros(0, np.uint32), DesignSequences()),
+        [*shapes, *map(medium_id, media)],
+        [*(part_of(*pair) for pair in shapes.items()), *media],
+        {name: column for name, column in COLUMNS.items() if name not in by_ray},
+        len(shapes),
+        by_ray,
+        [emitter.name or f"source_{number}" for number, emitter in emitters],
+    )

@@ -1,0 +1,99 @@
+"""What a filter of paths and rays is asked about: their events, their columns, and the names that there are."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from mistray.recorders.path_events import DIRECT, STRAY_KINDS, Events
+
+SURFACE_COLUMNS = ("ghost_1", "ghost_2", "scatter_1", "last_object", "critical")
+
+
+class Bounds(NamedTuple):
+    """Of each row whether a filter holds for certain, and whether it may; they differ where a ray is to decide."""
+
+    certain: np.ndarray
+    possible: np.ndarray
+
+
+def exactly(held: np.ndarray) -> Bounds:
+    """The bounds where nothing is left to a ray."""
+    return Bounds(held, held)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """
+    What a filter is asked about.
+
+    Attributes
+    ----------
+    events : Events
+        Of each row.
+    ids, parts : sequence of str
+        Names and parts of the places of events.
+    columns : mapping of str to (n,) array
+        By their names.
+    by_ray : frozenset of str
+        Names of columns that a ray has and a path does not: a path may hold, and may not.
+    surfaces : int
+        How many of the places are surfaces; the others are media.
+    sources : sequence of str
+        Ids of all sources, whatever the rows are of; empty: any text may be one.
+    """
+
+    events: Events
+    ids: Sequence[str]
+    parts: Sequence[str]
+    columns: Mapping[str, np.ndarray]
+    surfaces: int
+    by_ray: frozenset[str] = field(default_factory=frozenset)
+    sources: Sequence[str] = ()
+
+    def texts_of(self, column: str) -> Sequence[str]:
+        """All texts that a column can have; empty where it can have any."""
+        if column in SURFACE_COLUMNS:
+            return [*self.ids, "-"]
+        return {"kind": (DIRECT, *STRAY_KINDS), "source": self.sources, "detector": self.ids}.get(column, ())
+
+
+class UnknownError(Exception):
+    """A name that the scene or the table does not have."""
+
+
+def places(name: str, rows: Rows) -> np.ndarray:
+    """(s,) which places of events a name means."""
+    found = named_like(name, rows.ids, rows.parts)
+    if not found.any():
+        raise UnknownError(unknown_name(name, rows.ids, rows.parts))
+    return found
+
+
+def named_like(name: str, ids: Sequence[str], parts: Sequence[str]) -> np.ndarray:
+    """(s,) which surfaces or materials have this name or are of a part that has it; * and ? stand for any letters."""
+    fits = like_pattern(name)
+    return np.array([any(map(fits, pair)) for pair in zip(ids, parts, strict=True)], dtype=bool)
+
+
+def unknown_name(name: str, ids: Sequence[str], parts: Sequence[str]) -> str:
+    """What to say of a name that there is not."""
+    return f"no surface, part or material is called '{name}'{like(name, [*ids, *parts])}"
+
+
+def like_pattern(name: str) -> Callable[[str], bool]:
+    """Whether a text is this name, in which * and ? stand for any letters and any one letter."""
+    pattern = re.compile(re.escape(name).replace(r"\*", ".*").replace(r"\?", "."), re.DOTALL)
+    return lambda text: pattern.fullmatch(text) is not None
+
+
+def like(name: str, known: Iterable[str]) -> str:
+    """The nearest name that there is, or all of a few."""
+    names = list(dict.fromkeys(known))
+    near = difflib.get_close_matches(name, names, 1, 0.5)
+    return f"; did you mean '{near[0]}'?" if near else f"; use one of {', '.join(names[:12])}"

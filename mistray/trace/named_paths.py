@@ -1,0 +1,206 @@
+"""Paths by what a report calls them: their kind, their name, or all their events.
+
+What a table prints as `label` is a name, with ``->`` for the arrow if that is easier to type. ``*`` and ``?`` stand for
+any letters. In a scene of several detectors a name may leave out ``, on detector``, and a name of structure its
+``(structure)``; then it means all paths that it fits. A text of events up to a detector, ``… detector:A``, is one path.
+Light that was scattered at random and light that was aimed go the same way and count as one.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from mistray.errors import MistrayWarning
+from mistray.ids import EVENT_LETTERS, event_words
+from mistray.recorders.path_events import DIRECT, FIRST_SCATTERED, LETTERS, STRAY_KINDS, way, way_text
+from mistray.recorders.path_key import ABSORBED, EVENT_MASK
+from mistray.recorders.path_names import ARROW, DIRECT_IMAGE, PAST, SCATTER_AT, PathNames
+from mistray.trace.filter_rows import Bounds, Rows, UnknownError, exactly, like, like_pattern, named_like, unknown_name
+
+ALL, STRAY = "all", "stray"
+KINDS = (ALL, STRAY, DIRECT, *STRAY_KINDS)
+END = f":{LETTERS[ABSORBED]}"
+LISTED = 3  # of the paths that a name means
+_ARROW = re.compile(r"\s*(?:->|→)\s*")
+_FLAGS = re.compile(r"\b[A-Z]\([^)]*\)")
+_QUOTED = re.compile(r"\"[^\"]*\"|'[^']*'")
+_STRUCTURE = re.compile(r" \(structure(?:\+ghost)?\)$")
+_UNTURNED = "|".join(map(re.escape, (DIRECT_IMAGE, *STRAY_KINDS)))
+_PASSED = re.compile(rf"^(?:{_UNTURNED})(?: through | {PAST} all surfaces|, on |$)")
+_EVENT = re.compile(rf"(?:.*:[{EVENT_LETTERS}]|{PAST})", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """All light, all stray light, or the paths of one kind."""
+
+    kind: str
+    columns: ClassVar = frozenset({"kind"})
+
+    def bounds(self, rows: Rows) -> Bounds:
+        """Which rows hold."""
+        kinds = np.asarray(rows.columns["kind"])
+        if self.kind == ALL:
+            return exactly(np.full(len(kinds), True))
+        return exactly((kinds != DIRECT) if self.kind == STRAY else (kinds == self.kind))
+
+
+@dataclass(frozen=True)
+class Whole:
+    """The paths that have these events and no others."""
+
+    text: str
+    columns: ClassVar = frozenset({"events"})
+
+    def bounds(self, rows: Rows) -> Bounds:
+        """Which rows hold."""
+        _check_events(event_words(self.text), rows)
+        wanted = way_text([" ".join(event_words(self.text))])[0]
+        return exactly(np.array([one == wanted for one in way_text(rows.columns["events"])], dtype=bool))
+
+
+@dataclass(frozen=True)
+class Named:
+    """The paths that have a name."""
+
+    text: str
+    columns: ClassVar = frozenset({"label", "detector", "kind"})
+
+    def bounds(self, rows: Rows) -> Bounds:
+        """Which rows hold."""
+        self.check(rows)
+        fits = like_pattern(_typed_alike(self.text))
+        labels = _way_labels(rows)
+        ends = np.asarray(rows.columns["detector"]).tolist()
+        known = {pair: any(map(fits, _forms(*pair))) for pair in set(zip(labels, ends, strict=True))}
+        return exactly(np.array([known[pair] for pair in zip(labels, ends, strict=True)], dtype=bool))
+
+    def check(self, rows: Rows) -> None:
+        """Raise for surfaces and detectors that there are not."""
+        text = _typed_alike(self.text)
+        before, comma, detector = text.rpartition(", on ")
+        if comma and not any(", on " in name for name in rows.ids):
+            _check_pieces([detector], "", rows)
+            text = before
+        if _PASSED.match(text) and " through " not in text:
+            return
+        text = _STRUCTURE.sub("", text)
+        if text.startswith(SCATTER_AT):
+            _check_pieces([text.removeprefix(SCATTER_AT)], "", rows)
+        elif _PASSED.match(text):
+            pieces = text.split(" through ", 1)[1].split(", ")
+            _check_pieces([re.sub(rf":[{EVENT_LETTERS}]$", "", piece) for piece in pieces], ", ", rows)
+        elif ARROW in text:
+            _check_pieces(text.split(ARROW), ARROW, rows)
+        elif read_events(text) is not None:
+            _check_events(_name_words(text), rows)
+        else:
+            _check_pieces([text], "", rows)
+
+
+def read_name(text: str) -> Kind | Named | None:
+    """What a text means that is a kind of paths or the name of one; None for other text, such as a filter."""
+    text = text.strip()
+    if text in KINDS:
+        return Kind(text)
+    bare = _FLAGS.sub("", _QUOTED.sub("", text))
+    if _ARROW.search(bare) or text.startswith(SCATTER_AT) or _STRUCTURE.search(bare) or _PASSED.match(text):
+        return Named(text)
+    return None
+
+
+def read_events(text: str) -> Whole | Named | None:
+    """What a text of events means: up to the absorption in a detector one path, else what is called so."""
+    text = text.strip()
+    if not (":" in text and all(_EVENT.fullmatch(word) for word in _name_words(text))):
+        return None
+    return Whole(text) if text.endswith(END) else Named(text)
+
+
+def tell(name: str, rows: Sequence[Rows], held: Sequence[np.ndarray]) -> None:
+    """Warn where a name means several paths, or none of a trace; `rows` are all its paths, `held` those meant."""
+    labels: dict[str, str] = {}
+    meant: dict[str, str] = {}
+    for one, here in zip(rows, held, strict=True):
+        events, names = way_text(one.columns["events"]), _way_labels(one)
+        labels |= zip(events, names, strict=True)
+        meant |= {events[k]: names[k] for k in np.flatnonzero(here).tolist()}
+    if labels and not meant:
+        backwards = ARROW.join(reversed(_typed_alike(name).split(ARROW)))
+        near = f"; did you mean '{backwards}'?" if backwards in labels.values() else like(name, labels.values())
+        warnings.warn(f"no light of this trace goes by '{name}'{near}", MistrayWarning, stacklevel=2)
+    elif len(meant) > 1:
+        listed = "; ".join(list(meant.values())[:LISTED]) + (" …" if len(meant) > LISTED else "")
+        warnings.warn(f"'{name}' means {len(meant)} paths together: {listed}", MistrayWarning, stacklevel=2)
+
+
+def _typed_alike(text: str) -> str:
+    """A name with arrows as reports print them."""
+    return _ARROW.sub(ARROW, " ".join(text.split()))
+
+
+def _name_words(text: str) -> list[str]:
+    """Events of a name, in which the word `PAST` may stand before one."""
+    found: list[str] = []
+    for word in event_words(text):
+        before, blank, event = word.partition(" ")
+        found += [before, event] if blank and before == PAST else [word]
+    return found
+
+
+def _forms(label: str, detector: str) -> set[str]:
+    """The name of a path, and what is left of it without what every path of a scene may have in common."""
+    label = _typed_alike(label)
+    short = label.removesuffix(f", on {detector}")
+    return {label, short, _STRUCTURE.sub("", short), label.replace(short, _STRUCTURE.sub("", short), 1)}
+
+
+def _way_labels(rows: Rows) -> list[str]:
+    """Names of the rows, those of aimed light as if it were scattered at random, as tables by ways have them."""
+    labels, e = list(rows.columns["label"]), rows.events
+    codes = way(e.codes)
+    aimed = np.flatnonzero((e.inside & (codes != e.codes) & ((e.codes & EVENT_MASK) >= FIRST_SCATTERED)).any(axis=1))
+    if len(aimed):
+        names = PathNames(rows.ids, e.words, e.design, LETTERS)
+        for k in aimed.tolist():
+            labels[k] = names.name(codes[k, : e.lengths[k]].tolist(), rows.columns["kind"][k])
+    return labels
+
+
+def _all_known(pieces: Sequence[str], rows: Rows) -> bool:
+    return all(named_like(piece, rows.ids, rows.ids).any() for piece in pieces)
+
+
+def _check_pieces(pieces: Sequence[str], between: str, rows: Rows) -> None:
+    """Raise if pieces of a text are no ids; an id may hold what stands between them."""
+    while pieces:
+        for count in range(len(pieces), 0, -1):
+            if _all_known([between.join(pieces[:count])], rows):
+                pieces = pieces[count:]
+                break
+        else:
+            hint = (
+                "; within a filter a name of a path stands in quotation marks" if re.search("[&|]", pieces[0]) else ""
+            )
+            raise UnknownError(unknown_name(pieces[0], rows.ids, rows.ids) + hint)
+
+
+def _check_events(words: Sequence[str], rows: Rows) -> None:
+    """Raise for events that cannot be."""
+    for event in words:
+        surface, _, letter = event.rpartition(":")
+        if event == PAST:
+            continue
+        if not _all_known([surface], rows):  # a wrong letter does not end its event: the next one belongs to it
+            surface = next((name for name in rows.ids if event.startswith(f"{name}:")), surface)
+            letter = event.removeprefix(f"{surface}:").split(" ")[0]
+        if not _all_known([surface], rows):
+            raise UnknownError(unknown_name(surface, rows.ids, rows.ids))
+        if letter not in LETTERS.values():
+            raise UnknownError(f"'{letter}' after '{surface}:' is no event; use one of {', '.join(LETTERS.values())}")

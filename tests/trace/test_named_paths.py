@@ -1,0 +1,112 @@
+"""Paths by what a report calls them, in Python and from the shell."""
+
+from __future__ import annotations
+
+import warnings
+
+import pytest
+
+import mistray
+from mistray import cli
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*few rays")
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return mistray.coat("singlet_window_detector", {}, scatter={"window_front": ["harvey_shack rms_nm=5"]})
+
+
+@pytest.fixture(scope="module")
+def traced(scene) -> mistray.Trace:
+    """Two wavelengths, and light that is scattered at random and aimed."""
+    return mistray.trace(scene, rays=400, field_deg=1.0, wavelength_nm=[500.0, 600.0])
+
+
+def test_every_printed_name_means_its_row(traced) -> None:
+    """The rows of the table by ways know their paths; names are parsed back to exactly these."""
+    rows = traced.paths.by_way()
+    chosen = [*range(12), *range(12, len(rows), len(rows) // 12)]
+    assert any("scatter at" in rows.label[k] for k in chosen)
+    assert any(":" in rows.label[k] for k in chosen)
+    assert any(len(rows.path_ids[k]) == 2 for k in chosen), "light at random and aimed"
+    for k in chosen:
+        expected = {i for ids in rows.path_ids[rows.label == rows.label[k]] for i in ids}
+        for text in (rows.label[k], rows.label[k].replace(" → ", "->")):
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                assert {row.path_id for row in traced.paths.select(text)} == expected, text
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            found = {row.events for row in traced.paths.select(rows.events[k])}
+        assert found == {traced.paths[i].events for i in expected}
+
+
+def test_a_name_within_a_filter(traced) -> None:
+    label = next(row.label for row in traced.paths if row.label.startswith("detector →"))
+    whole = traced.paths.select(label)
+    assert len(whole) == 2, "one at each wavelength"
+    assert traced.paths.select(f"'{label}' & wavelength_nm = 500") == [r for r in whole if r.wavelength_nm == 500.0]
+    assert len(traced.rays(label, n=20)) == 20
+
+
+def test_a_short_name_says_how_many(traced) -> None:
+    names = {row.label for row in traced.paths if row.label.startswith("detector → w")}
+    with pytest.warns(mistray.MistrayWarning, match=f"means {len(names)} paths together"):
+        rows = traced.paths.select("detector -> w*")
+    assert {row.label for row in rows} == names
+
+
+def test_a_name_that_no_light_has(traced) -> None:
+    label = next(row.label for row in traced.paths if row.label.startswith("detector →"))
+    first, last = label.split(" → ")
+    with pytest.warns(mistray.MistrayWarning, match=f"did you mean '{label}'"):
+        assert traced.paths.select(f"{last} -> {first}") == []
+
+
+@pytest.mark.parametrize(
+    ("text", "near"),
+    [
+        ("detectr -> L1_front", "'detector'"),
+        ("L1_fronT:T detector:A", "'L1_front'"),
+        ("gost", "'ghost'"),
+        ("kind = 'single scater'", "'single scatter'"),
+        ("source = sorce", "'source'"),
+        ("S(windw*)", "'window'"),
+        ("pwer_W > 1", "'power_W'"),
+    ],
+)
+def test_a_metric_refuses_before_it_traces(scene, text: str, near: str) -> None:
+    with pytest.raises(mistray.MistrayError, match=near):
+        mistray.optimize.path_power(scene, text, rays=1e9)
+
+
+def test_wrong_arguments_name_the_right_ones(scene) -> None:
+    for call, near in (
+        (lambda: mistray.trace(scene, n_rays=1), "'rays'"),
+        (lambda: mistray.ghosts(scene, feild_deg=1), "'field_deg'"),
+        (lambda: mistray.sweep(scene, n_rays=1), "'rays'"),
+        (lambda: mistray.view(scene, pathids=[1]), "'path_ids'"),
+    ):
+        with pytest.raises(mistray.MistrayError, match=f"did you mean {near}"):
+            call()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("goasts", "phone_camera"), ("'ghosts'?", "See 'mistray --help'")),
+        (("ghosts", "phone_camera", "--feild-deg", "20"), ("--field-deg?", "See 'mistray ghosts --help'")),
+        (("view", "phone_camera", "20"), ("20; see 'mistray view --help'",)),
+        (("ghosts", "phone_camera", "--rank", "rsm"), ("'rms'?", "See 'mistray ghosts --help'")),
+        (("ghosts", "singlet_window_detector", "--filter", "L1_fron -> L1_rear", "--rays", "1e9"), ("'L1_front'",)),
+        (("view", "singlet_window_detector", "--path-ids", "L1_fron -> L1_rear", "--rays", "1e9"), ("'L1_front'",)),
+        (("sensitivity", "singlet_window_detector", "--paths", "L1_fron -> L1_rear", "--rays", "1e9"), ("'L1_front'",)),
+    ],
+)
+def test_commands_refuse_before_they_trace(capsys, tmp_path, monkeypatch, arguments, words) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(list(arguments)) == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert all(word in message for word in words)
