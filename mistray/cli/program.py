@@ -36,6 +36,7 @@ from mistray.cli.commands import (
     thermal,
     view,
 )
+from mistray.cli.lens_files import lens_as_scene
 from mistray.cli.options import Options
 from mistray.cli.signals import ignore
 from mistray.errors import Interrupted, MistrayError
@@ -120,7 +121,7 @@ def _command(arguments: list[str]) -> int:
         # Names that are no text in the locale's encoding stand in reports, which are UTF-8
         options.command_line = as_text(shlex.join(["mistray", *arguments]))
         options.guard = guard_of(options)
-        with guarding(options.guard):
+        with guarding(options.guard), lens_as_scene(options):
             return int(options.run(options))
     except SystemExit as stop:
         return int(stop.code or 0)
