@@ -92,8 +92,15 @@ def looked_at(path: Path) -> Lens:
     try:
         built = build(read_flaresim(path))
     except MistrayError as error:
-        reason = str(error).partition("': ")[2] or str(error).partition("', ")[2]
-        return Lens(path.name, "refused", reason, math.nan, focal, math.nan, number)
+        return Lens(
+            path.name,
+            "refused",
+            str(error).replace(f"FlareSim file '{path.name}'", "").lstrip(":, "),
+            math.nan,
+            focal,
+            math.nan,
+            number,
+        )
     data = built.first_order
     share = arriving(built)
     result = Lens(path.name, "", "", data.efl, focal, data.f_number, number, share)

@@ -182,11 +182,29 @@ def _numbers(where: str, words: Sequence[str], names: Sequence[str]) -> list[flo
     return result
 
 
+def _cemented(file: _File, notes: list[str]) -> list[_Line]:
+    """The lines without spaces of no thickness between equal faces, which are cement."""
+    lines: list[_Line] = []
+    pairs = []
+    for item in file.lines:
+        last = lines[-1] if lines else None
+        plain = last is not None and not (last.stop or item.stop) and last.thickness == 0 and last.index <= _GLASS
+        if last is not None and plain and last.radius == item.radius:
+            pairs.append(f"{last.number} and {item.number}")
+            lines[-1] = replace(item, number=last.number, size=min(last.size, item.size) or max(last.size, item.size))
+        else:
+            lines.append(item)
+    if pairs:
+        notes.append(f"equal faces without a space between them are taken for one, in cement: {', '.join(pairs)}")
+    return lines
+
+
 def _table(file: _File, notes: list[str]) -> Sequential:
     """The lens with full diameters as semi-diameters, for the time being; the image where the file has it."""
     rows: list[Row] = []
     before, bare, coated = "air", 0, 0
-    for k, item in enumerate(file.lines):
+    lines = _cemented(file, notes)
+    for k, item in enumerate(lines):
         glass = item.index > _GLASS
         # A dummy plane may stand before a bulge; light that went back through glass or from a curved face did so behind
         # a mirror, of which the file says nothing
@@ -224,7 +242,7 @@ def _table(file: _File, notes: list[str]) -> Sequential:
             f"{file.what}, line {file.lines[-1].line}: the last surface has glass behind it up to the image; the file "
             "is not whole"
         )
-    without = [str(item.number) for item in file.lines if item.index > _GLASS and item.abbe <= 0]
+    without = [str(item.number) for item in lines if item.index > _GLASS and item.abbe <= 0]
     if without:
         notes.append(f"no Abbe number behind surfaces {', '.join(without)}: their indices are the same for all colours")
     if coated:
