@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -198,7 +199,12 @@ def test_coating_file_is_found_from_the_scene(capsys, zmx, tmp_path, monkeypatch
         ("a.zmx", ("--glass", "BK7"), "--glass: 'BK7' is no glass; write NAME=MATERIAL"),
         ("a.zmx", ("--edges", "shiny"), "edges = 'shiny'; they are blackened, ground or open"),
         ("a.zmx", ("--margin", "-1"), "--margin: -1 must lie between 0 and 10"),
-        ("a.osl", (), "files of type '.osl' cannot be read; give one of .json, .yaml, .yml, .zmx, .seq, .len, .step"),
+        (
+            "a.osl",
+            (),
+            "files of type '.osl' cannot be read; give one of .json, .yaml, .yml, .zmx, .seq, .len, .lens, .roa, .step",
+        ),
+        ("a.lens", ("--glass", "A=N-BK7"), "--glass ('A', 'N-BK7'): FlareSim files hold no glass names; leave it out"),
         ("a.zmx", ("-o", "nowhere/a.xml"), "the folder 'nowhere' does not exist; make it first"),
     ],
 )
@@ -207,6 +213,47 @@ def test_what_makes_no_sense_is_refused(capsys, tmp_path, monkeypatch, name, opt
     Path(name).write_text(ZMX)
     assert message in fails(capsys, name, *options)
     assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+class TestAssumptions:
+    """What the import says of what it has assumed."""
+
+    def test_the_detector_absorbs_all(self, capsys, zmx, tmp_path):
+        output = tmp_path / "a.xml"
+        (note,) = [line for line in run(capsys, zmx, "-o", output)[1].splitlines() if "the detector absorbs" in line]
+        assert "--coating 'detector=R=0.1'" in note
+        assert "the detector absorbs" in output.read_text(encoding="utf-8")
+        # As the note says: here, or with mistray coat
+        code, out, _ = run(capsys, zmx, "-o", tmp_path / "b.xml", "--coating", "detector=R=0.1")
+        assert code == 0
+        assert "the detector absorbs" not in out + (tmp_path / "b.xml").read_text(encoding="utf-8")
+        assert cli.main(["coat", str(output), "detector=R=0.1", "-o", str(tmp_path / "c.xml")]) == 0
+        for name in ("b.xml", "c.xml"):
+            detector = shapes(tmp_path / name)["detector"]
+            assert [item.get("value") for item in detector.iter("float") if item.get("name") == "R"] == ["0.1"]
+
+    def test_the_beam_and_the_stop(self, capsys, zmx, tmp_path):
+        """A stop of 4 mm in radius at the first surface, then at the second one behind 3 mm of clear radius."""
+        for beam, said in (("pupil", "overfills the stop"), ("exact", "just fills the stop")):
+            out = run(capsys, zmx, "-o", tmp_path / f"{beam}.xml", "--beam", beam)[1]
+            assert f"note: the beam {said}, surface 1, of radius 4 mm" in out
+        inner = ZMX.replace("  STOP\n", "").replace("SURF 2\n", "SURF 2\n  STOP\n")
+        zmx.write_text(inner.replace("DISZ 5\n", "DISZ 5\n  CLAP 0 3 0\n"))
+        out = run(capsys, zmx, "-o", tmp_path / "vignetted.xml")[1]
+        # In first order the heights at the stop go with those at the first surface: 3 mm of 4 mm
+        found = re.search(r"the beam fills the stop, surface 2, .* only to ([\d.]+) % of its radius: 'S1' takes", out)
+        assert float(found[1]) == pytest.approx(75, abs=1.5)
+
+    def test_a_name_of_the_file_is_answered(self, capsys, zmx, tmp_path):
+        named = ZMX.replace("SURF 1\n", "SURF 1\n  COMM L1 front\n").replace("SURF 3\n", "SURF 3\n  COMM FPA\n")
+        zmx.write_text(named)
+        output = tmp_path / "a.xml"
+        out = run(capsys, zmx, "-o", output)[1]
+        assert "'L1 front' is 'L1_front', 'FPA' is 'detector'" in out
+        assert "L1_front" in shapes(output)
+        assert "did you mean 'detector'" in fails(capsys, zmx, "-o", tmp_path / "b.xml", "--coating", "FPA=R=0.05")
+        assert cli.main(["coat", str(output), "FPA=R=0.05", "-o", str(tmp_path / "c.xml")]) == 2
+        assert "did you mean 'detector'" in capsys.readouterr().err
 
 
 class TestLight:

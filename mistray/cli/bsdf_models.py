@@ -48,7 +48,8 @@ def parameters(kind: str) -> dict[str, Param]:
 
 def model_argument() -> Option:
     """The model."""
-    return Option("model", f"{', '.join(models())}, a file .bsdf or .csv, or ABG_DATA.DAT:NAME", metavar="MODEL")
+    files = "a file .bsdf, .anisotropicbsdf or .csv, or ABG_DATA.DAT:NAME"
+    return Option("model", f"{', '.join(models())}, {files}", metavar="MODEL")
 
 
 def parameter_options() -> Group:
@@ -96,10 +97,12 @@ def kind_of(name: str) -> str:
     MistrayError
         If there is none.
     """
-    kind = "tabulated" if name.lower().endswith((".bsdf", ".csv")) else "abg" if ".dat:" in name.lower() else name
+    tables = (".bsdf", ".anisotropicbsdf", ".csv")
+    kind = "tabulated" if name.lower().endswith(tables) else "abg" if ".dat:" in name.lower() else name
     if kind not in models():
         raise MistrayError(
-            f"scatter model '{name}' is unknown; use {', '.join(models())}, a file .bsdf or .csv, or ABG_DATA.DAT:NAME"
+            f"scatter model '{name}' is unknown; use {', '.join(models())}, a file .bsdf, .anisotropicbsdf or .csv, or "
+            "ABG_DATA.DAT:NAME"
         )
     return kind
 
@@ -132,7 +135,7 @@ def model_of(options: argparse.Namespace) -> Placement:
     Parameters
     ----------
     options : argparse.Namespace
-        `model` is a name, a file .bsdf or .csv, or ABG_DATA.DAT:NAME.
+        `model` is a name, a file .bsdf, .anisotropicbsdf or .csv, or ABG_DATA.DAT:NAME.
 
     Raises
     ------

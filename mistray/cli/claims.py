@@ -19,7 +19,7 @@ from mistray.replace_file import Guard
 
 SCENE = ".xml"
 SETTINGS = (".toml", ".json")
-LENSES = (".zmx", ".seq", ".len", ".yaml", ".yml")
+LENSES = (".zmx", ".seq", ".len", ".lens", ".roa", ".yaml", ".yml")
 _ENDS = re.compile("[\n\r\"'{}[\\]]")  # what may stand before or behind the name of a file in a lens
 
 

@@ -36,6 +36,7 @@ from mistray.cli.commands import (
     thermal,
     view,
 )
+from mistray.cli.lens_files import lens_as_scene
 from mistray.cli.options import Options
 from mistray.cli.signals import ignore
 from mistray.errors import Interrupted, MistrayError
@@ -126,7 +127,7 @@ def _command(arguments: list[str]) -> int:
         options.guard = guard_of(options)
         for note in incomplete_notes(named_places(options)):
             print(f"mistray: warning: {note}", file=sys.stderr)
-        with guarding(options.guard), quiet():  # commands print the notes of their results
+        with guarding(options.guard), lens_as_scene(options), quiet():  # commands print the notes of their results
             return int(options.run(options))
     except SystemExit as stop:
         return int(stop.code or 0)

@@ -42,7 +42,8 @@ def ray_tree(rays: str, *more: Option) -> Group:
 
 
 # fmt: off
-SCENE = Option("scene", "scene XML file, or the name of a shipped scene such as phone_camera", metavar="SCENE")
+SCENE = Option("scene", "scene XML file, lens file as of mistray import, or the name of a shipped scene such as "
+               "phone_camera", metavar="SCENE")
 SPECTRUM = (
     Option("--wavelength-nm", "wavelengths, nm", WAVELENGTH_NM, "NM", "+"),
     Option("--weights", "shares of the flux, one for each of --wavelength-nm (equal)", WEIGHT, "W", "+"),

@@ -39,6 +39,7 @@ _ROUNDING_MM = 2e-6
 _SURFACE_NAME = re.compile(r"S\d+\s+(\S+)\s+(front|rear)")
 _PART_NAMES = {"IR": "filter", "IR filter": "filter", "Window": "window"}
 _PIECE_LABEL = re.compile(r"Space \d+: (\w+)[^(]*(?:\((.*)\))?")
+_MOST_DIGITS = 300  # of a whole number: no float is longer
 _PIXELS = (512, 512)
 
 
@@ -67,7 +68,9 @@ def from_json(path: str | Path, *, variant: str | None = None, beam: Fill = "pup
     path = Path(path)
     text = read_text(path, "prescription")
     try:
-        data = json.loads(text)
+        data = json.loads(text, parse_int=lambda digits: _whole(digits, path))
+    except MistrayError:
+        raise
     except (ValueError, RecursionError) as error:
         raise MistrayError(f"prescription '{path}': {error}; it must be a JSON file") from None
     try:
@@ -110,7 +113,7 @@ class _Reader:
             stop=self.stop,
             detector=detector,
             source=source,
-            provenance="\n".join([f"Generated from {self.path.name}; see SOURCE.md.", *notes]),
+            provenance="\n".join([f"Generated from {self.path.name}; see SOURCE.md.", *notes, *detector.notes()]),
         )
         for row in self.data.get("scatter", []):
             model = _scatter(row)
@@ -260,6 +263,15 @@ class _Reader:
         z = float(stop_plane[0]) if stop_plane else self.stop.z_rear
         size, notes = beam_size(self.beam, float(row["radius"]), of="that of the file")
         return Source(**size, z=z, wavelength_nm=(round(1e3 * float(row["wavelength_um"]), 6),)), notes
+
+
+def _whole(digits: str, path: Path) -> int:
+    """A whole number of the file; Python reads no longer ones, and says so in words of its own."""
+    if len(digits) > _MOST_DIGITS:
+        raise MistrayError(
+            f"prescription '{path}': number {digits[:12]}… has {len(digits)} digits; give one of {_MOST_DIGITS} at most"
+        )
+    return int(digits)
 
 
 def _coating(row: Mapping[str, Any]) -> Coating:

@@ -58,9 +58,10 @@ def read_oslo(
             from optiland.fileio.oslo.reader.converter import OsloToOpticConverter
             from optiland.fileio.oslo.reader.parser import OsloDataParser
         except ImportError as error:
+            missing = "" if error.name is None or error.name.startswith("optiland") else f" {error.name}"
             raise MistrayError(
-                f"OSLO file '{path.name}': it is read by optiland, which cannot be imported ({error}); "
-                "pip install 'optiland>=0.6.3'"
+                f"OSLO file '{path.name}': it is read by optiland, which cannot be imported ({error}); run: "
+                f"pip install 'optiland>=0.6.3'{missing}"
             ) from None
         try:
             data = OsloDataParser(str(path), strict=True).parse()

@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from mistray.io.codev.read import read_codev
+from mistray.io.flaresim import read_flaresim
 
 # Loaded here, because loading a module later would put it in the place of the public function of its name
 from mistray.io.optiland import coatings_of
 from mistray.io.optiland import from_optiland as optiland_table
 from mistray.io.oslo import read_oslo
 from mistray.io.rayoptics import from_rayoptics as rayoptics_table
+from mistray.io.rayoptics import read_rayoptics
 from mistray.io.zemax.read import read_zemax
 from mistray.prescription.closing.system import to_prescription
 from mistray.prescription.coating import Coating
@@ -159,7 +161,8 @@ def from_rayoptics(model: Any, **options: Any) -> Prescription:
 
     Parameters
     ----------
-    model : rayoptics.optical.opticalmodel.OpticalModel
+    model : rayoptics.optical.opticalmodel.OpticalModel, str or Path
+        A path is that of a .roa file.
     **options
         Of `to_prescription`.
 
@@ -170,6 +173,31 @@ def from_rayoptics(model: Any, **options: Any) -> Prescription:
     Raises
     ------
     MistrayError
-        If the lens holds what has no counterpart.
+        If the lens holds what has no counterpart, or a file cannot be read.
     """
-    return to_prescription(rayoptics_table(model), **options)
+    table = read_rayoptics(model) if isinstance(model, str | Path) else rayoptics_table(model)
+    return to_prescription(table, **options)
+
+
+def from_flaresim(path: str | Path, **options: Any) -> Prescription:
+    """
+    Read a lens file of FlareSim.
+
+    Parameters
+    ----------
+    path : str or Path
+        .lens file.
+    **options
+        Of `to_prescription`.
+
+    Returns
+    -------
+    Prescription
+        Its `provenance` says what was assumed, see `mistray.io.flaresim.read_flaresim`.
+
+    Raises
+    ------
+    MistrayError
+        If the file cannot be read, or the lens has no real focus.
+    """
+    return to_prescription(read_flaresim(path), **options)

@@ -7,15 +7,19 @@ Its sequential model is a list of interfaces with gaps between them, in the syst
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from mistray.errors import MistrayError
 from mistray.io.codev.rows import CodevSurface, rows_of
 from mistray.io.conventions import figure, object_na, squeezed
+from mistray.materials.mate import shown
 from mistray.physics.geometry.outline import Figure, Outline, circle
 from mistray.prescription.sequential.materials import same_material
 from mistray.prescription.sequential.table import ApertureKind, FieldKind, Row, Sequential, Unread
+from mistray.read_file import require_file
 
 _UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3, "in": 25.4, "inches": 25.4, "ft": 304.8}
 _MODES = {"decenter": "", "dec and return": "DAR", "reverse": "REV", "bend": "BEN"}
@@ -28,6 +32,46 @@ _FIELDS: dict[tuple[str, str], FieldKind] = {
 _INFINITE = 1e9
 _MODES_OF_LIGHT = ("transmit", "reflect", "dummy", "phantom")  # phantom: a coordinate break of a Zemax file
 _FIGURES = {"Rectangular": "rectangle", "Elliptical": "ellipse"}
+
+
+def read_rayoptics(path: str | Path) -> Sequential:
+    """
+    Read a model that ray-optics has saved.
+
+    Parameters
+    ----------
+    path : str or Path
+        The .roa file.
+
+    Returns
+    -------
+    Sequential
+        As of `from_rayoptics`.
+
+    Raises
+    ------
+    MistrayError
+        If ray-optics is missing, or the file is none that it reads.
+    """
+    path = Path(path)
+    require_file(path, "lens")
+    try:
+        from rayoptics.gui.roafile import open_roa  # without Qt, which rayoptics.environment imports
+    except ImportError as error:
+        raise MistrayError(
+            f"ray-optics file '{path.name}': it is read by ray-optics, which cannot be imported ({error}); run: pip "
+            "install rayoptics"
+        ) from None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            model = open_roa(str(path))
+    except Exception as error:  # whatever ray-optics meets in a file of somebody else's
+        reason = " ".join(f"{type(error).__name__} {error}".split())
+        raise MistrayError(
+            f"ray-optics file '{path.name}': ray-optics cannot open it ({shown([reason])}); save it there anew"
+        ) from None
+    return replace(from_rayoptics(model), source=f"ray-optics file {path.name}")
 
 
 def from_rayoptics(model: Any) -> Sequential:
@@ -55,9 +99,9 @@ def from_rayoptics(model: Any) -> Sequential:
         raise MistrayError(f"from_rayoptics was given {kind}; give an OpticalModel of ray-optics") from None
     name = str(system.title or "ray-optics model")
     what = f"ray-optics model '{name}'"
-    if system.dimensions not in _UNITS_MM:
+    unit = _UNITS_MM.get(str(system.dimensions).strip().lower(), 0.0)
+    if not unit:
         raise MistrayError(f"{what}: unit '{system.dimensions}' is unknown; it is one of {', '.join(_UNITS_MM)}")
-    unit = _UNITS_MM[system.dimensions]
     spectrum, view = specs["wvls"], specs["fov"]
     wavelengths = tuple(float(value) for value in spectrum.wavelengths)
     materials = [_material(gap.medium, wavelengths) for gap in sequence.gaps]

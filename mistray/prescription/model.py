@@ -10,14 +10,13 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
-from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.materials import refractive_index
-from mistray.physics.geometry.crossing import meeting
+from mistray.physics.geometry.crossing import meeting, near
 from mistray.physics.geometry.outline import Outline
 from mistray.physics.geometry.paraxial import ParaxialSystem
 from mistray.physics.geometry.pose import rotation
@@ -271,6 +270,15 @@ class Detector(Surface):
         if min(self.pixels) < 1:
             raise MistrayError(f"detector '{self.name}': pixels = {self.pixels}; both counts must be at least 1")
 
+    def notes(self) -> list[str]:
+        """What one should know of a detector that comes from a lens file: one line where it absorbs all light."""
+        if self.coating != BLACK or self.scatter:
+            return []
+        return [
+            f"the detector absorbs all light, so that ghosts by way of it are missing: put --coating "
+            f"'{self.name}=R=0.1' on it, here or with mistray coat"
+        ]
+
 
 @dataclass(frozen=True)
 class Stop:
@@ -479,8 +487,8 @@ class Prescription:
                 )
         self.shared_scatter()
         optical = [s for s in (*self.surfaces, *self.detectors) if s is not None and s.coaxial and s.outline is None]
-        for a, b in combinations(optical, 2):
-            _check_crossing(a, b)
+        for i, j in near([(s.z_at, s.outer_radius) for s in optical]):
+            _check_crossing(optical[i], optical[j])
 
     @property
     def detectors(self) -> tuple[Detector, ...]:

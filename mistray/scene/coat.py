@@ -159,7 +159,8 @@ def coated_text(path: Path, rules: Rules, folder: Path) -> tuple[str, Coated]:
     check_source(path)
     file = SceneFile(path)
     shared = dict(shared_objects(file))
-    painter = Painter(f"scene '{path}'", list(faces_of(file)), shared, file.ids, str(path.parent))
+    comments = "\n".join(file.data[start:end].decode() for start, end in file.comments)
+    painter = Painter(f"scene '{path}'", list(faces_of(file)), shared, file.ids, str(path.parent), comments)
     painter.apply(rules)
     seen = seen_from(folder)
     refits: dict[str, Refit] = {}
@@ -191,7 +192,8 @@ def _coated_prescription(system: Prescription, rules: Rules) -> Prescription:
         )
         for shape in shapes
     ]
-    painter = Painter(f"prescription '{system.name}'", faces, shared, [shape.name for shape in shapes])
+    names = [shape.name for shape in shapes]
+    painter = Painter(f"prescription '{system.name}'", faces, shared, names, notes=system.provenance)
     painter.apply(rules)
 
     def changed(shape: Any) -> Any:

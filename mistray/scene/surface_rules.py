@@ -14,6 +14,7 @@ from mistray.errors import MistrayError
 from mistray.ids import fits
 from mistray.mechanics.finish import Finish, finish, known_finishes
 from mistray.prescription.by_text import CLEAN, coating_of, scatter_of
+from mistray.prescription.closing.names import renamed_in
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.scatter import Scatter
 from mistray.scatter.kinds import KINDS
@@ -122,6 +123,8 @@ class Painter:
         Names that new ones must not have.
     home : str
         Folder in which shared tables lie.
+    notes : str
+        Of the lens file that the system comes from; they tell which names of it are others here.
 
     Attributes
     ----------
@@ -137,10 +140,11 @@ class Painter:
         shared: Mapping[str, Coating | Scatter],
         taken: Collection[str],
         home: str = "",
+        notes: str = "",
     ) -> None:
         self.changes: dict[str, Change] = {}
         self.left: list[Left] = []
-        self._where, self._faces, self._home = where, faces, home
+        self._where, self._faces, self._home, self._notes = where, faces, home, notes
         self._coatings = {name: item for name, item in shared.items() if isinstance(item, Coating)}
         self._scatter = {name: item for name, item in shared.items() if isinstance(item, Scatter)}
         self._shared: dict[str, Coating | Scatter] = dict(shared)
@@ -183,6 +187,12 @@ class Painter:
         """
         fitting = [face for face in self._faces if face.fits(pattern)]
         if not fitting:
+            meant = renamed_in(self._notes).get(pattern)
+            if meant is not None:
+                raise MistrayError(
+                    f"{self._where}: {rule} fits no surface and no part; did you mean '{meant}'? '{pattern}' is a name "
+                    "of the lens file"
+                )
             names = dict.fromkeys(name for face in self._faces for name in (face.name, face.part) if name)
             near = difflib.get_close_matches(re.sub(r"[*?]+$", "", pattern), names, n=OFFERED, cutoff=0.3)
             hint = ", ".join(near or list(names)[:OFFERED])

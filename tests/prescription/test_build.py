@@ -231,6 +231,46 @@ def test_surfaces_that_would_cross_end_where_they_meet():
     assert any("'S2' and 'S3' cross" in note for note in built.notes)
 
 
+@pytest.mark.parametrize(
+    ("labels", "names", "parts"),
+    [
+        # Those that mistray's own scenes have, also with a blank; the body is called as both faces
+        (["L1_front", "L1 rear", "L2 front", "L2_rear"], ["L1_front", "L1_rear", "L2_front", "L2_rear"], ["L1", "L2"]),
+        (["window front", "window_rear", "", ""], ["window_front", "window_rear", "S3", "S4"], ["window", "L2"]),
+        # No body without a name of its own is called as another one
+        (["window", "", "L1_front", "L1_rear"], ["window", "S2", "L1_front", "L1_rear"], ["L2", "L1"]),
+        # Names of generated faces, of a body, and of another row are not kept
+        (["L1", "L2_edge", "S7", "S4"], ["S1", "S2", "S3", "S4"], ["L1", "L2"]),
+        (
+            ["detector", "Detector window", "board_left", "boards"],
+            ["S1", "Detector_window", "S3", "boards"],
+            ["L1", "L2"],
+        ),
+    ],
+)
+def test_names_of_surfaces_and_bodies(labels, names, parts):
+    rows = [replace(row, label=label) for row, label in zip(triplet().rows, [*labels, *[""] * 4], strict=True)]
+    prescription = to_prescription(triplet().with_rows(rows))
+    assert [s.name for s in prescription.surfaces][:4] == names
+    assert [s.part for s in prescription.surfaces][:4:2] == parts
+
+
+def test_every_name_that_is_not_kept_is_told():
+    rows = [
+        replace(row, label=label)
+        for row, label in zip(
+            triplet().rows, ["L1 front", "it's", "twin", "twin", "iris", "stop_front", "", "FPA"], strict=True
+        )
+    ]
+    prescription = to_prescription(triplet().with_rows(rows))
+    (note,) = [line for line in prescription.provenance.splitlines() if "'FPA'" in line]
+    pairs = {"L1 front": "'L1_front'", "twin": "'S3' and 'S4'", "iris": "'stop_front'", "stop_front": "'S6'"}
+    for old, new in {**pairs, "FPA": "'detector'"}.items():
+        assert f"'{old}' is {new}" in note
+    with pytest.raises(MistrayError, match="did you mean 'detector'"):
+        mistray.coat(prescription, {"FPA": "R=0.05"})
+
+
 def test_names_are_kept_where_they_can_be():
     rows = [
         replace(row, label=label)

@@ -32,7 +32,8 @@ COMMAND = Command(
         "mistray export camera.xml -o camera.zmx --json",
     ),
     (
-        Option("scene", "scene XML file, or the name of a shipped scene such as cooke_triplet", metavar="SCENE"),
+        Option("scene", "scene XML file, lens file, or the name of a shipped scene such as cooke_triplet",
+               metavar="SCENE"),
         Option("-o --output", "file to write, .zmx, .step or .csv (default: SCENE with .zmx, in this folder)", Path,
                "FILE", writes=()),
         Group("critical rays (.csv) and beams (.step)", (

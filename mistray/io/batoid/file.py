@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,8 @@ TYPES = frozenset(
     ]
 )
 MOST_ENTRIES = 1_000_000  # of a file, what it repeats by an alias included; the camera of LSST has some 600
+_UNKNOWN = re.compile(r"(\w+)\.__init__\(\) got an unexpected keyword argument '(\w+)'")
+_GROUPS = ("items", "surface", "coordSys", "obscuration", "screen", "stopSurface")
 DEEPEST = 100  # levels; telescopes need about twenty
 
 
@@ -34,7 +37,7 @@ def read_optic(path: str | Path) -> batoid.Optic:
     Parameters
     ----------
     path : str or Path
-        YAML file.
+        YAML file; a name without a folder may be that of a file that comes with batoid, such as ``"LSST_r.yaml"``.
 
     Returns
     -------
@@ -51,7 +54,7 @@ def read_optic(path: str | Path) -> batoid.Optic:
         from batoid.parse import parse_optic
     except ImportError:
         raise MistrayError("batoid is not installed; run: pip install 'mistray[batoid]'") from None
-    text = read_text(path, "lens")
+    text = read_text(_own_file(Path(path)), "lens")
     try:
         content = yaml.safe_load(text)
         system = content["opticalSystem"] if isinstance(content, dict) else None
@@ -60,10 +63,56 @@ def read_optic(path: str | Path) -> batoid.Optic:
         for kind in _types(system):
             if kind not in TYPES:
                 raise ValueError(f"there is no type '{shown(str(kind).split())}'")
-        return parse_optic(system)
-    except Exception as error:  # yaml and batoid raise all kinds
+    except Exception as error:  # yaml raises all kinds
         reason = shown(str(error).split()) or type(error).__name__
         raise MistrayError(f"lens '{path}': {reason}; it must be a batoid YAML file") from None
+    try:
+        return parse_optic(_unshared(system))
+    except Exception as error:  # batoid raises all kinds
+        item, error = _faulty(system, error, parse_optic)
+        raise MistrayError(f"lens '{path}': {shown([_place(item)])} {_reason(item, error)}; correct it") from None
+
+
+def _own_file(path: Path) -> Path:
+    """The file, or that of batoid of this name if there is none here."""
+    import batoid
+
+    if path.exists() or path.name != str(path):
+        return path
+    return next(iter(sorted(Path(batoid.datadir).rglob(path.name))), path)
+
+
+def _unshared(item: Any) -> Any:
+    """A copy in which nothing stands twice: batoid takes out of an entry what it reads, also where YAML repeats it."""
+    if isinstance(item, dict):
+        return {key: _unshared(value) for key, value in item.items()}
+    return [_unshared(value) for value in item] if isinstance(item, list) else item
+
+
+def _faulty(item: dict[str, Any], error: Exception, parse: Callable[[Any], Any]) -> tuple[dict[str, Any], Exception]:
+    """The innermost optic of one that batoid cannot read, and what it says of that."""
+    for part in item["items"] if isinstance(item.get("items"), list) else ():
+        try:
+            parse(_unshared(part))
+        except Exception as own:  # whatever batoid raises
+            return _faulty(part, own, parse) if isinstance(part, dict) else (item, own)
+    return item, error
+
+
+def _place(item: dict[str, Any]) -> str:
+    return f"{item.get('type', 'optic')} '{item.get('name', '')}'"
+
+
+def _reason(item: dict[str, Any], error: Exception) -> str:
+    """What is wrong with an optic of a file, by what Python says of it."""
+    if isinstance(error, KeyError):
+        return f"has no '{shown([str(error.args[0])])}'"
+    if word := _UNKNOWN.search(str(error)):
+        return f"has a {word[1]} with '{word[2]}', which batoid does not know"
+    flat = [key for key in _GROUPS if key in item and not isinstance(item[key], dict | list)]
+    if isinstance(error, TypeError | AttributeError) and flat:
+        return f"has {flat[0]} = {shown([str(item[flat[0]])])}, which must be a group of entries"
+    return f"cannot be read: {shown(str(error).split()) or type(error).__name__}"
 
 
 def _types(system: dict[str, Any]) -> Iterator[Any]:

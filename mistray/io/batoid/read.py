@@ -114,6 +114,7 @@ def from_batoid(
                 f"From batoid {batoid.__version__}, optic '{optic.name}', at {wavelength_nm:g} nm.",
                 *notes,
                 *reader.notes,
+                *(reader.detector.notes() if reader.detector else ()),
             ]
         ),
     )

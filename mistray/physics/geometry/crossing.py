@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +34,30 @@ class Meeting:
         if self.coincide:
             return f"surfaces '{first}' and '{second}' coincide; remove one of them or move them apart"
         return f"surfaces '{first}' and '{second}' cross at r = {self.r:.4g} mm; move them apart or make one smaller"
+
+
+def near(profiles: Sequence[tuple[Profile, float]]) -> Iterator[tuple[int, int]]:
+    """
+    Pairs of surfaces that share heights, so that they may meet: of many in a row, few.
+
+    Parameters
+    ----------
+    profiles : sequence of (callable, float)
+        Height along the common axis in mm at radii (n,) in mm, and the largest radius.
+
+    Yields
+    ------
+    tuple of int
+        Their places, the smaller one first, in the order of these.
+    """
+    heights = np.array([profile(np.linspace(0.0, outer, SAMPLES)) for profile, outer in profiles]).reshape(-1, SAMPLES)
+    low, high = heights.min(axis=1, initial=np.inf), heights.max(axis=1, initial=-np.inf)
+    # An extreme lies between two samples; what is no number may be anywhere
+    spare = TOLERANCE_MM + 0.01 * (high - low)
+    low, high = np.nan_to_num(low - spare, nan=-np.inf), np.nan_to_num(high + spare, nan=np.inf)
+    for i in range(len(profiles)):
+        behind = np.flatnonzero((low[i + 1 :] <= high[i]) & (high[i + 1 :] >= low[i]))
+        yield from ((i, i + 1 + int(j)) for j in behind)
 
 
 def meeting(

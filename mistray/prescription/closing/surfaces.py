@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from mistray.coatings import PRESETS
 from mistray.errors import MistrayError
 from mistray.physics.geometry.crossing import SAMPLES, meeting
 from mistray.physics.geometry.outline import Outline
@@ -17,6 +17,7 @@ from mistray.physics.geometry.sag import conic_end
 from mistray.prescription.closing.apertures import own_clip
 from mistray.prescription.closing.edges import meets_plane, on_axis, placed
 from mistray.prescription.closing.mirrors import beside_vertex, footprint, piece_beside_vertex
+from mistray.prescription.closing.names import Names, names_of
 from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import is_gas
 from mistray.prescription.model import Surface
@@ -84,24 +85,27 @@ class OpticalSurfaces:
         before = materials_before(lens)
         self.before = [self._material(material, row) for material, row in zip(before, lens.rows, strict=True)]
         self.behind = [*self.before[1:], self.before[-1]]
-        self.names = _names(lens)
+        names = names_of(lens, self._has_effect)
+        self.names = names.rows
+        self.notes += names.note()
         self.surfaces: dict[int, Surface] = {}
+        self._vertices = np.full((len(lens.rows), 3), np.inf)
         self.enlarged: dict[int, float] = {}  # number of a surface → part by which rays exceed its drawn radius
         self.patches: set[str] = set()
         self.aheads = [self._ahead(k) for k in range(len(lens.rows))]
-        self._place_surfaces()
+        self._place_surfaces(names)
         self._cut_where_they_cross()
         self._cut_at_the_stop()
 
-    def _place_surfaces(self) -> None:
+    def _place_surfaces(self, names: Names) -> None:
         part, count = "", 0
-        for k, row in enumerate(self.lens.rows[:-1]):
-            if not self._has_effect(k):
-                continue
+        bending = [k for k in range(len(self.lens.rows) - 1) if self._has_effect(k)]
+        for k, after in pairwise([*bending, *bending[-1:]]):
+            row = self.lens.rows[k]
             if not is_gas(self.behind[k]) and not row.mirror:
                 # The glass behind begins a new body; its first surface bears the name
                 count += 1
-                part = f"L{count}"
+                part = names.body(k, after, count)
             own_part = part if not (is_gas(self.before[k]) and is_gas(self.behind[k])) else self.names[k]
             front, back = (self.before[k], self.behind[k]) if self.aheads[k] else (self.behind[k], self.before[k])
             if row.mirror:
@@ -120,7 +124,9 @@ class OpticalSurfaces:
                 **self._clear(k),
             )
             surface = placed(surface, self._off_its_lens(k, surface))
-            again = next((j for j, other in self.surfaces.items() if _same(other, surface)), None)
+            twins = self._at(surface)
+            self._vertices[k] = surface.x, surface.y, surface.z
+            again = next((j for j in twins if _same(self.surfaces[j], surface)), None)
             if again is None:
                 self.surfaces[k] = surface
                 continue
@@ -167,12 +173,20 @@ class OpticalSurfaces:
             self.notes.append(f"material '{material}': its absorption is unknown and taken for 0")
         return known
 
+    def _at(self, surface: Surface) -> list[int]:
+        """Places of the surfaces so far whose vertex is that of a surface."""
+        apart = np.abs(self._vertices - [surface.x, surface.y, surface.z])
+        return [int(k) for k in np.flatnonzero(np.all(apart <= _ROUND_OFF_MM, axis=1))]
+
     def _off_its_lens(self, k: int, surface: Surface) -> np.ndarray:
         """The frame of a row; that of a mirror that is a spot on a lens stands 1 µm before it."""
         frame = self.frames[k]
+        if not surface.mirror:
+            return frame
         there = placed(surface, frame)
-        on = [other for other in self.surfaces.values() if _same_figure(other, there) and not other.mirror]
-        if not (surface.mirror and on):
+        others = [self.surfaces[j] for j in self._at(there)]
+        on = [other for other in others if _same_figure(other, there) and not other.mirror]
+        if not on:
             return frame
         self.notes.append(f"mirror '{surface.name}' is a spot on '{on[0].name}': it stands 1 µm before it")
         self.patches.add(surface.name)
@@ -225,6 +239,8 @@ class OpticalSurfaces:
             return self.coatings[name]
         if ":" in row.coating:
             return Coating(table=row.coating)
+        if row.coating in PRESETS:
+            return Coating(preset=row.coating, name=row.coating)
         self.notes.append(f"coating '{row.coating}' of surface {row.number} is not given (coatings=): it {what}")
         return bare
 
@@ -278,21 +294,6 @@ class OpticalSurfaces:
                 local = (beam[k + 1] - frame[:3, 3]) @ frame[:3, :3]
                 result[k + 1 :, ~passes(row, local)] = np.nan
         return result if np.any(np.isfinite(result[-1])) else beam
-
-
-def _names(lens: Sequential) -> dict[int, str]:
-    """A name for each row: its label where that is unique and no name of a generated part, else S and its number."""
-    names: dict[int, str] = {}
-    slugs = [re.sub(r"[^\w+-]+", "_", row.label).lstrip("_+-").rstrip("_") for row in lens.rows]
-    reserved = re.compile(r"(stop|barrel|board|detector|ground_edge|[LS]\d+)(_|$)", re.IGNORECASE)
-    taken: set[str] = set()
-    for k, (row, slug) in enumerate(zip(lens.rows, slugs, strict=True)):
-        name = slug if slug and slugs.count(slug) == 1 and not reserved.match(slug) else f"S{row.number}"
-        while name in taken:
-            name += "b"
-        taken.add(name)
-        names[k] = name
-    return names
 
 
 def _trimmed(coefficients: tuple[float, ...]) -> tuple[float, ...]:

@@ -23,12 +23,13 @@ from mistray.prescription.closing.bores import add_bores
 from mistray.prescription.closing.edges import EDGES, Closing, Edges, Item, StopPlane, mirror_back, on_axis, placed
 from mistray.prescription.closing.mirrors import cut_holes
 from mistray.prescription.closing.shadows import met_at, shadowing_spaces
+from mistray.prescription.closing.source import source_of
 from mistray.prescription.closing.surfaces import COVER_MM, OpticalSurfaces
 from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import is_gas
-from mistray.prescription.imported_beam import Beam, beam_size, check_beam
-from mistray.prescription.model import Detector, ObjectPoint, Prescription, Source, Structure, Surface
-from mistray.prescription.sequential.first_order import FirstOrder, field_tangents
+from mistray.prescription.imported_beam import Beam, check_beam
+from mistray.prescription.model import Detector, Prescription, Structure, Surface
+from mistray.prescription.sequential.first_order import FirstOrder
 from mistray.prescription.sequential.rays import curvature
 from mistray.prescription.sequential.table import Sequential
 from mistray.ranges import MARGIN as MARGIN_RANGE
@@ -40,8 +41,6 @@ _MIRROR_THICKNESS = 0.05  # of the clear radius
 _SAMPLES = 61  # each way, of what two outlines share
 _POINT = 1e-3  # of the focal length: all fields fall on one point
 _SMALLEST_DETECTOR = 0.01  # of the focal length: half size of the detector then
-_ASIDE = 0.02  # of the pupil's radius: a beam that comes in so far from the axis moves the source
-_SOURCE_DIGITS = 9  # of its place in mm and direction in degrees
 
 
 @dataclass(frozen=True)
@@ -151,18 +150,19 @@ def _structured(
     items: list[Item] = []
     ahead: list[bool] = []
     plates: list[Structure | Surface] = []
+    widest = max((surface.outer_radius for surface in surfaces.values()), default=0.0)
     for k in range(len(lens.rows) - 1):
         stop = table.is_stop_plane(k)
         if k in surfaces or stop:
             items.append(surfaces[k] if k in surfaces else _stop(table, k))
             ahead.append(table.aheads[k])
-        plates += _plates(table, k)
+        plates += _plates(table, k, widest)
     closing.close([*items, detector], [*ahead, table.aheads[-1]])
     closing.structures = _without_shadows(table, closing.structures, detector)
     add_bores(table, closing)
     plates += _mirror_backs(table, detector)
-    source = _source(table, beam)
-    notes = tuple(dict.fromkeys([*table.notes, *closing.notes]))
+    source = source_of(table, beam)
+    notes = tuple(dict.fromkeys([*table.notes, *closing.notes, *detector.notes()]))
     prescription = Prescription(
         name=shown([lens.name]),
         surfaces=tuple({surface.name: surface for surface in surfaces.values()}.values()),
@@ -209,8 +209,8 @@ def _stop(table: OpticalSurfaces, k: int) -> StopPlane:
     return StopPlane(table.rays.stop_radius, table.frames[k], table.before[k])
 
 
-def _plates(table: OpticalSurfaces, k: int) -> list[Surface | Structure]:
-    """Opaque faces of the apertures that a row states, beyond the clip of its surface."""
+def _plates(table: OpticalSurfaces, k: int, widest: float) -> list[Surface | Structure]:
+    """Opaque faces of the apertures that a row states, beyond the clip of its surface, up to the widest radius."""
     row = table.lens.rows[k]
     if row.kind == "coordinate_break":
         return []
@@ -219,7 +219,6 @@ def _plates(table: OpticalSurfaces, k: int) -> list[Surface | Structure]:
         if own is not None and own.annulus:
             own = Outline(own.figures[1:]) if own.figures[1:] else None
         row = replace(row, semi_diameter_fixed=False, aperture=own)
-    widest = max((surface.outer_radius for surface in table.surfaces.values()), default=0.0)
     pieces, notes = aperture_pieces(row, table.names[k], k in table.surfaces, table.aheads[k], widest, table.before[k])
     table.notes += notes
     plates = [placed(piece, table.frames[k]) for piece in pieces]
@@ -330,72 +329,6 @@ def _detector(table: OpticalSurfaces, half: tuple[float, float] | None) -> Detec
     return placed(
         Detector(half_width=half[0], half_height=half[1], front=material, back=material, pixels=_PIXELS), frame
     )
-
-
-def _source(table: OpticalSurfaces, beam: Beam) -> Source | ObjectPoint:
-    lens, data = table.lens, table.rays.data
-    near = not math.isinf(lens.object_distance)
-    weights = np.array(lens.weights) / (sum(lens.weights) or 1.0)
-    lit = [k for k, weight in enumerate(weights) if weight > 0] or [lens.primary]
-    wavelengths = tuple(lens.wavelengths_nm[k] for k in lit)
-    shares = None if len(lit) == 1 else tuple(float(weights[k]) for k in lit)
-    if near:
-        pupil = data.entrance_pupil_z if math.isfinite(data.entrance_pupil_z) else 0.0
-        if lens.object_distance > 0:
-            if lens.object_distance + pupil <= 0:
-                pupil = 0.0  # the object lies between the pupil and the lens
-            return ObjectPoint(
-                z=pupil, distance=lens.object_distance + pupil, wavelength_nm=wavelengths, weights=shares
-            )
-        table.notes.append(
-            f"the object is virtual, {-lens.object_distance:.6g} mm behind the first surface, but the source is "
-            "collimated: its light does not come to a focus on the detector"
-        )
-    x, y, z, radius, reach, filled = 0.0, 0.0, data.entrance_pupil_z, data.epd / 2, 0.0, "the pupil"
-    if table.surfaces and (beam == "front" or math.isinf(z)):
-        first = table.surfaces[min(table.surfaces)]
-        x, y, z, radius, filled = first.x, first.y, first.z, first.outer_radius, "the first surface"
-    elif not near:
-        x, y, radius = _entrance(table, z, radius)
-        reach = float(np.hypot(*(table.rays.pupils - [x, y]).T).max(initial=0.0))
-    size, notes = beam_size(beam, radius, reach, of=filled)
-    table.notes += notes
-    field_deg, azimuth_deg = (0.0, 0.0) if near else _direction(table)
-    return Source(
-        x=x,
-        y=y,
-        z=z,
-        **size,
-        field_deg=field_deg,
-        azimuth_deg=azimuth_deg,
-        plane="axis",
-        wavelength_nm=wavelengths,
-        weights=shares,
-    )
-
-
-def _entrance(table: OpticalSurfaces, z: float, radius: float) -> tuple[float, float, float]:
-    """Middle and radius of the first field's beam in the plane of the entrance pupil, where tilts have moved it."""
-    start, heading = table.rays.entering
-    x, y = (start + ((z - start[:, 2]) / heading[:, 2])[:, None] * heading)[:, :2].T
-    if math.hypot(x[0], y[0]) <= _ASIDE * radius:
-        return 0.0, 0.0, radius
-    centre = round(float(x[0]), _SOURCE_DIGITS) + 0.0, round(float(y[0]), _SOURCE_DIGITS) + 0.0
-    radius = max(radius, float(np.hypot(x - x[0], y - y[0]).max()))
-    table.notes.append(
-        f"the source is centred at ({centre[0]:.6g}, {centre[1]:.6g}) mm, where the beam of the first field comes in"
-    )
-    return *centre, radius
-
-
-def _direction(table: OpticalSurfaces) -> tuple[float, float]:
-    """Field and azimuth of the first field, degrees; the field has a sign where it lies in the yz plane."""
-    x, y = (float(slope) for slope in field_tangents(table.lens, table.rays.data)[0])
-    slope, azimuth = (math.hypot(x, y), math.degrees(math.atan2(-x, y))) if x else (y, 0.0)
-    field = round(math.degrees(math.atan(slope)), _SOURCE_DIGITS)
-    if field:
-        table.notes.append(f"the source shines at the first field, {field:g} degrees off the axis")
-    return field, round(azimuth, _SOURCE_DIGITS) + 0.0
 
 
 def _provenance(lens: Sequential, notes: tuple[str, ...]) -> str:

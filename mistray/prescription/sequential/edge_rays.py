@@ -8,6 +8,7 @@ telecentric by order of the file, rays fill the cone about the parallel chief ra
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +17,7 @@ import numpy.typing as npt
 from mistray.errors import MistrayError
 from mistray.prescription.sequential.first_order import FirstOrder, field_tangents, first_order, stop_place
 from mistray.prescription.sequential.rays import passes, to_world, trace
-from mistray.prescription.sequential.table import Sequential
+from mistray.prescription.sequential.table import Row, Sequential
 
 Array = npt.NDArray[np.float64]
 
@@ -138,6 +139,7 @@ def edge_rays(lens: Sequential) -> EdgeRays:
     free: list[tuple[Array, Array, Array, Array]] = []  # the same without apertures
     notes: list[str] = []
     chief: Array | None = None
+    aimed: dict[int, tuple[Array, Array]] = {}  # at the whole rim of the stop
     numbers = _outer_fields(lens)
     if len(numbers) < len(set(lens.fields)):
         notes.append(f"of {len(lens.fields)} fields the {len(numbers)} outermost give sizes and vignetting")
@@ -147,6 +149,8 @@ def edge_rays(lens: Sequential) -> EdgeRays:
             start, heading = launch(lens, data, number, pupil)
         else:
             start, heading = _through_stop(lens, data, radius, field, _vignetted(lens, number, pupil))
+        if not lens.vignetting:
+            aimed[number] = start[1:], heading[1:]
         for wavelength in wavelengths:
             hits, onward = trace(lens, start, heading, wavelength)
             if chief is None and wavelength == lens.wavelength_nm:
@@ -182,7 +186,7 @@ def edge_rays(lens: Sequential) -> EdgeRays:
         directions=directions,
         world=np.concatenate([_upstream(start, heading, upstream)[None], places]),
         entering=np.array([parts[0][2], parts[0][3]]),
-        pupils=_pupils(lens, data, radius, numbers, pupil[1:]),
+        pupils=_pupils(lens, data, radius, numbers, pupil[1:], aimed),
         reach=reach,
         chief=chief,
         within=np.concatenate([_upstream(inner_start, inner_heading, upstream)[None], inner_places]),
@@ -191,13 +195,20 @@ def edge_rays(lens: Sequential) -> EdgeRays:
     )
 
 
-def _pupils(lens: Sequential, data: FirstOrder, radius: float, numbers: list[int], rim: Array) -> Array:
+def _pupils(
+    lens: Sequential,
+    data: FirstOrder,
+    radius: float,
+    numbers: list[int],
+    rim: Array,
+    aimed: Mapping[int, tuple[Array, Array]],
+) -> Array:
     """Where rays to the rim of the stop cross the plane of the entrance pupil, see `EdgeRays.pupils`."""
     if lens.telecentric or not math.isinf(lens.object_distance) or math.isinf(data.entrance_pupil_z):
         return np.zeros((0, 2))
     found = []
     for number in numbers:
-        start, heading = _through_stop(lens, data, radius, lens.fields[number], rim)
+        start, heading = aimed.get(number) or _through_stop(lens, data, radius, lens.fields[number], rim)
         met = trace(lens, start, heading)[0][stop_place(lens), :, :2]
         there = np.linalg.norm(met - rim * radius, axis=1) < _MET * radius  # and not lost on the way
         found.append(start[there, :2])
@@ -311,11 +322,13 @@ def _aimed_at_stop(
 ) -> tuple[Array, bool]:
     """Newton's method: points of the entrance pupil from which rays meet the stop at a target, NaN where none does."""
     stop, unit = stop_place(lens), data.epd / 2
+    ahead = lens.with_rows([*lens.rows[: stop + 1], Row(0, kind="image")])  # what lies behind the stop aims no ray
     point, probe = start.copy(), unit * _PROBE
     right_by, up_by = np.array([probe, 0.0]), np.array([0.0, probe])
     size = float(np.abs(target).max())
     for _ in range(_AIMING):
-        hits, _ = trace(lens, *_aimed_at(lens, data, field, np.concatenate([point, point + right_by, point + up_by])))
+        aims = np.concatenate([point, point + right_by, point + up_by])
+        hits, _ = trace(ahead, *_aimed_at(lens, data, field, aims))
         here, right, up = hits[stop, :, :2].reshape(3, -1, 2)
         miss = here - target
         if np.all(np.abs(miss) <= _AIMED * size):

@@ -19,6 +19,7 @@ from mistray.scatter.lobe import RELATIVE_TO, Lobe, Placement, RatioTable
 from mistray.scatter.measured.bsdf_csv import read_bsdf_csv
 from mistray.scatter.measured.rotations import RotatedSamples
 from mistray.scatter.measured.samples import ANISOTROPY, BEYOND, Samples
+from mistray.scatter.measured.speos_bsdf import SUFFIX, read_speos_bsdf
 from mistray.scatter.measured.zemax_bsdf import read_zemax_bsdf
 from mistray.scatter.radial import RadialTable
 from mistray.scatter.total import lobe_total
@@ -74,7 +75,7 @@ class Tabulated(Placement):
 
     also = MappingProxyType(
         {
-            "file": Param("file", TEXT, ".bsdf of Zemax, or .csv"),
+            "file": Param("file", TEXT, ".bsdf of Zemax, .anisotropicbsdf of Speos, or .csv"),
             "anisotropy": Param("string", Words(ANISOTROPY), "rotations of the sample that differ"),
         }
     )
@@ -107,13 +108,13 @@ class Tabulated(Placement):
     def of(cls, resolve: Callable[[str], str] = str, **properties: Any) -> Tabulated:
         """As `Placement.of`; the table is read from `file`."""
         if "file" not in properties:
-            raise MistrayError(f"{cls.__name__}: file is missing; name a .bsdf or .csv file")
+            raise MistrayError(f"{cls.__name__}: file is missing; name a .bsdf, .anisotropicbsdf or .csv file")
         return cls.read(resolve(properties.pop("file")), **properties)
 
     @classmethod
     def read(cls, path: str | Path, anisotropy: str = "error", **options: Any) -> Tabulated:
         """
-        Read a table: a Zemax tabular BSDF (.bsdf) or a CSV file of angles.
+        Read a table: a Zemax tabular BSDF (.bsdf), a Speos one (.anisotropicbsdf), or a CSV file of angles.
 
         Parameters
         ----------
@@ -129,10 +130,10 @@ class Tabulated(Placement):
         MistrayError
             If the name ends otherwise, or for what the readers find wrong.
         """
-        readers = {".bsdf": read_zemax_bsdf, ".csv": read_bsdf_csv}
+        readers = {".bsdf": read_zemax_bsdf, ".csv": read_bsdf_csv, SUFFIX: read_speos_bsdf}
         suffix = Path(path).suffix.lower()
         if suffix not in readers:
-            raise MistrayError(f"BSDF table '{path}': its name must end in .bsdf (Zemax) or .csv")
+            raise MistrayError(f"BSDF table '{path}': its name must end in .bsdf (Zemax), {SUFFIX} (Speos) or .csv")
         return cls(readers[suffix](path, anisotropy), **options)
 
     @property

@@ -1,0 +1,145 @@
+"""The source of a lens file: its beam, and how that compares with the stop."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mistray.prescription.closing.surfaces import OpticalSurfaces
+from mistray.prescription.imported_beam import Beam, beam_size
+from mistray.prescription.model import ObjectPoint, Source, Surface
+from mistray.prescription.sequential.first_order import field_tangents, stop_place
+from mistray.prescription.sequential.rays import trace
+
+_ASIDE = 0.02  # of the pupil's radius: a beam that comes in so far from the axis moves the source
+_RINGS, _RAYS = 101, 8  # of the beam, that show how it fills the stop
+_FULL = 0.01  # of the stop's radius: less is what two neighbouring rings leave open
+_SOURCE_DIGITS = 9  # of its place in mm and direction in degrees
+
+
+def source_of(table: OpticalSurfaces, beam: Beam) -> Source | ObjectPoint:
+    """The source at the first field; the table gets the notes of what it assumes, and of how it fills the stop."""
+    lens, data = table.lens, table.rays.data
+    near = not math.isinf(lens.object_distance)
+    weights = np.array(lens.weights) / (sum(lens.weights) or 1.0)
+    lit = [k for k, weight in enumerate(weights) if weight > 0] or [lens.primary]
+    wavelengths = tuple(lens.wavelengths_nm[k] for k in lit)
+    shares = None if len(lit) == 1 else tuple(float(weights[k]) for k in lit)
+    if near:
+        pupil = data.entrance_pupil_z if math.isfinite(data.entrance_pupil_z) else 0.0
+        if lens.object_distance > 0:
+            table.notes.append(
+                "the object is near: its point lights all of the first surface, whatever the stop lets in"
+            )
+            if lens.object_distance + pupil <= 0:
+                pupil = 0.0  # the object lies between the pupil and the lens
+            return ObjectPoint(
+                z=pupil, distance=lens.object_distance + pupil, wavelength_nm=wavelengths, weights=shares
+            )
+        table.notes.append(
+            f"the object is virtual, {-lens.object_distance:.6g} mm behind the first surface, but the source is "
+            "collimated: its light does not come to a focus on the detector"
+        )
+    x, y, z, radius, reach, filled = 0.0, 0.0, data.entrance_pupil_z, data.epd / 2, 0.0, "the pupil"
+    if table.surfaces and (beam == "front" or math.isinf(z)):
+        first = table.surfaces[min(table.surfaces)]
+        x, y, z, radius, filled = first.x, first.y, first.z, first.outer_radius, "the first surface"
+    elif not near:
+        x, y, radius = _entrance(table, z, radius)
+        reach = float(np.hypot(*(table.rays.pupils - [x, y]).T).max(initial=0.0))
+    size, notes = beam_size(beam, radius, reach, of=filled)
+    table.notes += notes
+    field_deg, azimuth_deg = (0.0, 0.0) if near else _direction(table)
+    if not near:
+        table.notes.append(_filling(table, np.array([x, y, z]), size["radius"]))
+    return Source(
+        x=x,
+        y=y,
+        z=z,
+        **size,
+        field_deg=field_deg,
+        azimuth_deg=azimuth_deg,
+        plane="axis",
+        wavelength_nm=wavelengths,
+        weights=shares,
+    )
+
+
+def _entrance(table: OpticalSurfaces, z: float, radius: float) -> tuple[float, float, float]:
+    """Middle and radius of the first field's beam in the plane of the entrance pupil, where tilts have moved it."""
+    start, heading = table.rays.entering
+    x, y = (start + ((z - start[:, 2]) / heading[:, 2])[:, None] * heading)[:, :2].T
+    if math.hypot(x[0], y[0]) <= _ASIDE * radius:
+        return 0.0, 0.0, radius
+    centre = round(float(x[0]), _SOURCE_DIGITS) + 0.0, round(float(y[0]), _SOURCE_DIGITS) + 0.0
+    radius = max(radius, float(np.hypot(x - x[0], y - y[0]).max()))
+    table.notes.append(
+        f"the source is centred at ({centre[0]:.6g}, {centre[1]:.6g}) mm, where the beam of the first field comes in"
+    )
+    return *centre, radius
+
+
+def _direction(table: OpticalSurfaces) -> tuple[float, float]:
+    """Field and azimuth of the first field, degrees; the field has a sign where it lies in the yz plane."""
+    x, y = (float(slope) for slope in field_tangents(table.lens, table.rays.data)[0])
+    slope, azimuth = (math.hypot(x, y), math.degrees(math.atan2(-x, y))) if x else (y, 0.0)
+    field = round(math.degrees(math.atan(slope)), _SOURCE_DIGITS)
+    if field:
+        table.notes.append(f"the source shines at the first field, {field:g} degrees off the axis")
+    return field, round(azimuth, _SOURCE_DIGITS) + 0.0
+
+
+def _filling(table: OpticalSurfaces, centre: np.ndarray, radius: float) -> str:
+    """
+    How the beam meets the stop, by real rays of its first field that the clear radii of the surfaces clip on the way.
+
+    Parameters
+    ----------
+    table : OpticalSurfaces
+    centre : (3,) float64
+        Of the beam's cross-section, in the world, mm.
+    radius : float
+        Of the beam, mm.
+    """
+    lens, stop, size = table.lens, stop_place(table.lens), table.rays.stop_radius
+    row = lens.rows[stop]
+    if not row.stop:
+        return f"the file marks no stop: surface {row.number} is it, as wide as the beam"
+    turn = np.arange(_RAYS) * 2 * math.pi / _RAYS
+    share = np.repeat(np.linspace(0.0, 1.0, _RINGS), _RAYS)
+    across = radius * share[:, None] * np.tile(np.stack([np.cos(turn), np.sin(turn)], axis=1), (_RINGS, 1))
+    heading = np.append(field_tangents(lens, table.rays.data)[0], 1.0)
+    start = centre + np.column_stack([across, np.zeros(len(across))])
+    hits = trace(lens, start, np.broadcast_to(heading, start.shape))[0][: stop + 1]
+    reach = np.hypot(*hits[stop, :, :2].T) / size
+    alive, taken = np.isfinite(reach), ""
+    whole = float(np.max(reach, where=alive, initial=0.0))
+    for j, surface in table.surfaces.items():
+        if j < stop:
+            passing = alive & _within(surface, hits[j, :, 0], hits[j, :, 1])
+            if float(np.max(reach, where=passing, initial=0.0)) < min(
+                1 - _FULL, np.max(reach, where=alive, initial=0.0)
+            ):
+                taken = surface.name
+            alive = passing
+    filled = float(np.max(reach, where=alive, initial=0.0))
+    what = f"the stop, surface {row.number}, of radius {size:.5g} mm"
+    if filled < 1 - _FULL:
+        why = f": '{taken}' takes the rest" if taken else ""
+        return f"the beam fills {what} only to {100 * filled:.3g} % of its radius{why}"
+    if whole < 1 + _FULL:
+        return f"the beam just fills {what}"
+    return f"the beam overfills {what}, by {100 * (whole - 1):.3g} % of it"
+
+
+def _within(surface: Surface, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Which points of the plane of a surface lie within its clip."""
+    if surface.outline is not None:
+        return np.asarray(surface.outline.contains(x, y))
+    if surface.semi_diameter is None:
+        assert surface.half_width is not None
+        assert surface.half_height is not None
+        return (np.abs(x) <= surface.half_width) & (np.abs(y) <= surface.half_height)
+    r = np.hypot(x, y)
+    return (r <= surface.semi_diameter) & (r >= surface.inner_semi_diameter)

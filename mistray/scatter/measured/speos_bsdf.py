@@ -1,0 +1,140 @@
+"""Anisotropic BSDF files of Ansys Speos (.anisotropicbsdf), in text.
+
+The layout is that of Ansys' help, "Structure of Anisotropic BSDF Files": a header, the mode, texts, the anisotropy
+vector, what there is (reflection, transmission), the kind of the values, the angles of the sample and of incidence,
+the incidence (θ0, φ0) at which the spectrum was measured, the totals in % at some wavelengths, and a table of polar
+angles by azimuths for each incidence. Angles are those with the normal; azimuth 0 is that of the specular direction.
+
+The values are proportional to the BSDF, or to BSDF times cos θs. As Speos does, they are scaled so that the integral
+
+    ∫ f cos θs dΩ = total
+
+holds at θ0; between two incidences it is interpolated.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.scatter.measured.bsdf_csv import numbers, read_lines
+from mistray.scatter.measured.rotations import RotatedSamples, by_rotation
+from mistray.scatter.measured.samples import Samples
+
+SUFFIX = ".anisotropicbsdf"
+
+_HEADER = re.compile(r"OPTIS - Anisotropic BSDF surface file v[78]\.0")
+_LONGEST = 10_000  # angles in a row
+_SAME_TOTAL = 1e-6  # relative, at all wavelengths
+
+
+class _Lines:
+    """The lines of a file, one after the other."""
+
+    def __init__(self, path: str | Path) -> None:
+        self.title = f"BSDF file '{path}'"
+        self._lines = read_lines(path)
+        self._next = 0
+
+    @property
+    def where(self) -> str:
+        """The line read last, for messages."""
+        return f"{self.title}, line {self._next}"
+
+    def text(self) -> str:
+        """The next line."""
+        if self._next >= len(self._lines):
+            raise MistrayError(f"{self.title}: it ends after {self._next} lines, before its data; copy it again")
+        self._next += 1
+        return self._lines[self._next - 1][1].strip()
+
+    def values(self, count: int) -> list[float]:
+        """The numbers of the next line, so many."""
+        words = self.text().split()
+        if len(words) != count:
+            raise MistrayError(f"{self.where}: {len(words)} numbers; {count} are needed")
+        return numbers(words, count, self.where)
+
+    def counts(self, count: int) -> list[int]:
+        """So many whole numbers of the next line, each ≥ 0."""
+        values = self.values(count)
+        if any(value != int(value) or not 0 <= value <= _LONGEST for value in values):
+            raise MistrayError(f"{self.where}: {values}; whole numbers from 0 to {_LONGEST} are needed")
+        return [int(value) for value in values]
+
+
+def read_speos_bsdf(path: str | Path, anisotropy: str = "error") -> Samples | RotatedSamples:
+    """
+    Read the reflection of a file.
+
+    Parameters
+    ----------
+    path : str or Path
+        Text, version 7.0 or 8.0.
+    anisotropy : {"error", "mean", "keep"}
+        What becomes of sample rotations and of sides of the plane of incidence that differ, see `by_rotation`. A
+        rotation is the azimuth of the file's anisotropy vector, which becomes the x axis of the sample.
+
+    Raises
+    ------
+    MistrayError
+        If the file is missing, binary, of another version or malformed; holds transmission, totals that depend on the
+        wavelength, or rotations with other incidences; or what `Samples` and `by_rotation` find wrong.
+    """
+    lines = _Lines(path)
+    if not _HEADER.fullmatch(lines.text()):
+        raise MistrayError(f"{lines.where}: it is no 'OPTIS - Anisotropic BSDF surface file v8.0'; export it as such")
+    if lines.text() != "0":
+        raise MistrayError(f"{lines.where}: it is in binary mode; save it as text in Speos (mode 0)")
+    lines.text()
+    left = lines.counts(1)[0]
+    while left > 0:  # the description, which may have several lines
+        left -= len(lines.text()) + 1
+    lines.values(3)
+    if lines.counts(2) != [1, 0]:
+        raise MistrayError(f"{lines.where}: it holds transmission; only files with reflection alone are read")
+    of_bsdf = lines.counts(1)[0] == 1
+    rotation = np.array(lines.values(lines.counts(1)[0]))
+    incidences = [lines.values(lines.counts(1)[0]) for _ in rotation]
+    if any(angles != incidences[0] for angles in incidences):
+        raise MistrayError(f"{lines.where}: the rotations have other incidences each; measure all at the same")
+    specular = np.array(incidences[0])
+    theta_0, _ = lines.values(2)
+    lines.text()
+    totals = [lines.values(2)[1] for _ in range(lines.counts(1)[0])]
+    if not totals or max(totals) - min(totals) > _SAME_TOTAL * max(totals):
+        raise MistrayError(
+            f"{lines.where}: totals of {totals} % at its wavelengths; a table has no wavelengths: keep one of them"
+        )
+    grid: tuple[np.ndarray, np.ndarray] | None = None
+    blocks = []
+    for _ in range(len(rotation) * len(specular)):
+        polars, azimuths = lines.counts(2)
+        azimuth = np.array(lines.values(azimuths))
+        rows = np.array([lines.values(azimuths + 1) for _ in range(polars)])
+        own = (rows[:, 0], azimuth)
+        if grid is not None and not all(np.array_equal(a, b) for a, b in zip(grid, own, strict=True)):
+            raise MistrayError(f"{lines.where}: the tables have other angles each; export them on one grid")
+        grid = own
+        blocks.append(rows[:, 1:].T)
+    assert grid is not None
+    polar, azimuth = grid
+    values = np.array(blocks).reshape(len(rotation), len(specular), len(azimuth), len(polar))
+    cosine = np.cos(np.radians(polar))
+    if not of_bsdf:
+        values = values / np.maximum(cosine, cosine[cosine > 0].min(initial=1.0))
+    weight = cosine * np.sin(np.radians(polar))
+    over_polar = np.trapezoid(values[0] * np.maximum(weight, 0.0), np.radians(polar), axis=2)
+    found = np.trapezoid(over_polar, np.radians(azimuth), axis=1) * 360 / (azimuth[-1] - azimuth[0])
+    now = float(np.interp(theta_0, specular, found))
+    if not now > 0:
+        raise MistrayError(f"{lines.title}: it scatters nothing at {theta_0:g}°, where its total is stated")
+    values = values * (totals[0] / 100 / now)
+
+    def table_of(azimuth: np.ndarray, values: np.ndarray) -> Samples:
+        return Samples(str(path), "normal", specular, azimuth, polar, values, "reflection")
+
+    return by_rotation(lines.title, rotation, azimuth, values, anisotropy, table_of)

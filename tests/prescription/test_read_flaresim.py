@@ -1,0 +1,181 @@
+"""Lens files of FlareSim: what is read, what is assumed, and what is refused by name."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mistray
+from mistray import MistrayError
+from mistray.prescription import from_flaresim, read_flaresim, to_prescription
+from mistray.prescription.sequential.rays import trace
+
+DATA = Path(__file__).parents[1] / "data" / "lenses" / "flaresim"
+# By the maker of a thick biconvex lens: 1/f = (n-1)(2/R - (n-1) t / (n R²)), its stop 1 mm behind
+SINGLET = """# A lens
+# 3 surfaces, 1 glass elements, f/5.0
+
+name: Singlet
+focal_length: 49.2
+
+surfaces:
+# radius thickness ior abbe semi_ap coating
+50.0   5.0   1.5168  64.17  {size}  1
+-50.0  1.0   1.0     0.0    {size}  0
+stop   46.0  1.0     0.0    {stop}   0   # a remark
+"""
+
+
+def rows_of(path: Path) -> list[list[float]]:
+    """The columns of a file; a stop is a plane of radius 0."""
+    text = path.read_text(encoding="utf-8").partition("surfaces:")[2]
+    lines = [line.split("#")[0].split() for line in text.splitlines()]
+    return [[float(word) if word != "stop" else 0.0 for word in words] for words in lines if words]
+
+
+def focus(rows: list[list[float]]) -> tuple[float, float]:
+    """Focal length and distance from the last surface to the focus, surface by surface in paraxial optics."""
+    height, angle, index = 1.0, 0.0, 1.0  # angle times index
+    for radius, thickness, after, *_ in rows:
+        angle -= height * (after - index) / radius if radius else 0.0
+        index, back = after, height / -angle if angle else math.inf
+        height += thickness * angle / index
+    return 1 / -angle, back
+
+
+def written(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "own.lens"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_a_lens_with_its_focal_length_and_f_number():
+    lens = read_flaresim(DATA / "nikkor_28mm.lens")
+    efl, back = focus(rows_of(DATA / "nikkor_28mm.lens"))
+    assert efl == pytest.approx(28.61, rel=2e-4)  # as the file says
+    from_file = to_prescription(lens)
+    assert [surface.name for surface in from_file.surfaces][:3] == ["S1", "S2", "S3"]
+    assert from_file.stop is not None
+    assert from_file.stop.radius == pytest.approx(13.83 / 2)
+    # F/2.8 with the column as full diameters, F/1.4 as semi-diameters
+    pupil = from_file.source.pupil_area
+    assert efl / (2 * math.sqrt(pupil / math.pi)) == pytest.approx(2.8, rel=0.01)
+    assert any("full diameters" in note and "F/2.9" in note for note in lens.notes)
+    # Spherical aberration moves the focus, by less than the 2 % from which on it is noted as missing aspheres
+    assert lens.rows[-2].thickness == pytest.approx(back, abs=0.02 * efl)
+    assert "US005917663" in lens.source
+
+
+def test_the_image_is_where_the_light_is_narrowest():
+    """The mean square distance of rays of the beam is least: a plane 20 µm before or behind has more."""
+    lens = read_flaresim(DATA / "nikkor_28mm.lens")
+    height = np.linspace(0.05, 1, 200) * 13.83 / 2 * 0.7
+    start = np.column_stack([0 * height, height, np.full(200, -5.0)])
+    hits, along = trace(lens, start, np.broadcast_to([0.0, 0.0, 1.0], start.shape))
+    inside = np.abs(hits[10, :, 1]) < 13.83 / 2  # the stop
+    y, slope = hits[-1, inside, 1], along[-1, inside, 1] / along[-1, inside, 2]
+    weight = height[inside]
+
+    def spread(z: float) -> float:
+        return float(np.sum(weight * (y + z * slope) ** 2))
+
+    assert spread(0.0) < min(spread(-0.02), spread(0.02))
+
+
+def test_the_detector_takes_the_image_of_a_film_camera():
+    """The lens is made for 24 mm by 36 mm, whose corner is 21.6 mm from the axis."""
+    lens = from_flaresim(DATA / "nikkor_28mm.lens")
+    assert lens.detector is not None
+    assert 0.9 < lens.detector.half_width / 21.6 < 1.25
+
+
+def test_coatings_by_their_layers():
+    """Faces with glass behind are coated in this file; what lies in cement, or says 0, is bare."""
+    prescription = from_flaresim(DATA / "nikkor_28mm.lens")
+    names = {surface.name: surface.coating and surface.coating.preset for surface in prescription.surfaces}
+    assert names["S1"] == "mgf2_quarter_wave"
+    assert names["S2"] is None
+    rows = rows_of(DATA / "nikkor_28mm.lens")
+    glass = [row[2] > 1 for row in rows]
+    cement = [f"S{k + 1}" for k in range(1, len(rows)) if glass[k] and glass[k - 1]]
+    assert all(names[name] is None for name in cement)
+
+
+def test_a_lens_without_a_stop():
+    lens = read_flaresim(DATA / "no_stop_20mm.lens")
+    # The row that the marginal ray fills most: heights of a paraxial ray over the sizes of the column
+    rows, height, angle, index = rows_of(DATA / "no_stop_20mm.lens"), 1.0, 0.0, 1.0
+    filled = []
+    for radius, thickness, after, _, size, _ in rows:
+        filled.append(abs(height) / size)
+        angle -= height * (after - index) / radius if radius else 0.0
+        index = after
+        height += thickness * angle / index
+    place = filled.index(max(filled))
+    assert [k for k, row in enumerate(lens.rows) if row.stop] == [place]
+    assert any(f"surface {place + 1} is it" in note for note in lens.notes)
+
+
+def test_a_lens_whose_aspheres_are_missing_keeps_its_paraxial_focus():
+    path = DATA / "without_its_aspheres.lens"
+    lens = read_flaresim(path)
+    assert lens.rows[-2].thickness == pytest.approx(focus(rows_of(path))[1], rel=1e-6)
+    assert any("paraxial focus" in note for note in lens.notes)
+
+
+def test_semi_diameters_where_they_fit_the_f_number(tmp_path):
+    """f = 49.2 mm: a stop of 4.9 mm is F/5 as a semi-diameter, one of 9.8 mm as a diameter."""
+    for stop, size, kind in ((4.7, 8, "semi-diameters"), (9.4, 16, "full diameters")):
+        lens = read_flaresim(written(tmp_path, SINGLET.format(stop=stop, size=size)))
+        assert any(kind in note for note in lens.notes), lens.notes
+        assert lens.aperture == pytest.approx(9.4)
+        assert lens.rows[0].semi_diameter == pytest.approx(8)
+
+
+def test_equal_faces_without_a_space_are_cement(tmp_path):
+    """As the same lens with one face between its glasses."""
+    head = SINGLET.partition("50.0   5.0")[0]
+    apart = "50 5 1.6 60 16 1\n-60 0 1 0 16 0\n-60 3 1.7 30 16 1\n-300 1 1 0 16 0\nstop 70 1 0 9.4 0\n"
+    joined = "50 5 1.6 60 16 1\n-60 3 1.7 30 16 1\n-300 1 1 0 16 0\nstop 70 1 0 9.4 0\n"
+    lenses = [read_flaresim(written(tmp_path, head + rows)) for rows in (apart, joined)]
+    assert any("2 and 3" in note for note in lenses[0].notes)
+    both = [[(row.radius, row.material, row.thickness, row.coating) for row in lens.rows] for lens in lenses]
+    assert both[0] == both[1]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("", "", "it has no real focus (focal length -125.4"),
+        ("stop   46.0", "stop   x", r"line 11: thickness is 'x'; give a number"),
+        ("50.0   5.0 ", "inf   ", "line 9: 5 columns"),
+        ("-50.0  1.0   1.0", "-50.0  -70.0   1.0", "line 10: thickness -70 mm; light does not go back"),
+        ("-50.0  1.0   1.0", "-50.0  1.0   0.9", "line 10: index 0.9"),
+        ("surfaces:", "rows:", "it holds no surfaces"),
+        ("{size}  1\n", "{size}  1 cyl_x\n", "line 9: surface of type 'cyl_x'"),
+        ("stop   46.0  1.0 ", "0   46.0  1.5 ", "the last surface has glass behind it"),
+        ("focal_length: 49.2", "focal_length: long", "line 5: focal length is 'long'"),
+    ],
+)
+def test_what_cannot_be_read_is_named(tmp_path, old, new, message):
+    path = written(tmp_path, SINGLET.replace(old, new).format(size=16, stop=9.4)) if old else DATA / "converter.lens"
+    with pytest.raises(MistrayError, match=re.escape(message)) as found:
+        read_flaresim(path)
+    assert path.name in str(found.value)
+    assert "\n" not in str(found.value)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["nikkor_28mm", "no_stop_20mm", "without_its_aspheres"])
+def test_the_light_that_passes_the_stop_arrives(name):
+    """95 % of it, less what bare and coated faces reflect: 4 % and 1.5 % each at most; and there are ghosts."""
+    prescription = from_flaresim(DATA / f"{name}.lens")
+    scene = prescription.to_scene()
+    faces = sum(surface.front == "air" or surface.back == "air" for surface in prescription.surfaces)
+    t = mistray.trace(scene, rays=4000, max_reflections=0)
+    assert t.energy.detected_W / t.pupil_W > 0.95 * (1 - 0.08) ** faces
+    assert len(mistray.ghosts(scene, rays=2000)[0].paths) > 3
