@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 import zipfile
-from typing import BinaryIO
+from typing import IO
 
 import numpy as np
 
@@ -54,7 +54,7 @@ def check_arrays(data: bytes, most: int) -> io.BytesIO:
     return stream
 
 
-def _check_array(array: BinaryIO, size: int, most: int) -> None:
+def _check_array(array: IO[bytes], size: int, most: int) -> None:
     """Compare an array's header with the bytes that are there."""
     version = np.lib.format.read_magic(array)
     read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0

@@ -125,6 +125,8 @@ def _crashes(key: str, value: Any) -> str:
 
 def _special(name: Any) -> str:
     """Why a file that a plugin of Mitsuba reads may not be opened; empty if it may, or is missing."""
+    if isinstance(name, str) and not name.strip():  # Mitsuba finds its own folder by it
+        return f"{FILE} is {name!r}; name a file"
     file = str(mi.file_resolver().resolve(name)) if isinstance(name, str) else ""
     if not os.path.exists(file):
         return ""

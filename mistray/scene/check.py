@@ -15,6 +15,7 @@ from mistray.ids import check_id, hidden
 from mistray.physics.geometry.crossing import SAMPLES, meeting
 
 LAST_ROW = [0.0, 0.0, 0.0, 1.0]  # of a transform; Mitsuba takes it for this whatever it says
+NAMES = ("grid", "part")  # properties that are names; Mitsuba finds its own folder by an empty one
 TOLERANCE = 1e-7  # heights, relative to the radius of the surface: what is written with fewer digits than that touches
 
 
@@ -53,6 +54,8 @@ def property_of(node: Any, key: str) -> Any:
 def _check_value(key: str, value: Any, kind: str) -> None:
     """Raise if a property of any plugin is none, whatever the plugin says of it."""
     if isinstance(value, str):
+        if key in NAMES and not value.strip():
+            raise MistrayError(f"{key} is {value!r}; give a name, or leave it out")
         if key == "part":
             check_id(value, key)
         if letter := hidden(value, "\t\n\r"):

@@ -217,6 +217,10 @@ def test_numbers_of_dicts(tmp_path: Path) -> None:
         ({"type": "asphere", "semi_diameter": None}, "semi_diameter is None"),
         ({"type": "asphere", "semi_diameter": ""}, "semi_diameter is ''"),
         ({"type": "asphere", "semi_diameter": 5.0, "part": "a\ud800"}, "half of a character"),
+        ({"type": "asphere", "semi_diameter": 5.0, "part": ""}, "part is ''"),
+        ({"type": "freeform", "semi_diameter": 5.0, "grid": " "}, "grid is ' '"),
+        ({"type": "part_mesh", "filename": ""}, "filename is ''"),
+        ({"type": "collimated", "radius": 1.0, "wavelength_nm": "550,,600"}, "wavelength_nm is '550,,600'"),
     ):
         with pytest.raises(MistrayError) as caught:
             mistray.load({"type": "scene", "one": part})
