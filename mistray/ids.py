@@ -10,6 +10,8 @@ from mistray.errors import MistrayError
 
 EVENT_LETTERS = "ATRItrij"  # as of `mistray.recorders.path_events.LETTERS`
 FORMULA_SIGNS = "=+-@"  # a spreadsheet that reads a table takes what begins so for a formula
+JOINERS = "\u200c\u200d"  # between the letters of scripts that need them
+CONTROLS = {"Cc", "Cf", "Cs", "Zl", "Zp"}  # categories of what steers a line or a terminal, or cannot be seen
 _BETWEEN = re.compile(rf"(?<=:[{EVENT_LETTERS}])\s+")
 
 
@@ -27,12 +29,36 @@ def fits(name: str, pattern: str) -> bool:
     return name == pattern or fnmatchcase(name, pattern)
 
 
+def hidden(text: str, breaks: str = "") -> str:
+    """
+    The first character of a text that nobody sees, or that turns, breaks or steers the line that it stands in.
+
+    Parameters
+    ----------
+    text : str
+    breaks : str
+        Control characters that are allowed.
+
+    Returns
+    -------
+    str
+        Empty if there is none. A joiner between two letters or marks is none.
+    """
+    for place, letter in enumerate(text):
+        if unicodedata.category(letter) not in CONTROLS or letter in breaks:
+            continue
+        beside = text[place - 1 : place] + text[place + 1 : place + 2]
+        if letter not in JOINERS or len(beside) < 2 or not all(unicodedata.category(c)[0] in "LMS" for c in beside):
+            return letter
+    return ""
+
+
 def check_id(name: str, what: str = "object") -> None:
     """
     Raise if a text cannot be an id.
 
     Blanks, quotation marks, arrows, commas and letters of any script are allowed. Not allowed are line breaks and other
-    control characters, blanks at the ends, a sign at the start by which a spreadsheet knows a formula, and what looks
+    `hidden` characters, blanks at the ends, a sign at the start by which a spreadsheet knows a formula, and what looks
     like the end of an event, as in ``a:T b``.
 
     Parameters
@@ -45,8 +71,8 @@ def check_id(name: str, what: str = "object") -> None:
     ------
     MistrayError
     """
-    if any(unicodedata.category(letter) in ("Cc", "Zl", "Zp") for letter in name):
-        why = "holds a line break or another control character"
+    if letter := hidden(name):
+        why = f"holds U+{ord(letter):04X}, a line break or another character that is not seen"
     elif name[:1] in tuple(FORMULA_SIGNS):
         why = f"begins with {name[0]}, which a spreadsheet takes for a formula"
     elif name != name.strip():

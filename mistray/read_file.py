@@ -48,7 +48,7 @@ def open_input(path: str | Path) -> BinaryIO:
     return file
 
 
-def read_file(path: str | Path, what: str = "file", remedy: str = REMEDY) -> bytes:
+def read_file(path: str | Path, what: str = "file", remedy: str = REMEDY, most: int | None = None) -> bytes:
     """
     The content of a regular file.
 
@@ -59,17 +59,22 @@ def read_file(path: str | Path, what: str = "file", remedy: str = REMEDY) -> byt
         Kind of file, with which the message begins.
     remedy : str
         With which it ends.
+    most : int, optional
+        Bytes that it may have.
 
     Raises
     ------
     MistrayError
-        If it cannot be read, or is no regular file.
+        If it cannot be read, is no regular file, or is too large.
     """
     try:
         with open_input(path) as file:
-            return file.read()
+            content = file.read() if most is None else file.read(most + 1)
     except OSError as error:
         raise _error(path, what, error.strerror, remedy) from None
+    if most is not None and len(content) > most:
+        raise _error(path, what, f"it has more than {most >> 20} MiB", "make it smaller")
+    return content
 
 
 def read_text(path: str | Path, what: str = "file", remedy: str = REMEDY) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
 from pathlib import Path
@@ -148,6 +149,9 @@ TITLES = (
     'lens 1 → "front", <b>&</b>',
     "../../x",
     "--",
+    "a\u202eb\u202c",
+    "\u200b\ufeffa\u2066",
+    "a\x9b31mb",
 )
 BOX = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)) + "f 1 2 4\nf 5 8 6\n"
 
@@ -192,6 +196,91 @@ def test_meshes_beside_a_scene_of_a_strange_name(tmp_path: Path, stem: str) -> N
     scene = tmp_path / f"{stem}.xml"
     assert cli.main(["import", str(tmp_path / "m.obj"), "-o", str(scene)]) == 0
     assert [shape.id() for shape in mistray.load(scene).shapes()]
+
+
+HIDDEN = (
+    "a\x1bb",
+    "a\x9bb",
+    "a\u202eb",
+    "a\u2069b",
+    "a\u200bb",
+    "\ufeffa",
+    "a\u200d",
+    "a \u200c b",
+    "a\u00adb",
+    "a\u2028b",
+)
+FORMULAS = ("=cmd|' /C calc'!A0", "+1", "-1", "@SUM(1)")
+
+
+@pytest.mark.parametrize("name", [*HIDDEN, *FORMULAS, "a\n[trace]\nrays = 7", " a"])
+@pytest.mark.parametrize("what", ["shape", "part", "source", "bsdf", "probe"])
+def test_names_of_all_kinds_obey_one_rule(what: str, name: str) -> None:
+    """They stand in tables, studies and on terminals."""
+    wall = {"type": "interface", "R": 0.0}
+    keys = {key: name if key == what else key for key in ("shape", "source", "bsdf", "probe")}
+    scene = {
+        "type": "scene",
+        keys["bsdf"]: wall,
+        keys["shape"]: {
+            "type": "asphere", "semi_diameter": 5.0, "part": name if what == "part" else "part",
+            "nested": {"type": "ref", "id": keys["bsdf"]},
+        },
+        keys["source"]: {"type": "collimated", "radius": 1.0},
+        keys["probe"]: {"type": "probe", "half_width": 5.0},
+    }  # fmt: skip
+    with pytest.raises(MistrayError) as caught:
+        mistray.load(scene)
+    said = str(caught.value)
+    assert said.isprintable()
+    assert "rename it" in said
+    assert ascii(name)[1:-1].split("\\")[0] in said
+
+
+@pytest.mark.parametrize("name", HIDDEN[1:])
+def test_hidden_characters_in_files(tmp_path: Path, name: str) -> None:
+    """XML 1.0 allows them; as the name of a part, and in other texts."""
+    text = plates_text(1)
+    part = f'<string name="part" value={quoteattr(name)}/>'
+    with pytest.raises(MistrayError, match="rename it"):
+        mistray.load(write(tmp_path, text.replace('id="p0_front">', f'id="p0_front">{part}', 1)))
+    with pytest.raises(MistrayError, match="which is not seen; take it out"):
+        mistray.load(write(tmp_path, text.replace('name="back" value="', f'name="back" value="{name} ', 1)))
+
+
+def test_joiners_between_letters_stay() -> None:
+    """They change the meaning of words of Persian and Indian languages; elsewhere they are hidden."""
+    for name in (
+        "\u0646\u0645\u06cc\u200c\u062e\u0648\u0627\u0647\u0645",
+        "\u0915\u094d\u200d\u0937",
+        "lens \u2192 \u00e9",
+    ):
+        check_id(name)
+
+
+@pytest.mark.parametrize("given", [{"id": "=x"}, {"id": "a\x9bb"}, {"id": "a\u202eb"}])
+def test_names_of_further_sources_and_sensors(tmp_path: Path, given: dict[str, str]) -> None:
+    path = write(tmp_path, plates_text(1))
+    for more in ({"sources": {"type": "collimated", "radius": 1.0}}, {"sensors": {"type": "probe", "half_width": 5.0}}):
+        ((key, part),) = more.items()
+        with pytest.raises(MistrayError, match="rename it"):
+            mistray.load(path, **{key: part | given})
+
+
+def test_no_cell_of_a_report_is_a_formula(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor does the name of the scene's own file become one."""
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path, plates_text(1)).rename("=x.xml")
+    for command in ("ghosts", "objects"):
+        assert cli.main([command, "=x.xml", "--rays", "200", "--out", command]) == 0
+    tables = list(tmp_path.rglob("*.csv"))
+    assert len(tables) > 5
+    for table in tables:
+        for cell in (cell for row in csv.reader(table.read_text(encoding="utf-8").splitlines()) for cell in row):
+            with contextlib.suppress(ValueError):
+                float(cell)
+                continue
+            assert cell == "-" or not cell.startswith(("=", "+", "-", "@", "\t")), (table, cell)
 
 
 @pytest.mark.parametrize("name", ["=1+1", "-a", "a\nb", "$x", " a"])

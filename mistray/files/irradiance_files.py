@@ -32,7 +32,9 @@ import numpy as np
 import numpy.typing as npt
 
 from mistray.errors import MistrayError
+from mistray.files.arrays import check_arrays
 from mistray.files.json_values import plain
+from mistray.ranges import FILM_PIXELS
 from mistray.read_file import read_file, require_file
 from mistray.replace_file import replace_file
 
@@ -42,6 +44,7 @@ UNIT_FITS, UNIT_EXR = "W mm-2", "W/mm^2"
 ERROR_HDU, ERROR_CHANNEL = "STDERR", "standard_error.Y"
 AXES = ("x", "y")
 WHAT = "irradiance map"  # for messages
+MOST_BYTES = 4 << 30  # of a map in memory: the two images of the largest film, and as much again
 LARGEST = float(np.finfo(np.float32).max)
 
 
@@ -237,6 +240,11 @@ def _write_exr(m: IrradianceMap) -> bytes:
 def _read_exr(path: Path) -> IrradianceMap:
     openexr = _openexr()
     require_file(path, WHAT)  # OpenEXR reads from names only
+    with openexr.File(str(path), header_only=True) as file:  # pixels take memory before they are read
+        (x0, y0), (x1, y1) = file.header()["dataWindow"]
+        pixels = (int(x1) - int(x0) + 1) * (int(y1) - int(y0) + 1)
+    if pixels > FILM_PIXELS.high:
+        raise MistrayError(f"irradiance map '{path}': its {pixels} pixels are more than {FILM_PIXELS.high:g}; bin it")
     with openexr.File(str(path), separate_channels=True) as file:
         header, channels = file.header(), file.channels()
         missing = [name for name in ("Y", ERROR_CHANNEL) if name not in channels] + [
@@ -245,8 +253,8 @@ def _read_exr(path: Path) -> IrradianceMap:
         if missing:
             raise MistrayError(f"irradiance map '{path}': no {missing[0]}; give a file that mistray wrote")
         value, se = (np.array(channels[name].pixels[::-1], dtype=np.float64) for name in ("Y", ERROR_CHANNEL))
-        x0, x1, y0, y1 = (float(word) for word in header["extent_mm"].split())
-        return IrradianceMap(value, se, (x0, x1, y0, y1), json.loads(header["facts"]))
+        left, right, low, high = (float(word) for word in header["extent_mm"].split())
+        return IrradianceMap(value, se, (left, right, low, high), json.loads(header["facts"]))
 
 
 def _write_npy(m: IrradianceMap) -> bytes:
@@ -268,7 +276,11 @@ def _write_npy(m: IrradianceMap) -> bytes:
 
 
 def _read_npy(path: Path) -> IrradianceMap:
-    record = np.load(io.BytesIO(read_file(path, WHAT)), allow_pickle=False)
+    try:
+        stream = check_arrays(read_file(path, WHAT), MOST_BYTES)
+    except MistrayError as error:
+        raise MistrayError(f"irradiance map '{path}': {error}") from None
+    record = np.load(stream, allow_pickle=False)
     if not record.dtype.names or "irradiance_se_W_mm2" not in record.dtype.names:
         raise MistrayError(f"irradiance map '{path}': no field irradiance_se_W_mm2; give a file that mistray wrote")
     x0, x1, y0, y1 = (float(value) for value in record["extent_mm"])

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import io
+import zlib
 from pathlib import Path
 from zipfile import BadZipFile
 
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.files.arrays import check_arrays
 from mistray.read_file import read_file
 
+MOST_POINTS = 1 << 24  # of a grid: 4096 by 4096
+MOST_BYTES = 1 << 30  # that a file may have, or unpack to; the most points are 0.53 GiB
 UNITS_MM = (1.0, 10.0, 25.4, 1000.0)  # by the unit flag of a text file
 SUFFIX = ".npz"
 
@@ -43,8 +47,9 @@ def read_sag_grid(path: str | Path) -> Values:
         If it cannot be read or a number in it is none.
     """
     path = Path(path)
+    content = read_file(path, "grid", most=MOST_BYTES)
     try:
-        return _from_archive(path) if path.suffix == SUFFIX else _from_text(path)
+        return _from_archive(content) if path.suffix == SUFFIX else _from_text(content)
     except MistrayError as error:
         raise MistrayError(f"grid '{path}': {error}") from None
 
@@ -58,23 +63,30 @@ def sag_grid_bytes(
     return content.getvalue()
 
 
-def _from_archive(path: Path) -> Values:
+def _check_points(nx: int, ny: int) -> None:
+    if nx * ny > MOST_POINTS:
+        raise MistrayError(f"{nx} by {ny} points are more than {MOST_POINTS}; give it a coarser step")
+
+
+def _from_archive(content: bytes) -> Values:
     try:
-        with np.load(io.BytesIO(read_file(path, "grid")), allow_pickle=False) as data:
+        with np.load(check_arrays(content, MOST_BYTES), allow_pickle=False) as data:
             corners, step, middle, missing = (data[key] for key in ("corners", "step", "middle", "missing"))
-            corners, missing = corners.astype(np.float64), missing.astype(bool)
-            sizes = [(float(pair[0]), float(pair[1])) for pair in (step, middle)]
-    except (OSError, ValueError, KeyError, IndexError, TypeError, EOFError, BadZipFile) as error:
+        if corners.ndim != 3 or corners.shape[2] != 4 or missing.shape != corners.shape[:2]:
+            raise MistrayError("its arrays do not go together; make it again")
+        _check_points(missing.shape[1], missing.shape[0])
+        sizes = [(float(pair[0]), float(pair[1])) for pair in (step, middle)]
+        return corners.astype(np.float64), sizes[0], sizes[1], missing.astype(bool)
+    except MistrayError:
+        raise
+    except (OSError, ValueError, KeyError, IndexError, TypeError, EOFError, BadZipFile, zlib.error) as error:
         raise MistrayError(f"it is no grid that mistray wrote ({error}); make it again") from None
-    if corners.ndim != 3 or corners.shape[2] != 4 or missing.shape != corners.shape[:2]:
-        raise MistrayError("its arrays do not go together; make it again")
-    return corners, sizes[0], sizes[1], missing
 
 
-def _from_text(path: Path) -> Values:
+def _from_text(content: bytes) -> Values:
     lines = [
         (k, line.split())
-        for k, line in enumerate(read_file(path, "grid").decode("latin-1").splitlines(), 1)
+        for k, line in enumerate(content.decode("latin-1").splitlines(), 1)
         if line.strip() and line.lstrip()[0] != "!"
     ]
     if not lines:
@@ -86,6 +98,7 @@ def _from_text(path: Path) -> Values:
     unit = int(head[4]) if len(head) > 4 else 0
     if not 0 <= unit < len(UNITS_MM):
         raise MistrayError(f"unit {unit}; it is 0 (mm), 1 (cm), 2 (inch) or 3 (m)")
+    _check_points(nx, ny)
     if min(nx, ny) < 1 or len(lines) - 1 != nx * ny:
         raise MistrayError(f"{len(lines) - 1} points for {nx} by {ny}; complete it")
     rows = np.zeros((nx * ny, 5))

@@ -19,6 +19,7 @@ import mitsuba as mi
 from mistray.errors import MistrayError
 from mistray.materials.mate import shown
 from mistray.read_file import require_file
+from mistray.scene.check import property_of
 from mistray.scene.messages import FILE
 from mistray.scene.xml_file import DEEPEST
 
@@ -69,7 +70,7 @@ def check_file(state: Any) -> None:
     """
     for node in state.nodes:
         name, kind = node.props.plugin_name(), KINDS.get(node.type.name, node.type.name.lower())
-        reason = _special(node.props.get(FILE, None)) if FILE in node.props else ""
+        reason = _special(property_of(node, FILE)) if FILE in node.props else ""
         if not reason and name not in STOCK.get(kind, ()):
             reason = _refusal(name)
         if reason:
@@ -83,8 +84,8 @@ def check_dict(given: Mapping[str, Any]) -> None:
     Raises
     ------
     MistrayError
-        A type is not allowed, or the dict is nested deeper than `mistray.scene.xml_file.DEEPEST`; the text names the
-        place as Mitsuba's own errors do.
+        A type is not allowed, a value is None, which would end the process, or the dict is nested deeper than
+        `mistray.scene.xml_file.DEEPEST`; the text names the place as Mitsuba's own errors do.
     """
     for path, name, file in _types(given):
         reason = _special(file)
@@ -102,13 +103,30 @@ def _types(given: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
         if len(path) > DEEPEST:
             raise MistrayError(f"scene: '{path[0]}' holds dicts {DEEPEST} deep within each other; correct the dict")
         name = item.get("type")
+        where = ".".join(path) or "root"
+        for key, value in item.items():
+            reason = _crashes(str(key), value)
+            if reason:
+                raise MistrayError(f'While loading dictionary node "{where}": MistrayError: {reason}')
         if isinstance(name, str):
-            yield ".".join(path) or "root", name, item.get(FILE)
+            yield where, name, item.get(FILE)
         waiting += [((*path, str(key)), value) for key, value in item.items() if isinstance(value, dict)]
+
+
+def _crashes(key: str, value: Any) -> str:
+    """Why Mitsuba's reader of dicts would not survive an entry, or not name it; empty if it reads it."""
+    if value is None:
+        return f"{key} is None; give a value, or leave it out"
+    for text in (key, value):
+        if isinstance(text, str) and any("\ud800" <= letter <= "\udfff" for letter in text):
+            return f"{text!a} holds half of a character; take it out"
+    return ""
 
 
 def _special(name: Any) -> str:
     """Why a file that a plugin of Mitsuba reads may not be opened; empty if it may, or is missing."""
+    if isinstance(name, str) and not name.strip():  # Mitsuba finds its own folder by it
+        return f"{FILE} is {name!r}; name a file"
     file = str(mi.file_resolver().resolve(name)) if isinstance(name, str) else ""
     if not os.path.exists(file):
         return ""

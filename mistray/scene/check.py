@@ -1,4 +1,4 @@
-"""What makes no optical system although each of its parts is in order: no scene at all, surfaces that overlap."""
+"""What makes no optical system although each of its parts is in order: no scene, no names, no numbers, overlaps."""
 
 from __future__ import annotations
 
@@ -11,9 +11,72 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.ids import check_id, hidden
 from mistray.physics.geometry.crossing import SAMPLES, meeting
 
+LAST_ROW = [0.0, 0.0, 0.0, 1.0]  # of a transform; Mitsuba takes it for this whatever it says
+NAMES = ("grid", "part")  # properties that are names; Mitsuba finds its own folder by an empty one
 TOLERANCE = 1e-7  # heights, relative to the radius of the surface: what is written with fewer digits than that touches
+
+
+def check_values(state: Any) -> None:
+    """
+    Check names and numbers of a scene that Mitsuba has read, from a file or a dict, and not yet built.
+
+    Parameters
+    ----------
+    state : mi.parser.ParserState
+
+    Raises
+    ------
+    MistrayError
+        An id or a part cannot be a name, a text holds characters that are not seen, a number is none, a transform or
+        a place is not finite, or the last row of a transform is not 0 0 0 1; the text names the place as Mitsuba's own
+        errors do.
+    """
+    for node in state.nodes:
+        kind = node.type.name.lower()
+        try:
+            check_id(node.props.id(), "object" if kind == "unknown" else kind)
+            for key in node.props.keys():  # noqa: SIM118  Properties iterate over other things
+                _check_value(key, property_of(node, key), node.props.type(key).name)
+        except MistrayError as error:
+            raise MistrayError(f"While loading {mi.parser.file_location(state, node)}: MistrayError: {error}") from None
+
+
+def property_of(node: Any, key: str) -> Any:
+    """A property of a node as it is: Mitsuba would take it for one that the plugin knows once somebody has read it."""
+    value = node.props[key]
+    node.props.mark_queried(key, False)
+    return value
+
+
+def _check_value(key: str, value: Any, kind: str) -> None:
+    """Raise if a property of any plugin is none, whatever the plugin says of it."""
+    if isinstance(value, str):
+        if key in NAMES and not value.strip():
+            raise MistrayError(f"{key} is {value!r}; give a name, or leave it out")
+        if key == "part":
+            check_id(value, key)
+        if letter := hidden(value, "\t\n\r"):
+            raise MistrayError(f"{key} {value!a} holds U+{ord(letter):04X}, which is not seen; take it out")
+    elif isinstance(value, float):
+        if np.isnan(value):
+            raise MistrayError(f"{key} is nan; it must be a number")
+    elif kind in ("Transform", "Any") and hasattr(value, "matrix"):
+        matrix = np.array(value.matrix, dtype=np.float64)
+        if not np.isfinite(matrix).all():
+            raise MistrayError(f"{key} holds {_first_strange(matrix)}; its numbers must be finite")
+        if matrix.shape == (4, 4) and matrix[3].tolist() != LAST_ROW:
+            raise MistrayError(f"{key} has {matrix[3].tolist()} as its last row; it must be {LAST_ROW}")
+    elif kind in ("Vector", "Color", "Spectrum"):
+        numbers = np.array(getattr(value, "values", value), dtype=np.float64)
+        if not np.isfinite(numbers).all():
+            raise MistrayError(f"{key} holds {_first_strange(numbers)}; its numbers must be finite")
+
+
+def _first_strange(numbers: np.ndarray) -> str:
+    return f"{numbers[~np.isfinite(numbers)].flat[0]:g}"
 
 
 def require_scene(scene: Any, function: str) -> None:

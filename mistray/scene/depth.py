@@ -18,6 +18,7 @@ from xml.parsers import expat
 from mistray.errors import MistrayError
 from mistray.materials.mate import printable
 from mistray.read_file import read_file, require_file
+from mistray.scene.check import LAST_ROW
 from mistray.scene.files import MOST_TEXT, filled
 from mistray.scene.messages import FILE, VALUE_TAGS, Element
 from mistray.scene.xml_file import DEEPEST, too_deep
@@ -42,7 +43,6 @@ LISTS: Mapping[str, Mapping[str, tuple[int, ...]]] = {
     "lookat": {"origin": (3,), "target": (3,), "up": (3,)},
 }
 MAY_BE_EMPTY = {("lookat", "up")}
-LAST_ROW = [0.0, 0.0, 0.0, 1.0]  # of a matrix; Mitsuba takes it for this whatever it says
 
 _NUMBER = re.compile(
     r"[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[+-]?[0-9]+)?|(?P<word>inf(?:inity)?|nan(?:\(\w*\))?))",

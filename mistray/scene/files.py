@@ -46,7 +46,10 @@ def scene_files(path: Path, text: bytes | None = None) -> list[Path]:
 
     def read(scene: Path) -> None:
         for element in SceneFile(scene, text if scene == first else None).root.walk():
-            value, name = (filled(element.values.get(key, ""), defaults) for key in ("value", "filename"))
+            try:
+                value, name = (filled(element.values.get(key, ""), defaults) for key in ("value", "filename"))
+            except MistrayError as error:
+                raise MistrayError(f"scene '{scene}': {error}") from None
             texts.extend((value, name))
             if element.tag == "default":
                 defaults.setdefault(element.values.get("name", ""), value)

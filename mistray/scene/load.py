@@ -17,10 +17,9 @@ import mitsuba as mi
 from mistray._mitsuba_compat import own_folder_first
 from mistray._variant import ensure_variant
 from mistray.errors import MistrayError, MistrayWarning
-from mistray.ids import check_id
 from mistray.materials.mate import shown
 from mistray.scene.allowed_plugins import RESOURCES, check_dict, check_file
-from mistray.scene.check import check_overlaps
+from mistray.scene.check import check_overlaps, check_values
 from mistray.scene.depth import check_source
 from mistray.scene.improbable import improbable
 from mistray.scene.messages import explain, is_interrupt
@@ -62,8 +61,8 @@ def load(
     Raises
     ------
     MistrayError
-        If the file is missing or nested too deeply, Mitsuba cannot read it or surfaces overlap; the message is one
-        line.
+        If the file is missing, nested too deeply or too large with what it includes, a number in it is none, an id or
+        a part cannot be a name, Mitsuba cannot read it or surfaces overlap; the message is one line.
 
     Warns
     -----
@@ -109,8 +108,6 @@ def _loaded(given: Path | dict[str, Any], text: str | None, sources: Parts, sens
     )
     if others or more:
         scene = _with_parts(scene, others, more)
-    for shape in scene.shapes():
-        check_id(shape.id(), "shape")
     _light_interfaces(scene)
     check_overlaps(scene)
     for line in improbable(scene):
@@ -130,6 +127,10 @@ def _light_interfaces(scene: mi.Scene) -> None:
 def _with_parts(scene: mi.Scene, sources: Sequence[Part], sensors: Sequence[Part]) -> mi.Scene:
     """The scene with other light and more sensors."""
     light, seen = source_dicts(sources), sensor_dicts(sensors)
+    try:
+        check_values(mi.parser.parse_dict(_config(), {"type": "scene"} | light | seen))
+    except (MistrayError, RuntimeError, TypeError) as error:
+        raise MistrayError(explain(error, light | seen)) from None
     try:
         return with_parts(scene, light, seen)
     except (RuntimeError, TypeError) as error:
@@ -190,6 +191,7 @@ def _search(*folders: str) -> Iterator[None]:
 
 def _built(state: Any) -> Any:
     """The objects of a scene that has been read and checked."""
+    check_values(state)
     config = _config()
     mi.parser.transform_all(config, state)
     own_folder_first(mi.file_resolver())  # elements <path> came before

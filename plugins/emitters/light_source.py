@@ -220,8 +220,9 @@ class LightSource(mi.Emitter):
         return float(within.check(key, props.get(key, default), self.owner))
 
     def _numbers(self, key: str, value: object, within: Range) -> np.ndarray:
-        try:
-            found = [float(part) for part in str(value).replace(",", " ").split()]
+        text = str(value).strip(" ,")
+        try:  # nothing between two commas is no number
+            found = [float(one) for part in text.split(",") for one in part.split() or ("",)] if text else []
         except ValueError:
             self._fail(f"{key} is '{value}'; give one number or a list separated by commas")
         return np.array([within.check(key, number, self.owner) for number in found], dtype=np.float64)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import time
 from pathlib import Path
 
+import mitsuba as mi
 import pytest
 
 import mistray
@@ -193,3 +195,34 @@ def test_numbers_that_a_stock_plugin_refuses(tmp_path: Path, value: str, words: 
     assert "hdrfilm of irradiancemeter of shape 'L1'" in said
     assert words in said
     assert "properties.h" not in said
+
+
+@pytest.mark.parametrize("name", ["filename", "prt", "r"])
+def test_what_has_been_checked_still_has_to_be_known(tmp_path: Path, name: str) -> None:
+    """Mitsuba takes a property for known once somebody has read it, whoever it was."""
+    assert f"unknown parameter '{name}'" in refusal(tmp_path, LENS.format(f'<string name="{name}" value="x"/>'))
+
+
+def test_numbers_of_dicts(tmp_path: Path) -> None:
+    """Of stock plugins too, which say nothing."""
+    box = {"type": "interface", "R": 0.0}
+    tipped = mi.ScalarTransform4f([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 0]])
+    for part, words in (
+        ({"type": "sphere", "radius": math.nan, "bsdf": box}, "radius is nan"),
+        ({"type": "sphere", "to_world": mi.ScalarTransform4f().translate([0, 0, math.inf]), "bsdf": box}, "to_world"),
+        ({"type": "cube", "to_world": tipped, "bsdf": box}, "last row"),
+        ({"type": "point", "position": [0.0, math.nan, 1.0]}, "position holds nan"),
+        ({"type": "point", "intensity": {"type": "rgb", "value": [1.0, 2.0, math.inf]}}, "intensity holds inf"),
+        ({"type": "point", "intensity": {"type": "spectrum", "value": math.nan}}, "intensity holds nan"),
+        ({"type": "asphere", "semi_diameter": None}, "semi_diameter is None"),
+        ({"type": "asphere", "semi_diameter": ""}, "semi_diameter is ''"),
+        ({"type": "asphere", "semi_diameter": 5.0, "part": "a\ud800"}, "half of a character"),
+        ({"type": "asphere", "semi_diameter": 5.0, "part": ""}, "part is ''"),
+        ({"type": "freeform", "semi_diameter": 5.0, "grid": " "}, "grid is ' '"),
+        ({"type": "part_mesh", "filename": ""}, "filename is ''"),
+        ({"type": "collimated", "radius": 1.0, "wavelength_nm": "550,,600"}, "wavelength_nm is '550,,600'"),
+    ):
+        with pytest.raises(MistrayError) as caught:
+            mistray.load({"type": "scene", "one": part})
+        assert "'one'" in str(caught.value)
+        assert words in str(caught.value)

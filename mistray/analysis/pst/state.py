@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.files.arrays import check_arrays
 from mistray.read_file import open_input
 from mistray.replace_file import replace_file
 
@@ -140,17 +141,17 @@ def load_state(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]
     """
     try:
         with open_input(path) as file:
-            data = io.BytesIO(file.read())
-        if sum(entry.file_size for entry in zipfile.ZipFile(data).infolist()) > MOST_BYTES:
-            raise MistrayError(f"state '{path}': it would unpack to more than {MOST_BYTES >> 30} GiB; remove it")
-        with np.load(data, allow_pickle=False) as archive:
-            content = json.loads(str(archive[_FACTS][()]))
+            content = file.read()
+        with np.load(check_arrays(content, MOST_BYTES), allow_pickle=False) as archive:
+            written = json.loads(str(archive[_FACTS][()]))
             arrays = {name.removeprefix(_ARRAY): archive[name] for name in archive.files if name.startswith(_ARRAY)}
-        form, facts = content["form"], dict(content["facts"])
+        form, facts = written["form"], dict(written["facts"])
     except FileNotFoundError:
         raise MistrayError(f"state '{path}': no such file; run once without resuming, or check the path") from None
     except OSError as error:
         raise MistrayError(f"state '{path}': {error.strerror or error}; check the path") from None
+    except MistrayError as error:
+        raise MistrayError(f"state '{path}': {error}") from None
     except _DAMAGES:
         raise MistrayError(f"state '{path}' is damaged or no state; remove it and run without resuming") from None
     if form != FORM:

@@ -19,7 +19,6 @@ from mistray.optimize.metrics.views import View
 from mistray.ranges import FIELD_DEG, POSITIVE, Range
 from mistray.recorders.path_events import DIRECT
 from mistray.renamed import renamed
-from mistray.scene.check import require_scene
 from mistray.trace import trace
 from mistray.trace.check_paths import check_paths
 
@@ -65,7 +64,6 @@ class Metric:
     name: str = "metric"
 
     def __post_init__(self) -> None:
-        require_scene(self.scene, self.name)
         object.__setattr__(self, "field_deg", _angles(self.field_deg))
 
     @property
