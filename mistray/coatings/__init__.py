@@ -15,6 +15,7 @@ Wavelengths are those in vacuum, nm; N = n + ik with k > 0 absorbing.
 """
 
 from mistray.coatings.files import coating_from_text, read_coating, write_table
+from mistray.coatings.fitted import Fitted, fitted_preset
 from mistray.coatings.presets import PRESETS, preset
 from mistray.coatings.response import Coating, Response
 from mistray.coatings.simple import Bare, Ideal
@@ -31,12 +32,14 @@ __all__ = [
     "Coating",
     "CoatingFile",
     "CoatingTable",
+    "Fitted",
     "Ideal",
     "Layer",
     "Response",
     "Spectrum",
     "Stack",
     "coating_from_text",
+    "fitted_preset",
     "layer_text",
     "parse_layers",
     "preset",

@@ -314,8 +314,8 @@ def _materials(spec: Spec) -> tuple[_Material, ...]:
         found = _from_pages(find(form.name))
     if spec.k is None:
         return found
-    given = {"k": constant(spec.k), "k_page": None, "k_reference": "given in the string"}
-    return tuple(replace(one, **given) for one in found)
+    given = constant(spec.k)
+    return tuple(replace(one, k=given, k_page=None, k_reference="given in the string") for one in found)
 
 
 @lru_cache(maxsize=256)

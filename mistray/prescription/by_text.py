@@ -16,10 +16,13 @@ from mistray.scatter.kinds import KINDS
 
 BARE, CLEAN = "bare", "none"
 SHARES = ("R", "T")
+IN_WAVES = re.compile(r"\dw\s*(,|$)")  # of layers, whose thickness in waves ends so
 OF_LAYERS = ("design_nm", "first")  # words that may follow layers, a preset or a file
 
 
-def coating_of(text: str, known: Mapping[str, Coating] = MappingProxyType({})) -> Coating | None:
+def coating_of(
+    text: str, known: Mapping[str, Coating] = MappingProxyType({}), design_nm: float = Coating.design_nm
+) -> Coating | None:
     """
     A coating by name or by values.
 
@@ -31,6 +34,8 @@ def coating_of(text: str, known: Mapping[str, Coating] = MappingProxyType({})) -
         stand ``design_nm=850`` and ``first=back``.
     known : mapping of str to Coating
         Others, such as those of a scene.
+    design_nm : float
+        Wavelength of thicknesses in waves where the text gives none, nm.
 
     Returns
     -------
@@ -59,8 +64,10 @@ def coating_of(text: str, known: Mapping[str, Coating] = MappingProxyType({})) -
     own: dict[str, Any] = dict(more)
     if "design_nm" in more:
         own["design_nm"] = _number(text, "design_nm", more["design_nm"])
+    elif recipe not in PRESETS and IN_WAVES.search(recipe):
+        own["design_nm"] = design_nm
     try:
-        design_nm = own.get("design_nm", 550.0)
+        design_nm = own.get("design_nm", Coating.design_nm)
         found = coating_from_text(recipe, design_nm)
         if isinstance(found, Stack):
             found.indices(design_nm, nearest=True)

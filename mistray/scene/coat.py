@@ -22,13 +22,21 @@ from mistray.scene.depth import check_source
 from mistray.scene.files import filled
 from mistray.scene.load import Parts, find, load_text
 from mistray.scene.recoat import COATED, Refit, refitted
-from mistray.scene.surface_rules import Change, CoatingRules, Face, Left, Painter, PaintRules, Rules, ScatterRules
+from mistray.scene.surface_rules import (
+    Change,
+    CoatingRules,
+    Face,
+    Left,
+    Painter,
+    PaintRules,
+    Rules,
+    ScatterRules,
+    is_gas,
+)
 from mistray.scene.xml_file import Element, SceneFile
 
 if TYPE_CHECKING:
     import mitsuba as mi
-
-GAS_INDEX = 1.01  # of a medium that is no solid and no liquid
 
 
 @dataclass(frozen=True)
@@ -42,10 +50,13 @@ class Coated:
         By the name of the surface.
     left : tuple of Left
         Surfaces that a pattern fits and that stay as they are.
+    notes : tuple of str
+        What presets reach on the bodies that they are put on.
     """
 
     changes: Mapping[str, Change]
     left: tuple[Left, ...]
+    notes: tuple[str, ...] = ()
 
 
 @overload
@@ -159,8 +170,9 @@ def coated_text(path: Path, rules: Rules, folder: Path) -> tuple[str, Coated]:
     check_source(path)
     file = SceneFile(path)
     shared = dict(shared_objects(file))
+    home = str(path.parent)
     comments = "\n".join(file.data[start:end].decode() for start, end in file.comments)
-    painter = Painter(f"scene '{path}'", list(faces_of(file)), shared, file.ids, str(path.parent), comments)
+    painter = Painter(f"scene '{path}'", list(faces_of(file)), shared, file.ids, home, _light_nm(file), comments)
     painter.apply(rules)
     seen = seen_from(folder)
     refits: dict[str, Refit] = {}
@@ -176,7 +188,7 @@ def coated_text(path: Path, rules: Rules, folder: Path) -> tuple[str, Coated]:
     lines = [line for item in new.values() for line in shared_lines(item)]
     kept = {str(change.coating.name) for change in painter.changes.values() if change.coating is not None}
     text = refitted(file, refits, lines, folder, kept=kept)
-    return text, Coated(painter.changes, tuple(painter.left))
+    return text, Coated(painter.changes, tuple(painter.left), tuple(painter.notes))
 
 
 def _coated_prescription(system: Prescription, rules: Rules) -> Prescription:
@@ -188,12 +200,16 @@ def _coated_prescription(system: Prescription, rules: Rules) -> Prescription:
             shape.part,
             opaque=shape.coating is not None and shape.coating.opaque,
             mirror=bool(getattr(shape, "mirror", False)),
-            cemented=not (_is_gas(shape.front) or _is_gas(shape.back)),
+            cemented=not (is_gas(shape.front) or is_gas(shape.back)),
+            front=shape.front,
+            back=shape.back,
         )
         for shape in shapes
     ]
-    names = [shape.name for shape in shapes]
-    painter = Painter(f"prescription '{system.name}'", faces, shared, names, notes=system.provenance)
+    names, light = [shape.name for shape in shapes], () if system.source is None else system.source.wavelength_nm
+    painter = Painter(
+        f"prescription '{system.name}'", faces, shared, names, light_nm=light, provenance=system.provenance
+    )
     painter.apply(rules)
 
     def changed(shape: Any) -> Any:
@@ -241,14 +257,22 @@ def faces_of(file: SceneFile) -> list[Face]:
                 part,
                 opaque=_is_opaque(coating),
                 mirror=values.get("mirror") == "true",
-                cemented=not any(_is_gas(values.get(side, "air")) for side in ("front", "back")),
+                cemented=not any(is_gas(values.get(side, "air")) for side in ("front", "back")),
+                front=values.get("front", "air"),
+                back=values.get("back", "air"),
             )
         )
     return found
 
 
-def _is_gas(material: str) -> bool:
-    return material.strip().lower() in ("air", "vacuum") or (number_of(material) or GAS_INDEX) < GAS_INDEX
+def _light_nm(file: SceneFile) -> tuple[float, ...]:
+    """The wavelengths that the first source of a scene file lists, nm."""
+    for element in file.root.children:
+        if element.tag == "emitter":
+            listed = (child.values for child in element.children if child.values.get("name") == "wavelength_nm")
+            words = next((values.get("value", "") for values in listed), "").replace(",", " ").split()
+            return tuple(number for word in words if (number := number_of(word)) is not None)
+    return ()
 
 
 def _is_opaque(coating: Mapping[str, str]) -> bool:

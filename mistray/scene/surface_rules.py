@@ -9,17 +9,20 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
-from mistray.coatings import read_coating
+from mistray.coatings import fitted_preset, layer_text, read_coating
 from mistray.errors import MistrayError
 from mistray.ids import fits
+from mistray.materials import resolved
 from mistray.mechanics.finish import Finish, finish, known_finishes
-from mistray.prescription.by_text import CLEAN, coating_of, scatter_of
+from mistray.prescription.by_text import CLEAN, coating_of, number_of, scatter_of
 from mistray.prescription.closing.names import renamed_in
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.scatter import Scatter
 from mistray.scatter.kinds import KINDS
 
 OFFERED = 5  # names in a message about a pattern that fits none
+GAS_INDEX = 1.01  # of a medium that is no solid and no liquid
+VISIBLE_NM = (380.0, 780.0)
 OPAQUE, CEMENTED = "is opaque", "lies in cement"
 
 CoatingRules = Mapping[str, str | Coating | None]
@@ -63,6 +66,8 @@ class Face:
         Whether neither side is air.
     fault : str
         Why nothing can be put on it; empty if it can.
+    front, back : str
+        Materials on its sides.
     """
 
     name: str
@@ -71,6 +76,8 @@ class Face:
     mirror: bool = False
     cemented: bool = False
     fault: str = ""
+    front: str = "air"
+    back: str = "air"
 
     def fits(self, pattern: str) -> bool:
         """Whether its name, or that of its part, is what a pattern means."""
@@ -123,14 +130,19 @@ class Painter:
         Names that new ones must not have.
     home : str
         Folder in which shared tables lie.
-    notes : str
-        Of the lens file that the system comes from; they tell which names of it are others here.
+    light_nm : sequence of float
+        Wavelengths of the system's light, nm. Where none is visible, thicknesses in waves are by default for their
+        middle.
+    provenance : str
+        Of the lens file that the system comes from; it tells which names of it are others here.
 
     Attributes
     ----------
     changes : dict of str to Change
         By the name of the surface.
     left : list of Left
+    notes : list of str
+        What presets reach on the bodies that they are put on.
     """
 
     def __init__(
@@ -140,11 +152,14 @@ class Painter:
         shared: Mapping[str, Coating | Scatter],
         taken: Collection[str],
         home: str = "",
-        notes: str = "",
+        light_nm: Sequence[float] = (),
+        provenance: str = "",
     ) -> None:
         self.changes: dict[str, Change] = {}
         self.left: list[Left] = []
-        self._where, self._faces, self._home, self._notes = where, faces, home, notes
+        self.notes: list[str] = []
+        self._design_nm = _design_nm(light_nm)
+        self._where, self._faces, self._home, self._provenance = where, faces, home, provenance
         self._coatings = {name: item for name, item in shared.items() if isinstance(item, Coating)}
         self._scatter = {name: item for name, item in shared.items() if isinstance(item, Scatter)}
         self._shared: dict[str, Coating | Scatter] = dict(shared)
@@ -160,10 +175,15 @@ class Painter:
             If a pattern fits no surface, or none that can take what it brings, or there is no such coating or model.
         """
         for pattern, given in rules.coatings.items():
-            coating = self._named(coating_of(given, self._coatings) if isinstance(given, str) else given)
-            for face in self._able(pattern, f"coating '{pattern}={_shown(given)}'", not self._closed(coating), True):
+            wanted = coating_of(given, self._coatings, self._design_nm) if isinstance(given, str) else given
+            rule = f"coating '{pattern}={_shown(given)}'"
+            named = not isinstance(given, str) or given in self._coatings
+            by_body = not named and wanted is not None and wanted.preset is not None
+            coating = None if by_body else self._named(wanted)
+            for face in self._able(pattern, rule, not self._closed(wanted), True):
                 change = self.changes.get(face.name, Change())
-                self.changes[face.name] = replace(change, recoated=True, coating=coating)
+                on = self._named(self._on_body(wanted, face, rule)) if by_body else coating
+                self.changes[face.name] = replace(change, recoated=True, coating=on)
         for pattern, paint in rules.paint.items():
             look = self._finish(paint)
             coating = self._named(look.coating)
@@ -187,7 +207,7 @@ class Painter:
         """
         fitting = [face for face in self._faces if face.fits(pattern)]
         if not fitting:
-            meant = renamed_in(self._notes).get(pattern)
+            meant = renamed_in(self._provenance).get(pattern)
             if meant is not None:
                 raise MistrayError(
                     f"{self._where}: {rule} fits no surface and no part; did you mean '{meant}'? '{pattern}' is a name "
@@ -214,6 +234,24 @@ class Painter:
                 f"{_remedy(reasons[0])}"
             )
         return able
+
+    def _on_body(self, coating: Coating | None, face: Face, rule: str) -> Coating | None:
+        """A preset fitted to the body of a surface in air, as layers; what is no such preset stays as it is."""
+        body = face.back if is_gas(face.front) else face.front
+        if coating is None or coating.preset is None or coating.opaque or face.cemented or is_gas(body):
+            return coating
+        body = resolved(body, lambda path: f"{self._home}/{path}" if self._home else path)
+        try:
+            fitted = fitted_preset(coating.preset, body, coating.design_nm)
+        except MistrayError as error:
+            raise MistrayError(f"{self._where}: {rule}: '{face.name}': {error}") from None
+        note = f"{coating.preset} on {body}: {fitted}"
+        if note not in self.notes:
+            self.notes.append(note)
+        if not fitted.changed:
+            return coating
+        name = re.sub(r"[^\w-]+", "_", f"{coating.name}_{body}").strip("_")
+        return Coating(layers=layer_text(fitted.stack.layers), first=coating.first, name=name)
 
     def _closed(self, coating: Coating | None) -> bool:
         """Whether a coating lets no light through."""
@@ -255,6 +293,18 @@ class Painter:
         self._taken.add(name)
         self._shared[name] = found = replace(item, name=name)
         return found
+
+
+def _design_nm(light_nm: Sequence[float]) -> float:
+    """Wavelength of thicknesses in waves, nm, where no other is given."""
+    if not light_nm or any(VISIBLE_NM[0] <= nm <= VISIBLE_NM[1] for nm in light_nm):
+        return Coating.design_nm
+    return (min(light_nm) + max(light_nm)) / 2
+
+
+def is_gas(material: str) -> bool:
+    """Whether a material is no solid and no liquid."""
+    return material.strip().lower() in ("air", "vacuum") or (number_of(material) or GAS_INDEX) < GAS_INDEX
 
 
 def _refusal(face: Face, named: bool, transmits: bool) -> str:

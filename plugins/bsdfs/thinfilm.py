@@ -36,7 +36,8 @@ class ThinFilm(Interface):
                                             docs/materials.md; k must be known) and thickness in nm, or in
                                             waves of ``design_nm`` with a w
     preset         string          none     ``mgf2_quarter_wave``, ``v_coat``, ``bbar3``, ``bbar4``,
-                                            ``protected_al``, ``protected_ag``
+                                            ``zns_mwir``, ``zns_lwir``, ``bbar4_mwir``, ``bbar4_lwir``,
+                                            ``protected_al``, ``protected_ag``: the design, not fitted
     table          file            none     CSV over wavelength and angle, or a coating of a Zemax file:
                                             ``COATING.DAT:NAME``
     R              1       0 … 1   none     constant reflectance (differentiable)

@@ -10,6 +10,7 @@ import tmm
 
 import mistray
 from mistray.cli import main
+from mistray.coatings import fitted_preset
 from mistray.errors import MistrayError
 from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, Stop, Surface
 from mistray.scene import Rules, find, write_coated
@@ -54,10 +55,10 @@ class TestLight:
     def test_transmission_of_layers(self, file: Path) -> None:
         """The direct light is the product of what `tmm` says of each surface."""
         scene = mistray.coat(file, {"A front": "1.38 99.6, 2.1 0.5w", "B": "bbar3"})
-        quarter = 550 / 4
         first = tmm.coh_tmm("s", [1, 1.38, 2.1, 1.5168], [float("inf"), 99.6, 550 / 2 / 2.1, float("inf")], 0, 550)["T"]
-        stack = [float("inf"), quarter / 1.38, 2 * quarter / 2.1, quarter / 1.63, float("inf")]
-        last = tmm.coh_tmm("s", [1, 1.38, 2.1, 1.63, 1.7], stack, 0, 550)["T"]
+        layers = fitted_preset("bbar3", "1.7").stack.layers  # of the body that it is put on
+        stack = [float("inf"), *(layer.thickness_nm for layer in layers), float("inf")]
+        last = tmm.coh_tmm("s", [1, *(float(layer.material) for layer in layers), 1.7], stack, 0, 550)["T"]
         cement = 1 - ((1.7 - 1.5168) / (1.7 + 1.5168)) ** 2
         assert direct(scene) == pytest.approx(first * cement * last, rel=2e-6)  # tables hold R and T to 1e-6
 
@@ -89,8 +90,9 @@ class TestPatterns:
             ("A_B", "lies in cement"), ("iris_front", "is opaque"), ("detector", "is opaque")
         }  # fmt: skip
         text = (tmp_path / "new.xml").read_text(encoding="utf-8")
-        assert text.count('<ref id="bbar3"/>') == 2
-        assert text.count('id="bbar3"') == 3
+        for name in ("bbar3", "bbar3_1_7"):  # one for each body
+            assert text.count(f'<ref id="{name}"/>') == 1
+            assert text.count(f'id="{name}"') == 2
 
     def test_a_name_means_one_surface(self, file: Path) -> None:
         """Cement is coated by its name; a later pattern goes over an earlier one; bare takes a coating off."""
@@ -208,7 +210,8 @@ class TestCommand:
         out = capsys.readouterr().out
         for line in (
             "bbar3 + particulate_level_9: A front",
-            "bbar3: B_rear",
+            "bbar3_1_7: B_rear",
+            "note: bbar3 on 1.7: mean R = ",
             "left alone, because it lies in cement: A_B",
         ):
             assert line in out
@@ -262,6 +265,6 @@ class TestCommand:
         ]
         assert main(["import", str(source), "-o", str(tmp_path / "a.xml"), *words]) == 0
         scene = bsdfs(mistray.load(tmp_path / "a.xml"))
-        assert str(scene["L1_front"].coating.name) == "bbar4"
+        assert str(scene["L1_front"].coating.name) == "bbar4_nd_1_544_Vd_56_1_k_0"
         assert [item.kind for item in scene["L1_rear"].scatterers] == ["harvey_shack"]
         assert scene["barrel_0_cone"].scatterers[0].model.name == "good_black_paint"

@@ -78,7 +78,7 @@ def _record(coated: Coated) -> dict[str, Any]:
         }
         for name, change in coated.changes.items()
     ]
-    return {"changes": changes, "left": [asdict(item) for item in coated.left]}
+    return {"changes": changes, "left": [asdict(item) for item in coated.left], "notes": list(coated.notes)}
 
 
 def _called(coating: Any) -> str:
@@ -100,6 +100,7 @@ def _text(coated: Coated, output: Path) -> str:
     for item in coated.left:
         left.setdefault(item.why, []).append(item.surface)
     lines += [f"left alone, because it {why}: {_listed(names)}" for why, names in left.items()]
+    lines += [f"note: {note}" for note in coated.notes]
     count = f"{len(coated.changes)} surface{'s' if len(coated.changes) > 1 else ''}"
     then = shlex.join(["mistray", "ghosts", str(output)])
     lines.append(f"{output}: {count} changed; next: {then}")

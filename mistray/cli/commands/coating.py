@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 DEFAULT_WAVELENGTHS = "400:700:5"
 DEFAULT_ANGLES = (0.0, 15.0, 30.0, 45.0)
+VISIBLE_TO_NM, POINTS = 780.0, 60
 ROWS_SHOWN = 7
 MOST_WAVELENGTHS = 20_000
 LAYER = (("thickness_nm", ".3f"), ("n", ".4f"), ("k", ".3g"), ("waves", ".4f"))  # columns of numbers
@@ -43,12 +44,12 @@ COMMAND = Command(
         Option("coating", "preset, 'bare', table.csv, COATING.DAT:NAME, layers between commas (material and thickness "
                "in nm, or in waves with a w), or a scene", metavar="COATING"),
         Option("--front", "material in front (air)", metavar="MATERIAL"),
-        Option("--back", "material behind (N-BK7)", metavar="MATERIAL"),
+        Option("--back", "material behind (N-BK7; Ge for presets of the infrared)", metavar="MATERIAL"),
         Option("--from-back", "light comes from behind", bool),
-        Option("--wavelength-nm", f"wavelengths, or first:last:step ({DEFAULT_WAVELENGTHS})",
-               metavar="NM", nargs="+", default=[DEFAULT_WAVELENGTHS]),
+        Option("--wavelength-nm", f"wavelengths, or first:last:step ({DEFAULT_WAVELENGTHS}; in the infrared the band "
+               "of the preset, or that of the scene's light)", metavar="NM", nargs="+"),
         Option("--angles-deg", "angles of incidence (0 15 30 45)", POLAR_DEG, "DEG", "+", default=list(DEFAULT_ANGLES)),
-        Option("--design-nm", "wavelength of thicknesses in waves and of presets (550)",
+        Option("--design-nm", "wavelength of thicknesses in waves and of presets (550, or the preset's own)",
                WAVELENGTH_NM, "NM", default=550.0),
         Option("--plot", "write a picture: .png, .svg or .pdf", Path, "FILE", writes=()),
         Option("--csv", "write R, T and phases; its angles are those in the material of lower index", Path, "FILE",
@@ -62,15 +63,19 @@ COMMAND = Command(
 
 def run(options: Options) -> int:
     """Run the command."""
-    from mistray.coatings import coating_from_text, spectrum, write_table
+    from mistray.coatings import PRESETS, coating_from_text, spectrum, write_table
 
-    lam = wavelengths(options.wavelength_nm)
+    given = None if options.wavelength_nm is None else wavelengths(options.wavelength_nm)
     options.check_pictures("plot")
     files = options.claim()
     if _is_scene(options.coating):
-        return _scene(options, lam, files)
+        return _scene(options, given, files)
     coating = coating_from_text(options.coating, options.design_nm)
-    front, back, from_front = options.front or "air", options.back or "N-BK7", not options.from_back
+    design, design_nm, body, lam = PRESETS.get(options.coating), options.design_nm, "N-BK7", given or _visible()
+    if design is not None and design.design_nm > VISIBLE_TO_NM:
+        design_nm, body = design.centre_nm(design_nm), "Ge"
+        lam = given or _band(*(end * design_nm for end in design.band))
+    front, back, from_front = options.front or "air", options.back or body, not options.from_back
     values = spectrum(coating, lam, options.angles_deg, front, back, from_front)
     if options.plot is not None:
         from mistray.report.figures.coating import coating_figure
@@ -82,10 +87,10 @@ def run(options: Options) -> int:
     name, side = coating.name or options.coating, front if from_front else back
     where = {"coating": name, "front": front, "back": back, "from_front": from_front}
     return options.tell(
-        lambda: where | as_json(coating, values, options.design_nm),
+        lambda: where | as_json(coating, values, design_nm),
         lambda: (
             f"{name}: {front} | {back}, light from {side}\n"
-            + "\n\n".join([*_layers(coating, options.design_nm), _over_band(values), _sample(values)])
+            + "\n\n".join([*_layers(coating, design_nm), _over_band(values), _sample(values)])
         ),
         files,
     )
@@ -115,6 +120,14 @@ def wavelengths(words: list[str]) -> list[float]:
     return sorted(set(found))
 
 
+def _visible() -> list[float]:
+    return wavelengths([DEFAULT_WAVELENGTHS])
+
+
+def _band(low_nm: float, high_nm: float) -> list[float]:
+    return wavelengths([f"{low_nm:.12g}:{high_nm:.12g}:{(high_nm - low_nm) / POINTS:.12g}"])
+
+
 def _is_scene(text: str) -> bool:
     """Whether the argument is a scene: an XML file, a folder with one, or the name of a shipped one."""
     from mistray.coatings import PRESETS
@@ -135,7 +148,7 @@ def _is_scene(text: str) -> bool:
     return True
 
 
-def _scene(options: Options, lam: list[float], files: list[Path]) -> int:
+def _scene(options: Options, given: list[float] | None, files: list[Path]) -> int:
     """Coatings of the surfaces of a scene."""
     from mistray._mitsuba_compat import silence_warnings
     from mistray._variant import ensure_variant
@@ -154,7 +167,11 @@ def _scene(options: Options, lam: list[float], files: list[Path]) -> int:
     from mistray.scene import load
 
     with working(f"loading {options.coating}"):
-        surfaces = coated_surfaces(load(options.coating))
+        scene = load(options.coating)
+        surfaces = coated_surfaces(scene)
+    light = next((getattr(emitter, "wavelengths_nm", ()) for emitter in scene.emitters()), ())
+    invisible = len(light) > 1 and min(light) > VISIBLE_TO_NM
+    lam = given or (_band(min(light), max(light)) if invisible else _visible())
     if files:
         write_figure(surfaces_figure(surfaces, lam, options.angles_deg), options.plot)
     rows, records = [], []

@@ -1,0 +1,169 @@
+"""Presets fitted to the body that they are put on: the same layers, with the thicknesses of the least mean reflectance.
+
+A design is made for one index. On another body its layers keep their materials and their order, and the thicknesses are
+those that make the mean of R over the band of the design least, at normal incidence. A layer that only does harm there
+gets the thickness 0 and is left out. So a design with an outermost layer of 1.38 is never worse than that layer alone.
+R follows from the recursion of Fresnel coefficients, r = (r₁ + r₂ e^{2iδ}) / (1 + r₁ r₂ e^{2iδ}) with δ = 2πNd/λ
+(H. A. Macleod, *Thin-Film Optical Filters*, chapter 2). The search starts from a fixed grid, so that it finds the same
+layers every time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
+
+import numpy as np
+
+from mistray.coatings.presets import PRESETS, preset
+from mistray.coatings.stack import METAL_K, Layer, Stack
+from mistray.errors import MistrayError
+from mistray.materials import complex_index, nearest_known_nm
+
+LIKE_THE_DESIGN = 0.02  # of the index of the body: nearer than that a preset stays what it is
+GRID_WAVES = (0.0, 0.125, 0.25, 0.5)
+REFINED = 6  # of the starts, the best
+POINTS = 41  # wavelengths over the band
+THINNEST, MOST_WAVES, STEP = 0.005, 0.75, 1e-5  # waves: what is thinner is left out; the most; of differences
+DIGITS = 2  # of thicknesses in nm
+OF_USE = 0.5  # of the reflectance of the bare surface: a coating that leaves more is refused
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """
+    A preset on a body.
+
+    Attributes
+    ----------
+    stack : Stack
+        As designed, if the body is like that of the design.
+    changed : bool
+        Whether its thicknesses are not those of the design.
+    low_nm, high_nm : float
+        The band.
+    reached, designed, bare : float
+        Mean R over the band, 0 … 1, at normal incidence: of the stack, of the preset as designed, and without coating.
+    """
+
+    stack: Stack
+    changed: bool
+    low_nm: float
+    high_nm: float
+    reached: float
+    designed: float
+    bare: float
+
+    def __str__(self) -> str:
+        """What it reaches, in words."""
+        band = f"mean R = {100 * self.reached:.3g} % from {self.low_nm:g} to {self.high_nm:g} nm"
+        return f"{band} (as designed {100 * self.designed:.3g} %, bare {100 * self.bare:.3g} %)"
+
+
+@lru_cache(maxsize=256)
+def fitted_preset(name: str, body: str, design_nm: float = 550.0) -> Fitted:
+    """
+    A preset for a body in air.
+
+    Parameters
+    ----------
+    name : str
+        One that transmits.
+    body : str
+        Material, see `mistray.materials`; at wavelengths of the band at which it is unknown, that of the nearest one.
+    design_nm : float
+        As for `preset`, nm.
+
+    Raises
+    ------
+    MistrayError
+        If the name is unknown, the body is a metal, or the coating leaves more than half of what the bare surface
+        reflects.
+    """
+    stack, design = preset(name, design_nm), PRESETS[name]
+    centre = design.centre_nm(design_nm)
+    lam = np.linspace(*design.band, POINTS) * centre
+    known = [nearest_known_nm(body, nm) for nm in lam.tolist()]
+    substrate = np.array([_index(body, nm) for nm in known])
+    if substrate.imag.max() > METAL_K:
+        band = f"light from {lam[0]:g} to {lam[-1]:g} nm"
+        raise MistrayError(f"coating preset '{name}': '{body}' passes no {band}; choose a preset of another band")
+    index = np.array([stack.indices(nm) for nm in lam.tolist()]).T
+    designed = np.array([layer.thickness_nm for layer in stack.layers])
+    bare = float(_mean_r(np.zeros((1, len(designed))), index, substrate, lam)[0])
+    as_designed = float(_mean_r(designed[None], index, substrate, lam)[0])
+    like = abs(float(substrate.real.mean()) - design.substrate) <= LIKE_THE_DESIGN
+    changed = not like and len(designed) > 1  # a quarter wave is one on every body
+    d = _best(designed, index, substrate, lam, centre) if changed else designed
+    reached = float(_mean_r(d[None], index, substrate, lam)[0])
+    if changed and reached >= as_designed:  # nothing better was found
+        d, reached, changed = designed, as_designed, False
+    found = Fitted(stack, changed, float(lam[0]), float(lam[-1]), reached, as_designed, bare)
+    if reached > OF_USE * bare:
+        raise MistrayError(f"coating preset '{name}' does not suit '{body}': {found}; choose another one, or layers")
+    if not changed:
+        return found
+    layers = (Layer(layer.material, float(t)) for layer, t in zip(stack.layers, d, strict=True) if t)
+    return Fitted(Stack(tuple(layers), name=name), True, found.low_nm, found.high_nm, reached, as_designed, bare)
+
+
+def _index(body: str, wavelength_nm: float) -> complex:
+    """N + ik of a body, transparent where its k is unknown."""
+    try:
+        return complex_index(body, wavelength_nm)
+    except MistrayError:
+        return complex_index(f"{body} k=0", wavelength_nm)
+
+
+def _best(designed: np.ndarray, index: np.ndarray, substrate: np.ndarray, lam: np.ndarray, centre: float) -> np.ndarray:
+    """Thicknesses of the least mean R, nm: the best starts of a grid, each refined; rounded."""
+    from scipy.optimize import minimize
+
+    quarter = centre / index.real.mean(axis=1)
+    grid = np.array(list(product(GRID_WAVES, repeat=len(designed)))) * quarter
+    starts = np.concatenate([designed[None], grid])
+    order = np.argsort(_mean_r(starts, index, substrate, lam), kind="stable")[:REFINED]
+    steps = STEP * np.concatenate([np.zeros((1, len(designed))), np.eye(len(designed)), -np.eye(len(designed))])
+
+    def value(waves: np.ndarray) -> tuple[float, np.ndarray]:
+        """R in per mille and its derivatives, by central differences in one call."""
+        r = 1e3 * _mean_r((waves + steps) * quarter, index, substrate, lam)
+        ahead, back = np.split(r[1:], 2)
+        return float(r[0]), (ahead - back) / (2 * STEP)
+
+    best, least = designed, np.inf
+    for waves in starts[order] / quarter:
+        found = minimize(value, waves, jac=True, method="L-BFGS-B", bounds=[(0.0, MOST_WAVES)] * len(designed))
+        d = np.where(found.x < THINNEST, 0.0, np.round(found.x * quarter, DIGITS))
+        r = float(_mean_r(d[None], index, substrate, lam)[0])
+        if r < least:
+            best, least = d, r
+    return best
+
+
+def _mean_r(d_nm: np.ndarray, index: np.ndarray, substrate: np.ndarray, lam: np.ndarray) -> np.ndarray:
+    """
+    Mean R in air over wavelengths at normal incidence, (s,) for thicknesses (s, L).
+
+    Parameters
+    ----------
+    d_nm : (s, L) float64
+        The outermost first, nm.
+    index : (L, w) complex128
+    substrate, lam : (w,)
+        n + ik, and the wavelengths, nm.
+    """
+    below = substrate
+    r = np.zeros((len(d_nm), len(lam)), dtype=np.complex128)
+    media = [np.ones_like(substrate), *index]
+    for place in range(len(index), -1, -1):
+        here = media[place]
+        step = (here - below) / (here + below)
+        if place == len(index):
+            r = np.broadcast_to(step, r.shape)
+        else:
+            turn = np.exp(4j * np.pi * index[place] * d_nm[:, place, None] / lam)
+            r = (step + r * turn) / (1 + step * r * turn)
+        below = here
+    return np.asarray((np.abs(r) ** 2).mean(axis=1))

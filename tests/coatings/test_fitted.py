@@ -1,0 +1,131 @@
+"""Presets on bodies that they were not made for, against `tmm` and a plain quarter wave."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mistray
+from mistray import MistrayError
+from mistray.cli import main
+from mistray.coatings import PRESETS, Stack, fitted_preset, preset, spectrum
+from mistray.materials import nearest_known_nm, refractive_index
+
+POINTS = 41
+
+
+def by_tmm(stack: Stack, body: str, low_nm: float, high_nm: float) -> float:
+    """Mean R over a band at normal incidence, by the program of S. J. Byrnes."""
+    tmm = pytest.importorskip("tmm")
+    thickness = [np.inf, *(layer.thickness_nm for layer in stack.layers), np.inf]
+    found = []
+    for nm in np.linspace(low_nm, high_nm, POINTS):
+        n = refractive_index(body, nearest_known_nm(body, nm))
+        found.append(tmm.coh_tmm("s", [1.0, *stack.indices(nm), n], thickness, 0.0, nm)["R"])
+    return float(np.mean(found))
+
+
+@pytest.mark.parametrize("name", ["v_coat", "bbar3", "bbar4"])
+@pytest.mark.parametrize("body", ["1.45", "1.62", "1.7847", "N-SF6", "1.95"])
+def test_on_flints(name: str, body: str) -> None:
+    """What is said to be reached is what `tmm` computes, and no more than a quarter wave of MgF2 leaves."""
+    found = fitted_preset(name, body)
+    assert found.reached == pytest.approx(by_tmm(found.stack, body, found.low_nm, found.high_nm), rel=2e-3)
+    assert found.designed == pytest.approx(by_tmm(preset(name), body, found.low_nm, found.high_nm), rel=2e-3)
+    assert found.reached <= found.designed
+    assert found.reached <= by_tmm(preset("mgf2_quarter_wave"), body, found.low_nm, found.high_nm) + 2e-6
+
+
+@pytest.mark.parametrize(
+    ("name", "body", "most"),
+    [
+        ("zns_mwir", "Ge", 0.039),
+        ("zns_mwir", "Si", 0.0505),
+        ("zns_lwir", "Ge", 0.029),
+        ("bbar4_mwir", "Ge", 0.0045),
+        ("bbar4_mwir", "Si", 0.002),
+        ("bbar4_mwir", "ZnSe", 0.002),
+        ("bbar4_mwir", "BD2", 0.002),
+        ("bbar4_lwir", "Ge", 0.0006),
+        ("bbar4_lwir", "Si", 0.0006),
+        ("bbar4_lwir", "ZnSe", 0.0015),
+        ("bbar4_lwir", "IG6", 0.0015),
+        ("bbar4_lwir", "CdTe", 0.0015),
+    ],
+)
+def test_in_the_infrared(name: str, body: str, most: float) -> None:
+    """Residual reflectance by `tmm`, in the mean over 3 to 5 or 8 to 12 µm; bare, these bodies have 17 to 36 %."""
+    found = fitted_preset(name, body)
+    band = (3000.0, 5000.0) if "mwir" in name else (8000.0, 12000.0)
+    assert (found.low_nm, found.high_nm) == pytest.approx(band)
+    reached = by_tmm(found.stack, body, *band)
+    assert reached <= most
+    # k of silicon changes R by less than this
+    assert found.reached == pytest.approx(reached, rel=1e-2, abs=1e-6)
+
+
+def test_a_body_like_that_of_the_design_keeps_it() -> None:
+    for name, design in PRESETS.items():
+        if design.metal is None:
+            found = fitted_preset(name, repr(design.substrate))
+            assert not found.changed
+            assert found.stack == preset(name)
+
+
+def test_the_same_every_time() -> None:
+    first = fitted_preset("bbar3", "1.8")
+    fitted_preset.cache_clear()
+    assert fitted_preset("bbar3", "1.8") == first
+
+
+@pytest.mark.parametrize(
+    ("name", "body", "words"),
+    [
+        ("zns_lwir", "ZnSe", r"does not suit 'ZnSe': mean R = 1\d.* %"),
+        ("bbar3", "Ge", "passes no light from 450 to 650 nm"),
+    ],
+)
+def test_what_cannot_work_is_refused(name: str, body: str, words: str) -> None:
+    with pytest.raises(MistrayError, match=words):
+        fitted_preset(name, body)
+
+
+def test_coat_fits_each_glass_and_says_what_it_reached(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The scene has explicit layers, one coating for each glass; as designed, R would be two to four times as large."""
+    file = tmp_path / "coated.xml"
+    assert main(["coat", "cooke_triplet", "L?_*=bbar3", "-o", str(file)]) == 0
+    printed = capsys.readouterr().out
+    found = {body: fitted_preset("bbar3", body) for body in ("N-LAK9", "N-SF5")}
+    for body, one in found.items():
+        assert f"note: bbar3 on {body}: {one}" in printed
+        assert one.reached < 0.5 * one.designed
+    shapes = {shape.id(): shape.bsdf() for shape in mistray.load(file).shapes()}
+    for surface, body in (("L1_front", "N-LAK9"), ("L2_rear", "N-SF5")):
+        own, wanted = shapes[surface].coating.layers, found[body].stack.layers
+        assert [layer.material for layer in own] == [layer.material for layer in wanted]
+        thickness = [layer.thickness_nm for layer in wanted]
+        assert [layer.thickness_nm for layer in own] == pytest.approx(thickness, rel=1e-6)
+    assert shapes["L1_front"].coating is shapes["L3_rear"].coating
+
+
+def test_waves_are_those_of_invisible_light(tmp_path: Path) -> None:
+    """A quarter wave of ZnS on a scene of 8 to 12 µm is one at 10 µm, as the file says."""
+    scene = tmp_path / "plate.xml"
+    scene.write_text("""<scene version="3.0.0">
+  <emitter type="collimated" id="beam"><float name="radius" value="3"/>
+    <string name="wavelength_nm" value="8000, 9000, 12000"/></emitter>
+  <shape type="asphere" id="front"><float name="semi_diameter" value="5"/>
+    <bsdf type="interface"><string name="back" value="Ge"/></bsdf></shape>
+</scene>""")
+    (layer,) = mistray.coat(scene, {"front": "ZnS 0.25w"}).shapes()[0].bsdf().coating.layers
+    assert layer.thickness_nm == pytest.approx(2500.0 / refractive_index("ZnS", 10000.0), rel=1e-6)
+    (layer,) = mistray.coat(scene, {"front": "ZnS 0.25w design_nm=9000"}).shapes()[0].bsdf().coating.layers
+    assert layer.thickness_nm == pytest.approx(2250.0 / refractive_index("ZnS", 9000.0), rel=1e-6)
+    coated = spectrum(
+        mistray.coat(scene, {"front": "zns_lwir"}).shapes()[0].bsdf().coating, [10000.0], [0.0], "air", "Ge"
+    )
+    # R = ((n₀ nₛ - n²)/(n₀ nₛ + n²))² of a quarter wave
+    n = refractive_index("Ge", 10000.0)
+    assert coated.mean()[0, 0] == pytest.approx(((n - 4.84) / (n + 4.84)) ** 2, abs=1e-6)
