@@ -11,7 +11,7 @@ CHECK  := from mistray._variant import find_llvm; from mistray._mitsuba_compat i
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart=0
 
 .DEFAULT_GOAL := help
-.PHONY: help demo quick test test-long test-all lint docs notebooks bench venv clean
+.PHONY: help demo quick test test-long test-all test-lowest lint docs notebooks bench venv clean
 .DELETE_ON_ERROR:
 
 help:
@@ -20,6 +20,7 @@ help:
 	@echo "make test      lint, types and tests, in about twenty minutes"
 	@echo "make test-long the tests that take seconds each, which make test leaves out"
 	@echo "make test-all  lint, types and all tests"
+	@echo "make test-lowest quick tests with the lowest versions of what mistray needs"
 	@echo "make lint      lint and types only"
 	@echo "make docs      build the documentation site into out/docs; open out/docs/index.html"
 	@echo "make notebooks open the notebooks in JupyterLab; its options: make notebooks JUPYTER='--no-browser --allow-root'"
@@ -42,6 +43,13 @@ test-long: venv
 
 test-all: lint
 	$(PYTEST) -m "not gpu"
+
+# In an environment of its own
+test-lowest: venv
+	$(PYTHON) -m venv .venv-lowest
+	$(BIN)/python tests/lowest.py > .venv-lowest/lowest.txt
+	.venv-lowest/bin/python -m pip install -qq -c .venv-lowest/lowest.txt -e . pytest pytest-timeout pytest-xdist
+	.venv-lowest/bin/python -m pytest -m "quick and not (gpu or slow or long)" tests/physics tests/scene tests/trace tests/cache
 
 lint: venv
 	$(BIN)/ruff check .

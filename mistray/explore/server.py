@@ -151,7 +151,8 @@ class _Handler(BaseHTTPRequestHandler):
             return self._say(HTTPStatus.NOT_FOUND, "there is no such call")
         if self.headers.get("Content-Type", "").partition(";")[0].strip() != "application/json":
             return self._say(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "a call is application/json")
-        length = self.headers.get("Content-Length", "")
+        lengths = self.headers.get_all("Content-Length", [])
+        length = lengths[0] if len(lengths) == 1 else ""
         if not length.isascii() or not length.isdigit() or len(length) > 9 or int(length) > MOST_BYTES:
             return self._say(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a call has at most {MOST_BYTES} bytes")
         try:

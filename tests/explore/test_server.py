@@ -140,7 +140,7 @@ def test_a_port_that_is_taken(server, explorer):
         PageServer(explorer, server.port)
 
 
-@pytest.mark.parametrize("length", ["9" * 5000, "0" * 20 + "2", "-1", "1_0", "٣", "", "2 3"])
+@pytest.mark.parametrize("length", ["9" * 5000, "0" * 20 + "2", "-1", "1_0", "٣", "", "2 3", "2\r\nContent-Length: 2"])
 def test_lengths_that_are_none(server, length):
     """Refused with an answer, and nothing of the body is read."""
     lines = [f"POST /{server.token}/call HTTP/1.1", f"Host: {LOOPBACK}:{server.port}", "Content-Type: application/json"]
