@@ -25,6 +25,7 @@ LAYERS = [
     {"settings"},
     {"_lazy"},
     {"time_budget"},
+    {"supervisor"},
     {"replace_file"},
     {"read_file"},
     {"files"},

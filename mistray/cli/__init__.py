@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from mistray.cli.arguments import INTERRUPTED
 from mistray.cli.signals import ignore, leave_at_once, watched
 from mistray.interrupts import requested
+from mistray.supervisor import INTERRUPTED, listen
 
 __all__ = ["main"]
 
@@ -23,6 +23,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(argv: Sequence[str] | None) -> int:
     with watched(process_ends=argv is None):
         try:
+            listen()
             from mistray.cli import program
 
             return program.main(argv)

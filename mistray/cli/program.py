@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Sequence
 from typing import Any
 
-from mistray.cli.arguments import INTERRUPTED, Help, Parser, as_text
+from mistray.cli.arguments import Help, Parser, as_text
 from mistray.cli.claims import guard_of
 from mistray.cli.commands import (
     app,
@@ -41,6 +41,7 @@ from mistray.cli.signals import ignore
 from mistray.errors import Interrupted, MistrayError
 from mistray.interrupts import requested
 from mistray.replace_file import guarding, written
+from mistray.supervisor import INTERRUPTED
 
 BAD_INPUT = 2
 FILES_NAMED = 3  # of those that an interrupted command has written
