@@ -1,8 +1,19 @@
-"""Makes ``python -m mistray`` the same as ``mistray``."""
+"""The command ``mistray``, which is the same as ``python -m mistray``."""
+
+from __future__ import annotations
 
 import sys
 
-from mistray.cli import main
+from mistray.supervisor import supervise
+
+
+def main() -> int:
+    """Run one command in a process of its own, see `mistray.supervisor`, and `mistray.cli.main`."""
+    supervise()
+    from mistray.cli import main as run
+
+    return run()
+
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -16,12 +16,12 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
-
+AGAIN = 0.3  # s within which signals are one: a terminal and a parent process send both
 PATIENCE = 0.7  # s that a block of `later` has at most, where it asks `end_overdue`
 
 _count = _held = _importing = 0
 _first = math.inf  # when the first signal came
+_last = -math.inf  # and the last one
 
 
 def note(*_: Any) -> None:
@@ -31,9 +31,12 @@ def note(*_: Any) -> None:
     ------
     KeyboardInterrupt
     """
-    global _count, _first
-    _count += 1
-    _first = min(_first, time.monotonic())
+    global _count, _first, _last
+    now = time.monotonic()
+    if now - _last < AGAIN:
+        return
+    _count, _last = _count + 1, now
+    _first = min(_first, now)
     if not _importing and (not _held or _count > 1):
         raise KeyboardInterrupt
 
@@ -70,8 +73,8 @@ def end_overdue() -> None:
 
 def forget() -> None:
     """Begin anew: no signal has come."""
-    global _count, _first
-    _count, _first = 0, math.inf
+    global _count, _first, _last
+    _count, _first, _last = 0, math.inf, -math.inf
 
 
 @contextlib.contextmanager

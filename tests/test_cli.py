@@ -84,6 +84,7 @@ def test_the_command_line_itself_imports_nothing_heavy(file):
         "renamed",
         "replace_file",
         "settings",
+        "supervisor",
         "time_budget",
     )
     light = tuple(f"mistray.{name}" for name in names_of)

@@ -26,6 +26,7 @@ LAYERS = [
     {"settings"},
     {"_lazy"},
     {"time_budget"},
+    {"supervisor"},
     {"interrupts"},
     {"read_file"},
     {"replace_file"},

@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from interrupting import worker
 from oracles.small_scenes import plates_text
 from report.fake_scene import lens_scene
 from report.fake_trace import trace_at
@@ -233,7 +234,7 @@ def test_an_interrupt_at_any_time(tmp_path: Path, delay_s: float) -> None:
     """While modules are imported, the scene is loaded, the kernel is recorded, compiled or runs."""
     command = [*MISTRAY, "ghosts", "cooke_triplet", "--rays", "4e9", "--out", str(tmp_path / "out")]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    modules = Path(f"/proc/{process.pid}/maps")
+    modules = Path(f"/proc/{worker(process)}/maps")
     while "numpy" not in modules.read_text() and process.poll() is None:  # until the command itself has begun
         time.sleep(0.01)
     time.sleep(delay_s)

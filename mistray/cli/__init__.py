@@ -6,9 +6,9 @@ import os
 import sys
 from collections.abc import Sequence
 
-from mistray.cli.arguments import INTERRUPTED
 from mistray.cli.signals import ignore, leave_at_once, watched
 from mistray.interrupts import requested
+from mistray.supervisor import INTERRUPTED, listen
 
 __all__ = ["main"]
 
@@ -42,6 +42,7 @@ def _open_closed() -> None:
 def _run(argv: Sequence[str] | None) -> int:
     with watched(process_ends=argv is None):
         try:
+            listen()
             from mistray.cli import program
 
             return program.main(argv)

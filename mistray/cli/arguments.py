@@ -17,7 +17,6 @@ from mistray.renamed import by_new_names
 
 MOST_ANGLES = 10_000  # in one range
 FIELD_ANGLES = [float(angle) for angle in range(0, 81, 2)]  # of a PST, degrees
-INTERRUPTED = 130  # exit status after Ctrl-C, as of a shell
 
 
 class Parser(argparse.ArgumentParser):

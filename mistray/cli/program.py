@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Sequence
 from typing import Any
 
-from mistray.cli.arguments import INTERRUPTED, Help, Parser, as_text
+from mistray.cli.arguments import Help, Parser, as_text
 from mistray.cli.claims import guard_of, named_places
 from mistray.cli.commands import (
     app,
@@ -43,6 +43,7 @@ from mistray.errors import Interrupted, MistrayError
 from mistray.interrupts import requested
 from mistray.notes import quiet
 from mistray.replace_file import guarding, incomplete_notes, written
+from mistray.supervisor import INTERRUPTED
 
 BAD_INPUT = 2
 FILES_NAMED = 3  # of those that an interrupted command has written

@@ -7,8 +7,9 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from mistray.cli.arguments import INTERRUPTED
+from mistray.cli.signals import ignore
 from mistray.errors import MistrayError
+from mistray.supervisor import INTERRUPTED
 
 
 class SavedRun:
@@ -46,6 +47,7 @@ class SavedRun:
             if isinstance(error, MistrayError):  # perhaps that the last part of it cannot be saved
                 error.args = (f"{error}; what was saved is in {self.path}, go on with --resume", *error.args[1:])
                 raise
+            ignore()
             print(f"mistray: interrupted; {self.what()} in {self.path}, go on with --resume", file=sys.stderr)
             self.code = INTERRUPTED
 

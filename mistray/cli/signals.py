@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import signal
 import socket
 import sys
 import threading
+import time
 from collections import namedtuple
 from collections.abc import Iterator
 
-from mistray.cli.arguments import INTERRUPTED
-from mistray.interrupts import SIGNALS, forget, note, requested
+from mistray.interrupts import AGAIN, forget, note, requested
 from mistray.replace_file import remove_drafts
+from mistray.supervisor import INTERRUPTED, SIGNALS, heard
 
-PATIENCE = 0.4  # s in which Python mostly comes to a signal by itself
+PATIENCE = 0.4  # s in which Python mostly comes to a second signal by itself
+MOST_PATIENCE = 1.5  # s that a command has to end after the first one; less than `mistray.supervisor.PATIENCE`
+
+_telling = threading.Event()  # the command itself says that it is interrupted
 
 
 def ignore() -> None:
     """Ignore what else comes: the command has ended, and only its last line and its exit code are left."""
+    _telling.set()
     if threading.current_thread() is threading.main_thread():
         for number in SIGNALS:
             if signal.getsignal(number) is note:  # not the handler of somebody else, who calls commands from Python
@@ -45,27 +51,29 @@ def leave_at_once(code: int) -> None:
 @contextlib.contextmanager
 def watched(process_ends: bool) -> Iterator[None]:
     """
-    Treat SIGTERM as SIGINT, and remember both, see `mistray.interrupts`.
+    Treat SIGTERM as SIGINT, and remember both, see `mistray.interrupts`; what was ignored before stays ignored.
 
-    While C++ code is at work Python's handlers wait. A thread of its own says so then, and at a second signal it ends
-    the process.
+    They may still be held back, see `mistray.supervisor.listen`.
+
+    While C++ code is at work Python's handlers wait. A thread of its own ends the process then.
 
     Parameters
     ----------
     process_ends : bool
-        Whether the process ends with the command. After an interrupt its signals are ignored then, since one that
-        comes while Python shuts down would take the exit code's place.
+        Whether the process ends with the command. One signal is enough then to end it, else two. After an interrupt its
+        signals are ignored, since one that comes while Python shuts down would take the exit code's place.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     forget()
-    before = {number: signal.signal(number, note) for number in SIGNALS}
+    _telling.clear()
+    before = {number: signal.signal(number, note) for number in heard()}
     here, there = socket.socketpair()
     there.setblocking(False)
     old = signal.set_wakeup_fd(there.fileno(), warn_on_full_buffer=False)
     ended = threading.Event()
-    watch = threading.Thread(target=_watch, args=(here, ended), daemon=True)
+    watch = threading.Thread(target=_watch, args=(here, ended, MOST_PATIENCE if process_ends else None), daemon=True)
     watch.start()
     try:
         yield
@@ -82,22 +90,36 @@ def watched(process_ends: bool) -> Iterator[None]:
         here.close()
 
 
-def _watch(signals: socket.socket, ended: threading.Event) -> None:
-    """Read the numbers of signals as they come, whatever the main thread does."""
-    count = 0
-    while numbers := signals.recv(16):
-        for number in numbers:
-            count += number in SIGNALS
-        if not count or ended.wait(PATIENCE):
+def _watch(signals: socket.socket, ended: threading.Event, patience: float | None) -> None:
+    """
+    Read the numbers of signals as they come, whatever the main thread does.
+
+    Parameters
+    ----------
+    signals : socket
+    ended : Event
+        Of the command.
+    patience : float or None
+        After the first signal, s; None: it ends nothing.
+    """
+    first = math.inf
+    while True:
+        now = time.monotonic()
+        signals.settimeout(None if patience is None or first == math.inf else max(first + patience - now, 1e-3))
+        try:
+            numbers = signals.recv(16)
+        except TimeoutError:
+            break
+        if not numbers:
+            return
+        if not any(number in SIGNALS for number in numbers):
             continue
-        if count == 1:
-            _say("interrupted; what is under way ends first, or press Ctrl-C again to end at once")
-        else:
-            _say("interrupted")
-            remove_drafts()
-            os._exit(INTERRUPTED)
-
-
-def _say(what: str) -> None:
-    with contextlib.suppress(OSError):
-        print(f"mistray: {what}", file=sys.stderr, flush=True)
+        if first == math.inf:
+            first = time.monotonic()
+        elif time.monotonic() - first > AGAIN and not ended.wait(PATIENCE):
+            break
+    if not ended.is_set() and not _telling.is_set():
+        remove_drafts()
+        with contextlib.suppress(OSError):
+            print("mistray: interrupted", file=sys.stderr, flush=True)
+        os._exit(INTERRUPTED)

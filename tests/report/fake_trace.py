@@ -68,6 +68,8 @@ class FakePath:
 class FakeTrace:
     """The attributes of `mistray.trace.Trace` that reports read, of the same classes where there are any."""
 
+    fewer_rays = ""
+
     def __init__(self, paths: list[FakePath], field_deg: float = 0.0, cut_events: float = 0.0, shares=None):
         rng = np.random.default_rng(1)
         self.fakes = sorted(paths, key=lambda path: -path.power)

@@ -6,12 +6,14 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import INTERRUPTED, pairs
+from mistray.cli.arguments import pairs
 from mistray.cli.command import Command, Group, Option, angles
 from mistray.cli.options import Options
 from mistray.cli.shared import SCATTER, SCENE, SCHEDULER, SPECTRUM, SURFACES, TABLE_FORMATS, TIME, output, ray_tree
+from mistray.cli.signals import ignore
 from mistray.errors import MistrayError, UnfinishedError
 from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, FINITE, PST_FIELD_DEG
+from mistray.supervisor import INTERRUPTED
 from mistray.time_budget import within
 
 if TYPE_CHECKING:
@@ -106,6 +108,7 @@ def run(options: Options) -> int:
     except KeyboardInterrupt:
         if _entries(options) <= before:
             raise
+        ignore()
         print("mistray: interrupted; finished rows are in the cache, the same command goes on", file=sys.stderr)
         return INTERRUPTED
     for warning in result.warnings:

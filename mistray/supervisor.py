@@ -1,0 +1,109 @@
+"""
+The process that waits for a command, and ends it at Ctrl-C or SIGTERM whatever it is at.
+
+Python hears of a signal between two of its steps, and so does any thread of it: while Mitsuba parses a scene, which
+holds the interpreter's lock, nothing hears anything. So the command runs in a child, which is forked before anything
+large is imported. The process that was started does nothing but wait: it passes signals on, and ends a child that does
+not end by itself. It takes a few milliseconds and the memory of a bare interpreter. Where there is no fork or no
+`sigtimedwait` the command runs in the process that was started, and hears of signals as far as Python does.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import sys
+import time
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+PATIENCE = 1.75  # s that a command has to end by itself, with what it has found so far
+DAY = 86400.0  # s, the longest wait
+INTERRUPTED = 130  # exit status of a command that a signal has ended; from outside it is 128 + the number of the signal
+
+
+def heard() -> list[signal.Signals]:
+    """The signals that end a command: what is ignored from the start, as Ctrl-C in a background job, stays ignored."""
+    return [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+
+
+def supervise() -> None:
+    """
+    Go on in a child process; the process that has called this waits for it and ends with its exit status.
+
+    In the child the signals wait until `listen` lets them come, so that none meets a handler that is not there yet.
+    """
+    if not hasattr(os, "fork") or not hasattr(signal, "sigtimedwait"):
+        return
+    numbers = heard()
+    signal.pthread_sigmask(signal.SIG_BLOCK, [*numbers, signal.SIGCHLD])
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # ignored by whoever has started this, the exit status would be lost
+    here = os.getpid()
+    child = os.fork()
+    if child:
+        _wait(child, numbers)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGCHLD])
+    _end_with(here)
+
+
+def listen() -> None:
+    """Let signals come, now that they have handlers."""
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
+
+
+def _wait(child: int, numbers: list[signal.Signals]) -> None:
+    """Wait for the child, and end as it does."""
+    first, until = None, math.inf
+    while True:
+        left = min(until - time.monotonic(), DAY)
+        found = signal.sigtimedwait([*numbers, signal.SIGCHLD], max(left, 0.0))
+        if found is None and first is None:
+            continue
+        if found is None:
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+            _interrupted(first)
+        elif found.si_signo == signal.SIGCHLD:
+            ended, status = os.waitpid(child, os.WNOHANG)
+            if ended:
+                _end_as(os.waitstatus_to_exitcode(status), first)
+        else:
+            if first is None:
+                first, until = found.si_signo, time.monotonic() + PATIENCE
+            if found.si_code <= 0:  # from a process; a terminal, which is the kernel, has told the child as well
+                os.kill(child, found.si_signo)
+
+
+def _end_as(code: int, first: int | None) -> None:
+    """End with the exit code of the child, or by its signal (a negative code)."""
+    if first is not None and code == INTERRUPTED:
+        os._exit(128 + first)
+    if code >= 0:
+        os._exit(code)
+    if first is not None:
+        _interrupted(first)
+    if -code != signal.SIGKILL:
+        signal.signal(-code, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [-code])
+    os.kill(os.getpid(), -code)
+    os._exit(128 - code)
+
+
+def _interrupted(first: int | None) -> None:
+    """Say so, and end; the child has not."""
+    try:
+        os.write(2, b"mistray: interrupted\n")
+    finally:
+        os._exit(128 + (first or 0))
+
+
+def _end_with(parent: int) -> None:
+    """Let the kernel end this process with its parent, which SIGKILL does not ask; on Linux."""
+    if sys.platform != "linux":
+        return
+    import ctypes
+
+    ctypes.CDLL(None).prctl(1, int(signal.SIGKILL))  # PR_SET_PDEATHSIG
+    if os.getppid() != parent:  # it has ended before
+        os._exit(INTERRUPTED)

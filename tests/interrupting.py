@@ -1,0 +1,133 @@
+"""
+Signals to commands at random moments: how each of them ends.
+
+A test uses `interrupted` for one signal. As a program, ``python tests/interrupting.py ROUNDS``, it sends signals to all
+of `COMMANDS` and prints what has failed.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+MISTRAY = [sys.executable, "-m", "mistray"]
+LIMIT_S = 2.0  # from the signal to the end of the process
+LATEST_S = 8.0
+COMMANDS = {
+    "ghosts": ["cooke_triplet", "--rays", "4e9"],
+    "ghosts, one thread": ["cooke_triplet", "--rays", "4e9", "--threads", "1"],
+    "pst": ["phone_camera_scatter", "--rays", "1e9"],
+    "sweep": ["cooke_triplet", "--rays", "4e9", "--no-cache"],
+    "objects": ["baffle_tube", "--rays", "1e9"],
+    "study": ["baffle_tube", "--rays", "1e9"],
+    "thermal": ["cassegrain", "--rays", "1e9"],
+    "sensitivity": ["cooke_triplet", "--rays", "1e8"],
+    "image": ["double_gauss", "--grid", "1000"],
+    "doctor": [],
+}
+
+
+@dataclass(frozen=True)
+class End:
+    """
+    How a command has ended.
+
+    Attributes
+    ----------
+    number : Signals
+        That it got.
+    code : int or None
+        Its exit code; None: it was killed after a minute.
+    seconds : float
+        From the signal on.
+    err : str
+        Its stderr.
+    """
+
+    number: signal.Signals
+    code: int | None
+    seconds: float
+    err: str
+
+    @property
+    def problem(self) -> str:
+        """What is wrong with it; empty if nothing is."""
+        lines = [line for line in self.err.splitlines() if "interrupted" in line]
+        if self.code != 128 + self.number:
+            return f"exit code {self.code}: {self.err[-300:]}"
+        if len(lines) != 1 or not lines[0].startswith("mistray: interrupted") or "Traceback" in self.err:
+            return f"not one line: {self.err[-300:]}"
+        return f"{self.seconds:.1f} s" if self.seconds > LIMIT_S else ""
+
+
+def interrupted(
+    command: Sequence[str], number: signal.Signals, wait: Callable[[subprocess.Popen[str]], object]
+) -> End | None:
+    """Send a signal to a command after a wait; None if it has ended before."""
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    wait(process)
+    if process.poll() is not None:
+        process.communicate()
+        return None
+    process.send_signal(number)
+    sent = time.monotonic()
+    try:
+        _, err = process.communicate(timeout=60)
+        code: int | None = process.returncode
+    except subprocess.TimeoutExpired:
+        process.kill()
+        _, err = process.communicate()
+        code = None
+    return End(number, code, time.monotonic() - sent, err)
+
+
+def worker(process: subprocess.Popen[str]) -> int:
+    """Id of the process that does the work of a command, once there is one."""
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    while process.poll() is None:
+        if found := children.read_text().split():
+            return int(found[0])
+        time.sleep(0.001)
+    return process.pid
+
+
+def begun(process: subprocess.Popen[str]) -> None:
+    """Wait until `mistray.__main__` runs."""
+    worker(process)
+
+
+def main(rounds: int) -> int:
+    """Interrupt each command so often at random moments, and one of them 20 times in its first second."""
+    rng = random.Random(39)
+    bad = tried = 0
+    cases = [(name, rng.uniform(0.0, LATEST_S)) for name in COMMANDS for _ in range(rounds)]
+    cases += [("ghosts, one thread", rng.uniform(0.0, 1.0)) for _ in range(20)]
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        for name, after_s in cases:
+            command = [*MISTRAY, name.split(",")[0], *COMMANDS[name]]
+            number = rng.choice([signal.SIGINT, signal.SIGTERM])
+
+            def wait(process: subprocess.Popen[str], after_s: float = after_s) -> None:
+                begun(process)
+                time.sleep(after_s)
+
+            end = interrupted(command, number, wait)
+            if end is None:
+                continue
+            tried, bad = tried + 1, bad + bool(end.problem)
+            print(f"{name:20s} {number.name:7s} after {after_s:4.2f} s: {end.seconds:4.2f} s {end.problem}", flush=True)
+    print(f"{tried} interrupts, {bad} failed")
+    return int(bad > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else 4))
