@@ -104,7 +104,7 @@ def test_a_layout_has_the_paths_and_rays_asked_for(capsys, scene_file, traced, t
     monkeypatch.setattr(layout, "layout_figure", lambda scene, trace, *given: calls.append(given) or drawn)
     for options in ((), ("--paths", 1, "--rays-per-path", 2, "--rays", 100)):
         assert run(capsys, scene_file, "--layout", tmp_path / "lens.svg", "--force", *options)[0] == 0
-    assert calls == [(4, None, 7), (1, None, 2)]
+    assert calls == [(4, None, 7, ""), (1, None, 2, "")]
     assert [call["rays"] for call in traced] == [20_000, 100]
 
 
@@ -175,3 +175,31 @@ def test_walls_are_recorded_and_painted(capsys, tmp_path, monkeypatch):
         code, _, err = run(capsys, "plate_and_wall", "--surface-maps", *wrong)
         assert code != 0
         assert "--surface-maps" in err
+
+
+def test_several_fields_and_classes(capsys, tmp_path):
+    page, rays = tmp_path / "classes.html", tmp_path / "rays.json"
+    few = ("--rays", 64, "--rays-per-path", 3, "--quiet")
+    classes = ("--classes", "direct", "blocked", "escaped", "--save-rays", rays)
+    code = run(capsys, "singlet_window_detector", "--field-deg", 0, 5, *classes, "--out", page, *few)
+    assert code == (0, "", "")
+    text = page.read_text(encoding="utf-8")
+    assert "field 0°, 5°" in text
+    lines = read_rays(rays)
+    ends = [line.events.split()[-1] for line in lines if line.path_id < 0]
+    assert len([line for line in lines if line.path_id == 0]) == 6  # direct, at two fields
+    assert 0 < sum(end.endswith(":A") for end in ends) <= 6  # blocked
+    gone = [line for line in lines if len(line.points) == len(line.events.split()) + 2]
+    assert len(gone) == 6  # escaped, with a piece of their way out
+
+
+def test_classes_are_refused_before_the_trace(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for arguments, words in (
+        (("--classes", "windw"), "'window'"),
+        (("--classes", "ghost", "--path-ids", 1), "--path-ids is about paths"),
+        (("--box", -1, 1, -1, 1), "add --classes all"),
+    ):
+        code, _, err = run(capsys, "singlet_window_detector", "--rays", "1e9", *arguments)
+        assert (code, err.count("\n")) == (2, 1)
+        assert words in err

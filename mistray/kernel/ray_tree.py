@@ -466,7 +466,7 @@ class _Tree:
                 through = medium if self.scene.backward else sent.medium_in
                 following |= self.odds.linked(state, it, sent.heading, through, sent.rivalry.against, scatter, cloud, t)
                 following["joint"] = sent.joint
-        if self.scene.backward:
+        if self.scene.backward or self.recorders.departs:
             reflections = state["reflections"] + dr.select(bounced, mi.UInt32(1), 0)
             last = (*sent.origin, *state["d"], state["w"])
             counts = (reflections, after, key, depth + 1, codes.read, leaving)

@@ -264,11 +264,14 @@ class Recorder:
         Whether paths that differ only in how a direction was found are one to it: at random or aimed.
     incident : bool
         Whether hits of the detector count that it does not absorb.
+    departs : bool
+        Whether it is told of light that leaves the scene of a trace with the light, too.
     name : str
         What a result calls it; empty: nothing.
     """
 
     name = ""
+    departs = False
     node_floats = 0
     by_way = False
     incident = False
@@ -302,7 +305,7 @@ class Recorder:
         """Rays go from the source, or from a node, to the next surface or out of the scene."""
 
     def depart(self, departure: Departure, memory: Memory) -> None:
-        """Rays of a backward trace leave the scene."""
+        """Rays of a backward trace leave the scene, and those of other traces after a hit if the recorder `departs`."""
 
     def back(self, back: Return, memory: Memory) -> None:
         """Branches have ended."""
@@ -331,6 +334,7 @@ class Recorders(Recorder):
         self.node_floats = max((recorder.node_floats for recorder in self._all), default=0)
         self.by_way = any(recorder.by_way for recorder in self._all)
         self.incident = any(recorder.incident for recorder in self._all)
+        self.departs = any(recorder.departs for recorder in self._all)
 
     @property
     def by_ray(self) -> bool:

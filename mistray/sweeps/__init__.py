@@ -6,6 +6,7 @@ from mistray.sweeps.pst_sweep import PstSweep, sweep_pst
 from mistray.sweeps.read_configurations import read_configurations
 from mistray.sweeps.result import Sweep
 from mistray.sweeps.trace_rows import sweep
+from mistray.sweeps.write_configuration import write_configuration
 
 __all__ = [
     "AS_IT_IS",
@@ -17,6 +18,7 @@ __all__ = [
     "read_configurations",
     "sweep",
     "sweep_pst",
+    "write_configuration",
 ]
 
 

@@ -21,13 +21,14 @@ from mistray.trace.ray_table import BY_RAY
 COLUMNS = {f.name: np.zeros(0, dtype=object if f.type == "str" else np.float64) for f in fields(PathRow)}
 
 
-def check_paths(scene: mi.Scene, selections: Iterable[str], of_rays: bool = False) -> None:
+def check_paths(scene: mi.Scene | None, selections: Iterable[str], of_rays: bool = False) -> None:
     """
     Refuse texts that can mean no path of a scene, see `mistray.trace.path_filter`.
 
     Parameters
     ----------
-    scene : mi.Scene
+    scene : mi.Scene or None
+        None: only whether they can be read.
     selections : iterable of str
     of_rays : bool
         Whether they may also compare columns that only a ray has.
@@ -38,7 +39,7 @@ def check_paths(scene: mi.Scene, selections: Iterable[str], of_rays: bool = Fals
         For a text that cannot be read, and for surfaces, kinds, sources and columns that there are not.
     """
     wanted = [PathFilter(text) for text in selections]
-    if wanted:
+    if wanted and scene is not None:
         rows = _no_rows(scene, BY_RAY if of_rays else frozenset())
         for one in wanted:
             one.bounds(rows)

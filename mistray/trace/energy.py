@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -107,6 +107,11 @@ class SurfaceFlux:
     incident_se_W: float
     absorbed_W: float
     absorbed_se_W: float
+
+    def __add__(self, other: SurfaceFlux) -> SurfaceFlux:
+        """Of two traces together; their errors add up at most so, for the traces may have start rays in common."""
+        sums = {f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)[3:]}
+        return replace(self, **sums)
 
 
 class FluxReport(Sequence[SurfaceFlux]):

@@ -6,11 +6,16 @@ import difflib
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS, Events
+
+if TYPE_CHECKING:
+    from mistray.recorders.ledger import DecodedPaths
+    from mistray.surfaces.surfaces import SurfaceTable
 
 SURFACE_COLUMNS = ("ghost_1", "ghost_2", "scatter_1", "last_object", "critical")
 
@@ -97,3 +102,27 @@ def like(name: str, known: Iterable[str]) -> str:
     names = list(dict.fromkeys(known))
     near = difflib.get_close_matches(name, names, 1, 0.5)
     return f"; did you mean '{near[0]}'?" if near else f"; use one of {', '.join(names[:12])}"
+
+
+class RunPaths(NamedTuple):
+    """Ledger of a run: contents, start rays by batch (BATCHES,), flux of one (W), surfaces, design, source."""
+
+    paths: DecodedPaths
+    started: np.ndarray
+    unit: float
+    table: SurfaceTable
+    design: DesignSequences
+    source: str
+
+
+def rows_of(
+    run: RunPaths,
+    place: np.ndarray,
+    columns: Mapping[str, np.ndarray],
+    by_ray: frozenset[str] = frozenset(),
+    sources: Sequence[str] = (),
+) -> Rows:
+    """What a filter is asked about: the paths at these places of the ledger of a run, with columns of as many rows."""
+    paths, table = run.paths, run.table
+    events = Events(paths.events[place], paths.lengths[place], table.event_words, run.design)
+    return Rows(events, table.event_ids, table.event_parts, columns, table.count, by_ray, sources)

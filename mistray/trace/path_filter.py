@@ -246,7 +246,7 @@ def _in_order(words: Sequence[str], rows: Rows) -> np.ndarray:
             here &= rows.events.happens(letters[letter])
         here &= np.arange(codes.shape[1]) >= after[:, None]
         held &= here.any(axis=1)
-        after = here.argmax(axis=1) + 1
+        after = np.pad(here, ((0, 0), (0, 1))).argmax(axis=1) + 1  # a table without a path has no column
     return held
 
 

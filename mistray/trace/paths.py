@@ -29,11 +29,11 @@ from mistray.recorders.path_key import EVENT_BITS, host_keys
 from mistray.recorders.path_names import PathNames
 from mistray.recorders.sampled import Sampled, batch_error
 from mistray.settings import BATCHES
+from mistray.trace.filter_rows import RunPaths, rows_of
 from mistray.trace.named_paths import tell
 from mistray.trace.path_aliases import KEPT_APART, NAMES, alias_names, aliased
 from mistray.trace.path_filter import PathFilter
 from mistray.trace.path_numbers import CHUNK, PathNumbers, RunSums, path_numbers
-from mistray.trace.run_paths import RunPaths, rows_of
 
 if TYPE_CHECKING:
     import pandas as pd

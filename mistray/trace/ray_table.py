@@ -139,7 +139,7 @@ class _Search:
         parts, rays, found = [self._facts(np.zeros((0, 1), dtype=np.uint32), {})], [], 0
         if len(slots):
             recorder = self._run.recorder(CAPACITY, slots)
-            for start in _portions(self._run):
+            for start in portions(self._run):
                 for columns, lines in self._walk(start, recorder):
                     found += len(columns["start_ray"])
                     parts.append(columns)
@@ -258,7 +258,7 @@ def _corners(run: Run, box: Sequence[float] | None, pixels: Sequence[int] | None
     return tuple(corners)
 
 
-def _portions(run: Run) -> Iterator[StartRays]:
+def portions(run: Run) -> Iterator[StartRays]:
     """The start rays of a run in portions that grow; each is spread over the beam as all of its part are."""
     for _, start in run.starts():
         count = dr.width(start.lane)

@@ -34,6 +34,7 @@ from mistray.trace.paths import PathTable, path_table, undeclared_images
 from mistray.trace.polarization_choice import words_of
 from mistray.trace.ray_sample import sample_rays
 from mistray.trace.ray_table import check_box, ray_table
+from mistray.trace.rays_elsewhere import rays_elsewhere
 from mistray.trace.sampled_hits import PathHits, sampled_hits
 from mistray.trace.trace_notes import trace_notes
 
@@ -493,9 +494,9 @@ class Trace:
         Parameters
         ----------
         selection : str
-            A filter, such as ``"S(barrel*) & relative_flux > 0.01"``; empty: every ray. The language stands at the head
-            of `mistray.trace.path_filter`; columns are those of this table, ``relative_flux`` (`flux_W` over that of
-            the strongest ray of the trace; takes one more run) and the attributes of `PathRow` for the ray's path.
+            A filter as ``"S(barrel*) & relative_flux > 0.01"``, see `mistray.trace.path_filter`; empty: every ray. Its
+            columns are those of this table, ``relative_flux`` (`flux_W` over that of the strongest ray of the trace;
+            takes one more run) and the attributes of `PathRow` for the ray's path.
         n : int or None
             Most rays; None: all of them.
         box : x0, x1, y0, y1, optional
@@ -509,10 +510,10 @@ class Trace:
         -------
         DataFrame
             ray (number in this table), path_id, kind, wavelength_nm, source, start_ray, node (events of the ray), type
-            (the last of them before the detector), history (all of them), flux_W (incident on the detector, which
-            absorbs (1 - R) of it), x_mm, y_mm, z_mm, dx, dy, dz (direction of arrival), opl_mm (from the start),
-            detector_x_mm and detector_y_mm (in the detector's frame), column and row (of the pixel). With `events` ray,
-            node, path_id, kind, and the columns of `RayHistory.to_pandas` that follow there.
+            (the last of them before the detector), history (all of them), flux_W (incident on the detector), x_mm,
+            y_mm, z_mm, dx, dy, dz (direction of arrival), opl_mm (from the start), detector_x_mm and detector_y_mm (in
+            the detector's frame), column, row (of the pixel). With `events` ray, node, path_id, kind, and columns of
+            `RayHistory.to_pandas`.
 
         Raises
         ------
@@ -520,6 +521,24 @@ class Trace:
             For a filter that cannot be read or names what there is not, an empty box, and n below 1.
         """
         return ray_table(self._runs, self.paths, PathFilter(selection), n, box, pixels, events)
+
+    def rays_at(
+        self, where: str | Sequence[str], selection: str = "", *, n: int | None = 1000, events: bool = False
+    ) -> pd.DataFrame:
+        """
+        Trace again for rays that arrive at any surface, or leave the scene.
+
+        Parameters
+        ----------
+        where : str or sequence of str
+            Surfaces or parts, with * and ? for any letters; or "blocked" (all opaque ones but detectors), "escaped", or
+            "returned" (escaped backwards). What misses all surfaces is left out.
+        selection, n, events
+            As in `rays`; of columns a filter knows wavelength_nm, source, surface and type.
+
+        Returns the last node of each ray, with flux and direction there: as `RayHistory.to_pandas`, source, history.
+        """
+        return rays_elsewhere(self._runs, where, PathFilter(selection), n, events)
 
     def table_gradients(self, derivative: HitDerivative, request: GradientRequest) -> Iterator[TableGradient]:
         """

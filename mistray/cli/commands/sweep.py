@@ -11,7 +11,7 @@ from mistray.cli.command import Command, Group, Option, angles
 from mistray.cli.options import Options
 from mistray.cli.shared import SCATTER, SCENE, SCHEDULER, SPECTRUM, SURFACES, TABLE_FORMATS, TIME, output, ray_tree
 from mistray.cli.signals import ignore
-from mistray.errors import MistrayError, UnfinishedError
+from mistray.errors import MistrayError, UnfinishedError, nearest
 from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, FINITE, PST_FIELD_DEG
 from mistray.supervisor import INTERRUPTED
 from mistray.time_budget import within
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 FILES = ("report.html", "configurations.csv", "sweep.*", "pst_sweep.csv", "edit_ranking.csv")
 COATING, PAINT, _ = SURFACES.options
 OF_FIELDS = ("field_deg", "azimuth_deg", "formats", "seconds", "no_cache")  # options that mean nothing for a PST
+OF_A_TRACE = ("field_deg", "azimuth_deg", "pst_field_deg", "rank", "step", "wavelength_nm", "rays", "out")
 OF_PST = ("coating", "paint")  # options that mean nothing without one
 
 # fmt: off
@@ -39,6 +40,7 @@ COMMAND = Command(
         "mistray sweep baffle_tube edits.toml --pst-field-deg 10:60:10 --rays 1e6    # what each edit does",
         "mistray sweep baffle_tube --set tube_vane_3.z=2 --pst-field-deg 20:40:10     # a vane moved by 2 mm",
         "mistray sweep baffle_tube --pst-field-deg 10:60:10 --rank --step rim=0.5     # which would pay",
+        "mistray sweep baffle_tube --set tube_vane_3.z=2 --write-scene moved.xml      # a file of it",
     ),
     (
         SCENE,
@@ -59,6 +61,9 @@ COMMAND = Command(
             Option("--set", "values of parameters, 'hood.z=-5' (a shift), 'L1_front.bsdf.R=0.01': keys, groups "
                    "or patterns, in the unit of the parameter",
                    pairs("no value; write KEY=VALUE, such as hood.z=-5", FINITE), "KEY=VALUE", "+", extends=True),
+            Option("--write-scene", "write the scene with this configuration, or with the one of STUDY that "
+                   "--configuration names, and trace nothing", Path, "FILE", writes=()),
+            Option("--configuration", "with --write-scene: the one of STUDY, by its name", metavar="NAME"),
             Option("--coating", f"with --pst-field-deg: {COATING.help}", COATING.type, COATING.metavar, "+",
                    extends=True),
             Option("--paint", f"with --pst-field-deg: {PAINT.help}", PAINT.type, PAINT.metavar, "+", extends=True),
@@ -74,6 +79,9 @@ COMMAND = Command(
 
 def run(options: Options) -> int:
     """Run the command."""
+    if options.write_scene is not None:
+        return _write_scene(options)
+    options.refuse(["configuration"], " names what is written; add --write-scene FILE")
     if options.pst_field_deg is not None:
         return _run_pst(options)
     if options.rank or options.step:
@@ -148,6 +156,24 @@ def _run_pst(options: Options) -> int:
         texts.append(edits.edit_ranking_text(ranking))
         files += [] if folder is None else edits.write_edits(ranking, folder, options.command_line)
     return options.show(lambda: record, lambda: "\n\n".join(texts), files, files[-1].name if files else "")
+
+
+def _write_scene(options: Options) -> int:
+    """The scene with one configuration, as a file."""
+    options.refuse(OF_A_TRACE, " has no effect with --write-scene, which traces nothing; leave it out")
+    options.start()
+    options.claim()
+    from mistray.sweeps import write_configuration
+
+    known = {one.name: one for one in _configurations(options)}
+    name = options.configuration or (next(iter(known)) if len(known) == 1 else "")
+    if name not in known:
+        what = f"there is no configuration '{name}'" if name else "--write-scene writes one configuration"
+        remedy = nearest(name, known) if known else "give --set, or a TOML file and --configuration"
+        raise MistrayError(f"{what}; {remedy}")
+    with options.working("writing the scene"):
+        file = write_configuration(options.scene, known[name], options.write_scene)
+    return options.tell(lambda: {"configuration": name}, lambda: f"configuration: {name}", [file])
 
 
 def _edited(options: Options) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,18 +10,18 @@ from mistray.cli.claims import claim_files
 from mistray.cli.command import Command, Group, Option
 from mistray.cli.options import Options, print_json
 from mistray.cli.shared import FORCE, MAPS, NAMES, SCATTER, SCENE, SOURCE, SPECTRUM, SURFACES, ray_tree
-from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, PLACE_MM, RAYS_DRAWN, ROWS
 
 if TYPE_CHECKING:
     from mistray.report import View
+    from mistray.report.rays.path_rays import RayChoice
     from mistray.trace import Trace
 
 RAYS = 20_000
 WHOLE = "none"
 PICTURE = ("colour", "cut_deg", "cut_mm")  # options of the page alone
-OF_A_TRACE = ("field_deg", "azimuth_deg", "wavelength_nm", "weights", "paths", "path_ids", "filter", "rays_per_path",
-              "save_rays", "surface_maps", *NAMES)  # fmt: skip
+OF_A_TRACE = ("field_deg", "azimuth_deg", "wavelength_nm", "weights", "paths", "path_ids", "filter", "classes", "box",
+              "rays_per_path", "save_rays", "surface_maps", *NAMES)  # fmt: skip
 NO_EFFECT = " has no effect "
 
 
@@ -46,12 +47,13 @@ COMMAND = Command(
         "mistray view cooke_triplet --field-deg 10 --layout triplet.pdf --save-rays rays.ply",
         "mistray view scene.xml --cut-deg 90 --path-ids 0 3 7 --out view.html",
         "mistray view double_gauss_barrel --field-deg 20 --surface-maps 'barrel*' hood --out walls.html",
+        "mistray view phone_camera --field-deg 0 20 --classes direct ghost blocked escaped --out classes.html",
         "mistray view scene.xml --no-trace",
     ),
     (
         SCENE,
         Group("source (default: as the scene says)", (
-            Option("--field-deg", "field angle, degrees", FIELD_DEG, "DEG"),
+            Option("--field-deg", "field angles, degrees; the rays of each are drawn", FIELD_DEG, "DEG", "+"),
             Option("--azimuth-deg", "azimuth of the field about z, degrees", AZIMUTH_DEG, "DEG"),
             *SPECTRUM,
             SOURCE,
@@ -65,7 +67,11 @@ COMMAND = Command(
             Option("--path-ids", "these rows instead, by number or by name, as 'L2_rear -> L1_front' (docs/rays.md)",
                    _row, "ID", "+"),
             Option("--filter", "strongest rows that pass a filter, as 'G(lens*) & !S' (docs/rays.md)", metavar="EXPR"),
-            Option("--rays-per-path", "most rays of each path (10; 7 in a layout)", RAYS_DRAWN, "N"),
+            Option("--classes", "rays by class instead of paths: direct, ghost, stray, all … on the detector; blocked, "
+                   "escaped, returned, or surfaces at which they arrive (docs/view.md)", None, "CLASS", "+"),
+            Option("--box", "of rays by class only those that land there on the detector, mm", PLACE_MM,
+                   ("X0", "X1", "Y0", "Y1"), 4),
+            Option("--rays-per-path", "most rays of each path or class (10; 7 in a layout)", RAYS_DRAWN, "N"),
             Option("--colour", "of surfaces: incident flux, absorbed flux, by place with --surface-maps (then the "
                    "default), or what they are (flux)", ("flux", "absorbed", "irradiance", "role")),
             Option("--cut-deg", "azimuth of the half that is taken away, about z; none: the whole (180)", _cut, "DEG"),
@@ -92,14 +98,20 @@ def run(options: Options) -> int:
     options.start()
     from mistray.report.figures.layout import PATHS_DRAWN, RAYS_DRAWN, layout_figure, layout_format, write_layout
     from mistray.report.output import writable_directory
-    from mistray.report.rays.path_rays import chosen_rows, rays_of_paths
+    from mistray.report.rays.path_rays import RayChoice
     from mistray.report.rays.ray_files import format_of, write_rays
     from mistray.report.view3d.view import MOST_PATHS, RAYS_PER_PATH, graph_objects
     from mistray.trace import trace
     from mistray.trace.check_paths import check_paths
+    from mistray.trace.named_paths import KINDS
+    from mistray.trace.rays_elsewhere import ELSEWHERE
 
     if options.filter is not None:
         options.refuse(["path_ids"], NO_EFFECT + "beside --filter; give one of them")
+    if options.classes is None:
+        options.refuse(["box"], " is about rays by class; add --classes all, or leave it out")
+    else:
+        options.refuse(["paths", "path_ids", "layout"], " is about paths, and --classes draws rays by class; give one")
     page = options.out
     if page is None and options.layout is None and not options.save_rays:
         page = Path("view.html")
@@ -118,77 +130,78 @@ def run(options: Options) -> int:
     claim_files(options, page, options.layout, *options.save_rays)
     scene = options.load()
     texts = [options.filter, *(options.path_ids or ())]
+    texts += [f'H("{name}")' for name in options.classes or () if name not in (*KINDS, *ELSEWHERE)]
     check_paths(scene, [text for text in texts if isinstance(text, str)])  # before anything is traced
-    traced = None
+    traced: list[Trace] = []
     if not options.no_trace:
-        with options.tracing() as progress:
-            traced = trace(
-                scene,
-                field_deg=options.field_deg,
-                azimuth_deg=options.azimuth_deg,
-                progress=progress,
-                **options.spectral_settings() | {"rays": RAYS if options.rays is None else options.rays},
-            )
-    if options.filter is not None and traced is not None:
-        options.path_ids = _passing(traced, options)
+        for angle in options.field_deg or [None]:
+            with options.tracing() as progress:
+                traced.append(
+                    trace(
+                        scene,
+                        field_deg=angle,
+                        azimuth_deg=options.azimuth_deg,
+                        progress=progress,
+                        **options.spectral_settings() | {"rays": RAYS if options.rays is None else options.rays},
+                    )
+                )
     most = PATHS_DRAWN if page is None and not options.save_rays else MOST_PATHS
-    paths = most if options.paths is None else options.paths
-    rays = RAYS_PER_PATH if options.rays_per_path is None else options.rays_per_path
+    chosen = RayChoice(
+        most if options.paths is None else options.paths,
+        options.path_ids,
+        options.classes,
+        options.filter or "",
+        options.box,
+        RAYS_PER_PATH if options.rays_per_path is None else options.rays_per_path,
+    )
     files = []
     with options.working("drawing"):
         shown = None
         if page is not None:
-            shown = _view(scene, traced, paths, rays, options)
+            shown = _view(scene, traced, chosen, options)
             files.append(shown.write(page, options.command_line))
         if options.layout is not None:
-            drawn = PATHS_DRAWN if options.paths is None else paths
-            each = RAYS_DRAWN if options.rays_per_path is None else rays
-            figure = layout_figure(scene, traced, drawn, options.path_ids, each)
+            drawn = PATHS_DRAWN if options.paths is None else chosen.paths
+            each = RAYS_DRAWN if options.rays_per_path is None else chosen.rays
+            figure = layout_figure(scene, traced or None, drawn, chosen.path_ids, each, chosen.selection)
             files.append(write_layout(figure, options.layout))
-        if options.save_rays and traced is not None:
-            ids = [row.path_id for row in chosen_rows(traced, paths, options.path_ids)]
-            lines = rays_of_paths(traced, ids, rays) if shown is None else shown.rays
+        if options.save_rays and traced:
+            lines = (
+                shown.rays
+                if shown is not None
+                else [line for one in traced for group in chosen.groups(one) for line in group.lines]
+            )
             files += [write_rays(lines, file) for file in options.save_rays]
     if options.json:
-        print_json(_record(traced, paths, options), files)
+        print_json(_record(traced, chosen), files)
     elif not options.quiet:
         print("\n".join(str(file) for file in files))
     return 0
 
 
-def _passing(traced: Trace, options: Options) -> list[int]:
-    """The strongest rows that pass the filter."""
-    from mistray.report.rays.path_rays import one_of_each
-    from mistray.report.view3d.view import MOST_PATHS
-
-    most = MOST_PATHS if options.paths is None else options.paths
-    found = [row.path_id for row in one_of_each(traced.paths.select(options.filter), most)]
-    if not found:
-        raise MistrayError(f"no path passes the filter '{options.filter}'; widen it, or see mistray ghosts --filter")
-    return found
-
-
-def _view(scene: Any, traced: Trace | None, paths: int, rays: int, options: Options) -> View:
+def _view(scene: Any, traced: Sequence[Trace], chosen: RayChoice, options: Options) -> View:
     from mistray.report.view3d.view import view
 
     given = options.given(*PICTURE)
     if given.get("cut_deg") == WHOLE:
         given["cut_deg"] = None
-    return view(scene, traced, paths=paths, path_ids=options.path_ids, rays=rays, title=options.title, **given)
+    rays = {name: getattr(chosen, name) for name in ("paths", "path_ids", "classes", "selection", "box", "rays")}
+    return view(scene, traced or None, title=options.title, **rays, **given)
 
 
-def _record(traced: Trace | None, paths: int, options: Options) -> dict[str, Any]:
+def _record(traced: Sequence[Trace], chosen: RayChoice) -> dict[str, Any]:
     """What --json prints: the rows that are drawn."""
-    if traced is None:
+    if not traced:
         return {"paths": []}
     from mistray.files.json_values import plain
-    from mistray.report.rays.path_rays import chosen_rows
 
-    rows = chosen_rows(traced, paths, options.path_ids)
     names = ("path_id", "label", "kind", "events", "wavelength_nm", "power_W", "power_se_W", "percent")
-    record = {
-        "field_deg": traced.settings["field_deg"],
-        "wavelength_nm": traced.wavelengths_nm,
-        "paths": [{name: getattr(row, name) for name in names} for row in rows],
-    }
+    fields = [one.settings["field_deg"] for one in traced]
+    rows = [
+        {"field_deg": field} | {name: getattr(row, name) for name in names}
+        for field, one in zip(fields, traced, strict=True)
+        for row in chosen.rows(one)
+    ]
+    single = fields[0] if len(fields) == 1 else fields
+    record = {"field_deg": single, "wavelength_nm": traced[0].wavelengths_nm, "paths": rows}
     return dict(plain(record))

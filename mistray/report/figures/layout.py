@@ -23,7 +23,7 @@ from mistray.report.figures.chains import chain
 from mistray.report.figures.cut_open import CutPlane, clip, role_of, surface_names, triangles
 from mistray.report.figures.figure import Figure, legend_label
 from mistray.report.figures.palette import BLACK, BLUE, BROWN, GREEN, INDIGO, PURPLE, SKY, VERMILION
-from mistray.report.rays.path_rays import check_count, chosen_rows, row_name
+from mistray.report.rays.path_rays import RayChoice, check_count, row_name
 from mistray.surfaces.surfaces import solid_shapes
 
 if TYPE_CHECKING:
@@ -167,10 +167,11 @@ def layout_of_fields(report: GhostReport, paths: Sequence[tuple[float, int, str]
 
 def layout_figure(
     scene: Any,
-    trace: Trace | None = None,
+    trace: Trace | Sequence[Trace] | None = None,
     paths: int = PATHS_DRAWN,
     path_ids: Sequence[int | str] | None = None,
     rays: int = RAYS_DRAWN,
+    selection: str = "",
 ) -> Figure:
     """
     Section of the system in the y-z plane with rays of the strongest paths, as wide as a page of a journal.
@@ -178,14 +179,16 @@ def layout_figure(
     Parameters
     ----------
     scene : mi.Scene
-    trace : Trace, optional
-        Of this scene; without it the section alone is drawn.
+    trace : Trace or sequence of Trace, optional
+        Of this scene, also of several fields; without it the section alone is drawn.
     paths : int
         Number of rows of the path table to draw, the strongest first.
     path_ids : sequence of int or str, optional
         Draw these rows instead, see `mistray.report.view`.
     rays : int
         Rays of each path, those nearest to the plane x = 0 and spread over the beam; they are projected onto the plane.
+    selection : str
+        Only the strongest rows that pass a filter.
 
     Returns
     -------
@@ -202,11 +205,17 @@ def layout_figure(
         raise MistrayError("path_ids without a trace; give the trace that has these paths")
     drawn: list[Drawn] = []
     title = ""
-    if trace is not None:
-        for row, colour in zip(chosen_rows(trace, paths, path_ids), itertools.cycle(PATH_COLOURS), strict=False):
-            history = trace.history(row.path_id, CANDIDATES * rays).rays
-            drawn.append(Drawn(meridional(history, rays), colour, row_name(row, len(trace.wavelengths_nm) > 1)))
-        title = f"field {trace.settings['field_deg']:g}°, section x = 0; rays projected onto it"
+    traces = [] if trace is None else list(trace) if isinstance(trace, Sequence) else [trace]
+    if traces:
+        choice = RayChoice(paths, path_ids, selection=selection)
+        chosen = [(one, row) for one in traces for row in choice.rows(one)]
+        fields = [f"{one.settings['field_deg']:g}°" for one in traces]
+        for (one, row), colour in zip(chosen, itertools.cycle(PATH_COLOURS), strict=False):
+            history = one.history(row.path_id, CANDIDATES * rays).rays
+            name = row_name(row, len(one.wavelengths_nm) > 1)
+            before = f"{one.settings['field_deg']:g}°: " if len(traces) > 1 else ""
+            drawn.append(Drawn(meridional(history, rays), colour, f"{before}{name}"))
+        title = f"field {', '.join(fields)}, section x = 0; rays projected onto it"
     return _figure(scene, drawn, title, width=PAPER_WIDTH, size=7.0)
 
 

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from mistray.errors import MistrayError
 from mistray.recorders.path_events import INTERCEPTS, LETTERS
+from mistray.trace.named_paths import KINDS
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from mistray.trace import Trace
     from mistray.trace.paths import PathRow
 
 Floats = npt.NDArray[np.float64]
 
+ELSEWHERE = -1
 _LETTER = {INTERCEPTS[code]: letter for code, letter in LETTERS.items()}
 
 
@@ -29,7 +33,7 @@ class RayLine:
     Attributes
     ----------
     path_id : int
-        Row of the path table.
+        Row of the path table; `ELSEWHERE` of a ray that was asked for by where it goes.
     events : str
         Surfaces and what happened there, as in `mistray.trace.paths.PathRow`.
     wavelength_nm : float
@@ -127,22 +131,107 @@ def rays_of_paths(trace: Trace, path_ids: Iterable[int] | None = None, n: int = 
         For an unknown row, or if `n` is below 1.
     """
     ids = range(len(trace.paths)) if path_ids is None else path_ids
+    return [line for i in ids for line in ray_lines(trace.history(int(i), n).to_pandas().assign(path_id=int(i)))]
+
+
+def ray_lines(nodes: pd.DataFrame, beyond_mm: float = 0.0) -> list[RayLine]:
+    """
+    The rays of a table of nodes.
+
+    Parameters
+    ----------
+    nodes : DataFrame
+        Of `Trace.rays` or `Trace.rays_at` with ``events=True``, or of a `RayHistory`.
+    beyond_mm : float
+        How far a ray that leaves the scene is drawn on from its last node.
+    """
     lines = []
-    for path_id in ids:
-        table = trace.history(int(path_id), n).to_pandas()
-        for _, ray in table.groupby("ray", sort=True):
-            steps = zip(ray.surface[1:], ray.intercept[1:], strict=True)
-            lines.append(
-                RayLine(
-                    int(path_id),
-                    " ".join(f"{surface}:{_LETTER[intercept]}" for surface, intercept in steps),
-                    float(ray.wavelength_nm.iloc[0]),
-                    int(ray.start_ray.iloc[0]),
-                    ray[["x_mm", "y_mm", "z_mm"]].to_numpy(dtype=np.float64),
-                    ray.flux_W.to_numpy(dtype=np.float64),
-                )
+    for _, ray in nodes.groupby("ray", sort=True):
+        steps = zip(ray.surface[1:], ray.intercept[1:], strict=True)
+        points, flux = (ray[names].to_numpy(dtype=np.float64) for names in (["x_mm", "y_mm", "z_mm"], "flux_W"))
+        if beyond_mm and (heading := ray[["dx", "dy", "dz"]].to_numpy(dtype=np.float64)[-1]).any():
+            points, flux = np.vstack([points, points[-1] + beyond_mm * heading]), np.append(flux, flux[-1])
+        lines.append(
+            RayLine(
+                int(ray.path_id.iloc[0]) if "path_id" in ray else ELSEWHERE,
+                " ".join(f"{surface}:{_LETTER[intercept]}" for surface, intercept in steps),
+                float(ray.wavelength_nm.iloc[0]),
+                int(ray.start_ray.iloc[0]),
+                points,
+                flux,
             )
+        )
     return lines
+
+
+class RayGroup(NamedTuple):
+    """Rays that are drawn alike: what a legend calls them, and the row of the path table or None."""
+
+    name: str
+    lines: list[RayLine]
+    path_id: int | None = None
+
+
+@dataclass(frozen=True)
+class RayChoice:
+    """
+    Which rays of traces are drawn.
+
+    Attributes
+    ----------
+    paths : int
+        Rows of the path table, the strongest first.
+    path_ids : sequence of int or str, optional
+        These rows instead, see `chosen_rows`.
+    classes : sequence of str, optional
+        Rays by class instead: kinds of paths, "stray" and "all"; or, of light anywhere, what `Trace.rays_at` takes:
+        "blocked", "escaped", "returned", and names of surfaces at which it arrives.
+    selection : str
+        Only rays, or the strongest rows, that pass a filter.
+    box : x0, x1, y0, y1, optional
+        With `classes`: only those that land there on the detector, mm.
+    rays : int
+        Most rays of each path or class.
+    """
+
+    paths: int
+    path_ids: Sequence[int | str] | None = None
+    classes: Sequence[str] | None = None
+    selection: str = ""
+    box: Sequence[float] | None = None
+    rays: int = 8
+
+    def rows(self, trace: Trace) -> list[PathRow]:
+        """The rows of the path table that are drawn."""
+        if self.classes is not None:
+            return []
+        if not self.selection:
+            return chosen_rows(trace, self.paths, self.path_ids)
+        found = one_of_each(trace.paths.select(self.selection), self.paths)
+        if not found:
+            raise MistrayError(
+                f"no path passes the filter '{self.selection}'; widen it, or see mistray ghosts --filter"
+            )
+        return found
+
+    def groups(self, trace: Trace, size_mm: float = 0.0, with_field: bool = False) -> list[RayGroup]:
+        """The rays, path by path or class by class; those that leave the scene go on for `size_mm`."""
+        field = f"{trace.settings['field_deg']:g}°: " if with_field else ""
+        if self.classes is None:
+            rows, several = self.rows(trace), len(trace.wavelengths_nm) > 1
+            lines = [rays_of_paths(trace, [row.path_id], self.rays) for row in rows]
+            names = [f"{field}{row_name(row, several)}" for row in rows]
+            return [RayGroup(name, own, row.path_id) for name, own, row in zip(names, lines, rows, strict=True)]
+        return [RayGroup(f"{field}{name}", self._of_class(trace, name, size_mm)) for name in self.classes]
+
+    def _of_class(self, trace: Trace, name: str, size_mm: float) -> list[RayLine]:
+        if name not in KINDS:
+            if self.box is not None:
+                raise MistrayError(f"box is about light on the detector, not about '{name}'; leave one of them out")
+            return ray_lines(trace.rays_at(name, self.selection, n=self.rays, events=True), size_mm)
+        kind = f"'{name}'" if self.selection else name
+        selection = f"{kind} & ({self.selection})" if self.selection else kind
+        return ray_lines(trace.rays(selection, n=self.rays, box=self.box, events=True))
 
 
 def row_name(row: PathRow, with_wavelength: bool = False) -> str:

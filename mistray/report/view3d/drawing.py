@@ -15,13 +15,12 @@ from mistray.report.figures.cut_open import CutPlane, OpenSurface, triangulate
 from mistray.report.figures.layout import GLASS, PATH_COLOURS, glass_bodies
 from mistray.report.figures.palette import BLACK
 from mistray.report.parts import thousands
-from mistray.report.rays.path_rays import RayLine, row_name
+from mistray.report.rays.path_rays import RayGroup
 from mistray.report.tables.text import with_error
 
 if TYPE_CHECKING:
     from mistray.recorders.passing.surface_maps import SurfaceMap
     from mistray.trace.energy import SurfaceFlux
-    from mistray.trace.paths import PathRow
 
 ROLES = {"glass": "glass", "mirror": "mirrors", "structure": "mechanics", "detector": "detector"}
 ROLE_COLOURS = {"glass": "#8fbbe0", "mirror": "#d9b44a", "structure": "#8d8f92", "detector": "#2b2b2b"}
@@ -142,17 +141,17 @@ def glass_faces(go: Any, scene: Any, surfaces: Sequence[OpenSurface], cut: CutPl
     return faces
 
 
-def path_lines(go: Any, rows: Sequence[PathRow], lines: Sequence[RayLine], with_wavelength: bool) -> list[Any]:
-    """Rays of each path as one ``scatter3d`` named like the row."""
+def path_lines(go: Any, groups: Sequence[RayGroup]) -> list[Any]:
+    """Rays of each path or class as one ``scatter3d`` with its name."""
     traces = []
-    for number, row in enumerate(rows):
-        own = [line for line in lines if line.path_id == row.path_id]
-        name = row_name(row, with_wavelength)
+    for number, (name, own, path_id) in enumerate(groups):
         texts: list[str] = []
         for line in own:
             places = ["start", *event_words(line.events)]
+            places += ["leaves"] * (len(line.points) - len(places))
             texts += [f"{escape(place)}, {flux:.4g} W" for place, flux in zip(places, line.flux_W, strict=True)]
             texts.append("")
+        rare = "too rare to draw" if path_id is not None else "none"
         traces.append(
             go.Scatter3d(
                 **xyz(joined([line.points for line in own])),
@@ -162,11 +161,11 @@ def path_lines(go: Any, rows: Sequence[PathRow], lines: Sequence[RayLine], with_
                     "width": 2,
                     "dash": DASHES[number // len(PATH_COLOURS) % len(DASHES)],
                 },
-                name=name.replace(", scatter at", ",<br>scatter at") if own else f"{name}, too rare to draw",
+                name=name.replace(", scatter at", ",<br>scatter at") if own else f"{name}, {rare}",
                 text=texts,
                 hovertemplate=f"<b>{escape(name)}</b><br>%{{text}}<br>x %{{x:.5g}}, y %{{y:.5g}}, z %{{z:.5g}} mm"
                 "<extra></extra>",
-                meta={"path_id": row.path_id},
+                meta={"class": name} if path_id is None else {"path_id": path_id},
                 showlegend=True,
             )
         )

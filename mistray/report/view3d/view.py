@@ -13,12 +13,14 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from mistray.errors import MistrayError
 from mistray.renamed import renamed
 from mistray.replace_file import replace_file
 from mistray.report.figures.cut_open import CutPlane, OpenSurface, open_surfaces
 from mistray.report.parts import thousands
-from mistray.report.rays.path_rays import RayLine, check_count, chosen_rows, rays_of_paths
+from mistray.report.rays.path_rays import RayChoice, RayLine, check_count
 from mistray.report.view3d.controls import (
     COLOURINGS,
     IRRADIANCE,
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
     from mistray.trace.paths import PathRow
 
 MOST_PATHS, RAYS_PER_PATH = 8, 10
+BEYOND = 0.25  # of the size of the scene: what is drawn of rays that leave it
 
 
 class View:
@@ -92,10 +95,13 @@ class View:
 @renamed()
 def view(
     scene: Any,
-    trace: Trace | None = None,
+    trace: Trace | Sequence[Trace] | None = None,
     *,
     paths: int = MOST_PATHS,
     path_ids: Sequence[int | str] | None = None,
+    classes: Sequence[str] | None = None,
+    selection: str = "",
+    box: Sequence[float] | None = None,
     rays: int = RAYS_PER_PATH,
     colour: str | None = None,
     cut_deg: float | None = 180.0,
@@ -109,15 +115,23 @@ def view(
     ----------
     scene : mi.Scene
         From `mistray.load`.
-    trace : Trace, optional
-        Of this scene; without it there are no rays and no fluxes.
+    trace : Trace or sequence of Trace, optional
+        Of this scene; without it there are no rays and no fluxes. Of several, such as of several fields, the rays of
+        each are drawn, and the fluxes are those of all together.
     paths : int
         Number of rows of the path table to draw, the strongest first.
     path_ids : sequence of int or str, optional
         Draw these rows instead: by number, or all that have a name ("L2_rear -> L1_front"), are of a kind ("ghost"), or
         pass a filter, see `mistray.trace.path_filter`.
+    classes : sequence of str, optional
+        Draw rays by class instead of paths: "direct", "ghost", "stray", "all", … of light on the detector; "blocked",
+        "escaped", "returned", or a surface or part at which they arrive, of light anywhere, see `Trace.rays_at`.
+    selection : str
+        Only rays, or the strongest rows, that pass a filter.
+    box : x0, x1, y0, y1, optional
+        Of `classes` only rays that land in this rectangle of the detector, mm.
     rays : int
-        Most rays of each path.
+        Most rays of each path or class.
     colour : {"flux", "absorbed", "irradiance", "role"}, optional
         Colour surfaces by the flux that reaches them, by what they absorb of it (both log10, `DECADES` decades at
         most), by place where the trace has `mistray.recorders.SurfaceMaps`, or by what they are. Default: by place if
@@ -142,17 +156,20 @@ def view(
     """
     require_scene(scene, "view")
     go = graph_objects()
-    _check(trace, path_ids, colour, cut_deg, cut_mm)
-    check_count(rays)
-    rows: list[PathRow] = [] if trace is None else chosen_rows(trace, paths, path_ids)
+    traces = [] if trace is None else [trace] if not isinstance(trace, Sequence) else list(trace)
+    chosen = RayChoice(paths, path_ids, classes, selection, box, rays)
+    _check(traces, chosen, colour, cut_deg, cut_mm)
+    rows = [chosen.rows(one) for one in traces]
     cut = None if cut_deg is None else CutPlane(cut_deg, cut_mm)
     surfaces = open_surfaces(scene, cut)
     shown = [surface for surface in surfaces if len(surface.faces)]
     if not shown:
         raise MistrayError(f"cut_deg={cut_deg}, cut_mm={cut_mm:g} leaves no surface; move the cut")
-    flux = _flux_of(surfaces, trace)
-    lines = [] if trace is None else rays_of_paths(trace, [row.path_id for row in rows], rays)
-    box = shown_box(shown, lines, cut)
+    flux = flux_of(surfaces, traces)
+    size = scene_size(surfaces)
+    groups = [group for one in traces for group in chosen.groups(one, BEYOND * size, len(traces) > 1)]
+    lines = [line for group in groups for line in group.lines]
+    shown_mm = shown_box(shown, lines, cut)
     figure = go.Figure()
     meshes = [surface_mesh(go, surface, flux.get(surface.name)) for surface in shown]
     edges = outlines(go, shown)
@@ -163,21 +180,21 @@ def view(
     figure.add_traces(meshes)
     figure.add_traces(edges)
     figure.add_traces(glass_faces(go, scene, surfaces, cut))
-    maps = _maps_of(trace)
+    maps = _maps_of(traces)
     if colour == IRRADIANCE and not maps:
         raise MistrayError("colour is 'irradiance' but the trace has no maps of surfaces; record them (SurfaceMaps)")
-    by = colour or (IRRADIANCE if maps else "role" if trace is None else "flux")
+    by = colour or (IRRADIANCE if maps else "role" if not traces else "flux")
     scales = light_scales(shown, flux, maps)
-    figure.add_traces(scale_marks(go, scales, box))
-    figure.add_traces(path_lines(go, rows, lines, trace is not None and len(trace.wavelengths_nm) > 1))
+    figure.add_traces(scale_marks(go, scales, shown_mm))
+    figure.add_traces(path_lines(go, groups))
     start = 0
     for one in maps:
         cells = one.areas.size * (len(one.across_borders) - 1)
         figure.add_trace(wall_mesh(go, one, scales[IRRADIANCE].colours[start : start + cells], cut))
         start += cells
-    arrange(figure, box, cut)
+    arrange(figure, shown_mm, cut)
     add_buttons(figure, scales, by, shown, cut)
-    return View(figure, surfaces, lines, title, _note(trace, rows, cut))
+    return View(figure, surfaces, lines, title, _note(traces, rows, chosen, cut))
 
 
 def graph_objects() -> Any:
@@ -189,40 +206,55 @@ def graph_objects() -> Any:
 
 
 def _check(
-    trace: Trace | None, path_ids: Sequence[int | str] | None, colour: str | None, cut_deg: float | None, cut_mm: float
+    traces: Sequence[Trace], chosen: RayChoice, colour: str | None, cut_deg: float | None, cut_mm: float
 ) -> None:
+    check_count(chosen.rays)
     if colour not in (None, "role", IRRADIANCE, *COLOURINGS):
         raise MistrayError(f"colour is '{colour}'; choose {', '.join(COLOURINGS)}, {IRRADIANCE} or role")
-    if trace is None and colour in (IRRADIANCE, *COLOURINGS):
+    if not traces and colour in (IRRADIANCE, *COLOURINGS):
         raise MistrayError(f"colour is '{colour}' but nothing was traced; give the trace, or colour='role'")
-    if trace is None and path_ids is not None:
-        raise MistrayError("path_ids without a trace; give the trace that has these paths")
+    if not traces and (chosen.path_ids is not None or chosen.classes is not None):
+        what = "classes" if chosen.path_ids is None else "path_ids"
+        raise MistrayError(f"{what} without a trace; give the trace that has these rays")
+    if chosen.classes is None and chosen.box is not None:
+        raise MistrayError("box is about rays by class; give classes=['all'] with it")
+    if chosen.path_ids is not None and chosen.selection:
+        raise MistrayError("path_ids and selection are given; choose rows by one of them")
+    if chosen.classes is not None and chosen.path_ids is not None:
+        raise MistrayError("path_ids and classes are given; draw rays by path or by class")
     if not math.isfinite(cut_mm) or not math.isfinite(cut_deg or 0.0):
         raise MistrayError(f"cut_deg is {cut_deg}, cut_mm is {cut_mm}; both must be finite")
 
 
-def _maps_of(trace: Trace | None) -> list[SurfaceMap]:
-    """What the trace has recorded of its surfaces by place, each surface once."""
+def _maps_of(traces: Sequence[Trace]) -> list[SurfaceMap]:
+    """What a trace has recorded of its surfaces by place, each surface once."""
     from mistray.recorders.passing.surface_maps import SurfaceMaps
 
-    if trace is None:
-        return []
-    recorders = [one for one in trace.recorders.values() if isinstance(one, SurfaceMaps)]
+    recorders = [one for trace in traces for one in trace.recorders.values() if isinstance(one, SurfaceMaps)]
+    if recorders and len(traces) > 1:
+        raise MistrayError("surface maps are of one field; give one trace, or trace without maps")
     return list({name: one for recorder in recorders for name, one in recorder.maps.items()}.values())
 
 
-def _flux_of(surfaces: Sequence[OpenSurface], trace: Trace | None) -> dict[str, SurfaceFlux]:
-    """The rows of the trace's surface table by id, after a look whether they are those of the scene."""
-    if trace is None:
-        return {}
-    flux = {row.id: row for row in trace.surfaces}
-    strange = sorted({surface.name for surface in surfaces} ^ set(flux))
-    if strange:
-        raise MistrayError(f"surface '{strange[0]}' is not both in scene and trace; give the scene that was traced")
-    return flux
+def flux_of(surfaces: Sequence[OpenSurface], traces: Sequence[Trace]) -> dict[str, SurfaceFlux]:
+    """The fluxes of all traces together by id, after a look whether their surfaces are those of the scene."""
+    found: dict[str, SurfaceFlux] = {}
+    for trace in traces:
+        flux = {row.id: row for row in trace.surfaces}
+        strange = sorted({surface.name for surface in surfaces} ^ set(flux))
+        if strange:
+            raise MistrayError(f"surface '{strange[0]}' is not both in scene and trace; give the scene that was traced")
+        found = {name: row + found[name] if found else row for name, row in flux.items()}
+    return found
 
 
-def _note(trace: Trace | None, rows: Sequence[PathRow], cut: CutPlane | None) -> str:
+def scene_size(surfaces: Sequence[OpenSurface]) -> float:
+    """Diagonal of the surfaces, mm."""
+    points = np.concatenate([surface.vertices for surface in surfaces])
+    return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
+
+
+def _note(traces: Sequence[Trace], rows: Sequence[Sequence[PathRow]], chosen: RayChoice, cut: CutPlane | None) -> str:
     parts = ["mm, equal axes"]
     if cut is None:
         parts.append("whole")
@@ -230,12 +262,23 @@ def _note(trace: Trace | None, rows: Sequence[PathRow], cut: CutPlane | None) ->
         parts.append(f"cut open: the half towards azimuth {cut.azimuth_deg:g}° is taken away")
         if cut.offset_mm:
             parts.append(f"beyond {cut.offset_mm:g} mm")
-    if trace is not None:
-        wavelengths = ", ".join(f"{value:g}" for value in trace.wavelengths_nm)
-        share = sum(row.percent for row in rows)
-        azimuth = trace.settings["azimuth_deg"]
+    if traces:
+        settings = traces[0].settings
+        wavelengths = ", ".join(f"{value:g}" for value in traces[0].wavelengths_nm)
+        azimuth = settings["azimuth_deg"]
         at = f" at azimuth {azimuth:g}°" if azimuth else ""
-        rays = thousands(trace.settings["rays"])
-        parts.append(f"field {trace.settings['field_deg']:g}°{at}, {wavelengths} nm, {rays} start rays")
-        parts.append(f"{len(rows)} of {len(trace.paths)} paths drawn, {share:.4g} % of the light on the detector")
+        fields = ", ".join(f"{one.settings['field_deg']:g}°" for one in traces)
+        parts.append(f"field {fields}{at}, {wavelengths} nm, {thousands(settings['rays'])} start rays")
+        if chosen.classes is None:
+            count = "; ".join(
+                f"{len(own)} of {len(one.paths)} paths drawn, {sum(row.percent for row in own):.4g} % of the light"
+                for one, own in zip(traces, rows, strict=True)
+            )
+            parts.append(f"{count} on the detector")
+        else:
+            kept = [f"that pass {chosen.selection}"] * bool(chosen.selection)
+            if chosen.box is not None:
+                x0, x1, y0, y1 = chosen.box
+                kept.append(f"that land in x {x0:g} … {x1:g}, y {y0:g} … {y1:g} mm")
+            parts.append(" ".join([f"at most {chosen.rays} rays of each class", *kept]))
     return "; ".join(parts)

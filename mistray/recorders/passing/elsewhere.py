@@ -1,0 +1,53 @@
+"""Whole branches that arrive at chosen surfaces, or that leave the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.recorders.branch_recorder import BranchRecorder
+from mistray.recorders.recorder import Departure, Memory, Visit
+from mistray.surfaces.upload import upload
+
+
+@dataclass
+class ElsewhereRecorder(BranchRecorder):
+    """
+    Append buffer for the branches up to every hit of some surfaces, or up to where light leaves the scene.
+
+    Attributes
+    ----------
+    surfaces : (s,) bool
+        Those whose hits are recorded, whether they take light or not.
+    departs : bool
+        Record what leaves the scene instead; what misses all surfaces has no event and is left out.
+    """
+
+    surfaces: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    departs: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._chosen = upload(mi.UInt32, self.surfaces.astype(np.uint32))
+
+    @property
+    def code(self) -> Hashable:
+        """See `Recorder.code`."""
+        return type(self).__name__, self.departs
+
+    def visit(self, visit: Visit, memory: Memory) -> None:
+        """Record hits of the surfaces."""
+        if not self.departs:
+            here = visit.active & (dr.gather(mi.UInt32, self._chosen, visit.surface, visit.active) != 0)
+            self.write(visit, here, visit.node, mi.Float64(visit.weight))
+
+    def depart(self, departure: Departure, memory: Memory) -> None:
+        """Record rays that leave the scene from within."""
+        if self.departs and departure.node is not None:
+            branch = (departure.start.lane, departure.key, mi.Float64(departure.weight), departure.heading, None)
+            last = departure.length - 1
+            self._write(departure.nodes, departure.event, departure.active, departure.node, last, branch)

@@ -1,0 +1,150 @@
+"""Tables of rays that arrive at any surface, or leave the scene, whether the detector sees their light or not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.execute.tracer import Run
+from mistray.recorders.passing.elsewhere import ElsewhereRecorder
+from mistray.recorders.path_events import INTERCEPTS, Events
+from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
+from mistray.surfaces.optics import DETECTOR, OPAQUE
+from mistray.surfaces.upload import upload
+from mistray.trace.filter_rows import Rows, named_like, unknown_name
+from mistray.trace.history import Ray, RayHistory, rays_in_slots
+from mistray.trace.path_filter import PathFilter
+from mistray.trace.ray_table import portions
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from mistray.recorders.start_rays import StartRays
+
+BLOCKED, ESCAPED, RETURNED = "blocked", "escaped", "returned"
+ELSEWHERE = (BLOCKED, ESCAPED, RETURNED)
+CAPACITY = 1 << 14  # branches that are recorded at a time
+
+
+def rays_elsewhere(
+    runs: Sequence[Run], where: str | Sequence[str], wanted: PathFilter, n: int | None, events: bool
+) -> pd.DataFrame:
+    """The table of `mistray.trace.Trace.rays_at`, which says what the parameters are."""
+    import pandas as pd
+
+    if n is not None and n < 1:
+        raise MistrayError(f"n is {n}; ask for at least one ray, or None for all")
+    words = [where] if isinstance(where, str) else list(where)
+    tables, done = [], 0
+    for run in runs:
+        rays = list(_rays(run, words, wanted, n))
+        if n is not None and len(rays) > n:
+            rays = [rays[k] for k in np.linspace(0, len(rays) - 1, n).round().astype(int)]
+        history = RayHistory(run, rays).to_pandas()
+        history.insert(2, "source", run.source.name)
+        history["ray"] += done
+        done += len(rays)
+        tables.append(history)
+    table = pd.concat([one for one in tables if len(one)] or tables[:1], ignore_index=True)
+    if n is not None and done > n:
+        kept = np.linspace(0, done - 1, n).round().astype(int)
+        table = table[table.ray.isin(kept)].reset_index(drop=True)
+        table["ray"] = np.searchsorted(kept, table.ray)
+    return table if events else _ends(table)
+
+
+def _ends(table: pd.DataFrame) -> pd.DataFrame:
+    """One row for each ray of a table of nodes: its last node, with the direction in which it arrives there."""
+    last = table.groupby("ray").tail(1).reset_index(drop=True)
+    before = table[table.node == table.groupby("ray").node.transform("max") - 1].reset_index(drop=True)
+    gone = np.abs(last[["dx", "dy", "dz"]]).sum(axis=1) > 0
+    for name in ("dx", "dy", "dz"):
+        last[name] = np.where(gone, last[name], before[name])
+    history = table[table.node > 0].groupby("ray").apply(lambda one: " ".join(one.surface + ":" + one.intercept))
+    last["history"] = history.to_numpy() if len(last) else []
+    return last
+
+
+def _rays(run: Run, words: Sequence[str], wanted: PathFilter, n: int | None) -> Iterator[Ray]:
+    """Rays of one run: enough, from growing portions of its start rays, each spread over the beam."""
+    departs = any(word in (ESCAPED, RETURNED) for word in words)
+    if departs and len(words) > 1:
+        raise MistrayError(f"where is {', '.join(words)}; give {ESCAPED} or {RETURNED} alone, or names of surfaces")
+    chosen = np.zeros(run.table.count, dtype=bool) if departs else _chosen(run, words)
+    recorder = ElsewhereRecorder(CAPACITY, run.settings.max_events, surfaces=chosen, departs=departs)
+    found = 0
+    for start in portions(run):
+        for ray in _walk(run, start, recorder, wanted):
+            if words == [RETURNED] and ray.directions[-1] @ ray.directions[0] >= 0:
+                continue
+            found += 1
+            yield ray
+        if n is not None and found >= n:
+            return
+
+
+def _chosen(run: Run, words: Sequence[str]) -> np.ndarray:
+    """Which surfaces are meant."""
+    ids, parts = run.table.ids, run.table.parts
+    chosen = np.zeros(len(ids), dtype=bool)
+    for word in words:
+        here = named_like(word, ids, parts)
+        if word == BLOCKED:
+            here = (run.table.optics.host_words & np.uint32(OPAQUE | DETECTOR)) == OPAQUE
+        elif not here.any():
+            raise MistrayError(f"rays_at: {unknown_name(word, [*ids, *ELSEWHERE], [*parts, *ELSEWHERE])}")
+        chosen |= here
+    return chosen
+
+
+def _walk(run: Run, start: StartRays, recorder: ElsewhereRecorder, wanted: PathFilter) -> Iterator[Ray]:
+    """Rays of some start rays that pass; where they have more branches than the recorder holds, in halves."""
+    recorder.clear()
+    run.trace_trees(start, recorder)
+    count, lanes = int(recorder.count[0]), dr.width(start.lane)
+    if count > recorder.capacity:
+        if lanes == 1:
+            raise MistrayError(
+                f"a single start ray has {count} branches, more than {recorder.capacity}; raise flux_threshold or "
+                "lower max_reflections or max_scatters"
+            )
+        for half in np.array_split(np.arange(lanes), 2):
+            yield from _walk(run, start.take(upload(mi.UInt32, half)), recorder, wanted)
+        return
+    lengths = np.array(recorder.length)[:count].astype(np.int64)
+    codes = np.array(recorder.codes).reshape(recorder.capacity, -1)[:count, : int(lengths.max(initial=1))]
+    codes = np.where(np.arange(codes.shape[1]) < lengths[:, None], codes, 0)
+    slots = _passing(run, wanted, codes, lengths)
+    slots = slots[np.argsort(np.array(recorder.lane)[slots], kind="stable")]
+    headings = np.array(recorder.heading).reshape(-1, 3)[slots].astype(np.float64)
+    rays = rays_in_slots(run, recorder, slots, *run.start_rays(np.array(recorder.lane)[slots]))
+    leaving = run.unit * np.array(recorder.weight)[slots]
+    for ray, heading, flux in zip(rays, headings, leaving, strict=True):
+        if recorder.departs:
+            ray.directions[-1], ray.flux_W[-1] = heading, flux
+        yield ray
+
+
+def _passing(run: Run, wanted: PathFilter, codes: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """Which branches a filter lets through; it knows their events, wavelength and source."""
+    table, count = run.table, len(codes)
+    last = codes[np.arange(count), lengths - 1].tolist()
+    columns = {
+        "wavelength_nm": np.full(count, run.source.wavelength_nm),
+        "source": np.full(count, run.source.name, dtype=object),
+        "type": np.array([INTERCEPTS[code & EVENT_MASK] for code in last], dtype=object),
+        "surface": np.array([table.event_ids[code >> EVENT_BITS] for code in last], dtype=object),
+    }
+    missing = wanted.columns - set(columns)
+    if missing:
+        raise MistrayError(
+            f"filter '{wanted.text}': of rays elsewhere than on the detector there is no '{min(missing)}'; compare "
+            f"{', '.join(columns)}, or use flags such as H(x)"
+        )
+    events = Events(codes, lengths, table.event_words, run.design)
+    return np.flatnonzero(wanted.holds(Rows(events, table.event_ids, table.event_parts, columns, table.count)))
