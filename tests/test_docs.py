@@ -52,7 +52,7 @@ def test_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 def test_commands_exist() -> None:
-    """With their options; running them all would take hours, the README's are run."""
+    """With their options; `test_docs_commands` runs them, which takes most of an hour."""
     lines = [line for page in ALL_PAGES for line in command_lines(page.read_text(encoding="utf-8"))]
     assert len(lines) > 40
     for line in lines:

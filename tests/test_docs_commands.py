@@ -49,9 +49,16 @@ def shipped(name: str) -> Callable[[Path], None]:
 
 
 def cooled(path: Path) -> None:
-    """A camera with a cold shield, whose parts are a detector and shield_1."""
-    text = (ROOT / "scenes" / "cooke_triplet" / "scene.xml").read_text(encoding="utf-8")
-    path.write_text(text.replace('value="barrel"', 'value="shield_1"'), encoding="utf-8")
+    """A telescope of mirrors, which have no glass to know in the infrared, with a detector and a part shield_1."""
+    text = (ROOT / "scenes" / "newtonian_scatter" / "scene.xml").read_text(encoding="utf-8")
+    text = text.replace('"mirror_cell"', '"shield_1"').replace('id="image"', 'id="detector"')
+    path.write_text(text, encoding="utf-8")
+
+
+def assembly(path: Path) -> None:
+    """A STEP file of two parts, a vane and a tube."""
+    text = (DATA / "assembly_inch.step").read_text(encoding="utf-8")
+    path.write_text(text.replace("'ring','ring'", "'vane','vane'").replace("'bracket','bracket'", "'tube','tube'"))
 
 
 def tetrahedron(path: Path) -> None:
@@ -79,11 +86,11 @@ def roa(path: Path) -> None:
 FILES: dict[str, Callable[[Path], object]] = {
     **dict.fromkeys(("lens.zmx", "triplet.zmx"), lambda path: path.write_text(ZMX)),
     "triplet.seq": lambda path: path.write_text(SEQ.replace("RDM Y\n", "")),
-    **dict.fromkeys(("lens.xml", "scene.xml", "singlet.xml", "better.xml", "both.xml", "telescope.xml"), lens),
-    "triplet.xml": shipped("cooke_triplet"),
+    **dict.fromkeys(("lens.xml", "singlet.xml", "better.xml", "both.xml", "telescope.xml"), lens),
+    **dict.fromkeys(("scene.xml", "triplet.xml"), shipped("cooke_triplet")),
     "camera.xml": cooled,
     "camera.roa": roa,
-    "tube.step": lambda path: shutil.copy(DATA / "vane_tube.step", path),
+    "tube.step": assembly,
     "bracket.stl": tetrahedron,
     "lamp.ies": lamp,
 }
@@ -117,6 +124,7 @@ def run(line: str, tomls: list[str], capsys: pytest.CaptureFixture[str]) -> None
         options = vars(program._parser().parse_args(words))
         for name, few in FEW.items():
             given = name in options and (name == "rays" or options[name] is not None)
+            given &= words[0] != "export" or "--paths" in words
             words += few if given else ()
         words += ["--force"] if "force" in options and not options.get("resume") else []
     code = cli.main(words)

@@ -47,6 +47,7 @@ HEADER = np.dtype(
     ]
 )
 IDENTIFIER = 1010
+_CONVERT = "write others, such as IES TM-25, as a Zemax source file"
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +171,7 @@ def read_ray_set(path: str | Path, unit: str | None = None) -> RaySet:
     path = Path(path)
     reader = READERS.get(path.suffix.lower())
     if reader is None:
-        raise MistrayError(f"ray file '{path}': its name must end in {', '.join(READERS)}")
+        raise MistrayError(f"ray file '{path}': its name must end in {', '.join(READERS)}; {_CONVERT}")
     if unit is not None and unit not in UNITS_MM:
         raise MistrayError(f"ray file '{path}': the unit '{unit}' is none of {', '.join(UNITS)}")
     try:

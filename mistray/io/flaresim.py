@@ -187,11 +187,15 @@ def _cemented(file: _File, notes: list[str]) -> list[_Line]:
     lines: list[_Line] = []
     pairs = []
     for item in file.lines:
-        last = lines[-1] if lines else None
-        plain = last is not None and not (last.stop or item.stop) and last.thickness == 0 and last.index <= _GLASS
-        if last is not None and plain and last.radius == item.radius:
-            pairs.append(f"{last.number} and {item.number}")
-            lines[-1] = replace(item, number=last.number, size=min(last.size, item.size) or max(last.size, item.size))
+        stop = bool(lines) and lines[-1].stop and lines[-1].thickness == 0  # it may lie in the cement
+        before = lines[-2 if stop else -1 :]
+        empty = bool(before) and before[0].thickness == 0 and before[0].index <= _GLASS and not before[0].stop
+        if empty and not item.stop and before[0].radius == item.radius:
+            pairs.append(f"{before[0].number} and {item.number}")
+            sizes = [line.size for line in (*before, item) if line.size > 0]
+            lines[-len(before) :] = [
+                replace(item, number=before[0].number, size=min(sizes, default=0.0), stop=stop),
+            ]
         else:
             lines.append(item)
     if pairs:

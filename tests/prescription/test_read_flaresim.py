@@ -145,6 +145,11 @@ def test_equal_faces_without_a_space_are_cement(tmp_path):
     assert any("2 and 3" in note for note in lenses[0].notes)
     both = [[(row.radius, row.material, row.thickness, row.coating) for row in lens.rows] for lens in lenses]
     assert both[0] == both[1]
+    # With the stop between the two it is the stop
+    within = "50 5 1.6 60 16 1\n-60 0 1 0 16 0\nstop 0 1 0 1e6 0\n-60 3 1.7 30 14 1\n-300 71 1 0 16 0\n"
+    lens = read_flaresim(written(tmp_path, head + within))
+    assert [(row.number, row.stop) for row in lens.rows] == [(1, False), (2, True), (5, False), (6, False)]
+    assert lens.aperture == 14
 
 
 @pytest.mark.parametrize(

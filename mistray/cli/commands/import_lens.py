@@ -22,6 +22,12 @@ from mistray.read_file import require_file
 if TYPE_CHECKING:
     from mistray.prescription import Prescription
 
+# Formats of CAD that have a near relative among those that are read
+_INSTEAD = {
+    **dict.fromkeys((".igs", ".iges", ".sat", ".x_t", ".sldprt"), "export it as STEP,"),
+    **dict.fromkeys((".gltf", ".glb", ".3mf", ".dae", ".fbx"), "export it as STL, OBJ or PLY,"),
+}
+
 # fmt: off
 COMMAND = Command(
     "import",
@@ -85,7 +91,8 @@ def run(options: Options) -> int:
     if kind is None:
         require_file(lens, "lens")
         known = ", ".join([*FORMATS, *import_mechanics.SUFFIXES])
-        raise MistrayError(f"lens '{lens}': files of type '{lens.suffix}' cannot be read; give one of {known}")
+        instead = _INSTEAD.get(suffix, "give")
+        raise MistrayError(f"lens '{lens}': files of type '{lens.suffix}' cannot be read; {instead} one of {known}")
     check_options(options, kind, CALLED[kind])
     options.refuse(import_mechanics.NAMES, f": {CALLED[kind]} files hold no mechanics; leave it out")
     output = options.claim_output(Path(lens.with_suffix(".xml").name))
