@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from mistray.notes import Code, Note, unfinished
 from mistray.time_budget import not_traced
-from mistray.trace.trace_notes import trace_notes
+from mistray.trace.reliability.trace_notes import trace_notes
 
 if TYPE_CHECKING:
     from mistray.analysis.ghosts import GhostReport

@@ -25,7 +25,6 @@ from mistray.recorders.recorder import Recorder
 from mistray.recorders.tallies import SCATTERED_FLUX, SCATTERED_HITS, SCATTERED_SQUARES, SEGMENTS
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.thin_gaps import thin_gaps
-from mistray.trace.aimed_rays import aimed_surfaces, silent_places
 from mistray.trace.energy import Energy, FluxReport, energy_ledger, flux_report
 from mistray.trace.history import Ray, RayHistory, read_rays
 from mistray.trace.light_cones import LightCone, light_cones
@@ -35,8 +34,9 @@ from mistray.trace.polarization_choice import words_of
 from mistray.trace.ray_sample import sample_rays
 from mistray.trace.ray_table import check_box, ray_table
 from mistray.trace.rays_elsewhere import rays_elsewhere
+from mistray.trace.reliability.aimed_rays import aimed_surfaces, silent_places
+from mistray.trace.reliability.trace_notes import trace_notes
 from mistray.trace.sampled_hits import PathHits, sampled_hits
-from mistray.trace.trace_notes import trace_notes
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -13,8 +13,8 @@ from mistray.recorders.film import Pixels
 from mistray.recorders.ledger import SUMS
 from mistray.settings import BATCHES
 from mistray.trace import Energy, FluxReport, Settings, SurfaceFlux
-from mistray.trace.aimed_rays import AimedSurface
 from mistray.trace.paths import path_table
+from mistray.trace.reliability.aimed_rays import AimedSurface
 
 PARTS = {
     "window_front": "window",

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import mistray
-from mistray.trace.aimed_rays import SilentPlace
-from mistray.trace.sampling_check import sampling_check, sampling_notes
+from mistray.trace.reliability.aimed_rays import SilentPlace
+from mistray.trace.reliability.sampling_check import sampling_check, sampling_notes
 
 
 @dataclass

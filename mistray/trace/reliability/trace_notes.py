@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from mistray.notes import Code, Note
 from mistray.ranges import EVENTS
 from mistray.settings import BRANCHES
-from mistray.trace.sampling_check import sampling_notes
+from mistray.trace.reliability.sampling_check import sampling_notes
 
 if TYPE_CHECKING:
     from mistray.trace.result import Trace
