@@ -160,7 +160,7 @@ def _renameat2() -> Callable[..., int] | None:
     except (OSError, AttributeError, TypeError):
         return None
     found.argtypes = [ctypes.c_int, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_uint]
-    return found  # type: ignore[no-any-return]
+    return found
 
 
 def _exchanger() -> Callable[[Path, Path], None]:

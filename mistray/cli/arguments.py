@@ -51,7 +51,7 @@ class Parser(argparse.ArgumentParser):
         """Values of an action; argparse of 3.11 takes the two dashes of --option=-- away, and leaves an empty list."""
         if action.option_strings and "--" in arg_strings:
             raise argparse.ArgumentError(action, "'--' is no value; give one, or leave the option out")
-        return super()._get_values(action, arg_strings)  # type: ignore[misc]
+        return super()._get_values(action, arg_strings)
 
     def take_old_name(self, old: str, new: str) -> None:
         """Accept an option by an old name too, with a warning; the help does not show it."""
