@@ -27,10 +27,10 @@ def ghost_notes(report: GhostReport) -> list[Note]:
     own = {note for t in report.values() for note in t.own_notes}
     notes = [(at, note) for at, note in trace_notes(list(report.values())) if note.code != Code.UNFINISHED]
     found += [note if note in own else note.beside(fields_text([fields[k] for k in at])) for at, note in notes]
-    if fewer := {field: t for field, t in report.items() if t.rays_traced != t.rays_planned}:
+    if fewer := {f: t for f, t in report.items() if any(note.code == Code.UNFINISHED for note in t.own_notes)}:
         least = min(t.rays_traced for t in fewer.values())
         of_least = [field for field, t in fewer.items() if t.rays_traced == least]
-        text = f"{unfinished(least, fewer[of_least[0]].rays_planned)}"
+        text = str(unfinished(least, fewer[of_least[0]].rays_planned))
         more = f"; of {len(fewer) - len(of_least)} other fields more" if len(fewer) > len(of_least) else ""
         found.append(Note(text + more, Code.UNFINISHED).beside(fields_text(of_least)))
     if few := [field for field in report if report.top(field, WORST).few_rays.any()]:
