@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 from mistray.cli.options import Options
 from mistray.cli.shared import flag
 from mistray.errors import MistrayError
-from mistray.materials.mate import shown
 from mistray.read_file import require_file
 
 if TYPE_CHECKING:
@@ -94,6 +93,8 @@ class Imported:
         lines += [f"note: {note}" for note in record["notes"]]
         unread = record["unread"]
         if unread:
+            from mistray.materials.mate import shown
+
             lines.append(f"{len(unread)} {'line' if len(unread) == 1 else 'lines'} of {name} had no effect:")
             width = max(len(str(item["line"])) for item in unread)
             lines += [f"  line {item['line']:>{width}}: {shown([item['text']])}  ({item['reason']})" for item in unread]
