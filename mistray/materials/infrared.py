@@ -1,8 +1,8 @@
 """Materials of the infrared by their usual names, each with the pages that cover it from 1 to 14 µm.
 
 A material of which a page covers the visible and another one the infrared has both; the first that covers a wavelength
-is asked. Where no page has the absorption, it is stated here from an absorption coefficient α, k = αλ/(4π), or unknown. The
-stated ones are of the size that is told of CVD material; no source was found that confirms them.
+is asked. Where no page has the absorption, it is stated here from an absorption coefficient α, k = αλ/(4π), or unknown.
+The stated ones are of the size that is told of CVD material; no source was found that confirms them.
 """
 
 from __future__ import annotations

@@ -129,3 +129,46 @@ def test_waves_are_those_of_invisible_light(tmp_path: Path) -> None:
     # R = ((n₀ nₛ - n²)/(n₀ nₛ + n²))² of a quarter wave
     n = refractive_index("Ge", 10000.0)
     assert coated.mean()[0, 0] == pytest.approx(((n - 4.84) / (n + 4.84)) ** 2, abs=1e-6)
+
+
+def test_commands_with_a_coating_say_what_it_reached(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An import prints it and keeps it in the file; other commands print it on stderr, unless they are to be quiet."""
+    note = str(fitted_preset("bbar3", "N-SF6"))
+    lens = tmp_path / "lens.zmx"
+    lens.write_text(LENS)
+    scene = tmp_path / "lens.xml"
+    assert main(["import", str(lens), "--coating", "S1=bbar3", "-o", str(scene)]) == 0
+    assert capsys.readouterr().out.count(note) == 1
+    assert note in scene.read_text()
+    command = ["ghosts", str(scene), "--coating", "S2=bbar3", "--rays", "200"]
+    assert main(command) == 0
+    assert capsys.readouterr().err.count(note) == 1
+    assert main([*command, "--quiet"]) == 0
+    assert note not in capsys.readouterr().err
+
+
+LENS = """MODE SEQ
+UNIT MM
+ENPD 10
+FTYP 0 0 1 1
+YFLN 0
+WAVM 1 0.55 1
+PWAV 1
+SURF 0
+  CURV 0.0
+  DISZ INFINITY
+SURF 1
+  STOP
+  CURV 0.02
+  DISZ 4
+  GLAS N-SF6 0 0 1.8 25
+  DIAM 6 1
+SURF 2
+  CURV 0.0
+  DISZ 60
+  DIAM 6 1
+SURF 3
+  CURV 0.0
+  DISZ 0
+  DIAM 5 1
+"""

@@ -11,8 +11,8 @@ from mistray import MistrayError
 from mistray.cli import main
 from mistray.materials import complex_index, refractive_index, source
 
-# Indices that another program prints: Koko (The Koko Project Developers, 2020), subroutines of its lens database. It names
-# no accuracy; for ZnSe it is the table of the samples of which the page has the dispersion formula.
+# Indices that another program has: Koko (The Koko Project Developers, 2020), in its lens database. It names no
+# accuracy. For ZnSe it seems to be the table of the samples of which the page has the dispersion formula.
 KOKO = [
     # name, wavelength nm, n, of which sample
     ("Ge", 4258.0, 4.0217, "polycrystalline"),
