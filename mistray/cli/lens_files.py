@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 from mistray.cli.options import Options
 from mistray.cli.shared import flag
 from mistray.errors import MistrayError
-from mistray.materials.mate import shown
 from mistray.read_file import require_file
 
 if TYPE_CHECKING:
@@ -63,17 +62,23 @@ class Imported:
     record: dict[str, Any]
 
     def coated(self, options: Options) -> Imported:
-        """The same with --coating, --paint and --scatter, without the notes on a detector that these answer."""
+        """
+        The same with --coating, --paint and --scatter.
+
+        Without the notes on a detector that these answer, with what presets reach.
+        """
         rules = options.rules()
         if not rules:
             return self
-        from mistray.scene import coat
+        from mistray.scene.coat import coated_prescription
 
         detector = self.prescription.detector
-        made = coat(self.prescription, rules.coatings, paint=rules.paint, scatter=rules.scatter)
+        made, found = coated_prescription(self.prescription, rules)
         said = set(detector.notes() if detector else ()) - set(made.detector.notes() if made.detector else ())
         notes = [note for note in self.record["notes"] if note not in said]
+        notes += found.notes
         lines = [line for line in made.provenance.splitlines() if not any(note in line for note in said)]
+        lines += found.notes
         return Imported(replace(made, provenance="\n".join(lines)), self.record | {"notes": notes})
 
     def lines(self, name: str) -> list[str]:
@@ -94,6 +99,8 @@ class Imported:
         lines += [f"note: {note}" for note in record["notes"]]
         unread = record["unread"]
         if unread:
+            from mistray.materials.mate import shown
+
             lines.append(f"{len(unread)} {'line' if len(unread) == 1 else 'lines'} of {name} had no effect:")
             width = max(len(str(item["line"])) for item in unread)
             lines += [f"  line {item['line']:>{width}}: {shown([item['text']])}  ({item['reason']})" for item in unread]

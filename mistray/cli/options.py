@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -152,13 +153,18 @@ class Options(argparse.Namespace):
 
     def load(self) -> Any:
         """The scene, coated and painted as it is to be."""
-        from mistray.scene import coat, load
+        from mistray.scene import load
+        from mistray.scene.coat import coated_scene
 
+        rules = self.rules()
         with self.working(f"loading {self.scene}"):
-            if rules := self.rules():
-                parts = {"sources": self.has("source"), "sensors": self.sensors()}
-                return coat(self.scene, rules.coatings, paint=rules.paint, scatter=rules.scatter, **parts)
-            return load(self.scene, self.has("source"), self.sensors())
+            if not rules:
+                return load(self.scene, self.has("source"), self.sensors())
+            scene, found = coated_scene(self.scene, rules, self.has("source"), self.sensors())
+        if not self.quiet:
+            for note in found.notes:
+                print(f"mistray: note: {note}", file=sys.stderr)
+        return scene
 
     def sensors(self) -> list[str]:
         """The texts of --probe, --far-field and --surface-maps."""

@@ -16,7 +16,7 @@ from itertools import product
 
 import numpy as np
 
-from mistray.coatings.presets import PRESETS, preset
+from mistray.coatings.presets import DEFAULT_NM, PRESETS, preset
 from mistray.coatings.stack import METAL_K, Layer, Stack
 from mistray.errors import MistrayError
 from mistray.materials import complex_index, nearest_known_nm
@@ -27,6 +27,8 @@ REFINED = 6  # of the starts, the best
 POINTS = 41  # wavelengths over the band
 THINNEST, MOST_WAVES, STEP = 0.005, 0.75, 1e-5  # waves: what is thinner is left out; the most; of differences
 DIGITS = 2  # of thicknesses in nm
+SAME_FACTOR = 1e-6  # thicknesses in a scene are float32
+MUCH, MUCH_R = 2.0, 2e-3  # times the R on the body of the design, and above it: more is worth a word
 OF_USE = 0.5  # of the reflectance of the bare surface: a coating that leaves more is refused
 
 
@@ -106,6 +108,35 @@ def fitted_preset(name: str, body: str, design_nm: float = 550.0) -> Fitted:
         return found
     layers = (Layer(layer.material, float(t)) for layer, t in zip(stack.layers, d, strict=True) if t)
     return Fitted(Stack(tuple(layers), name=name), True, found.low_nm, found.high_nm, reached, as_designed, bare)
+
+
+@lru_cache(maxsize=256)
+def unfitted(stack: Stack, body: str) -> str:
+    """
+    What to say of a preset as it is designed, on a body in air on which it leaves much more than on its own; else "".
+
+    Layers are those of a preset if their materials are, and their thicknesses but for one factor.
+    """
+    for name, design in PRESETS.items():
+        own = preset(name)
+        if design.metal is not None or len(own.layers) < 2 or len(own.layers) != len(stack.layers):
+            continue
+        factors = [a.thickness_nm / b.thickness_nm for a, b in zip(stack.layers, own.layers, strict=True)]
+        same = all(a.material == b.material for a, b in zip(stack.layers, own.layers, strict=True))
+        if not same or max(factors) - min(factors) > SAME_FACTOR * max(factors):
+            continue
+        centre = factors[0] * design.centre_nm(DEFAULT_NM)
+        lam = np.linspace(*design.band, POINTS) * centre
+        index = np.array([stack.indices(nm) for nm in lam.tolist()]).T
+        d = np.array([[layer.thickness_nm for layer in stack.layers]])
+        substrate = np.array([_index(body, nearest_known_nm(body, nm)) for nm in lam.tolist()])
+        here, there = (float(_mean_r(d, index, n, lam)[0]) for n in (substrate, np.full(POINTS, design.substrate + 0j)))
+        if here > max(MUCH * there, there + MUCH_R):
+            return (
+                f"{name} as designed, for n = {design.substrate:.4g}, leaves a mean R of {100 * here:.2g} % on {body} "
+                f"from {lam[0]:g} to {lam[-1]:g} nm, and {100 * there:.2g} % on its own; 'mistray coat' fits it"
+            )
+    return ""
 
 
 def _index(body: str, wavelength_nm: float) -> complex:

@@ -545,3 +545,20 @@ def runs_of(
             )
         )
     return runs
+
+
+def irradiance_of_runs(runs: Sequence[Run], films: Sequence[np.ndarray]) -> Pixels:
+    """
+    Irradiance of the images of some runs on the same detector, W/mm².
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    films : sequence of (images, height, width) float64
+        Of each run, in its own unit.
+    """
+    pixel = runs[0].pixel_area
+    first, *others = (
+        Pixels.of_film(film, run.started, run.unit / pixel) for run, film in zip(runs, films, strict=True)
+    )
+    return sum(others, start=first)

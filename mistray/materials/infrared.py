@@ -1,8 +1,8 @@
 """Materials of the infrared by their usual names, each with the pages that cover it from 1 to 14 µm.
 
 A material of which a page covers the visible and another one the infrared has both; the first that covers a wavelength
-is asked. Where no page has the absorption, it is stated here from the absorption coefficient α that makers print,
-k = αλ/(4π), or it is unknown.
+is asked. Where no page has the absorption, it is stated here from an absorption coefficient α, k = αλ/(4π), or unknown.
+The stated ones are of the size that is told of CVD material; no source was found that confirms them.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from mistray.materials.entry import Entry, by_wavelength
 
 _CRYSTRAN = "specs/crystran/optical"
 _SI_K = "main/Si/nk/Franta-25C"
-_STATED = "makers' data sheets of CVD material"
+_STATED = "round values of CVD material, unconfirmed"
 # α = 0.0005/cm at 10.6 µm; α = 0.0006/cm at 3.8 µm (multispectral) and 0.2/cm at 10.6 µm
 _ZNSE_K, _ZNS_K = ((10600.0, 4.2e-8),), ((3800.0, 1.8e-8), (10600.0, 1.7e-5))
 

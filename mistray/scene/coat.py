@@ -130,15 +130,22 @@ def coat(
     if isinstance(system, Prescription):
         if sources is not None or sensors is not None:
             raise MistrayError("coat: sources and sensors are for scenes; a prescription has its own, see with_source")
-        return _coated_prescription(system, rules)
+        return coated_prescription(system, rules)[0]
     if not isinstance(system, str | Path | ModuleType):
         raise MistrayError(
             f"coat: {type(system).__name__} is given; give a scene file, the name of a shipped scene, or a "
             "Prescription; mistray.coat(file, …) loads the scene"
         )
+    return coated_scene(system, rules, sources, sensors)[0]
+
+
+def coated_scene(
+    system: str | Path | ModuleType, rules: Rules, sources: Parts = None, sensors: Parts = None
+) -> tuple[mi.Scene, Coated]:
+    """The scene of `coat`, and what became of its surfaces."""
     path = find(system)
-    text, _ = coated_text(path, rules, path.parent)
-    return load_text(path, text, sources, sensors)
+    text, found = coated_text(path, rules, path.parent)
+    return load_text(path, text, sources, sensors), found
 
 
 def write_coated(source: str | Path, target: str | Path, rules: Rules) -> Coated:
@@ -191,7 +198,8 @@ def coated_text(path: Path, rules: Rules, folder: Path) -> tuple[str, Coated]:
     return text, Coated(painter.changes, tuple(painter.left), tuple(painter.notes))
 
 
-def _coated_prescription(system: Prescription, rules: Rules) -> Prescription:
+def coated_prescription(system: Prescription, rules: Rules) -> tuple[Prescription, Coated]:
+    """The prescription of `coat`, and what became of its surfaces."""
     shapes = list(system.shapes())
     shared: dict[str, Coating | Scatter] = {**system.shared_coatings(), **system.shared_scatter()}
     faces = [
@@ -220,7 +228,7 @@ def _coated_prescription(system: Prescription, rules: Rules) -> Prescription:
         coating = change.coating if change.recoated else shape.coating
         return replace(shape, coating=coating, scatter=(*kept, *change.scatter))
 
-    return each_shape(system, changed)
+    return each_shape(system, changed), Coated(painter.changes, tuple(painter.left), tuple(painter.notes))
 
 
 def faces_of(file: SceneFile) -> list[Face]:

@@ -28,6 +28,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.coatings import METAL_K, Bare, Response, Stack
+from mistray.coatings.fitted import unfitted
 from mistray.errors import MistrayError
 from mistray.materials import bulk_scatter, complex_index
 from mistray.notes import Code, Note
@@ -44,6 +45,7 @@ FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT, MEDIUM_MASK = 8, 20, 0x7FF
 ONE_CHILD = 1 << 19  # of all children at random one is followed
 DARK = 1e-12  # share of the light after the length of a body, below which it is dark
 DIFFRACTS = 1 << 31  # what it scatters in transmission is diffracted light
+GAS_INDEX = 1.01  # of a medium that is no solid and no liquid
 THIN = 1e-3  # optical depth below which a medium takes the same light everywhere
 NO_LOSS = 4e-7  # absorption 1 - R - T below which it is taken for rounding
 TABLE_ERROR = 1e-6  # of R, T and the Stokes coefficients, by linear interpolation
@@ -379,6 +381,7 @@ class Optics:
         self.tables: list[AngleTable | None] = []
         self.complex_indices = [self._sides(name, bsdf) for name, bsdf in zip(ids, bsdfs, strict=True)]
         dark, self.notes = self._dark(ids, bodies)
+        self.notes += self._unfitted()
         for i, bsdf in enumerate(bsdfs):
             sides = self.complex_indices[i]
             opaque = bsdf.opaque or bool(dark[i].any())
@@ -490,6 +493,16 @@ class Optics:
                 continue
             notes.setdefault((medium, bool(closed[i, side])), Note(text, Code.MATERIAL))
         return dark, list(notes.values())
+
+    def _unfitted(self) -> list[Note]:
+        """Presets that were written into the scene for another body than the one they are on."""
+        found: dict[Note, None] = {}
+        for bsdf, sides in zip(self.bsdfs, self.complex_indices, strict=True):
+            outside, inside = sorted((0, 1), key=lambda side: sides[side].real)
+            in_gas = isinstance(bsdf.coating, Stack) and not bsdf.opaque and sides[outside].real < GAS_INDEX
+            if in_gas and (text := unfitted(bsdf.coating, bsdf.materials[inside])):
+                found[Note(text, Code.COATING, warns=False)] = None
+        return list(found)
 
     def _kind(self, bsdf: Any, k: float) -> int:
         if bsdf.ideal:

@@ -14,7 +14,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.execute.by_parts import TraceTask, images_by_parts
-from mistray.execute.tracer import Run
+from mistray.execute.tracer import Run, irradiance_of_runs
 from mistray.execute.workers import current_workers
 from mistray.gradients.run_gradient import run_gradient
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
@@ -210,7 +210,7 @@ class Trace:
     @property
     def light(self) -> Pixels:
         """Irradiance of all light with its noise, (height, width), W/mm²."""
-        return _irradiance(self._runs, [run.film for run in self._runs])
+        return irradiance_of_runs(self._runs, [run.film for run in self._runs])
 
     @property
     def wavelengths_nm(self) -> list[float]:
@@ -273,7 +273,7 @@ class Trace:
             W/mm².
         """
         runs = self._runs_at(wavelength_nm)
-        return _with_error(_irradiance(runs, [run.film for run in runs]))
+        return _with_error(irradiance_of_runs(runs, [run.film for run in runs]))
 
     def energy_at(self, wavelength_nm: float) -> Energy:
         """The energy ledger of one of the wavelengths of the trace."""
@@ -367,7 +367,7 @@ class Trace:
                 for run, wanted in zip(self._runs, words, strict=True)
             ]
         for low, high in itertools.pairwise(first):
-            yield _irradiance(self._runs, [stack[low:high] for stack in stacks])
+            yield irradiance_of_runs(self._runs, [stack[low:high] for stack in stacks])
 
     def box(self, x0: float, x1: float, y0: float, y1: float) -> PathTable:
         """
@@ -590,15 +590,6 @@ class Trace:
         if self.rays_traced and self.energy.detected_W == 0:
             detected += f", {self.energy.greatest_loss}"
         return f"Trace({count}, {self.segments:.3g} segments, {detected}, {words_of(self.settings)})"
-
-
-def _irradiance(runs: Sequence[Run], films: Sequence[np.ndarray]) -> Pixels:
-    """Irradiance of the images of some runs, (images, height, width) each; W/mm²."""
-    pixel = runs[0].pixel_area
-    first, *others = (
-        Pixels.of_film(film, run.started, run.unit / pixel) for run, film in zip(runs, films, strict=True)
-    )
-    return sum(others, start=first)
 
 
 def _with_error(found: Pixels) -> tuple[np.ndarray, np.ndarray]:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import mitsuba as mi
 import numpy as np
 import pytest
 
 import mistray
 from mistray import MistrayError
 from mistray.cli import main
-from mistray.coatings import PRESETS, Stack, fitted_preset, preset, spectrum
+from mistray.coatings import PRESETS, Stack, fitted_preset, layer_text, preset, spectrum
 from mistray.materials import nearest_known_nm, refractive_index
 
 POINTS = 41
@@ -129,3 +130,82 @@ def test_waves_are_those_of_invisible_light(tmp_path: Path) -> None:
     # R = ((n₀ nₛ - n²)/(n₀ nₛ + n²))² of a quarter wave
     n = refractive_index("Ge", 10000.0)
     assert coated.mean()[0, 0] == pytest.approx(((n - 4.84) / (n + 4.84)) ** 2, abs=1e-6)
+
+
+def test_presets_as_designed_are_named_on_other_bodies() -> None:
+    """A crown's preset that a scene has on a flint reflects twelve times as much as on a crown; the notes say so."""
+
+    def notes(glass: str, recipe: str, design_nm: float | None = None) -> list[str]:
+        key, _, value = recipe.partition(": ")
+        film = {"type": "thinfilm", key: value} | ({} if design_nm is None else {"design_nm": design_nm})
+        scene = mi.load_dict({
+            "type": "scene",
+            "beam": {"type": "collimated", "radius": 3.0, "wavelength_nm": "550"},
+            "front": {
+                "type": "asphere",
+                "semi_diameter": 5.0,
+                "bsdf": {"type": "interface", "back": glass, "coating": film},
+            },
+            "detector": {
+                "type": "rectangle",
+                "to_world": mi.ScalarTransform4f().translate([0, 0, 30]).scale(9),
+                "bsdf": {"type": "interface", "front": glass, "R": 0.0, "T": 0.0},
+                "sensor": {
+                    "type": "irradiancemeter",
+                    "film": {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}},
+                },
+            },
+        })  # fmt: skip
+        return [note for note in mistray.trace(scene, rays=16).notes if "as designed" in note]
+
+    (note,) = notes("N-SF6", "preset: bbar3")
+    assert "bbar3 as designed, for n = 1.517, leaves a mean R of 1.2 % on N-SF6 from 450 to 650 nm" in note
+    assert f"{100 * fitted_preset('bbar3', 'N-SF6').designed:.2g} % on N-SF6" in note
+    assert notes("N-BK7", "preset: bbar3") == []
+    assert notes("N-SF6", "preset: mgf2_quarter_wave") == []
+    fitted = fitted_preset("bbar3", "N-SF6").stack
+    assert notes("N-SF6", f"layers: {layer_text(fitted.layers)}") == []
+    assert notes("N-SF6", "preset: bbar3", 600.0)[0].count("490.909 to 709.091 nm") == 1
+
+
+def test_commands_with_a_coating_say_what_it_reached(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An import prints it and keeps it in the file; other commands print it on stderr, unless they are to be quiet."""
+    note = str(fitted_preset("bbar3", "N-SF6"))
+    lens = tmp_path / "lens.zmx"
+    lens.write_text(LENS)
+    scene = tmp_path / "lens.xml"
+    assert main(["import", str(lens), "--coating", "S1=bbar3", "-o", str(scene)]) == 0
+    assert capsys.readouterr().out.count(note) == 1
+    assert note in scene.read_text()
+    command = ["ghosts", str(scene), "--coating", "S2=bbar3", "--rays", "200"]
+    assert main(command) == 0
+    assert capsys.readouterr().err.count(note) == 1
+    assert main([*command, "--quiet"]) == 0
+    assert note not in capsys.readouterr().err
+
+
+LENS = """MODE SEQ
+UNIT MM
+ENPD 10
+FTYP 0 0 1 1
+YFLN 0
+WAVM 1 0.55 1
+PWAV 1
+SURF 0
+  CURV 0.0
+  DISZ INFINITY
+SURF 1
+  STOP
+  CURV 0.02
+  DISZ 4
+  GLAS N-SF6 0 0 1.8 25
+  DIAM 6 1
+SURF 2
+  CURV 0.0
+  DISZ 60
+  DIAM 6 1
+SURF 3
+  CURV 0.0
+  DISZ 0
+  DIAM 5 1
+"""

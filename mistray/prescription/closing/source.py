@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from mistray.percent import percent_text
 from mistray.prescription.closing.surfaces import OpticalSurfaces
 from mistray.prescription.imported_beam import Beam, beam_size
 from mistray.prescription.model import ObjectPoint, Source, Surface
@@ -127,10 +128,10 @@ def _filling(table: OpticalSurfaces, centre: np.ndarray, radius: float) -> str:
     what = f"the stop, surface {row.number}, of radius {size:.5g} mm"
     if filled < 1 - _FULL:
         why = f": '{taken}' takes the rest" if taken else ""
-        return f"the beam fills {what} only to {100 * filled:.3g} % of its radius{why}"
+        return f"the beam fills {what} only to {percent_text(filled, 3)} of its radius{why}"
     if whole < 1 + _FULL:
         return f"the beam just fills {what}"
-    return f"the beam overfills {what}, by {100 * (whole - 1):.3g} % of it"
+    return f"the beam overfills {what}, by {percent_text(whole - 1)} of it"
 
 
 def _within(surface: Surface, x: np.ndarray, y: np.ndarray) -> np.ndarray:
