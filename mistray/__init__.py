@@ -14,8 +14,21 @@ import os
 import sys
 from typing import TYPE_CHECKING, Any
 
-from mistray._variant import ensure_variant, set_threads
-from mistray.errors import MistrayError, MistrayWarning, UnfinishedError
+from mistray.supervisor import hold
+
+
+def _is_command() -> bool:
+    """Whether this process is the command, be it a script called ``mistray`` or ``python -m mistray``."""
+    # What the interpreter was given, up to the program; while a package is imported for -m, sys.argv[0] is "-m"
+    words = sys.orig_argv[: len(sys.orig_argv) - len(sys.argv) + 1]
+    return bool(words) and os.path.splitext(os.path.basename(words[-1]))[0] == "mistray"
+
+
+if _is_command():
+    hold()  # before what takes longer to import
+
+from mistray._variant import ensure_variant, set_threads  # noqa: E402
+from mistray.errors import MistrayError, MistrayWarning, UnfinishedError  # noqa: E402
 
 if TYPE_CHECKING:
     from mistray import (
@@ -189,13 +202,6 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted(__all__)
-
-
-def _is_command() -> bool:
-    """Whether this process is the command, be it a script called ``mistray`` or ``python -m mistray``."""
-    # What the interpreter was given, up to the program; while a package is imported for -m, sys.argv[0] is "-m"
-    words = sys.orig_argv[: len(sys.orig_argv) - len(sys.argv) + 1]
-    return bool(words) and os.path.splitext(os.path.basename(words[-1]))[0] == "mistray"
 
 
 if not _is_command():

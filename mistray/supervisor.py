@@ -27,6 +27,12 @@ def heard() -> list[signal.Signals]:
     return [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
 
 
+def hold() -> None:
+    """Let the signals wait, from the first line of the package on, until `listen`."""
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_BLOCK, heard())
+
+
 def supervise() -> None:
     """
     Go on in a child process; the process that has called this waits for it and ends with its exit status.

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -86,19 +86,28 @@ def test_a_full_disk_leaves_the_old_report(tmp_path: Path, small_report: GhostRe
 def test_a_target_that_is_a_disk_of_its_own(
     tmp_path: Path, small_report: GhostReport, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As a mounted volume: nothing can be moved into it from beside it."""
+    """As a mounted volume: it cannot be exchanged, and nothing can be moved into it from beside it."""
     out = tmp_path / "volume"
     out.mkdir()
-    move = Path.replace
+    (out / "notes.txt").write_bytes(b"mine")
+    rename, replace = os.rename, os.replace
 
-    def replace(self: Path, target: Path) -> Path:
-        if out not in self.parents:
-            raise OSError(errno.EXDEV, os.strerror(errno.EXDEV), str(self))
-        return move(self, target)
+    def within(move: Callable[[Path, Path], None]) -> Callable[[Path, Path], None]:
+        def moved(source: Path, target: Path) -> None:
+            if (out in Path(source).parents) != (out in Path(target).parents) or out in (Path(source), Path(target)):
+                raise OSError(errno.EXDEV, os.strerror(errno.EXDEV), str(source))
+            move(source, target)
 
-    monkeypatch.setattr(Path, "replace", replace)
+        return moved
+
+    monkeypatch.setattr(os.path, "ismount", lambda path: Path(path) == out)
+    monkeypatch.setattr(os, "rename", within(rename))
+    monkeypatch.setattr(os, "replace", within(replace))
+    inside = out.stat().st_ino
     files = write_all(small_report, out)
-    assert {path.name for path in files} == set(everything(out))
+    assert {path.name for path in files} | {"notes.txt"} == set(everything(out))
+    assert out.stat().st_ino == inside
+    assert [path.name for path in tmp_path.iterdir()] == ["volume"]
 
 
 def test_what_is_no_file_is_written_to(tmp_path: Path) -> None:

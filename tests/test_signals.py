@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -87,6 +88,26 @@ def test_a_command_that_is_killed_says_so_by_its_status() -> None:
     process = subprocess.Popen([*MISTRAY, "ghosts", "plate", "--rays", "4e9"], stderr=subprocess.DEVNULL)
     subprocess.run(["kill", "-KILL", str(worker(process))], check=True)
     assert process.wait(timeout=10) == -signal.SIGKILL
+
+
+SHADOW = """
+import os, signal, sys
+os.kill(os.getpid(), signal.SIGINT)
+sys.path.remove(os.path.dirname(__file__))
+del sys.modules["glob"]
+import glob
+"""
+
+
+def test_while_the_package_is_imported(tmp_path: Path) -> None:
+    """Python imports the package before `mistray.__main__`; the signal comes with a module that it needs."""
+    (tmp_path / "glob.py").write_text(SHADOW)
+    done = subprocess.run(
+        [*MISTRAY, "ghosts", "plate", "--rays", "100"], env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr == "mistray: interrupted, nothing was written\n"
 
 
 @pytest.mark.slow

@@ -63,6 +63,19 @@ def test_a_filter_that_is_too_deep(capsys: pytest.CaptureFixture[str], text: str
     assert len(line) < 400
 
 
+def test_a_message_about_content_without_sense_is_short(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("zeros.csv").write_bytes(b"\0" * 5000)
+    Path("digits.toml").write_text(f"[trace]\nrays = {'9' * 5000}\n")
+    assert "column" in (line := refused(capsys, "coating", "zeros.csv"))
+    assert len(line) < 600
+    line = refused(capsys, "optimize", "plate", "digits.toml")
+    assert "'digits.toml'" in line
+    assert "correct the TOML" in line
+
+
 def test_letters_that_a_font_does_not_have() -> None:
     figure = Figure()
     figure.headed("L\N{COLLISION SYMBOL}_front", "\N{COLLISION SYMBOL}")

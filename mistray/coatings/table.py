@@ -202,7 +202,7 @@ def _header(names: Sequence[str], what: str) -> list[str]:
     doubled = sorted({name for name in given if given.count(name) > 1})
     if unknown or doubled:
         raise MistrayError(
-            f"{what}: column '{(unknown or doubled)[0]}' is {'unknown' if unknown else 'there twice'}; "
+            f"{what}: column '{(unknown or doubled)[0][:40]}' is {'unknown' if unknown else 'there twice'}; "
             f"possible are {', '.join(COLUMNS)}"
         )
     missing = [name for name in REQUIRED if name not in given]

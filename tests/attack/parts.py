@@ -61,7 +61,9 @@ class Answer:
     out, err : str
     raised : str
         An exception that came out.
-    seconds, peak_MB : float
+    seconds : float
+        Of the processor, so that other processes do not count; of the clock if the process has ended.
+    peak_MB : float
     """
 
     code: int | None

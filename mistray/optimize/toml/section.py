@@ -60,8 +60,8 @@ class Section:
         text = read_text(path, kind)
         try:
             content = tomllib.loads(text)
-        except (tomllib.TOMLDecodeError, RecursionError) as error:
-            raise MistrayError(f"{kind} '{path}': {error}; correct the TOML") from None
+        except (ValueError, RecursionError) as error:  # an integer of too many digits is no TOMLDecodeError
+            raise MistrayError(f"{kind} '{path}': {str(error).partition(';')[0]}; correct the TOML") from None
         return cls(f"{kind} '{path}'", "", content, path.parent)
 
     def __contains__(self, key: str) -> bool:
