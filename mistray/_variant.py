@@ -7,6 +7,7 @@ nothing but the standard library. With LLVM 15 and 16 on x86 Dr.Jit starts, then
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import glob
 import importlib
@@ -153,6 +154,19 @@ def set_threads(count: int) -> None:
     import drjit as dr
 
     dr.set_thread_count(count)
+
+
+@contextlib.contextmanager
+def reading_threads() -> Iterator[None]:
+    """The block in which there are two threads at least: with one Mitsuba waits for ever when it reads an EXR file."""
+    import drjit as dr
+
+    before = dr.thread_count()
+    dr.set_thread_count(max(before, 2))
+    try:
+        yield
+    finally:
+        dr.set_thread_count(before)
 
 
 def on_gpu() -> bool:

@@ -18,6 +18,8 @@ from typing import TypeVar
 from mistray.ranges import SECONDS
 
 LEAST = 0.25  # s, the shortest share: a trace takes about as long whatever its rays
+FULL = 64.0  # s: with as much left, or without a budget, a search that sets a trace up takes all of its rays
+THINNEST = 1 / 8  # of them, however short the time is
 NAMED = 6  # of what has not been traced, in a sentence
 
 Thing = TypeVar("Thing")
@@ -72,6 +74,21 @@ def left() -> float:
 def time_is_up() -> bool:
     """Whether it is used up; never where there is none."""
     return left() <= 0
+
+
+def searched() -> float:
+    """
+    Share of its rays that a search may take which sets a trace up, 1/8 … 1, a power of 2; 1 without a budget.
+
+    Such a search, as that for targets, takes seconds. With fewer rays its result is coarser, which costs accuracy of
+    the trace, and no correctness.
+    """
+    return 2.0 ** math.floor(math.log2(min(max(left() / FULL, THINNEST), 1.0)))
+
+
+def thinned(rays: int) -> int:
+    """So many rays of a search, or the fewer that the time allows, see `searched`."""
+    return math.ceil(searched() * rays)
 
 
 class Shares:

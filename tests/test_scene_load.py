@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
+import numpy as np
 import pytest
 from oracles import scene_xml
 
@@ -160,3 +163,17 @@ def test_merged_shapes_keep_their_names() -> None:
         }
     )
     assert [shape.id() for shape in scene.shapes()] == ["disk_0", "disk_1", "disk_2"]
+
+
+def test_a_sky_of_an_exr_file_is_read_with_one_thread(tmp_path: Path) -> None:
+    """Mitsuba's reader of EXR files waits for other threads, and waited for ever where there were none."""
+    mi.Bitmap(np.ones((4, 8, 3), np.float32)).write(str(tmp_path / "sky.exr"))
+    scene = {"type": "scene", "sky": {"type": "envmap", "filename": str(tmp_path / "sky.exr")}}
+    program = f"""if True:
+        import mistray, drjit
+        from mistray._variant import set_threads
+        set_threads(1)
+        print(len(mistray.load({scene!r}).emitters()), drjit.thread_count())
+    """
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=True)
+    assert done.stdout.split() == ["1", "1"]

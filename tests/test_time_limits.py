@@ -5,17 +5,21 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import os
+import re
 import subprocess
 import sys
 import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 from oracles.small_scenes import plates_text, write
 
 import mistray
+from mistray.report.pst_output import write_pst
 from mistray.report.tables.ghosts_csv import csv_tables
 from mistray.time_budget import coarse_first
 
@@ -68,6 +72,43 @@ def test_rows_of_a_sweep_without_time_are_not_traced(lens: Path) -> None:
         found.estimate("stray_W", field_deg=field_deg, wavelength_nm=wavelength_nm)
 
 
+def test_cells_of_a_pst_without_time_are_not_traced(lens: Path, tmp_path: Path) -> None:
+    scene = mistray.load(lens)
+    angles = [k / 4 for k in range(200)]
+    with pytest.warns(mistray.MistrayWarning, match="not traced, for the time was up: .* of 200 cells"):
+        found = mistray.pst(scene, angles, method="forward", rays=1_000_000, seconds=1.5)
+    missing = [angle for angle, _ in found.facts["not_traced"]]
+    assert 0 < len(missing) < 200
+    assert found.field_deg[np.isnan(found.value)].tolist() == missing
+    assert np.isnan(found.stray).sum() == len(missing)
+    assert found.value[0] > 0
+    write_pst(found, tmp_path / "out")
+    assert int(pd.read_csv(tmp_path / "out" / "pst.csv").pst_total.isna().sum()) == len(missing)
+    rows = json.loads((tmp_path / "out" / "pst.json").read_text())["curve"]
+    assert sum(row["pst_total"] is None for row in rows) == len(missing)
+
+
+def test_a_pass_that_cannot_end_early_is_not_cut_into_short_launches(lens: Path) -> None:
+    """Launches of 0.1 s of which each takes about as long whatever its rays made a pass of 2 s one of 30."""
+    scene = mistray.load(lens)
+    mistray.pst(scene, [0, 20, 40], rays=1000)  # compiles the kernels
+    began = time.monotonic()
+    found = mistray.pst(scene, [0, 20, 40], rays=100_000_000, seconds=0.1)
+    assert time.monotonic() - began < 5
+    assert found.facts["rays"] < 100_000
+    assert found.value[0] > 0
+
+
+def test_the_time_of_the_compilation_is_said(tmp_path: Path) -> None:
+    """In a new home there is no cache of kernels, and the second time there is."""
+    command = [*MISTRAY, "ghosts", "singlet_window_detector", "--rays", "100", "--seconds", "5"]
+    place = {**os.environ, "HOME": str(tmp_path)}  # where Dr.Jit keeps its kernels
+    told = [subprocess.run(command, capture_output=True, text=True, check=True, env=place).stderr for _ in range(2)]
+    (seconds,) = re.findall(r"mistray: ([\d.]+) s went into the compilation of kernels", told[0])
+    assert float(seconds) >= 0.5
+    assert "compilation" not in told[1]
+
+
 def test_without_a_budget_nothing_is_left_out(lens: Path) -> None:
     report = mistray.ghosts(mistray.load(lens), [0, 1, 2], rays=1000)
     assert (list(report), report.not_traced) == ([0, 1, 2], ())
@@ -101,6 +142,22 @@ def test_ghosts_end_in_time(fields: int, out: bool, tmp_path: Path) -> None:
     if out:
         table = pd.read_csv(tmp_path / "out" / "summary.csv")
         assert int(table.stray_W.notna().sum()) == len(traced)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["pst", "phone_camera_scatter"],
+        ["pst", "baffle_tube", "--out"],
+        ["pst", "phone_camera_scatter", "--method", "forward", "--field-deg", "0:80:0.5"],
+    ],
+)
+def test_a_pst_ends_in_time(arguments: list[str], tmp_path: Path) -> None:
+    timed([*arguments, *([str(tmp_path / "first")] if "--out" in arguments else [])], 20.0)  # compiles
+    late, found = timed([*arguments, *([str(tmp_path / "out")] if "--out" in arguments else [])], 20.0)
+    assert late < 4.0
+    assert any(row["pst_total"] for row in found["curve"])
 
 
 @pytest.mark.slow

@@ -46,6 +46,7 @@ from mistray.replace_file import guarding, incomplete_notes, written
 from mistray.supervisor import INTERRUPTED
 
 BAD_INPUT = 2
+LEAST_TOLD_S = 0.5  # of compilation
 FILES_NAMED = 3  # of those that an interrupted command has written
 # In the order of the help; each has a `COMMAND` and `run`
 COMMANDS = (
@@ -129,9 +130,23 @@ def _command(arguments: list[str]) -> int:
         for note in incomplete_notes(named_places(options)):
             print(f"mistray: warning: {note}", file=sys.stderr)
         with guarding(options.guard), lens_as_scene(options), quiet():  # commands print the notes of their results
-            return int(options.run(options))
+            code = int(options.run(options))
+        if options.has("seconds") is not None:
+            _tell_of_compilation()
+        return code
     except SystemExit as stop:
         return int(stop.code or 0)
+
+
+def _tell_of_compilation() -> None:
+    """Say how much of --seconds went into kernels that were in no cache."""
+    launches = sys.modules.get("mistray.kernel.launches")
+    took = sum(launches.compilations) if launches else 0.0
+    if took >= LEAST_TOLD_S:
+        print(
+            f"mistray: {took:.1f} s went into the compilation of kernels, which are kept for the next time",
+            file=sys.stderr,
+        )
 
 
 def _check_working_folder() -> None:

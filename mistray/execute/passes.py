@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from mistray.errors import UnfinishedError
 from mistray.execute.workers import Task, Workers, current_workers, do_parts
-from mistray.time_budget import share
+from mistray.time_budget import Shares, coarse_first, is_limited
 
 Name = TypeVar("Name")
 Pass = TypeVar("Pass")
@@ -23,7 +23,8 @@ def execute_passes(
     ----------
     task : Task
     passes : mapping
-        By names, under which their sums are returned. Here each has an equal share of the time that is left.
+        By names, under which their sums are returned. Here each has an equal share of the time that is left. Those for
+        which a time budget is too short are left out; the others are spread over all.
     made : object
         What `Task.make` gives, as it is here.
     what : str
@@ -40,11 +41,14 @@ def execute_passes(
     if workers is not None:
         return passes_by_workers(workers, task, passes, what, done)
     found: dict[Name, Any] = {}
-    for name, one in passes.items():
-        with share(1 / (len(passes) - len(found))):
-            found[name] = sums = task.do(made, one)
-        done(one, sums)
-    return found
+    shares = Shares(len(passes))
+    for name in coarse_first(list(passes)) if is_limited() else passes:
+        if not shares.enough():
+            break
+        with shares.one():
+            found[name] = sums = task.do(made, passes[name])
+        done(passes[name], sums)
+    return {name: found[name] for name in passes if name in found}
 
 
 def passes_by_workers(

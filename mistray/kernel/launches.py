@@ -35,6 +35,8 @@ KERNELS = 256  # of which it is known how fast they are
 GOLDEN = (5**0.5 - 1) / 2
 MILLISECOND = 1e-3
 
+compilations: list[float] = []  # s that LLVM took for the kernels of each first launch; 0 from the cache
+
 
 class Launches:
     """Launches of one kernel, each as large as the time of those before allows."""
@@ -46,9 +48,14 @@ class Launches:
     @property
     def lanes(self) -> int:
         """Rays of the next launch at most, but for `STRETCH`; fewer where a time budget ends sooner."""
-        return max(BATCHES, int(self._rate * min(SECONDS, max(left(), SHORTEST))))
+        return self._lanes(min(SECONDS, max(left(), SHORTEST)))
 
-    def run(self, start: StartRays, trace: Callable[[StartRays], object], seed: int = 0) -> Iterator[int]:
+    def _lanes(self, seconds: float) -> int:
+        return max(BATCHES, int(self._rate * seconds))
+
+    def run(
+        self, start: StartRays, trace: Callable[[StartRays], object], seed: int = 0, whole: bool = False
+    ) -> Iterator[int]:
         """
         Trace start rays.
 
@@ -59,6 +66,8 @@ class Launches:
             Traces some of them.
         seed : int
             Of the order in which they come, see `Spread`.
+        whole : bool
+            Whether all will be traced, with or without a time budget: short launches would take longer together.
 
         Yields
         ------
@@ -73,7 +82,7 @@ class Launches:
         count, done = dr.width(start.lane), 0
         order: Spread | None = None
         while done < count:
-            here, part = self._next(count - done), start
+            here, part = self._next(count - done, self._lanes(SECONDS) if whole else self.lanes), start
             if here < count:
                 order = order or Spread(count, seed)
                 numbers = order.next(done, here)
@@ -85,13 +94,14 @@ class Launches:
     def whole(self, start: StartRays, trace: Callable[[StartRays], object]) -> None:
         """Trace all of them, or none in the end if an interrupt waits for too long; parameters as for `run`."""
         count = dr.width(start.lane)
-        for done in self.run(start, trace):
+        for done in self.run(start, trace, whole=True):
             if done < count:
                 end_overdue()
 
-    def _next(self, left: int) -> int:
+    @staticmethod
+    def _next(left: int, most: int) -> int:
         """Rays of the next launch, of so many that are left: launches to come are of one size."""
-        return left if left <= STRETCH * self.lanes else math.ceil(left / math.ceil(left / self.lanes))
+        return left if left <= STRETCH * most else math.ceil(left / math.ceil(left / most))
 
     def time(self, lanes: int, work: Callable[[], object]) -> None:
         """
@@ -113,7 +123,9 @@ class Launches:
             dr.sync_thread()
             seconds = time.perf_counter() - began
             if first:
-                seconds = MILLISECOND * sum(kernel.get("execution_time", 0.0) for kernel in dr.kernel_history())
+                kernels = dr.kernel_history()
+                seconds = MILLISECOND * sum(kernel.get("execution_time", 0.0) for kernel in kernels)
+                compilations.append(MILLISECOND * sum(kernel.get("backend_time", 0.0) for kernel in kernels))
         if lanes >= self.lanes / 4 or seconds > SECONDS:  # the last rays of a pass say little
             self._rate = lanes * min(1 / max(seconds, 1e-9), GROWTH / SECONDS)
         check()

@@ -21,12 +21,19 @@ import numpy as np
 from mistray.kernel.targets import AimSet, Place, Side, Target
 from mistray.sampling.design_path import OPENING, DesignPath, Step, find_design_path
 from mistray.sampling.detector_images import FAR, DetectorImages
-from mistray.sampling.importance_targets import MOST_KNOWN, automatic_bulk_targets, automatic_targets, signature
+from mistray.sampling.importance_targets import (
+    MOST_KNOWN,
+    SEARCH_SHARE,
+    automatic_bulk_targets,
+    automatic_targets,
+    signature,
+)
 from mistray.settings import Settings
 from mistray.surfaces.host_points import across, box_corners, lambertian_directions, surface_points
 from mistray.surfaces.host_rays import first_hit, onward
 from mistray.surfaces.optics import MIRROR, OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable, solid_shapes
+from mistray.time_budget import share, thinned
 
 PROBES = 2048  # rays that look for the opening
 SKY_PROBES = 256  # that look for the sky
@@ -81,7 +88,8 @@ def backward_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings, a
     if key not in _known:
         while len(_known) >= MOST_KNOWN:
             _known.pop(next(iter(_known)))
-        _known[key] = _find(table, scene, scatterers, axis)
+        with share(SEARCH_SHARE):
+            _known[key] = _find(table, scene, scatterers, axis)
     found = _known[key]
     if settings.aim != "auto" or not settings.aimed_rays:
         return replace(found, aims={}, start=None)
@@ -98,7 +106,7 @@ def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.
     if opening is not None:
         back = path.reversed(opening) if path is not None else _straight(table, opening, axis)
         found = automatic_targets(table, back, scatterers)
-        points, normals = surface_points(table, table.detector, PROBES, rng)
+        points, normals = surface_points(table, table.detector, thinned(PROBES), rng)
         towards = normals * np.sign(normals @ back.steps[0].before)[:, None]
         fitted = DetectorImages(back).fitted(0, points, towards, rng)
         start = AimSet.of([fitted.target], 1) if fitted.landed > LANDED else None
@@ -177,8 +185,9 @@ def _sky_shares(
     table: SurfaceTable, surfaces: list[int], axis: np.ndarray, rng: np.random.Generator
 ) -> dict[Side, float]:
     """Shares of the rays of each side of surfaces that leave the scene backwards, at once."""
-    o, d = _lambertian_rays(table, surfaces, SKY_PROBES, rng)
-    last = np.repeat(surfaces, 2 * SKY_PROBES)
+    probes = thinned(SKY_PROBES)
+    o, d = _lambertian_rays(table, surfaces, probes, rng)
+    last = np.repeat(surfaces, 2 * probes)
     hit, _, _ = first_hit(table, o.reshape(-1, 3), d.reshape(-1, 3), last)
     free = (hit.reshape(d.shape[:3]) < 0) & (d @ axis < 0)
     shares = free.mean(axis=2)
@@ -187,9 +196,10 @@ def _sky_shares(
 
 def _views(table: SurfaceTable, surfaces: list[int], axis: np.ndarray, rng: np.random.Generator) -> dict[int, float]:
     """Shares of the rays of surfaces, each to its better side, that leave the scene backwards specularly."""
-    start, along = _lambertian_rays(table, surfaces, VIEW_PROBES, rng)
-    o, d, last = start.reshape(-1, 3), along.reshape(-1, 3), np.repeat(surfaces, 2 * VIEW_PROBES)
-    side, gone = np.repeat(np.arange(2 * len(surfaces)), VIEW_PROBES), np.zeros(2 * len(surfaces))
+    probes = thinned(VIEW_PROBES)
+    start, along = _lambertian_rays(table, surfaces, probes, rng)
+    o, d, last = start.reshape(-1, 3), along.reshape(-1, 3), np.repeat(surfaces, 2 * probes)
+    side, gone = np.repeat(np.arange(2 * len(surfaces)), probes), np.zeros(2 * len(surfaces))
     for _ in range(MOST_STEPS):
         if not len(o):
             break
@@ -200,5 +210,5 @@ def _views(table: SurfaceTable, surfaces: list[int], axis: np.ndarray, rng: np.r
         goes = np.isfinite(after[:, 0])
         on = met[goes]
         o, d, last, side = p[on], after[goes], hit[on], side[on]
-    best = gone.reshape(-1, 2).max(axis=1) / VIEW_PROBES
+    best = gone.reshape(-1, 2).max(axis=1) / probes
     return dict(zip(surfaces, best.tolist(), strict=True))

@@ -20,6 +20,7 @@ from mistray.sampling.scattering_bodies import Body
 from mistray.surfaces.host_points import across
 from mistray.surfaces.host_rays import first_hit, onward
 from mistray.surfaces.surfaces import SurfaceTable
+from mistray.time_budget import thinned
 
 PATH_RAYS = 4096  # from a body on the design path, that show how large the image must be
 SIGHT_RAYS = 4096  # backwards, from what a body may see
@@ -92,8 +93,9 @@ def body_targets(
         if number:
             ends.add(Inside(steps[number - 1].surface, steps[number - 1].to_back))
         if images is not None and not ends.isdisjoint(body.sides):
-            points = body.points[rng.integers(len(body.points), size=PATH_RAYS)]
-            fitted = images.fitted(number, points, np.tile(step.before, (PATH_RAYS, 1)), rng)
+            rays = thinned(PATH_RAYS)
+            points = body.points[rng.integers(len(body.points), size=rays)]
+            fitted = images.fitted(number, points, np.tile(step.before, (rays, 1)), rng)
             if fitted.landed > LANDED:
                 found.append(fitted.target)
     if not found:
@@ -174,13 +176,13 @@ def apparent(
     list of Appearance
         One for each sight and way to it: the first sight first, of that the way of most rays.
     """
-    found = []
-    for (number, *way), (points, directions) in arrivals(table, within, faces, sights, SIGHT_RAYS, rng).items():
+    found, rays = [], thinned(SIGHT_RAYS)
+    for (number, *way), (points, directions) in arrivals(table, within, faces, sights, rays, rng).items():
         if len(points) < LEAST_SEEN:
             continue
         target = sights[number].target if len(way) == 1 else _holding(points, directions, within)
         if target is not None:
-            found.append(Appearance(target, number, way[-1], len(points) / SIGHT_RAYS))
+            found.append(Appearance(target, number, way[-1], len(points) / rays))
     return sorted(found, key=lambda one: (one.number, -one.share))
 
 

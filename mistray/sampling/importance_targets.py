@@ -34,6 +34,7 @@ from mistray.settings import Settings
 from mistray.surfaces.host_points import lambertian_directions, surface_points
 from mistray.surfaces.host_rays import first_hit, onward
 from mistray.surfaces.surfaces import SurfaceTable
+from mistray.time_budget import share, thinned, time_is_up
 
 PATH_POINTS, SEEN_POINTS = 4096, 1024  # points of a surface from which rays to the image are tried
 PROBES, DETECTOR_PROBES = 16, 256  # rays from a surface that look whether a lens, or the detector, can be seen
@@ -42,6 +43,7 @@ SEEN, DETECTOR_SEEN = 0.04, 0.005  # share of them that must see it
 SECOND_WAY = 0.25  # of two ways by which something is seen, the one with so much less rays than the other is left out
 LANDED = 0.02  # share of the rays to an image that must land on the detector
 MOST_TARGETS = 4
+SEARCH_SHARE = 0.2  # of a time budget, after which images are sought no more
 
 _OF_SOURCES = ("matrix", "size", "plane", "distance", "field_deg", "azimuth_deg", "values")
 MOST_KNOWN = 32  # scenes whose automatic targets are kept: a scene is traced at many fields
@@ -78,7 +80,8 @@ def importance_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings)
     if key not in _known:
         while len(_known) >= MOST_KNOWN:
             _known.pop(next(iter(_known)))
-        _known[key] = _of_detectors(table, scene, rest)
+        with share(SEARCH_SHARE):
+            _known[key] = _of_detectors(table, scene, rest)
     for place, targets in _known[key].items():
         if (place.surface if isinstance(place, Inside) else place[0]) not in given:
             found[place] = AimSet.of(targets, settings.aimed_rays)
@@ -169,7 +172,7 @@ def automatic_targets(
     rng = np.random.default_rng(0)
     for surface in surfaces:
         if images and surface in on_path:
-            points, normals = surface_points(table, surface, PATH_POINTS, rng)
+            points, normals = surface_points(table, surface, thinned(PATH_POINTS), rng)
             for number, step in enumerate(images.path.steps[:-1], start=1):
                 if step.surface == surface:
                     outward = normals if step.to_back else -normals
@@ -196,7 +199,9 @@ def _seen_targets(
         return {}
     sights = _sights(table, images.path if images else None)
     last, end = len(sights) - 1, sights[-1].surface
-    sampled = {surface: surface_points(table, surface, SEEN_POINTS, rng) for surface in surfaces}
+    sampled = {
+        surface: surface_points(table, surface, max(thinned(SEEN_POINTS), DETECTOR_PROBES), rng) for surface in surfaces
+    }
     views = [
         _View((surface, to_back), number, DETECTOR_PROBES if number == last else PROBES)
         for surface in surfaces
@@ -205,20 +210,22 @@ def _seen_targets(
     ]
     seen = _seen(table, images, views, sights, sampled, rng)
     found: dict[Side, list[tuple[float, int, Target]]] = {}
-    for view, share in zip(views, seen, strict=True):
+    for view, part in zip(views, seen, strict=True):
         target, direct = sights[view.number].target, view.number == last
-        if share < (DETECTOR_SEEN if direct else SEEN):
+        if part < (DETECTOR_SEEN if direct else SEEN):
             continue
-        if images and not direct:
+        if images and not direct and not time_is_up():
             points, normals = sampled[view.side[0]]
             image = images.fitted(view.number, points, normals if view.side[1] else -normals, rng)
             if image.landed > LANDED:
-                found.setdefault(view.side, []).append((share, view.number, image.target))
+                found.setdefault(view.side, []).append((part, view.number, image.target))
                 if end != OPENING:
                     continue
                 # Against the light, what is seen by that lens beside the opening counts as well
-        found.setdefault(view.side, []).append((share + direct, view.number, target))
+        found.setdefault(view.side, []).append((part + direct, view.number, target))
     for row, shares in enumerate(seen.reshape(-1, len(sights))):
+        if time_is_up():
+            break
         side = surfaces[row // 2], bool(row % 2)
         through = _seen_through(table, side, sights, shares, sampled[side[0]], rng)
         best = {one.number: one.share for one in reversed(through)}

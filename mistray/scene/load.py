@@ -15,7 +15,7 @@ from typing import Any
 import mitsuba as mi
 
 from mistray._mitsuba_compat import own_folder_first
-from mistray._variant import ensure_variant
+from mistray._variant import ensure_variant, reading_threads
 from mistray.errors import MistrayError, MistrayWarning
 from mistray.materials.mate import shown
 from mistray.scene.allowed_plugins import RESOURCES, check_dict, check_file
@@ -89,6 +89,7 @@ def load_text(path: Path, text: str, sources: Parts = None, sensors: Parts = Non
     return _loaded(path, text, sources, sensors)
 
 
+@reading_threads()
 def _loaded(given: Path | dict[str, Any], text: str | None, sources: Parts, sensors: Parts) -> mi.Scene:
     """The scene of a dict, of a file, or of a text in the place of a file."""
     if isinstance(given, Path):

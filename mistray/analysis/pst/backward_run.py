@@ -34,6 +34,7 @@ SHORT_OF_IT = 1.5  # or so many times more: each further round of a pilot is as 
 DARK_AFTER = 4_000_000  # rays without light in a cell after which it is taken for dark
 SAVING = 0.1  # share of the time that saving the state may take
 LONG_PASS = 0.5  # s, from which an interrupt may not wait for the end of the next pass
+LEAST_PASS = 1 << 11  # rays of a pass, however short the time is
 PLAN, PATH = "plan_", "path_"  # names of arrays that are saved
 
 Progress = Callable[[PstProgress], None]
@@ -63,6 +64,7 @@ class BackwardRun:
         self._light: ForwardPart | None = None
         self._plan: Plan | None = None
         self._pilot_seconds, self._seconds_left = 0.0, math.nan
+        self._first_pass = FIRST_PASS  # its rays; fewer where a time budget is shorter than that
         self._wanted: tuple[float | None, float | None] = (None, None)
         self._before: dict[str, np.ndarray] = {}  # path table of the run that this one goes on from
         self._table: dict[str, np.ndarray] | None = None  # the path table of both, once it is read
@@ -121,6 +123,8 @@ class BackwardRun:
         self._pilot_seconds = time.perf_counter() - started
         budget = self._budget(plan, wanted)
         self._seconds_left = pilot.seconds_for(plan, budget)
+        if (takes := pilot.seconds_for(plan, FIRST_PASS)) > left():
+            self._first_pass = max(LEAST_PASS, int(FIRST_PASS * left() / takes))
         if self._seconds_left > LONG and not is_limited():
             goal = "" if wanted is None else f"; an error of {percent_text(wanted)} takes {budget:.2g} rays"
             warnings.warn(
@@ -156,9 +160,8 @@ class BackwardRun:
         with later(), trace.shared(most):
             while trace.rays.sum() < most and not requested() and not (trace.passes and left() < took):
                 began = time.perf_counter()
-                # Only a run of a single pass has a pass of its own size, so that a run may be continued at any time
                 try:
-                    trace.advance(most if most < FIRST_PASS else None)
+                    trace.advance(self._own_size(most))
                 except UnfinishedError as error:
                     self._keep(error, not all_saved)
                     raise
@@ -178,6 +181,15 @@ class BackwardRun:
                 self._save()
             if requested():
                 raise KeyboardInterrupt
+
+    def _own_size(self, most: int) -> int | None:
+        """
+        Rays of the next pass where it has a size of its own, of a run of so many in all; None: that of its number.
+
+        Only a first pass has one, and those of a run that is shorter, so that a run may be continued at any time.
+        """
+        size = min(most - round(float(self._trace.rays.sum())), FIRST_PASS if self._trace.passes else self._first_pass)
+        return size if size < FIRST_PASS and (most < FIRST_PASS or not self._trace.passes) else None
 
     def _budget(self, plan: Plan, wanted: float | None) -> int:
         """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import pandas as pd
@@ -20,6 +21,8 @@ LEAST_CHANGE = 0.05  # decades per degree: a change of the slope below that is n
 SURE = 4.0  # standard errors that a change of the slope must have
 LARGEST_ERROR = 0.25  # relative: beyond that a point of the curve says nothing about its slope
 MOST_BREAKS = 8
+
+_cause_frames: WeakKeyDictionary[Pst, pd.DataFrame] = WeakKeyDictionary()  # pictures, tables and verdicts ask for it
 
 
 @renamed(angle_deg="field_deg")
@@ -74,6 +77,12 @@ def with_cause(rows: pd.DataFrame) -> pd.DataFrame:
 
 def cause_frame(pst: Pst) -> pd.DataFrame:
     """Stray light by its cause, % of the stray light at each angle (index); the strongest cause first."""
+    if pst not in _cause_frames:
+        _cause_frames[pst] = _cause_frame(pst)
+    return _cause_frames[pst].copy()
+
+
+def _cause_frame(pst: Pst) -> pd.DataFrame:
     shares = {}
     for angle in pst.field_deg:
         rows = with_cause(stray_paths(pst, angle))
@@ -300,10 +309,11 @@ def field_edge(pst: Pst) -> float | None:
 
     None where there is no direct light at the smallest angle, or where it does not fall so far.
     """
-    direct = pst.curve("direct")[0]
+    direct, angles = pst.curve("direct")[0], pst.field_deg
+    traced = np.isfinite(direct)
+    direct, angles = direct[traced], angles[traced]
     below = np.flatnonzero(direct < direct[0] / 2)
     if direct[0] <= 0 or not below.size:
         return None
     k = int(below[0])
-    angles = pst.field_deg
     return float(np.interp(direct[0] / 2, direct[[k, k - 1]], angles[[k, k - 1]]))

@@ -25,6 +25,7 @@ from mistray.sampling.sources import spectrum_of
 from mistray.scene.check import require_scene
 from mistray.settings import Settings
 from mistray.surfaces.thin_gaps import thin_gaps
+from mistray.time_budget import not_traced
 
 Progress = Callable[[PstProgress], None]
 
@@ -71,6 +72,7 @@ def forward_pst(
         cells together), seconds, segments, settings, seed, relative_error, error_up_to_deg, entrance, rays_of_cell and
         beam_area_mm2 (n, m); ``unseen``: cells (angle, azimuth) that no light was found in, whose PST of 0 is an upper
         limit only by the number of their rays; ``unfinished``: those whose error is larger than what was requested;
+        ``not_traced``: those for which a time budget was too short, whose numbers are NaN;
         ``notes``: the same in words, and what else a reader should know.
 
     Raises
@@ -187,6 +189,9 @@ def _result(
 
     grid = cells.grid
     n, m = grid.shape
+    missing = [name for name in np.ndindex(n, m) if name not in found]
+    if missing:
+        found = found | dict.fromkeys(missing, Cell.not_traced(next(iter(found.values()))))
 
     def stack(name: str) -> np.ndarray:
         """(n, m, …): an attribute of the cells."""
@@ -222,13 +227,15 @@ def _result(
             "entrance": None if entrance is None else {"centre": list(entrance.centre), "radius": entrance.radius},
             "unseen": named(np.isinf(errors)),
             "unfinished": named(late),
+            "not_traced": [[float(grid.field_deg[i]), float(grid.azimuths_deg[j])] for i, j in missing],
         },
         largest_share=largest,
         path_rows=pd.concat(tables, ignore_index=True) if tables else None,
         maps=np.moveaxis(stack("map"), 2, 0) if cells.has_maps else None,
         extent_mm=cells.extent,
     )
-    lines = [*thin_gaps(cells.table), *notes(result, largest, float(stack("rays").min()))]
+    fewest = min(cell.rays for cell in found.values() if cell.rays)
+    lines = [*thin_gaps(cells.table), *notes(result, largest, float(fewest))]
     if late[np.isfinite(errors)].any():
         worst = float(errors[late & np.isfinite(errors)].max())
         text = (
@@ -236,5 +243,11 @@ def _result(
             "take more rays"
         )
         lines.append(Note(text, Code.ERROR))
+    if missing:
+        names = [
+            f"{grid.field_deg[i]:g}" if m == 1 else f"{grid.field_deg[i]:g}/{grid.azimuths_deg[j]:g}"
+            for i, j in missing
+        ]
+        lines.append(Note(not_traced(names, n * m, "cells, deg"), Code.UNFINISHED))
     result.facts["notes"] = [*lines, *cells.notes]
     return result

@@ -208,9 +208,24 @@ class Cell:
     rows: pd.DataFrame | None = None
     map: np.ndarray | None = None
 
+    @classmethod
+    def not_traced(cls, like: Cell) -> Cell:
+        """A cell for which there was no time, beside one that was traced: its numbers are NaN."""
+        return cls(
+            parts=np.full_like(like.parts, np.nan),
+            weight=np.full_like(like.weight, 1 / len(like.weight)),
+            largest_share=np.nan,
+            rays=0,
+            segments=0,
+            beam_area=np.nan,
+            map=None if like.map is None else np.full_like(like.map, np.nan),
+        )
+
     @property
     def error(self) -> float:
-        """Relative standard error of all light together; infinite where there is none."""
+        """Relative standard error of all light together; infinite where there is none, NaN if not traced."""
+        if not self.rays:
+            return np.nan
         total = self.parts.sum(axis=0)
         value = float(total.sum())
         return float(batch_error(total, self.weight)) / value if value > 0 else np.inf

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -204,7 +205,7 @@ class Pst:
     @property
     def is_dark(self) -> bool:
         """Whether no ray has seen any light."""
-        return not np.any(self.by_batch)
+        return not np.any(np.nan_to_num(self.by_batch))
 
     def to(self, convention: str) -> Pst:
         """The same PST in another convention."""
@@ -232,8 +233,19 @@ class Pst:
         """
         if self.path_rows is None:
             raise MistrayError("this PST was computed without paths; ask for them with paths=True")
-        i, j = self.grid.nearest(field_deg, azimuth_deg)
-        rows = self.path_rows
+        cell = self.grid.nearest(field_deg, azimuth_deg)
+        if cell not in self._path_tables:
+            self._path_tables[cell] = self._paths_of(self.path_rows, *cell)
+        rows = self._path_tables[cell]
+        return rows.copy() if n is None else rows.head(n)
+
+    @cached_property
+    def _path_tables(self) -> dict[tuple[int, int], pd.DataFrame]:
+        """What `paths` has made, by cell: a report asks for each of them ten times."""
+        return {}
+
+    def _paths_of(self, rows: pd.DataFrame, i: int, j: int) -> pd.DataFrame:
+        """The table of `paths` of a cell."""
         rows = rows[(rows.cell == i) & (rows.azimuth_cell == j)]
         rows = rows.sort_values("pst_normal", ascending=False, kind="stable", ignore_index=True)
         factor = self._factor[i]
@@ -243,8 +255,7 @@ class Pst:
         with np.errstate(divide="ignore", invalid="ignore"):
             rows["percent_of_stray"] = np.where(is_stray, 100 * rows.pst / stray, np.nan)
             rows["percent_of_all"] = 100 * rows.pst / total
-        rows = rows.drop(columns=["cell", "azimuth_cell", "pst_normal", "pst_normal_se"])
-        return rows if n is None else rows.head(n)
+        return rows.drop(columns=["cell", "azimuth_cell", "pst_normal", "pst_normal_se"])
 
     def budget(
         self, field_deg: float, azimuth_deg: float = 0.0, classes: str | Sequence[str] = "total"

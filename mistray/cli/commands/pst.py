@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from mistray.report import IrradianceMap
 
 MAP_PIXELS = 64
+PAGE_S = 6.0  # of the report, see `Options.seconds_left`: two figures are drawn twice, as PNG and for the page
 STATE = "pst_state.npz"
 
 # What --out writes
@@ -149,7 +150,7 @@ def run(options: Options) -> int:
                 state=state,
                 resume=options.resume,
                 progress=progress,
-                seconds=options.seconds_left(),
+                seconds=options.seconds_left(PAGE_S),
                 next_order=not options.no_next_order,
                 **options.spectral_settings(),
             )

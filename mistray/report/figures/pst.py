@@ -193,7 +193,7 @@ def _pst_range(pst: Pst) -> Range | None:
     lowest = {group: np.min(value[value > 0], initial=np.inf) for group in CURVES for value in (pst.curve(group)[0],)}
     if pst.is_dark:
         return None
-    top = np.ceil(np.log10(pst.value.max()) + 0.1)
+    top = np.ceil(np.log10(np.nanmax(pst.value)) + 0.1)
     least = np.log10(min(lowest["total"], lowest["stray"]))
     floor = max(np.floor(np.log10(min(lowest.values())) - 0.1), np.floor(least) - BELOW)
     return float(10.0 ** max(floor, top - MOST_DECADES)), float(10.0**top)
