@@ -134,8 +134,8 @@ def _run_pst(options: Options) -> int:
     if options.step and not options.rank:
         raise MistrayError("--step is about the ranking; give --rank as well, or leave it out")
     options.start()
-    from mistray.report.edits_output import edits_report
     from mistray.report.tables import edits
+    from mistray.report.tables.edits_report import edits_report
     from mistray.sweeps import rank_edits, sweep_pst
 
     angles_deg, settings = options.pst_field_deg, {"wavelength_nm": options.wavelength_nm, **options.settings()}
