@@ -41,6 +41,8 @@ class Code(StrEnum):
     OUTSIDE_SEEN = "outside-seen"
     CLOSED_IN = "closed-in"
     BAND = "band"
+    SEVERAL_PATHS = "several-paths"
+    NO_PATH = "no-path"
 
 
 class Note(str):

@@ -160,7 +160,7 @@ def pst_report(
     return Report(
         "Point source transmittance",
         title,
-        [*sections, settings_section(_facts(pst), command, terms("pst"), link="Definitions and settings")],
+        [*sections, settings_section(pst_facts(pst), command, terms("pst"), link="Definitions and settings")],
         lead=[Note(Markup("{}.<br>{}.").format(definition, run), "sub"), Items(pst_verdict(pst), "verdict")],
         warnings=pst.notes,
         tab="PST",
@@ -171,7 +171,8 @@ def pst_report(
     )
 
 
-def _facts(pst: Pst) -> dict[str, Any]:
+def pst_facts(pst: Pst) -> dict[str, Any]:
+    """How a PST was made, as settings of a report."""
     shown: dict[str, Any] = {"convention": pst.convention, "method": pst.method}
     for key, value in pst.facts.items():
         if isinstance(value, dict):

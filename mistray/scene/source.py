@@ -63,6 +63,15 @@ class PackedScene:
         """
         from mistray.scene.load import load
 
+        folder = _Folder()
+        scene = load(self.unpack(folder.path), self.sources, self.sensors)
+        for owner in _owners(scene):  # some files are read later, and the folder goes with the scene
+            setattr(owner, f"{ATTRIBUTE}_folder", folder)
+            break
+        return scene
+
+    def unpack(self, folder: Path) -> Path:
+        """Write the files into a folder; returns that of the scene, and raises as `load` does."""
         for path, digest in self.checked.items():
             found = file_fingerprint(Path(path)) if os.path.isfile(path) else None
             if found != digest:
@@ -70,16 +79,11 @@ class PackedScene:
                 raise MistrayError(
                     f"scene '{self.name}': '{path}' {what}; name it relative to the scene's folder, so that it travels"
                 )
-        folder = _Folder()
         for path, content in self.files.items():
-            file = folder.path / path
+            file = folder / path
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_bytes(content)
-        scene = load(folder.path / self.scene, self.sources, self.sensors)
-        for owner in _owners(scene):  # some files are read later, and the folder goes with the scene
-            setattr(owner, f"{ATTRIBUTE}_folder", folder)
-            break
-        return scene
+        return folder / self.scene
 
 
 @dataclass(frozen=True)

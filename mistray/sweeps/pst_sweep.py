@@ -18,12 +18,9 @@ from mistray.analysis.pst.transmittance import pst_of_each
 from mistray.errors import MistrayError
 from mistray.notes import warns
 from mistray.optimize.metrics.views import View, seen_unpolarized
-from mistray.optimize.scene_values import assign
 from mistray.renamed import renamed
-from mistray.scene import coat, find, load
-from mistray.scene.add_structures import add_structures
-from mistray.scene.check import check_overlaps
-from mistray.sweeps.configurations import AS_IT_IS, Configuration, Given, as_configurations, resolve
+from mistray.sweeps.configurations import AS_IT_IS, Configuration, Given, as_configurations
+from mistray.sweeps.original import Original
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -187,7 +184,7 @@ class PstSweep:
 @renamed(angles_deg="field_deg")
 @warns
 def sweep_pst(
-    scene: str | Path,
+    scene: str | Path | mi.Scene,
     configurations: Given,
     field_deg: float | Sequence[float] = range(0, 81, 10),
     *,
@@ -202,8 +199,9 @@ def sweep_pst(
 
     Parameters
     ----------
-    scene : str or Path
-        Scene XML file, or the name of a shipped scene.
+    scene : str, Path or mi.Scene
+        Scene XML file, the name of a shipped scene, or a scene from `mistray.load` with its numbers as they are now,
+        which stays as it is.
     configurations : mapping of str to mapping, or sequence of Configuration
         What is changed; a mapping gives values of parameters only.
     field_deg : float or sequence of float
@@ -221,12 +219,13 @@ def sweep_pst(
     ------
     MistrayError
         If a configuration names what the scene has not, makes surfaces overlap or an edit is impossible, an argument
-        is unknown, or what `mistray.pst` raises.
+        is unknown, a loaded scene is none of `mistray.load`, one of a dict or with other numbers than its file is to be
+        painted, coated or blocked, or what `mistray.pst` raises.
     """
     for key in ("relative_error", "state", "resume"):
         if key in arguments:
             raise MistrayError(f"sweep_pst: {key} would give the runs different rays; give rays instead")
-    source, wanted = find(scene), as_configurations(configurations)
+    wanted = as_configurations(configurations)
     if any(one.name == AS_IT_IS for one in wanted):
         raise MistrayError(
             f"configuration '{AS_IT_IS}': this name is that of the scene without changes; choose another"
@@ -237,37 +236,26 @@ def sweep_pst(
     unpolarized: dict[str, Sequence[str]] = {}
     view = View({"field_deg": field_deg, **arguments})
 
-    def scenes() -> Iterator[mi.Scene]:
+    def scenes(original: Original) -> Iterator[mi.Scene]:
         contacts = None
         for one in every:
             at[:] = [f"configuration '{one.name}': "]
-            with tempfile.TemporaryDirectory() as folder:
-                scene = _edited(source, one, Path(folder))
-                contacts = Contacts(scene) if contacts is None else contacts
-                gaps[one.name] = contacts.opened(scene)
-                unpolarized[one.name] = seen_unpolarized(scene, [view])
-                yield scene
+            edited = original.edited(one)
+            contacts = Contacts(edited) if contacts is None else contacts
+            gaps[one.name] = contacts.opened(edited)
+            unpolarized[one.name] = seen_unpolarized(edited, [view])
+            yield edited
         at.clear()
 
     found: dict[str, Pst] = {}
     try:
-        for one, result in zip(every, pst_of_each(scenes(), field_deg, **arguments), strict=True):
-            found[one.name] = result
-            if progress is not None:
-                progress(len(found), len(every))
+        with tempfile.TemporaryDirectory() as folder:
+            each = scenes(Original(scene, Path(folder)))
+            for one, result in zip(every, pst_of_each(each, field_deg, **arguments), strict=True):
+                found[one.name] = result
+                if progress is not None:
+                    progress(len(found), len(every))
     except MistrayError as error:
         error.args = ("".join(at) + str(error).removeprefix("".join(at)),)
         raise
     return PstSweep(found, gaps, unpolarized)
-
-
-def _edited(source: Path, one: Configuration, folder: Path) -> mi.Scene:
-    """The scene with a configuration's edits: blocked, coated and painted in the file, moved in the scene."""
-    file = add_structures(source, one.block, folder / "scene.xml") if one.block else source
-    scene = coat(file, one.coat, paint=one.paint) if one.coat or one.paint else load(file)
-    if one.values:
-        params = mi.traverse(scene)
-        (resolved,) = resolve(scene, params, [Configuration(one.name, one.values)])
-        assign(params, resolved.values)
-        check_overlaps(scene)
-    return scene

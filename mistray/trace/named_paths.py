@@ -18,6 +18,7 @@ import numpy as np
 
 from mistray.errors import MistrayWarning
 from mistray.ids import EVENT_LETTERS, event_words
+from mistray.notes import Code
 from mistray.recorders.path_events import DIRECT, FIRST_SCATTERED, LETTERS, STRAY_KINDS, way, way_text
 from mistray.recorders.path_key import ABSORBED, EVENT_MASK
 from mistray.recorders.path_names import ARROW, DIRECT_IMAGE, PAST, SCATTER_AT, PathNames
@@ -134,10 +135,12 @@ def tell(name: str, rows: Sequence[Rows], held: Sequence[np.ndarray]) -> None:
     if labels and not meant:
         backwards = ARROW.join(reversed(_typed_alike(name).split(ARROW)))
         near = f"; did you mean '{backwards}'?" if backwards in labels.values() else like(name, labels.values())
-        warnings.warn(f"no light of this trace goes by '{name}'{near}", MistrayWarning, stacklevel=2)
+        text = f"no light of this trace goes by '{name}'{near}"
+        warnings.warn(MistrayWarning(text, Code.NO_PATH), stacklevel=2)
     elif len(meant) > 1:
         listed = "; ".join(list(meant.values())[:LISTED]) + (" …" if len(meant) > LISTED else "")
-        warnings.warn(f"'{name}' means {len(meant)} paths together: {listed}", MistrayWarning, stacklevel=2)
+        text = f"'{name}' means {len(meant)} paths together: {listed}"
+        warnings.warn(MistrayWarning(text, Code.SEVERAL_PATHS), stacklevel=2)
 
 
 def _typed_alike(text: str) -> str:

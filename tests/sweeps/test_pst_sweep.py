@@ -7,11 +7,13 @@ import json
 from pathlib import Path
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from oracles.scatter_scenes import beam_xml, placed_xml, wall_xml
 from oracles.small_scenes import interface_xml, plates_text, write
 
+import mistray
 from mistray.cli.program import main
 from mistray.errors import MistrayError
 from mistray.physics import thinfilm
@@ -34,7 +36,7 @@ def scene(tmp_path: Path) -> Path:
     return file
 
 
-def swept(scene: Path, *configurations: Configuration, **more: Any) -> PstSweep:
+def swept(scene: Path | mi.Scene, *configurations: Configuration, **more: Any) -> PstSweep:
     return sweep_pst(scene, configurations, [ANGLE], rays=RAYS, max_scatters=1, **more)
 
 
@@ -145,6 +147,12 @@ def test_table_and_command(scene: Path, tmp_path: Path, capsys: pytest.CaptureFi
     with (out / "pst_sweep.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
     assert [float(row["after"]) for row in rows] == pytest.approx([row["after"] for row in record["rows"]])
+    assert {file.name for file in out.iterdir()} == {
+        "pst_sweep.csv", "pst_sweep.json", "pst_sweep.png", "report.html"
+    }  # fmt: skip
+    assert json.loads((out / "pst_sweep.json").read_text())["rows"] == record["rows"]
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "What each configuration does" in page
     assert main([*command, "--force"]) == 0
     assert "coated" in capsys.readouterr().out
 
@@ -176,3 +184,36 @@ def test_refuses_arguments(scene: Path) -> None:
         swept(scene, Configuration("x")).changed("y", ANGLE)
     for more in (["--pst-field-deg", "10"], ["none.toml", "--pst-field-deg", "10", "--field-deg", "1"]):
         assert main(["sweep", str(scene), *more]) == 2
+
+
+def test_a_loaded_scene(scene: Path) -> None:
+    """Edits of a loaded scene are those of its file, with its numbers as they are; it stays as it is."""
+    key, paint = "wall.bsdf.paint.reflectance", Configuration("paint", paint={"w*": 0.1})
+    loaded = mistray.load(scene)
+    params = mi.traverse(loaded)
+    assert swept(loaded, paint).changed("paint", ANGLE, "single_scatter").ratio == pytest.approx(0.25, rel=1e-4)
+    assert np.ravel(params[key]) == pytest.approx([0.4])
+    params[key] = type(params[key])(0.2)
+    params.update()
+    assert swept(loaded, Configuration("back", {key: 0.4})).changed("back", ANGLE).ratio == pytest.approx(2, rel=1e-4)
+    assert np.ravel(params[key]) == pytest.approx([0.2])
+    with pytest.raises(MistrayError, match=r"configuration 'paint': 'wall.bsdf.paint.reflectance' of the scene is"):
+        swept(loaded, paint)
+
+
+def test_a_scene_of_a_dict_is_moved_and_not_painted() -> None:
+    given = {
+        "type": "scene",
+        "light": {"type": "collimated", "radius": 3.0, "to_world": mi.ScalarTransform4f().translate([0, 0, -20])},
+        "detector": {
+            "type": "asphere",
+            "semi_diameter": 3.0,
+            "bsdf": {"type": "interface", "R": 0.0, "T": 0.0},
+            "sensor": {"type": "irradiancemeter", "film": {"type": "hdrfilm", "rfilter": {"type": "box"}}},
+        },
+    }
+    loaded = mistray.load(given)
+    found = sweep_pst(loaded, {"moved": {"detector.z": 1.0}}, [ANGLE], rays=2000)
+    assert found.changed("moved", ANGLE, "direct").ratio == pytest.approx(1, abs=0.05)
+    with pytest.raises(MistrayError, match="a scene of a dict cannot be painted"):
+        sweep_pst(loaded, [Configuration("dark", paint={"detector": 0.1})], [ANGLE], rays=2000)

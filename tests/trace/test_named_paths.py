@@ -52,16 +52,18 @@ def test_a_name_within_a_filter(traced) -> None:
 
 def test_a_short_name_says_how_many(traced) -> None:
     names = {row.label for row in traced.paths if row.label.startswith("detector → w")}
-    with pytest.warns(mistray.MistrayWarning, match=f"means {len(names)} paths together"):
+    with pytest.warns(mistray.MistrayWarning, match=f"means {len(names)} paths together") as told:
         rows = traced.paths.select("detector -> w*")
     assert {row.label for row in rows} == names
+    assert [one.message.code for one in told] == ["several-paths"]
 
 
 def test_a_name_that_no_light_has(traced) -> None:
     label = next(row.label for row in traced.paths if row.label.startswith("detector →"))
     first, last = label.split(" → ")
-    with pytest.warns(mistray.MistrayWarning, match=f"did you mean '{label}'"):
+    with pytest.warns(mistray.MistrayWarning, match=f"did you mean '{label}'") as told:
         assert traced.paths.select(f"{last} -> {first}") == []
+    assert [one.message.code for one in told] == ["no-path"]
 
 
 @pytest.mark.parametrize(

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from mistray.sweeps import Configuration, Sweep
 
 # What --out writes
-FILES = ("report.html", "configurations.csv", "sweep.*", "pst_sweep.csv", "edit_ranking.csv")
+FILES = ("report.html", "configurations.csv", "sweep.*", "pst_sweep.*", "edit_ranking.*")
 COATING, PAINT, _ = SURFACES.options
-OF_FIELDS = ("field_deg", "azimuth_deg", "formats", "seconds", "no_cache")  # options that mean nothing for a PST
+OF_FIELDS = ("field_deg", "azimuth_deg", "seconds", "no_cache")  # options that mean nothing for a PST
 OF_A_TRACE = ("field_deg", "azimuth_deg", "pst_field_deg", "rank", "step", "wavelength_nm", "rays", "out")
 OF_PST = ("coating", "paint")  # options that mean nothing without one
 
@@ -133,29 +133,29 @@ def _run_pst(options: Options) -> int:
         )
     if options.step and not options.rank:
         raise MistrayError("--step is about the ranking; give --rank as well, or leave it out")
-    folder = options.start()
+    options.start()
     from mistray.report.tables import edits
+    from mistray.report.tables.edits_report import edits_report
     from mistray.sweeps import rank_edits, sweep_pst
 
     angles_deg, settings = options.pst_field_deg, {"wavelength_nm": options.wavelength_nm, **options.settings()}
     record: dict[str, Any] = {}
     texts: list[str] = []
-    files: list[Path] = []
+    found, ranking = None, None
     if options.study is not None or _edited(options):
         with options.tracing() as progress:
             configurations = _configurations(options)
             found = sweep_pst(options.scene, configurations, angles_deg, progress=progress, **settings)
         record |= edits.pst_sweep_record(found)
         texts.append(edits.pst_sweep_text(found))
-        files += [] if folder is None else edits.write_edits(found, folder, options.command_line)
     if options.rank:
         given = {key: value for key, value in settings.items() if value is not None}
         with options.tracing() as progress:
             ranking = rank_edits(options.scene, angles_deg, steps=dict(options.step or ()), progress=progress, **given)
         record |= edits.edit_ranking_record(ranking)
         texts.append(edits.edit_ranking_text(ranking))
-        files += [] if folder is None else edits.write_edits(ranking, folder, options.command_line)
-    return options.show(lambda: record, lambda: "\n\n".join(texts), files, files[-1].name if files else "")
+    files = options.write(lambda title, command: edits_report(found, ranking, title, command))
+    return options.show(lambda: record, lambda: "\n\n".join(texts), files)
 
 
 def _write_scene(options: Options) -> int:

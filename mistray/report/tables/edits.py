@@ -1,17 +1,16 @@
-"""What edits do to the PST, before and after or by its derivatives: as text, as values for JSON and as a CSV file."""
+"""What edits do to the PST, before and after or by its derivatives: as tables, as text and as values for JSON."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 from mistray.analysis.estimate import Estimate
 from mistray.files.json_values import plain
 from mistray.report.model import Table, Value, columns
-from mistray.report.output import csv_text, write_files
 from mistray.report.tables.text import ABSENT, number, table_text, with_error
 from mistray.sweeps import EditRanking, PstSweep
+from mistray.sweeps.edit_ranking import Edit
 
 ENTERS = "of it by new first surfaces"
 OPENS = (
@@ -20,7 +19,10 @@ OPENS = (
 )
 
 
-def pst_sweep_text(found: PstSweep) -> str:
+PAIRED = "the error of after/before is that of runs with the same random numbers"
+
+
+def pst_sweep_table(found: PstSweep) -> Table:
     """A line for each configuration and field angle."""
     heads = columns("<configuration", "angle [deg]", "stray PST before", "after", "after/before", f"{ENTERS} [%]")
     lines: list[list[Value]] = []
@@ -30,8 +32,12 @@ def pst_sweep_text(found: PstSweep) -> str:
         lines.append([row.configuration, f"{row.angle_deg:g}", *(Estimate(*pair) for pair in pairs), share])
     if not any(line[-1] != ABSENT for line in lines):
         heads, lines = heads[:-1], [line[:-1] for line in lines]
-    notes = ["the error of after/before is that of runs with the same random numbers"]
-    return "\n".join([table_text(Table(heads, lines)), "", *notes, *(f"warning: {text}" for text in found.warnings)])
+    return Table(heads, lines, "t-edits")
+
+
+def pst_sweep_text(found: PstSweep) -> str:
+    """The table, and what to know before trusting it."""
+    return "\n".join([table_text(pst_sweep_table(found)), "", PAIRED, *(f"warning: {text}" for text in found.warnings)])
 
 
 def pst_sweep_record(found: PstSweep) -> dict[str, Any]:
@@ -44,7 +50,7 @@ def pst_sweep_record(found: PstSweep) -> dict[str, Any]:
     return dict(plain(record))
 
 
-def edit_ranking_text(found: EditRanking, count: int = 20) -> str:
+def edit_ranking_table(found: EditRanking, count: int = 20) -> Table:
     """
     A line for each edit with what a step of it does at each field angle.
 
@@ -56,28 +62,47 @@ def edit_ranking_text(found: EditRanking, count: int = 20) -> str:
     """
     each = (f"at {angle:g} deg [% per step]" for angle in found.field_deg)
     heads = columns("<edit", "<parameter", "value", "step", "<unit", *each, "<opens")
-    matter = [edit for edit in found.edits if any(change.value for change in edit.change)]
+    shown = _that_matter(found)[:count]
     lines = [
         [edit.method, edit.label, number(edit.value), number(edit.step), edit.unit]
         + [Estimate(100 * change.value, 100 * change.se) for change in edit.change]
         + ["; ".join(f"{' – '.join(gap.surfaces)} {gap.gap_mm:.3g} mm" for gap in edit.gaps)]
-        for edit in matter[:count]
+        for edit in shown
     ]
-    opens = any(edit.gaps for edit in matter[:count])
-    if not opens:
+    if not any(edit.gaps for edit in shown):
         heads, lines = heads[:-1], [line[:-1] for line in lines]
+    return Table(heads, lines, "t-ranking", empty="none")
+
+
+def edit_ranking_text(found: EditRanking, count: int = 20) -> str:
+    """The light that is ranked, the table of `edit_ranking_table`, and what to know of it."""
+    parts = [ranked_light(found), "", table_text(edit_ranking_table(found, count))]
+    return "\n".join([*parts, *ranking_notes(found, count)])
+
+
+def ranked_light(found: EditRanking) -> str:
+    """The PST that the changes are of."""
     pst = ", ".join(f"{with_error(at)} at {angle:g} deg" for angle, at in zip(found.field_deg, found.pst, strict=True))
-    parts = [f"PST of the {found.light} light: {pst}", "", table_text(Table(heads, lines, empty="none"))]
+    return f"PST of the {found.light} light: {pst}"
+
+
+def ranking_notes(found: EditRanking, count: int = 20) -> list[str]:
+    """What a table of `count` lines does not show, and what the derivatives do not contain."""
+    matter, notes = _that_matter(found), []
     if len(matter) > count:
-        parts.append(f"… and {len(matter) - count} with less")
+        notes.append(f"… and {len(matter) - count} with less")
     if len(found.edits) > len(matter):
-        parts.append(f"{len(found.edits) - len(matter)} more change nothing")
+        notes.append(f"{len(found.edits) - len(matter)} more change nothing")
     widths = [f"{w:g} at {a:g} deg" for a, w in zip(found.field_deg, found.edge_width, strict=True) if w is not None]
     if widths:
-        parts += ["", f"width of the zones at rims, over their radii: {', '.join(widths)}; errors hold its bias"]
-    if opens:
-        parts += ["", OPENS]
-    return "\n".join([*parts, "", *(f"not in the derivatives: {text}" for text in found.left_out)])
+        notes.append(f"width of the zones at rims, over their radii: {', '.join(widths)}; errors hold its bias")
+    if any(edit.gaps for edit in matter[:count]):
+        notes.append(OPENS)
+    return [*notes, *(f"not in the derivatives: {text}" for text in found.left_out)]
+
+
+def _that_matter(found: EditRanking) -> list[Edit]:
+    return [edit for edit in found.edits if any(change.value for change in edit.change)]
 
 
 def edit_ranking_record(found: EditRanking) -> dict[str, Any]:
@@ -88,9 +113,3 @@ def edit_ranking_record(found: EditRanking) -> dict[str, Any]:
         row["gaps"] = gaps[row["label"]]
     facts = {"light": found.light, "ranking": rows, "left_out": found.left_out, "edge_width": found.edge_width}
     return dict(plain(facts))
-
-
-def write_edits(found: PstSweep | EditRanking, folder: Path, command: str) -> list[Path]:
-    """Write the table as CSV, pst_sweep.csv or edit_ranking.csv; returns the file."""
-    name = "pst_sweep.csv" if isinstance(found, PstSweep) else "edit_ranking.csv"
-    return write_files({name: f"# {command}\n{csv_text(found.to_pandas())}"}, folder)
