@@ -188,7 +188,8 @@ class BackwardRun:
 
         Only a first pass has one, and those of a run that is shorter, so that a run may be continued at any time.
         """
-        size = min(most - round(float(self._trace.rays.sum())), FIRST_PASS if self._trace.passes else self._first_pass)
+        missing = math.ceil(most - float(self._trace.rays.sum()))  # at least 1
+        size = min(missing, FIRST_PASS if self._trace.passes else self._first_pass)
         return size if size < FIRST_PASS and (most < FIRST_PASS or not self._trace.passes) else None
 
     def _budget(self, plan: Plan, wanted: float | None) -> int:
