@@ -43,6 +43,13 @@ def test_a_triplet_is_closed_from_the_first_rim_to_the_detector():
     }  # fmt: skip
 
 
+def test_a_lens_of_very_many_surfaces_is_refused():
+    *surfaces, image = triplet().rows
+    many = (*surfaces, *[Row(number, thickness=0.1) for number in range(8, 501)], image)
+    with pytest.raises(MistrayError, match="has 501 surfaces, more than 500"):
+        to_prescription(replace(triplet(), rows=many))
+
+
 def test_edges_lie_in_the_glass_of_their_lens():
     shapes = by_name(to_prescription(triplet()))
     for lens_name, glass in (("L1", "1.62041"), ("L2", "1.62005"), ("L3", "1.62041")):

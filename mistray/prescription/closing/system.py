@@ -35,6 +35,7 @@ from mistray.prescription.sequential.table import Sequential
 from mistray.ranges import MARGIN as MARGIN_RANGE
 
 MARGIN = 0.02
+MOST_SURFACES = 500  # of a lens: with its edges and walls a trace has some three times as many shapes
 
 _PIXELS = (512, 512)
 _MIRROR_THICKNESS = 0.05  # of the clear radius
@@ -107,7 +108,7 @@ def to_prescription(
     Raises
     ------
     MistrayError
-        If a material is unknown, no ray gets through, or surfaces cross.
+        If a material is unknown, no ray gets through, surfaces cross, or there are more than `MOST_SURFACES`.
     """
     built = build(
         sequential,
@@ -136,6 +137,11 @@ def build(
         raise MistrayError(f"edges = '{edges}'; they are {', '.join(EDGES[:-1])} or {EDGES[-1]}")
     check_beam(beam, ("pupil", "front", "exact"))
     MARGIN_RANGE.check("margin", margin)
+    if len(sequential.rows) > MOST_SURFACES:
+        raise MistrayError(
+            f"lens '{sequential.name}' has {len(sequential.rows)} surfaces, more than {MOST_SURFACES}; leave out those "
+            "that do nothing, or import its parts one by one"
+        )
     table = OpticalSurfaces(sequential, coatings, margin)
     cut_holes(table)
     return _structured(table, Closing(edges, ground_reflectance), beam, detector_half_mm)
