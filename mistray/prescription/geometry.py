@@ -23,7 +23,7 @@ Point = tuple[float, float]
 ABSORBER = Coating(R=0.0)
 
 _SAMPLES = 257
-_GAS_INDEX = 1.01
+GAS_INDEX = 1.01  # of a medium that is no solid and no liquid
 _TOLERANCE_MM = 1e-9
 
 
@@ -250,7 +250,7 @@ def is_gas(material: str) -> bool:
     """Whether a material is air, vacuum or a constant index below 1.01, as other programs give air."""
     text = material.strip().lower()
     try:
-        return float(text) < _GAS_INDEX
+        return float(text) < GAS_INDEX
     except ValueError:
         return text in ("air", "vacuum")
 

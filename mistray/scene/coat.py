@@ -13,6 +13,7 @@ from mistray.errors import MistrayError
 from mistray.prescription import Prescription
 from mistray.prescription.by_text import number_of
 from mistray.prescription.coating import Coating
+from mistray.prescription.geometry import is_gas
 from mistray.prescription.naming import each_shape
 from mistray.prescription.scatter import Scatter
 from mistray.prescription.scene_file import finish_lines, seen_from, shared_lines
@@ -31,7 +32,6 @@ from mistray.scene.surface_rules import (
     PaintRules,
     Rules,
     ScatterRules,
-    is_gas,
 )
 from mistray.scene.xml_file import Element, SceneFile
 

@@ -14,14 +14,14 @@ from mistray.errors import MistrayError
 from mistray.ids import fits
 from mistray.materials import resolved
 from mistray.mechanics.finish import Finish, finish, known_finishes
-from mistray.prescription.by_text import CLEAN, coating_of, number_of, scatter_of
+from mistray.prescription.by_text import CLEAN, coating_of, scatter_of
 from mistray.prescription.closing.names import renamed_in
 from mistray.prescription.coating import BLACK, Coating
+from mistray.prescription.geometry import is_gas
 from mistray.prescription.scatter import Scatter
 from mistray.scatter.kinds import KINDS
 
 OFFERED = 5  # names in a message about a pattern that fits none
-GAS_INDEX = 1.01  # of a medium that is no solid and no liquid
 VISIBLE_NM = (380.0, 780.0)
 OPAQUE, CEMENTED = "is opaque", "lies in cement"
 
@@ -300,11 +300,6 @@ def _design_nm(light_nm: Sequence[float]) -> float:
     if not light_nm or any(VISIBLE_NM[0] <= nm <= VISIBLE_NM[1] for nm in light_nm):
         return Coating.design_nm
     return (min(light_nm) + max(light_nm)) / 2
-
-
-def is_gas(material: str) -> bool:
-    """Whether a material is no solid and no liquid."""
-    return material.strip().lower() in ("air", "vacuum") or (number_of(material) or GAS_INDEX) < GAS_INDEX
 
 
 def _refusal(face: Face, named: bool, transmits: bool) -> str:

@@ -32,6 +32,7 @@ from mistray.coatings.fitted import unfitted
 from mistray.errors import MistrayError
 from mistray.materials import bulk_scatter, complex_index
 from mistray.notes import Code, Note
+from mistray.prescription.geometry import GAS_INDEX
 from mistray.scatter.edge_diffraction import EdgeDiffraction
 from mistray.surfaces.upload import upload
 
@@ -45,7 +46,6 @@ FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT, MEDIUM_MASK = 8, 20, 0x7FF
 ONE_CHILD = 1 << 19  # of all children at random one is followed
 DARK = 1e-12  # share of the light after the length of a body, below which it is dark
 DIFFRACTS = 1 << 31  # what it scatters in transmission is diffracted light
-GAS_INDEX = 1.01  # of a medium that is no solid and no liquid
 THIN = 1e-3  # optical depth below which a medium takes the same light everywhere
 NO_LOSS = 4e-7  # absorption 1 - R - T below which it is taken for rounding
 TABLE_ERROR = 1e-6  # of R, T and the Stokes coefficients, by linear interpolation

@@ -16,7 +16,7 @@ from mistray.scene import coat, find, load
 from mistray.scene.add_structures import add_structures
 from mistray.scene.check import check_overlaps
 from mistray.scene.source import PackedScene, source_of
-from mistray.sweeps.configurations import Configuration, resolve
+from mistray.sweeps.configurations import Configuration, Resolved, resolve
 
 
 class Original:
@@ -46,10 +46,7 @@ class Original:
         """
         scene = self._rebuilt(one) if one.rebuilds else self._given.copy()
         if one.values:
-            params = mi.traverse(scene)
-            (resolved,) = resolve(scene, params, [Configuration(one.name, one.values)])
-            assign(params, resolved.values)
-            check_overlaps(scene)
+            move(scene, one)
         return scene
 
     def _rebuilt(self, one: Configuration) -> mi.Scene:
@@ -57,6 +54,15 @@ class Original:
         if one.block:
             file = add_structures(file, one.block, Path(tempfile.mkdtemp(dir=self._folder)) / "scene.xml")
         return coat(file, one.coat, paint=one.paint, **parts) if one.coat or one.paint else load(file, **parts)
+
+
+def move(scene: mi.Scene, one: Configuration) -> Resolved:
+    """Give a scene the values of a configuration, which is returned as it is of this scene; no surface may overlap."""
+    params = mi.traverse(scene)
+    (resolved,) = resolve(scene, params, [Configuration(one.name, one.values)])
+    assign(params, resolved.values)
+    check_overlaps(scene)
+    return resolved
 
 
 class _File:

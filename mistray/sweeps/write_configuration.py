@@ -5,14 +5,11 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-import mitsuba as mi
-
-from mistray.optimize.scene_values import assign
 from mistray.scene import Rules, find, load, write_coated
 from mistray.scene.add_structures import add_structures
-from mistray.scene.check import check_overlaps
 from mistray.scene.rewrite import write_rewritten
-from mistray.sweeps.configurations import Configuration, resolve
+from mistray.sweeps.configurations import Configuration
+from mistray.sweeps.original import move
 
 
 def write_configuration(source: str | Path, configuration: Configuration, target: str | Path) -> Path:
@@ -46,9 +43,5 @@ def write_configuration(source: str | Path, configuration: Configuration, target
             coated = Path(folder) / "coated.xml"
             write_coated(file, coated, Rules(dict(one.coat), dict(one.paint), {}))
             file = coated
-        scene = load(file)
-        params = mi.traverse(scene)
-        (resolved,) = resolve(scene, params, [Configuration(one.name, one.values)])
-        assign(params, resolved.values)
-        check_overlaps(scene)
-        return write_rewritten(file, resolved.values, target, f"configuration {one.name}")
+        values = move(load(file), one).values
+        return write_rewritten(file, values, target, f"configuration {one.name}")
