@@ -174,7 +174,7 @@ class TestScene:
             ({"type": "paint", "reflectance": 1.5}, "reflectance is 1.5"),
             ({"type": "paint", "preset": "flat_blak"}, "did you mean 'flat_black'?"),
             ({"type": "paint", "preset": "flat_black", "reflectance": 0.1}, "preset and reflectance given"),
-            ({"type": "tabulated"}, "file is missing; name a .bsdf or .csv file"),
+            ({"type": "tabulated"}, "file is missing"),
             ({"type": "tabulated", "file": "nowhere.bsdf"}, "nowhere.bsdf"),
             ({**MODELS["abg"], "R": 0.5}, "its abg 'model' has R as well; give R at the interface only"),
             ({**MODELS["abg"], "in": MODELS["abg"]}, "a BSDF is nested in it; nest both in an 'interface' instead"),
