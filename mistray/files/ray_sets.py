@@ -1,4 +1,4 @@
-"""Sets of rays in files: CSV and Parquet of our own, and Zemax source files (.DAT), binary and text.
+"""Sets of rays in files: CSV and Parquet of our own, Zemax source files (.DAT), binary and text, and IES TM-25.
 
 The layout of a Zemax source file is that of OpticStudio's help, "Binary Source File format": 208 bytes, then seven
 32-bit floats for each ray (x, y, z, the direction cosines, the flux) or eight, with the wavelength in µm.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,8 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.files.parquet import read_parquet, write_parquet
+from mistray.files.tm25 import read_tm25
+from mistray.ranges import POSITIVE
 from mistray.read_file import read_file, read_text
 from mistray.replace_file import replace_file
 
@@ -47,7 +49,7 @@ HEADER = np.dtype(
     ]
 )
 IDENTIFIER = 1010
-_CONVERT = "write others, such as IES TM-25, as a Zemax source file"
+LUMENS = "its flux is in lumens; give the power of all its rays, or export it in watts"
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,16 +154,21 @@ class RaySet:
         return RaySet(places * UNITS_MM[unit] if unit != "mm" else places, directions, flux, given)
 
 
-def read_ray_set(path: str | Path, unit: str | None = None) -> RaySet:
+Found = tuple[RaySet, bool]  # the rays, and whether their flux is in W
+
+
+def read_ray_set(path: str | Path, unit: str | None = None, power_W: float | None = None) -> RaySet:
     """
     Read a set of rays.
 
     Parameters
     ----------
     path : str or Path
-        ``.csv`` or ``.parquet`` with the columns of `RaySet.to_pandas`, or a Zemax ``.dat``.
+        ``.csv`` or ``.parquet`` with the columns of `RaySet.to_pandas`, a Zemax ``.dat`` or an IES ``.tm25ray``.
     unit : str, optional
         Of the places in a text ``.dat`` that does not say: m, cm, mm, in or ft.
+    power_W : float, optional
+        Flux of all rays, W, instead of what the file says. A file in lumens needs it.
 
     Raises
     ------
@@ -171,11 +178,18 @@ def read_ray_set(path: str | Path, unit: str | None = None) -> RaySet:
     path = Path(path)
     reader = READERS.get(path.suffix.lower())
     if reader is None:
-        raise MistrayError(f"ray file '{path}': its name must end in {', '.join(READERS)}; {_CONVERT}")
+        raise MistrayError(
+            f"ray file '{path}': its name must end in {', '.join(READERS)}; write others as one of these"
+        )
     if unit is not None and unit not in UNITS_MM:
         raise MistrayError(f"ray file '{path}': the unit '{unit}' is none of {', '.join(UNITS)}")
     try:
-        return reader(path, unit)
+        rays, in_watts = reader(path, unit)
+        if power_W is not None:
+            rays = replace(rays, flux_W=rays.flux_W * (POSITIVE.check("power_W", power_W) / rays.flux_W.sum()))
+        elif not in_watts:
+            raise MistrayError(LUMENS)
+        return rays
     except MistrayError as error:
         text = str(error)
         raise MistrayError(text if str(path) in text else f"ray file '{path}': {text.removeprefix('rays: ')}") from None
@@ -198,10 +212,10 @@ def save_ray_set(path: str | Path, rays: RaySet) -> Path:
         return write_parquet(rays.to_pandas(), path)
     if suffix == ".dat":
         return replace_file(path, _zemax_bytes(rays), "ray file")
-    raise MistrayError(f"ray file '{path}': its name must end in {', '.join(READERS)}")
+    raise MistrayError(f"ray file '{path}': its name must end in {', '.join(WRITTEN)}")
 
 
-def _read_csv(path: Path, unit: str | None) -> RaySet:
+def _read_csv(path: Path, unit: str | None) -> Found:
     import pandas as pd
 
     text = read_text(path, "ray file")
@@ -213,39 +227,43 @@ def _read_csv(path: Path, unit: str | None) -> RaySet:
     table = table.rename(columns=lambda name: str(name).strip())
     if WAVELENGTH in table:
         table[WAVELENGTH] = table[WAVELENGTH].replace("", "nan")
-    return RaySet.of_table(table)
+    return RaySet.of_table(table), True
 
 
-def _read_parquet(path: Path, unit: str | None) -> RaySet:
-    return RaySet.of_table(read_parquet(path, "ray file"))
+def _read_parquet(path: Path, unit: str | None) -> Found:
+    return RaySet.of_table(read_parquet(path, "ray file")), True
 
 
-def _read_zemax(path: Path, unit: str | None) -> RaySet:
+def _read_tm25(path: Path, unit: str | None) -> Found:
+    rays = read_tm25(read_file(path, "ray file"))
+    return RaySet(rays.origins, rays.directions, rays.flux, rays.wavelength_nm), not rays.in_lumens
+
+
+def _read_zemax(path: Path, unit: str | None) -> Found:
     content = read_file(path, "ray file")
     head = content[: HEADER.itemsize]
     if len(head) == HEADER.itemsize and not _is_text(head):
         return _read_binary(content)
-    return _read_zemax_text(content.decode("utf-8", errors="replace"), unit)
+    return _read_zemax_text(content.decode("utf-8", errors="replace"), unit), True
 
 
 def _is_text(head: bytes) -> bool:
     return all(byte >= 32 or byte in b"\t\r\n" for byte in head)
 
 
-def _read_binary(content: bytes) -> RaySet:
+def _read_binary(content: bytes) -> Found:
     header = np.frombuffer(content, HEADER, 1)[0]
     count, kind, unit = int(header["rays"]), int(header["format"]), int(header["unit"])
     if kind not in (FLUX_ONLY, SPECTRAL) or not 0 <= unit < 5:
         raise MistrayError(f"it has the format {kind} and the unit {unit}; 0 or 2, and 0 … 4 are known")
-    if int(header["flux_type"]) != WATTS:
-        raise MistrayError("its flux is in lumens; export it in watts")
     width = 7 if kind == FLUX_ONLY else 8
     if len(content) < HEADER.itemsize + 4 * width * count:
         raise MistrayError(f"it ends before its {count} rays; copy it again")
     rows = np.frombuffer(content, "<f4", width * count, HEADER.itemsize).reshape(count, width).astype(np.float64)
     one = float(header["wavelength_um"]) * MICROMETRE_NM or np.nan
     wavelength = rows[:, 7] * MICROMETRE_NM if kind == SPECTRAL else np.full(count, one)
-    return RaySet(rows[:, :3] * UNITS_MM[UNITS[unit]], rows[:, 3:6], rows[:, 6], wavelength)
+    rays = RaySet(rows[:, :3] * UNITS_MM[UNITS[unit]], rows[:, 3:6], rows[:, 6], wavelength)
+    return rays, int(header["flux_type"]) == WATTS
 
 
 def _read_zemax_text(text: str, unit: str | None) -> RaySet:
@@ -287,8 +305,10 @@ def _zemax_bytes(rays: RaySet) -> bytes:
     return header.tobytes() + np.concatenate(columns, axis=1).astype("<f4").tobytes()
 
 
-READERS: dict[str, Callable[[Path, str | None], RaySet]] = {
+WRITTEN = (".csv", ".parquet", ".dat")
+READERS: dict[str, Callable[[Path, str | None], Found]] = {
     ".csv": _read_csv,
     ".parquet": _read_parquet,
     ".dat": _read_zemax,
+    ".tm25ray": _read_tm25,
 }

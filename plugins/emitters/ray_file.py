@@ -24,14 +24,16 @@ class RayFile(LightSource):
 
     CSV and Parquet files have the columns x_mm, y_mm, z_mm (or in m, cm, um, in, ft), dx, dy, dz, flux_W and, if
     known, wavelength_nm. `Trace.rays` and `mistray.files.ray_sets.save_ray_set` write such files. Zemax source files
-    (.dat, binary or text) are read too. Rays are drawn in proportion to their flux, so that all carry the same.
+    (.dat, binary or text) and IES TM-25 files (.tm25ray) are read too. Rays are drawn in proportion to their flux, so
+    that all carry the same.
 
     =================== ========= =================== ========= ===================================================
     parameter           unit      range               default   meaning
     =================== ========= =================== ========= ===================================================
-    filename            string    a file              required  .csv, .parquet or .dat
+    filename            string    a file              required  .csv, .parquet, .dat or .tm25ray
     unit                string    m, cm, mm, in, ft   none      of the places, where a text .dat has none
-    power               W         > 0                 none      flux of all rays, instead of the sum in the file
+    power               W         > 0                 none      flux of all rays, instead of that in the file; needed
+                                                              for a file in lumens
     wavelength_nm       nm        > 0                 550       where the file has none; one value or a list
     weights             1         ≥ 0                 equal     one weight for each wavelength; normalised
     spectrum            string    see docs/sources.md none      instead of wavelength_nm: lines such as "F d C",
@@ -63,8 +65,9 @@ class RayFile(LightSource):
         if "filename" not in props:
             self._fail("filename is missing; add what is required")
         file = str(mi.file_resolver().resolve(str(props["filename"])))
-        self.rays_of_file: RaySet = read_ray_set(file, str(props["unit"]) if "unit" in props else None)
-        self.given = self._number(props, "power", POSITIVE, float(self.rays_of_file.flux_W.sum()))
+        power = self._number(props, "power", POSITIVE, 1.0) if "power" in props else None
+        self.rays_of_file: RaySet = read_ray_set(file, str(props["unit"]) if "unit" in props else None, power)
+        self.given = float(self.rays_of_file.flux_W.sum()) if power is None else power
         known = ~np.isnan(self.rays_of_file.wavelength_nm)
         if known.any() and not known.all():
             self._fail(f"filename '{file}' has wavelengths for some rays only; give all or none")

@@ -154,3 +154,108 @@ def test_flux_and_wavelengths(tmp_path: Path) -> None:
     assert made.weights == pytest.approx(np.full(32, 1 / 32), rel=0.2)
     with pytest.raises(RuntimeError, match="leave it out"):
         mi.load_dict({"type": "ray_file", "filename": str(tmp_path / "many.csv"), "wavelength_nm": 500.0})
+
+
+def tm25(
+    rows: list[list[float]],
+    flags: tuple[int, ...] = (1, 1, 1, 0, 0, 0, 0, 0),
+    *,
+    watts: float = float("nan"),
+    lumens: float = float("nan"),
+    spectrum: int = 0,
+    nm: float = float("nan"),
+    tables: tuple[tuple[float, ...], ...] = (),
+    names: tuple[str, ...] = (),
+    text: str = "",
+) -> bytes:
+    """A TM-25 file, byte by byte as the sections 4.7.1 to 4.7.7 of IES TM-25-13 have it."""
+    note = text.encode("utf-32-le")
+    note += bytes(-len(note) % 32)
+    head = struct.pack("<4siiffQ28s", b"TM25", 2013, 0, lumens, watts, len(rows), b"2026-11-28T00:00:00+00:00")
+    head += struct.pack("<iifffiii", 0, spectrum, nm, nm, nm, len(tables), len(names), len(note)) + bytes(168)
+    body = struct.pack("<8i", *flags) + b"".join(f"line {k}".encode("utf-32-le").ljust(4000, b"\0") for k in range(9))
+    block = b"".join(struct.pack(f"<i{len(t)}f", len(t) // 2, *t) for t in tables)
+    block += bytes(-len(block) % 32)
+    columns = b"".join(name.encode("utf-32-le").ljust(512, b"\0") for name in names)
+    assert len(head) == 256
+    return head + body + block + columns + note + np.array(rows, dtype="<f4").tobytes()
+
+
+class TestTM25:
+    """IES TM-25: what each part of a file means."""
+
+    def test_watts_of_the_header_and_one_wavelength(self, tmp_path: Path) -> None:
+        file = tmp_path / "lamp.TM25RAY"
+        file.write_bytes(tm25([[1, 2, 3, 0, 0, 1, 0.5], [4, 5, 6, 0, 0.6, 0.8, 1.5]], watts=8.0, spectrum=1, nm=632.8))
+        found = read_ray_set(file)
+        np.testing.assert_allclose(found.origins, [[1, 2, 3], [4, 5, 6]])
+        np.testing.assert_allclose(found.directions, [[0, 0, 1], [0, 0.6, 0.8]], atol=1e-7)
+        np.testing.assert_allclose(found.flux_W, [2.0, 6.0])
+        np.testing.assert_allclose(found.wavelength_nm, 632.8)
+
+    def test_each_ray_its_wavelength_stokes_and_further_columns(self, tmp_path: Path) -> None:
+        file = tmp_path / "lamp.tm25ray"
+        rows = [[0, 0, 0, 0, 0, 1, 1.0, 450.0, 0.1, 0.2, 0.3, 7.0], [1, 0, 0, 0, 0, -1, 3.0, 650.0, 0, 0, 0, 8.0]]
+        file.write_bytes(tm25(rows, (1, 1, 1, 1, 0, 1, 0, 0), spectrum=2, names=("chip",), text="of the bench"))
+        found = read_ray_set(file)
+        assert found.flux_W.tolist() == [1.0, 3.0]  # the header states no total
+        assert found.wavelength_nm.tolist() == [450.0, 650.0]
+        assert found.directions[1].tolist() == [0, 0, -1]
+
+    def test_lumens(self, tmp_path: Path) -> None:
+        """337 lm that are 0.694 W; without the watts, only with the power of all."""
+        rows = [[0, 0, 0, 0, 0, 1, 1.0], [1, 0, 0, 0, 0, 1, 3.0]]
+        flags = (1, 1, 0, 0, 1, 0, 0, 0)
+        (tmp_path / "both.tm25ray").write_bytes(tm25(rows, flags, watts=0.694, lumens=337.0))
+        np.testing.assert_allclose(read_ray_set(tmp_path / "both.tm25ray").flux_W, [0.1735, 0.5205], rtol=1e-6)
+        (tmp_path / "lumens.tm25ray").write_bytes(tm25(rows, flags, lumens=337.0))
+        with pytest.raises(mistray.MistrayError, match="lumens"):
+            read_ray_set(tmp_path / "lumens.tm25ray")
+        np.testing.assert_allclose(read_ray_set(tmp_path / "lumens.tm25ray", power_W=2.0).flux_W, [0.5, 1.5])
+        lamp = mi.load_dict({"type": "ray_file", "filename": str(tmp_path / "lumens.tm25ray"), "power": 2.0})
+        assert lamp.power() == 2.0
+
+    @pytest.mark.parametrize("each", [False, True])
+    def test_a_spectrum_keeps_its_moments(self, each: bool, tmp_path: Path) -> None:
+        """Weights 1 to 3 from 500 to 600 nm, linear: mean 500 + 100 · (1/2 + 2/3)/2 nm, second moment likewise."""
+        wedge = (500.0, 1.0, 600.0, 3.0)
+        rows = [[0.0, 0, 0, 0, 0, 1, 1] + ([2.0] if each else []) for _ in range(4000)]
+        tables = ((400.0, 1.0), wedge) if each else (wedge,)
+        flags = (1, 1, 1, 0, 0, 0, 0, int(each))
+        (tmp_path / "lamp.tm25ray").write_bytes(tm25(rows, flags, spectrum=4 if each else 3, tables=tables))
+        t = (read_ray_set(tmp_path / "lamp.tm25ray").wavelength_nm - 500) / 100
+        assert 0 <= t.min() < t.max() <= 1
+        # p(t) = (1 + 2 t)/2
+        assert t.mean() == pytest.approx(1 / 4 + 1 / 3, abs=1e-3)
+        assert (t**2).mean() == pytest.approx(1 / 6 + 1 / 4, abs=1e-3)
+
+    @pytest.mark.parametrize(
+        "content",
+        [
+            b"",
+            b"TM25",
+            b"TM26" + bytes(40000),
+            tm25([[0, 0, 0, 0, 0, 1, 1]])[:-4],
+            tm25([[0, 0, 0, 0, 0, 1, 1]])[:4] + struct.pack("<i", 2031) + tm25([[0, 0, 0, 0, 0, 1, 1]])[8:],
+            tm25([[0, 0, 0, 0, 0, 1, 1]], spectrum=2),
+            tm25([[0, 0, 0, 0, 0, 1, 1]], spectrum=5),
+            tm25([[0, 0, 0, 0, 0, 1, 1]], spectrum=3),
+            tm25([[0, 0, 0, 0, 0, 1, 1]], spectrum=3, tables=((600.0, 1.0, 500.0, 1.0),)),
+            tm25([[0, 0, 0, 0, 0, 1, 1]], spectrum=3, tables=((500.0, -1.0, 600.0, 1.0),)),
+            tm25([[0, 0, 0, 0, 0, 1, 1, 2]], (1, 1, 1, 0, 0, 0, 0, 1), spectrum=4, tables=((500.0, 1.0),)),
+            tm25([[0, 0, 0, 0, 0, 1, 1]], (1, 0, 1, 0, 0, 0, 0, 0)),
+            tm25([[0, 0, 0, 0, 0, 1]], (1, 1, 0, 0, 0, 0, 0, 0)),
+            tm25([]),
+            tm25([[float("nan"), 0, 0, 0, 0, 1, 1]]),
+        ],
+        ids=[
+            "empty", "short", "other", "cut", "version", "no wavelengths", "kind", "no table", "falling", "negative",
+            "no such table", "no directions", "no flux", "no rays", "nan",
+        ],
+    )  # fmt: skip
+    def test_files_that_are_none(self, content: bytes, tmp_path: Path) -> None:
+        file = tmp_path / "lamp.tm25ray"
+        file.write_bytes(content)
+        with pytest.raises(mistray.MistrayError, match=r"lamp\.tm25ray") as failed:
+            read_ray_set(file)
+        assert "\n" not in str(failed.value)
