@@ -77,6 +77,7 @@ def test_the_command_line_itself_imports_nothing_heavy(file):
     names_of = (
         "errors",
         "interrupts",
+        "notes",
         "param",
         "percent",
         "ranges",

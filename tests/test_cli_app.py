@@ -23,7 +23,8 @@ QUICK = ("--rays", "500", "--no-browser", "--field-deg", "0")
 def test_the_address_is_printed(capsys):
     assert cli.main(["app", SCENE, *QUICK, "--seconds", "1", "--json"]) == 0
     out, err = capsys.readouterr()
-    assert err == ""
+    # With kernels in no cache one line says what their compilation took
+    assert all("compilation" in line for line in err.splitlines())
     found = json_units.read(out)
     assert found["address"].startswith(f"http://127.0.0.1:{found['port']}/")
 

@@ -23,7 +23,7 @@ def test_quick_tests_know_every_room() -> None:
     assert rooms <= named
     tests = {file.relative_to(ROOT / "tests").parts[0] for file in files}
     folders = {file.parent.name for file in (ROOT / "tests").glob("*/test_*.py")}
-    assert folders - tests == {"validation"}  # numbers of papers and of other programs take longer
+    assert folders - tests == {"attack", "validation"}  # attacks, and numbers of papers and other programs, take longer
 
 
 def test_the_continuous_integration_calls_the_command_of_the_readme() -> None:

@@ -89,9 +89,22 @@ def load_text(path: Path, text: str, sources: Parts = None, sensors: Parts = Non
     return _loaded(path, text, sources, sensors)
 
 
-@reading_threads()
 def _loaded(given: Path | dict[str, Any], text: str | None, sources: Parts, sensors: Parts) -> mi.Scene:
     """The scene of a dict, of a file, or of a text in the place of a file."""
+    others, more = (
+        [given_parts] if isinstance(given_parts, (str, Mapping)) else list(given_parts or ())
+        for given_parts in (sources, sensors)
+    )
+    with reading_threads():
+        scene = _read(given, text, others, more)
+    for line in improbable(scene):
+        warnings.warn(line, MistrayWarning, stacklevel=3)
+    remember(scene, given, others, more, text)
+    return scene
+
+
+def _read(given: Path | dict[str, Any], text: str | None, others: list[Any], more: list[Any]) -> mi.Scene:
+    """The same with sources and sensors of its own, checked."""
     if isinstance(given, Path):
         check_source(given, text)
         name = _utf8(given)
@@ -103,17 +116,10 @@ def _loaded(given: Path | dict[str, Any], text: str | None, sources: Parts, sens
         raise MistrayError(explain(error, given, text)) from None
     if not isinstance(scene, mi.Scene):
         raise MistrayError(f'scene: the dict describes a {type(scene).__name__}; add "type": "scene" at its top')
-    others, more = (
-        [given_parts] if isinstance(given_parts, (str, Mapping)) else list(given_parts or ())
-        for given_parts in (sources, sensors)
-    )
     if others or more:
         scene = _with_parts(scene, others, more)
     _light_interfaces(scene)
     check_overlaps(scene)
-    for line in improbable(scene):
-        warnings.warn(line, MistrayWarning, stacklevel=3)
-    remember(scene, given, others, more, text)
     return scene
 
 

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 from report.fake_trace import SHARES, paths_at, trace_in_colours
-from report.view_scene import EXACT, FORMULAS, RayTrace
+from report.view_scene import EXACT, FORMULAS, SCENE, RayTrace
 
 import mistray
 from mistray.errors import MistrayError
@@ -224,13 +224,12 @@ def test_jupyter_shows_the_page_in_a_frame(shown):
     assert repr(shown) == "View('<plate> & lens', 6 surfaces, 15 rays)"
 
 
-def test_a_trace_of_another_scene(scene, trace):
-    class Other:
-        def shapes(self):
-            return [shape for shape in scene.shapes() if shape.id() != "stop_wall"]
-
+def test_a_trace_of_another_scene(trace, tmp_path):
+    wall = re.search('<shape type="frustum" id="stop_wall">.*?</shape>', SCENE, re.DOTALL).group()
+    (tmp_path / "other.xml").write_text(SCENE.replace(wall, ""), encoding="utf-8")
+    other = mistray.load(tmp_path / "other.xml")
     with pytest.raises(MistrayError, match="surface 'stop_wall' is not both in scene and trace"):
-        view(Other(), trace)
+        view(other, trace)
 
 
 @pytest.mark.parametrize(

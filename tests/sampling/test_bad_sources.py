@@ -25,7 +25,7 @@ POINT = {"type": "point_source", "z": -20.0}
 # What of the value and of the remedy its message names
 WRONG: list[tuple[dict[str, Any], tuple[str, ...]]] = [
     ({**POINT, "power": -1.0}, ("power is -1", "1e-30")),
-    ({**POINT, "power": float("nan")}, ("power is nan", "1e-30")),
+    ({**POINT, "power": float("nan")}, ("power is nan", "number")),
     ({**POINT, "power": 1e308}, ("power is 1e+308", "1e30")),
     ({**POINT, "z": -1e308}, ("z is -1e+308", "1e12")),
     ({**POINT, "stokes": "1, 1, 0"}, ("stokes is 1, 1, 0", "at most 1")),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 import secrets
 from pathlib import Path
 
@@ -196,7 +197,7 @@ class TestRefusals:
     ) -> None:
         source = store(tmp_path, SCENE)
         monkeypatch.setattr(secrets, "token_hex", lambda _: "draft")
-        (tmp_path / ".draft.part").mkdir()  # the draft cannot be written
+        (tmp_path / f".mistray-{os.getpid()}-draft").mkdir()  # the draft cannot be written
         with pytest.raises(MistrayError, match="Is a directory"):
             write_recoated(source, [SharedCoating("AR", AR, ("a",))], source)
         assert source.read_text(encoding="utf-8") == SCENE
