@@ -1,4 +1,4 @@
-"""`mistray import` of mechanics: STEP, STL, OBJ, PLY."""
+"""`mistray import` of mechanics: STEP, STL, OBJ, PLY, glTF."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from mistray.mechanics import Finish, Mechanics
     from mistray.prescription import MeshStructure, Structure
 
-SUFFIXES = (".step", ".stp", ".stl", ".obj", ".ply")
+SUFFIXES = (".step", ".stp", ".stl", ".obj", ".ply", ".glb", ".gltf")
 # fmt: off
-GROUP = Group("mechanics (STEP, STL, OBJ, PLY)", (
+GROUP = Group("mechanics (STEP, STL, OBJ, PLY, glTF)", (
     Option("--into", "scene that the parts are added to (default: a file for <include>)", metavar="SCENE"),
     Option("--space", "optical space of parts or faces",
            pairs("no optical space; write PATTERN=N, such as 'vane*=2'", SPACE), "PATTERN=N", "+"),
-    Option("--unit", "of STL, OBJ, PLY: um, mm, cm, m, inch or ft (mm)", metavar="UNIT"),
+    Option("--unit", "of STL, OBJ, PLY (mm) and glTF (m): um, mm, cm, m, inch or ft", metavar="UNIT"),
     Option("--move-mm", "where the origin of the parts goes after the tilt, mm (0 0 0)", PLACE_MM, ("X", "Y", "Z"), 3),
     Option("--tilt-deg", "turns about x, then y, then z of the scene, degrees (0 0 0)",
            AZIMUTH_DEG, ("X", "Y", "Z"), 3),

@@ -13,7 +13,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.ids import fits
-from mistray.io.cad.mesh import read_mesh
+from mistray.io.cad.mesh import GLTF_SUFFIXES, read_mesh
 from mistray.io.cad.part import UNITS_MM, Part, unique_names
 from mistray.io.cad.step import read_step
 from mistray.mechanics.finish import ABSORBER, Finish, finish
@@ -26,7 +26,7 @@ from mistray.prescription.sequential.table import Unread
 from mistray.read_file import require_file
 from mistray.replace_file import replace_files
 
-STEP_SUFFIXES, MESH_SUFFIXES = (".step", ".stp"), (".stl", ".obj", ".ply")
+STEP_SUFFIXES, MESH_SUFFIXES = (".step", ".stp"), (".stl", ".obj", ".ply", *GLTF_SUFFIXES)
 MOST_ANALYTIC = 64
 TOLERANCE_MM = 0.01
 TILT_DIGITS = 5  # degrees: the single precision of a rotation
@@ -248,14 +248,14 @@ def read_mechanics(
     time_limit_s: float | None = None,
 ) -> Mechanics:
     """
-    Read mechanical parts from a STEP, STL, OBJ or PLY file.
+    Read mechanical parts from a STEP, STL, OBJ, PLY or glTF file.
 
     Parameters
     ----------
     path : str or Path
     unit : str, optional
-        Of lengths in an STL, OBJ or PLY file, which states none: a key of `UNITS_MM`; default "mm". A STEP file states
-        its unit.
+        Of lengths in an STL, OBJ or PLY file, which states none: a key of `UNITS_MM`; default "mm", of a glTF file
+        "m" as its standard says. A STEP file states its unit.
     at : Placed, optional
         Where the origin of the file is in the scene, and how it is tilted.
     tolerance_mm : float, optional
@@ -288,7 +288,7 @@ def read_mechanics(
     if suffix in STEP_SUFFIXES:
         parts, unread = read_step(path, tolerance_mm=tolerance_mm or TOLERANCE_MM, time_limit_s=time_limit_s)
     else:
-        parts, unread = read_mesh(path, unit_mm=UNITS_MM[unit or "mm"])
+        parts, unread = read_mesh(path, unit_mm=UNITS_MM[unit or ("m" if suffix in GLTF_SUFFIXES else "mm")])
     if at is not None:
         parts = [part.moved(at.to_world()) for part in parts]
     return Mechanics(path, tuple(parts), tuple(unread), most_analytic=most_analytic)

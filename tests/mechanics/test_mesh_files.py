@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import base64
+import json
 import struct
 from pathlib import Path
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -53,6 +56,53 @@ def binary_stl() -> bytes:
     return b"\0" * 80 + struct.pack("<I", len(FACES)) + body
 
 
+def gltf() -> tuple[dict[str, Any], bytes]:
+    """
+    glTF 2.0 by hand, in metres: the tetrahedron of 4 mm³ at its place, moved by 10 mm, and mirrored at x = 0.
+
+    The fourth node has a line, which is no polygon.
+    """
+    places = np.array(CORNERS, dtype="<f4") * np.float32(1e-3)
+    buffer = places.tobytes() + np.array(FACES, dtype="<u2").tobytes()
+    primitive = {"attributes": {"POSITION": 0}, "indices": 1}
+    tree = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [
+            {"name": "assembly", "children": [1, 2, 3, 4]},
+            {"name": "vane", "mesh": 0},
+            {"name": "moved vane", "mesh": 0, "translation": [0.01, 0, 0]},
+            {"name": "mirrored", "mesh": 0, "scale": [-1, 1, 1]},
+            {"name": "wire", "mesh": 1},
+        ],
+        "meshes": [{"name": "tetrahedron", "primitives": [primitive]}, {"primitives": [{**primitive, "mode": 1}]}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3",
+             "min": places.min(axis=0).tolist(), "max": places.max(axis=0).tolist()},
+            {"bufferView": 1, "componentType": 5123, "count": 12, "type": "SCALAR"},
+        ],
+        "bufferViews": [{"buffer": 0, "byteLength": 48}, {"buffer": 0, "byteOffset": 48, "byteLength": 24}],
+        "buffers": [{"byteLength": len(buffer)}],
+    }  # fmt: skip
+    return tree, buffer
+
+
+def glb() -> bytes:
+    tree, buffer = gltf()
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    body = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(buffer), b"BIN\0") + buffer
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
+
+
+def gltf_text(uri: str | None) -> str:
+    """A .gltf file; with None the buffer stands in it."""
+    tree, buffer = gltf()
+    tree["buffers"][0]["uri"] = uri or "data:application/octet-stream;base64," + base64.b64encode(buffer).decode()
+    return json.dumps(tree)
+
+
 def written(tmp_path: Path, name: str, content: str | bytes) -> Path:
     path = tmp_path / name
     path.write_bytes(content.encode() if isinstance(content, str) else content)
@@ -89,6 +139,20 @@ class TestFormats:
         assert [part.title for part in parts] == ["left wall", "right wall"]
         assert [part.name for part in parts] == ["left_wall", "right_wall"]
         assert parts[1].vertices[:, 0].min() == 10
+
+    @pytest.mark.parametrize(("name", "content"), [("a.glb", glb()), ("a.gltf", gltf_text(None))])
+    def test_nodes_of_a_gltf(self, name: str, content: str | bytes, tmp_path: Path) -> None:
+        """Metres by the standard, each node at its place; a mirrored one keeps its normals outwards."""
+        mechanics = read_mechanics(written(tmp_path, name, content))
+        parts = {part.title: part for part in mechanics.parts}
+        assert set(parts) == {"vane", "moved vane", "mirrored"}
+        for part in parts.values():
+            assert volume(part.vertices, part.triangles) == pytest.approx(4, rel=1e-6)
+        assert parts["moved vane"].vertices[:, 0].min() == pytest.approx(10)
+        assert parts["mirrored"].vertices[:, 0].min() == pytest.approx(-2)
+        assert len(mechanics.unread) == 1
+        (part, *_) = read_mechanics(tmp_path / name, unit="mm").parts
+        assert volume(part.vertices, part.triangles) == pytest.approx(4e-9, rel=1e-6)
 
     def test_objects_and_groups_of_an_obj(self, tmp_path: Path) -> None:
         parts = read_mechanics(written(tmp_path, "a.obj", OBJ)).parts
@@ -127,6 +191,11 @@ class TestDamage:
         ("name", "content", "words"),
         [
             ("a.stl", b"", "STL file"),
+            ("a.glb", b"", "GLB file"),
+            ("a.glb", glb()[:-9], "GLB file"),
+            ("a.gltf", "{", "GLTF file"),
+            ("a.gltf", "[1]", "GLTF file"),
+            ("a.gltf", gltf_text("../a.bin"), "in other files"),
             ("a.stl", binary_stl()[:-30], "STL file"),
             ("a.stl", "solid x\n facet normal 0 0 0\n outer loop\n vertex 0 0\n", "STL file"),
             ("a.stl", ascii_stl("x").replace("vertex 2.0", "vertex 2.0mm", 1), "STL file"),

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 # Formats of CAD that have a near relative among those that are read
 _INSTEAD = {
     **dict.fromkeys((".igs", ".iges", ".sat", ".x_t", ".sldprt"), "export it as STEP,"),
-    **dict.fromkeys((".gltf", ".glb", ".3mf", ".dae", ".fbx"), "export it as STL, OBJ or PLY,"),
+    **dict.fromkeys((".3mf", ".dae", ".fbx"), "export it as STL, OBJ, PLY or GLB,"),
 }
 
 # fmt: off
@@ -44,7 +44,7 @@ COMMAND = Command(
     ),
     (
         Option("lens", "lens as .zmx, .seq, .len, .roa, .lens, batoid .yaml (also one of its own, by name) or .json "
-               "(like scenes/phone_camera), or mechanics as .step, .stl, .obj or .ply", metavar="FILE"),
+               "(like scenes/phone_camera), or mechanics as .step, .stl, .obj, .ply or .glb", metavar="FILE"),
         Option("-o --output", "file to write (default: FILE with .xml, in this folder)", Path, "XML", writes=()),
         Option("--json", "print JSON instead of text", bool),
         FORCE,

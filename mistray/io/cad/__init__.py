@@ -1,1 +1,1 @@
-"""Parts from CAD and mesh files: STEP, STL, OBJ, PLY."""
+"""Parts from CAD and mesh files: STEP, STL, OBJ, PLY, glTF."""

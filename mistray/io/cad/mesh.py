@@ -1,8 +1,9 @@
-"""Triangle meshes: STL and PLY through trimesh, OBJ with its objects and groups."""
+"""Triangle meshes: STL, PLY and glTF 2.0 through trimesh, OBJ with its objects and groups."""
 
 from __future__ import annotations
 
 import io
+import json
 import logging
 import warnings
 from itertools import pairwise
@@ -17,23 +18,25 @@ from mistray.materials.mate import shown
 from mistray.prescription.sequential.table import Unread
 from mistray.read_file import read_file
 
+GLTF_SUFFIXES = (".glb", ".gltf")
 Found = tuple[dict[str, Any], list[Unread]]  # vertices and triangles by title, and what else is in the file
 LOOKS = ("vt", "vn", "s", "mtllib", "usemtl")  # lines of an OBJ file that say nothing about shape
 
 
 def read_mesh(path: Path, *, unit_mm: float) -> tuple[list[Part], list[Unread]]:
     """
-    Parts of an STL, PLY or OBJ file.
+    Parts of an STL, PLY, OBJ or glTF file.
 
     An STL or PLY file is one part, named after the file; an ASCII STL file may hold several solids with names. A part
-    of an OBJ file is what one ``o`` and ``g`` line name together. Polygons are cut into triangles from their first
-    corner. Each part is one face, because these files have no surfaces.
+    of an OBJ file is what one ``o`` and ``g`` line name together, and of a glTF file a node with its mesh, at its
+    place. Polygons are cut into triangles from their first corner. Each part is one face, because these files have no
+    surfaces.
 
     Parameters
     ----------
     path : Path
     unit_mm : float
-        mm for each unit of the file, which states none.
+        mm for each unit of the file. It states none, but for glTF, whose unit is the metre.
 
     Returns
     -------
@@ -80,14 +83,32 @@ def _trimesh(path: Path) -> Found:
     log = logging.getLogger("trimesh")
     if not log.handlers:  # or its warnings, with tracebacks, would go to stderr
         log.addHandler(logging.NullHandler())
-    with io.BytesIO(read_file(path, "mechanics")) as file, warnings.catch_warnings():
+    content = read_file(path, "mechanics")
+    if path.suffix.lower() == ".gltf" and not _is_whole(content):
+        raise MistrayError(f"glTF file '{path}': its numbers are in other files; export it as .glb, which holds all")
+    with io.BytesIO(content) as file, warnings.catch_warnings():
         # NumPy warns of text that is no number, and goes on without it
         warnings.filterwarnings("error", "string or file could not be read")
         scene = trimesh.load_scene(file, file_type=path.suffix[1:].lower(), process=False)
-    named = len(scene.geometry) > 1
-    meshes = {name: mesh for name, mesh in scene.geometry.items() if hasattr(mesh, "faces")}
-    unread = [Unread(0, f"'{shown([name])}'", "it has no faces") for name in scene.geometry if name not in meshes]
-    return {name if named else path.stem: (mesh.vertices, mesh.faces) for name, mesh in meshes.items()}, unread
+    placed = {node: scene.graph[node] for node in scene.graph.nodes_geometry}
+    named = len(placed) > 1 or path.suffix.lower() in GLTF_SUFFIXES
+    meshes: dict[str, Any] = {}
+    unread = []
+    for node, (frame, name) in placed.items():
+        mesh = scene.geometry[name]
+        if not hasattr(mesh, "faces"):
+            unread.append(Unread(0, f"'{shown([node])}'", "it has no faces"))
+            continue
+        vertices = np.asarray(mesh.vertices, dtype=np.float64) @ frame[:3, :3].T + frame[:3, 3]
+        mirrors = np.linalg.det(frame[:3, :3]) < 0
+        meshes[node if named else path.stem] = (vertices, mesh.faces[:, ::-1] if mirrors else mesh.faces)
+    return meshes, unread
+
+
+def _is_whole(content: bytes) -> bool:
+    """Whether the buffers of a .gltf file stand in it."""
+    buffers = json.loads(content).get("buffers", [])
+    return all(str(buffer.get("uri", "")).startswith("data:") for buffer in buffers)
 
 
 def _obj(path: Path) -> Found:
