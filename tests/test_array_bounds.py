@@ -56,7 +56,7 @@ PROGRAMS = {
     """,
 }
 # LLVM takes ten minutes for the checked kernel of two scatters, and seconds for that of one
-TIERS = {"a wrong index": (), "pst by both directions": ()} | dict.fromkeys(
+TIERS = {"a wrong index": ()} | dict.fromkeys(
     ("pst of a tube", "pst of a deep tube", "pst of a camera"), pytest.mark.slow
 )
 

@@ -122,6 +122,7 @@ def test_a_table_needs_a_file_name_of_its_own(report: GhostReport, tmp_path: Pat
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.long
 def test_without_it_nothing_is_different(
     report: GhostReport, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -158,6 +158,7 @@ def test_squares() -> None:
     assert_z("tilted", tilted.detected_W, float(parts.mean()), error, false_alarm=3e-5)
 
 
+@pytest.mark.long
 def test_errors_hold_over_seeds() -> None:
     """χ² of 40 seeds of four sources; false alarms 0.2 %."""
     for name in ("cone", "disc", "part of the sky", "stock area"):
@@ -443,6 +444,7 @@ def test_bad_numbers(lamp: dict[str, Any]) -> None:
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.long
 def test_a_lamp_in_a_metal() -> None:
     block = {"type": "sphere", "center": [0, 0, -50], "radius": 5.0, "bsdf": {"type": "interface", "back": "Al"}}
     inside = {"type": "point_source", "z": -50.0}

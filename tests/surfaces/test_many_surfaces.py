@@ -106,6 +106,7 @@ def test_a_tube_of_three_hundred_rings_is_one_tube(load: Callable[[str], mi.Scen
     assert many.energy.escaped_W == pytest.approx(one.energy.escaped_W, abs=1e-6 * one.energy.launched_W)
 
 
+@pytest.mark.long
 def test_a_plane_of_a_thousand_tiles_is_one_plane(load: Callable[[str], mi.Scene]) -> None:
     settings = {"rays": 200_000, "seed": 3, "field_deg": 5.0, "aim": "none"}
     one, many = (mistray.trace(load(plane(across)), **settings) for across in (1, 32))
@@ -164,6 +165,7 @@ def test_more_than_thirty_two_aspheres_are_all_met(load: Callable[[str], mi.Scen
     assert trace.energy.detected_W == pytest.approx(trace.energy.launched_W, rel=1e-6)
 
 
+@pytest.mark.long
 def test_derivatives_by_rings_add_up_to_that_of_the_tube(load: Callable[[str], mi.Scene]) -> None:
     """A metric of the tube's reflectance and radius: the same rays, so its derivative is the sum over the rings."""
 

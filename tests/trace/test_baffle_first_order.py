@@ -106,6 +106,7 @@ def test_bevels_hide_and_square_or_round_edges_do_not():
     assert abs(large / small - 2) < 4 * 2 * math.hypot(small_se / small, large_se / large) + 0.2
 
 
+@pytest.mark.long
 def test_four_scatters_through_two_stages():
     made = two_stage_baffle("b", optic_radius=10, z_rear=0, field_deg=5, exclusion_deg=40, depth=8, clearance=0.2)
     options = {"rays": 100_000, "max_reflections": 0, "paths": False, "cell_deg": 10.0}

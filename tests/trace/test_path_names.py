@@ -75,7 +75,10 @@ def test_no_name_is_blank_or_given_twice_in_a_pst(scene: str) -> None:
         assert rows.label.str.strip().astype(bool).all()
 
 
-@pytest.mark.parametrize(("scene", "field"), [("phone_camera", 20.0), ("double_gauss", 20.0), ("newtonian", 0.2)])
+@pytest.mark.parametrize(
+    ("scene", "field"),
+    [pytest.param("phone_camera", 20.0, marks=pytest.mark.long), ("double_gauss", 20.0), ("newtonian", 0.2)],
+)
 def test_no_name_is_blank_or_given_twice_in_a_table_of_ghosts(scene: str, field: float) -> None:
     table = mistray.ghosts(mistray.load(scene), field_deg=[0.0, field], rays=20_000).table(field)
     assert table.label.is_unique

@@ -48,6 +48,7 @@ class TestSplitBeam:
         )
         assert "detected by side" in str(t.energy)
 
+    @pytest.mark.long
     def test_one_of_them_is_as_if_traced_alone(self, load_text) -> None:
         """Nothing is aimed here, so that the rays are the same."""
         scene, _ = load_text(split_text(R=0.4))

@@ -17,7 +17,8 @@ from mistray.prescription.sequential.rays import to_world, trace
 
 pytestmark = pytest.mark.validation
 
-FILES = ("eyepieces", "infrared", "lithography", "microscopes", "miscellaneous", "objectives", "simple", "telescopes")
+OBJECTIVES = pytest.param("objectives", marks=pytest.mark.long)  # as many as all others together
+FILES = ("eyepieces", "infrared", "lithography", "microscopes", "miscellaneous", OBJECTIVES, "simple", "telescopes")
 
 
 # An image plane that the light meets from behind, which is no table of surfaces in the order of light
