@@ -48,7 +48,7 @@ test-all: lint
 test-lowest: venv
 	$(PYTHON) -m venv .venv-lowest
 	$(BIN)/python tests/lowest.py > .venv-lowest/lowest.txt
-	.venv-lowest/bin/python -m pip install -qq -c .venv-lowest/lowest.txt -e . pytest pytest-timeout pytest-xdist
+	.venv-lowest/bin/python -m pip install -qq -c .venv-lowest/lowest.txt -e . pytest pytest-timeout pytest-xdist tmm
 	.venv-lowest/bin/python -m pytest -m "quick and not (gpu or slow or long)" tests/physics tests/scene tests/trace tests/cache
 
 lint: venv

@@ -68,6 +68,11 @@ def in_words(error: Exception) -> str:
     return text if isinstance(error, MistrayError) else f"{type(error).__name__}: {text}"
 
 
+def printable(text: str) -> str:
+    """A text with what cannot be printed, such as a control character of a file, as codes."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
 def nearest(word: str, choices: Iterable[str]) -> str:
     """What a wrong word may have meant, or all that there is to choose from, for the end of a message."""
     words = list(choices)

@@ -39,7 +39,7 @@ from mistray.cli.commands import (
 from mistray.cli.lens_files import lens_as_scene
 from mistray.cli.options import Options
 from mistray.cli.signals import ignore
-from mistray.errors import Interrupted, MistrayError
+from mistray.errors import Interrupted, MistrayError, printable
 from mistray.interrupts import requested
 from mistray.notes import quiet
 from mistray.replace_file import guarding, incomplete_notes, written
@@ -91,6 +91,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         with contextlib.suppress(AttributeError):  # a replaced stream, as in a notebook, has no encoding to speak of
             stream.reconfigure(errors="replace")  # type: ignore[union-attr]
     written.clear()
+    os.environ["MPLBACKEND"] = "agg"  # commands open no window, and Matplotlib ends with an error for a wrong one
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _warn
@@ -195,11 +196,11 @@ def _warn(
     line: str | None = None,
 ) -> None:
     """One line, without the place in the source."""
-    print(f"mistray: warning: {' '.join(str(message).split())}", file=sys.stderr)
+    print(f"mistray: warning: {printable(' '.join(str(message).split()))}", file=sys.stderr)
 
 
 def _fail(message: str) -> int:
-    print(f"mistray: error: {' '.join(message.split())}", file=sys.stderr)
+    print(f"mistray: error: {printable(' '.join(message.split()))}", file=sys.stderr)
     return BAD_INPUT
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, printable
 from mistray.materials.agf import decode
 from mistray.read_file import read_file
 
@@ -116,11 +116,6 @@ def shown(words: list[str]) -> str:
     """Words of a line for a message: the first `SHOWN` characters, what cannot be printed as codes."""
     text = " ".join(words)
     return printable(text[:SHOWN] + ("…" if len(text) > SHOWN else ""))
-
-
-def printable(text: str) -> str:
-    """A text with what cannot be printed as codes."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def numbers(words: list[str], least: int, most: int, where: str, what: str) -> list[float]:

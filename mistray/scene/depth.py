@@ -15,8 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from xml.parsers import expat
 
-from mistray.errors import MistrayError
-from mistray.materials.mate import printable
+from mistray.errors import MistrayError, printable
 from mistray.read_file import read_file, require_file
 from mistray.scene.check import LAST_ROW
 from mistray.scene.files import MOST_TEXT, filled

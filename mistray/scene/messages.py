@@ -12,7 +12,7 @@ from typing import Any
 from xml.parsers import expat
 
 from mistray._variant import PLUGIN_ROOT
-from mistray.materials.mate import printable
+from mistray.errors import printable
 from mistray.read_file import read_file
 
 FILE = "filename"  # by which elements, and all of Mitsuba's plugins, name a file

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import os
 import random
 import re
 import signal
@@ -197,10 +198,13 @@ def surroundings(folder: Path, seed: int) -> list[Case]:
 
 
 def _surroundings_case(folder: Path, command: str) -> Callable[[], str]:
+    # Python itself ends where it is relative and the folder is deleted
+    env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+
     def run() -> str:
         before = {path.name for path in folder.iterdir()}
         try:
-            done = subprocess.run(command, shell=True, cwd=folder, capture_output=True, timeout=300)
+            done = subprocess.run(command, shell=True, cwd=folder, capture_output=True, timeout=300, env=env)
         except subprocess.TimeoutExpired:
             return "no end within 300 s"
         err = done.stderr.decode(errors="replace")
