@@ -6,6 +6,8 @@ import difflib
 from collections.abc import Iterable
 from typing import Any
 
+LONGEST_WORD = 300  # letters, as a path may have
+
 
 class MistrayError(ValueError):
     """Bad input or a missing part; the message names the object, the value and the remedy in one line.
@@ -71,6 +73,12 @@ def in_words(error: Exception) -> str:
 def printable(text: str) -> str:
     """A text with what cannot be printed, such as a control character of a file, as codes."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def one_line(message: object) -> str:
+    """A message as a line of a terminal, in which what a user or a file gave is cut where it is very long."""
+    words = (word if len(word) <= LONGEST_WORD else f"{word[:LONGEST_WORD]}…" for word in str(message).split())
+    return printable(" ".join(words))
 
 
 def nearest(word: str, choices: Iterable[str]) -> str:

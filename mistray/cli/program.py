@@ -39,7 +39,7 @@ from mistray.cli.commands import (
 from mistray.cli.lens_files import lens_as_scene
 from mistray.cli.options import Options
 from mistray.cli.signals import ignore
-from mistray.errors import Interrupted, MistrayError, printable
+from mistray.errors import Interrupted, MistrayError, one_line
 from mistray.interrupts import requested
 from mistray.notes import quiet
 from mistray.replace_file import guarding, incomplete_notes, written
@@ -196,11 +196,11 @@ def _warn(
     line: str | None = None,
 ) -> None:
     """One line, without the place in the source."""
-    print(f"mistray: warning: {printable(' '.join(str(message).split()))}", file=sys.stderr)
+    print(f"mistray: warning: {one_line(message)}", file=sys.stderr)
 
 
 def _fail(message: str) -> int:
-    print(f"mistray: error: {printable(' '.join(message.split()))}", file=sys.stderr)
+    print(f"mistray: error: {one_line(message)}", file=sys.stderr)
     return BAD_INPUT
 
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
 
 BOX_ROOM = 1e-6  # around the boxes of surfaces, in units of their size
+TINY = 1e-150  # direction cosine of a ray that is taken for parallel to the sides of a box
 
 
 def local(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -144,7 +145,7 @@ def _entries(table: SurfaceTable, pieces: list[Surface], o: np.ndarray, d: np.nd
     vertices = np.array([table.vertices[piece.index] for piece in pieces]) @ table.frames[pieces[0].frame]
     corners = np.stack([size + room, size + room, 0.5 * (high - low) + room], axis=1)
     middle = vertices + np.stack([0 * size, 0 * size, 0.5 * (high + low)], axis=1)
-    slope = 1 / np.where(d == 0, 1e-300, d)[:, None, :]
+    slope = 1 / np.where(np.abs(d) < TINY, np.copysign(TINY, d), d)[:, None, :]
     centre, half = (middle - o[:, None, :]) * slope, np.abs(slope) * corners
     first, last = (centre - half).max(axis=2), (centre + half).min(axis=2)
     return np.where((first <= last) & (last >= 0), first, np.inf)
