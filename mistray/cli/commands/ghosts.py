@@ -66,11 +66,13 @@ FILES = (
     "probes.csv",
     "far_fields.csv",
     "surface_maps.csv",
+    "light_maps.csv",
     "overview*.png",
     "levels.png",
     "ghosts_*deg.png",
     "layout_*deg.png",
     "surface_maps_*deg.png",
+    "light_maps_*deg.png",
     "colour_*deg.png",
     "path_sort_*deg.txt",
 )
@@ -103,6 +105,7 @@ COMMAND = Command(
         "mistray ghosts scene.xml --wavelength-nm 620 --rays 1e7 --json",
         "mistray ghosts scene.xml --probe 0,0,17,half_width=20,half_height=20,id=stop --out out",
         "mistray ghosts double_gauss_barrel --field-deg 20 --surface-maps 'barrel*' hood --out out",
+        "mistray ghosts double_gauss_barrel --field-deg 20 --maps ghost 'S(barrel*)' --out out",
         "mistray ghosts scene.xml --max-scatters 2 --max-reflections 1 --aimed-rays 4 --out out",
         "mistray ghosts scene.xml --out out --formats parquet fits",
         "mistray ghosts scene.xml --rays 1e9 --scheduler tcp://host:8786 --out out    # docs/distributed.md",
@@ -136,6 +139,8 @@ COMMAND = Command(
                Option("--filter", "add the paths that pass a filter, such as 'G(lens*) & !S', or have a name, such as "
                       "'L2_rear -> L1_front' (docs/rays.md); with --out filtered_paths.csv and filtered_rays.csv",
                       metavar="EXPR"),
+               Option("--maps", "map parts of the light on the detector, and on surfaces of --surface-maps: kinds such "
+                      "as ghost or stray, filters or names of paths (docs/surface_maps.md)", None, "LIGHT", "+"),
                formats=(*TABLE_FORMATS, *MAP_FORMATS)),
         Group("colour pictures (need --out and three wavelengths or more)", (
             Option("--colour", "draw the ghosts as a photograph would show them", bool),
@@ -167,6 +172,7 @@ def run(options: Options) -> int:
         raise MistrayError(f"--least-share is {options.least_share:g}; it is a share of all light, 0 to 1")
     scene = options.load()
     check_paths(scene, [options.filter] if options.filter else [])  # before anything is traced
+    _check_maps(scene, options.maps or [])
     if options.field_mm:
         from mistray.sampling.sources import field_of
 
@@ -196,6 +202,9 @@ def run(options: Options) -> int:
                 with options.working("mapping the paths"):
                     for field in report:
                         report.table(field)
+            if options.maps:
+                with options.working("mapping the light"):
+                    report.map_light(options.maps)
             extra = _Extra(report, options)
             if options.out is not None:
                 files = _write_report(report, extra, options, look)
@@ -216,6 +225,20 @@ def run(options: Options) -> int:
 
     page = PAGE if options.out is None or options.out / PAGE in files else files[0].name
     return options.show(lambda: as_json(report, lines, options.filter, extra.tables), text, files, page)
+
+
+def _check_maps(scene: Any, selections: list[str]) -> None:
+    """Refuse parts of the light that cannot be: on surfaces they are known by their events alone."""
+    from mistray.recorders import SurfaceMaps
+    from mistray.trace.check_paths import check_paths
+    from mistray.trace.elsewhere.arriving import check_columns
+    from mistray.trace.path_filter import PathFilter
+
+    check_paths(scene, selections)
+    recorders = (sensor.recorder() for sensor in scene.sensors() if hasattr(sensor, "recorder"))
+    if any(isinstance(one, SurfaceMaps) for one in recorders):
+        for text in selections:
+            check_columns(PathFilter(text))
 
 
 def _seconds_of_trace(options: Options) -> float | None:
@@ -334,13 +357,14 @@ def _write_tables(report: Any, options: Options) -> list[Path]:
 def _write_formats(report: GhostReport, options: Options) -> list[Path]:
     """The tables as Parquet, and irradiance_<field>deg in the other formats."""
     from mistray.report import IrradianceMap, write_formats
+    from mistray.report.ghosts.light_maps import light_map_files
     from mistray.report.ghosts.passing import passing_maps
     from mistray.report.ghosts.surface_maps import surface_map_files
     from mistray.report.tables.ghosts_csv import csv_tables
 
     tables = csv_tables(report, options.per_wavelength)
     maps = {f"irradiance_{field:g}deg": IrradianceMap.of(t) for field, t in report.items()}
-    maps |= passing_maps(report) | surface_map_files(report)
+    maps |= passing_maps(report) | surface_map_files(report) | light_map_files(report)
     return write_formats(options.formats, options.out, tables, maps, {"command": options.command_line})
 
 

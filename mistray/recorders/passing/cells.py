@@ -68,6 +68,11 @@ class PassingLight(Recorder):
         self._flux = found if self._flux is None else self._flux + found
 
     @property
+    def groups(self) -> int:
+        """Groups of batches by which the cells are summed."""
+        return self._groups
+
+    @property
     def power(self) -> tuple[float, float]:
         """Flux in all cells and its standard error, W."""
         total = self.flux.total()

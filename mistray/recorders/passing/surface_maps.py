@@ -190,6 +190,11 @@ class SurfaceMaps(PassingLight):
         """See `Recorder.code`."""
         return type(self).__name__, self._shape, self.cells
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Cells along and across each surface."""
+        return self._shape
+
     def attach(self, scene: KernelScene) -> None:
         """Begin at zero."""
         table = scene.table
@@ -214,6 +219,12 @@ class SurfaceMaps(PassingLight):
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Add the flux of hits."""
+        cell, active = self.cell(visit)
+        self.add(visit.start, cell, visit.weight, active)
+        self.add(visit.start, cell + self._shape[0] * self._shape[1], dr.maximum(visit.absorbed, 0), active)
+
+    def cell(self, visit: Visit) -> tuple[mi.UInt32, mi.Bool]:
+        """Where what arrives at hits is summed, and whether they count; what is absorbed stands a map behind."""
         rows, columns = self._shape
         s, q = visit.surface, visit.interaction.local
         place = dr.gather(mi.UInt32, self._place, s, visit.active)
@@ -225,9 +236,7 @@ class SurfaceMaps(PassingLight):
         turn = dr.select(turn < 0, turn + 1, turn) * columns
         per_mm = dr.gather(mi.Float, self._across, s, active)
         column = dr.select(per_mm > 0, dr.fma(q.x, per_mm, 0.5 * columns), turn)
-        cell = (KINDS * (place - 1) * rows + _inside(row, rows)) * columns + _inside(column, columns)
-        self.add(visit.start, cell, visit.weight, active)
-        self.add(visit.start, cell + rows * columns, dr.maximum(visit.absorbed, 0), active)
+        return (KINDS * (place - 1) * rows + _inside(row, rows)) * columns + _inside(column, columns), active
 
     def _chosen(self, table: SurfaceTable) -> list[int]:
         """Numbers of the surfaces that the patterns name, in the order of the scene."""
@@ -292,7 +301,10 @@ class SurfaceMaps(PassingLight):
         MistrayError
             Before it was in a trace.
         """
-        flux = self.flux
+        return self.maps_of(self.flux)
+
+    def maps_of(self, flux: Sampled) -> dict[str, SurfaceMap]:
+        """The maps of flux by cell, (cells,), W, such as that of a part of the light."""
         shape = (len(self._unrolled), KINDS, *self._shape)
         value, apart = flux.value.reshape(shape), flux.apart.reshape(*shape, -1)
         found = {}
