@@ -9,6 +9,7 @@ import pandas as pd
 
 from mistray.errors import MistrayError
 from mistray.files.json_values import plain
+from mistray.report.ghosts.flux_split import flux_split_section
 from mistray.report.ghosts.light_maps import light_maps_section
 from mistray.report.ghosts.passing import passing_section
 from mistray.report.ghosts.surface_maps import surface_maps_section
@@ -18,7 +19,7 @@ from mistray.report.tables.text import parts_text
 
 SectionMaker = Callable[[Any], Section | None]
 Made = TypeVar("Made", bound=SectionMaker)
-_MAKERS: list[SectionMaker] = [light_maps_section, passing_section, surface_maps_section]
+_MAKERS: list[SectionMaker] = [light_maps_section, passing_section, surface_maps_section, flux_split_section]
 
 
 def report_section(make: Made) -> Made:

@@ -67,6 +67,7 @@ FILES = (
     "far_fields.csv",
     "surface_maps.csv",
     "light_maps.csv",
+    "flux_split.csv",
     "overview*.png",
     "levels.png",
     "ghosts_*deg.png",

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, nearest
+from mistray.ids import fits
 from mistray.recorders.film import groups_of
 from mistray.recorders.recorder import Memory, Recorder
 from mistray.recorders.sampled import Sampled
@@ -17,6 +19,20 @@ from mistray.settings import BATCHES
 if TYPE_CHECKING:
     from mistray.kernel.kernel_scene import KernelScene
     from mistray.recorders.start_rays import StartRays
+    from mistray.surfaces.surfaces import SurfaceTable
+
+
+def chosen_surfaces(table: SurfaceTable, patterns: Sequence[str], owner: str) -> list[int]:
+    """Numbers of the surfaces whose ids or parts patterns name, in the order of the scene; refused: one without any."""
+    known = {*table.ids, *table.parts}
+    for pattern in patterns:
+        if not any(fits(name, pattern) for name in known):
+            raise MistrayError(f"{owner}: no surface or part is called '{pattern}'; {nearest(pattern, known)}")
+    return [
+        k
+        for k in table.listed
+        if any(fits(name, pattern) for name in (table.ids[k], table.parts[k]) for pattern in patterns)
+    ]
 
 
 class PassingLight(Recorder):

@@ -11,11 +11,10 @@ import mitsuba as mi
 import numpy as np
 import numpy.typing as npt
 
-from mistray.errors import MistrayError, nearest
-from mistray.ids import fits
+from mistray.errors import MistrayError
 from mistray.ranges import FILM_PIXELS, FILM_SIDE
 from mistray.recorders.film import groups_of
-from mistray.recorders.passing.cells import PassingLight
+from mistray.recorders.passing.cells import PassingLight, chosen_surfaces
 from mistray.recorders.recorder import Memory, Visit
 from mistray.recorders.sampled import Sampled
 from mistray.surfaces.families.cone import Cone
@@ -243,17 +242,7 @@ class SurfaceMaps(PassingLight):
         if not self.patterns:
             words = table.optics.host_words
             return [k for k in table.listed if (words[k] & (OPAQUE | MIRROR | DETECTOR)) == OPAQUE]
-        for pattern in self.patterns:
-            known = {*table.ids, *table.parts}
-            if not any(fits(name, pattern) for name in known):
-                raise MistrayError(
-                    f"{self._owner}: no surface or part is called '{pattern}'; {nearest(pattern, known)}"
-                )
-        return [
-            k
-            for k in table.listed
-            if any(fits(name, pattern) for name in (table.ids[k], table.parts[k]) for pattern in self.patterns)
-        ]
+        return chosen_surfaces(table, self.patterns, self._owner)
 
     def _find(self, table: SurfaceTable, names: list[str]) -> None:
         """Unroll the surfaces that the patterns name."""
