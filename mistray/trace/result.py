@@ -564,7 +564,7 @@ class Trace:
         selection, n, events
             As in `rays`; of columns a filter knows kind, order and the like, wavelength_nm, source, surface.
 
-        Returns the last node of each ray, with flux and direction there: as `RayHistory.to_pandas`, source, history.
+        Returns the last node of each ray with flux and direction as `RayHistory.to_pandas`; source, kind, key, history.
         """
         return rays_elsewhere(self._runs, where, PathFilter(selection), n, events)
 

@@ -50,6 +50,20 @@ def passing(run: Run, filters: Sequence[PathFilter], recorder: BranchRecorder, c
     return np.asarray(held[:, path.ravel()])
 
 
+def kinds_and_keys(run: Run, events: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Class and key of event lists, as path tables have them, (n,) each."""
+    lengths = np.array([len(one) for one in events], dtype=np.int64)
+    codes = np.zeros((len(events), int(lengths.max(initial=1))), dtype=np.uint32)
+    for row, one in zip(codes, events, strict=True):
+        row[: len(one)] = one
+    unique, path = np.unique(np.column_stack([codes, lengths]), axis=0, return_inverse=True)
+    table = run.table
+    facts = describe_events(
+        unique[:, :-1].astype(np.uint32), unique[:, -1].astype(np.int64), table.event_ids, table.event_words, run.design
+    )
+    return facts["kind"][path.ravel()], facts["key"][path.ravel()]
+
+
 def _rows(run: Run, codes: np.ndarray, lengths: np.ndarray, columns: frozenset[str]) -> Rows:
     table, count = run.table, len(codes)
     last = codes[np.arange(count), lengths - 1].tolist()

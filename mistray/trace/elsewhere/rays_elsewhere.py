@@ -11,7 +11,7 @@ from mistray.errors import MistrayError
 from mistray.execute.tracer import Run
 from mistray.recorders.passing.elsewhere import ElsewhereRecorder
 from mistray.surfaces.optics import DETECTOR, OPAQUE
-from mistray.trace.elsewhere.arriving import passing
+from mistray.trace.elsewhere.arriving import kinds_and_keys, passing
 from mistray.trace.filter_rows import named_like, unknown_name
 from mistray.trace.history import Ray, RayHistory, rays_in_slots
 from mistray.trace.path_filter import PathFilter
@@ -42,6 +42,11 @@ def rays_elsewhere(
         if n is not None and len(rays) > n:
             rays = [rays[k] for k in np.linspace(0, len(rays) - 1, n).round().astype(int)]
         history = RayHistory(run, rays).to_pandas()
+        if rays:
+            kinds, keys = kinds_and_keys(run, [ray.codes for ray in rays])
+            number = history.ray.to_numpy(np.int64)
+            history.insert(2, "key", keys[number].tolist())
+            history.insert(2, "kind", kinds[number].tolist())
         history.insert(2, "source", run.source.name)
         history["ray"] += done
         done += len(rays)
@@ -68,9 +73,8 @@ def _ends(table: pd.DataFrame) -> pd.DataFrame:
 
 def _rays(run: Run, words: Sequence[str], wanted: PathFilter, n: int | None) -> Iterator[Ray]:
     """Rays of one run: enough, from growing portions of its start rays, each spread over the beam."""
+    check_where(words)
     departs = any(word in (ESCAPED, RETURNED) for word in words)
-    if departs and len(words) > 1:
-        raise MistrayError(f"where is {', '.join(words)}; give {ESCAPED} or {RETURNED} alone, or names of surfaces")
     chosen = np.zeros(run.table.count, dtype=bool) if departs else _chosen(run, words)
     recorder = ElsewhereRecorder(CAPACITY, run.settings.max_events, surfaces=chosen, departs=departs)
     found = 0
@@ -82,6 +86,13 @@ def _rays(run: Run, words: Sequence[str], wanted: PathFilter, n: int | None) -> 
             yield ray
         if n is not None and found >= n:
             return
+
+
+def check_where(words: Sequence[str]) -> list[str]:
+    """Refuse light that leaves together with light that arrives; gives the names of surfaces."""
+    if len(words) > 1 and any(word in (ESCAPED, RETURNED) for word in words):
+        raise MistrayError(f"where is {', '.join(words)}; give {ESCAPED} or {RETURNED} alone, or names of surfaces")
+    return [word for word in words if word not in ELSEWHERE]
 
 
 def _chosen(run: Run, words: Sequence[str]) -> np.ndarray:
