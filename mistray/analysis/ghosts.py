@@ -101,6 +101,7 @@ class GhostReport(Mapping[float, Trace]):
         self._rays: dict[tuple[float, int], list[Polyline]] = {}
         self._summaries: dict[tuple[float, float | None], FieldSummary] = {}
         self.light_maps: dict[float, list[LightMap]] = {}
+        self.photometric = False  # whether reports have photometric units, too
         self.arguments = dict(arguments)
         self.nominal_trace = nominal_trace
         self.wavelengths_nm = list(nominal_trace.wavelengths_nm)

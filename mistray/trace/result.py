@@ -32,6 +32,7 @@ from mistray.trace.history import Ray, RayHistory, read_rays
 from mistray.trace.light_cones import LightCone, light_cones
 from mistray.trace.path_filter import PathFilter
 from mistray.trace.paths import PathTable, path_table, undeclared_images
+from mistray.trace.photometry import illuminance, luminous_flux
 from mistray.trace.polarization_choice import words_of
 from mistray.trace.ray_sample import sample_rays
 from mistray.trace.ray_table import check_box, ray_table
@@ -251,18 +252,19 @@ class Trace:
         MistrayError
             If xarray is not installed.
         """
-        from mistray.files.labelled import IRRADIANCE, Labelled, dataset, pixel_coordinates
+        from mistray.files.labelled import irradiance_dataset
 
-        axes, each = ("wavelength", "y", "x"), [self.irradiance_at(nm) for nm in self.wavelengths_nm]
-        values, errors = (np.stack(parts) for parts in zip(*each, strict=True))
-        arrays = {
-            "irradiance": Labelled(axes[1:], self.irradiance, IRRADIANCE, "irradiance", self.irradiance_se),
-            "irradiance_by_wavelength": Labelled(axes, values, IRRADIANCE, "irradiance of a wavelength", errors),
-        }
-        wavelengths = Labelled(("wavelength",), self.wavelengths_nm, "nm", "wavelength in vacuum")
-        rows, columns = self.irradiance.shape
-        coordinates = {"wavelength": wavelengths, **pixel_coordinates(self.extent, (rows, columns))}
-        return dataset(arrays, coordinates, "Irradiance of a detector", self.settings)
+        return irradiance_dataset(self)
+
+    @cached_property
+    def illuminance(self) -> tuple[np.ndarray, np.ndarray]:
+        """Illuminance by absorbed light and its standard error, (height, width), lx: `mistray.trace.photometry`."""
+        return _with_error(illuminance(self._runs))
+
+    @property
+    def luminous_flux(self) -> tuple[float, float]:
+        """What the detectors absorb and its standard error, lm."""
+        return luminous_flux(self._runs)
 
     def irradiance_at(self, wavelength_nm: float) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -313,8 +315,7 @@ class Trace:
         irradiance, standard_error : (height, width) float64
             W/mm².
         """
-        maps = self.maps([path_ids])
-        return maps[0]
+        return self.maps([path_ids])[0]
 
     def surface_maps(
         self,

@@ -72,6 +72,8 @@ FILES = (
     "surface_maps.csv",
     "light_maps.csv",
     "flux_split.csv",
+    "luminous_flux.csv",
+    "photometric.csv",
     "overview*.png",
     "levels.png",
     "ghosts_*deg.png",
@@ -112,6 +114,7 @@ COMMAND = Command(
         "mistray ghosts double_gauss_barrel --field-deg 20 --surface-maps 'barrel*' hood --out out",
         "mistray ghosts double_gauss_barrel --field-deg 20 --maps ghost 'S(barrel*)' --out out",
         "mistray ghosts phone_camera --field-deg 20 --rays-at 'barrel*' --filter G --formats dat --out out",
+        "mistray ghosts phone_camera --wavelength-nm 450 555 650 --weights 1 2 1 --photometric",
         "mistray ghosts scene.xml --max-scatters 2 --max-reflections 1 --aimed-rays 4 --out out",
         "mistray ghosts scene.xml --out out --formats parquet fits",
         "mistray ghosts scene.xml --rays 1e9 --scheduler tcp://host:8786 --out out    # docs/distributed.md",
@@ -145,6 +148,7 @@ COMMAND = Command(
                Option("--filter", "add the paths that pass a filter, such as 'G(lens*) & !S', or have a name, such as "
                       "'L2_rear -> L1_front' (docs/rays.md); with --out filtered_paths.csv and filtered_rays.csv",
                       metavar="EXPR"),
+               Option("--photometric", "add lm, lx, cd and cd/m², of visible wavelengths (docs/detectors.md)", bool),
                Option("--rays-at", "write rays_at.csv: rays that arrive at surfaces or parts, or that are blocked, "
                       "escaped or returned, and pass --filter (docs/rays.md); with --formats dat as Zemax files "
                       "too", None, "WHERE", "+"),
@@ -185,6 +189,10 @@ def run(options: Options) -> int:
     check_paths(scene, [options.filter] if options.filter else [])  # before anything is traced
     _check_maps(scene, options.maps or [])
     _check_rays(scene, options)
+    if options.photometric:
+        from mistray.trace.photometry import check_light
+
+        check_light(scene, options.wavelength_nm)
     if options.field_mm:
         from mistray.sampling.sources import field_of
 
@@ -214,6 +222,7 @@ def run(options: Options) -> int:
                 with options.working("mapping the paths"):
                     for field in report:
                         report.table(field)
+            report.photometric = options.photometric
             if options.maps:
                 with options.working("mapping the light"):
                     report.map_light(options.maps)

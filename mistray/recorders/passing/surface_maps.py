@@ -14,7 +14,7 @@ import numpy.typing as npt
 from mistray.errors import MistrayError
 from mistray.ranges import FILM_PIXELS, FILM_SIDE
 from mistray.recorders.film import groups_of
-from mistray.recorders.passing.cells import PassingLight, chosen_surfaces
+from mistray.recorders.passing.cells import MM2_PER_M2, PassingLight, chosen_surfaces
 from mistray.recorders.recorder import Memory, Visit
 from mistray.recorders.sampled import Sampled
 from mistray.surfaces.families.cone import Cone
@@ -291,6 +291,12 @@ class SurfaceMaps(PassingLight):
             Before it was in a trace.
         """
         return self.maps_of(self.flux)
+
+    @property
+    def illuminance(self) -> dict[str, tuple[Array, Array]]:
+        """Illuminance and its standard error, (rows, columns) each, lx, by the ids of the surfaces."""
+        found = self.maps_of(self.luminous_flux.scaled(MM2_PER_M2))
+        return {name: one.irradiance for name, one in found.items()}
 
     def maps_of(self, flux: Sampled) -> dict[str, SurfaceMap]:
         """The maps of flux by cell, (cells,), W, such as that of a part of the light."""
