@@ -43,6 +43,7 @@ NUMBERS: dict[str, dict[str, Any]] = {
     "surface_source": {"radius": 2.0, "z": -50.0},
     "thermal": {"temperature_K": 293.0},
     "far_field": {"azimuths": 4},
+    "flux_split": {"surfaces": "front"},
     "surface_maps": {"surfaces": "front", "azimuths": 4, "lengths": 3},
     "probe": {"half_width": 2.0},
     "straylight": {"rays": 256.0},
@@ -99,7 +100,7 @@ SOURCES = (
     "surface_source",
     "thermal",
 )
-SENSORS = ("far_field", "probe", "surface_maps")
+SENSORS = ("far_field", "flux_split", "probe", "surface_maps")
 PAINTS = ("paint", "tabulated")  # that scatter at the wall, not at the lens
 ALONE = ("R", "T", "n_front_shift", "n_back_shift", "wavelength_nm")  # that a model has only by itself
 # Numbers within texts, and those of stock plugins: object, name, kind, text

@@ -88,7 +88,7 @@ def test_bash_proposes_choices(bash):
     assert bash("ghosts", "plate", "--rays", "") == []
     assert bash("completion", "") == ["bash", "zsh", "fish"]
     # an option of several values goes on, one of a single value does not
-    assert set(bash("ghosts", "plate", "--formats", "parquet", "")) == {"parquet", "exr", "fits", "npy", "pdf"}
+    assert set(bash("ghosts", "plate", "--formats", "parquet", "")) == {"parquet", "exr", "fits", "npy", "dat", "pdf"}
     assert "phone_camera" in bash("ghosts", "--splitting", "one", "ph")
 
 

@@ -28,8 +28,9 @@ from mistray.analysis.field_traces import NOMINAL_FIELD_DEG, FieldTraces, Progre
 from mistray.analysis.filtered import Filtered, filtered
 from mistray.analysis.ghost_notes import ghost_notes
 from mistray.analysis.irradiance import MapStatistics, brightest, statistics
+from mistray.analysis.maps.light_maps import LightMap, light_maps
+from mistray.analysis.maps.path_maps import FieldMaps, ImagesOfField, field_maps, without
 from mistray.analysis.path_analysis import path_analysis
-from mistray.analysis.path_maps import FieldMaps, ImagesOfField, field_maps, without
 from mistray.analysis.peaks import with_peaks
 from mistray.analysis.ranking import DirectImage, bounds, direct_image, rank_column, ranked
 from mistray.analysis.scatter_surfaces import scatter_surfaces
@@ -99,6 +100,8 @@ class GhostReport(Mapping[float, Trace]):
         self._cones: defaultdict[float, dict[int, LightCone | None]] = defaultdict(dict)
         self._rays: dict[tuple[float, int], list[Polyline]] = {}
         self._summaries: dict[tuple[float, float | None], FieldSummary] = {}
+        self.light_maps: dict[float, list[LightMap]] = {}
+        self.photometric = False  # whether reports have photometric units, too
         self.arguments = dict(arguments)
         self.nominal_trace = nominal_trace
         self.wavelengths_nm = list(nominal_trace.wavelengths_nm)
@@ -296,6 +299,10 @@ class GhostReport(Mapping[float, Trace]):
     def filtered(self, field_deg: float, selection: str) -> Filtered:
         """Paths of a field that pass a filter, see `mistray.trace.path_filter`, and their power together."""
         return filtered(self[field_deg], self._rows(self[field_deg]), selection)
+
+    def map_light(self, selections: Sequence[str]) -> None:
+        """Trace again for `light_maps`, by field: parts of the light, see `mistray.analysis.maps.light_maps`."""
+        self.light_maps = {field: light_maps(t, selections) for field, t in self.items()}
 
     def aliased(self, field_deg: float, aliases: Mapping[str, str] | str) -> pd.DataFrame:
         """Path table of a field with surfaces under other names, see `mistray.trace.PathTable.by_way`."""

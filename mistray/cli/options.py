@@ -167,10 +167,10 @@ class Options(argparse.Namespace):
         return scene
 
     def sensors(self) -> list[str]:
-        """The texts of --probe, --far-field and --surface-maps."""
+        """The texts of --probe, --far-field, --surface-maps and --flux-split."""
         texts = [f"{kind}:{text}" for kind in ("probe", "far_field") for text in self.has(kind) or ()]
-        walls = self.has("surface_maps")
-        return texts if walls is None else [*texts, f"surface_maps:{' '.join(walls)}"]
+        of_surfaces = {kind: self.has(kind) for kind in ("surface_maps", "flux_split")}
+        return texts + [f"{kind}:{' '.join(words)}" for kind, words in of_surfaces.items() if words is not None]
 
     def workers(self) -> contextlib.AbstractContextManager[None]:
         """The block in which the workers of --scheduler trace, if it is given."""

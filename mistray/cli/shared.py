@@ -52,12 +52,15 @@ SOURCE = Option("--source", "light instead of the scene's, KIND:x,y,z,name=value
                 "KIND: beam, point, surface, laser, sun, sky or a plugin (docs/sources.md)", None, "SOURCE", "+")
 MAPS = Option("--surface-maps", "record the light on walls by place: patterns of surfaces or parts, and name=value "
               "with azimuths, lengths, id; alone: all walls (docs/surface_maps.md)", None, "WALLS", "*")
+SPLIT = Option("--flux-split", "record what surfaces absorb, reflect, transmit and scatter: patterns of surfaces or "
+               "parts, and id=name; alone: all surfaces (docs/detectors.md)", None, "SURFACES", "*")
 SENSORS = (
     Option("--probe", "record the light that crosses a rectangle, x,y,z,name=value,… with half_width, half_height, "
            "normal, pixels, directions, id (docs/detectors.md)", None, "PROBE", "+"),
     Option("--far-field", "record the light that leaves the scene by direction, name=value,… with edges_deg, azimuths, "
            "axis, id", None, "FIELD", "+"),
     MAPS,
+    SPLIT,
 )
 NEXT_ORDER = Option(
     "--no-next-order", "do not measure the result again with one more scatter event and one more reflection", bool

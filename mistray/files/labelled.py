@@ -101,3 +101,17 @@ def pixel_coordinates(extent_mm: tuple[float, float, float, float], shape: tuple
         "y": Labelled(("y",), middles(y0, y1, rows), "mm", "y in the frame of the detector"),
         "x": Labelled(("x",), middles(x0, x1, columns), "mm", "x in the frame of the detector"),
     }
+
+
+def irradiance_dataset(trace: Any) -> xarray.Dataset:
+    """The irradiance of a `mistray.Trace`, see `mistray.trace.Trace.to_xarray`."""
+    axes, each = ("wavelength", "y", "x"), [trace.irradiance_at(nm) for nm in trace.wavelengths_nm]
+    values, errors = (np.stack(parts) for parts in zip(*each, strict=True))
+    arrays = {
+        "irradiance": Labelled(axes[1:], trace.irradiance, IRRADIANCE, "irradiance", trace.irradiance_se),
+        "irradiance_by_wavelength": Labelled(axes, values, IRRADIANCE, "irradiance of a wavelength", errors),
+    }
+    wavelengths = Labelled(("wavelength",), trace.wavelengths_nm, "nm", "wavelength in vacuum")
+    rows, columns = trace.irradiance.shape
+    coordinates = {"wavelength": wavelengths, **pixel_coordinates(trace.extent, (rows, columns))}
+    return dataset(arrays, coordinates, "Irradiance of a detector", trace.settings)

@@ -6,6 +6,7 @@ if active_variant() is None:  # types of the variant are used while modules are 
     ensure_variant()
 
 from mistray.recorders.passing.far_field import FarField
+from mistray.recorders.passing.flux_split import FluxSplit, SplitRow
 from mistray.recorders.passing.probe import Probe
 from mistray.recorders.passing.surface_maps import SurfaceMap, SurfaceMaps
 from mistray.recorders.recorder import Branch, Departure, Recorder, Return, Segment, Visit
@@ -14,10 +15,12 @@ __all__ = [
     "Branch",
     "Departure",
     "FarField",
+    "FluxSplit",
     "Probe",
     "Recorder",
     "Return",
     "Segment",
+    "SplitRow",
     "SurfaceMap",
     "SurfaceMaps",
     "Visit",

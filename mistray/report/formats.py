@@ -15,6 +15,7 @@ from mistray.replace_file import replace_file
 from mistray.report.model import Report
 
 PDF = "pdf"
+RAYS = "dat"  # needs no package
 
 
 def require_formats(formats: Sequence[str]) -> None:
@@ -24,7 +25,7 @@ def require_formats(formats: Sequence[str]) -> None:
     Parameters
     ----------
     formats : sequence of str
-        "parquet", "pdf", "exr", "fits" or "npy".
+        "parquet", "pdf", "exr", "fits", "npy" or "dat".
 
     Raises
     ------
@@ -32,6 +33,8 @@ def require_formats(formats: Sequence[str]) -> None:
         Names the package and the extra.
     """
     for name in formats:
+        if name == RAYS:
+            continue
         if name in FORMATS:
             require_format(name)
         elif name == PDF:

@@ -15,6 +15,7 @@ from mistray.report.figures.layout import layout
 from mistray.report.figures.plots import as_png, ghost_image, levels_against_field, montage
 from mistray.report.formats import pdf_name
 from mistray.report.ghosts.fields import mapped_paths
+from mistray.report.ghosts.light_maps import light_map_figures
 from mistray.report.ghosts.report import ghosts_report
 from mistray.report.ghosts.surface_maps import surface_map_figures
 from mistray.report.html.render import html_page
@@ -76,8 +77,8 @@ def draw(report: GhostReport, look: Look | None = None, shown: GhostReport | Non
     -------
     dict
         overview.png, overview_common.png, levels.png and, for each field, ghosts_<field>deg.png and
-        layout_<field>deg.png; where light on surfaces is recorded surface_maps_<field>deg.png; with a look also
-        colour_<field>deg.png.
+        layout_<field>deg.png; where light on surfaces is recorded surface_maps_<field>deg.png, where parts of the light
+        are mapped light_maps_<field>deg.png; with a look also colour_<field>deg.png.
     """
     shown = report if shown is None else shown
     pictures = {
@@ -89,6 +90,7 @@ def draw(report: GhostReport, look: Look | None = None, shown: GhostReport | Non
         pictures[f"ghosts_{field:g}deg.png"] = as_png(ghost_image(shown, field), of_maps=True)
         pictures[f"layout_{field:g}deg.png"] = as_png(layout(shown, field))
     pictures |= {name: as_png(figure) for name, figure in surface_map_figures(shown).items()}
+    pictures |= {name: as_png(figure) for name, figure in light_map_figures(shown).items()}
     if look is not None:
         colours = ColourPictures(shown, look)
         pictures |= {f"colour_{field:g}deg.png": as_png(colours.figure(field)) for field in shown}

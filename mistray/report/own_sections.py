@@ -9,7 +9,10 @@ import pandas as pd
 
 from mistray.errors import MistrayError
 from mistray.files.json_values import plain
+from mistray.report.ghosts.flux_split import flux_split_section
+from mistray.report.ghosts.light_maps import light_maps_section
 from mistray.report.ghosts.passing import passing_section
+from mistray.report.ghosts.photometric import photometric_section
 from mistray.report.ghosts.surface_maps import surface_maps_section
 from mistray.report.model import Map, Section, Table
 from mistray.report.tables.frames import table_frame
@@ -17,7 +20,9 @@ from mistray.report.tables.text import parts_text
 
 SectionMaker = Callable[[Any], Section | None]
 Made = TypeVar("Made", bound=SectionMaker)
-_MAKERS: list[SectionMaker] = [passing_section, surface_maps_section]
+_MAKERS: list[SectionMaker] = [
+    light_maps_section, passing_section, surface_maps_section, flux_split_section, photometric_section,
+]  # fmt: skip
 
 
 def report_section(make: Made) -> Made:

@@ -16,7 +16,8 @@ from mistray.scene.other_sources import parsed
 NORMAL = {"probe": "normal", "far_field": "axis"}  # kind → what the z axis of its frame is called
 FRAME = ("normal", "axis", "up")  # directions, three numbers each
 COUNTS = ("directions", "azimuths")
-MAPS, OF_MAPS = "surface_maps", ("azimuths", "lengths", "id", "surfaces")
+# Sensors of surfaces: kind → properties
+OF_SURFACES = {"surface_maps": ("azimuths", "lengths", "id", "surfaces"), "flux_split": ("id", "surfaces")}
 PARALLEL = 1e-6  # sine of the angle below which two directions are one
 
 
@@ -30,7 +31,8 @@ def sensor_dict(sensor: str | Mapping[str, Any]) -> dict[str, Any]:
         A dict, or text: ``"probe:0,0,17,half_width=20,half_height=20,normal=0 0 -1,pixels=32 32,id=stop"`` or
         ``"far_field:edges_deg=90:180:5,azimuths=8,axis=0 0 1,id=sky"``, with the properties of the plugin, the number
         of pixels across and down, and directions in the world; light counts that goes to the side of the normal. Or
-        ``"surface_maps:barrel* hood,azimuths=72,id=walls"``, with patterns of surfaces and parts; none: all walls.
+        ``"surface_maps:barrel* hood,azimuths=72,id=walls"``, with patterns of surfaces and parts; none: all walls. Or
+        ``"flux_split:L1_* hood,id=split"``; none: all surfaces.
 
     Raises
     ------
@@ -41,8 +43,8 @@ def sensor_dict(sensor: str | Mapping[str, Any]) -> dict[str, Any]:
         if not isinstance(sensor, Mapping) or "type" not in sensor:
             raise MistrayError(f"sensor {sensor!r}: give a text such as 'probe:0,0,17', or a dict with a 'type'")
         return dict(sensor)
-    if sensor.partition(":")[0].strip() == MAPS:
-        return _surface_maps(sensor)
+    if sensor.partition(":")[0].strip() in OF_SURFACES:
+        return _of_surfaces(sensor)
     word, place, found = parsed("sensor", sensor, (*FRAME, "pixels"), ("id", "edges_deg"))
     if word not in NORMAL:
         raise MistrayError(f"sensor '{sensor}': '{word}' is none; give {' or '.join(NORMAL)}")
@@ -76,30 +78,31 @@ def sensor_dict(sensor: str | Mapping[str, Any]) -> dict[str, Any]:
     return {"type": word, **found, "to_world": mi.ScalarTransform4d(frame)}
 
 
-def _surface_maps(text: str) -> dict[str, Any]:
-    """The sensor `surface_maps` of a text."""
-    parts = [part.strip() for part in text.partition(":")[2].replace(" ", ",").split(",") if part.strip()]
+def _of_surfaces(text: str) -> dict[str, Any]:
+    """The sensor `surface_maps` or `flux_split` of a text."""
+    kind, _, rest = text.partition(":")
+    kind = kind.strip()
+    owner, known = f"{kind.replace('_', ' ')} '{rest}'", OF_SURFACES[kind]
+    parts = [part.strip() for part in rest.replace(" ", ",").split(",") if part.strip()]
     found: dict[str, Any] = {}
     patterns = [part for part in parts if "=" not in part]
     for part in parts:
         key, equals, value = part.partition("=")
         if not equals:
             continue
-        if key not in OF_MAPS or key in found:
-            why = "is given twice" if key in found else f"is none of its properties; use {', '.join(OF_MAPS)}"
-            raise MistrayError(f"surface maps '{text.partition(':')[2]}': {key} {why}")
+        if key not in known or key in found:
+            why = "is given twice" if key in found else f"is none of its properties; use {', '.join(known)}"
+            raise MistrayError(f"{owner}: {key} {why}")
         if key in ("azimuths", "lengths"):
             try:
                 found[key] = int(value)
             except ValueError:
-                raise MistrayError(
-                    f"surface maps '{text.partition(':')[2]}': {key} is '{value}'; give a whole number"
-                ) from None
+                raise MistrayError(f"{owner}: {key} is '{value}'; give a whole number") from None
         else:
             found[key] = value
     if "surfaces" in found:
         patterns.append(found["surfaces"])
-    return {"type": MAPS, "surfaces": " ".join(patterns)} | {key: v for key, v in found.items() if key != "surfaces"}
+    return {"type": kind, "surfaces": " ".join(patterns)} | {key: v for key, v in found.items() if key != "surfaces"}
 
 
 def _numbers(text: str, what: str, owner: str) -> np.ndarray:

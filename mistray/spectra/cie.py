@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,9 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 OBSERVER = "CIE 1931 2 Degree Standard Observer"
-LUMENS_PER_WATT = 683.0  # of light with V = 1: the definition of the candela
+# Of light with V = 1. The candela has 683 lm/W at 540 THz, where V is 0.999997 (ISO 23539:2023)
+LUMENS_PER_WATT = 683.002
+VISIBLE_NM = (360.0, 830.0)  # where V is known
 
 
 def colour_science() -> Any:
@@ -33,6 +36,12 @@ def luminous_efficiency(wavelength_nm: npt.ArrayLike) -> Array:
     """V(λ) of the eye in daylight (ISO 23539), which is ȳ of the observer; 0 outside of its table."""
     wavelengths, values = observer()
     return np.interp(np.asarray(wavelength_nm, dtype=np.float64), wavelengths, values[:, 1], left=0.0, right=0.0)
+
+
+@functools.lru_cache(maxsize=1024)
+def luminous_efficacy(wavelength_nm: float) -> float:
+    """683.002 lm/W times V(λ)."""
+    return LUMENS_PER_WATT * float(luminous_efficiency(wavelength_nm))
 
 
 def daylight() -> tuple[Array, Array]:

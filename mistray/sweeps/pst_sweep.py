@@ -136,9 +136,19 @@ class PstSweep:
         """
         What to know before trusting the numbers.
 
-        Gaps that a configuration opens, light that gets in by them, and what Stokes vectors would change.
+        Gaps that a configuration opens, light that gets in by them, angles at which no light was seen, and what Stokes
+        vectors would change.
         """
         found = [f"{name}: {gaps_text(gaps)}" for name, gaps in self.gaps.items() if gaps]
+        dark: dict[str, list[str]] = {}
+        for name, one in self.pst.items():
+            if angles := ", ".join(f"{angle:g}" for angle in self.field_deg[one.curve("stray")[0] == 0]):
+                dark.setdefault(angles, []).append(name)
+        found += [
+            f"no stray light was seen at {angles} deg ({'; '.join(names)}); that sets no upper limit: give more rays, "
+            "or higher max_scatters and max_reflections"
+            for angles, names in dark.items()
+        ]
         for name in self.configurations[1:]:
             for angle in self.field_deg:
                 change = self.changed(name, float(angle))

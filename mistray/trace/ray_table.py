@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING
 
@@ -17,6 +17,7 @@ from mistray.recorders.branch_recorder import BranchRecorder
 from mistray.recorders.film import Box
 from mistray.recorders.path_events import INTERCEPTS, Events
 from mistray.recorders.path_key import EVENT_MASK
+from mistray.recorders.recorder import Recorder
 from mistray.surfaces.upload import upload
 from mistray.trace.filter_rows import Rows
 from mistray.trace.history import Ray, RayHistory, bundles
@@ -153,20 +154,10 @@ class _Search:
         return {name: values[order] for name, values in whole.items()}, [rays[k] for k in order] if rays else []
 
     def _walk(self, start: StartRays, recorder: BranchRecorder) -> Iterator[tuple[Columns, list[Ray]]]:
-        """Rays of some start rays; where they have more branches than the recorder holds, in halves."""
-        recorder.clear()
-        self._run.trace_trees(start, None if self._box is None else Box(self._box), recorder)
-        count, lanes = int(recorder.count[0]), dr.width(start.lane)
-        if count > recorder.capacity:
-            if lanes == 1:
-                raise MistrayError(
-                    f"a single start ray has {count} branches at the detector, more than {recorder.capacity}; raise "
-                    "flux_threshold or lower max_reflections or max_scatters"
-                )
-            for half in np.array_split(np.arange(lanes), 2):
-                yield from self._walk(start.take(upload(mi.UInt32, half)), recorder)
-        elif count:
-            yield self._read(recorder, count)
+        """Rays of some start rays."""
+        for count in recorded(self._run, start, recorder, None if self._box is None else Box(self._box)):
+            if count:
+                yield self._read(recorder, count)
 
     def _read(self, recorder: BranchRecorder, count: int) -> tuple[Columns, list[Ray]]:
         """What is recorded, and lets itself through the filter."""
@@ -258,7 +249,31 @@ def _corners(run: Run, box: Sequence[float] | None, pixels: Sequence[int] | None
     return tuple(corners)
 
 
-def portions(run: Run) -> Iterator[StartRays]:
+def recorded(run: Run, start: StartRays, recorder: BranchRecorder, *before: Recorder | None) -> Iterator[int]:
+    """
+    Trace some start rays; where they have more branches than the recorder holds, in halves.
+
+    Yields
+    ------
+    int
+        How many branches the recorder has now.
+    """
+    recorder.clear()
+    run.trace_trees(start, *before, recorder)
+    count, lanes = int(recorder.count[0]), dr.width(start.lane)
+    if count <= recorder.capacity:
+        yield count
+        return
+    if lanes == 1:
+        raise MistrayError(
+            f"a single start ray has {count} branches that are recorded, more than {recorder.capacity}; raise "
+            "flux_threshold or lower max_reflections or max_scatters"
+        )
+    for half in np.array_split(np.arange(lanes), 2):
+        yield from recorded(run, start.take(upload(mi.UInt32, half)), recorder, *before)
+
+
+def portions(run: Run, grow: Callable[[int], int] = lambda size: 2 * size) -> Iterator[StartRays]:
     """The start rays of a run in portions that grow; each is spread over the beam as all of its part are."""
     for _, start in run.starts():
         count = dr.width(start.lane)
@@ -269,4 +284,4 @@ def portions(run: Run) -> Iterator[StartRays]:
         first, size = 0, FIRST
         while first < count:
             yield start.take(upload(mi.UInt32, order[first : first + size]))
-            first, size = first + size, 2 * size
+            first, size = first + size, grow(size)

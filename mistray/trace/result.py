@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -16,24 +15,27 @@ from mistray.errors import MistrayError
 from mistray.execute.by_parts import TraceTask, images_by_parts
 from mistray.execute.tracer import Run, irradiance_of_runs
 from mistray.execute.workers import current_workers
-from mistray.gradients.run_gradient import run_gradient
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.notes import Note, unfinished
 from mistray.recorders.film import Pixels, image_word
-from mistray.recorders.path_derivative import MOMENTS, HitDerivative, PathDerivative
+from mistray.recorders.passing.surface_maps import AZIMUTHS, LENGTHS, SurfaceMap, SurfaceMaps
+from mistray.recorders.path_derivative import HitDerivative
 from mistray.recorders.recorder import Recorder
 from mistray.recorders.tallies import SCATTERED_FLUX, SCATTERED_HITS, SCATTERED_SQUARES, SEGMENTS
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.thin_gaps import thin_gaps
+from mistray.trace.elsewhere.light_maps import light_maps
+from mistray.trace.elsewhere.rays_elsewhere import rays_elsewhere
 from mistray.trace.energy import Energy, FluxReport, energy_ledger, flux_report
+from mistray.trace.gradient_runs import table_gradients
 from mistray.trace.history import Ray, RayHistory, read_rays
 from mistray.trace.light_cones import LightCone, light_cones
 from mistray.trace.path_filter import PathFilter
 from mistray.trace.paths import PathTable, path_table, undeclared_images
+from mistray.trace.photometry import illuminance, luminous_flux
 from mistray.trace.polarization_choice import words_of
 from mistray.trace.ray_sample import sample_rays
 from mistray.trace.ray_table import check_box, ray_table
-from mistray.trace.rays_elsewhere import rays_elsewhere
 from mistray.trace.reliability.aimed_rays import aimed_surfaces, silent_places
 from mistray.trace.reliability.trace_notes import trace_notes
 from mistray.trace.sampled_hits import PathHits, sampled_hits
@@ -250,18 +252,19 @@ class Trace:
         MistrayError
             If xarray is not installed.
         """
-        from mistray.files.labelled import IRRADIANCE, Labelled, dataset, pixel_coordinates
+        from mistray.files.labelled import irradiance_dataset
 
-        axes, each = ("wavelength", "y", "x"), [self.irradiance_at(nm) for nm in self.wavelengths_nm]
-        values, errors = (np.stack(parts) for parts in zip(*each, strict=True))
-        arrays = {
-            "irradiance": Labelled(axes[1:], self.irradiance, IRRADIANCE, "irradiance", self.irradiance_se),
-            "irradiance_by_wavelength": Labelled(axes, values, IRRADIANCE, "irradiance of a wavelength", errors),
-        }
-        wavelengths = Labelled(("wavelength",), self.wavelengths_nm, "nm", "wavelength in vacuum")
-        rows, columns = self.irradiance.shape
-        coordinates = {"wavelength": wavelengths, **pixel_coordinates(self.extent, (rows, columns))}
-        return dataset(arrays, coordinates, "Irradiance of a detector", self.settings)
+        return irradiance_dataset(self)
+
+    @cached_property
+    def illuminance(self) -> tuple[np.ndarray, np.ndarray]:
+        """Illuminance by absorbed light and its standard error, (height, width), lx: `mistray.trace.photometry`."""
+        return _with_error(illuminance(self._runs))
+
+    @property
+    def luminous_flux(self) -> tuple[float, float]:
+        """What the detectors absorb and its standard error, lm."""
+        return luminous_flux(self._runs)
 
     def irradiance_at(self, wavelength_nm: float) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -312,8 +315,34 @@ class Trace:
         irradiance, standard_error : (height, width) float64
             W/mm².
         """
-        maps = self.maps([path_ids])
-        return maps[0]
+        return self.maps([path_ids])[0]
+
+    def surface_maps(
+        self,
+        surfaces: str | Sequence[str] = (),
+        selections: str | Sequence[str] = "all",
+        *,
+        azimuths: int = AZIMUTHS,
+        lengths: int = LENGTHS,
+    ) -> list[dict[str, SurfaceMap]]:
+        """
+        Trace the same rays again for maps of parts of the light that arrives at surfaces.
+
+        Parameters
+        ----------
+        surfaces, azimuths, lengths
+            As of `mistray.recorders.SurfaceMaps`.
+        selections : str or sequence of str
+            Kinds, names or filters, see `mistray.trace.path_filter`; of columns they know what `rays_at` does. Light
+            may be in several of them.
+
+        Returns
+        -------
+        list of dict
+            Of each selection the maps by the ids of their surfaces.
+        """
+        filters = [PathFilter(text) for text in ([selections] if isinstance(selections, str) else selections)]
+        return light_maps(self._runs, SurfaceMaps("maps", surfaces, azimuths, lengths), filters)
 
     def maps(self, groups: Sequence[Sequence[int]]) -> list[tuple[np.ndarray, np.ndarray]]:
         """
@@ -534,9 +563,9 @@ class Trace:
             Surfaces or parts, with * and ? for any letters; or "blocked" (all opaque ones but detectors), "escaped", or
             "returned" (escaped backwards). What misses all surfaces is left out.
         selection, n, events
-            As in `rays`; of columns a filter knows wavelength_nm, source, surface and type.
+            As in `rays`; of columns a filter knows kind, order and the like, wavelength_nm, source, surface.
 
-        Returns the last node of each ray, with flux and direction there: as `RayHistory.to_pandas`, source, history.
+        Returns the last node of each ray with flux and direction as `RayHistory.to_pandas`; source, kind, key, history.
         """
         return rays_elsewhere(self._runs, where, PathFilter(selection), n, events)
 
@@ -555,32 +584,7 @@ class Trace:
         TableGradient
             For each source and wavelength that matters.
         """
-        if self.rays_traced != self.rays_planned:
-            raise MistrayError(
-                f"only {self.rays_traced} of {self.rays_planned} rays were traced; gradients need all of them"
-            )
-        path = derivative.path
-        maps = derivative.map_of_path
-        for number, run in enumerate(self._runs):
-            pixel = None if derivative.pixel is None else run.unit * np.asarray(derivative.pixel, dtype=np.float64)
-            by_path = None
-            if path is not None or maps is not None:
-                located = [self.paths.locate(path_id) for path_id in range(len(self.paths))]
-                here = np.array([k for k, (where, _, _) in enumerate(located) if where == number], dtype=np.int64)
-                by_path = PathDerivative.of_paths(
-                    np.array([located[k][2] for k in here], dtype=np.uint64),
-                    np.array([located[k][1] for k in here], dtype=np.int64),
-                    run.unit * np.asarray(path)[here] if path is not None else np.zeros((len(here), MOMENTS)),
-                    np.asarray(maps)[here] if maps is not None else np.zeros(len(here), dtype=np.int64),
-                )
-            if pixel is not None and not pixel.any():
-                pixel = None
-            if pixel is None and (by_path is None or not by_path.coefficients.any()):
-                continue
-            started = time.perf_counter()
-            raw = run_gradient(run, by_path, pixel, request)
-            raw.seconds = time.perf_counter() - started
-            yield raw
+        yield from table_gradients(self._runs, lambda: self.paths, derivative, request)
 
     def __repr__(self) -> str:
         count = "no ledger" if self._paths is None else f"{len(self._paths)} paths"

@@ -74,6 +74,7 @@ class LightSource(mi.Emitter):
         self.matrix, self.pointing_error = rigid_motion(to_world, self.owner), pointing_error(to_world)
         self.light = self._light(props)
         self.wavelengths_nm, self.weights = self.light.wavelengths_nm, self.light.weights
+        self.states_light = any(key in props for key in ("wavelength_nm", "spectrum"))
         self.parameters = {key: mi.Float(self.values[key]) for key in self.differentiable}
         self.stokes = polarization_state(self.owner, **{key: props[key] for key in WAYS if key in props})
 

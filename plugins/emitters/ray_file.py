@@ -76,6 +76,7 @@ class RayFile(LightSource):
             if given := [key for key in ("wavelength_nm", "weights", "spectrum") if key in props]:
                 self._fail(f"{given[0]} is given, and the file has wavelengths; leave it out")
             self._take_lines()
+            self.states_light = True
 
     def _take_lines(self) -> None:
         """The wavelengths of the file, with the rays of each."""

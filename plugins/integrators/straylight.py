@@ -34,9 +34,9 @@ class StrayLight(mi.CppADIntegrator):
     Stray-light integrator (:monosp:`straylight`): splits rays at every interface and follows all of them.
 
     ``mi.render(scene, integrator=…)`` gives the irradiance of the detector as a tensor (height, width, 1) in W/mm²;
-    row 0 is at the smallest y of the detector's frame. Of a `probe`, a `far_field` or `surface_maps` it gives what that
-    records. The properties are also the defaults of `mistray.trace` for the scene, which returns the path table, the
-    energy ledger and standard errors as well.
+    row 0 is at the smallest y of the detector's frame. Of a `probe`, `far_field`, `surface_maps` or `flux_split` it
+    gives what that records. The properties are also the defaults of `mistray.trace` for the scene, which returns the
+    path table, the energy ledger and standard errors as well.
 
     ===================== ====== ============= =========== =============================================================
     parameter             unit   range         default     meaning

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mistray.analysis.path_maps import FieldMaps, PathMap
+from mistray.analysis.maps.path_maps import FieldMaps, PathMap
 
 
 def spot(shape: tuple[int, int], rows: slice, columns: slice) -> np.ndarray:

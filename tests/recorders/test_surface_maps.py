@@ -236,5 +236,5 @@ def test_the_command_prints_draws_and_writes_them(tmp_path, capsys):
     x0, x1, y0, y1 = one.extent
     power = float(one.irradiance.sum()) * (x1 - x0) * (y1 - y0) / one.irradiance.size
     row = table[table.surface == "housing_wall"].iloc[0]
-    assert power == pytest.approx(row.power_W, rel=1e-6)
+    assert power == pytest.approx(row.incident_W, rel=1e-6)
     assert row.brightest_cell_W_mm2 == pytest.approx(one.irradiance.max(), rel=1e-6)

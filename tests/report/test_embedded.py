@@ -11,7 +11,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from mistray.analysis.path_maps import PathMap
+from mistray.analysis.maps.path_maps import PathMap
 from mistray.report.html.embedded import MapStore, colour_table, json_script, palette_png, power_codes
 from mistray.report.html.thumbnails import SIDE, thumbnail
 

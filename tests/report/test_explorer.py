@@ -112,7 +112,7 @@ def test_rays_and_events_of_a_path(report, data):
 
 def test_paths_beyond_the_memory_are_the_rest(monkeypatch):
     room = 8.0 * SHAPE[0] * SHAPE[1] * (1 + 3 * (BATCHES + WEIGHTS))
-    monkeypatch.setattr(importlib.import_module("mistray.analysis.path_maps"), "MAP_BYTES", room)
+    monkeypatch.setattr(importlib.import_module("mistray.analysis.maps.path_maps"), "MAP_BYTES", room)
     t = trace_at(0.0)
     report = GhostReport(lens_scene(), {0.0: t}, t, {})
     table = report.table(0.0).set_index("path_id")

@@ -49,6 +49,15 @@ def test_nothing_changes_nothing(scene: Path) -> None:
     assert change.before_se > 0
 
 
+def test_angles_without_light_are_named(scene: Path) -> None:
+    """Without scatter and reflections there is no stray light: 0 ± 0 is no measurement."""
+    found = sweep_pst(scene, [Configuration("nothing")], [ANGLE], rays=1000, max_scatters=0, max_reflections=0)
+    (text,) = [text for text in found.warnings if "no stray light" in text]
+    assert "10 deg" in text
+    assert "nothing" in text
+    assert not any("no stray light" in text for text in swept(scene, Configuration("nothing")).warnings)
+
+
 @pytest.mark.long
 def test_edits_say_that_their_light_is_unpolarised(tmp_path: Path) -> None:
     """The ghost of a plate at 45° is 1.548 times as bright by Stokes vectors; what is given is taken."""

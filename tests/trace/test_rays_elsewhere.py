@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import mistray
+from mistray import cli
 
 
 @pytest.fixture(scope="module")
@@ -54,3 +56,30 @@ def test_refusals(traced) -> None:
     ):
         with pytest.raises(mistray.MistrayError, match=words):
             traced.rays_at(where, selection)
+
+
+@pytest.mark.long
+def test_the_command_writes_rays_that_arrive(tmp_path, capsys):
+    """All rays of a surface carry its incident flux, in every format; a file of them is a source of that flux."""
+    out = tmp_path / "out"
+    command = ["ghosts", "plate_and_wall", "--rays", "500", "--max-scatters", "1", "--quiet"]
+    for more, word in (
+        (["--rays-at", "scren", "--out", str(out)], "screen"),
+        (["--rays-at", "screen"], "--out"),
+        (["--rays-at", "escaped", "screen", "--out", str(out)], "alone"),
+        (["--rays-at", "screen", "--filter", "power_W > 1", "--out", str(out)], "power_W"),
+        (["--formats", "dat", "--out", str(out)], "--rays-at"),
+    ):
+        assert cli.main([*command, *more]) == 2
+        assert word in capsys.readouterr().err
+    more = ["--rays-at", "screen", "--most-rays", "0", "--formats", "dat", "parquet"]
+    assert cli.main([*command, *more, "--out", str(out)]) == 0
+    rays = pd.read_csv(out / "rays_at.csv")
+    surfaces = pd.read_csv(out / "surfaces.csv")
+    (incident,) = surfaces.incident_W[surfaces.id == "screen"]
+    assert rays.flux_W.sum() == pytest.approx(incident, rel=1e-6)
+    assert set(rays.surface) == {"screen"}
+    assert set(rays.kind) >= {"single scatter"}
+    assert len(pd.read_parquet(out / "rays_at.parquet")) == len(rays)
+    scene = mistray.load("plate_and_wall", sources=[{"type": "ray_file", "filename": str(out / "rays_at_0deg.dat")}])
+    assert mistray.trace(scene, rays=200, max_scatters=0).energy.launched_W == pytest.approx(incident, rel=1e-5)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.arguments import pairs
@@ -28,7 +28,7 @@ from mistray.cli.shared import (
     ray_tree,
 )
 from mistray.errors import Interrupted, MistrayError, UnfinishedError
-from mistray.ranges import AZIMUTH_DEG, BLOCK, CONTESTED_RAYS, FIELD_DEG, PART, PLACE_MM, SECONDS, STOPS
+from mistray.ranges import AZIMUTH_DEG, BLOCK, CONTESTED_RAYS, FIELD_DEG, PART, PLACE_MM, ROWS, SECONDS, STOPS
 from mistray.time_budget import within
 
 if TYPE_CHECKING:
@@ -47,6 +47,8 @@ ALL_ALIASES = ("part", "space")
 # Of `mistray.analysis.ranking` and `mistray.analysis.path_analysis`, not imported to parse a command line
 RANKS = ("rms", "power", "peak")
 SORT_KEYS = ("power_W", "objects", "branches", "last_object", "unique_objects", "opl_mm", "diffractions")
+RAY_FORMAT = "dat"  # rays as a source file of Zemax
+MOST_RAYS = 10_000
 OF_COLOUR = ("stops", "reference", "white", "block")  # options of the colour pictures
 
 # What --out writes
@@ -63,14 +65,21 @@ FILES = (
     "aliased_paths.csv",
     "path_analysis.csv",
     "filtered_*.csv",
+    "rays_at.csv",
+    "rays_at_*deg.dat",
     "probes.csv",
     "far_fields.csv",
     "surface_maps.csv",
+    "light_maps.csv",
+    "flux_split.csv",
+    "luminous_flux.csv",
+    "photometric.csv",
     "overview*.png",
     "levels.png",
     "ghosts_*deg.png",
     "layout_*deg.png",
     "surface_maps_*deg.png",
+    "light_maps_*deg.png",
     "colour_*deg.png",
     "path_sort_*deg.txt",
 )
@@ -103,6 +112,9 @@ COMMAND = Command(
         "mistray ghosts scene.xml --wavelength-nm 620 --rays 1e7 --json",
         "mistray ghosts scene.xml --probe 0,0,17,half_width=20,half_height=20,id=stop --out out",
         "mistray ghosts double_gauss_barrel --field-deg 20 --surface-maps 'barrel*' hood --out out",
+        "mistray ghosts double_gauss_barrel --field-deg 20 --maps ghost 'S(barrel*)' --out out",
+        "mistray ghosts phone_camera --field-deg 20 --rays-at 'barrel*' --filter G --formats dat --out out",
+        "mistray ghosts phone_camera --wavelength-nm 450 555 650 --weights 1 2 1 --photometric",
         "mistray ghosts scene.xml --max-scatters 2 --max-reflections 1 --aimed-rays 4 --out out",
         "mistray ghosts scene.xml --out out --formats parquet fits",
         "mistray ghosts scene.xml --rays 1e9 --scheduler tcp://host:8786 --out out    # docs/distributed.md",
@@ -136,7 +148,15 @@ COMMAND = Command(
                Option("--filter", "add the paths that pass a filter, such as 'G(lens*) & !S', or have a name, such as "
                       "'L2_rear -> L1_front' (docs/rays.md); with --out filtered_paths.csv and filtered_rays.csv",
                       metavar="EXPR"),
-               formats=(*TABLE_FORMATS, *MAP_FORMATS)),
+               Option("--photometric", "add lm, lx, cd and cd/m², of visible wavelengths (docs/detectors.md)", bool),
+               Option("--rays-at", "write rays_at.csv: rays that arrive at surfaces or parts, or that are blocked, "
+                      "escaped or returned, and pass --filter (docs/rays.md); with --formats dat as Zemax files "
+                      "too", None, "WHERE", "+"),
+               Option("--most-rays", f"rays of --rays-at at each field, spread over the beams ({MOST_RAYS}); 0: all",
+                      ROWS, "N"),
+               Option("--maps", "map parts of the light on the detector, and on surfaces of --surface-maps: kinds such "
+                      "as ghost or stray, filters or names of paths (docs/surface_maps.md)", None, "LIGHT", "+"),
+               formats=(*TABLE_FORMATS, *MAP_FORMATS, RAY_FORMAT)),
         Group("colour pictures (need --out and three wavelengths or more)", (
             Option("--colour", "draw the ghosts as a photograph would show them", bool),
             Option("--stops", "exposure, stops over the one that just fills the brightest channel (0)", STOPS, "S"),
@@ -167,6 +187,12 @@ def run(options: Options) -> int:
         raise MistrayError(f"--least-share is {options.least_share:g}; it is a share of all light, 0 to 1")
     scene = options.load()
     check_paths(scene, [options.filter] if options.filter else [])  # before anything is traced
+    _check_maps(scene, options.maps or [])
+    _check_rays(scene, options)
+    if options.photometric:
+        from mistray.trace.photometry import check_light
+
+        check_light(scene, options.wavelength_nm)
     if options.field_mm:
         from mistray.sampling.sources import field_of
 
@@ -196,6 +222,10 @@ def run(options: Options) -> int:
                 with options.working("mapping the paths"):
                     for field in report:
                         report.table(field)
+            report.photometric = options.photometric
+            if options.maps:
+                with options.working("mapping the light"):
+                    report.map_light(options.maps)
             extra = _Extra(report, options)
             if options.out is not None:
                 files = _write_report(report, extra, options, look)
@@ -218,6 +248,39 @@ def run(options: Options) -> int:
     return options.show(lambda: as_json(report, lines, options.filter, extra.tables), text, files, page)
 
 
+def _check_maps(scene: Any, selections: list[str]) -> None:
+    """Refuse parts of the light that cannot be: on surfaces they are known by their events alone."""
+    from mistray.recorders import SurfaceMaps
+    from mistray.trace.check_paths import check_paths
+    from mistray.trace.elsewhere.arriving import check_columns
+    from mistray.trace.path_filter import PathFilter
+
+    check_paths(scene, selections)
+    recorders = (sensor.recorder() for sensor in scene.sensors() if hasattr(sensor, "recorder"))
+    if any(isinstance(one, SurfaceMaps) for one in recorders):
+        for text in selections:
+            check_columns(PathFilter(text))
+
+
+def _check_rays(scene: Any, options: Options) -> None:
+    """Refuse rays at what there is not, and rays that go nowhere."""
+    from mistray.trace.check_paths import check_paths
+    from mistray.trace.elsewhere.arriving import check_columns
+    from mistray.trace.elsewhere.rays_elsewhere import check_where
+    from mistray.trace.path_filter import PathFilter
+
+    if options.rays_at is None:
+        options.refuse(["most_rays"], " is about the rays of --rays-at; add it, or leave this out")
+        if RAY_FORMAT in options.formats:
+            raise MistrayError(f"--formats {RAY_FORMAT} writes the rays of --rays-at; add it, or leave the format out")
+        return
+    if options.out is None:
+        raise MistrayError("--rays-at writes rays_at.csv; say with --out where it shall go")
+    check_paths(scene, [f'H("{name}")' for name in check_where(options.rays_at)])
+    if options.filter:
+        check_columns(PathFilter(options.filter))
+
+
 def _seconds_of_trace(options: Options) -> float | None:
     """What of --seconds the trace has, so that the report of its rays is written in time, too."""
     left = options.seconds_left(PAGE_S + FIELD_S * len(options.field_deg or [None]))
@@ -236,7 +299,7 @@ def _write_report(report: GhostReport, extra: _Extra, options: Options, look: Lo
             pdf = "pdf" in options.formats
             named = (options.title, options.command_line)
             files = write_all(report, options.out, *named, options.per_wavelength, look, pdf)
-            return files + extra.write() + _write_formats(report, options)
+            return files + extra.write() + _write_formats(report, extra, options)
     except UnfinishedError:
         raise
     except MistrayError as error:
@@ -277,15 +340,36 @@ class _Extra:
             parts.append(analysis_text(self.tables["path_analysis"], options.path_analysis))
         return parts + ([filter_text(self._report, options.filter)] if options.filter else [])
 
+    @cached_property
+    def frames(self) -> dict[str, pd.DataFrame]:
+        """The tables that are written, by file name; rays are traced when they are."""
+        from mistray.report.tables.ghosts_csv import rays_at_frame
+
+        options, tables = self._options, dict(self.tables)
+        if self._rays is not None:
+            tables |= {"filtered_paths": self._filtered, "filtered_rays": self._rays()}
+        if options.rays_at:
+            most = MOST_RAYS if options.most_rays is None else options.most_rays or None
+            tables["rays_at"] = rays_at_frame(self._report, options.rays_at, options.filter or "", most)
+        return {f"{name}.csv": table for name, table in tables.items()}
+
     def write(self) -> list[Path]:
         """The tables as CSV."""
         from mistray.report.output import csv_text, write_files
 
-        tables = dict(self.tables)
-        if self._rays is not None:
-            tables |= {"filtered_paths": self._filtered, "filtered_rays": self._rays()}
-        files = {f"{name}.csv": csv_text(table, in_full=True) for name, table in tables.items()}
+        files = {name: csv_text(table, in_full=True) for name, table in self.frames.items()}
         return write_files(files, self._options.out) if files else []
+
+    def ray_files(self) -> list[Path]:
+        """The rays of --rays-at of each field as a source file of Zemax."""
+        from mistray.files.ray_sets import RaySet, save_ray_set
+
+        rays, out = self.frames["rays_at.csv"], self._options.out
+        return [
+            save_ray_set(out / f"rays_at_{field:g}deg.{RAY_FORMAT}", RaySet.of_table(own))
+            for field, own in rays.groupby("field_deg")
+            if own.flux_W.sum() > 0
+        ]
 
 
 def _aliases(words: list[str | tuple[str, str]] | None) -> dict[str, str] | str | None:
@@ -331,17 +415,20 @@ def _write_tables(report: Any, options: Options) -> list[Path]:
     return files
 
 
-def _write_formats(report: GhostReport, options: Options) -> list[Path]:
-    """The tables as Parquet, and irradiance_<field>deg in the other formats."""
+def _write_formats(report: GhostReport, extra: _Extra, options: Options) -> list[Path]:
+    """The tables as Parquet, rays as files of Zemax, and irradiance_<field>deg in the other formats."""
     from mistray.report import IrradianceMap, write_formats
+    from mistray.report.ghosts.light_maps import light_map_files
     from mistray.report.ghosts.passing import passing_maps
     from mistray.report.ghosts.surface_maps import surface_map_files
     from mistray.report.tables.ghosts_csv import csv_tables
 
-    tables = csv_tables(report, options.per_wavelength)
+    tables = csv_tables(report, options.per_wavelength) | extra.frames
+    rays = extra.ray_files() if RAY_FORMAT in options.formats else []
+    formats = [name for name in options.formats if name != RAY_FORMAT]
     maps = {f"irradiance_{field:g}deg": IrradianceMap.of(t) for field, t in report.items()}
-    maps |= passing_maps(report) | surface_map_files(report)
-    return write_formats(options.formats, options.out, tables, maps, {"command": options.command_line})
+    maps |= passing_maps(report) | surface_map_files(report) | light_map_files(report)
+    return rays + write_formats(formats, options.out, tables, maps, {"command": options.command_line})
 
 
 def _look(options: Options) -> Look | None:

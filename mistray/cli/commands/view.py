@@ -103,8 +103,8 @@ def run(options: Options) -> int:
     from mistray.report.view3d.view import MOST_PATHS, RAYS_PER_PATH, graph_objects
     from mistray.trace import trace
     from mistray.trace.check_paths import check_paths
+    from mistray.trace.elsewhere.rays_elsewhere import ELSEWHERE
     from mistray.trace.named_paths import KINDS
-    from mistray.trace.rays_elsewhere import ELSEWHERE
 
     if options.filter is not None:
         options.refuse(["path_ids"], NO_EFFECT + "beside --filter; give one of them")

@@ -2,21 +2,41 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, nearest
+from mistray.ids import fits
 from mistray.recorders.film import groups_of
 from mistray.recorders.recorder import Memory, Recorder
 from mistray.recorders.sampled import Sampled
 from mistray.settings import BATCHES
+from mistray.spectra.cie import luminous_efficacy
 
 if TYPE_CHECKING:
     from mistray.kernel.kernel_scene import KernelScene
     from mistray.recorders.start_rays import StartRays
+    from mistray.surfaces.surfaces import SurfaceTable
+
+MM2_PER_M2 = 1e6
+
+
+def chosen_surfaces(table: SurfaceTable, patterns: Sequence[str], owner: str) -> list[int]:
+    """Numbers of the surfaces whose ids or parts patterns name, in the order of the scene; refused: one without any."""
+    known = {*table.ids, *table.parts}
+    for pattern in patterns:
+        if not any(fits(name, pattern) for name in known):
+            raise MistrayError(f"{owner}: no surface or part is called '{pattern}'; {nearest(pattern, known)}")
+    return [
+        k
+        for k in table.listed
+        if any(fits(name, pattern) for name in (table.ids[k], table.parts[k]) for pattern in patterns)
+    ]
 
 
 class PassingLight(Recorder):
@@ -44,9 +64,12 @@ class PassingLight(Recorder):
         self.name, self.cells = name, cells
         self._groups = groups_of(cells)
         self._flux: Sampled | None = None
+        self._lumens: Sampled | None = None  # once it has light of several wavelengths
+        self._of_nm = math.nan
 
     def attach(self, scene: KernelScene) -> None:
         """Begin at zero."""
+        self._nm = scene.table.wavelength_nm
         self._sums = dr.zeros(mi.Float64, self._groups * self.cells)
         self._started = dr.zeros(mi.Float64, BATCHES)
         dr.eval(self._sums, self._started)
@@ -65,7 +88,17 @@ class PassingLight(Recorder):
         sums = np.array(self._sums).reshape(self._groups, self.cells).T
         started = np.array(self._started).reshape(self._groups, -1).sum(axis=1)
         found = Sampled.of(sums, started).scaled(unit)
+        if self._flux is None:
+            self._of_nm = self._nm
+        elif self._lumens is not None or self._nm != self._of_nm:
+            before = self._flux.scaled(luminous_efficacy(self._of_nm)) if self._lumens is None else self._lumens
+            self._lumens = before + found.scaled(luminous_efficacy(self._nm))
         self._flux = found if self._flux is None else self._flux + found
+
+    @property
+    def groups(self) -> int:
+        """Groups of batches by which the cells are summed."""
+        return self._groups
 
     @property
     def power(self) -> tuple[float, float]:
@@ -91,3 +124,9 @@ class PassingLight(Recorder):
         if self._flux is None:
             raise MistrayError(f"'{self.name}' has recorded nothing yet; give it to trace(…, recorders=[…])")
         return self._flux
+
+    @property
+    def luminous_flux(self) -> Sampled:
+        """The same as the eye weighs it, (cells,), lm: 683.002 lm/W times V(λ) of each wavelength."""
+        flux = self.flux
+        return flux.scaled(luminous_efficacy(self._of_nm)) if self._lumens is None else self._lumens

@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.recorders.branch_recorder import BranchRecorder
+from mistray.recorders.passing.surface_maps import SurfaceMaps
 from mistray.recorders.recorder import Departure, Memory, Visit
 from mistray.surfaces.upload import upload
 
@@ -51,3 +52,41 @@ class ElsewhereRecorder(BranchRecorder):
             branch = (departure.start.lane, departure.key, mi.Float64(departure.weight), departure.heading, None)
             last = departure.length - 1
             self._write(departure.nodes, departure.event, departure.active, departure.node, last, branch)
+
+
+@dataclass
+class CellRecorder(ElsewhereRecorder):
+    """
+    Append buffer for the branches up to every hit of surfaces that are mapped.
+
+    Attributes
+    ----------
+    maps : SurfaceMaps
+        Attached to the scene.
+    cell, batch : (capacity,) mi.UInt32
+        Where a hit is summed, and the batch of its start ray.
+    absorbed : (capacity,) mi.Float64
+        What stays at the surface, in units of the start ray's.
+    """
+
+    maps: SurfaceMaps = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.cell = dr.zeros(mi.UInt32, self.capacity)
+        self.batch = dr.zeros(mi.UInt32, self.capacity)
+        self.absorbed = dr.zeros(mi.Float64, self.capacity)
+        dr.eval(self.cell, self.batch, self.absorbed)
+
+    @property
+    def code(self) -> Hashable:
+        """See `Recorder.code`."""
+        return type(self).__name__, self.maps.code
+
+    def visit(self, visit: Visit, memory: Memory) -> None:
+        """Record hits of the surfaces."""
+        cell, here = self.maps.cell(visit)
+        slot, kept = self.write(visit, here, visit.node, mi.Float64(visit.weight))
+        dr.scatter(self.cell, cell, slot, kept)
+        dr.scatter(self.batch, visit.start.batch, slot, kept)
+        dr.scatter(self.absorbed, mi.Float64(dr.maximum(visit.absorbed, 0)), slot, kept)

@@ -113,7 +113,15 @@ class FarField(PassingLight):
     @property
     def intensity(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean radiant intensity of the cells and its standard error, (rows, azimuths) each, W/sr."""
-        flux, size = self.flux, self.solid_angle_sr[:, None]
+        return self._by_solid_angle(self.flux)
+
+    @property
+    def luminous_intensity(self) -> tuple[np.ndarray, np.ndarray]:
+        """The same of luminous flux, cd."""
+        return self._by_solid_angle(self.luminous_flux)
+
+    def _by_solid_angle(self, flux: Sampled) -> tuple[np.ndarray, np.ndarray]:
+        size = self.solid_angle_sr[:, None]
         shape = len(size), self._azimuths
         return flux.value.reshape(shape) / size, flux.se.reshape(shape) / size
 

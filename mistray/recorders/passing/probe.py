@@ -11,7 +11,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.ranges import FILM_PIXELS, FILM_SIDE, PLACE_MM, SIZE_MM
-from mistray.recorders.passing.cells import PassingLight
+from mistray.recorders.passing.cells import MM2_PER_M2, PassingLight
 from mistray.recorders.recorder import Memory, Segment
 from mistray.recorders.sampled import Sampled
 
@@ -125,9 +125,16 @@ class Probe(PassingLight):
     @property
     def irradiance(self) -> tuple[np.ndarray, np.ndarray]:
         """Flux density by pixel and its standard error, (height, width) each, W/mm²; row 0 is at the smallest y."""
+        return self._by_pixel(self.flux)
+
+    @property
+    def illuminance(self) -> tuple[np.ndarray, np.ndarray]:
+        """Luminous flux density by pixel and its standard error, (height, width) each, lx."""
+        return self._by_pixel(self.luminous_flux.scaled(MM2_PER_M2))
+
+    def _by_pixel(self, flux: Sampled) -> tuple[np.ndarray, np.ndarray]:
         columns, rows = self._pixels
         area = 4 * self._half[0] * self._half[1] / (columns * rows)
-        flux = self.flux
         by_direction = Sampled(
             flux.value.reshape(-1, self._directions**2).T,
             np.moveaxis(flux.apart.reshape(rows * columns, self._directions**2, -1), 1, 0),
@@ -153,10 +160,18 @@ class Probe(PassingLight):
         The last two axes are uniform cells of the direction cosines along y and x, -1 … 1. A cell of cosines du dv is
         the projected solid angle cos θ dΩ, so that the flux over area and du dv is the mean radiance of the cell.
         """
+        return self._by_direction(self.flux)
+
+    @property
+    def luminance(self) -> tuple[np.ndarray, np.ndarray]:
+        """The same of luminous flux, cd/m²."""
+        return self._by_direction(self.luminous_flux.scaled(MM2_PER_M2))
+
+    def _by_direction(self, flux: Sampled) -> tuple[np.ndarray, np.ndarray]:
         columns, rows = self._pixels
         n = self._directions
         area = 4 * self._half[0] * self._half[1] / (columns * rows)
-        found = self.flux.scaled(1 / (area * (2 / n) ** 2))
+        found = flux.scaled(1 / (area * (2 / n) ** 2))
         shape = rows, columns, n, n
         return found.value.reshape(shape), found.se.reshape(shape)
 

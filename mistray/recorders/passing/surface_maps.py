@@ -11,11 +11,10 @@ import mitsuba as mi
 import numpy as np
 import numpy.typing as npt
 
-from mistray.errors import MistrayError, nearest
-from mistray.ids import fits
+from mistray.errors import MistrayError
 from mistray.ranges import FILM_PIXELS, FILM_SIDE
 from mistray.recorders.film import groups_of
-from mistray.recorders.passing.cells import PassingLight
+from mistray.recorders.passing.cells import MM2_PER_M2, PassingLight, chosen_surfaces
 from mistray.recorders.recorder import Memory, Visit
 from mistray.recorders.sampled import Sampled
 from mistray.surfaces.families.cone import Cone
@@ -190,6 +189,11 @@ class SurfaceMaps(PassingLight):
         """See `Recorder.code`."""
         return type(self).__name__, self._shape, self.cells
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Cells along and across each surface."""
+        return self._shape
+
     def attach(self, scene: KernelScene) -> None:
         """Begin at zero."""
         table = scene.table
@@ -214,6 +218,12 @@ class SurfaceMaps(PassingLight):
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Add the flux of hits."""
+        cell, active = self.cell(visit)
+        self.add(visit.start, cell, visit.weight, active)
+        self.add(visit.start, cell + self._shape[0] * self._shape[1], dr.maximum(visit.absorbed, 0), active)
+
+    def cell(self, visit: Visit) -> tuple[mi.UInt32, mi.Bool]:
+        """Where what arrives at hits is summed, and whether they count; what is absorbed stands a map behind."""
         rows, columns = self._shape
         s, q = visit.surface, visit.interaction.local
         place = dr.gather(mi.UInt32, self._place, s, visit.active)
@@ -225,26 +235,14 @@ class SurfaceMaps(PassingLight):
         turn = dr.select(turn < 0, turn + 1, turn) * columns
         per_mm = dr.gather(mi.Float, self._across, s, active)
         column = dr.select(per_mm > 0, dr.fma(q.x, per_mm, 0.5 * columns), turn)
-        cell = (KINDS * (place - 1) * rows + _inside(row, rows)) * columns + _inside(column, columns)
-        self.add(visit.start, cell, visit.weight, active)
-        self.add(visit.start, cell + rows * columns, dr.maximum(visit.absorbed, 0), active)
+        return (KINDS * (place - 1) * rows + _inside(row, rows)) * columns + _inside(column, columns), active
 
     def _chosen(self, table: SurfaceTable) -> list[int]:
         """Numbers of the surfaces that the patterns name, in the order of the scene."""
         if not self.patterns:
             words = table.optics.host_words
             return [k for k in table.listed if (words[k] & (OPAQUE | MIRROR | DETECTOR)) == OPAQUE]
-        for pattern in self.patterns:
-            known = {*table.ids, *table.parts}
-            if not any(fits(name, pattern) for name in known):
-                raise MistrayError(
-                    f"{self._owner}: no surface or part is called '{pattern}'; {nearest(pattern, known)}"
-                )
-        return [
-            k
-            for k in table.listed
-            if any(fits(name, pattern) for name in (table.ids[k], table.parts[k]) for pattern in self.patterns)
-        ]
+        return chosen_surfaces(table, self.patterns, self._owner)
 
     def _find(self, table: SurfaceTable, names: list[str]) -> None:
         """Unroll the surfaces that the patterns name."""
@@ -292,7 +290,16 @@ class SurfaceMaps(PassingLight):
         MistrayError
             Before it was in a trace.
         """
-        flux = self.flux
+        return self.maps_of(self.flux)
+
+    @property
+    def illuminance(self) -> dict[str, tuple[Array, Array]]:
+        """Illuminance and its standard error, (rows, columns) each, lx, by the ids of the surfaces."""
+        found = self.maps_of(self.luminous_flux.scaled(MM2_PER_M2))
+        return {name: one.irradiance for name, one in found.items()}
+
+    def maps_of(self, flux: Sampled) -> dict[str, SurfaceMap]:
+        """The maps of flux by cell, (cells,), W, such as that of a part of the light."""
         shape = (len(self._unrolled), KINDS, *self._shape)
         value, apart = flux.value.reshape(shape), flux.apart.reshape(*shape, -1)
         found = {}

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import chain, cycle
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from mistray.report.figures.figure import Figure, legend_label, plain_axes
 from mistray.report.figures.palette import BLACK
 from mistray.report.figures.pst import SYMBOLS
 from mistray.report.figures.sweep import COLOURS, LEGEND, MARKERS
 from mistray.sweeps import PstSweep
+
+MARGIN = 0.04  # of the range of angles, beyond its ends
+DECADE, LEAST_RATIO = 10.0, 0.05
 
 
 def pst_sweep_figure(found: PstSweep, title: str = "") -> Figure:
@@ -32,6 +37,7 @@ def pst_sweep_figure(found: PstSweep, title: str = "") -> Figure:
     angles, one_angle = found.field_deg, len(found.field_deg) == 1
     places = np.arange(len(found.configurations), dtype=np.float64)
     looks = chain([(BLACK, "o")], zip(cycle(COLOURS[:-1]), cycle(MARKERS[1:]), strict=False))
+    drawn = [1.0]
     right.axhline(1.0, color=BLACK, lw=1.0)
     for place, name, (colour, marker) in zip(places, found.configurations, looks, strict=False):
         across = np.array([place]) if one_angle else angles
@@ -42,6 +48,7 @@ def pst_sweep_figure(found: PstSweep, title: str = "") -> Figure:
         if name != first:
             changes = [found.changed(name, float(angle)) for angle in angles]
             ratios = np.array([change.ratio for change in changes])
+            drawn += ratios[np.isfinite(ratios)].tolist()
             right.errorbar(across, ratios, yerr=[change.ratio_se for change in changes], **style)
     for axes in (left, right):
         plain_axes(axes, colour="#e3e3e3", below=True)
@@ -49,8 +56,11 @@ def pst_sweep_figure(found: PstSweep, title: str = "") -> Figure:
         if one_angle:
             axes.set_xticks(places, found.configurations, rotation=30, ha="right", fontsize=8)
             axes.set_xlim(-0.5, places[-1] + 0.5)
+        else:  # angles at which no light was seen belong to what was traced
+            axes.set_xlim(angles[0] - MARGIN * np.ptp(angles), angles[-1] + MARGIN * np.ptp(angles))
     if any((pst.curve("stray")[0] > 0).any() for pst in found.pst.values()):
         left.set_yscale("log")
+    _scale_ratios(right, drawn)
     left.set_ylabel(f"stray {SYMBOLS[found.pst[first].convention].partition(' = ')[0]} [1]")
     right.set_ylabel("after/before [1]")
     handles, labels = left.get_legend_handles_labels()
@@ -58,5 +68,19 @@ def pst_sweep_figure(found: PstSweep, title: str = "") -> Figure:
         figure.legend(handles, labels, loc="outside right upper", fontsize=8, frameon=False)
     at = f" at {angles[0]:g}°" if one_angle else ""
     figure.headed(title, f"stray PST{at} as it is and in {len(others)} configuration{'s' * (len(others) != 1)}")
-    figure.small_print("error bars: one standard error; of after/before: that of runs with the same random numbers")
+    dark = any((pst.curve("stray")[0] == 0).any() for pst in found.pst.values())
+    unseen = "; without a marker: no light was seen" if dark else ""
+    figure.small_print(
+        f"error bars: one standard error; of after/before: that of runs with the same random numbers{unseen}"
+    )
     return figure
+
+
+def _scale_ratios(axes: Axes, ratios: Sequence[float]) -> None:
+    """Decades where ratios span one, and no less than some percent about 1: noise shall not look like an effect."""
+    low, high = min(ratios), max(ratios)
+    if low > 0 and high / low > DECADE:
+        axes.set_yscale("log")
+        return
+    bottom, top = axes.get_ylim()
+    axes.set_ylim(min(bottom, 1 - LEAST_RATIO), max(top, 1 + LEAST_RATIO))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib import colormaps
@@ -16,6 +17,18 @@ COLUMNS = 3
 LABELS = {"azimuth": "azimuth [deg]", "x": "x [mm]", "z": "z [mm]", "radius": "radius [mm]", "y": "y [mm]"}
 
 
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """Irradiance by place, (rows, columns), W/mm², with what its axes are and the borders of its columns and rows."""
+
+    title: str
+    irradiance: np.ndarray
+    across: str
+    along: str
+    across_borders: np.ndarray
+    along_borders: np.ndarray
+
+
 def surface_maps_figure(maps: Sequence[SurfaceMap]) -> Figure:
     """
     Irradiance on surfaces, unrolled, log10 on a scale of its own for each.
@@ -25,16 +38,33 @@ def surface_maps_figure(maps: Sequence[SurfaceMap]) -> Figure:
     maps : sequence of SurfaceMap
         At least one.
     """
+    panels = [
+        Panel(one.surface, one.irradiance[0], one.across, one.along, one.across_borders, one.along_mm) for one in maps
+    ]
+    return panels_figure(panels, "irradiance of both sides; grey: less than the scale, or no ray")
+
+
+def panels_figure(maps: Sequence[Panel], small_print: str) -> Figure:
+    """
+    Irradiance by place, log10 on a scale of its own for each panel.
+
+    Parameters
+    ----------
+    maps : sequence of Panel
+        At least one.
+    small_print : str
+        What stands below.
+    """
     columns = min(COLUMNS, len(maps))
     rows = -(-len(maps) // columns)
     made = Figure(figsize=(3.5 * columns + 0.3, 2.6 * rows + 0.3), dpi=110, layout="constrained")
     panels = made.subplots(rows, columns, squeeze=False).ravel()
     colours = colormaps["inferno"].with_extremes(bad="#bbbbbb", under="#bbbbbb")
     for axes, one in zip(panels, maps, strict=False):
-        value = one.irradiance[0]
+        value = one.irradiance
         lit = value[value > 0]
-        across, along = one.across_borders, one.along_mm
-        axes.set_title(one.surface, fontsize=8.5, loc="left")
+        across, along = one.across_borders, one.along_borders
+        axes.set_title(one.title, fontsize=8.5, loc="left")
         axes.set_xlabel(LABELS[one.across], fontsize=8)
         axes.set_ylabel(LABELS[one.along], fontsize=8)
         axes.tick_params(labelsize=7.5)
@@ -53,9 +83,9 @@ def surface_maps_figure(maps: Sequence[SurfaceMap]) -> Figure:
             interpolation="nearest",
         )  # fmt: skip
         bar = made.colorbar(shown, ax=axes, pad=0.02)
-        bar.ax.tick_params(labelsize=7)
+        bar.ax.tick_params(labelsize=7, which="both")
         bar.set_label("W/mm²", fontsize=7.5)
     for axes in panels[len(maps) :]:
         axes.set_axis_off()
-    made.small_print("irradiance of both sides; grey: less than the scale, or no ray")
+    made.small_print(small_print)
     return made

@@ -13,7 +13,7 @@ from markupsafe import Markup
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.field_summary import FieldSummary
 from mistray.analysis.ghosts import GhostReport
-from mistray.analysis.path_maps import FieldMaps
+from mistray.analysis.maps.path_maps import FieldMaps
 from mistray.analysis.ranking import RANKS, rank_column
 from mistray.analysis.stray_levels import LEVELS
 from mistray.report.figures.layout import layout

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from matplotlib import colormaps
 from PIL import Image
 
-from mistray.analysis.path_maps import PathMap
+from mistray.analysis.maps.path_maps import PathMap
 
 STEPS_PER_DECADE, LOWEST_DECADE = 600, -100
 MOST_CODE = 65535

@@ -1,7 +1,7 @@
 """The part of a report that answers: the map of one path, its rays, its events, and what lights a box of the detector.
 
-The page holds a map of every path of a table in the cells of `mistray.analysis.path_maps`, and coarse maps of the other
-paths of the field; explorer.js draws them and adds up the light in a box.
+The page holds a map of every path of a table in the cells of `mistray.analysis.maps.path_maps`, and coarse maps of the
+other paths of the field; explorer.js draws them and adds up the light in a box.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mistray.analysis.ghosts import GhostReport
-from mistray.analysis.path_maps import FieldMaps
+from mistray.analysis.maps.path_maps import FieldMaps
 from mistray.recorders.path_events import INTERCEPTS, LETTERS
 from mistray.report.figures.layout import RAYS_DRAWN, glass_bodies, meridional, section, worst_paths
 from mistray.report.figures.plots import common_range

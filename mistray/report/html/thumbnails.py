@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mistray.analysis.irradiance import log_range
-from mistray.analysis.path_maps import PathMap
+from mistray.analysis.maps.path_maps import PathMap
 from mistray.files.irradiance_files import Extent
 from mistray.report.html.embedded import COLOURS, colour_table, palette_png
 

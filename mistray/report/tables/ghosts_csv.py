@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +91,11 @@ def filter_frame(report: GhostReport, selection: str) -> pd.DataFrame:
 def filter_rays(report: GhostReport, selection: str) -> pd.DataFrame:
     """Rays of all fields that pass a filter: field_deg, then the columns of `mistray.trace.Trace.rays`."""
     return _of_fields(report, lambda field: report[field].rays(selection))
+
+
+def rays_at_frame(report: GhostReport, where: Sequence[str], selection: str, n: int | None) -> pd.DataFrame:
+    """Rays of all fields that arrive somewhere: field_deg, then the columns of `mistray.trace.Trace.rays_at`."""
+    return _of_fields(report, lambda field: report[field].rays_at(where, selection, n=n))
 
 
 def alias_frame(report: GhostReport, aliases: Mapping[str, str] | str) -> pd.DataFrame:

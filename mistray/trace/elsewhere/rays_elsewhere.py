@@ -5,21 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.execute.tracer import Run
 from mistray.recorders.passing.elsewhere import ElsewhereRecorder
-from mistray.recorders.path_events import INTERCEPTS, Events
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.surfaces.optics import DETECTOR, OPAQUE
-from mistray.surfaces.upload import upload
-from mistray.trace.filter_rows import Rows, named_like, unknown_name
+from mistray.trace.elsewhere.arriving import kinds_and_keys, passing
+from mistray.trace.filter_rows import named_like, unknown_name
 from mistray.trace.history import Ray, RayHistory, rays_in_slots
 from mistray.trace.path_filter import PathFilter
-from mistray.trace.ray_table import portions
+from mistray.trace.ray_table import portions, recorded
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -46,6 +42,11 @@ def rays_elsewhere(
         if n is not None and len(rays) > n:
             rays = [rays[k] for k in np.linspace(0, len(rays) - 1, n).round().astype(int)]
         history = RayHistory(run, rays).to_pandas()
+        if rays:
+            kinds, keys = kinds_and_keys(run, [ray.codes for ray in rays])
+            number = history.ray.to_numpy(np.int64)
+            history.insert(2, "key", keys[number].tolist())
+            history.insert(2, "kind", kinds[number].tolist())
         history.insert(2, "source", run.source.name)
         history["ray"] += done
         done += len(rays)
@@ -72,9 +73,8 @@ def _ends(table: pd.DataFrame) -> pd.DataFrame:
 
 def _rays(run: Run, words: Sequence[str], wanted: PathFilter, n: int | None) -> Iterator[Ray]:
     """Rays of one run: enough, from growing portions of its start rays, each spread over the beam."""
+    check_where(words)
     departs = any(word in (ESCAPED, RETURNED) for word in words)
-    if departs and len(words) > 1:
-        raise MistrayError(f"where is {', '.join(words)}; give {ESCAPED} or {RETURNED} alone, or names of surfaces")
     chosen = np.zeros(run.table.count, dtype=bool) if departs else _chosen(run, words)
     recorder = ElsewhereRecorder(CAPACITY, run.settings.max_events, surfaces=chosen, departs=departs)
     found = 0
@@ -86,6 +86,13 @@ def _rays(run: Run, words: Sequence[str], wanted: PathFilter, n: int | None) -> 
             yield ray
         if n is not None and found >= n:
             return
+
+
+def check_where(words: Sequence[str]) -> list[str]:
+    """Refuse light that leaves together with light that arrives; gives the names of surfaces."""
+    if len(words) > 1 and any(word in (ESCAPED, RETURNED) for word in words):
+        raise MistrayError(f"where is {', '.join(words)}; give {ESCAPED} or {RETURNED} alone, or names of surfaces")
+    return [word for word in words if word not in ELSEWHERE]
 
 
 def _chosen(run: Run, words: Sequence[str]) -> np.ndarray:
@@ -103,48 +110,14 @@ def _chosen(run: Run, words: Sequence[str]) -> np.ndarray:
 
 
 def _walk(run: Run, start: StartRays, recorder: ElsewhereRecorder, wanted: PathFilter) -> Iterator[Ray]:
-    """Rays of some start rays that pass; where they have more branches than the recorder holds, in halves."""
-    recorder.clear()
-    run.trace_trees(start, recorder)
-    count, lanes = int(recorder.count[0]), dr.width(start.lane)
-    if count > recorder.capacity:
-        if lanes == 1:
-            raise MistrayError(
-                f"a single start ray has {count} branches, more than {recorder.capacity}; raise flux_threshold or "
-                "lower max_reflections or max_scatters"
-            )
-        for half in np.array_split(np.arange(lanes), 2):
-            yield from _walk(run, start.take(upload(mi.UInt32, half)), recorder, wanted)
-        return
-    lengths = np.array(recorder.length)[:count].astype(np.int64)
-    codes = np.array(recorder.codes).reshape(recorder.capacity, -1)[:count, : int(lengths.max(initial=1))]
-    codes = np.where(np.arange(codes.shape[1]) < lengths[:, None], codes, 0)
-    slots = _passing(run, wanted, codes, lengths)
-    slots = slots[np.argsort(np.array(recorder.lane)[slots], kind="stable")]
-    headings = np.array(recorder.heading).reshape(-1, 3)[slots].astype(np.float64)
-    rays = rays_in_slots(run, recorder, slots, *run.start_rays(np.array(recorder.lane)[slots]))
-    leaving = run.unit * np.array(recorder.weight)[slots]
-    for ray, heading, flux in zip(rays, headings, leaving, strict=True):
-        if recorder.departs:
-            ray.directions[-1], ray.flux_W[-1] = heading, flux
-        yield ray
-
-
-def _passing(run: Run, wanted: PathFilter, codes: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-    """Which branches a filter lets through; it knows their events, wavelength and source."""
-    table, count = run.table, len(codes)
-    last = codes[np.arange(count), lengths - 1].tolist()
-    columns = {
-        "wavelength_nm": np.full(count, run.source.wavelength_nm),
-        "source": np.full(count, run.source.name, dtype=object),
-        "type": np.array([INTERCEPTS[code & EVENT_MASK] for code in last], dtype=object),
-        "surface": np.array([table.event_ids[code >> EVENT_BITS] for code in last], dtype=object),
-    }
-    missing = wanted.columns - set(columns)
-    if missing:
-        raise MistrayError(
-            f"filter '{wanted.text}': of rays elsewhere than on the detector there is no '{min(missing)}'; compare "
-            f"{', '.join(columns)}, or use flags such as H(x)"
-        )
-    events = Events(codes, lengths, table.event_words, run.design)
-    return np.flatnonzero(wanted.holds(Rows(events, table.event_ids, table.event_parts, columns, table.count)))
+    """Rays of some start rays that pass."""
+    for count in recorded(run, start, recorder):
+        slots = np.flatnonzero(passing(run, [wanted], recorder, count)[0])
+        slots = slots[np.argsort(np.array(recorder.lane)[slots], kind="stable")]
+        headings = np.array(recorder.heading).reshape(-1, 3)[slots].astype(np.float64)
+        rays = rays_in_slots(run, recorder, slots, *run.start_rays(np.array(recorder.lane)[slots]))
+        leaving = run.unit * np.array(recorder.weight)[slots]
+        for ray, heading, flux in zip(rays, headings, leaving, strict=True):
+            if recorder.departs:
+                ray.directions[-1], ray.flux_W[-1] = heading, flux
+            yield ray

@@ -1,0 +1,165 @@
+"""What surfaces do with the light that meets them: absorbed, specular and scattered, reflected and transmitted."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.recorders.film import groups_of
+from mistray.recorders.passing.cells import PassingLight, chosen_surfaces
+from mistray.recorders.recorder import Memory, Visit
+from mistray.surfaces.upload import upload
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from mistray.kernel.kernel_scene import KernelScene
+
+SHARES = (
+    "incident", "absorbed", "specular_reflection", "specular_transmission", "scattered_reflection",
+    "scattered_transmission",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SplitRow:
+    """
+    What one surface does with the light that meets it; each with its standard error, W.
+
+    Attributes
+    ----------
+    surface, part : str
+    incident : (float, float)
+        Light that comes back counts again, and both sides count.
+    absorbed, specular_reflection, specular_transmission, scattered_reflection, scattered_transmission : (float, float)
+        They add up to `incident`. Totally reflected light is a specular reflection.
+    """
+
+    surface: str
+    part: str
+    incident: tuple[float, float]
+    absorbed: tuple[float, float]
+    specular_reflection: tuple[float, float]
+    specular_transmission: tuple[float, float]
+    scattered_reflection: tuple[float, float]
+    scattered_transmission: tuple[float, float]
+
+    @property
+    def closure(self) -> float:
+        """(sum of the shares - incident) / incident; 0 where there is no light."""
+        parts = sum(getattr(self, name)[0] for name in SHARES[1:])
+        return (parts - self.incident[0]) / self.incident[0] if self.incident[0] else 0.0
+
+
+class FluxSplit(PassingLight):
+    """
+    How surfaces share out the light that meets them.
+
+    It is given to `mistray.trace` among ``recorders``. The shares are those of the surface, R, T and TIS at the angle,
+    side and polarisation of each ray, whether the trace follows the light further or a limit cuts it. So they have no
+    noise of their own. Lenses, mirrors, walls, meshes and shapes of Mitsuba's own count alike.
+
+    Parameters
+    ----------
+    name : str
+        What the trace calls it, see `mistray.trace.Trace.recorders`.
+    surfaces : str or sequence of str
+        Patterns of ids of surfaces or of parts, with ``*``, ``?`` and ``[…]``; none: all surfaces.
+
+    Raises
+    ------
+    MistrayError
+        In the trace, for a pattern that names no surface.
+    """
+
+    kind, unit = "flux split", "W"
+
+    def __init__(self, name: str, surfaces: str | Sequence[str] = ()) -> None:
+        self.patterns = (surfaces,) if isinstance(surfaces, str) else tuple(surfaces)
+        self._owner = f"flux split '{name}'"
+        self._names: list[tuple[str, str]] = []
+        super().__init__(name, len(SHARES))
+
+    @property
+    def code(self) -> Hashable:
+        """See `Recorder.code`."""
+        return type(self).__name__, self.cells
+
+    def attach(self, scene: KernelScene) -> None:
+        """Begin at zero."""
+        table = scene.table
+        numbers = chosen_surfaces(table, self.patterns, self._owner) if self.patterns else list(table.listed)
+        names = [(table.ids[k], table.parts[k]) for k in numbers]
+        if self._flux is not None and names != self._names:
+            raise MistrayError(f"{self._owner} has recorded another scene; give each scene a recorder of its own")
+        self._names = names
+        self.cells = len(SHARES) * len(names)
+        self._groups = groups_of(self.cells)
+        super().attach(scene)
+        place = np.zeros(table.count, dtype=np.uint32)
+        place[numbers] = np.arange(1, len(numbers) + 1)
+        self._place, self._rims = upload(mi.UInt32, place), table.wall_rims
+
+    def visit(self, visit: Visit, memory: Memory) -> None:
+        """Add the shares of hits."""
+        it, given = visit.interaction, visit.shares
+        place = dr.gather(mi.UInt32, self._place, visit.surface, visit.active)
+        active = visit.active & (place > 0)
+        on = active
+        if self._rims.some:  # there walls take all light
+            on = active & ~self._rims.at_rim(visit.surface, it.local, active)
+        reflected, transmitted = it.R, it.T
+        if given is not None:
+            reflected, transmitted = it.R * given.reflection.kept, it.T * given.transmission.kept
+        cell = (place - 1) * len(SHARES)
+        self.add(visit.start, cell, visit.weight, active)
+        self.add(visit.start, cell + 1, dr.maximum(visit.absorbed, 0), active)
+        self.add(visit.start, cell + 2, visit.weight * reflected, on)
+        self.add(visit.start, cell + 3, visit.weight * transmitted, on)
+        if given is not None:
+            self.add(visit.start, cell + 4, visit.weight * given.reflection.scattered, on)
+            self.add(visit.start, cell + 5, visit.weight * given.transmission.scattered, on)
+
+    @property
+    def rows(self) -> list[SplitRow]:
+        """
+        The surfaces in the order of the scene.
+
+        Raises
+        ------
+        MistrayError
+            Before it was in a trace.
+        """
+        value, se = self.image
+        return [
+            SplitRow(surface, part, *zip(value[k].tolist(), se[k].tolist(), strict=True))
+            for k, (surface, part) in enumerate(self._names)
+        ]
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The rows as a table: surface, part, and of each share its flux ``_W`` and standard error ``_se_W``."""
+        import pandas as pd
+
+        value, se = self.image
+        table = pd.DataFrame(self._names, columns=["surface", "part"])
+        for k, name in enumerate(SHARES):
+            table[f"{name}_W"], table[f"{name}_se_W"] = value[:, k], se[:, k]
+        return table
+
+    @property
+    def power(self) -> tuple[float, float]:
+        """Flux that meets all of its surfaces and its standard error, W."""
+        total = self.flux[:: len(SHARES)].total()
+        return float(total.value), float(total.se)
+
+    @property
+    def image(self) -> tuple[np.ndarray, np.ndarray]:
+        """Flux of each surface and share, in the order of `SHARES`, and its standard error, (surfaces, 6) each, W."""
+        flux = self.flux
+        return flux.value.reshape(-1, len(SHARES)), flux.se.reshape(-1, len(SHARES))

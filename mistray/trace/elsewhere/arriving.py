@@ -1,0 +1,81 @@
+"""What a filter knows of branches that arrive anywhere or leave the scene, and which of them it lets through."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.execute.tracer import Run
+from mistray.recorders.branch_recorder import BranchRecorder
+from mistray.recorders.path_events import INTERCEPTS, Events, describe_events
+from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
+from mistray.trace.filter_rows import Rows
+from mistray.trace.path_filter import PathFilter
+
+# What `describe_events` says of a path; the others say where it ends, and where its light comes from
+OF_EVENTS = (
+    "key", "label", "events", "path", "order", "kind", "ghost_1", "ghost_2", "scatter_1", "edges", "scatters",
+    "diffractions", "structure_bounces", "tir", "objects", "unique_objects", "last_object", "critical",
+)  # fmt: skip
+COLUMNS = ("wavelength_nm", "source", "type", "surface", "detector", *OF_EVENTS)
+
+
+def check_columns(wanted: PathFilter) -> None:
+    """Refuse a filter that compares what only light on a detector has, such as its power."""
+    missing = wanted.columns - set(COLUMNS)
+    if missing:
+        raise MistrayError(
+            f"filter '{wanted.text}': of light elsewhere than on the detector there is no '{min(missing)}'; compare "
+            f"{', '.join(COLUMNS[:4])}, kind, order, scatters, or use flags such as H(x)"
+        )
+
+
+def branches(recorder: BranchRecorder, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Events (n, k), filled up with 0, and their numbers (n,) of the branches of a recorder."""
+    lengths = np.array(recorder.length)[:count].astype(np.int64)
+    codes = np.array(recorder.codes).reshape(recorder.capacity, -1)[:count, : int(lengths.max(initial=1))]
+    return np.where(np.arange(codes.shape[1]) < lengths[:, None], codes, 0), lengths
+
+
+def passing(run: Run, filters: Sequence[PathFilter], recorder: BranchRecorder, count: int) -> np.ndarray:
+    """Which branches of a recorder filters let through, (filters, n) bool; branches of one path are asked once."""
+    for wanted in filters:
+        check_columns(wanted)
+    codes, lengths = branches(recorder, count)
+    _, first, path = np.unique(np.array(recorder.path)[:count], return_index=True, return_inverse=True)
+    rows = _rows(run, codes[first], lengths[first], frozenset().union(*(wanted.columns for wanted in filters)))
+    held = np.array([wanted.holds(rows) for wanted in filters]).reshape(len(filters), len(first))
+    return np.asarray(held[:, path.ravel()])
+
+
+def kinds_and_keys(run: Run, events: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Class and key of event lists, as path tables have them, (n,) each."""
+    lengths = np.array([len(one) for one in events], dtype=np.int64)
+    codes = np.zeros((len(events), int(lengths.max(initial=1))), dtype=np.uint32)
+    for row, one in zip(codes, events, strict=True):
+        row[: len(one)] = one
+    unique, path = np.unique(np.column_stack([codes, lengths]), axis=0, return_inverse=True)
+    table = run.table
+    facts = describe_events(
+        unique[:, :-1].astype(np.uint32), unique[:, -1].astype(np.int64), table.event_ids, table.event_words, run.design
+    )
+    return facts["kind"][path.ravel()], facts["key"][path.ravel()]
+
+
+def _rows(run: Run, codes: np.ndarray, lengths: np.ndarray, columns: frozenset[str]) -> Rows:
+    table, count = run.table, len(codes)
+    last = codes[np.arange(count), lengths - 1].tolist()
+    ends = np.array([table.event_ids[code >> EVENT_BITS] for code in last], dtype=object)
+    found = {
+        "wavelength_nm": np.full(count, run.source.wavelength_nm),
+        "source": np.full(count, run.source.name, dtype=object),
+        "type": np.array([INTERCEPTS[code & EVENT_MASK] for code in last], dtype=object),
+        "surface": ends,
+        "detector": ends,
+    }
+    if columns & set(OF_EVENTS):
+        found |= describe_events(codes, lengths, table.event_ids, table.event_words, run.design)
+    events = Events(codes, lengths, table.event_words, run.design)
+    return Rows(events, table.event_ids, table.event_parts, found, table.count)

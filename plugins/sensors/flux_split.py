@@ -1,0 +1,54 @@
+"""Plugin `flux_split`: what surfaces do with the light that meets them."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+
+from mistray.errors import MistrayError
+from mistray.plugins.sensors.passing_sensor import PassingSensor
+from mistray.recorders.passing.flux_split import FluxSplit
+
+
+class FluxSplitSensor(PassingSensor):
+    r"""
+    Split of flux (:monosp:`flux_split`): what surfaces absorb, reflect, transmit and scatter.
+
+    It stands at the top of the scene. Each `mistray.trace` of the scene has a `mistray.recorders.FluxSplit` under the
+    id of the sensor. ``mi.render`` with the ``straylight`` integrator gives (surfaces, 6, 1) in W: incident, absorbed,
+    specular reflection and transmission, scattered reflection and transmission.
+
+    ========== ====== ========= ======= =========================================================================
+    parameter  unit   range     default meaning
+    ========== ====== ========= ======= =========================================================================
+    surfaces   string           all     patterns of ids of surfaces or of parts, with blanks between
+    ========== ====== ========= ======= =========================================================================
+
+    It is not differentiable. Traces by workers refuse scenes with it; Mitsuba's own integrators cannot render it.
+
+    .. code-block:: xml
+
+        <sensor type="flux_split" id="split">
+            <string name="surfaces" value="barrel* L1_*"/>
+        </sensor>
+
+    .. code-block:: python
+
+        {"type": "flux_split", "surfaces": "barrel* L1_*"}
+    """
+
+    what = "flux split"
+
+    def __init__(self, props: mi.Properties) -> None:
+        if "to_world" in props:
+            raise MistrayError(
+                f"{self.what} '{props.id()}': it has to_world, but surfaces have their own place; leave it out"
+            )
+        super().__init__(props)
+        self.surfaces = tuple(str(props.get("surfaces", "")).split())
+
+    def recorder(self) -> FluxSplit:
+        """See `PassingSensor.recorder`."""
+        return FluxSplit(self.name, self.surfaces)
+
+
+mi.register_sensor("flux_split", lambda props: FluxSplitSensor(props))
