@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.arguments import FIELD_ANGLES
-from mistray.cli.claims import claim_files
 from mistray.cli.command import Command, Group, Option, angles
 from mistray.cli.options import Options
 from mistray.cli.progress import terminal_bar
@@ -27,6 +26,7 @@ from mistray.cli.shared import (
     TIME,
     output,
     ray_tree,
+    saved_run,
 )
 from mistray.errors import MistrayError
 from mistray.percent import percent_text
@@ -93,11 +93,7 @@ COMMAND = Command(
                  TIME, NEXT_ORDER, SCHEDULER),
         SURFACES,
         SCATTER,
-        Group("saved run (not with --method forward)", (
-            Option("--state", f"what is finished, renewed as the run goes on ({STATE} in --out)", Path, "FILE",
-                   writes=()),
-            Option("--resume", "go on from the saved run", bool),
-        )),
+        saved_run(STATE, " (not with --method forward)"),
         output("report.html, CSV, JSON and PNG files", FILES,
                Option("--paths-shown", "strongest stray paths of each angle; 0: no paths (4)", ROWS, "N", default=4),
                angles("--map-field-deg", "field angles of irradiance maps of the detector (need --out)", PST_FIELD_DEG,
@@ -122,7 +118,7 @@ def run(options: Options) -> int:
     angles_deg = FIELD_ANGLES if options.field_deg is None else options.field_deg
     grid = DirectionGrid.of(angles_deg, options.azimuths_deg, options.cell_deg, options.azimuth_cell_deg)
     maps_at, shown = _maps_at(options, grid), options.paths_shown
-    state = _state(options)
+    state = None if options.method == "forward" else options.saved_run(STATE)
     scene = options.load()
     passes: list[PstProgress] = []
     saved = SavedRun(state, lambda: _so_far(passes), options.resume)
@@ -176,8 +172,7 @@ def _check(options: Options) -> None:
     if options.method == "forward":
         why = " with --method forward, which cannot go on from a saved run"
         options.refuse(["resume", "state"], why)
-    if options.resume and options.state is None and options.out is None:
-        raise MistrayError("--resume needs the saved run; give --state FILE, or the --out DIR of that run")
+    options.check_resume()
 
 
 def _maps(found: Pst, options: Options, maps_at: list[tuple[float, float]]) -> dict[str, IrradianceMap]:
@@ -205,22 +200,6 @@ def _maps_at(options: Options, grid: DirectionGrid) -> list[tuple[float, float]]
     for direction in directions:
         grid.nearest(*direction)
     return directions
-
-
-def _state(options: Options) -> Path | None:
-    """File of the saved run: the one given, else one in the output directory; None: nothing is saved."""
-    path = options.state
-    if path is None and options.out is not None and options.method != "forward":
-        path = options.out / STATE
-    if path is None:
-        return None
-    if options.state is not None:
-        claim_files(options, path)
-    if path.is_dir():
-        raise MistrayError(f"--state {path} is a directory; name a file")
-    if options.resume and not path.exists():
-        raise MistrayError(f"--resume: there is no saved run '{path}'; run without --resume first")
-    return Path(path)
 
 
 def _so_far(passes: list[PstProgress]) -> str:
