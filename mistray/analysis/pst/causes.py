@@ -11,6 +11,7 @@ import pandas as pd
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.pst.result import Pst
+from mistray.recorders.path_events import DIRECT
 from mistray.renamed import renamed
 
 GHOSTS = "ghosts"
@@ -83,11 +84,14 @@ def cause_frame(pst: Pst) -> pd.DataFrame:
 
 
 def _cause_frame(pst: Pst) -> pd.DataFrame:
-    shares = {}
-    for angle in pst.field_deg:
-        rows = with_cause(stray_paths(pst, angle))
-        shares[angle] = rows.percent_of_stray.groupby(rows.cause).sum()
-    table = pd.DataFrame(shares).T.reindex(pst.field_deg).fillna(0.0)
+    if pst.path_rows is None or not len(pst.path_rows):
+        return pd.DataFrame(index=pst.field_deg)
+    rows = with_cause(pst.path_rows[pst.path_rows.kind != DIRECT])
+    # Of the mean over the azimuths; as a share it is the same in any convention
+    stray = pst.to("normal").stray[rows.cell] * pst.grid.shape[1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = (100 * rows.pst_normal / stray).groupby([rows.cell, rows.cause]).sum()
+    table = shares.unstack().reindex(range(len(pst.field_deg))).fillna(0.0).set_axis(pst.field_deg)
     return table[table.max().sort_values(ascending=False, kind="stable").index]
 
 

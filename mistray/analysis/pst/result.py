@@ -244,12 +244,22 @@ class Pst:
         """What `paths` has made, by cell: a report asks for each of them ten times."""
         return {}
 
+    @cached_property
+    def _levels(self) -> tuple[np.ndarray, np.ndarray]:
+        """Stray and all light of the cells, (n, m) each."""
+        return self.map("stray")[0], self.map()[0]
+
+    @cached_property
+    def _rows_of_cell(self) -> dict[tuple[int, int], np.ndarray]:
+        """Numbers of the rows of `path_rows`, by cell."""
+        return {} if self.path_rows is None else dict(self.path_rows.groupby(["cell", "azimuth_cell"]).indices)
+
     def _paths_of(self, rows: pd.DataFrame, i: int, j: int) -> pd.DataFrame:
         """The table of `paths` of a cell."""
-        rows = rows[(rows.cell == i) & (rows.azimuth_cell == j)]
+        rows = rows.iloc[self._rows_of_cell.get((i, j), np.empty(0, dtype=np.intp))]
         rows = rows.sort_values("pst_normal", ascending=False, kind="stable", ignore_index=True)
         factor = self._factor[i]
-        stray, total = self.map("stray")[0][i, j], self.map()[0][i, j]
+        stray, total = (level[i, j] for level in self._levels)
         rows = rows.assign(pst=factor * rows.pst_normal, pst_se=factor * rows.pst_normal_se)
         is_stray = rows.kind != DIRECT
         with np.errstate(divide="ignore", invalid="ignore"):

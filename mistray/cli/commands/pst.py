@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from mistray.analysis.pst.state import PstProgress
     from mistray.recorders.directions import DirectionGrid
     from mistray.report import IrradianceMap
+    from mistray.report.model import Report
 
 MAP_PIXELS = 64
 PAGE_S = 6.0  # of the report, see `Options.seconds_left`: two figures are drawn twice, as PNG and for the page
@@ -112,7 +113,6 @@ def run(options: Options) -> int:
     options.start()
     from mistray.analysis.pst.transmittance import pst
     from mistray.recorders.directions import DirectionGrid
-    from mistray.report.pst_output import pst_report
     from mistray.report.tables.pst import pst_record, pst_text
 
     angles_deg = FIELD_ANGLES if options.field_deg is None else options.field_deg
@@ -151,7 +151,13 @@ def run(options: Options) -> int:
                 **options.spectral_settings(),
             )
         maps = _maps(found, options, maps_at) if options.formats else {}
-        files = options.write(lambda title, command: pst_report(found, title, command, shown, maps_at), maps=maps)
+
+        def page(title: str, command: str) -> Report:
+            from mistray.report.pst_output import pst_report  # imports what draws
+
+            return pst_report(found, title, command, shown, maps_at)
+
+        files = options.write(page, maps=maps)
     return saved.code or options.show(lambda: pst_record(found, shown), lambda: pst_text(found, shown), files)
 
 
