@@ -84,9 +84,10 @@ def cause_frame(pst: Pst) -> pd.DataFrame:
 
 
 def _cause_frame(pst: Pst) -> pd.DataFrame:
-    if pst.path_rows is None or not len(pst.path_rows):
+    listed = pst.path_rows
+    if listed is None or (listed.kind == DIRECT).all():
         return pd.DataFrame(index=pst.field_deg)
-    rows = with_cause(pst.path_rows[pst.path_rows.kind != DIRECT])
+    rows = with_cause(listed[listed.kind != DIRECT])
     # Of the mean over the azimuths; as a share it is the same in any convention
     stray = pst.to("normal").stray[rows.cell] * pst.grid.shape[1]
     with np.errstate(divide="ignore", invalid="ignore"):

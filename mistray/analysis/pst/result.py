@@ -250,7 +250,7 @@ class Pst:
         rows = self.path_rows
         assert rows is not None  # `paths` asks for it
         rows = rows.sort_values("pst_normal", ascending=False, kind="stable", ignore_index=True)
-        i, j = rows.cell.to_numpy(), rows.azimuth_cell.to_numpy()
+        i, j = (rows[name].to_numpy(dtype=np.intp) for name in ("cell", "azimuth_cell"))
         stray, total = self.map("stray")[0][i, j], self.map()[0][i, j]
         factor = self._factor[i]
         rows = rows.assign(pst=factor * rows.pst_normal, pst_se=factor * rows.pst_normal_se)
