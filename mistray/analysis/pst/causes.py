@@ -261,10 +261,15 @@ def main_cause(pst: Pst) -> MainCause | None:
     if pst.path_rows is None:
         return None
     parts = []
-    for angle, (first, last) in zip(pst.field_deg, np.radians(pst.grid.edges_deg), strict=True):
+    lit = set(pst.path_rows.cell)
+    for cell, (angle, (first, last)) in enumerate(zip(pst.field_deg, np.radians(pst.grid.edges_deg), strict=True)):
+        if cell not in lit:
+            continue
         rows = with_cause(stray_paths(pst, angle))
         part = rows.assign(square=rows.pst_se**2).groupby("cause", as_index=False)[["pst", "square"]].sum()
         parts.append(part.assign(angle=float(angle), sky=2 * np.pi * (np.cos(first) - np.cos(last))))
+    if not parts:
+        return None
     every = pd.concat(parts, ignore_index=True)
     every = every.assign(light=every.pst * every.sky, light_square=every.square * every.sky**2)
     sums = every.groupby("cause")[["light", "light_square"]].sum()
