@@ -84,7 +84,7 @@ class TestSensitivity:
         names = {path.name for path in out.iterdir()}
         assert names == {"sensitivity.csv", "propagation.csv", "draws.csv", "sensitivity.json", "ranking.png",
                          "monte_carlo.png", "report.html", "sensitivity.parquet", "propagation.parquet",
-                         "draws.parquet"}  # fmt: skip
+                         "draws.parquet", "sensitivity_state.npz"}  # fmt: skip
         draws = pd.read_parquet(out / "draws.parquet")
         assert draws.ratio.tolist() == pytest.approx(pd.read_csv(out / "draws.csv").ratio.tolist(), rel=1e-8)
         table = pd.read_csv(out / "sensitivity.csv")
@@ -104,6 +104,21 @@ class TestSensitivity:
         assert record["monte_carlo"] is None
         assert record["together"]["traced"] is None
         assert record["files"] == []
+
+    def test_a_time_and_a_saved_run(self, capsys: Any, plate: str, tmp_path: Path) -> None:
+        """What had no time is told in text and JSON; the run goes on in its folder, and needs a state for that."""
+        out = str(tmp_path / "out")
+        command = ["sensitivity", plate, "--parameter", "p0_*.bsdf.[RT]", "--rays", "2e6", "--out", out, "--json"]
+        code, printed, _ = run(capsys, *command, "--monte-carlo", "100000", "--seconds", "5")
+        short = json.loads(printed)
+        assert code == 0
+        assert any("perturbed systems" in text for text in short["not_traced"])
+        assert f"{out}/sensitivity.json" in short["files"]
+        code, printed, _ = run(capsys, *command, "--monte-carlo", "3", "--seconds", "0.1", "--resume")
+        assert code == 0
+        assert json.loads(printed)["metric"] == short["metric"]
+        assert "give --state FILE" in run(capsys, "sensitivity", plate, *FEW, "--resume")[2]
+        assert "no saved run" in run(capsys, "sensitivity", plate, *FEW, "--resume", "--out", f"{out}2")[2]
 
     def test_a_kind(self, capsys: Any, plate: str) -> None:
         code, printed, _ = run(

@@ -132,6 +132,26 @@ class Options(argparse.Namespace):
         claim_files(self, output)
         return output
 
+    def check_resume(self) -> None:
+        """Refuse --resume where nothing says what to go on with."""
+        if self.resume and self.state is None and self.out is None:
+            raise MistrayError("--resume needs the saved run; give --state FILE, or the --out DIR of that run")
+
+    def saved_run(self, name: str) -> Path | None:
+        """File of the saved run: the one of --state, else one in the folder of --out; None: nothing is saved."""
+        path = self.state
+        if path is None:
+            if self.out is None:
+                return None
+            path = self.out / name
+        else:
+            claim_files(self, path)
+        if path.is_dir():
+            raise MistrayError(f"--state {path} is a directory; name a file")
+        if self.resume and not path.exists():
+            raise MistrayError(f"--resume: there is no saved run '{path}'; run without --resume first")
+        return Path(path)
+
     def check_pictures(self, *names: str) -> None:
         """Refuse pictures of other formats."""
         for path in self.given(*names).values():

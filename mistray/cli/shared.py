@@ -89,6 +89,14 @@ FORCE = Option("--force", "replace existing files; never one that is read", bool
 # fmt: on
 
 
+def saved_run(name: str, when: str = "") -> Group:
+    """The file of a run that a later one goes on with; `name` is that in --out, `when` restricts it."""
+    state = Option(
+        "--state", f"what is finished, renewed as the run goes on ({name} in --out)", Path, "FILE", writes=()
+    )
+    return Group(f"saved run{when}", (state, Option("--resume", "go on from the saved run", bool)))
+
+
 def output(
     files: str, names: Sequence[str], *more: Option, shown: str = "tables", formats: Sequence[str] = ()
 ) -> Group:

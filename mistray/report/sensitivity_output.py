@@ -165,7 +165,8 @@ def draws_lines(draws: Draws) -> list[str]:
 
 def notes(result: Sensitivity) -> list[str]:
     """What a reader must know before trusting the numbers."""
-    found = [f"not in the derivatives: {text}" for text in result.left_out]
+    found = [f"not traced, for the time was up: {', '.join(result.not_traced)}"] if result.not_traced else []
+    found += [f"not in the derivatives: {text}" for text in result.left_out]
     if result.without_derivative:
         names = ", ".join(result.without_derivative[:KEYS_NAMED])
         more = len(result.without_derivative) - KEYS_NAMED
@@ -223,6 +224,7 @@ def sensitivity_record(result: Sensitivity) -> dict[str, Any]:
         if draws is None
         else {
             "systems": len(draws.ratios),
+            "requested": draws.requested,
             "deviation": _estimate(draws.deviation),
             "predicted_deviation": draws.predicted_deviation,
             "mean": _estimate(draws.mean),
@@ -230,6 +232,7 @@ def sensitivity_record(result: Sensitivity) -> dict[str, Any]:
             "unexplained": draws.unexplained,
             "rejected": draws.rejected,
         },
+        "not_traced": result.not_traced,
         "left_out": result.left_out,
         "edge_width": result.edge_width,
         "without_derivative": result.without_derivative,

@@ -140,6 +140,9 @@ def chosen_polarization(
         return PolarizationChoice(settings.polarization, "as given")
     if names := polarized_sources(scene):
         return PolarizationChoice("stokes", f"source '{names[0]}' is polarised")
+    coatings = (getattr(shape.bsdf(), "coating", None) for shape in scene.shapes())
+    if all(coating is None or isinstance(coating, Ideal) for coating in coatings):  # asks no table, nor for targets
+        return PolarizationChoice("unpolarized", "no surface tells s from p", 0.0)
     settings = replace(settings, polarization="unpolarized")
     runs: list[tuple[str, Run]] = []
     for beam in _spread(beams, MOST_RUNS):

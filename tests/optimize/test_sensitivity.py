@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import time
+from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
@@ -19,6 +21,7 @@ from mistray.optimize.scene_values import changed
 from mistray.optimize.tolerances import draws
 from mistray.optimize.tolerances.proposals import free_keys
 from mistray.optimize.tolerances.sensitivity import sensitivity
+from mistray.report.sensitivity_output import notes
 
 R, T = 0.1, 0.8
 RS, TS = [[f"p0_{face}.bsdf.{name}" for face in ("front", "rear")] for name in "RT"]
@@ -257,3 +260,63 @@ def test_the_scene_is_as_it_was(plate: Any, table: Any) -> None:
     params = mi.traverse(plate)
     assert [float(params[key][0]) for key in (*RS, *TS)] == pytest.approx([R, R, T, T], rel=1e-6)
     assert dataclasses.is_dataclass(table)
+
+
+class TestInTime:
+    """With all rays of a metric the results are those of one run; with fewer, of a metric that has fewer."""
+
+    def test_a_saved_run_goes_on(self, plate: Any, table: Any, tmp_path: Path) -> None:
+        """To the bit, with more systems than it had, after an interrupt, and with nothing left to do."""
+        metric = path_power(plate, "ghost", **SETTINGS)
+        saved: dict[str, Any] = {"keys": [*RS, *TS], "state": tmp_path / "state.npz"}
+
+        def interrupt(done: float, _: float) -> None:
+            if done == 1 + 8 + 7:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            mistray.sensitivity(metric, monte_carlo=40, progress=interrupt, **saved)
+        traced: list[float] = []
+        whole = metric.function
+        counting = dataclasses.replace(metric, function=lambda seen: (traced.append(1.0), whole(seen))[1])
+        for systems, traces in ((12, 1 + 1 + 5), (40, 1 + 1 + 28), (40, 1 + 1)):  # the metric again, the nominal one
+            found = mistray.sensitivity(counting, monte_carlo=systems, resume=True, **saved)
+            assert found.draws.ratios.tolist() == table.draws.ratios[:systems].tolist()
+            assert len(traced) == traces
+            traced.clear()
+        assert found.to_pandas().equals(table.to_pandas())
+        assert found.value == table.value
+        assert repr(found.together) == repr(table.together)  # with NaN
+        assert found.not_traced == ()
+
+    @pytest.mark.parametrize(
+        ("change", "words"),
+        [({"rays": 128}, "settings.rays was 256 and is 128"), ({"selection": "all"}, "the metric was .* and is")],
+    )
+    def test_a_state_of_another_run(self, plate: Any, tmp_path: Path, change: dict[str, Any], words: str) -> None:
+        saved: dict[str, Any] = {"keys": RS, "check": False, "state": tmp_path / "state.npz"}
+        mistray.sensitivity(path_power(plate, **{"selection": "ghost", **SETTINGS}), **saved)
+        with pytest.raises(MistrayError, match=words):
+            mistray.sensitivity(path_power(plate, **{"selection": "ghost", **SETTINGS, **change}), resume=True, **saved)
+
+    def test_what_has_no_time_is_listed(self, plate: Any, tmp_path: Path) -> None:
+        """The closed form from fewer rays; systems that are not traced are not there; going on traces them."""
+        metric = path_power(plate, "ghost", rays=2_000_000, max_reflections=2)
+        saved: dict[str, Any] = {"keys": [*RS, *TS], "state": tmp_path / "state.npz"}
+        began = time.monotonic()
+        found = mistray.sensitivity(metric, monte_carlo=100_000, seconds=5, **saved)
+        assert time.monotonic() - began < 15  # on a machine that others use too
+        share = found.facts["share of the rays"]
+        assert 0 < share < 1
+        assert found[RS[0]].derivative.value == pytest.approx(T * R * T, rel=1e-5)
+        assert any("of the rays" in text for text in found.not_traced)
+        assert any("of 100000 perturbed systems" in text for text in found.not_traced)
+        assert "not traced, for the time was up" in "\n".join(notes(found))
+        more = mistray.sensitivity(metric, monte_carlo=100_000, seconds=1, resume=True, **saved)
+        assert more.facts["share of the rays"] == share
+        traced = 0 if more.draws is None else len(more.draws.ratios)
+        fewer = path_power(plate, "ghost", rays=round(share * 2_000_000), max_reflections=2)
+        few = mistray.sensitivity(fewer, keys=[*RS, *TS], monte_carlo=5)
+        assert few.value == pytest.approx(more.value, rel=1e-6)
+        if more.draws is not None:  # on a machine that is very busy there may be none
+            assert more.draws.ratios[:5] == pytest.approx(few.draws.ratios[:traced], rel=1e-6)

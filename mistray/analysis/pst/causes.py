@@ -11,6 +11,7 @@ import pandas as pd
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.pst.result import Pst
+from mistray.recorders.path_events import DIRECT
 from mistray.renamed import renamed
 
 GHOSTS = "ghosts"
@@ -83,11 +84,15 @@ def cause_frame(pst: Pst) -> pd.DataFrame:
 
 
 def _cause_frame(pst: Pst) -> pd.DataFrame:
-    shares = {}
-    for angle in pst.field_deg:
-        rows = with_cause(stray_paths(pst, angle))
-        shares[angle] = rows.percent_of_stray.groupby(rows.cause).sum()
-    table = pd.DataFrame(shares).T.reindex(pst.field_deg).fillna(0.0)
+    listed = pst.path_rows
+    if listed is None or (listed.kind == DIRECT).all():
+        return pd.DataFrame(index=pst.field_deg)
+    rows = with_cause(listed[listed.kind != DIRECT])
+    # Of the mean over the azimuths; as a share it is the same in any convention
+    stray = pst.to("normal").stray[rows.cell] * pst.grid.shape[1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = (100 * rows.pst_normal / stray).groupby([rows.cell, rows.cause]).sum()
+    table = shares.unstack().reindex(range(len(pst.field_deg))).fillna(0.0).set_axis(pst.field_deg)
     return table[table.max().sort_values(ascending=False, kind="stable").index]
 
 
@@ -256,10 +261,15 @@ def main_cause(pst: Pst) -> MainCause | None:
     if pst.path_rows is None:
         return None
     parts = []
-    for angle, (first, last) in zip(pst.field_deg, np.radians(pst.grid.edges_deg), strict=True):
+    lit = set(pst.path_rows.cell)
+    for cell, (angle, (first, last)) in enumerate(zip(pst.field_deg, np.radians(pst.grid.edges_deg), strict=True)):
+        if cell not in lit:
+            continue
         rows = with_cause(stray_paths(pst, angle))
         part = rows.assign(square=rows.pst_se**2).groupby("cause", as_index=False)[["pst", "square"]].sum()
         parts.append(part.assign(angle=float(angle), sky=2 * np.pi * (np.cos(first) - np.cos(last))))
+    if not parts:
+        return None
     every = pd.concat(parts, ignore_index=True)
     every = every.assign(light=every.pst * every.sky, light_square=every.square * every.sky**2)
     sums = every.groupby("cause")[["light", "light_square"]].sum()

@@ -46,8 +46,9 @@ def with_next_orders(scene: mi.Scene, first: Pst, seconds: float, measure: Calla
     limits = next_limits(settings, table)
     timed = first.method != "forward" or current_workers() is None  # parts of workers are not
     found: list[tuple[Pst, NextOrder]] = []
+    prepared = seconds - float(facts["seconds"])  # what the first one took but for its passes
     for limit, allowed in limits.items():
-        if left() < LEAST_SHARE * seconds:
+        if left() < max(LEAST_SHARE * seconds, prepared):
             first.facts["notes"] = [*first.facts["notes"], f"the time was up before {limit} = {allowed} was measured"]
             continue
         with within(seconds / len(limits)) if timed else contextlib.nullcontext():

@@ -235,7 +235,7 @@ class Pst:
             raise MistrayError("this PST was computed without paths; ask for them with paths=True")
         cell = self.grid.nearest(field_deg, azimuth_deg)
         if cell not in self._path_tables:
-            self._path_tables[cell] = self._paths_of(self.path_rows, *cell)
+            self._path_tables[cell] = self._paths_of(*cell)
         rows = self._path_tables[cell]
         return rows.copy() if n is None else rows.head(n)
 
@@ -244,18 +244,26 @@ class Pst:
         """What `paths` has made, by cell: a report asks for each of them ten times."""
         return {}
 
-    def _paths_of(self, rows: pd.DataFrame, i: int, j: int) -> pd.DataFrame:
-        """The table of `paths` of a cell."""
-        rows = rows[(rows.cell == i) & (rows.azimuth_cell == j)]
+    @cached_property
+    def _listed(self) -> tuple[pd.DataFrame, dict[tuple[int, int], np.ndarray]]:
+        """The tables of `paths` of all cells in one, and the numbers of the rows of each cell."""
+        rows = self.path_rows
+        assert rows is not None  # `paths` asks for it
         rows = rows.sort_values("pst_normal", ascending=False, kind="stable", ignore_index=True)
-        factor = self._factor[i]
+        i, j = (rows[name].to_numpy(dtype=np.intp) for name in ("cell", "azimuth_cell"))
         stray, total = self.map("stray")[0][i, j], self.map()[0][i, j]
+        factor = self._factor[i]
         rows = rows.assign(pst=factor * rows.pst_normal, pst_se=factor * rows.pst_normal_se)
-        is_stray = rows.kind != DIRECT
         with np.errstate(divide="ignore", invalid="ignore"):
-            rows["percent_of_stray"] = np.where(is_stray, 100 * rows.pst / stray, np.nan)
+            rows["percent_of_stray"] = np.where(rows.kind != DIRECT, 100 * rows.pst / stray, np.nan)
             rows["percent_of_all"] = 100 * rows.pst / total
-        return rows.drop(columns=["cell", "azimuth_cell", "pst_normal", "pst_normal_se"])
+        cells = dict(rows.groupby(["cell", "azimuth_cell"]).indices)
+        return rows.drop(columns=["cell", "azimuth_cell", "pst_normal", "pst_normal_se"]), cells
+
+    def _paths_of(self, i: int, j: int) -> pd.DataFrame:
+        """The table of `paths` of a cell."""
+        rows, cells = self._listed
+        return rows.iloc[cells.get((i, j), np.empty(0, dtype=np.intp))].reset_index(drop=True)
 
     def budget(
         self, field_deg: float, azimuth_deg: float = 0.0, classes: str | Sequence[str] = "total"

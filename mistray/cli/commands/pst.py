@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.arguments import FIELD_ANGLES
-from mistray.cli.claims import claim_files
 from mistray.cli.command import Command, Group, Option, angles
 from mistray.cli.options import Options
 from mistray.cli.progress import terminal_bar
@@ -27,6 +26,7 @@ from mistray.cli.shared import (
     TIME,
     output,
     ray_tree,
+    saved_run,
 )
 from mistray.errors import MistrayError
 from mistray.percent import percent_text
@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from mistray.analysis.pst.state import PstProgress
     from mistray.recorders.directions import DirectionGrid
     from mistray.report import IrradianceMap
+    from mistray.report.model import Report
 
 MAP_PIXELS = 64
 PAGE_S = 6.0  # of the report, see `Options.seconds_left`: two figures are drawn twice, as PNG and for the page
@@ -93,11 +94,7 @@ COMMAND = Command(
                  TIME, NEXT_ORDER, SCHEDULER),
         SURFACES,
         SCATTER,
-        Group("saved run (not with --method forward)", (
-            Option("--state", f"what is finished, renewed as the run goes on ({STATE} in --out)", Path, "FILE",
-                   writes=()),
-            Option("--resume", "go on from the saved run", bool),
-        )),
+        saved_run(STATE, " (not with --method forward)"),
         output("report.html, CSV, JSON and PNG files", FILES,
                Option("--paths-shown", "strongest stray paths of each angle; 0: no paths (4)", ROWS, "N", default=4),
                angles("--map-field-deg", "field angles of irradiance maps of the detector (need --out)", PST_FIELD_DEG,
@@ -116,13 +113,12 @@ def run(options: Options) -> int:
     options.start()
     from mistray.analysis.pst.transmittance import pst
     from mistray.recorders.directions import DirectionGrid
-    from mistray.report.pst_output import pst_report
     from mistray.report.tables.pst import pst_record, pst_text
 
     angles_deg = FIELD_ANGLES if options.field_deg is None else options.field_deg
     grid = DirectionGrid.of(angles_deg, options.azimuths_deg, options.cell_deg, options.azimuth_cell_deg)
     maps_at, shown = _maps_at(options, grid), options.paths_shown
-    state = _state(options)
+    state = None if options.method == "forward" else options.saved_run(STATE)
     scene = options.load()
     passes: list[PstProgress] = []
     saved = SavedRun(state, lambda: _so_far(passes), options.resume)
@@ -155,7 +151,13 @@ def run(options: Options) -> int:
                 **options.spectral_settings(),
             )
         maps = _maps(found, options, maps_at) if options.formats else {}
-        files = options.write(lambda title, command: pst_report(found, title, command, shown, maps_at), maps=maps)
+
+        def page(title: str, command: str) -> Report:
+            from mistray.report.pst_output import pst_report  # imports what draws
+
+            return pst_report(found, title, command, shown, maps_at)
+
+        files = options.write(page, maps=maps)
     return saved.code or options.show(lambda: pst_record(found, shown), lambda: pst_text(found, shown), files)
 
 
@@ -176,8 +178,7 @@ def _check(options: Options) -> None:
     if options.method == "forward":
         why = " with --method forward, which cannot go on from a saved run"
         options.refuse(["resume", "state"], why)
-    if options.resume and options.state is None and options.out is None:
-        raise MistrayError("--resume needs the saved run; give --state FILE, or the --out DIR of that run")
+    options.check_resume()
 
 
 def _maps(found: Pst, options: Options, maps_at: list[tuple[float, float]]) -> dict[str, IrradianceMap]:
@@ -205,22 +206,6 @@ def _maps_at(options: Options, grid: DirectionGrid) -> list[tuple[float, float]]
     for direction in directions:
         grid.nearest(*direction)
     return directions
-
-
-def _state(options: Options) -> Path | None:
-    """File of the saved run: the one given, else one in the output directory; None: nothing is saved."""
-    path = options.state
-    if path is None and options.out is not None and options.method != "forward":
-        path = options.out / STATE
-    if path is None:
-        return None
-    if options.state is not None:
-        claim_files(options, path)
-    if path.is_dir():
-        raise MistrayError(f"--state {path} is a directory; name a file")
-    if options.resume and not path.exists():
-        raise MistrayError(f"--resume: there is no saved run '{path}'; run without --resume first")
-    return Path(path)
 
 
 def _so_far(passes: list[PstProgress]) -> str:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from mistray.cli.arguments import pairs
 from mistray.cli.command import Command, Group, Option
 from mistray.cli.options import Options
+from mistray.cli.saved_run import SavedRun
 from mistray.cli.shared import (
     SCATTER,
     SCENE,
@@ -15,9 +17,11 @@ from mistray.cli.shared import (
     SPECTRUM,
     SURFACES,
     TABLE_FORMATS,
+    TIME,
     flag,
     output,
     ray_tree,
+    saved_run,
 )
 from mistray.errors import MistrayError
 from mistray.ranges import CONE_DEG, EDGE_WIDTH, FACTOR, FIELD_DEG, POLAR_DEG, POSITIVE, ROWS
@@ -39,7 +43,8 @@ OWN = ("paths", "field_deg", "band_deg", "patch_deg", "light")
 KINDS = ("coating", "share", "scatter", "curvature", "conic", "asphere", "rim", "position", "tilt", "index")
 
 # What --out writes
-FILES = ("report.html", "sensitivity.*", "propagation.csv", "draws.csv", "ranking.png", "monte_carlo.png")
+STATE = "sensitivity_state.npz"
+FILES = (STATE, "report.html", "sensitivity.*", "propagation.csv", "draws.csv", "ranking.png", "monte_carlo.png")
 
 # fmt: off
 COMMAND = Command(
@@ -88,9 +93,10 @@ COMMAND = Command(
             Option("--edge-width", "width of the zone at a rim in which rays count, over its radius (that of the least "
                    "error)", EDGE_WIDTH, "W"),
         )),
-        ray_tree("start rays at each field, or of the PST", SCHEDULER),
+        ray_tree("start rays at each field, or of the PST", TIME, SCHEDULER),
         SURFACES,
         SCATTER,
+        saved_run(STATE),
         output("report.html, CSV files, JSON and pictures", FILES,
                Option("--top", "rows of the table (20)", ROWS, "N", default=20), formats=TABLE_FORMATS),
     ),
@@ -101,6 +107,7 @@ COMMAND = Command(
 def run(options: Options) -> int:
     """Run the command."""
     options.check()
+    options.check_resume()
     keywords = _metric_keywords(options)
     options.start()
     from mistray.optimize.metrics.by_name import FACTORIES
@@ -116,23 +123,32 @@ def run(options: Options) -> int:
         keys = [key for key in (known if keys is None else match(known, keys)) if known[key].kind in options.kind]
         if not keys:
             raise MistrayError(f"the scene has no parameter of kind {' or '.join(options.kind)} among those chosen")
-    with options.tracing() as progress:
-        result = sensitivity(
-            metric,
-            keys=keys,
-            tolerances=dict(options.tolerance or ()),
-            together=options.together,
-            factor=options.factor,
-            change=options.change,
-            reach=options.reach,
-            check=not options.no_check,
-            monte_carlo=options.monte_carlo,
-            seed=options.seed or 0,
-            edges=not options.no_edges,
-            edge_width=options.edge_width,
-            progress=progress,
-        )
-    files = options.write(lambda title, command: sensitivity_report(result, title, command))
+    state = options.saved_run(STATE)
+    saved = SavedRun(state, lambda: "what is finished is", options.resume)
+    files: list[Path] = []
+    with saved.told():
+        with options.tracing() as progress:
+            result = sensitivity(
+                metric,
+                keys=keys,
+                tolerances=dict(options.tolerance or ()),
+                together=options.together,
+                factor=options.factor,
+                change=options.change,
+                reach=options.reach,
+                check=not options.no_check,
+                monte_carlo=options.monte_carlo,
+                seed=options.seed or 0,
+                edges=not options.no_edges,
+                edge_width=options.edge_width,
+                state=state,
+                resume=options.resume,
+                seconds=options.seconds_left(),
+                progress=progress,
+            )
+        files = options.write(lambda title, command: sensitivity_report(result, title, command))
+    if saved.code:
+        return saved.code
     return options.show(lambda: sensitivity_record(result), lambda: sensitivity_text(result, options.top), files)
 
 

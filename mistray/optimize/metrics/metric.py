@@ -52,6 +52,8 @@ class Metric:
         Unit of the value, for tables.
     name : str
         For messages and tables.
+    times : float
+        So many times the rays of the settings, in everything.
     """
 
     scene: Any
@@ -62,6 +64,7 @@ class Metric:
     settings: Any = None
     unit: str = ""
     name: str = "metric"
+    times: float = 1.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "field_deg", _angles(self.field_deg))
@@ -90,7 +93,11 @@ class Metric:
         """
         POSITIVE.check("times", times)
         with quiet():
-            return [view.observe(self.scene, times, changes) for view in self.views]
+            return [view.observe(self.scene, times * self.times, changes) for view in self.views]
+
+    def thinned(self, times: float) -> Metric:
+        """The same from so many times the rays of the settings; what a pilot of this one has found is not used."""
+        return replace(self, times=times)
 
     def evaluate(self, observations: list[Any]) -> Any:
         """
@@ -138,6 +145,11 @@ class CombinedMetric(Metric):
     """
 
     parts: Mapping[str, Metric] | None = None
+
+    def thinned(self, times: float) -> Metric:
+        """See `Metric.thinned`."""
+        parts = {name: part.thinned(times) for name, part in (self.parts or {}).items()}
+        return replace(self, times=times, parts=parts)
 
     @property
     def views(self) -> list[View]:

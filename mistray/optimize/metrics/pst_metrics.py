@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import mitsuba as mi
@@ -44,6 +44,10 @@ class PstMetric(Metric):
     """
 
     plans: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    def thinned(self, times: float) -> PstMetric:
+        """See `Metric.thinned`."""
+        return replace(self, times=times, plans={})
 
     @property
     def views(self) -> list[View]:

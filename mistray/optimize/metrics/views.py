@@ -55,6 +55,10 @@ class View:
             arguments["rays"] = max(round(times * rays), 1)
         return arguments
 
+    def rays(self, scene: Any) -> int:
+        """Start rays of a look with as many as the settings say."""
+        return int(self.arguments.get("rays") or self._usual_rays(scene))
+
     def _usual_rays(self, scene: Any) -> int:
         return Settings.of(scene).rays
 

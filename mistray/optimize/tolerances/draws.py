@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import mitsuba as mi
@@ -16,11 +18,14 @@ from mistray.execute.passes import passes_by_workers
 from mistray.execute.workers import current_workers
 from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.scene_values import assign
+from mistray.optimize.tolerances.finished import Finished
 from mistray.optimize.tolerances.rows import Row, shifted_values, whole_values
+from mistray.optimize.tolerances.steps import Steps
 from mistray.scene.check import check_overlaps
 
 PERCENTILES = (5.0, 50.0, 95.0)
 RESAMPLES = 400  # of the draws, for the errors of percentiles
+LEAST_SYSTEMS = 2  # for a standard deviation
 MOST_REJECTED = 20  # systems whose surfaces cross, for each that is traced
 OFF_AXIS = ("x", "y", "tilt_x", "tilt_y", "tilt_z")
 
@@ -40,12 +45,15 @@ class Draws:
         Metric of the nominal system.
     rejected : int
         Systems that were drawn again because surfaces crossed each other.
+    requested : int
+        Systems that were to be traced; more than there are ratios where the time was up.
     """
 
     ratios: np.ndarray
     predicted: np.ndarray
     nominal: float
     rejected: int = 0
+    requested: int = 0
 
     @property
     def logs(self) -> np.ndarray:
@@ -93,8 +101,9 @@ def draw_systems(
     groups: Sequence[tuple[str, Sequence[int]]],
     count: int,
     seed: int,
-    advance: Callable[[], None],
-) -> Draws:
+    advance: Steps,
+    finished: Finished,
+) -> Draws | None:
     """
     Trace systems whose parameters are drawn from normal distributions, σ the tolerance, cut at the physical range.
 
@@ -115,8 +124,15 @@ def draw_systems(
         Systems, at least 2.
     seed : int
         Of the draws.
-    advance : callable
-        Called after each system.
+    advance : Steps
+        Called after each system; none is begun that takes longer than what is left of its time.
+    finished : Finished
+        Its systems are not traced again, and those that are traced are added to them.
+
+    Returns
+    -------
+    Draws or None
+        None: there was no time for two of them.
 
     Raises
     ------
@@ -139,7 +155,7 @@ def draw_systems(
     def systems() -> Iterator[dict[str, np.ndarray]]:
         """The values of systems that can be put together; each is what the scene has until the next."""
         nonlocal rejected
-        while len(predicted) < count:
+        while len(predicted) < count and (len(predicted) < len(finished.systems) or advance.left > longest):
             drawn = np.clip(value + tolerance * generator.standard_normal(len(rows))[places], low, high)
             drawn = _possible(rows, drawn, params)
             values = shifted_values(given, lines, drawn.tolist())
@@ -159,23 +175,37 @@ def draw_systems(
             yield values
 
     # Of the very rays that all systems are traced with
-    nominal = metric.value()
-    workers = current_workers()
+    longest, nominal = _timed(metric.value)
+    workers, before = current_workers(), len(finished.systems)
     try:
         if workers is None:
-            traced = []
             for number, _ in enumerate(systems()):
-                traced.append(_checked(number, metric.value))
+                if number >= before:
+                    took, traced = _timed(partial(_checked, number, metric.value))
+                    longest = max(longest, took)
+                    finished.add(traced)
                 advance()
         else:
             drawn_systems = list(systems())
             assign(params, given)
             task = _SystemsTask(metric, given, drawn_systems)
-            numbers = {number: number for number in range(len(drawn_systems))}
-            traced = list(passes_by_workers(workers, task, numbers, "systems", lambda *_: advance()).values())
+            numbers = {number: number for number in range(before, len(drawn_systems))}
+            for traced in passes_by_workers(workers, task, numbers, "systems", lambda *_: advance()).values():
+                finished.add(traced)
     finally:
         assign(params, given)
-    return Draws(np.array(traced) / nominal, np.array(predicted), nominal, rejected)
+        finished.save()
+    if len(predicted) < LEAST_SYSTEMS:
+        return None
+    ratios = np.array(finished.systems[: len(predicted)]) / nominal
+    return Draws(ratios, np.array(predicted), nominal, rejected, count)
+
+
+def _timed(trace: Callable[[], float]) -> tuple[float, float]:
+    """Seconds that a trace takes, and its result."""
+    began = time.perf_counter()
+    result = trace()
+    return time.perf_counter() - began, result
 
 
 def _checked(number: int, trace: Callable[[], float]) -> float:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,8 +18,10 @@ from mistray.optimize.metrics.metric import Metric, transmission
 from mistray.optimize.metrics.views import added_light, first_light, light_since
 from mistray.optimize.parameters import Parameter, parameters
 from mistray.optimize.scene_values import changed
+from mistray.optimize.tolerances.steps import Steps
 
 SEEDS = 4
+LEAST_SEEDS = 2  # a standard error needs them
 APART = 1000  # from the seed of the gradient to the first of these
 IMAGE_RAYS = 4000
 SHAPE_KINDS = ("curvature", "conic", "asphere", "rim", "position", "tilt")
@@ -75,17 +78,20 @@ class TracedChange:
         Surfaces that meet before and are apart after, see `mistray.analysis.changes.gaps`.
     entering : mapping of str to tuple of Entering
         By field angle in words: first surfaces of light that were none before.
+    seeds : int
+        From which that comes, at most `SEEDS`.
     """
 
     traced: Estimate
     image: Estimate | None
     gaps: tuple[Gap, ...] = ()
     entering: Mapping[str, tuple[Entering, ...]] = field(default_factory=dict)
+    seeds: int = SEEDS
 
 
 def traced_change(
-    metric: Metric, params: Mapping[str, Any], values: Mapping[str, np.ndarray], advance: Callable[[], None]
-) -> TracedChange:
+    metric: Metric, params: Mapping[str, Any], values: Mapping[str, np.ndarray], advance: Steps
+) -> TracedChange | None:
     """
     What new values of parameters do, traced before and after with the same rays, on seeds of their own.
 
@@ -95,19 +101,21 @@ def traced_change(
     params : mi.SceneParameters
         Of its scene, which is as it was afterwards.
     values : mapping of str to (entries,) float
-    advance : callable
-        Called 2 `SEEDS` times, after each of the traces of the metric.
+    advance : Steps
+        Called 2 `SEEDS` times, after each of the traces of the metric; fewer times where the time ends, and at least
+        four times if it is known after the first seed that there is enough.
 
     Returns
     -------
-    TracedChange
+    TracedChange or None
+        None: there is no time for two seeds.
     """
     first = int((metric.settings or {}).get("seed") or 0) + APART
     image = transmission(
         metric.scene, rays=IMAGE_RAYS, max_reflections=0, max_scatters=0, wavelength_nm=metric.wavelength_nm,
         weights=metric.weights,
     )  # fmt: skip
-    pairs, images = [], []
+    pairs, images = list[tuple[float, float]](), list[tuple[float, float]]()
     contacts, gaps = Contacts(metric.scene), tuple[Gap, ...]()
     lights: list[dict[str, FirstLight]] = [{}, {}]
     known = parameters(metric.scene, params)
@@ -119,7 +127,11 @@ def traced_change(
             lights[number] = added_light(lights[number], first_light(one))
         return float(dr.detach(metric.evaluate(seen))[0])
 
+    longest = 0.0
     for seed in range(first, first + SEEDS):
+        if advance.left < longest * max(LEAST_SEEDS - len(pairs), 1):
+            break
+        began = time.perf_counter()
         before, direct = look(seed, 0), image.value(seed=seed)
         advance()
         with changed(params, values):
@@ -127,8 +139,11 @@ def traced_change(
             pairs.append((before, look(seed, 1)))
             images.append((image.value(seed=seed), direct))
         advance()
+        longest = max(time.perf_counter() - began, longest)
+    if len(pairs) < LEAST_SEEDS:
+        return None
     kept = _quotient(np.array(images)) if np.all(np.array(images)[:, 1] > 0) else None
-    return TracedChange(_quotient(np.array(pairs)), kept, gaps, light_since(*lights))
+    return TracedChange(_quotient(np.array(pairs)), kept, gaps, light_since(*lights), len(pairs))
 
 
 def _quotient(pairs: np.ndarray) -> Estimate:

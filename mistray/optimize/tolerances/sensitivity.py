@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
@@ -14,14 +15,17 @@ from mistray.analysis.changes.first_surfaces import Entering, spoils
 from mistray.analysis.changes.gaps import Gap
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
+from mistray.execute.workers import current_workers
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.notes import warns
-from mistray.optimize.gradient import Gradient, gradient_request, gradient_where_smooth
+from mistray.optimize.gradient import Gradient, gradient_request
 from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.metrics.views import seen_unpolarized
 from mistray.optimize.parameters import Parameter, match, parameters
 from mistray.optimize.tolerances.changes import Change, best_together
-from mistray.optimize.tolerances.draws import Draws, draw_systems
+from mistray.optimize.tolerances.draws import LEAST_SYSTEMS, Draws, draw_systems
+from mistray.optimize.tolerances.finished import Finished, signature_of
+from mistray.optimize.tolerances.in_time import gradient_in_time
 from mistray.optimize.tolerances.propagation import Spread, propagate
 from mistray.optimize.tolerances.proposals import SEEDS, free_keys, traced_change
 from mistray.optimize.tolerances.rows import Line, Row, Table, lines_of, shifted_values, whole_values
@@ -33,6 +37,10 @@ from mistray.surfaces.surfaces import SurfaceTable
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+SHARE_OF_GRADIENT = 0.5  # of the time, with the check; perturbed systems have the rest
+CHECKED = ("traced", "image", "gaps", "entering")  # what a check adds to a proposal
 
 
 @dataclass(frozen=True)
@@ -49,7 +57,8 @@ class Together:
     reached : bool
         Whether that is the factor requested.
     traced : Estimate or None
-        The same from traces of the changed scene with other seeds; None where they were not requested.
+        The same from traces of the changed scene with other seeds; None where they were not requested, or there was no
+        time for them.
     image : Estimate or None
         Power of the direct image over that before, at the sources' own field, from traces as well.
     gaps : tuple of Gap
@@ -92,7 +101,9 @@ class Sensitivity:
     together : Together
         The best three changes.
     draws : Draws or None
-        Monte Carlo of perturbed systems.
+        Monte Carlo of perturbed systems; None too where there was no time for two of them.
+    not_traced : tuple of str
+        What was requested and for which there was no time, in words.
     left_out : tuple of str
         What the derivatives do not contain.
     edge_width : float or None
@@ -113,6 +124,7 @@ class Sensitivity:
     factor: float
     together: Together
     draws: Draws | None = None
+    not_traced: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
     edge_width: float | None = None
     without_derivative: tuple[str, ...] = ()
@@ -194,6 +206,9 @@ def sensitivity(
     seed: int = 0,
     edges: bool = True,
     edge_width: float | None = None,
+    state: str | Path | None = None,
+    resume: bool = False,
+    seconds: float | None = None,
     progress: Progress | None = None,
 ) -> Sensitivity:
     """
@@ -228,6 +243,14 @@ def sensitivity(
         Of the perturbations.
     edges, edge_width
         As for `mistray.gradient`.
+    state : str or Path, optional
+        File (.npz) for what is finished: the gradient, the check, and the perturbed systems.
+    resume : bool
+        Go on from `state`, perhaps with more perturbed systems. The result is that of one uninterrupted run.
+    seconds : float, optional
+        Time for all of it. A gradient that would take longer, or half of that with perturbed systems, has fewer of the
+        rays of the metric. Everything that is compared is traced with the same rays. `Sensitivity.not_traced` says what
+        is left out; not where workers trace.
     progress : callable, optional
         Called with what is done and what there is to do.
 
@@ -240,12 +263,10 @@ def sensitivity(
     MistrayError
         If a key is unknown, nothing is left to differentiate by, an argument is out of range, or the metric is 0 or not
         finite; if a beam just fills a rim that one of `keys` or of `together` moves. Without `keys` such parameters are
-        left out.
+        left out. If the state is of another run.
     """
-    FACTOR.check("factor", factor)
-    POSITIVE.check("reach", reach)
-    if monte_carlo != int(monte_carlo) or monte_carlo < 0 or monte_carlo == 1:
-        raise MistrayError(f"monte_carlo is {monte_carlo}; give the number of perturbed systems, at least 2, or 0")
+    _check(factor, reach, monte_carlo, seconds, resume and state is None)
+    advance = Steps(progress, 1 + (2 * SEEDS if check else 0) + monte_carlo, seconds)
     given = mi.traverse(metric.scene) if params is None else params
     known = parameters(metric.scene, given)
     chosen = list(known) if keys is None else match(known, keys)
@@ -255,21 +276,31 @@ def sensitivity(
     limits = _tolerances(known, tolerances or {})
     _groups(known, lines, together)  # before the trace: what is wrong with them costs no time
     free = set(free_keys(metric.scene, known) if change is None else match(known, change))
-    advance = Steps(progress, 1 + (2 * SEEDS if check else 0) + monte_carlo)
     active = {key: known[key] for line in lines for key in line.moved}
     request = gradient_request(active.values(), edges, edge_width)
-    found = gradient_where_smooth(metric, metric.observe(), active, request)
+    arguments = {"tolerances": dict(tolerances or {}), "together": list(together), "reach": reach, "edges": edges}
+    arguments |= {"edge_width": edge_width, "seed of the draws": seed}
+    asked = {"factor": factor, "parameters": sorted(active), "changed": sorted(free)}
+    finished = Finished(state, signature_of(metric, given, arguments | asked))
+    if resume and state is not None:
+        finished.read(state, metric)
+    looks = (2 * SEEDS if check else 0) + min(monte_carlo, LEAST_SYSTEMS)
+    part = SHARE_OF_GRADIENT if monte_carlo else 1.0
+    taken = gradient_in_time(metric, active, request, advance, part, looks, finished.taken)
+    finished.take(taken)
+    metric, found = taken.metric, taken.found
     advance()
     _require_light(found)
     found.require(active if keys is not None else match(known, together))
     lines, without = _with_derivative(found, lines)
     groups = _groups(known, lines, together)
+    not_traced = [] if taken.times == 1 else [f"{1 - taken.times:.3%} of the rays".replace("%", " %")]
     table = Table.of(found, lines, limits)
     wavelengths, _ = spectrum_of(metric.scene, metric.wavelength_nm, metric.weights)
 
     def scatters() -> None:
         """Ask every scatter model for its lobes, as a trace does."""
-        for wavelength in wavelengths:
+        for wavelength in wavelengths if any(one.kind == "scatter" for one in known.values()) else ():
             ScatterTables(SurfaceTable(metric.scene, float(wavelength)), {})
 
     reachable = table.accepted(given, table.reachable(free, reach), scatters)
@@ -279,13 +310,14 @@ def sensitivity(
     changes = tuple((rows[change.number], change) for change in best)
     proposal = Together(changes, math.prod(change.factor for change in best), any(change.reached for change in best))
     if check and changes:
-        changed_lines = [row.line for row, _ in changes]
-        values = whole_values(given, changed_lines)
-        values = shifted_values(values, changed_lines, [change.value for _, change in changes])
-        proposal = replace(proposal, **vars(traced_change(metric, given, values, advance)))
+        proposal, seeds = _checked(proposal, metric, given, advance, finished)
+        not_traced += [f"{SEEDS - seeds} of {SEEDS} seeds of the changes"] if seeds < SEEDS else []
     draws = None
     if monte_carlo:
-        draws = draw_systems(metric, given, rows, groups, int(monte_carlo), seed, advance)
+        draws = draw_systems(metric, given, rows, groups, int(monte_carlo), seed, advance, finished)
+        traced = 0 if draws is None else len(draws.ratios)
+        if traced < monte_carlo:
+            not_traced.append(f"{monte_carlo - traced} of {monte_carlo} perturbed systems")
     return Sensitivity(
         name=metric.name,
         unit=metric.unit,
@@ -295,6 +327,7 @@ def sensitivity(
         factor=factor,
         together=proposal,
         draws=draws,
+        not_traced=tuple(not_traced),
         left_out=(*found.left_out, *without, *seen_unpolarized(metric.scene, metric.views)),
         edge_width=found.edge_width,
         without_derivative=tuple(_without_derivative(given, known)),
@@ -303,14 +336,37 @@ def sensitivity(
             "field_deg": metric.field_deg,
             "wavelength_nm": metric.wavelength_nm,
             **(metric.settings or {}),
-            "tolerances": dict(tolerances or {}),
-            "together": list(together),
-            "reach": reach,
-            "edges": edges,
-            "edge_width": edge_width,
-            "seed of the draws": seed,
+            **arguments,
+            **({} if taken.times == 1 else {"share of the rays": taken.times}),
         },
     )
+
+
+def _check(factor: float, reach: float, monte_carlo: int, seconds: float | None, stateless: bool) -> None:
+    """Refuse arguments that are out of range; `stateless`: to resume without a state."""
+    if seconds is not None and current_workers() is not None:
+        raise MistrayError("seconds is given and workers trace, whose parts are not timed; leave out one of the two")
+    if stateless:
+        raise MistrayError("resume needs a state; name the file of the run to go on from")
+    FACTOR.check("factor", factor)
+    POSITIVE.check("reach", reach)
+    if monte_carlo != int(monte_carlo) or monte_carlo < 0 or monte_carlo == 1:
+        raise MistrayError(f"monte_carlo is {monte_carlo}; give the number of perturbed systems, at least 2, or 0")
+
+
+def _checked(
+    proposal: Together, metric: Metric, params: Mapping[str, Any], advance: Steps, finished: Finished
+) -> tuple[Together, int]:
+    """Changes with what comes of them by traces, as far as there is time, and the seeds that were traced."""
+    lines = [row.line for row, _ in proposal.changes]
+    values = shifted_values(whole_values(params, lines), lines, [change.value for _, change in proposal.changes])
+    found = finished.check or traced_change(metric, params, values, advance)
+    if found is None:
+        return proposal, 0
+    if found.seeds == SEEDS:
+        finished.check = found
+        finished.save()
+    return replace(proposal, **{name: getattr(found, name) for name in CHECKED}), found.seeds
 
 
 def _with_derivative(found: Gradient, lines: list[Line]) -> tuple[list[Line], list[str]]:

@@ -19,7 +19,6 @@ from mistray.analysis.verdict import (
     shares_of_kinds,
     worst_of_all_fields,
 )
-from mistray.report.figures.layout import layout_of_fields
 from mistray.report.model import Figure, Group, Items, Link, Note, Part, Table, Value, columns
 from mistray.report.tables.ghosts import mark_of
 from mistray.report.tables.text import number, plain_sentences, with_error
@@ -53,6 +52,8 @@ def answer(report: GhostReport, shown: GhostReport) -> list[Part]:
 
 def draw_answer(report: GhostReport, worst: Sequence[WorstPath]) -> Drawing:
     """The system with the worst paths of all fields."""
+    from mistray.report.figures.layout import layout_of_fields  # the values of this page need no pictures
+
     return layout_of_fields(
         report, [(path.field_deg, path.path_id, f"{k} {_name(path)}") for k, path in enumerate(worst, 1)]
     )
