@@ -105,12 +105,14 @@ class Named:
             _check_pieces([text], "", rows)
 
 
-def read_name(text: str) -> Kind | Named | None:
+def read_name(text: str) -> Kind | Whole | Named | None:
     """What a text means that is a kind of paths or the name of one; None for other text, such as a filter."""
     text = text.strip()
     if text in KINDS:
         return Kind(text)
     bare = _FLAGS.sub("", _QUOTED.sub("", text))
+    if _ARROW.search(bare) and text.endswith(END) and (whole := read_events(text)):
+        return whole  # the id of a surface may hold an arrow
     if _ARROW.search(bare) or text.startswith(SCATTER_AT) or _STRUCTURE.search(bare) or _PASSED.match(text):
         return Named(text)
     return None
