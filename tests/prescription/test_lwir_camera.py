@@ -80,6 +80,7 @@ def test_the_cold_stop_is_the_stop_for_every_point_of_the_detector():
     lens = build()
     assert lens.detector.z - lens.stop.z_front == pytest.approx(DETECTOR_MM)
     assert lens.stop.radius == STOP_MM
+    assert (lens.detector.half_width, lens.detector.half_height) == PIXEL_CORNER
     rim = np.linspace(0, 2 * np.pi, 64, endpoint=False)
     for x, y in ((0.0, 0.0), (4.8, 0.0), (0.0, 3.84), PIXEL_CORNER):
         start = np.stack([np.full(64, x), np.full(64, y), np.full(64, lens.detector.z)])
