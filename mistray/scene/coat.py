@@ -228,7 +228,13 @@ def coated_prescription(system: Prescription, rules: Rules) -> tuple[Prescriptio
         coating = change.coating if change.recoated else shape.coating
         return replace(shape, coating=coating, scatter=(*kept, *change.scatter))
 
-    return each_shape(system, changed), Coated(painter.changes, tuple(painter.left), tuple(painter.notes))
+    made = each_shape(system, changed)
+    found = Coated(painter.changes, tuple(painter.left), tuple(painter.notes))
+    # Without the notes on a detector that the rules answer, with what presets reach
+    answered = set(system.detector.notes() if system.detector else ())
+    answered -= set(made.detector.notes() if made.detector else ())
+    lines = [line for line in made.provenance.splitlines() if not any(note in line for note in answered)]
+    return replace(made, provenance="\n".join([*lines, *found.notes])), found
 
 
 def faces_of(file: SceneFile) -> list[Face]:
