@@ -179,7 +179,7 @@ def coated_text(path: Path, rules: Rules, folder: Path) -> tuple[str, Coated]:
     shared = dict(shared_objects(file))
     home = str(path.parent)
     comments = "\n".join(file.data[start:end].decode() for start, end in file.comments)
-    painter = Painter(f"scene '{path}'", list(faces_of(file)), shared, file.ids, home, _light_nm(file), comments)
+    painter = Painter(f"scene '{path}'", list(faces_of(file)), shared, file.ids, home, light_nm(file), comments)
     painter.apply(rules)
     seen = seen_from(folder)
     refits: dict[str, Refit] = {}
@@ -279,7 +279,7 @@ def faces_of(file: SceneFile) -> list[Face]:
     return found
 
 
-def _light_nm(file: SceneFile) -> tuple[float, ...]:
+def light_nm(file: SceneFile) -> tuple[float, ...]:
     """The wavelengths that the first source of a scene file lists, nm."""
     for element in file.root.children:
         if element.tag == "emitter":
