@@ -21,11 +21,15 @@ from mistray.report.tables.frames import row_of
 from mistray.report.tables.text import ABSENT, number, table_text, with_error
 
 SHOWN, RETURNS_SHOWN, NOISE_SHOWN = 12, 6, 6  # rows of the printed tables
+WAVELENGTHS_SHOWN = 6  # in a line
 
 
 def heading(report: ThermalReport) -> str:
     """What was computed, in one line."""
     waves = ", ".join(f"{wave:.4g}" for wave in report.wavelengths_um)
+    if len(report.wavelengths_um) > WAVELENGTHS_SHOWN:
+        low, high = report.wavelengths_um[0], report.wavelengths_um[-1]
+        waves = f"{len(report.wavelengths_um)} wavelengths from {low:.4g} to {high:.4g}"
     within = f", integrals over the band to {100 * report.band_error:.2g} %" if report.band_error > 0 else ""
     return (
         f"thermal emission on '{report.detector}', {report.band_um[0]:g} to {report.band_um[1]:g} µm, "
