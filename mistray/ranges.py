@@ -263,6 +263,9 @@ WAVELENGTH_NM = Range(10.0, 1e7, unit="nm", remedy="0.55 µm are 550 nm")
 WAVELENGTH_UM = Range(0.01, 1e4, unit="µm")
 WEIGHT = NOT_NEGATIVE
 TEMPERATURE_K = Range(0.0, 1e6, unit="K")
+BANDWIDTH_HZ = Range(1e-9, 1e15, unit="Hz")
+DETECTIVITY = Range(1.0, 1e30, unit="cm √Hz/W", remedy="1e11 is usual at 10 µm")
+QUANTUM_EFFICIENCY = Range(0.0, 1.0, above=True)
 
 # Of directions, degrees
 FIELD_DEG = Range(-90.0, 90.0, above=True, below=True, unit="degrees")

@@ -92,3 +92,27 @@ def test_a_time_budget_is_kept_and_the_result_says_so(scene: str, capsys: pytest
     found = json.loads(text)
     assert any("rays were traced" in note for note in found["notes"])
     assert found["total_W_mm2"] > found["total_W_mm2_se"] > 0
+
+
+def test_noise(scene: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """NETD in text, JSON and files; half a pixel is named with what is missing."""
+    pixel, out = ["--pixel-um", "15", "--bandwidth-hz", "500"], tmp_path / "out"
+    photons = ["--quantum-efficiency", "0.6"]
+    code, text, _ = run(capsys, scene, *pixel, *photons, "--rays", "2e4", "--out", str(out))
+    assert code == 0
+    assert any(line.startswith("NETD by the noise of photons") for line in text.splitlines())
+    assert "NETD by D*" not in text
+    assert (out / "netd.csv").exists()
+    assert "quantum efficiency 0.6" in (out / "report.html").read_text(encoding="utf-8")
+    code, text, _ = run(capsys, scene, *pixel, *photons, "--detectivity", "1e11", "--rays", "2e4", "--json")
+    record = json_units.read(text)["netd"]
+    assert (code, record["pixel_um"], record["detectivity"]) == (0, 15, 1e11)
+    assert 0 < record["by_photons_K_se"] < 0.05 * record["by_photons_K"]
+    assert record["by_detectivity_K"] == pytest.approx(500**0.5 / 0.015 / 1e12 / record["per_kelvin_W_mm2"])
+    for arguments, words in (
+        (photons, "--pixel-um, --bandwidth-hz"),
+        (pixel, "--detectivity or --quantum-efficiency"),
+    ):
+        code, _, err = run(capsys, scene, *arguments)
+        assert code == 2
+        assert words in err

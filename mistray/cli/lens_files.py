@@ -77,9 +77,7 @@ class Imported:
         said = set(detector.notes() if detector else ()) - set(made.detector.notes() if made.detector else ())
         notes = [note for note in self.record["notes"] if note not in said]
         notes += found.notes
-        lines = [line for line in made.provenance.splitlines() if not any(note in line for note in said)]
-        lines += found.notes
-        return Imported(replace(made, provenance="\n".join(lines)), self.record | {"notes": notes})
+        return Imported(made, self.record | {"notes": notes})
 
     def lines(self, name: str) -> list[str]:
         """What is printed of it, as text."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -9,17 +10,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mistray.coatings import PRESETS
+from mistray.coatings import PRESETS, Coating, coating_from_text, fitted_preset
 from mistray.errors import MistrayError, nearest
 from mistray.optimize.parameters import Parameter, match, parameters
 from mistray.prescription.by_text import BARE
+from mistray.prescription.geometry import is_gas
 from mistray.ranges import FIELD_DEG, Range
-from mistray.scene.coat import faces_of
+from mistray.scene.coat import faces_of, light_nm
 from mistray.scene.xml_file import SceneFile
 from mistray.surfaces.surfaces import solid_shapes
 
 AS_IT_IS = "as it is"
-COATINGS = (AS_IT_IS, BARE, *(name for name, design in PRESETS.items() if design.metal is None))
+NEAR_LIGHT = 0.5, 2.0  # centre of a preset's band by the middle of the light: others are not offered
 COATING, LAYERS, NUMBER, FIELD, WAVELENGTH = "coating", "layers", "number", "field", "wavelength"
 LAYERS_PERCENT = Range(50.0, 200.0, unit="%")
 SPAN = 4.0  # by which numbers known by their order of magnitude may be multiplied and divided
@@ -54,6 +56,8 @@ class Control:
         Whether it is known by its order of magnitude.
     surfaces : tuple of str
         Ids of the shapes that it is about.
+    bodies : tuple of str
+        Of a coating: the material that each of them bounds.
     parameter : Parameter or None
         Of a number.
     keys : tuple of str
@@ -70,8 +74,14 @@ class Control:
     high: float = 0.0
     log: bool = False
     surfaces: tuple[str, ...] = ()
+    bodies: tuple[str, ...] = ()
     parameter: Parameter | None = None
     keys: tuple[str, ...] = ()
+
+    def coatings(self, choice: str) -> dict[str, Coating]:
+        """Its surfaces with the coating of a choice, on each as it is fitted to the body."""
+        on = {body: _coating(choice, body) for body in set(self.bodies)}
+        return {surface: on[body] for surface, body in zip(self.surfaces, self.bodies, strict=True)}
 
     def check(self, value: Any) -> VALUES:
         """
@@ -173,25 +183,50 @@ def check_fields(values: Sequence[float]) -> list[float]:
 def _coatings(path: Path, scene: Any) -> list[Control]:
     """One choice for the clear surfaces of each part, and one slider for the thickness of all layers."""
     shapes = {str(shape.id()): shape for shape in solid_shapes(scene)}
-    parts: dict[str, list[str]] = {}
-    for face in faces_of(SceneFile(path)):
+    parts: dict[str, dict[str, str]] = {}
+    file = SceneFile(path)
+    for face in faces_of(file):
         shape = shapes.get(face.name)
         if shape is None or face.fault or face.opaque or face.mirror or face.cemented or shape.bsdf().opaque:
             continue
         if len(set(shape.bsdf().materials)) > 1:  # an aperture in air has nothing to coat
-            parts.setdefault(face.part or face.name, []).append(face.name)
+            body = next((material for material in shape.bsdf().materials[::-1] if not is_gas(material)), "air")
+            parts.setdefault(face.part or face.name, {})[face.name] = body
     if not parts:
         return []
+    light = light_nm(file)
     found = [
-        Control(f"coating {part}", COATING, AS_IT_IS, part, choices=COATINGS, surfaces=tuple(names))
-        for part, names in parts.items()
-    ]
+        Control(f"coating {part}", COATING, AS_IT_IS, part, choices=_choices(set(on.values()), light),
+                surfaces=tuple(on), bodies=tuple(on.values()))
+        for part, on in parts.items()
+    ]  # fmt: skip
     low, high = LAYERS_PERCENT.low, LAYERS_PERCENT.high
     every = tuple(name for names in parts.values() for name in names)
     return [
         *found,
         Control("layers", LAYERS, 100.0, "thickness of all layers", "%", low=low, high=high, surfaces=every),
     ]
+
+
+def _choices(bodies: Iterable[str], light: Sequence[float]) -> tuple[str, ...]:
+    """What a part of some materials can be coated with: presets near the light that suit them all."""
+    found = [AS_IT_IS, BARE]
+    for name, design in PRESETS.items():
+        middle = (min(light) + max(light)) / 2 if light else design.design_nm
+        if design.metal is not None or not NEAR_LIGHT[0] < design.design_nm / middle < NEAR_LIGHT[1]:
+            continue
+        with contextlib.suppress(MistrayError):  # one that leaves too much is not offered
+            for body in bodies:
+                _coating(name, body)
+            found.append(name)
+    return tuple(found)
+
+
+def _coating(choice: str, body: str) -> Coating:
+    """The coating of a choice on a body in air, as `mistray coat` puts it on."""
+    if choice in PRESETS and not is_gas(body):
+        return fitted_preset(choice, body).stack
+    return coating_from_text(choice)
 
 
 def _numbers(scene: Any, patterns: Iterable[str] | None) -> list[Control]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from mistray.coatings import Coating, Ideal, Stack, coating_from_text
+from mistray.coatings import Coating, Ideal, Stack
 from mistray.explore.controls import AS_IT_IS, COATING, LAYERS, NUMBER, VALUES, Control
 from mistray.physics.contamination import coverage_percent
 from mistray.recorders.path_events import FIRST_SCATTERED
@@ -78,8 +78,8 @@ class Looks:
         found = dict(self._as_it_is)
         for name, control in self._controls.items():
             if control.kind == COATING and state[name] != AS_IT_IS:
-                for surface in control.surfaces:
-                    found[surface] = dataclasses.replace(found[surface], coating=_by_name(str(state[name])))
+                for surface, coating in control.coatings(str(state[name])).items():
+                    found[surface] = dataclasses.replace(found[surface], coating=coating)
         for name, control in self._controls.items():
             if control.kind == LAYERS and state[name] != control.start:
                 factor = float(state[name]) / 100
@@ -204,11 +204,6 @@ def _tables(coating: Any, wavelength_nm: float, sides: tuple[complex, complex]) 
 
 def _interpolated(values: Floats, x: Floats) -> Floats:
     return np.interp(x, np.linspace(0.0, 1.0, len(values)), values)
-
-
-@lru_cache(maxsize=64)
-def _by_name(name: str) -> Coating:
-    return coating_from_text(name)
 
 
 def _scattered(

@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray._mitsuba_compat import peek
-from mistray.coatings import PRESETS, layer_text, preset
+from mistray.coatings import PRESETS, Stack, layer_text
 from mistray.errors import MistrayError
 from mistray.explore.controls import AS_IT_IS, COATING, LAYERS, NUMBER, VALUES, Control
 from mistray.explore.looks import scaled
@@ -142,15 +142,21 @@ class Saving:
             yield f"wavelength_nm = [{float(state['wavelength']):g}]"
         yield "rays = 5000"
         factor = float(state.get("layers", 100.0)) / 100
-        for number, one in enumerate(coated, start=1):
-            stack = scaled(preset(str(state[one.name])), factor)
-            low, high = THICKNESS
-            bounds = ", ".join(
-                f"[{low * layer.thickness_nm:.6g}, {high * layer.thickness_nm:.6g}]" for layer in stack.layers
-            )
-            surfaces = ", ".join(_text(name) for name in one.surfaces)
-            yield from ["", "[[coating]]", f'name = "explored_{number}"', f"surfaces = [{surfaces}]",
-                        f"layers = {_text(layer_text(stack.layers))}", f"thickness_nm = [{bounds}]"]  # fmt: skip
+        low, high = THICKNESS
+        number = 0
+        for one in coated:
+            on: dict[str, tuple[Stack, list[str]]] = {}  # by material: each has layers of its own
+            for (surface, coating), body in zip(one.coatings(str(state[one.name])).items(), one.bodies, strict=True):
+                assert isinstance(coating, Stack)
+                on.setdefault(body, (scaled(coating, factor), []))[1].append(surface)
+            for stack, names in on.values():
+                number += 1
+                bounds = ", ".join(
+                    f"[{low * layer.thickness_nm:.6g}, {high * layer.thickness_nm:.6g}]" for layer in stack.layers
+                )
+                surfaces = ", ".join(map(_text, names))
+                yield from ["", "[[coating]]", f'name = "explored_{number}"', f"surfaces = [{surfaces}]",
+                            f"layers = {_text(layer_text(stack.layers))}", f"thickness_nm = [{bounds}]"]  # fmt: skip
         for one in numbers:
             keys = ", ".join(map(_text, one.keys))
             yield from ["", "[[variable]]", f"parameters = [{keys}]", f"low = {one.low!r}",

@@ -103,20 +103,26 @@ def band_radiance(temperature_K: npt.ArrayLike, low_um: float, high_um: float) -
 
 
 def band_derivative(temperature_K: npt.ArrayLike, low_um: float, high_um: float) -> Any:
+    """dL/dT of `band_radiance`, W/(mm² sr K); parameters as there."""
+    return _by_temperature(lambda t: float(derivative_nodes(t, low_um, high_um)[1].sum()), temperature_K)
+
+
+def derivative_nodes(temperature_K: float, low_um: float, high_um: float) -> tuple[np.ndarray, np.ndarray]:
     """
-    dL/dT of `band_radiance`, W/(mm² sr K); parameters as there, T > 0.
+    The same quadrature as `band_nodes` for dL/dT instead of L, W/(mm² sr K); parameters as there; 0 at 0 K.
 
     Each wavelength has dL/dT = L x exp(x)/((exp(x) - 1) T) with x = hc/(λ k T).
     """
+    wavelengths, radiances = band_nodes(temperature_K, low_um, high_um)
+    if temperature_K == 0:
+        return wavelengths, radiances
+    x = C2_UM_K / (wavelengths * temperature_K)
+    return wavelengths, radiances * x / -np.expm1(-x) / temperature_K
 
-    def derivative(temperature: float) -> float:
-        if temperature == 0:
-            return 0.0
-        wavelengths, radiances = band_nodes(temperature, low_um, high_um)
-        x = C2_UM_K / (wavelengths * temperature)
-        return float(np.sum(radiances * x / -np.expm1(-x)) / temperature)
 
-    return _by_temperature(derivative, temperature_K)
+def photons_per_joule(wavelength_um: npt.ArrayLike) -> Any:
+    """Photons of a wavelength, µm, in a joule of its light: λ/(hc), 1/J."""
+    return 1e-6 * np.asarray(wavelength_um, dtype=np.float64) / (PLANCK * LIGHT)
 
 
 def peak_wavelength_um(temperature_K: npt.ArrayLike) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +20,16 @@ from mistray.report.parts import settings_section, terms, thousands
 from mistray.report.tables.frames import row_of
 from mistray.report.tables.text import ABSENT, number, table_text, with_error
 
-SHOWN, RETURNS_SHOWN = 12, 6  # rows of the printed tables
+SHOWN, RETURNS_SHOWN, NOISE_SHOWN = 12, 6, 6  # rows of the printed tables
+WAVELENGTHS_SHOWN = 6  # in a line
 
 
 def heading(report: ThermalReport) -> str:
     """What was computed, in one line."""
     waves = ", ".join(f"{wave:.4g}" for wave in report.wavelengths_um)
+    if len(report.wavelengths_um) > WAVELENGTHS_SHOWN:
+        low, high = report.wavelengths_um[0], report.wavelengths_um[-1]
+        waves = f"{len(report.wavelengths_um)} wavelengths from {low:.4g} to {high:.4g}"
     within = f", integrals over the band to {100 * report.band_error:.2g} %" if report.band_error > 0 else ""
     return (
         f"thermal emission on '{report.detector}', {report.band_um[0]:g} to {report.band_um[1]:g} µm, "
@@ -59,6 +64,16 @@ def part_table(report: ThermalReport) -> Table:
     return Table(columns("<part", "irradiance [W/mm²]", "of total [%]"), rows, "t-parts")
 
 
+def netd_table(report: ThermalReport) -> Table:
+    """Light on the detector and the noise of its photons."""
+    rows: list[list[Value]] = [
+        [one.name, one.photons_mm2_s, f"{one.percent:.3g}", one.netd_K]
+        for one in (report.netd.sources if report.netd else ())
+    ]
+    heads = columns("<photons of", "irradiance [1/(s mm²)]", "of the variance [%]", "NETD by it alone [K]")
+    return Table(heads, rows, "t-netd")
+
+
 def thermal_text(report: ThermalReport, shown: int = SHOWN) -> str:
     """What `mistray thermal` prints: the strongest emitters, the sums, and what to mind."""
     rows: list[list[Value]] = [
@@ -76,6 +91,8 @@ def thermal_text(report: ThermalReport, shown: int = SHOWN) -> str:
     if report.returned:
         returns = columns("<the detector sees itself by", "<part", "emission [1]", "NITD [K]")
         parts += ["", table_text(Table(returns, return_table(report).rows), RETURNS_SHOWN)]
+    if report.netd and report.netd.sources:
+        parts += ["", table_text(netd_table(report), NOISE_SHOWN)]
     return "\n".join([*parts, *(f"warning: {note}" for note in report.notes)])
 
 
@@ -90,6 +107,12 @@ def _sums(report: ThermalReport, digits: int) -> list[list[Value]]:
         ("NITD", "K", report.nitd_K),
         ("not followed to its source", "W/mm²", Estimate(report.lost_W_mm2, math.nan)),
     ]
+    if report.netd is not None:
+        rows.append(("image of the scene by its temperature", "W/(mm² K)", report.netd.per_kelvin_W_mm2))
+        if report.netd.noise.detectivity is not None:
+            rows.append(("NETD by D*", "K", report.netd.by_detectivity_K))
+        if report.netd.noise.quantum_efficiency is not None:
+            rows.append(("NETD by the noise of photons", "K", report.netd.by_photons_K))
     return [[text, unit, v if math.isfinite(v.se) else number(v.value, digits)] for text, unit, v in rows]
 
 
@@ -103,6 +126,12 @@ def return_frame(report: ThermalReport) -> pd.DataFrame:
     return pd.DataFrame([row_of(found, "surface", "part", "emission", "nitd_K") for found in report.returned])
 
 
+def netd_frame(report: ThermalReport) -> pd.DataFrame:
+    """Light on the detector: name, photons, share of the variance, and NETD by its noise, with their errors."""
+    found = report.netd.sources if report.netd else ()
+    return pd.DataFrame([row_of(one, "name", "photons_mm2_s", "percent", "netd_K") for one in found])
+
+
 def thermal_record(report: ThermalReport) -> dict[str, Any]:
     """Everything as plain values for JSON."""
     record = row_of(
@@ -110,6 +139,9 @@ def thermal_record(report: ThermalReport) -> dict[str, Any]:
         "temperature_K", "detector_K", "scene_K", "band_um", "wavelengths_um", "band_error", "detector",
         "notes", "facts",
     )  # fmt: skip
+    if report.netd is not None:
+        known = row_of(report.netd, "per_kelvin_W_mm2", "by_detectivity_K", "by_photons_K")
+        record["netd"] = asdict(report.netd.noise) | known | {"sources": netd_frame(report).to_dict("records")}
     record |= {"emitters": report.to_pandas().to_dict("records"), "returned": return_frame(report).to_dict("records")}
     return dict(plain(record))
 
@@ -136,6 +168,13 @@ def thermal_report(report: ThermalReport, title: str = "scene", command: str = "
     ]
     if report.returned:
         sections.append(Section("narcissus", "Narcissus", [Note(returns), return_table(report)], "Narcissus"))
+    if report.netd is not None:
+        pixel = report.netd.noise
+        given = f"A pixel of {pixel.pixel_um:g} µm, {pixel.bandwidth_hz:g} Hz"
+        given += f", D* = {pixel.detectivity:g} cm √Hz/W" if pixel.detectivity is not None else ""
+        given += f", quantum efficiency {pixel.quantum_efficiency:g}" if pixel.quantum_efficiency is not None else ""
+        tables = [netd_table(report)] if report.netd.sources else []
+        sections.append(Section("netd", "NETD", [Note(f"{given}. The sums are above."), *tables], "NETD"))
     return Report(
         "Thermal self-emission",
         title,
@@ -149,8 +188,13 @@ def thermal_report(report: ThermalReport, title: str = "scene", command: str = "
 
 
 def csv_tables(report: ThermalReport) -> dict[str, pd.DataFrame]:
-    """The tables by file name: thermal.csv, and narcissus.csv where a cold detector sees itself."""
-    return {"thermal.csv": report.to_pandas()} | ({"narcissus.csv": return_frame(report)} if report.returned else {})
+    """The tables by file name: narcissus.csv if a cold detector sees itself, netd.csv if photons make noise."""
+    tables = {"thermal.csv": report.to_pandas()}
+    if report.returned:
+        tables["narcissus.csv"] = return_frame(report)
+    if report.netd and report.netd.sources:
+        tables["netd.csv"] = netd_frame(report)
+    return tables
 
 
 def write_thermal(report: ThermalReport, directory: str | Path, title: str = "scene", command: str = "") -> list[Path]:

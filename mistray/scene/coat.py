@@ -179,7 +179,7 @@ def coated_text(path: Path, rules: Rules, folder: Path) -> tuple[str, Coated]:
     shared = dict(shared_objects(file))
     home = str(path.parent)
     comments = "\n".join(file.data[start:end].decode() for start, end in file.comments)
-    painter = Painter(f"scene '{path}'", list(faces_of(file)), shared, file.ids, home, _light_nm(file), comments)
+    painter = Painter(f"scene '{path}'", list(faces_of(file)), shared, file.ids, home, light_nm(file), comments)
     painter.apply(rules)
     seen = seen_from(folder)
     refits: dict[str, Refit] = {}
@@ -228,7 +228,13 @@ def coated_prescription(system: Prescription, rules: Rules) -> tuple[Prescriptio
         coating = change.coating if change.recoated else shape.coating
         return replace(shape, coating=coating, scatter=(*kept, *change.scatter))
 
-    return each_shape(system, changed), Coated(painter.changes, tuple(painter.left), tuple(painter.notes))
+    made = each_shape(system, changed)
+    found = Coated(painter.changes, tuple(painter.left), tuple(painter.notes))
+    # Without the notes on a detector that the rules answer, with what presets reach
+    answered = set(system.detector.notes() if system.detector else ())
+    answered -= set(made.detector.notes() if made.detector else ())
+    lines = [line for line in made.provenance.splitlines() if not any(note in line for note in answered)]
+    return replace(made, provenance="\n".join([*lines, *found.notes])), found
 
 
 def faces_of(file: SceneFile) -> list[Face]:
@@ -273,7 +279,7 @@ def faces_of(file: SceneFile) -> list[Face]:
     return found
 
 
-def _light_nm(file: SceneFile) -> tuple[float, ...]:
+def light_nm(file: SceneFile) -> tuple[float, ...]:
     """The wavelengths that the first source of a scene file lists, nm."""
     for element in file.root.children:
         if element.tag == "emitter":

@@ -19,11 +19,14 @@ from scipy.integrate import quad
 from scipy.special import expn
 
 import mistray
-from mistray.analysis.thermal.emission import ThermalReport, _per_kelvin, thermal
+from mistray.analysis.thermal.emission import ThermalReport, thermal
+from mistray.analysis.thermal.netd import DetectorNoise
 from mistray.analysis.thermal.spectrum import TracedBand, band_weights, traced_wavelengths
+from mistray.analysis.thermal.sums import per_kelvin
 from mistray.errors import MistrayError
 from mistray.materials import complex_index
 from mistray.physics import planck
+from mistray.physics.netd import netd_by_detectivity, netd_by_photons
 
 pytestmark = pytest.mark.quick
 
@@ -185,9 +188,9 @@ class TestNarcissus:
         slopes = planck.band_derivative(295.0, *BAND) / planck.band_derivative(310.0, *BAND)
         assert at_scene == pytest.approx(at_housing * slopes, rel=1e-12)
         image, waves = [SimpleNamespace(image=(0, 0, np.full(16, 0.4)))] * 2, (8.0, 12.0)
-        found = _per_kelvin(image, 310.0, BAND, waves)
+        found = per_kelvin(image, 310.0, BAND, waves)
         assert sum(part.mean() for part in found) == pytest.approx(
-            0.4 * np.pi * planck.band_derivative(310.0, *BAND), rel=1e-9
+            0.4 * np.pi * planck.band_derivative(310.0, *BAND), rel=1e-12
         )
 
     def test_a_cold_shield_is_no_narcissus(self, tmp_path: Path) -> None:
@@ -225,6 +228,66 @@ class TestNarcissus:
         assert_z("self view", report.self_view.value, single, error, k=4.0)
         (rear,) = (back.emission.value for back in report.returned if back.surface == "rear")
         assert 0 < rear < 0.2 * 0.9
+
+
+class TestNetd:
+    NOISE = DetectorNoise(pixel_um=15.0, bandwidth_hz=500.0, detectivity=5e10, quantum_efficiency=0.6)
+
+    def test_a_cone_of_optics(self, tmp_path: Path) -> None:
+        """F/2, a window that absorbs 5 % at 350 K, a tube at 80 K, a scene at 300 K: all parts in closed form."""
+        scene = load(
+            tmp_path,
+            detector_xml(),
+            placed_xml("asphere", "window", sheet_xml(0.05), at=(0, 0, -10), semi_diameter=2.5),
+            placed_xml("frustum", "tube", r0=2.5, z0=-10.0, r1=2.5, z1=0.5),
+        )
+        kelvin = {"window": 350.0, "tube": 80.0, "detector": 77.0}
+        report = thermal(scene, 293.0, BAND, temperatures=kelvin, scene_K=300.0, rays=100_000, seed=3, noise=self.NOISE)
+
+        def photons(temperature: float) -> float:
+            """2c/λ⁴/(exp(x) - 1), photons/(s mm² sr)."""
+            waves = np.linspace(*BAND, 20_001)
+            x = planck.C2_UM_K / waves / temperature
+            return 1e12 * float(np.trapezoid(2 * planck.LIGHT / waves**4 / np.expm1(x), waves))
+
+        cone = planck.cone_projected_solid_angle(2.0)
+        expected = {
+            "scene, image": 0.95 * cone * photons(300.0),
+            "window": 0.05 * cone * photons(350.0),
+            "tube": (math.pi - cone) * photons(80.0),
+        }
+        netd = report.netd
+        found = {source.name: source for source in netd.sources}
+        for name, value in expected.items():
+            check(name, found[name].photons_mm2_s, value, 0.02)
+        assert found["scene, ghosts and scatter"].photons_mm2_s == (0.0, 0.0)
+        slope = 0.95 * cone * planck.band_derivative(300.0, *BAND)
+        check("per kelvin", netd.per_kelvin_W_mm2, slope, 0.02)
+        check("by D*", netd.by_detectivity_K, netd_by_detectivity(slope, 5e10, 0.015**2, 500.0), 0.02)
+        rise = 0.95 * cone * (photons(300.5) - photons(299.5))
+        whole = sum(expected.values())
+        check("by photons", netd.by_photons_K, netd_by_photons(whole, rise, 0.6, 0.015**2, 500.0), 0.02)
+        assert math.fsum(s.netd_K.value**2 for s in netd.sources) == pytest.approx(netd.by_photons_K.value**2)
+        assert math.fsum(s.percent for s in netd.sources) == pytest.approx(100)
+
+    def test_without_a_scene(self, tmp_path: Path) -> None:
+        lid = placed_xml("asphere", "lid", interface_xml(R=0.0), at=(0, 0, -5), semi_diameter=5.0)
+        tube = placed_xml("frustum", "tube", r0=5.0, z0=-5.0, r1=5.0, z1=0.5)
+        report = thermal(load(tmp_path, detector_xml(), lid, tube), rays=1000, aim="none", noise=self.NOISE)
+        assert report.netd.sources == []
+        assert math.isnan(report.netd.by_detectivity_K.value)
+
+    @pytest.mark.parametrize(
+        ("values", "words"),
+        [
+            ({}, "give detectivity, quantum_efficiency or both"),
+            ({"quantum_efficiency": 1.2}, "quantum_efficiency is 1.2"),
+            ({"detectivity": -1.0}, "detectivity is -1"),
+        ],
+    )
+    def test_mistakes(self, values: dict, words: str) -> None:
+        with pytest.raises(MistrayError, match=words):
+            DetectorNoise(pixel_um=15.0, bandwidth_hz=500.0, **values)
 
 
 class TestCavity:

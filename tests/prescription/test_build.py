@@ -43,6 +43,31 @@ def test_a_triplet_is_closed_from_the_first_rim_to_the_detector():
     }  # fmt: skip
 
 
+def test_the_rectangle_that_the_image_states_is_the_detector():
+    """The image of the fields is no measure of a sensor: what lies beyond it sees past the rims of the lenses."""
+    given = triplet()
+    image = given.rows[-1]
+
+    def detector(aperture: Outline | None, **chosen):
+        row = replace(image, aperture=aperture, semi_diameter=5.0)
+        built = build(replace(given, rows=(*given.rows[:-1], row)), **chosen)
+        found = built.prescription.detector
+        return (found.half_width, found.half_height), " ".join(built.notes)
+
+    free, plain = detector(None)
+    assert free[0] == free[1] >= 1.02 * 5.0
+    wide, notes = detector(rectangle(240.0, 180.0))
+    assert (wide, notes) == ((240.0, 180.0), plain)
+    small, notes = detector(rectangle(3.0, 4.0))
+    assert small == (3.0, 4.0)
+    assert "field (0, 20)" in notes, "whose light meets no detector"
+    assert detector(rectangle(3.0, 4.0), detector_half_mm=(2.0, 1.0))[0] == (2.0, 1.0)
+    for other in (circle(5.0), rectangle(3.0, 4.0, y=1.0)):
+        size, notes = detector(other)
+        assert size[0] == size[1] >= 5.0
+        assert "no rectangle about its middle" in notes
+
+
 def test_a_lens_of_very_many_surfaces_is_refused():
     *surfaces, image = triplet().rows
     many = (*surfaces, *[Row(number, thickness=0.1) for number in range(8, 501)], image)

@@ -69,6 +69,8 @@ NOTHING = replace(
 def test_text() -> None:
     text = thermal_text(REPORT)
     assert "8 to 12 µm, 293 K where no other is given, detector at 77 K; 400 000 rays, traced at 8, 10, 12 µm" in text
+    many = thermal_text(replace(REPORT, wavelengths_um=tuple(8 + k / 8 for k in range(33))))
+    assert "traced at 33 wavelengths from 8 to 12 µm" in many
     lines = text.splitlines()
     assert "3.000e-06 ± 6.0e-08" in next(line for line in lines if line.startswith("lens_<rear>"))
     assert next(line for line in lines if line.startswith("lens_<rear>")).endswith("59.9")
@@ -152,7 +154,10 @@ def test_picture() -> None:
     assert len(names) == 12
     assert axes.get_xscale() == "log"
     assert axes.patches[0].get_width() == 3e-6
+    assert all(patch.get_width() > axes.get_xlim()[0] for patch in axes.patches)
     lines = [line.get_xdata()[0] for line in axes.lines if len(set(line.get_xdata())) == 1]
     assert 5.01e-6 in lines
     assert 6e-6 in lines
     thermal_figure(NOTHING)
+    faint = thermal_figure(replace(REPORT, emitters=[*EMITTERS[:2], emitter("cold", "shield", 1e-18, 4.0)]))
+    assert [label.get_text() for label in faint.axes[0].get_yticklabels()] == ["tube_0", "tube_1"], "no empty row"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -189,6 +190,18 @@ def test_mistakes(file: Path, tmp_path: Path, rules: dict[str, dict[str, str]], 
     assert not (tmp_path / "new.xml").exists()
     with pytest.raises(MistrayError, match=words):
         mistray.coat(lens(), rules.get("coatings"), paint=rules.get("paint"), scatter=rules.get("scatter"))
+
+
+def test_the_provenance_of_a_coated_prescription() -> None:
+    """What presets reach is added; the remark on a black detector goes where the rules answer it."""
+    bare = lens()
+    assert bare.detector is not None
+    (remark,) = bare.detector.notes()
+    bare = replace(bare, provenance=f"From a file.\nNote: {remark}.")
+    coated = mistray.coat(bare, {"A front": "bbar3"})
+    assert coated.provenance.startswith(bare.provenance)
+    assert "bbar3 on " in coated.provenance
+    assert mistray.coat(bare, {"detector": "R=0.1"}).provenance == "From a file."
 
 
 def test_what_cannot_be_coated(file: Path) -> None:

@@ -19,13 +19,23 @@ import numpy as np
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.thermal.narcissus import Return, mean_returns, returns
+from mistray.analysis.thermal.netd import DetectorNoise, Netd, netd_budget
 from mistray.analysis.thermal.spectrum import BAND_ERROR, DISPERSIVE, TracedBand, band_weights, traced_wavelengths
+from mistray.analysis.thermal.sums import (
+    Key,
+    emission,
+    imaged_share,
+    per_kelvin,
+    ratio,
+    total,
+    weighted_sum,
+    with_band_error,
+)
 from mistray.errors import MistrayError
 from mistray.execute.seen import Seen, see
 from mistray.ids import fits
 from mistray.notes import Code, Note, unfinished, warns
 from mistray.percent import percent_text
-from mistray.physics import planck
 from mistray.ranges import TEMPERATURE_K, WAVELENGTH_UM
 from mistray.scene.check import require_scene
 from mistray.time_budget import share, within
@@ -41,7 +51,6 @@ IMAGE_ONLY = {"max_reflections": 0, "max_scatters": 0}
 LOST_WARNING = 0.01  # of the detector's view
 
 Progress = Callable[[int, int], None]
-Key = tuple[str, str]  # kind and name of what emits
 
 
 @dataclass(frozen=True)
@@ -113,6 +122,8 @@ class ThermalReport:
     detector : str
     returned : list of Return
         Surfaces by which the cold detector sees itself, the strongest first; empty if it is not colder than the rest.
+    netd : Netd or None
+        Noise-equivalent temperature difference, if the noise of the detector is given.
     facts : dict
         Plain values: rays, seconds, settings.
     notes : list of Note
@@ -135,6 +146,7 @@ class ThermalReport:
     band_error: float
     detector: str
     returned: list[Return] = field(default_factory=list)
+    netd: Netd | None = None
     facts: dict[str, Any] = field(default_factory=dict)
     notes: list[Note] = field(default_factory=list)
 
@@ -183,6 +195,7 @@ def thermal(
     scene_K: float | None = None,
     wavelengths_um: float | Sequence[float] | None = None,
     detector: str | None = None,
+    noise: DetectorNoise | None = None,
     rays: int | None = None,
     progress: Progress | None = None,
     seconds: float | None = None,
@@ -210,6 +223,8 @@ def thermal(
         Where the optics are traced, ascending. By default the middle of the band where nothing depends on the
         wavelength, else as many as tell the integral over the band to 1 %, see `traced_wavelengths`.
     detector : str, optional
+    noise : DetectorNoise, optional
+        Of a pixel; with it the report has `netd`.
     rays : int, optional
         Of each trace; by default 200 000, of more than three wavelengths 600 000 over their number. There are two for
         each wavelength: of everything, and of the image.
@@ -257,6 +272,9 @@ def thermal(
             if progress is not None:
                 progress(done + 1, traces)
     report = _report(*runs, traced, (low, high), float(temperature_K), outside, rules, settings)
+    if noise is not None:
+        warm = _temperatures(runs[0], float(temperature_K), rules)
+        report = replace(report, netd=netd_budget(noise, runs, warm, outside, traced, (low, high)))
     light = {"wavelength_nm": [1e3 * wave for wave in waves], "detector": detector}
     report.notes.extend(unpolarized_notes(scene, [light], **settings))
     planned = traces * each
@@ -298,46 +316,10 @@ def _temperatures(seen: Sequence[Seen], default_K: float, rules: Mapping[str, fl
     return found
 
 
-def _emission(one: Seen, key: Key) -> np.ndarray:
-    """Emission of a surface or medium from single batches of a trace."""
-    kind, name = key
-    nothing = np.zeros_like(one.escaped[2])
-    if kind == "medium":
-        return one.media[name][2] if name in one.media else nothing
-    return next((row.emission_by_batch for row in one.rows if row.id == name), nothing)
-
-
-def _image(one: Seen) -> np.ndarray:
-    """Share of the imaged scene from single batches of a trace without ghosts and scatter."""
-    return (one.image or one.escaped)[2]
-
-
-def _sum(weights: np.ndarray, by_batch: Sequence[np.ndarray]) -> Estimate:
-    """Sum over the wavelengths, whose traces are independent, of weight times the mean of the batches."""
-    value = math.fsum(float(w * np.mean(batches)) for w, batches in zip(weights, by_batch, strict=True))
-    errors = [float(w * np.std(b, ddof=1)) / math.sqrt(len(b)) for w, b in zip(weights, by_batch, strict=True)]
-    return Estimate(value, math.hypot(*errors))
-
-
-def _total(by_wave: Sequence[np.ndarray]) -> Estimate:
-    """Sum over the wavelengths of what has their weights."""
-    return _sum(np.ones(len(by_wave)), by_wave)
-
-
-def _ratio(top: Sequence[np.ndarray], bottom: Sequence[np.ndarray]) -> Estimate:
-    """Ratio of two such sums, whose batches are of the same rays; NaN where nothing is below."""
-    whole = _total(bottom).value
-    if whole <= 0:
-        return UNKNOWN
-    quotient = _total(top).value / whole
-    rest = _total([(above - quotient * below) / whole for above, below in zip(top, bottom, strict=True)])
-    return Estimate(quotient, rest.se)
-
-
 def _emitter(key: Key, kelvin: float, weights: np.ndarray, seen: Sequence[Seen]) -> Emitter:
     """What a surface or a medium gives; `weights` are those of its temperature, times π."""
     kind, name = key
-    by_batch = [_emission(one, key) for one in seen]
+    by_batch = [emission(one, key) for one in seen]
     # Of what is at 0 K the emission is the plain mean over the wavelengths
     spectrum = weights / weights.sum() if weights.any() else np.full(len(weights), 1 / len(weights))
     part, hits, share = "", 0, UNKNOWN
@@ -347,7 +329,9 @@ def _emitter(key: Key, kelvin: float, weights: np.ndarray, seen: Sequence[Seen])
         share = Estimate(
             sum(row.share for row in rows) / len(rows), math.hypot(*(row.share_se for row in rows)) / len(rows)
         )
-    return Emitter(name, part, kind, kelvin, hits, share, _sum(spectrum, by_batch), _sum(weights, by_batch))
+    return Emitter(
+        name, part, kind, kelvin, hits, share, weighted_sum(spectrum, by_batch), weighted_sum(weights, by_batch)
+    )
 
 
 def _report(
@@ -363,7 +347,7 @@ def _report(
     """The report of the traces at the wavelengths, of everything and of the image."""
     waves, kelvin = traced.wavelengths_um, _temperatures(seen, default_K, rules)
     weights = {k: np.pi * band_weights(k, band, waves) for k in {*kelvin.values(), default_K, scene_K}}
-    known = partial(_with_band_error, bound=traced.error)
+    known = partial(with_band_error, bound=traced.error)
     emitters = [_emitter(key, k, weights[k], seen) for key, k in kelvin.items()]
     emitters = [
         replace(e, emission=known(e.emission), irradiance_W_mm2=known(e.irradiance_W_mm2))
@@ -372,21 +356,21 @@ def _report(
     ]
     # Surfaces of one trace share its rays: the error of their sum is that of sums by batch
     warmth = [
-        np.sum([weights[k][number] * _emission(one, key) for key, k in kelvin.items()], axis=0)
+        np.sum([weights[k][number] * emission(one, key) for key, k in kelvin.items()], axis=0)
         for number, one in enumerate(seen)
     ]
     detector = seen[0].detector
-    imaged = [weight * _image(one) for weight, one in zip(weights[scene_K], image, strict=True)]
-    image_irradiance = known(_total(imaged))
+    imaged = [weight * imaged_share(one) for weight, one in zip(weights[scene_K], image, strict=True)]
+    image_irradiance = known(total(imaged))
     return ThermalReport(
         emitters=sorted(emitters, key=lambda e: -e.irradiance_W_mm2.value),
-        total_W_mm2=known(_total(warmth)),
-        scene_W_mm2=known(_sum(weights[scene_K], [one.escaped[2] for one in seen])),
+        total_W_mm2=known(total(warmth)),
+        scene_W_mm2=known(weighted_sum(weights[scene_K], [one.escaped[2] for one in seen])),
         image_W_mm2=image_irradiance,
-        to_image=known(_ratio(warmth, imaged)),
+        to_image=known(ratio(warmth, imaged)),
         lost_W_mm2=float(weights[default_K] @ [one.lost[0] for one in seen]),
         self_view=next((e.emission for e in emitters if (e.kind, e.name) == ("surface", detector)), Estimate(0.0, 0.0)),
-        nitd_K=known(_nitd(seen, image, kelvin, weights, default_K, _per_kelvin(image, scene_K, band, waves))),
+        nitd_K=known(_nitd(seen, image, kelvin, weights, default_K, per_kelvin(image, scene_K, band, waves))),
         temperature_K=default_K,
         detector_K=kelvin["surface", detector],
         scene_K=scene_K,
@@ -404,19 +388,13 @@ def _report(
     )
 
 
-def _with_band_error(value: Estimate, bound: float) -> Estimate:
-    """A mean or an integral over the band, with the error of its wavelengths: even chances within their bound."""
-    more = bound / math.sqrt(3) if math.isfinite(bound) else 0.0  # a note says if it is not known
-    return Estimate(value.value, math.hypot(value.se, more * value.value))
-
-
 def _nitd(
     seen: Sequence[Seen],
     image: Sequence[Seen],
     kelvin: Mapping[Key, float],
     weights: Mapping[float, np.ndarray],
     housing_K: float,
-    per_kelvin: Sequence[np.ndarray],
+    rise: Sequence[np.ndarray],
 ) -> Estimate:
     """Temperature difference by what is colder than the housing and seen by way of ghosts or scatter."""
     cold = {key: k for key, k in kelvin.items() if k < housing_K}
@@ -425,7 +403,7 @@ def _nitd(
         return UNKNOWN
 
     def missing(number: int, one: Seen, pieces: Mapping[Key, float]) -> np.ndarray:
-        parts = ((weights[housing_K] - weights[k])[number] * _emission(one, key) for key, k in pieces.items())
+        parts = ((weights[housing_K] - weights[k])[number] * emission(one, key) for key, k in pieces.items())
         return sum(parts, np.zeros_like(one.escaped[2]))
 
     # However the detector sees itself; a cold shield only where it is not seen directly
@@ -433,17 +411,7 @@ def _nitd(
         missing(number, everything, cold) - missing(number, direct, other)
         for number, (everything, direct) in enumerate(zip(seen, image, strict=True))
     ]
-    return _ratio(returned, per_kelvin)
-
-
-def _per_kelvin(
-    image: Sequence[Seen], scene_K: float, band: tuple[float, float], waves: tuple[float, ...]
-) -> list[np.ndarray]:
-    """Change of the irradiance of the imaged scene by its temperature, W/(mm² K), by wavelength and batch."""
-    above, below = (band_weights(factor * scene_K, band, waves) for factor in (1.001, 0.999))
-    spectrum = (above - below) / max(float((above - below).sum()), np.finfo(float).tiny)
-    slope = float(np.pi * planck.band_derivative(scene_K, *band))
-    return [slope * weight * _image(one) for weight, one in zip(spectrum, image, strict=True)]
+    return ratio(returned, rise)
 
 
 def _returned(
@@ -454,13 +422,12 @@ def _returned(
         np.pi * band_weights(kelvin, report.band_um, report.wavelengths_um)
         for kelvin in (report.temperature_K, report.detector_K)
     )
-    per_kelvin = _total(_per_kelvin(runs[1], report.scene_K, report.band_um, report.wavelengths_um))
+    rise = total(per_kelvin(runs[1], report.scene_K, report.band_um, report.wavelengths_um))
     emissions, missing = mean_returns(found, housing / housing.sum()), mean_returns(found, housing - own)
     parts = {row.id: row.part for row in runs[0][0].rows}
-    known = partial(_with_band_error, bound=report.band_error)
+    known = partial(with_band_error, bound=report.band_error)
     rows = [
-        Return(name, parts.get(name, ""), known(emissions[name]), known(missing[name].over(per_kelvin)))
-        for name in emissions
+        Return(name, parts.get(name, ""), known(emissions[name]), known(missing[name].over(rise))) for name in emissions
     ]
     return sorted(rows, key=lambda row: -row.emission.value)
 

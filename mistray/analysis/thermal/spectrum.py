@@ -36,7 +36,14 @@ PROBED_R, PROBED_COSINES = np.array([1e-4, 1e-2, 0.3]), np.array([1.0, 0.8, 0.5,
 NUMBERS = 4 + 4 * len(PROBED_COSINES)  # of an interface before those of its scatter
 
 
-def band_weights(temperature_K: float, band_um: tuple[float, float], wavelengths_um: npt.ArrayLike) -> np.ndarray:
+def band_weights(
+    temperature_K: float,
+    band_um: tuple[float, float],
+    wavelengths_um: npt.ArrayLike,
+    *,
+    derivative: bool = False,
+    photons: bool = False,
+) -> np.ndarray:
     """
     Weights with which values at some wavelengths add up to their integral with Planck's spectrum over a band.
 
@@ -46,17 +53,24 @@ def band_weights(temperature_K: float, band_um: tuple[float, float], wavelengths
     band_um : (float, float)
     wavelengths_um : (m,) sequence of float
         Ascending. Between them a value is linear, beyond them constant.
+    derivative : bool
+        Of the derivative of the spectrum by the temperature, per K.
+    photons : bool
+        Of photons per second instead of watts.
 
     Returns
     -------
     (m,) float64
         W/(mm² sr), not negative; their sum is the radiance of a blackbody in the band.
     """
+    quadrature = planck.derivative_nodes if derivative else planck.band_nodes
     nodes = np.asarray(wavelengths_um, dtype=np.float64)
     inside = nodes[(nodes > band_um[0]) & (nodes < band_um[1])]
     weights = np.zeros(len(nodes))
     for low, high in pairwise([band_um[0], *inside, band_um[1]]):
-        waves, radiances = planck.band_nodes(temperature_K, low, high)
+        waves, radiances = quadrature(temperature_K, low, high)
+        if photons:
+            radiances = radiances * planck.photons_per_joule(waves)
         weights += [float(radiances @ np.interp(waves, nodes, unit)) for unit in np.eye(len(nodes))]
     return weights
 

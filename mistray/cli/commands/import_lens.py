@@ -69,8 +69,8 @@ COMMAND = Command(
                    "or the first one)", metavar="NAME"),
             Option("--margin", "clear radii that the file does not give exceed the rays by this part (0.02)",
                    MARGIN, "PART"),
-            Option("--detector-half-mm", "half width and height of the detector, mm (as the image of all fields)",
-                   SIZE_MM, ("X", "Y"), 2),
+            Option("--detector-half-mm", "half width and height of the detector, mm (as the file states, or the "
+                   "image of all fields)", SIZE_MM, ("X", "Y"), 2),
         )),
         SURFACES,
         import_mechanics.GROUP,

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from mistray.cli.arguments import pairs
 from mistray.cli.command import Command, Group, Option
 from mistray.cli.options import Options
-from mistray.cli.shared import DETECTOR, SCATTER, SCENE, SURFACES, TABLE_FORMATS, TIME, output, ray_tree
-from mistray.ranges import TEMPERATURE_K, WAVELENGTH_UM
+from mistray.cli.shared import DETECTOR, SCATTER, SCENE, SURFACES, TABLE_FORMATS, TIME, flag, output, ray_tree
+from mistray.errors import MistrayError
+from mistray.ranges import BANDWIDTH_HZ, DETECTIVITY, LENGTH_UM, QUANTUM_EFFICIENCY, TEMPERATURE_K, WAVELENGTH_UM
+
+if TYPE_CHECKING:
+    from mistray.analysis.thermal.netd import DetectorNoise
 
 # What --out writes
-FILES = ("report.html", "thermal.*", "narcissus.csv")
+FILES = ("report.html", "thermal.*", "narcissus.csv", "netd.csv")
+PIXEL, NOISE = ("pixel_um", "bandwidth_hz"), ("detectivity", "quantum_efficiency")
 
 # fmt: off
 COMMAND = Command(
@@ -21,6 +28,7 @@ COMMAND = Command(
         "mistray thermal scene.xml --temperature-K 293 --band-um 8 12 --out out",
         "mistray thermal scene.xml --band-um 3 5 --part detector=77 'baffle_*=150' --scene-K 300",
         "mistray thermal scene.xml --band-um 8 12 --wavelength-um 2 --max-scatters 3 --json",
+        "mistray thermal scene.xml --part detector=77 --pixel-um 15 --bandwidth-hz 1e4 --detectivity 1e11",
     ),
     (
         SCENE,
@@ -37,6 +45,13 @@ COMMAND = Command(
                    WAVELENGTH_UM, "UM", "+"),
             DETECTOR,
         )),
+        Group("noise, for the NETD (a pixel, a bandwidth, and one or both of the others)", (
+            Option("--pixel-um", "side of a square pixel, µm", LENGTH_UM, "UM"),
+            Option("--bandwidth-hz", "of the noise, Hz; 1/(2t) for an integration time t", BANDWIDTH_HZ, "HZ"),
+            Option("--detectivity", "D*, mean over the band, cm √Hz/W", DETECTIVITY, "D"),
+            Option("--quantum-efficiency", "electrons per photon, mean over the band; for the noise of photons",
+                   QUANTUM_EFFICIENCY, "QE"),
+        )),
         ray_tree("rays from the detector, for each wavelength and twice (2e5)", TIME),
         SURFACES,
         SCATTER,
@@ -52,6 +67,7 @@ def run(options: Options) -> int:
     from mistray.analysis.thermal.emission import thermal
     from mistray.report.thermal import thermal_record, thermal_report, thermal_text
 
+    noise = _noise(options)
     scene = options.load()
     with options.tracing() as progress:
         found = thermal(
@@ -62,9 +78,25 @@ def run(options: Options) -> int:
             scene_K=options.scene_K,
             wavelengths_um=options.wavelength_um,
             detector=options.detector,
+            noise=noise,
             progress=progress,
             seconds=options.seconds_left(),
             **options.settings(),
         )
     files = options.write(lambda title, command: thermal_report(found, title, command))
     return options.show(lambda: thermal_record(found), lambda: thermal_text(found), files)
+
+
+def _noise(options: Options) -> DetectorNoise | None:
+    """What the options say of a pixel; None without any."""
+    from mistray.analysis.thermal.netd import DetectorNoise
+
+    given = options.given(*PIXEL, *NOISE)
+    if not given:
+        return None
+    missing = [flag(name) for name in PIXEL if name not in given]
+    if not any(name in given for name in NOISE):
+        missing.append(" or ".join(map(flag, NOISE)))
+    if missing:
+        raise MistrayError(f"{flag(next(iter(given)))} alone gives no NETD; add {', '.join(missing)}")
+    return DetectorNoise(**given)

@@ -97,7 +97,8 @@ def to_prescription(
         distant source of stray light does. "exact": it just fills the entrance pupil of the axis, so that the stop has
         no derivatives. See `mistray.prescription.imported_beam`.
     detector_half_mm : tuple of two float or None
-        Half width and half height of the detector, mm; ``None``: those of the image of all fields.
+        Half width and half height of the detector, mm; ``None``: those of a rectangle about its middle that the image
+        states as its aperture, else of the image of all fields.
 
     Returns
     -------
@@ -317,6 +318,10 @@ def _cross(a: Surface | Structure, b: Surface | Structure) -> bool:
 
 def _detector(table: OpticalSurfaces, half: tuple[float, float] | None) -> Detector:
     row, frame, data = table.lens.rows[-1], table.frames[-1], table.rays.data
+    if half is None and row.aperture is not None:
+        half = row.aperture.sides
+        if half is None:
+            table.notes.append("the aperture of the image is no rectangle about its middle: the detector is a square")
     if half is None:
         scale = data.epd / _SMALLEST_DETECTOR if math.isinf(data.efl) else abs(data.efl)
         size = max(float(table.rays.reach[-1]), row.semi_diameter or 0.0) * (1 + table.margin)

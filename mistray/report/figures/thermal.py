@@ -9,14 +9,15 @@ from mistray.analysis.thermal.emission import ThermalReport
 from mistray.report.figures.figure import Figure, plain_axes
 from mistray.report.figures.palette import BLUE, GREEN, ORANGE, VERMILION
 
-SHOWN = 12  # bars
+SHOWN, FAINTEST = 12, 1e-8  # bars; share of the strongest below which there is none
 KIND_COLOURS = {"surface": BLUE, "medium": GREEN}
 COLD_COLOUR = ORANGE
 
 
 def thermal_figure(report: ThermalReport, title: str = "") -> Figure:
     """Irradiance by surface and medium as bars, the strongest first, and lines for all of it and for the scene."""
-    lit = [e for e in report.emitters if e.irradiance_W_mm2.value > 0][:SHOWN]
+    least = FAINTEST * max((e.irradiance_W_mm2.value for e in report.emitters), default=0.0)
+    lit = [e for e in report.emitters if e.irradiance_W_mm2.value > least][:SHOWN]
     made = Figure(figsize=(8.6, 1.4 + 0.32 * max(len(lit), 3)), dpi=120, layout="constrained")
     axes = made.subplots()
     values = np.array([e.irradiance_W_mm2.value for e in lit])
@@ -34,7 +35,7 @@ def thermal_figure(report: ThermalReport, title: str = "") -> Figure:
             axes.axvline(value, color=colour, lw=1.2, ls="--", label=f"{text}: {value:.3g} W/mm²")
     if len(lit):
         axes.set_xscale("log")
-        axes.set_xlim(max(values.min() / 3, values.max() * 1e-8))
+        axes.set_xlim(values.min() / 3)
         axes.xaxis.set_major_locator(LogLocator(10, numticks=12))
     axes.set_xlabel(f"irradiance on the detector, {report.band_um[0]:g} to {report.band_um[1]:g} µm [W/mm²]")
     plain_axes(axes, "x", below=True)

@@ -1,0 +1,188 @@
+"""Budget of the noise-equivalent temperature difference (NETD): which light on the detector makes how much noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from mistray.analysis.estimate import UNKNOWN, Estimate
+from mistray.analysis.thermal.spectrum import TracedBand, band_weights
+from mistray.analysis.thermal.sums import Key, emission, imaged_share, per_kelvin, total, with_band_error
+from mistray.errors import MistrayError
+from mistray.execute.seen import Seen
+from mistray.physics.netd import netd_by_detectivity, netd_by_photons
+from mistray.ranges import BANDWIDTH_HZ, DETECTIVITY, LENGTH_UM, QUANTUM_EFFICIENCY, check_fields
+
+IMAGE, OTHER = "scene, image", "scene, ghosts and scatter"
+
+
+@dataclass(frozen=True, kw_only=True)
+class DetectorNoise:
+    """
+    A pixel and its noise, of which at least one of `detectivity` and `quantum_efficiency` is given.
+
+    Attributes
+    ----------
+    pixel_um : float
+        Side of the square pixel that takes light, µm.
+    bandwidth_hz : float
+        Of the noise, Hz; 1/(2t) if a pixel integrates during t.
+    detectivity : float, optional
+        D*, mean over the band, cm √Hz/W.
+    quantum_efficiency : float, optional
+        Electrons per photon, mean over the band, > 0 … 1.
+
+    Raises
+    ------
+    MistrayError
+        If a number is out of range, or neither of the two is given.
+    """
+
+    pixel_um: float = LENGTH_UM.field()
+    bandwidth_hz: float = BANDWIDTH_HZ.field()
+    detectivity: float | None = DETECTIVITY.field(None)
+    quantum_efficiency: float | None = QUANTUM_EFFICIENCY.field(None)
+
+    def __post_init__(self) -> None:
+        check_fields(self, "noise of the detector")
+        if self.detectivity is None and self.quantum_efficiency is None:
+            raise MistrayError("noise of the detector: give detectivity, quantum_efficiency or both")
+
+    @property
+    def pixel_mm2(self) -> float:
+        """Area of the pixel, mm²."""
+        return (1e-3 * self.pixel_um) ** 2
+
+
+@dataclass(frozen=True)
+class NoiseSource:
+    """
+    Light on the detector and the noise of its photons.
+
+    Attributes
+    ----------
+    name : str
+        A part, a medium in brackets, or the scene: its image, and what comes by ghosts and scatter.
+    photons_mm2_s : Estimate
+        Irradiance, photons/(s mm²).
+    percent : float
+        Share of the variance of the noise of all photons.
+    netd_K : Estimate
+        NETD if this noise were all; the squares add up.
+    """
+
+    name: str
+    photons_mm2_s: Estimate
+    percent: float
+    netd_K: Estimate
+
+
+@dataclass(frozen=True)
+class Netd:
+    """
+    Noise-equivalent temperature difference of the mean pixel, see `mistray.physics.netd`.
+
+    Attributes
+    ----------
+    noise : DetectorNoise
+    per_kelvin_W_mm2 : Estimate
+        Change of the irradiance of the imaged scene by its temperature, W/(mm² K).
+    by_detectivity_K : Estimate
+        NaN without a detectivity, and where no scene is seen.
+    by_photons_K : Estimate
+        By the noise of all photons; NaN without a quantum efficiency, and where no scene is seen.
+    sources : list of NoiseSource
+        The brightest first; empty where `by_photons_K` is NaN.
+    """
+
+    noise: DetectorNoise
+    per_kelvin_W_mm2: Estimate
+    by_detectivity_K: Estimate = UNKNOWN
+    by_photons_K: Estimate = UNKNOWN
+    sources: list[NoiseSource] = field(default_factory=list)
+
+
+def netd_budget(
+    noise: DetectorNoise,
+    runs: tuple[Sequence[Seen], Sequence[Seen]],
+    kelvin: Mapping[Key, float],
+    scene_K: float,
+    traced: TracedBand,
+    band: tuple[float, float],
+) -> Netd:
+    """
+    NETD of a detector whose view was traced.
+
+    Parameters
+    ----------
+    noise : DetectorNoise
+    runs : two sequences of Seen
+        Of everything and of the image, by wavelength.
+    kelvin : mapping of (str, str) to float
+        Kind and name of everything that emits → its temperature, K.
+    scene_K : float
+    traced : TracedBand
+    band : (float, float)
+        µm.
+    """
+    (seen, image), waves = runs, traced.wavelengths_um
+    known = partial(with_band_error, bound=traced.error)
+    slope = known(total(per_kelvin(image, scene_K, band, waves)))
+    if slope.value <= 0:
+        return Netd(noise, slope)
+    by_detectivity = UNKNOWN
+    if noise.detectivity is not None:
+        value = float(netd_by_detectivity(slope.value, noise.detectivity, noise.pixel_mm2, noise.bandwidth_hz))
+        by_detectivity = Estimate(value, value * slope.se / slope.value)
+    if noise.quantum_efficiency is None:
+        return Netd(noise, slope, by_detectivity)
+    pixel = (noise.quantum_efficiency, noise.pixel_mm2, noise.bandwidth_hz)
+    light = _photons(seen, image, kelvin, scene_K, band, waves)
+    signal = per_kelvin(image, scene_K, band, waves, photons=True)
+    whole, rise = total([np.sum(parts, axis=0) for parts in zip(*light.values(), strict=True)]), total(signal)
+
+    def netd(by_wave: Sequence[np.ndarray]) -> Estimate:
+        """NETD by the noise of some light, whose batches are of the same rays as those of the signal."""
+        flux = total(by_wave).value
+        if flux <= 0:
+            return Estimate(0.0, 0.0)
+        value = float(netd_by_photons(flux, rise.value, *pixel))
+        relative = total([a / (2 * flux) - b / rise.value for a, b in zip(by_wave, signal, strict=True)])
+        return known(Estimate(value, value * relative.se))
+
+    sources = [
+        NoiseSource(name, known(total(one)), 100 * total(one).value / whole.value, netd(one))
+        for name, one in light.items()
+    ]
+    return Netd(
+        noise,
+        slope,
+        by_detectivity,
+        netd([np.sum(parts, axis=0) for parts in zip(*light.values(), strict=True)]),
+        sorted(sources, key=lambda source: -source.photons_mm2_s.value),
+    )
+
+
+def _photons(
+    seen: Sequence[Seen],
+    image: Sequence[Seen],
+    kelvin: Mapping[Key, float],
+    scene_K: float,
+    band: tuple[float, float],
+    waves: tuple[float, ...],
+) -> dict[str, list[np.ndarray]]:
+    """Photons/(s mm²) by wavelength and batch, by name of what shines."""
+    weights = {k: math.pi * band_weights(k, band, waves, photons=True) for k in {*kelvin.values(), scene_K}}
+    direct = [weight * imaged_share(one) for weight, one in zip(weights[scene_K], image, strict=True)]
+    every = [weight * one.escaped[2] for weight, one in zip(weights[scene_K], seen, strict=True)]
+    light = {IMAGE: direct, OTHER: [a - b for a, b in zip(every, direct, strict=True)]}
+    parts = {("surface", row.id): row.part for row in seen[0].rows}
+    for key, k in kelvin.items():
+        name = parts.get(key, f"({key[1]})" if key[0] == "medium" else key[1])
+        own = [weight * emission(one, key) for weight, one in zip(weights[k], seen, strict=True)]
+        light[name] = [a + b for a, b in zip(light[name], own, strict=True)] if name in light else own
+    return light
