@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import asdict
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -53,9 +54,12 @@ def emitter_table(report: ThermalReport) -> Table:
 
 
 def return_table(report: ThermalReport) -> Table:
-    """Surfaces by which the detector sees itself."""
-    rows: list[list[Value]] = [[r.surface, r.part, r.emission, r.nitd_K] for r in report.returned]
-    return Table(columns("<surface", "<part", "emission [n²]", "NITD [K]"), rows, "t-returns")
+    """Surfaces by which the detector sees itself and its shield."""
+    rows: list[list[Value]] = [
+        [r.surface, r.part, r.emission, r.nitd_K, r.with_shield_K, r.over_field_K] for r in report.returned
+    ]
+    heads = columns("<surface", "<part", "emission [n²]", "NITD [K]", "with the shield [K]", "middle - edge [K]")
+    return Table(heads, rows, "t-returns")
 
 
 def part_table(report: ThermalReport) -> Table:
@@ -89,7 +93,10 @@ def thermal_text(report: ThermalReport, shown: int = SHOWN) -> str:
     sums = Table(columns("<", "<unit", "value"), _sums(report, 3))
     parts = [heading(report), table_text(emitters), "", table_text(sums)]
     if report.returned:
-        returns = columns("<the detector sees itself by", "<part", "emission [1]", "NITD [K]")
+        returns = columns(
+            "<the detector sees itself by", "<part", "emission [1]", "NITD [K]", "with the shield [K]",
+            "middle - edge [K]",
+        )  # fmt: skip
         parts += ["", table_text(Table(returns, return_table(report).rows), RETURNS_SHOWN)]
     if report.netd and report.netd.sources:
         parts += ["", table_text(netd_table(report), NOISE_SHOWN)]
@@ -123,7 +130,18 @@ def _percent(report: ThermalReport, power: float) -> str:
 
 def return_frame(report: ThermalReport) -> pd.DataFrame:
     """Surfaces by which the detector sees itself: surface, part, emission and NITD with their errors."""
-    return pd.DataFrame([row_of(found, "surface", "part", "emission", "nitd_K") for found in report.returned])
+    names = ("surface", "part", "emission", "nitd_K", "with_shield_K", "over_field_K")
+    return pd.DataFrame([row_of(found, *names) for found in report.returned])
+
+
+def field_frame(report: ThermalReport) -> pd.DataFrame:
+    """NITD by surface and zone of the detector, with the shield: surface, distances from the middle, NITD."""
+    rows = [
+        {"surface": found.surface, "low_mm": low, "high_mm": high, "nitd_K": nitd.value, "nitd_K_se": nitd.se}
+        for found in report.returned
+        for (low, high), nitd in zip(pairwise(report.zones_mm), found.by_zone_K, strict=True)
+    ]
+    return pd.DataFrame(rows)
 
 
 def netd_frame(report: ThermalReport) -> pd.DataFrame:
@@ -143,20 +161,24 @@ def thermal_record(report: ThermalReport) -> dict[str, Any]:
         known = row_of(report.netd, "per_kelvin_W_mm2", "by_detectivity_K", "by_photons_K")
         record["netd"] = asdict(report.netd.noise) | known | {"sources": netd_frame(report).to_dict("records")}
     record |= {"emitters": report.to_pandas().to_dict("records"), "returned": return_frame(report).to_dict("records")}
+    record["narcissus_field"] = field_frame(report).to_dict("records")
     return dict(plain(record))
 
 
 def thermal_report(report: ThermalReport, title: str = "scene", command: str = "") -> Report:
     """The report; `title` is the name of the optical system, `command` the command line that made it."""
     from mistray.report.figures.plots import as_png
-    from mistray.report.figures.thermal import thermal_figure
+    from mistray.report.figures.thermal import narcissus_figure, thermal_figure
 
     finding = Markup("Self-emission on the detector: <b>{} W/mm²</b>").format(with_error(report.total_W_mm2))
     if math.isfinite(report.to_image.value):
         finding += f", {with_error(report.to_image)} of the image of a blackbody scene at {report.scene_K:g} K"
     drawn = Figure(functools.partial(thermal_figure, report), "Irradiance by surface and medium.")
     sums = Table(columns("<", "unit", "value"), _sums(report, 4), "t-sums", sortable=False)
-    returns = "Where light of the detector turns back to it: one reflection, transmitted everywhere else."
+    returns = (
+        "Where light of the detector turns back to it: one reflection, transmitted everywhere else. With the shield: "
+        "also to all else that is cold. Middle - edge: how much that changes over the detector."
+    )
     facts: dict[str, Any] = {"band_um": report.band_um, "wavelengths_um": report.wavelengths_um}
     for key, value in report.facts.items():
         facts |= value if isinstance(value, dict) else {key: thousands(value) if key == "rays" else value}
@@ -167,7 +189,9 @@ def thermal_report(report: ThermalReport, title: str = "scene", command: str = "
         Section("surfaces", "By surface", [emitter_table(report)], "By surface"),
     ]
     if report.returned:
-        sections.append(Section("narcissus", "Narcissus", [Note(returns), return_table(report)], "Narcissus"))
+        over = Figure(functools.partial(narcissus_figure, report), "NITD by surface over the detector.")
+        shown = [Note(returns), return_table(report), *([over] if report.zones_mm else [])]
+        sections.append(Section("narcissus", "Narcissus", shown, "Narcissus"))
     if report.netd is not None:
         pixel = report.netd.noise
         given = f"A pixel of {pixel.pixel_um:g} µm, {pixel.bandwidth_hz:g} Hz"
@@ -192,6 +216,8 @@ def csv_tables(report: ThermalReport) -> dict[str, pd.DataFrame]:
     tables = {"thermal.csv": report.to_pandas()}
     if report.returned:
         tables["narcissus.csv"] = return_frame(report)
+        if report.zones_mm:
+            tables["narcissus_field.csv"] = field_frame(report)
     if report.netd and report.netd.sources:
         tables["netd.csv"] = netd_frame(report)
     return tables

@@ -6,6 +6,7 @@ A number from a trace must lie within 4 standard errors of the exact one: false-
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -201,6 +202,41 @@ class TestNarcissus:
         assert report.nitd_K == (0.0, 0.0), "both traces start the same rays"
         assert report.self_view == (0.0, 0.0)
         assert report.returned == []
+
+    def test_over_the_detector(self, tmp_path: Path) -> None:
+        """
+        A plane that reflects 20 %, 2 mm before a cold square of 4 mm in a warm world: its image by the view factor.
+
+        A point at (x, y) sees the image, 4 mm away, by Hottel's configuration factor of a parallel rectangle from an
+        element under its corner. The scene is seen by what passes.
+        """
+        half, near = 2.0, 2.0
+        scene = load(
+            tmp_path,
+            placed_xml("asphere", "window", interface_xml(R=0.2, T=0.8), at=(0, 0, -near), semi_diameter=2000.0),
+            detector_xml(half),
+        )
+        report = thermal(scene, 293.0, BAND, temperatures={"detector": 77.0}, rays=200_000, seed=6, aim="none")
+
+        def corner(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+            """Configuration factor of a rectangle with signed sides a, b in units of its distance, from its corner."""
+            first = a / np.sqrt(1 + a**2) * np.arctan(b / np.sqrt(1 + a**2))
+            return (first + b / np.sqrt(1 + b**2) * np.arctan(a / np.sqrt(1 + b**2))) / (2 * np.pi)
+
+        x, y = np.random.default_rng(7).uniform(-half, half, (2, 200_000))
+        a, b, distance = (half - x) / (2 * near), (half - y) / (2 * near), np.hypot(x, y)
+        c, d = (half + x) / (2 * near), (half + y) / (2 * near)
+        factor = corner(a, b) + corner(c, b) + corner(a, d) + corner(c, d)
+        unit = planck.narcissus_nitd(0.2, 293.0, 77.0, *BAND) / 0.8
+        (back,) = report.returned
+        check("all", back.with_shield_K, unit * factor.mean(), 0.02)
+        assert back.nitd_K.value == pytest.approx(back.with_shield_K.value, rel=0.02)
+        assert report.zones_mm[-1] == pytest.approx(half * math.sqrt(2), rel=0.01)
+        for (low, high), found in zip(pairwise(report.zones_mm), back.by_zone_K, strict=True):
+            inside = (distance >= low) & (distance < high)
+            assert inside.mean() == pytest.approx(0.2, abs=0.01)
+            check(f"{low:.2f} mm", found, unit * factor[inside].mean(), 0.03)
+        assert back.by_zone_K[0].value > 1.2 * back.by_zone_K[-1].value
 
     def test_which_surface(self, tmp_path: Path) -> None:
         """A lens with two coated faces, scatter and an absorbing glass: the single returns and the whole self view."""

@@ -13,7 +13,7 @@ import pytest
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.thermal.emission import Emitter, ThermalReport
 from mistray.analysis.thermal.narcissus import Return
-from mistray.report.figures.thermal import thermal_figure
+from mistray.report.figures.thermal import narcissus_figure, thermal_figure
 from mistray.report.html.render import html_page
 from mistray.report.thermal import thermal_record, thermal_report, thermal_text, write_thermal
 
@@ -48,9 +48,24 @@ REPORT = ThermalReport(
     band_error=0.004,
     detector="detector",
     returned=[
-        Return("lens_<rear>", "lens", Estimate(0.0015, 1e-4), Estimate(0.25, 0.02)),
-        Return("(total reflection)", "", Estimate(0.0004, 1e-4), Estimate(0.06, 0.02)),
+        Return(
+            "lens_<rear>",
+            "lens",
+            Estimate(0.0015, 1e-4),
+            Estimate(0.25, 0.02),
+            Estimate(0.4, 0.03),
+            (Estimate(0.5, 0.03), Estimate(0.3, 0.04)),
+        ),
+        Return(
+            "(total reflection)",
+            "",
+            Estimate(0.0004, 1e-4),
+            Estimate(0.06, 0.02),
+            Estimate(0.06, 0.02),
+            (Estimate(0.06, 0.03), Estimate(0.06, 0.04)),
+        ),
     ],
+    zones_mm=(0.0, 2.0, 3.0),
     facts={"rays": 400000, "seconds": 1.5, "detector_area_mm2": 4.0, "settings": {"max_scatters": 3}},
     notes=["a <note>"],
 )
@@ -63,6 +78,7 @@ NOTHING = replace(
     nitd_K=UNKNOWN,
     notes=[],
     returned=[],
+    zones_mm=(),
 )
 
 
@@ -76,8 +92,8 @@ def test_text() -> None:
     assert next(line for line in lines if line.startswith("lens_<rear>")).endswith("59.9")
     assert any(line.startswith("… and 5 more") for line in lines)
     assert any("NITD" in line and line.endswith("0.310 ± 0.020") for line in lines)
-    (back,) = (line.split() for line in lines if line.startswith("lens_<rear>") and line.endswith("0.020"))
-    assert back == ["lens_<rear>", "lens", "0.00150", "±", "0.00010", "0.250", "±", "0.020"]
+    (back,) = (line.split() for line in lines if line.startswith("lens_<rear>") and line.endswith("0.050"))
+    assert " ".join(back) == "lens_<rear> lens 0.00150 ± 0.00010 0.250 ± 0.020 0.400 ± 0.030 0.200 ± 0.050"
     assert lines[-1] == "warning: a <note>"
     assert "nothing emits" in thermal_text(NOTHING)
 
@@ -130,7 +146,7 @@ def test_html(report: ThermalReport) -> None:
 def test_files(tmp_path: Path) -> None:
     files = write_thermal(REPORT, tmp_path / "new" / "out", "system", "mistray thermal system")
     assert {file.name for file in files} == {
-        "thermal.csv", "narcissus.csv", "thermal.json", "thermal.png", "report.html",
+        "thermal.csv", "narcissus.csv", "narcissus_field.csv", "thermal.json", "thermal.png", "report.html",
     }  # fmt: skip
     with (tmp_path / "new/out/thermal.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
@@ -142,6 +158,9 @@ def test_files(tmp_path: Path) -> None:
     assert record["returned"][1]["surface"] == "(total reflection)"
     with (tmp_path / "new/out/narcissus.csv").open(encoding="utf-8") as stream:
         assert [row["nitd_K"] for row in csv.DictReader(stream)] == ["0.25", "0.06"]
+    assert record["narcissus_field"][1] == {
+        "surface": "lens_<rear>", "low_mm": 2.0, "high_mm": 3.0, "nitd_K": 0.3, "nitd_K_se": 0.04,
+    }  # fmt: skip
     assert record["emitters"][-2]["share"] is None
     assert record["command"] == "mistray thermal system"
     assert record == {"title": "system", "command": "mistray thermal system"} | thermal_record(REPORT)
@@ -161,3 +180,10 @@ def test_picture() -> None:
     thermal_figure(NOTHING)
     faint = thermal_figure(replace(REPORT, emitters=[*EMITTERS[:2], emitter("cold", "shield", 1e-18, 4.0)]))
     assert [label.get_text() for label in faint.axes[0].get_yticklabels()] == ["tube_0", "tube_1"], "no empty row"
+
+
+def test_picture_of_narcissus() -> None:
+    made = narcissus_figure(REPORT)
+    (axes,) = made.axes
+    assert axes.get_xlim() == (0.0, 3.0)
+    assert [stairs.get_data().values.tolist() for stairs in axes.patches] == [[500.0, 300.0], [60.0, 60.0]]

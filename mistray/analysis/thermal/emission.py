@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
-from mistray.analysis.thermal.narcissus import Return, mean_returns, returns
+from mistray.analysis.thermal.narcissus import ZONES, Return, Returned, mean_returns, returns
 from mistray.analysis.thermal.netd import DetectorNoise, Netd, netd_budget
 from mistray.analysis.thermal.spectrum import BAND_ERROR, DISPERSIVE, TracedBand, band_weights, traced_wavelengths
 from mistray.analysis.thermal.sums import (
@@ -121,7 +121,10 @@ class ThermalReport:
         of means and integrals over the band. NaN where the optics are not known all over the band.
     detector : str
     returned : list of Return
-        Surfaces by which the cold detector sees itself, the strongest first; empty if it is not colder than the rest.
+        Surfaces by which the cold detector sees itself and its shield, the strongest first; empty if it does not see
+        itself or is not colder than the rest.
+    zones_mm : tuple of float
+        Distances from the middle of the detector that bound the zones of `Return.by_zone_K`; empty like `returned`.
     netd : Netd or None
         Noise-equivalent temperature difference, if the noise of the detector is given.
     facts : dict
@@ -146,6 +149,7 @@ class ThermalReport:
     band_error: float
     detector: str
     returned: list[Return] = field(default_factory=list)
+    zones_mm: tuple[float, ...] = ()
     netd: Netd | None = None
     facts: dict[str, Any] = field(default_factory=dict)
     notes: list[Note] = field(default_factory=list)
@@ -283,11 +287,24 @@ def thermal(
     if report.detector_K >= report.temperature_K or not report.self_view.value:
         return report
     fewer = min(each, RETURN_RAYS)
-    found = [
-        returns(scene, report.detector, wave, fewer, (chosen.seed + number) % 2**32, chosen)
-        for number, wave in enumerate(waves)
-    ]
-    return replace(report, returned=_returned(report, found, runs))
+    by_id = {name: k for (kind, name), k in _temperatures(runs[0], report.temperature_K, rules).items()
+              if kind == "surface"}  # fmt: skip
+    weights = {k: np.pi * band_weights(k, (low, high), waves) for k in {*by_id.values(), report.temperature_K}}
+    slopes = np.pi * band_weights(outside, (low, high), waves, derivative=True)
+    found = []
+    for number, wave in enumerate(waves):
+        missing = {
+            name: float((weights[report.temperature_K] - weights[k])[number])
+            for name, k in by_id.items()
+            if k < report.temperature_K
+        }
+        seed = (chosen.seed + number) % 2**32
+        found.append(returns(scene, report.detector, wave, fewer, seed, chosen, missing, float(slopes[number])))
+    return replace(
+        report,
+        returned=_returned(report, found, runs),
+        zones_mm=tuple(np.mean([one.zones_mm for one in found], axis=0).tolist()),
+    )
 
 
 def _check_names(scene: mi.Scene, rules: Mapping[str, float]) -> None:
@@ -414,22 +431,27 @@ def _nitd(
     return ratio(returned, rise)
 
 
-def _returned(
-    report: ThermalReport, found: Sequence[dict[str, Estimate]], runs: tuple[list[Seen], list[Seen]]
-) -> list[Return]:
+def _returned(report: ThermalReport, found: Sequence[Returned], runs: tuple[list[Seen], list[Seen]]) -> list[Return]:
     """What each surface sends back to the detector, the strongest first."""
+    emitted, nothing = [one.emission for one in found], np.zeros_like(found[0].scene)
     housing, own = (
         np.pi * band_weights(kelvin, report.band_um, report.wavelengths_um)
         for kelvin in (report.temperature_K, report.detector_K)
     )
     rise = total(per_kelvin(runs[1], report.scene_K, report.band_um, report.wavelengths_um))
-    emissions, missing = mean_returns(found, housing / housing.sum()), mean_returns(found, housing - own)
+    emissions, missing = mean_returns(emitted, housing / housing.sum()), mean_returns(emitted, housing - own)
     parts = {row.id: row.part for row in runs[0][0].rows}
     known = partial(with_band_error, bound=report.band_error)
-    rows = [
-        Return(name, parts.get(name, ""), known(emissions[name]), known(missing[name].over(rise))) for name in emissions
-    ]
-    return sorted(rows, key=lambda row: -row.emission.value)
+    rows = []
+    for name in dict.fromkeys(name for one in found for name in one.cold):
+        back = [one.cold.get(name, nothing) for one in found]
+        zones = [known(ratio([one[zone] for one in back], [one.scene[zone] for one in found])) for zone in range(ZONES)]
+        whole = known(ratio([one.mean(axis=0) for one in back], [one.scene.mean(axis=0) for one in found]))
+        own_share, own_part = (sums.get(name, Estimate(0.0, 0.0)) for sums in (emissions, missing))
+        rows.append(
+            Return(name, parts.get(name, ""), known(own_share), known(own_part.over(rise)), whole, tuple(zones))
+        )
+    return sorted(rows, key=lambda row: -row.with_shield_K.value)
 
 
 def _notes(seen: Sequence[Seen], image: Estimate, traced: TracedBand, band: tuple[float, float]) -> list[Note]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,11 +11,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.analysis.estimate import Estimate
+from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.kernel.interaction import counts_as_reflection, interact
 from mistray.kernel.next_hit import next_hit
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
+from mistray.recorders.start_rays import StartRays
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.detector_start import DetectorStart
 from mistray.settings import BATCHES, Settings
@@ -24,6 +26,7 @@ from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.surfaces import SurfaceTable
 
 TOTAL = "(total reflection)"
+ZONES = 5  # of the detector by the distance from its middle, with equal areas
 FAINTEST = 1e-9  # weight below which a ray ends
 
 
@@ -41,19 +44,63 @@ class Return:
         is transmitted everywhere else, and reflected by mirrors and in total reflection.
     nitd_K : Estimate
         Its part of the narcissus-induced temperature difference.
+    with_shield_K : Estimate
+        The same of all that is colder than the housing and seen by this reflection, such as a cold shield.
+    by_zone_K : tuple of Estimate
+        That of each zone of the detector, from the middle to the edge; see `ThermalReport.zones_mm`.
     """
 
     surface: str
     part: str
     emission: Estimate
     nitd_K: Estimate
+    with_shield_K: Estimate = UNKNOWN
+    by_zone_K: tuple[Estimate, ...] = ()
+
+    @property
+    def over_field_K(self) -> Estimate:
+        """`with_shield_K` in the middle zone less that in the outermost, whose rays are others; what is seen of it."""
+        if not self.by_zone_K:
+            return UNKNOWN
+        middle, edge = self.by_zone_K[0], self.by_zone_K[-1]
+        return Estimate(middle.value - edge.value, math.hypot(middle.se, edge.se))
+
+
+@dataclass(frozen=True)
+class Returned:
+    """
+    What comes back to the detector at one wavelength.
+
+    Attributes
+    ----------
+    emission : dict of str to Estimate
+        Surface id or `TOTAL` → emission, as in `Return`; only what sends light back.
+    cold : dict of str to (ZONES, BATCHES) float64
+        The same → irradiance that is missing because cold objects are seen by it, W/mm², by zone and batch of rays.
+    scene : (ZONES, BATCHES) float64
+        Change of the irradiance of the imaged scene by its temperature, W/(mm² K).
+    zones_mm : (ZONES + 1,) float64
+        Distances from the middle of the detector that bound the zones.
+    """
+
+    emission: dict[str, Estimate]
+    cold: dict[str, np.ndarray]
+    scene: np.ndarray
+    zones_mm: np.ndarray
 
 
 def returns(
-    scene: mi.Scene, detector: str, wavelength_um: float, rays: int, seed: int, settings: Settings
-) -> dict[str, Estimate]:
+    scene: mi.Scene,
+    detector: str,
+    wavelength_um: float,
+    rays: int,
+    seed: int,
+    settings: Settings,
+    missing: Mapping[str, float],
+    per_kelvin: float,
+) -> Returned:
     """
-    Emission of the detector in its own view, by the one surface that reflects.
+    What the detector sees by the one surface that reflects, over its field.
 
     Parameters
     ----------
@@ -64,39 +111,78 @@ def returns(
         Of the start rays.
     settings : Settings
         `max_events` is used.
-
-    Returns
-    -------
-    dict
-        Surface id or `TOTAL` → emission, as in `Return`; only what sends light back.
+    missing : mapping of str to float
+        Surface id → irradiance that is missing because it is colder than the housing, W/mm², for an emission of 1.
+    per_kelvin : float
+        Change of the scene's irradiance by its temperature, W/(mm² K), for a share of 1.
     """
     table = SurfaceTable(scene, 1e3 * wavelength_um, detector)
     path = find_design_path(table, scene)
     light = path.steps[-1].before if path is not None else np.array([0.0, 0.0, 1.0])
     lanes = max(2 * BATCHES, rays // BATCHES * BATCHES)
-    sums = dr.zeros(mi.Float64, (table.count + 1) * BATCHES)
-    _follow(table, light, lanes, seed, settings.max_events, sums)
-    by_batch = np.array(sums).reshape(table.count + 1, BATCHES) / (lanes / BATCHES)
+    start = DetectorStart(table, light, None, False).pass_rays(seed, lanes, 1.0)
+    zone, edges = _zones(np.array(start.o).T)
+    cell = zone * BATCHES + np.array(start.batch)
+    # Of the detector itself, of all that is cold, and in the last row of the scene
+    sums = [dr.zeros(mi.Float64, rows * ZONES * BATCHES) for rows in (table.count + 1, table.count + 2)]
+    weights = np.array([missing.get(name, 0.0) for name in table.ids])
+    _follow(table, start, mi.UInt32(cell), settings.max_events, mi.Float64(weights), sums)
+    started = np.bincount(cell, minlength=ZONES * BATCHES).reshape(ZONES, BATCHES)
+    own, cold = (np.array(one).reshape(-1, ZONES, BATCHES) for one in sums)
+    by_batch = own.sum(axis=1) / (lanes / BATCHES)
+    by_zone = cold / np.maximum(started, 1)
     names = [*table.ids, TOTAL]
-    return {
+    emission = {
         names[j]: Estimate(float(row.mean()), float(row.std(ddof=1) / np.sqrt(BATCHES)))
         for j, row in enumerate(by_batch)
         if row.any()
     }
+    returned = {names[j]: by_zone[j] for j in range(len(names)) if by_zone[j].any()}
+    return Returned(emission, returned, per_kelvin * by_zone[-1], edges)
 
 
-def _follow(table: SurfaceTable, light: np.ndarray, lanes: int, seed: int, max_events: int, sums: mi.Float64) -> None:
+def _zones(o: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Zone of each start point (n, 3), and the distances from the middle that bound the zones."""
+    distance = np.linalg.norm(o - o.mean(axis=0), axis=1)
+    edges = np.quantile(distance, np.linspace(0, 1, ZONES + 1))
+    edges[0] = 0.0
+    return np.clip(np.searchsorted(edges, distance, side="right") - 1, 0, ZONES - 1).astype(np.uint32), edges
+
+
+def _follow(
+    table: SurfaceTable,
+    start: StartRays,
+    cell: mi.UInt32,
+    max_events: int,
+    missing: mi.Float64,
+    sums: list[mi.Float64],
+) -> None:
     """
-    Add what the detector absorbs to sums by (reflecting surface, batch), row `table.count` for no reflection.
+    Add what the detector and what cold surfaces absorb to sums by (reflecting surface, zone and batch).
 
-    A ray that has not been reflected has two children at each surface, one that has been only the transmitted one.
+    Row `table.count` is for no reflection; there the second sums have the detector alone, and one row more for what
+    leaves the scene without a reflection. A ray that has not been reflected has two children at each surface, one that
+    has been only the transmitted one.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    start : StartRays
+    cell : mi.UInt32
+        Zone times BATCHES plus batch, of each start ray.
+    max_events : int
+    missing : mi.Float64
+        By surface, see `returns`.
+    sums : list of two mi.Float64
     """
+    own, cold = sums
+    width = ZONES * BATCHES
     intersector = Intersector(table)
     scattering = Scattering(ScatterTables(table, {}, backward=True))
     has_stock = table.stock_scene is not None
-    start = DetectorStart(table, light, None, False).pass_rays(seed, lanes, 1.0)
+    lanes = dr.width(cell)
     full = dr.zeros(mi.Float, lanes)
-    o, d, w, batch, last = start.o, start.d, start.w + full, start.batch, start.left
+    o, d, w, last = start.o, start.d, start.w + full, start.left
     by = dr.full(mi.UInt32, NO_SURFACE, lanes)  # surface of the reflection
     medium = dr.zeros(mi.UInt32, lanes) + (start.medium if start.medium is not None else 0)
     behind = start.normal if has_stock else None
@@ -114,12 +200,18 @@ def _follow(table: SurfaceTable, light: np.ndarray, lanes: int, seed: int, max_e
         hit &= (medium == 0) | (it.medium_in == 0) | (it.medium_in == medium)
         row = dr.minimum(by, table.count)
         absorbed = mi.Float64(dr.maximum(w * loss, 0))
-        dr.scatter_reduce(dr.ReduceOp.Add, sums, absorbed, row * BATCHES + batch, hit & (s == table.detector))
+        there = hit & (s == table.detector)
+        dr.scatter_reduce(dr.ReduceOp.Add, own, absorbed, row * width + cell, there)
+        # What is cold and seen without a reflection, as it should be, does not count
+        lacking = absorbed * dr.gather(mi.Float64, missing, s, hit)
+        dr.scatter_reduce(dr.ReduceOp.Add, cold, lacking, row * width + cell, hit & (there | (by != NO_SURFACE)))
+        leaves = (s == NO_SURFACE) & (by == NO_SURFACE)
+        dr.scatter_reduce(dr.ReduceOp.Add, cold, mi.Float64(w), (table.count + 1) * width + cell, leaves)
         free = ~counts_as_reflection(it)  # mirrors and total reflection
         through = hit & ~free & ((it.word & OPAQUE) == 0) & (w * T > FAINTEST)
         back = hit & (free | (by == NO_SURFACE)) & (w * R > FAINTEST)
         inside = dr.select(it.medium_in == 0, medium, it.medium_in)
-        dr.eval(it.p, it.transmitted, it.reflected, it.medium_out, it.tir, R, T, s, w, by, batch, inside, normal, sums)
+        dr.eval(it.p, it.transmitted, it.reflected, it.medium_out, it.tir, R, T, s, w, by, cell, inside, normal, *sums)
         lanes_of = [chosen for chosen in map(dr.compress, (through, back)) if dr.width(chosen)]
         if not lanes_of:
             return
@@ -129,11 +221,11 @@ def _follow(table: SurfaceTable, light: np.ndarray, lanes: int, seed: int, max_e
         def child(transmitted: Any, reflected: Any, lane: mi.UInt32 = lane, first: mi.Bool = first) -> Any:
             return dr.select(first, *(dr.gather(type(v), v, lane) for v in (transmitted, reflected)))
 
-        o, last, batch = (dr.gather(type(v), v, lane) for v in (it.p, s, batch))
+        o, last, cell = (dr.gather(type(v), v, lane) for v in (it.p, s, cell))
         d, medium = child(it.transmitted, it.reflected), child(it.medium_out, inside)
         w, by = child(w * T, w * R), child(by, dr.select(free, by, s))
         behind = dr.gather(mi.Vector3f, normal, lane) if has_stock else None
-        dr.eval(o, d, w, by, medium, batch, last)
+        dr.eval(o, d, w, by, medium, cell, last)
 
 
 def mean_returns(runs: Sequence[dict[str, Estimate]], weights: np.ndarray) -> dict[str, Estimate]:

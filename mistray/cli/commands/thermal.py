@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from mistray.analysis.thermal.netd import DetectorNoise
 
 # What --out writes
-FILES = ("report.html", "thermal.*", "narcissus.csv", "netd.csv")
+FILES = ("report.html", "thermal.*", "narcissus*.csv", "netd.csv")
 PIXEL, NOISE = ("pixel_um", "bandwidth_hz"), ("detectivity", "quantum_efficiency")
 
 # fmt: off

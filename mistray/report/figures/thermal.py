@@ -7,9 +7,11 @@ from matplotlib.ticker import LogLocator
 
 from mistray.analysis.thermal.emission import ThermalReport
 from mistray.report.figures.figure import Figure, plain_axes
-from mistray.report.figures.palette import BLUE, GREEN, ORANGE, VERMILION
+from mistray.report.figures.palette import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
 SHOWN, FAINTEST = 12, 1e-8  # bars; share of the strongest below which there is none
+CURVES = 6
+CURVE_COLOURS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY)
 KIND_COLOURS = {"surface": BLUE, "medium": GREEN}
 COLD_COLOUR = ORANGE
 
@@ -44,4 +46,26 @@ def thermal_figure(report: ThermalReport, title: str = "") -> Figure:
     made.suptitle(title, fontsize=10, x=0.01, ha="left")
     note = "bars of one standard error; blue: surfaces, green: media, orange: what is colder than the rest"
     made.small_print(note)
+    return made
+
+
+def narcissus_figure(report: ThermalReport, title: str = "") -> Figure:
+    """NITD of each reflecting surface over the distance from the middle of the detector, in zones of equal areas."""
+    made = Figure(figsize=(8.6, 4.2), dpi=120, layout="constrained")
+    axes = made.subplots()
+    edges = np.array(report.zones_mm)
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    for number, back in enumerate(report.returned[:CURVES]):
+        values, errors = np.array(back.by_zone_K).T
+        colour = CURVE_COLOURS[number % len(CURVE_COLOURS)]
+        axes.stairs(1e3 * values, edges, color=colour, lw=1.4, baseline=None, label=back.surface)
+        axes.errorbar(middles, 1e3 * values, 1e3 * errors, fmt="none", ecolor=colour, lw=0.9)
+    axes.set_xlim(edges[0], edges[-1])
+    axes.set_ylim(bottom=0)
+    axes.set_xlabel("distance from the middle of the detector [mm]")
+    axes.set_ylabel("NITD [mK]")
+    plain_axes(axes, "both", below=True)
+    made.legend(loc="outside right upper", fontsize=8, frameon=False)
+    made.suptitle(title, fontsize=10, x=0.01, ha="left")
+    made.small_print("what is cold by one reflection, in zones of equal areas; bars of one standard error")
     return made
