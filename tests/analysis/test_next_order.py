@@ -79,7 +79,13 @@ def curve(level: float, rays: int = 1000, seed: int = 0) -> Pst:
     by_batch = np.zeros((len(CLASSES), *grid.shape, 32))
     noise = np.random.default_rng(seed).normal(1.0, 0.02 * np.sqrt(32), (2, 1, 32))
     by_batch[CLASSES.index("single_scatter")] = level * np.array([1.0, 0.1])[:, None, None] * noise
-    facts = {"settings": asdict(Settings()), "wavelength_nm": [550.0], "detector": "detector", "rays": rays}
+    facts = {
+        "settings": asdict(Settings()),
+        "wavelength_nm": [550.0],
+        "detector": "detector",
+        "rays": rays,
+        "seconds": 50,
+    }
     return Pst(grid, by_batch, np.full(32, 1 / 32), facts=facts)
 
 
