@@ -205,7 +205,7 @@ def test_coating_file_is_found_from_the_scene(capsys, zmx, tmp_path, monkeypatch
             "files of type '.osl' cannot be read; give one of .json, .yaml, .yml, .zmx, .seq, .len, .lens, .roa, .step",
         ),
         ("a.igs", (), "files of type '.igs' cannot be read; export it as STEP, one of "),
-        ("a.glb", (), "files of type '.glb' cannot be read; export it as STL, OBJ or PLY, one of "),
+        ("a.fbx", (), "files of type '.fbx' cannot be read; export it as STL, OBJ, PLY or GLB, one of "),
         ("a.lens", ("--glass", "A=N-BK7"), "--glass ('A', 'N-BK7'): FlareSim files hold no glass names; leave it out"),
         ("a.zmx", ("-o", "nowhere/a.xml"), "the folder 'nowhere' does not exist; make it first"),
     ],

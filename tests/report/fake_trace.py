@@ -80,9 +80,8 @@ class FakeTrace:
         self.extent = EXTENT
         self.coating_error = 0.0
         self.own_notes = []
-        self.recorders = {}
+        self.recorders, self.detectors = {}, ["detector"]
         self.tables = []  # no surfaces: a report of it says nothing of coatings
-        self.recorders = {}
         self.shares = shares or {550.0: 1.0}
         self.wavelengths_nm = sorted(self.shares)
         self.settings = SETTINGS | {"field_deg": field_deg, "wavelength_nm": self.wavelengths_nm}

@@ -187,7 +187,8 @@ def run(options: Options) -> int:
         raise MistrayError(f"--least-share is {options.least_share:g}; it is a share of all light, 0 to 1")
     scene = options.load()
     check_paths(scene, [options.filter] if options.filter else [])  # before anything is traced
-    _check_maps(scene, options.maps or [])
+    if options.maps:
+        _check_maps(scene, options.maps)
     _check_rays(scene, options)
     if options.photometric:
         from mistray.trace.photometry import check_light
