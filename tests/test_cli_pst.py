@@ -247,6 +247,7 @@ def test_bad_scene_and_settings_are_one_line(capfd: Any, plate: str) -> None:
     assert "variant 'scalar_rgb' cannot run the ray tree" in fails(capfd, plate, "--variant", "scalar_rgb")
 
 
+@pytest.mark.long
 def test_a_real_plate(capfd: Any, tmp_path: Path) -> None:
     """
     A plate of n = 1.5 in front of a small detector, within 10° of the axis, where R is 0.04 to 0.1 %.

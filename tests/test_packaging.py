@@ -67,6 +67,7 @@ def test_wheel(clone, tmp_path):
     assert wheel_files(tmp_path) == expected_files()
 
 
+@pytest.mark.long
 def test_wheel_of_the_sdist(clone, tmp_path):
     run(sys.executable, "-m", "build", "--no-isolation", "--outdir", str(tmp_path), ".", cwd=clone)
     assert wheel_files(tmp_path) == expected_files()

@@ -72,7 +72,9 @@ def in_a_child(work: Callable[[], None], event: int, kill: bool) -> bool:
     return status != 0
 
 
-@pytest.fixture(params=["exchanged", "current folder", "folder within"])
+@pytest.fixture(
+    params=[*(pytest.param(kind, marks=pytest.mark.long) for kind in ("exchanged", "folder within")), "current folder"]
+)
 def folder(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(os, "fsync", lambda _: None)  # the disk is not what is tested, and slow
     place = tmp_path / "out"

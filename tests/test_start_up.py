@@ -53,6 +53,7 @@ def test_help_is_fast(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert min(run(sys.executable, "-m", "mistray", "--help")[1] for _ in range(REPEATS)) < HELP_S
 
 
+@pytest.mark.long
 def test_the_package_is_fast(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
     monkeypatch.setenv("PYTHONPYCACHEPREFIX", str(tmp_path))

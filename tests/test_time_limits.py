@@ -74,6 +74,7 @@ def test_rows_of_a_sweep_without_time_are_not_traced(lens: Path) -> None:
         found.estimate("stray_W", field_deg=field_deg, wavelength_nm=wavelength_nm)
 
 
+@pytest.mark.long
 def test_cells_of_a_pst_without_time_are_not_traced(lens: Path, tmp_path: Path) -> None:
     scene = mistray.load(lens)
     angles = [k / 4 for k in range(200)]

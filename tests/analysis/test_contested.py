@@ -154,6 +154,7 @@ def test_the_worst_of_all_fields_are_contested_by_the_first_of_all():
     assert brightest_field(report) == worst[0].field_deg
 
 
+@pytest.mark.long
 def test_more_rays_are_those_of_a_trace_of_so_many():
     """The numbers of a field that is traced again are those that `mistray.trace` gives for the same rays and seed."""
     scene = mistray.load("phone_camera")

@@ -77,6 +77,7 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
         critical_rays(mistray.load("cooke_triplet"), rim=0)
 
 
+@pytest.mark.long
 def test_command_line_in_a_process_of_its_own(tmp_path: Path) -> None:
     """Nothing has imported Mitsuba there before the command does."""
     words = ("-m", "mistray", "export", "cooke_triplet", "-o", "critical.csv")

@@ -149,6 +149,7 @@ def test_light_that_is_not_resolved_has_no_psf():
     assert "field 5 mm" in found.notes[0]
 
 
+@pytest.mark.long
 def test_azimuth_turns_the_image():
     """A centred lens: the numbers stay, the image point turns."""
     scene = mistray.load("cooke_triplet")

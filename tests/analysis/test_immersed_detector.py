@@ -49,6 +49,7 @@ def test_direct_light_is_weakened_in_front_of_the_detector(load_scene, material:
     assert np.all(np.abs(z_score(value, exact, se)) < z_limit(4 * len(ANGLES_DEG)))
 
 
+@pytest.mark.long
 def test_light_scattered_in_front_of_the_detector(load_scene) -> None:
     """The light of one and two scatter events by both directions alone and together; false alarm 1e-3."""
     scene = load_scene(immersed(SCATTERING))

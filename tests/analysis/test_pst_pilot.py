@@ -103,6 +103,7 @@ def z_of(found: Pst, value: float, se: float) -> float:
 SINGLET_45 = 3.3668e-6, 0.0324e-6
 
 
+@pytest.mark.long
 def test_errors_at_a_fixed_number_of_rays_have_seen_the_rare_paths() -> None:
     """
     The light by way of the tube, 15 % of all, got 12 of 6e6 rays against the light.

@@ -133,6 +133,7 @@ def test_transmittance_of_the_design_path(camera):
 # ---- step 7
 
 
+@pytest.mark.long
 def test_targets_say_where_and_how_large(camera):
     """The rear of the filter sees the detector itself, 0.1363 mm away; its front is given a target far away."""
     scene, table, path = camera
@@ -170,6 +171,7 @@ def test_every_traced_target_stands_beside_the_paraxial_image(camera):
         np.testing.assert_array_equal(both[f"traced_{key}"], both[f"{key}_all"])
 
 
+@pytest.mark.long
 def test_paraxial_targets_are_those_of_table_15():
     """
     "Stray Light Analysis of a Mobile Phone Camera", Table 15: distance and size of the images that light should go to.

@@ -188,6 +188,7 @@ def test_pst_by_workers(method, tmp_path):
     np.testing.assert_allclose(rest.by_batch, one.by_batch, rtol=ROUNDING)
 
 
+@pytest.mark.long
 def test_an_error_that_is_wanted_stops_at_the_same_pass():
     scene = mistray.load("plate_and_wall")
     arguments = {"field_deg": [0, 20], "rays": 1_000_000, "relative_error": 0.3}

@@ -95,6 +95,7 @@ def hole() -> str:
 
 
 class TestGradient:
+    @pytest.mark.long
     def test_hole_in_a_beam(self, load_scene) -> None:
         """
         Twelve seeds. Errors with a true mean square of 1 break the limit with a probability of 1e-3.

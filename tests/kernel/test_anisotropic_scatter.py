@@ -150,6 +150,7 @@ class TestClosedForms:
         assert e.absorbed["plate"][0] / e.launched_W == pytest.approx(1 - tis, abs=7e-3 * tis)
         assert abs(e.closure) < 1e-6
 
+    @pytest.mark.long
     def test_meridian(self, two_fold: dict[str, Any]) -> None:
         """On a turned plate the axis points away from the middle, here to a spot aside."""
         turned = two_fold | {"sample_axis": "meridian", "rotation_deg": 15.0}

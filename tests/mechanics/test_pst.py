@@ -93,6 +93,7 @@ def test_mesh(typed: Any, drawn: Mechanics, tmp_path: Path) -> None:
     assert np.all(apart(pst(tube, seed=3), typed) < 3)
 
 
+@pytest.mark.long
 def test_paint_inside_of_the_body_is_dark(typed: Any, drawn: Mechanics, tmp_path: Path) -> None:
     """The paint on the other side of every surface."""
     tube = drawn.painted({"vane*": "paint reflectance=0.1 side=front"}).structures(tmp_path)
@@ -101,6 +102,7 @@ def test_paint_inside_of_the_body_is_dark(typed: Any, drawn: Mechanics, tmp_path
     assert np.all(typed.stray > 0)
 
 
+@pytest.mark.long
 def test_the_comparison_can_fail(typed: Any, drawn: Mechanics, tmp_path: Path) -> None:
     """The tube 4 mm further in front: a unit or a place that is wrong would show."""
     value, error = typed.curve("multiple_scatter")

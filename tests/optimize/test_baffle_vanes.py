@@ -56,6 +56,7 @@ def test_stray_light_falls_on_other_seeds(result: Optimization) -> None:
     assert row.ratio - SIGMAS * row.ratio_se > 10, row
 
 
+@pytest.mark.long
 def test_light_of_the_field_is_kept(result: Optimization) -> None:
     """Before and after trace the same rays, so that the ratio is known well."""
     rows = [row for row in result.comparison.marginals() if row.term == "in field"]
@@ -64,6 +65,7 @@ def test_light_of_the_field_is_kept(result: Optimization) -> None:
         assert row.ratio + SIGMAS * row.ratio_se <= 1 / 0.99, row
 
 
+@pytest.mark.long
 def test_the_first_vanes_grow(result: Optimization) -> None:
     """Those that light from outside the field meets; what the last ones do depends on the others."""
     grown = [29.0 - result.parameters[key][0] for key in script().VANES]

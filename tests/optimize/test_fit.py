@@ -95,6 +95,7 @@ def weak(values: np.ndarray) -> Modelled:
 class TestScales:
     """Parameters that data hardly know, of either sign, and limits."""
 
+    @pytest.mark.long
     def test_regions_of_a_weak_roughness(self):
         """
         Its square is 0.12 with an error of 0.06: in the logarithm regions were cut off on one side.

@@ -66,6 +66,7 @@ def test_better_than_the_preset_with_as_many_layers(script, found):
     assert script.rival(designed, found) is textbook
 
 
+@pytest.mark.long
 def test_errors_of_gains(script):
     """Powers that differ by noise of known size: the error of a gain is that of the part that they do not share."""
     rng = np.random.default_rng(4)
@@ -77,6 +78,7 @@ def test_errors_of_gains(script):
     assert gain_se == pytest.approx(16 * 0.01 / common.sum(), rel=0.2)
 
 
+@pytest.mark.long
 def test_table_and_pictures(script, found):
     rows = script.table(found).set_index("design")
     assert rows.loc["glass", "preset"] == "bbar3"

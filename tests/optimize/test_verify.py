@@ -105,6 +105,7 @@ class TestRows:
         assert row.ratio_se == pytest.approx(np.sqrt(variance))
 
 
+@pytest.mark.long
 class TestErrors:
     def compared(self, tmp_path: Path, seed: int) -> Comparison:
         from mistray.coatings import preset

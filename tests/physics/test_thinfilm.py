@@ -206,6 +206,7 @@ class TestRandomStacks:
         np.testing.assert_allclose(found, expected, rtol=0, atol=TO_TMM)
         assert abs(found - expected).mean() < 2e-7
 
+    @pytest.mark.long
     def test_absorption_is_never_negative(self):
         """But for the last digits of R and T."""
         for library, rounding in ((DOUBLE, 1e-13), (FLOAT, 2**-23)):
@@ -227,6 +228,7 @@ class TestRandomStacks:
             FLOAT.solve(*same)[:2], NUMPY.solve(*same)[:2], rtol=2**-24 * (1 + 1e-6), atol=2**-149
         )
 
+    @pytest.mark.long
     def test_float32_differs_by_the_rounding_of_its_arguments(self):
         """
         A bound for every stack from its own derivatives.
@@ -370,6 +372,7 @@ class TestLimits:
         np.testing.assert_allclose(T, 1, atol=1e-7)
 
     @each_library
+    @pytest.mark.long
     def test_thick_absorbing_layers(self, library):
         """A millimetre of silver, forty times: R of bulk silver, T = 0, no NaN."""
         silver = 0.055 + 3.32j

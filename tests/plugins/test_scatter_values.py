@@ -200,7 +200,10 @@ def test_derivative_of_eval(name: str, key: str) -> None:
     assert np.max(np.abs(expected) / np.maximum(scale, 1e-12)) > 1e-2, "a case that shows nothing"
 
 
-@pytest.mark.parametrize(("name", "key"), [("abg", "A"), ("harvey_shack", "rms_nm"), ("particulate", "level")])
+@pytest.mark.parametrize(
+    ("name", "key"),
+    [("abg", "A"), ("harvey_shack", "rms_nm"), pytest.param("particulate", "level", marks=pytest.mark.long)],
+)
 def test_derivative_of_the_specular_beams(name: str, key: str) -> None:
     """What scatter takes from the beams has a derivative too."""
     bsdf = surface(MODELS[name])

@@ -89,6 +89,7 @@ def test_direct_illumination() -> None:
     np.testing.assert_allclose(image, 0.9, rtol=1e-5)
 
 
+@pytest.mark.long
 def test_a_lens_magnifies() -> None:
     """Refraction by the mesh and the interface: a bright disk behind a strong lens looks larger."""
     disk = {
@@ -258,6 +259,7 @@ class TestStockSensor:
         assert_z("lamp", found, exact, error, floor=1e-3 * exact)
         assert irradiance(stock_scene(d=detector(semi_diameter=2.0), lamp=lamp(6.0, 180.0)), 64)[0] == 0
 
+    @pytest.mark.long
     def test_a_painted_tube_under_path_and_straylight(self, tmp_path: Path) -> None:
         """The sky through a painted tube: `path` against the PST of `straylight`, integrated over the hemisphere."""
         text = painted_tube_text(3.0, 1.0, 1.0, 0.3)
@@ -317,6 +319,7 @@ class TestCollimated:
         # The lit area, an ellipse of 2 mm by 2 mm / cos θ; 64 points a pixel put it to 1 %
         assert image.mean() * 144 == pytest.approx(exact * np.pi * 4 / cosine, rel=0.01)
 
+    @pytest.mark.long
     def test_particles(self) -> None:
         """`ptracer` follows the same beam; the screen is seen from aside. One of a thousand such tests fails."""
         scene = stock_scene(
@@ -337,6 +340,7 @@ class TestCollimated:
         assert error < 0.02 * path.mean()
         assert_z("particles", particles.mean(), path.mean(), error, k=5.4)  # Student's t, 7 degrees of freedom
 
+    @pytest.mark.long
     def test_behind_glass(self) -> None:
         """A shadow ray to the beam ends at the first face: `path` sees no screen behind a window."""
         scene = stock_scene(

@@ -57,6 +57,7 @@ def backend_names(code: str) -> set[str]:
     return found
 
 
+@pytest.mark.long
 def test_the_kernel_is_made_for_no_backend() -> None:
     """The same source runs by LLVM and on a GPU; only `_variant` settles and asks for a backend."""
     root = Path(__file__).parents[2]

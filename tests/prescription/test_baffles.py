@@ -117,6 +117,7 @@ def test_every_vane_is_needed(key):
         assert first_order(missing, least, 150), f"without vane {k + 1} of {len(tube.vanes)}"
 
 
+@pytest.mark.long
 def test_vanes_stand_as_far_apart_as_they_may():
     """A vane moved by 2 mm towards the optic leaves a lit and seen zone before it."""
     tube = tube_of("straight", overlap=0.0)
@@ -137,6 +138,7 @@ def test_tips_leave_the_field_free(key):
     assert all(v.radius < tube.wall_radius(v.z) for v in tube.vanes)
 
 
+@pytest.mark.long
 def test_light_beyond_direct_deg_does_not_meet_the_optic():
     for key in TUBES:
         tube = tube_of(key)

@@ -105,6 +105,7 @@ def test_all_surfaces_of_a_barrel_close():
 
 
 @pytest.mark.quick
+@pytest.mark.long
 def test_a_mesh_and_patterns():
     scene = mi.load_dict(
         {

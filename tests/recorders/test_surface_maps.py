@@ -168,6 +168,7 @@ def test_standard_errors_hold_over_seeds():
     assert abs(np.mean(squares) - 31 / 29) < 5 * 0.07
 
 
+@pytest.mark.long
 def test_patterns_and_what_cannot_be_unrolled():
     scene = scene_of(
         SOURCE,

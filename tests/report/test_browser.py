@@ -315,10 +315,12 @@ def test_no_errors(found):
     assert {page: result["errors"] for page, result in found.items()} == {page: [] for page in found}
 
 
+@pytest.mark.long
 def test_every_kind_of_control_was_used(found):
     assert {page: found[page]["unused"] for page in ("ghosts.html", "pst.html")} == {"ghosts.html": [], "pst.html": []}
 
 
+@pytest.mark.long
 def test_heads_sort_and_filters_hide(found):
     for page in ("ghosts.html", "pst.html"):
         tables = found[page]["tables"]
@@ -330,6 +332,7 @@ def test_heads_sort_and_filters_hide(found):
         assert tables["opens"]
 
 
+@pytest.mark.long
 def test_nothing_is_wider_than_its_page(found):
     for page, width in (("wide.html", WIDE), ("narrow.html", NARROW)):
         scrolled, shown = found[page]["width"]
@@ -367,11 +370,13 @@ def test_on_paper(report, tmp_path):
     assert all(float(width) < float(height) for width, height in boxes)
 
 
+@pytest.mark.long
 def test_links_open_what_is_folded(found):
     assert found["ghosts.html"]["folded"] == [False, False]
     assert found["ghosts.html"]["opened"]
 
 
+@pytest.mark.long
 def test_maps_on_the_scale_of_all_fields(report, found):
     own, common = found["ghosts.html"]["own_scale"], found["ghosts.html"]["common_scale"]
     low, high = common_range(report)
@@ -380,6 +385,7 @@ def test_maps_on_the_scale_of_all_fields(report, found):
     assert f"to 1e{high:.0f} W/mm²" not in own  # there are ghosts alone
 
 
+@pytest.mark.long
 def test_a_path_is_chosen(report, found):
     found = found["ghosts.html"]
     table = report.table(0.0).sort_values("rank_rms_irradiance")
@@ -396,6 +402,7 @@ def test_a_path_is_chosen(report, found):
     assert found["back"]
 
 
+@pytest.mark.long
 def test_maps(found):
     found = found["ghosts.html"]
     assert "path 1, log10 scale 1e" in found["label"]
@@ -407,6 +414,7 @@ def test_maps(found):
     assert found["beside"].startswith("Drag a box")  # no irradiance beside the detector
 
 
+@pytest.mark.long
 def test_boxes(report, found):
     found, t = found["ghosts.html"], report[0.0]
     assert found["dragged"] == pytest.approx([0, 2, 0, 1.5], abs=0.051)  # a pixel is 0.05 mm
@@ -433,6 +441,7 @@ def test_boxes(report, found):
     assert found["by_keys"].startswith("Box x ")
 
 
+@pytest.mark.long
 def test_tables(report, found):
     found = found["ghosts.html"]
     assert 0 < found["filtered"] < len(report.table(0.0))
@@ -440,6 +449,7 @@ def test_tables(report, found):
     assert found["sorted_down"] == sorted(found["sorted"], reverse=True)
 
 
+@pytest.mark.long
 def test_values_of_plots(found):
     assert found["ghosts.html"]["hover"]["first"] == "field 0°"
     values = found["pst.html"]["hover"]

@@ -86,6 +86,7 @@ def test_equal_energy_is_in_the_middle():
     np.testing.assert_allclose(oracle.chromaticity(xyz(np.ones(471), wavelengths)), [1 / 3, 1 / 3], atol=1e-4)
 
 
+@pytest.mark.long
 def test_the_colour_package_leaves_numpy_s_printing_alone():
     """It would cut the numbers of every CSV file that pandas writes afterwards to twelve digits."""
     code = (

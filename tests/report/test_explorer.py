@@ -163,6 +163,7 @@ def test_box_of_the_script_holds_the_hits_within_it(report, data):
 
 
 @needs_node
+@pytest.mark.long
 def test_box_names_the_paths_that_the_table_leaves_out(monkeypatch):
     """A table of the worst path alone: in half of the detector the others have the power of their points there."""
     fields = importlib.import_module("mistray.report.ghosts.fields")

@@ -142,6 +142,7 @@ def test_parts_move_as_a_whole() -> None:
     assert not {*keys, "lens_front.tilt_x"} & labels
 
 
+@pytest.mark.long
 def test_several_angles_share_one_pst(scene: Path) -> None:
     both = rank_edits(scene, [ANGLE, 25.0], "total", rays=20_000, max_scatters=1)
     metric = pst_bin(mistray.load(scene), 25.0, "total", pst_field_deg=[ANGLE, 25.0], rays=20_000, max_scatters=1)

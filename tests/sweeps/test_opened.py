@@ -47,6 +47,7 @@ def fields(scene: Path) -> Sweep:
 class TestPst:
     """Before and after in a PST."""
 
+    @pytest.mark.long
     def test_gaps(self, pst: PstSweep) -> None:
         assert pst.gaps["into the tube"] == pst.gaps["clear"] == pst.gaps["as it is"] == ()
         for name in ("lifted", "lifted and clear"):

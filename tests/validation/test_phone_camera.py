@@ -54,11 +54,13 @@ def test_spots(image):
             assert row["rms_um"] == pytest.approx(row["rms_figure_um"], rel=6e-2)
 
 
+@pytest.mark.long
 def test_chief_rays(image):
     for row in image:
         assert row["chief_mm"] == pytest.approx(row["chief_figure_mm"], abs=7e-6)
 
 
+@pytest.mark.long
 def test_relative_illumination(image):
     """0.523 at 18°, of the rims alone; and with barrel and stop wall."""
     for row in image:
@@ -128,6 +130,7 @@ def test_every_pair_of_surfaces_on_axis(scene):
     assert len(found) == 105
 
 
+@pytest.mark.long
 def test_the_window_pair_and_the_stop(scene, ghosts):
     """The stop takes 3 % of the returning light on axis, passes a fifth of it at 5°, and nothing at 10°."""
     power = {}
@@ -141,6 +144,7 @@ def test_the_window_pair_and_the_stop(scene, ghosts):
     assert 1 - power[0.0] / unclipped == pytest.approx(0.029, abs=0.004)
 
 
+@pytest.mark.long
 def test_the_study_is_wider_off_axis(ghosts):
     """Its irradiances at our powers imply radii that exceed ours by 0.1 to 0.15 mm in quadrature in eight of ten."""
     rows = phone_camera.implied_radii(ghosts)
@@ -182,6 +186,7 @@ def test_pairs_of_table_22(ghosts):
             assert row["quadrature"] / row["unclipped"] > 2.4
 
 
+@pytest.mark.long
 def test_retro_ghosts_of_the_filter(ghosts):
     """Closed form: a beam of slope u that returns through a gap of the air-equivalent length g has the radius 2 g u."""
     surfaces = {surface.name: surface for surface in phone_camera.shipped().surfaces}
@@ -198,17 +203,20 @@ def test_retro_ghosts_of_the_filter(ghosts):
     assert list(slopes.values()) == pytest.approx([working, working], rel=0.03)
 
 
+@pytest.mark.long
 def test_stop_wall_at_15_degrees(ghosts):
     """The study's first structure ghost: the inner wall of the stop."""
     assert phone_camera.strongest(ghosts[15.0], ("stop_wall",)) is not None
 
 
+@pytest.mark.long
 def test_out_of_field_it_is_structure(ghosts):
     """At 26° and 27° the study and we find walls of the barrel only."""
     for field in (26.0, 27.0):
         assert all("barrel" in name for name in ghosts[field].surfaces[:4])
 
 
+@pytest.mark.long
 def test_the_report_holds_these_numbers(image, ghosts):
     """docs/validation/phone_camera.md against this run, within the errors of both."""
     for row, written in zip(image, read("phone_camera.md", "image"), strict=True):
