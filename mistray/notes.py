@@ -29,6 +29,7 @@ class Code(StrEnum):
     DESIGN_PATH = "design-path"
     NO_LIGHT = "no-light"
     UNFINISHED = "unfinished"
+    WAVELENGTHS = "wavelengths"
     AIMED = "aimed"
     TARGET = "target"
     SILENT = "silent"

@@ -61,6 +61,26 @@ def test_fields_without_time_are_not_traced(lens: Path) -> None:
     assert table.loc[list(report), "stray_W"].notna().all()
 
 
+def test_wavelengths_without_time_are_left_to_their_neighbours(lens: Path) -> None:
+    """Weights that rise along the band keep their sum and, to the distance of those that are traced, their mean."""
+    scene = mistray.load(lens)
+    mistray.trace(scene, rays=1000)  # compiles the kernel
+    nm, weights = np.linspace(450.0, 650.0, 2000), np.linspace(1.0, 3.0, 2000)
+    light = {"rays": 1_000_000, "wavelength_nm": nm, "weights": weights}
+    for found in (mistray.trace(scene, seconds=2.0, **light), mistray.ghosts(scene, [0.0, 5.0], seconds=2.0, **light)):
+        settings = found.settings
+        kept, missing = settings["wavelength_nm"], settings["not_traced_nm"]
+        assert 2 < len(kept) < 1000
+        assert sorted([*kept, *missing]) == pytest.approx(nm.tolist())
+        assert {nm[0], nm[-1]} <= set(kept)
+        assert sum(settings["weights"]) == pytest.approx(1.0)
+        assert np.dot(kept, settings["weights"]) == pytest.approx(
+            np.dot(nm, weights) / weights.sum(), abs=100 / len(kept)
+        )
+        assert [note for note in found.notes if note.code == "wavelengths"]
+    assert "not_traced_nm" not in mistray.trace(scene, seconds=60.0, rays=1000, wavelength_nm=nm[:4]).settings
+
+
 def test_rows_of_a_sweep_without_time_are_not_traced(lens: Path) -> None:
     found = mistray.sweep(lens, FIELDS[:100], [500, 600], cache=False, rays=1_000_000, seconds=2.0)
     assert len(found) + len(found.not_traced) == 200

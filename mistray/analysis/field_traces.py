@@ -8,6 +8,7 @@ from typing import Any
 
 import mitsuba as mi
 
+from mistray.execute.wavelength_choice import chosen_wavelengths
 from mistray.surfaces.surfaces import require_one, solid_shapes
 from mistray.time_budget import Shares, coarse_first, is_limited
 from mistray.trace import PolarizationChoice, Settings, Trace, trace
@@ -140,6 +141,16 @@ def one_for_fields(scene: mi.Scene, wanted: Sequence[float | None], arguments: M
     known = {f.name for f in fields(Settings)}
     settings = Settings.unresolved(scene, **{name: value for name, value in arguments.items() if name in known})
     return chosen_polarization(scene, settings, [{**beam, "field_deg": field} for field in wanted])
+
+
+def fewer_wavelengths(scene: mi.Scene, wanted: Sequence[float | None], arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """What changes in the arguments of the traces of fields where the time is too short for all wavelengths."""
+
+    def timed(**few: Any) -> None:
+        trace(scene, field_deg=wanted[0], **{**arguments, **few})
+
+    found = chosen_wavelengths(scene, arguments, timed, len(wanted))
+    return {"wavelength_nm": found, "weights": None} if found else {}
 
 
 def _part(progress: Progress | None, done: int, fields: int) -> Callable[[int, int], None] | None:

@@ -24,7 +24,7 @@ from mistray.analysis.airy import tight, with_airy
 from mistray.analysis.combine import by_path
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.field_summary import FieldSummary, field_summary, power_of
-from mistray.analysis.field_traces import NOMINAL_FIELD_DEG, FieldTraces, Progress, one_for_fields
+from mistray.analysis.field_traces import NOMINAL_FIELD_DEG, FieldTraces, Progress, fewer_wavelengths, one_for_fields
 from mistray.analysis.filtered import Filtered, filtered
 from mistray.analysis.ghost_notes import ghost_notes
 from mistray.analysis.irradiance import MapStatistics, brightest, statistics
@@ -546,6 +546,7 @@ def ghosts(
         with within(seconds):
             if isinstance(scene, mi.Scene):
                 arguments["polarization"] = one_for_fields(scene, wanted, arguments)
+                arguments |= fewer_wavelengths(scene, wanted, arguments)
             fields_of.trace(wanted, tabulate)
             traces, missing = fields_of.traces, fields_of.not_traced
             report = report.of(traces, missing) if report else _report(scene, fields_of, None, arguments, rank)

@@ -7,7 +7,7 @@ import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NoReturn
 
 import mitsuba as mi
@@ -16,6 +16,7 @@ from mistray.errors import Interrupted, MistrayError, UnfinishedError
 from mistray.execute.by_parts import TraceTask, execute_by_parts, tables_of
 from mistray.execute.forecast import Forecast
 from mistray.execute.tracer import MOST_PATHS_KEPT, PASS_LANES, Run, prepare
+from mistray.execute.wavelength_choice import WavelengthChoice, chosen_wavelengths
 from mistray.execute.workers import current_workers
 from mistray.interrupts import later, requested
 from mistray.notes import Code, Note, warns
@@ -44,7 +45,7 @@ def trace(
     rays: float | None = None,
     field_deg: float | None = None,
     azimuth_deg: float | None = None,
-    wavelength_nm: float | Sequence[float] | None = None,
+    wavelength_nm: float | Sequence[float] | WavelengthChoice | None = None,
     weights: Sequence[float] | None = None,
     max_reflections: int | None = None,
     max_scatters: int | None = None,
@@ -91,7 +92,7 @@ def trace(
     field_mm : float
         Of a near source instead of `field_deg`: its place along y in its object plane, mm.
     wavelength_nm : float or sequence of float
-        Vacuum wavelengths, nm.
+        Vacuum wavelengths, nm; a `mistray.execute.wavelength_choice.WavelengthChoice` is one that was made before.
     weights : sequence of float
         Shares of the flux, one for each wavelength; normalised, equal by default.
     max_reflections, max_scatters, max_optical_scatters, max_random_scatters
@@ -112,7 +113,8 @@ def trace(
         Called about every second with (rays done, rays in all).
     seconds : float
         Time after which the trace ends with the rays that it has, which are a sample of all; `Trace.rays_traced` says
-        how many. The kernel's compilation counts, and the last launch may take a second longer.
+        how many. The kernel's compilation counts, and the last launch may take a second longer. Of more wavelengths
+        than there is time for some are traced, spread over all, and stand for their neighbours; a note names the rest.
     recorders : sequence of Recorder
         Told of all that happens to the rays: probes and far fields, see docs/detectors.md, or others of your own, see
         docs/extending.md; not where workers trace. The probes and far fields of the scene come before these.
@@ -159,12 +161,12 @@ def trace(
     field = {"field_deg": field_deg, "azimuth_deg": azimuth_deg}
     beam: dict[str, Any] = {**field, "wavelength_nm": wavelength_nm, "weights": weights, "detector": detector}
     recorders = _with_own(scene, recorders)
-    choice = made or chosen_polarization(scene, settings, [beam])
-    settings = replace(settings, polarization=choice.mode)
-    runs = prepare(scene, settings, **beam)
-    workers, task = current_workers(), None
-    facts = asdict(settings) | choice.facts
     with within(seconds):
+        lines, choice = _spectral_choices(scene, settings, beam, made, seconds is not None)
+        settings = replace(settings, polarization=choice.mode)
+        runs = prepare(scene, settings, **beam)
+        workers, task = current_workers(), None
+        facts = asdict(settings) | choice.facts | (lines.facts if lines else {})
         _check_budget(runs)
         if workers is None:
             with later():
@@ -172,10 +174,7 @@ def trace(
                 if requested():
                     _keep(runs, lambda: _result(scene, runs, facts, field, ledger, None))
         else:
-            if recorders:
-                raise MistrayError(
-                    f"{_listed(recorders)} and workers trace, who know no recorders; leave out one of them"
-                )
+            _refuse_recorders(recorders)
             task = TraceTask(scene, settings, beam, ledger, tables_of(runs))
             try:
                 execute_by_parts(workers, task, runs, progress)
@@ -185,7 +184,27 @@ def trace(
             _require_hits(runs)
     found = _result(scene, runs, facts, field, ledger, task)
     found.recorders = {recorder.name: recorder for recorder in recorders if recorder.name}
+    found.own_notes += lines.notes() if lines else []
     return found
+
+
+def _spectral_choices(
+    scene: mi.Scene, settings: Settings, beam: dict[str, Any], made: PolarizationChoice | None, limited: bool
+) -> tuple[WavelengthChoice | None, PolarizationChoice]:
+    """Wavelengths, where not all are traced, and the polarisation; the beam gets the wavelengths."""
+    lines = beam["wavelength_nm"] if isinstance(beam["wavelength_nm"], WavelengthChoice) else None
+    beam |= lines.arguments if lines else {}
+    choice = made or chosen_polarization(scene, settings, [beam])
+    if limited and lines is None:
+        settings = replace(settings, polarization=choice.mode)
+        lines = chosen_wavelengths(scene, beam, partial(_timed, scene, settings, beam))
+        beam |= lines.arguments if lines else {}
+    return lines, choice
+
+
+def _timed(scene: mi.Scene, settings: Settings, beam: dict[str, Any], rays: int, **lines: Any) -> None:
+    """A trace of few rays, to see how long it takes."""
+    _execute(prepare(scene, replace(settings, rays=rays), **(beam | lines)), True, None, ())
 
 
 def _field(scene: mi.Scene, field_deg: float | None, field_mm: float | None) -> float | None:
@@ -200,6 +219,12 @@ def _field(scene: mi.Scene, field_deg: float | None, field_mm: float | None) -> 
 def _listed(recorders: Sequence[Recorder]) -> str:
     names = ", ".join(f"'{recorder.name}'" for recorder in recorders if recorder.name)
     return f"recorders{names and ' '}{names} are given, or in the scene,"
+
+
+def _refuse_recorders(recorders: Sequence[Recorder]) -> None:
+    """Raise where workers trace and there are any."""
+    if recorders:
+        raise MistrayError(f"{_listed(recorders)} and workers trace, who know no recorders; leave out one of them")
 
 
 def _with_own(scene: mi.Scene, given: Sequence[Recorder]) -> list[Recorder]:

@@ -20,7 +20,7 @@ from mistray.errors import MistrayError
 from mistray.execute.tracer import Run, prepare
 from mistray.notes import Code, Note
 from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, REFLECTED
-from mistray.sampling.sources import source_emitters
+from mistray.sampling.sources import source_emitters, spectrum
 from mistray.settings import Settings, polarized_sources
 from mistray.surfaces.optics import MIRROR
 from mistray.surfaces.surfaces import SurfaceTable
@@ -147,7 +147,7 @@ def chosen_polarization(
     runs: list[tuple[str, Run]] = []
     for beam in _spread(beams, MOST_RUNS):
         field = f" at {beam['field_deg']:g} deg" if len(beams) > 1 and beam.get("field_deg") is not None else ""
-        runs += [(field, run) for run in prepare(scene, settings, **beam)]
+        runs += [(field, run) for run in prepare(scene, settings, **(beam | _few_wavelengths(beam)))]
     tables = {id(run.table): run.table for _, run in runs}
     if not any(_polarizes(table) for table in tables.values()):
         return PolarizationChoice("unpolarized", "no surface tells s from p", 0.0)
@@ -252,6 +252,17 @@ def _polarizes(table: SurfaceTable) -> bool:
             if max(np.ptp(found.R, axis=1).max(), np.ptp(found.T, axis=1).max()) > SAME:
                 return True
     return False
+
+
+def _few_wavelengths(beam: Mapping[str, Any]) -> dict[str, Any]:
+    """Wavelengths and weights of a beam in place of its own, where these are more than are looked at."""
+    if beam.get("wavelength_nm") is None:
+        return {}
+    nm, shares = spectrum(beam["wavelength_nm"], beam.get("weights"))
+    if len(nm) <= MOST_RUNS:
+        return {}
+    numbers = _spread(range(len(nm)), MOST_RUNS)
+    return {"wavelength_nm": nm[numbers], "weights": shares[numbers]}
 
 
 def _spread(given: Sequence[Any], most: int) -> list[Any]:

@@ -449,6 +449,16 @@ class TestWavelengths:
         assert 0 <= found.error <= 0.01
         assert traced_wavelengths(scene, 9, BAND).wavelengths_um == (9.0,)
 
+    def test_those_without_time_are_left_out(self, tmp_path: Path) -> None:
+        lens = interface_xml("air", "1.5+0.0001i")
+        scene = load(tmp_path, placed_xml("asphere", "lens", lens, at=(0, 0, -5), semi_diameter=2.0), detector_xml())
+        given = np.linspace(8.0, 12.0, 1000)
+        found = thermal(scene, wavelengths_um=given.tolist(), seconds=2.0)
+        assert 3 <= len(found.wavelengths_um) < 500
+        missing = [nm / 1e3 for nm in found.facts["not_traced_nm"]]
+        assert sorted([*found.wavelengths_um, *missing]) == pytest.approx(given.tolist())
+        assert [note for note in found.notes if note.code == "wavelengths"]
+
     @pytest.mark.parametrize(
         ("material", "thick_mm", "band"),
         [("MgF2", 2.0, (3.0, 8.0)), ("SiO2", 0.02, (2.6, 4.3)), ("Al2O3", 0.2, (5.1, 8.9))],

@@ -33,6 +33,7 @@ from mistray.analysis.thermal.sums import (
 )
 from mistray.errors import MistrayError
 from mistray.execute.seen import Seen, see
+from mistray.execute.wavelength_choice import TIMED_RAYS, WavelengthChoice, in_time
 from mistray.ids import fits
 from mistray.notes import Code, Note, unfinished, warns
 from mistray.percent import percent_text
@@ -257,22 +258,33 @@ def thermal(
         WAVELENGTH_UM.check("band_um", end)
     if low >= high:
         raise MistrayError(f"band_um is {low:g} to {high:g}; give the shorter wavelength first")
-    traced = traced_wavelengths(scene, wavelengths_um, (low, high), [float(temperature_K), outside, *rules.values()])
-    waves = traced.wavelengths_um
-    # More wavelengths than three share the rays of three: the error of the integral is about the same
-    each = rays or min(RAYS, DISPERSIVE * RAYS // len(waves))
     _check_names(scene, rules)
+    kelvins = [float(temperature_K), outside, *rules.values()]
     chosen = Settings.without_sources(scene, **settings)
     runs: tuple[list[Seen], list[Seen]] = ([], [])
-    traces = 2 * len(waves)
+    # The third of a wavelength is what the cold detector sees by one reflection
+    times = len(runs) + any(kelvin < temperature_K for kelvin in rules.values())
+
+    def look(wave: float, rays: int, **more: Any) -> Seen:
+        return see(scene, rays, wavelength_nm=1e3 * wave, detector=detector, **{**settings, **more})
+
     with within(seconds):
+        traced = traced_wavelengths(scene, wavelengths_um, (low, high), kelvins)
+        most = in_time(traced.wavelengths_um, partial(look, rays=TIMED_RAYS), times)
+        every = [1e3 * wave for wave in traced.wavelengths_um]
+        lines = WavelengthChoice.of(every, [1.0] * len(every), most)
+        if lines.left_out_nm:
+            traced = traced_wavelengths(scene, np.divide(lines.wavelengths_nm, 1e3).tolist(), (low, high), kelvins)
+        waves = traced.wavelengths_um
+        # More wavelengths than three share the rays of three: the error of the integral is about the same
+        each = rays or min(RAYS, DISPERSIVE * RAYS // len(waves))
+        traces = times * len(waves)
         for done, ((number, wave), (which, limits)) in enumerate(
             itertools.product(enumerate(waves), enumerate(({}, IMAGE_ONLY)))
         ):
             # Wavelengths are independent; both traces of one start the same rays, so that differences have less noise
-            more = {**settings, **limits, "seed": (chosen.seed + number) % 2**32}
             with share(1 / (traces - done)):
-                runs[which].append(see(scene, each, wavelength_nm=1e3 * wave, detector=detector, **more))
+                runs[which].append(look(wave, each, **limits, seed=(chosen.seed + number) % 2**32))
             if progress is not None:
                 progress(done + 1, traces)
     report = _report(*runs, traced, (low, high), float(temperature_K), outside, rules, settings)
@@ -281,16 +293,30 @@ def thermal(
         report = replace(report, netd=netd_budget(noise, runs, warm, outside, traced, (low, high)))
     light = {"wavelength_nm": [1e3 * wave for wave in waves], "detector": detector}
     report.notes.extend(unpolarized_notes(scene, [light], **settings))
-    planned = traces * each
+    planned = len(runs) * len(waves) * each
     if report.facts["rays"] < 0.99 * planned:  # batches are of one size, so that a few rays may be left out
         report.notes.append(unfinished(report.facts["rays"], planned))
+    report.notes.extend(lines.notes("between those that are traced the optics are interpolated"))
+    report.facts.update(lines.facts)
+    return _with_returns(report, scene, runs, chosen, rules, min(each, RETURN_RAYS))
+
+
+def _with_returns(
+    report: ThermalReport,
+    scene: mi.Scene,
+    runs: tuple[list[Seen], list[Seen]],
+    chosen: Settings,
+    rules: Mapping[str, float],
+    rays: int,
+) -> ThermalReport:
+    """The report with what a cold detector sees of itself and of all that is cold by one reflection."""
     if report.detector_K >= report.temperature_K or not report.self_view.value:
         return report
-    fewer = min(each, RETURN_RAYS)
+    waves = report.wavelengths_um
     by_id = {name: k for (kind, name), k in _temperatures(runs[0], report.temperature_K, rules).items()
               if kind == "surface"}  # fmt: skip
-    weights = {k: np.pi * band_weights(k, (low, high), waves) for k in {*by_id.values(), report.temperature_K}}
-    slopes = np.pi * band_weights(outside, (low, high), waves, derivative=True)
+    weights = {k: np.pi * band_weights(k, report.band_um, waves) for k in {*by_id.values(), report.temperature_K}}
+    slopes = np.pi * band_weights(report.scene_K, report.band_um, waves, derivative=True)
     found = []
     for number, wave in enumerate(waves):
         missing = {
@@ -299,7 +325,7 @@ def thermal(
             if k < report.temperature_K
         }
         seed = (chosen.seed + number) % 2**32
-        found.append(returns(scene, report.detector, wave, fewer, seed, chosen, missing, float(slopes[number])))
+        found.append(returns(scene, report.detector, wave, rays, seed, chosen, missing, float(slopes[number])))
     return replace(
         report,
         returned=_returned(report, found, runs),
