@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -10,12 +11,13 @@ import mitsuba as mi
 import pandas as pd
 
 from mistray.analysis.ghosts import GhostReport
-from mistray.analysis.image_quality.image_quality import image_quality
+from mistray.analysis.image_quality.image_quality import LAST_GRID, image_quality
 from mistray.analysis.ranking import direct_image
 from mistray.analysis.study.step import Fact
 from mistray.analysis.transfer.result import AZIMUTHS, Transfer
 from mistray.analysis.transfer.transfer import transfer
 from mistray.errors import MistrayError
+from mistray.time_budget import is_limited, left
 
 QUICK_GRID = 64  # cells across the pupil of a first look
 CONTRAST = 0.5  # whose frequency the findings say
@@ -41,7 +43,7 @@ def images_with_stray_light(
     settings : mapping
         Of the traces.
     quick : bool
-        A coarse pupil.
+        A coarse pupil, as also where a time budget is too short for a fine one.
     progress : callable
         Gets fields done and in all.
 
@@ -54,7 +56,11 @@ def images_with_stray_light(
     if not fields:
         return "no direct light meets the detector"
     try:
-        quality = image_quality(scene, fields, grid=QUICK_GRID if quick else None, **light)
+        began = time.perf_counter()
+        quality = image_quality(scene, fields, grid=QUICK_GRID, **light) if quick or is_limited() else None
+        longest = (time.perf_counter() - began) * (LAST_GRID / QUICK_GRID) ** 2
+        if quality is None or (not quick and longest < left()):
+            quality = image_quality(scene, fields, **light)
         return transfer(scene, quality=quality, progress=progress, **settings)
     except MistrayError as error:
         return str(error)

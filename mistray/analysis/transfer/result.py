@@ -287,8 +287,10 @@ class FieldTransfer:
                 f"{self.edges_mm[-1]:.4g} mm"
             )
         direct = _continued(self.image, radii)
-        if not stray:
-            return Curve(direct, np.zeros(len(direct)))
+        return self._encircled(radii, direct) if stray else Curve(direct, np.zeros(len(direct)))
+
+    def _encircled(self, radii: Array, direct: Array) -> Curve:
+        """Share of all light within circles, given that of the direct image."""
         light = self._power(DIRECT) + self._power(DIFFRACTION)
         inner, outer = self.edges_mm[:-1] ** 2, self.edges_mm[1:] ** 2
         part = np.clip((radii[:, None] ** 2 - inner) / (outer - inner), 0, 1)
@@ -315,8 +317,9 @@ class FieldTransfer:
         columns: dict[str, Array] = {"inner_mm": self.edges_mm[:-1], "outer_mm": self.edges_mm[1:]}
         for name, found in self.psf_rings().items():
             columns[f"{name}_per_mm2"], columns[f"{name}_se_per_mm2"] = found
-        whole, direct = (self.encircled_energy(self.edges_mm[1:], stray) for stray in (True, False))
-        columns |= {"encircled": whole.value, "encircled_se": whole.se, "encircled_direct": direct.value}
+        direct = self._direct_within[1:]
+        whole = self._encircled(self.edges_mm[1:], direct)
+        columns |= {"encircled": whole.value, "encircled_se": whole.se, "encircled_direct": direct}
         return pd.DataFrame(columns)
 
     def row(self, contrast: float = 0.5) -> dict[str, Any]:

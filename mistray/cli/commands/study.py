@@ -27,9 +27,11 @@ from mistray.cli.shared import (
 )
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, PST_FIELD_DEG, RELATIVE_ERROR
+from mistray.time_budget import within
 
 STATE = "pst_state.npz"
 STEPS = 8
+PAGE_S = 7.0  # of the report, see `Options.seconds_left`: all figures of the ghosts, the objects and the PST
 
 # What --out writes
 FILES = ("report.html", "[1-8]_*.csv", STATE)
@@ -106,11 +108,12 @@ def run(options: Options) -> int:
                 resume=options.resume,
                 name=options.title,
                 progress=progress,
-                seconds=options.seconds_left(),
+                seconds=options.seconds_left(PAGE_S),
                 next_order=not options.no_next_order,
                 **options.spectral_settings(),
             )
-        files = options.write(lambda _, command: study_report(found, command))
+        with within(options.seconds_left(0.0)):  # the maps of the report are traced
+            files = options.write(lambda _, command: study_report(found, command))
     return saved.code or options.show(lambda: study_record(found), lambda: study_text(found), files)
 
 

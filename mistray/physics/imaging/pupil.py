@@ -301,19 +301,21 @@ class Pupil:
         if not self.resolved:
             return np.full(np.atleast_1d(radius).shape, np.nan)
         n, df = len(self.alpha), self.frequency_step
-        f = np.arange(-n, n + 1) * df
         # Of f and -f one will do
-        fx, fy = (values[n:].ravel() for values in np.meshgrid(f, f))
-        value = self._lattice[n:].ravel() * np.exp(2j * np.pi * (fx * centre[0] + fy * centre[1]))
-        weight = np.where(fy == 0, 1.0, 2.0) * value.real * df * df
-        used = np.abs(weight) > 0
-        fx, fy, weight = fx[used], fy[used], weight[used]
+        kx, ky = (values[n:].ravel() for values in np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1)))
+        value = self._lattice[n:].ravel() * np.exp(2j * np.pi * df * (kx * centre[0] + ky * centre[1]))
+        weight: Array = np.where(ky == 0, 1.0, 2.0) * value.real * df * df
+        if not square:
+            # A circle weighs all frequencies of one modulus equally
+            squares = kx * kx + ky * ky
+            weight = np.bincount(squares, weights=weight)
+            used = np.flatnonzero(weight)
+            q, weight = df * np.sqrt(used), weight[used]
         result = []
         for r in np.atleast_1d(np.asarray(radius, dtype=np.float64)):
             if square:
-                figure = 4 * r * r * np.sinc(2 * r * fx) * np.sinc(2 * r * fy)
+                figure = 4 * r * r * np.sinc(2 * r * df * kx) * np.sinc(2 * r * df * ky)
             else:
-                q = np.hypot(fx, fy)
                 figure = np.where(q == 0, np.pi * r * r, r * j1(2 * np.pi * r * q) / np.where(q == 0, 1.0, q))
             result.append(float(weight @ figure))
         return np.array(result)
