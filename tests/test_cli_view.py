@@ -193,6 +193,34 @@ def test_several_fields_and_classes(capsys, tmp_path):
     assert len(gone) == 6  # escaped, with a piece of their way out
 
 
+def test_rays_from_the_detector(capsys, tmp_path):
+    """They leave the detector, cross the window and the lens backwards, and end outside or where they are swallowed."""
+    page, rays = tmp_path / "back.html", tmp_path / "rays.json"
+    few = ("--rays", 64, "--rays-per-path", 40, "--quiet", "--save-rays", rays, "--field-deg", 0, 5)
+    code = run(capsys, "singlet_window_detector", "--classes", "backward", *few, "--out", page)
+    assert code == (0, "", "")
+    lines = read_rays(rays)
+    assert len(lines) == 40  # once, not for each field
+    scene = mistray.load("singlet_window_detector")
+    z = float(scene.sensors()[0].get_shape().bbox().min.z)
+    through = 0
+    for line in lines:
+        names = [event.split(":") for event in line.events.split()]
+        assert line.points[0][2] == pytest.approx(z)
+        assert [letter for _, letter in names[:-1]] == ["T"] * (len(names) - 1) or "R" in line.events
+        if names[-1][1] == "A":
+            assert len(line.points) == len(names) + 1
+        else:
+            assert len(line.points) == len(names) + 2
+            through += [name for name, _ in names][-1] == "L1_front"
+    assert through > 0
+    text = page.read_text(encoding="utf-8")
+    assert text.count('"name":"backward"') == 1
+    code, _, err = run(capsys, "singlet_window_detector", "--classes", "backward", "--box", -1, 1, -1, 1, "--out", page)
+    assert code == 2
+    assert "backward" in err
+
+
 def test_classes_are_refused_before_the_trace(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for arguments, words in (

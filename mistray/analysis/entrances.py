@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import mitsuba as mi
 import numpy as np
 
+from mistray.analysis.backward_rays import steps_back
 from mistray.analysis.objects.sources import DetectorView
 from mistray.percent import percent_text
-from mistray.sampling.design.probes import MOST_STEPS
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.sources import field_axes, spectrum_of
-from mistray.surfaces.host_rays import first_hit, onward
 from mistray.surfaces.surfaces import SurfaceTable
 
 PASS, MOST_RAYS = 1000, 8000  # rays at a time, and in all
@@ -93,10 +91,10 @@ def entrances(scene: mi.Scene, rays: int = MOST_RAYS, seed: int = 0) -> Entrance
     for _ in range(max(rays // PASS, 1)):
         for view, _ in views:
             start = view.sample(max(PASS // len(views), 1), rng)
-            for surface, out, ray in _ways_out(view.table, start.o, start.d):
-                here = -out @ axis > 0
-                names += [whole.ids[k] for k in surface[here]]
-                weights += (view.area * start.weight[ray[here]]).tolist()
+            for step in steps_back(view.table, start.o, start.d):
+                here = (step.met < 0) & (-step.d @ axis > 0)
+                names += [whole.ids[k] for k in step.left[here]]
+                weights += (view.area * start.weight[step.ray[here]]).tolist()
         if len(names) >= ENOUGH:
             break
     if not names:
@@ -107,21 +105,3 @@ def entrances(scene: mi.Scene, rays: int = MOST_RAYS, seed: int = 0) -> Entrance
     share = sum(others.values())
     error = np.sqrt(np.sum((weight * ((seen != first) - share)) ** 2))  # of a quotient of sums over the rays
     return Entrances(first, len(names), share, float(error), others)
-
-
-def _ways_out(table: SurfaceTable, o: np.ndarray, d: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Rays from the detector that leave the scene: the last surface, the direction and the number of each."""
-    ray, last = np.arange(len(o)), np.full(len(o), table.detector)
-    for _ in range(MOST_STEPS):
-        surface, p, normal = first_hit(table, o, d, last)
-        out = surface < 0
-        if out.any():
-            yield last[out], d[out], ray[out]
-        o, d, last, ray, normal = p[~out], d[~out], surface[~out], ray[~out], normal[~out]
-        if not len(ray):
-            return
-        d, _ = onward(table, last, d, normal)
-        going = np.isfinite(d).all(axis=1) & (last != table.detector)
-        o, d, last, ray = o[going], d[going], last[going], ray[going]
-        if not len(ray):
-            return

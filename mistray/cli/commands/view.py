@@ -68,7 +68,8 @@ COMMAND = Command(
                    _row, "ID", "+"),
             Option("--filter", "strongest rows that pass a filter, as 'G(lens*) & !S' (docs/rays.md)", metavar="EXPR"),
             Option("--classes", "rays by class instead of paths: direct, ghost, stray, all … on the detector; blocked, "
-                   "escaped, returned, or surfaces at which they arrive (docs/view.md)", None, "CLASS", "+"),
+                   "escaped, returned, or surfaces at which they arrive; backward: from the detector (docs/view.md)",
+                   None, "CLASS", "+"),
             Option("--box", "of rays by class only those that land there on the detector, mm", PLACE_MM,
                    ("X0", "X1", "Y0", "Y1"), 4),
             Option("--rays-per-path", "most rays of each path or class (10; 7 in a layout)", RAYS_DRAWN, "N"),
@@ -98,7 +99,7 @@ def run(options: Options) -> int:
     options.start()
     from mistray.report.figures.layout import PATHS_DRAWN, RAYS_DRAWN, layout_figure, layout_format, write_layout
     from mistray.report.output import writable_directory
-    from mistray.report.rays.path_rays import RayChoice
+    from mistray.report.rays.path_rays import BACKWARD, RayChoice
     from mistray.report.rays.ray_files import format_of, write_rays
     from mistray.report.view3d.view import MOST_PATHS, RAYS_PER_PATH, graph_objects
     from mistray.trace import trace
@@ -112,6 +113,10 @@ def run(options: Options) -> int:
         options.refuse(["box"], " is about rays by class; add --classes all, or leave it out")
     else:
         options.refuse(["paths", "path_ids", "layout"], " is about paths, and --classes draws rays by class; give one")
+        if BACKWARD in options.classes:
+            options.refuse(
+                ["box", "filter"], f" is about light of the sources, not about {BACKWARD} rays; give one"
+            )
     page = options.out
     if page is None and options.layout is None and not options.save_rays:
         page = Path("view.html")
@@ -130,7 +135,7 @@ def run(options: Options) -> int:
     claim_files(options, page, options.layout, *options.save_rays)
     scene = options.load()
     texts = [options.filter, *(options.path_ids or ())]
-    texts += [f'H("{name}")' for name in options.classes or () if name not in (*KINDS, *ELSEWHERE)]
+    texts += [f'H("{name}")' for name in options.classes or () if name not in (*KINDS, *ELSEWHERE, BACKWARD)]
     check_paths(scene, [text for text in texts if isinstance(text, str)])  # before anything is traced
     traced: list[Trace] = []
     if not options.no_trace:
@@ -169,7 +174,7 @@ def run(options: Options) -> int:
             lines = (
                 shown.rays
                 if shown is not None
-                else [line for one in traced for group in chosen.groups(one) for line in group.lines]
+                else [line for group in chosen.groups(scene, traced) for line in group.lines]
             )
             files += [write_rays(lines, file) for file in options.save_rays]
     if options.json:

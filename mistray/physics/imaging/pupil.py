@@ -308,7 +308,7 @@ class Pupil:
         if not square:
             # A circle weighs all frequencies of one modulus equally
             squares = kx * kx + ky * ky
-            weight = np.bincount(squares, weights=weight)
+            weight = np.bincount(squares, weights=weight).astype(np.float64)
             used = np.flatnonzero(weight)
             q, weight = df * np.sqrt(used), weight[used]
         result = []

@@ -9,11 +9,17 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from mistray.analysis.backward_rays import steps_back
+from mistray.analysis.objects.sources import DetectorView
 from mistray.errors import MistrayError
 from mistray.recorders.path_events import INTERCEPTS, LETTERS
+from mistray.sampling.design_path import find_design_path
+from mistray.sampling.sources import field_axes
+from mistray.surfaces.surfaces import SurfaceTable
 from mistray.trace.named_paths import KINDS
 
 if TYPE_CHECKING:
+    import mitsuba as mi
     import pandas as pd
 
     from mistray.trace import Trace
@@ -22,6 +28,7 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 
 ELSEWHERE = -1
+BACKWARD = "backward"  # rays from the detector
 _LETTER = {INTERCEPTS[code]: letter for code, letter in LETTERS.items()}
 
 
@@ -164,6 +171,48 @@ def ray_lines(nodes: pd.DataFrame, beyond_mm: float = 0.0) -> list[RayLine]:
     return lines
 
 
+def backward_lines(scene: mi.Scene, trace: Trace, n: int, beyond_mm: float = 0.0) -> list[RayLine]:
+    """
+    Rays that leave the detectors of a trace, over the hemisphere on the side of the light, and go backwards.
+
+    Surfaces send them on as the design does, see `mistray.analysis.backward_rays`; they end where a surface swallows
+    them. Their flux is 1.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    trace : Trace
+        For its detectors, its first wavelength and its seed.
+    n : int
+        Rays of each detector.
+    beyond_mm : float
+        How far a ray that leaves the scene is drawn on.
+    """
+    rng, lines = np.random.default_rng(trace.settings["seed"]), list[RayLine]()
+    whole = SurfaceTable(scene, trace.wavelengths_nm[0], trace.settings["detector"])
+    for number in whole.detectors:
+        table = whole.on(number)
+        path = find_design_path(table, scene)
+        light = field_axes(scene)[:, 2] if path is None else path.steps[-1].before
+        start = DetectorView(table, light).sample(n, rng)
+        points, events = [[at] for at in start.o], [list[str]() for _ in start.o]
+        for step in steps_back(table, start.o, start.d):
+            for ray, met, d, p, reflects, stops in zip(
+                step.ray, step.met, step.d, step.p, step.reflects, step.stops, strict=True
+            ):
+                if met >= 0:
+                    points[ray].append(p)
+                    events[ray].append(f"{table.ids[met]}:{'A' if stops else 'R' if reflects else 'T'}")
+                elif beyond_mm:
+                    points[ray].append(points[ray][-1] + beyond_mm * d)
+        lines += [
+            RayLine(ELSEWHERE, " ".join(names), table.wavelength_nm, k, np.array(way), np.ones(len(way)))
+            for k, (names, way) in enumerate(zip(events, points, strict=True))
+            if len(way) > 1
+        ]
+    return lines
+
+
 class RayGroup(NamedTuple):
     """Rays that are drawn alike: what a legend calls them, and the row of the path table or None."""
 
@@ -185,7 +234,8 @@ class RayChoice:
         These rows instead, see `chosen_rows`.
     classes : sequence of str, optional
         Rays by class instead: kinds of paths, "stray" and "all"; or, of light anywhere, what `Trace.rays_at` takes:
-        "blocked", "escaped", "returned", and names of surfaces at which it arrives.
+        "blocked", "escaped", "returned", and names of surfaces at which it arrives; or "backward", see
+        `backward_lines`.
     selection : str
         Only rays, or the strongest rows, that pass a filter.
     box : x0, x1, y0, y1, optional
@@ -214,15 +264,25 @@ class RayChoice:
             )
         return found
 
-    def groups(self, trace: Trace, size_mm: float = 0.0, with_field: bool = False) -> list[RayGroup]:
+    def groups(self, scene: mi.Scene, traces: Sequence[Trace], size_mm: float = 0.0) -> list[RayGroup]:
         """The rays, path by path or class by class; those that leave the scene go on for `size_mm`."""
+        found = [group for trace in traces for group in self._of_trace(trace, size_mm, len(traces) > 1)]
+        if traces and BACKWARD in (self.classes or ()):  # at all fields the same
+            if self.box is not None or self.selection:
+                raise MistrayError(f"box and selection are about the light of sources, not about '{BACKWARD}' rays")
+            found.append(RayGroup(BACKWARD, backward_lines(scene, traces[0], self.rays, size_mm)))
+        return found
+
+    def _of_trace(self, trace: Trace, size_mm: float, with_field: bool) -> list[RayGroup]:
+        """Those of one field."""
         field = f"{trace.settings['field_deg']:g}°: " if with_field else ""
         if self.classes is None:
             rows, several = self.rows(trace), len(trace.wavelengths_nm) > 1
             lines = [rays_of_paths(trace, [row.path_id], self.rays) for row in rows]
             names = [f"{field}{row_name(row, several)}" for row in rows]
             return [RayGroup(name, own, row.path_id) for name, own, row in zip(names, lines, rows, strict=True)]
-        return [RayGroup(f"{field}{name}", self._of_class(trace, name, size_mm)) for name in self.classes]
+        names = [name for name in self.classes if name != BACKWARD]
+        return [RayGroup(f"{field}{name}", self._of_class(trace, name, size_mm)) for name in names]
 
     def _of_class(self, trace: Trace, name: str, size_mm: float) -> list[RayLine]:
         if name not in KINDS:

@@ -167,7 +167,7 @@ def view(
         raise MistrayError(f"cut_deg={cut_deg}, cut_mm={cut_mm:g} leaves no surface; move the cut")
     flux = flux_of(surfaces, traces)
     size = scene_size(surfaces)
-    groups = [group for one in traces for group in chosen.groups(one, BEYOND * size, len(traces) > 1)]
+    groups = chosen.groups(scene, traces, BEYOND * size)
     lines = [line for group in groups for line in group.lines]
     shown_mm = shown_box(shown, lines, cut)
     figure = go.Figure()
