@@ -39,6 +39,8 @@ from mistray.scene import find, load
 if TYPE_CHECKING:
     import pandas as pd
 
+    from mistray.analysis import Pst
+
 METHODS = ("move", "block", "paint", "coat")
 STEPS: dict[str, float | str] = {
     "position": 0.1,
@@ -106,6 +108,8 @@ class EditRanking:
         What the derivatives do not contain, and what Stokes vectors would change by more than 1 %.
     edge_width : tuple of float or None
         Width of the zones at rims at each field angle, see `mistray.optimize.Gradient`.
+    traced : Pst or None
+        The PST that is differentiated, with how it was traced.
     """
 
     field_deg: tuple[float, ...]
@@ -114,6 +118,7 @@ class EditRanking:
     edits: tuple[Edit, ...]
     left_out: tuple[str, ...] = field(default=())
     edge_width: tuple[float | None, ...] = ()
+    traced: Pst | None = None
 
     def __getitem__(self, label: str) -> Edit:
         """The edit of a label."""
@@ -268,7 +273,7 @@ def rank_edits(
     edits = _with_gaps(loaded, params, known, edits)
     edits.sort(key=_order)
     named = light if isinstance(light, str) else ", ".join(light)
-    return EditRanking(angles, named, tuple(values), tuple(edits), tuple(left_out), tuple(widths))
+    return EditRanking(angles, named, tuple(values), tuple(edits), tuple(left_out), tuple(widths), observations[0].pst)
 
 
 def _certain(change: Estimate) -> float:

@@ -114,9 +114,7 @@ def run(options: Options) -> int:
     else:
         options.refuse(["paths", "path_ids", "layout"], " is about paths, and --classes draws rays by class; give one")
         if BACKWARD in options.classes:
-            options.refuse(
-                ["box", "filter"], f" is about light of the sources, not about {BACKWARD} rays; give one"
-            )
+            options.refuse(["box", "filter"], f" is about light of the sources, not about {BACKWARD} rays; give one")
     page = options.out
     if page is None and options.layout is None and not options.save_rays:
         page = Path("view.html")

@@ -76,12 +76,16 @@ def edits_report(
         parts = [Note(f"{ranked_light(ranking)}."), edit_ranking_table(ranking), *map(Note, ranking_notes(ranking))]
         sections.append(Section("ranking", "Which edit would pay", parts, "Ranking"))
         csv["edit_ranking.csv"], json["edit_ranking.json"] = ranking.to_pandas(), edit_ranking_record(ranking)
-        facts.setdefault("light", ranking.light)
+        facts |= {"light": ranking.light, **(pst_facts(ranking.traced) if ranking.traced is not None else {})}
     facts |= version_settings()
+    parts_of = {"configurations": found, "ranking": ranking}
+    words = terms("edits") | {
+        k: v for name, part in parts_of.items() if part is not None for k, v in terms(name).items()
+    }
     return Report(
         "Edits",
         title,
-        [*sections, settings_section(facts, command, terms("edits"), link="Definitions and settings")],
+        [*sections, settings_section(facts, command, words, link="Definitions and settings")],
         lead=lead,
         warnings=warnings,
         csv=csv,
