@@ -89,3 +89,8 @@ def check_written_id(name: str, what: str = "object") -> None:
     check_id(name, what)
     if "$" in name:
         raise MistrayError(f"{what} {name!a}: its name holds $, by which scene files know parameters; rename it")
+
+
+def plain_name(text: str) -> str:
+    """A text as the name of a file or a part: letters, digits, _ and -, others as one underscore."""
+    return re.sub(r"[^\w-]+", "_", text).strip("_")

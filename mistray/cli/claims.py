@@ -65,7 +65,7 @@ def is_declared(options: argparse.Namespace, name: str) -> bool:
     for kind in getattr(options, "formats", ()):
         tables = [pattern.replace(".csv", ".parquet") for pattern in options.folder_files]
         pages = [pattern.replace(".html", ".pdf") for pattern in options.folder_files]
-        patterns += {"parquet": tables, "pdf": pages}.get(kind, [f"irradiance_*deg.{kind}"])
+        patterns += {"parquet": tables, "pdf": pages}.get(kind, [f"irradiance_*deg.{kind}", f"illuminance_*deg.{kind}"])
     return any(fnmatch.fnmatch(name, pattern) for pattern in patterns)
 
 

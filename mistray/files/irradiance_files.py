@@ -1,11 +1,12 @@
 """Irradiance maps with their standard errors in files of other programs: FITS, OpenEXR, NumPy.
 
-All three hold the irradiance (W/mm²), its standard error, the extent of the map in mm, and facts about its origin.
+All three hold the irradiance (W/mm²) or the illuminance (lx), its standard error, the extent of the map in mm, and
+facts about its origin.
 
 .fits
-    Primary HDU: irradiance, 64-bit floats, BUNIT "W mm-2"; image extension STDERR: standard error. Both carry a linear
-    WCS in mm: the outer edge of the first pixel, FITS coordinate 0.5, lies at CRVAL, a pixel is CDELT wide. Row 0 is
-    at the smallest y, which FITS viewers draw at the bottom. A card has room for 15 digits, to which the extent is
+    Primary HDU: irradiance, 64-bit floats, BUNIT "W mm-2" or "lx"; image extension STDERR: standard error. Both carry a
+    linear WCS in mm: the outer edge of the first pixel, FITS coordinate 0.5, lies at CRVAL, a pixel is CDELT wide. Row
+    0 is at the smallest y, which FITS viewers draw at the bottom. A card has room for 15 digits, to which the extent is
     rounded. FACTS holds the facts as JSON. Source: FITS standard 4.0, sections 4.3 (units), 4.4.2.5 (EXTNAME) and
     8.2 (WCS).
 .exr
@@ -14,7 +15,7 @@ All three hold the irradiance (W/mm²), its standard error, the extent of the ma
     Attributes: unit, extent_mm ("x0 x1 y0 y1"), facts (JSON). Source: openexr.com, "Technical Introduction".
 .npy
     One record with the fields irradiance_W_mm2 and irradiance_se_W_mm2, (height, width) float64, extent_mm (4,), and
-    facts (JSON): ``np.load("map.npy")["irradiance_W_mm2"]``.
+    facts (JSON): ``np.load("map.npy")["irradiance_W_mm2"]``; of an illuminance illuminance_lx and illuminance_se_lx.
 """
 
 from __future__ import annotations
@@ -40,7 +41,14 @@ from mistray.replace_file import replace_file
 
 Map = npt.NDArray[np.float64]
 Extent = tuple[float, float, float, float]
-UNIT_FITS, UNIT_EXR = "W mm-2", "W/mm^2"
+WATTS, LUX = "W/mm²", "lx"
+UNIT_FITS = {WATTS: "W mm-2", LUX: "lx"}
+UNIT_EXR = {WATTS: "W/mm^2", LUX: "lx"}
+MEANING = {WATTS: "irradiance", LUX: "illuminance"}
+FIELDS_NPY = {
+    WATTS: ("irradiance_W_mm2", "irradiance_se_W_mm2"),
+    LUX: ("illuminance_lx", "illuminance_se_lx"),
+}
 ERROR_HDU, ERROR_CHANNEL = "STDERR", "standard_error.Y"
 AXES = ("x", "y")
 WHAT = "irradiance map"  # for messages
@@ -56,22 +64,27 @@ class IrradianceMap:
     Attributes
     ----------
     irradiance, irradiance_se : (height, width) float64
-        Irradiance and its standard error, W/mm², row 0 at the smallest y.
+        Irradiance and its standard error, in `unit`, row 0 at the smallest y.
     extent : tuple of float
         x0, x1, y0, y1 in the detector's frame, mm.
     facts : mapping of str to values that JSON knows
         What the map is of and how it was traced.
+    unit : {"W/mm²", "lx"}
+        In lx it is the illuminance.
     """
 
     irradiance: Map
     irradiance_se: Map
     extent: Extent
     facts: Mapping[str, Any] = field(default_factory=dict)
+    unit: str = WATTS
 
     def __post_init__(self) -> None:
         shapes = np.shape(self.irradiance), np.shape(self.irradiance_se)
         if len(shapes[0]) != 2 or shapes[0] != shapes[1] or 0 in shapes[0]:
             raise MistrayError(f"irradiance map: shapes {shapes[0]} and {shapes[1]}; give two arrays (height, width)")
+        if self.unit not in UNIT_FITS:
+            raise MistrayError(f"irradiance map: unit is '{self.unit}'; use {' or '.join(UNIT_FITS)}")
 
     @classmethod
     def of(cls, trace: Any) -> IrradianceMap:
@@ -178,6 +191,14 @@ def _openexr() -> Any:
     return OpenEXR
 
 
+def _unit(names: Mapping[str, str], name: Any) -> str:
+    """The unit by its name in a file."""
+    found = next((unit for unit, own in names.items() if own == name), None)
+    if found is None:
+        raise MistrayError(f"unit '{name}' is not known; give a file that mistray wrote")
+    return found
+
+
 def _facts_text(m: IrradianceMap) -> str:
     """The facts in ASCII, which is all that FITS takes."""
     return json.dumps(plain(dict(m.facts)), allow_nan=False)
@@ -187,9 +208,9 @@ def _write_fits(m: IrradianceMap) -> bytes:
     fits = fits_module()
     hdus = [fits.PrimaryHDU(np.asarray(m.irradiance, dtype=np.float64))]
     hdus.append(fits.ImageHDU(np.asarray(m.irradiance_se, dtype=np.float64), name=ERROR_HDU))
-    for hdu, meaning in zip(hdus, ("irradiance", "standard error of the irradiance"), strict=True):
+    for hdu, meaning in zip(hdus, (MEANING[m.unit], f"standard error of the {MEANING[m.unit]}"), strict=True):
         header = hdu.header
-        header["BUNIT"] = (UNIT_FITS, meaning)
+        header["BUNIT"] = (UNIT_FITS[m.unit], meaning)
         for axis, low, high, name in zip((1, 2), m.extent[::2], m.extent[1::2], AXES, strict=True):
             pixels = m.irradiance.shape[2 - axis]
             header[f"CTYPE{axis}"] = (name.upper(), f"{name} in the frame of the detector")
@@ -212,7 +233,8 @@ def _read_fits(path: Path) -> IrradianceMap:
         header = hdus[0].header
         extent = tuple(float(header[key]) for key in ("CRVAL1", "XEND", "CRVAL2", "YEND"))
         value, se = (np.asarray(hdu.data, dtype=np.float64) for hdu in (hdus[0], hdus[ERROR_HDU]))
-        return IrradianceMap(value, se, (extent[0], extent[1], extent[2], extent[3]), json.loads(header["FACTS"]))
+        unit = _unit(UNIT_FITS, header["BUNIT"])
+        return IrradianceMap(value, se, (extent[0], extent[1], extent[2], extent[3]), json.loads(header["FACTS"]), unit)
 
 
 def _write_exr(m: IrradianceMap) -> bytes:
@@ -221,12 +243,12 @@ def _write_exr(m: IrradianceMap) -> bytes:
     for name, values in (("Y", m.irradiance), (ERROR_CHANNEL, m.irradiance_se)):
         most = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
         if most > LARGEST:
-            raise MistrayError(f"irradiance map: {most:g} W/mm² is too large for EXR; write .fits or .npy")
+            raise MistrayError(f"irradiance map: {most:g} {m.unit} is too large for EXR; write .fits or .npy")
         channels[name] = np.ascontiguousarray(np.asarray(values, dtype=np.float64)[::-1].astype(np.float32))
     header = {
         "compression": openexr.ZIP_COMPRESSION,
         "type": openexr.scanlineimage,
-        "unit": UNIT_EXR,
+        "unit": UNIT_EXR[m.unit],
         "extent_mm": " ".join(repr(float(value)) for value in m.extent),
         "facts": _facts_text(m),
     }
@@ -248,13 +270,14 @@ def _read_exr(path: Path) -> IrradianceMap:
     with openexr.File(str(path), separate_channels=True) as file:
         header, channels = file.header(), file.channels()
         missing = [name for name in ("Y", ERROR_CHANNEL) if name not in channels] + [
-            name for name in ("extent_mm", "facts") if name not in header
+            name for name in ("extent_mm", "facts", "unit") if name not in header
         ]
         if missing:
             raise MistrayError(f"irradiance map '{path}': no {missing[0]}; give a file that mistray wrote")
         value, se = (np.array(channels[name].pixels[::-1], dtype=np.float64) for name in ("Y", ERROR_CHANNEL))
         left, right, low, high = (float(word) for word in header["extent_mm"].split())
-        return IrradianceMap(value, se, (left, right, low, high), json.loads(header["facts"]))
+        unit = _unit(UNIT_EXR, header["unit"])
+        return IrradianceMap(value, se, (left, right, low, high), json.loads(header["facts"]), unit)
 
 
 def _write_npy(m: IrradianceMap) -> bytes:
@@ -262,13 +285,13 @@ def _write_npy(m: IrradianceMap) -> bytes:
     record = np.zeros(
         (),
         dtype=[
-            ("irradiance_W_mm2", "<f8", shape),
-            ("irradiance_se_W_mm2", "<f8", shape),
+            *((name, "<f8", shape) for name in FIELDS_NPY[m.unit]),
             ("extent_mm", "<f8", (4,)),
             ("facts", f"<U{len(facts)}"),
         ],
     )
-    record["irradiance_W_mm2"], record["irradiance_se_W_mm2"] = m.irradiance, m.irradiance_se
+    for name, values in zip(FIELDS_NPY[m.unit], (m.irradiance, m.irradiance_se), strict=True):
+        record[name] = values
     record["extent_mm"], record["facts"] = m.extent, facts
     stream = io.BytesIO()
     np.save(stream, record, allow_pickle=False)
@@ -281,11 +304,12 @@ def _read_npy(path: Path) -> IrradianceMap:
     except MistrayError as error:
         raise MistrayError(f"irradiance map '{path}': {error}") from None
     record = np.load(stream, allow_pickle=False)
-    if not record.dtype.names or "irradiance_se_W_mm2" not in record.dtype.names:
+    unit = next((unit for unit, names in FIELDS_NPY.items() if {*names} <= {*(record.dtype.names or ())}), None)
+    if unit is None:
         raise MistrayError(f"irradiance map '{path}': no field irradiance_se_W_mm2; give a file that mistray wrote")
     x0, x1, y0, y1 = (float(value) for value in record["extent_mm"])
-    value, se = (np.array(record[name], dtype=np.float64) for name in ("irradiance_W_mm2", "irradiance_se_W_mm2"))
-    return IrradianceMap(value, se, (x0, x1, y0, y1), json.loads(str(record["facts"])))
+    value, se = (np.array(record[name], dtype=np.float64) for name in FIELDS_NPY[unit])
+    return IrradianceMap(value, se, (x0, x1, y0, y1), json.loads(str(record["facts"])), unit)
 
 
 FORMATS: Mapping[str, tuple[Callable[[IrradianceMap], bytes], Callable[[Path], IrradianceMap]]] = MappingProxyType(

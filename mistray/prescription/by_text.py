@@ -10,6 +10,7 @@ from typing import Any
 
 from mistray.coatings import PRESETS, Stack, coating_from_text
 from mistray.errors import MistrayError
+from mistray.ids import plain_name
 from mistray.prescription.coating import Coating
 from mistray.prescription.scatter import Scatter, Value
 from mistray.scatter.kinds import KINDS
@@ -153,4 +154,4 @@ def _value(text: str) -> Value:
 def _name(kind: str, properties: Mapping[str, Value]) -> str:
     """An id by values, so that .1 and 0.1 have one name, and 1 another."""
     words = [kind, *(f"{key}_{value}".removesuffix(".0") for key, value in properties.items())]
-    return re.sub(r"[^\w-]+", "_", "_".join(words)).strip("_")
+    return plain_name("_".join(words))

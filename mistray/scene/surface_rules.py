@@ -11,7 +11,7 @@ from typing import Any
 
 from mistray.coatings import fitted_preset, layer_text, read_coating
 from mistray.errors import MistrayError
-from mistray.ids import fits
+from mistray.ids import fits, plain_name
 from mistray.materials import resolved
 from mistray.mechanics.finish import Finish, finish, known_finishes
 from mistray.prescription.by_text import CLEAN, coating_of, scatter_of
@@ -250,7 +250,7 @@ class Painter:
             self.notes.append(note)
         if not fitted.changed:
             return coating
-        name = re.sub(r"[^\w-]+", "_", f"{coating.name}_{body}").strip("_")
+        name = plain_name(f"{coating.name}_{body}")
         return Coating(layers=layer_text(fitted.stack.layers), first=coating.first, name=name)
 
     def _closed(self, coating: Coating | None) -> bool:

@@ -118,18 +118,25 @@ def test_exr_rounds_to_single_precision_and_no_further(one, tmp_path):
     assert back.facts == one.facts
 
 
+@pytest.mark.parametrize("unit", ["W/mm²", "lx"])
 @pytest.mark.parametrize("ending", ["fits", "npy", "exr"])
-def test_odd_extents_and_numbers(tmp_path, ending):
+def test_odd_extents_and_numbers(tmp_path, ending, unit):
     """Extents without a short decimal form, numbers of all sizes, facts that are not ASCII."""
     rng = np.random.default_rng(5)
     values = 10.0 ** rng.uniform(-30, 30, (2, 3, 5))
-    one = IrradianceMap(*values, (-np.pi, 2 / 3, 1e-9 / 3, 0.1 + 0.2), {"Feld": "5°", "list": [1, 2.5, None]})
+    one = IrradianceMap(*values, (-np.pi, 2 / 3, 1e-9 / 3, 0.1 + 0.2), {"Feld": "5°", "list": [1, 2.5, None]}, unit)
     back = read_irradiance(write_irradiance(one, tmp_path / f"map.{ending}"))
     kind = np.float32 if ending == "exr" else np.float64
     assert np.array_equal(back.irradiance, values[0].astype(kind))
     assert np.array_equal(back.irradiance_se, values[1].astype(kind))
     assert back.extent == (pytest.approx(one.extent, rel=1e-14) if ending == "fits" else one.extent)
     assert back.facts == one.facts
+    assert back.unit == unit
+
+
+def test_a_unit_that_no_map_has():
+    with pytest.raises(MistrayError, match="'W/m2'"):
+        IrradianceMap(np.zeros((2, 2)), np.zeros((2, 2)), (0, 1, 0, 1), unit="W/m2")
 
 
 def test_astropy_places_the_pixels(one, tmp_path):

@@ -12,6 +12,7 @@ import pytest
 import mistray
 from mistray import MistrayError, cli
 from mistray.recorders import FarField, Probe, SurfaceMaps
+from mistray.report import read_irradiance
 
 BLACK = {"type": "interface", "R": 0.0}
 DETECTOR = {
@@ -82,6 +83,18 @@ def test_a_lamp_all_around():
         abs(value[0, 0] - candela / 1e-4) < 6 * se[0, 0] + 0.003 * candela / 1e-4
     )  # the mean is 0.25 % less than on axis
     np.testing.assert_allclose(probe.luminance[0].sum() * 4, value[0, 0], rtol=1e-9)  # du dv = 2 × 2
+
+
+def test_illuminance_in_files(capsys, tmp_path):
+    """The file of the detector over its irradiance is 683.002 lm/W times V(555 nm), and 1e6 mm² are a square metre."""
+    command = ["ghosts", "plate", "--rays", "300", "--quiet", "--photometric", "--wavelength-nm", "555"]
+    assert cli.main([*command, "--formats", "npy", "--out", str(tmp_path / "out")]) == 0
+    capsys.readouterr()
+    maps = {name: read_irradiance(tmp_path / "out" / f"{name}_0deg.npy") for name in ("illuminance", "irradiance")}
+    assert maps["illuminance"].unit == "lx"
+    lux, watts = maps["illuminance"].irradiance, maps["irradiance"].irradiance
+    assert lux.sum() == pytest.approx(683.002e6 * watts.sum(), rel=1e-9)
+    assert sorted(np.load(tmp_path / "out" / "illuminance_0deg.npy").dtype.names)[:2] == ["extent_mm", "facts"]
 
 
 def test_the_command(capsys):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -11,6 +10,7 @@ from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.maps.light_maps import LightMap
 from mistray.files.irradiance_files import IrradianceMap
 from mistray.files.json_values import plain
+from mistray.ids import plain_name
 from mistray.report.model import Figure, Note, Part, Section, Table, Value, columns
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def light_map_files(report: GhostReport) -> dict[str, IrradianceMap]:
         detectors = set(report[field].detectors)
         for one in report.light_maps.get(field, ()):
             where = "" if one.surface in detectors else f"_{one.surface}"
-            base = re.sub(r"[^\w-]+", "_", f"{one.selection[:NAME_LETTERS]}{where}").strip("_")
+            base = plain_name(f"{one.selection[:NAME_LETTERS]}{where}")
             name, number = f"irradiance_{base}_{field:g}deg", 2
             while name in files:
                 name, number = f"irradiance_{base}_{number}_{field:g}deg", number + 1

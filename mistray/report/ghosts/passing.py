@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import re
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, TypeVar
 
@@ -13,6 +12,7 @@ from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
 from mistray.files.irradiance_files import IrradianceMap
 from mistray.files.json_values import plain
+from mistray.ids import plain_name
 from mistray.recorders.passing.cells import PassingLight
 from mistray.recorders.passing.far_field import FarField
 from mistray.recorders.passing.probe import Probe
@@ -50,7 +50,7 @@ def passing_maps(report: GhostReport) -> dict[str, IrradianceMap]:
     """Irradiance on the probes by the names of files, without ending."""
     maps = {}
     for field, probe in _recorded(report, Probe):
-        name = re.sub(r"[^\w-]+", "_", probe.name).strip("_")
+        name = plain_name(probe.name)
         facts = plain({"probe": probe.name, **report[field].settings})
         maps[f"irradiance_{name}_{field:g}deg"] = IrradianceMap(*probe.irradiance, probe.extent, facts)
     return maps

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import re
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
@@ -11,6 +10,7 @@ from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
 from mistray.files.irradiance_files import IrradianceMap
 from mistray.files.json_values import plain
+from mistray.ids import plain_name
 from mistray.recorders.passing.surface_maps import SurfaceMap, SurfaceMaps
 from mistray.report.model import Figure, Note, Part, Section, Table, Value, columns
 
@@ -44,7 +44,7 @@ def surface_map_files(report: GhostReport) -> dict[str, IrradianceMap]:
     files = {}
     for field, recorder in _recorded(report):
         for one in recorder.maps.values():
-            name = re.sub(r"[^\w-]+", "_", f"{recorder.name}_{one.surface}").strip("_")
+            name = plain_name(f"{recorder.name}_{one.surface}")
             facts = plain({"surface": one.surface, "part": one.part, **_axes(one), **report[field].settings})
             files[f"irradiance_{name}_{field:g}deg"] = IrradianceMap(*one.irradiance, one.unrolled_mm, facts)
     return files
