@@ -56,7 +56,13 @@ def trace_tree(scene: KernelScene, start: StartRays, settings: Settings, recorde
     recorders : sequence of Recorder or None
         Take the results, in this order; None is left out.
     """
-    together = Recorders(recorders)
+    # What a user differentiates by, such as the vertices of a mesh, does not make a trace differentiable
+    with dr.suspend_grad():
+        _trace_tree(scene, start, settings, Recorders(recorders))
+
+
+def _trace_tree(scene: KernelScene, start: StartRays, settings: Settings, together: Recorders) -> None:
+    """The same for recorders that are put together."""
     tree = _Tree(scene, start, settings, together)
     state = tree.first_segment()
     if tree.scatters and StartSupply.pays(scene, settings) and not together.by_ray:

@@ -1,0 +1,50 @@
+"""A scene whose parameters are to be differentiated traces as any other."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import mistray
+from mistray import pst
+
+WHITE = {"type": "interface", "R": 0.0, "scatter": {"type": "abg", "A": 0.2, "B": 1.0, "g": 0.0}}
+BLACK = {"type": "interface", "R": 0.0}
+
+
+def scene() -> mi.Scene:
+    """A scattering plate of triangles beside a detector that a lamp of Mitsuba lights."""
+    turned = mi.ScalarTransform4f().translate([0, 14, -10]).rotate([1, 0, 0], 60)
+    film = {"type": "hdrfilm", "width": 2, "height": 2, "rfilter": {"type": "box"}}
+    shapes: dict[str, Any] = {
+        "plate": {"type": "asphere", "half_width": 15.0, "half_height": 15.0, "to_world": turned, "bsdf": WHITE},
+        "detector": {
+            "type": "asphere", "half_width": 5.0, "half_height": 5.0, "bsdf": BLACK,
+            "sensor": {"type": "irradiancemeter", "film": film},
+        },
+        "lamp": {
+            "type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, -6, -40]).scale([4, 7, 1]),
+            "bsdf": {"type": "interface", "R": 0.0},
+            "emitter": {"type": "area", "radiance": {"type": "spectrum", "value": 2.0}},
+        },
+    }  # fmt: skip
+    return mistray.load({"type": "scene", **shapes})
+
+
+@pytest.mark.parametrize("name", ["plate.vertex_positions", "plate.z", "lamp.emitter.radiance.value"])
+def test_a_trace_and_a_pst(name: str) -> None:
+    plain, attached = scene(), scene()
+    parameters = mi.traverse(attached)
+    dr.enable_grad(parameters[name])
+    parameters.update()
+    settings = {"rays": 20_000, "max_scatters": 2, "seed": 3}
+    one, other = (mistray.trace(s, **settings) for s in (plain, attached))
+    assert one.energy.detected_W > 0
+    assert np.array_equal(one.irradiance, other.irradiance)
+    first, second = (pst(s, [0, 30], method="adjoint", **settings) for s in (plain, attached))
+    assert first.to_pandas().pst_total.all()
+    assert first.to_pandas().equals(second.to_pandas())
