@@ -36,6 +36,7 @@ def test_text_and_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert "--frequencies 20 40" in (out / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.long
 def test_json(capsys: pytest.CaptureFixture[str]) -> None:
     code, text, _ = run(capsys, *LENS, "--json", "--wavelength-nm", "486", "588", "--weights", "1", "3")
     assert code == 0

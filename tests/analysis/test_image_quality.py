@@ -41,6 +41,7 @@ def axis():
     return mistray.image_quality(mistray.load(paraboloid()), 0.0, grid=128)[0]
 
 
+@pytest.mark.long
 def test_annular_pupil(axis):
     """
     A paraboloid has no aberration on its axis, and its pupil in direction cosines is an annulus.

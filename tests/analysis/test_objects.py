@@ -359,6 +359,7 @@ def test_light_in_total_reflection_can_be_stopped(phone):
     assert "board_left" in with_it - without
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_rows(phone):
     again = objects(phone.scene, rays=20_000)
     assert again.critical == objects(phone.scene, rays=20_000).critical

@@ -60,6 +60,7 @@ def test_lengths_in_closed_form(ring: Any) -> None:
     assert 0 <= diffracted.opl_mm - table.opl_mm[straight] < 0.1
 
 
+@pytest.mark.long
 def test_the_mean_is_that_of_all_rays(lenses: Any) -> None:
     """A false alarm in one of 370 for each path; the seed is fixed."""
     found = path_analysis(lenses).set_index("path_id")
@@ -88,6 +89,7 @@ def test_seven_keys(lenses: Any, ring: Any, key: str) -> None:
             assert row.last_object == (names[-2] if len(names) > 1 else "-")
 
 
+@pytest.mark.long
 def test_weak_paths_stand_together(lenses: Any) -> None:
     whole = path_analysis(lenses)
     table = path_analysis(lenses, least_share=1e-3)

@@ -118,6 +118,7 @@ def test_errors_at_a_fixed_number_of_rays_have_seen_the_rare_paths() -> None:
         assert found.facts["rays_with_the_light"] > 0
 
 
+@pytest.mark.long
 def test_a_wanted_error_is_reached_by_budget_and_holds() -> None:
     """
     Half of the answers were 4 to 6 standard errors low.

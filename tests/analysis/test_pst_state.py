@@ -156,6 +156,7 @@ while True:
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.long
 def test_a_killed_writer_leaves_a_whole_file(tmp_path: Path) -> None:
     """SIGKILL at ten moments while files of 0.8 MB are written: the last whole state is there each time."""
     path = tmp_path / "state.npz"

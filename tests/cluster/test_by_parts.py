@@ -199,6 +199,7 @@ def test_an_error_that_is_wanted_stops_at_the_same_pass():
     np.testing.assert_allclose(many.by_batch, one.by_batch, rtol=ROUNDING)
 
 
+@pytest.mark.long
 def test_monte_carlo_of_tolerances(scene):
     metric = metrics.path_power(scene, selection="ghost", rays=2000)
     arguments = {"keys": ["*.curvature"], "check": False, "monte_carlo": 3, "edges": False}

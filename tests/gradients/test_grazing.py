@@ -52,6 +52,7 @@ def check(what: str, found: Gradient, keys: list[str], expected: float, expected
             )
 
 
+@pytest.mark.long
 def test_rod_across_a_beam(load_scene) -> None:
     """A black rod of radius 2 mm, 2.5 mm off the middle of the beam, takes a strip out of it."""
     rod = placed_xml("frustum", "rod", at=(2.5, -10.0, 10.0), facing=(0.0, 1.0, 0.0), r0=2.0, r1=2.0, z0=0.0, z1=20.0)

@@ -165,6 +165,7 @@ class TestClosedForms:
         exact = small_detector(FLAT + TWO_FOLD * np.cos(2 * np.radians(100.0 - axis)), 40.0)
         assert_z("meridian", found, exact, se, k=4.0, floor=0.01 * exact)
 
+    @pytest.mark.long
     def test_lathe_turned_tube(self, two_fold: dict[str, Any]) -> None:
         """A tube looks alike from all sides: a beam to its wall sends the same back, whatever its azimuth."""
         tube = {"type": "frustum", "r0": 10.0, "z0": -40.0, "r1": 10.0, "z1": 40.0}

@@ -35,6 +35,7 @@ class TestFit:
         assert found.chi_square < 1e-3
         assert found.degrees == 10
 
+    @pytest.mark.long
     def test_regions_hold_the_truth_as_often_as_they_say(self):
         """400 draws at 95 %: 380 ± 4.4 expected, 362 or less with a probability of 1e-4."""
         rng, inside, distances = np.random.default_rng(3), 0, []
@@ -299,6 +300,7 @@ class TestPstBands:
             assert found.jacobian[row] == pytest.approx(derivatives, rel=1e-5, abs=1e-6 * expected.value)
             assert np.sqrt(found.covariance[row, row]) == pytest.approx(expected.value_se, rel=1e-6)
 
+    @pytest.mark.long
     def test_means_over_bands(self, scene):
         """A band of several cells is the mean over the solid angle, and light is added up."""
         narrow = PstBands(scene, KEYS, (20, 22, 24), cell_deg=2.0, **SETTINGS)

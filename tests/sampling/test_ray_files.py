@@ -108,6 +108,7 @@ def detector(z: float, size: float = 10.0) -> dict[str, Any]:
     return {"type": "asphere", "half_width": size, "half_height": size, "z": z, "bsdf": BLACK, "sensor": sensor}
 
 
+@pytest.mark.long
 def test_light_of_a_trace_goes_on(tmp_path: Path) -> None:
     """
     Rays at a plane, in a file, traced on: the image behind it is that of the whole trace. False alarms 0.1 %.

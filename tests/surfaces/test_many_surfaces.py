@@ -98,6 +98,7 @@ def seconds(work: Callable[[], object]) -> float:
     return time.process_time() - begun
 
 
+@pytest.mark.long
 def test_a_tube_of_three_hundred_rings_is_one_tube(load: Callable[[str], mi.Scene]) -> None:
     settings = {"rays": 200_000, "seed": 3, "field_deg": 20.0, "aim": "none"}
     one, many = (mistray.trace(load(tube(rings)), **settings) for rings in (1, 300))

@@ -96,7 +96,9 @@ def hits(table: SurfaceTable, o: np.ndarray, d: np.ndarray, last: np.ndarray) ->
     return np.array(t), np.array(s)
 
 
-@pytest.mark.parametrize("name", [pytest.param(k, marks=pytest.mark.long) if k == "lenslets" else k for k in CASES])
+@pytest.mark.parametrize(
+    "name", [pytest.param(k, marks=pytest.mark.long) if k in ("lenslets", "moved segments") else k for k in CASES]
+)
 def test_the_same_hits_as_one_by_one(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     table = SurfaceTable(scene(CASES[name]), 550.0)
     rng = np.random.default_rng(5)

@@ -128,6 +128,7 @@ def test_against_differences(label: str, rays: int) -> None:
     assert abs(slope.value) > 3 * slope.se
 
 
+@pytest.mark.long
 def test_parts_move_as_a_whole() -> None:
     """The derivative by the place of a lens is the sum of those by its surfaces, which are no edits of their own."""
     scene, settings = mistray.load("baffle_tube"), {"rays": 20_000, "max_scatters": 1, "cell_deg": 8}

@@ -69,6 +69,7 @@ def test_edits_say_that_their_light_is_unpolarised(tmp_path: Path) -> None:
     assert any(told in text for text in rank_edits(scene, 45.0, rays=2000, keys=["p0_front.z"]).left_out)
 
 
+@pytest.mark.long
 def test_painted_and_moved_light_is_in_proportion(scene: Path) -> None:
     """What the wall scatters once goes with its reflectance, ray by ray: the error of the ratio is that of float32."""
     found = swept(

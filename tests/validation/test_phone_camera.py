@@ -70,6 +70,7 @@ def test_relative_illumination(image):
     assert round(image[-1]["illumination"], 3) == 0.523
 
 
+@pytest.mark.long
 def test_relative_illumination_of_the_metric():
     """
     The metric against an integral over the pupil, and against the chief ray, which tells 1 % more at 15°.
