@@ -19,6 +19,7 @@ from mistray.ranges import SECONDS
 
 LEAST = 0.25  # s, the shortest share: a trace takes about as long whatever its rays
 FULL = 64.0  # s: with as much left, or without a budget, a search that sets a trace up takes all of its rays
+FIGURE = 2.0  # s, what a figure of a report takes
 THINNEST = 1 / 8  # of them, however short the time is
 NAMED = 6  # of what has not been traced, in a sentence
 
@@ -74,6 +75,11 @@ def left() -> float:
 def time_is_up() -> bool:
     """Whether it is used up; never where there is none."""
     return left() <= 0
+
+
+def can_draw() -> bool:
+    """Whether there is time for one more figure of a report."""
+    return left() >= FIGURE
 
 
 def searched() -> float:

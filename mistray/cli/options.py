@@ -18,6 +18,7 @@ from mistray.cli.shared import NAMES, flag
 from mistray.errors import MistrayError
 from mistray.interrupts import check, later
 from mistray.ranges import SECONDS
+from mistray.time_budget import within
 
 START_S = 1.7  # what `Options.start` takes on a free machine of 2024, in which a report takes `PAGE_S`
 PAGE_S = 3.0
@@ -238,7 +239,8 @@ class Options(argparse.Namespace):
         from mistray.report.formats import write_formats
         from mistray.report.output import write_report
 
-        with self.working("drawing the report"), replacing_folder(self.out):
+        seconds = self.seconds_left(0.0) if self.has("seconds") else None
+        with self.working("drawing the report"), within(seconds), replacing_folder(self.out):
             report = make(f"{self.title}{note}", self.command_line)
             files = write_report(report, self.out, scene(self.out) if scene else "")
             facts = {"command": self.command_line}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from mistray.analysis.pst.causes import (
     main_cause,
 )
 from mistray.analysis.pst.result import Pst
+from mistray.report.figures.figure import Figure as Drawing
 from mistray.report.figures.plots import as_png
 from mistray.report.figures.pst import pst_causes, pst_curve, pst_irradiance, pst_map
 from mistray.report.model import Figure, Hover, Items, Note, Report, Section
@@ -42,6 +43,7 @@ from mistray.report.tables.pst import (
     shown_classes,
 )
 from mistray.report.tables.text import ABSENT, number, plain_sentences, with_error
+from mistray.time_budget import can_draw
 
 CURVE = "PST of all light, of the stray light and of each class; below, relative standard errors."
 CAUSES = "Where the stray light comes from: first surface that scatters it; ghosts are light only reflected."
@@ -65,16 +67,17 @@ def draw(pst: Pst, title: str = "", maps_at: Sequence[tuple[float, float]] = ())
     -------
     dict
         pst.png; pst_causes.png with a table of paths; pst_map.png with several azimuths; irradiance_<angle>deg.png, or
-        irradiance_<angle>deg_<azimuth>deg.png with several azimuths, on one scale.
+        irradiance_<angle>deg_<azimuth>deg.png with several azimuths, on one scale. In a time budget those that there is
+        time for.
     """
-    pictures = {"pst.png": as_png(pst_curve(pst, title))}
+    wanted: dict[str, Callable[[], Drawing]] = {"pst.png": lambda: pst_curve(pst, title)}
     if pst.path_rows is not None:
-        pictures["pst_causes.png"] = as_png(pst_causes(pst, title))
+        wanted["pst_causes.png"] = lambda: pst_causes(pst, title)
     if pst.grid.shape[1] > 1:
-        pictures["pst_map.png"] = as_png(pst_map(pst, title))
-    for angle, azimuth in maps_at:
-        pictures[f"{map_name(pst, angle, azimuth)}.png"] = as_png(pst_irradiance(pst, angle, azimuth))
-    return pictures
+        wanted["pst_map.png"] = lambda: pst_map(pst, title)
+    for place in maps_at:
+        wanted[f"{map_name(pst, *place)}.png"] = functools.partial(pst_irradiance, pst, *place)
+    return {name: as_png(figure()) for name, figure in wanted.items() if can_draw()}
 
 
 def map_name(pst: Pst, field_deg: float, azimuth_deg: float) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from mistray.report.pst_output import causes_figure, curve_figure, pst_verdict, 
 from mistray.report.tables.frames import frame_table, value_text
 from mistray.report.tables.text import ABSENT
 from mistray.report.transfer import transfer_parts
+from mistray.time_budget import can_draw
 
 ROWS_OPEN = 30  # tables with more rows are folded
 ROWS_FILTERED = 15  # tables with more rows have a filter
@@ -125,23 +126,24 @@ def verdict_records(study: Study) -> dict[str, dict[str, Any]]:
 
 
 def draw_study(study: Study) -> dict[str, bytes]:
-    """The pictures of a study as PNG by file name; see `CAPTIONS`."""
+    """The pictures of a study as PNG by file name, see `CAPTIONS`; in a time budget those that there is time for."""
+    from mistray.report.figures.figure import Figure as Drawing
     from mistray.report.figures.layout import layout
     from mistray.report.figures.objects import objects_layout
     from mistray.report.figures.plots import as_png, levels_against_field, montage
 
     report = study.ghosts
     on_axis = min(report, key=abs)
-    pictures = {
-        "layout.png": as_png(layout(report, on_axis, ghosts=0)),
-        "objects.png": as_png(objects_layout(study.objects)),
-        "ghost_images.png": as_png(montage(report), of_maps=True),
-        "ghost_levels.png": as_png(levels_against_field(report)),
-    }
     worst = brightest_field(report)
-    if worst is not None:
-        pictures["worst_ghosts.png"] = as_png(layout(report, worst))
-    return pictures
+    wanted: dict[str, Callable[[], Drawing | None]] = {
+        "ghost_levels.png": lambda: levels_against_field(report),
+        "worst_ghosts.png": lambda: layout(report, worst) if worst is not None else None,
+        "objects.png": lambda: objects_layout(study.objects),
+        "layout.png": lambda: layout(report, on_axis, ghosts=0),
+        "ghost_images.png": lambda: montage(report),
+    }
+    drawn = ((name, figure()) for name, figure in wanted.items() if can_draw())
+    return {name: as_png(one, of_maps=name == "ghost_images.png") for name, one in drawn if one is not None}
 
 
 def csv_tables(study: Study) -> dict[str, pd.DataFrame]:
@@ -232,7 +234,10 @@ def _ghosts(report: GhostReport) -> list[Part]:
     parts: list[Part] = [page_data(report)]
     for number, field in enumerate(report):
         parts.append(Note(f"Paths of the ghosts, field {field:g}°", "h3", field_anchor(field)))
-        parts += explored_paths(report, field, f"t-field-{number}")
+        if can_draw():
+            parts += explored_paths(report, field, f"t-field-{number}")
+        else:
+            parts.append(Note("Not mapped, for the time was up; its paths stand in the table of the ghosts.", "note"))
     return [*parts, Note("Energy ledger of the ghosts", "h3"), *energy_ledger(report, False)]
 
 

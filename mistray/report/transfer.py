@@ -10,6 +10,7 @@ from mistray.report.figures.plots import as_png
 from mistray.report.figures.transfer import image_figure, mtf_figure, spread_figure
 from mistray.report.model import Figure, Items, Note, Part, Terms
 from mistray.report.parts import terms
+from mistray.time_budget import can_draw
 
 CAPTIONS: tuple[tuple[str, Callable[[FieldTransfer, str], Drawing], str], ...] = (
     ("mtf", mtf_figure, "MTF with and without stray light, and the contrast that stray light takes."),
@@ -36,7 +37,9 @@ def transfer_parts(found: Transfer, title: str = "") -> list[Part]:
     parts: list[Part] = []
     for one in found:
         parts.append(Note(f"Image of a point with stray light, field {one.name}", "h3"))
-        if one.image.resolved:
+        if one.image.resolved and not can_draw():
+            parts.append(Note("Its pictures are not drawn, for the time was up."))
+        elif one.image.resolved:
             parts += [Figure(as_png(draw(one, title)), caption) for _, draw, caption in CAPTIONS]
         else:
             parts.append(Note("Its wavefront is too steep for the grid: it has no PSF and no MTF; see below."))

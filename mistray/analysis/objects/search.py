@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 
 HALF_ANGLE_DEG = 20.0
 THRESHOLD = 1e-6
+ESTIMATED = 0.5  # of the time of a source: for the products of what it meets and what the detector sees
 SHOTS_TOLD = 4  # ways past the optics that a warning names
 USED_SETTINGS = ("rays", "max_events", "seed", "ray_control")
 Progress = Callable[[float, float], None]
@@ -368,7 +369,7 @@ def objects(
         return (lambda done, of: progress(number + done / of, parts)) if progress else None
 
     def followed(k: int, start: RaySource, backward: bool = False) -> View:
-        with share(1 / (parts - k)):
+        with share(1 / (parts + ESTIMATED - k)):
             follow = tracer(places.mirrors, backward)
             return View(follow, places, start, chosen.rays, chosen.seed + k, backward, axes[:, 2], part(k))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 
@@ -13,10 +14,10 @@ from mistray.analysis.objects.sources import RaySource
 from mistray.recorders.sampled import batch_error
 from mistray.settings import BATCHES
 from mistray.surfaces.optics import OPAQUE
-from mistray.time_budget import is_limited, time_is_up
+from mistray.time_budget import is_limited, left
 
 PASS_RAYS = 1 << 18
-SMALLER = 16  # so many passes instead of one where there is a time budget
+SMALLER = 64  # times smaller is the first pass where there is a time budget
 KEPT_HITS = 16_384  # of each side of a surface: no more are kept once there are so many
 SIDES = 2  # of a surface: front, back
 Progress = Callable[[int, int], None]
@@ -189,11 +190,12 @@ class View:
         self.started = 0.0
         rng = np.random.default_rng((int(backward), seed))
         tracer.lost = 0.0
-        done = 0
-        while done < rays and not (done and time_is_up()):
-            n = min(PASS_RAYS // SMALLER if is_limited() else PASS_RAYS, rays - done)
+        done, size, took = 0, PASS_RAYS // SMALLER if is_limited() else PASS_RAYS, 0.0
+        while done < rays and not (done and left() < took):
+            n, began = min(size, rays - done), time.perf_counter()
             self._pass(tracer, source, n, rng)
-            done += n
+            done, size = done + n, min(2 * size, PASS_RAYS)
+            took = 2 * (time.perf_counter() - began)  # of the next one, which is twice as large
             if progress:
                 progress(done, rays)
         self.lost = tracer.lost / self.started

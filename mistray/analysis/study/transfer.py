@@ -17,9 +17,10 @@ from mistray.analysis.study.step import Fact
 from mistray.analysis.transfer.result import AZIMUTHS, Transfer
 from mistray.analysis.transfer.transfer import transfer
 from mistray.errors import MistrayError
-from mistray.time_budget import is_limited, left
+from mistray.time_budget import coarse_first, is_limited, left
 
 QUICK_GRID = 64  # cells across the pupil of a first look
+LEAST_S = 3.0  # s, with less there are no images
 CONTRAST = 0.5  # whose frequency the findings say
 
 
@@ -43,7 +44,7 @@ def images_with_stray_light(
     settings : mapping
         Of the traces.
     quick : bool
-        A coarse pupil, as also where a time budget is too short for a fine one.
+        A coarse pupil. A time budget makes it coarse where it is too short for a fine one, and may leave fields out.
     progress : callable
         Gets fields done and in all.
 
@@ -55,12 +56,16 @@ def images_with_stray_light(
     fields = [field for field in report if direct_image(report[field].paths).power_W.value > 0]
     if not fields:
         return "no direct light meets the detector"
+    if left() < LEAST_S:
+        return "the time was too short for images of points"
     try:
-        began = time.perf_counter()
-        quality = image_quality(scene, fields, grid=QUICK_GRID, **light) if quick or is_limited() else None
-        longest = (time.perf_counter() - began) * (LAST_GRID / QUICK_GRID) ** 2
-        if quality is None or (not quick and longest < left()):
-            quality = image_quality(scene, fields, **light)
+        if is_limited():
+            began = time.perf_counter()
+            image_quality(scene, fields[:1], grid=QUICK_GRID, **light)
+            each = time.perf_counter() - began
+            fields = sorted(coarse_first(fields)[: max(1, int(left() / (2 * each)))], key=fields.index)
+            quick = quick or len(fields) * each * (LAST_GRID / QUICK_GRID) ** 2 > left()
+        quality = image_quality(scene, fields, grid=QUICK_GRID if quick else None, **light)
         return transfer(scene, quality=quality, progress=progress, **settings)
     except MistrayError as error:
         return str(error)

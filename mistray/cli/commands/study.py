@@ -27,7 +27,6 @@ from mistray.cli.shared import (
 )
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, PST_FIELD_DEG, RELATIVE_ERROR
-from mistray.time_budget import within
 
 STATE = "pst_state.npz"
 STEPS = 8
@@ -112,8 +111,7 @@ def run(options: Options) -> int:
                 next_order=not options.no_next_order,
                 **options.spectral_settings(),
             )
-        with within(options.seconds_left(0.0)):  # the maps of the report are traced
-            files = options.write(lambda _, command: study_report(found, command))
+        files = options.write(lambda _, command: study_report(found, command))
     return saved.code or options.show(lambda: study_record(found), lambda: study_text(found), files)
 
 
