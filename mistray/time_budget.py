@@ -29,7 +29,7 @@ _end: ContextVar[float] = ContextVar("end", default=math.inf)  # by `time.perf_c
 
 
 @contextlib.contextmanager
-def within(seconds: float | None) -> Iterator[None]:
+def within(seconds: float | None, since: float | None = None) -> Iterator[None]:
     """
     End what the block traces after a time; an end that has been set around it stays where it comes first.
 
@@ -37,13 +37,16 @@ def within(seconds: float | None) -> Iterator[None]:
     ----------
     seconds : float or None
         None: nothing changes.
+    since : float, optional
+        When they began to count, by `time.perf_counter`; by default now.
 
     Raises
     ------
     MistrayError
         If it is no time.
     """
-    end = math.inf if seconds is None else time.perf_counter() + SECONDS.check("seconds", seconds)
+    began = time.perf_counter() if since is None else since
+    end = math.inf if seconds is None else began + SECONDS.check("seconds", seconds)
     before = _end.set(min(_end.get(), end))
     try:
         yield

@@ -7,6 +7,7 @@ light to the detector by a single scatter event. The surfaces of the design path
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
@@ -326,6 +327,7 @@ def objects(
     MistrayError
         For arguments out of range, more than one kind of source, a scene without detector, or an unknown stop.
     """
+    began = time.perf_counter()
     require_scene(scene, "objects")
     unknown = set(settings) - set(USED_SETTINGS)
     if unknown:
@@ -373,7 +375,7 @@ def objects(
             follow = tracer(places.mirrors, backward)
             return View(follow, places, start, chosen.rays, chosen.seed + k, backward, axes[:, 2], part(k))
 
-    with within(seconds):
+    with within(seconds, began):
         critical = followed(0, view, backward=True)
         illuminated = [followed(k, one) for k, one in enumerate(sources, start=1)]
     light_of_source = {"wavelength_nm": wavelength, "detector": detector}

@@ -222,6 +222,7 @@ def study(
     MistrayError
         For arguments out of range, or a scene without a source or a detector.
     """
+    began = time.perf_counter()
     require_scene(scene, "study")
     angles, given_fields = _check(settings, pst_field_deg, field_deg, convention, relative_error)
     given = {key: value for key, value in settings.items() if value is not None}
@@ -247,7 +248,7 @@ def study(
     done(mechanical_model(table, path))
     numbers: FirstOrder | None = steps[0].result
     wanted = _fields(numbers) if given_fields is None else given_fields
-    with within(seconds):
+    with within(seconds, began):
         tell(3, "critical, illuminated and common objects", 0.0)
         with share(OBJECT_TIME):
             seen = objects(
