@@ -191,11 +191,11 @@ def _openexr() -> Any:
     return OpenEXR
 
 
-def _unit(names: Mapping[str, str], name: Any) -> str:
+def _unit(path: Path, names: Mapping[str, str], name: Any) -> str:
     """The unit by its name in a file."""
     found = next((unit for unit, own in names.items() if own == name), None)
     if found is None:
-        raise MistrayError(f"unit '{name}' is not known; give a file that mistray wrote")
+        raise MistrayError(f"irradiance map '{path}': its unit is '{name}'; give a file that mistray wrote")
     return found
 
 
@@ -233,7 +233,7 @@ def _read_fits(path: Path) -> IrradianceMap:
         header = hdus[0].header
         extent = tuple(float(header[key]) for key in ("CRVAL1", "XEND", "CRVAL2", "YEND"))
         value, se = (np.asarray(hdu.data, dtype=np.float64) for hdu in (hdus[0], hdus[ERROR_HDU]))
-        unit = _unit(UNIT_FITS, header["BUNIT"])
+        unit = _unit(path, UNIT_FITS, header["BUNIT"])
         return IrradianceMap(value, se, (extent[0], extent[1], extent[2], extent[3]), json.loads(header["FACTS"]), unit)
 
 
@@ -276,7 +276,7 @@ def _read_exr(path: Path) -> IrradianceMap:
             raise MistrayError(f"irradiance map '{path}': no {missing[0]}; give a file that mistray wrote")
         value, se = (np.array(channels[name].pixels[::-1], dtype=np.float64) for name in ("Y", ERROR_CHANNEL))
         left, right, low, high = (float(word) for word in header["extent_mm"].split())
-        unit = _unit(UNIT_EXR, header["unit"])
+        unit = _unit(path, UNIT_EXR, header["unit"])
         return IrradianceMap(value, se, (left, right, low, high), json.loads(header["facts"]), unit)
 
 

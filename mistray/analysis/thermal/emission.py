@@ -286,7 +286,7 @@ def thermal(
             with share(1 / (traces - done)):
                 runs[which].append(look(wave, each, **limits, seed=(chosen.seed + number) % 2**32))
             if progress is not None:
-                progress(done + 1, traces)
+                progress(done + 1, len(runs) * len(waves))
     report = _report(*runs, traced, (low, high), float(temperature_K), outside, rules, settings)
     if noise is not None:
         warm = _temperatures(runs[0], float(temperature_K), rules)
