@@ -14,7 +14,7 @@ from mistray.sampling.sources import source_emitters, spectrum
 from mistray.time_budget import coarse_first, is_limited, left, not_traced
 
 FEWEST = 3  # wavelengths, however short the time is
-PART = 0.5  # of the time that is left, for what wavelengths take whatever their rays
+PART = 0.35  # of the time that is left, for what wavelengths take whatever their rays
 TIMED_RAYS = 1000
 
 
