@@ -147,11 +147,14 @@ def test_what_a_model_does_not_hold_for_is_refused_and_nothing_moves():
 
 @pytest.mark.long
 def test_scatter_models_are_followed_ray_by_ray():
-    """Roughness of mirrors and paint of a tube; particles by the area that they cover."""
-    explorer = Explorer("newtonian_scatter", field_deg=[2.0], rays=5000, max_scatters=1)
-    explorer.settle()
-    for name, factor in (("polish_2nm.rms_nm", 2.0), ("black_paint_inside.reflectance", 0.5),
-                         ("particles_400.level", 1.4)):  # fmt: skip
+    """Roughness of mirrors; paint of a wall that the detector sees; particles by the area that they cover."""
+    for scene, field, name, factor in (
+        ("newtonian_scatter", 1.0, "polish_2nm.rms_nm", 2.0),
+        ("plate_and_wall", 20.0, "grey.reflectance", 0.5),
+        ("newtonian_scatter", 1.0, "particles_400.level", 1.4),
+    ):
+        explorer = Explorer(scene, field_deg=[field], rays=5000, max_scatters=1)
+        explorer.settle()
         before = explorer.view()
         estimate = explorer.move({name: factor * float(explorer.state[name])})
         assert estimate["stray_W"][0] != pytest.approx(before["stray_W"][0], rel=1e-3)
