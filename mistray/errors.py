@@ -6,7 +6,8 @@ import difflib
 from collections.abc import Iterable
 from typing import Any
 
-LONGEST_WORD = 300  # letters, as a path may have
+LONGEST_WORDS = (300, 100, 30)  # letters, as a path may have; fewer in a line that is
+TOO_LONG = 500  # letters
 
 
 class MistrayError(ValueError):
@@ -77,8 +78,12 @@ def printable(text: str) -> str:
 
 def one_line(message: object) -> str:
     """A message as a line of a terminal, in which what a user or a file gave is cut where it is very long."""
-    words = (word if len(word) <= LONGEST_WORD else f"{word[:LONGEST_WORD]}…" for word in str(message).split())
-    return printable(" ".join(words))
+    words, line = str(message).split(), ""
+    for most in LONGEST_WORDS:
+        line = " ".join(word if len(word) <= most else f"{word[:most]}…" for word in words)
+        if len(line) <= TOO_LONG:
+            break
+    return printable(line)
 
 
 def nearest(word: str, choices: Iterable[str]) -> str:
