@@ -222,7 +222,7 @@ def study(
     MistrayError
         For arguments out of range, or a scene without a source or a detector.
     """
-    began = time.perf_counter()
+    began = started = time.perf_counter()
     require_scene(scene, "study")
     angles, given_fields = _check(settings, pst_field_deg, field_deg, convention, relative_error)
     given = {key: value for key, value in settings.items() if value is not None}
@@ -234,7 +234,6 @@ def study(
     path = find_design_path(table, scene)
     light: dict[str, Any] = {"wavelength_nm": wavelength_nm, "weights": weights}
     steps: list[StudyStep] = []
-    started = time.perf_counter()
 
     def done(*found: StudyStep) -> None:
         nonlocal started
