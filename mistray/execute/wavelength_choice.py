@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mistray.notes import Code, Note
-from mistray.sampling.sources import source_emitters, spectrum
+from mistray.sampling.sources import source_emitters, spectrum_of
 from mistray.time_budget import coarse_first, is_limited, left, not_traced
 
 FEWEST = 3  # wavelengths, however short the time is
@@ -89,14 +89,11 @@ def in_time(wavelengths: Sequence[float], timed: Callable[[float], Any], traces:
 
 def lines_of(scene: Any, wavelength_nm: Any, weights: Any) -> tuple[list[float], list[float]] | None:
     """Wavelengths and weights that a scene is traced at; None where its sources have wavelengths of their own."""
-    if wavelength_nm is not None or weights is not None:
-        nm, shares = spectrum(wavelength_nm, weights)
-        return nm.tolist(), shares.tolist()
     own = {(tuple(emitter.wavelengths_nm), tuple(emitter.weights)) for emitter in source_emitters(scene)}
-    if len(own) != 1:
+    if wavelength_nm is None and weights is None and len(own) != 1:
         return None
-    ((own_nm, own_shares),) = own
-    return list(own_nm), list(own_shares)
+    nm, shares = spectrum_of(scene, wavelength_nm, weights)
+    return nm.tolist(), shares.tolist()
 
 
 def chosen_wavelengths(

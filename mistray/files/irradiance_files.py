@@ -27,7 +27,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -42,18 +42,26 @@ from mistray.replace_file import replace_file
 Map = npt.NDArray[np.float64]
 Extent = tuple[float, float, float, float]
 WATTS, LUX = "W/mm²", "lx"
-UNIT_FITS = {WATTS: "W mm-2", LUX: "lx"}
-UNIT_EXR = {WATTS: "W/mm^2", LUX: "lx"}
-MEANING = {WATTS: "irradiance", LUX: "illuminance"}
-FIELDS_NPY = {
-    WATTS: ("irradiance_W_mm2", "irradiance_se_W_mm2"),
-    LUX: ("illuminance_lx", "illuminance_se_lx"),
-}
 ERROR_HDU, ERROR_CHANNEL = "STDERR", "standard_error.Y"
 AXES = ("x", "y")
 WHAT = "irradiance map"  # for messages
 MOST_BYTES = 4 << 30  # of a map in memory: the two images of the largest film, and as much again
 LARGEST = float(np.finfo(np.float32).max)
+
+
+class _Words(NamedTuple):
+    """What a unit is called: the quantity, its units in FITS and EXR, the fields of value and error in NPY."""
+
+    quantity: str
+    fits: str
+    exr: str
+    npy: tuple[str, str]
+
+
+UNITS = {
+    WATTS: _Words("irradiance", "W mm-2", "W/mm^2", ("irradiance_W_mm2", "irradiance_se_W_mm2")),
+    LUX: _Words("illuminance", "lx", "lx", ("illuminance_lx", "illuminance_se_lx")),
+}
 
 
 @dataclass(frozen=True)
@@ -83,13 +91,14 @@ class IrradianceMap:
         shapes = np.shape(self.irradiance), np.shape(self.irradiance_se)
         if len(shapes[0]) != 2 or shapes[0] != shapes[1] or 0 in shapes[0]:
             raise MistrayError(f"irradiance map: shapes {shapes[0]} and {shapes[1]}; give two arrays (height, width)")
-        if self.unit not in UNIT_FITS:
-            raise MistrayError(f"irradiance map: unit is '{self.unit}'; use {' or '.join(UNIT_FITS)}")
+        if self.unit not in UNITS:
+            raise MistrayError(f"irradiance map: unit is '{self.unit}'; use {' or '.join(UNITS)}")
 
     @classmethod
-    def of(cls, trace: Any) -> IrradianceMap:
+    def of(cls, trace: Any, unit: str = WATTS) -> IrradianceMap:
         """The map of a `mistray.Trace` with its settings as facts."""
-        return cls(trace.irradiance, trace.irradiance_se, tuple(trace.extent), plain(dict(trace.settings)))
+        value, se = (trace.irradiance, trace.irradiance_se) if unit == WATTS else trace.illuminance
+        return cls(value, se, tuple(trace.extent), plain(dict(trace.settings)), unit)
 
 
 def write_irradiance(irradiance_map: IrradianceMap, path: str | Path) -> Path:
@@ -191,9 +200,9 @@ def _openexr() -> Any:
     return OpenEXR
 
 
-def _unit(path: Path, names: Mapping[str, str], name: Any) -> str:
-    """The unit by its name in a file."""
-    found = next((unit for unit, own in names.items() if own == name), None)
+def _unit(path: Path, name: Any) -> str:
+    """The unit by its name in a FITS or EXR file."""
+    found = next((unit for unit, words in UNITS.items() if name in (words.fits, words.exr)), None)
     if found is None:
         raise MistrayError(f"irradiance map '{path}': its unit is '{name}'; give a file that mistray wrote")
     return found
@@ -208,9 +217,10 @@ def _write_fits(m: IrradianceMap) -> bytes:
     fits = fits_module()
     hdus = [fits.PrimaryHDU(np.asarray(m.irradiance, dtype=np.float64))]
     hdus.append(fits.ImageHDU(np.asarray(m.irradiance_se, dtype=np.float64), name=ERROR_HDU))
-    for hdu, meaning in zip(hdus, (MEANING[m.unit], f"standard error of the {MEANING[m.unit]}"), strict=True):
+    words = UNITS[m.unit]
+    for hdu, meaning in zip(hdus, (words.quantity, f"standard error of the {words.quantity}"), strict=True):
         header = hdu.header
-        header["BUNIT"] = (UNIT_FITS[m.unit], meaning)
+        header["BUNIT"] = (words.fits, meaning)
         for axis, low, high, name in zip((1, 2), m.extent[::2], m.extent[1::2], AXES, strict=True):
             pixels = m.irradiance.shape[2 - axis]
             header[f"CTYPE{axis}"] = (name.upper(), f"{name} in the frame of the detector")
@@ -233,7 +243,7 @@ def _read_fits(path: Path) -> IrradianceMap:
         header = hdus[0].header
         extent = tuple(float(header[key]) for key in ("CRVAL1", "XEND", "CRVAL2", "YEND"))
         value, se = (np.asarray(hdu.data, dtype=np.float64) for hdu in (hdus[0], hdus[ERROR_HDU]))
-        unit = _unit(path, UNIT_FITS, header["BUNIT"])
+        unit = _unit(path, header["BUNIT"])
         return IrradianceMap(value, se, (extent[0], extent[1], extent[2], extent[3]), json.loads(header["FACTS"]), unit)
 
 
@@ -248,7 +258,7 @@ def _write_exr(m: IrradianceMap) -> bytes:
     header = {
         "compression": openexr.ZIP_COMPRESSION,
         "type": openexr.scanlineimage,
-        "unit": UNIT_EXR[m.unit],
+        "unit": UNITS[m.unit].exr,
         "extent_mm": " ".join(repr(float(value)) for value in m.extent),
         "facts": _facts_text(m),
     }
@@ -276,7 +286,7 @@ def _read_exr(path: Path) -> IrradianceMap:
             raise MistrayError(f"irradiance map '{path}': no {missing[0]}; give a file that mistray wrote")
         value, se = (np.array(channels[name].pixels[::-1], dtype=np.float64) for name in ("Y", ERROR_CHANNEL))
         left, right, low, high = (float(word) for word in header["extent_mm"].split())
-        unit = _unit(path, UNIT_EXR, header["unit"])
+        unit = _unit(path, header["unit"])
         return IrradianceMap(value, se, (left, right, low, high), json.loads(header["facts"]), unit)
 
 
@@ -285,12 +295,12 @@ def _write_npy(m: IrradianceMap) -> bytes:
     record = np.zeros(
         (),
         dtype=[
-            *((name, "<f8", shape) for name in FIELDS_NPY[m.unit]),
+            *((name, "<f8", shape) for name in UNITS[m.unit].npy),
             ("extent_mm", "<f8", (4,)),
             ("facts", f"<U{len(facts)}"),
         ],
     )
-    for name, values in zip(FIELDS_NPY[m.unit], (m.irradiance, m.irradiance_se), strict=True):
+    for name, values in zip(UNITS[m.unit].npy, (m.irradiance, m.irradiance_se), strict=True):
         record[name] = values
     record["extent_mm"], record["facts"] = m.extent, facts
     stream = io.BytesIO()
@@ -304,11 +314,11 @@ def _read_npy(path: Path) -> IrradianceMap:
     except MistrayError as error:
         raise MistrayError(f"irradiance map '{path}': {error}") from None
     record = np.load(stream, allow_pickle=False)
-    unit = next((unit for unit, names in FIELDS_NPY.items() if {*names} <= {*(record.dtype.names or ())}), None)
+    unit = next((unit for unit, words in UNITS.items() if {*words.npy} <= {*(record.dtype.names or ())}), None)
     if unit is None:
         raise MistrayError(f"irradiance map '{path}': no field irradiance_se_W_mm2; give a file that mistray wrote")
     x0, x1, y0, y1 = (float(value) for value in record["extent_mm"])
-    value, se = (np.array(record[name], dtype=np.float64) for name in FIELDS_NPY[unit])
+    value, se = (np.array(record[name], dtype=np.float64) for name in UNITS[unit].npy)
     return IrradianceMap(value, se, (x0, x1, y0, y1), json.loads(str(record["facts"])), unit)
 
 

@@ -135,15 +135,16 @@ def draw_study(study: Study) -> dict[str, bytes]:
     report = study.ghosts
     on_axis = min(report, key=abs)
     worst = brightest_field(report)
-    wanted: dict[str, Callable[[], Drawing | None]] = {
-        "ghost_levels.png": lambda: levels_against_field(report),
-        "worst_ghosts.png": lambda: layout(report, worst) if worst is not None else None,
+    wanted: dict[str, Callable[[], Drawing]] = {"ghost_levels.png": lambda: levels_against_field(report)}
+    if worst is not None:
+        wanted["worst_ghosts.png"] = lambda: layout(report, worst)
+    wanted |= {
         "objects.png": lambda: objects_layout(study.objects),
         "layout.png": lambda: layout(report, on_axis, ghosts=0),
         "ghost_images.png": lambda: montage(report),
     }
-    drawn = ((name, figure()) for name, figure in wanted.items() if can_draw())
-    return {name: as_png(one, of_maps=name == "ghost_images.png") for name, one in drawn if one is not None}
+    maps = "ghost_images.png"
+    return {name: as_png(figure(), of_maps=name == maps) for name, figure in wanted.items() if can_draw()}
 
 
 def csv_tables(study: Study) -> dict[str, pd.DataFrame]:

@@ -162,6 +162,7 @@ def trace(
     beam: dict[str, Any] = {**field, "wavelength_nm": wavelength_nm, "weights": weights, "detector": detector}
     recorders = _with_own(scene, recorders)
     with within(seconds):
+        _refuse_workers_in_time()
         lines, choice = _spectral_choices(scene, settings, beam, made, seconds is not None)
         settings = replace(settings, polarization=choice.mode)
         runs = prepare(scene, settings, **beam)
@@ -267,12 +268,16 @@ def _execute(
             return
 
 
+def _refuse_workers_in_time() -> None:
+    """Refuse a time budget where workers trace, before anything is timed."""
+    if is_limited() and current_workers() is not None:
+        raise MistrayError("seconds is given and workers trace, whose parts are not timed; leave out one of the two")
+
+
 def _check_budget(runs: Sequence[Run]) -> None:
-    """Refuse a time budget where it cannot be kept, or what is traced so far is no sample."""
+    """Refuse a time budget where what is traced so far is no sample."""
     if not is_limited():
         return
-    if current_workers() is not None:
-        raise MistrayError("seconds is given and workers trace, whose parts are not timed; leave out one of the two")
     for run in runs:
         if run.source.pattern == "grid" and run.passes > 1:
             raise MistrayError(

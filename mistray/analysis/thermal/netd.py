@@ -143,7 +143,8 @@ def netd_budget(
     pixel = (noise.quantum_efficiency, noise.pixel_mm2, noise.bandwidth_hz)
     light = _photons(seen, image, kelvin, scene_K, band, waves)
     signal = per_kelvin(image, scene_K, band, waves, photons=True)
-    whole, rise = total([np.sum(parts, axis=0) for parts in zip(*light.values(), strict=True)]), total(signal)
+    every = [np.sum(parts, axis=0) for parts in zip(*light.values(), strict=True)]
+    whole, rise = total(every), total(signal)
 
     def netd(by_wave: Sequence[np.ndarray]) -> Estimate:
         """NETD by the noise of some light, whose batches are of the same rays as those of the signal."""
@@ -154,17 +155,12 @@ def netd_budget(
         relative = total([a / (2 * flux) - b / rise.value for a, b in zip(by_wave, signal, strict=True)])
         return known(Estimate(value, value * relative.se))
 
+    sums = {name: total(one) for name, one in light.items()}
     sources = [
-        NoiseSource(name, known(total(one)), 100 * total(one).value / whole.value, netd(one))
-        for name, one in light.items()
+        NoiseSource(name, known(own), 100 * own.value / whole.value, netd(light[name])) for name, own in sums.items()
     ]
-    return Netd(
-        noise,
-        slope,
-        by_detectivity,
-        netd([np.sum(parts, axis=0) for parts in zip(*light.values(), strict=True)]),
-        sorted(sources, key=lambda source: -source.photons_mm2_s.value),
-    )
+    brightest = sorted(sources, key=lambda source: -source.photons_mm2_s.value)
+    return Netd(noise, slope, by_detectivity, netd(every), brightest)
 
 
 def _photons(

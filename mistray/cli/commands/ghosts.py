@@ -418,10 +418,10 @@ def _write_tables(report: Any, options: Options) -> list[Path]:
 
 def _write_formats(report: GhostReport, extra: _Extra, options: Options) -> list[Path]:
     """The tables as Parquet, rays as files of Zemax, and irradiance_<field>deg in the other formats."""
+    from mistray.files.irradiance_files import LUX
     from mistray.report import IrradianceMap, write_formats
     from mistray.report.ghosts.light_maps import light_map_files
     from mistray.report.ghosts.passing import passing_maps
-    from mistray.report.ghosts.photometric import photometric_maps
     from mistray.report.ghosts.surface_maps import surface_map_files
     from mistray.report.tables.ghosts_csv import csv_tables
 
@@ -429,7 +429,9 @@ def _write_formats(report: GhostReport, extra: _Extra, options: Options) -> list
     rays = extra.ray_files() if RAY_FORMAT in options.formats else []
     formats = [name for name in options.formats if name != RAY_FORMAT]
     maps = {f"irradiance_{field:g}deg": IrradianceMap.of(t) for field, t in report.items()}
-    maps |= passing_maps(report) | surface_map_files(report) | light_map_files(report) | photometric_maps(report)
+    if report.photometric:
+        maps |= {f"illuminance_{field:g}deg": IrradianceMap.of(t, LUX) for field, t in report.items()}
+    maps |= passing_maps(report) | surface_map_files(report) | light_map_files(report)
     return rays + write_formats(formats, options.out, tables, maps, {"command": options.command_line})
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
-from mistray.files.irradiance_files import IrradianceMap
+from mistray.files.irradiance_files import LUX, IrradianceMap
 from mistray.files.json_values import plain
 from mistray.ids import plain_name
 from mistray.recorders.passing.cells import PassingLight
@@ -47,12 +47,14 @@ def passing_section(report: GhostReport) -> Section | None:
 
 
 def passing_maps(report: GhostReport) -> dict[str, IrradianceMap]:
-    """Irradiance on the probes by the names of files, without ending."""
+    """Irradiance on the probes by the names of files, without ending; on request illuminance, too."""
     maps = {}
     for field, probe in _recorded(report, Probe):
         name = plain_name(probe.name)
         facts = plain({"probe": probe.name, **report[field].settings})
         maps[f"irradiance_{name}_{field:g}deg"] = IrradianceMap(*probe.irradiance, probe.extent, facts)
+        if report.photometric:
+            maps[f"illuminance_{name}_{field:g}deg"] = IrradianceMap(*probe.illuminance, probe.extent, facts, LUX)
     return maps
 
 

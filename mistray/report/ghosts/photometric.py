@@ -6,9 +6,6 @@ import numpy as np
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
-from mistray.files.irradiance_files import LUX, IrradianceMap
-from mistray.files.json_values import plain
-from mistray.ids import plain_name
 from mistray.recorders.passing.far_field import FarField
 from mistray.recorders.passing.probe import Probe
 from mistray.recorders.passing.surface_maps import SurfaceMaps
@@ -46,29 +43,6 @@ def photometric_section(report: GhostReport) -> Section | None:
         Table(columns("field [deg]", "<where", "<what", "highest", "<unit"), bright, "photometric"),
     ]
     return Section("photometric", "Photometric units", [Note(NOTE), *tables], "Photometric")
-
-
-def photometric_maps(report: GhostReport) -> dict[str, IrradianceMap]:
-    """Illuminance on the detector, probes and walls by the names of files without ending, where it was asked for."""
-    files: dict[str, IrradianceMap] = {}
-    if not report.photometric:
-        return files
-    for field, t in report.items():
-        facts = plain(dict(t.settings))
-        files[f"illuminance_{field:g}deg"] = IrradianceMap(*t.illuminance, t.extent, facts, LUX)
-        for name, recorder in t.recorders.items():
-            own = plain_name(name)
-            if isinstance(recorder, Probe):
-                where = {"probe": name, **facts}
-                files[f"illuminance_{own}_{field:g}deg"] = IrradianceMap(
-                    *recorder.illuminance, recorder.extent, where, LUX
-                )
-            elif isinstance(recorder, SurfaceMaps):
-                for surface, found in recorder.illuminance.items():
-                    where = {"surface": surface, **facts}
-                    key = f"illuminance_{own}_{plain_name(surface)}_{field:g}deg"
-                    files[key] = IrradianceMap(*found, recorder.maps[surface].unrolled_mm, where, LUX)
-    return files
 
 
 def _highest(field: float, where: str, what: str, value: np.ndarray, se: np.ndarray, unit: str) -> list[Value]:

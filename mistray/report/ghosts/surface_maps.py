@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
-from mistray.files.irradiance_files import IrradianceMap
+from mistray.files.irradiance_files import LUX, IrradianceMap
 from mistray.files.json_values import plain
 from mistray.ids import plain_name
 from mistray.recorders.passing.surface_maps import SurfaceMap, SurfaceMaps
@@ -40,13 +40,17 @@ def surface_maps_section(report: GhostReport) -> Section | None:
 
 
 def surface_map_files(report: GhostReport) -> dict[str, IrradianceMap]:
-    """Irradiance on the surfaces, unrolled, by the names of files without ending."""
+    """Irradiance on the surfaces, unrolled, by the names of files without ending; on request illuminance, too."""
     files = {}
     for field, recorder in _recorded(report):
+        lux = recorder.illuminance if report.photometric else {}
         for one in recorder.maps.values():
             name = plain_name(f"{recorder.name}_{one.surface}")
             facts = plain({"surface": one.surface, "part": one.part, **_axes(one), **report[field].settings})
             files[f"irradiance_{name}_{field:g}deg"] = IrradianceMap(*one.irradiance, one.unrolled_mm, facts)
+            if one.surface in lux:
+                found = lux[one.surface]
+                files[f"illuminance_{name}_{field:g}deg"] = IrradianceMap(*found, one.unrolled_mm, facts, LUX)
     return files
 
 

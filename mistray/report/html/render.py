@@ -21,8 +21,6 @@ from mistray.report.html.hover import hover_figure
 from mistray.report.html.markup import cell, number_cell
 from mistray.time_budget import can_draw
 
-NOT_DRAWN = "Not drawn, for the time was up:"
-
 
 def html_page(report: model.Report) -> str:
     """A whole HTML document."""
@@ -65,18 +63,6 @@ def _cell(value: model.Value, column: model.Column) -> str:
     return cell(str(value), column.style)
 
 
-def _drawn(figure: model.Figure) -> Markup:
-    """A figure that is drawn now; where a time budget is used up, a sentence in its place."""
-    assert callable(figure.picture)
-    if not can_draw():
-        return Markup('<p class="note">{}</p>').format(f"{NOT_DRAWN} {figure.caption or figure.text}")
-    if figure.hover is not None:
-        return _hovering(figure)
-    caption = Markup("<figcaption>{}</figcaption>").format(figure.caption) if figure.caption else ""
-    drawn = Markup(as_svg(figure.picture(), figure.text or figure.caption))
-    return Markup("<figure>{}{}</figure>").format(drawn, caption)
-
-
 def _hovering(figure: model.Figure) -> Markup:
     assert callable(figure.picture)
     assert figure.hover is not None
@@ -109,8 +95,10 @@ def _environment() -> Environment:
         "base64": lambda png: base64.b64encode(png).decode("ascii"),
         "cell": value_cell,
         "drawn_map": drawn_map,
-        "drawn": _drawn,
+        "hovering": _hovering,
+        "svg": lambda drawn, text: Markup(as_svg(drawn, text)),
     }
+    made.globals["can_draw"] = can_draw
     return made
 
 
