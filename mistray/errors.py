@@ -17,6 +17,12 @@ class MistrayError(ValueError):
     """
 
 
+class UnknownKeyError(MistrayError, KeyError):
+    """A mapping does not hold a key: ``in`` says no, and ``get`` gives its default, as of any mapping."""
+
+    __str__ = Exception.__str__  # KeyError puts its message in quotes
+
+
 class MistrayWarning(UserWarning):
     """
     What a user should know of a result or of its input, in one line: a note, an improbable number, an old name.

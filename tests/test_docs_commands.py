@@ -26,6 +26,7 @@ DATA = Path(__file__).parent / "data"
 TOML = re.compile(r"^```toml\n(.*?)^```", re.MULTILINE | re.DOTALL)
 # Last ones count: few rays, little time
 FEW = {"rays": ("--rays", "500"), "seconds": ("--seconds", "20"), "monte_carlo": ("--monte-carlo", "2")}
+TRACES_NOTHING = {"--write-scene", "--no-trace"}
 OTHERS = {
     "mistray app": "waits for a browser; tests/explore",
     "--scheduler": "needs the workers of a cluster; tests/cluster",
@@ -113,18 +114,18 @@ PAGES = [page for page in ALL_PAGES if any(kind == "command" for kind, _ in step
 def run(line: str, tomls: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     """Run a command with few rays; the files that it reads are there."""
     words = shlex.split(re.split(r" [|>] ", line)[0], comments=True)[1:]
-    for word in words:
-        name = word.rpartition("=")[2]
-        if not Path(name).exists():
+    for name in re.split("[=,\\s]", " ".join(words)):  # also filename=lamp.ies among the facts of a source
+        if name and not Path(name).exists():
             if name in FILES:
                 FILES[name](Path(name))
             elif name.endswith(".toml") and tomls:
                 Path(name).write_text(tomls[-1], encoding="utf-8")
     if "--help" not in words:
         options = vars(program._parser().parse_args(words))
-        for name, few in FEW.items():
+        for name, few in FEW.items() if TRACES_NOTHING.isdisjoint(words) else ():
             given = name in options and (name == "rays" or options[name] is not None)
             given &= words[0] != "export" or "--paths" in words
+            given &= name != "rays" or words[0] != "sensitivity" or "pst_band" not in words  # 0 with few rays
             words += few if given else ()
         words += ["--force"] if "force" in options and not options.get("resume") else []
     code = cli.main(words)

@@ -35,7 +35,7 @@ from mistray.analysis.peaks import with_peaks
 from mistray.analysis.ranking import DirectImage, bounds, direct_image, rank_column, ranked
 from mistray.analysis.scatter_surfaces import scatter_surfaces
 from mistray.analysis.stray_levels import stray_levels
-from mistray.errors import Interrupted, MistrayError, UnfinishedError
+from mistray.errors import Interrupted, MistrayError, UnfinishedError, UnknownKeyError
 from mistray.files.irradiance_files import Map
 from mistray.notes import Note, warns
 from mistray.ranges import CONTESTED_RAYS, FIELD_DEG, RAYS
@@ -112,7 +112,7 @@ class GhostReport(Mapping[float, Trace]):
             return self._traces[field_deg]
         except KeyError:
             fields = ", ".join(f"{field:g}" for field in self._traces)
-            raise MistrayError(f"field {field_deg:g} deg was not traced; traced fields: {fields} deg") from None
+            raise UnknownKeyError(f"field {field_deg:g} deg was not traced; traced fields: {fields} deg") from None
 
     def __iter__(self) -> Iterator[float]:
         return iter(self._traces)

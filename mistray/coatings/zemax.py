@@ -34,7 +34,7 @@ from mistray.coatings.response import Coating
 from mistray.coatings.simple import Ideal
 from mistray.coatings.stack import Layer, Stack, waves
 from mistray.coatings.table import CoatingTable
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, UnknownKeyError
 from mistray.materials.mate import SECTIONS, numbered_lines, numbers, read_mate, shown
 
 # The last layer of a mirror's coating is its substrate in OpticStudio, whatever its thickness; a metal of this is dark
@@ -104,7 +104,7 @@ class CoatingFile(Mapping[str, Coating]):
             close = difflib.get_close_matches(name.upper(), self._sections, n=1)
             names = ", ".join(self)
             hint = f"did you mean '{self._sections[close[0]].name}'? There are" if close else "there are"
-            raise MistrayError(f"coating file '{self.path}': no coating '{name}'; {hint} {names or 'none'}")
+            raise UnknownKeyError(f"coating file '{self.path}': no coating '{name}'; {hint} {names or 'none'}")
         return section
 
     def _where(self, section: _Section, line: int | None = None) -> str:

@@ -321,7 +321,7 @@ class Run:
         self.media = np.array(tallies.media).reshape(-1, BATCHES)
         self.channels = np.array(tallies.channels).reshape(CHANNEL_COUNT, BATCHES)
         self.films = tuple(
-            np.array(found.sums).reshape(film.images, film.height, film.width)
+            found.sums.numpy().reshape(film.images, film.height, film.width)
             for film, found in zip(films, images, strict=True)
         )
         few = self.ledger is not None and (not requested() or self.ledger.used <= MOST_PATHS_KEPT)
@@ -367,7 +367,7 @@ class Run:
         film.image_of_slot = upload(mi.UInt32, words)
         images = Images(film, count)
         self.launch(self.ledger, images)
-        return np.array(images.sums).reshape(count, film.height, film.width)
+        return np.asarray(images.sums.numpy()).reshape(count, film.height, film.width)
 
     @property
     def pixel_area(self) -> float:

@@ -173,7 +173,7 @@ def _nearest(known: Mapping[str, Parameter], pattern: str) -> str:
     owner, _, name = pattern.rpartition(".")
     owners, names = (list(dict.fromkeys(key.rpartition(".")[k] for key in known)) for k in (0, 2))
     if any(sign in pattern for sign in "*?["):
-        close = [f"{owner}.{found}" for found in difflib.get_close_matches(name, names)]
+        close = [f"*{pattern}", *(f"{owner}.{found}" for found in difflib.get_close_matches(name, names))]
         close = [found for found in close if any(fits(key, found) for key in known)]
     elif owner in owners:
         own = [key for key in known if key.rpartition(".")[0] == owner]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from mistray.recorders.ledger import Ledger
 from mistray.recorders.recorder import Departure, EventReader, Memory, Recorder, Visit
@@ -178,6 +179,30 @@ class BranchRecorder(Recorder):
         """Forget all branches."""
         self.count = dr.zeros(mi.UInt32, 1)
         dr.eval(self.count)
+
+    def events(self, slots: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Events of some branches.
+
+        Parameters
+        ----------
+        slots : (n,) int
+
+        Returns
+        -------
+        codes : (n, k) uint32
+            As many as the longest of them has, filled up with 0.
+        lengths : (n,) int64
+            How many each has.
+        """
+        lengths = self.length.numpy()[slots].astype(np.int64)
+        codes = self.codes.numpy().reshape(self.capacity, -1)[slots, : int(lengths.max(initial=1))]
+        return np.where(np.arange(codes.shape[1]) < lengths[:, None], codes, 0), lengths
+
+    def nodes_of(self, slots: np.ndarray, longest: int) -> np.ndarray:
+        """The first `longest` nodes of some branches, (n, longest, node_floats) float64; see `nodes`."""
+        nodes = self.nodes.numpy().reshape(self.capacity, -1, self.node_floats)
+        return np.asarray(nodes[slots, :longest].astype(np.float64))
 
     def _write(
         self,

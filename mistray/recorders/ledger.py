@@ -254,12 +254,12 @@ class Ledger(Recorder):
         MistrayError
             If a recorded event list does not hash to its key: two paths collided or the kernel wrote garbage.
         """
-        keys = np.array(self.keys)[: self.capacity]
+        keys = self.keys.numpy()[: self.capacity]
         slots = np.flatnonzero(keys)
-        lengths = np.array(self.lengths)[slots].astype(np.int64)
-        events = np.array(self.events).reshape(self.capacity, self.max_events)[slots]
+        lengths = self.lengths.numpy()[slots].astype(np.int64)
+        events = self.events.numpy().reshape(self.capacity, self.max_events)[slots]
         events = events[:, : int(lengths.max(initial=0))]
-        sums = np.array(self.sums).reshape(self.capacity, BATCHES, self.row)[slots, :, : self.terms]
+        sums = self.sums.numpy().reshape(self.capacity, BATCHES, self.row)[slots, :, : self.terms]
         wrong = int(np.count_nonzero(host_keys(events, lengths) != keys[slots]))
         if wrong:
             raise MistrayError(

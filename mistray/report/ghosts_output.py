@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import time
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.verdict import brightest_field, most_stray
-from mistray.errors import MistrayWarning
 from mistray.report.colour import ColourPictures, Look
 from mistray.report.figures.layout import layout
 from mistray.report.figures.plots import as_png, ghost_image, levels_against_field, montage
@@ -26,75 +24,69 @@ from mistray.report.tables.ghosts_csv import csv_tables
 from mistray.time_budget import coarse_first, is_limited, left
 
 PATHS_SORTED = 1000  # paths in a path-sort file
-NO_PAGE = "the time was up before pictures and report.html were made; the tables are written, more seconds are needed"
 
-AGAIN, OTHERS = 1.0, 2.5  # time of the page for a field, and for all together, in those of the maps and rays of one
+# Time of the page for each field, and of what shows all fields together, in that of the pictures of one field
+PAGE, OVERVIEW = 0.55, 0.8
+FIELD = 3.0  # s, what the pictures of one field take at least
 
 
-def drawable(report: GhostReport) -> GhostReport:
+def draw(report: GhostReport, look: Look | None = None) -> tuple[dict[str, bytes], GhostReport]:
     """
-    Make the maps and rays of fields, the worst ones first.
-
-    Returns
-    -------
-    GhostReport
-        Of the fields that there is time to draw, of none if it is too short for a page; of all where there is no time
-        budget.
-    """
-    if not is_limited():
-        for field in report:
-            mapped_paths(report, field)  # before the pictures, whose maps then come from the same run of the rays
-        return report
-    worst = [field for field in (most_stray(report), brightest_field(report)) if field is not None]
-    drawn: list[float] = []
-    took = 0.0
-    for field in dict.fromkeys([*worst, *coarse_first(list(report))]):
-        if left() < ((1 + AGAIN) * (1 + len(drawn)) + OTHERS) * took:
-            break
-        began = time.perf_counter()
-        mapped_paths(report, field)
-        as_png(layout(report, field))
-        took = max(took, time.perf_counter() - began)
-        if left() < (AGAIN * (1 + len(drawn)) + OTHERS) * took:
-            break
-        drawn.append(field)
-    return report.of({field: report[field] for field in report if field in drawn})
-
-
-def draw(report: GhostReport, look: Look | None = None, shown: GhostReport | None = None) -> dict[str, bytes]:
-    """
-    All pictures as PNG, by file name.
+    All pictures as PNG.
 
     Parameters
     ----------
     report : GhostReport
     look : Look, optional
         Draw colour pictures, too, like this.
-    shown : GhostReport, optional
-        The fields that are drawn, see `drawable`. Default: all.
 
     Returns
     -------
-    dict
-        overview.png, overview_common.png, levels.png and, for each field, ghosts_<field>deg.png and
+    pictures : dict
+        By file name. overview.png, overview_common.png, levels.png and, for each field, ghosts_<field>deg.png and
         layout_<field>deg.png; where light on surfaces is recorded surface_maps_<field>deg.png, where parts of the light
         are mapped light_maps_<field>deg.png; with a look also colour_<field>deg.png.
+    shown : GhostReport
+        The fields that are drawn: all, or in a time budget those that there is time for, the worst ones first. Where
+        there are none, levels.png is the only picture.
     """
-    shown = report if shown is None else shown
-    pictures = {
-        "overview.png": as_png(montage(shown), of_maps=True),
-        "overview_common.png": as_png(montage(shown, common=True), of_maps=True),
-        "levels.png": as_png(levels_against_field(report)),
-    }
-    for field in shown:
-        pictures[f"ghosts_{field:g}deg.png"] = as_png(ghost_image(shown, field), of_maps=True)
-        pictures[f"layout_{field:g}deg.png"] = as_png(layout(shown, field))
+    pictures = {"levels.png": as_png(levels_against_field(report))}  # first, so that the first field is not slower
+    drawn: list[float] = []
+    took = FIELD  # s, the pictures of one field
+    for field in _in_order(report):
+        rest = PAGE * (1 + len(drawn)) + OVERVIEW
+        if left() < (1 + rest) * took:
+            break
+        began = time.perf_counter()
+        mapped_paths(report, field)  # before the pictures, whose maps then come from the same run of the rays
+        own = {
+            f"ghosts_{field:g}deg.png": as_png(ghost_image(report, field), of_maps=True),
+            f"layout_{field:g}deg.png": as_png(layout(report, field)),
+        }
+        took = max(took, time.perf_counter() - began)
+        if left() < rest * took:
+            break
+        pictures |= own
+        drawn.append(field)
+    shown = report.of({field: report[field] for field in report if field in drawn})
+    if not drawn:
+        return pictures, shown
+    pictures["overview.png"] = as_png(montage(shown), of_maps=True)
+    pictures["overview_common.png"] = as_png(montage(shown, common=True), of_maps=True)
     pictures |= {name: as_png(figure) for name, figure in surface_map_figures(shown).items()}
     pictures |= {name: as_png(figure) for name, figure in light_map_figures(shown).items()}
     if look is not None:
         colours = ColourPictures(shown, look)
         pictures |= {f"colour_{field:g}deg.png": as_png(colours.figure(field)) for field in shown}
-    return pictures
+    return pictures, shown
+
+
+def _in_order(report: GhostReport) -> list[float]:
+    """The fields as they are drawn: in a time budget the worst ones first."""
+    if not is_limited():
+        return list(report)
+    worst = [field for field in (most_stray(report), brightest_field(report)) if field is not None]
+    return list(dict.fromkeys([*worst, *coarse_first(list(report))]))
 
 
 def write_png(report: GhostReport, directory: str | Path, look: Look | None = None) -> list[Path]:
@@ -114,7 +106,7 @@ def write_png(report: GhostReport, directory: str | Path, look: Look | None = No
     list of Path
         The files written.
     """
-    return write_files(draw(report, look), directory)
+    return write_files(draw(report, look)[0], directory)
 
 
 def write_all(
@@ -130,8 +122,8 @@ def write_all(
     Write CSV, PNG, path-sort files (of the `PATHS_SORTED` strongest paths) and report.html.
 
     All of them or none, see `mistray.report.output.write_files`: files of the same names are replaced, those of an
-    earlier report that this one does not have go, and files of others are left alone. In a time budget, see `drawable`,
-    the other fields stand in the tables alone; if it is too short for any picture only the tables are written.
+    earlier report that this one does not have go, and files of others are left alone. In a time budget, see `draw`, the
+    other fields stand in the tables alone; if it is too short for any of them the page has the tables and the levels.
 
     Parameters
     ----------
@@ -153,22 +145,13 @@ def write_all(
     -------
     list of Path
         The files written.
-
-    Warns
-    -----
-    MistrayWarning
-        There is no page, because a time budget is used up.
     """
     tables = csv_tables(report, per_wavelength)
     files: dict[str, str | bytes] = {name: csv_text(table, in_full=True) for name, table in tables.items()}
-    shown = drawable(report)
-    if shown:
-        pictures = draw(report, look, shown)
-        files |= pictures
-        files |= {f"path_sort_{field:g}deg.txt": path_sort_text(report[field], PATHS_SORTED) for field in shown}
-        files |= pages(report, title, command, pictures, per_wavelength, pdf, shown)
-    else:
-        warnings.warn(NO_PAGE, MistrayWarning, stacklevel=2)
+    pictures, shown = draw(report, look)
+    files |= pictures
+    files |= {f"path_sort_{field:g}deg.txt": path_sort_text(report[field], PATHS_SORTED) for field in shown}
+    files |= pages(report, title, command, pictures, per_wavelength, pdf, shown)
     return write_files(files, directory)
 
 

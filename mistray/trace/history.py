@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mistray.recorders.branch_recorder import NODE_FLOATS, BranchRecorder
+from mistray.recorders.branch_recorder import BranchRecorder
 from mistray.recorders.path_events import INTERCEPTS
 from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.trace.precise import retrace
@@ -160,17 +160,15 @@ def bundles(
     run: Run, recorder: BranchRecorder, slots: np.ndarray, origins: np.ndarray, directions: np.ndarray
 ) -> Iterator[Bundle]:
     """Recorded rays by their events, with positions found again in float64; parameters as in `rays_in_slots`."""
-    lengths = np.array(recorder.length)[slots]
-    codes = np.array(recorder.codes).reshape(recorder.capacity, -1)[slots]
-    nodes = np.array(recorder.nodes).reshape(recorder.capacity, -1, NODE_FLOATS)[slots].astype(np.float64)
+    codes, lengths = recorder.events(slots)
+    nodes = recorder.nodes_of(slots, codes.shape[1])
+    exact = retrace(run.table, origins, directions, codes, lengths, nodes[:, :, :3] + run.table.centre)
+    flux = run.unit * np.concatenate([np.ones((len(slots), 1)), nodes[:, :, 6]], axis=1)
     alike: dict[bytes, list[int]] = {}  # rays of the same events
-    for number, length in enumerate(lengths):
+    for number, length in enumerate(lengths.tolist()):
         alike.setdefault(codes[number, :length].tobytes(), []).append(number)
     for same in alike.values():
         numbers = np.array(same)
-        length = lengths[numbers[0]]
-        events, hits = codes[numbers[0], :length].copy(), nodes[numbers, :length]
-        places = hits[:, :, :3] + run.table.centre
-        exact = retrace(run.table, origins[numbers], directions[numbers], events, places)
-        flux = run.unit * np.concatenate([np.ones((len(numbers), 1)), hits[:, :, 6]], axis=1)
-        yield Bundle(numbers, events, *exact, flux)
+        length = int(lengths[same[0]])
+        own = (values[numbers, : length + 1] for values in (*exact, flux))
+        yield Bundle(numbers, codes[same[0], :length].copy(), *own)

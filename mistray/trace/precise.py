@@ -22,20 +22,29 @@ from mistray.surfaces.host_rays import indices_along, specular
 from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable
 
+THROUGH = (TRANSMITTED, RANDOM_TRANSMITTED, AIMED_TRANSMITTED)
+
 
 def retrace(
-    table: SurfaceTable, origin: np.ndarray, direction: np.ndarray, codes: np.ndarray, hits: np.ndarray
+    table: SurfaceTable,
+    origin: np.ndarray,
+    direction: np.ndarray,
+    codes: np.ndarray,
+    lengths: np.ndarray,
+    hits: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Follow rays through recorded events, the same for all of them.
+    Follow rays through recorded events.
 
     Parameters
     ----------
     table : SurfaceTable
     origin, direction : (n, 3) float64
         Start rays, mm.
-    codes : (k,) uint32
+    codes : (n, k) uint32
         Events, surface << EVENT_BITS | what.
+    lengths : (n,) int
+        How many of them each ray has; what follows them means nothing.
     hits : (n, k, 3) float64
         Recorded hits, mm.
 
@@ -48,39 +57,45 @@ def retrace(
     opl_mm : (n, k + 1) float64
         Optical path length from the start.
     """
-    d = _unit(direction)
-    points, directions = [origin], []
-    lengths, before, behind = (np.full((len(codes), len(d)), np.nan) for _ in range(3))
-    for k, code in enumerate(codes):
-        surface, what = int(code) >> EVENT_BITS, int(code) & EVENT_MASK
-        directions.append(d)
-        if surface >= table.count:  # within a medium: the recorded distance is all there is
-            lengths[k] = np.einsum("ij,ij->i", hits[:, k] - points[-1], d)
-            points.append(points[-1] + lengths[k][:, None] * d)
-            d = _unit(hits[:, k + 1] - points[-1])
-            continue
-        p, normal = _hit(table, surface, points[-1], d, hits[:, k])
-        side = np.einsum("ij,ij->i", d, normal) > 0
-        front, back = table.interfaces[surface].indices(table.wavelength_nm)
-        n_i, n_t = np.where(side, front, back), np.where(side, back, front)
-        lengths[k] = np.linalg.norm(p - points[-1], axis=1)
-        points.append(p)
-        if not table.optics.host_words[surface] & OPAQUE:
-            before[k] = n_i
-            behind[k] = n_t if what in (TRANSMITTED, RANDOM_TRANSMITTED, AIMED_TRANSMITTED) else n_i
-        if what == ABSORBED:
-            break
-        if what >= FIRST_SCATTERED:
-            d = hits[:, k + 1] - p
-        else:
-            reflected, transmitted, _ = specular(d, normal, n_i / n_t)
-            d = transmitted if what == TRANSMITTED else reflected
-        d = _unit(d)
-    directions.append(np.zeros_like(d))
-    opl = np.zeros((len(d), len(points)))
-    optical = lengths * np.nan_to_num(indices_along(before, behind), nan=1.0)
-    opl[:, 1:] = np.cumsum(optical[: len(points) - 1], axis=0).T
-    return np.stack(points, axis=1), np.stack(directions, axis=1), opl
+    count, longest = codes.shape
+    surfaces, what = (codes >> EVENT_BITS).astype(np.int64), codes & EVENT_MASK
+    points, directions = np.zeros((2, count, longest + 1, 3))
+    steps = np.zeros((longest, count))  # mm
+    before, behind = np.full((2, longest, count), np.nan)
+    points[:, 0] = origin
+    directions[:, 0] = _unit(direction)
+    for k in range(longest):
+        # Rays of different paths that meet the same surface now go together
+        here = np.where(lengths > k, np.minimum(surfaces[:, k], table.count), -1)
+        for surface in np.unique(here[here >= 0]).tolist():
+            rays = np.flatnonzero(here == surface)
+            start, d = points[rays, k], directions[rays, k]
+            onward = lengths[rays] > k + 1
+            towards = hits[rays, min(k + 1, longest - 1)]
+            if surface == table.count:  # within a medium: the recorded distance is all there is
+                steps[k, rays] = np.einsum("ij,ij->i", hits[rays, k] - start, d)
+                p = start + steps[k, rays][:, None] * d
+                leaving = towards - p
+            else:
+                p, normal = _hit(table, surface, start, d, hits[rays, k])
+                steps[k, rays] = np.linalg.norm(p - start, axis=1)
+                side = np.einsum("ij,ij->i", d, normal) > 0
+                front, back = table.interfaces[surface].indices(table.wavelength_nm)
+                n_i, n_t = np.where(side, front, back), np.where(side, back, front)
+                event = what[rays, k]
+                if not table.optics.host_words[surface] & OPAQUE:
+                    before[k, rays] = n_i
+                    behind[k, rays] = np.where(np.isin(event, THROUGH), n_t, n_i)
+                onward &= event != ABSORBED
+                reflected, transmitted, _ = specular(d, normal, n_i / n_t)
+                leaving = np.where((event == TRANSMITTED)[:, None], transmitted, reflected)
+                leaving = np.where((event >= FIRST_SCATTERED)[:, None], towards - p, leaving)
+            points[rays, k + 1] = p
+            directions[rays[onward], k + 1] = _unit(leaving[onward])
+    opl = np.zeros((count, longest + 1))
+    optical = steps * np.nan_to_num(indices_along(before, behind), nan=1.0)
+    opl[:, 1:] = np.cumsum(optical, axis=0).T
+    return points, directions, opl
 
 
 def _unit(v: np.ndarray) -> np.ndarray:

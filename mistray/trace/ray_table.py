@@ -164,8 +164,7 @@ class _Search:
         slots = np.arange(count)
         lanes = np.array(recorder.lane)[:count]
         origins, directions = self._run.start_rays(lanes)
-        lengths = np.array(recorder.length)[:count].astype(np.int64)
-        codes = np.array(recorder.codes).reshape(recorder.capacity, -1)[:count, : int(lengths.max())]
+        codes, lengths = recorder.events(slots)
         numbers = {name: np.zeros(count) for name in ("flux_W", *ALONG[0], *ALONG[1], "opl_mm")}
         rays: dict[int, Ray] = {}
         for bundle in bundles(self._run, recorder, slots, origins, directions):
@@ -178,7 +177,7 @@ class _Search:
         place = np.array(recorder.place).reshape(-1, 2)[:count]
         keys = np.array(recorder.path)[:count]
         columns = self._facts(
-            np.where(np.arange(codes.shape[1]) < lengths[:, None], codes, 0),
+            codes,
             {"path_id": self._paths.ids_of_keys(self._number, keys), "start_ray": lanes.astype(np.int64)}
             | {"node": lengths, "detector_x_mm": place[:, 0], "detector_y_mm": place[:, 1]}
             | numbers,

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mistray.execute.tracer import PASS_LANES, Run
-from mistray.recorders.branch_recorder import NODE_FLOATS, BranchRecorder, as_many
+from mistray.recorders.branch_recorder import BranchRecorder, as_many
 from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.surfaces.host_rays import normals
 from mistray.surfaces.surfaces import SurfaceTable
@@ -102,12 +102,10 @@ def sampled_hits(run: Run, start_rays: int, most: int) -> SampledHits:
     run.trace_trees(sample, recorder)
     found = min(int(recorder.count[0]), recorder.capacity)
     kept = at_most(np.array(recorder.path)[:found], np.array(recorder.lane)[:found], most)
-    length = np.array(recorder.length)[kept].astype(np.int64)
-    longest = int(length.max(initial=1))
-    codes = np.array(recorder.codes).reshape(recorder.capacity, -1)[kept, :longest].astype(np.int64)
-    nodes = np.array(recorder.nodes).reshape(recorder.capacity, -1, NODE_FLOATS)[kept, :longest].astype(np.float64)
-    there = np.arange(longest) < length[:, None]
-    surface = np.where(there, codes >> EVENT_BITS, -1)
+    codes, length = recorder.events(kept)
+    nodes = recorder.nodes_of(kept, codes.shape[1])
+    there = np.arange(codes.shape[1]) < length[:, None]
+    surface = np.where(there, (codes >> EVENT_BITS).astype(np.int64), -1)
     points, arrival = nodes[..., :3] + run.table.centre, nodes[..., 3:6]
     order = np.argsort(place)
     start = origins[order[np.searchsorted(place[order], np.array(recorder.lane)[kept])]]
@@ -116,7 +114,7 @@ def sampled_hits(run: Run, start_rays: int, most: int) -> SampledHits:
         np.array(recorder.weight)[kept],
         length,
         surface,
-        np.where(there, codes & EVENT_MASK, -1),
+        np.where(there, (codes & EVENT_MASK).astype(np.int64), -1),
         start,
         points,
         arrival,

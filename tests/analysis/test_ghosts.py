@@ -144,6 +144,8 @@ def test_maps_are_there_for_the_worst_paths_only(report):
 def test_report_is_a_mapping_of_fields(report):
     assert list(report) == [0.0, 10.0, 20.0]
     assert len(report) == 3
+    assert 7 not in report
+    assert report.get(7) is None
     with pytest.raises(MistrayError, match="field 7 deg was not traced"):
         report.table(7.0)
 

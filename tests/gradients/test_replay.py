@@ -189,7 +189,8 @@ def test_paths_replay_sequentially(case: Case) -> None:
         expected = traced.flux[ok] * case.weight[b.lanes[ok]]
         np.testing.assert_allclose(absorbed, expected, rtol=1e-4, err_msg=row.events)
         # optical path length and position of the table of single rays
-        exact, leaving, opl = retrace(run.table, o[ok], d[ok], b.codes, b.hits[ok])
+        codes, lengths = np.tile(b.codes, (len(b.lanes), 1)), np.full(len(b.lanes), len(b.codes))
+        exact, leaving, opl = retrace(run.table, o[ok], d[ok], codes[ok], lengths[ok], b.hits[ok])
         np.testing.assert_allclose(opl[:, -1], traced.opl_mm[ok], rtol=1e-9)
         np.testing.assert_allclose(exact, traced.points[:, ok].transpose(1, 0, 2), rtol=0, atol=1e-9 * case.size)
         np.testing.assert_allclose(leaving[:, :-1], traced.directions[:, ok].transpose(1, 0, 2), rtol=0, atol=1e-9)

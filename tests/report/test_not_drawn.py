@@ -2,10 +2,41 @@
 
 from __future__ import annotations
 
+import importlib
+import itertools
+import warnings
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+import mistray
+from mistray.report import write_all
 from mistray.report.figures.figure import Figure as Drawing
 from mistray.report.html.render import html_page
 from mistray.report.model import Figure, Report, Section
 from mistray.time_budget import FIGURE, within
+
+ghosts_output = importlib.import_module("mistray.report.ghosts_output")
+
+
+@pytest.mark.parametrize("fields", [0, 2])
+def test_a_page_shows_the_fields_that_there_was_time_for(
+    fields: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    report = mistray.ghosts(mistray.load("singlet_window_detector"), [0, 2, 4], rays=200)
+    # Time is asked for twice a field, before and after its pictures
+    left = itertools.chain([1e6] * 2 * fields, itertools.repeat(0.0))
+    monkeypatch.setattr(ghosts_output, "left", lambda: next(left))
+    with within(1000), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        files = {path.name for path in write_all(report, tmp_path)}
+    shown = {name for name in files if name.startswith("ghosts_")}
+    assert len(shown) == fields
+    assert {"report.html", "levels.png", *(f"layout_{name[7:]}" for name in shown)} <= files
+    assert set(pd.read_csv(tmp_path / "summary.csv").field_deg) == {0, 2, 4}
+    page = (tmp_path / "report.html").read_text()
+    assert page.count('src="ghosts_') in (0, fields)
 
 
 def drawing() -> Drawing:

@@ -24,7 +24,7 @@ from mistray.analysis.study.step import STEPS, StudyStep
 from mistray.analysis.study.surfaces import coatings_and_scatter, importance_sampling
 from mistray.analysis.study.transfer import images_with_stray_light
 from mistray.analysis.transfer.result import Transfer
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, UnknownKeyError
 from mistray.notes import warns
 from mistray.ranges import FIELD_DEG, RELATIVE_ERROR
 from mistray.recorders.directions import DirectionGrid
@@ -77,7 +77,7 @@ class Study(Mapping[str, StudyStep]):
         for step in self.steps:
             if step.key == key:
                 return step
-        raise MistrayError(f"a study has no step '{key}'; its steps are {', '.join(name for name, _ in STEPS)}")
+        raise UnknownKeyError(f"a study has no step '{key}'; its steps are {', '.join(name for name, _ in STEPS)}")
 
     def __iter__(self) -> Iterator[str]:
         return iter(step.key for step in self.steps)

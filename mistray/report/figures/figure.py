@@ -54,6 +54,8 @@ class Figure(figure.Figure):
     they are.
     """
 
+    _laid_out = True
+
     def headed(self, title: str, text: str = "") -> None:
         """Write the name of the optical system and what is shown above all panels, on the left."""
         self.suptitle(f"{title}{': ' if title and text else ''}{text}", fontsize=10, x=0.02, ha="left")
@@ -64,6 +66,7 @@ class Figure(figure.Figure):
 
     def savefig(self, *args: Any, **options: Any) -> None:
         """Write the figure, and say in one line which letters of names its font does not have."""
+        self._laid_out = False
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             super().savefig(*args, **options)
@@ -93,4 +96,10 @@ class Figure(figure.Figure):
         for text in self.findobj(Text):
             if text not in numbers:
                 text.set_parse_math(False)
-        super().draw(renderer)
+        layout = self.get_layout_engine()
+        if not self._laid_out and layout is not None:
+            # To write a file, Matplotlib draws twice, the first time only to place everything: that is all it needs
+            self._laid_out = True
+            layout.execute(self)
+        else:
+            super().draw(renderer)

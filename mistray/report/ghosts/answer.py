@@ -34,8 +34,8 @@ DRAWN = (
     "dots are reflections and scatter."
 )
 WORST = (
-    "Each path stands once, at the field where it is worst; the first {count} are drawn above. Normalised: RMS "
-    "irradiance over that of the direct image on axis."
+    "Each path stands once, at the field where it is worst{drawn}. Normalised: RMS irradiance over that of the direct "
+    "image on axis."
 )
 DEEDS = {"reflects": "is reflected there", "scatters": "is scattered there", "passes": "passes through it"}
 Sentence = str | Markup
@@ -43,7 +43,7 @@ Sentence = str | Markup
 
 def answer(report: GhostReport, shown: GhostReport) -> list[Part]:
     """The verdict beside the picture of the worst paths of the fields that are shown."""
-    worst = worst_of_all_fields(shown, PATHS_DRAWN)
+    worst = worst_of_all_fields(shown, PATHS_DRAWN) if shown else []
     parts: list[Part] = [Items(verdict(report), "verdict")]
     if worst:
         parts.append(Figure(functools.partial(draw_answer, report, worst), DRAWN, _told(worst)))
@@ -82,7 +82,9 @@ def worst_table(report: GhostReport, shown: GhostReport) -> list[Part]:
         for k, path in enumerate(worst, 1)
     ]
     table = Table(heads, rows, "t-worst")
-    note = WORST.format(count=min(PATHS_DRAWN, len(worst)))
+    note = WORST.format(
+        drawn=f"; the first {min(PATHS_DRAWN, len(worst))} are drawn above" if list(shown) == list(report) else ""
+    )
     return [table if report.rank == "peak" else table.without("peak"), Note(note, "note")]
 
 

@@ -108,12 +108,12 @@ def ghosts_report(
         mapped_paths(report, field)  # first of all: the maps of the summaries come from the same run of the rays
     summaries = [report.summary(field) for field in report]
     drawn = (s for s in summaries if s.field_deg in shown)
-    fields = [page_data(shown), *(field_section(report, s, pictures, per_wavelength) for s in drawn)]
+    fields = [Note(FIELDS), page_data(shown), *(field_section(report, s, pictures, per_wavelength) for s in drawn)]
     sections = [
         Section("worst", "The worst paths of all fields", worst_table(report, shown), "Worst paths"),
         Section("pictures", "Pictures", _pictures(report, shown, pictures), "Pictures"),
         Section("summary", "Every field", _summary(report, shown, summaries, per_wavelength), "Summary"),
-        Section("fields", "Field by field", [Note(FIELDS), *fields], "Fields"),
+        *([Section("fields", "Field by field", fields, "Fields")] if shown else []),
         Section("energy", "Energy ledger", energy_ledger(report, per_wavelength), "Energy", "always"),
     ]
     if report.scatters:
@@ -201,6 +201,8 @@ def _summary_table(shown: GhostReport, summaries: Sequence[FieldSummary], kinds:
 
 def _pictures(report: GhostReport, shown: GhostReport, pictures: Mapping[str, bytes]) -> list[Part]:
     """The stray light of all fields, and levels against the field."""
+    if not shown:
+        return [_levels(report)]
     own = pictures.get("overview.png") or as_png(montage(shown), of_maps=True)
     drawn: list[Part] = [Figure(own, OVERVIEW, "stray light on the detector at every field")]
     if len(shown) > 1:

@@ -32,18 +32,11 @@ def check_columns(wanted: PathFilter) -> None:
         )
 
 
-def branches(recorder: BranchRecorder, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Events (n, k), filled up with 0, and their numbers (n,) of the branches of a recorder."""
-    lengths = np.array(recorder.length)[:count].astype(np.int64)
-    codes = np.array(recorder.codes).reshape(recorder.capacity, -1)[:count, : int(lengths.max(initial=1))]
-    return np.where(np.arange(codes.shape[1]) < lengths[:, None], codes, 0), lengths
-
-
 def passing(run: Run, filters: Sequence[PathFilter], recorder: BranchRecorder, count: int) -> np.ndarray:
     """Which branches of a recorder filters let through, (filters, n) bool; branches of one path are asked once."""
     for wanted in filters:
         check_columns(wanted)
-    codes, lengths = branches(recorder, count)
+    codes, lengths = recorder.events(np.arange(count))
     _, first, path = np.unique(np.array(recorder.path)[:count], return_index=True, return_inverse=True)
     rows = _rows(run, codes[first], lengths[first], frozenset().union(*(wanted.columns for wanted in filters)))
     held = np.array([wanted.holds(rows) for wanted in filters]).reshape(len(filters), len(first))
