@@ -147,7 +147,7 @@ def fewer_wavelengths(scene: mi.Scene, wanted: Sequence[float | None], arguments
     """What changes in the arguments of the traces of fields where the time is too short for all wavelengths."""
 
     def timed(**few: Any) -> None:
-        trace(scene, field_deg=wanted[0], **{**arguments, **few})
+        _ = trace(scene, field_deg=wanted[0], **{**arguments, **few}).irradiance  # the sum of an image of each
 
     found = chosen_wavelengths(scene, arguments, timed, len(wanted))
     return {"wavelength_nm": found, "weights": None} if found else {}

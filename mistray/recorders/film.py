@@ -183,7 +183,8 @@ class Pixels(Sampled):
             noise = np.full((*film.shape[1:], 1), np.nan)
             return cls(scale * film[0], noise, np.full((WEIGHTS, *film.shape[1:]), np.nan))
         groups = len(film) - WEIGHTS
-        found = Sampled.of(np.moveaxis(film[:groups], 0, -1), started.reshape(groups, -1).sum(axis=1)).scaled(scale)
+        # Image by image, as the film lies in memory
+        found = Sampled.of(np.moveaxis(scale * film[:groups], 0, -1), started.reshape(groups, -1).sum(axis=1))
         powers = scale ** np.array([0.0, 2.0, 4.0])
         return cls(found.value, found.apart, powers[:, None, None] * film[groups:])
 

@@ -53,8 +53,10 @@ class Sampled:
         """
         value = by_batch.sum(axis=-1)
         used = max(int(np.count_nonzero(rays)), 2)
-        expected = value[..., None] * (rays / rays.sum())
-        return cls(value, np.sqrt(used / (used - 1)) * (by_batch - expected))
+        apart = np.multiply(value[..., None], -rays / rays.sum(), out=np.empty_like(by_batch))
+        apart += by_batch
+        apart *= np.sqrt(used / (used - 1))
+        return cls(value, apart)
 
     @property
     def se(self) -> Numbers:
