@@ -39,9 +39,10 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     monkeypatch.setattr(mistray.scene, "load", lambda *given: lens_scene())
 
     # Pictures take seconds, and are not asked for here
-    monkeypatch.setattr(importlib.import_module("mistray.report.ghosts_output"), "pages", lambda *_: {})
-    for module in ("ghosts_output", "pst_output"):
-        monkeypatch.setattr(importlib.import_module(f"mistray.report.{module}"), "draw", lambda *_: {})
+    ghosts_output = importlib.import_module("mistray.report.ghosts_output")
+    monkeypatch.setattr(ghosts_output, "pages", lambda *_: {})
+    monkeypatch.setattr(ghosts_output, "draw", lambda report, _: ({}, report))
+    monkeypatch.setattr(importlib.import_module("mistray.report.pst_output"), "draw", lambda *_: {})
     return traced
 
 

@@ -55,7 +55,7 @@ def everything(folder: Path) -> dict[str, bytes]:
 @pytest.fixture
 def small_report(monkeypatch: pytest.MonkeyPatch) -> GhostReport:
     """A report whose pictures, which take seconds, are not drawn."""
-    monkeypatch.setattr(ghosts_output, "draw", lambda *_: {"overview.png": CONTENTS[0]})
+    monkeypatch.setattr(ghosts_output, "draw", lambda report, _: ({"overview.png": CONTENTS[0]}, report))
     monkeypatch.setattr(ghosts_output, "pages", lambda *_: {"report.html": CONTENTS[1]})
     return GhostReport(lens_scene(), {0.0: trace_at(0.0)}, trace_at(0.0), {})
 

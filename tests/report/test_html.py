@@ -138,7 +138,7 @@ def test_a_failure_leaves_nothing(report, tmp_path, monkeypatch):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Reports of one picture and one word, for tests of what happens to the files."""
-    monkeypatch.setattr(output, "draw", lambda *_: {"overview.png": b"picture"})
+    monkeypatch.setattr(output, "draw", lambda report, _: ({"overview.png": b"picture"}, report))
     monkeypatch.setattr(output, "pages", lambda *_: {"report.html": b"text"})
 
 
