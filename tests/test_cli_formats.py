@@ -127,3 +127,13 @@ def test_a_missing_package_is_told_before_the_trace(
     assert err == "mistray: error: fits is not installed; run: pip install 'mistray[images]'\n"
     assert not fake
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("out", ["reports/one", "one"])
+def test_the_last_line_names_the_page(
+    out: str, capsys: pytest.CaptureFixture[str], fake: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, printed, _ = run(capsys, "ghosts", "scene.xml", "--out", out)
+    assert code == 0
+    assert printed.splitlines()[-1].endswith(f"open {Path(out) / 'report.html'}")

@@ -123,7 +123,7 @@ def run(line: str, tomls: list[str], capsys: pytest.CaptureFixture[str]) -> None
     if "--help" not in words:
         options = vars(program._parser().parse_args(words))
         for name, few in FEW.items() if TRACES_NOTHING.isdisjoint(words) else ():
-            given = name in options and (name == "rays" or options[name] is not None)
+            given = name in options and (name == "rays" or options[name] not in (None, 0))
             given &= words[0] != "export" or "--paths" in words
             given &= name != "rays" or words[0] != "sensitivity" or "pst_band" not in words  # 0 with few rays
             words += few if given else ()
@@ -149,6 +149,7 @@ def test_the_commands_of_a_page_run(
     (tmp_path / "out").mkdir()
     namespace: dict = {"__name__": "__main__"}
     tomls: list[str] = []
+    coming = [content for kind, content in steps(page) if kind == "toml"]  # a page may show its file after the command
     for kind, content in steps(page):
         if kind == "python":
             exec(compile(content, str(page), "exec"), namespace)
@@ -156,7 +157,7 @@ def test_the_commands_of_a_page_run(
             tomls.append(content)
         elif not any(part in content for part in OTHERS):
             capsys.readouterr()
-            run(content, tomls, capsys)
+            run(content, tomls or coming[:1], capsys)
 
 
 def test_indented_commands_are_among_them() -> None:

@@ -245,8 +245,7 @@ def run(options: Options) -> int:
     def text() -> str:
         return "\n\n".join([main_table(report, WORST_SHOWN, lines), *extra.texts()])
 
-    page = PAGE if options.out is None or options.out / PAGE in files else files[0].name
-    return options.show(lambda: as_json(report, lines, options.filter, extra.tables), text, files, page)
+    return options.show(lambda: as_json(report, lines, options.filter, extra.tables), text, files)
 
 
 def _check_maps(scene: Any, selections: list[str]) -> None:
