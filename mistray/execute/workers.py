@@ -11,6 +11,8 @@ from collections.abc import Iterator, Sequence
 from contextvars import ContextVar
 from typing import Any, Protocol
 
+from mistray.errors import MistrayError
+
 
 class Task(Protocol):
     """Work that falls into parts; what it holds can be pickled, or is a scene from `mistray.load`: that travels too."""
@@ -56,6 +58,12 @@ _current: ContextVar[Workers | None] = ContextVar("workers", default=None)
 def current_workers() -> Workers | None:
     """The workers of the block that we are in, None outside of one."""
     return _current.get()
+
+
+def refuse_workers_in_time() -> None:
+    """Refuse a time budget where workers trace, before anything is timed."""
+    if current_workers() is not None:
+        raise MistrayError("seconds is given and workers trace, whose parts are not timed; leave out one of the two")
 
 
 @contextlib.contextmanager

@@ -17,7 +17,7 @@ from mistray.execute.by_parts import TraceTask, execute_by_parts, tables_of
 from mistray.execute.forecast import Forecast
 from mistray.execute.tracer import MOST_PATHS_KEPT, PASS_LANES, Run, prepare
 from mistray.execute.wavelength_choice import WavelengthChoice, chosen_wavelengths
-from mistray.execute.workers import current_workers
+from mistray.execute.workers import current_workers, refuse_workers_in_time
 from mistray.interrupts import later, requested
 from mistray.notes import Code, Note, warns
 from mistray.recorders import Recorder
@@ -162,7 +162,8 @@ def trace(
     beam: dict[str, Any] = {**field, "wavelength_nm": wavelength_nm, "weights": weights, "detector": detector}
     recorders = _with_own(scene, recorders)
     with within(seconds):
-        _refuse_workers_in_time()
+        if is_limited():
+            refuse_workers_in_time()
         lines, choice = _spectral_choices(scene, settings, beam, made, seconds is not None)
         settings = replace(settings, polarization=choice.mode)
         runs = prepare(scene, settings, **beam)
@@ -266,12 +267,6 @@ def _execute(
             _require_hits(runs[: number + 1])
         if requested():
             return
-
-
-def _refuse_workers_in_time() -> None:
-    """Refuse a time budget where workers trace, before anything is timed."""
-    if is_limited() and current_workers() is not None:
-        raise MistrayError("seconds is given and workers trace, whose parts are not timed; leave out one of the two")
 
 
 def _check_budget(runs: Sequence[Run]) -> None:

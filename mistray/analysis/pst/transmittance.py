@@ -17,9 +17,9 @@ from mistray.analysis.pst.plan import Plan, shared
 from mistray.analysis.pst.request import Numbers, PstRequest
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.state import PstProgress
-from mistray.errors import MistrayError, UnfinishedError
+from mistray.errors import UnfinishedError
 from mistray.execute.backward import BackwardTrace
-from mistray.execute.workers import current_workers
+from mistray.execute.workers import refuse_workers_in_time
 from mistray.notes import warns
 from mistray.recorders.directions import DirectionGrid
 from mistray.renamed import renamed
@@ -135,8 +135,8 @@ def pst(
         finished cells by their numbers of angle and azimuth.
     """
     require_scene(scene, "pst")
-    if seconds is not None and current_workers() is not None and method == "forward":
-        raise MistrayError("seconds is given and workers trace, whose parts are not timed; leave out one of the two")
+    if seconds is not None and method == "forward":
+        refuse_workers_in_time()
     arguments: dict[str, Any] = dict(
         method=method,
         convention=convention,

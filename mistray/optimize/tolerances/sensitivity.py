@@ -15,7 +15,7 @@ from mistray.analysis.changes.first_surfaces import Entering, spoils
 from mistray.analysis.changes.gaps import Gap
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
-from mistray.execute.workers import current_workers
+from mistray.execute.workers import refuse_workers_in_time
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.notes import warns
 from mistray.optimize.gradient import Gradient, gradient_request
@@ -344,8 +344,8 @@ def sensitivity(
 
 def _check(factor: float, reach: float, monte_carlo: int, seconds: float | None, stateless: bool) -> None:
     """Refuse arguments that are out of range; `stateless`: to resume without a state."""
-    if seconds is not None and current_workers() is not None:
-        raise MistrayError("seconds is given and workers trace, whose parts are not timed; leave out one of the two")
+    if seconds is not None:
+        refuse_workers_in_time()
     if stateless:
         raise MistrayError("resume needs a state; name the file of the run to go on from")
     FACTOR.check("factor", factor)
