@@ -1,0 +1,27 @@
+"""Tables of numbers that tests compare with, in tests/data; the comments of each file name its source."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pandas as pd
+
+DATA = Path(__file__).parent / "data"
+
+
+def rows(name: str) -> list[dict[str, str]]:
+    """Rows of a table, as text."""
+    with (DATA / name).open(newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(line for line in stream if not line.startswith("#")))
+
+
+def frame(name: str) -> pd.DataFrame:
+    """A table, as numbers."""
+    return pd.read_csv(DATA / name, comment="#", skipinitialspace=True)
+
+
+def analytic(start: str, quantity: str) -> float:
+    """The closed form of a quantity of the one case whose name starts so."""
+    (row,) = (r for r in rows("analytic_cases.csv") if r["case"].startswith(start) and r["quantity"] == quantity)
+    return float(row["closed_form"])
