@@ -1,4 +1,4 @@
-# make demo | quick | test | test-long | test-all | lint | docs | notebooks | bench | clean; each sets up what it needs. PYTHON=python3.12 picks another one.
+# make demo | quick | test | test-part | test-all | record | lint | docs | notebooks | bench | clean; each sets up what it needs. PYTHON=python3.12 picks another one.
 
 PYTHON ?= python3
 VENV   := .venv
@@ -11,15 +11,16 @@ CHECK  := from mistray._variant import find_llvm; from mistray._mitsuba_compat i
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart=0
 
 .DEFAULT_GOAL := help
-.PHONY: help demo quick test test-long test-all test-lowest lint docs notebooks bench venv clean
+.PHONY: help demo quick test test-part test-all test-lowest record lint docs notebooks bench venv clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make demo      trace the ghosts of the phone camera into out/demo"
 	@echo "make quick     a test of every room, within a minute"
-	@echo "make test      lint, types and tests, in about twenty minutes"
-	@echo "make test-long the tests that take seconds each, which make test leaves out"
+	@echo "make test      lint, types and tests, in about six minutes"
+	@echo "make test-part what make test leaves out, in parts: that of the day, or: make test-part MISTRAY_PART=2"
 	@echo "make test-all  lint, types and all tests"
+	@echo "make record    run all but the slow tests, and write down what each takes"
 	@echo "make test-lowest quick tests with the lowest versions of what mistray needs"
 	@echo "make lint      lint and types only"
 	@echo "make docs      build the documentation site into out/docs; open out/docs/index.html"
@@ -38,11 +39,16 @@ quick: venv
 test: lint
 	$(PYTEST) -m "not (gpu or slow or long)"
 
-test-long: venv
-	$(PYTEST) -m "long and not (gpu or slow)"
+# The tests of tests/durations.json in parts of about equal length
+test-part: venv
+	MISTRAY_PART=$${MISTRAY_PART:-$$(($$(date +%s) / 86400))} $(PYTEST) -m "long and not (gpu or slow)"
 
 test-all: lint
 	$(PYTEST) -m "not gpu"
+
+# What the tests take, by which they are put into tiers
+record: venv
+	MISTRAY_RECORD=1 $(PYTEST) -m "not (gpu or slow)"
 
 # In an environment of its own; old Matplotlib calls what new pyparsing has deprecated
 test-lowest: venv

@@ -1,46 +1,74 @@
-"""Order of the tests: two processes take whole files, so that those that take minutes come first. What a GPU runs."""
+"""Tiers and order of the tests, the record of what they take, and what a GPU runs."""
 
 from __future__ import annotations
 
 import argparse
 import os
 import signal
-import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import pytest
+import tiers
 from oracles import scene_xml, small_scenes
 
 import mistray
 
-LONG = (
-    "test_docs_site.py",
-    "test_notebooks.py",
-    "test_readme.py",
-    "test_triplet_ar.py",
-    "test_fit.py",
-    "test_docs.py",
-    "test_phone_camera.py",
-    "test_pst_adjoint_forward.py",
-    "test_replay.py",
-    "test_scatter_aiming.py",
-)
-
-
 SLOW_S = 3600
-UNTIL = "MISTRAY_TESTS_UNTIL"  # seconds since 1970
+TOOK = "seconds of processors"
+_started = pytest.StashKey[float]()
+_took: dict[tuple[str, str], float] = {}
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files of `LONG` in their order, then all others as they come; more time for those that are slow."""
-    rank = {name: number for number, name in enumerate(LONG)}
-    items.sort(key=lambda item: rank.get(item.path.name, len(rank)))
+def processors() -> float:
+    """Seconds that processors have worked for this process and for those that it has started and waited for."""
+    return sum(os.times()[:4])
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark what is long, keep the part that is asked for, and let files that take long come first."""
+    of_file: dict[Path, float] = {}
     for item in items:
+        tiers.mark_long(item)
+        of_file[item.path] = of_file.get(item.path, 0.0) + tiers.seconds_of(item)
         if item.get_closest_marker("slow"):
             item.add_marker(pytest.mark.timeout(SLOW_S))
+    if tiers.PART in os.environ:
+        kept = tiers.in_part(items)
+        chosen = set(kept)
+        config.hook.pytest_deselected(items=[item for item in items if item not in chosen])
+        items[:] = kept
+    items.sort(key=lambda item: -of_file[item.path])  # two processes take whole files
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    item.stash[_started] = processors()
+    return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    report = yield
+    if call.when == "teardown" and tiers.RECORDING in os.environ:
+        report.user_properties.append((TOOK, (*tiers.place(item), processors() - item.stash[_started])))
+    return report
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    for name, value in report.user_properties:
+        if name == TOOK and report.when == "teardown":
+            file, function, took = value
+            _took[file, function] = _took.get((file, function), 0.0) + took
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if _took and not hasattr(session.config, "workerinput"):  # not in a process of xdist
+        tiers.write(_took)
 
 
 @lru_cache(maxsize=1)
@@ -53,9 +81,7 @@ def gpu_missing() -> str:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Tests are skipped, with the reason, after a time of day that was set, and those marked `gpu` without a GPU."""
-    if time.time() > float(os.environ.get(UNTIL, "inf")):
-        pytest.skip(f"the time that {UNTIL} allows is over")
+    """Tests marked `gpu` are skipped, with the reason, without a GPU."""
     if item.get_closest_marker("gpu") and gpu_missing():
         pytest.skip(gpu_missing())
 

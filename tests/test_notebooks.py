@@ -67,7 +67,8 @@ CLAIMS = {
     "explorer": """
         assert best in ("L4", "L5") and table.percent[0] < -10 and len(table) == 7
         assert abs(off["percent"]) < 1 and np.all(np.abs(np.interp(checks, percent, curve) / values - 1) < 0.02)
-        assert abs(again.value - traced["stray_W"][0]) < 4.5 * np.hypot(again.se, traced["stray_W"][1]) < 0.02 * again.value
+        first, first_se = traced["stray_W"]
+        assert abs(again.value - first) < 4.5 * np.hypot(again.se, first_se) < 0.02 * first
     """,
     "newtonian_webinar": """
         assert abs(field_deg + 20) < 1e-3 and np.allclose(along[1:], np.sin(np.radians([-20, 70])), atol=1e-5)
