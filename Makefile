@@ -1,4 +1,4 @@
-# make demo | quick | test | test-part | test-all | record | lint | docs | notebooks | bench | clean; each sets up what it needs. PYTHON=python3.12 picks another one.
+# make demo | quick | test | test-part | test-all | record | coverage | lint | docs | notebooks | bench | clean; each sets up what it needs. PYTHON=python3.12 picks another one.
 
 PYTHON ?= python3
 VENV   := .venv
@@ -11,7 +11,7 @@ CHECK  := from mistray._variant import find_llvm; from mistray._mitsuba_compat i
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart=0
 
 .DEFAULT_GOAL := help
-.PHONY: help demo quick test test-part test-all test-lowest record lint docs notebooks bench venv clean
+.PHONY: help demo quick test test-part test-all test-lowest record coverage lint docs notebooks bench venv clean
 .DELETE_ON_ERROR:
 
 help:
@@ -21,6 +21,7 @@ help:
 	@echo "make test-part what make test leaves out, in parts: that of the day, or: make test-part MISTRAY_PART=2"
 	@echo "make test-all  lint, types and all tests"
 	@echo "make record    run all but the slow tests, and write down what each takes"
+	@echo "make coverage  lines that the tests of make test reach"
 	@echo "make test-lowest quick tests with the lowest versions of what mistray needs"
 	@echo "make lint      lint and types only"
 	@echo "make docs      build the documentation site into out/docs; open out/docs/index.html"
@@ -49,6 +50,12 @@ test-all: lint
 # What the tests take, by which they are put into tiers
 record: venv
 	MISTRAY_RECORD=1 $(PYTEST) -m "not (gpu or slow)"
+
+# Lines that the tests of make test reach, commands that they start included: pyproject.toml says how many it must be
+coverage: venv
+	rm -rf out/coverage && mkdir -p out/coverage
+	$(BIN)/python -m coverage run $(filter-out $(BIN)/python,$(PYTEST)) -m "not (gpu or slow or long)"
+	$(BIN)/python -m coverage combine -q && $(BIN)/python -m coverage report
 
 # In an environment of its own; old Matplotlib calls what new pyparsing has deprecated
 test-lowest: venv
