@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
+from collections.abc import Callable
 
 import mitsuba as mi
 import numpy as np
 import pytest
-from oracles.small_scenes import interface_xml, scene_text, shape_xml, write
+from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
 from mistray.analysis.changes.gaps import Contacts, Gap, gaps_text
@@ -18,12 +18,17 @@ from mistray.prescription import Detector, Prescription, Source, prism
 DETECTOR = shape_xml("asphere", "detector", 60.0, sensor=True, half_width=3.0, half_height=3.0)
 
 
+Load = Callable[..., mi.Scene]
+
+
+@pytest.fixture
+def load(load_scene: Callable[[str], mi.Scene]) -> Load:
+    """Shapes → scene, with a detector."""
+    return lambda *shapes: load_scene(scene_text(*shapes, DETECTOR))
+
+
 def tube(name: str, r0: float, z0: float, r1: float, z1: float) -> str:
     return shape_xml("frustum", name, r0=r0, z0=z0, r1=r1, z1=z1)
-
-
-def loaded(tmp_path: Path, *shapes: str) -> mi.Scene:
-    return mistray.load(write(tmp_path, scene_text(*shapes, DETECTOR)))
 
 
 def opened(scene: mi.Scene, **values: float) -> tuple[Gap, ...]:
@@ -44,53 +49,41 @@ def only(found: tuple[Gap, ...], *surfaces: str) -> float:
     return gap.gap_mm
 
 
-class TestTubes:
-    """Two tubes, end to end, and a vane in the second one."""
-
-    @pytest.fixture
-    def scene(self, tmp_path: Path) -> mi.Scene:
-        return loaded(tmp_path, tube("front", 5, 0, 5, 10), tube("rear", 5, 10, 6, 20), tube("vane", 3, 10, 5, 10))
-
-    def test_apart_and_into_one_another(self, scene: mi.Scene) -> None:
-        # The vane stays with the front tube, and the gap is between it and the rear one, wherever the rim is
-        found = opened(scene, rear__z=0.3)
-        assert only(found, "rear", "front") == pytest.approx(0.3, abs=1e-6)
-        assert opened(scene, front__z=0.2) == ()
-        assert opened(scene, rear__z=5e-4) == ()
-
-    def test_beside(self, scene: mi.Scene) -> None:
-        """Circles in one plane whose centres are 0.1 mm apart are 0.1 mm apart where they are farthest."""
-        assert only(opened(scene, rear__x=0.1), "rear", "front") == pytest.approx(0.1, rel=1e-3)
-
-    def test_a_vane_that_moves_along_leaves_no_gap(self, tmp_path: Path) -> None:
-        walls = (tube("front", 5, 0, 5, 10), tube("middle", 5, 10, 5, 20), tube("rear", 5, 20, 5, 30))
-        scene = loaded(tmp_path, *walls, tube("vane", 3, 10, 5, 10))
-        assert opened(scene, vane__z=12.0) == ()
-        assert opened(scene, vane__z=-3.0) == ()
-        (gap,) = opened(scene, vane__r1=4.5)
-        assert set(gap.surfaces) in ({"vane", "front"}, {"vane", "middle"})
-        assert gap.gap_mm == pytest.approx(0.5, abs=1e-6)
-
-    def test_what_did_not_meet_has_no_gap(self, tmp_path: Path) -> None:
-        scene = loaded(tmp_path, tube("front", 5, 0, 5, 10), tube("rear", 5, 10.01, 5, 20))
-        assert opened(scene, rear__z=1.0) == ()
+def test_two_tubes_end_to_end(load: Load) -> None:
+    scene = load(tube("front", 5, 0, 5, 10), tube("rear", 5, 10, 6, 20), tube("vane", 3, 10, 5, 10))
+    # The vane stays with the front tube, and the gap is between it and the rear one, wherever the rim is
+    assert only(opened(scene, rear__z=0.3), "rear", "front") == pytest.approx(0.3, abs=1e-6)
+    assert opened(scene, front__z=0.2) == ()
+    assert opened(scene, rear__z=5e-4) == ()
+    # Circles in one plane whose centres are 0.1 mm apart are 0.1 mm apart where they are farthest
+    assert only(opened(scene, rear__x=0.1), "rear", "front") == pytest.approx(0.1, rel=1e-3)
+    apart = load(tube("front", 5, 0, 5, 10), tube("rear", 5, 10.01, 5, 20))
+    assert opened(apart, rear__z=1.0) == ()  # what did not meet has no gap
 
 
-def test_a_wall_on_a_flange(tmp_path: Path) -> None:
+def test_a_vane_that_moves_along_leaves_no_gap(load: Load) -> None:
+    walls = (tube("front", 5, 0, 5, 10), tube("middle", 5, 10, 5, 20), tube("rear", 5, 20, 5, 30))
+    scene = load(*walls, tube("vane", 3, 10, 5, 10))
+    assert opened(scene, vane__z=12.0) == opened(scene, vane__z=-3.0) == ()
+    (gap,) = opened(scene, vane__r1=4.5)
+    assert set(gap.surfaces) in ({"vane", "front"}, {"vane", "middle"})
+    assert gap.gap_mm == pytest.approx(0.5, abs=1e-6)
+
+
+def test_a_wall_on_a_flange(load: Load) -> None:
     """It may slide on it; a cone that gets narrower than the hole leaves a gap, and one that is lifted too."""
-    scene = loaded(tmp_path, tube("cone", 5, 0, 4, 8), tube("flange", 3.5, 8, 9, 8))
+    scene = load(tube("cone", 5, 0, 4, 8), tube("flange", 3.5, 8, 9, 8))
     assert opened(scene, cone__r1=3.6) == ()
     assert only(opened(scene, cone__r1=3.0), "cone", "flange") == pytest.approx(0.5, abs=1e-6)
     assert only(opened(scene, flange__z=0.25), "cone", "flange") == pytest.approx(0.25, abs=1e-6)
     assert opened(scene, flange__z=-0.25) == ()
 
 
-def test_a_lens_and_its_edge(tmp_path: Path) -> None:
+def test_a_lens_and_its_edge(load: Load) -> None:
     """The rim of a sphere lies at its sag, R - √(R² - r²)."""
     sag = 50 - math.sqrt(50**2 - 8**2)
     glass = interface_xml("air", "1.5")
-    scene = loaded(
-        tmp_path,
+    scene = load(
         shape_xml("asphere", "face", 0.0, glass, radius=50.0, semi_diameter=8.0),
         shape_xml("asphere", "back", 6.0, interface_xml("1.5", "air"), semi_diameter=8.0),
         tube("edge", 8, sag, 8, 6),
@@ -113,7 +106,7 @@ def test_cones_of_the_phone_camera_made_cylinders() -> None:
     assert opened(mistray.load("phone_camera_scatter"), barrel_3_cone__r0=1.112) == ()
 
 
-def test_straight_rims_of_a_prism(tmp_path: Path) -> None:
+def test_straight_rims_of_a_prism() -> None:
     """A face that is lifted leaves those beside it; one that is pushed in does not."""
     corners = [(-5.0, 0.0), (5.0, 0.0), (5.0, 10.0), (-5.0, 10.0)]
     body = prism("body", corners, 8.0, material="1.5", ends=None)
@@ -131,7 +124,5 @@ def test_straight_rims_of_a_prism(tmp_path: Path) -> None:
 
 
 def test_words() -> None:
-    gaps = [Gap(("a", f"b{k}"), 0.1 * k) for k in range(1, 6)]
     assert gaps_text([]) == ""
-    assert "'a' and 'b1'" in gaps_text(gaps[:1])
-    assert gaps_text(gaps).endswith("and 2 more")
+    assert gaps_text([Gap(("a", f"b{k}"), 0.1 * k) for k in range(1, 6)]).endswith("and 2 more")

@@ -35,10 +35,14 @@ def test_cells_are_as_small_as_they_may_be(shape, rows, columns, pixels):
     assert found.column * pixels <= columns.start < (found.column + 1) * pixels
 
 
-def test_a_straddling_spot_needs_a_cell_more():
-    """97 pixels from an odd one on touch 49 cells of two."""
-    found = PathMap.of(spot((512, 512), slice(1, 98), slice(0, 1)), 48)
-    assert found.pixels == 4  # 49 cells of two pixels are one too many
+def test_edges():
+    """97 pixels from an odd one on touch 49 cells of two, one too many; darkness has none; a grid has the largest."""
+    assert PathMap.of(spot((512, 512), slice(1, 98), slice(0, 1)), 48).pixels == 4
+    dark = PathMap.of(np.zeros((5, 6)), 96)
+    assert (dark.pixels, dark.power_W.shape, dark.within((0, 6), (0, 5))) == (1, (0, 0), 0)
+    small, large = PathMap.of(spot((512, 512), slice(3, 5), slice(3, 5)), 96), PathMap.of(np.ones((512, 512)), 96)
+    assert FieldMaps(large, large, {0: small}, small, {}).grid == 1
+    assert FieldMaps(small, small, {0: small, 1: large}, small, {}).grid == 8
 
 
 def test_power_in_a_rectangle_is_that_of_its_pixels():
@@ -52,15 +56,3 @@ def test_power_in_a_rectangle_is_that_of_its_pixels():
         expected = power[r0:r1, c0:c1].sum()
         assert found.within((c0, c1), (r0, r1)) == pytest.approx(expected, rel=1e-12, abs=1e-15)
     assert found.within((c0, c1), (r0, r1 + 8)) != found.within((c0, c1), (r0, r1))  # a wrong box shows
-
-
-def test_dark_map():
-    found = PathMap.of(np.zeros((5, 6)), 96)
-    assert (found.pixels, found.power_W.shape) == (1, (0, 0))
-    assert found.within((0, 6), (0, 5)) == 0
-
-
-def test_grid_is_that_of_the_largest_cell():
-    small, large = PathMap.of(spot((512, 512), slice(3, 5), slice(3, 5)), 96), PathMap.of(np.ones((512, 512)), 96)
-    assert FieldMaps(large, large, {0: small}, small, {}).grid == 1
-    assert FieldMaps(small, small, {0: small, 1: large}, small, {}).grid == 8

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from oracles.small_scenes import interface_xml, scene_text, shape_xml
 from report.fake_scene import lens_scene
 from report.fake_trace import LENS, FakePath, FakeTrace, paths_at, scatter_paths_at, trace_at
 
@@ -30,25 +31,20 @@ def test_worst_paths_stand_once_at_their_worst_field():
     values = {field: bounds(report.top(field, 1, "rms"))[0, 0] for field in report}
     assert worst[0].field_deg == max(values, key=values.get)
     assert worst[-1].few_rays  # three rays in a point have the highest irradiance
-
-
-def test_worst_paths_by_power():
-    report = report_of({0.0: paths_at(0.0), 20.0: paths_at(20.0)}, "power")
-    powers = [path.power_W.value for path in worst_of_all_fields(report, 3)]
+    powers = [path.power_W.value for path in worst_of_all_fields(report_of({0.0: paths_at(0.0)}, "power"), 3)]
     assert powers == sorted(powers, reverse=True)
     assert powers[0] == pytest.approx(2e-4)
 
 
-def test_dark_detector():
+def test_a_field_without_stray_light_is_left_with_none():
+    """The remedy is not the detector, at which all ghosts of the fake trace turn; a dark one needs none."""
+    dark = [FakePath(f"{LENS} detector:A", 1.0, 99)]
+    found = remedy(report_of({0.0: paths_at(0.0), 10.0: dark, 20.0: []}))
+    assert found.surface == "window_rear"
+    assert found.left_W[0.0].value > 0 == found.left_W[10.0].value == found.left_W[20.0].value
     report = report_of({0.0: []})
     assert (worst_of_all_fields(report), most_stray(report), remedy(report)) == ([], None, None)
     assert verdict(report) == ["No stray path reaches the detector."]
-
-
-def test_a_field_without_stray_light_is_left_with_none():
-    dark = [FakePath(f"{LENS} detector:A", 1.0, 99)]
-    found = remedy(report_of({0.0: paths_at(0.0), 10.0: dark, 20.0: []}))
-    assert found.left_W[0.0].value > 0 == found.left_W[10.0].value == found.left_W[20.0].value
 
 
 def test_shares_of_kinds_add_up():
@@ -89,11 +85,6 @@ def test_light_that_passes_where_the_image_does_not():
     assert found.left_W[20.0].value == pytest.approx(rows.power_W[~through].sum())
 
 
-def test_a_detector_is_no_remedy():
-    found = remedy(report_of({0.0: paths_at(0.0)}))
-    assert found.surface == "window_rear"  # not the detector, at which all ghosts of the fake trace turn
-
-
 def test_verdict_is_five_sentences_at_most():
     report = report_of({0.0: scatter_paths_at(0.0), 20.0: scatter_paths_at(20.0)})
     sentences = verdict(report)
@@ -104,43 +95,23 @@ def test_verdict_is_five_sentences_at_most():
     assert remedy(report).surface in sentences[3]
 
 
-def test_what_is_left_without_a_surface_is_left_without_it():
-    """
-    A plate before a detector: the surface is given R = 0 and the same T, and traced again.
+def test_what_is_left_without_a_surface_is_left_without_it(load_scene):
+    """A plate before a detector: traced again with R = 0 and the same T; equal seeds, so they agree to rounding."""
 
-    Seeds are the same and so are the paths of both, so that the numbers agree to rounding, not to their errors.
-    """
+    def report(rear):
+        faces = [
+            shape_xml("asphere", name, z, interface_xml(*sides, R=share, T=0.9), semi_diameter=20.0)
+            for name, z, sides, share in (
+                ("front", 0.0, ("air", "N-BK7"), 0.02), ("rear", 3.0, ("N-BK7", "air"), rear),
+            )
+        ]  # fmt: skip
+        detector = shape_xml("asphere", "detector", 9.0, interface_xml(R=0.3), sensor=True, semi_diameter=15.0)
+        scene = load_scene(scene_text(*faces, detector, radius=4.0))
+        return mistray.ghosts(scene, field_deg=[0.0, 10.0], rays=4000, max_reflections=3)
 
-    def scene(shares):
-        surfaces = {
-            "front": {
-                "type": "asphere",
-                "semi_diameter": 20.0,
-                "z": 0.0,
-                "bsdf": _bsdf("air", "N-BK7", shares.get("front")),
-            },
-            "rear": {
-                "type": "asphere",
-                "semi_diameter": 20.0,
-                "z": 3.0,
-                "bsdf": _bsdf("N-BK7", "air", shares.get("rear")),
-            },
-        }
-        detector = {"type": "asphere", "semi_diameter": 15.0, "z": 9.0, "bsdf": {"type": "interface", "R": 0.3},
-                    "sensor": {"type": "irradiancemeter"}}  # fmt: skip
-        beam = {"type": "collimated", "radius": 4.0}
-        return mistray.load({"type": "scene", **surfaces, "detector": detector, "beam": beam})
-
-    shares = {"front": (0.02, 0.9), "rear": (0.05, 0.9)}
-    arguments = {"field_deg": [0.0, 10.0], "rays": 4000, "max_reflections": 3}
-    found = remedy(mistray.ghosts(scene(shares), **arguments))
+    found, after = remedy(report(0.05)), report(0.0)
     assert found.surface == "rear"
-    after = mistray.ghosts(scene(shares | {"rear": (0.0, 0.9)}), **arguments)
     for field, left in found.left_W.items():
         assert left.value == pytest.approx(after.summary(field).stray_W.value, rel=1e-5)
     assert math.isfinite(found.percent.se)
     assert np.isfinite([left.se for left in found.left_W.values()]).all()
-
-
-def _bsdf(front, back, shares):
-    return {"type": "interface", "front": front, "back": back, "R": shares[0], "T": shares[1]}

@@ -5,9 +5,9 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 import pytest
+from command_line import fails, succeeds
 
 import mistray
-from mistray import cli
 from mistray.sweeps import Configuration, write_configuration
 
 NAMED = (("far", 3), ("near", 1))
@@ -39,8 +39,7 @@ def test_a_move(tmp_path, scene: str, key: str, step: float) -> None:
 def test_paint_and_a_value_from_the_shell(capsys, tmp_path) -> None:
     file = tmp_path / "edited.xml"
     edit = ("--set", "tube_vane_3.z=1.5", "--paint", "tube_vane_2=R=0.3")
-    assert cli.main(["sweep", "baffle_tube", *edit, "--write-scene", str(file)]) == 0
-    assert str(file) in capsys.readouterr().out
+    assert str(file) in succeeds(capsys, "sweep", "baffle_tube", *edit, "--write-scene", file)
     shapes = {shape.id(): shape for shape in mistray.load(file).shapes()}
     assert float(shapes["tube_vane_2"].bsdf().coating.R) == pytest.approx(0.3)
     assert numbers(mistray.load(file))["tube_vane_3.z"] == pytest.approx(1.5)
@@ -50,13 +49,10 @@ def test_one_of_a_study(capsys, tmp_path) -> None:
     study = tmp_path / "states.toml"
     far, near = (f'[[configuration]]\nname = "{n}"\nvalues = {{ "tube_vane_3.z" = {z} }}\n' for n, z in NAMED)
     study.write_text(far + near, encoding="utf-8")
-    command = ["sweep", "baffle_tube", str(study), "--write-scene", str(tmp_path / "far.xml")]
-    assert cli.main([*command, "--configuration", "farr"]) == 2
-    assert "did you mean 'far'?" in capsys.readouterr().err
-    assert cli.main(command) == 2
-    assert "writes one configuration" in capsys.readouterr().err
-    assert cli.main([*command, "--rays", "5"]) == 2
-    assert "--rays has no effect with --write-scene" in capsys.readouterr().err
+    command = ["sweep", "baffle_tube", study, "--write-scene", tmp_path / "far.xml"]
+    assert "did you mean 'far'?" in fails(capsys, *command, "--configuration", "farr")
+    assert "writes one configuration" in fails(capsys, *command)
+    assert "--rays has no effect with --write-scene" in fails(capsys, *command, "--rays", 5)
     assert not (tmp_path / "far.xml").exists()
-    assert cli.main([*command, "--configuration", "far"]) == 0
+    succeeds(capsys, *command, "--configuration", "far")
     assert numbers(mistray.load(tmp_path / "far.xml"))["tube_vane_3.z"] == pytest.approx(3)
