@@ -191,6 +191,9 @@ def test_a_path_occurs_once_for_all_wavelengths(colours):
         colours.map(10.0, worst.path_id), colours[10.0].irradiance_of(worst.path_ids), strict=True
     ):
         np.testing.assert_allclose(found, expected, rtol=1e-12)
+    fake, rays = colours[10.0].fakes[worst.path_id], colours.rays_of(10.0, worst.path_id)
+    assert rays[0][-1, :2] == pytest.approx((fake.x, fake.y))
+    assert colours.rays_of(10.0, worst.path_id) is rays
 
 
 def test_one_wavelength_is_normalised_to_the_image_at_it(colours):
@@ -220,22 +223,6 @@ def test_summaries_and_maps_of_the_wavelengths_add_up(colours):
     np.testing.assert_allclose((maps.direct + maps.stray).sum(axis=0), t.irradiance, rtol=1e-12)
     np.testing.assert_allclose(maps.direct[2] + maps.stray[2], t.irradiance_at(650.0)[0], rtol=1e-12)
     np.testing.assert_allclose(maps.stray.sum(axis=0), colours.stray_map(10.0)[0], rtol=1e-12)
-
-
-def test_rays_to_draw_are_of_the_wavelength_asked_for(colours, monkeypatch):
-    t = colours[10.0]
-    asked, sampled = [], t.sampled_rays
-    monkeypatch.setattr(t, "sampled_rays", lambda ids, n: asked.append(list(ids)) or sampled(ids, n))
-    worst = int(colours.top(10.0, 1).path_id.iloc[0])
-    rays = colours.rays_of(10.0, worst)
-    assert len(rays) > 0
-    (ids,) = asked  # the worst paths all at once
-    assert worst in ids
-    way = (t.paths[worst].events, t.paths[worst].wavelength_nm)
-    assert [i for i in ids if (t.paths[i].events, t.paths[i].wavelength_nm) == way] == [worst]
-    assert rays[0][-1, :2] == pytest.approx((t.fakes[worst].x, t.fakes[worst].y))
-    assert colours.rays_of(10.0, worst) is rays
-    assert len(asked) == 1
 
 
 def test_watts_are_absorbed_or_incident() -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-import time
-
 import numpy as np
 import pytest
 from oracles.object_scenes import open_tube_text, vane_text
@@ -16,7 +13,6 @@ from oracles.statistics import assert_z
 import mistray
 from mistray.analysis.objects.search import objects
 from mistray.analysis.objects.sources import DiskSource
-from mistray.analysis.objects.view import PASS_RAYS
 from mistray.errors import MistrayError
 from mistray.execute.seen import see
 
@@ -269,28 +265,6 @@ def test_folded_systems_keep_their_gaps():
 
 
 # ---- ray controls
-
-
-def test_no_step_of_a_pass_keeps_an_interrupt_waiting():
-    """Python tells of a signal between two steps, and ways of a hundred surfaces took one of five seconds to sort."""
-    longest, began = ("", 0.0), 0.0
-
-    def clock(frame, event, function):
-        nonlocal longest, began
-        if event == "c_call":
-            began = time.process_time()
-        elif event == "c_return" and (took := time.process_time() - began) > longest[1]:
-            longest = str(function), took
-
-    scene = mistray.load("plate")
-    objects(scene, rays=1000)  # compiles the kernels
-    before = sys.getprofile()
-    sys.setprofile(clock)
-    try:
-        objects(scene, rays=PASS_RAYS, view_half_angle_deg=10.0, max_events=100)
-    finally:
-        sys.setprofile(before)
-    assert longest[1] < 1.0, longest
 
 
 @pytest.mark.long

@@ -65,20 +65,6 @@ def test_the_kernel_reads_what_the_pilot_has_written() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", [1, 2])
-def test_any_windows_have_the_same_mean(seed: int) -> None:
-    """Random numbers of rays between 0.01 and 100, at a glass plate before a screen, with paint and polish."""
-    scene = mistray.load("plate_and_wall")
-    surfaces = BackwardTrace(scene, DirectionGrid.of([20.0], cell_deg=10.0), Settings.of(scene)).table.count
-    windows = 10 ** np.random.default_rng(seed).uniform(-2, 2, (2, surfaces, WAYS))
-    alone = np.array([*against_alone(scene, 20.0, 10.0, 1 << 19).values()])
-    split = np.array([*against_alone(scene, 20.0, 10.0, 1 << 17, windows=windows).values()])
-    assert (alone[:, 0] > 0).all()
-    assert (np.abs(split - alone)[:, 0] < 4 * np.hypot(split[:, 1], alone[:, 1])).all()
-    assert not np.array_equal(split, alone)
-
-
-@pytest.mark.long
 def test_a_tube_with_windows_that_know_nothing() -> None:
     """Windows at random, in a tube with vanes whose PST a float64 walk has."""
     tube = VaneTube(**{**TUBE.__dict__, "length": 40.0, "vanes": (20.0,), "hole": 7.0})

@@ -13,7 +13,6 @@ from workers_here import Here, assert_same
 import mistray
 from mistray import UnfinishedError
 from mistray.execute import by_parts
-from mistray.execute.sparse import pack
 from mistray.execute.workers import working_with
 from mistray.optimize.metrics import metric as metrics
 
@@ -47,29 +46,6 @@ def test_parts_add_up_to_one_run(scene, monkeypatch):
     for a, b in zip(one.maps(groups), many.maps(groups), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-20)
     np.testing.assert_array_equal(one.history(0, 4).to_pandas(), many.history(0, 4).to_pandas())
-
-
-def test_a_part_is_of_its_batches_only(scene):
-    (run,) = mistray.trace(scene, rays=10_000)._runs
-    whole = np.sort(np.concatenate([np.array(start.lane) for _, start in run.starts()]))
-    run.parts = tuple(by_parts.Part(0, low, low + 8) for low in (0, 8, 16, 24))
-    starts = list(run.starts())
-    assert [np.unique(np.array(start.batch)).tolist() for _, start in starts] == [
-        list(range(low, low + 8)) for low in (0, 8, 16, 24)
-    ]
-    np.testing.assert_array_equal(np.sort(np.concatenate([np.array(start.lane) for _, start in starts])), whole)
-
-
-@pytest.mark.parametrize("lit", [0, 3, 40, 60])
-def test_arrays_are_sent_without_their_zeros_where_that_is_shorter(lit):
-    array = np.zeros((2, 5, 6))
-    array.reshape(-1)[np.random.default_rng(1).permutation(60)[:lit]] = 1 + np.arange(lit)
-    packed = pack(array)
-    assert (packed.where is None) == (lit >= 30)
-    assert len(packed.values) == (lit if lit < 30 else 60)
-    total = np.ones_like(array)
-    packed.add_to(total)
-    np.testing.assert_array_equal(total, 1 + array)
 
 
 def test_work_is_split_by_rays_and_workers(scene):

@@ -10,12 +10,12 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
+from command_line import fails
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 from workers_here import Here
 
 import mistray
 from mistray import MistrayError, UnfinishedError
-from mistray.cli import main
 from mistray.cluster.scene_numbers import put_numbers, read_numbers
 from mistray.cluster.travel import Parcel, Unpacked
 from mistray.execute.workers import current_workers, working_with
@@ -173,37 +173,23 @@ def test_a_worker_serves_one_variant_after_another():
     assert found == pytest.approx([found[0]] * 3, rel=1e-6)
 
 
-def test_the_command_writes_what_is_finished(tmp_path, monkeypatch, capsys):
-    written = []
-    monkeypatch.setattr("mistray.cluster.distribute", lambda address: working_with(Here(last=2)))
-    monkeypatch.setattr("mistray.report.write_all", lambda *arguments: written.append(arguments))
-    words = ["ghosts", "lens_and_window", "--rays", "2000", "--field-deg", "0", "1", "2"]
-    assert main([*words, "--scheduler", "tcp://x:1", "--json", "--out", str(tmp_path / "out")]) == 2
-    text = capsys.readouterr()
-    assert text.out == ""
-    for fact in ("2 of 3 fields", "not 2 deg", f"a report of what is finished is in {tmp_path}"):
-        assert fact in text.err
-    assert text.err.count("\n") == 1
-    ((report, folder, title, *_),) = written
-    assert (list(report), folder) == ([0, 1], tmp_path / "out")
-    assert title == "lens_and_window, unfinished (0°: 2000 of 2000 rays; 1°: 2000 of 2000 rays)"
-
-
-def test_workers_that_are_lost_while_the_report_is_drawn(tmp_path, monkeypatch, capsys):
-    """All rays are traced by then: they are not lost, and what is left is done here."""
+@pytest.mark.parametrize("last", [2, None])
+def test_the_command_writes_what_is_finished(tmp_path, monkeypatch, capsys, last):
+    """Where workers are lost while the report is drawn, all rays are traced, and what is left is done here."""
     written = []
 
     def write_all(report, folder, title, *_):
-        written.append((current_workers(), list(report), title))
-        if len(written) == 1:
+        written.append((current_workers() is not None, list(report), folder, title))
+        if last is None and len(written) == 1:
             raise UnfinishedError("the connection is lost; start it again")
 
-    monkeypatch.setattr("mistray.cluster.distribute", lambda address: working_with(Here()))
+    monkeypatch.setattr("mistray.cluster.distribute", lambda address: working_with(Here(last=last)))
     monkeypatch.setattr("mistray.report.write_all", write_all)
-    words = ["ghosts", "lens_and_window", "--rays", "2000", "--field-deg", "0", "1", "--scheduler", "tcp://x:1"]
-    assert main([*words, "--json", "--out", str(tmp_path / "out")]) == 2
-    (there, _, _), (here, fields, title) = written
-    assert there is not None
-    assert (here, fields) == (None, [0, 1])
-    assert title.endswith("unfinished (0°: 2000 of 2000 rays; 1°: 2000 of 2000 rays)")
-    assert "a report of what is finished is in" in capsys.readouterr().err
+    fields = [0, 1, 2] if last else [0, 1]
+    words = ["ghosts", "lens_and_window", "--rays", 2000, "--field-deg", *fields, "--scheduler", "tcp://x:1"]
+    text = fails(capsys, *words, "--json", "--out", tmp_path / "out")
+    for fact in (f"a report of what is finished is in {tmp_path}", *(("2 of 3 fields", "not 2 deg") if last else ())):
+        assert fact in text
+    assert [one[0] for one in written] == ([False] if last else [True, False])
+    assert written[-1][1:3] == ([0, 1], tmp_path / "out")
+    assert written[-1][3].endswith("unfinished (0°: 2000 of 2000 rays; 1°: 2000 of 2000 rays)")

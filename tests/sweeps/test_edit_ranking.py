@@ -185,10 +185,10 @@ def test_command(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
         "rim=0.3",
         "share=2%",
     ]
-    record = json.loads(succeeds(capsys, "sweep", scene, *words, "--json"))
+    record = json.loads(succeeds(capsys, "sweep", scene, *words, "rim=0.3", "share=2%", "--json"))
     assert {row["step"] for row in record["ranking"] if row["method"] == "block"} == {0.3}
     assert "rows" not in record
-    printed = succeeds(capsys, "sweep", scene, edits, *words, "--out", out)
+    printed = succeeds(capsys, "sweep", scene, edits, *words, "rim=0.3", "share=2%", "--out", out)
     assert "grey" in printed
     assert "wall.bsdf.paint.reflectance" in printed
     with (out / "edit_ranking.csv").open(encoding="utf-8") as file:
