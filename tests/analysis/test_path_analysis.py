@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import fails
+from command_line import fails, run, succeeds
 from oracles.scatter_scenes import beam_xml, bsdf_xml, lenses_text, placed_xml, scatter_scene, scattering_xml, wall_xml
 from oracles.small_scenes import interface_xml
 
 import mistray
 from mistray.analysis.path_analysis import SORT_KEYS, path_analysis
 from mistray.cli.commands import ghosts as cli_ghosts
-from mistray.cli.program import main
 from mistray.recorders.path_events import way_text
 
 INDEX, PLATE, GAP, BEFORE = 1.5, 2.0, 7.0, 3.0
@@ -179,16 +178,14 @@ def test_wrong_aliases(lenses: Any) -> None:
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["ghosts", "singlet_window_detector", "--field-deg", "2", "--rays", "400", "--alias", "L1*=lens",
              "--path-analysis", "objects", "--least-share", "0.05", "--quiet"]  # fmt: skip
-    assert main([*words, "--json", "--out", str(tmp_path)]) == 0
-    (field,) = json.loads(capsys.readouterr().out)["fields"]
+    (field,) = json.loads(succeeds(capsys, *words, "--json", "--out", tmp_path))["fields"]
     t = mistray.trace(mistray.load(words[1]), rays=400, field_deg=2.0)
     expected = path_analysis(t, "objects", 0.05)
     assert [row["events"] for row in field["path_analysis"]] == expected.events.tolist()
     assert field["path_analysis"][-1]["kind"] == "uncategorised"
     assert [row["events"] for row in field["aliased_paths"]] == t.paths.by_way({"L1*": "lens"}).events.tolist()
     assert {"aliased_paths.csv", "path_analysis.csv"} <= {file.name for file in tmp_path.iterdir()}
-    assert main(words[:-1]) == 0
-    printed = capsys.readouterr().out
+    printed = run(capsys, *words[:-1])[1]
     assert "uncategorised" in printed
     assert "lens:T" in printed
     for wrong, named in ((["--alias", "part", "a=b"], "part"), (["--least-share", "0.1"], "--path-analysis")):

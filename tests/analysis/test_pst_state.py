@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-import signal
-import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -93,51 +90,6 @@ def test_another_run_is_named_by_what_differs(change: dict, text: str) -> None:
         require_same("s.npz", {"signature": SIGNATURE}, SIGNATURE | change)
     assert text in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-# The packages stand in for themselves without their __init__, which would start Mitsuba: a second for each process
-WRITER = """
-import sys
-import types
-from pathlib import Path
-import numpy as np
-for name in ("mistray", "mistray.analysis"):
-    sys.modules[name] = types.ModuleType(name)
-    sys.modules[name].__path__ = [str(Path(sys.argv[3], *name.split(".")))]
-from mistray.analysis.pst.state import save_state
-k = int(sys.argv[2])
-print("ready", flush=True)
-while True:
-    k += 1
-    save_state(sys.argv[1], {"a": np.full(100_000, k), "b": np.full((40, 4, 32), float(k))}, {"passes": k})
-"""
-ROOT = Path(__file__).parents[2]
-
-
-@pytest.mark.long
-def test_a_killed_writer_leaves_a_whole_file(tmp_path: Path) -> None:
-    """SIGKILL at ten moments while files of 0.8 MB are written: the last whole state is there each time."""
-    path = tmp_path / "state.npz"
-    rng = np.random.default_rng(3)
-    last = 0
-    for _ in range(10):
-        command = [sys.executable, "-c", WRITER, str(path), str(last), str(ROOT)]
-        writer = subprocess.Popen(command, stdout=subprocess.PIPE)
-        assert writer.stdout is not None
-        assert writer.stdout.readline() == b"ready\n"
-        deadline = time.monotonic() + 20
-        while not path.exists() and time.monotonic() < deadline:
-            time.sleep(0.001)
-        time.sleep(rng.uniform(0.0, 0.03))
-        writer.send_signal(signal.SIGKILL)
-        writer.wait()
-        writer.stdout.close()
-        arrays, facts = load_state(path)
-        assert facts["passes"] >= last
-        assert np.all(arrays["a"] == facts["passes"])
-        assert np.all(arrays["b"] == facts["passes"])
-        last = facts["passes"]
-    assert last > 1
 
 
 @pytest.mark.parametrize(

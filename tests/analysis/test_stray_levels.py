@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import fails
+from command_line import fails, run, succeeds
 from oracles.scatter_scenes import bsdf_xml, lenses_text, wall_xml
 
 import mistray
 from mistray.analysis.ghosts import GhostReport
-from mistray.cli.program import main
 from mistray.report import main_table
 from mistray.report.tables.ghosts_csv import csv_tables
 from mistray.report.tables.levels import level_rows, level_text
@@ -75,12 +74,10 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     """A filter on the command line: its paths, its rays, and their power, as the trace has them."""
     words = ["ghosts", "singlet_window_detector", "--field-deg", "0", "2", "--rays", "800", "--quiet"]
     text = "G(window*) & rays > 5"
-    assert main([*words[:-1], "--levels", "--filter", text]) == 0
-    printed = capsys.readouterr().out
+    printed = run(capsys, *words[:-1], "--levels", "--filter", text)[1]
     assert text in printed
     assert printed.count("all stray light") == 4
-    assert main([*words, "--json", "--filter", text, "--out", str(tmp_path)]) == 0
-    fields = json.loads(capsys.readouterr().out)["fields"]
+    fields = json.loads(succeeds(capsys, *words, "--json", "--filter", text, "--out", tmp_path))["fields"]
     t = mistray.trace(mistray.load(words[1]), rays=800, field_deg=2.0)
     ids = [row.path_id for row in t.paths.select(text)]
     power, se = t.paths.power(ids)

@@ -1,4 +1,4 @@
-"""The steps of a study, against numbers that are known without it."""
+"""The steps of a study, against numbers that are known without it; images of points, or why there are none."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import vectors
+from oracles.rough_paraboloid import paraboloid_text
+from oracles.scatter_scenes import bsdf_xml
 
 import mistray
 from mistray.analysis.study.eight_steps import Study, study
@@ -18,6 +20,7 @@ from mistray.analysis.study.models import mechanical_model, optical_model, role
 from mistray.analysis.study.objects import source_angles
 from mistray.analysis.study.step import STEPS
 from mistray.analysis.study.surfaces import coatings_and_scatter, importance_sampling
+from mistray.analysis.study.transfer import transfer_findings
 from mistray.errors import MistrayError
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.importance_targets import importance_targets
@@ -230,3 +233,47 @@ def test_bad_arguments_are_one_line():
             study(scene, **arguments)
     with pytest.raises(MistrayError, match="load the scene first"):
         study("plate")
+
+
+HALO = bsdf_xml("abg", A=1e-3, B=1e-6, g=2.0, event="reflection")
+
+
+@pytest.fixture(scope="module")
+def images(load_scene):
+    scene = load_scene(paraboloid_text(HALO, detector=5.0))
+    # At 4° the direct image misses the detector
+    return mistray.study(scene, (0, 20), (0, 0.5, 4), rays=20_000, quick=True, name="rough mirror", next_order=False)
+
+
+@pytest.mark.long
+def test_the_report_shows_them(images, tmp_path: Path):
+    files = images.write(tmp_path)
+    assert {"8_books.csv", "8_transfer_functions.csv", "8_image_rings.csv"} <= {file.name for file in files}
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert page.count("Image of a point with stray light, field") == 2
+
+
+@pytest.mark.long
+def test_tables_facts_and_findings(images):
+    assert [one.image.field_deg for one in images.images] == [0, 0.5]  # whose image meets the detector
+    step = images["analysis"]
+    numbers = step.tables["image_with_stray_light"]
+    assert list(numbers.field_deg) == [0, 0.5]
+    books = step.tables["books"].drop(columns="field_deg")
+    shares = books[[name for name in books if not name.endswith("_se")]].sum(axis=1)
+    np.testing.assert_allclose(shares, 1, atol=1e-6)
+    assert len(step.tables["transfer_functions"]) == 2 * len(images.images[0].frequencies_per_mm)
+    assert len(step.tables["image_rings"]) > 100
+    assert step.fact("veiling floor at 0°") == images.images[0].veiling_floor
+    (text,) = transfer_findings(images.images)
+    assert text in step.findings
+    lost = 100 * (1 - min(one.veiling_floor.value for one in images.images))
+    assert f"{lost:.3g} %" in text
+
+
+@pytest.mark.long
+def test_a_scene_without_an_image_says_so():
+    step = mistray.study(mistray.load("plate_and_wall"), (0, 40), (0,), rays=500, next_order=False)["analysis"]
+    assert "There are no images of points" in step.text
+    assert "books" not in step.tables
+    assert step.result["images"] is None

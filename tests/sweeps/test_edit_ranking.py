@@ -12,6 +12,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from command_line import fails, succeeds
+from oracles.object_scenes import common_area
 from oracles.scatter_scenes import beam_xml, placed_xml, wall_xml
 from oracles.small_scenes import interface_xml
 
@@ -61,17 +62,6 @@ def through_the_hole(hole: float = HOLE, distance: float = DISTANCE, nm: float =
         )
         values.append(passed * math.cos(angle) * common_area(d, hole, DETECTOR) / (math.pi * DETECTOR**2))
     return float(np.average(values, weights=np.diff(-np.cos(edges))))
-
-
-def common_area(d: float, r: float, big: float) -> float:
-    """Area of the intersection of two discs of radii r < big at the distance d of their centres."""
-    if d <= big - r:
-        return math.pi * r * r
-    if d >= big + r:
-        return 0.0
-    inner = math.acos((d * d + r * r - big * big) / (2 * d * r))
-    outer = math.acos((d * d + big * big - r * r) / (2 * d * big))
-    return r * r * (inner - math.sin(2 * inner) / 2) + big * big * (outer - math.sin(2 * outer) / 2)
 
 
 @pytest.mark.long

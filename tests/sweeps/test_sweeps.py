@@ -1,4 +1,4 @@
-"""Sweeps: closed forms, the same numbers as scenes written out, one compile, arguments that are wrong."""
+"""Sweeps: closed forms, the same numbers as scenes written out or written as files, one compile, wrong arguments."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from command_line import fails, succeeds
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml, write
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.sweeps import Configuration, read_configurations
+from mistray.sweeps import Configuration, read_configurations, write_configuration
 from mistray.sweeps.configurations import resolve
 
 FEW = {"rays": 256, "cache": False}
@@ -167,13 +168,6 @@ class TestKernels:
         assert counts[12] <= 1
         assert counts[13:] == [0] * 11, str(counts)
 
-    @pytest.mark.slow
-    def test_scatter(self) -> None:
-        states = {"clean": {}, "dusty": {"particles_300.level": 350.0}, "rough": {"polish_4nm.rms_nm": 3.0}}
-        counts = kernels_by_row("phone_camera_scatter", states, (550,), max_reflections=1)
-        assert counts[0] > 0
-        assert counts[2:] == [0] * 7, str(counts)
-
 
 def test_wrong_arguments(plate: Path) -> None:
     for arguments, words in (
@@ -253,3 +247,51 @@ class TestToml:
             path.write_text(text, encoding="utf-8")
             with pytest.raises(MistrayError, match=words):
                 read_configurations(path)
+
+
+NAMED = (("far", 3), ("near", 1))
+
+
+def numbers(scene) -> dict[str, np.ndarray]:
+    params = mi.traverse(scene)
+    keys = [key for key in list(params.keys()) if key.rpartition(".")[2] in ("x", "y", "z")]
+    return {key: np.array(params[key]).ravel() for key in keys}
+
+
+@pytest.mark.parametrize(
+    ("scene", "key", "step"), [("baffle_tube", "tube_vane_3.z", 2.0), ("cooke_triplet", "L2.y", -0.25)]
+)
+def test_a_move(tmp_path, scene: str, key: str, step: float) -> None:
+    """One surface, and a lens as a body: all its surfaces and edges go the same way, nothing else does."""
+    before = numbers(mistray.load(scene))
+    file = write_configuration(scene, Configuration("moved", {key: step}), tmp_path / "moved.xml")
+    after = numbers(mistray.load(file))
+    assert before.keys() == after.keys()
+    part, _, axis = key.rpartition(".")
+    moved = {name for name in before if not np.array_equal(before[name], after[name])}
+    own = {name for name in before if name.startswith((f"{part}.", f"{part}_")) and name.endswith(f".{axis}")}
+    assert moved == own
+    for name in moved:
+        np.testing.assert_allclose(after[name] - before[name], step, atol=1e-5)
+
+
+def test_paint_and_a_value_from_the_shell(capsys, tmp_path) -> None:
+    file = tmp_path / "edited.xml"
+    edit = ("--set", "tube_vane_3.z=1.5", "--paint", "tube_vane_2=R=0.3")
+    assert str(file) in succeeds(capsys, "sweep", "baffle_tube", *edit, "--write-scene", file)
+    shapes = {shape.id(): shape for shape in mistray.load(file).shapes()}
+    assert float(shapes["tube_vane_2"].bsdf().coating.R) == pytest.approx(0.3)
+    assert numbers(mistray.load(file))["tube_vane_3.z"] == pytest.approx(1.5)
+
+
+def test_one_of_a_study(capsys, tmp_path) -> None:
+    study = tmp_path / "states.toml"
+    far, near = (f'[[configuration]]\nname = "{n}"\nvalues = {{ "tube_vane_3.z" = {z} }}\n' for n, z in NAMED)
+    study.write_text(far + near, encoding="utf-8")
+    command = ["sweep", "baffle_tube", study, "--write-scene", tmp_path / "far.xml"]
+    assert "did you mean 'far'?" in fails(capsys, *command, "--configuration", "farr")
+    assert "writes one configuration" in fails(capsys, *command)
+    assert "--rays has no effect with --write-scene" in fails(capsys, *command, "--rays", 5)
+    assert not (tmp_path / "far.xml").exists()
+    succeeds(capsys, *command, "--configuration", "far")
+    assert numbers(mistray.load(tmp_path / "far.xml"))["tube_vane_3.z"] == pytest.approx(3)

@@ -1,4 +1,4 @@
-"""Gaps that changes open, against plain geometry: coaxial and shifted circles, walls on flanges, lenses, boxes."""
+"""Gaps and first surfaces that changes open, against plain geometry and arithmetic; where the detector sees out."""
 
 from __future__ import annotations
 
@@ -11,13 +11,18 @@ import pytest
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
-from mistray.analysis.changes.gaps import Contacts, Gap, gaps_text
+from mistray.analysis.changes.first_surfaces import (
+    Entering,
+    FirstLight,
+    spoils,
+    together,
+)
+from mistray.analysis.changes.gaps import Contacts, Gap
+from mistray.analysis.entrances import entrances
 from mistray.optimize.scene_values import changed
 from mistray.prescription import Detector, Prescription, Source, prism
 
 DETECTOR = shape_xml("asphere", "detector", 60.0, sensor=True, half_width=3.0, half_height=3.0)
-
-
 Load = Callable[..., mi.Scene]
 
 
@@ -123,6 +128,95 @@ def test_straight_rims_of_a_prism() -> None:
     assert all("body_3" in gap.surfaces for gap in found)
 
 
-def test_words() -> None:
-    assert gaps_text([]) == ""
-    assert gaps_text([Gap(("a", f"b{k}"), 0.1 * k) for k in range(1, 6)]).endswith("and 2 more")
+def light(unseen: float = 0.0, direct: float = 0.0, **power: float) -> FirstLight:
+    """Light of one path by each surface, known to 1 %; `direct` of it by the surface `front` is the image."""
+    return FirstLight(
+        power,
+        {name: (0.01 * value) ** 2 for name, value in power.items()},
+        {name: direct if name == "front" else 0.0 for name in power},
+        power,
+        unseen,
+    )
+
+
+BEFORE = light(front=8.0, hood=0.02)
+
+
+BRIGHT = {"front": 4.0, "L3": 1.0}
+LOUD = FirstLight(BRIGHT, {"front": 0.0, "L3": 0.16}, {"front": 0.0, "L3": 0.0}, BRIGHT)
+
+
+@pytest.mark.parametrize(
+    ("after", "before", "new"),
+    [
+        (BEFORE, BEFORE, []),
+        (light(front=0.001, hood=0.02), BEFORE, []),  # the old light has gone, none is new
+        (light(), BEFORE, []),
+        (BEFORE, light(), []),
+        (light(front=4.0, hood=4.0), BEFORE, ["hood"]),
+        (light(front=4.0, hood=1.9), BEFORE, []),  # a trace of it before counts for none
+        (light(front=4.0, L3=1.0), light(front=8.0, unseen=2.0), []),  # the list before may have left it out
+        (light(front=4.0, L3=1.0), light(front=8.0, unseen=0.5), ["L3"]),
+        (light(front=4.0, L3=0.003), BEFORE, []),  # less than 0.1 %
+        (LOUD, BEFORE, []),  # less than three standard errors
+    ],
+)
+def test_what_is_new(after: FirstLight, before: FirstLight, new: list[str]) -> None:
+    assert [one.surface for one in after.since(before)] == new
+
+
+def test_share_of_the_stray_light() -> None:
+    (one,) = light(front=4.0, L3=1.0).since(BEFORE)
+    assert one == Entering("L3", pytest.approx(0.2), pytest.approx(0.002), pytest.approx(1 / 8.02))
+    # The image does not count: 3 of the light by the front
+    (one,) = light(front=4.0, L3=1.0, direct=3.0).since(light(front=4.0, direct=3.0))
+    assert (one.share, one.of_before) == pytest.approx((0.5, 1.0))
+    both = light(front=1.0, L3=2.0).plus(light(front=3.0))  # independent traces add up
+    assert both.power == {"front": 4.0, "L3": 2.0}
+    assert both.variance["front"] == pytest.approx(0.01**2 * (1 + 9))
+    assert both.strongest == {"front": 3.0, "L3": 2.0}
+
+
+def test_no_gain_above_a_percent() -> None:
+    """But little light left of much is one, all that is left being new."""
+    assert not spoils(())
+    assert not spoils((Entering("a", 0.009, 0.001, 0.5),))
+    two = Entering("a", 0.009, 0.003, 0.008), Entering("b", 0.002, 0.004, 0.003)
+    assert spoils(two)
+    assert together(two) == pytest.approx((0.011, 0.005))
+    (one,) = light(front=1e-6, vane=8e-3).since(BEFORE)
+    assert (one.share, one.of_before) == pytest.approx((1.0, 8e-3 / 8.02), rel=1e-3)
+    assert not spoils([one])
+    assert spoils(light(front=1e-6, vane=0.2).since(BEFORE))
+
+
+RADIUS, SHEET, DISTANCE = 3.0, 5.0, 4.0
+PASSES = interface_xml(R=0.0, T=1.0)
+SHEET_XML = shape_xml("asphere", "sheet", 0.0, PASSES, semi_diameter=SHEET)
+DISC = shape_xml("asphere", "detector", DISTANCE, sensor=True, semi_diameter=RADIUS)
+
+
+def view_factor() -> float:
+    """Of a disc to one that faces it on its axis (Siegel and Howell, Thermal Radiation Heat Transfer)."""
+    from_, to = RADIUS / DISTANCE, SHEET / DISTANCE
+    s = 1 + (1 + to**2) / from_**2
+    return 0.5 * (s - math.sqrt(s**2 - 4 * (to / from_) ** 2))
+
+
+def test_around_a_sheet(load_scene) -> None:
+    """What does not come through the sheet comes straight; χ² of 20 seeds between its quantiles 1e-5 and 1 - 1e-5."""
+    scene = load_scene(scene_text(SHEET_XML, DISC))
+    seeds = [entrances(scene, seed=seed) for seed in range(20)]
+    assert {(found.first, *found.others) for found in seeds} == {("sheet", "detector")}
+    assert 3.0 < sum(((one.share - 1 + view_factor()) / one.share_se) ** 2 for one in seeds) < 60.0
+    assert all(0.005 < one.share_se < 0.03 for one in seeds)
+
+
+def test_closed_and_without_optics(load_scene) -> None:
+    """A tube from the sheet to behind the detector leaves one way in."""
+    tube = shape_xml("frustum", "tube", r0=SHEET, z0=0.0, r1=SHEET, z1=DISTANCE + 1)
+    found = entrances(load_scene(scene_text(SHEET_XML, tube, DISC)))
+    assert (found.share, found.others) == (0.0, {})
+    assert found.rays >= 100
+    found = entrances(load_scene(scene_text(DISC)))
+    assert (found.first, found.rays) == ("", 0)
