@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from oracles.closed_forms import ParaxialSurface, back_focus
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
@@ -22,16 +23,6 @@ def measured(name: str) -> tuple[FirstOrder, SurfaceTable]:
     path = find_design_path(table, scene)
     assert path is not None
     return first_order(scene, path), table
-
-
-def paraxial(curvature, z, index) -> tuple[float, float]:
-    """Focal length and back focus of coaxial surfaces by n'u' = nu - y c (n' - n), from a ray of height 1."""
-    y, u = 1.0, 0.0
-    for k, c in enumerate(curvature):
-        if k:
-            y += u * (z[k] - z[k - 1])
-        u = (index[k] * u - y * c * (index[k + 1] - index[k])) / index[k + 1]
-    return -1 / u, -y / u
 
 
 def marginal_sine(curvature, z, index, height) -> float:
@@ -53,7 +44,9 @@ def test_triplet_against_paraxial_rays():
     surfaces = triplet().surfaces
     n = table.optics.host_indices[[table.ids.index(s.name) for s in surfaces], :2]
     index = [*n[:, 0], n[-1, 1]]
-    focal, back = paraxial([1 / s.radius for s in surfaces], [s.z for s in surfaces], index)
+    focal, back = back_focus(
+        [ParaxialSurface(s.z, 1 / s.radius, *index[k : k + 2], 0.0, 1.0) for k, s in enumerate(surfaces)]
+    )
     assert found.focal_length_mm == pytest.approx(focal, rel=1e-6)
     assert found.focal_lengths_mm[0] == pytest.approx(found.focal_lengths_mm[1], rel=1e-9)
     assert found.back_focus_mm == pytest.approx(back, rel=1e-6)

@@ -190,6 +190,7 @@ def test_common_objects_are_in_both_lists(phone):
     for name in ("critical", "illuminated"):
         assert getattr(found, name) == [entry for entry in getattr(phone, name) if entry.power > 1e-3]
     assert len(found.common) < len(phone.common)
+    assert objects(phone.scene, rays=2000, seed=1).critical != objects(phone.scene, rays=2000).critical
 
 
 def test_rows_agree_with_the_kernel(phone):

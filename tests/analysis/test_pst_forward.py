@@ -8,6 +8,8 @@ from typing import Any
 import drjit as dr
 import numpy as np
 import pytest
+from oracles.ideal_lens import cell_nodes, over_cells
+from oracles.interface import fresnel_unpolarised
 from oracles.scatter_integrals import disc_to_disc
 from oracles.scatter_scenes import beam_xml, diffuser_xml, placed_xml, scatter_scene
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
@@ -52,17 +54,11 @@ def window_text() -> str:
 
 def cell_mean(grid: DirectionGrid, function) -> np.ndarray:
     """(n,) mean over the solid angle of each cell of a function of the field angle in radians."""
-    nodes, weights = np.polynomial.legendre.leggauss(24)
-    low, high = np.radians(grid.edges_deg).T[..., None]
-    theta = 0.5 * (low + high) + 0.5 * (high - low) * nodes
-    shares = weights * np.sin(theta)
-    return np.sum(shares * function(theta), axis=1) / shares.sum(axis=1)
+    return over_cells(function(np.radians(cell_nodes(grid.edges_deg, 24))), grid.edges_deg)
 
 
 def glass_reflectance(theta: np.ndarray) -> np.ndarray:
-    """Mean of s and p of a bare surface, by Fresnel's formulas."""
-    c, t = np.cos(theta), np.sqrt(1 - (np.sin(theta) / INDEX) ** 2)
-    return 0.5 * (((c - INDEX * t) / (c + INDEX * t)) ** 2 + ((INDEX * c - t) / (INDEX * c + t)) ** 2)
+    return fresnel_unpolarised(1.0, INDEX, np.cos(theta), np.sqrt(1 - (np.sin(theta) / INDEX) ** 2))
 
 
 def forward_pst(
@@ -264,7 +260,7 @@ def test_bad_input_is_one_line(bare) -> None:
         (lambda: mistray.pst(bare, [10.0], method="forward", error_up_to_deg=30.0), "without relative_error"),
         (
             lambda: mistray.pst(bare, [10.0], method="forward", relative_error=0.1, error_up_to_deg=5.0),
-            "smallest is 10",
+            "no angle is as small",
         ),
         (lambda: mistray.pst(bare, [10.0], method="forward", map_pixels=2.5), "map_pixels is 2.5"),
         (lambda: mistray.pst(bare, [10.0], method="forward", wavelength_nm=-5.0), "wavelength_nm is -5; it must lie"),

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from oracles.ideal_lens import cell_nodes, over_cells
 from oracles.small_scenes import plates_text
 from vectors import analytic
 
@@ -39,15 +40,11 @@ from mistray.recorders.directions import DirectionGrid
 Curve = Callable[[np.ndarray], np.ndarray]
 
 WHOLE = np.arange(0.5, 90, 1.0)  # cells of 1° that leave no gap
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(20)
 
 
 def cell_means(grid: DirectionGrid, curve: Curve) -> np.ndarray:
     """(n, 1) means of a function of field angle in radians over the cells, weighted by solid angle."""
-    low, high = np.radians(grid.edges_deg).T
-    theta = 0.5 * (low + high)[:, None] + 0.5 * (high - low)[:, None] * NODES
-    weight = WEIGHTS * np.sin(theta)
-    return (np.sum(weight * curve(theta), axis=1) / np.sum(weight, axis=1))[:, None]
+    return over_cells(curve(np.radians(cell_nodes(grid.edges_deg, 20))), grid.edges_deg)[:, None]
 
 
 def flat(level: float, to_deg: float = 180.0) -> Curve:

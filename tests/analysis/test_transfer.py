@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from oracles.rough_paraboloid import FOCUS, LINE, RADIUS, paraboloid_text
-from oracles.scatter_integrals import gauss_legendre
+from oracles.scatter_integrals import disc_to_disc, gauss_legendre
 from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene, scattering_xml
 from oracles.statistics import assert_z
 from scipy import special
@@ -107,9 +107,7 @@ def test_a_uniform_veil_lowers_contrast_at_all_but_the_lowest_frequencies(load_s
     veil = bsdf_xml("paint", reflectance=scattered, event="reflection")
     text = paraboloid_text(veil, detector=radius).replace('name="R" value="1.0"', f'name="R" value="{reflected}"')
     found = mistray.transfer(load_scene(text), rays=50_000, frequencies_per_mm=NU, **ALL)[0]
-    a, b = RADIUS / FOCUS, radius / FOCUS
-    x = 1 + (1 + b * b) / (a * a)
-    view = (x - math.sqrt(x * x - 4 * (b / a) ** 2)) / 2
+    view = disc_to_disc(RADIUS, radius, FOCUS)
     total = reflected + scattered * view
     floor = found.veiling_floor
     assert_z("floor", floor.value, reflected / total, floor.se, k=4, floor=2e-3 * scattered * view / total)
