@@ -194,7 +194,7 @@ def test_wrong_arguments(plate: Path) -> None:
         (lambda: mistray.sweep(plate, ray=5), "unknown argument ray of sweep"),
         (lambda: found.trace(), "field_deg is missing; choose from 0, 1"),
         (lambda: found.trace(field_deg=0, wavelength_nm=500), "wavelength_nm is 500; choose from 550"),
-        (lambda: found.estimate("stray"), "no number 'stray' with an error; choose from detected_W"),
+        (lambda: found.estimate("stray", field_deg=0), "no number 'stray' with an error; choose from detected_W"),
     ):
         with pytest.raises(MistrayError, match=words):
             call()
