@@ -4,24 +4,23 @@ from __future__ import annotations
 
 import csv
 import json
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from oracles import small_scenes
+from command_line import fails, succeeds
 from oracles.scatter_scenes import beam_xml, placed_xml, scatter_scene
 from oracles.small_scenes import interface_xml
 
 import mistray
 from mistray.analysis.critical_rays import critical_rays
-from mistray.cli.program import main
 
 RADIUS, FOCUS = 4.0, 60.0  # of the stop; of the mirror
 
 
-def test_the_rim_of_a_stop(tmp_path: Path) -> None:
+def test_the_rim_of_a_stop(load_scene: Callable[[str], Any]) -> None:
     """A parabolic mirror behind a stop: rim rays come through its edge, and in the axis all end in the focus."""
     text = scatter_scene(
         beam_xml(9.0),
@@ -30,8 +29,7 @@ def test_the_rim_of_a_stop(tmp_path: Path) -> None:
                    semi_diameter=20.0),
         placed_xml("asphere", "detector", at=(0, 0, -FOCUS), half_width=0.5, half_height=0.5, pixels=4),
     )  # fmt: skip
-    scene = mistray.load(small_scenes.write(tmp_path, text))
-    table = critical_rays(scene, [0.0], rim=4, rays=20_000)
+    table = critical_rays(load_scene(text), [0.0], rim=4, rays=20_000)
     assert table.name.unique().tolist() == ["centre", "rim 0°", "rim 90°", "rim 180°", "rim 270°"]
     starts = table[table.node == 0].set_index("name")[["x_mm", "y_mm"]]
     expected = {"rim 0°": (1, 0), "rim 90°": (0, 1), "rim 180°": (-1, 0), "rim 270°": (0, -1)}
@@ -63,24 +61,11 @@ def test_fields_and_wavelengths() -> None:
 
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "critical.csv"
-    assert main(["export", "cooke_triplet", "-o", str(file), "--field-deg", "0", "5", "--json"]) == 0
-    record = json.loads(capsys.readouterr().out)
+    record = json.loads(succeeds(capsys, "export", "cooke_triplet", "-o", file, "--field-deg", 0, 5, "--json"))
     with open(file, encoding="utf-8", newline="") as text:
         rows = list(csv.DictReader(text))
     assert record["rays"] == len({row["ray"] for row in rows})
     assert {float(row["field_deg"]) for row in rows} == set(record["fields_deg"]) == {0.0, 5.0}
-    assert main(["export", "cooke_triplet", "-o", str(tmp_path / "t.zmx"), "--field-deg", "0"]) == 2
-    assert "--field-deg" in capsys.readouterr().err
-    assert main(["export", "cooke_triplet", "-o", str(file), "--force", "--field-deg", "80"]) == 2
-    assert "field 80 deg" in capsys.readouterr().err
+    assert "field 80 deg" in fails(capsys, "export", "cooke_triplet", "-o", file, "--force", "--field-deg", 80)
     with pytest.raises(mistray.MistrayError, match="rim is 0"):
         critical_rays(mistray.load("cooke_triplet"), rim=0)
-
-
-@pytest.mark.long
-def test_command_line_in_a_process_of_its_own(tmp_path: Path) -> None:
-    """Nothing has imported Mitsuba there before the command does."""
-    words = ("-m", "mistray", "export", "cooke_triplet", "-o", "critical.csv")
-    done = subprocess.run([sys.executable, *words], cwd=tmp_path, capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert (tmp_path / "critical.csv").is_file()

@@ -2,88 +2,51 @@
 
 from __future__ import annotations
 
-import sys
-from typing import Any
-
 import numpy as np
 import pytest
-from oracles.small_scenes import plates_text, write
-from report.fake_pst import fake_pst
 
 import mistray
-from mistray.analysis.pst.first_level import LIMITS, first_level
 from mistray.errors import MistrayError
 
-
-@pytest.fixture
-def scene(tmp_path):
-    return mistray.load(write(tmp_path, plates_text(1, R=0.1, T=0.9)))
+ANGLES = [0.0, 30.0, 60.0]
 
 
-@pytest.fixture
-def calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
-    made: list[dict[str, Any]] = []
-
-    def pst(scene: Any, field_deg: Any, *, progress: Any, **given: Any) -> Any:
-        made.append(given)
-        if progress:
-            progress("state")
-        return fake_pst(field_deg)
-
-    monkeypatch.setattr(sys.modules[first_level.__module__], "pst", pst)
-    return made
-
-
-def test_each_curve_has_its_limits(scene, calls):
-    found = first_level(scene, [0.0, 20.0], rays=1000, max_scatters=3, max_reflections=2)
-    assert list(found.curves) == list(LIMITS) == ["scatter once", "ghosts off", "scatter off", "all"]
-    limits = [(call["max_scatters"], call["max_reflections"]) for call in calls]
-    assert limits == [(1, 0), (3, 0), (0, 2), (3, 2)]
-    assert all(call["rays"] == 1000 for call in calls)
-
-
-def test_equal_limits_are_traced_once(scene, calls):
-    """A scene whose own limit is one scatter event: its light without ghosts is that of one scatter event."""
-    found = first_level(scene, [0.0, 20.0])
-    assert len(calls) == 3
-    assert found.curves["scatter once"] is found.curves["ghosts off"]
-
-
-def test_other_limits_and_progress(scene, calls):
-    seen = []
-    limits = {"one ghost": {"max_reflections": 1}, "two": {"max_reflections": 2, "max_scatters": 0}}
-    found = first_level(scene, [0.0, 20.0], limits=limits, progress=lambda *at: seen.append(at))
-    assert list(found.curves) == ["one ghost", "two"]
-    assert found.limits == limits
-    assert seen == [("one ghost", "state"), ("two", "state")]
-
-
-def test_table(scene, calls):
-    found = first_level(scene, [0.0, 20.0])
-    table = found.to_pandas()
-    assert list(table.columns) == ["angle_deg", *(f"{name}{end}" for name in LIMITS for end in ("", "_se"))]
-    np.testing.assert_array_equal(table.angle_deg, [0.0, 20.0])
-    np.testing.assert_array_equal(table["all"], found.curves["all"].curve("stray")[0])
-    np.testing.assert_array_equal(found.to_pandas("direct")["all"], found.curves["all"].curve("direct")[0])
-
-
-def test_bad_limits(scene, calls):
-    with pytest.raises(MistrayError, match="limits is empty"):
-        first_level(scene, limits={})
-    with pytest.raises(MistrayError, match="'x' changes max_ghosts"):
-        first_level(scene, limits={"x": {"max_ghosts": 1}})
+@pytest.fixture(scope="module")
+def scene():
+    return mistray.load("plate_and_wall")
 
 
 @pytest.mark.long
-def test_of_a_real_scene():
+def test_each_curve_has_its_limits(scene):
     """Less light under each limit; one scatter event at most is a part of all."""
-    found = first_level(mistray.load("plate_and_wall"), [0.0, 30.0, 60.0], rays=40_000, max_scatters=2)
+    found = mistray.first_level(scene, ANGLES, rays=40_000, max_scatters=2, max_reflections=3)
+    limits = {name: [one.facts["settings"][f"max_{what}"] for what in ("scatters", "reflections")]
+              for name, one in found.curves.items()}  # fmt: skip
+    assert limits == {"scatter once": [1, 0], "ghosts off": [2, 0], "scatter off": [0, 3], "all": [2, 3]}
     table = found.to_pandas()
+    assert list(table.columns) == ["angle_deg", *(f"{name}{end}" for name in limits for end in ("", "_se"))]
+    np.testing.assert_array_equal(table.angle_deg, ANGLES)
+    np.testing.assert_array_equal(table["all"], found.curves["all"].curve("stray")[0])
+    np.testing.assert_array_equal(found.to_pandas("direct")["all"], found.curves["all"].curve("direct")[0])
     slack = 5 * (table["all_se"] + table["scatter once_se"])
     assert np.all(table["scatter once"] <= table["all"] + slack)
     assert np.all(table["scatter off"] <= table["all"] + slack)
-    multiple = found.curves["scatter once"].curve("multiple_scatter")[0]
-    assert not np.any(multiple)
+    assert not np.any(found.curves["scatter once"].curve("multiple_scatter")[0])
     assert np.any(found.curves["ghosts off"].curve("multiple_scatter")[0] > 0)
     assert not np.any(found.curves["ghosts off"].curve("ghost")[0])
     assert not np.any(found.curves["scatter off"].curve("single_scatter")[0])
+
+
+def test_other_limits_and_progress(scene):
+    """Equal limits are traced once: one scatter event is the scene's own limit."""
+    found = mistray.first_level(scene, [0.0, 20.0], rays=1000)
+    assert found.curves["scatter once"] is found.curves["ghosts off"]
+    seen = []
+    limits = {"one ghost": {"max_reflections": 1}, "two": {"max_reflections": 2, "max_scatters": 0}}
+    found = mistray.first_level(scene, [0.0], limits=limits, rays=1000, progress=lambda name, now: seen.append(name))
+    assert (list(found.curves), found.limits) == (list(limits), limits)
+    assert list(dict.fromkeys(seen)) == list(limits)
+    with pytest.raises(MistrayError, match="limits is empty"):
+        mistray.first_level(scene, limits={})
+    with pytest.raises(MistrayError, match="'x' changes max_ghosts"):
+        mistray.first_level(scene, limits={"x": {"max_ghosts": 1}})

@@ -43,11 +43,7 @@ def axis():
 
 @pytest.mark.long
 def test_annular_pupil(axis):
-    """
-    A paraboloid has no aberration on its axis, and its pupil in direction cosines is an annulus.
-
-    sin of the edge: y = 2f tan(u/2), so that N = 1/(2 sin u) = (1 + (y/2f)²)/(2 y/f).
-    """
+    """On its axis there is no aberration; y = 2f tan(u/2), so that N = 1/(2 sin u) = (1 + (y/2f)²)/(2 y/f)."""
     half = RADIUS / (2 * FOCAL)
     f_number = (1 + half**2) / (4 * half)
     assert axis.rms_waves("piston") < 1e-6
@@ -75,9 +71,7 @@ def test_coma_and_scale():
     """Off the axis a paraboloid with its stop on it has coma 3θ/(16 N²), astigmatism, and no distortion."""
     theta = 0.2
     (image,) = mistray.image_quality(mistray.load(paraboloid(half_width=1.0)), theta)
-    assert image.image_mm == pytest.approx([0.0, FOCAL * np.tan(np.radians(theta))], abs=1e-9) or (
-        image.image_mm == pytest.approx([0.0, -FOCAL * np.tan(np.radians(theta))], abs=1e-9)
-    )
+    assert np.abs(image.image_mm) == pytest.approx([0.0, FOCAL * np.tan(np.radians(theta))], abs=1e-9)
     assert image.distortion_percent == pytest.approx(0.0, abs=1e-6)
     fit = image.main.zernikes("fringe", 16)
     # W131 = θ y³/(4 f²): the wavefront of the coma of a paraboloid; R31 = 3ρ³ - 2ρ
@@ -111,21 +105,19 @@ def test_table():
 
 
 def test_refused():
-    scene = mistray.load(paraboloid())
-    with pytest.raises(MistrayError, match=r"field 60°.*no light"):
-        mistray.image_quality(mistray.load("cooke_triplet"), 60.0)
-    with pytest.raises(MistrayError, match="'nobody'"):
-        mistray.image_quality(scene, stop="nobody")
-    with pytest.raises(MistrayError, match="grid is 3"):
-        mistray.image_quality(scene, grid=3)
-    with pytest.raises(MistrayError, match="reference_radius_mm is 0"):
-        mistray.image_quality(scene, reference_radius_mm=0.0)
-    with pytest.raises(MistrayError, match="afocal"):
-        mistray.image_quality(mistray.load("plate"))
-    blind = paraboloid()
+    scene, blind = mistray.load(paraboloid()), paraboloid()
     del blind["mirror"]
-    with pytest.raises(MistrayError, match="no image"):
-        mistray.image_quality(mistray.load(blind))
+    for given, arguments, words in (
+        (mistray.load("cooke_triplet"), {"field_deg": 60.0}, r"field 60°.*no light"),
+        (scene, {"stop": "nobody"}, "'nobody'"),
+        (scene, {"grid": 3}, "grid is 3"),
+        (scene, {"reference_radius_mm": 0.0}, "reference_radius_mm is 0"),
+        (mistray.load("plate"), {}, "afocal"),
+        (mistray.load(blind), {}, "no image"),
+        (mistray.load("cooke_triplet", "laser:0,0,-50,waist_x=1,waist_y=1"), {}, "neither far away nor a point"),
+    ):
+        with pytest.raises(MistrayError, match=words):
+            mistray.image_quality(given, **arguments)
 
 
 @pytest.mark.long
@@ -162,11 +154,6 @@ def test_azimuth_turns_the_image():
         assert aside.mtf([30.0], azimuth) == pytest.approx(up.mtf([30.0], azimuth), abs=0.005)
 
 
-def test_sources_without_an_image():
-    with pytest.raises(MistrayError, match="neither far away nor a point"):
-        mistray.image_quality(mistray.load("cooke_triplet", "laser:0,0,-50,waist_x=1,waist_y=1"))
-
-
 VANES = (OBSTRUCTION * RADIUS, RADIUS)  # mm from the axis, both ends
 
 
@@ -176,13 +163,8 @@ def with_vanes(width, first_deg):
     middle, half = sum(VANES) / 2, (VANES[1] - VANES[0]) / 2 + 0.2
     for k in range(4):
         place = mi.ScalarTransform4f().translate([0, 0, -FOCAL - 5]).rotate([0, 0, 1], first_deg + 90 * k)
-        vane = {
-            "type": "asphere",
-            "half_width": half,
-            "half_height": width / 2,
-            "bsdf": {"type": "interface", "R": 0.0},
-        }
-        scene[f"vane_{k}"] = vane | {"to_world": place.translate([middle, 0, 0])}
+        scene[f"vane_{k}"] = shape(half_width=half, half_height=width / 2)
+        scene[f"vane_{k}"]["to_world"] = place.translate([middle, 0, 0])
     return scene
 
 
@@ -193,12 +175,7 @@ def free():
 
 @pytest.mark.parametrize(("width", "first_deg"), [(0.05, 45.0), (0.33, 0.0), (0.33, 20.0)])
 def test_thin_vanes(free, width, first_deg):
-    """
-    Vanes that are narrower than a cell of 0.4 mm lie between the middles of cells, and count all the same.
-
-    A vane takes the area between the arcs at its ends; the share of the pupil is known to 0.05 %. The MTF is the
-    autocorrelation of the pupil. Where a vane is moved along itself, cells cannot tell it, and that is left out.
-    """
+    """Narrower than a cell of 0.4 mm, they take the area between the arcs at their ends, and MTF by autocorrelation."""
     image = mistray.image_quality(mistray.load(with_vanes(width, first_deg)), 0.0, grid=64)[0]
     y = width * ((np.arange(1000) + 0.5) / 1000 - 0.5)
     inner, outer = (np.sqrt(r * r - y * y) for r in VANES)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from oracles.object_scenes import common_area
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 from oracles.statistics import z_limit, z_score
 
@@ -32,8 +33,7 @@ def mean_of_cell(angle_deg: float) -> float:
     edges = np.radians([angle_deg - CELL_DEG / 2, angle_deg + CELL_DEG / 2])
     theta = np.arccos(np.linspace(*np.cos(edges), 2000))  # even in solid angle
     within = np.arcsin(np.sin(theta) / 1.4)
-    shift = THICKNESS * np.tan(within) / RADIUS
-    lit = (2 * np.arccos(shift / 2) - shift * np.sqrt(1 - shift**2 / 4)) / np.pi
+    lit = np.vectorize(common_area)(THICKNESS * np.tan(within) / RADIUS, 1.0, 1.0) / np.pi
     return float(np.mean(lit * np.cos(theta) * np.exp(-PER_MM * THICKNESS / np.cos(within))))
 
 

@@ -10,28 +10,26 @@ from typing import Any
 
 import numpy as np
 import pytest
-from oracles import small_scenes
+from command_line import fails, run, succeeds
 from oracles.scatter_scenes import beam_xml, bsdf_xml, lenses_text, placed_xml, scatter_scene, scattering_xml, wall_xml
 from oracles.small_scenes import interface_xml
 
 import mistray
 from mistray.analysis.path_analysis import SORT_KEYS, path_analysis
 from mistray.cli.commands import ghosts as cli_ghosts
-from mistray.cli.program import main
 from mistray.recorders.path_events import way_text
 
 INDEX, PLATE, GAP, BEFORE = 1.5, 2.0, 7.0, 3.0
 
 
 @pytest.fixture(scope="module")
-def lenses(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    text = lenses_text(bsdf_xml("abg", A=1e-4, B=1e-3, g=2.0), wall=wall_xml(0.3))
-    scene = mistray.load(small_scenes.write(tmp_path_factory.mktemp("scene"), text))
+def lenses(load_scene: Any) -> Any:
+    scene = load_scene(lenses_text(bsdf_xml("abg", A=1e-4, B=1e-3, g=2.0), wall=wall_xml(0.3)))
     return mistray.trace(scene, rays=200, max_scatters=1, scatter_threshold=0.0)
 
 
 @pytest.fixture(scope="module")
-def ring(tmp_path_factory: pytest.TempPathFactory) -> Any:
+def ring(load_scene: Any) -> Any:
     """A ring that diffracts, a plate, a detector."""
     edge = scattering_xml([bsdf_xml("edge_diffraction", width_mm=0.05)], R=0.0, T=1.0)
     text = scatter_scene(
@@ -42,7 +40,7 @@ def ring(tmp_path_factory: pytest.TempPathFactory) -> Any:
         placed_xml("asphere", "detector", interface_xml(R=0.2), at=(0, 0, PLATE + GAP), half_width=5.0,
                    half_height=5.0, pixels=16),
     )  # fmt: skip
-    return mistray.trace(mistray.load(small_scenes.write(tmp_path_factory.mktemp("scene"), text)), rays=3000)
+    return mistray.trace(load_scene(text), rays=3000)
 
 
 def test_lengths_in_closed_form(ring: Any) -> None:
@@ -104,7 +102,7 @@ def test_weak_paths_stand_together(lenses: Any) -> None:
     assert table.percent.sum() == pytest.approx(100)
     some = [row.path_id for row in lenses.paths.select("G")]
     assert set(path_analysis(lenses, path_ids=some).path_id) == set(some)
-    for share, key, named in ((1.0, "power_W", "least_share is 1"), (-0.1, "power_W", "-0.1"), (0.0, "flux", "'flux'")):
+    for share, key, named in ((1.0, "power_W", "least_share is 1"), (0.0, "flux", "'flux'")):
         with pytest.raises(mistray.MistrayError, match=named):
             path_analysis(lenses, key, share)
 
@@ -144,7 +142,7 @@ def test_aliases_collapse_paths_and_keep_the_flux(lenses: Any, aliases: Any) -> 
     assert not table.duplicated(["events", "kind", "order"]).any()
 
 
-def test_optical_spaces(tmp_path: Path) -> None:
+def test_optical_spaces(load_scene: Any) -> None:
     """Segments of a barrel in two spaces: the table names the spaces, and sums the light of their segments."""
     wall = wall_xml(0.5)
     segments = [
@@ -154,9 +152,7 @@ def test_optical_spaces(tmp_path: Path) -> None:
         for k in range(4)
     ]
     detector = placed_xml("asphere", "detector", at=(0, 0, 9.0), semi_diameter=3.5, pixels=8)
-    scene = mistray.load(
-        small_scenes.write(tmp_path, scatter_scene(beam_xml(2.9, field_deg=20.0), *segments, detector))
-    )
+    scene = load_scene(scatter_scene(beam_xml(2.9, field_deg=20.0), *segments, detector))
     t = mistray.trace(scene, rays=2000, max_scatters=1)
     table = t.paths.by_way("space").set_index("events")
     whole = t.paths.to_pandas()
@@ -182,28 +178,16 @@ def test_wrong_aliases(lenses: Any) -> None:
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["ghosts", "singlet_window_detector", "--field-deg", "2", "--rays", "400", "--alias", "L1*=lens",
              "--path-analysis", "objects", "--least-share", "0.05", "--quiet"]  # fmt: skip
-    assert main([*words, "--json", "--out", str(tmp_path)]) == 0
-    (field,) = json.loads(capsys.readouterr().out)["fields"]
+    (field,) = json.loads(succeeds(capsys, *words, "--json", "--out", tmp_path))["fields"]
     t = mistray.trace(mistray.load(words[1]), rays=400, field_deg=2.0)
     expected = path_analysis(t, "objects", 0.05)
     assert [row["events"] for row in field["path_analysis"]] == expected.events.tolist()
     assert field["path_analysis"][-1]["kind"] == "uncategorised"
     assert [row["events"] for row in field["aliased_paths"]] == t.paths.by_way({"L1*": "lens"}).events.tolist()
     assert {"aliased_paths.csv", "path_analysis.csv"} <= {file.name for file in tmp_path.iterdir()}
-    assert main(words[:-1]) == 0
-    printed = capsys.readouterr().out
+    printed = run(capsys, *words[:-1])[1]
     assert "uncategorised" in printed
     assert "lens:T" in printed
-    for wrong, named in ((["--alias", "part", "a=b"], "part"), (["--alias", "a="], "'a='"),
-                         (["--least-share", "0.1"], "--path-analysis"),
-                         (["--path-analysis", "objects", "--least-share", "2"], "2")):  # fmt: skip
-        try:
-            code = main([*words[:6], *wrong])
-        except SystemExit as stop:
-            code = int(stop.code or 0)
-        assert code == 2
-        assert named in capsys.readouterr().err
-
-
-def test_keys_of_the_command_line() -> None:
+    for wrong, named in ((["--alias", "part", "a=b"], "part"), (["--least-share", "0.1"], "--path-analysis")):
+        assert named in fails(capsys, *words[:6], *wrong)
     assert tuple(SORT_KEYS) == cli_ghosts.SORT_KEYS

@@ -38,11 +38,7 @@ def bent(angles: np.ndarray) -> np.ndarray:
 
 
 def test_breaks_are_where_the_slope_changes():
-    """
-    A false alarm is a smooth point 4 standard errors off.
-
-    39 points, 2 · 3.2e-5 each (t with 31 degrees of freedom: 4e-4): below 0.02.
-    """
+    """A false alarm is a smooth point 4 standard errors off: 39 points, t of 31 degrees of freedom, below 0.02."""
     found = breaks(curve(10.0 ** bent(ANGLES)))
     assert [b.field_deg for b in found] == [20.0, 30.0]
     first, second = found
@@ -54,14 +50,10 @@ def test_breaks_are_where_the_slope_changes():
     assert first.before == ()
 
 
-def test_a_smooth_curve_has_no_break():
-    smooth = 10.0 ** (-3 - 2.9 * ANGLES / 80)
-    assert breaks(curve(smooth)) == []
-
-
-def test_noise_is_no_break():
+@pytest.mark.parametrize("noise", [0.02, 0.2])
+def test_noise_is_no_break(noise: float) -> None:
     """Points of 20 % error change the slope by more than the least change, but not by four standard errors."""
-    assert breaks(curve(10.0 ** (-3 - 2.9 * ANGLES / 80), noise=0.2)) == []
+    assert breaks(curve(10.0 ** (-3 - 2.9 * ANGLES / 80), noise)) == []
 
 
 def test_errors_that_all_angles_share_drop_out():
@@ -94,6 +86,12 @@ def test_causes_add_up_and_are_named():
     np.testing.assert_allclose(table.sum(axis=1), 100)
     words = strongest(fake_pst(), 10.0, 1)
     assert words[0][0].startswith("ghosts such as detector → L1_rear")
+    shares = pd.DataFrame({"a": [60.0, 70.0, 10.0, 0.0, 51.0], "b": [40.0, 30.0, 90.0, 0.0, 49.0]}, [0, 2, 4, 6, 8])
+    assert reigns(shares) == [(0, 2, "a", 60, 70), (4, 4, "b", 90, 90), (8, 8, "a", 51, 51)]
+    pst = fake_pst(azimuths_deg=(0.0, 180.0))  # paths of several azimuths are their mean
+    parts = [pst.paths(20.0, azimuth).set_index("events").pst for azimuth in (0.0, 180.0)]
+    for row in stray_paths(pst, 20.0).itertuples():
+        assert row.pst == pytest.approx(0.5 * (parts[0][row.events] + parts[1][row.events]))
 
 
 def test_first_level_is_scattered_once_and_not_reflected():
@@ -106,19 +104,6 @@ def test_first_level_is_scattered_once_and_not_reflected():
     assert at_30.pst["barrel_1"] == alone  # the path scattered twice, whose first is barrel_1 too, is left out
     assert at_30.percent_of_first_level.sum() == pytest.approx(100)
     assert at_30.percent_of_stray.sum() < 100
-
-
-def test_ranges_of_one_cause():
-    shares = pd.DataFrame({"a": [60.0, 70.0, 10.0, 0.0, 51.0], "b": [40.0, 30.0, 90.0, 0.0, 49.0]}, [0, 2, 4, 6, 8])
-    assert reigns(shares) == [(0, 2, "a", 60, 70), (4, 4, "b", 90, 90), (8, 8, "a", 51, 51)]
-
-
-def test_paths_of_several_azimuths_are_their_mean():
-    pst = fake_pst(azimuths_deg=(0.0, 180.0))
-    rows = stray_paths(pst, 20.0)
-    parts = [pst.paths(20.0, azimuth).set_index("events").pst for azimuth in (0.0, 180.0)]
-    for row in rows.itertuples():
-        assert row.pst == pytest.approx(0.5 * (parts[0][row.events] + parts[1][row.events]))
 
 
 def test_the_main_cause_brings_most_of_the_light_of_a_uniform_sky():
@@ -141,8 +126,5 @@ def test_the_main_cause_brings_most_of_the_light_of_a_uniform_sky():
     assert found.stray.value == pytest.approx(pst.stray[k], rel=0.05)
     own = sum(row.pst for row in stray_paths(pst, found.field_deg).itertuples() if row.kind == name)
     assert found.left.value == pytest.approx(found.stray.value - own)
-
-
-def test_without_paths_there_is_no_main_cause():
     assert main_cause(fake_pst(paths=False)) is None
     assert main_cause(fake_pst(dark_from_deg=-1.0)) is None

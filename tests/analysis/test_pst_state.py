@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-import signal
-import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -41,174 +38,73 @@ def test_all_comes_back(tmp_path: Path) -> None:
         np.testing.assert_array_equal(arrays[name], values)
     assert found == {"signature": SIGNATURE, "rays": 7, "worst": math.inf, "sizes": [1, 2]}
     assert [entry.name for entry in path.parent.iterdir()] == ["state.npz"]
-
-
-def test_it_is_a_plain_numpy_archive(tmp_path: Path) -> None:
-    save_state(tmp_path / "s.npz", ARRAYS, {"rays": 3})
-    with np.load(tmp_path / "s.npz", allow_pickle=False) as archive:
+    with np.load(path, allow_pickle=False) as archive:  # a plain one of NumPy
         np.testing.assert_array_equal(archive["array_sums"], ARRAYS["sums"])
-        assert json.loads(str(archive["facts"]))["facts"] == {"rays": 3}
+        assert json.loads(str(archive["facts"]))["facts"]["rays"] == 7
+    # Tuples and NumPy's numbers are what they are after a while in a file
+    save_state(path, {}, {"signature": SIGNATURE | {"size": (3, 4), "gap": math.nan}})
+    same = SIGNATURE | {"size": np.array([3, 4]), "wavelength_nm": (np.float64(550),), "gap": np.float64(math.nan)}
+    require_same("s.npz", load_state(path)[1], same)
 
 
-def test_objects_are_refused(tmp_path: Path) -> None:
+def test_files_that_are_none_are_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "s.npz"
     with pytest.raises(MistrayError, match="array 'names' holds objects"):
-        save_state(tmp_path / "s.npz", {"names": np.array([object()])}, {})
+        save_state(path, {"names": np.array([object()])}, {})
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_that_cannot_be_made_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(MistrayError, match=r"state '.*s\.npz': .*choose another folder"):
-        save_state(tmp_path / "file" / "s.npz", ARRAYS, {})
-
-
-def damaged(path: Path) -> dict[str, bytes]:
-    """What a file may hold instead of a state, by what happened to it."""
+    with pytest.raises(MistrayError, match="no such file; run once without resuming"):
+        load_state(path)
     save_state(path, ARRAYS, {"rays": 1})
+    with pytest.raises(MistrayError, match=r"state '.*s\.npz': .*choose another folder"):
+        save_state(path / "s.npz", ARRAYS, {})
     whole = path.read_bytes()
+    with monkeypatch.context() as patched:
+        patched.setattr(sys.modules[load_state.__module__], "FORM", 99)
+        with pytest.raises(MistrayError, match="another version of mistray"):
+            load_state(path)
     flipped = bytearray(whole)
     flipped[whole.index(ARRAYS["sums"].tobytes()[8:64])] ^= 0xFF
     np.savez(path, a=np.zeros(3))
-    return {
-        "empty": b"",
-        "half": whole[: len(whole) // 2],
-        "one bit": bytes(flipped),
-        "text": b"angles,pst\n0,1\n",
-        "another archive": path.read_bytes(),
-        "pickle": b"\x80\x04N.",
-    }
-
-
-def test_damaged_files_are_one_line(tmp_path: Path) -> None:
-    path = tmp_path / "s.npz"
-    for what, content in damaged(path).items():
+    for content in (b"", whole[: len(whole) // 2], bytes(flipped), path.read_bytes(), b"\x80\x04N."):
         path.write_bytes(content)
         with pytest.raises(MistrayError, match="is damaged or no state; remove it and run without resuming"):
-            pytest.fail(f"{what}: {load_state(path)}")
-
-
-def test_missing_files_and_folders_are_one_line(tmp_path: Path) -> None:
-    with pytest.raises(MistrayError, match="no such file; run once without resuming"):
-        load_state(tmp_path / "s.npz")
-    with pytest.raises(MistrayError, match=r"state '.*': .*directory"):
-        load_state(tmp_path)
-
-
-def test_another_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    save_state(tmp_path / "s.npz", ARRAYS, {})
-    monkeypatch.setattr(sys.modules[load_state.__module__], "FORM", 99)
-    with pytest.raises(MistrayError, match="another version of mistray"):
-        load_state(tmp_path / "s.npz")
-
-
-def test_the_same_run_may_go_on(tmp_path: Path) -> None:
-    """Tuples and NumPy's numbers are what they are after a while in a file."""
-    save_state(tmp_path / "s.npz", {}, {"signature": SIGNATURE | {"size": (3, 4), "gap": math.nan}})
-    _, facts = load_state(tmp_path / "s.npz")
-    same = SIGNATURE | {"size": np.array([3, 4]), "wavelength_nm": (np.float64(550),), "gap": np.float64(math.nan)}
-    require_same("s.npz", facts, same)
+            load_state(path)
 
 
 @pytest.mark.parametrize(
     ("change", "text"),
     [
         ({"settings": {"max_scatters": 2, "seed": 0, "aim": "auto"}}, "settings.max_scatters was 1 and is 2;"),
-        ({"settings": {"max_scatters": 1, "seed": 0, "aim": "none"}}, "settings.aim was auto and is none;"),
         ({"settings": {"max_scatters": 1, "seed": 0}}, "settings.aim was auto and is absent;"),
         ({"detector": "ccd"}, "detector was absent and is ccd;"),
         ({"scene": "f" * 64, "wavelength_nm": [600.0]}, "wavelength_nm was [550] and is [600];"),
         ({"scene": "f" * 64}, "the scene is another one or has changed;"),
-        ({"wavelength_nm": [550.0, 633.0]}, "wavelength_nm was [550] and is [550, 633];"),
-        (
-            {"grid": {"angles_deg": list(range(0, 61, 2)), "azimuth_cell_deg": 360.0}},
-            "grid.angles_deg had 41 values (0 … 80) and has 31 (0 … 60);",
-        ),
         (
             {"grid": {"angles_deg": [0, 2, 5, *range(6, 81, 2)], "azimuth_cell_deg": 360.0}},
-            "value 3 of grid.angles_deg was 4 and is 5;",
+            "value 3 of grid.angles_deg",
         ),
     ],
 )
 def test_another_run_is_named_by_what_differs(change: dict, text: str) -> None:
-    with pytest.raises(MistrayError) as caught:
+    with pytest.raises(MistrayError, match=r"^state 's\.npz' belongs to another run: ") as caught:
         require_same("s.npz", {"signature": SIGNATURE}, SIGNATURE | change)
-    assert str(caught.value).startswith("state 's.npz' belongs to another run: ")
     assert text in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-# The packages stand in for themselves without their __init__, which would start Mitsuba: a second for each process
-WRITER = """
-import sys
-import types
-from pathlib import Path
-import numpy as np
-for name in ("mistray", "mistray.analysis"):
-    sys.modules[name] = types.ModuleType(name)
-    sys.modules[name].__path__ = [str(Path(sys.argv[3], *name.split(".")))]
-from mistray.analysis.pst.state import save_state
-k = int(sys.argv[2])
-print("ready", flush=True)
-while True:
-    k += 1
-    save_state(sys.argv[1], {"a": np.full(100_000, k), "b": np.full((40, 4, 32), float(k))}, {"passes": k})
-"""
-ROOT = Path(__file__).parents[2]
-
-
-@pytest.mark.long
-def test_a_killed_writer_leaves_a_whole_file(tmp_path: Path) -> None:
-    """SIGKILL at ten moments while files of 0.8 MB are written: the last whole state is there each time."""
-    path = tmp_path / "state.npz"
-    rng = np.random.default_rng(3)
-    last = 0
-    for _ in range(10):
-        command = [sys.executable, "-c", WRITER, str(path), str(last), str(ROOT)]
-        writer = subprocess.Popen(command, stdout=subprocess.PIPE)
-        assert writer.stdout is not None
-        assert writer.stdout.readline() == b"ready\n"
-        deadline = time.monotonic() + 20
-        while not path.exists() and time.monotonic() < deadline:
-            time.sleep(0.001)
-        time.sleep(rng.uniform(0.0, 0.03))
-        writer.send_signal(signal.SIGKILL)
-        writer.wait()
-        writer.stdout.close()
-        arrays, facts = load_state(path)
-        assert facts["passes"] >= last
-        assert np.all(arrays["a"] == facts["passes"])
-        assert np.all(arrays["b"] == facts["passes"])
-        last = facts["passes"]
-    assert last > 1
-
-
-def test_progress_to_a_wanted_error() -> None:
-    """Error 4 % after 1e6 rays in 10 s: 2 % needs 4e6 rays, three times as many again."""
-    now = PstProgress.after(1_000_000, 10_000_000, 0.04, 0.02, 10.0)
-    assert now.seconds_left == pytest.approx(30.0)
-    assert now.share_done == pytest.approx(0.25)
-
-
-def test_progress_ends_with_the_rays_planned() -> None:
-    now = PstProgress.after(1_000_000, 2_000_000, 0.04, 0.001, 10.0)
-    assert now.seconds_left == pytest.approx(10.0)
-    assert now.share_done == pytest.approx(0.5)
-
-
-def test_progress_without_a_wanted_error_or_with_a_dark_angle() -> None:
-    for wanted, worst in ((None, 0.04), (0.02, math.inf)):
-        now = PstProgress.after(1_000_000, 5_000_000, worst, wanted, 10.0)
-        assert now.seconds_left == pytest.approx(40.0)
-        assert now.share_done == pytest.approx(0.2)
-
-
-def test_progress_that_went_on_measures_its_own_speed() -> None:
-    """3e6 rays came from the saved run; the 1e6 since then took 10 s."""
-    now = PstProgress.after(4_000_000, 6_000_000, 0.04, None, 10.0, rays_before=3_000_000)
-    assert now.seconds_left == pytest.approx(20.0)
-    assert math.isnan(PstProgress.after(3_000_000, 6_000_000, 0.04, None, 0.1, rays_before=3_000_000).seconds_left)
-
-
-def test_progress_that_is_done() -> None:
-    now = PstProgress.after(4_000_000, 9_000_000, 0.019, 0.02, 10.0)
-    assert (now.seconds_left, now.share_done) == (0.0, 1.0)
+@pytest.mark.parametrize(
+    ("now", "seconds_left", "share_done"),
+    [
+        # Error 4 % after 1e6 rays in 10 s: 2 % needs 4e6 rays, three times as many again
+        (PstProgress.after(1_000_000, 10_000_000, 0.04, 0.02, 10.0), 30.0, 0.25),
+        (PstProgress.after(1_000_000, 2_000_000, 0.04, 0.001, 10.0), 10.0, 0.5),  # ends with the rays planned
+        (PstProgress.after(1_000_000, 5_000_000, 0.04, None, 10.0), 40.0, 0.2),
+        (PstProgress.after(1_000_000, 5_000_000, math.inf, 0.02, 10.0), 40.0, 0.2),  # a dark angle
+        # 3e6 rays came from the saved run; the 1e6 since then took 10 s
+        (PstProgress.after(4_000_000, 6_000_000, 0.04, None, 10.0, rays_before=3_000_000), 20.0, 2 / 3),
+        (PstProgress.after(3_000_000, 6_000_000, 0.04, None, 0.1, rays_before=3_000_000), math.nan, 0.5),
+        (PstProgress.after(4_000_000, 9_000_000, 0.019, 0.02, 10.0), 0.0, 1.0),
+    ],
+)
+def test_progress(now: PstProgress, seconds_left: float, share_done: float) -> None:
+    assert (now.seconds_left, now.share_done) == pytest.approx((seconds_left, share_done), nan_ok=True)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene, scattering_xml
-from oracles.small_scenes import interface_xml, write
+from oracles.small_scenes import interface_xml
 
 import mistray
 from mistray.analysis.pst import backward_run
@@ -25,24 +25,23 @@ SCATTERED = ("single_scatter", "multiple_scatter")
 
 
 @pytest.fixture(scope="module")
-def window(tmp_path_factory: pytest.TempPathFactory) -> Any:
+def window(load_scene: Any) -> Any:
     """A window of strong reflections that scatters a little, so that there is more ghost than scattered light."""
     rough = scattering_xml([bsdf_xml("abg", A=1e-3, B=1e-2, g=2.0)], "air", "1.5", R=0.4, T=0.5)
-    text = scatter_scene(
-        beam_xml(1.0),
-        placed_xml("asphere", "front", rough, semi_diameter=4.0),
-        placed_xml("asphere", "rear", interface_xml("1.5", "air", R=0.4, T=0.6), at=(0, 0, 1), semi_diameter=4.0),
-        placed_xml("asphere", "detector", at=(0, 0, 2), pixels=4, semi_diameter=1.0),
+    return load_scene(
+        scatter_scene(
+            beam_xml(1.0),
+            placed_xml("asphere", "front", rough, semi_diameter=4.0),
+            placed_xml("asphere", "rear", interface_xml("1.5", "air", R=0.4, T=0.6), at=(0, 0, 1), semi_diameter=4.0),
+            placed_xml("asphere", "detector", at=(0, 0, 2), pixels=4, semi_diameter=1.0),
+        )
     )
-    return mistray.load(write(tmp_path_factory.mktemp("window"), text))
 
 
 def test_classes_have_the_order_of_their_names() -> None:
     numbers = {"direct": DIRECT, "straight_shot": STRAIGHT, "ghost": GHOST, "single_scatter": SINGLE}
-    assert {name: CLASSES.index(name) for name in CLASSES} == numbers | {
-        "multiple_scatter": MULTIPLE,
-        "edge_diffraction": DIFFRACTED,
-    }
+    numbers |= {"multiple_scatter": MULTIPLE, "edge_diffraction": DIFFRACTED}
+    assert {name: CLASSES.index(name) for name in CLASSES} == numbers
 
 
 def test_the_largest_share_is_of_the_scattered_light_alone(window: Any) -> None:
@@ -58,31 +57,21 @@ def test_the_largest_share_is_of_the_scattered_light_alone(window: Any) -> None:
     assert np.all(found.map("ghost")[0] > 0.5 * scattered)  # else ghosts would hardly show
 
 
-@pytest.fixture
-def counts(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
-    """How often the state was saved and the table of paths read."""
-    found = {"saved": 0, "read": 0}
-    save, read = backward_run.save_state, BackwardTrace.paths
+def test_what_has_been_saved_is_not_saved_again(window: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor is the table of paths read more than once."""
+    state, counts = tmp_path / "state.npz", {"save_state": 0, "paths": 0}
+    for place, name in ((backward_run, "save_state"), (BackwardTrace, "paths")):
+        call = getattr(place, name)
 
-    def counted_save(*arguments: Any) -> Path:
-        found["saved"] += 1
-        return save(*arguments)
+        def counted(*given: Any, name: str = name, call: Any = call) -> Any:
+            counts[name] += 1
+            return call(*given)
 
-    def counted_read(self: BackwardTrace) -> Any:
-        found["read"] += 1
-        return read(self)
-
-    monkeypatch.setattr(backward_run, "save_state", counted_save)
-    monkeypatch.setattr(BackwardTrace, "paths", counted_read)
-    return found
-
-
-def test_what_has_been_saved_is_not_saved_again(window: Any, counts: dict[str, int], tmp_path: Path) -> None:
-    state = tmp_path / "state.npz"
+        monkeypatch.setattr(place, name, counted)
     first = mistray.pst(window, [0.0, 30.0], cell_deg=10.0, rays=RAYS, state=state)
-    assert counts == {"saved": 1, "read": 1}
+    assert counts == {"save_state": 1, "paths": 1}
     again = mistray.pst(window, [0.0, 30.0], cell_deg=10.0, rays=RAYS, state=state, resume=True)
-    assert counts == {"saved": 1, "read": 2}
+    assert counts == {"save_state": 1, "paths": 2}
     np.testing.assert_array_equal(again.value, first.value)
     assert again.paths(0.0).equals(first.paths(0.0))
 

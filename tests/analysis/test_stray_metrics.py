@@ -5,13 +5,14 @@ Numbers without noise must agree with the closed form; errors are checked by sim
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
-from oracles import small_scenes
+from oracles.ideal_lens import cell_nodes, over_cells
+from oracles.small_scenes import plates_text
+from vectors import analytic
 
 import mistray
 from mistray.analysis.estimate import Estimate
@@ -38,57 +39,40 @@ from mistray.recorders.directions import DirectionGrid
 
 Curve = Callable[[np.ndarray], np.ndarray]
 
-DATA = Path(__file__).parents[1] / "data"
 WHOLE = np.arange(0.5, 90, 1.0)  # cells of 1° that leave no gap
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(20)
-
-
-def analytic(case: str, quantity: str) -> float:
-    with (DATA / "analytic_cases.csv").open(newline="", encoding="utf-8") as stream:
-        lines = csv.DictReader(line for line in stream if not line.startswith("#"))
-        rows = [r for r in lines if r["case"].startswith(case) and r["quantity"] == quantity]
-    (row,) = rows
-    return float(row["closed_form"])
 
 
 def cell_means(grid: DirectionGrid, curve: Curve) -> np.ndarray:
-    """Means of a function of field angle in radians over the cells, weighted by solid angle."""
-    low, high = np.radians(grid.edges_deg).T
-    theta = 0.5 * (low + high)[:, None] + 0.5 * (high - low)[:, None] * NODES
-    weight = WEIGHTS * np.sin(theta)
-    return np.sum(weight * curve(theta), axis=1) / np.sum(weight, axis=1)
+    """(n, 1) means of a function of field angle in radians over the cells, weighted by solid angle."""
+    return over_cells(curve(np.radians(cell_nodes(grid.edges_deg, 20))), grid.edges_deg)[:, None]
+
+
+def flat(level: float, to_deg: float = 180.0) -> Curve:
+    """The same light from all directions up to an angle, none from beyond."""
+    return lambda theta: np.where(theta < np.radians(to_deg), level, 0.0)
+
+
+def solid(from_deg: float, to_deg: float) -> float:
+    return float(2 * np.pi * (np.cos(np.radians(from_deg)) - np.cos(np.radians(to_deg))))
 
 
 def pst_of(
-    angles: np.ndarray | list[float],
+    angles: Sequence[float] | np.ndarray,
     stray: Curve | np.ndarray,
-    direct: Curve | np.ndarray | None = None,
+    direct: Curve | np.ndarray | float = 0.0,
     *,
-    batches: int = 4,
     maps: np.ndarray | None = None,
     convention: str = "normal",
     **cells: object,
 ) -> Pst:
     """A PST without noise: ghost and direct light, functions of θ or values of the cells, the same in all batches."""
     grid = DirectionGrid.of(angles, **cells)
-
-    def values(light: Curve | np.ndarray | None) -> np.ndarray:
-        if light is None:
-            return np.zeros(grid.shape)
-        return np.broadcast_to(cell_means(grid, light)[:, None] if callable(light) else light, grid.shape)
-
-    light = {"direct": values(direct), "ghost": values(stray)}
-    by_class = np.stack([light.get(name, np.zeros(grid.shape)) for name in CLASSES])
-    by_batch = np.repeat(by_class[..., None], batches, axis=-1)
-    return Pst(
-        grid,
-        by_batch,
-        np.full(batches, 1 / batches),
-        convention=convention,
-        facts={"detector_area_mm2": 4.0},
-        maps=maps,
-        extent_mm=(-1.0, 1.0, -1.0, 1.0),
-    )
+    by_class = np.zeros((len(CLASSES), *grid.shape))
+    for name, light in (("direct", direct), ("ghost", stray)):
+        by_class[CLASSES.index(name)] = cell_means(grid, light) if callable(light) else light
+    by_batch, facts = np.repeat(by_class[..., None], 4, axis=-1), {"detector_area_mm2": 4.0}
+    extent = (-1.0, 1.0, -1.0, 1.0)
+    return Pst(grid, by_batch, np.full(4, 0.25), convention=convention, facts=facts, maps=maps, extent_mm=extent)
 
 
 def lorentz(theta: np.ndarray) -> np.ndarray:
@@ -100,8 +84,7 @@ class TestSky:
     def test_cosine(self, convention: str) -> None:
         """A flat plate that transmits everything: E = pi L, whatever the convention of the result."""
         e = source_irradiance(pst_of(WHOLE, np.cos, convention=convention), Sky())
-        assert e.value == pytest.approx(np.pi, rel=1e-12)
-        assert e.covered == pytest.approx(1, abs=1e-12)
+        assert (e.value, e.covered) == (pytest.approx(np.pi, rel=1e-12), pytest.approx(1, abs=1e-12))
         assert (e.se, e.interpolated) == (0, 0)
         assert e.definition == DEFINITIONS["irradiance"].format(light="stray")
 
@@ -121,11 +104,9 @@ class TestSky:
         solid = pst.grid.solid_angle.sum()
         assert e.covered == pytest.approx(solid / (2 * np.pi), rel=1e-12)
         assert e.value == pytest.approx(float(np.sum(pst.grid.solid_angle * pst.grid.mean_cosine)), rel=1e-12)
-        assert f"{100 * e.covered:.3g} % of the source lie in cells" in str(e)
         linear = source_irradiance(pst, Sky(), interpolation="linear")
         assert linear.covered == e.covered
         assert linear.covered + linear.interpolated == pytest.approx(1 - np.cos(np.radians(81)), rel=1e-12)
-        assert "interpolated" in str(linear)
 
     def test_a_radiance_that_varies(self) -> None:
         """L = cos θ (1 + cos φ / 2): 2 π/3 with a PST of 1, and by azimuth cells as well."""
@@ -164,12 +145,9 @@ class TestDisc:
         behind = source_irradiance(pst, Disc(20.0, 1.0, 105.0))
         assert 0 < behind.value < below.value
         assert 0 < behind.covered < 0.2
-
-    def test_azimuth_cells_of_a_part(self) -> None:
-        """Of a disc about azimuth 0 the cell from 0 to 10° sees what lies there: half, as the disc is narrower."""
-        pst = pst_of(WHOLE, np.ones_like, azimuths_deg=[5.0], azimuth_cell_deg=10.0)
-        e = source_irradiance(pst, Disc(1.0, 1.0, 45.0))
-        assert e.covered == pytest.approx(0.5, rel=1e-9)
+        # Of a disc about azimuth 0 the cell from 0 to 10° sees what lies there: half, as the disc is narrower
+        part = pst_of(WHOLE, np.ones_like, azimuths_deg=[5.0], azimuth_cell_deg=10.0)
+        assert source_irradiance(part, Disc(1.0, 1.0, 45.0)).covered == pytest.approx(0.5, rel=1e-9)
 
     def test_sun(self) -> None:
         """Its irradiance is what was asked for, at normal incidence on a plate that it hardly fills."""
@@ -180,10 +158,7 @@ class TestDisc:
 
     @pytest.mark.parametrize("mode", ["linear", "log"])
     def test_interpolation(self, mode: str) -> None:
-        """Exact where the PST is linear, or exponential, in field angle; the cells are 0.01° wide and stand for points.
-
-        The oracle is a double sum over the disc.
-        """
+        """Exact where the PST is linear, or exponential, in field angle, against a double sum over the disc."""
         curve = (lambda t: 1 - 0.5 * t) if mode == "linear" else (lambda t: np.exp(-7 * t))
         angles = np.arange(20.0, 51.0, 5.0)
         pst = pst_of(angles, curve(np.radians(angles))[:, None], cell_deg=0.01)
@@ -193,12 +168,8 @@ class TestDisc:
         value = np.sum(curve(np.arccos(cosine)) * np.sin(r[:, None])) * np.radians(0.01) * 2 * np.pi / 400
         assert e.value == pytest.approx(float(value), rel=1e-5)
         assert e.covered + e.interpolated == pytest.approx(1, rel=1e-9)
-        with pytest.raises(AssertionError):
-            assert source_irradiance(pst, Disc(8.0, 1.0, 35.0)).value == pytest.approx(float(value), rel=0.5)
-
-    def test_log_interpolation_next_to_darkness(self) -> None:
-        pst = pst_of([10, 20, 30], np.array([[1e-3], [0.0], [1e-5]]), cell_deg=1.0)
-        assert np.isfinite(source_irradiance(pst, Disc(5.0, 1.0, 20.0), interpolation="log").value)
+        dark = pst_of([10, 20, 30], np.array([[1e-3], [0.0], [1e-5]]), cell_deg=1.0)
+        assert np.isfinite(source_irradiance(dark, Disc(5.0, 1.0, 20.0), interpolation=mode).value)
 
 
 class TestErrors:
@@ -222,20 +193,13 @@ class TestErrors:
     @pytest.mark.long
     @pytest.mark.parametrize("forward", [False, True])
     def test_sum_and_quotient(self, forward: bool) -> None:
-        rng = np.random.default_rng(7)
-        ones = np.ones((3, 2))
-        first = np.zeros((3, 2))
-        first[0] = 0.5
-        results = []
+        rng, results = np.random.default_rng(7), []
+        ones, first = np.ones((3, 2)), np.array([[0.5], [0.0], [0.0]]) * np.ones(2)
         for _ in range(self.repeats):
             pst = self.simulated(forward, rng)
-            results.append(
-                [
-                    weighted_sum(pst, pst.grid.solid_angle[:, None] * ones, "stray"),
-                    quotient(pst, (ones, "stray"), (first, "total")),
-                    rejection_ratio(pst).value[1:2].tolist() + rejection_ratio(pst).se[1:2].tolist(),
-                ]
-            )
+            ratio = rejection_ratio(pst)
+            whole = weighted_sum(pst, pst.grid.solid_angle[:, None] * ones, "stray")
+            results.append([whole, quotient(pst, (ones, "stray"), (first, "total")), (ratio.value[1], ratio.se[1])])
         values, errors = np.moveaxis(np.array(results), -1, 0)
         spread = values.std(axis=0, ddof=1)
         assert np.sqrt(np.mean(errors**2, axis=0)) == pytest.approx(spread, rel=0.08)
@@ -256,19 +220,14 @@ class TestErrors:
 
 
 class TestCurves:
-    def test_rejection(self) -> None:
+    def test_rejection(self, tmp_path: Path) -> None:
         ratio = rejection_ratio(pst_of([0, 30, 60], np.cos, cell_deg=0.1, convention="projected"))
         assert ratio.value == pytest.approx([1, 1, 1], rel=1e-3)  # PST_p is 1 at all angles
         assert ratio.facts == {"light": "total", "reference_deg": 0.0, "convention": "projected"}
-        table = ratio.to_pandas()
-        assert set(table.definition) == {DEFINITIONS["psrr"]}
-        assert list(table.columns[:4]) == ["angle_deg", "quantity", "value", "se"]
-
-    def test_csv(self, tmp_path: Path) -> None:
-        normalised_irradiance(pst_of([0, 2], np.cos), "psnit").to_csv(tmp_path / "psnit.csv")
-        header, first, *_ = (tmp_path / "psnit.csv").read_text(encoding="utf-8").splitlines()
-        assert header.startswith("angle_deg,quantity,value,se,unit,definition,light,convention")
-        assert "point source normalised irradiance transmittance" in first
+        ratio.to_csv(tmp_path / "psrr.csv")
+        header, first, *_ = (tmp_path / "psrr.csv").read_text(encoding="utf-8").splitlines()
+        assert header.startswith("angle_deg,quantity,value,se,unit,definition,light")
+        assert DEFINITIONS["psrr"] in first
 
     def test_plane_of_the_entrance(self) -> None:
         """analytic_cases.csv: PST_projected / PST_normal = 1 / cos, and the definition says which it is."""
@@ -281,44 +240,28 @@ class TestCurves:
 
     def test_normalised_stray_light_and_its_reciprocal(self) -> None:
         """An F/2.2 field of ±10° and stray light of 1e-6: a lamp of 1° gives π sin²(½°) 1e-6 / 0.1543."""
-        field = np.radians(10)
         throughput = analytic("extended scene L=1 F/2.2 T=1", "pi/(4F^2+1)")
-        direct = throughput / (2 * np.pi * (1 - np.cos(field)))
-        pst = pst_of(WHOLE, lambda t: np.full(t.shape, 1e-6), lambda t: np.where(t < field, direct, 0.0))
+        pst = pst_of(WHOLE, flat(1e-6), flat(throughput / solid(0, 10), 10.0))
         assert image_throughput(pst).value == pytest.approx(throughput, rel=1e-12)
         assert ideal_throughput(2.2) == pytest.approx(throughput, rel=1e-12)
         light, flare = normalised_stray_light(pst, 1.0), flare_attenuation(pst, 1.0)
         assert light.value == pytest.approx(np.pi * np.sin(np.radians(0.5)) ** 2 * 1e-6 / throughput)
         assert light.value * flare.value == pytest.approx(1, rel=1e-12)
         assert flare_attenuation(pst, 1.0, decibels=True).value == pytest.approx(-10 * np.log10(light.value))
+        none = pst_of([0, 2], np.zeros_like, np.ones_like)
+        assert np.all(normalised_stray_light(none, 1.0).value == 0)
+        assert np.all(flare_attenuation(none, 1.0).value == np.inf)
 
-    def test_no_stray_light_at_all(self) -> None:
-        pst = pst_of([0, 2], np.zeros_like, np.ones_like)
-        assert np.all(normalised_stray_light(pst, 1.0).value == 0)
-        assert np.all(flare_attenuation(pst, 1.0).value == np.inf)
-
-
-class TestRadiance:
-    field = np.radians(10)
-
-    def pst(self) -> Pst:
+    def test_radiances(self) -> None:
         """Direct light within ±10°, 0.05 sr in all, and stray light of 1e-6 everywhere."""
-        direct = 0.05 / (2 * np.pi * (1 - np.cos(self.field)))
-        return pst_of(WHOLE, lambda t: np.full(t.shape, 1e-6), lambda t: np.where(t < self.field, direct, 0.0))
-
-    def test_equivalent_stray_radiance(self) -> None:
-        stray = 2 * np.pi * 1e-6 * 3.0
-        own = equivalent_stray_radiance(self.pst(), Sky(3.0))
-        assert own.value == pytest.approx(stray / 0.05, rel=1e-12)
-        assert own.unit == "W/(mm2 sr)"
-        assert "integral of the direct PST_n" in own.definition
-        ideal = equivalent_stray_radiance(self.pst(), Sky(3.0), f_number=2.2, transmittance=0.9)
+        pst, stray = pst_of(WHOLE, flat(1e-6), flat(0.05 / solid(0, 10), 10.0)), 2 * np.pi * 1e-6 * 3.0
+        own = equivalent_stray_radiance(pst, Sky(3.0))
+        assert (own.value, own.unit) == (pytest.approx(stray / 0.05, rel=1e-12), "W/(mm2 sr)")
+        ideal = equivalent_stray_radiance(pst, Sky(3.0), f_number=2.2, transmittance=0.9)
         assert ideal.value == pytest.approx(stray / (0.9 * 0.1543021932018562), rel=1e-12)
         assert "pi / (4 F^2 + 1)" in ideal.definition
-
-    def test_stray_to_signal_and_contrast(self) -> None:
-        ratio = stray_to_signal(self.pst(), Sky(3.0), scene_radiance=1e-4)
-        assert ratio.value == pytest.approx(2 * np.pi * 1e-6 * 3.0 / (1e-4 * 0.05), rel=1e-12)
+        ratio = stray_to_signal(pst, Sky(3.0), scene_radiance=1e-4)
+        assert ratio.value == pytest.approx(stray / (1e-4 * 0.05), rel=1e-12)
         factor = contrast_factor(Estimate(0.25, 0.01))
         assert factor.estimate == (pytest.approx(0.8), pytest.approx(0.01 / 1.25**2))
 
@@ -329,69 +272,47 @@ class TestRadiance:
         arcsec2 = (np.pi / 648000) ** 2
         m = surface_magnitude(Estimate(zero / arcsec2 * 10 ** (-0.4 * 22), 0.01 * zero / arcsec2 * 10**-8.8), zero)
         assert m.estimate == (pytest.approx(22), pytest.approx(0.01 * 2.5 / np.log(10)))
-        assert "3.599e-15" in m.definition
         assert surface_magnitude(Estimate(0.0, 0.0), zero).value == np.inf
 
 
 class TestVeilingGlare:
-    """Stray light g from everywhere; a point on the axis whose direct light, d, comes from 0 … 0.5°."""
+    """Stray light g from everywhere, a patch of 2°, and the direct light d of a point on the axis, from 0 … 0.5°."""
 
     angles = np.arange(0.25, 90, 0.5)
     d, g, patch = 100.0, 1e-4, 2.0
 
-    def solid(self, from_deg: float, to_deg: float) -> float:
-        return float(2 * np.pi * (np.cos(np.radians(from_deg)) - np.cos(np.radians(to_deg))))
+    def expected(self, image_deg: float = 0.5) -> float:
+        white = self.d * solid(0, image_deg) + self.g * solid(0, 90)
+        return 100 * self.g * solid(self.patch, 90) / white
 
-    def direct(self, theta: np.ndarray) -> np.ndarray:
-        return np.where(theta < np.radians(0.5), self.d, 0.0)
-
-    def expected(self) -> float:
-        white = self.d * self.solid(0, 0.5) + self.g * self.solid(0, 90)
-        return 100 * self.g * self.solid(self.patch, 90) / white
-
-    def test_point(self) -> None:
-        pst = pst_of(self.angles, lambda t: np.full(t.shape, self.g), self.direct)
+    def test_point_and_mean(self) -> None:
+        """Over the whole detector the direct light of its field, from 0 … 5°, is no glare."""
+        pst = pst_of(self.angles, flat(self.g), flat(self.d, 0.5))
         glare = veiling_glare_index(pst, self.patch, place="point")
         assert glare.value == pytest.approx(self.expected(), rel=1e-9)
         assert (glare.unit, glare.covered) == ("%", pytest.approx(1))
         assert "taken for a point" in glare.definition
+        mean = veiling_glare_index(pst_of(self.angles, flat(self.g), flat(self.d, 5.0)), self.patch)
+        assert mean.value == pytest.approx(self.expected(5.0), rel=1e-9)
 
     def test_map(self) -> None:
         """Stray light is the same in all pixels; the image is in the pixel at x > 0, y > 0."""
         maps = np.zeros((2, len(self.angles), 1, 2, 2))
-        maps[0] = self.g
+        maps[0], maps[1] = self.g, 0.1 * self.g
         maps[0, 0, 0, 1, 1] += self.d
-        maps[1] = 0.1 * self.g
         pst = pst_of(self.angles, np.zeros_like, maps=maps)
         glare = veiling_glare_index(pst, self.patch)
         assert glare.value == pytest.approx(self.expected(), rel=1e-9)
         assert (glare.facts["x_mm"], glare.facts["y_mm"]) == (0.5, 0.5)
-        solid = pst.grid.solid_angle
-        black = np.where(self.angles > self.patch, solid, 0)
-        error = np.sqrt(np.sum((black - glare.value / 100 * solid) ** 2)) * 0.1 * self.g
-        white = self.d * self.solid(0, 0.5) + self.g * self.solid(0, 90)
-        assert glare.se == pytest.approx(100 * error / white, rel=1e-6)
+        black = np.where(self.angles > self.patch, pst.grid.solid_angle, 0)
+        error = np.linalg.norm(black - glare.value / 100 * pst.grid.solid_angle) * 0.1 * self.g
+        assert glare.se == pytest.approx(100 * error / (self.d * solid(0, 0.5) + self.g * solid(0, 90)), rel=1e-6)
         dark = veiling_glare_index(pst, self.patch, at_mm=(-0.5, 0.5))
-        assert dark.value == pytest.approx(100 * self.solid(self.patch, 90) / self.solid(0, 90), rel=1e-9)
-
-    def test_mean(self) -> None:
-        """The direct light of the field, from 0 … 5°, falls all over the detector and is not glare."""
-        pst = pst_of(
-            self.angles,
-            lambda t: np.full(t.shape, self.g),
-            lambda t: np.where(t < np.radians(5), self.d, 0.0),
-        )
-        glare = veiling_glare_index(pst, self.patch)
-        white = self.d * self.solid(0, 5) + self.g * self.solid(0, 90)
-        assert glare.value == pytest.approx(100 * self.g * self.solid(self.patch, 90) / white, rel=1e-9)
+        assert dark.value == pytest.approx(100 * solid(self.patch, 90) / solid(0, 90), rel=1e-9)
 
     def test_patch_off_the_axis(self) -> None:
-        azimuths = np.arange(0, 360, 10)
         pst = pst_of(
-            self.angles,
-            lambda t: np.full(t.shape, self.g),
-            lambda t: np.where(t < 0.1, self.d, 0),
-            azimuths_deg=azimuths,
+            self.angles, flat(self.g), flat(self.d, float(np.degrees(0.1))), azimuths_deg=np.arange(0, 360, 10)
         )
         glare = veiling_glare_index(pst, self.patch, 3.0, 77.0, place="point", source_deg=40.0)
         black = cover(pst.grid, Sky(to_deg=40)).coefficients - cover(pst.grid, Disc(2, 1, 3, 77)).coefficients
@@ -399,17 +320,13 @@ class TestVeilingGlare:
         assert glare.value == pytest.approx(100 * expected, rel=1e-9)
 
 
-@pytest.fixture(scope="module")
-def plate(tmp_path_factory: pytest.TempPathFactory) -> mistray.Trace:
-    """One plate of n = 1.5: the first ghost has R² of the direct image, and the same shape."""
-    scene = mistray.load(small_scenes.write(tmp_path_factory.mktemp("plate"), small_scenes.plates_text(1)))
-    return mistray.trace(scene, rays=2000, max_reflections=2, flux_threshold=0)
-
-
 class TestTraces:
     R = 0.04
 
-    def test_ghost_to_signal(self, plate: mistray.Trace) -> None:
+    def test_ghosts(self, load_scene: Callable[[str], object]) -> None:
+        """One plate of n = 1.5: the first ghost has R² of the direct image, and the same shape."""
+        scene = load_scene(plates_text(1))
+        plate = mistray.trace(scene, rays=2000, max_reflections=2, flux_threshold=0)
         integrated, peak = ghost_to_signal(plate)
         assert integrated.value == pytest.approx(self.R**2, rel=1e-5)
         assert integrated.se < 1e-8  # the ghost of every ray has the same share of it
@@ -417,20 +334,11 @@ class TestTraces:
         assert integrated.definition == DEFINITIONS["gsr"]
         other = ghost_to_signal(plate, plate)
         assert (other[0].value, other[1].value) == (pytest.approx(integrated.value), pytest.approx(peak.value))
-
-    def test_without_ghosts(self, tmp_path: Path) -> None:
-        scene = mistray.load(small_scenes.write(tmp_path, small_scenes.plates_text(1)))
-        t = mistray.trace(scene, rays=500, max_reflections=0)
-        integrated, peak = ghost_to_signal(t)
-        assert (integrated.value, peak.value) == (0, 0)
-
-    def test_glare_spread(self, plate: mistray.Trace) -> None:
-        """Over the detector it adds up to the ghost's flux by that of the direct image."""
-        spread = glare_spread(plate)
+        none = ghost_to_signal(mistray.trace(scene, rays=500, max_reflections=0))
+        assert (none[0].value, none[1].value) == (0, 0)
+        spread = glare_spread(plate)  # over the detector it adds up to the ghost's flux by that of the direct image
         x0, x1, y0, y1 = spread.extent_mm
-        pixel = (x1 - x0) * (y1 - y0) / spread.value.size
-        assert spread.value.sum() * pixel == pytest.approx(self.R**2, rel=1e-5)
-        assert "stray light alone" in spread.definition
+        assert spread.value.mean() * (x1 - x0) * (y1 - y0) == pytest.approx(self.R**2, rel=1e-5)
 
     def test_glare_spread_of_a_pst(self) -> None:
         """Direct flux on axis: 0.5 · 4 mm² per W/mm²."""
@@ -443,46 +351,38 @@ class TestTraces:
             glare_spread(pst, 40.0)
 
 
-def one_line(call: Callable[[], object], *words: str) -> None:
-    with pytest.raises(MistrayError) as error:
-        call()
-    text = str(error.value)
-    assert "\n" not in text
-    for word in words:
-        assert word in text, text
-
-
 def test_bad_input() -> None:
+    """One wrong value of each argument, and light that is not there."""
     pst = pst_of([0, 2, 4], np.ones_like, np.ones_like)
-    dark = pst_of([10, 12], np.zeros_like)
-    one_line(lambda: source_irradiance(pst, Disc(1.0, 1.0, 60.0)), "between 59 and 61°", "0 to 5°")
-    one_line(lambda: source_irradiance(pst, Disc(1.0, 0.0)), "dark")
-    one_line(lambda: source_irradiance(pst, Sky(), interpolation="cubic"), "'cubic'", "'log'")
-    one_line(lambda: source_irradiance(pst, Sky(), "ghosts"), "'ghosts'")
-    one_line(lambda: source_irradiance(pst, Sky(lambda t, p: t[:, 0])), "radiance of the sky")
-    one_line(lambda: source_irradiance(pst, Sky(lambda t, p: -t)), "radiance of the sky")
-    one_line(lambda: Sky(-1.0), "-1", "not negative")
-    one_line(lambda: Sky(from_deg=40, to_deg=30), "from 40 to 30°")
-    one_line(lambda: Disc(100.0, 1.0), "radius_deg is 100")
-    one_line(lambda: Disc(1.0, 1.0, 190.0), "190°")
-    one_line(lambda: Disc(1.0, float("nan")), "radiance")
-    one_line(lambda: sun(10, diameter_deg=0), "diameter_deg is 0")
-    one_line(lambda: rejection_ratio(dark), "0", "no cell")
-    one_line(lambda: rejection_ratio(dark, reference_deg=10), "total", "10°")
-    one_line(lambda: normalised_irradiance(pst, "nis"), "'nis'")
-    one_line(lambda: normalised_irradiance(pst, plane="beam"), "'beam'")
-    one_line(lambda: normalised_stray_light(dark, 1.0), "no direct light")
-    one_line(lambda: normalised_stray_light(pst, 0.0), "diameter_deg is 0")
-    one_line(lambda: equivalent_stray_radiance(dark, Sky(from_deg=9)), "f_number")
-    one_line(lambda: ideal_throughput(0), "f_number is 0")
-    one_line(lambda: stray_to_signal(pst, Sky(), 0.0), "scene_radiance is 0")
-    one_line(lambda: surface_magnitude(Estimate(1, 0), 0), "zero_point_W_mm2 is 0")
-    one_line(lambda: ab_zero_point(500, 600), "600 nm")
-    one_line(lambda: veiling_glare_index(pst, 50, 45), "45°", "90°")
-    one_line(lambda: veiling_glare_index(pst, 1, place="film"), "'film'")
-    one_line(lambda: veiling_glare_index(pst, 1, place="map"), "map_pixels")
-    one_line(lambda: veiling_glare_index(pst, 1, 3, place="point"), "azimuths_deg")
-    bright = pst_of([0, 2], np.ones_like, maps=np.zeros((2, 2, 1, 4, 4)))
-    one_line(lambda: veiling_glare_index(bright, 1), "at_mm")
-    one_line(lambda: veiling_glare_index(bright, 1, at_mm=(3.0, 0.0)), "(3, 0)", "-1 to 1")
-    one_line(lambda: glare_spread(pst), "map_pixels")
+    dark, bright = pst_of([10, 12], np.zeros_like), pst_of([0, 2], np.ones_like, maps=np.zeros((2, 2, 1, 4, 4)))
+    calls: tuple[tuple[Callable[[], object], str], ...] = (
+        (lambda: source_irradiance(pst, Disc(1.0, 1.0, 60.0)), "between 59 and 61°"),
+        (lambda: source_irradiance(pst, Disc(1.0, 0.0)), "dark"),
+        (lambda: source_irradiance(pst, Sky(), interpolation="cubic"), "'cubic'"),
+        (lambda: source_irradiance(pst, Sky(), "ghosts"), "'ghosts'"),
+        (lambda: source_irradiance(pst, Sky(lambda t, p: t[:, 0])), "radiance of the sky"),
+        (lambda: Sky(-1.0), "not negative"),
+        (lambda: Sky(from_deg=40, to_deg=30), "from 40 to 30°"),
+        (lambda: Disc(100.0, 1.0), "radius_deg is 100"),
+        (lambda: Disc(1.0, float("nan")), "radiance"),
+        (lambda: sun(10, diameter_deg=0), "diameter_deg is 0"),
+        (lambda: rejection_ratio(dark, reference_deg=10), "10°"),
+        (lambda: normalised_irradiance(pst, "nis"), "'nis'"),
+        (lambda: normalised_irradiance(pst, plane="beam"), "'beam'"),
+        (lambda: normalised_stray_light(dark, 1.0), "no direct light"),
+        (lambda: equivalent_stray_radiance(dark, Sky(from_deg=9)), "f_number"),
+        (lambda: ideal_throughput(0), "f_number is 0"),
+        (lambda: stray_to_signal(pst, Sky(), 0.0), "scene_radiance is 0"),
+        (lambda: surface_magnitude(Estimate(1, 0), 0), "zero_point_W_mm2 is 0"),
+        (lambda: ab_zero_point(500, 600), "600 nm"),
+        (lambda: veiling_glare_index(pst, 50, 45), "45°"),
+        (lambda: veiling_glare_index(pst, 1, place="film"), "'film'"),
+        (lambda: veiling_glare_index(pst, 1, place="map"), "map_pixels"),
+        (lambda: veiling_glare_index(pst, 1, 3, place="point"), "azimuths_deg"),
+        (lambda: veiling_glare_index(bright, 1, at_mm=(3.0, 0.0)), "-1 to 1"),
+        (lambda: glare_spread(pst), "map_pixels"),
+    )
+    for call, words in calls:
+        with pytest.raises(MistrayError, match=words) as error:
+            call()
+        assert "\n" not in str(error.value)

@@ -1,8 +1,7 @@
-"""The steps of a study, against numbers that are known without it."""
+"""The steps of a study, against numbers that are known without it; images of points, or why there are none."""
 
 from __future__ import annotations
 
-import csv
 import importlib
 import math
 from dataclasses import replace
@@ -11,6 +10,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import vectors
+from oracles.rough_paraboloid import paraboloid_text
+from oracles.scatter_scenes import bsdf_xml
 
 import mistray
 from mistray.analysis.study.eight_steps import Study, study
@@ -18,6 +20,7 @@ from mistray.analysis.study.models import mechanical_model, optical_model, role
 from mistray.analysis.study.objects import source_angles
 from mistray.analysis.study.step import STEPS
 from mistray.analysis.study.surfaces import coatings_and_scatter, importance_sampling
+from mistray.analysis.study.transfer import transfer_findings
 from mistray.errors import MistrayError
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.importance_targets import importance_targets
@@ -48,9 +51,6 @@ def small() -> Study:
     return study(mistray.load("plate_and_wall"), ANGLES, FIELDS, rays=RAYS, name="plate and wall")
 
 
-# ---- step 1
-
-
 @pytest.mark.long
 def test_surfaces_in_the_order_of_the_light(camera):
     step = optical_model(*camera)
@@ -67,20 +67,14 @@ def test_surfaces_in_the_order_of_the_light(camera):
 
 
 def test_a_source_that_does_not_fill_the_pupil_is_named():
-    """singlet_window_detector: a beam of 10 mm radius through lenses of 20 mm."""
-    step = optical_model(*prepared("singlet_window_detector"))
+    """A beam of 10 mm radius through lenses of 20 mm; and no numbers where there is no design path."""
+    scene, table, path = prepared("singlet_window_detector")
+    step = optical_model(scene, table, path)
     assert "the source reaches 10 mm from the axis, the entrance pupil 20 mm" in step.warnings[0]
-
-
-def test_without_a_design_path_there_are_no_numbers(camera):
-    scene, table, _ = camera
-    step = optical_model(scene, table, None)
-    assert step.result is None
-    assert "no design path" in step.warnings[0]
-    assert step.table.empty
-
-
-# ---- step 2
+    none = optical_model(scene, table, None)
+    assert none.result is None
+    assert "no design path" in none.warnings[0]
+    assert none.table.empty
 
 
 def test_structure_has_extents_and_roles(camera):
@@ -95,23 +89,15 @@ def test_structure_has_extents_and_roles(camera):
     assert role(table, path, table.detector) == "detector"
 
 
-# ---- step 6
-
-
 def test_budget_of_every_surface_is_whole(camera):
+    """TIS = (2π Δn σ/λ)² of the transmitted light, for 4 nm at 550 nm (eq. 7 of the phone camera study)."""
     _, table, path = camera
     step = coatings_and_scatter(table, path)
-    frame = step.tables["surface_budget"]
+    frame, models = step.tables["surface_budget"], step.tables["scatter_models"]
     parts = frame[["R_percent", "T_percent", "TIS_reflected_percent", "TIS_transmitted_percent", "A_percent"]]
     np.testing.assert_allclose(parts.sum(axis=1), 100, atol=1e-9)
     assert (parts >= 0).all(axis=None)
     assert int(step.table["count"].sum()) == len(frame)  # treatments: every row once
-
-
-def test_tis_is_that_of_the_roughness(camera):
-    """TIS = (2π Δn σ/λ)² of the transmitted light, for 4 nm at 550 nm (eq. 7 of the phone camera study)."""
-    _, table, path = camera
-    models = coatings_and_scatter(table, path).tables["scatter_models"]
     of_window = models[(models.surface == "window_front") & models.model.str.startswith("harvey_shack")].iloc[0]
     index = float(table.optics.host_indices[table.ids.index("window_front"), 1])
     tis = (2 * math.pi * (index - 1) * 4 / 550) ** 2
@@ -173,14 +159,8 @@ def test_every_traced_target_stands_beside_the_paraxial_image(camera):
 
 @pytest.mark.long
 def test_paraxial_targets_are_those_of_table_15():
-    """
-    "Stray Light Analysis of a Mobile Phone Camera", Table 15: distance and size of the images that light should go to.
-
-    The table as audited: its own values belong to the wrong surfaces, the columns "correct" follow from its rays. The
-    detector lies in the paraxial focus and is as large as the image.
-    """
-    with (Path(__file__).parents[1] / "data" / "table15_audit.csv").open() as file:
-        audit = {row["surface"]: row for row in csv.DictReader(line for line in file if not line.startswith("#"))}
+    """Of "Stray Light Analysis of a Mobile Phone Camera", as audited: the columns "correct" follow from its rays."""
+    audit = {row["surface"]: row for row in vectors.rows("table15_audit.csv")}
     prescription = importlib.import_module("mistray.scenes.phone_camera_scatter.prescription").build()
     size = float(audit["16"]["ISH_correct"])
     focus = prescription.surfaces[-1].z + prescription.paraxial(D_LINE_NM).bfl
@@ -205,36 +185,20 @@ def test_paraxial_targets_are_those_of_table_15():
     np.testing.assert_allclose(window.half_angle_deg, angle, rtol=1e-3)
 
 
-# ---- the whole
-
-
 def test_eight_steps_in_order(small):
-    assert [step.key for step in small.steps] == [key for key, _ in STEPS]
+    """Light meets the screen, the detector sees it: beyond the direct view it brings most of the stray light."""
+    assert list(small) == [step.key for step in small.steps] == [key for key, _ in STEPS]
     assert [step.number for step in small.steps] == list(range(1, 9))
-    assert list(small) == [key for key, _ in STEPS]
-    assert all(step.text and step.seconds >= 0 for step in small.steps)
-    assert all(step.findings for step in small.steps)
-    assert small["analysis"] is small.steps[7]
+    assert all(step.text and step.findings and step.seconds >= 0 for step in small.steps)
+    assert (list(small.pst.field_deg), list(small.ghosts)) == (list(ANGLES), list(FIELDS))
+    assert math.isinf(small.first_order.focal_length_mm)
+    common = {row.id for row in small.objects.common}
+    assert "screen" in common
+    assert common == set(small["common_objects"].table.id)
+    assert small["analysis"].table.set_index("angle_deg").main_cause[40.0] == "screen"
+    assert any("screen" in text for text in small["analysis"].findings)
     with pytest.raises(MistrayError, match="no step 'ghosts'"):
         small["ghosts"]
-
-
-def test_the_screen_is_a_common_object_and_the_cause(small):
-    """Light meets the screen, the detector sees it: beyond the direct view it brings most of the stray light."""
-    assert "screen" in set(small["common_objects"].table.id)
-    causes = small["analysis"].table.set_index("angle_deg").main_cause
-    assert causes[40.0] == "screen"
-    assert any("screen" in text for text in small["analysis"].findings)
-
-
-def test_the_parts_are_at_hand(small):
-    assert list(small.pst.field_deg) == list(ANGLES)
-    assert list(small.ghosts) == list(FIELDS)
-    assert small.first_order is not None
-    assert math.isinf(small.first_order.focal_length_mm)
-    assert {row.id for row in small.objects.common} == set(small["common_objects"].table.id)
-    assert small.settings["rays"] == RAYS
-    assert "Stray-light analysis" in repr(small)
 
 
 @pytest.mark.long
@@ -254,24 +218,62 @@ def test_one_report_and_a_csv_of_every_table(small, tmp_path: Path):
     np.testing.assert_allclose(back.pst_total, small.pst.value, rtol=1e-8)
 
 
-def test_source_angles_reach_beyond_the_fields():
-    assert source_angles([0.0, 18.0, -22.0], 80.0) == [0.0, 18.0, 22.0, 30.0, 40.0, 60.0, 80.0]
-    assert source_angles([0.0, 50.0], 60.0) == [0.0, 50.0, 60.0]
-
-
 def test_bad_arguments_are_one_line():
+    """And angles of the source that are asked for reach beyond the fields."""
+    assert source_angles([0.0, 18.0, -22.0], 80.0) == [0.0, 18.0, 22.0, 30.0, 40.0, 60.0, 80.0]
     scene = mistray.load("plate")
-    with pytest.raises(MistrayError, match="unknown argument max_ghosts of study"):
-        study(scene, max_ghosts=3)
+    for arguments, words in (
+        ({"max_ghosts": 3}, "unknown argument max_ghosts of study"),
+        ({"pst_field_deg": [10, 5]}, "must ascend"),
+        ({"convention": "cosine"}, "convention is 'cosine'"),
+        ({"field_deg": []}, "field_deg is empty; give at least one"),
+        ({"max_random_scatters": 1}, "max_random_scatters is 1"),
+    ):
+        with pytest.raises(MistrayError, match=words):
+            study(scene, **arguments)
     with pytest.raises(MistrayError, match="load the scene first"):
         study("plate")
-    with pytest.raises(MistrayError, match="must ascend"):
-        study(scene, [10, 5])
-    with pytest.raises(MistrayError, match="convention is 'cosine'"):
-        study(scene, convention="cosine")
-    with pytest.raises(MistrayError, match=r"field_deg is empty; give at least one"):
-        study(scene, field_deg=[])
-    with pytest.raises(MistrayError, match="max_random_scatters is 1"):
-        study(scene, max_random_scatters=1)
-    with pytest.raises(MistrayError, match="relative_error is 2"):
-        study(scene, relative_error=2)
+
+
+HALO = bsdf_xml("abg", A=1e-3, B=1e-6, g=2.0, event="reflection")
+
+
+@pytest.fixture(scope="module")
+def images(load_scene):
+    scene = load_scene(paraboloid_text(HALO, detector=5.0))
+    # At 4° the direct image misses the detector
+    return mistray.study(scene, (0, 20), (0, 0.5, 4), rays=20_000, quick=True, name="rough mirror", next_order=False)
+
+
+@pytest.mark.long
+def test_the_report_shows_them(images, tmp_path: Path):
+    files = images.write(tmp_path)
+    assert {"8_books.csv", "8_transfer_functions.csv", "8_image_rings.csv"} <= {file.name for file in files}
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert page.count("Image of a point with stray light, field") == 2
+
+
+@pytest.mark.long
+def test_tables_facts_and_findings(images):
+    assert [one.image.field_deg for one in images.images] == [0, 0.5]  # whose image meets the detector
+    step = images["analysis"]
+    numbers = step.tables["image_with_stray_light"]
+    assert list(numbers.field_deg) == [0, 0.5]
+    books = step.tables["books"].drop(columns="field_deg")
+    shares = books[[name for name in books if not name.endswith("_se")]].sum(axis=1)
+    np.testing.assert_allclose(shares, 1, atol=1e-6)
+    assert len(step.tables["transfer_functions"]) == 2 * len(images.images[0].frequencies_per_mm)
+    assert len(step.tables["image_rings"]) > 100
+    assert step.fact("veiling floor at 0°") == images.images[0].veiling_floor
+    (text,) = transfer_findings(images.images)
+    assert text in step.findings
+    lost = 100 * (1 - min(one.veiling_floor.value for one in images.images))
+    assert f"{lost:.3g} %" in text
+
+
+@pytest.mark.long
+def test_a_scene_without_an_image_says_so():
+    step = mistray.study(mistray.load("plate_and_wall"), (0, 40), (0,), rays=500, next_order=False)["analysis"]
+    assert "There are no images of points" in step.text
+    assert "books" not in step.tables
+    assert step.result["images"] is None

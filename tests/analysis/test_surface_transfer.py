@@ -58,19 +58,20 @@ def test_bsdf_and_spectrum_agree_to_the_first_order(event):
 
 
 def test_the_spectrum_of_a_band_is_the_closed_form_where_the_band_holds_all():
-    model = KCorrelation(10.0, B_UM, 5.0, event="reflection")
+    """A table of a spectrum is that spectrum; oblique incidence lowers the phase, independent surfaces multiply."""
     a = (4 * math.pi * 10 / LINE) ** 2
     expected = formulas.surface_transfer(formulas.k_correlation(LAGS_UM, B_UM, 5.0), a)
-    np.testing.assert_allclose(transfer_of_spectrum(model, LINE).at_lag(LAGS_UM), expected, atol=1e-4 * a)
-
-
-def test_a_table_of_the_spectrum_is_the_spectrum():
-    model = mirror(4.0)
+    found = transfer_of_spectrum(KCorrelation(10.0, B_UM, 5.0, event="reflection"), LINE)
+    np.testing.assert_allclose(found.at_lag(LAGS_UM), expected, atol=1e-4 * a)
     f = np.geomspace(1e-6, 4.0, 400)
-    table = PsdTable(tuple(f.tolist()), tuple(model.psd(LINE)(f).tolist()), event="reflection")
-    for lag in LAGS_UM:
-        one, other = (transfer_of_spectrum(m, LINE).at_lag(np.array([lag]))[0] for m in (model, table))
-        assert one == pytest.approx(other, abs=1e-6)
+    table = PsdTable(tuple(f.tolist()), tuple(mirror(4.0).psd(LINE)(f).tolist()), event="reflection")
+    of_table, one = (transfer_of_spectrum(model, LINE) for model in (table, mirror(4.0)))
+    np.testing.assert_allclose(of_table.at_lag(LAGS_UM), one.at_lag(LAGS_UM), atol=1e-6)
+    np.testing.assert_allclose(product([one, one], [LAGS_UM, LAGS_UM]), one.at_lag(LAGS_UM) ** 2)
+    oblique = transfer_of_spectrum(mirror(4.0), LINE, cos_i=0.5)
+    assert math.log(oblique.plateau) == pytest.approx(math.log(one.plateau) * 0.5**2, rel=1e-9)
+    nu = np.array([0.0, 1.0, 30.0])  # frequencies are lags by f-number and footprint
+    np.testing.assert_allclose(one.at(nu, 5.0, 20.0), one.at_lag(LINE * 1e-3 * 5.0 * 20.0 * nu))
 
 
 def test_a_gaussian_lobe_has_a_gaussian_transform():
@@ -102,12 +103,6 @@ def test_tis_is_the_integral_of_the_lobes_at_every_angle(model):
         assert values[2] == pytest.approx(found.plateau, abs=1e-3)
 
 
-def test_oblique_incidence_lowers_the_phase():
-    cos_i = math.cos(math.radians(60))
-    one, other = (transfer_of_spectrum(mirror(8.0), LINE, cos_i=c) for c in (1.0, cos_i))
-    assert math.log(other.plateau) == pytest.approx(math.log(one.plateau) * cos_i**2, rel=1e-9)
-
-
 def test_a_smooth_surface_changes_nothing():
     for found in (
         transfer_of_spectrum(mirror(0.0), LINE),
@@ -119,17 +114,6 @@ def test_a_smooth_surface_changes_nothing():
         np.testing.assert_array_equal(found.at([0.0, 100.0], 4.0, 25.0), 1)
 
 
-def test_independent_surfaces_multiply():
-    one = transfer_of_spectrum(mirror(5.0), LINE)
-    np.testing.assert_allclose(product([one, one], [LAGS_UM, LAGS_UM]), one.at_lag(LAGS_UM) ** 2)
-
-
-def test_frequencies_are_lags_by_f_number_and_footprint():
-    found = transfer_of_spectrum(mirror(8.0), LINE)
-    nu = np.array([0.0, 1.0, 30.0])
-    np.testing.assert_allclose(found.at(nu, 5.0, 20.0), found.at_lag(LINE * 1e-3 * 5.0 * 20.0 * nu))
-
-
 def test_a_rough_surface_is_told():
     with pytest.warns(MistrayWarning, match="not smooth in reflection at 632.8 nm"):
         found = transfer_of_spectrum(mirror(120.0), LINE)
@@ -138,9 +122,8 @@ def test_a_rough_surface_is_told():
     assert transfer_of_spectrum(mirror(120.0), 10600.0).tis == pytest.approx((4 * math.pi * 120 / 10600) ** 2, rel=0.05)
 
 
-@pytest.mark.parametrize(
-    ("named", "call"),
-    [
+def test_what_cannot_be_is_refused():
+    for named, call in (
         ("event", lambda: transfer_of_bsdf(mirror(1.0), LINE, "both")),
         ("wavelength_nm", lambda: transfer_of_spectrum(mirror(1.0), 0.5)),
         ("n_in", lambda: transfer_of_bsdf(mirror(1.0), LINE, n_in=0.0)),
@@ -151,8 +134,6 @@ def test_a_rough_surface_is_told():
         ("f_number", lambda: transfer_of_spectrum(mirror(1.0), LINE).at([1.0], 0.0, 1.0)),
         ("footprint_mm", lambda: transfer_of_spectrum(mirror(1.0), LINE).at([1.0], 1.0, math.inf)),
         ("frequencies_per_mm", lambda: transfer_of_spectrum(mirror(1.0), LINE).at([-1.0], 1.0, 1.0)),
-    ],
-)
-def test_what_cannot_be_is_refused(named, call):
-    with pytest.raises(MistrayError, match=named):
-        call()
+    ):
+        with pytest.raises(MistrayError, match=named):
+            call()

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 from oracles.rough_paraboloid import FOCUS, LINE, RADIUS, paraboloid_text
-from oracles.scatter_integrals import gauss_legendre
-from oracles.scatter_scenes import bsdf_xml
+from oracles.scatter_integrals import disc_to_disc, gauss_legendre
+from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene, scattering_xml
 from oracles.statistics import assert_z
 from scipy import special
 
@@ -87,40 +87,27 @@ class TestRoughMirror:
         assert found.outside < 1e-4
         lost = found.books["escaped"]
         assert_z("lost", lost.value, scattered_beyond(60.0), lost.se, k=4, floor=1e-5)
-
-    def test_encircled_energy_is_the_sum_of_rings(self, found):
-        edges = found.edges_mm
-        whole = found.encircled_energy(edges)
-        np.testing.assert_allclose(
-            np.diff(whole.value), sum(part.value for part in found.ring_shares.values()), atol=1e-9
-        )
-        assert np.all(np.diff(whole.value) >= 0)
+        whole = np.diff(found.encircled_energy(found.edges_mm).value)
+        np.testing.assert_allclose(whole, sum(part.value for part in found.ring_shares.values()), atol=1e-9)
+        assert np.all(whole >= 0)
 
     def test_the_composite_psf_has_the_flux_of_its_parts(self, found):
         image, stray = found.psf(64, 0.004)
         direct = found.image.psf(64, 0.004).values
         np.testing.assert_allclose(image.values, found.veiling_floor.value * direct + stray)
-        inside = (
-            found.encircled_energy([0.12]).value[0]
-            - found.veiling_floor.value * found.encircled_energy([0.12], False).value[0]
-        )
+        whole, own = (found.encircled_energy([0.12], stray).value[0] for stray in (True, False))
+        inside = whole - found.veiling_floor.value * own
         disc = np.hypot(*np.meshgrid(image.x_mm, image.y_mm)) < 0.12
         assert float(stray[disc].sum()) * 0.004**2 == pytest.approx(inside, rel=0.03)  # squares for a disc
 
 
 def test_a_uniform_veil_lowers_contrast_at_all_but_the_lowest_frequencies(load_scene):
-    """
-    A mirror that scatters 90 % as a Lambertian and reflects 1 %, and a small detector.
-
-    The veil is the view factor of two coaxial discs, even over the detector to cos⁴ 1.7° = 0.998. False alarm 1e-3.
-    """
+    """The veil is the view factor of two coaxial discs, even over the detector to 0.998. False alarm 1e-3."""
     reflected, scattered, radius = 0.01, 0.9, 6.0
     veil = bsdf_xml("paint", reflectance=scattered, event="reflection")
     text = paraboloid_text(veil, detector=radius).replace('name="R" value="1.0"', f'name="R" value="{reflected}"')
     found = mistray.transfer(load_scene(text), rays=50_000, frequencies_per_mm=NU, **ALL)[0]
-    a, b = RADIUS / FOCUS, radius / FOCUS
-    x = 1 + (1 + b * b) / (a * a)
-    view = (x - math.sqrt(x * x - 4 * (b / a) ** 2)) / 2
+    view = disc_to_disc(RADIUS, radius, FOCUS)
     total = reflected + scattered * view
     floor = found.veiling_floor
     assert_z("floor", floor.value, reflected / total, floor.se, k=4, floor=2e-3 * scattered * view / total)
@@ -161,8 +148,6 @@ def test_the_classes_are_those_of_the_path_table(name, field):
 
 
 def test_edges_that_diffract_are_a_class_of_their_own(load_scene):
-    from oracles.scatter_scenes import beam_xml, placed_xml, scatter_scene, scattering_xml
-
     edge = scattering_xml([bsdf_xml("edge_diffraction", width_mm=0.05)], T=1.0, R=0.0)
     scene = load_scene(
         scatter_scene(
@@ -192,11 +177,7 @@ def test_glare_is_the_ghost_to_signal_ratio_of_the_same_trace():
 
 
 def test_rays_and_wavefront_have_one_origin_and_one_sign(load_scene):
-    """
-    Coma makes the transfer function complex: Fourier sums of the trace, of the rays of the image, and the wavefront's.
-
-    False alarm 1e-3 for each azimuth and each part; the wavefront's has diffraction too, so that its sign is compared.
-    """
+    """Coma makes the function complex; false alarm 1e-3 for each azimuth and part; of the wavefront the sign counts."""
     scene = load_scene(paraboloid_text(detector=20.0, radius=40.0))
     nu = np.array([2.0, 10.0, 25.0, 40.0])
     quality = mistray.image_quality(scene, 0.3, azimuth_deg=20.0)
@@ -281,8 +262,7 @@ def test_errors_hold_over_seeds(load_scene):
     """
     Spread of 60 seeds over the mean of the printed errors, pooled over numbers, within 0.85 … 1.15.
 
-    The numbers of one seed are correlated; as one number alone the quotient would have an error of 9 % from the seeds
-    and 2 % from the batches: false alarm below 0.1.
+    As one number alone the quotient would have an error of 9 % from the seeds, 2 % from batches: false alarm below 0.1.
     """
     scene = load_scene(paraboloid_text(HALO, detector=5.0))
     quality = mistray.image_quality(scene)
@@ -299,54 +279,39 @@ def test_errors_hold_over_seeds(load_scene):
     assert 0.85 < pooled < 1.15, ratio
 
 
-class TestRefused:
-    @pytest.mark.parametrize(
-        ("named", "options"),
-        [
-            ("pixel_mm", {"pixel_mm": 0.0}),
-            ("pixel_mm", {"pixel_mm": -1.0}),
-            ("pixel_mm", {"pixel_mm": (0.1, 0.1, 0.1)}),
-            ("diffusion_mm", {"diffusion_mm": math.nan}),
-            ("ends at 5 per mm", {"detector_table": ((0.0, 5.0), (1.0, 0.5)), "frequencies_per_mm": [6.0]}),
-            ("ascend", {"detector_table": ((0.0, 5.0, 4.0), (1.0, 0.5, 0.1))}),
-            ("begins at 0.5", {"detector_table": ((0.0, 5.0), (0.5, 0.2))}),
-            ("frequencies_per_mm", {"frequencies_per_mm": [-1.0]}),
-            ("frequencies_per_mm", {"frequencies_per_mm": [1e308]}),
-            ("empty", {"frequencies_per_mm": []}),
-            ("sort them", {"frequencies_per_mm": [2.0, 1.0]}),
-            ("recorders", {"recorders": []}),
-            ("rayz", {"rayz": 10}),
-            ("rays", {"rays": 0}),
-        ],
-    )
-    def test_numbers_that_cannot_be(self, load_scene, named, options):
-        scene = load_scene(paraboloid_text())
+def test_refused(load_scene):
+    """One wrong value of each argument; light that is not there; what is given twice."""
+    scene = load_scene(paraboloid_text())
+    quality = mistray.image_quality(scene)
+    found = mistray.transfer(scene, rays=100, frequencies_per_mm=[1.0])[0]
+    for named, options in (
+        ("pixel_mm", {"pixel_mm": 0.0}),
+        ("pixel_mm", {"pixel_mm": (0.1, 0.1, 0.1)}),
+        ("diffusion_mm", {"diffusion_mm": math.nan}),
+        ("ends at 5 per mm", {"detector_table": ((0.0, 5.0), (1.0, 0.5)), "frequencies_per_mm": [6.0]}),
+        ("ascend", {"detector_table": ((0.0, 5.0, 4.0), (1.0, 0.5, 0.1))}),
+        ("begins at 0.5", {"detector_table": ((0.0, 5.0), (0.5, 0.2))}),
+        ("frequencies_per_mm", {"frequencies_per_mm": [-1.0]}),
+        ("frequencies_per_mm", {"frequencies_per_mm": [1e308]}),
+        ("empty", {"frequencies_per_mm": []}),
+        ("sort them", {"frequencies_per_mm": [2.0, 1.0]}),
+        ("recorders", {"recorders": []}),
+        ("rayz", {"rayz": 10}),
+        ("quality and wavelength_nm", {"quality": quality, "wavelength_nm": 550.0}),
+        ("quality and field_deg", {"quality": quality, "field_deg": 0.0}),
+    ):
         with pytest.raises(MistrayError, match=named) as error:
             mistray.transfer(scene, **options)
         assert "\n" not in str(error.value)
-
-    def test_a_field_whose_image_misses_the_detector(self, load_scene):
-        scene = load_scene(paraboloid_text(HALO, detector=2.0))
-        with pytest.raises(MistrayError, match=r"field 3°|3°.*no direct light meets the detector"):
-            mistray.transfer(scene, 3.0, rays=1000)
-
-    def test_another_azimuth_of_the_curves(self, load_scene):
-        found = mistray.transfer(load_scene(paraboloid_text()), rays=100, frequencies_per_mm=[1.0])[0]
-        with pytest.raises(MistrayError, match="azimuth"):
-            found.composite("radial")
-        with pytest.raises(MistrayError, match="radii_mm"):
-            found.encircled_energy([-1.0])
-
-    def test_quality_and_its_own_light(self, load_scene):
-        scene = load_scene(paraboloid_text())
-        quality = mistray.image_quality(scene)
-        for name, value in (("wavelength_nm", 550.0), ("field_deg", 0.0)):
-            with pytest.raises(MistrayError, match=f"quality and {name}"):
-                mistray.transfer(scene, quality=quality, **{name: value})
-
-    def test_what_is_no_scene(self):
-        with pytest.raises(MistrayError, match="load the scene first"):
-            mistray.transfer("cooke_triplet")
+    for named, call in (
+        ("azimuth", lambda: found.composite("radial")),
+        ("radii_mm", lambda: found.encircled_energy([-1.0])),
+        ("load the scene first", lambda: mistray.transfer("cooke_triplet")),
+        (r"field 3°|3°.*no direct light meets the detector",
+         lambda: mistray.transfer(load_scene(paraboloid_text(HALO, detector=2.0)), 3.0, rays=1000)),
+    ):  # fmt: skip
+        with pytest.raises(MistrayError, match=named):
+            call()
 
 
 def test_fourier_sums_and_rings_are_of_the_same_light(load_scene):

@@ -1,19 +1,25 @@
-"""What a ghost analysis comes to: the worst paths of all fields and the surface that is worth changing first."""
+"""What a ghost analysis comes to: the worst paths, whether they are certain, and the surface to change first."""
 
 from __future__ import annotations
 
+import importlib
 import math
 
 import numpy as np
 import pytest
+from oracles.small_scenes import interface_xml, scene_text, shape_xml
 from report.fake_scene import lens_scene
 from report.fake_trace import LENS, FakePath, FakeTrace, paths_at, scatter_paths_at, trace_at
 
 import mistray
-from mistray.analysis.ghosts import GhostReport
+from mistray.analysis.ghosts import GhostReport, ghosts
 from mistray.analysis.ranking import bounds
-from mistray.analysis.verdict import most_stray, remedy, shares_of_kinds, worst_of_all_fields
+from mistray.analysis.verdict import brightest_field, most_stray, remedy, shares_of_kinds, worst_of_all_fields
+from mistray.cli.ghosts_json import as_json
+from mistray.errors import Interrupted
 from mistray.report.ghosts.answer import verdict
+from mistray.report.tables.ghosts import CONTESTED, main_table
+from mistray.report.tables.ghosts_csv import summary_frame
 
 
 def report_of(paths_by_field, rank="rms"):
@@ -30,25 +36,20 @@ def test_worst_paths_stand_once_at_their_worst_field():
     values = {field: bounds(report.top(field, 1, "rms"))[0, 0] for field in report}
     assert worst[0].field_deg == max(values, key=values.get)
     assert worst[-1].few_rays  # three rays in a point have the highest irradiance
-
-
-def test_worst_paths_by_power():
-    report = report_of({0.0: paths_at(0.0), 20.0: paths_at(20.0)}, "power")
-    powers = [path.power_W.value for path in worst_of_all_fields(report, 3)]
+    powers = [path.power_W.value for path in worst_of_all_fields(report_of({0.0: paths_at(0.0)}, "power"), 3)]
     assert powers == sorted(powers, reverse=True)
     assert powers[0] == pytest.approx(2e-4)
 
 
-def test_dark_detector():
+def test_a_field_without_stray_light_is_left_with_none():
+    """The remedy is not the detector, at which all ghosts of the fake trace turn; a dark one needs none."""
+    dark = [FakePath(f"{LENS} detector:A", 1.0, 99)]
+    found = remedy(report_of({0.0: paths_at(0.0), 10.0: dark, 20.0: []}))
+    assert found.surface == "window_rear"
+    assert found.left_W[0.0].value > 0 == found.left_W[10.0].value == found.left_W[20.0].value
     report = report_of({0.0: []})
     assert (worst_of_all_fields(report), most_stray(report), remedy(report)) == ([], None, None)
     assert verdict(report) == ["No stray path reaches the detector."]
-
-
-def test_a_field_without_stray_light_is_left_with_none():
-    dark = [FakePath(f"{LENS} detector:A", 1.0, 99)]
-    found = remedy(report_of({0.0: paths_at(0.0), 10.0: dark, 20.0: []}))
-    assert found.left_W[0.0].value > 0 == found.left_W[10.0].value == found.left_W[20.0].value
 
 
 def test_shares_of_kinds_add_up():
@@ -89,58 +90,147 @@ def test_light_that_passes_where_the_image_does_not():
     assert found.left_W[20.0].value == pytest.approx(rows.power_W[~through].sum())
 
 
-def test_a_detector_is_no_remedy():
-    found = remedy(report_of({0.0: paths_at(0.0)}))
-    assert found.surface == "window_rear"  # not the detector, at which all ghosts of the fake trace turn
+def test_what_is_left_without_a_surface_is_left_without_it(load_scene):
+    """A plate before a detector: traced again with R = 0 and the same T; equal seeds, so they agree to rounding."""
 
+    def report(rear):
+        faces = [
+            shape_xml("asphere", name, z, interface_xml(*sides, R=share, T=0.9), semi_diameter=20.0)
+            for name, z, sides, share in (
+                ("front", 0.0, ("air", "N-BK7"), 0.02), ("rear", 3.0, ("N-BK7", "air"), rear),
+            )
+        ]  # fmt: skip
+        detector = shape_xml("asphere", "detector", 9.0, interface_xml(R=0.3), sensor=True, semi_diameter=15.0)
+        scene = load_scene(scene_text(*faces, detector, radius=4.0))
+        return mistray.ghosts(scene, field_deg=[0.0, 10.0], rays=4000, max_reflections=3)
 
-def test_verdict_is_five_sentences_at_most():
-    report = report_of({0.0: scatter_paths_at(0.0), 20.0: scatter_paths_at(20.0)})
-    sentences = verdict(report)
-    assert len(sentences) == 5
-    assert all(sentence.endswith(".") for sentence in sentences)
-    field = most_stray(report)
-    assert f"{field:g}°" in sentences[0]
-    assert remedy(report).surface in sentences[3]
-
-
-def test_what_is_left_without_a_surface_is_left_without_it():
-    """
-    A plate before a detector: the surface is given R = 0 and the same T, and traced again.
-
-    Seeds are the same and so are the paths of both, so that the numbers agree to rounding, not to their errors.
-    """
-
-    def scene(shares):
-        surfaces = {
-            "front": {
-                "type": "asphere",
-                "semi_diameter": 20.0,
-                "z": 0.0,
-                "bsdf": _bsdf("air", "N-BK7", shares.get("front")),
-            },
-            "rear": {
-                "type": "asphere",
-                "semi_diameter": 20.0,
-                "z": 3.0,
-                "bsdf": _bsdf("N-BK7", "air", shares.get("rear")),
-            },
-        }
-        detector = {"type": "asphere", "semi_diameter": 15.0, "z": 9.0, "bsdf": {"type": "interface", "R": 0.3},
-                    "sensor": {"type": "irradiancemeter"}}  # fmt: skip
-        beam = {"type": "collimated", "radius": 4.0}
-        return mistray.load({"type": "scene", **surfaces, "detector": detector, "beam": beam})
-
-    shares = {"front": (0.02, 0.9), "rear": (0.05, 0.9)}
-    arguments = {"field_deg": [0.0, 10.0], "rays": 4000, "max_reflections": 3}
-    found = remedy(mistray.ghosts(scene(shares), **arguments))
+    found, after = remedy(report(0.05)), report(0.0)
     assert found.surface == "rear"
-    after = mistray.ghosts(scene(shares | {"rear": (0.0, 0.9)}), **arguments)
     for field, left in found.left_W.items():
         assert left.value == pytest.approx(after.summary(field).stray_W.value, rel=1e-5)
     assert math.isfinite(found.percent.se)
     assert np.isfinite([left.se for left in found.left_W.values()]).all()
 
 
-def _bsdf(front, back, shares):
-    return {"type": "interface", "front": front, "back": back, "R": shares[0], "T": shares[1]}
+BRIGHT = f"{LENS} detector:R L1_rear:R detector:A"
+RIVAL = f"{LENS} detector:R L1_rear:T L1_front:T window_rear:R L1_front:T L1_rear:T detector:A"
+DIRECT = f"{LENS} detector:A"
+CLOSE = 10.0  # field, degrees
+
+
+def lens_trace(field_deg, rays, rival):
+    """A field whose ghosts have so many rays, and a second one of `rival` of the irradiance of the first."""
+    paths = [
+        FakePath(DIRECT, 3.0, rays, radius=0.02),
+        FakePath(BRIGHT, 1e-4, rays, y=0.5, radius=0.05),
+        FakePath(RIVAL, rival * 1e-4, rays, y=-0.5, radius=0.05),
+    ]
+    t = FakeTrace(paths, field_deg)
+    t.settings = t.settings | {"rays": rays}
+    return t
+
+
+@pytest.fixture
+def traced(monkeypatch):
+    """Replaces the tracer and notes its calls; at `CLOSE` the ghosts are 10 % apart, elsewhere a factor of 10."""
+    calls = []
+
+    def trace(scene, field_deg=None, progress=None, **settings):
+        calls.append((field_deg, settings.get("rays")))
+        if progress:
+            progress(1, 1)
+        angle = 10.0 if field_deg is None else field_deg
+        return lens_trace(angle, int(settings.get("rays", 1000)), 0.9 if angle == CLOSE else 0.1)
+
+    monkeypatch.setattr(importlib.import_module("mistray.analysis.field_traces"), "trace", trace)
+    return calls
+
+
+def test_a_contested_field_is_traced_again_with_four_times_the_rays(traced):
+    """A uniform disc of 100 rays has its area to 10 %, one of 6400 to 1.2 %: ghosts 10 % apart are then distinct."""
+    seen = []
+    report = ghosts(lens_scene(), [0.0, 10.0], rays=100, contested_rays=6400, progress=lambda *at: seen.append(at))
+    assert traced == [(0.0, 100), (10.0, 100), (10.0, 6400)]
+    assert seen == [(1, 2), (2, 2), (3, 3)]
+    assert report.traced_again == (10.0,)
+    assert report[10.0].settings["rays"] == 6400
+    assert list(report) == [0.0, 10.0]
+    assert report.rivals(10.0).empty
+    assert report.top(10.0, 1).events.iloc[0] == BRIGHT
+    traced.clear()  # several sources may each have an angle of their own, which stays
+    assert ghosts(lens_scene(), rays=100).traced_again == (10.0,)
+    assert traced == [(None, 100), (0.0, 100), (None, 400)]
+
+
+@pytest.mark.parametrize("given", [{"contested_rays": 0}, {"contested_rays": 100}, {"rank": "power"}, {"seconds": 60}])
+def test_nothing_is_traced_again(traced, given):
+    """With so few rays, by another rank, and within a time."""
+    report = ghosts(lens_scene(), [0.0, 10.0], rays=100, **given)
+    assert traced == [(0.0, 100), (10.0, 100)]
+    assert report.traced_again == ()
+    assert {"traced_again_deg", "contested_rays"}.isdisjoint(report.settings)
+
+
+def test_the_yardstick_has_the_rays_of_its_field(traced, monkeypatch):
+    monkeypatch.setitem(globals(), "CLOSE", 0.0)
+    report = ghosts(lens_scene(), [10.0, 0.0], rays=100)
+    assert report.traced_again == (0.0,)
+    assert report.nominal_trace is report[0.0]
+    assert report.nominal_trace.settings["rays"] == 400
+    assert list(report) == [10.0, 0.0]
+
+
+def test_an_interrupt_leaves_what_was_traced_first(traced, monkeypatch):
+    module = importlib.import_module("mistray.analysis.field_traces")
+    trace = module.trace
+
+    def interrupted(scene, rays, **settings):
+        if rays > 100:
+            raise Interrupted("few rays are finished", lens_trace(10.0, 7, 0.9))
+        return trace(scene, rays=rays, **settings)
+
+    monkeypatch.setattr(module, "trace", interrupted)
+    with pytest.raises(Interrupted, match="2 of 2 fields are finished") as error:
+        ghosts(lens_scene(), [0.0, 10.0], rays=100)
+    assert error.value.partial[10.0].settings["rays"] == 100
+    assert error.value.partial.traced_again == ()
+
+
+def test_what_is_told(traced):
+    """Of rays: those of each field. Of what is still contested: a mark, a warning that names the path, a column."""
+    report = ghosts(lens_scene(), [0.0, 10.0], rays=100)
+    rival = report.rivals(10.0)
+    assert list(rival.events) == [RIVAL]
+    assert list(summary_frame(report).rays) == [100, 400]
+    told = as_json(report)
+    assert [field["rays"] for field in told["fields"]] == [100, 400]
+    assert (told["settings"]["traced_again_deg"], told["settings"]["contested_rays"]) == ([10.0], 400)
+    assert f"{rival.path_id.iloc[0]} {CONTESTED}" in main_table(report)
+    (note,) = [text for text in report.notes if "is open" in text]
+    assert f"path {rival.path_id.iloc[0]} may be as bright" in note
+
+
+def test_the_worst_of_all_fields_are_contested_by_the_first_of_all():
+    """The worst of each field is sure there; that of the other may be as bright."""
+    first, other = lens_trace(0.0, 400, 0.01), FakeTrace([FakePath(RIVAL, 1e-4, 100, radius=0.05)], 10.0)
+    report = GhostReport(lens_scene(), {0.0: first, 10.0: other}, first, {})
+    assert report.rivals(0.0).empty
+    assert report.rivals(10.0).empty
+    worst = worst_of_all_fields(report)
+    low, high = np.concatenate([bounds(report.top(path.field_deg, 1)) for path in worst[:2]], axis=1)
+    assert low[0] > low[1]
+    assert [path.contested for path in worst] == [False, high[1] > low[0]]
+    assert worst[1].contested
+    assert brightest_field(report) == worst[0].field_deg
+
+
+@pytest.mark.long
+def test_more_rays_are_those_of_a_trace_of_so_many():
+    scene = mistray.load("phone_camera")
+    report = mistray.ghosts(scene, 10.0, rays=2000, seed=3)
+    again = mistray.trace(scene, rays=8000, field_deg=10.0, seed=3)
+    assert report.traced_again == (10.0,)
+    assert report[10.0].rays_traced == again.rays_traced == 8000
+    found, expected = (one.paths.to_pandas() for one in (report[10.0], again))
+    for name in ("power_W", "power_se_W", "rms_radius_mm"):
+        np.testing.assert_allclose(found[name], expected[name], rtol=1e-9)

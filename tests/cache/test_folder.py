@@ -16,21 +16,14 @@ pytestmark = pytest.mark.quick
 def test_the_environment_says_where(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MISTRAY_CACHE", str(tmp_path))
     assert default_folder() == tmp_path
-    cache = open_cache()
-    assert cache is not None
-    assert cache.folder == tmp_path
-    other = open_cache(tmp_path / "other")
-    assert other is not None
-    assert other.folder == tmp_path / "other"
+    for given, folder in ((None, tmp_path), (tmp_path / "other", tmp_path / "other")):
+        cache = open_cache(given)
+        assert cache is not None
+        assert cache.folder == folder
     assert open_cache(False) is None
-
-
-@pytest.mark.parametrize("word", ["off", "OFF", "0"])
-def test_off(word: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MISTRAY_CACHE", word)
-    assert default_folder() is None
-    assert open_cache() is None
-    assert open_cache(True) is None
+    for word in ("off", "OFF", "0"):
+        monkeypatch.setenv("MISTRAY_CACHE", word)
+        assert default_folder() is open_cache() is open_cache(True) is None
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="folders of Linux")
@@ -42,13 +35,9 @@ def test_the_users_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setenv("HOME", str(tmp_path))
     assert default_folder() == tmp_path / ".cache" / "mistray"
 
-
-def test_a_user_without_home(monkeypatch: pytest.MonkeyPatch) -> None:
     def no_home() -> Path:
         raise RuntimeError("Could not determine home directory.")
 
-    for name in ("MISTRAY_CACHE", "XDG_CACHE_HOME"):
-        monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(Path, "home", no_home)
     with pytest.raises(MistrayError, match="no home folder for a cache; set MISTRAY_CACHE to a folder, or to 'off'"):
         open_cache()

@@ -1,21 +1,30 @@
-"""Work that is done in parts: the numbers are those of one process, and what is left of a part of them is a sample."""
+"""Work that is done in parts, which are samples of it, and scenes on their way to another process."""
 
 from __future__ import annotations
 
 import contextlib
+import shutil
+import subprocess
+import sys
 from itertools import pairwise
+from pathlib import Path
 
+import mitsuba as mi
 import numpy as np
 import pytest
+from command_line import fails
+from oracles.small_scenes import interface_xml, scene_text, shape_xml
 from oracles.statistics import assert_z
-from workers_here import Here
+from workers_here import Here, assert_same
 
 import mistray
-from mistray import UnfinishedError
+from mistray import MistrayError, UnfinishedError
+from mistray.cluster.scene_numbers import put_numbers, read_numbers
+from mistray.cluster.travel import Parcel, Unpacked
 from mistray.execute import by_parts
-from mistray.execute.sparse import pack
-from mistray.execute.workers import working_with
+from mistray.execute.workers import current_workers, working_with
 from mistray.optimize.metrics import metric as metrics
+from mistray.scene.source import source_of
 
 SCENE = "lens_and_window"
 ROUNDING = 1e-12  # of sums of some 1e5 numbers of float64
@@ -24,25 +33,6 @@ ROUNDING = 1e-12  # of sums of some 1e5 numbers of float64
 @pytest.fixture(scope="module")
 def scene():
     return mistray.load(SCENE)
-
-
-def assert_same(a, b, rtol=ROUNDING):
-    """Two traces with the same numbers."""
-    x, y = a.paths.to_pandas(), b.paths.to_pandas()
-    assert list(x.events) == list(y.events)
-    for name in x.columns:
-        if x[name].dtype.kind in "fi":
-            # Errors of paths whose rays are all alike are differences of sums
-            np.testing.assert_allclose(x[name], y[name], rtol=1e-5, atol=1e-12, err_msg=name)
-        else:
-            assert list(x[name]) == list(y[name])
-    np.testing.assert_allclose(x.power_W, y.power_W, rtol=rtol)
-    np.testing.assert_allclose(a.irradiance, b.irradiance, rtol=rtol)
-    np.testing.assert_allclose(a.irradiance_se, b.irradiance_se, rtol=1e-9)
-    np.testing.assert_allclose(a.surfaces.to_pandas().absorbed_W, b.surfaces.to_pandas().absorbed_W, rtol=rtol)
-    assert list(a.surfaces.to_pandas().hits) == list(b.surfaces.to_pandas().hits)
-    assert a.energy.closure == pytest.approx(b.energy.closure, abs=1e-12)
-    assert (a.rays_traced, a.segments, a.settings["rays"]) == (b.rays_traced, b.segments, b.settings["rays"])
 
 
 @pytest.mark.long
@@ -65,34 +55,10 @@ def test_parts_add_up_to_one_run(scene, monkeypatch):
     assert_same(one, many)
     for a, b in zip(one.maps(groups), many.maps(groups), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-20)
-    assert len(many.history(1, 3)) == 3
     np.testing.assert_array_equal(one.history(0, 4).to_pandas(), many.history(0, 4).to_pandas())
 
 
-def test_a_part_is_of_its_batches_only(scene):
-    (run,) = mistray.trace(scene, rays=10_000)._runs
-    whole = np.sort(np.concatenate([np.array(start.lane) for _, start in run.starts()]))
-    run.parts = tuple(by_parts.Part(0, low, low + 8) for low in (0, 8, 16, 24))
-    starts = list(run.starts())
-    assert [np.unique(np.array(start.batch)).tolist() for _, start in starts] == [
-        list(range(low, low + 8)) for low in (0, 8, 16, 24)
-    ]
-    np.testing.assert_array_equal(np.sort(np.concatenate([np.array(start.lane) for _, start in starts])), whole)
-
-
-@pytest.mark.parametrize("lit", [0, 3, 40, 60])
-def test_arrays_are_sent_without_their_zeros_where_that_is_shorter(lit):
-    array = np.zeros((2, 5, 6))
-    array.reshape(-1)[np.random.default_rng(1).permutation(60)[:lit]] = 1 + np.arange(lit)
-    packed = pack(array)
-    assert (packed.where is None) == (lit >= 30)
-    assert len(packed.values) == (lit if lit < 30 else 60)
-    total = np.ones_like(array)
-    packed.add_to(total)
-    np.testing.assert_array_equal(total, 1 + array)
-
-
-def test_work_is_split_by_rays_and_workers(scene):
+def test_work_is_split_by_rays_and_workers(scene, monkeypatch):
     (run,) = mistray.trace(scene, rays=1000)._runs
     rays = {1000: 1, 1 << 20: 16, 4 << 20: 16}
     for count, parts in rays.items():
@@ -105,6 +71,14 @@ def test_work_is_split_by_rays_and_workers(scene):
     assert len(by_parts.split([run], 1000)) == 32  # a batch is not divided
     both = by_parts.split([run, run], 4)
     assert [place.run for place in both[:4]] in ([0, 1, 0, 1], [0, 0, 1, 1])
+    # A grid whose rows are not all there is no sample, and so no result
+    run.rays, run.parts = 2000, (by_parts.Part(0),)
+    monkeypatch.setattr(type(run.source), "pattern", "grid")
+    assert run.is_sample
+    run.rays = 1 << 21
+    assert not run.is_sample
+    run.parts = None
+    assert run.is_sample
 
 
 def test_what_was_finished_is_a_trace_of_fewer_rays(scene, monkeypatch):
@@ -114,7 +88,6 @@ def test_what_was_finished_is_a_trace_of_fewer_rays(scene, monkeypatch):
         mistray.trace(scene, rays=32_000)
     part = caught.value.partial
     assert (part.rays_traced, part.rays_planned, part.settings["rays"]) == (12_000, 32_000, 12_000)
-    assert "unfinished: 12000 of 32000 rays" in repr(part)
     assert "of 3.2e+04 rays are finished and kept" in str(caught.value)
     assert part.energy.launched_W == whole.energy.launched_W
     assert abs(part.energy.closure) < 1e-6
@@ -127,37 +100,19 @@ def test_what_was_finished_is_a_trace_of_fewer_rays(scene, monkeypatch):
     assert len(part.history(0, 2)) == 2
     with pytest.raises(mistray.MistrayError, match="gradients need all"):
         list(part.table_gradients(None, None))
-
-
-def test_a_grid_whose_rows_are_not_all_there_is_no_result(monkeypatch):
-    scene = mistray.load(SCENE)
-    (run,) = mistray.trace(scene, rays=2000)._runs
-    run.parts = (by_parts.Part(0),)
-    assert run.is_sample
-    monkeypatch.setattr(type(run.source), "pattern", "grid")
-    assert run.is_sample
-    run.rays = 1 << 21
-    assert not run.is_sample
-    run.parts = None
-    assert run.is_sample
-
-
-def test_nothing_finished_is_nothing(scene):
     with working_with(Here(last=0)), pytest.raises(UnfinishedError, match="too few") as caught:
         mistray.trace(scene, rays=1000)
     assert caught.value.partial is None
 
 
-def test_ghosts_keep_the_fields_that_are_finished(scene):
-    with working_with(Here(last=2)), pytest.raises(UnfinishedError, match="2 of 3 fields are finished") as caught:
-        mistray.ghosts(scene, field_deg=[0, 1, 2], rays=2000)
+@pytest.mark.parametrize(("last", "fields", "kept"), [(2, [0, 1, 2], [0, 1]), (1, [1, 0], [0])])
+def test_ghosts_keep_the_fields_that_are_finished(scene, last, fields, kept):
+    """The yardstick comes first."""
+    with working_with(Here(last=last)), pytest.raises(UnfinishedError, match="finished") as caught:
+        mistray.ghosts(scene, field_deg=fields, rays=2000)
     report = caught.value.partial
     assert isinstance(report, mistray.GhostReport)
-    assert list(report) == [0, 1]
-    with working_with(Here(last=1)), pytest.raises(UnfinishedError) as caught:
-        mistray.ghosts(scene, field_deg=[1, 0], rays=2000)
-    assert isinstance(caught.value.partial, mistray.GhostReport)  # the yardstick comes first
-    assert {field: t.rays_traced for field, t in caught.value.partial.items()} == {0.0: 2000}
+    assert {field: t.rays_traced for field, t in report.items()} == dict.fromkeys(kept, 2000)
 
 
 @pytest.mark.long
@@ -186,17 +141,13 @@ def test_pst_by_workers(method, tmp_path):
     assert str(state) in str(caught.value)
     rest = mistray.pst(scene, state=state, resume=True, **arguments)
     np.testing.assert_allclose(rest.by_batch, one.by_batch, rtol=ROUNDING)
-
-
-@pytest.mark.long
-def test_an_error_that_is_wanted_stops_at_the_same_pass():
-    scene = mistray.load("plate_and_wall")
-    arguments = {"field_deg": [0, 20], "rays": 1_000_000, "relative_error": 0.3}
-    one = mistray.pst(scene, **arguments)
-    with working_with(Here()):
-        many = mistray.pst(scene, **arguments)
-    assert many.facts["rays"] == one.facts["rays"] < 1_000_000
-    np.testing.assert_allclose(many.by_batch, one.by_batch, rtol=ROUNDING)
+    if method == "joined":  # an error that is wanted stops at the same pass
+        wanted = arguments | {"rays": 1_000_000, "relative_error": 0.3}
+        one = mistray.pst(scene, **wanted)
+        with working_with(Here()):
+            many = mistray.pst(scene, **wanted)
+        assert many.facts["rays"] == one.facts["rays"] < 1_000_000
+        np.testing.assert_allclose(many.by_batch, one.by_batch, rtol=ROUNDING)
 
 
 @pytest.mark.long
@@ -228,10 +179,181 @@ def test_a_failing_consumer_calls_parts_off_at_once(scene, monkeypatch):
             finally:
                 ended.append(len(self.parts))
 
-    def fail(done: int, of: int) -> None:
-        raise ZeroDivisionError
-
     with pytest.raises(ZeroDivisionError) as caught, working_with(Watched()):
-        mistray.trace(scene, rays=20_000, progress=fail)
+        mistray.trace(scene, rays=20_000, progress=lambda done, of: 1 / 0)
     assert caught.value.__traceback__ is not None  # still held
     assert ended == [1]
+
+
+TABLE = "wavelength_nm,angle_deg,R,T\n500,0,0.25,0.7\n500,90,0.25,0.7\n600,0,0.5,0.4\n600,90,0.5,0.4\n"
+FRONT = interface_xml("air", "1.5", table="{table}")
+PLATE = scene_text(
+    '<path value="../parts"/><include filename="front.xml"/>',
+    shape_xml("asphere", "rear", 1.0, interface_xml("1.5", "air"), semi_diameter=2.0),
+    shape_xml("asphere", "detector", 5.0, sensor=True, half_width=3.0, half_height=3.0),
+)
+
+
+class Power:
+    """A task: the detected power at some wavelengths."""
+
+    def __init__(self, scene):
+        self.scene = scene
+
+    def make(self):
+        return self.scene
+
+    def do(self, made, part):
+        return powers(made, part)
+
+
+def powers(scene, wavelengths=(500,)):
+    return [mistray.trace(scene, rays=500, wavelength_nm=nm).energy.detected_W for nm in wavelengths]
+
+
+def write_front(folder, table):
+    shape = shape_xml("asphere", "front", 0.0, FRONT.format(table=table), semi_diameter=2.0)
+    (folder / "parts/front.xml").write_text(f'<scene version="3.0.0">{shape}</scene>')
+
+
+@pytest.fixture
+def plate(tmp_path):
+    """A scene whose front, with its table, lies in a folder beside that of the scene."""
+    for name in ("scenes", "parts/tables"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "parts/tables/coat.csv").write_text(TABLE)
+    write_front(tmp_path, "tables/coat.csv")
+    (tmp_path / "scenes/plate.xml").write_text(PLATE)
+    return tmp_path / "scenes/plate.xml"
+
+
+@pytest.mark.quick
+def test_files_travel_with_a_scene(plate):
+    scene = mistray.load(plate)
+    here = powers(scene, (500, 600))
+    assert here[0] / here[1] == pytest.approx(0.7 / 0.4, rel=0.1)
+    packed = source_of(scene)
+    assert sorted(Path(name).name for name in packed.files) == ["coat.csv", "front.xml", Path(packed.scene).name]
+    parcel, same = (Parcel.of(Power(one)) for one in (scene, mistray.load(plate)))
+    assert (parcel.digest, parcel.scenes.keys()) == (same.digest, same.scenes.keys())  # told by their contents
+    shutil.rmtree(plate.parents[1])  # as on a machine without these files
+    task, made = Unpacked().task(parcel.task, parcel.digest, parcel.scenes)
+    np.testing.assert_allclose(task.do(made, (500, 600)), here, rtol=1e-12)
+    with pytest.raises(MistrayError):
+        Parcel.of(Power(scene))
+
+
+def test_an_absolute_file_must_be_there_and_the_same(plate, tmp_path):
+    table = tmp_path / "parts/tables/coat.csv"
+    write_front(tmp_path, str(table))
+    packed = source_of(mistray.load(plate))
+    assert list(packed.checked) == [str(table)]
+    np.testing.assert_allclose(powers(packed.load()), powers(mistray.load(plate)), rtol=1e-12)
+    table.write_text(TABLE.replace("0.7", "0.6"))
+    with pytest.raises(MistrayError, match=r"coat\.csv' is another file there"):
+        packed.load()
+    table.unlink()
+    with pytest.raises(MistrayError, match=r"coat\.csv' is not there"):
+        packed.load()
+
+
+def test_a_scene_travels_with_its_numbers_as_they_are():
+    """What was made of other numbers is made again; those of another scene are refused."""
+    scene = mistray.load("lens_and_window")
+    params = mi.traverse(scene)
+    key = next(key for key in params.keys() if key.endswith("front.curvature"))  # noqa: SIM118
+    unpacked, parcels = Unpacked(), []
+    for _ in range(2):
+        parcels.append((Parcel.of(Power(scene)), powers(scene)))
+        params[key] = params[key] * 0.5
+        params.update()
+    assert abs(parcels[1][1][0] / parcels[0][1][0] - 1) > 1e-6
+    for parcel, expected in (*parcels, *parcels):
+        task, made = unpacked.task(parcel.task, parcel.digest, parcel.scenes)
+        assert made is not scene
+        np.testing.assert_allclose(task.do(made, (500,)), expected, rtol=1e-12)
+    with pytest.raises(MistrayError, match="is not in its source; load the scene again"):
+        put_numbers(scene, read_numbers(mistray.load("plate_and_wall")))
+
+
+def test_a_file_that_changed_since_is_noticed(plate, tmp_path):
+    scene = mistray.load(plate)
+    (tmp_path / "parts/tables/coat.csv").write_text(TABLE.replace("0.7", "0.6"))
+    with working_with(Here()), pytest.raises(MistrayError, match="another one at the worker"):
+        mistray.trace(scene, rays=500)
+
+
+@pytest.mark.quick
+def test_scenes_from_dicts_travel_with_their_frames():
+    """But not those that hold objects, nor those of an unknown source."""
+    place = mi.ScalarTransform4f().translate([0.1, 0, 1])
+    bsdf = {"type": "interface", "front": "air", "back": "1.5"}
+    plate = {"type": "asphere", "id": "front", "semi_diameter": 2.0, "to_world": place, "bsdf": bsdf}
+    scene = mistray.load({"type": "scene", "plate": plate})
+    parcel = Parcel.of(Power(scene))
+    _, made = Unpacked().task(parcel.task, parcel.digest, parcel.scenes)
+    for key, value in read_numbers(scene).items():
+        np.testing.assert_array_equal(value, read_numbers(made)[key])
+    with pytest.raises(MistrayError, match="cannot travel"):
+        Parcel.of(Power(mistray.load({"type": "scene", "plate": plate | {"bsdf": mi.load_dict(bsdf)}})))
+    unknown = mi.load_file(str(mistray.scene.find("plate")), optimize=False, parallel=False)
+    with pytest.raises(MistrayError, match=r"load it with mistray.load\(path\)"):
+        Parcel.of(Power(unknown))
+
+
+VARIANTS = """
+from types import SimpleNamespace
+
+import distributed
+import mistray
+from mistray.cluster import worker
+from mistray.cluster.travel import Parcel, surroundings
+
+class Power:
+    def __init__(self, scene):
+        self.scene = scene
+
+    def make(self):
+        return self.scene
+
+    def do(self, made, part):
+        return mistray.trace(made, rays=100).energy.detected_W
+
+distributed.get_worker = lambda: SimpleNamespace(address="tcp://127.0.0.1:1", state=SimpleNamespace(nthreads=1))
+for variant in ("llvm_ad_rgb", "llvm_ad_spectral", "llvm_ad_rgb"):
+    mistray.ensure_variant(variant)
+    parcel = Parcel.of(Power(mistray.load("plate")))
+    scenes = list(parcel.scenes.values()), list(parcel.scenes)
+    print("W", worker.do_part(parcel.task, *scenes, parcel.digest, 0, surroundings(), {"127.0.0.1": 1}))
+"""
+
+
+def test_a_worker_serves_one_variant_after_another():
+    """It may not give a scene of one variant to the traces of the next."""
+    pytest.importorskip("distributed", reason="the extra 'distributed' is not installed")
+    done = subprocess.run([sys.executable, "-c", VARIANTS], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    found = [float(line.split()[1]) for line in done.stdout.splitlines() if line.startswith("W ")]
+    assert found == pytest.approx([found[0]] * 3, rel=1e-6)
+
+
+@pytest.mark.parametrize("last", [2, None])
+def test_the_command_writes_what_is_finished(tmp_path, monkeypatch, capsys, last):
+    """Where workers are lost while the report is drawn, all rays are traced, and what is left is done here."""
+    written = []
+
+    def write_all(report, folder, title, *_):
+        written.append((current_workers() is not None, list(report), folder, title))
+        if last is None and len(written) == 1:
+            raise UnfinishedError("the connection is lost; start it again")
+
+    monkeypatch.setattr("mistray.cluster.distribute", lambda address: working_with(Here(last=last)))
+    monkeypatch.setattr("mistray.report.write_all", write_all)
+    fields = [0, 1, 2] if last else [0, 1]
+    words = ["ghosts", "lens_and_window", "--rays", 2000, "--field-deg", *fields, "--scheduler", "tcp://x:1"]
+    text = fails(capsys, *words, "--json", "--out", tmp_path / "out")
+    for fact in (f"a report of what is finished is in {tmp_path}", *(("2 of 3 fields", "not 2 deg") if last else ())):
+        assert fact in text
+    assert [one[0] for one in written] == ([False] if last else [True, False])
+    assert written[-1][1:3] == ([0, 1], tmp_path / "out")
+    assert written[-1][3].endswith("unfinished (0°: 2000 of 2000 rays; 1°: 2000 of 2000 rays)")

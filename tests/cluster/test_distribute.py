@@ -13,12 +13,12 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import pytest
+from command_line import fails
+from workers_here import assert_same
 
 import mistray
 from mistray import MistrayError, UnfinishedError
-from mistray.cli import main
 from mistray.execute import by_parts
 from mistray.execute.workers import current_workers, do_parts
 
@@ -94,18 +94,6 @@ def scene():
 @pytest.fixture(scope="module")
 def alone(scene):
     return mistray.trace(scene, rays=RAYS)
-
-
-def assert_same(one, many):
-    """The numbers of two traces but for the rounding of sums."""
-    x, y = one.paths.to_pandas(), many.paths.to_pandas()
-    assert list(x.events) == list(y.events)
-    assert list(x.rays) == list(y.rays)
-    np.testing.assert_allclose(x.power_W, y.power_W, rtol=1e-12)
-    np.testing.assert_allclose(x.power_se_W, y.power_se_W, rtol=1e-5)
-    np.testing.assert_allclose(one.irradiance, many.irradiance, rtol=1e-12)
-    assert one.energy.closure == pytest.approx(many.energy.closure, abs=1e-12)
-    assert (one.rays_traced, one.segments) == (many.rays_traced, many.segments)
 
 
 # The next four use up one cluster, in this order
@@ -197,52 +185,7 @@ def test_no_scheduler_at_an_address(address):
 def test_no_client(capsys):
     with pytest.raises(MistrayError, match="got int"), mistray.distribute(8786):
         pass
-    assert main(["ghosts", SCENE, "--rays", "100", "--scheduler", "nonsense://x"]) == 2
-    assert "nonsense://x" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_four_processes_on_all_that_traces(scene, tmp_path):
-    """The commands with --scheduler print what they print without."""
-    processes = start(tmp_path, 4)
-    commands = [
-        ["ghosts", SCENE, "--rays", "60000", "--field-deg", "0", "2", "--json", "--quiet"],
-        ["pst", "plate_and_wall", "--field-deg", "0", "20", "--rays", "60000", "--json"],
-        ["study", "plate_and_wall", "--pst-field-deg", "0", "20", "--rays", "20000", "--json"],
-        ["sensitivity", SCENE, "--rays", "2000", "--kind", "curvature", "--monte-carlo", "4", "--json"],
-    ]
-    try:
-        for command in commands:
-            found = []
-            for more in ([], ["--scheduler", processes.address]):
-                output = subprocess.run(
-                    [sys.executable, "-m", "mistray", *command, *more], capture_output=True, text=True, check=False
-                )
-                assert output.returncode == 0, output.stderr
-                found.append(json.loads(output.stdout))
-            assert_close(*found)
-        with mistray.distribute(processes.address):
-            many = mistray.trace(scene, rays=3_000_000)
-        assert_same(mistray.trace(scene, rays=3_000_000), many)
-    finally:
-        processes.end()
-
-
-def assert_close(one, many, where=""):
-    """Two records with the same numbers, times apart."""
-    assert type(one) is type(many), where
-    if isinstance(one, dict):
-        assert one.keys() == many.keys(), where
-        for key in one.keys() - {"seconds", "date", "files", "command", "rays_per_second", "elapsed_s"}:
-            assert_close(one[key], many[key], f"{where}/{key}")
-    elif isinstance(one, list):
-        assert len(one) == len(many), where
-        for k, (a, b) in enumerate(zip(one, many, strict=True)):
-            assert_close(a, b, f"{where}/{k}")
-    elif isinstance(one, float):
-        assert one == pytest.approx(many, rel=1e-4, abs=1e-12), where
-    else:
-        assert one == many, where
+    assert "nonsense://x" in fails(capsys, "ghosts", SCENE, "--rays", "100", "--scheduler", "nonsense://x")
 
 
 @pytest.mark.slow

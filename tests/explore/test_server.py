@@ -54,42 +54,28 @@ def test_the_page_and_its_files(server):
             "http://www.w3.org/2000/svg", "")]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "path",
-    ["/", "", "/call", "//", "/wrong/", "/{token}", "/{token}x/", "/{short}/", "/wrong/{token}/", "/%2e%2e/{token}/",
-     "/%C3%A4/"],
-)  # fmt: skip
-def test_without_the_token_nothing_is_served(server, path):
-    path = path.format(token=server.token, short=server.token[:-1])
-    assert ask(server, "GET", path)[0] == 403
-    assert ask(server, "POST", path, "{}", **{"Content-Type": "application/json"})[0] == 403
-
-
-def test_the_token_is_long_and_new(server, explorer):
-    other = PageServer(explorer)
-    assert other.token != server.token
-    assert len(other.token) >= 32
-    assert other.server_address[0] == LOOPBACK
-    other.server_close()
-
-
-@pytest.mark.parametrize("name", ["../call", "..%2f..%2fetc/passwd", "page.html", "explorer.py", "assets/", "call"])
-def test_other_files_are_not_there(server, name):
-    assert ask(server, "GET", f"/{server.token}/{name}")[0] == 404
-
-
-@pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "127.0.0.1:1", "", "127.0.0.1"])
-def test_other_hosts_are_refused(server, host):
-    """A name of somebody else that was bent to this machine."""
-    assert ask(server, "GET", f"/{server.token}/", Host=host)[0] == 403
-
-
-def test_other_origins_are_refused(server):
+def test_who_is_refused(server, explorer):
+    """Without the token, from another host, or as a name of somebody else that was bent to this machine."""
+    token, json_type = server.token, {"Content-Type": "application/json"}
+    for path in ("/", "", "/call", "/wrong/", f"/{token}", f"/{token}x/", f"/{token[:-1]}/", f"/wrong/{token}/",
+                 f"/%2e%2e/{token}/", "/%C3%A4/"):  # fmt: skip
+        assert ask(server, "GET", path)[0] == ask(server, "POST", path, "{}", **json_type)[0] == 403, path
+    for name in ("../call", "..%2f..%2fetc/passwd", "page.html", "explorer.py", "assets/", "call"):
+        assert ask(server, "GET", f"/{token}/{name}")[0] == 404, name
+    for host in ("evil.example", "127.0.0.1:1", "", "127.0.0.1"):
+        assert ask(server, "GET", f"/{token}/", Host=host)[0] == 403, host
     here = f"http://{LOOPBACK}:{server.port}"
     for origin in (here, f"http://localhost:{server.port}"):
         assert call(server, "page", Origin=origin)[0] == 200
     for origin in ("http://evil.example", "null", f"https://{LOOPBACK}:{server.port}", f"{here}.evil"):
         assert call(server, "page", Origin=origin)[0] == 403, origin
+    other = PageServer(explorer)
+    assert other.token != token
+    assert len(other.token) >= 32
+    assert other.server_address[0] == LOOPBACK
+    other.server_close()
+    with pytest.raises(MistrayError, match=str(server.port)):
+        PageServer(explorer, server.port)  # which is taken
 
 
 def test_calls_answer(server, explorer):
@@ -105,26 +91,40 @@ def test_calls_answer(server, explorer):
     assert "\n" not in found["error"]
 
 
-@pytest.mark.parametrize(
-    "body", ["", "{", "[]", "null", "3", '"move"', "NaN", "[" * 100_000, '{"call": 3}', '{"call": "eval"}',
-             '{"call": "__init__"}', '{"call": "move"}', '{"call": "move", "given": []}',
-             '{"call": "move", "given": {"values": []}}', '{"call": "move", "given": {"values": {"layers": NaN}}}',
-             '{"call": "detail", "given": {"events": {}}}', '{"call": "detail"}', b"\xff\xfe"]
-)  # fmt: skip
-def test_bad_calls_are_one_line(server, body):
-    status, _, found = ask(server, "POST", f"/{server.token}/call", body, **{"Content-Type": "application/json"})
-    assert status == 400
-    assert "\n" not in json.loads(found)["error"]
+def test_bad_calls_are_one_line(server):
+    for body in ("", "{", "[]", "3", '"move"', "NaN", "[" * 100_000, '{"call": 3}', '{"call": "eval"}',
+                 '{"call": "__init__"}', '{"call": "move"}', '{"call": "move", "given": []}',
+                 '{"call": "move", "given": {"values": []}}', '{"call": "move", "given": {"values": {"layers": NaN}}}',
+                 '{"call": "detail", "given": {"events": {}}}', '{"call": "detail"}', b"\xff\xfe"):  # fmt: skip
+        status, _, found = ask(server, "POST", f"/{server.token}/call", body, **{"Content-Type": "application/json"})
+        assert status == 400, body
+        assert "\n" not in json.loads(found)["error"]
 
 
 def test_other_kinds_and_sizes_are_refused(server):
+    """Of lengths that are none, and by a second host, nothing of the body is read."""
     path = f"/{server.token}/call"
-    assert ask(server, "POST", path, '{"call": "page"}', **{"Content-Type": "text/plain"})[0] == 415
-    assert ask(server, "POST", path, '{"call": "page"}')[0] == 415
-    for length in (str(MOST_BYTES + 1), "-1", "1e3", "many"):
-        headers = {"Content-Type": "application/json", "Content-Length": length}
-        assert ask(server, "POST", path, None, **headers)[0] == 413
+    for kind in ({"Content-Type": "text/plain"}, {}):
+        assert ask(server, "POST", path, '{"call": "page"}', **kind)[0] == 415
     assert ask(server, "PUT", path, "{}")[0] == 501
+    lines = [f"POST {path} HTTP/1.1", f"Host: {LOOPBACK}:{server.port}", "Content-Type: application/json"]
+    lengths = (
+        str(MOST_BYTES + 1),
+        "9" * 5000,
+        "0" * 20 + "2",
+        "-1",
+        "1e3",
+        "1_0",
+        "٣",
+        "",
+        "2 3",
+        "2\r\nContent-Length: 2",
+    )
+    raw = [([*lines, f"Content-Length: {length}"], b"HTTP/1.1 413") for length in lengths]
+    for head, answer in (*raw, ([*lines, "Host: evil.example", "Content-Length: 2"], b"HTTP/1.1 403")):
+        with socket.create_connection((LOOPBACK, server.port), timeout=30) as made:
+            made.sendall("\r\n".join([*head, "", "{}"]).encode())
+            assert made.recv(1000).startswith(answer), head
 
 
 def test_who_waits_is_told(server, explorer):
@@ -133,27 +133,6 @@ def test_who_waits_is_told(server, explorer):
     assert call(server, "wait", {"since": version})[1]["version"] > version
     assert call(server, "wait", {"since": "x"})[1]["version"] > version
     explorer.reset()
-
-
-def test_a_port_that_is_taken(server, explorer):
-    with pytest.raises(MistrayError, match=str(server.port)):
-        PageServer(explorer, server.port)
-
-
-@pytest.mark.parametrize("length", ["9" * 5000, "0" * 20 + "2", "-1", "1_0", "٣", "", "2 3", "2\r\nContent-Length: 2"])
-def test_lengths_that_are_none(server, length):
-    """Refused with an answer, and nothing of the body is read."""
-    lines = [f"POST /{server.token}/call HTTP/1.1", f"Host: {LOOPBACK}:{server.port}", "Content-Type: application/json"]
-    with socket.create_connection((LOOPBACK, server.port), timeout=30) as made:
-        made.sendall("\r\n".join([*lines, f"Content-Length: {length}", "", "{}"]).encode())
-        assert made.recv(1000).startswith(b"HTTP/1.1 413")
-
-
-def test_a_second_host(server):
-    lines = [f"GET /{server.token}/ HTTP/1.1", f"Host: {LOOPBACK}:{server.port}", "Host: evil.example", "", ""]
-    with socket.create_connection((LOOPBACK, server.port), timeout=30) as made:
-        made.sendall("\r\n".join(lines).encode())
-        assert made.recv(1000).startswith(b"HTTP/1.1 403")
 
 
 def test_connections_that_say_nothing(server):

@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from .scatter_scenes import beam_xml, placed_xml, scatter_scene, wall_xml
+
+
+def common_area(distance: float, radius_1: float, radius_2: float) -> float:
+    """Area that two discs at this distance share."""
+    if distance >= radius_1 + radius_2:
+        return 0.0
+    if distance <= abs(radius_1 - radius_2):
+        return math.pi * min(radius_1, radius_2) ** 2
+    a = math.acos((distance**2 + radius_1**2 - radius_2**2) / (2 * distance * radius_1))
+    b = math.acos((distance**2 + radius_2**2 - radius_1**2) / (2 * distance * radius_2))
+    return radius_1**2 * (a - math.sin(2 * a) / 2) + radius_2**2 * (b - math.sin(2 * b) / 2)
 
 
 def open_tube_text(length: float, radius: float, detector_radius: float, wall: str | None = None) -> str:

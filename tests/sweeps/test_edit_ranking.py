@@ -11,11 +11,12 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from command_line import fails, succeeds
+from oracles.object_scenes import common_area
 from oracles.scatter_scenes import beam_xml, placed_xml, wall_xml
 from oracles.small_scenes import interface_xml
 
 import mistray
-from mistray.cli.program import main
 from mistray.errors import MistrayError
 from mistray.materials import refractive_index
 from mistray.optimize import pst_bin
@@ -61,17 +62,6 @@ def through_the_hole(hole: float = HOLE, distance: float = DISTANCE, nm: float =
         )
         values.append(passed * math.cos(angle) * common_area(d, hole, DETECTOR) / (math.pi * DETECTOR**2))
     return float(np.average(values, weights=np.diff(-np.cos(edges))))
-
-
-def common_area(d: float, r: float, big: float) -> float:
-    """Area of the intersection of two discs of radii r < big at the distance d of their centres."""
-    if d <= big - r:
-        return math.pi * r * r
-    if d >= big + r:
-        return 0.0
-    inner = math.acos((d * d + r * r - big * big) / (2 * d * r))
-    outer = math.acos((d * d + big * big - r * r) / (2 * d * big))
-    return r * r * (inner - math.sin(2 * inner) / 2) + big * big * (outer - math.sin(2 * outer) / 2)
 
 
 @pytest.mark.long
@@ -173,9 +163,7 @@ def test_command(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     edits = tmp_path / "edits.toml"
     edits.write_text('[[configuration]]\nname = "grey"\npaint = { "wall" = 0.2 }\n', encoding="utf-8")
     out = tmp_path / "out"
-    command = [
-        "sweep",
-        str(scene),
+    words = [
         "--pst-field-deg",
         "15:35:20",
         "--rank",
@@ -187,13 +175,10 @@ def test_command(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
         "rim=0.3",
         "share=2%",
     ]
-    assert main([*command, "--json"]) == 0
-    record = json.loads(capsys.readouterr().out)
+    record = json.loads(succeeds(capsys, "sweep", scene, *words, "rim=0.3", "share=2%", "--json"))
     assert {row["step"] for row in record["ranking"] if row["method"] == "block"} == {0.3}
     assert "rows" not in record
-    command.insert(2, str(edits))
-    assert main([*command, "--out", str(out)]) == 0
-    printed = capsys.readouterr().out
+    printed = succeeds(capsys, "sweep", scene, edits, *words, "rim=0.3", "share=2%", "--out", out)
     assert "grey" in printed
     assert "wall.bsdf.paint.reflectance" in printed
     with (out / "edit_ranking.csv").open(encoding="utf-8") as file:
@@ -202,9 +187,8 @@ def test_command(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert (out / "pst_sweep.csv").exists()
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
+def test_refuses(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for change, words in (
         ({"steps": {"rim": 0.0}}, "step of 'ring.*' is 0.0; give a number greater than 0 in mm"),
         ({"steps": {"rim": "nan"}}, "is nan"),
         ({"steps": {"ring.z": "1 %"}}, "'ring.z' is 1 % of 0; give it in mm"),
@@ -213,20 +197,11 @@ def test_command(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
         ({"keys": ["plate.curvature"]}, "no parameter 'plate.curvature'"),
         ({"light": "edge_diffraction"}, "the PST at 15° is 0"),
         ({"method": "forward"}, "method of a PST metric"),
-    ],
-)
-def test_refuses(scene: Path, change: dict[str, Any], words: str) -> None:
-    with pytest.raises(MistrayError, match=words) as caught:
-        ranked(scene, **change)
-    assert "\n" not in str(caught.value)
-
-
-def test_refuses_arguments(scene: Path) -> None:
+    ):
+        with pytest.raises(MistrayError, match=words) as caught:
+            ranked(scene, **change)
+        assert "\n" not in str(caught.value)
     with pytest.raises(MistrayError, match="field_deg is empty"):
         rank_edits(scene, [])
-    for more in (
-        ["--rank"],
-        ["--pst-field-deg", "10", "--step", "rim=1"],
-        ["--pst-field-deg", "10", "--rank", "--step", "rim"],
-    ):
-        assert main(["sweep", str(scene), *more]) == 2
+    for more in ("--rank", "--pst-field-deg 10 --step rim=1", "--pst-field-deg 10 --rank --step rim"):
+        fails(capsys, "sweep", scene, *more.split())

@@ -1,9 +1,8 @@
-"""Sweeps: closed forms, the same numbers as scenes written out, one compile, arguments that are wrong."""
+"""Sweeps: closed forms, the same numbers as scenes written out or written as files, one compile, wrong arguments."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +10,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from command_line import fails, succeeds
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml, write
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.sweeps import Configuration, Sweep, read_configurations
+from mistray.sweeps import Configuration, read_configurations, write_configuration
 from mistray.sweeps.configurations import resolve
 
 FEW = {"rays": 256, "cache": False}
@@ -106,13 +106,12 @@ class TestNumbers:
         assert np.array(params["p0_front.bsdf.R"]) == np.float32(0.1)
         with pytest.raises(MistrayError):
             mistray.sweep(scene, [0], 550, {"a": {"p0_front.bsdf.R": 0.5, "p0_front.bsdf.T": 0.8}}, **FEW)
+        found = mistray.sweep(scene, configurations={"a": {}, **states()}, **FEW)
+        assert (found.field_deg, found.wavelengths_nm) == ((0.0,), (550.0,))  # what the scene says
+        assert len(found.trace("a").paths) == 2
+        with pytest.raises(MistrayError, match="'weak' changes a scene that was given loaded"):
+            found.trace("weak")
         assert np.array(params["p0_front.bsdf.R"]) == np.float32(0.1)
-
-    def test_what_the_scene_says_is_the_default(self, plate: Path) -> None:
-        found = mistray.sweep(plate, **FEW)
-        assert (found.field_deg, found.wavelengths_nm) == ((0.0,), (550.0,))
-        assert found.rows[0]["configuration"] == "as it is"
-        assert found.trace().settings["wavelength_nm"] == [550.0]
 
 
 class TestTraces:
@@ -124,21 +123,12 @@ class TestTraces:
             assert sum(p.power_W for p in t.paths[1:]) == pytest.approx(row.value, rel=1e-9)
             assert (t.settings["field_deg"], t.settings["wavelength_nm"]) == (10.0, [600.0])
         weak = found.trace("weak", 10, 600)
-        image, _ = weak.irradiance_of([1])  # asked after the other configuration was traced
-        pixel = np.prod([(b - a) / n for a, b, n in ((-50, 50, 64), (-50, 50, 64))])
-        assert image.sum() * pixel == pytest.approx(math.pi * 0.64 * 0.01, rel=1e-5)
-
-    def test_ghosts(self, plate: Path) -> None:
-        found = mistray.sweep(plate, [0, 10], [500, 600], states(), **FEW)
         report = found.ghosts("strong", 500)
         assert list(report) == [0.0, 10.0]
         assert report.summary(10.0).stray_W.value == pytest.approx(found.estimate("stray_W", "strong", 10, 500).value)
-
-    def test_of_a_loaded_scene(self, plate: Path) -> None:
-        found = mistray.sweep(mistray.load(plate), [0], 550, {"a": {}, **states()}, **FEW)
-        assert len(found.trace("a").paths) == 2
-        with pytest.raises(MistrayError, match="'weak' changes a scene that was given loaded"):
-            found.trace("weak")
+        image, _ = weak.irradiance_of([1])  # asked after the other configuration was traced
+        pixel = np.prod([(b - a) / n for a, b, n in ((-50, 50, 64), (-50, 50, 64))])
+        assert image.sum() * pixel == pytest.approx(math.pi * 0.64 * 0.01, rel=1e-5)
 
 
 def new_kernels() -> int:
@@ -178,67 +168,39 @@ class TestKernels:
         assert counts[12] <= 1
         assert counts[13:] == [0] * 11, str(counts)
 
-    @pytest.mark.slow
-    def test_a_second_sweep_compiles_nothing(self, lens: Path) -> None:
-        kernels_by_row(lens, {"a": {}})
-        assert kernels_by_row(lens, {"b": self.CHANGED}) == [0] * 6
 
-    @pytest.mark.slow
-    def test_scatter(self) -> None:
-        states = {"clean": {}, "dusty": {"particles_300.level": 350.0}, "rough": {"polish_4nm.rms_nm": 3.0}}
-        counts = kernels_by_row("phone_camera_scatter", states, (550,), max_reflections=1)
-        assert counts[0] > 0
-        assert counts[2:] == [0] * 7, str(counts)
-
-
-WRONG: list[tuple[Callable[[Path], Sweep], str]] = [
-    (lambda s: mistray.sweep(s, []), "field_deg is empty; give at least one"),
-    (lambda s: mistray.sweep(s, [0, 95]), "field_deg is 95; it must lie between -90 and 90"),
-    (lambda s: mistray.sweep(s, [0], []), "wavelength_nm is"),
-    (lambda s: mistray.sweep(s, [0], [550, 550]), "give every wavelength once"),
-    (lambda s: mistray.sweep(s, [0], 550, {}), "configurations is empty"),
-    (lambda s: mistray.sweep(s, [0], 550, [Configuration("a", {})] * 2), "configuration 'a' is given twice"),
-    (
-        lambda s: mistray.sweep(s, [0], 550, {"a": {"p0_frnt.z": 1}}),
-        "'a': the scene has no parameter 'p0_frnt.z'; did you",
-    ),
-    (lambda s: mistray.sweep(s, [0], 550, {"a": {"q*.z": 1}}), r"no parameter 'q\*.z'"),
-    (lambda s: mistray.sweep(s, [0], 550, {"a": {"p0_front.z": math.nan}}), "'p0_front.z' is .nan.; it must be finite"),
-    (lambda s: mistray.sweep(s, [0], 550, {"a": {"p0_front.z": [1, 2]}}), "2 numbers are given; it has 1"),
-    (lambda s: mistray.sweep(s, [0], 550, {"a": {"p0_front.z": "far"}}), "is 'far'; give a number"),
-    (lambda s: mistray.sweep(s, [0], 550, {"a": {"p0_front.faces": 1}}), "is no number but UInt"),
-    (
-        lambda s: mistray.sweep(s, [0], 550, {"a": {"p0_rear.z": -5.0}}),
-        "configuration 'a': surfaces 'p0_front' and 'p0_rear'",
-    ),
-    (lambda s: mistray.sweep(s, [0], 550, {"a": 1.0}), "configurations: .* is none"),
-    (lambda s: mistray.sweep(s, ray=5), "unknown argument ray of sweep"),
-    (lambda s: mistray.sweep(s, rays=0), "rays is 0"),
-    (lambda s: mistray.sweep(s, [0, 1], 550, rays=64).trace(), "field_deg is missing; choose from 0, 1"),
-    (lambda s: mistray.sweep(s, [0], 550, rays=64).trace(wavelength_nm=500), "wavelength_nm is 500; choose from 550"),
-    (
-        lambda s: mistray.sweep(s, [0], 550, rays=64).estimate("stray"),
-        "no number 'stray' with an error; choose from detected_W",
-    ),
-]
-
-
-@pytest.mark.parametrize(("call", "words"), WRONG, ids=[words for _, words in WRONG])
-def test_wrong_arguments(
-    plate: Path, monkeypatch: pytest.MonkeyPatch, call: Callable[[Path], Sweep], words: str
-) -> None:
-    monkeypatch.setenv("MISTRAY_CACHE", "off")
-    with pytest.raises(MistrayError, match=words) as caught:
-        call(plate)
-    assert "\n" not in str(caught.value)
+def test_wrong_arguments(plate: Path) -> None:
+    for arguments, words in (
+        (([],), "field_deg is empty; give at least one"),
+        (([0, 95],), "field_deg is 95; it must lie between -90 and 90"),
+        (([0], []), "wavelength_nm is"),
+        (([0], [550, 550]), "give every wavelength once"),
+        (([0], 550, {}), "configurations is empty"),
+        (([0], 550, [Configuration("a", {})] * 2), "configuration 'a' is given twice"),
+        (([0], 550, {"a": 1.0}), "configurations: .* is none"),
+        (([0], 550, {"a": {"p0_frnt.z": 1}}), "'a': the scene has no parameter 'p0_frnt.z'; did you"),
+        (([0], 550, {"a": {"q*.z": 1}}), r"no parameter 'q\*.z'"),
+        (([0], 550, {"a": {"p0_front.z": math.nan}}), "'p0_front.z' is .nan.; it must be finite"),
+        (([0], 550, {"a": {"p0_front.z": [1, 2]}}), "2 numbers are given; it has 1"),
+        (([0], 550, {"a": {"p0_front.z": "far"}}), "is 'far'; give a number"),
+        (([0], 550, {"a": {"p0_front.faces": 1}}), "is no number but UInt"),
+        (([0], 550, {"a": {"p0_rear.z": -5.0}}), "configuration 'a': surfaces 'p0_front' and 'p0_rear'"),
+    ):
+        with pytest.raises(MistrayError, match=words) as caught:
+            mistray.sweep(plate, *arguments, cache=False)
+        assert "\n" not in str(caught.value)
+    found = mistray.sweep(plate, [0, 1], 550, rays=64, cache=False)
+    for call, words in (
+        (lambda: mistray.sweep(plate, ray=5), "unknown argument ray of sweep"),
+        (lambda: found.trace(), "field_deg is missing; choose from 0, 1"),
+        (lambda: found.trace(field_deg=0, wavelength_nm=500), "wavelength_nm is 500; choose from 550"),
+        (lambda: found.estimate("stray", field_deg=0), "no number 'stray' with an error; choose from detected_W"),
+    ):
+        with pytest.raises(MistrayError, match=words):
+            call()
 
 
 class TestToml:
-    def read(self, tmp_path: Path, text: str) -> list[Configuration]:
-        path = tmp_path / "states.toml"
-        path.write_text(text, encoding="utf-8")
-        return read_configurations(path)
-
     def test_values(self, tmp_path: Path) -> None:
         text = """
         [[configuration]]
@@ -251,7 +213,9 @@ class TestToml:
         [configuration.values]
         "N-BK7.index" = 1e-4
         """
-        found = self.read(tmp_path, text)
+        path = tmp_path / "states.toml"
+        path.write_text(text, encoding="utf-8")
+        found = read_configurations(path)
         assert [one.name for one in found] == ["as designed", "tele", "warm"]
         assert [dict(one.values) for one in found] == [
             {}, {"G2.z": (1.5,), "AR.thickness_nm": (90.0, 120.5)}, {"N-BK7.index": (1e-4,)},
@@ -267,9 +231,11 @@ class TestToml:
         assert len(glasses) >= 4
         assert {warm.units[key] for key in glasses} == {"1"}
 
-    @pytest.mark.parametrize(
-        ("text", "words"),
-        [
+    def test_wrong(self, tmp_path: Path) -> None:
+        path = tmp_path / "states.toml"
+        with pytest.raises(MistrayError, match=r"configurations '.*states\.toml': No such file or directory"):
+            read_configurations(path)
+        for text, words in (
             ("", "configuration is missing; add at least one section"),
             ("[[configuration]]", "configuration\\[1\\].name is missing"),
             ("[[configuration]]\nname='a'\nvalue={}", "configuration\\[1\\].value is unknown; did you mean 'values'"),
@@ -277,12 +243,55 @@ class TestToml:
             ("[[configuration]]\nname='a'\nvalues={x=nan}", "the numbers must be finite"),
             ("[[config]]", "config is unknown"),
             ("[[configuration]", "correct the TOML"),
-        ],
-    )
-    def test_wrong(self, tmp_path: Path, text: str, words: str) -> None:
-        with pytest.raises(MistrayError, match=words):
-            self.read(tmp_path, text)
+        ):
+            path.write_text(text, encoding="utf-8")
+            with pytest.raises(MistrayError, match=words):
+                read_configurations(path)
 
-    def test_missing(self, tmp_path: Path) -> None:
-        with pytest.raises(MistrayError, match=r"configurations '.*no\.toml': No such file or directory"):
-            read_configurations(tmp_path / "no.toml")
+
+NAMED = (("far", 3), ("near", 1))
+
+
+def numbers(scene) -> dict[str, np.ndarray]:
+    params = mi.traverse(scene)
+    keys = [key for key in list(params.keys()) if key.rpartition(".")[2] in ("x", "y", "z")]
+    return {key: np.array(params[key]).ravel() for key in keys}
+
+
+@pytest.mark.parametrize(
+    ("scene", "key", "step"), [("baffle_tube", "tube_vane_3.z", 2.0), ("cooke_triplet", "L2.y", -0.25)]
+)
+def test_a_move(tmp_path, scene: str, key: str, step: float) -> None:
+    """One surface, and a lens as a body: all its surfaces and edges go the same way, nothing else does."""
+    before = numbers(mistray.load(scene))
+    file = write_configuration(scene, Configuration("moved", {key: step}), tmp_path / "moved.xml")
+    after = numbers(mistray.load(file))
+    assert before.keys() == after.keys()
+    part, _, axis = key.rpartition(".")
+    moved = {name for name in before if not np.array_equal(before[name], after[name])}
+    own = {name for name in before if name.startswith((f"{part}.", f"{part}_")) and name.endswith(f".{axis}")}
+    assert moved == own
+    for name in moved:
+        np.testing.assert_allclose(after[name] - before[name], step, atol=1e-5)
+
+
+def test_paint_and_a_value_from_the_shell(capsys, tmp_path) -> None:
+    file = tmp_path / "edited.xml"
+    edit = ("--set", "tube_vane_3.z=1.5", "--paint", "tube_vane_2=R=0.3")
+    assert str(file) in succeeds(capsys, "sweep", "baffle_tube", *edit, "--write-scene", file)
+    shapes = {shape.id(): shape for shape in mistray.load(file).shapes()}
+    assert float(shapes["tube_vane_2"].bsdf().coating.R) == pytest.approx(0.3)
+    assert numbers(mistray.load(file))["tube_vane_3.z"] == pytest.approx(1.5)
+
+
+def test_one_of_a_study(capsys, tmp_path) -> None:
+    study = tmp_path / "states.toml"
+    far, near = (f'[[configuration]]\nname = "{n}"\nvalues = {{ "tube_vane_3.z" = {z} }}\n' for n, z in NAMED)
+    study.write_text(far + near, encoding="utf-8")
+    command = ["sweep", "baffle_tube", study, "--write-scene", tmp_path / "far.xml"]
+    assert "did you mean 'far'?" in fails(capsys, *command, "--configuration", "farr")
+    assert "writes one configuration" in fails(capsys, *command)
+    assert "--rays has no effect with --write-scene" in fails(capsys, *command, "--rays", 5)
+    assert not (tmp_path / "far.xml").exists()
+    succeeds(capsys, *command, "--configuration", "far")
+    assert numbers(mistray.load(tmp_path / "far.xml"))["tube_vane_3.z"] == pytest.approx(3)
