@@ -106,10 +106,8 @@ def test_a_glass_among_others(write):
     ("old", "new", "line", "message"),
     [
         ("NM N-BK7 2 ", "NM N-BK7 14 ", 1, "formula '14' of glass 'N-BK7' is none of 1 … 13"),
-        ("NM N-BK7 2 ", "NM N-BK7 two ", 1, "formula 'two'"),
         ("NM N-BK7 2 517642.251 1.5168 64.17 0 1 1", "NM N-BK7", 1, "NM needs a name"),
         ("CD 1.03961212E+00", "CD 1.0396l212E+00", 4, "'1.0396l212E\\+00' is no number"),
-        ("CD 1.03961212E+00", "CD nan", 4, "'nan' is no number"),
         (" 1.03560653E+02 0 0 0 0", "", 4, r"5 coefficients; formula 2 \(Sellmeier 1\) has 6"),
         ("CD ", "XX ", 1, "glass 'N-BK7' has no CD line"),
         ("LD 0.3 2.5\n", "", 1, "glass 'N-BK7' has no LD line"),

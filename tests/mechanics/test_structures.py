@@ -173,26 +173,22 @@ class TestScenes:
         add_structures(scene_file, [Structure("wall", 9.0, 0.0, 9.0, 5.0)], target)
         assert "<path" not in target.read_text(encoding="utf-8")
 
-    def test_included(self, assembly: Mechanics, scene_file: Path, tmp_path: Path) -> None:
+    def test_alone_and_in_a_prescription(self, assembly: Mechanics, scene_file: Path, tmp_path: Path) -> None:
         """A file of mechanics alone is part of a scene by <include>."""
-        shapes = assembly.to_xml(tmp_path / "mount.xml")
+        names = {shape.name for shape in assembly.to_xml(tmp_path / "mount.xml")}
         including = SCENE.replace("</scene>", '    <include filename="mount.xml"/>\n</scene>')
         scene_file.write_text(including, encoding="utf-8")
-        assert {shape.id() for shape in mistray.load(scene_file).shapes()} == {"detector", *(s.name for s in shapes)}
-
-    def test_in_a_prescription(self, assembly: Mechanics, tmp_path: Path) -> None:
         system = mistray.Prescription(
             name="mount",
             surfaces=(),
             structures=assembly.structures(tmp_path),
             detector=mistray.Detector(z=60.0, semi_diameter=5.0),
             source=mistray.Source(radius=2.0),
-        )
-        system = system.with_scatter({"bracket": [Scatter("paint", {"reflectance": 0.05})]})
-        system.to_xml(tmp_path / "scene.xml")
-        assert 'type="paint"' in (tmp_path / "scene.xml").read_text(encoding="utf-8")
-        for scene in (system.to_scene(), mistray.load(tmp_path / "scene.xml")):
-            assert {shape.id() for shape in scene.shapes()} == {shape.name for shape in system.shapes()}
+        ).with_scatter({"bracket": [Scatter("paint", {"reflectance": 0.05})]})
+        for scene in (mistray.load(scene_file), system.to_scene()):
+            loaded = {shape.id(): shape for shape in scene.shapes()}
+            assert set(loaded) == names | {"detector"}
+        assert len(loaded["bracket"].bsdf().scatter) == 1
 
 
 class TestPlugin:

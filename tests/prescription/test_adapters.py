@@ -2,48 +2,26 @@
 
 from __future__ import annotations
 
-import math
-import warnings
-
 import numpy as np
 import peer_lenses
 import peers
 import pytest
 
 from mistray import MistrayError
-from mistray.io.conventions import figure, object_na, turns_deg
 from mistray.io.optiland import from_optiland
 from mistray.io.rayoptics import from_rayoptics
 from mistray.materials import complex_index, refractive_index
 from mistray.physics.geometry.outline import circle
-from mistray.physics.geometry.sag import sag
 from mistray.physics.sags.terms import sag as freeform_sag
 from mistray.prescription.sequential.first_order import first_order
 from mistray.prescription.sequential.materials import same_material
-from mistray.prescription.sequential.rays import motion, trace
-from mistray.prescription.sequential.table import Decentre, Row, Sequential
+from mistray.prescription.sequential.rays import trace
 
 
 def by_name(name: str):
     """A file of the packages; the test is left out where they are not installed."""
     peers.need("rayoptics")
     return next(path for file, path in peer_lenses.files().items() if file.endswith(f"/{name}"))
-
-
-def test_a_plane_with_an_r2_term_is_a_paraboloid():
-    found = figure(math.inf, 0.0, [2e-3, 1e-6, 0.0])
-    assert found == {"radius": 250, "conic": -1, "coefficients": (1e-6,), "sag": {}}
-    expected = 2e-3 * 100 + 1e-6 * 100**2
-    assert sag(100.0, 1 / found["radius"], found["conic"], found["coefficients"]) == pytest.approx(expected, rel=1e-14)
-    assert figure(50.0, -0.3, [0.0, 1e-6]) == {"radius": 50, "conic": -0.3, "coefficients": (1e-6,), "sag": {}}
-    assert figure(50.0, -0.3, []) == {"radius": 50, "conic": -0.3, "coefficients": (), "sag": {}}
-    assert figure(50.0, 0.0, [2e-3])["sag"] == {"a2": 2e-3}
-
-
-@pytest.mark.parametrize("angles", [(0, 0, 0), (10, 20, 30), (-170, 60, 5), (45, 0, 0)])
-def test_turns_come_back(angles):
-    turn = motion(Decentre(tilt_deg=angles))[:3, :3]
-    assert turns_deg(turn) == pytest.approx(angles, abs=1e-12)
 
 
 def test_materials_are_named_only_where_their_index_is_the_same():
@@ -57,13 +35,6 @@ def test_materials_are_named_only_where_their_index_is_the_same():
     assert same_material(["N-BK7"], lambda wavelength: 1.0, lines) == "air"
     assert same_material(["N-BK7"], lambda wavelength: 1.7, lines) == "1.7 k=0"
     assert same_material(["PMMA"], lambda w: refractive_index("PMMA", w), lines).startswith("PMMA")
-
-
-def test_a_cone_at_the_image_of_a_thin_lens():
-    """n = 1.5, R = ±100: f = 100; from 150 to 300 mm, so slopes are halved."""
-    rows = (Row(1, radius=100, material="1.5"), Row(2, radius=-100, thickness=300), Row(3, kind="image"))
-    thin = Sequential("thin", rows, object_distance=150.0, aperture=1.0)
-    assert object_na(thin, 0.05) == pytest.approx(math.sin(math.atan(0.1)), rel=1e-12)
 
 
 def model_of(name: str):
@@ -203,23 +174,6 @@ def test_a_lens_of_optiland_has_the_same_rays():
         assert ends - [0, 0, last] == pytest.approx(hits[-1], abs=1e-9)
         assert headings == pytest.approx(onward[-1], abs=1e-10)
     assert np.ptp(hits[-1][:, 1]) > 0.1
-
-
-@pytest.mark.parametrize(
-    ("module", "sample", "efl"),
-    [
-        ("objectives", "CookeTriplet", 50.0),
-        ("telescopes", "HubbleTelescope", 57600.0),
-    ],
-)
-def test_samples_of_optiland(module, sample, efl):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        optic = getattr(peers.optiland(f"samples.{module}"), sample)()
-        expected = float(np.ravel(optic.paraxial.f2())[0])
-    found = first_order(from_optiland(optic))
-    assert found.efl == pytest.approx(abs(expected), rel=1e-9)
-    assert found.efl == pytest.approx(efl, rel=0.01)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,4 @@
-"""Cassegrain baffles: no straight line to the detector, nothing of the field cut, and no smaller pair does it.
-
-Rays are traced by the float64 oracles and by a closed form of a conic, not by the construction's own solver.
-"""
+"""Cassegrain baffles by float64 rays: no straight line to the detector, nothing of the field cut, no smaller pair."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Vane tubes against ray casting in three dimensions: what is lit from outside is not seen from the optic.
-
-The oracle knows a tube as a list of rings (z, inner radius) and a wall; it casts straight rays in float64 and uses
-neither the construction's equations nor its argument that the plane of the axis is enough.
-"""
+"""Vane tubes against straight float64 rays in three dimensions: what is lit from outside is not seen from the optic."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from sequential_lenses import BORED, by_name, lens, newtonian
 
-from mistray.physics.geometry.outline import circle, rectangle
+from mistray.physics.geometry.outline import circle
 from mistray.prescription import Coating, Decentre, Row, Sequential
 from mistray.prescription.closing.system import build, to_prescription
 from mistray.trace import trace
@@ -124,19 +124,6 @@ def test_a_spot_on_a_lens_and_an_image_on_a_surface_are_moved_by_a_micrometre():
     built = build(cover)
     assert by_name(built.prescription)["detector"].z == pytest.approx(1.001)
     assert any("the image lies on surface 2" in note for note in built.notes)
-
-
-@pytest.mark.parametrize(
-    "aperture", [circle(25.0, y=60.0), circle(25.0, 5.0, x=-9.0, y=60.0), rectangle(10.0, 20.0, x=40.0, y=50.0)]
-)
-@pytest.mark.parametrize(("radius", "conic"), [(-400.0, -1.0), (math.inf, 0.0), (250.0, 0.0)])
-def test_a_mirror_off_its_axis_is_the_piece_that_its_aperture_cuts(aperture, radius, conic):
-    rows = (
-        Row(1, radius=radius, conic=conic, mirror=True, stop=True, thickness=-200.0, aperture=aperture),
-        Row(2, kind="image"),
-    )
-    (mirror,) = build(lens(*rows, aperture=170.0)).prescription.surfaces
-    assert (mirror.outline, mirror.radius, mirror.conic) == (aperture, radius, conic)
 
 
 @pytest.mark.parametrize("stated", [True, False])

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import math
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
-from oracles import beams, nonsequential, scene_xml
+from oracles import beams
 
 from mistray import load
 from mistray.errors import MistrayError
 from mistray.prescription import Structure, from_batoid
-from mistray.prescription.scene_file import xml_text
 from mistray.trace import trace
 
 batoid = pytest.importorskip("batoid")
@@ -86,52 +83,6 @@ def test_source_is_that_of_batoid(optic, rubin, theta_x, theta_y):
     assert (wider.radius, wider.inner_radius) == pytest.approx((1.05 * source.radius, 0.95 * source.inner_radius))
     assert wider.pupil_area == pytest.approx(math.pi * (source.radius**2 - source.inner_radius**2))
     assert "the source is wider than the pupil" in rubin.provenance
-
-
-@pytest.mark.validation
-@pytest.mark.parametrize("field_deg", [0.0, 1.0])
-def test_spot_and_ghosts_against_batoid(optic, field_deg):
-    """The float64 oracle on our scene against batoid's own split trace: same paths, centroids and fluxes."""
-    reflecting = from_batoid(optic, wavelength_nm=WAVELENGTH_NM, reflectance=0.02)
-    model = scene_xml.parse_scene(xml_text(reflecting))
-    rays = batoid.RayVector.asPolar(
-        optic=optic, wavelength=WAVELENGTH_NM * 1e-9, theta_x=0.0, theta_y=math.radians(field_deg), nrad=12, naz=72,
-        outer=4.17, inner=2.57,
-    )  # fmt: skip
-    origin = np.column_stack([rays.x, rays.y, rays.z]) * 1e3
-    direction = np.column_stack([rays.vx, rays.vy, rays.vz])
-    ledger = nonsequential.trace(
-        model, origin, direction, np.full(len(rays), 1.0), WAVELENGTH_NM, max_reflections=2, max_events=40,
-        flux_threshold=1e-7, start_material="vacuum",
-    )  # fmt: skip
-    assert not ledger.leaks_W
-    ours = {tuple(name for name, _ in path.events): path for path in ledger.paths if path.order != 1}
-    # a single reflection can come back by M3 and past M2, through its hole: batoid, being sequential, cannot see it
-    assert all(
-        "M3" in (path.events[i][0] for i in range(3, len(path.events))) for path in ledger.paths if path.order == 1
-    )
-    coated = batoid.Optic.fromYaml("LSST_r.yaml")
-    for name in [s.name for s in reflecting.surfaces if not s.mirror] + ["Detector"]:
-        for side in ("forwardCoating", "reverseCoating"):
-            setattr(coated[name], side, batoid.SimpleCoating(0.02, 0.98))
-    forward, _ = coated.traceSplit(rays.copy(), minFlux=1e-4)
-    theirs = {tuple(r.path): r for r in forward if ghost_order(r.path) <= 2}
-    assert set(ours) == set(theirs)
-    for names, path in ours.items():
-        split = theirs[names]
-        assert path.rays == len(split)
-        assert path.power_W == pytest.approx(split.flux.sum(), rel=1e-9)
-        weights = split.flux / split.flux.sum()
-        assert path.x_mm == pytest.approx(1e3 * weights @ split.x, abs=1e-6)
-        assert path.y_mm == pytest.approx(1e3 * weights @ split.y, abs=1e-6)
-
-
-def ghost_order(path):
-    """Reflections of a path off the design path: twice the number of turns back."""
-    order = ["M1", "M2", "M3", "L1_entrance", "L1_exit", "L2_entrance", "L2_exit", "Filter_entrance", "Filter_exit",
-             "L3_entrance", "L3_exit", "Detector"]  # fmt: skip
-    steps = np.diff([order.index(name) for name in path])
-    return int(np.count_nonzero(np.diff(steps)))
 
 
 def test_lens_that_light_crosses_downwards(rubin):
@@ -285,20 +236,6 @@ def test_prime_focus_detects_what_batoid_passes(field_deg):
         assert abs(share - 0.84) < 3.9 * se
 
 
-@pytest.mark.parametrize("field_deg", [0.0, pytest.param(1.0, marks=pytest.mark.slow)])
-@pytest.mark.long
-def test_decam_detects_what_batoid_passes(field_deg):
-    """The Blanco telescope without its polygon and its spider: batoid passes 0.905 on axis; 1 %."""
-    optic = batoid.Optic.fromYaml("DECam.yaml")
-    for name in ("FILTER_OBSTRUCTION", "SPIDER"):
-        optic = optic.withRemovedOptic(f"BlancoDECam.{name}")
-    read = from_batoid(optic, wavelength_nm=700.0, beam="exact")
-    energy = trace(read.to_scene(), rays=40_000, field_deg=field_deg, max_reflections=0).energy
-    theirs, _ = passing(optic, field_deg)
-    assert energy.detected_W / energy.launched_W == pytest.approx(theirs, rel=0.01)
-    assert all(f"'{name}'" in read.provenance for name in ("CAGE_MID", "CAGE_BOT", "SHROUD"))
-
-
 def test_tilts_survive_the_way_through_angles():
     rotation = batoid.RotX(0.3) @ batoid.RotY(-0.2) @ batoid.RotZ(1.1)
     place = batoid.CoordSys(origin=np.array([0.1, -0.2, 0.3]), rot=rotation)
@@ -309,23 +246,6 @@ def test_tilts_survive_the_way_through_angles():
     (flat,) = from_batoid(optic, wavelength_nm=500.0).surfaces
     np.testing.assert_allclose(flat.to_world()[:3, :3], rotation, atol=1e-14)
     np.testing.assert_allclose(flat.to_world()[:3, 3], [100.0, -200.0, 300.0])
-
-
-def refusal(file):
-    try:
-        from_batoid(batoid.Optic.fromYaml(os.fspath(file)), wavelength_nm=620.0)
-    except MistrayError as error:
-        return str(error)
-    return None
-
-
-@pytest.mark.parametrize(("families", "read"), [(("LSST",), 10), pytest.param(("",), 15, marks=pytest.mark.long)])
-def test_shipped_telescopes_are_read_or_refused_in_one_line(families, read):
-    files = sorted((Path(batoid.__file__).parent / "data").glob("*/*.yaml"))
-    # batoid 0.9 itself cannot read PFS.yaml
-    refusals = [refusal(file) for file in files if file.name.startswith(families) and file.name != "PFS.yaml"]
-    assert refusals.count(None) >= read
-    assert all("\n" not in text and "batoid element" in text for text in refusals if text)
 
 
 def test_a_figure_error_images_as_in_batoid(tmp_path):

@@ -361,7 +361,6 @@ def test_no_line_gets_lost(read):
         (("FTYP 0 0 1 1 0 0 0\nXFLN 0", "FTYP 4 0 1 1 0 0 0\nXFLN 90"), "line 5: field of theodolite angles 90, 0"),
         (("PWAV 1", "PWAV 2"), "primary wavelength 2; the lens has 1 wavelengths"),
         (("WAVM 1 0.58", "WAVM 2 0.58"), "follows wavelength 0"),
-        (("CURV 0.02", "CURV nan"), "'nan' in 'CURV nan' is not a number"),
         (("CURV 0.02", "CURV"), "'CURV' ends before a number"),
         (("CURV 0.02", "CURV 0.02\n  CURV 1"), "CURV of surface 1 is there already, on line 16"),
         (("DISZ 5", "DISZ INFINITY"), "only that of the object may be infinite"),
@@ -370,17 +369,11 @@ def test_no_line_gets_lost(read):
         (("GLAS N-BK7 0", "GLAS ___BLANK 0"), "its flag 0 says it is no model glass"),
         (("GLAS N-BK7 0 0", "GLAS ___BLANK 2 7"), "picks up the glass of surface 7, which has none"),
         (("GLAS N-BK7 0 0 1.5 40", "GLAS ___BLANK 1 0 0.5 40"), "index 0.5; a real index is at least 1"),
-        (("WAVM 1 0.5875618", "WAVM 1 12"), "glass 'N-BK7': .*12000 nm is outside of its"),
         (
             ("TYPE STANDARD\n  CURV", "TYPE SZERNSAG\n  XDAT 1 4\n  XDAT 5 0.1\n  CURV"),
             "4 terms|3 terms over a radius of 0",
         ),
         (("SURF 2\n  TYPE STANDARD", "SURF 2\n  TYPE PARAXIAL"), "put the real surfaces of that lens in its place"),
-        (("SURF 2\n  TYPE STANDARD", "SURF 2\n  TYPE DGRATING"), "diffracting surfaces are not traced"),
-        (
-            ("SURF 2\n  TYPE STANDARD", "SURF 2\n  TYPE NONSEQCO"),
-            "line 20: surface 2 is of type .* bring it in as STEP",
-        ),
         (("SURF 2\n  TYPE STANDARD", "SURF 2\n  TYPE USERSURF"), "mistray knows STANDARD, EVENASPH, .* and COORDBRK"),
         (("TYPE STANDARD\n  CURV 0.02", "TYPE IRREGULA\n  PARM 3 0.01\n  DIAM 8 0"), "put coordinate breaks around it"),
         ((SINGLET, bytes(range(256)).decode("latin-1")), "no line 'SURF 0'"),
@@ -399,25 +392,6 @@ def test_errors_are_one_line_with_file_and_place(change, message, read):
         read(SINGLET.replace(*change, 1))
     assert "\n" not in str(error.value)
     assert len(str(error.value)) < 400
-
-
-def test_paraxial_focus_is_where_opticstudio_put_it(read):
-    """Pair of achromats, Edmund Optics 55278: OpticStudio's own solve (MAZH) put the image into the paraxial focus."""
-    table = [
-        (7.695859627520400432e-3, 2.5, "SF5"),
-        (2.240143369175629992e-2, 6.0, "BK7"),
-        (-1.626809825931349943e-2, 5.63, ""),
-    ]
-    table += [(-c, t, g) for c, t, g in ((-1.626809825931349943e-2, 6.0, "BK7"), (2.240143369175629992e-2, 2.5, "SF5"))]
-    table.append((-7.695859627520400432e-3, 43.707716717029655, ""))
-    lines = ["UNIT MM", "ENPD 22", "GCAT SCHOTT INFRARED MISC", "FTYP 0 0 1 3 0 0 0 1", "XFLN 0", "YFLN 0"]
-    lines += ["WAVM 1 0.4861 1", "WAVM 2 0.5876 1", "WAVM 3 0.6563 1", "PWAV 2", "SURF 0", "  DISZ INFINITY"]
-    for number, (curvature, thickness, name) in enumerate(table, 1):
-        lines += [f"SURF {number}", f"  CURV {curvature!r}", f"  DISZ {thickness!r}"]
-        lines += [f"  GLAS {name}"] * bool(name)
-    data = first_order(read("\n".join([*lines, "SURF 7", "  DISZ 0"])))
-    assert data.bfl == pytest.approx(43.707716717029655, abs=1e-11)
-    assert data.efl == pytest.approx(52.24, abs=5e-3)  # as its vendor states
 
 
 CONFIGURATIONS = (
