@@ -1,9 +1,7 @@
-"""Lens files as the programs optiland and ray-optics read them: focal lengths and real rays.
+"""Lens files as optiland and ray-optics read them; as a script it writes the two tables of tests/data about them.
 
-``python tests/peer_lenses.py`` writes tests/data/lens_files.csv and tests/data/lens_file_rays.csv, of every .zmx and
-.seq in the two packages and in tests/data/lenses. Lengths are in mm, whatever the unit of the file; both programs
-compute in the unit of the file. Rays start 10 mm in front of the first vertex, in the frame of the first surface before
-its decentre, and end in the frame of the image surface.
+All lengths are in mm. Rays start 10 mm in front of the first vertex, in the frame of the first surface before its
+decentre, and end in the frame of the image surface.
 """
 
 from __future__ import annotations
@@ -172,14 +170,7 @@ def end_of_ray(lens: Lens, position: np.ndarray, direction: np.ndarray, waveleng
 
 
 def starts(lens: Sequential) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Three rays of each field: through points of the entrance pupil, which is only a way to choose them.
-
-    Returns
-    -------
-    positions, directions : (n_fields, 3, 3) float64
-        In the world of `mistray.prescription.sequential.rays`, mm.
-    """
+    """Positions, mm, and directions, each (n_fields, 3, 3), in the world of `mistray.prescription.sequential.rays`."""
     data = first_order(lens)
     positions, directions = (
         np.array(rays) for rays in zip(*(launch(lens, data, f, PUPIL) for f in lens.fields), strict=True)

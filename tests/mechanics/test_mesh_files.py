@@ -56,11 +56,7 @@ def binary_stl() -> bytes:
 
 
 def gltf() -> tuple[dict[str, Any], bytes]:
-    """
-    glTF 2.0 by hand, in metres: the tetrahedron of 4 mm³ at its place, moved by 10 mm, and mirrored at x = 0.
-
-    The fourth node has a line, which is no polygon.
-    """
+    """In metres: the tetrahedron at its place, moved by 10 mm, and mirrored at x = 0; a line is no polygon."""
     places = np.array(CORNERS, dtype="<f4") * np.float32(1e-3)
     buffer = places.tobytes() + np.array(FACES, dtype="<u2").tobytes()
     primitive = {"attributes": {"POSITION": 0}, "indices": 1}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -169,18 +168,13 @@ class TestPlate:
             Figure("rectangle", "-", -8.0, 2.0, 30.0, (4.0, 1.0)),
             Figure("polygon", "-", 0.0, -8.0, sizes=(-2.0, 0.0, 2.0, 0.0, 0.0, 3.0)),
         ))  # fmt: skip
-        part = plate("plate", outline, 2.0, z=10.0)
-        assert len(part) == 2 + 4 + 1 + 4 + 3
-        beam = Source(half_width=18.0, half_height=13.0, z=-5.0)
-        behind = Detector("behind", z=30.0, half_width=60.0, half_height=60.0)
-        design = Prescription(name="p", surfaces=(), structures=part, detector=behind, source=beam)
-        t = mistray.trace(design.to_scene(), rays=200_000)
+        assert len(plate("plate", outline, 2.0)) == 2 + 4 + 1 + 4 + 3
+        t = self.behind(outline, (18.0, 13.0), 0.0, 0.0, 0.0, rays=200_000)
         holes = np.pi * 9 + 16 + 6
         assert abs(t.energy.detected_W - holes) < 4 * t.energy.detected_se_W  # 1 in 16,000
         assert t.energy.absorbed["plate_rear"][0] == 0
         # At 20° along y the wall takes 2 tan 20° from the width of each hole: of the circle what two discs share
-        aside = replace(beam, y=-15 * math.tan(math.radians(20)), half_height=12.0)  # to meet the plate in its middle
-        tilted = mistray.trace(replace(design, source=aside).to_scene(), rays=200_000, field_deg=20.0)
+        tilted = self.behind(outline, (18.0, 12.0), 0.0, 0.0, 20.0, rays=200_000)
         shift = 2 * math.tan(math.radians(20))
         lens = 18 * math.acos(shift / 6) - shift / 2 * math.sqrt(36 - shift**2)
         angle = math.radians(30)
@@ -190,13 +184,16 @@ class TestPlate:
         assert abs(tilted.energy.detected_W - expected) < 4 * tilted.energy.detected_se_W
 
     @staticmethod
-    def behind(outline: Outline, half: float, x: float, y: float, field_deg: float) -> Trace:
-        """Of a square beam of this half width that meets a plate of 2 mm about a point of it, the trace."""
+    def behind(
+        outline: Outline, half: tuple[float, float], x: float, y: float, field_deg: float, rays: int = 60_000
+    ) -> Trace:
+        """Of a beam of these half sizes that meets a plate of 2 mm about a point of it, the trace."""
         part = plate("plate", outline, 2.0, z=10.0)
-        beam = Source(half_width=half, half_height=half, x=x, y=y - 15 * math.tan(math.radians(field_deg)), z=-5.0)
+        place = {"x": x, "y": y - 15 * math.tan(math.radians(field_deg)), "z": -5.0}
+        beam = Source(half_width=half[0], half_height=half[1], **place)
         screen = Detector("behind", z=30.0, half_width=60.0, half_height=60.0)
         design = Prescription(name="p", surfaces=(), structures=part, detector=screen, source=beam)
-        return mistray.trace(design.to_scene(), rays=60_000, field_deg=field_deg)
+        return mistray.trace(design.to_scene(), rays=rays, field_deg=field_deg)
 
     @pytest.mark.parametrize(("a", "b", "turn_deg"), [(6.0, 4.0, 0.0), (1.5, 9.0, 25.0)])
     @pytest.mark.parametrize("field_deg", [0.0, 20.0])
@@ -208,7 +205,7 @@ class TestPlate:
         2 acos(s/2) - s √(1 - s²/4), times a b.
         """
         hole = Figure("ellipse", "-", 2.0, 1.0, turn_deg, (a, b))
-        t = self.behind(Outline((*rectangle(30.0, 30.0).figures, hole)), 11.0, 2.0, 1.0, field_deg)
+        t = self.behind(Outline((*rectangle(30.0, 30.0).figures, hole)), (11.0, 11.0), 2.0, 1.0, field_deg)
         phi, cosine = math.radians(turn_deg), math.cos(math.radians(field_deg))
         s = 2 * math.tan(math.radians(field_deg)) * math.hypot(math.sin(phi) / a, math.cos(phi) / b)
         shared = a * b * (2 * math.acos(s / 2) - s * math.sqrt(1 - s * s / 4)) * cosine
@@ -219,7 +216,7 @@ class TestPlate:
     def test_an_elliptical_rim(self) -> None:
         """Aslant an ellipse shades π a b and, by its thickness, 2 tan 20° times its width across that way."""
         a, b, phi, angle = 7.0, 2.0, math.radians(35.0), math.radians(20.0)
-        t = self.behind(Outline((Figure("ellipse", "+", 1.0, 2.0, 35.0, (a, b)),)), 11.0, 1.0, 2.0, 20.0)
+        t = self.behind(Outline((Figure("ellipse", "+", 1.0, 2.0, 35.0, (a, b)),)), (11.0, 11.0), 1.0, 2.0, 20.0)
         width = 2 * math.hypot(a * math.cos(phi), b * math.sin(phi))
         shaded = (np.pi * a * b + 2 * math.tan(angle) * width) * math.cos(angle)
         assert abs(t.energy.launched_W - t.energy.detected_W - shaded) < 4 * t.energy.detected_se_W  # 1 in 16,000

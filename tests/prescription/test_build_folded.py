@@ -173,13 +173,7 @@ def test_a_lens_that_another_stands_in_is_bored():
 
 @pytest.mark.parametrize("kept", [True, False])
 def test_an_aperture_on_a_leg_of_a_folded_beam_leaves_the_other_legs_alone(kept):
-    """
-    A plane with an opening of 40 mm before the secondary, or behind it where light comes back along the first leg.
-
-    A file means it for the light of its own leg. In space the light from the sky, 100 mm in radius, crosses the plane
-    too: on its way to the secondary the other way, so that the plate meets -z alone; on the way to the focus the same
-    way, so that there is none.
-    """
+    """Light from the sky crosses the plane too: towards the secondary the other way, towards the focus the same way."""
     rows = [
         Row(1, thickness=800.0, label="entrance"),
         Row(2, radius=-2000.0, conic=-1.0, mirror=True, stop=True, thickness=-700.0, label="primary"),

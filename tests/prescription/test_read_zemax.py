@@ -28,6 +28,7 @@ XFLN 0
 YFLN 0
 WAVM 1 0.5875618 1
 PWAV 1"""
+FIELD = "FTYP 0 0 1 1 0 0 0\nXFLN 0\nYFLN 0"
 OBJECT = "SURF 0\n  TYPE STANDARD\n  DISZ INFINITY"
 FRONT = "SURF 1\n  STOP\n  TYPE STANDARD\n  CURV 0.02\n  DISZ 5\n  GLAS N-BK7 0 0 1.5 40"
 REAR = 'SURF 2\n  TYPE STANDARD\n  CURV -0.02 0 0 0 0 ""\n  DISZ 45'
@@ -224,19 +225,46 @@ def test_apertures(lines, semi_diameter, fixed, aperture, read):
     assert lens.unread == ()
 
 
+FIELDS = "FTYP {} 0 2 1\nXFLN 1 2 9 9\nYFLN 3 4 9 9\nVDXN 0 0.1 9\nVDYN 0 0.2 9\nVCXN 0 0.3 9\nVCYN 0 0.4 9\nVANN 0 0 0"
+VIGNETTED = {"fields": ((1.0, 3.0), (2.0, 4.0)), "vignetting": ((0.0, 0.0, 0.0, 0.0), (0.1, 0.2, 0.3, 0.4))}
+WAVES = "WAVM 1 0.5875618 1\nPWAV 1"
+
+
 @pytest.mark.parametrize(
-    ("lines", "expected"),
+    ("old", "new", "expected"),
     [
-        ("FNUM 2.8 0", ("f_number", 2.8)),
-        ("FNUM 2.8 1", ("f_number", 2.8)),
-        ("OBNA 0.25 0", ("object_na", 0.25)),
-        ("OBNA 30 1", ("object_na", pytest.approx(0.5))),
-        ("FLOA", ("stop_diameter", 7.0)),
+        ("ENPD 8", "FNUM 2.8 0", {"aperture_kind": "f_number", "aperture": 2.8}),
+        ("ENPD 8", "FNUM 2.8 1", {"aperture_kind": "f_number", "aperture": 2.8}),
+        ("ENPD 8", "OBNA 0.25 0", {"aperture_kind": "object_na", "aperture": 0.25}),
+        ("ENPD 8", "OBNA 30 1", {"aperture_kind": "object_na", "aperture": pytest.approx(0.5)}),
+        ("ENPD 8", "FLOA", {"aperture_kind": "stop_diameter", "aperture": 7.0}),
+        (FIELD, FIELDS.format(0), VIGNETTED | {"field_kind": "angle_deg"}),
+        (FIELD, FIELDS.format(1), VIGNETTED | {"field_kind": "object_height"}),
+        (FIELD, FIELDS.format(2), VIGNETTED | {"field_kind": "image_height"}),
+        (
+            f"{FIELD}\n{WAVES}",
+            "FTYP 0 0 1 2\nWAVM 1 0.4861 1\nWAVM 2 0.6563 0.5\nWAVM 3 0.55 1\nPWAV 2",
+            {"wavelengths_nm": (486.1, 656.3), "weights": (1.0, 0.5), "primary": 1},
+        ),
+        # Old files without the number fill the list up with one value
+        (
+            f"{FIELD}\n{WAVES}",
+            "WAVM 1 0.4861 1\nWAVM 2 0.55 1\nWAVM 3 0.55 1\nWAVM 4 0.55 1\nPWAV 2",
+            {"wavelengths_nm": (486.1, 550.0), "weights": (1.0, 1.0), "primary": 1},
+        ),
+        (
+            f"{FIELD}\n{WAVES}",
+            "WAVL 0.4861 0.5876\nWWGT 1 0.25\nPWAV 1",
+            {"wavelengths_nm": (486.1, 587.6), "weights": (1.0, 0.25), "primary": 0},
+        ),
+        (WAVES, "", {"wavelengths_nm": (587.56,), "weights": (1.0,), "primary": 0}),
     ],
 )
-def test_system_aperture(lines, expected, read):
-    lens = read(SINGLET.replace("ENPD 8", lines).replace("  STOP", "  STOP\n  DIAM 3.5 0"))
-    assert (lens.aperture_kind, lens.aperture) == expected
+def test_system_lines(old, new, expected, read):
+    text = SINGLET.replace("  STOP", "  STOP\n  DIAM 3.5 0")
+    assert old in text
+    lens = read(text.replace(old, new))
+    assert {key: getattr(lens, key) for key in expected} == expected
 
 
 def test_an_object_at_a_finite_distance(read):
@@ -262,32 +290,6 @@ def test_theodolite_angles(read):
     z = math.cos(elevation) * math.cos(azimuth)
     assert math.tan(math.radians(x)) == pytest.approx(math.cos(elevation) * math.sin(azimuth) / z)
     assert math.tan(math.radians(y)) == pytest.approx(math.sin(elevation) / z)
-
-
-@pytest.mark.parametrize(("kind", "name"), [(0, "angle_deg"), (1, "object_height"), (2, "image_height")])
-def test_fields_and_vignetting(kind, name, read):
-    text = SINGLET.replace("FTYP 0 0 1", f"FTYP {kind} 0 2").replace("XFLN 0", "XFLN 1 2 9 9").replace(
-        "YFLN 0", "YFLN 3 4 9 9\nVDXN 0 0.1 9\nVDYN 0 0.2 9\nVCXN 0 0.3 9\nVCYN 0 0.4 9\nVANN 0 0 0"
-    )  # fmt: skip
-    lens = read(text)
-    assert (lens.field_kind, lens.fields) == (name, ((1.0, 3.0), (2.0, 4.0)))
-    assert lens.vignetting == ((0.0, 0.0, 0.0, 0.0), (0.1, 0.2, 0.3, 0.4))
-
-
-@pytest.mark.parametrize(
-    ("lines", "expected"),
-    [
-        ("FTYP 0 0 1 2\nWAVM 1 0.4861 1\nWAVM 2 0.6563 0.5\nWAVM 3 0.55 1\nPWAV 2", ((486.1, 656.3), (1.0, 0.5), 1)),
-        # Old files without the number fill the list up with one value
-        ("WAVM 1 0.4861 1\nWAVM 2 0.55 1\nWAVM 3 0.55 1\nWAVM 4 0.55 1\nPWAV 2", ((486.1, 550.0), (1.0, 1.0), 1)),
-        ("WAVL 0.4861 0.5876\nWWGT 1 0.25\nPWAV 1", ((486.1, 587.6), (1.0, 0.25), 0)),
-        ("", ((587.56,), (1.0,), 0)),
-    ],
-)
-def test_wavelengths(lines, expected, read):
-    text = SINGLET.replace("FTYP 0 0 1 1 0 0 0\n", "").replace("WAVM 1 0.5875618 1\nPWAV 1", lines)
-    lens = read(text)
-    assert (lens.wavelengths_nm, lens.weights, lens.primary) == expected
 
 
 def test_coatings(read):
