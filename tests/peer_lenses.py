@@ -1,9 +1,7 @@
-"""Lens files as the programs optiland and ray-optics read them: focal lengths and real rays.
+"""Lens files as optiland and ray-optics read them; as a script it writes the two tables of tests/data about them.
 
-``python tests/peer_lenses.py`` writes tests/data/lens_files.csv and tests/data/lens_file_rays.csv, of every .zmx and
-.seq in the two packages and in tests/data/lenses. Lengths are in mm, whatever the unit of the file; both programs
-compute in the unit of the file. Rays start 10 mm in front of the first vertex, in the frame of the first surface before
-its decentre, and end in the frame of the image surface.
+All lengths are in mm. Rays start 10 mm in front of the first vertex, in the frame of the first surface before its
+decentre, and end in the frame of the image surface.
 """
 
 from __future__ import annotations
@@ -16,11 +14,12 @@ import re
 import shutil
 import tempfile
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import peers
@@ -29,6 +28,7 @@ from mistray.errors import MistrayError
 from mistray.io.codev.read import read_codev
 from mistray.io.zemax.read import read_zemax
 from mistray.materials.agf import decode
+from mistray.prescription.sequential.edge_rays import launch
 from mistray.prescription.sequential.first_order import first_order
 from mistray.prescription.sequential.table import Sequential
 
@@ -40,13 +40,17 @@ START = 10.0
 PUPIL = ((0.0, 0.0), (0.0, 0.7), (0.5, -0.4))  # points of the rays of a field, in radii of the entrance pupil
 
 
-class Lens(Protocol):
+@dataclass
+class Lens(ABC):
     """A lens as another program has read it, in mm; first-order data at its reference wavelength."""
 
+    model: Any
+    unit: float
     wavelength_nm: float
     efl: float
     bfl: float
 
+    @abstractmethod
     def trace(self, position: np.ndarray, direction: np.ndarray, wavelength_nm: float) -> np.ndarray:
         """(x, y, z, L, M, N) in the frame of the image, of a ray given in that of the first surface."""
 
@@ -74,15 +78,8 @@ def unit_mm(path: Path) -> float:
     return {"M": 1.0, "C": 10.0, "I": 25.4}[found[1].upper()] if found else 1.0
 
 
-@dataclass
-class ByRayOptics:
+class ByRayOptics(Lens):
     """A lens as ray-optics has it."""
-
-    model: Any
-    unit: float
-    wavelength_nm: float
-    efl: float
-    bfl: float
 
     def trace(self, position: np.ndarray, direction: np.ndarray, wavelength_nm: float) -> np.ndarray:
         raytrace = peers.rayoptics("raytr.raytrace")
@@ -97,22 +94,15 @@ class ByRayOptics:
         return np.concatenate([np.asarray(point, dtype=float) * self.unit, np.asarray(heading, dtype=float)])
 
 
-@dataclass
-class ByOptiland:
+class ByOptiland(Lens):
     """A lens as optiland has it."""
 
-    optic: Any
-    unit: float
-    wavelength_nm: float
-    efl: float
-    bfl: float
-
     def trace(self, position: np.ndarray, direction: np.ndarray, wavelength_nm: float) -> np.ndarray:
-        surfaces = list(self.optic.surfaces)
+        surfaces = list(self.model.surfaces)
         first = float(np.ravel(surfaces[1].geometry.cs.z)[0])
         x, y, z = position / self.unit
         rays = peers.optiland("rays").RealRays(x, y, z + first, *direction, 1.0, wavelength_nm / 1e3)
-        self.optic.surfaces.trace(rays)
+        self.model.surfaces.trace(rays)
         shift, turn = surfaces[-1].geometry.cs.get_effective_transform()
         end = np.array([float(np.ravel(getattr(rays, key))[0]) for key in "xyzLMN"])
         turn, shift = np.asarray(turn, dtype=float).reshape(3, 3), np.ravel(np.asarray(shift, dtype=float))
@@ -180,35 +170,13 @@ def end_of_ray(lens: Lens, position: np.ndarray, direction: np.ndarray, waveleng
 
 
 def starts(lens: Sequential) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Three rays of each field: through points of the entrance pupil, which is only a way to choose them.
-
-    Returns
-    -------
-    positions, directions : (n_fields, 3, 3) float64
-        In the world of `mistray.prescription.sequential.rays`, mm.
-    """
+    """Positions, mm, and directions, each (n_fields, 3, 3), in the world of `mistray.prescription.sequential.rays`."""
     data = first_order(lens)
-    pupil_z = data.entrance_pupil_z if math.isfinite(data.entrance_pupil_z) else 0.0
-    positions, directions = [], []
-    for x, y in lens.fields:
-        for px, py in PUPIL:
-            target = np.array([px * data.epd / 2, py * data.epd / 2, pupil_z])
-            if lens.field_kind == "angle_deg" or math.isinf(lens.object_distance):
-                slope = np.tan(np.radians([x, y])) if lens.field_kind == "angle_deg" else np.array([x, y]) / data.efl
-                along = np.array([*slope, 1.0])
-            else:
-                scale = 1.0 if lens.field_kind == "object_height" else 1 / data.magnification
-                origin = np.array([x * scale, y * scale, -lens.object_distance])
-                if lens.telecentric:  # the pupil, in the plane of the first surface, is about the chief ray
-                    target[:2] += origin[:2]
-                along = target - origin
-                along *= math.copysign(1.0, along[2])
-            along /= np.linalg.norm(along)
-            positions.append(target + (-START - target[2]) / along[2] * along)
-            directions.append(along)
-    shape = (len(lens.fields), len(PUPIL), 3)
-    return np.array(positions).reshape(shape), np.array(directions).reshape(shape)
+    positions, directions = (
+        np.array(rays) for rays in zip(*(launch(lens, data, f, PUPIL) for f in lens.fields), strict=True)
+    )
+    directions *= np.copysign(1.0, directions[..., 2:])
+    return positions + (-START - positions[..., 2:]) / directions[..., 2:] * directions, directions
 
 
 @contextlib.contextmanager

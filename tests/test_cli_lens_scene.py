@@ -6,52 +6,42 @@ import json
 from pathlib import Path
 
 import pytest
-from test_cli_import import ZMX
+from command_line import fails, run, succeeds
+from singlet_files import ZMX
 
 import mistray
-from mistray import cli
 
 DATA = Path(__file__).parent / "data" / "lenses" / "flaresim"
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def zmx(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    path = tmp_path / "singlet.zmx"
-    path.write_text(ZMX)
-    return path
+    Path("singlet.zmx").write_text(ZMX)
 
 
-def test_ghosts_of_a_lens_file(capsys, zmx):
+def test_ghosts_of_a_lens_file(capsys):
     """Numbers on stdout, what was assumed on stderr, and nothing is left behind."""
-    code = cli.main(["ghosts", "singlet.zmx", "--rays", "500", "--json"])
-    out, notes = capsys.readouterr()
+    code, out, notes = run(capsys, "ghosts", "singlet.zmx", "--rays", 500, "--json")
     assert code == 0, notes
     assert json.loads(out)["fields"][0]["worst_paths"]
-    assert "line 11: XYZZY 1 2 3" in notes
-    assert "--coating 'detector=R=0.1'" in notes
-    assert "mistray import" in notes
-    assert [path.name for path in zmx.parent.iterdir()] == ["singlet.zmx"]
+    for part in ("line 11: XYZZY 1 2 3", "--coating 'detector=R=0.1'", "mistray import"):
+        assert part in notes
+    assert [path.name for path in Path().iterdir()] == ["singlet.zmx"]
 
 
-def test_coating_a_lens_file_writes_a_scene(capsys, zmx):
-    """Without a trace; the same scene as with an import before it, and it stands alone."""
-    assert cli.main(["coat", "singlet.zmx", "S?=bbar3", "-o", "coated.xml"]) == 0
-    out, notes = capsys.readouterr()
+def test_coating_a_lens_file_writes_a_scene(capsys):
+    """Without a trace; the same scene as with an import before it. The lens file is never written on."""
+    code, out, notes = run(capsys, "coat", "singlet.zmx", "S?=bbar3", "-o", "coated.xml")
+    assert code == 0
     assert "bbar3: S1, S2" in out
     assert "imported as it stands" in notes
     assert mistray.load("coated.xml").shapes()
-    cli.main(["import", "singlet.zmx"])
-    capsys.readouterr()
-    assert cli.main(["coat", "singlet.xml", "S?=bbar3", "-o", "twice.xml"]) == 0
-    assert capsys.readouterr().err == ""
+    succeeds(capsys, "import", "singlet.zmx")
+    succeeds(capsys, "coat", "singlet.xml", "S?=bbar3", "-o", "twice.xml")
     assert Path("twice.xml").read_text() == Path("coated.xml").read_text()
-
-
-def test_the_lens_file_is_never_overwritten(capsys, zmx):
-    assert cli.main(["coat", "singlet.zmx", "S?=bbar3", "-o", "singlet.zmx", "--force"]) == 2
-    assert "singlet.zmx" in capsys.readouterr().err
-    assert zmx.read_text() == ZMX
+    assert "singlet.zmx" in run(capsys, "coat", "singlet.zmx", "S?=bbar3", "-o", "singlet.zmx", "--force")[2]
+    assert Path("singlet.zmx").read_text() == ZMX
 
 
 @pytest.mark.parametrize(
@@ -63,12 +53,7 @@ def test_the_lens_file_is_never_overwritten(capsys, zmx):
         ("converter.lens", (DATA / "converter.lens").read_text(encoding="utf-8"), "it has no real focus"),
     ],
 )
-def test_a_lens_file_that_cannot_be_read(capsys, tmp_path, monkeypatch, name, text, message):
-    monkeypatch.chdir(tmp_path)
+def test_a_lens_file_that_cannot_be_read(capsys, name, text, message):
     if text is not None:
         Path(name).write_text(text, encoding="utf-8")
-    assert cli.main(["ghosts", name]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert message in err
-    assert err.count("\n") == 1
+    assert message in fails(capsys, "ghosts", name)

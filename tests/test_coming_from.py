@@ -98,12 +98,3 @@ def check_arguments(name: str, function: Any, call: ast.Call) -> None:
 @pytest.mark.parametrize("text", CALLS)
 def test_call_exists(text: str) -> None:
     resolve(ast.parse(text, mode="eval").body)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    ["t.path", "t.paths.seek('a')", "mistray.trace(scene, ray=3)", "mistray.pst(scene, max_scatter=1)", "p.paths()"],
-)
-def test_a_wrong_call_would_be_noticed(wrong: str) -> None:
-    with pytest.raises((AssertionError, TypeError)):
-        resolve(ast.parse(wrong, mode="eval").body)

@@ -26,107 +26,91 @@ WAVELENGTHS, ANGLES = [450.0, 550.0, 650.0], [0.0, 30.0, 60.0, 85.0]
 GREY = Stack((Layer("1.38", 95.0), Layer("2.2+0.2i", 20.0)), name="grey")
 
 
-class TestNames:
-    def test_presets_layers_and_nothing(self) -> None:
-        assert coating_from_text("bare") == Bare()
-        assert coating_from_text(" bbar3 ", 600.0) == preset("bbar3", 600.0)
-        stack = coating_from_text("1.38 0.25w", 600.0)
-        assert isinstance(stack, Stack)
-        assert stack.layers == (Layer("1.38", 0.25 * 600 / 1.38),)
-        assert stack.name == "1.38 0.25w"
-
-    def test_files(self, tmp_path: Path) -> None:
-        (tmp_path / "ar.csv").write_text("wavelength_nm,angle_deg,R,T\n550,0,.1,.9\n")
-        assert isinstance(coating_from_text(str(tmp_path / "ar.csv")), CoatingTable)
-        assert coating_from_text(f"{SAMPLE}:SPLIT") == Ideal(0.5, 0.4, "SPLIT")
-        assert read_coating(f"{SAMPLE.name}:ALUM", mirror=True, resolve=lambda path: str(SAMPLE.parent / path)).opaque
-
-    @pytest.mark.parametrize(
-        ("text", "words"),
-        [
-            ("bbar5", "did you mean 'bbar4'? There are mgf2_quarter_wave"),
-            ("bbar5", "or give a file (table.csv, COATING.DAT:NAME) or layers"),
-            ("nowhere.csv", "coating table 'nowhere.csv': No such file"),
-            ("nowhere.dat:AR", "coating file 'nowhere.dat': No such file"),
-            (str(SAMPLE), f"which coating? Write '{SAMPLE}:NAME' with one of AR, AR2, HR"),
-            (f"{SAMPLE}:AR9", "no coating 'AR9'; did you mean 'AR'?"),
-            ("MgF 100", "coating 'MgF 100', layer 1: material 'MgF' is unknown"),
-        ],
-    )
-    def test_bad(self, text: str, words: str) -> None:
-        with pytest.raises(MistrayError) as caught:
-            spectrum(coating_from_text(text), [550.0], [0.0])
-        assert words in str(caught.value)
-        assert "\n" not in str(caught.value)
-
-    def test_unknown_kind_of_file(self) -> None:
-        with pytest.raises(MistrayError, match=r"coating 'ar\.xlsx' is no file that mistray knows"):
-            read_coating("ar.xlsx")
+def test_names(tmp_path: Path) -> None:
+    assert coating_from_text("bare") == Bare()
+    assert coating_from_text(" bbar3 ", 600.0) == preset("bbar3", 600.0)
+    assert coating_from_text("1.38 0.25w", 600.0) == Stack((Layer("1.38", 0.25 * 600 / 1.38),), name="1.38 0.25w")
+    (tmp_path / "ar.csv").write_text("wavelength_nm,angle_deg,R,T\n550,0,.1,.9\n")
+    assert isinstance(coating_from_text(str(tmp_path / "ar.csv")), CoatingTable)
+    assert coating_from_text(f"{SAMPLE}:SPLIT") == Ideal(0.5, 0.4, "SPLIT")
+    assert read_coating(f"{SAMPLE.name}:ALUM", mirror=True, resolve=lambda path: str(SAMPLE.parent / path)).opaque
 
 
-class TestTables:
-    @pytest.mark.parametrize(("front", "back"), [("air", "1.5168"), ("1.5168", "air"), ("1.33", "1.33")])
-    @pytest.mark.parametrize("coating", [GREY, preset("bbar3"), Bare(), Ideal(0.3, 0.6, "split")])
-    def test_written_and_read_back(self, tmp_path: Path, coating, front: str, back: str) -> None:
-        """At its nodes the table answers as the coating does, from both sides, phases included."""
-        write_table(coating, tmp_path / "out.csv", WAVELENGTHS, ANGLES, front, back)
-        table = CoatingTable.read(tmp_path / "out.csv")
-        for from_front in (True, False):
-            one, other = (
-                spectrum(c, WAVELENGTHS, ANGLES, front, back, from_front, rarer=True) for c in (coating, table)
-            )
-            np.testing.assert_allclose(other.R, one.R, atol=1e-9)
-            np.testing.assert_allclose(other.T, one.T, atol=1e-9)
-            strong = one.R.min(axis=2) > 1e-10
-            np.testing.assert_allclose(np.exp(1j * other.phase_r)[strong], np.exp(1j * one.phase_r)[strong], atol=1e-6)
-            np.testing.assert_allclose(np.exp(1j * other.phase_t), np.exp(1j * one.phase_t), atol=1e-6)
-
-    def test_mirrors_are_opaque_tables(self, tmp_path: Path) -> None:
-        for front, back in (("air", "Al"), ("Al", "air")):
-            write_table(Bare(), tmp_path / "al.csv", WAVELENGTHS, ANGLES, front, back)
-            table = CoatingTable.read(tmp_path / "al.csv")
-            assert table.opaque
-            one, other = (spectrum(c, WAVELENGTHS, ANGLES, front, back, front == "air") for c in (Bare(), table))
-            np.testing.assert_allclose(other.R, one.R, atol=1e-12)
-
-    def test_it_says_what_it_is(self, tmp_path: Path) -> None:
-        write_table(GREY, tmp_path / "out.csv", [550.0], [0.0], back="N-BK7")
-        first, second, *_ = (tmp_path / "out.csv").read_text().splitlines()
-        assert first == "# grey between air (front) and N-BK7 (back)"
-        assert second.startswith("wavelength_nm,angle_deg,R_s,R_p,T_s,T_p,R_back_s")
-        assert [file.name for file in tmp_path.iterdir()] == ["out.csv"]
-
-    def test_errors(self, tmp_path: Path) -> None:
-        with pytest.raises(MistrayError, match=r"out\.csv': No such file or directory"):
-            write_table(GREY, tmp_path / "none" / "out.csv", [550.0], [0.0])
-        with pytest.raises(MistrayError, match="both are metals; no light gets there"):
-            write_table(GREY, tmp_path / "out.csv", [550.0], [0.0], "Al", "Ag")
-        with pytest.raises(MistrayError, match="angles lie in 0 … 90°"):
-            write_table(GREY, tmp_path / "out.csv", [550.0], [-1.0])
-        with pytest.raises(MistrayError, match="30000 nm is outside"):
-            write_table(GREY, tmp_path / "out.csv", [30000.0], [0.0], back="N-BK7")
-        assert not list(tmp_path.iterdir())
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("bbar5", "did you mean 'bbar4'? There are mgf2_quarter_wave"),
+        ("nowhere.csv", "coating table 'nowhere.csv': No such file"),
+        ("nowhere.dat:AR", "coating file 'nowhere.dat': No such file"),
+        (str(SAMPLE), f"which coating? Write '{SAMPLE}:NAME' with one of AR, AR2, HR"),
+        (f"{SAMPLE}:AR9", "no coating 'AR9'; did you mean 'AR'?"),
+        ("MgF 100", "coating 'MgF 100', layer 1: material 'MgF' is unknown"),
+    ],
+)
+def test_what_names_no_coating(text: str, words: str) -> None:
+    with pytest.raises(MistrayError) as caught:
+        spectrum(coating_from_text(text), [550.0], [0.0])
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(MistrayError, match=r"coating 'ar\.xlsx' is no file that mistray knows"):
+        read_coating("ar.xlsx")
 
 
-class TestSpectrum:
-    def test_shares_and_means(self) -> None:
-        values = spectrum(GREY, WAVELENGTHS, ANGLES, back="1.5168")
-        assert values.R.shape == (3, 4, 2)
-        np.testing.assert_allclose(values.R + values.T + values.A, 1.0)
-        np.testing.assert_allclose(values.mean("A"), values.A.mean(axis=2))
-        single = GREY.response(550.0, 1 + 0j, 1.5168 + 0j, np.cos(np.radians([60.0])), True)
-        np.testing.assert_array_equal(values.R[1, 2], single.R[0])
+@pytest.mark.parametrize(("front", "back"), [("air", "1.5168"), ("1.5168", "air"), ("1.33", "1.33")])
+@pytest.mark.parametrize("coating", [GREY, preset("bbar3"), Bare(), Ideal(0.3, 0.6, "split")])
+def test_a_table_that_is_written_and_read_back(tmp_path: Path, coating, front: str, back: str) -> None:
+    """At its nodes the table answers as the coating does, from both sides, phases included."""
+    write_table(coating, tmp_path / "out.csv", WAVELENGTHS, ANGLES, front, back)
+    table = CoatingTable.read(tmp_path / "out.csv")
+    assert [file.name for file in tmp_path.iterdir()] == ["out.csv"]
+    for from_front in (True, False):
+        one, other = (spectrum(c, WAVELENGTHS, ANGLES, front, back, from_front, rarer=True) for c in (coating, table))
+        np.testing.assert_allclose(other.R, one.R, atol=1e-9)
+        np.testing.assert_allclose(other.T, one.T, atol=1e-9)
+        strong = one.R.min(axis=2) > 1e-10
+        np.testing.assert_allclose(np.exp(1j * other.phase_r)[strong], np.exp(1j * one.phase_r)[strong], atol=1e-6)
+        np.testing.assert_allclose(np.exp(1j * other.phase_t), np.exp(1j * one.phase_t), atol=1e-6)
 
-    def test_light_that_enters_a_metal_is_absorbed(self) -> None:
-        values = spectrum(Bare(), [550.0], [0.0], back="Al")
-        assert values.T.max() == 0
-        np.testing.assert_allclose(values.R + values.A, 1.0)
 
-    def test_nothing_comes_from_a_metal(self) -> None:
-        with pytest.raises(MistrayError, match=r"light from 'Al' \(k = 6.* at 550 nm\), in which nothing travels"):
-            spectrum(Bare(), [550.0], [0.0], back="Al", from_front=False)
+@pytest.mark.parametrize(("front", "back"), [("air", "Al"), ("Al", "air")])
+def test_mirrors_are_opaque_tables(tmp_path: Path, front: str, back: str) -> None:
+    write_table(Bare(), tmp_path / "al.csv", WAVELENGTHS, ANGLES, front, back)
+    table = CoatingTable.read(tmp_path / "al.csv")
+    assert table.opaque
+    one, other = (spectrum(c, WAVELENGTHS, ANGLES, front, back, front == "air") for c in (Bare(), table))
+    np.testing.assert_allclose(other.R, one.R, atol=1e-12)
+    assert (tmp_path / "al.csv").read_text().startswith(f"# bare between {front} (front) and {back} (back)")
 
-    def test_angles_in_the_rarer_material(self) -> None:
-        inside, outside = (spectrum(Bare(), [550.0], [60.0], "1.5168", "air", rarer=rarer) for rarer in (False, True))
-        assert inside.T.max() < 1e-12, "60° in glass is beyond the critical angle"
-        np.testing.assert_allclose(outside.R, spectrum(Bare(), [550.0], [60.0], "air", "1.5168").R, atol=1e-12)
+
+@pytest.mark.parametrize(
+    ("nm", "angle", "sides", "words"),
+    [
+        (550.0, 0.0, ("Al", "Ag"), "both are metals; no light gets there"),
+        (550.0, -1.0, ("air", "air"), "angles lie in 0 … 90°"),
+        (30000.0, 0.0, ("air", "N-BK7"), "30000 nm is outside"),
+    ],
+)
+def test_what_is_no_table_is_not_written(
+    tmp_path: Path, nm: float, angle: float, sides: tuple[str, str], words: str
+) -> None:
+    with pytest.raises(MistrayError, match=words):
+        write_table(GREY, tmp_path / "out.csv", [nm], [angle], *sides)
+    assert not list(tmp_path.iterdir())
+
+
+def test_spectrum() -> None:
+    """Shares add up; light that enters a metal is absorbed, and none comes from it."""
+    values = spectrum(GREY, WAVELENGTHS, ANGLES, back="1.5168")
+    assert values.R.shape == (3, 4, 2)
+    np.testing.assert_allclose(values.R + values.T + values.A, 1.0)
+    np.testing.assert_allclose(values.mean("A"), values.A.mean(axis=2))
+    single = GREY.response(550.0, 1 + 0j, 1.5168 + 0j, np.cos(np.radians([60.0])), True)
+    np.testing.assert_array_equal(values.R[1, 2], single.R[0])
+    metal = spectrum(Bare(), [550.0], [0.0], back="Al")
+    assert metal.T.max() == 0
+    np.testing.assert_allclose(metal.R + metal.A, 1.0)
+    with pytest.raises(MistrayError, match=r"light from 'Al' \(k = 6.* at 550 nm\), in which nothing travels"):
+        spectrum(Bare(), [550.0], [0.0], back="Al", from_front=False)
+    inside, outside = (spectrum(Bare(), [550.0], [60.0], "1.5168", "air", rarer=rarer) for rarer in (False, True))
+    assert inside.T.max() < 1e-12, "60° in glass is beyond the critical angle"
+    np.testing.assert_allclose(outside.R, spectrum(Bare(), [550.0], [60.0], "air", "1.5168").R, atol=1e-12)

@@ -5,14 +5,12 @@ from __future__ import annotations
 import cmath
 import math
 
-import numpy as np
 import pytest
 from oracles import glass
 
 from mistray.errors import MistrayError
 from mistray.materials import LINE_D_NM, complex_index, refractive_index, source
 from mistray.materials.formulas import AGF_FORMULAS
-from mistray.physics.fresnel import reflectance
 
 N_BK7 = """NM N-BK7 2 517642.251 1.5168 64.17 0 1 1
 GC step 0.5 available
@@ -25,7 +23,7 @@ IT 0.35 0.920 25.0
 IT 0.40 0.992 25.0
 IT 0.50 0.998 25.0
 """
-HEADER = "CC Test catalogue\n! a remark\n"
+HEAD = N_BK7.partition("IT")[0]
 
 
 @pytest.fixture
@@ -47,12 +45,11 @@ def k_of(transmittance, thickness_mm, wavelength_nm):
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "latin-1"])
 def test_index_and_transmittance_in_every_encoding(write, encoding):
     """The accent makes Latin-1 differ from UTF-8."""
-    text = (HEADER + N_BK7).replace("remark", "remarqué")
-    material = write(text.replace("\n", "\r\n"), encoding=encoding)
+    text = f"CC Test catalogue\n! a remarqué\n{N_BK7}".replace("\n", "\r\n")
+    material = write(text, encoding=encoding)
     assert refractive_index(material, LINE_D_NM) == pytest.approx(glass.refractive_index("N-BK7", LINE_D_NM), abs=1e-12)
     assert complex_index(material, 400.0).imag == pytest.approx(k_of(0.992, 25, 400), rel=1e-12)
-    assert source(material).n_range_nm == (300.0, 2500.0)
-    assert source(material).k_range_nm == (350.0, 500.0)
+    assert (source(material).n_range_nm, source(material).k_range_nm) == ((300.0, 2500.0), (350.0, 500.0))
 
 
 def test_k_is_interpolated_and_absorbs(write):
@@ -60,46 +57,7 @@ def test_k_is_interpolated_and_absorbs(write):
     material = write(N_BK7)
     n = complex_index(material, 375.0)
     assert n.imag == pytest.approx((k_of(0.92, 25, 350) + k_of(0.992, 25, 400)) / 2, rel=1e-12)
-    field = cmath.exp(2j * math.pi * n * 25.0 / 375e-6)
-    assert 0.92 < abs(field) ** 2 < 0.992
-    assert 0 < reflectance(np.array(1.0), np.array(1.0), 1.0, n.real) < 0.05
-
-
-@pytest.mark.parametrize("order", ["thin first", "thick first"])
-def test_of_two_thicknesses_the_more_exact_counts(write, order):
-    """T × thickness: 25 mm where the glass is clear, 10 mm where little is left after 25 mm."""
-    lines = ["IT 0.40 0.997 10.0", "IT 0.40 0.992 25.0", "IT 0.33 0.10 10.0", "IT 0.33 0.003 25.0"]
-    lines = lines if order == "thin first" else lines[::-1]
-    material = write(N_BK7.partition("IT")[0] + "\n".join(lines))
-    assert complex_index(material, 400.0).imag == pytest.approx(k_of(0.992, 25, 400), rel=1e-12)
-    assert complex_index(material, 330.0).imag == pytest.approx(k_of(0.10, 10, 330), rel=1e-12)
-
-
-def test_transmittance_of_exactly_one_is_no_data(write):
-    material = write(N_BK7 + "IT 0.60 1.0 25.0\n")
-    assert source(material).k_range_nm == (350.0, 500.0)
-    material = write(N_BK7.partition("IT")[0] + "IT 0.4 1.0 10\nIT 0.7 1.0 10\n")
-    with pytest.raises(MistrayError, match="k is unknown"):
-        complex_index(material, 550.0)
-
-
-def test_opaque_glass_has_no_k(write):
-    """A filter glass: transmittance 0 at 420 nm says that k is large, not how large."""
-    material = write(N_BK7 + "IT 0.42 0.0 25.0\n")
-    for wavelength_nm in (401.0, 420.0, 499.0):
-        with pytest.raises(MistrayError, match="have no value at"):
-            complex_index(material, wavelength_nm)
-    assert complex_index(material, 400.0).imag == pytest.approx(k_of(0.992, 25, 400), rel=1e-12)
-
-
-def test_no_transmittances_no_k(write):
-    with pytest.raises(MistrayError, match="k is unknown"):
-        complex_index(write(N_BK7.partition("IT")[0]), 550.0)
-    assert complex_index(write(N_BK7.partition("IT")[0]) + " k=1e-8", 550.0).imag == 1e-8
-
-
-def test_outside_of_the_range(write):
-    material = write(N_BK7)
+    assert 0.92 < abs(cmath.exp(2j * math.pi * n * 25.0 / 375e-6)) ** 2 < 0.992
     with pytest.raises(MistrayError, match="300 … 2500 nm"):
         refractive_index(material, 280.0)
     with pytest.raises(MistrayError, match=r"k of material .* outside of its 350 … 500 nm"):
@@ -107,42 +65,49 @@ def test_outside_of_the_range(write):
     assert complex_index(material + " extrapolate", 600.0).imag == complex_index(material, 500.0).imag
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_of_two_thicknesses_the_more_exact_counts(write, order):
+    """T × thickness: 25 mm where the glass is clear, 10 mm where little is left after 25 mm."""
+    lines = ["IT 0.40 0.997 10.0", "IT 0.40 0.992 25.0", "IT 0.33 0.10 10.0", "IT 0.33 0.003 25.0"]
+    material = write(HEAD + "\n".join(lines[::order]))
+    assert complex_index(material, 400.0).imag == pytest.approx(k_of(0.992, 25, 400), rel=1e-12)
+    assert complex_index(material, 330.0).imag == pytest.approx(k_of(0.10, 10, 330), rel=1e-12)
+
+
+def test_transmittances_that_tell_no_k(write):
+    """Exactly 1, none at all, and the 0 of a filter glass, which says that k is large, not how large."""
+    assert source(write(N_BK7 + "IT 0.60 1.0 25.0\n")).k_range_nm == (350.0, 500.0)
+    for lines in ("IT 0.4 1.0 10\nIT 0.7 1.0 10\n", ""):
+        with pytest.raises(MistrayError, match="k is unknown"):
+            complex_index(write(HEAD + lines), 550.0)
+    assert complex_index(f"{write(HEAD)} k=1e-8", 550.0).imag == 1e-8
+    material = write(N_BK7 + "IT 0.42 0.0 25.0\n")
+    for wavelength_nm in (401.0, 420.0, 499.0):
+        with pytest.raises(MistrayError, match="have no value at"):
+            complex_index(material, wavelength_nm)
+    assert complex_index(material, 400.0).imag == pytest.approx(k_of(0.992, 25, 400), rel=1e-12)
+
+
 def test_a_glass_among_others(write):
+    """Whatever capitals and wrong lines; coefficients may go on in the next line; a changed file is read again."""
     other = N_BK7.replace("N-BK7", "OTHER").replace("1.03961212E+00", "1.2")
-    text = HEADER + other + N_BK7
+    own = N_BK7.replace(" 2.00179144E-02", "\n 2.00179144E-02")
+    text = other + own + "NM BAD 77 0 1.5 60\nCD one two\n"
     assert refractive_index(write(text, "n-bk7"), LINE_D_NM) == pytest.approx(1.5168, abs=1e-5)
     assert refractive_index(write(text, "Other"), LINE_D_NM) > 1.56
-    with pytest.raises(MistrayError, match="no glass 'N-BK8'"):
-        refractive_index(write(text, "N-BK8"), LINE_D_NM)
-    with pytest.raises(MistrayError, match="no glass 'zzz'"):
-        refractive_index(write(text, "zzz"), LINE_D_NM)
-
-
-def test_coefficients_may_go_on_on_the_next_line(write):
-    text = N_BK7.replace(" 2.00179144E-02", "\n 2.00179144E-02")
-    assert refractive_index(write(text), LINE_D_NM) == pytest.approx(1.5168, abs=1e-5)
-
-
-def test_a_changed_file_is_read_again(write):
-    material = write(N_BK7)
-    before = refractive_index(material, 550.0)
-    assert write(N_BK7.replace("1.03961212E+00", "1.13961212E+00")) == material
-    assert refractive_index(material, 550.0) > before + 0.01
-
-
-def test_wrong_lines_of_other_glasses_do_not_matter(write):
-    text = N_BK7 + "NM BAD 77 0 1.5 60\nCD one two\n"
-    assert refractive_index(write(text), LINE_D_NM) == pytest.approx(1.5168, abs=1e-5)
+    for name in ("N-BK8", "zzz"):
+        with pytest.raises(MistrayError, match=f"no glass '{name}'"):
+            refractive_index(write(text, name), LINE_D_NM)
+    material = write(text.replace("1.03961212E+00", "1.13961212E+00"))
+    assert refractive_index(material, LINE_D_NM) > 1.5268
 
 
 @pytest.mark.parametrize(
     ("old", "new", "line", "message"),
     [
         ("NM N-BK7 2 ", "NM N-BK7 14 ", 1, "formula '14' of glass 'N-BK7' is none of 1 … 13"),
-        ("NM N-BK7 2 ", "NM N-BK7 two ", 1, "formula 'two'"),
         ("NM N-BK7 2 517642.251 1.5168 64.17 0 1 1", "NM N-BK7", 1, "NM needs a name"),
         ("CD 1.03961212E+00", "CD 1.0396l212E+00", 4, "'1.0396l212E\\+00' is no number"),
-        ("CD 1.03961212E+00", "CD nan", 4, "'nan' is no number"),
         (" 1.03560653E+02 0 0 0 0", "", 4, r"5 coefficients; formula 2 \(Sellmeier 1\) has 6"),
         ("CD ", "XX ", 1, "glass 'N-BK7' has no CD line"),
         ("LD 0.3 2.5\n", "", 1, "glass 'N-BK7' has no LD line"),
@@ -150,7 +115,6 @@ def test_wrong_lines_of_other_glasses_do_not_matter(write):
         ("LD 0.3 2.5", "LD 0.3", 7, "1 numbers; it needs least λ, greatest λ"),
         ("IT 0.40 0.992 25.0", "IT 0.40 0.992", 9, "2 numbers; it needs λ, internal transmittance, thickness"),
         ("IT 0.40 0.992 25.0", "IT 0.40 1.2 25", 9, "internal transmittance 1.2 is not within 0 … 1"),
-        ("IT 0.40 0.992 25.0", "IT 0.40 -0.1 25", 9, "internal transmittance -0.1"),
         ("IT 0.40 0.992 25.0", "IT 0.40 0.992 0", 9, "λ = 0.4 µm and thickness = 0 mm must be greater than 0"),
         ("IT 0.50", "NM N-BK7 2 0 1.5 60\nIT 0.50", 10, "glass 'N-BK7' is there already, on line 1"),
     ],

@@ -105,17 +105,7 @@ def closed(number, c, x):
     terms[10] = lambda: terms[1]() + c[6] / x**10 + c[7] / x**12
     terms[11] = lambda: terms[6]() + c[8] * x2 / (x2 - c[9])
     terms[12] = lambda: terms[1]() + c[6] * x**4 + c[7] * x**6
-    terms[13] = lambda: (
-        c[0]
-        + c[1] * x2
-        + c[2] * x**4
-        + c[3] / x2
-        + c[4] / x**4
-        + c[5] / x**6
-        + c[6] / x**8
-        + c[7] / x**10
-        + c[8] / x**12
-    )
+    terms[13] = lambda: c[0] + c[1] * x2 + c[2] * x**4 + sum(c[k] / x ** (2 * k - 4) for k in range(3, 9))
     if number == 3:
         pole = 1 / (x2 - 0.028)
         return c[0] + c[1] * pole + c[2] * pole * pole + c[3] * x2 + c[4] * x**4 + c[5] * x**6
@@ -134,13 +124,8 @@ def test_agf_formulas_against_closed_evaluations(number):
         c = (2.3 + c[0], *c[1:])
         for wavelength_nm in (400.0, 550.0, 1000.0):
             assert agf(number, c, wavelength_nm) == pytest.approx(closed(number, c, wavelength_nm * 1e-3), rel=1e-13)
-
-
-@pytest.mark.parametrize("number", [2, 4, 6, 9, 11])
-def test_coefficients_that_fill_a_line_change_nothing(number):
-    """Catalogues fill unused strengths and poles with zeros; at λ where a zero pole is, there must be no 0/0."""
-    count = AGF_FORMULAS[number][1]
-    assert agf(number, (1.2, *[0.0] * (count - 1)), 500.0) > 1
+    if number in (2, 4, 6, 9, 11):  # zeros fill up strengths and poles: where a zero pole is, there must be no 0/0
+        assert agf(number, (1.2, *[0.0] * (count - 1)), 500.0) > 1
 
 
 def test_a_page_with_an_unknown_formula_is_refused(tmp_path, monkeypatch):

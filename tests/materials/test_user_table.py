@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 from oracles import glass
 
@@ -36,52 +34,36 @@ def test_columns_in_any_order_and_no_k(write):
     assert refractive_index(material, 500.0) == pytest.approx(1.45, abs=1e-15)
     with pytest.raises(MistrayError, match=r"k is unknown.*append ' k=0'"):
         complex_index(material, 500.0)
+    material = write("wavelength_nm,n\n589.3,1.498\n")
+    assert refractive_index(material, 589.3) == refractive_index(f"{material} extrapolate", 550.0) == 1.498
+    with pytest.raises(MistrayError, match=r"589.3 … 589.3 nm"):
+        refractive_index(material, 550.0)
 
 
-def test_error_of_the_interpolation_is_as_documented(write):
-    """20 nm steps, N-SF6 at 410 nm: 3.5e-4; 10 nm steps, at 405 nm: 1e-4."""
-    errors = []
-    for step in (20, 10):
-        rows = [f"{nm},{glass.refractive_index('N-SF6', nm)}" for nm in range(400, 701, step)]
-        material = write("wavelength_nm,n\n" + "\n".join(rows))
-        at = 400 + step / 2
-        errors.append(refractive_index(material, at) - glass.refractive_index("N-SF6", at))
-    assert errors == pytest.approx([3.5e-4, 1e-4], rel=0.1)
+@pytest.mark.parametrize(("step", "error"), [(20, 3.5e-4), (10, 1e-4)])
+def test_error_of_the_interpolation_is_as_documented(write, step, error):
+    """N-SF6, in the middle of the first step from 400 nm."""
+    rows = [f"{nm},{glass.refractive_index('N-SF6', nm)}" for nm in range(400, 701, step)]
+    at = 400 + step / 2
+    found = refractive_index(write("wavelength_nm,n\n" + "\n".join(rows)), at)
+    assert found - glass.refractive_index("N-SF6", at) == pytest.approx(error, rel=0.1)
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "no rows"),
         ("wavelength_nm,n\n", "no rows"),
         ("wavelength,n\n400,1.5\n", "line 1: columns 'wavelength,n'; it needs wavelength_nm,n"),
-        ("wavelength_nm,n,K\n400,1.5,0\n", "line 1: columns"),
         ("wavelength_nm,n,n\n400,1.5,1\n", "line 1: columns"),
         ("wavelength_nm,n\n400,1.5\n500,x\n", "line 3: n = 'x' is no number"),
         ("# note\n\nwavelength_nm,n\n400,1.5,2\n", "line 4: 3 cells for 2 columns"),
         ("wavelength_nm,n\n400,1.5\n400,1.6\n", "line 3: wavelength 400 nm is there twice"),
         ("wavelength_nm,n\n-400,1.5\n", "line 2: wavelength_nm = -400; it must be finite and greater than 0"),
-        ("wavelength_nm,n\n400,0\n", "line 2: n = 0"),
         ("wavelength_nm,n\n400,nan\n", "line 2: n = nan"),
         ("wavelength_nm,n,k\n400,1.5,-1e-7\n", r"line 2: k = -1e-07; it must be finite and at least 0 \(n \+ ik"),
-        ("wavelength_nm,n,k\n400,1.5,inf\n", "line 2: k = inf"),
     ],
 )
 def test_wrong_rows_are_named(write, text, message):
     with pytest.raises(MistrayError, match=f"my glass.csv'? ?.*{message}") as caught:
         complex_index(write(text), 450.0)
     assert "\n" not in str(caught.value)
-
-
-def test_a_folder_is_no_table(tmp_path):
-    (tmp_path / "folder.csv").mkdir()
-    with pytest.raises(MistrayError, match=r"folder\.csv.*Is a directory"):
-        refractive_index(str(tmp_path / "folder.csv"), 550.0)
-
-
-def test_one_row_is_one_wavelength(write):
-    material = write("wavelength_nm,n\n589.3,1.498\n")
-    assert refractive_index(material, 589.3) == 1.498
-    with pytest.raises(MistrayError, match=r"589.3 … 589.3 nm"):
-        refractive_index(material, 550.0)
-    assert math.isclose(refractive_index(f"{material} extrapolate", 550.0), 1.498)

@@ -14,7 +14,6 @@ import pytest
 
 from mistray import MistrayError
 from mistray._mitsuba_compat import mesh_arrays
-from mistray.io.cad.mesh import read_mesh
 from mistray.mechanics import read_mechanics
 from mistray.mechanics.ply import ply_bytes
 
@@ -57,11 +56,7 @@ def binary_stl() -> bytes:
 
 
 def gltf() -> tuple[dict[str, Any], bytes]:
-    """
-    glTF 2.0 by hand, in metres: the tetrahedron of 4 mm³ at its place, moved by 10 mm, and mirrored at x = 0.
-
-    The fourth node has a line, which is no polygon.
-    """
+    """In metres: the tetrahedron at its place, moved by 10 mm, and mirrored at x = 0; a line is no polygon."""
     places = np.array(CORNERS, dtype="<f4") * np.float32(1e-3)
     buffer = places.tobytes() + np.array(FACES, dtype="<u2").tobytes()
     primitive = {"attributes": {"POSITION": 0}, "indices": 1}
@@ -130,14 +125,9 @@ class TestFormats:
         assert (part.name, part.title) == ("my_part", "my part")
         assert volume(part.vertices, part.triangles) == pytest.approx(4 * 25.4**3, rel=1e-6)
 
-    def test_default_is_mm(self, tmp_path: Path) -> None:
-        (part,) = read_mechanics(written(tmp_path, "a.stl", binary_stl())).parts
-        assert volume(part.vertices, part.triangles) == pytest.approx(4, rel=1e-6)
-
     def test_solids_of_an_ascii_stl(self, tmp_path: Path) -> None:
         parts = read_mechanics(written(tmp_path, "a.stl", ascii_stl("left wall", "right wall"))).parts
-        assert [part.title for part in parts] == ["left wall", "right wall"]
-        assert [part.name for part in parts] == ["left_wall", "right_wall"]
+        assert [(part.name, part.title) for part in parts] == [("left_wall", "left wall"), ("right_wall", "right wall")]
         assert parts[1].vertices[:, 0].min() == 10
 
     @pytest.mark.parametrize(("name", "content"), [("a.glb", glb()), ("a.gltf", gltf_text(None))])
@@ -155,28 +145,20 @@ class TestFormats:
         assert volume(part.vertices, part.triangles) == pytest.approx(4e-9, rel=1e-6)
 
     def test_objects_and_groups_of_an_obj(self, tmp_path: Path) -> None:
-        parts = read_mechanics(written(tmp_path, "a.obj", OBJ)).parts
+        """Lines without polygons are listed once for each kind; what says how surfaces look is no shape."""
+        text = "# l 1 2\nmtllib a.mtl\nvn 0 0 1\n" + OBJ + "usemtl black\nl 1 2\ncurv 0 1 1 2\nl 2 3\nf 1 2 2\n"
+        mechanics = read_mechanics(written(tmp_path, "a.obj", text))
+        parts = mechanics.parts
         assert [part.title for part in parts] == ["plate", "fin/left", "fin/right"]
         assert [part.name for part in parts] == ["plate", "fin_left", "fin_right"]
         assert [len(part.triangles) for part in parts] == [2, 1, 1]
         np.testing.assert_array_equal(parts[2].vertices[parts[2].triangles[0]], [[0, 0, 0], [2, 3, 0], [0, 3, 0]])
-
-    def test_triangles_of_no_area_are_listed(self, tmp_path: Path) -> None:
-        mechanics = read_mechanics(written(tmp_path, "a.obj", OBJ + "f 1 2 2\n"))
-        (unread,) = mechanics.unread
-        assert (unread.text, unread.reason) == (
-            "part 'fin/right', 1 triangles",
-            "they have no area; they are left out",
-        )
-
-    def test_lines_without_polygons_are_listed(self, tmp_path: Path) -> None:
-        """Once for each kind; what says how surfaces look is no shape."""
-        text = "# l 1 2\nmtllib a.mtl\nvn 0 0 1\n" + OBJ + "usemtl black\nl 1 2\ncurv 0 1 1 2\nl 2 3\n"
-        unread = read_mechanics(written(tmp_path, "a.obj", text)).unread
-        assert [(item.line, item.text, item.reason) for item in unread] == [
+        assert [(item.line, item.text, item.reason) for item in mechanics.unread if item.line] == [
             (17, "l 1 2", "2 'l' lines; they hold no polygons"),
             (18, "curv 0 1 1 2", "1 'curv' lines; they hold no polygons"),
         ]
+        (flat,) = [item for item in mechanics.unread if not item.line]
+        assert (flat.text, flat.reason) == ("part 'fin/right', 1 triangles", "they have no area; they are left out")
 
     def test_what_is_written_is_read(self, tmp_path: Path) -> None:
         """By Mitsuba, with the winding kept and unused vertices gone."""
@@ -186,53 +168,45 @@ class TestFormats:
         assert volume(vertices, triangles.astype(int)) == pytest.approx(4)
 
 
-class TestDamage:
-    @pytest.mark.parametrize(
-        ("name", "content", "words"),
-        [
-            ("a.stl", b"", "STL file"),
-            ("a.glb", b"", "GLB file"),
-            ("a.glb", glb()[:-9], "GLB file"),
-            ("a.gltf", "{", "GLTF file"),
-            ("a.gltf", "[1]", "GLTF file"),
-            ("a.gltf", gltf_text("../a.bin"), "in other files"),
-            ("a.stl", binary_stl()[:-30], "STL file"),
-            ("a.stl", "solid x\n facet normal 0 0 0\n outer loop\n vertex 0 0\n", "STL file"),
-            ("a.stl", ascii_stl("x").replace("vertex 2.0", "vertex 2.0mm", 1), "STL file"),
-            ("a.stl", ascii_stl("x").replace("vertex 2.0 0.0", "vertex x 0.0", 1), "STL file"),
-            ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1000000000000\n", "PLY file"),
-            ("a.ply", ply_bytes(np.array(CORNERS), np.array(FACES))[:-9], "PLY file"),
-            ("a.ply", b"not a ply", "PLY file"),
-            ("a.obj", "v 0 0 0\n", "OBJ file 'a.obj': it holds no triangles"),
-            ("a.obj", "v 0 0 0\nf 1 2 3\n", "OBJ file 'a.obj', line 2: 'f 1 2 3': there is no vertex 2"),
-            ("a.obj", "v 0 x 0\n", "OBJ file 'a.obj', line 1: 'v 0 x 0': could not convert"),
-            ("a.obj", "v 0 0\n", "line 1: 'v 0 0': it has fewer than three coordinates"),
-            ("a.obj", "v 0 0 0\nf 1 1\n", "a face has fewer than three corners"),
-            ("a.obj", "v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n", "part 'a': a vertex is not finite"),
-            ("a.obj", "v 0 0 0\nv 1e9 0 0\nv 0 1 0\nf 1 2 3\n", "it reaches to 1e+09 mm; the most is 1e+07 mm"),
-            ("a.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "all its triangles have no area"),
-        ],
-    )  # fmt: skip
-    def test_one_line(
-        self, name: str, content: str | bytes, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        written(tmp_path, name, content)
-        monkeypatch.chdir(tmp_path)
-        with pytest.raises(MistrayError) as caught:
-            read_mechanics(name)
-        assert words in str(caught.value)
-        assert "\n" not in str(caught.value)
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.stl", b"", "STL file"),
+        ("a.glb", glb()[:-9], "GLB file"),
+        ("a.gltf", "{", "GLTF file"),
+        ("a.gltf", gltf_text("../a.bin"), "in other files"),
+        ("a.stl", binary_stl()[:-30], "STL file"),
+        ("a.stl", ascii_stl("x").replace("vertex 2.0", "vertex 2.0mm", 1), "STL file"),
+        ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1000000000000\n", "PLY file"),
+        ("a.ply", ply_bytes(np.array(CORNERS), np.array(FACES))[:-9], "PLY file"),
+        ("a.obj", "v 0 0 0\n", "OBJ file 'a.obj': it holds no triangles"),
+        ("a.obj", "v 0 0 0\nf 1 2 3\n", "OBJ file 'a.obj', line 2: 'f 1 2 3': there is no vertex 2"),
+        ("a.obj", "v 0 x 0\n", "OBJ file 'a.obj', line 1: 'v 0 x 0': could not convert"),
+        ("a.obj", "v 0 0\n", "line 1: 'v 0 0': it has fewer than three coordinates"),
+        ("a.obj", "v 0 0 0\nf 1 1\n", "a face has fewer than three corners"),
+        ("a.obj", "v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n", "part 'a': a vertex is not finite"),
+        ("a.obj", "v 0 0 0\nv 1e9 0 0\nv 0 1 0\nf 1 2 3\n", "it reaches to 1e+09 mm; the most is 1e+07 mm"),
+        ("a.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "all its triangles have no area"),
+    ],
+)  # fmt: skip
+def test_damage_is_one_line(
+    name: str, content: str | bytes, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written(tmp_path, name, content)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(MistrayError) as caught:
+        read_mechanics(name)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
 
-    def test_options_of_step_files(self, tmp_path: Path) -> None:
-        path = written(tmp_path, "a.obj", OBJ)
-        for name in ("tolerance_mm", "time_limit_s"):
-            with pytest.raises(MistrayError, match=f"{name} = 0.1; it is for STEP files, leave it out"):
-                read_mechanics(path, **{name: 0.1})
-            with pytest.raises(MistrayError, match=f"{name} = 0; it must be greater than 0"):
-                read_mechanics(DATA / "vane_tube.step", **{name: 0.0})
 
-    def test_unit(self, tmp_path: Path) -> None:
-        path = written(tmp_path, "a.obj", OBJ)
-        with pytest.raises(MistrayError, match="unit 'furlong' is unknown"):
-            read_mechanics(path, unit="furlong")
-        assert read_mesh(path, unit_mm=10.0)[0][0].vertices.max() == 30.0
+def test_wrong_options(tmp_path: Path) -> None:
+    path = written(tmp_path, "a.obj", OBJ)
+    for name in ("tolerance_mm", "time_limit_s"):
+        with pytest.raises(MistrayError, match=f"{name} = 0.1; it is for STEP files, leave it out"):
+            read_mechanics(path, **{name: 0.1})
+        with pytest.raises(MistrayError, match=f"{name} = 0; it must be greater than 0"):
+            read_mechanics(DATA / "vane_tube.step", **{name: 0.0})
+    with pytest.raises(MistrayError, match="unit 'furlong' is unknown"):
+        read_mechanics(path, unit="furlong")
+    assert read_mechanics(path, unit="cm").parts[0].vertices.max() == 30.0

@@ -80,17 +80,15 @@ def outside(tube: Mechanics, folder: Path) -> tuple[Any, ...]:
 
 
 @pytest.mark.long
-def test_exact_surfaces(typed: Any, drawn: Mechanics, tmp_path: Path) -> None:
-    tube = outside(drawn, tmp_path)
-    assert all(isinstance(shape, Structure) for shape in tube)
-    assert np.all(apart(pst(tube, seed=2), typed) < 3)
-
-
-@pytest.mark.long
-def test_mesh(typed: Any, drawn: Mechanics, tmp_path: Path) -> None:
-    tube = outside(replace(drawn, most_analytic=0), tmp_path)
-    assert [type(shape) for shape in tube] == [MeshStructure]
-    assert np.all(apart(pst(tube, seed=3), typed) < 3)
+@pytest.mark.parametrize(
+    ("changes", "kinds", "seed"), [({}, {Structure}, 2), ({"most_analytic": 0}, {MeshStructure}, 3)]
+)
+def test_exact_surfaces_and_meshes(
+    typed: Any, drawn: Mechanics, tmp_path: Path, changes: dict[str, int], kinds: set[type], seed: int
+) -> None:
+    tube = outside(replace(drawn, **changes), tmp_path)
+    assert {type(shape) for shape in tube} == kinds
+    assert np.all(apart(pst(tube, seed=seed), typed) < 3)
 
 
 @pytest.mark.long

@@ -2,51 +2,26 @@
 
 from __future__ import annotations
 
-import math
-import warnings
-
 import numpy as np
 import peer_lenses
 import peers
 import pytest
 
 from mistray import MistrayError
-from mistray.io.conventions import figure, object_na, turns_deg
 from mistray.io.optiland import from_optiland
 from mistray.io.rayoptics import from_rayoptics
 from mistray.materials import complex_index, refractive_index
 from mistray.physics.geometry.outline import circle
-from mistray.physics.geometry.sag import sag
 from mistray.physics.sags.terms import sag as freeform_sag
 from mistray.prescription.sequential.first_order import first_order
 from mistray.prescription.sequential.materials import same_material
-from mistray.prescription.sequential.rays import motion, trace
-from mistray.prescription.sequential.table import Decentre, Row, Sequential
+from mistray.prescription.sequential.rays import trace
 
 
 def by_name(name: str):
     """A file of the packages; the test is left out where they are not installed."""
     peers.need("rayoptics")
     return next(path for file, path in peer_lenses.files().items() if file.endswith(f"/{name}"))
-
-
-# What both share
-
-
-def test_a_plane_with_an_r2_term_is_a_paraboloid():
-    found = figure(math.inf, 0.0, [2e-3, 1e-6, 0.0])
-    assert found == {"radius": 250, "conic": -1, "coefficients": (1e-6,), "sag": {}}
-    expected = 2e-3 * 100 + 1e-6 * 100**2
-    assert sag(100.0, 1 / found["radius"], found["conic"], found["coefficients"]) == pytest.approx(expected, rel=1e-14)
-    assert figure(50.0, -0.3, [0.0, 1e-6]) == {"radius": 50, "conic": -0.3, "coefficients": (1e-6,), "sag": {}}
-    assert figure(50.0, -0.3, []) == {"radius": 50, "conic": -0.3, "coefficients": (), "sag": {}}
-    assert figure(50.0, 0.0, [2e-3])["sag"] == {"a2": 2e-3}
-
-
-@pytest.mark.parametrize("angles", [(0, 0, 0), (10, 20, 30), (-170, 60, 5), (45, 0, 0)])
-def test_turns_come_back(angles):
-    turn = motion(Decentre(tilt_deg=angles))[:3, :3]
-    assert turns_deg(turn) == pytest.approx(angles, abs=1e-12)
 
 
 def test_materials_are_named_only_where_their_index_is_the_same():
@@ -60,16 +35,6 @@ def test_materials_are_named_only_where_their_index_is_the_same():
     assert same_material(["N-BK7"], lambda wavelength: 1.0, lines) == "air"
     assert same_material(["N-BK7"], lambda wavelength: 1.7, lines) == "1.7 k=0"
     assert same_material(["PMMA"], lambda w: refractive_index("PMMA", w), lines).startswith("PMMA")
-
-
-def test_a_cone_at_the_image_of_a_thin_lens():
-    """n = 1.5, R = ±100: f = 100; from 150 to 300 mm, so slopes are halved."""
-    rows = (Row(1, radius=100, material="1.5"), Row(2, radius=-100, thickness=300), Row(3, kind="image"))
-    thin = Sequential("thin", rows, object_distance=150.0, aperture=1.0)
-    assert object_na(thin, 0.05) == pytest.approx(math.sin(math.atan(0.1)), rel=1e-12)
-
-
-# ray-optics
 
 
 def model_of(name: str):
@@ -98,15 +63,16 @@ def test_a_model_of_rayoptics_is_the_lens_of_its_file(name):
 
 
 def test_what_rayoptics_has_and_we_do_not():
-    diffracting = model_of("CODV_32327.seq")
-    diffracting["seq_model"].ifcs[1].phase_element = peers.rayoptics("oprops.doe").DiffractiveElement()
-    with pytest.raises(MistrayError, match=r"interface 1: diffracting surfaces are not traced"):
-        from_rayoptics(diffracting)
-    profiles = peers.rayoptics("elem.profiles")
-    diffracting = model_of("CODV_32327.seq")
-    diffracting["seq_model"].ifcs[1].profile = profiles.XToroid(r=50.0, rR=60.0)
-    with pytest.raises(MistrayError, match=r"interface 1: XToroid has no counterpart"):
-        from_rayoptics(diffracting)
+    toroid = peers.rayoptics("elem.profiles").XToroid(r=50.0, rR=60.0)
+    grating = peers.rayoptics("oprops.doe").DiffractiveElement()
+    for key, thing, words in (
+        ("phase_element", grating, "diffracting surfaces are not traced"),
+        ("profile", toroid, "XToroid has no counterpart"),
+    ):
+        model = model_of("CODV_32327.seq")
+        setattr(model["seq_model"].ifcs[1], key, thing)
+        with pytest.raises(MistrayError, match=f"interface 1: {words}"):
+            from_rayoptics(model)
 
 
 @pytest.mark.parametrize(
@@ -142,9 +108,6 @@ def test_edges_of_rayoptics_are_drawn_or_listed():
     assert [entry.text for entry in found.unread] == ["interface 2: edge Circular"]
 
 
-# Neither
-
-
 @pytest.mark.parametrize("thing", [None, 3, {}, "lens.zmx"])
 def test_other_objects_are_refused_by_what_they_are(thing):
     kind = type(thing).__name__
@@ -154,91 +117,74 @@ def test_other_objects_are_refused_by_what_they_are(thing):
         from_rayoptics(thing)
 
 
-# optiland
-
-
-@pytest.fixture(scope="module")
-def optiland():
-    return peers.optiland("optic").Optic
-
-
-def mirror_and_lens(optic_of):
-    """A window, a tilted mirror with a hole, a lens off the axis with an asphere."""
-    optic = optic_of("bench")
-    optic.surfaces.add(index=0, thickness=np.inf)
-    optic.surfaces.add(index=1, radius=np.inf, thickness=3, material="N-BK7", is_stop=True, comment="window")
-    optic.surfaces.add(index=2, radius=-400, conic=-0.5, thickness=60)
-    optic.surfaces.add(index=3, radius=-300, thickness=-40, material="mirror", rx=np.radians(4), dy=1.5)
-    optic.surfaces.add(
-        index=4, surface_type="even_asphere", radius=-50, conic=0.3, coefficients=[0.0, 1e-6], thickness=-4,
-        material="N-SF5", rx=np.radians(8), ry=np.radians(-3),
-    )  # fmt: skip
-    optic.surfaces.add(index=5, radius=np.inf, thickness=-30)
-    optic.surfaces.add(index=6)
-    optic.set_aperture(aperture_type="EPD", value=8)
-    optic.fields.set_type("angle")
-    optic.fields.add(y=0)
-    optic.fields.add(y=2, x=-1)
-    optic.wavelengths.add(value=0.5876, is_primary=True)
-    optic.wavelengths.add(value=0.4861)
+def bench(*surfaces, aperture=("EPD", 8), fields=("angle", ((0, 2),)), microns=(0.5876,), first=np.inf):
+    """An optic of optiland with these surfaces after the object; the last one is the image."""
+    optic = peers.optiland("optic").Optic("bench")
+    optic.surfaces.add(index=0, thickness=first)
+    for index, numbers in enumerate((*surfaces, {}), start=1):
+        optic.surfaces.add(index=index, **numbers)
+    optic.set_aperture(aperture_type=aperture[0], value=aperture[1])
+    optic.fields.set_type(fields[0])
+    for x, y in fields[1]:
+        optic.fields.add(x=x, y=y)
+    for micron in microns:
+        optic.wavelengths.add(value=micron, is_primary=micron == microns[0])
     return optic
 
 
-def test_a_lens_of_optiland_has_the_same_rays(optiland):
-    optic = mirror_and_lens(optiland)
-    list(optic.surfaces)[3].aperture = peers.optiland("physical_apertures").RadialAperture(r_max=20, r_min=0.1)
-    ray_kind = peers.optiland("rays").RealRays
+def mirror_and_lens(aperture=None, **system):
+    """A window, a tilted mirror, perhaps with an aperture, and a lens off the axis with an asphere."""
+    asphere = {"surface_type": "even_asphere", "radius": -50, "conic": 0.3, "coefficients": [0.0, 1e-6]}
+    optic = bench(
+        {"thickness": 3, "material": "N-BK7", "is_stop": True, "comment": "window"},
+        {"radius": -400, "conic": -0.5, "thickness": 60},
+        {"radius": -300, "thickness": -40, "material": "mirror", "rx": np.radians(4), "dy": 1.5},
+        asphere | {"thickness": -4, "material": "N-SF5", "rx": np.radians(8), "ry": np.radians(-3)},
+        {"radius": np.inf, "thickness": -30},
+        **({"fields": ("angle", ((0, 0), (-1, 2))), "microns": (0.5876, 0.4861)} | system),
+    )
+    list(optic.surfaces)[3].aperture = aperture
+    return optic
+
+
+def ends_by_optiland(optic, positions, directions, wavelength_nm):
+    """Points on the image and directions there."""
+    count = len(positions)
+    rays = peers.optiland("rays").RealRays(
+        *positions.T, *directions.T, np.ones(count), np.full(count, wavelength_nm / 1e3)
+    )
+    optic.surfaces.trace(rays)
+    return np.stack([rays.x, rays.y, rays.z], axis=1), np.stack([rays.L, rays.M, rays.N], axis=1)
+
+
+def test_a_lens_of_optiland_has_the_same_rays():
+    optic = mirror_and_lens(peers.optiland("physical_apertures").RadialAperture(r_max=20, r_min=0.1))
     found = from_optiland(optic)
     assert (found.name, found.fields, found.aperture) == ("bench", ((0, 0), (-1, 2)), 8)
     assert found.wavelengths_nm == pytest.approx((587.6, 486.1))
     assert [row.material for row in found.rows[:3]] == ["N-BK7", "air", "air"]
-    assert found.rows[2].mirror
+    assert [row.mirror for row in found.rows[:4]] == [False, False, True, False]
     assert found.rows[2].aperture == circle(20, 0.1)
-    assert found.rows[0].label == "window"
-    assert found.rows[0].stop
+    assert (found.rows[0].label, found.rows[0].stop) == ("window", True)
     positions, directions = (values.reshape(-1, 3) for values in peer_lenses.starts(found))
+    last = sum(row.thickness for row in found.rows)  # the image is not tilted and stands on the axis
     for wavelength in found.wavelengths_nm:
-        rays = ray_kind(*positions.T, *directions.T, np.ones(len(positions)), np.full(len(positions), wavelength / 1e3))
-        optic.surfaces.trace(rays)
+        ends, headings = ends_by_optiland(optic, positions, directions, wavelength)
         hits, onward = trace(found, positions, directions, wavelength)
-        # The image is not tilted and stands on the axis
-        last = sum(row.thickness for row in found.rows)
-        assert np.stack([rays.x, rays.y, rays.z - last], axis=1) == pytest.approx(hits[-1], abs=1e-9)
-        assert np.stack([rays.L, rays.M, rays.N], axis=1) == pytest.approx(onward[-1], abs=1e-10)
+        assert ends - [0, 0, last] == pytest.approx(hits[-1], abs=1e-9)
+        assert headings == pytest.approx(onward[-1], abs=1e-10)
     assert np.ptp(hits[-1][:, 1]) > 0.1
 
 
 @pytest.mark.parametrize(
-    ("module", "sample", "efl"),
-    [
-        ("objectives", "CookeTriplet", 50.0),
-        ("telescopes", "HubbleTelescope", 57600.0),
-    ],
+    ("kind", "value"), [("EPD", 11.0), ("imageFNO", 6.0), ("objectNA", 0.05), ("float_by_stop_size", 9.0)]
 )
-def test_samples_of_optiland(optiland, module, sample, efl):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        optic = getattr(peers.optiland(f"samples.{module}"), sample)()
-        expected = float(np.ravel(optic.paraxial.f2())[0])
-    found = first_order(from_optiland(optic))
-    assert found.efl == pytest.approx(abs(expected), rel=1e-9)
-    assert found.efl == pytest.approx(efl, rel=0.01)
-
-
-@pytest.mark.parametrize("kind", ["EPD", "imageFNO", "objectNA", "float_by_stop_size"])
-def test_an_aperture_of_optiland_is_as_wide_here(optiland, kind):
+def test_an_aperture_of_optiland_is_as_wide_here(kind, value):
     """An object 150 mm in front of a lens."""
-    optic = optiland("finite")
-    optic.surfaces.add(index=0, thickness=150)
-    optic.surfaces.add(index=1, radius=60, thickness=4, material="N-BK7")
-    optic.surfaces.add(index=2, radius=-80, thickness=5)
-    optic.surfaces.add(index=3, thickness=100, is_stop=True)
-    optic.surfaces.add(index=4)
-    value = {"EPD": 11.0, "imageFNO": 6.0, "objectNA": 0.05, "float_by_stop_size": 9.0}[kind]
-    optic.set_aperture(aperture_type=kind, value=value)
-    optic.fields.set_type("object_height")
-    optic.fields.add(y=3)
-    optic.wavelengths.add(value=0.5876, is_primary=True)
+    optic = bench(
+        {"radius": 60, "thickness": 4, "material": "N-BK7"}, {"radius": -80, "thickness": 5},
+        {"thickness": 100, "is_stop": True}, first=150, aperture=(kind, value), fields=("object_height", ((0, 3),)),
+    )  # fmt: skip
     found = from_optiland(optic)
     assert (found.object_distance, found.field_kind, found.fields) == (150, "object_height", ((0, 3),))
     assert first_order(found).epd == pytest.approx(float(np.ravel(optic.paraxial.EPD())[0]), rel=1e-6)
@@ -273,35 +219,25 @@ FREEFORMS = {
 
 
 @pytest.mark.parametrize("kind", FREEFORMS)
-def test_freeforms_of_optiland_have_the_same_rays(optiland, kind):
-    optic = optiland("freeform")
+def test_freeforms_of_optiland_have_the_same_rays(kind):
     numbers = dict(FREEFORMS[kind])
     if kind.startswith("zernike"):
         numbers |= {"radius": 60.0, "norm_radius": 9.0, "coefficients": np.linspace(0.003, -0.002, 15)}
-    optic.surfaces.add(index=0, thickness=np.inf)
-    optic.surfaces.add(
-        index=1, surface_type=kind.partition(",")[0], thickness=4, material="N-BK7", is_stop=True, **numbers
-    )
-    optic.surfaces.add(index=2, radius=-70, thickness=50)
-    optic.surfaces.add(index=3)
-    optic.set_aperture(aperture_type="EPD", value=10)
-    optic.fields.set_type("angle")
-    optic.fields.add(y=2)
-    optic.wavelengths.add(value=0.5876, is_primary=True)
+    front = {"surface_type": kind.partition(",")[0], "thickness": 4, "material": "N-BK7", "is_stop": True}
+    optic = bench(front | numbers, {"radius": -70, "thickness": 50}, aperture=("EPD", 10))
     found = from_optiland(optic)
     assert found.rows[0].sag
     rng = np.random.default_rng(2)
     positions = np.column_stack([rng.uniform(-4, 4, (40, 2)), np.full(40, -5.0)])
     directions = np.column_stack([rng.uniform(-0.1, 0.1, (40, 2)), np.ones(40)])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    rays = peers.optiland("rays").RealRays(*positions.T, *directions.T, np.ones(40), np.full(40, 0.5876))
-    optic.surfaces.trace(rays)
+    ends, headings = ends_by_optiland(optic, positions, directions, 587.6)
     hits, onward = trace(found, positions, directions, 587.6)
-    assert np.stack([rays.x, rays.y], axis=1) == pytest.approx(hits[-1][:, :2], abs=1e-6)
-    assert np.stack([rays.L, rays.M, rays.N], axis=1) == pytest.approx(onward[-1], abs=1e-7)
+    assert ends[:, :2] == pytest.approx(hits[-1][:, :2], abs=1e-6)
+    assert headings == pytest.approx(onward[-1], abs=1e-7)
 
 
-def test_apertures_of_optiland(optiland):
+def test_apertures_of_optiland():
     physical = peers.optiland("physical_apertures")
     points = np.random.default_rng(3).uniform(-6, 6, (400, 2))
     for aperture in (
@@ -311,30 +247,21 @@ def test_apertures_of_optiland(optiland):
         physical.RadialAperture(r_max=5) & physical.EllipticalAperture(a=3, b=6),
         physical.RadialAperture(r_max=2) | physical.RectangularAperture(1, 5, -1, 1),
     ):
-        optic = mirror_and_lens(optiland)
-        list(optic.surfaces)[3].aperture = aperture
-        found = from_optiland(optic)
+        found = from_optiland(mirror_and_lens(aperture))
         assert not found.unread
         theirs = np.asarray(aperture.contains(*points.T))
         assert (found.rows[2].aperture.contains(*points.T) == theirs).all(), aperture
 
 
-def test_what_optiland_has_and_we_do_not(optiland):
-    optic = mirror_and_lens(optiland)
+def test_what_optiland_has_and_we_do_not():
+    """It adds two conics, one of x and one of y, which is no biconic of the standard."""
+    optic = mirror_and_lens()
     optic.set_aperture(aperture_type="imageFNO", value=5)
     assert from_optiland(optic).aperture_kind == "f_number"
     list(optic.surfaces)[4].geometry.coefficients[0] = 1e-3
     assert from_optiland(optic).rows[3].sag == {"a2": 1e-3}
-    # optiland adds two conics, one of x and one of y, which is no biconic of the standard
-    optic = optiland("sum")
-    optic.surfaces.add(index=0, thickness=np.inf)
-    optic.surfaces.add(index=1, surface_type="biconic", radius_x=50.0, radius_y=80.0, thickness=30, is_stop=True)
-    optic.surfaces.add(index=2)
-    optic.set_aperture(aperture_type="EPD", value=8)
-    optic.fields.set_type("angle")
-    optic.fields.add(y=0)
-    optic.wavelengths.add(value=0.5876, is_primary=True)
+    optic = bench({"surface_type": "biconic", "radius_x": 50.0, "radius_y": 80.0, "thickness": 30, "is_stop": True})
     with pytest.raises(MistrayError, match=r"surface 1: optiland's BiconicGeometry is another surface by"):
         from_optiland(optic)
     with pytest.raises(MistrayError, match="it needs a surface, a wavelength and an aperture"):
-        from_optiland(optiland("empty"))
+        from_optiland(peers.optiland("optic").Optic("empty"))

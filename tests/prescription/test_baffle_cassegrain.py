@@ -1,7 +1,4 @@
-"""Cassegrain baffles: no straight line to the detector, nothing of the field cut, and no smaller pair does it.
-
-Rays are traced by the float64 oracles and by a closed form of a conic, not by the construction's own solver.
-"""
+"""Cassegrain baffles by float64 rays: no straight line to the detector, nothing of the field cut, no smaller pair."""
 
 from __future__ import annotations
 
@@ -139,23 +136,18 @@ def test_obscuration_is_the_shadow_of_the_rim():
     assert made.obscuration < baffles(wall_depth=8.0).obscuration
     assert made.obscuration < baffles(clearance=1.0).obscuration
     assert made.obscuration > baffles(field_deg=0.15).obscuration
+    cone, wall, vane, *_ = made.structures()
+    assert [cone.name, wall.name, vane.name] == ["secondary_baffle", "inner_baffle_wall", "inner_baffle_vane_1"]
+    assert (cone.r0, cone.z0) == SECONDARY.rim
 
 
 @pytest.mark.parametrize("radius", [24.0, 25.9, 28.0])
 def test_whichever_mirror_limits_the_beam(radius):
     """A touches the beam of all fields from outside, with the stop at the secondary, at both and at the primary."""
-    secondary = replace(SECONDARY, semi_diameter=radius)
-    made = baffles(secondary=secondary)
+    made = baffles(secondary=replace(SECONDARY, semi_diameter=radius))
     widest = max(radius_at(*beam(f, 20_000, radius)[1], made.outer_rim[1]).max() for f in np.linspace(0, FIELD_DEG, 12))
     assert widest == pytest.approx(made.outer_rim[0], abs=0.03)
     assert widest <= made.outer_rim[0] + 1e-9
-
-
-def test_structures():
-    names = [shape.name for shape in baffles().structures()]
-    assert names[:3] == ["secondary_baffle", "inner_baffle_wall", "inner_baffle_vane_1"]
-    cone = baffles().structures()[0]
-    assert (cone.r0, cone.z0) == SECONDARY.rim
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -35,25 +36,20 @@ def lensmaker() -> tuple[float, float]:
     return efl, efl * (1 - (N - 1) * T / (N * R1))
 
 
-def test_focal_lengths_of_a_thick_lens():
-    data, (efl, bfl) = first_order(singlet()), lensmaker()
-    assert data.efl == pytest.approx(efl, rel=1e-13)
-    # From the last surface, which is the stop, 12 mm behind the lens
-    assert data.bfl == pytest.approx(bfl - 12.0, rel=1e-12)
-    assert data.f_number == pytest.approx(efl / 10.0, rel=1e-13)
-
-
-def test_pupil_behind_a_lens():
+def test_focal_lengths_and_pupil_of_a_thick_lens():
     """The stop's image in front of a thick lens: Gauss' formula from the principal planes, light going backwards."""
-    efl, _ = lensmaker()
+    efl, bfl = lensmaker()
     front_principal = -efl * (N - 1) * T / (N * R2)  # from the first vertex, along +z
     rear_principal = -efl * (N - 1) * T / (N * R1)  # from the second vertex
     s = 12.0 - rear_principal  # from the rear principal plane to the stop
     image = 1 / (1 / efl - 1 / s)  # negative: virtual, on the side of the stop
-    magnification = -image / s
+    data = first_order(singlet())
+    assert (data.efl, data.f_number) == pytest.approx((efl, efl / 10.0), rel=1e-13)
+    # From the last surface, which is the stop, 12 mm behind the lens
+    assert data.bfl == pytest.approx(bfl - 12.0, rel=1e-12)
     data = first_order(singlet(aperture_kind="stop_diameter", aperture=6.0))
     assert data.entrance_pupil_z == pytest.approx(front_principal - image, rel=1e-12)
-    assert data.epd == pytest.approx(6.0 * magnification, rel=1e-12)
+    assert data.epd == pytest.approx(6.0 * -image / s, rel=1e-12)
     assert data.stop_radius == pytest.approx(3.0, rel=1e-13)
     assert data.stop_number == 3
 
@@ -109,46 +105,29 @@ def test_a_stop_in_the_rear_focus_is_telecentric_of_itself():
         first_order(singlet(aperture=5.0, **near).with_rows(rows))
 
 
-def test_concave_mirror_and_newtonian():
-    """One mirror: f = R/2. A flat at 45° changes nothing, and the focus lies along the light."""
+def test_mirrors():
+    """
+    One mirror: f = R/2. A flat at 45° changes nothing, and the focus lies along the light.
+
+    Two: f = f1 f2 / (f1 + f2 - d), back focus f (f1 - d) / f1, with f2 < 0. A thin lens at 2f : 2f magnifies by -1.
+    """
+
+    def of(*rows: Row, **system: float):
+        return first_order(Sequential("x", (*rows, Row(9, kind="image")), **({"aperture": 20.0} | system)))
+
     mirror = Row(1, radius=-500.0, mirror=True, stop=True, thickness=-200.0)
-    data = first_order(Sequential("mirror", (mirror, Row(2, kind="image")), aperture=20.0))
-    assert (data.efl, data.bfl) == pytest.approx((250.0, 250.0), rel=1e-14)
     turn = Decentre(tilt_deg=(45.0, 0.0, 0.0))
-    rows = (
-        mirror,
-        Row(2, kind="coordinate_break", decentre=turn),
-        Row(3, mirror=True),
-        Row(4, kind="coordinate_break", decentre=turn, thickness=50.0),
-        Row(5, kind="image"),
-    )
-    data = first_order(Sequential("newtonian", rows, aperture=20.0))
-    assert (data.efl, data.bfl) == pytest.approx((250.0, 50.0), rel=1e-13)
-
-
-def test_cassegrain():
-    """f = f1 f2 / (f1 + f2 - d), back focus f (f1 - d) / f1, with f2 < 0."""
+    fold = Row(2, kind="coordinate_break", decentre=turn)
+    newtonian = of(mirror, fold, Row(3, mirror=True), replace(fold, number=4, thickness=50.0))
+    assert (of(mirror).efl, of(mirror).bfl) == pytest.approx((250.0, 250.0), rel=1e-14)
+    assert (newtonian.efl, newtonian.bfl) == pytest.approx((250.0, 50.0), rel=1e-13)
     f1, f2, d = 1000.0, -400.0, 700.0
-    rows = (
-        Row(1, radius=-2 * f1, mirror=True, stop=True, thickness=-d),
-        Row(2, radius=2 * f2, mirror=True, thickness=900.0),
-        Row(3, kind="image"),
-    )
-    data = first_order(Sequential("cassegrain", rows, aperture=200.0))
+    data = of(replace(mirror, radius=-2 * f1, thickness=-d), Row(2, radius=2 * f2, mirror=True, thickness=900.0))
     efl = f1 * f2 / (f1 + f2 - d)
-    assert data.efl == pytest.approx(efl, rel=1e-12)
-    assert data.bfl == pytest.approx(efl * (f1 - d) / f1, rel=1e-12)
-
-
-def test_magnification_of_a_thin_lens():
-    """At 2f : 2f it is -1."""
+    assert (data.efl, data.bfl) == pytest.approx((efl, efl * (f1 - d) / f1), rel=1e-12)
     f = 1 / (0.5 * (2 / 100.0))
-    rows = (
-        Row(1, radius=100.0, thickness=1e-9, material="1.5", stop=True),
-        Row(2, radius=-100.0, thickness=2 * f),
-        Row(3, kind="image"),
-    )
-    data = first_order(Sequential("relay", rows, object_distance=2 * f, aperture=5.0))
+    front = Row(1, radius=100.0, thickness=1e-9, material="1.5", stop=True)
+    data = of(front, Row(2, radius=-100.0, thickness=2 * f), object_distance=2 * f, aperture=5.0)
     assert data.magnification == pytest.approx(-1.0, rel=1e-8)
 
 
@@ -192,19 +171,14 @@ def test_what_has_no_meaning_is_refused(system, message):
         edge_rays(singlet(**system))
 
 
-def test_no_ray_reaches_the_image():
-    away = Decentre(y=100.0)
-    rows = (Row(7, radius=20.0, thickness=1.0, material="1.5", decentre=away, stop=True), Row(8, kind="image"))
+def test_apertures_that_no_ray_passes():
+    """Of one that no sampled ray passes the lens is not hidden; at the stop itself it is the stop."""
+    rows = (Row(7, radius=20.0, material="1.5", decentre=Decentre(y=100.0), stop=True), Row(8, kind="image"))
     with pytest.raises(MistrayError, match=r"no ray reaches the image; field .* 17 at surface 7"):
         edge_rays(Sequential("away", rows, aperture=3.0))
-
-
-def test_apertures_that_no_sampled_ray_passes_do_not_hide_the_lens():
     ring = circle(1.0, 0.5)
-    rows = (Row(6, stop=True), Row(7, radius=20.0, thickness=1.0, material="1.5", aperture=ring), Row(8, kind="image"))
-    rays = edge_rays(Sequential("ring", rows, aperture=3.0))
+    front, rear, image = Row(6, stop=True), Row(7, radius=20.0, thickness=1.0, material="1.5"), Row(8, kind="image")
+    rays = edge_rays(Sequential("ring", (front, replace(rear, aperture=ring), image), aperture=3.0))
     assert np.isfinite(rays.positions[-1]).all()
-    # At the stop itself it is the stop
-    rows = (Row(6, stop=True, aperture=ring), Row(7, radius=20.0, thickness=1.0, material="1.5"), Row(8, kind="image"))
-    assert edge_rays(Sequential("ring", rows, aperture=3.0)).stop_radius == 1.0
     assert rays.notes[-1].startswith("of these no ray of the rim gets through")
+    assert edge_rays(Sequential("ring", (replace(front, aperture=ring), rear, image), aperture=3.0)).stop_radius == 1.0

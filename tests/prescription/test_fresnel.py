@@ -43,11 +43,7 @@ def sag_of(r: np.ndarray | float) -> np.ndarray:
 
 
 def test_spots_of_the_rings() -> None:
-    """
-    Ring k lies `set` behind the place that it has in the lens, and so does its focus.
-
-    The rms radius of its spot is then known from straight lines; 4 SE of 10⁵ rays are 1 %.
-    """
+    """Ring k and its focus lie set back: the spot follows from straight lines; 4 SE of 10⁵ rays are 1 %."""
     found = trace(lens().to_scene(), rays=100_000, seed=1)
     rows = {row.events: row for row in found.paths}
     edges = [*np.arange(0, SIZE, GROOVE), SIZE]

@@ -11,7 +11,7 @@ import pytest
 import mistray
 from mistray.errors import MistrayError
 from mistray.optimize import path_power, transmission
-from mistray.prescription import Source, from_optiland
+from mistray.prescription import from_optiland
 from mistray.prescription.closing.system import build, to_prescription
 from mistray.prescription.sequential.edge_rays import edge_rays
 from tests.peers import optiland
@@ -70,52 +70,40 @@ def test_a_source_states_its_pupil_whatever_its_size():
     for radius, share in ((5.0, 0.64), (4.0, 1.0), (3.0, 1.0)):
         source = {"type": "collimated", "radius": radius, "pupil_area": math.pi * 16}
         assert mi.load_dict(source).pupil_share == pytest.approx(share)
-    with pytest.raises(MistrayError, match="pupil_area = -1"):
-        Source(radius=1.0, pupil_area=-1.0)
     with pytest.raises(MistrayError, match="pupil_area"):
         mistray.load({"type": "scene", "source": {"type": "collimated", "radius": 1.0, "pupil_area": 0.0}})
 
 
-@pytest.fixture(scope="module")
-def double_gauss():
-    return optiland("samples.objectives").DoubleGauss()
-
-
-@pytest.mark.slow
-def test_the_stop_of_an_imported_lens_has_derivatives(double_gauss):
-    """Against differences of the changed scene with the same rays: 3 standard errors of both, once in 370 a key."""
-    scene = from_optiland(double_gauss).to_scene()
-    params = mi.traverse(scene)
-    light = transmission(scene, field_deg=0.0, wavelength_nm=587.6, rays=30_000)
-    steps = {"stop_front.r1": 0.1, "S3.curvature": 3e-4}
-    found = mistray.gradient(light, params, list(steps))
-    assert not found.full
-    for key, step in steps.items():
-        slopes = [(side - light.value()) / (sign * step) for sign, side in moved(light, params, key, step)]
-        # 200 to 600 of the rays cross the rim in a step: their share is known to 6 %
-        noise = 0.06 * abs(np.mean(slopes))
-        assert abs(found.gradient[key][0] - np.mean(slopes)) < 3 * math.hypot(found.standard_error[key][0], noise)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "field_deg", "steps"),
+    ("name", "field_deg", "beam", "steps"),
     [
-        ("DoubleGauss", 0.0, {"stop_front.r1": (0.1, 0.05), "S3.curvature": (5e-4, 2e-4), "S1.x": (0.2, 0.1)}),
-        ("CookeTriplet", 20.0, {"S4.semi_diameter": (0.01, 0.005), "S2.curvature": (5e-4, 2e-4)}),
+        ("DoubleGauss", 0.0, "pupil", {"stop_front.r1": (0.1,), "S3.curvature": (3e-4,)}),
+        ("DoubleGauss", 0.0, "exact", {"stop_front.r1": (0.1, 0.05), "S3.curvature": (5e-4, 2e-4), "S1.x": (0.2, 0.1)}),
+        ("CookeTriplet", 20.0, "exact", {"S4.semi_diameter": (0.01, 0.005), "S2.curvature": (5e-4, 2e-4)}),
     ],
 )
-def test_the_exact_beam_has_one_sided_derivatives(name, field_deg, steps):
-    """Against one-sided differences at two steps; noise of these as above."""
-    scene = from_optiland(getattr(optiland("samples.objectives"), name)(), beam="exact").to_scene()
+def test_derivatives_of_an_imported_lens(name, field_deg, beam, steps):
+    """
+    Against differences of the changed scene with the same rays, of the exact beam one-sided ones at two steps.
+
+    3 standard errors of both, once in 370 a key: 200 to 600 of the rays cross the rim in a step, their share is known
+    to 6 %.
+    """
+    scene = from_optiland(getattr(optiland("samples.objectives"), name)(), beam=beam).to_scene()
     params = mi.traverse(scene)
     light = transmission(scene, field_deg=field_deg, wavelength_nm=587.6, rays=30_000)
     found = mistray.gradient(light, params, list(steps))
     for key, sizes in steps.items():
         for step in sizes:
-            for (sign, value), side in zip(moved(light, params, key, step), found.one_sided[key], strict=True):
-                slope = (value - light.value()) / (sign * step)
-                assert abs(slope - side.value) < 3 * math.hypot(side.se, 0.06 * abs(slope))
+            slopes = [(value - light.value()) / (sign * step) for sign, value in moved(light, params, key, step)]
+            if beam == "exact":
+                pairs = [(slope, side.value, side.se) for slope, side in zip(slopes, found.one_sided[key], strict=True)]
+            else:
+                assert not found.full
+                pairs = [(np.mean(slopes), found.gradient[key][0], found.standard_error[key][0])]
+            for slope, value, se in pairs:
+                assert abs(slope - value) < 3 * math.hypot(se, 0.06 * abs(slope))
 
 
 def moved(light, params, key: str, step: float) -> list[tuple[int, float]]:

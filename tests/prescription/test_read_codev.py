@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +13,6 @@ from mistray import MistrayError
 from mistray.io.codev.commands import commands
 from mistray.io.codev.glasses import table_material
 from mistray.io.codev.read import read_codev
-from mistray.io.codev.rows import CodevSurface, rows_of
 from mistray.materials import refractive_index
 from mistray.physics.geometry.outline import ALL, Figure, Outline, circle, rectangle
 from mistray.physics.sags.terms import sag
@@ -22,31 +22,8 @@ from mistray.prescription.sequential.table import Sequential
 
 pytestmark = pytest.mark.quick
 
-DOUBLET = """
-RDM;LEN "VERSION: 11.2; not a command"
-TITLE 'A doublet, 3.5" ! of two glasses; air spaced'
-EPD 25.0
-DIM M
-WL 656.3 587.6 486.1 ; REF 3; WTW 1 2 1
-YAN 0.0 2.0
-XAN 0.5 0.0
-VUY 0.0 0.2 ; VLY 0.0 0.3
-SO 0.0 0.1e14
-S 60.0 6.0 &
-NBK7_SCHOTT
-  SLB "front"
-  CIR 12.5
-S -45.0 0.5 ! a comment; EPD 99
-  STO
-S -44.0 2.5 NSF5_SCHOTT
-  CIR EDG 12.6
-S -130.0 93.0
-  ASP
-  K -0.5
-  A 0.1e-5; B -0.2e-8
-SI 0.0 -0.25
-GO
-"""
+DATA = Path(__file__).parents[1] / "data"
+DOUBLET, ZOOM = ((DATA / f"{name}.seq").read_text(encoding="utf-8") for name in ("doublet", "zoom"))
 
 
 @pytest.fixture
@@ -85,7 +62,7 @@ def test_a_doublet(lens):
     assert found.vignetting == ((0, 0, 0, 0), (0, pytest.approx(0.05), 0, 0.25))
     assert (found.wavelengths_nm, found.weights, found.primary) == ((656.3, 587.6, 486.1), (1, 2, 1), 2)
     assert (found.unread, found.notes) == ((), ())
-    assert [row.line for row in found.rows] == [11, 15, 17, 19, 23]
+    assert [row.line for row in found.rows] == [10, 14, 16, 18, 22]
 
 
 def test_every_command_has_an_effect_or_is_listed(lens):
@@ -94,42 +71,31 @@ def test_every_command_has_an_effect_or_is_listed(lens):
     listed = {entry.text: entry for entry in whole.unread}
     assert set(listed) == {"THC 0", "PIM", "TEM 20.0", "INI 'XYZ'", "ABC 1 2", "DER VAL I1 -0.6", "VIE"}
     assert "unknown" in listed["ABC 1 2"].reason
+
+    def bare(found: Sequential) -> Sequential:
+        """A lens without what tells where things stood."""
+        return replace(found.with_rows([replace(row, line=0) for row in found.rows]), unread=(), notes=())
+
     restates = ("LEN", "DIM", "ASP", "GO", "SO", "RDM")  # what they say is so without them, RDM see below
-    checked = 0
-    for command in commands(text):
-        if command.name in restates:
-            continue
-        checked += 1
+    changing = [command for command in commands(text) if command.name not in restates]
+    assert len(changing) == 28
+    for command in changing:
         place = sum(len(line) + 1 for line in text.splitlines()[: command.line - 1])
-        head, tail = text[:place], text[place:]
-        if command.line == 11:
-            tail = tail.replace("S 60.0 6.0 &\nNBK7_SCHOTT\n", "", 1)
-        else:
-            assert command.text in tail
-            tail = tail.replace(command.text, "", 1)
+        words = "S 60.0 6.0 &\nNBK7_SCHOTT\n" if command.line == 10 else command.text
+        assert words in text[place:]
         try:
-            less = lens(head + tail)
+            less = lens(text[:place] + text[place:].replace(words, "", 1))
         except MistrayError:
             assert command.text not in listed
-            continue
-        same = bare(less) == bare(whole)
-        assert same == (command.text in listed), command
-    assert checked == 28
-
-
-def bare(found: Sequential) -> Sequential:
-    """A lens without what tells where things stood."""
-    return replace(found.with_rows([replace(row, line=0) for row in found.rows]), unread=(), notes=())
+        else:
+            assert (bare(less) == bare(whole)) == (command.text in listed), command
 
 
 @pytest.mark.parametrize("unit", ["I", "C", "in", "CM"])
 def test_units(lens, unit):
     mm = {"I": 25.4, "C": 10.0}[unit[0].upper()]
-    found = lens(
-        system(
-            "S 2 0.5 NBK7_SCHOTT\nCIR 0.4\nASP\nA 0.01;J 0.5\nS 0 3\nXDE 0.1", DIM=unit, EPD="0.5", YOB="1", SO="0 8"
-        )
-    )
+    text = "S 2 0.5 NBK7_SCHOTT\nCIR 0.4\nASP\nA 0.01;J 0.5\nS 0 3\nXDE 0.1"
+    found = lens(system(text, DIM=unit, EPD="0.5", YOB="1", SO="0 8"))
     row = found.rows[0]
     assert (row.radius, row.thickness, row.semi_diameter) == pytest.approx((2 * mm, 0.5 * mm, 0.4 * mm))
     assert row.coefficients == pytest.approx((0.01 / mm**3, *[0] * 7, 0.5 / mm**19))
@@ -159,11 +125,9 @@ def test_without_rdm_both_readings_are_named(lens):
     assert found.rows[0].material == "nd=1.5168 Vd=64.17 k=0"
 
 
-# Moves. A ray along the axis goes on along the axis behind a mirror that bends it, whatever its angles
-
-
 @pytest.mark.parametrize("angles", [(30, 0, 0), (0, -20, 0), (25, 15, 0), (-10, 35, 50), (0, 0, 20)])
 def test_ben_follows_the_reflected_axis(lens, angles):
+    """A ray along the axis goes on along the axis behind a mirror that bends it, whatever its angles."""
     a, b, c = angles
     found = lens(system(f"S 0 40\nS 0 -30 REFL\nBEN;ADE {a};BDE {b};CDE {c}\nS 0 -20\nS 0 0"))
     hits, onward = trace(found, [(0, 0, -5)], [(0, 0, 1)])
@@ -185,65 +149,57 @@ def test_signs_of_the_angles(lens):
     assert hits[-1, 0] == pytest.approx([0, -1, 0], abs=1e-12)
 
 
-def test_shift_comes_before_the_turn_and_stays(lens):
-    found = lens(system("S 0 10\nYDE 2;ADE 90\nS 0 0\n"))
-    places = to_world(found, np.zeros((3, 1, 3)))[:, 0]
-    assert places == pytest.approx(np.array([[0, 2, 0], [0, 12, 0], [0, 12, 0]]), abs=1e-12)
+def test_shifts_and_the_ways_back(lens):
+    """A shift comes before the turn and stays; DAR returns, REV undoes."""
 
+    def origins(text: str, count: int) -> np.ndarray:
+        return to_world(lens(system(text)), np.zeros((count, 1, 3)))[:, 0]
 
-def test_dar_returns_and_rev_undoes(lens):
+    expected = np.array([[0, 2, 0], [0, 12, 0], [0, 12, 0]])
+    assert origins("S 0 10\nYDE 2;ADE 90\nS 0 0\n", 3) == pytest.approx(expected, abs=1e-12)
     move = "XDE 1;YDE 2;ZDE 3;ADE 10;BDE 20;CDE 30"
-    found = lens(system(f"S 0 10\n{move};DAR\nS 0 10\nS 0 0\n"))
-    assert to_world(found, np.zeros((4, 1, 3)))[1:, 0, :] == pytest.approx(
-        np.array([[0, 0, 10], [0, 0, 20], [0, 0, 20]]), abs=1e-12
-    )
+    expected = np.array([[0, 0, 10], [0, 0, 20], [0, 0, 20]])
+    assert origins(f"S 0 10\n{move};DAR\nS 0 10\nS 0 0\n", 4)[1:] == pytest.approx(expected, abs=1e-12)
     found = lens(system(f"S 0 10\n{move}\nS 0 -10\n{move};REV\nS 0 0\n"))
     assert [row.kind for row in found.rows] == ["surface", "surface", "coordinate_break", "surface", "image"]
     assert [row.number for row in found.rows] == [1, 2, 2, 3, 4]
     points = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0)], dtype=float)
     placed = to_world(found, np.tile(points, (5, 1, 1)))
     # 10 along the turned axis, the inverse of the move, 10 back: only the shift along the two axes is left
-    turned = placed[1][0] - placed[0][0]
-    assert placed[3] == pytest.approx(points + turned - [0, 0, 10], abs=1e-12)
-
-
-# Apertures
+    assert placed[3] == pytest.approx(points + placed[1][0] - placed[0][0] - [0, 0, 10], abs=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("text", "expected", "unread"),
+    ("text", "radius", "fixed", "clear", "opaque", "unread"),
     [
-        ("CIR 3", {"semi_diameter": 3, "semi_diameter_fixed": True}, 0),
-        ("CIR CLR 3; CIR EDG 4", {"semi_diameter": 3, "semi_diameter_fixed": True}, 1),
-        ("CIR EDG 4", {"semi_diameter": 4}, 0),
-        ("CIR 3; CIR 4", {"semi_diameter": 4, "semi_diameter_fixed": True}, 1),
-        ("CIR 3; ADY 1", {"aperture": circle(3, y=1)}, 0),
-        ("REX 2; REY 1; ADX -1", {"aperture": rectangle(2, 1, x=-1)}, 0),
-        ("REY 1; ARO 10", {"aperture": rectangle(ALL, 1, angle_deg=10)}, 0),
-        ("CIR 3; REX 2; REY 9", {"aperture": Outline((*circle(3).figures, Figure("rectangle", "&", sizes=(2, 9))))}, 0),
-        ("CIR 3; CIR OBS 1; ADY OBS 2", {"semi_diameter": 3, "semi_diameter_fixed": True,
-                                         "obscuration": circle(1, y=2)}, 0),
-        ("ELX 2; ELY 2", {"semi_diameter": 2, "semi_diameter_fixed": True}, 0),
-        ("ELX 2; ELY 1", {"aperture": Outline((Figure("ellipse", sizes=(2, 1)),))}, 0),
-        ("CIR 3; CIR HOL 1", {"semi_diameter": 3, "semi_diameter_fixed": True,
-                              "aperture": circle(3, 1)}, 0),
-        ("CIR 3; CIR OBS L'A' 1", {"semi_diameter": 3, "semi_diameter_fixed": True,
-                                   "obscuration": circle(1)}, 0),
-        ("CIR HOL 1; CIR OBS 2", {"aperture": Outline((Figure("circle", "-", sizes=(1,)),)),
-                                  "obscuration": circle(2)}, 0),
-        ("REX EDG 3; REY EDG 2", {}, 2),
+        ("CIR CLR 3; CIR EDG 4", 3, True, None, None, 1),
+        ("CIR EDG 4", 4, False, None, None, 0),
+        ("CIR 3; CIR 4", 4, True, None, None, 1),
+        ("CIR 3; ADY 1", None, False, circle(3, y=1), None, 0),
+        ("REX 2; REY 1; ADX -1", None, False, rectangle(2, 1, x=-1), None, 0),
+        ("REY 1; ARO 10", None, False, rectangle(ALL, 1, angle_deg=10), None, 0),
+        (
+            "CIR 3; REX 2; REY 9",
+            None,
+            False,
+            Outline((*circle(3).figures, Figure("rectangle", "&", sizes=(2, 9)))),
+            None,
+            0,
+        ),
+        ("CIR 3; CIR OBS 1; ADY OBS 2", 3, True, None, circle(1, y=2), 0),
+        ("ELX 2; ELY 2", 2, True, None, None, 0),
+        ("ELX 2; ELY 1", None, False, Outline((Figure("ellipse", sizes=(2, 1)),)), None, 0),
+        ("CIR 3; CIR HOL 1", 3, True, circle(3, 1), None, 0),
+        ("CIR 3; CIR OBS L'A' 1", 3, True, None, circle(1), 0),
+        ("CIR HOL 1; CIR OBS 2", None, False, Outline((Figure("circle", "-", sizes=(1,)),)), circle(2), 0),
+        ("REX EDG 3; REY EDG 2", None, False, None, None, 2),
     ],
-)  # fmt: skip
-def test_apertures(lens, text, expected, unread):
+)
+def test_apertures(lens, text, radius, fixed, clear, opaque, unread):
     found = lens(system(f"S 10 2\n{text}\nS 0 5"))
     row = found.rows[0]
-    given = {key: getattr(row, key) for key in ("semi_diameter", "semi_diameter_fixed", "aperture", "obscuration")}
-    none = {"semi_diameter": None, "semi_diameter_fixed": False, "aperture": None, "obscuration": None}
-    assert given == none | expected
+    assert (row.semi_diameter, row.semi_diameter_fixed, row.aperture, row.obscuration) == (radius, fixed, clear, opaque)
     assert len(found.unread) == unread
-
-
-# Glasses
 
 
 @pytest.mark.parametrize(
@@ -268,16 +224,16 @@ def test_glasses(lens, word, material):
 
 
 def test_a_private_catalogue_is_exact_at_its_points_and_smooth_between(lens):
+    """Wavelengths and indices in the same order, which need not be a rising one."""
+
     def index(wavelength):
         return 1.5 + 6e3 / wavelength**2
 
     nodes = [404.7, 435.8, 486.1, 546.1, 587.6, 650.0, 700.0]
-    table = f"PRV\nPWL {' '.join(map(str, nodes[:4]))}&\n{' '.join(map(str, nodes[4:]))}\n'E 48' " + " ".join(
+    falling = [str(nm) for nm in nodes[::-1]]
+    table = f"PRV\nPWL {' '.join(falling[:4])}&\n{' '.join(falling[4:])}\n'E 48' " + " ".join(
         repr(index(wavelength)) for wavelength in reversed(nodes)
     )
-    # PWL and the indices in the same order; the reader need not find them rising
-    table = table.replace("PWL " + " ".join(map(str, nodes[:4])), "PWL " + " ".join(map(str, nodes[:2:-1])))
-    table = table.replace(" ".join(map(str, nodes[4:])), " ".join(map(str, nodes[2::-1])))
     found = lens(system(f"{table}\nEND\nS 10 2 'E 48'\nS 0 5", WL="656.27 587.56 486.13", REF="2"))
     material = found.rows[0].material
     for wavelength in (*nodes, 656.27, 587.56, 486.13):
@@ -286,10 +242,7 @@ def test_a_private_catalogue_is_exact_at_its_points_and_smooth_between(lens):
     assert table_material([500.0], [1.5], [600.0]) == "n(500.0)=1.5"
 
 
-# Apertures of the beam
-
-
-def test_a_cone_at_a_finite_image(lens):
+def test_an_object_or_an_image_at_a_finite_distance(lens):
     surfaces = "S 10 1 NBK7_SCHOTT\nS -20 15"
     for key, value, slope in (("FNO", "5", 0.1), ("NA", "0.1", 0.1)):
         found = lens(system(surfaces, **{key: value}, SO="0 100").replace("EPD 10\n", ""))
@@ -304,13 +257,9 @@ def test_a_cone_at_a_finite_image(lens):
     assert lens(system(surfaces, NA="0.1").replace("EPD 10\n", "")).aperture == 5
     assert lens(system(surfaces, NAO="0.02", SO="0 100").replace("EPD 10\n", "")).aperture == 0.02
 
-
-def test_telecentric_object_space(lens):
-    surfaces = "S 10 1 NBK7_SCHOTT\nS -20 15"
     for words, telecentric in (("Y", True), ("N", False), ("", True)):
         found = lens(system(surfaces, SO="0 100", TEL=words))
-        assert found.telecentric is telecentric
-        assert found.unread == ()
+        assert (found.telecentric, found.unread) == (telecentric, ())
     found = lens(system(surfaces, TEL="Y"))
     assert not found.telecentric
     assert [(entry.line, entry.text) for entry in found.unread] == [(6, "TEL Y")]
@@ -328,27 +277,18 @@ def test_what_a_file_leaves_out_is_noted(lens):
     ("text", "message"),
     [
         ("", "no surface"),
-        ("S 1 2", "no wavelength"),
         (system("S 10 x"), "line 6: 'S 10 x': 'x' is no number"),
-        (system("S 10 nan"), "'nan' is no number"),
-        (system("S 10 1\nA 1e999"), "'1e999' is no number"),
         (system("S 10 1\nSPS QCN"), "line 7: 'SPS QCN': of special surfaces XYP, ZRN, ZFR, ODD are read"),
-        (system("S 10 1\nSPS ZRN\nSCO C5 1"), "ZRN with NRADIUS 0"),
-        (system("S 10 1\nSPS ZFR 5\nSCO C41 1"), "SCO C41: ZFR has"),
         (system("S 10 1\nSPS ODD 0\nSCO AR31 1"), "SCO AR31: ODD has"),
         (system("S 10 1\nSCO C4"), "line 7: 'SCO C4': it needs a coefficient and a value"),
-        (system("S 10 1\nSPS XYP\nSCO C4 1"), "NRADIUS 0"),
-        (system("S 10 1\nSPS XYP 5\nSCO Q 1"), "SCO Q"),
         (system("S 10 1\nXTO\nXDE 1"), "XTO that is tilted"),
         (system("S 10 1\nS 10 1\nUDS"), "line 8: 'UDS' on surface 2: this kind of surface has no counterpart"),
-        (system("S 10 1\nDIF DOE"), "line 7: 'DIF DOE' on surface 1: diffracting"),
         (system("S 10 1\nCUF 0.1"), "Fresnel"),
         (system("ZOO 3\nS 10 1\nZOO THI S1 1 2"), "line 8: 'ZOO THI S1 1 2': 2 values for 3 zoom positions"),
         (system("S 10 1\nRDY S5 3"), "surface 5 is not there; the lens has 1 so far"),
         (system("S7 10 1"), "there are 0 surfaces so far"),
         ("ADE 10", "before the first surface"),
         (system("S 10 1 SK19_Schott"), "line 6: glass 'SK19_Schott' is not in the catalogue of schott .*--glass"),
-        (system("S 10 1 BLA7"), "glass 'BLA7' is not in the catalogues of schott"),
         (system("S 10 1\nCIR -3"), "must be greater than 0"),
         (system("S 10 1", DIM="X"), "unknown unit"),
         (system("S 10 1", REF="4"), "REF 4 of 1 wavelengths"),
@@ -366,13 +306,6 @@ def test_errors_are_one_line(lens, text, message):
     assert str(caught.value).startswith("CODE V file 'lens.seq'")
 
 
-def test_a_missing_file(tmp_path):
-    with pytest.raises(MistrayError, match=r"nothing\.seq': No such file.*check the path"):
-        read_codev(tmp_path / "nothing.seq")
-
-
-# Freeforms
-
 X, Y = np.random.default_rng(4).uniform(-3, 3, (2, 40))
 
 
@@ -385,15 +318,19 @@ def swept(profile, across, c):
     return (1 - np.sqrt((1 - c * profile) ** 2 - (c * across) ** 2)) / c
 
 
+def aspheric(r2):
+    return conic(r2, 1 / 80, -0.3)
+
+
 @pytest.mark.parametrize(
     ("text", "height"),
     [
-        ("YTO\nRDX 60\nK -.5\nA 1e-5", lambda x, y: swept(conic(y * y, 1 / 80, -0.5) + 1e-5 * y**4, x, 1 / 60)),
-        ("XTO\nRDX 60\nK -.5\nA 1e-5", lambda x, y: swept(conic(x * x, 1 / 60, -0.5) + 1e-5 * x**4, y, 1 / 80)),
-        ("CYL\nCUX 0", lambda x, y: conic(y * y, 1 / 80, 0.0)),
+        ("YTO\nRDX 60\nK -.5\nA 1e-5", lambda x, y, r2: swept(conic(y * y, 1 / 80, -0.5) + 1e-5 * y**4, x, 1 / 60)),
+        ("XTO\nRDX 60\nK -.5\nA 1e-5", lambda x, y, r2: swept(conic(x * x, 1 / 60, -0.5) + 1e-5 * x**4, y, 1 / 80)),
+        ("CYL\nCUX 0", lambda x, y, r2: conic(y * y, 1 / 80, 0.0)),
         (
             "AAS\nCUX .01\nK -.2\nKX .3\nAR 1e-5\nAP .2\nBR 1e-7\nBP -.1",
-            lambda x, y: (
+            lambda x, y, r2: (
                 (0.01 * x * x + y * y / 80) / (1 + np.sqrt(1 - 1.3 * (0.01 * x) ** 2 - 0.8 * (y / 80) ** 2))
                 + 1e-5 * (0.8 * x * x + 1.2 * y * y) ** 2
                 + 1e-7 * (1.1 * x * x + 0.9 * y * y) ** 3
@@ -401,52 +338,36 @@ def swept(profile, across, c):
         ),
         (
             "SPS XYP 12\nSCO NRADIUS 12\nSCO K -.3\nSCO C3 .01\nSCO C4 .02\nSCO C8 -.01\nSCO C10 .03",
-            lambda x, y: (
-                conic(x * x + y * y, 1 / 80, -0.3)
-                + 0.01 * y / 12
-                + 0.02 * (x / 12) ** 2
-                - 0.01 * x * x * y / 12**3
-                + 0.03 * (y / 12) ** 3
+            lambda x, y, r2: (
+                aspheric(r2) + 0.01 * y / 12 + 0.02 * (x / 12) ** 2 - 0.01 * x * x * y / 12**3 + 0.03 * (y / 12) ** 3
             ),
         ),
         (
             "SPS ZRN 12\nSCO K -.3\nSCO NRADIUS 12\nSCO C2 .2; SCO C3 .1; SCO C6 .01; SCO C7 .02\nSCO C10 .03\n"
             "SCO C13 -.02",
-            lambda x, y: (
-                conic(x * x + y * y, 1 / 80, -0.3)
-                + 0.2
-                + 0.1 * x / 12
-                + 0.01 * (2 * (x * x + y * y) / 144 - 1)
+            lambda x, y, r2: (
+                aspheric(r2) + 0.2 + 0.1 * x / 12
+                + 0.01 * (2 * r2 / 144 - 1)
                 + 0.02 * 2 * x * y / 144
-                + 0.03 * (3 * (x * x + y * y) / 144 - 2) * y / 12
-                - 0.02 * (4 * (x * x + y * y) / 144 - 3) * (x * x - y * y) / 144
+                + 0.03 * (3 * r2 / 144 - 2) * y / 12
+                - 0.02 * (4 * r2 / 144 - 3) * (x * x - y * y) / 144
             ),
         ),
         (
             "SPS ZFR\nSCO C1 -.3\nSCO C2 12\nSCO C3 37\nSCO C7 .01\nSCO C9 .02\nSCO Z12 .03",
-            lambda x, y: (
-                conic(x * x + y * y, 1 / 80, -0.3)
-                + 0.01 * (2 * (x * x + y * y) / 144 - 1)
-                + 0.02 * 2 * x * y / 144
-                + 0.03 * (4 * (x * x + y * y) / 144 - 3) * (x * x - y * y) / 144
+            lambda x, y, r2: (
+                aspheric(r2) + 0.01 * (2 * r2 / 144 - 1) + 0.02 * 2 * x * y / 144
+                + 0.03 * (4 * r2 / 144 - 3) * (x * x - y * y) / 144
             ),
         ),
         (
             "SPS ODD 0.0\nSCO K -.3\nSCO AR3 1e-4\nSCO AR4 -1e-5\nSCO C6 1e-6",
-            lambda x, y: (
-                conic(x * x + y * y, 1 / 80, -0.3)
-                + 1e-4 * np.hypot(x, y) ** 3
-                - 1e-5 * np.hypot(x, y) ** 4
-                + 1e-6 * np.hypot(x, y) ** 5
-            ),
+            lambda x, y, r2: aspheric(r2) + 1e-4 * r2**1.5 - 1e-5 * r2**2 + 1e-6 * r2**2.5,
         ),
-        (
-            "SPS ODD 12\nSCO AR5 1e-2",
-            lambda x, y: conic(x * x + y * y, 1 / 80, 0.0) + 1e-2 * (np.hypot(x, y) / 12) ** 5,
-        ),
+        ("SPS ODD 12\nSCO AR5 1e-2", lambda x, y, r2: conic(r2, 1 / 80, 0.0) + 1e-2 * r2**2.5 / 12**5),
     ],
     ids=lambda value: value.split("\n")[0] if isinstance(value, str) else "",
-)
+)  # fmt: skip
 @pytest.mark.parametrize(("unit", "mm"), [("M", 1.0), ("I", 25.4)])
 def test_freeforms(lens, text, height, unit, mm):
     """Formulas written out; in the frame before the row's own turn, which an XTO has."""
@@ -455,49 +376,16 @@ def test_freeforms(lens, text, height, unit, mm):
     turn = np.eye(4) if row.decentre is None else motion(row.decentre)
     assert row.decentre is None or row.decentre.returns
     x, y, _ = turn[:3, :3].T @ [mm * X, mm * Y, 0 * X]
-    assert sag(x, y, row.sag_numbers) == pytest.approx(mm * height(X, Y), abs=1e-12 * mm)
+    assert sag(x, y, row.sag_numbers) == pytest.approx(mm * height(X, Y, X * X + Y * Y), abs=1e-12 * mm)
 
 
-def test_the_aperture_of_a_toroid_turns_back():
+def test_the_aperture_of_a_toroid_turns_back(lens):
     """The frame of an XTO is turned by 90 degrees, its aperture is not."""
-    row = rows_of(
-        CodevSurface(1, kind="XTO", apertures={"CLR": {"REX": (4.0, None), "REY": (1.0, None)}}, offset={"X": 2.0}),
-        1,
-        unit_mm=1.0,
-        before="air",
-        unread=[],
-    )[0]
+    row = lens(system("S 80 2\nXTO\nRDX 60\nREX 4; REY 1; ADX 2\nS 0 5")).rows[0]
     turn = motion(row.decentre)[:3, :3]
     for x, y, inside in ((5.5, 0.5, True), (-1.9, 0.0, True), (-2.1, 0.0, False), (2.0, 1.1, False)):
         u, v, _ = turn.T @ [x, y, 0.0]
         assert bool(row.aperture.contains(u, v)) is inside
-
-
-ZOOM = """
-RDM; EPD 10; DIM M; WL 587.6; YAN 0 5
-SO 0 1e13
-S 50 3 NBK7_SCHOTT
-STO
-S 0 20
-S 40 2 NBK7_SCHOTT
-S 0 30
-SI 0 0
-ZOO 3
-ZOO TIT
-TIT Z1 "wide"
-TIT Z2 'in the middle'
-TIT Z3 'tele'
-ZOO THI S2 20 12.5 5
-ZOO THC S2 0
-ZOO RDY S3
-RDY S3 Z2 -42
-ZOO THI S0 0.1e14 0.1e14 800
-ZOO EPD 10 11 12
-ZOO YAN F2 5 4 3
-ZOO VUY F2 0 .1 .2
-THI S4 Z3 33
-GO
-"""
 
 
 @pytest.mark.parametrize(
@@ -520,7 +408,7 @@ def test_zoom_positions(lens, wanted, gap, radius, distance, pupil, field, last)
     assert [entry.text for entry in found.unread] == ["ZOO THC S2 0"]
 
 
-@pytest.mark.parametrize("wanted", [0, 4, -1, "Wide", "4", ""])
+@pytest.mark.parametrize("wanted", [0, 4, "Wide"])
 def test_positions_that_are_not_there(lens, wanted):
     with pytest.raises(MistrayError, match="zoom position"):
         lens(ZOOM, configuration=wanted)

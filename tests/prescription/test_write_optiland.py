@@ -27,12 +27,6 @@ def triplet() -> Any:
     return optic
 
 
-def image_points(optic: Any, field: float) -> np.ndarray:
-    """Where rays of a field that get through meet the image, and which do."""
-    optic.trace(Hx=0, Hy=field, wavelength=optic.primary_wavelength, num_rays=6, distribution="hexapolar")
-    return np.stack([np.asarray(getattr(optic.surfaces, key))[-1] for key in "xyz"], axis=1)
-
-
 def test_a_lens_there_and_back(triplet: Any) -> None:
     lens = from_optiland(triplet)
     assert lens.surfaces[0].coating == Coating(R=0.02, T=0.97)
@@ -46,22 +40,13 @@ def test_a_lens_there_and_back(triplet: Any) -> None:
     assert surfaces[2].interaction_model.coating is None
     assert surfaces[1].aperture.r_max == 9.5
     assert float(np.ravel(back.paraxial.f2())[0]) == pytest.approx(float(np.ravel(triplet.paraxial.f2())[0]), rel=1e-9)
-    for field in (0.0, 0.7, 1.0):
-        there, here = image_points(triplet, field), image_points(back, field)
-        shift = here[0] - there[0]  # optiland's frame begins at the stop, or at the first vertex
-        assert here[:, :2] == pytest.approx(there[:, :2], abs=1e-6)
-        assert shift[2] == pytest.approx(0, abs=1e-9)
     again = from_optiland(back)
     assert [surface.coating for surface in again.surfaces] == [surface.coating for surface in lens.surfaces]
     assert [s.semi_diameter for s in again.surfaces] == pytest.approx([s.semi_diameter for s in lens.surfaces])
     assert [s.curvature for s in again.surfaces] == pytest.approx([s.curvature for s in lens.surfaces], rel=1e-12)
-
-
-def test_its_ghosts_are_the_same(triplet: Any) -> None:
-    """The same rays through the lens as it came and as it came back."""
     power = []
-    for lens in (from_optiland(triplet), from_optiland(to_optiland(from_optiland(triplet), [0, 14, 20]))):
-        t = mistray.trace(lens.to_scene(), rays=2000, max_reflections=2)
+    for each in (lens, again):  # the ghosts of the same rays
+        t = mistray.trace(each.to_scene(), rays=2000, max_reflections=2)
         power.append([t.paths[0].power_W, t.paths.find("S2:R", "S1:R")[0].power_W / t.paths[0].power_W])
     assert power[1] == pytest.approx(power[0], rel=1e-3)
 
