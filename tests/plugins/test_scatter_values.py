@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -22,6 +23,7 @@ from scatter_surfaces import (
     interaction,
     surface,
     vectors,
+    write_table,
 )
 
 from mistray import MistrayError
