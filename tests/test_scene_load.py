@@ -86,20 +86,6 @@ def test_a_file_wins_over_a_shipped_name(tmp_path: Path, monkeypatch: pytest.Mon
     assert "my_rear" in names
 
 
-@pytest.mark.parametrize(
-    ("source", "message"),
-    [
-        ({"type": "scene", "a": {"type": "asphere"}}, "give either semi_diameter"),
-        ({"type": "scene", "a": {"type": "asphere", "semi_diameter": 1.0, "colour": 2.0}}, "colour"),
-        ({"type": "asphere", "semi_diameter": 1.0}, 'add "type": "scene"'),
-        ({"type": "scene", "a": {"type": "spheroid"}}, "spheroid"),
-    ],
-)
-def test_errors_are_one_line(source: dict[str, Any], message: str) -> None:
-    with pytest.raises(mistray.MistrayError) as caught:
-        mistray.load(source)
-    assert message in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_an_interrupt_while_a_plugin_is_made_is_one(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+import scene_dicts
 
 import mistray
 from mistray.surfaces.surfaces import SurfaceTable
@@ -20,65 +21,49 @@ COATINGS: dict[str, dict[str, Any]] = {
 }
 
 
-def plate(front: dict[str, Any], rear: dict[str, Any]) -> mi.Scene:
+def plate(index: str, coating: dict[str, Any], **shifts: float) -> mi.Scene:
     """A wedge of glass before a detector."""
-    film = {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}}
-    place = mi.ScalarTransform4d()
-    return mistray.load(
-        {
-            "type": "scene",
-            "beam": {"type": "collimated", "radius": 3.0, "field_deg": 10.0},
-            "front": {"type": "asphere", "radius": 40.0, "semi_diameter": 6.0, "bsdf": {"type": "interface"} | front},
-            "rear": {
-                "type": "asphere", "semi_diameter": 6.0, "to_world": place.translate([0, 0, 6]),
-                "bsdf": {"type": "interface"} | rear,
-            },
-            "detector": {
-                "type": "asphere", "semi_diameter": 9.0, "to_world": place.translate([0, 0, 20]),
-                "bsdf": {"type": "interface", "R": 0.0}, "meter": {"type": "irradiancemeter", "film": film},
-            },
-        }
-    )  # fmt: skip
+    front, rear = (
+        {"type": "interface", side: index, **coating} | {key: x for key, x in shifts.items() if side in key}
+        for side in ("back", "front")
+    )
+    return scene_dicts.load(
+        beam={"type": "collimated", "radius": 3.0, "field_deg": 10.0},
+        front={"type": "asphere", "radius": 40.0, "semi_diameter": 6.0, "bsdf": front},
+        rear={"type": "asphere", "semi_diameter": 6.0, "to_world": scene_dicts.at(6), "bsdf": rear},
+        detector=scene_dicts.detector(20.0, semi_diameter=9.0, sensor=scene_dicts.meter(16)),
+    )
 
 
-def shifted(coating: dict[str, Any]) -> mi.Scene:
-    return plate({"back": "1.5+1e-6i", "n_back_shift": SHIFT} | coating,
-                 {"front": "1.5+1e-6i", "n_front_shift": SHIFT} | coating)  # fmt: skip
-
-
-def other(coating: dict[str, Any]) -> mi.Scene:
-    return plate({"back": "1.625+1e-6i"} | coating, {"front": "1.625+1e-6i"} | coating)
+def traced(scene: mi.Scene) -> mistray.Trace:
+    return mistray.trace(scene, rays=3000, seed=2)
 
 
 @pytest.mark.parametrize("name", COATINGS)
-class TestTrace:
-    def test_it_is_another_index(self, name: str) -> None:
-        ours, theirs = (mistray.trace(make(COATINGS[name]), rays=3000, seed=2) for make in (shifted, other))
-        np.testing.assert_array_equal(ours.irradiance, theirs.irradiance)
-        assert ours.energy.detected_W == theirs.energy.detected_W
-        plain = mistray.trace(plate({"back": "1.5+1e-6i"}, {"front": "1.5+1e-6i"}), rays=3000, seed=2)
-        assert np.any(plain.irradiance != ours.irradiance)
-
-    def test_an_update_takes_effect_without_recompilation(self, name: str) -> None:
-        scene = plate({"back": "1.5+1e-6i"} | COATINGS[name], {"front": "1.5+1e-6i"} | COATINGS[name])
-        params = mi.traverse(scene)
-        compiled = []
-        for value in (0.0, 0.25, SHIFT):
-            params["front.bsdf.n_back_shift"] = mi.Float(value)
-            params["rear.bsdf.n_front_shift"] = mi.Float(value)
-            params.update()
-            with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-                dr.kernel_history_clear()
-                ours = mistray.trace(scene, rays=3000, seed=2)
-                compiled.append(sum(not k["cache_hit"] for k in dr.kernel_history([dr.KernelType.JIT])))
-        np.testing.assert_array_equal(
-            ours.irradiance, mistray.trace(other(COATINGS[name]), rays=3000, seed=2).irradiance
-        )
-        assert compiled[1:] == [0, 0]
+def test_it_is_another_index(name: str) -> None:
+    """By its value and by updates, which compile nothing."""
+    there = traced(plate("1.625+1e-6i", COATINGS[name]))
+    given = traced(plate("1.5+1e-6i", COATINGS[name], n_back_shift=SHIFT, n_front_shift=SHIFT))
+    np.testing.assert_array_equal(given.irradiance, there.irradiance)
+    assert given.energy.detected_W == there.energy.detected_W
+    scene = plate("1.5+1e-6i", COATINGS[name])
+    params = mi.traverse(scene)
+    compiled, seen = [], []
+    for value in (0.0, 0.25, SHIFT):
+        params["front.bsdf.n_back_shift"] = mi.Float(value)
+        params["rear.bsdf.n_front_shift"] = mi.Float(value)
+        params.update()
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            seen.append(traced(scene).irradiance)
+            compiled.append(sum(not k["cache_hit"] for k in dr.kernel_history([dr.KernelType.JIT])))
+    np.testing.assert_array_equal(seen[-1], there.irradiance)
+    assert np.any(seen[0] != there.irradiance)
+    assert compiled[1:] == [0, 0]
 
 
 def test_two_shifts_are_two_media() -> None:
-    scene = plate({"back": "N-BK7"}, {"front": "N-BK7"})
+    scene = plate("N-BK7", {})
     assert SurfaceTable(scene, 550.0).optics.media == ["unknown", "air", "N-BK7"]
     params = mi.traverse(scene)
     params["front.bsdf.n_back_shift"] = mi.Float(SHIFT)
@@ -91,10 +76,7 @@ def test_two_shifts_are_two_media() -> None:
 
 @pytest.mark.parametrize("name", COATINGS)
 def test_stock_integrators_see_it(name: str) -> None:
-    ours, theirs = (
-        mi.load_dict({"type": "interface", **COATINGS[name], **more})
-        for more in ({"back": "1.5", "n_back_shift": 0.0}, {"back": "1.625"})
-    )
+    ours, theirs = (mi.load_dict({"type": "interface", **COATINGS[name], "back": n}) for n in ("1.5", "1.625"))
     si = dr.zeros(mi.SurfaceInteraction3f, 50)
     si.wi = mi.warp.square_to_uniform_sphere(mi.Point2f(np.random.default_rng(1).random((2, 50)).astype(np.float32)))
     u = mi.Float(np.random.default_rng(2).random(50).astype(np.float32))
@@ -115,13 +97,13 @@ def test_stock_integrators_see_it(name: str) -> None:
 def test_bad_updates_leave_everything() -> None:
     bsdf = mi.load_dict({"type": "interface", "id": "face", "back": "1.5", "R": 0.1, "T": 0.8})
     params = mi.traverse(bsdf)
-    for key, value, message in (
-        ("n_back_shift", float("nan"), r"interface 'face': n_back_shift is nan; it must lie"),
+    for key, value, words in (
+        ("n_back_shift", float("nan"), r"interface 'face': n_back_shift is nan"),
         ("n_front_shift", [0.1, 0.2], r"give one number"),
-        ("n_back_shift", -2.0, r"interface 'face': material '1.5 shift=-2.0': index -0.5 .* greater than 0"),
+        ("n_back_shift", -2.0, r"interface 'face': material '1.5 shift=-2.0': index -0.5"),
     ):
         params[key] = mi.Float(value)
-        with pytest.raises(mistray.MistrayError, match=message):
+        with pytest.raises(mistray.MistrayError, match=words):
             params.update()
         assert bsdf.indices(550.0) == (1.0, 1.5)
         assert np.array(mi.traverse(bsdf)[key]).tolist() == [0.0]

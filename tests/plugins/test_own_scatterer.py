@@ -8,8 +8,8 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+import scene_dicts
 
-import mistray
 from mistray.errors import MistrayError
 from mistray.optimize.parameters import parameters
 from mistray.param import Param
@@ -43,19 +43,10 @@ mi.register_bsdf("haze", lambda props: HazePlugin(props))
 
 def scene(**scatter: Any) -> Any:
     interface = {"type": "interface", "R": 0.9, "scatter": {"type": "haze", **scatter}}
-    return mistray.load(
-        {
-            "type": "scene",
-            "beam": {"type": "collimated", "radius": 0.5},
-            "panel": {"type": "asphere", "semi_diameter": 5.0, "bsdf": interface},
-            "detector": {
-                "type": "asphere",
-                "semi_diameter": 1.0,
-                "to_world": mi.ScalarTransform4f().translate([0, 20, -20]),
-                "bsdf": {"type": "interface", "R": 0.0},
-                "sensor": {"type": "irradiancemeter", "film": {"type": "hdrfilm", "rfilter": {"type": "box"}}},
-            },
-        }
+    return scene_dicts.load(
+        beam={"type": "collimated", "radius": 0.5},
+        panel={"type": "asphere", "semi_diameter": 5.0, "bsdf": interface},
+        detector=scene_dicts.detector(-20.0, semi_diameter=1.0, y=20.0),
     )
 
 
@@ -64,20 +55,21 @@ def test_its_values_are_parameters() -> None:
     known = parameters(scene(share=0.3, depth=2.0))
     found = {key: p for key, p in known.items() if p.kind == "scatter"}
     assert set(found) == {"panel.bsdf.haze.share", "panel.bsdf.haze.depth"}
-    depth = found["panel.bsdf.haze.depth"]
+    depth, share = found["panel.bsdf.haze.depth"], found["panel.bsdf.haze.share"]
     assert (depth.unit, depth.value[0], depth.shapes) == ("1", 2.0, ("panel",))
-    assert depth.tolerance == pytest.approx(0.4)
-    assert (depth.low, depth.high) == (-np.inf, np.inf)
-    share = found["panel.bsdf.haze.share"]
-    assert (share.low, share.high) == (0.0, 1.0)
-    assert share.tolerance == pytest.approx(0.03)
+    assert (depth.low, depth.high, share.low, share.high) == (-np.inf, np.inf, 0.0, 1.0)
+    assert (depth.tolerance, share.tolerance) == pytest.approx((0.4, 0.03))
 
 
-def test_its_errors_are_one_line() -> None:
-    with pytest.raises(MistrayError, match=r"share is 1\.5") as error:
-        scene(share=1.5, depth=2.0)
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"share": 1.5, "depth": 2.0}, r"share is 1\.5"),
+        ({"share": 0.5}, "depth is missing; give share, depth"),
+        ({"share": 0.5, "depth": 1.0, "deepness": 2.0}, "deepness"),
+    ],
+)
+def test_its_errors_are_one_line(values: dict[str, float], words: str) -> None:
+    with pytest.raises(MistrayError, match=words) as error:
+        scene(**values)
     assert "\n" not in str(error.value)
-    with pytest.raises(MistrayError, match="depth is missing; give share, depth"):
-        scene(share=0.5)
-    with pytest.raises(MistrayError, match="deepness"):
-        scene(share=0.5, depth=1.0, deepness=2.0)

@@ -1,18 +1,20 @@
-"""Probes and far fields as sensors of a scene: in its file, beside its file, on the command line."""
+"""Probes, far fields, maps and splits as sensors of a scene: in its file, beside its file, on the command line."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 import pandas as pd
 import pytest
+import scene_dicts
+from command_line import Captured, fails, run, succeeds
 from oracles.small_scenes import plates_text
 
 import mistray
-from mistray import cli
 from mistray.recorders import FarField, Probe
 from mistray.scene.other_sensors import sensor_dict
 
@@ -34,164 +36,159 @@ def text_of(*sensors: str) -> str:
     return text.replace("</scene>", "".join(sensors) + "</scene>")
 
 
-@pytest.fixture
-def plate(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def plate(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The scene file with both sensors."""
-    path = tmp_path / "plate.xml"
+    path = tmp_path_factory.mktemp("sensors") / "plate.xml"
     path.write_text(text_of(PROBE, SKY.format("90:180:45")), encoding="utf-8")
     return path
 
 
 @pytest.mark.quick
-class TestInTheFile:
-    def test_a_trace_has_what_recorders_of_the_same_numbers_have(self, plate: Path, load_text) -> None:
-        found = mistray.trace(mistray.load(plate), rays=4000, max_reflections=1).recorders
-        probe = Probe("p", (0, 0, -1), half_width=0.5, half_height=0.25, pixels=(4, 2), directions=4)
-        sky = FarField("s", edges_deg=(90, 135, 180), azimuths=3)
-        mistray.trace(load_text(text_of())[0], rays=4000, max_reflections=1, recorders=[probe, sky])
-        assert list(found) == ["ahead of it", "sky"]
-        for one, other in zip(found.values(), (probe, sky), strict=True):
-            np.testing.assert_array_equal(one.flux.value, other.flux.value)
-            np.testing.assert_array_equal(one.image[1], other.image[1])
-        assert found["ahead of it"].radiance[0].shape == (2, 4, 4, 4)
-
-    def test_every_trace_has_recorders_of_its_own(self, plate: Path) -> None:
-        scene = mistray.load(plate)
-        first, second = (mistray.trace(scene, rays=rays, seed=1).recorders["ahead of it"] for rays in (1000, 4000))
-        assert first.power[0] == pytest.approx(0.5, abs=5 * first.power[1])
-        assert second.power[0] == pytest.approx(0.5, abs=5 * second.power[1])
-        assert first is not second
-
-    def test_render(self, plate: Path) -> None:
-        scene = mistray.load(plate)
-        numbers = {sensor.id(): k for k, sensor in enumerate(scene.sensors())}
-        irradiance = np.array(mi.render(scene, sensor=numbers["ahead of it"], spp=8000))
-        assert irradiance.shape == (2, 4, 1)
-        assert irradiance == pytest.approx(1.0, rel=0.05)  # 64,000 rays, 2600 in a pixel: 5 SE are 0.05
-        assert np.array(mi.render(scene, sensor=numbers["sky"], spp=1)).shape == (2, 3, 1)
-
-    def test_stock_integrators_see_its_irradiance(self) -> None:
-        """π L under a uniform sky, however it is turned."""
-        scene = mistray.load(
-            {
-                "type": "scene",
-                "probe": {"type": "probe", "half_width": 2.0, "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], 50)},
-                "sky": {"type": "constant", "radiance": 2.0},
-                "integrator": {"type": "path"},
-            }
-        )
-        assert np.array(mi.render(scene, spp=4)) == pytest.approx(2 * np.pi, rel=1e-5)
-
-    @pytest.mark.parametrize(
-        ("sensors", "words"),
-        [
-            ((PROBE, PROBE), "ahead of it"),
-            ((PROBE, SKY.format("90:80:5")), "far field 'sky': edges_deg is '90:80:5'"),
-            ((SKY.format("0, x"),), "edges_deg is '0, x'"),
-            ((SKY.format("0:10:3"),), "last angle"),
-            ((SKY.format("0, 190"),), "edges_deg"),
-            ((PROBE.replace('"0.5"', '"-1"'),), "half_width"),
-            ((PROBE.replace('value="4"', 'value="0"', 1),), "directions"),
-            ((PROBE.replace('translate z="-1"', 'scale value="2"'),), "to_world scales"),
-            ((PROBE.replace("directions", "direction"),), "direction"),
-        ],
-    )
-    def test_bad_ones(self, tmp_path: Path, sensors: tuple[str, ...], words: str) -> None:
-        path = tmp_path / "bad.xml"
-        path.write_text(text_of(*sensors), encoding="utf-8")
-        with pytest.raises(mistray.MistrayError, match=words) as error:
-            mistray.load(path)
-        assert "\n" not in str(error.value)
+def test_a_scene_of_a_file(plate: Path, load_text) -> None:
+    """A trace has what recorders of the same numbers have, of its own each time; a rendering is its irradiance."""
+    scene = mistray.load(plate)
+    found = mistray.trace(scene, rays=4000, max_reflections=1).recorders
+    probe = Probe("p", (0, 0, -1), half_width=0.5, half_height=0.25, pixels=(4, 2), directions=4)
+    sky = FarField("s", edges_deg=(90, 135, 180), azimuths=3)
+    mistray.trace(load_text(text_of())[0], rays=4000, max_reflections=1, recorders=[probe, sky])
+    assert list(found) == ["ahead of it", "sky"]
+    for one, other in zip(found.values(), (probe, sky), strict=True):
+        np.testing.assert_array_equal(one.flux.value, other.flux.value)
+        np.testing.assert_array_equal(one.image[1], other.image[1])
+    assert found["ahead of it"].radiance[0].shape == (2, 4, 4, 4)
+    again = mistray.trace(scene, rays=1000, seed=1).recorders["ahead of it"]
+    assert again.power[0] == pytest.approx(0.5, abs=5 * again.power[1])
+    numbers = {sensor.id(): k for k, sensor in enumerate(scene.sensors())}
+    irradiance = np.array(mi.render(scene, sensor=numbers["ahead of it"], spp=8000))
+    assert irradiance.shape == (2, 4, 1)
+    assert irradiance == pytest.approx(1.0, rel=0.05)  # 64,000 rays, 2600 in a pixel: 5 SE are 0.05
+    assert np.array(mi.render(scene, sensor=numbers["sky"], spp=1)).shape == (2, 3, 1)
 
 
 @pytest.mark.quick
-class TestBesideTheFile:
-    def test_from_text(self, plate: Path) -> None:
-        """With other light, and beside what the file has."""
-        text = "probe:0.1,0,-2,half_width=0.2,half_height=0.1,normal=0 0 -1,up=1 0 0,pixels=8 4,id=back"
-        scene = mistray.load(plate, "beam:radius=1,distance=9", [text, "far_field:edges_deg=0 90 180"])
-        assert sorted(sensor.id() for sensor in scene.sensors() if sensor.get_shape() is None) == [
-            "ahead of it", "back", "far_field", "sky",
-        ]  # fmt: skip
-        found = mistray.trace(scene, rays=20_000, max_reflections=1).recorders
-        r = 0.04
-        back = found["back"]
-        expected = 0.4 * 0.2 * (r + r * (1 - r) ** 2)
-        assert back.power[0] == pytest.approx(expected, abs=5 * back.power[1])
-        assert back.irradiance[0].shape == (4, 8)
-        assert back.extent == (-0.2, 0.2, -0.1, 0.1)
-        assert found["far_field"].power[0] > 0
-
-    def test_the_frame(self) -> None:
-        """Its z is the normal, its y as near to `up` as may be; without one the y or the z of the world."""
-        frame = np.array(sensor_dict("probe:1,2,3,normal=0 3 4,up=0 0 1")["to_world"].matrix)
-        np.testing.assert_allclose(frame[:3], [[-1, 0, 0, 1], [0, -0.8, 0.6, 2], [0, 0.6, 0.8, 3]], atol=1e-12)
-        turned = np.array(sensor_dict("probe:0,0,0,normal=0 -1 0")["to_world"].matrix)
-        np.testing.assert_allclose(turned[:3, 1:3], [[0, 0], [0, -1], [1, 0]], atol=1e-12)
-
-    @pytest.mark.parametrize(
-        ("texts", "words"),
-        [
-            (["probe:0,0,1,id=a", "far_field:id=a"], "sensor 'a': two sensors have this id"),
-            (["probe:0,0,1,id=sky"], "sensor 'sky': the scene has something else of that id"),
-            (["probe:id=a"], "its place is missing"),
-            (["far_field:0,0,1"], "it has no place"),
-            (["probe:0,0"], "its place is 0,0"),
-            (["probe:0,0,1,half_width=big"], "no number"),
-            (["probe:0,0,1,half_width=1,half_width=2"], "half_width is given twice"),
-            (["probe:0,0,1,normal=0 0"], "normal is '0 0'"),
-            (["probe:0,0,1,normal=0 1 0,up=0 2 0"], "no two directions"),
-            (["probe:0,0,1,pixels=4.5"], "pixels is '4.5'"),
-            (["probe:0,0,1,radius=3"], "radius"),
-            (["lamp:0,0,1"], "'lamp' is none"),
-            ([{"half_width": 1}], "type"),
-        ],
+def test_light_of_surfaces() -> None:
+    """`surface_maps` and `flux_split` on a Lambertian wall across a beam of 1 W/mm²: shares and map in closed form."""
+    scene = scene_dicts.load(
+        beam={"type": "collimated", "half_width": 3.0, "half_height": 2.0},
+        wall={"type": "asphere", "half_width": 3.0, "half_height": 2.0, "bsdf": {"type": "paint", "reflectance": 0.25}},
+        detector=scene_dicts.detector(-90.0, semi_diameter=0.1, x=20.0),
+        maps={"type": "surface_maps", "surfaces": "wall", "azimuths": 6, "lengths": 4},
+        split={"type": "flux_split", "surfaces": "wall"},
     )
-    def test_bad_texts(self, plate: Path, texts: list, words: str) -> None:
-        with pytest.raises(mistray.MistrayError, match=words) as error:
-            mistray.load(plate, None, texts)
-        assert "\n" not in str(error.value)
+    found = mistray.trace(scene, rays=40_000, max_scatters=0).recorders
+    (row,) = found["split"].rows
+    assert row.incident[0] == pytest.approx(24.0, rel=1e-3)
+    assert row.absorbed[0] == pytest.approx(0.75 * row.incident[0], rel=1e-6)
+    assert row.scattered_reflection[0] == pytest.approx(0.25 * row.incident[0], rel=1e-6)
+    image = np.array(mi.render(scene, sensor=[s.id() for s in scene.sensors()].index("maps"), spp=2000)).squeeze()
+    assert image.shape == (4, 6)
+    assert image == pytest.approx(1.0, rel=0.15)  # 48,000 rays, 2000 in a cell: 5 SE are 0.11
+
+
+@pytest.mark.quick
+def test_stock_integrators_see_the_irradiance_of_a_probe() -> None:
+    """π L under a uniform sky, however it is turned."""
+    scene = scene_dicts.load(
+        probe={"type": "probe", "half_width": 2.0, "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], 50)},
+        sky={"type": "constant", "radiance": 2.0},
+        integrator={"type": "path"},
+    )
+    assert np.array(mi.render(scene, spp=4)) == pytest.approx(2 * np.pi, rel=1e-5)
+
+
+@pytest.mark.quick
+def test_texts_beside_a_file(plate: Path) -> None:
+    """With other light, and beside what the file has."""
+    text = "probe:0.1,0,-2,half_width=0.2,half_height=0.1,normal=0 0 -1,up=1 0 0,pixels=8 4,id=back"
+    scene = mistray.load(plate, "beam:radius=1,distance=9", [text, "far_field:edges_deg=0 90 180"])
+    sensors = sorted(sensor.id() for sensor in scene.sensors() if sensor.get_shape() is None)
+    assert sensors == ["ahead of it", "back", "far_field", "sky"]
+    found = mistray.trace(scene, rays=20_000, max_reflections=1).recorders
+    r, back = 0.04, found["back"]
+    assert back.power[0] == pytest.approx(0.4 * 0.2 * (r + r * (1 - r) ** 2), abs=5 * back.power[1])
+    assert back.irradiance[0].shape == (4, 8)
+    assert back.extent == (-0.2, 0.2, -0.1, 0.1)
+    assert found["far_field"].power[0] > 0
+
+
+@pytest.mark.quick
+def test_the_frame_of_a_probe() -> None:
+    """Its z is the normal, its y as near to `up` as may be; without one the y or the z of the world."""
+    frame = np.array(sensor_dict("probe:1,2,3,normal=0 3 4,up=0 0 1")["to_world"].matrix)
+    np.testing.assert_allclose(frame[:3], [[-1, 0, 0, 1], [0, -0.8, 0.6, 2], [0, 0.6, 0.8, 3]], atol=1e-12)
+    turned = np.array(sensor_dict("probe:0,0,0,normal=0 -1 0")["to_world"].matrix)
+    np.testing.assert_allclose(turned[:3, 1:3], [[0, 0], [0, -1], [1, 0]], atol=1e-12)
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ((PROBE, PROBE), "ahead of it"),
+        ((PROBE, SKY.format("90:80:5")), "far field 'sky': edges_deg is '90:80:5'"),
+        ((SKY.format("0, x"),), "edges_deg is '0, x'"),
+        ((SKY.format("0:10:3"),), "last angle"),
+        ((SKY.format("0, 190"),), "edges_deg"),
+        ((PROBE.replace('"0.5"', '"-1"'),), "half_width"),
+        ((PROBE.replace('value="4"', 'value="0"', 1),), "directions"),
+        ((PROBE.replace('translate z="-1"', 'scale value="2"'),), "to_world scales"),
+        ((PROBE.replace("directions", "direction"),), "direction"),
+        (["probe:0,0,1,id=a", "far_field:id=a"], "sensor 'a': two sensors have this id"),
+        (["probe:0,0,1,id=sky"], "sensor 'sky': the scene has something else of that id"),
+        (["probe:id=a"], "its place is missing"),
+        (["far_field:0,0,1"], "it has no place"),
+        (["probe:0,0"], "its place is 0,0"),
+        (["probe:0,0,1,half_width=big"], "no number"),
+        (["probe:0,0,1,half_width=1,half_width=2"], "half_width is given twice"),
+        (["probe:0,0,1,normal=0 0"], "normal is '0 0'"),
+        (["probe:0,0,1,normal=0 1 0,up=0 2 0"], "no two directions"),
+        (["probe:0,0,1,pixels=4.5"], "pixels is '4.5'"),
+        (["probe:0,0,1,radius=3"], "radius"),
+        (["lamp:0,0,1"], "'lamp' is none"),
+        ([{"half_width": 1}], "type"),
+    ],
+)
+def test_bad_ones(plate: Path, tmp_path: Path, given: Any, words: str) -> None:
+    """Elements of a file, or texts beside it."""
+    (tmp_path / "bad.xml").write_text(text_of(*given) if isinstance(given, tuple) else "", encoding="utf-8")
+    where = (tmp_path / "bad.xml",) if isinstance(given, tuple) else (plate, None, given)
+    with pytest.raises(mistray.MistrayError, match=words) as error:
+        mistray.load(*where)
+    assert "\n" not in str(error.value)
 
 
 SCENE = ["--field-deg", "0", "5", "--rays", "4000", "--quiet"]
 BOTH = ["--probe", "0,0,-1,half_width=0.5,half_height=0.25,directions=4,id=ahead", "--far-field", "edges_deg=90:180:45"]
 
 
-def test_json_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_of_the_command(tmp_path: Path, capsys: Captured) -> None:
     path = tmp_path / "bare.xml"
     path.write_text(text_of(), encoding="utf-8")
-    assert cli.main(["ghosts", str(path), *SCENE, *BOTH, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["sections"]["probes"]
+    found = json.loads(succeeds(capsys, "ghosts", path, *SCENE, *BOTH, "--json"))["sections"]["probes"]
     first, second = found["probes"]
     assert (first["field_deg"], second["field_deg"]) == (0, 5)
     assert first["power_W"] == pytest.approx(0.5, abs=5 * first["power_se_W"])
     assert first["mean_irradiance_W_mm2"] == pytest.approx(2 * first["power_W"])
     assert first["highest_radiance_W_mm2_sr"] > 0
     assert [(row["from_deg"], row["to_deg"]) for row in found["far_fields"]] == 2 * [(90, 135), (135, 180)]
-    assert cli.main(["ghosts", str(path), *SCENE, "--probe", "0,0,1,id=a", "0,0,2,id=a"]) != 0
-    assert "two sensors have this id" in capsys.readouterr().err
+    assert "two sensors have this id" in fails(capsys, "ghosts", path, *SCENE, "--probe", "0,0,1,id=a", "0,0,2,id=a")
 
 
 @pytest.mark.long
-def test_files_of_the_command(plate: Path, tmp_path: Path) -> None:
+def test_files_of_the_command(plate: Path, tmp_path: Path, capsys: Captured) -> None:
     """Tables, maps and the section of the report, of the file's sensors as well."""
     out = tmp_path / "out"
-    assert cli.main(["ghosts", str(plate), *SCENE, *BOTH, "--out", str(out), "--formats", "npy"]) == 0
-    table = pd.read_csv(out / "probes.csv")
-    assert sorted(set(table.probe)) == ["ahead", "ahead of it"]
+    assert run(capsys, "ghosts", plate, *SCENE, *BOTH, "--out", out, "--formats", "npy")[0] == 0
+    assert sorted(set(pd.read_csv(out / "probes.csv").probe)) == ["ahead", "ahead of it"]
     assert set(pd.read_csv(out / "far_fields.csv").far_field) == {"sky", "far_field"}
     irradiance = np.load(out / "irradiance_ahead_of_it_0deg.npy")["irradiance_W_mm2"]
     assert irradiance.shape[-2:] == (2, 4)
     page = (out / "report.html").read_text(encoding="utf-8")
     body = page[page.index('<h2 id="probes">') :]
-    body = body[: body.index("</section>")]
-    assert body.count("<svg") == 4 + 2  # maps of two probes at two fields, far fields
+    assert body[: body.index("</section>")].count("<svg") == 4 + 2  # maps of two probes at two fields, far fields
 
 
-@pytest.mark.quick
-def test_a_report_without_them_has_no_section() -> None:
-    from mistray.report.ghosts.passing import passing_maps, passing_section
-
-    report = mistray.ghosts(mistray.load("plate"), rays=500)
-    assert passing_section(report) is None
-    assert passing_maps(report) == {}
+def test_a_report_without_them_has_no_section(tmp_path: Path) -> None:
+    mistray.ghosts(mistray.load("plate"), rays=500).write(tmp_path)
+    assert 'id="probes"' not in (tmp_path / "report.html").read_text(encoding="utf-8")

@@ -66,14 +66,6 @@ class TestZemax:
             value = bsdf(model.lobes(550, 1, 1.5, True), "reflection", np.cos(theta_i), d, 1, 1.5, 0.5)
             assert value[0] == pytest.approx(0.3 / np.pi, rel=1e-6)
 
-    def test_header(self, tmp_path: Path) -> None:
-        read = read_zemax_bsdf(write(tmp_path / "a.bsdf", LAMBERT))
-        assert (read.frame, read.event) == ("specular", "reflection")
-        np.testing.assert_array_equal(read.specular_deg, [0, 60])
-        np.testing.assert_array_equal(read.azimuth_deg, [0, 90, 180])
-        np.testing.assert_array_equal(read.polar_deg, [0, 10, 90, 150])
-        assert read.values.shape == (2, 3, 4)
-
     def test_azimuth_0_points_to_the_normal(self) -> None:
         """At 60° the direction 60° off the specular one at azimuth 0 is the normal; 30° off at 180° it is grazing."""
         grid = Samples("x", "specular", np.array([60.0]), np.array([0.0, 180.0]), np.array([0.0, 30.0, 60.0, 150.0]),
@@ -170,11 +162,6 @@ class TestCsv:
         write(tmp_path / "b.csv", "# a comment\n\n" + "\n".join(shuffled))
         np.testing.assert_allclose(read_bsdf_csv(tmp_path / "b.csv").values, samples.values, rtol=1e-8)
 
-    def test_azimuth_0_is_the_specular_side(self) -> None:
-        d = random_samples("normal", None).directions()
-        assert np.all(d[:, 0, 1:-1, 0] > 0)
-        assert np.all(d[:, -1, 1:-1, 0] < 0)
-
     @pytest.mark.parametrize(
         ("text", "words"),
         [
@@ -199,48 +186,3 @@ class TestCsv:
         (tmp_path / "a.csv").write_bytes(b"\xff\xfe\x00")
         with pytest.raises(MistrayError, match="it is no text file"):
             read_bsdf_csv(tmp_path / "a.csv")
-
-
-class TestAnisotropy:
-    """Sample rotations and sides of the plane of incidence that differ."""
-
-    AZIMUTHS = np.array([0.0, 90, 180, 270, 360])
-
-    def file(self, folder: Path, rotations: list[float], twice: float, side: float) -> Path:
-        """0.1 (1 + twice cos 2ρ + side sin φ) 1/sr at 0° and 30°: a brushed surface with a tilt of its grooves."""
-        blocks = []
-        for rho in np.radians(rotations):
-            rows = 0.1 * (1 + twice * np.cos(2 * rho) + side * np.sin(np.radians(self.AZIMUTHS)))
-            blocks += ["\n".join(["TIS 0.3", *(f"{value:.9g} {value:.9g} {value:.9g}" for value in rows)])] * 2
-        grid = "\n".join(blocks)
-        head = "Source Measured\nSymmetry Asymmetrical4D\nSpectralContent Monochrome\nScatterType BRDF\n"
-        head += f"SampleRotation {len(rotations)}\n{' '.join(map(str, rotations))}\nAngleOfIncidence 2\n0 30\n"
-        head += "ScatterAzimuth 5\n0 90 180 270 360\nScatterRadial 3\n0 45 120\n\nMonochrome\nDataBegin\n"
-        return write(folder / "brushed.bsdf", f"{head}{grid}\nDataEnd\n")
-
-    @pytest.mark.parametrize(
-        "rotations", [[0, 90, 180, 270], [0, 45, 90, 135, 180, 225, 270, 315, 360], [0, 45, 90, 135, 180], [0, 90]]
-    )
-    def test_mean(self, tmp_path: Path, rotations: list[float]) -> None:
-        """The mean over all rotations and both sides is the even part, all round or over a part of the circle."""
-        file = self.file(tmp_path, rotations, 0.5, 0.3)
-        samples = read_zemax_bsdf(file, "mean")
-        np.testing.assert_allclose(samples.azimuth_deg, [0, 90, 180])
-        np.testing.assert_allclose(samples.values, 0.1, rtol=1e-8)
-        model = Tabulated.read(file, anisotropy="mean")
-        out = np.array([[0.3, 0.1, np.sqrt(0.9)]])
-        found = bsdf(model.lobes(550.0, 1.0, 1.5, True), "reflection", 0.9, out, 1.0, 1.5, 1.0)
-        assert found[0] == pytest.approx(0.1, rel=1e-6)
-
-    def test_is_refused_unless_it_is_asked_for(self, tmp_path: Path) -> None:
-        with pytest.raises(MistrayError, match=r"sample rotations 0 and 90° differ by 0.1 1/sr"):
-            read_zemax_bsdf(self.file(tmp_path, [0, 45, 90], 0.5, 0.0))
-        with pytest.raises(MistrayError, match=r"azimuths 90 and 270° differ by .*anisotropy to 'mean'"):
-            read_zemax_bsdf(self.file(tmp_path, [0], 0.0, 0.3))
-        with pytest.raises(MistrayError, match="anisotropy is 'maen'"):
-            read_zemax_bsdf(self.file(tmp_path, [0], 0.0, 0.0), "maen")
-        with pytest.raises(MistrayError, match="the sample rotations do not ascend"):
-            read_zemax_bsdf(self.file(tmp_path, [90, 0], 0.0, 0.0))
-
-    def test_equal_rotations_are_isotropic(self, tmp_path: Path) -> None:
-        np.testing.assert_allclose(read_zemax_bsdf(self.file(tmp_path, [0, 90], 0.0, 0.0)).values, 0.1, rtol=1e-8)

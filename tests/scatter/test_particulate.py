@@ -9,7 +9,6 @@ import pandas as pd
 import pytest
 from scipy.interpolate import CubicSpline
 
-from mistray.errors import MistrayError
 from mistray.kernel.scatter_tables import make_side, side_of
 from mistray.physics import mie
 from mistray.physics.contamination import Cloud
@@ -97,13 +96,6 @@ def test_light_is_refracted_after_its_scatter() -> None:
     assert lobe_total(out, np.ones(1), n, 1.0)[0] == pytest.approx(forward, rel=1e-3)
 
 
-def test_light_inside_of_the_glass_does_not_meet_the_particles_when_reflected() -> None:
-    model = Particulate(level=300.0)
-    assert [lobe.event for lobe in model.lobes(WAVELENGTH_NM, 1.5, 1.0, True)] == ["transmission"]
-    under_oil = Particulate(level=300.0, immersion=1.5, particle="1.6")
-    assert [lobe.event for lobe in under_oil.lobes(WAVELENGTH_NM, 1.5, 1.0, True)].count("reflection") == 2
-
-
 @pytest.mark.parametrize("particle", ["dust", "1.53", "1.7+0.2i"])
 @pytest.mark.parametrize("indices", [(1.0, 1.0), (1.0, 1.77), (1.77, 1.0)])
 def test_energy_is_kept_at_every_angle(particle: str, indices: tuple[float, float]) -> None:
@@ -131,39 +123,6 @@ def test_coverage_instead_of_a_level() -> None:
     assert covered.cleanliness == pytest.approx(300, rel=1e-6)
     level = Particulate(level=300.0).cloud(WAVELENGTH_NM)
     assert covered.cloud(WAVELENGTH_NM).extinction == pytest.approx(level.extinction, rel=1e-6)
-
-
-def test_particles_of_a_file(tmp_path: Path) -> None:
-    table = tmp_path / "soot.csv"
-    table.write_text("wavelength_nm,n,k\n400,1.7,0.6\n700,1.8,0.7\n")
-    assert Particulate(level=300.0, particle=str(table)).index(550.0) == pytest.approx(1.75 + 0.65j)
-
-
-def test_event_and_side() -> None:
-    def events(**options: str) -> set[str]:
-        return {lobe.event for lobe in Particulate(level=300.0, **options).lobes(WAVELENGTH_NM, 1.0, 1.0, True)}
-
-    assert events() == {"transmission", "reflection"}
-    assert events(event="transmission") == {"transmission"}
-    assert events(side="back") == set()
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({}, "Particulate: neither of level and coverage_percent given"),
-        ({"level": 300.0, "coverage_percent": 0.1}, "both of level and coverage_percent given"),
-        ({"level": 0.5, "name": "dirt"}, "level is 0.5; it must"),
-        ({"coverage_percent": -1.0}, "coverage_percent is -1; it must"),
-        ({"level": 300.0, "slope": -1.0}, "slope is -1"),
-        ({"level": 300.0, "immersion": 0.0}, "immersion is 0"),
-        ({"level": 300.0, "max_um": 400.0}, "max_um ≤ level"),
-        ({"level": 300.0, "relative_to": "incident"}, "relative_to is 'incident'; particles know 'specular' only"),
-    ],
-)
-def test_bad_input(options: dict, words: str) -> None:
-    with pytest.raises(MistrayError, match=words):
-        Particulate(**options)
 
 
 def test_particles_of_a_file_that_changes_are_computed_again(tmp_path: Path) -> None:

@@ -153,7 +153,9 @@ class TestRotations:
         np.testing.assert_allclose([table.values[0, 0, 0] for table in found.tables], two_fold(np.array(kept)))
         assert all(table.azimuth_deg[-1] == 360 for table in found.tables)
 
-    def test_refused(self) -> None:
+    def test_refused(self, file: Path) -> None:
+        with pytest.raises(MistrayError, match="anisotropy is 'maen'"):
+            read_zemax_bsdf(file, "maen")
         with pytest.raises(MistrayError, match="rotations from 0 to 90° leave 270° open"):
             reduced([0, 45, 90], two_fold)
         with pytest.raises(MistrayError, match=r"rotations 0 and 180° differ by 0\.2"):

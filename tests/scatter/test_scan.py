@@ -35,36 +35,6 @@ class TestLobes:
     def distance(self, centre: float) -> float:
         return float(np.hypot(self.there[0] - centre, self.there[1]))
 
-    def test_centres(self) -> None:
-        for name, centre in (("specular", np.sin(np.radians(40))), ("normal", 0), ("retro", -np.sin(np.radians(40)))):
-            value = one(Lobe("reflection", self.profile, centre=name), "reflection", 40, self.there)
-            assert value == pytest.approx(1 / (0.1 + self.distance(centre)), rel=1e-12)
-
-    def test_refracted_centre(self) -> None:
-        value = one(Lobe("transmission", self.profile), "transmission", 40, self.there)
-        assert value == pytest.approx(1 / (0.1 + self.distance(np.sin(np.radians(40)) / 1.5)), rel=1e-12)
-
-    def test_shares(self) -> None:
-        lobe = Lobe("reflection", self.profile, shares=(0.1, 2.0, 3.0))
-        plain = one(Lobe("reflection", self.profile), "reflection", 40, self.there)
-        value = one(lobe, "reflection", 40, self.there, 0.5)
-        assert value == pytest.approx((0.1 + 1.0 + 0.75) * plain, rel=1e-12)
-
-    def test_other_event(self) -> None:
-        assert one(Lobe("reflection", self.profile), "transmission", 40, self.there) == 0
-
-    @pytest.mark.parametrize(
-        ("factor", "expected"),
-        [
-            ("ghs", 0.25 * (np.cos(np.radians(40)) + np.cos(np.radians(20))) ** 2),
-            ("rayleigh_rice", np.cos(np.radians(40)) * np.cos(np.radians(20))),
-        ],
-    )
-    def test_factors(self, factor: str, expected: float) -> None:
-        plain = one(Lobe("reflection", self.profile), "reflection", 40, self.there)
-        value = one(Lobe("reflection", self.profile, factor=factor), "reflection", 40, self.there)
-        assert value == pytest.approx(expected * plain, rel=1e-12)
-
     def test_ratio(self) -> None:
         """A table that is linear in each of its variables is exact: cos θ0 + log(r/r_min)/log(2/r_min) + ψ/π."""
         c, r, psi = np.meshgrid(np.linspace(0, 1, 3), np.linspace(0, 1, 5), np.linspace(0, 1, 4), indexing="ij")
@@ -80,15 +50,6 @@ class TestLobes:
         expected = np.cos(np.radians(40)) + np.cos(np.radians(20)) + 70 / 180
         plain = one(Lobe("reflection", self.profile), "reflection", 40, self.there)
         assert one(lobe, "reflection", 40, self.there) == pytest.approx(expected * plain, rel=1e-12)
-
-    @pytest.mark.parametrize(("centre", "sign"), [("specular", 1), ("retro", -1)])
-    def test_angle(self, centre: str, sign: int) -> None:
-        lobe = Lobe("reflection", self.profile, measure="angle", centre=centre, oblique_limit=1.2)
-        alpha = np.arccos(self.there @ unit(sign * 40, 0))
-        for angle, oblique in ((40, 1.2), (20, 1 / np.cos(np.radians(20)))):
-            alpha = np.arccos(self.there @ unit(sign * angle, 0))
-            expected = oblique / (0.1 + 2 * np.sin(alpha / 2)) / np.cos(np.radians(20))
-            assert one(lobe, "reflection", angle, self.there) == pytest.approx(expected, rel=1e-9)
 
     def test_total_reflection(self) -> None:
         direction, cosine = self.there[None], float(np.cos(np.radians(50)))
@@ -110,13 +71,6 @@ class TestScan:
             assert one_scan.distance.min() == 0
         # Of the float64 test vectors of the model
         assert [s.scattered for s in scans] == pytest.approx([0.0413437, 0.0393575, 0.0263319], rel=1e-4)
-
-    def test_shares(self) -> None:
-        polished = scan(ABg(0.0025, 0.001, 1.8), [0.0], light=Light(R=0.1))[0]
-        assert polished.scattered == pytest.approx(0.1 * polished.loss, rel=1e-12)
-        paint = scan(Paint(0.2), [0.0], light=Light(R=0.1))[0]
-        assert paint.scattered == pytest.approx(0.2, rel=1e-4)
-        assert paint.loss == 0
 
     def test_transmission_has_its_own_angle_and_step(self) -> None:
         (found,) = scan(HarveyShack(rms_nm=4), [30.0], "transmission", Light(n_out=1.5333))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mistray.errors import MistrayError
+from mistray.scatter.evaluate import bsdf
 from mistray.scatter.lobe import Lobe, RatioTable
 from mistray.scatter.total import check_budget, lobe_total, totals
 
@@ -16,7 +17,11 @@ legendre = functools.cache(np.polynomial.legendre.leggauss)
 
 
 def brute(lobe: Lobe, theta: float, n_in: float, n_out: float) -> float:
-    """Sum over a polar grid of directions about the normal; good for lobes that are no narrower than its step."""
+    """
+    Sum over a polar grid of directions about the normal; good for lobes that are no narrower than its step.
+
+    Each part of the lobe is written out by its definition, to which `bsdf` keeps.
+    """
     n = 600
     sine_spec = np.sin(theta) * (n_in / n_out if lobe.event == "transmission" else 1)
     centre_tangent = {"specular": sine_spec, "normal": 0.0, "retro": -np.sin(theta)}[lobe.centre]
@@ -42,6 +47,12 @@ def brute(lobe: Lobe, theta: float, n_in: float, n_out: float) -> float:
             psi = np.arctan2(by, bx - centre_tangent)
             second, angle = (r, psi) if lobe.ratio.axes == "radial" else (cos_s, np.broadcast_to(phi, r.shape))
             values = values * lobe.ratio.at(np.asarray(cos_spec), second, angle)
+    if sine_spec < 1:
+        directions = np.stack(np.broadcast_arrays(bx, by, cos_s), axis=-1)
+        found = bsdf([lobe], lobe.event, np.cos(theta), directions, n_in, n_out, 1.0)
+        np.testing.assert_allclose(found * cos_s, values, rtol=1e-9)
+        other = {"reflection": "transmission", "transmission": "reflection"}[lobe.event]
+        assert not bsdf([lobe], other, np.cos(theta), directions[:1], n_in, n_out, 1.0).any()
     return float(np.sum(values * solid))
 
 

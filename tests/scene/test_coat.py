@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 import tmm
+from command_line import Captured, fails, run, succeeds
 
 import mistray
-from mistray.cli import main
 from mistray.coatings import fitted_preset
 from mistray.errors import MistrayError
 from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, Stop, Surface
@@ -163,15 +163,10 @@ class TestPatterns:
     ("rules", "words"),
     [
         ({"coatings": {"C*": "bbar3"}}, "'C\\*=bbar3' fits no surface and no part; the nearest names are"),
-        ({"coatings": {"A_b": "bbar3"}}, "the nearest names are A_B"),
-        ({"coatings": {"detector": "bbar3"}}, "'detector' is opaque; give an opaque coating, such as"),
-        ({"coatings": {"iris*": "bbar3"}}, "'iris_front' is opaque"),
+        ({"coatings": {"iris*": "bbar3"}}, "'iris_front' is opaque; give an opaque coating, such as"),
         ({"coatings": {"A*": "bbar"}}, "coating 'bbar': .*did you mean 'bbar[34]'"),
         ({"coatings": {"A*": "MgF2"}}, "coating 'MgF2'"),
-        ({"coatings": {"A*": "Unobtainium 30"}}, "layer 1.*material 'Unobtainium' is unknown"),
         ({"coatings": {"A*": "R=0.9 T=0.2"}}, "R \\+ T must not exceed 1"),
-        ({"coatings": {"A*": "R=nan"}}, "R = nan"),
-        ({"coatings": {"A*": "MgF2 -1"}}, "thickness"),
         ({"coatings": {"A*": "MgF2 1e308"}}, "coating"),
         ({"coatings": {"A*": "missing.csv"}}, "missing.csv': No such file"),
         ({"coatings": {"A*": ""}}, "coating ''"),
@@ -182,14 +177,29 @@ class TestPatterns:
         ({"scatter": {"A*": "harvey_shack rms_nm=0 rms_nm=1"}}, "rms_nm stands there twice"),
     ],
 )
-def test_mistakes(file: Path, tmp_path: Path, rules: dict[str, dict[str, str]], words: str) -> None:
-    """One line, of a file and of a prescription, and nothing is written."""
+def test_wrong_rules(file: Path, tmp_path: Path, rules: dict[str, dict[str, str]], words: str) -> None:
+    """One line, and nothing is written."""
     with pytest.raises(MistrayError, match=words) as caught:
         write_coated(file, tmp_path / "new.xml", Rules(**rules))
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "new.xml").exists()
-    with pytest.raises(MistrayError, match=words):
-        mistray.coat(lens(), rules.get("coatings"), paint=rules.get("paint"), scatter=rules.get("scatter"))
+
+
+def test_wrong_rules_by_all_ways_in(file: Path, capsys: Captured) -> None:
+    """A prescription, a file, the command that writes and those that trace."""
+    words = "'Z=bbar3' fits no surface and no part"
+    for system in (lens(), file):
+        with pytest.raises(MistrayError, match=words):
+            mistray.coat(system, {"Z": "bbar3"})
+    assert words in fails(capsys, "coat", file, "Z=bbar3")
+    assert words in fails(capsys, "ghosts", file, "--coating", "Z=bbar3")
+    assert "scatter 'smooth': there is none" in fails(capsys, "ghosts", file, "--scatter", "A=smooth")
+    assert "nothing to put on; give PATTERN=COATING" in fails(capsys, "coat", file)
+    assert "'bbar3' is no coating; write PATTERN=COATING" in fails(capsys, "coat", file, "bbar3")
+    with pytest.raises(MistrayError, match="coat: int is given; give a scene file"):
+        mistray.coat(3, {"a": "bbar3"})  # type: ignore[call-overload]
+    with pytest.raises(MistrayError, match="sources and sensors are for scenes"):
+        mistray.coat(lens(), {"A": "bbar3"}, sources="sun")  # type: ignore[call-overload]
 
 
 def test_the_provenance_of_a_coated_prescription() -> None:
@@ -204,71 +214,37 @@ def test_the_provenance_of_a_coated_prescription() -> None:
     assert mistray.coat(bare, {"detector": "R=0.1"}).provenance == "From a file."
 
 
-def test_what_cannot_be_coated(file: Path) -> None:
-    with pytest.raises(MistrayError, match="coat: int is given; give a scene file"):
-        mistray.coat(3, {"a": "bbar3"})  # type: ignore[call-overload]
-    with pytest.raises(MistrayError, match="sources and sensors are for scenes"):
-        mistray.coat(lens(), {"A": "bbar3"}, sources="sun")  # type: ignore[call-overload]
-    text = file.read_text(encoding="utf-8").replace('type="interface"', 'type="diffuse"', 1)
-    file.write_text(text, encoding="utf-8")
-    with pytest.raises(MistrayError, match="'A front' has the BSDF 'diffuse', not an 'interface'"):
-        mistray.coat(file, {"A front": "bbar3"})
-
-
 class TestCommand:
-    def test_writes_a_scene(self, file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def test_writes_a_scene(self, file: Path, tmp_path: Path, capsys: Captured) -> None:
         new = tmp_path / "new.xml"
-        words = ["coat", str(file), "*=bbar3", "--paint", "iris=flat_black", "--scatter", "A front=particulate level=9"]
-        assert main([*words, "-o", str(new)]) == 0
-        out = capsys.readouterr().out
-        for line in (
-            "bbar3 + particulate_level_9: A front",
-            "bbar3_1_7: B_rear",
-            "note: bbar3 on 1.7: mean R = ",
-            "left alone, because it lies in cement: A_B",
-        ):
-            assert line in out
-        assert main([*words, "-o", str(new)]) == 2, "nothing is overwritten unasked"
-        assert main([*words, "-o", str(file), "--force"]) == 2, "and what is read never"
-        capsys.readouterr()
-        assert main([*words, "-o", str(new), "--force", "--json"]) == 0
-        record = json.loads(capsys.readouterr().out)
+        words = ["coat", file, "*=bbar3", "--paint", "iris=flat_black", "--scatter", "A front=particulate level=9"]
+        out = succeeds(capsys, *words, "-o", new)
+        assert "bbar3 + particulate_level_9: A front" in out
+        assert "left alone, because it lies in cement: A_B" in out
+        fails(capsys, *words, "-o", new)  # nothing is overwritten unasked
+        fails(capsys, *words, "-o", file, "--force")  # and what is read never
+        record = json.loads(succeeds(capsys, *words, "-o", new, "--force", "--json"))
         assert record["changes"][0] == {
             "surface": "A front", "recoated": True, "coating": "bbar3", "scatter": ["particulate_level_9"]
         }  # fmt: skip
         assert {"surface": "A_B", "pattern": "*", "why": "lies in cement"} in record["left"]
         assert record["files"] == [str(new)]
 
-    def test_options_of_a_trace(self, file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def test_options_of_a_trace(self, file: Path, tmp_path: Path, capsys: Captured) -> None:
         """The numbers of a trace with --coating are those of the coated file."""
-        assert main(["coat", str(file), "?*=bbar3", "-o", str(tmp_path / "new.xml")]) == 0
+        succeeds(capsys, "coat", file, "?*=bbar3", "-o", tmp_path / "new.xml")
         results = []
-        for words in ([str(tmp_path / "new.xml")], [str(file), "--coating", "?*=bbar3"]):
-            capsys.readouterr()
-            assert main(["ghosts", *words, "--rays", "500", "--max-reflections", "2", "--json", "--quiet"]) == 0
-            results.append(json.loads(capsys.readouterr().out)["fields"][0])
+        for words in ([tmp_path / "new.xml"], [file, "--coating", "?*=bbar3"]):
+            out = run(capsys, "ghosts", *words, "--rays", "500", "--max-reflections", "2", "--json", "--quiet")[1]
+            results.append(json.loads(out)["fields"][0])
         names = ("direct_power_W", "direct_rms_radius_mm", "paths")
         assert [results[0][name] for name in names] == pytest.approx([results[1][name] for name in names], rel=1e-9)
 
-    def test_mistakes(self, file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        for words, expected in (
-            (["coat", str(file)], "nothing to put on; give PATTERN=COATING"),
-            (["coat", str(file), "bbar3"], "'bbar3' is no coating; write PATTERN=COATING"),
-            (["coat", str(file), "A="], "'A=' is no coating"),
-            (["coat", "plaet", "A=bbar3"], "scene 'plaet': no such file"),
-            (["ghosts", str(file), "--coating", "Z=bbar3"], "fits no surface and no part"),
-            (["ghosts", str(file), "--scatter", "A=smooth"], "scatter 'smooth': there is none of this name"),
-        ):
-            assert main(words) == 2
-            error = capsys.readouterr().err
-            assert expected in error
-            assert error.count("\n") == 1
-
     @pytest.mark.long
-    def test_import(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def test_import(self, tmp_path: Path, capsys: Captured) -> None:
         """A lens is coated as it is read, as its scene would be."""
         source = find("phone_camera").with_name("prescription.json")
-        words = [
+        rules = [
             "--coating",
             "L*=bbar4",
             "--paint",
@@ -276,7 +252,7 @@ class TestCommand:
             "--scatter",
             "L1=harvey_shack rms_nm=1",
         ]
-        assert main(["import", str(source), "-o", str(tmp_path / "a.xml"), *words]) == 0
+        assert run(capsys, "import", source, "-o", tmp_path / "a.xml", *rules)[0] == 0
         scene = bsdfs(mistray.load(tmp_path / "a.xml"))
         assert str(scene["L1_front"].coating.name) == "bbar4_nd_1_544_Vd_56_1_k_0"
         assert [item.kind for item in scene["L1_rear"].scatterers] == ["harvey_shack"]

@@ -9,12 +9,14 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+import scene_dicts
 
 import mistray
 from mistray.cli import main
 
 # Far more dispersion than germanium has, so that an index of another wavelength shows
 BODY = "n(8000)=4.4 n(10000)=4.0 n(12000)=3.6 k=0"
+TWO = "n(8000)=2 n(12000)=3 k=0"
 INDEX = {8000.0: 4.4, 12000.0: 3.6}
 WINDOW = """MODE SEQ
 UNIT MM
@@ -85,41 +87,25 @@ def test_a_source_without_wavelengths_loads_too(scene_file: Path) -> None:
     assert mistray.trace(mistray.load(other), rays=500, wavelength_nm=1e4, max_reflections=0).paths[0].power_W > 0
 
 
-def block(**more: Any) -> dict[str, Any]:
-    """A plane face into a body of index 2 at 8 µm and 3 at 12 µm, before a black plate."""
-    size = {"type": "asphere", "semi_diameter": 50.0}
-    body = "n(8000)=2 n(12000)=3 k=0"
-    return {
-        "type": "scene",
-        "beam": {"type": "collimated", "radius": 3.0, "wavelength_nm": "8000, 12000"},
-        "sky": {"type": "constant", "radiance": 1.0},
-        "face": {**size, "bsdf": {"type": "interface", "back": body, **more}},
-    }
-
-
 @pytest.mark.parametrize(("more", "n"), [({}, 2.0), ({"wavelength_nm": 12000.0}, 3.0)])
 def test_stock_integrators_take_the_wavelength_of_the_source(more: dict[str, float], n: float) -> None:
     """From within glass the sky has n² of its radiance where the face passes it, and 1 where it reflects the open."""
-    scene = mistray.load(block(**more))
+    scene = scene_dicts.load(
+        beam={"type": "collimated", "radius": 3.0, "wavelength_nm": "8000, 12000"},
+        sky={"type": "constant", "radiance": 1.0},
+        face={"type": "asphere", "semi_diameter": 50.0, "bsdf": {"type": "interface", "back": TWO, **more}},
+    )
     camera = {
         "type": "perspective",
         "fov": 1.0,
         "to_world": mi.ScalarTransform4f().look_at([0, 0, 5], [0, 0, 0], [0, 1, 0]),
-        "film": {"type": "hdrfilm", "width": 2, "height": 2, "rfilter": {"type": "box"}, "pixel_format": "luminance"},
+        "film": scene_dicts.film(2, pixel_format="luminance"),
     }
     path = mi.load_dict({"type": "path", "max_depth": 2})
     seen = np.array(mi.render(scene, sensor=mi.load_dict(camera), integrator=path, spp=4096))
     passed = 4 * n / (n + 1) ** 2
     # The mean of 16384 samples has a relative error of 4e-3 at most: it fails by chance in 6e-7 of runs
     assert seen.mean() == pytest.approx(n**2 * passed + 1 - passed, rel=2e-2)
-
-
-def test_layers_of_the_infrared_need_no_wavelength_of_design() -> None:
-    """Thicknesses in nm are what they are; only those in waves need the index at `design_nm`."""
-    body = {"type": "interface", "coating": {"type": "thinfilm", "layers": f"{BODY} 600, 2.2 1100"}}
-    scene = mistray.load({"type": "scene", "a": {"type": "asphere", "semi_diameter": 5.0, "bsdf": body}})
-    assert scene.shapes()[0].bsdf().coating.indices(8000.0)[0] == pytest.approx(4.4)
-    assert scene.shapes()[0].bsdf().coating.indices(12000.0)[0] == pytest.approx(3.6)
 
 
 def test_a_lens_of_the_infrared_is_exported(scene_file: Path, tmp_path: Path, capsys: Any) -> None:
@@ -129,3 +115,10 @@ def test_a_lens_of_the_infrared_is_exported(scene_file: Path, tmp_path: Path, ca
     again = tmp_path / "again.xml"
     assert main(["import", str(tmp_path / "again.zmx"), "-o", str(again)]) == 0
     assert mistray.load(again).shapes()[0].bsdf().indices(8000.0)[1] == pytest.approx(4.0)
+
+
+def test_layers_of_the_infrared_need_no_wavelength_of_design() -> None:
+    """Thicknesses in nm are what they are; only those in waves need the index at `design_nm`."""
+    body = {"type": "interface", "coating": {"type": "thinfilm", "layers": f"{BODY} 600, 2.2 1100"}}
+    coating = mi.load_dict(body).coating
+    assert (coating.indices(8000.0)[0], coating.indices(12000.0)[0]) == pytest.approx((4.4, 3.6))

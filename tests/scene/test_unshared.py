@@ -11,7 +11,6 @@ from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.scene.load import find
 from mistray.scene.unshared import SceneText
 
 POLISH = '<bsdf type="harvey_shack" id="polish"><float name="rms_nm" value="4"/><float name="l" value="0.01"/></bsdf>'
@@ -78,23 +77,19 @@ def test_the_light_is_the_same(source: Path) -> None:
         ("front.bsdf.particulate.coverage_percent", 0.02),
         ("tube.bsdf.paint.reflectance", 0.02),
         ("cone.bsdf.reflectance", 0.03),
+        ("polish.rms_nm", 2.0),  # stays shared
     ],
 )
 def test_new_values(source: Path, key: str, value: float) -> None:
     """One value changes, and nothing else."""
-    before = rewritten(SceneText(source), source.parent)
-    file = SceneText(source)
+    own = not key.startswith("polish")
+    before = rewritten(SceneText(source, own), source.parent)
+    file = SceneText(source, own)
     file.set(key, value)
     after = rewritten(file, source.parent)
     assert np.array(after[key]) == pytest.approx([value], rel=1e-6)
     others = [k for k in after.keys() if k != key and isinstance(after[k], mi.Float)]  # noqa: SIM118
     assert all(np.array_equal(np.array(before[k]), np.array(after[k])) for k in others)
-
-
-def test_a_model_that_stays_shared(source: Path) -> None:
-    file = SceneText(source, own=False)
-    file.set("polish.rms_nm", 2.0)
-    assert np.array(rewritten(file, source.parent)["polish.rms_nm"]) == pytest.approx([2.0])
 
 
 def test_two_of_a_kind(tmp_path: Path) -> None:
@@ -111,29 +106,6 @@ def test_two_of_a_kind(tmp_path: Path) -> None:
     file.set("front.bsdf.abg_2.A", 5e-4)
     params = rewritten(file, tmp_path)
     assert [float(params[f"front.bsdf.{name}.A"][0]) for name in ("abg", "abg_2")] == pytest.approx([1e-4, 5e-4])
-
-
-def test_files_are_found_from_elsewhere(tmp_path: Path) -> None:
-    """A scene that names a file beside it can be stored in another folder."""
-    folder = tmp_path / "other"
-    folder.mkdir()
-    table = "wavelength_nm,angle_deg,R,T\n400,0,0.1,0.9\n400,90,0.1,0.9\n700,0,0.1,0.9\n700,90,0.1,0.9\n"
-    (tmp_path / "coating.csv").write_text(table)
-    bsdf = interface_xml("air", "1.5", table="coating.csv")
-    shapes = (
-        shape_xml("asphere", "front", 0.0, bsdf, semi_diameter=5.0),
-        shape_xml("asphere", "detector", 2.0, interface_xml("1.5", "1.5", R=0.0), sensor=True, semi_diameter=5.0),
-    )
-    path = tmp_path / "scene.xml"
-    path.write_text(scene_text(*shapes), encoding="utf-8")
-    rewritten(SceneText(path), folder)
-
-
-def test_comments_stay(tmp_path: Path) -> None:
-    source = find("phone_camera_scatter")
-    found = SceneText(source).text(tmp_path)
-    assert "<!-- Optical surfaces -->" in found
-    assert found.count("<!--") == source.read_text(encoding="utf-8").count("<!--")
 
 
 def test_what_cannot_be_done(source: Path, tmp_path: Path) -> None:

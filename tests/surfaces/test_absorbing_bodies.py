@@ -2,45 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import mitsuba as mi
 import numpy as np
 import pytest
+import scene_dicts
 
 import mistray
 from mistray.report import main_table
-from mistray.surfaces.optics import DARK, is_dark
-
-T = mi.ScalarTransform4d
-FILM = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}
 
 
-def plate(medium: str, thickness_mm: float, wavelength_nm: float, **rear: Any) -> mi.Scene:
+def plate(medium: str, thickness_mm: float, wavelength_nm: float) -> mi.Scene:
     """A plate with its edge in a beam; everything that the faces and the edge do is Fresnel's."""
-
-    def between(front: str, back: str, **coating: Any) -> dict[str, Any]:
-        return {"type": "interface", "front": front, "back": back, **coating}
-
-    return mistray.load(
-        {
-            "type": "scene",
-            "beam": {"type": "collimated", "radius": 1.0, "wavelength_nm": wavelength_nm},
-            "face": {"type": "asphere", "semi_diameter": 5.0, "bsdf": between("air", medium)},
-            "rear": {
-                "type": "asphere", "semi_diameter": 5.0, "to_world": T().translate([0, 0, thickness_mm]),
-                "bsdf": between(medium, "air", **rear),
-            },
-            "edge": {
-                "type": "frustum", "r0": 5.0, "z0": 0.0, "r1": 5.0, "z1": thickness_mm,
-                "bsdf": {"type": "interface", "front": medium, "R": 0.0},
-            },
-            "detector": {
-                "type": "asphere", "semi_diameter": 20.0, "to_world": T().translate([0, 0, thickness_mm + 5]),
-                "bsdf": {"type": "interface", "R": 0.0}, "sensor": {"type": "irradiancemeter", "film": FILM},
-            },
-        }
-    )  # fmt: skip
+    face = {"type": "asphere", "semi_diameter": 5.0}
+    edge = {"type": "frustum", "r0": 5.0, "z0": 0.0, "r1": 5.0, "z1": thickness_mm}
+    return scene_dicts.load(
+        beam={"type": "collimated", "radius": 1.0, "wavelength_nm": wavelength_nm},
+        face=face | {"bsdf": {"type": "interface", "back": medium}},
+        rear=face | {"z": thickness_mm, "bsdf": {"type": "interface", "front": medium}},
+        edge=edge | {"bsdf": {"type": "interface", "front": medium, "R": 0.0}},
+        detector=scene_dicts.detector(thickness_mm + 5, semi_diameter=20.0),
+    )
 
 
 @pytest.mark.parametrize(("wavelength_nm", "thickness_mm"), [(10_000.0, 0.1), (13.5, 2e-4), (4000.0, 0.02)])
@@ -95,14 +76,13 @@ def test_all_surfaces_of_a_body_agree() -> None:
 
 def test_metals() -> None:
     """A mirror of aluminium absorbs what it does not reflect, at the surface; a leaf of gold is told of."""
-    detector = {
-        "type": "asphere", "semi_diameter": 20.0, "to_world": T().translate([0, 0, -5]),
-        "bsdf": {"type": "interface", "R": 0.0},
-        "sensor": {"type": "irradiancemeter", "film": FILM},
-    }  # fmt: skip
     mirror = {"type": "asphere", "semi_diameter": 5.0, "bsdf": {"type": "interface", "back": "Al", "mirror": True}}
-    beam = {"type": "collimated", "radius": 1.0, "distance": 2.0}
-    t = mistray.trace(mistray.load({"type": "scene", "beam": beam, "mirror": mirror, "detector": detector}), rays=100)
+    scene = scene_dicts.load(
+        beam={"type": "collimated", "radius": 1.0, "distance": 2.0},
+        mirror=mirror,
+        detector=scene_dicts.detector(-5, semi_diameter=20.0),
+    )
+    t = mistray.trace(scene, rays=100)
     n = mistray.materials.complex_index("Al", 550.0)
     R = abs((n - 1) / (n + 1)) ** 2
     assert t.energy.detected_W / t.energy.launched_W == pytest.approx(R, rel=1e-5)
@@ -118,17 +98,10 @@ def test_metals() -> None:
 
 def test_what_nothing_closes() -> None:
     """The silicon of a detector is as thick as may be: dark at 550 nm, where its k is below that of a metal."""
-
-    scene = mistray.load(
-        {
-            "type": "scene",
-            "beam": {"type": "collimated", "radius": 1.0},
-            "detector": {
-                "type": "asphere", "semi_diameter": 5.0, "bsdf": {"type": "interface", "back": "Si"},
-                "sensor": {"type": "irradiancemeter", "film": FILM},
-            },
-        }
-    )  # fmt: skip
+    scene = scene_dicts.load(
+        beam={"type": "collimated", "radius": 1.0},
+        detector=scene_dicts.detector(0, semi_diameter=5.0, bsdf={"type": "interface", "back": "Si"}),
+    )
     t = mistray.trace(scene, rays=100)
     n = mistray.materials.complex_index("Si", 550.0)
     assert 1e-3 < n.imag < 0.05
@@ -141,17 +114,11 @@ def test_a_cube_of_triangles() -> None:
     """The bodies of meshes are measured, too: a stock cube of 2 mm, 1.5 + 0.0005i at 550 nm, that is dark."""
 
     def scene(k: float) -> mi.Scene:
-        return mistray.load(
-            {
-                "type": "scene",
-                "beam": {"type": "collimated", "radius": 0.3},
-                "cube": {"type": "cube", "bsdf": {"type": "interface", "back": "air", "front": f"1.5+{k}i"}},
-                "detector": {
-                    "type": "asphere", "semi_diameter": 9.0, "to_world": T().translate([0, 0, 5]),
-                    "bsdf": {"type": "interface", "R": 0.0}, "sensor": {"type": "irradiancemeter", "film": FILM},
-                },
-            }
-        )  # fmt: skip
+        return scene_dicts.load(
+            beam={"type": "collimated", "radius": 0.3},
+            cube={"type": "cube", "bsdf": {"type": "interface", "back": "air", "front": f"1.5+{k}i"}},
+            detector=scene_dicts.detector(5, semi_diameter=9.0),
+        )
 
     t = mistray.trace(scene(1e-5), rays=100, max_reflections=0)
     assert t.energy.detected_W / t.energy.launched_W == pytest.approx(0.96**2 * np.exp(-0.08 * np.pi / 0.55), rel=1e-4)
@@ -162,10 +129,3 @@ def test_a_cube_of_triangles() -> None:
     note, lost = dark.own_notes
     assert "cube" in note
     assert lost.startswith("no light reaches the detector: 'cube' takes")
-
-
-def test_is_dark() -> None:
-    edge = -np.log(DARK) * 550e-6 / (4 * np.pi * 0.01)  # mm
-    np.testing.assert_array_equal(is_dark(1.5 + 0.01j, 550.0, np.array([0.999, 1.001, np.inf]) * edge), [0, 1, 1])
-    assert not is_dark(1.5 + 0j, 550.0, np.inf)
-    assert is_dark(1.0 + 0.1j, 550.0, 0.0)  # within a wavelength light falls to 1/e

@@ -7,69 +7,51 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+import scene_dicts
 
 import mistray
 from mistray.optimize.metrics import metric as metrics
 
-FILM = {"type": "irradiancemeter", "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}}
-PLACES = [(0.0, 0.0, 1e4), (0.0, 0.0, 1e5), (-3e4, 5e4, -1e5)]
-
-
-def placed(x: float, y: float, z: float) -> Any:
-    return mi.ScalarTransform4d().translate([x, y, z])
+FAR = (-3e4, 5e4, -1e5)
+PLACES = [(0.0, 0.0, 1e4), (0.0, 0.0, 1e5), FAR]
 
 
 def lens(place: tuple[float, float, float], stock: bool = False) -> mi.Scene:
     """A lens of 60 mm in a scattering tube; the detector is a shape of ours or one of Mitsuba's."""
-    x, y, z = place
-    detector = (
-        {"type": "rectangle", "to_world": placed(x, y, z + 57) @ mi.ScalarTransform4d().scale([12, 12, 1])}
-        if stock
-        else {"type": "asphere", "half_width": 12.0, "half_height": 12.0, "to_world": placed(x, y, z + 57)}
-    )
-    model = {"type": "abg", "A": 0.01, "B": 0.01, "g": 1.0}
-    return mistray.load(
-        {
-            "type": "scene",
-            "beam": {"type": "collimated", "radius": 10.0, "field_deg": 3.0, "to_world": placed(x, y, z)},
-            "front": {"type": "asphere", "radius": 60.0, "semi_diameter": 15.0, "to_world": placed(x, y, z)}
-            | {"bsdf": {"type": "interface", "back": "1.5"}},
-            "rear": {"type": "asphere", "radius": -60.0, "conic": -2.0, "a4": 1e-7, "semi_diameter": 15.0}
-            | {"to_world": placed(x, y, z + 6), "bsdf": {"type": "interface", "front": "1.5"}},
-            "tube": {"type": "frustum", "r0": 15.0, "z0": 0.0, "r1": 12.0, "z1": 50.0, "to_world": placed(x, y, z)}
-            | {"bsdf": {"type": "interface", "R": 0.1, "model": model}},
-            "detector": {**detector, "bsdf": {"type": "interface", "R": 0.05}, "sensor": FILM},
-        }
+    base = mi.ScalarTransform4d().translate(list(place))
+    behind, rear = base.translate([0, 0, 57]), {"type": "interface", "front": "1.5"}
+    size: dict[str, Any] = {"type": "asphere", "half_width": 12.0, "half_height": 12.0, "to_world": behind}
+    if stock:
+        size = {"type": "rectangle", "to_world": behind.scale([12, 12, 1])}
+    wall = {"type": "interface", "R": 0.1, "model": {"type": "abg", "A": 0.01, "B": 0.01, "g": 1.0}}
+    face, back = {"type": "asphere", "semi_diameter": 15.0, "to_world": base}, {"type": "interface", "back": "1.5"}
+    tube = {"type": "frustum", "r0": 15.0, "z0": 0.0, "r1": 12.0, "z1": 50.0, "to_world": base}
+    return scene_dicts.load(
+        beam={"type": "collimated", "radius": 10.0, "field_deg": 3.0, "to_world": base},
+        front=face | {"radius": 60.0, "bsdf": back},
+        rear=face | {"radius": -60.0, "conic": -2.0, "a4": 1e-7, "to_world": base.translate([0, 0, 6]), "bsdf": rear},
+        tube=tube | {"bsdf": wall},
+        detector=scene_dicts.detector(0, bsdf={"type": "interface", "R": 0.05}, **size),
     )
 
 
 def plates(z: float, gap: float, stop: bool = False) -> mi.Scene:
     """Two plates of index 1.7 with a gap; with `stop` a ring at the origin belongs to the scene."""
-    surfaces: dict[str, Any] = {
+    ring = {"type": "frustum", "r0": 24.0, "r1": 30.0, "z0": 0.0, "z1": 0.0, "bsdf": scene_dicts.BLACK}
+    surfaces = {
         f"s{i}": {
             "type": "asphere",
             "semi_diameter": 25.0,
-            "to_world": placed(0, 0, height),
+            "to_world": scene_dicts.at(height),
             "bsdf": {"type": "interface", "back" if i % 2 == 0 else "front": "1.7"},
         }
         for i, height in enumerate([z, z + 2, z + 2 + gap, z + 4 + gap])
     }
-    if stop:
-        surfaces["stop"] = {"type": "frustum", "r0": 24.0, "r1": 30.0, "z0": 0.0, "z1": 0.0}
-        surfaces["stop"]["bsdf"] = {"type": "interface", "R": 0.0}
-    return mistray.load(
-        {
-            "type": "scene",
-            "beam": {"type": "collimated", "radius": 1.0, "to_world": placed(0, 0, z)},
-            **surfaces,
-            "detector": {
-                "type": "asphere",
-                "semi_diameter": 30.0,
-                "to_world": placed(0, 0, z + 10),
-                "bsdf": {"type": "interface", "R": 0.0},
-                "sensor": FILM,
-            },
-        }
+    return scene_dicts.load(
+        beam={"type": "collimated", "radius": 1.0, "to_world": scene_dicts.at(z)},
+        **surfaces,
+        **({"stop": ring} if stop else {}),
+        detector=scene_dicts.detector(z + 10, semi_diameter=30.0),
     )
 
 
@@ -96,7 +78,7 @@ def test_detector_of_mitsuba() -> None:
     """What Mitsuba intersects stays in the world, and is as exact as float32 is there."""
     here, there = (
         mistray.trace(lens(p, stock=True), rays=3000, max_reflections=1, max_scatters=0, seed=1)
-        for p in ((0.0, 0.0, 0.0), (-3e4, 5e4, -1e5))
+        for p in ((0.0, 0.0, 0.0), FAR)
     )
     assert there.energy.detected_W == pytest.approx(here.energy.detected_W, rel=1e-4)
     assert there.paths[0].rms_radius_mm == pytest.approx(here.paths[0].rms_radius_mm, rel=1e-2)
@@ -106,7 +88,7 @@ def test_backward_trace() -> None:
     """The same rays to float32, but for one in many thousands that the rounding of its start moves past a rim."""
     here, there = (
         mistray.pst(lens(p), field_deg=[0, 10, 30], method="adjoint", rays=20_000, seed=1)
-        for p in ((0.0, 0.0, 0.0), (-3e4, 5e4, -1e5))
+        for p in ((0.0, 0.0, 0.0), FAR)
     )
     np.testing.assert_allclose(there.value[:2], here.value[:2], rtol=1e-4)
     _, se = here.curve("total")
@@ -115,7 +97,7 @@ def test_backward_trace() -> None:
 
 def test_gradients() -> None:
     found = []
-    for place in ((0.0, 0.0, 0.0), (-3e4, 5e4, -1e5)):
+    for place in ((0.0, 0.0, 0.0), FAR):
         scene = lens(place)
         metric = metrics.rms_spot(scene, rays=1000, max_reflections=0, max_scatters=0, field_deg=[3.0])
         gradient = mistray.gradient(

@@ -12,7 +12,6 @@ from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
 from mistray.mechanics.ply import ply_bytes
-from mistray.surfaces.free_space import _distance
 from mistray.surfaces.surfaces import SurfaceTable
 
 pytestmark = pytest.mark.quick
@@ -42,20 +41,6 @@ def housing_text(folder: Path, shift: float = 0.0) -> str:
     text = scene_text(mesh, lens, detector.replace(old, moved), radius=5.0)
     place = f'<float name="distance" value="10"/><transform name="to_world"><translate x="{shift}"/></transform>'
     return text.replace('<float name="radius"', f'{place}<float name="radius"', 1) if shift else text
-
-
-def test_distance_of_triangles() -> None:
-    """Against the nearest of 20,000 points of each triangle."""
-    rng = np.random.default_rng(1)
-    corners = rng.normal(size=(200, 3, 2)) + rng.normal(size=(200, 1, 2))
-    weights = rng.dirichlet(np.ones(3) * 0.5, 20_000)
-    sampled = np.linalg.norm(np.einsum("pk,nkx->npx", weights, corners), axis=2).min(axis=1)
-    exact = _distance(corners)
-    assert np.all(exact <= sampled + 1e-12)
-    assert np.all(sampled - exact < 0.05)
-    assert np.count_nonzero(exact == 0) > 5
-    point = np.array([[[3.0, 4.0]] * 3])  # without area
-    assert _distance(point) == pytest.approx(5.0)
 
 
 @pytest.mark.parametrize("shift", [0.0, 500.0])

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from oracles import nonsequential, scene_xml
 from oracles.geometry import Asphere, Frustum, Plane
-from oracles.small_scenes import STEEP_REAR, interface_xml, scene_text, shape_xml
+from oracles.small_scenes import STEEP_REAR, scene_text, shape_xml
 
 import mistray
 from mistray.kernel.interaction import interact
@@ -42,48 +42,29 @@ def posed(text: str, pose: str) -> str:
 
 def odd_shapes() -> str:
     """Everything the two shapes can be, apart from each other: tilted, decentred, clipped, pierced, pointed."""
-    black = interface_xml(R=0.0)
     even = {"a4": -3e-4, "a6": 2e-6}
-    tilt = '<rotate x="1" angle="25"/><rotate y="1" angle="-12"/><translate x="{x}" y="{y}" z="{z}"/>'
     steep = {f"a{2 * power}": value for power, value in STEEP_REAR.coefficients}
-    shapes = [
-        posed(
-            shape_xml("asphere", "tilted_asphere", bsdf=black, radius=12.0, conic=-0.6, semi_diameter=5.0, **even),
-            tilt.format(x=-15, y=0, z=0),
-        ),
-        posed(
-            shape_xml("asphere", "clipped", bsdf=black, radius=-15.0, half_width=5.0, half_height=2.0, **even),
-            tilt.format(x=0, y=0, z=2),
-        ),
-        posed(
-            shape_xml("asphere", "ring", bsdf=black, radius=20.0, semi_diameter=5.0, inner_semi_diameter=2.0, **even),
-            tilt.format(x=15, y=0, z=0),
-        ),
-        posed(shape_xml("asphere", "bowl", bsdf=black, radius=4.0, semi_diameter=4.0), tilt.format(x=0, y=14, z=0)),
-        posed(
-            shape_xml("asphere", "hyperboloid", bsdf=black, radius=-1.5, conic=-4.0, semi_diameter=5.0),
-            tilt.format(x=0, y=-14, z=0),
-        ),
-        posed(
-            shape_xml("asphere", "oblate", bsdf=black, radius=9.0, conic=2.5, semi_diameter=4.5),
-            tilt.format(x=15, y=14, z=0),
-        ),
-        posed(
-            shape_xml("asphere", "paraboloid_ring", bsdf=black, radius=3.0, conic=-1.0, semi_diameter=5.0,
-                      inner_semi_diameter=1.5),
-            tilt.format(x=-15, y=14, z=0),
-        ),
-        posed(shape_xml("frustum", "cone", bsdf=black, r0=5.0, z0=-4.0, r1=1.0, z1=4.0), tilt.format(x=15, y=-14, z=0)),
-        posed(shape_xml("frustum", "tip", bsdf=black, r0=0.0, z0=-4.0, r1=3.0, z1=4.0), tilt.format(x=-15, y=-14, z=0)),
-        posed(shape_xml("frustum", "tube", bsdf=black, r0=3.0, z0=-4.0, r1=3.0, z1=4.0), tilt.format(x=-15, y=0, z=14)),
-        posed(shape_xml("frustum", "washer", bsdf=black, r0=5.0, z0=1.0, r1=2.0, z1=1.0), tilt.format(x=0, y=0, z=14)),
-        posed(
-            shape_xml("asphere", "rectangle", bsdf=black, half_width=5.0, half_height=1.0), tilt.format(x=15, y=0, z=14)
-        ),
-        shape_xml("asphere", "steep", 14.0, black, radius=3.482, conic=8.701, semi_diameter=STEEP_REAR.outer, **steep),
+
+    def tilted(kind: str, name: str, x: float, y: float, z: float, **numbers: float) -> str:
+        pose = f'<rotate x="1" angle="25"/><rotate y="1" angle="-12"/><translate x="{x}" y="{y}" z="{z}"/>'
+        return posed(shape_xml(kind, name, **numbers), pose)
+
+    return scene_text(
+        tilted("asphere", "tilted_asphere", -15, 0, 0, radius=12.0, conic=-0.6, semi_diameter=5.0, **even),
+        tilted("asphere", "clipped", 0, 0, 2, radius=-15.0, half_width=5.0, half_height=2.0, **even),
+        tilted("asphere", "ring", 15, 0, 0, radius=20.0, semi_diameter=5.0, inner_semi_diameter=2.0, **even),
+        tilted("asphere", "bowl", 0, 14, 0, radius=4.0, semi_diameter=4.0),
+        tilted("asphere", "hyperboloid", 0, -14, 0, radius=-1.5, conic=-4.0, semi_diameter=5.0),
+        tilted("asphere", "oblate", 15, 14, 0, radius=9.0, conic=2.5, semi_diameter=4.5),
+        tilted("asphere", "paraboloid", -15, 14, 0, radius=3.0, conic=-1.0, semi_diameter=5.0, inner_semi_diameter=1.5),
+        tilted("frustum", "cone", 15, -14, 0, r0=5.0, z0=-4.0, r1=1.0, z1=4.0),
+        tilted("frustum", "tip", -15, -14, 0, r0=0.0, z0=-4.0, r1=3.0, z1=4.0),
+        tilted("frustum", "tube", -15, 0, 14, r0=3.0, z0=-4.0, r1=3.0, z1=4.0),
+        tilted("frustum", "washer", 0, 0, 14, r0=5.0, z0=1.0, r1=2.0, z1=1.0),
+        tilted("asphere", "rectangle", 15, 0, 14, half_width=5.0, half_height=1.0),
+        shape_xml("asphere", "steep", 14.0, radius=3.482, conic=8.701, semi_diameter=STEEP_REAR.outer, **steep),
         shape_xml("asphere", "detector", 30.0, sensor=True, half_width=20.0, half_height=20.0),
-    ]  # fmt: skip
-    return scene_text(*shapes)
+    )
 
 
 class Scene:

@@ -16,8 +16,7 @@ from tiers import slow_unless
 
 import mistray
 from mistray.execute import tracer
-from mistray.recorders.ledger import Ledger
-from mistray.recorders.path_key import FIRST_KEY, MULTIPLIER, extend_key, host_keys
+from mistray.recorders.path_key import FIRST_KEY, MULTIPLIER, extend_key
 
 SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*/scene.xml"))
 # Lenses, mirrors, walls and scatter; all others are slow
@@ -149,13 +148,6 @@ class TestPasses:
         assert cut.energy.detected_se_W < 1e-7 * cut.energy.detected_W
         assert cut.segments == whole.segments
 
-    def test_grid(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-        """A grid has no random numbers at all: bit for bit the same."""
-        scene = mistray.load("lens_and_reflector")
-        whole = mistray.trace(scene, rays=2500)
-        monkeypatch.setattr(tracer, "PASS_LANES", 700)
-        assert_same(whole, mistray.trace(scene, rays=2500))
-
     def test_maps_box_and_history_over_several_passes(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(tracer, "PASS_LANES", 500)
         t = mistray.trace(mistray.load("cooke_triplet"), rays=2200)
@@ -185,21 +177,6 @@ class TestLedger:
             mistray.trace(scene, rays=3000)
         assert mistray.trace(scene, rays=3000, ledger=False).energy.detected_W > 0
 
-    def test_it_never_grows_beyond_the_last_capacity(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        sizes = []
-
-        class Watched(Ledger):
-            def __init__(self, capacity: int, *more: Any) -> None:
-                sizes.append(capacity)
-                super().__init__(capacity, *more)
-
-        monkeypatch.setattr(tracer, "Ledger", Watched)
-        monkeypatch.setattr(tracer, "FIRST_CAPACITY", 16)
-        monkeypatch.setattr(tracer, "LAST_CAPACITY", 64)
-        with pytest.raises(mistray.MistrayError, match="more than 45 paths"):
-            mistray.trace(mistray.load("phone_camera"), rays=2000)
-        assert sizes == [16, 64]
-
     def test_keys_are_the_hashes_of_the_event_lists(self) -> None:
         """Local arrays whose index starts at width one once filled the lists with garbage; the hash shows it."""
         t = mistray.trace(mistray.load("double_gauss"), rays=3000)
@@ -219,20 +196,6 @@ class TestLedger:
         with pytest.raises(mistray.MistrayError, match=rf"1 of {len(run.paths.keys)} event lists do not match"):
             run.ledger.decode()
 
-    def test_host_and_device_hash_alike(self) -> None:
-        rng = np.random.default_rng(0)
-        lists = rng.integers(0, 2**18, (200, 12), dtype=np.uint32)
-        key = dr.full(mi.UInt64, FIRST_KEY, 200)
-        for k in range(12):
-            key = extend_key(key, mi.UInt32(np.ascontiguousarray(lists[:, k])))
-        assert list(host_keys(lists, np.full(200, 12))) == [int(k) for k in np.array(key)]
-
-    def test_lists_of_any_length_are_hashed_at_once(self) -> None:
-        rng = np.random.default_rng(2)
-        lists, lengths = rng.integers(0, 2**18, (50, 9), dtype=np.uint32), rng.integers(1, 10, 50)
-        expected = [key_of(row[:length]) for row, length in zip(lists, lengths, strict=True)]
-        assert list(host_keys(lists, lengths)) == expected
-
     def test_keys_do_not_collide(self) -> None:
         """300 000 paths of four events on 20 surfaces."""
         rng = np.random.default_rng(1)
@@ -241,16 +204,3 @@ class TestLedger:
         for k in range(4):
             key = extend_key(key, mi.UInt32(np.ascontiguousarray(lists[:, k])))
         assert len(np.unique(np.array(key))) == len(lists)
-
-    def test_hits_are_booked_once_where_slots_collide(self) -> None:
-        """Two keys with the same start slot live next to each other."""
-        book = Ledger(8, 4)
-        keys = mi.UInt64([(3 << 32) | 1, (3 << 32) | 2, (3 << 32) | 1, (7 << 32) | 5, (3 << 32) | 9])
-        slot, found, new = book.find(keys, mi.Bool(True))
-        dr.eval(slot, found, new)
-        assert np.array(found).all()
-        numbers = np.array(slot)
-        assert numbers[0] == numbers[2]
-        assert len(set(numbers.tolist())) == 4
-        assert np.array(new).sum() == 4
-        assert set(np.flatnonzero(np.array(book.keys)).tolist()) == set(numbers.tolist())

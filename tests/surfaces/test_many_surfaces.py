@@ -6,7 +6,6 @@ the same, so that powers agree to the rounding and no error of a sample is in th
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -45,19 +44,6 @@ def tube(rings: int) -> str:
     )
 
 
-def plane(across: int) -> str:
-    """A painted square, 40 mm wide, in tiles, each with an axis of its own."""
-    width = 40 / across
-    return "".join(
-        posed(
-            plain("asphere", f"tile_{i}_{j}", half_width=width / 2, half_height=width / 2),
-            f'<translate x="{(i + 0.5) * width - 20!r}" y="{(j + 0.5) * width - 20!r}" z="50"/>',
-        )
-        for i in range(across)
-        for j in range(across)
-    )
-
-
 def cups(count: int) -> str:
     """Cones, washers, bowls and tiles strewn about, each with an orientation of its own."""
     rng = np.random.default_rng(5)
@@ -91,13 +77,6 @@ def absorbed(trace: mistray.Trace, but: str = "detector") -> float:
     return float(sum(power for name, (power, _) in trace.energy.absorbed.items() if name != but))
 
 
-def seconds(work: Callable[[], object]) -> float:
-    """Processor time, which other programs on the machine do not lengthen."""
-    begun = time.process_time()
-    work()
-    return time.process_time() - begun
-
-
 @pytest.mark.long
 def test_a_tube_of_three_hundred_rings_is_one_tube(load: Callable[[str], mi.Scene]) -> None:
     settings = {"rays": 200_000, "seed": 3, "field_deg": 20.0, "aim": "none"}
@@ -105,16 +84,6 @@ def test_a_tube_of_three_hundred_rings_is_one_tube(load: Callable[[str], mi.Scen
     assert many.segments == one.segments
     assert absorbed(many) == pytest.approx(absorbed(one), rel=1e-6)
     assert many.energy.escaped_W == pytest.approx(one.energy.escaped_W, abs=1e-6 * one.energy.launched_W)
-
-
-@pytest.mark.long
-def test_a_plane_of_a_thousand_tiles_is_one_plane(load: Callable[[str], mi.Scene]) -> None:
-    settings = {"rays": 200_000, "seed": 3, "field_deg": 5.0, "aim": "none"}
-    one, many = (mistray.trace(load(plane(across)), **settings) for across in (1, 32))
-    assert many.segments == one.segments
-    assert absorbed(many) == pytest.approx(absorbed(one), rel=1e-6)
-    hits = [many.energy.absorbed[f"tile_{i}_{j}"][0] for i in range(32) for j in range(32)]
-    assert np.count_nonzero(hits) > 400  # of 576 tiles within the beam
 
 
 def test_surfaces_of_all_kinds_in_a_tree_stop_the_same_light(
@@ -193,36 +162,3 @@ def test_the_kernel_does_not_grow_with_the_number_of_walls(load: Callable[[str],
     assert operations(150) > 1000
     assert operations(400) <= operations(300)
     assert operations(400) < 1.2 * operations(150)
-
-
-@pytest.mark.long
-def test_setting_a_trace_up_grows_with_the_number_of_walls(load: Callable[[str], mi.Scene]) -> None:
-    """Targets, tables and results of 400 walls against those of 100, which are unrolled."""
-    few, many = load(tube(100)), load(tube(400))
-
-    def first(scene: mi.Scene) -> float:
-        return seconds(lambda: mistray.trace(scene, rays=500, seed=1, field_deg=20.0))
-
-    assert first(many) < 5 * max(first(few), 0.5)
-
-
-@pytest.mark.slow
-def test_a_thousand_walls_are_traced_in_bounded_time_and_memory(tmp_path: Path) -> None:
-    def resident_mb() -> float:
-        (line,) = [line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmRSS")]
-        return int(line.split()[1]) / 1024
-
-    def scene(rings: int) -> Path:
-        path = tmp_path / f"{rings}.xml"
-        path.write_text(scene_text(tube(rings), DETECTOR, radius=15.0))
-        return path
-
-    settings = {"rays": 2000, "seed": 1, "field_deg": 20.0}
-    mistray.trace(mistray.load(scene(10)), **settings)
-    before, found = resident_mb(), []
-    assert seconds(lambda: found.append(mistray.load(scene(1000)))) < 5
-    assert seconds(lambda: mistray.trace(found[0], **settings)) < 15
-    assert resident_mb() - before < 400
-    more = {**settings, "rays": 200_000}
-    first, second = (mistray.trace(mistray.load(scene(rings)), **more).seconds for rings in (300, 1000))
-    assert second < 3 * (1000 / 300) * first

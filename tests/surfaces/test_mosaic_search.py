@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+import scene_dicts
 
 import mistray
 from mistray.surfaces import mosaic_search
@@ -72,21 +73,11 @@ CASES: dict[str, dict[str, Any]] = {
 
 
 def scene(shapes: dict[str, Any]) -> Any:
-    film = {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}}
-    return mistray.load(
-        {
-            "type": "scene",
-            "integrator": {"type": "straylight"},
-            "source": {"type": "collimated", "radius": 20.0, "wavelength_nm": 550.0, "distance": 60.0},
-            "detector": {
-                "type": "freeform", "half_width": 40.0, "half_height": 40.0, "meets": "-z",
-                "bsdf": {"type": "interface", "R": 0.0},
-                "to_world": mi.ScalarTransform4f().translate([0, 0, -45]),
-                "sensor": {"type": "irradiancemeter", "film": film},
-            },
-            **shapes,
-        }
-    )  # fmt: skip
+    return scene_dicts.load(
+        source={"type": "collimated", "radius": 20.0, "wavelength_nm": 550.0, "distance": 60.0},
+        detector=scene_dicts.detector(-45, type="freeform", half_width=40.0, half_height=40.0, meets="-z"),
+        **shapes,
+    )
 
 
 def hits(table: SurfaceTable, o: np.ndarray, d: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+import scene_dicts
 from oracles.statistics import assert_z
 
 import mistray
@@ -59,19 +60,10 @@ mi.register_shape("torus_segment", TorusSegment)
 def scene(major: float = MAJOR, minor: float = MINOR, scatter: dict[str, Any] | None = None, **more: Any) -> mi.Scene:
     """A beam of 8 mm radius on axis, the lip in its way, and a detector behind it."""
     lip = {"type": "interface", "R": 0.3, **({"scatter": scatter} if scatter else {})}
-    sensor = {
-        "type": "irradiancemeter",
-        "film": {"type": "hdrfilm", "width": 8, "height": 8, "filter": {"type": "box"}},
-    }
-    detector = {"type": "asphere", "semi_diameter": 12.0, "z": 20.0, "bsdf": {"type": "interface", "R": 0.0}}
-    return mi.load_dict(
-        {
-            "type": "scene",
-            "lip": {"type": "torus_segment", "major": major, "minor": minor, "bsdf": lip, **more},
-            "detector": {**detector, "sensor": sensor},
-            "beam": {"type": "collimated", "radius": BEAM},
-        },
-        optimize=False,
+    return scene_dicts.load(
+        lip={"type": "torus_segment", "major": major, "minor": minor, "bsdf": lip, **more},
+        detector=scene_dicts.detector(20, semi_diameter=12.0),
+        beam={"type": "collimated", "radius": BEAM},
     )
 
 

@@ -14,71 +14,52 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+import scene_dicts
 
 import mistray
-from mistray.errors import MistrayError
 from mistray.optimize.metrics import metric as metrics
 from mistray.scene.rewrite import write_rewritten
 
 SMALL, LARGE = 2.0**-13, 2.0**13
-FILM = {"type": "irradiancemeter", "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}}
 # Strong, mild and rectangular aspheres with all coefficients
 STRONG = {f"a{order}": (-1) ** (order // 2) * 0.4 * 6.0 ** (1 - order) for order in range(4, 21, 2)}
 MILD = {f"a{order}": 4e-4 * 6.0 ** (1 - order) for order in range(4, 21, 2)}
 
 
-def moved(z: float) -> Any:
-    return mi.ScalarTransform4d().translate([0, 0, z])
-
-
 def optic(scale: float) -> mi.Scene:
     """Two lenses, a barrel and a detector, `scale` times as large."""
 
-    def sized(lengths: dict[str, float], terms: dict[str, float], **more: Any) -> dict[str, Any]:
-        scaled = {key: value * scale for key, value in lengths.items()}
-        return {**scaled, **{key: a * scale ** (1 - int(key[1:])) for key, a in terms.items()}, **more}
+    def sized(z: float, terms: dict[str, float], bsdf: dict[str, Any], **lengths: float) -> dict[str, Any]:
+        scaled = {key: value if key == "conic" else value * scale for key, value in lengths.items()}
+        scaled |= {key: a * scale ** (1 - int(key[1:])) for key, a in terms.items()}
+        return {"type": "asphere", **scaled, "bsdf": bsdf, "to_world": scene_dicts.at(z * scale)}
 
-    glass = {"type": "interface", "back": "1.5"}
-    rear = {"type": "interface", "front": "1.5"}
-    return mistray.load(
-        {
-            "type": "scene",
-            "beam": {"type": "collimated", "radius": 3.0 * scale, "to_world": moved(-2 * scale)},
-            "strong_front": sized({"radius": 20.0, "semi_diameter": 5.0}, STRONG, type="asphere", bsdf=glass),
-            "mild_rear": sized({"radius": -30.0, "semi_diameter": 5.0}, MILD, type="asphere", conic=-0.4, bsdf=rear)
-            | {"to_world": moved(3 * scale)},
-            "clipped_front": sized({"radius": 25.0, "half_width": 4.0, "half_height": 3.0}, STRONG, type="asphere")
-            | {"bsdf": glass, "to_world": moved(6 * scale)},
-            "flat_rear": sized({"semi_diameter": 5.0}, {}, type="asphere", bsdf=rear, to_world=moved(9 * scale)),
-            "barrel": sized({"r0": 5.5, "z0": -1.0, "r1": 5.5, "z1": 12.0}, {}, type="frustum")
-            | {"bsdf": {"type": "interface", "R": 0.3}},
-            "detector": sized({"semi_diameter": 8.0}, {}, type="asphere", to_world=moved(25 * scale))
-            | {"bsdf": {"type": "interface", "R": 0.0}, "sensor": FILM},
-        }
+    glass, rear = {"type": "interface", "back": "1.5"}, {"type": "interface", "front": "1.5"}
+    barrel = {"r0": 5.5 * scale, "z0": -1.0 * scale, "r1": 5.5 * scale, "z1": 12.0 * scale}
+    return scene_dicts.load(
+        beam={"type": "collimated", "radius": 3.0 * scale, "to_world": scene_dicts.at(-2 * scale)},
+        strong_front=sized(0, STRONG, glass, radius=20.0, semi_diameter=5.0),
+        mild_rear=sized(3, MILD, rear, radius=-30.0, semi_diameter=5.0, conic=-0.4),
+        clipped_front=sized(6, STRONG, glass, radius=25.0, half_width=4.0, half_height=3.0),
+        flat_rear=sized(9, {}, rear, semi_diameter=5.0),
+        barrel={"type": "frustum", **barrel, "bsdf": {"type": "interface", "R": 0.3}},
+        detector=scene_dicts.detector(25 * scale, semi_diameter=8.0 * scale),
     )
 
 
 def lens(scale: float, name: str, coefficient: float, semi_diameter: float) -> mi.Scene:
     """Plane-parallel beam, one refracting asphere, a detector in the glass."""
-    return mistray.load(
-        {
-            "type": "scene",
-            "beam": {"type": "collimated", "radius": 0.95 * semi_diameter * scale},
-            "lens": {
-                "type": "asphere",
-                "radius": 1000.0 * scale,
-                name: coefficient * scale ** (1 - int(name[1:])),
-                "semi_diameter": semi_diameter * scale,
-                "bsdf": {"type": "interface", "back": "1.5"},
-            },
-            "detector": {
-                "type": "asphere",
-                "semi_diameter": 500.0 * scale,
-                "to_world": moved(2000.0 * scale),
-                "bsdf": {"type": "interface", "front": "1.5", "R": 0.0},
-                "sensor": FILM,
-            },
-        }
+    inside = {"type": "interface", "front": "1.5", "R": 0.0}
+    return scene_dicts.load(
+        beam={"type": "collimated", "radius": 0.95 * semi_diameter * scale},
+        lens={
+            "type": "asphere",
+            "radius": 1000.0 * scale,
+            name: coefficient * scale ** (1 - int(name[1:])),
+            "semi_diameter": semi_diameter * scale,
+            "bsdf": {"type": "interface", "back": "1.5"},
+        },
+        detector=scene_dicts.detector(2000.0 * scale, semi_diameter=500.0 * scale, bsdf=inside),
     )
 
 
@@ -157,19 +138,6 @@ def test_parameters_keep_their_values(tmp_path: Path) -> None:
     write_rewritten(source, {"lens.a16": 3e-41, "lens.a20": 1e-52}, tmp_path / "other.xml")
     values = mi.traverse(mistray.load(tmp_path / "other.xml"))
     assert (float(values["lens.a16"][0]), float(values["lens.a20"][0])) == (3e-41, 1e-52)
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "semi_diameter"), [("a20", 1e300, 300.0), ("conic", 1e39, 1.0), ("curvature", 1e-5 * 1e45, 1e-43)]
-)
-def test_numbers_that_float32_cannot_take(name: str, value: float, semi_diameter: float) -> None:
-    shape = {"type": "asphere", name: value, "semi_diameter": semi_diameter, "bsdf": {"type": "interface"}}
-    with pytest.raises(MistrayError, match=r"float32|must lie") as error:
-        mistray.load({"type": "scene", "L1_front": shape})
-    assert "'L1_front'" in str(error.value)
-    if semi_diameter > 1e-15:
-        assert name in str(error.value)
-        assert f"{value:g}" in str(error.value)
 
 
 def test_gradients_through_render() -> None:

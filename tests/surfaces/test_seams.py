@@ -1,8 +1,4 @@
-"""Closed vessels are closed: no ray from within passes where two surfaces meet.
-
-Positions are rounded to 7 digits. A ray that is aimed at a seam may miss both surfaces by a rounding. In a deep baffle
-one such ray of ten millions was brighter than all the light that took the right way.
-"""
+"""Closed vessels are closed: no ray from within passes where two surfaces meet, though positions have 7 digits."""
 
 from __future__ import annotations
 
@@ -12,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+import scene_dicts
 
 import mistray
 from mistray.plugins.shapes.implicit import Implicit, sqrt
@@ -74,31 +71,22 @@ mi.register_shape("test_drum", Drum)
 
 def vessel(front: str, wall: str) -> tuple[SurfaceTable, list[tuple[float, float]]]:
     """A front, a wall around it, a ring and the detector in its hole, and the radii and places of their seams, mm."""
-    black, pose = {"type": "interface", "R": 0.0}, mi.ScalarTransform4f()
+    black = scene_dicts.BLACK
     sag = SAGS["asphere" if front == "freeform" else front]
     rear = REAR if wall == "cone" else FRONT
     ends = {"z0": PLACE + sag, "z1": PLACE + LENGTH}
     side: dict[str, Any] = {"type": "frustum", "r0": FRONT, "r1": rear, **ends}
     if wall == "drum":
         side = {"type": "test_drum", "radius": FRONT, "low": ends["z0"], "high": ends["z1"]}
-    film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}
-    scene = {
-        "type": "scene",
-        "integrator": {"type": "straylight"},
-        "beam": {"type": "collimated", "radius": 5.0},
-        "front": {**FRONTS[front], "semi_diameter": FRONT, "to_world": pose.translate([0, 0, PLACE]), "bsdf": black},
-        "side": {**side, "bsdf": black},
-        "ring": {"type": "frustum", "r0": rear, "z0": ends["z1"], "r1": HOLE, "z1": ends["z1"], "bsdf": black},
-        "detector": {
-            "type": "asphere",
-            "semi_diameter": HOLE,
-            "to_world": pose.translate([0, 0, PLACE + LENGTH]),
-            "bsdf": black,
-            "sensor": {"type": "irradiancemeter", "film": film},
-        },
-    }
+    scene = scene_dicts.load(
+        beam={"type": "collimated", "radius": 5.0},
+        front={**FRONTS[front], "semi_diameter": FRONT, "to_world": scene_dicts.at(PLACE), "bsdf": black},
+        side={**side, "bsdf": black},
+        ring={"type": "frustum", "r0": rear, "z0": ends["z1"], "r1": HOLE, "z1": ends["z1"], "bsdf": black},
+        detector=scene_dicts.detector(PLACE + LENGTH, semi_diameter=HOLE),
+    )
     seams = [(FRONT, ends["z0"]), (rear, ends["z1"]), (HOLE, ends["z1"])]
-    return SurfaceTable(mistray.load(scene), 550.0), seams
+    return SurfaceTable(scene, 550.0), seams
 
 
 def passed(table: SurfaceTable, seams: list[tuple[float, float]]) -> int:
@@ -142,26 +130,15 @@ def test_light_at_a_seam_does_not_come_in(monkeypatch: pytest.MonkeyPatch) -> No
     """
     radius, end = 14.0, PLACE + 41.704
     paint = {"type": "interface", "R": 0.0, "model": {"type": "paint", "reflectance": 0.9}}
-    film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}
-    pose = mi.ScalarTransform4f()
+    place = mi.ScalarTransform4f().translate([0, -radius, end])
 
     def light() -> float:
-        scene = mistray.load(
-            {
-                "type": "scene",
-                "integrator": {"type": "straylight"},
-                "beam": {"type": "collimated", "radius": 3e-5, "to_world": pose.translate([0, -radius, end])},
-                "lid": {"type": "frustum", "r0": radius, "z0": PLACE, "r1": 0.1, "z1": PLACE, "bsdf": paint},
-                "wall": {"type": "frustum", "r0": radius, "z0": PLACE, "r1": radius, "z1": end, "bsdf": paint},
-                "board": {"type": "frustum", "r0": radius, "z0": end, "r1": HOLE, "z1": end, "bsdf": paint},
-                "detector": {
-                    "type": "asphere",
-                    "semi_diameter": HOLE,
-                    "to_world": pose.translate([0, 0, end]),
-                    "bsdf": {"type": "interface", "R": 0.0},
-                    "sensor": {"type": "irradiancemeter", "film": film},
-                },
-            }
+        scene = scene_dicts.load(
+            beam={"type": "collimated", "radius": 3e-5, "to_world": place},
+            lid={"type": "frustum", "r0": radius, "z0": PLACE, "r1": 0.1, "z1": PLACE, "bsdf": paint},
+            wall={"type": "frustum", "r0": radius, "z0": PLACE, "r1": radius, "z1": end, "bsdf": paint},
+            board={"type": "frustum", "r0": radius, "z0": end, "r1": HOLE, "z1": end, "bsdf": paint},
+            detector=scene_dicts.detector(end, semi_diameter=HOLE),
         )
         found = mistray.trace(scene, rays=100_000, field_deg=50.0, seed=1, max_scatters=3)
         assert found.energy.absorbed["wall"][0] > 0.1 * found.energy.launched_W

@@ -1,0 +1,220 @@
+"""What stock integrators get from an interface: delta lobes, against Snell, Fresnel, tables and `tmm` in float64."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+import tmm
+from oracles.interface import CoatingTable, Interface, interact
+from scipy.stats import chi2
+
+import mistray
+
+pytestmark = pytest.mark.quick
+
+TABLE = "wavelength_nm,angle_deg,R,T,R_back\n550,0,.1,.8,.15\n550,45,.2,.6,.25\n550,90,.9,.05,.9\n"
+LAYERS = [(1.38, 120.0), (2.3 + 0.4j, 15.0), (1.6, 90.0)]
+METAL = 0.958 + 6.69j
+COSINES = np.concatenate([-np.linspace(0.02, 1, 40), np.linspace(0.02, 1, 40)])  # of wi; at -z it is in front
+MODES = (mi.TransportMode.Radiance, mi.TransportMode.Importance)
+IMPORTANCE = mi.TransportMode.Importance
+
+
+@dataclass(frozen=True)
+class Case:
+    """A BSDF, and its R and T for light from signed cosines; NaN where no light can be."""
+
+    bsdf: Any
+    cosines: np.ndarray
+    R: np.ndarray
+    T: np.ndarray
+    indices: tuple[float, float]
+    accuracy: float = 4e-6
+
+    @property
+    def surface(self) -> mi.SurfaceInteraction3f:
+        """Interactions at which light looks out along wi."""
+        return surface(self.cosines)
+
+
+def surface(cosines: np.ndarray) -> mi.SurfaceInteraction3f:
+    si = dr.zeros(mi.SurfaceInteraction3f, len(cosines))
+    sine, phi = np.sqrt(1 - cosines**2), np.linspace(0, 5, len(cosines))
+    si.wi = mi.Vector3f(np.stack([sine * np.cos(phi), sine * np.sin(phi), cosines]).astype(np.float32))
+    return si
+
+
+def by_tmm(n_in: complex, layers: list[tuple[complex, float]], n_out: complex, cosine: float) -> tuple[float, float]:
+    """R and T of unpolarised light at 550 nm."""
+    index, thickness = [n_in, *(n for n, _ in layers), n_out], [np.inf, *(d for _, d in layers), np.inf]
+    both = [tmm.coh_tmm(pol, index, thickness, np.arccos(cosine), 550.0) for pol in "sp"]
+    return float(np.mean([one["R"] for one in both])), float(np.mean([one["T"] for one in both]))
+
+
+def text(n: complex) -> str:
+    n = complex(n)
+    return f"{n.real:g}" if n.imag == 0 else f"{n.real:g}+{n.imag:g}i"
+
+
+def of_oracle(folder: Path, cosines: np.ndarray = COSINES, **values: Any) -> Case:
+    """Between 1.2 and 1.7, bare, with constant shares or with a table."""
+    n = (1.2, 1.7)
+    table = CoatingTable.read(Path(values["table"])) if "table" in values else None
+    shares = (values["R"], values.get("T", 0.0)) if "R" in values else ()
+    oracle = Interface("1.2", "1.7", *shares, table=table)
+    wi = np.array(surface(cosines).wi, dtype=float).T
+    out = interact(oracle, *n, 550.0, -wi, np.tile([0.0, 0.0, 1.0], (len(wi), 1)))
+    bsdf = mi.load_dict({"type": "interface", "front": "1.2", "back": "1.7", **values})
+    return Case(bsdf, cosines, out.reflectance, out.transmittance, n)
+
+
+def of_layers(front: complex, back: complex, layers: list[tuple[complex, float]], opaque: bool = False) -> Case:
+    """Layers from the front to the back."""
+    outside = layers if front == 1.0 else layers[::-1]  # the first layer is outside
+    film = {"type": "thinfilm", "layers": ", ".join(f"{text(n)} {d}" for n, d in outside), "opaque": opaque}
+    nested = {"coating": film} if layers else {}
+    bsdf = mi.load_dict({"type": "interface", "front": text(front), "back": text(back), **nested})
+    r, t = np.full(len(COSINES), np.nan), np.zeros(len(COSINES))
+    for k, cosine in enumerate(COSINES):
+        if cosine < 0:
+            r[k], t[k] = by_tmm(front, layers, back, -cosine)
+        elif not np.iscomplex(back):  # no ray comes from a metal
+            r[k], t[k] = by_tmm(back, layers[::-1], front, cosine)
+    return Case(
+        bsdf, COSINES, r, 0 * t if opaque or np.iscomplex(back) else t, (complex(front).real, complex(back).real)
+    )
+
+
+def tabled(folder: Path) -> Case:
+    """At its nodes: between them the table is linear in the cosine, and the oracle's in the angle."""
+    (folder / "coating.csv").write_text(TABLE, encoding="utf-8")
+    rare = np.cos(np.radians([0.0, 45.0]))
+    dense = np.sqrt(1 - (1.2 / 1.7) ** 2 * (1 - rare**2))
+    found = of_oracle(folder, np.concatenate([-rare, dense]), table=str(folder / "coating.csv"))
+    return replace(found, accuracy=1e-5)
+
+
+CASES: dict[str, Callable[[Path], Case]] = {
+    "bare": of_oracle,
+    "ideal": lambda folder: of_oracle(folder, R=0.3, T=0.5),
+    "opaque": lambda folder: of_oracle(folder, R=0.4),
+    "tabled": tabled,
+    "absorbing film": lambda _: of_layers(1.0, 1.7, LAYERS),
+    "total reflection": lambda _: of_layers(1.5168, 1.0, LAYERS),
+    "film on metal": lambda _: of_layers(1.0, METAL, [(1.6, 171.875)]),
+    "mirror": lambda _: of_layers(1.0, 1.5168, [(1.6, 171.875), (METAL, 150.0)], opaque=True),
+    "bare metal": lambda _: of_layers(1.0, METAL, []),
+}
+
+
+@pytest.fixture(params=CASES)
+def case(request: pytest.FixtureRequest, tmp_path: Path) -> Case:
+    return CASES[request.param](tmp_path)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_directions_weights_and_probabilities(case: Case, mode: Any) -> None:
+    wi = np.array(case.surface.wi, dtype=float).T
+    total, front = case.R + case.T, case.cosines < 0
+    eta = np.where(front, case.indices[0] / case.indices[1], case.indices[1] / case.indices[0])
+    inside = np.sqrt(np.maximum(0, 1 - eta**2 * (1 - case.cosines**2)))
+    refracted = np.column_stack([-eta[:, None] * wi[:, :2], np.where(front, inside, -inside)])
+    for u in (0.0, 0.9999999):
+        sample, weight = case.bsdf.sample(mi.BSDFContext(mode), case.surface, mi.Float(u), mi.Point2f(0.5))
+        share = case.R / np.maximum(total, 1e-30)
+        reflected = u <= share
+        pdf = np.where(reflected, share, 1 - share)
+        lit = np.isfinite(case.R) & (total > 0) & (pdf > 1e-6)
+        # A table's error is 1e-6 of R and T, the rest float32
+        np.testing.assert_allclose((np.array(sample.pdf) * total)[lit], (pdf * total)[lit], atol=case.accuracy)
+        scale = np.where(reflected | (mode == IMPORTANCE), 1.0, eta**2)
+        np.testing.assert_allclose(np.array(weight)[0][lit], (total * scale)[lit], atol=2.5 * case.accuracy)
+        wo = np.where(reflected[:, None], wi * [-1, -1, 1], refracted)
+        np.testing.assert_allclose(np.array(sample.wo).T[lit], wo[lit], atol=3e-6)
+        np.testing.assert_allclose(np.array(sample.eta)[lit], np.where(reflected, 1, 1 / eta)[lit], rtol=1e-6)
+        kind = np.array(sample.sampled_type)
+        assert set(kind[reflected & lit]) <= {int(mi.BSDFFlags.DeltaReflection)}
+        assert set(kind[~reflected & lit]) <= {int(mi.BSDFFlags.DeltaTransmission)}
+
+
+def test_frequencies(case: Case) -> None:
+    """
+    χ² of the reflected and transmitted counts against R and T, with a false-alarm probability of 1e-3.
+
+    A distribution in which 3 % of the reflected light were transmitted instead must fail.
+    """
+    counts, total = 40_000, case.R + case.T
+    at = np.flatnonzero(np.isfinite(case.R) & (total > 0))[:: 4 if len(total) > 4 else 1]
+    share = (case.R / np.maximum(total, 1e-30))[at]
+    u = mi.Float(np.random.default_rng(7).random(counts * len(at)).astype(np.float32))
+    si = surface(np.repeat(case.cosines[at], counts))
+    sample, _ = case.bsdf.sample(mi.BSDFContext(IMPORTANCE), si, u, mi.Point2f(0.5))
+    reflected = (np.array(sample.sampled_component).reshape(len(at), counts) == 0).sum(axis=1)
+
+    def p_value(expected: np.ndarray) -> float:
+        certain = np.minimum(expected, 1 - expected) * counts < 5  # too few for χ²
+        if np.any(np.abs(reflected - expected * counts)[certain] > 30):
+            return 0.0
+        e, n = expected[~certain], reflected[~certain]
+        statistic = np.sum((n - counts * e) ** 2 / (counts * e * (1 - e)))
+        return float(chi2.sf(statistic, max(len(e), 1)))
+
+    assert p_value(share) > 1e-3
+    assert p_value(0.97 * share) < 1e-3
+
+
+def test_masks(case: Case) -> None:
+    known = np.isfinite(case.R)
+    for component, kind in enumerate((mi.BSDFFlags.DeltaReflection, mi.BSDFFlags.DeltaTransmission)):
+        for restrict in ({"component": component}, {"type_mask": kind}):
+            context = mi.BSDFContext(IMPORTANCE)
+            for key, value in restrict.items():
+                setattr(context, key, value)
+            sample, weight = case.bsdf.sample(context, case.surface, mi.Float(0.5), mi.Point2f(0.5))
+            weight = np.array(weight)[0]
+            lit = known & (weight > 0)
+            np.testing.assert_allclose(np.array(sample.pdf)[lit], 1.0)
+            assert set(np.array(sample.sampled_component)[lit]) <= {component}
+            np.testing.assert_allclose(weight[known], (case.T if component else case.R)[known], atol=1e-5)
+
+
+def test_delta_lobes_have_no_density(case: Case) -> None:
+    context, wo = mi.BSDFContext(), mi.Vector3f(0, 0, 1)
+    value, pdf = case.bsdf.eval_pdf(context, case.surface, wo)
+    for found in (value, pdf, case.bsdf.eval(context, case.surface, wo), case.bsdf.pdf(context, case.surface, wo)):
+        assert dr.all(found == 0, axis=None)
+    assert case.bsdf.component_count() == 2
+    assert case.bsdf.flags() & mi.BSDFFlags.DeltaReflection.value
+    assert case.bsdf.flags() & mi.BSDFFlags.DeltaTransmission.value
+    _, weight = case.bsdf.sample(context, case.surface, mi.Float(0.5), mi.Point2f(0.5), mi.Mask(False))
+    assert dr.all(weight == 0, axis=None)
+
+
+def test_an_update_changes_the_samples() -> None:
+    """Also through an interface that Mitsuba does not tell about the change of its shared coating."""
+    film = {"type": "thinfilm", "layers": "1.38 99.6377", "id": "ar"}
+    bsdf = mi.load_dict({"type": "interface", "back": "1.5168", "coating": film})
+    context, params = mi.BSDFContext(IMPORTANCE), mi.traverse(bsdf)
+    context.component = 0
+    for thickness in (99.6377, 0.0, 50.0):
+        params["coating.thickness_nm"] = mi.Float([thickness])
+        params.update()
+        weight = bsdf.sample(context, surface(np.array([-1.0])), mi.Float(0.5), mi.Point2f(0.5))[1]
+        expected = by_tmm(1.0, [(1.38, thickness)], 1.5168, 1.0)[0]
+        assert float(weight[0][0]) == pytest.approx(expected, abs=2e-6)
+
+
+def test_glass_without_known_absorption_is_transparent() -> None:
+    film = {"type": "thinfilm", "layers": "1.38 99.6"}
+    bsdf = mi.load_dict({"type": "interface", "back": "nd=1.5168 Vd=64.2", "coating": film})
+    with pytest.raises(mistray.MistrayError, match="k is unknown"):
+        bsdf.complex_indices(550.0)
+    sample, _ = bsdf.sample(mi.BSDFContext(), surface(np.array([-1.0])), mi.Float(0.5), mi.Point2f(0.5))
+    assert float(sample.pdf[0]) > 0.98
