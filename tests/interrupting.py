@@ -1,18 +1,10 @@
-"""
-Signals to commands at random moments: how each of them ends.
-
-A test uses `interrupted` for one signal. As a program, ``python tests/interrupting.py ROUNDS``, it sends signals to all
-of `COMMANDS` and prints what has failed.
-"""
+"""A signal to a command: how the command ends."""
 
 from __future__ import annotations
 
-import os
-import random
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -35,7 +27,7 @@ COMMANDS = {
     "doctor": [],
     "pst, forward": ["phone_camera_scatter", "--method", "forward", "--rays", "1e9"],
     "optimize": ["cooke_triplet", str(EXAMPLES / "triplet_ar.toml"), "--out", "triplet"],
-    "budget": ["phone_camera_scatter", "budget.toml"],
+    "budget": ["phone_camera_scatter", "interrupted.toml"],
     "app": ["phone_camera", "--no-browser"],
     "view": ["phone_camera", "--out", "view.html", "--force"],
     "import": [str(EXAMPLES / "lwir_camera.zmx"), "-o", "camera.xml"],
@@ -98,10 +90,13 @@ class End:
 
 
 def interrupted(
-    command: Sequence[str], number: signal.Signals, wait: Callable[[subprocess.Popen[str]], object]
+    command: Sequence[str],
+    number: signal.Signals,
+    wait: Callable[[subprocess.Popen[str]], object],
+    folder: Path | None = None,
 ) -> End | None:
     """Send a signal to a command after a wait; None if it has ended before."""
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=folder)
     wait(process)
     if process.poll() is not None:
         process.communicate()
@@ -131,33 +126,3 @@ def worker(process: subprocess.Popen[str]) -> int:
 def begun(process: subprocess.Popen[str]) -> None:
     """Wait until `mistray.__main__` runs."""
     worker(process)
-
-
-def main(rounds: int) -> int:
-    """Interrupt each command so often at random moments, and one of them 20 times in its first second."""
-    rng = random.Random(39)
-    bad = tried = 0
-    cases = [(name, rng.uniform(0.0, LATEST_S)) for name in COMMANDS for _ in range(rounds)]
-    cases += [("ghosts, one thread", rng.uniform(0.0, 1.0)) for _ in range(20)]
-    with tempfile.TemporaryDirectory() as folder:
-        os.chdir(folder)
-        Path("budget.toml").write_text(BUDGET)
-        for name, after_s in cases:
-            command = [*MISTRAY, name.split(",")[0], *COMMANDS[name]]
-            number = rng.choice([signal.SIGINT, signal.SIGTERM])
-
-            def wait(process: subprocess.Popen[str], after_s: float = after_s) -> None:
-                begun(process)
-                time.sleep(after_s)
-
-            end = interrupted(command, number, wait)
-            if end is None:
-                continue
-            tried, bad = tried + 1, bad + bool(end.problem)
-            print(f"{name:20s} {number.name:7s} after {after_s:4.2f} s: {end.seconds:4.2f} s {end.problem}", flush=True)
-    print(f"{tried} interrupts, {bad} failed")
-    return int(bad > 0)
-
-
-if __name__ == "__main__":
-    sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else 4))
