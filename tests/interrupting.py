@@ -11,49 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 MISTRAY = [sys.executable, "-m", "mistray"]
-EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 LIMIT_S = 2.0  # from the signal to the end of the process
-LATEST_S = 8.0
-COMMANDS = {
-    "ghosts": ["cooke_triplet", "--rays", "4e9"],
-    "ghosts, one thread": ["cooke_triplet", "--rays", "4e9", "--threads", "1"],
-    "pst": ["phone_camera_scatter", "--rays", "1e9"],
-    "sweep": ["cooke_triplet", "--rays", "4e9", "--no-cache"],
-    "objects": ["baffle_tube", "--rays", "1e9"],
-    "study": ["baffle_tube", "--rays", "1e9"],
-    "thermal": ["cassegrain", "--rays", "1e9"],
-    "sensitivity": ["cooke_triplet", "--rays", "1e8", "--out", "sensitivity", "--force"],
-    "image": ["double_gauss", "--grid", "1000"],
-    "doctor": [],
-    "pst, forward": ["phone_camera_scatter", "--method", "forward", "--rays", "1e9"],
-    "optimize": ["cooke_triplet", str(EXAMPLES / "triplet_ar.toml"), "--out", "triplet"],
-    "budget": ["phone_camera_scatter", "interrupted.toml"],
-    "app": ["phone_camera", "--no-browser"],
-    "view": ["phone_camera", "--out", "view.html", "--force"],
-    "import": [str(EXAMPLES / "lwir_camera.zmx"), "-o", "camera.xml"],
-    "export": ["cooke_triplet", "-o", "triplet.step", "--force"],
-    "coat": ["cooke_triplet", "L*=bbar3", "-o", "coated.xml", "--force"],
-    "coating": ["cooke_triplet", "--plot", "coating.png", "--force"],
-    "bsdf": ["particulate", "--level", "300", "--plot", "bsdf.png", "--force"],
-    "cache": ["info"],
-    "completion": ["bash"],
-}
-BUDGET = """
-[[require]]
-metric = "pst_band"
-low_deg = 20
-high_deg = 80
-limit = 3.2e-3
-
-[[choose]]
-surfaces = ["L*_front", "L*_rear"]
-parameter = "rms_nm"
-best = 0.5
-worst = 6
-
-[traced]
-rays = 4000000
-"""
 
 
 @dataclass(frozen=True)

@@ -50,8 +50,9 @@ WAITING_S = 60  # until one that uses no time of it waits for ever
 
 SCENE = '<scene version="3.0.0">{}</scene>'
 SPHERE = '<shape type="sphere" id="wall">{}</shape>'
+CODEV = "LEN NEW\nRDM\nDIM M\nWL 550\nEPD 5\nSO 0 1E10\nS 50 2 ODD\nSTO\nS -50 10\nSI 0 0\nGO\n"
 LENS = """MODE SEQ
-{catalogue}WAVM 1 0.55 1
+WAVM 1 0.55 1
 ENPD 5
 SURF 0
   DISZ INFINITY
@@ -65,16 +66,15 @@ SURF 3
 """
 
 
-def codev(file: Path) -> Any:
-    lens = file.with_name("lens.seq")
-    lens.write_text("LEN NEW\nRDM\nDIM M\nWL 550\nEPD 5\nSO 0 1E10\nS 50 2 ODD\nSTO\nS -50 10\nSI 0 0\nGO\n")
-    return read_codev(lens, glass_catalogues=[file])
+def with_glasses(read: Callable[..., Any], ending: str, text: str) -> Callable[[Path], Any]:
+    """Reads a lens whose glass is in the file."""
 
+    def run(file: Path) -> Any:
+        lens = file.with_name(f"lens{ending}")
+        lens.write_text(text)
+        return read(lens, glass_catalogues=[file])
 
-def zemax(file: Path) -> Any:
-    lens = file.with_name("lens.zmx")
-    lens.write_text(LENS.format(catalogue=""))
-    return read_zemax(lens, glass_catalogues=[file])
+    return run
 
 
 def scene(body: str) -> Callable[[Path], Any]:
@@ -86,17 +86,6 @@ def scene(body: str) -> Callable[[Path], Any]:
         return mistray.load(path)
 
     return load
-
-
-def in_dict(entry: dict[str, Any]) -> Callable[[Path], Any]:
-    """Loads a dict whose `filename` is the file."""
-    return lambda file: mistray.load({"type": "scene", "wall": _filled(entry, file)})
-
-
-def _filled(entry: Any, file: Path) -> Any:
-    if isinstance(entry, dict):
-        return {key: _filled(value, file) for key, value in entry.items()}
-    return str(file) if entry == "FILE" else entry
 
 
 def command(*words: str) -> Callable[[Path], Any]:
@@ -118,9 +107,9 @@ BSDF = SPHERE.format('<bsdf type="{kind}">{inside}</bsdf>')
 READERS: dict[str, tuple[str, Callable[[Path], Any]]] = {
     "json lens": (".json", from_json),
     "zemax lens": (".zmx", read_zemax),
-    "zemax glasses": (".agf", zemax),
+    "zemax glasses": (".agf", with_glasses(read_zemax, ".zmx", LENS)),
     "codev lens": (".seq", read_codev),
-    "codev glasses": (".agf", codev),
+    "codev glasses": (".agf", with_glasses(read_codev, ".seq", CODEV)),
     "glass catalogue": (".agf", glass_names),
     "material table": (".csv", lambda file: refractive_index(str(file), 550.0)),
     "material of a catalogue": (".agf", lambda file: refractive_index(f"{file}:ODD", 550.0)),
@@ -167,60 +156,33 @@ READERS: dict[str, tuple[str, Callable[[Path], Any]]] = {
     "part mesh": (".ply", scene(f'<shape type="part_mesh" id="p">{NAME}</shape>')),
     "bitmap": (".png", scene(TEXTURE.format(NAME))),
     "measured": (".bsdf", scene(BSDF.format(kind="measured", inside=NAME))),
-    "dict shape": (".ply", in_dict({"type": "ply", "filename": "FILE"})),
-    "dict bitmap": (".exr", in_dict({"type": "envmap", "filename": "FILE"})),
-    "tabulated": (
-        ".csv",
-        scene(BSDF.format(kind="tabulated", inside='<string name="file" value="{file}"/>')),
-    ),
+    "dict shape": (".ply", lambda file: mistray.load({"type": "scene", "a": {"type": "ply", "filename": str(file)}})),
+    "tabulated": (".csv", scene(BSDF.format(kind="tabulated", inside='<string name="file" value="{file}"/>'))),
     "import": (".zmx", command("import", "FILE", "--wavelength-nm", "550")),
-    "import step": (".stp", command("import", "FILE")),
-    "import json": (".json", command("import", "FILE")),
-    "bsdf": (".bsdf", command("bsdf", "FILE")),
     "coating": (".csv", command("coating", "FILE")),
     "ghosts": (".xml", command("ghosts", "FILE", "--rays", "100")),
     "sweep": (".toml", command("sweep", "plate", "FILE", "--field-deg", "0", "--rays", "100")),
     "optimize": (".toml", command("optimize", "plate", "FILE", "--out", "out")),
-    "budget command": (".toml", command("budget", "plate", "FILE")),
 }
 if importlib.util.find_spec("batoid"):
     READERS["batoid lens"] = (".yaml", lambda file: from_batoid(file, wavelength_nm=550.0))
 
 
-def pipe(file: Path) -> None:
-    os.mkfifo(file)
-
-
-def device(file: Path) -> None:
-    file.symlink_to("/dev/zero")
-
-
-def terminal(file: Path) -> None:
-    file.symlink_to("/dev/null")
-
-
-def folder(file: Path) -> None:
-    file.mkdir()
-
-
-def garbage(file: Path) -> None:
-    file.write_bytes(bytes(range(256)) * 40)
-
-
-def nest(file: Path, levels: int = 2000) -> None:
+def nest(file: Path, levels: int) -> None:
     opening, closing = ("<a>", "</a>") if file.suffix == ".xml" else ("[", "")
     file.write_text(("a = " if file.suffix == ".toml" else "") + opening * levels + closing * levels)
 
 
-def deep_nest(file: Path) -> None:
-    nest(file, 100_000)
-
-
-def empty(file: Path) -> None:
-    file.write_bytes(b"")
-
-
-KINDS = {made.__name__: made for made in (pipe, device, terminal, folder, garbage, nest, deep_nest, empty)}
+KINDS: dict[str, Callable[[Path], object]] = {
+    "pipe": lambda file: os.mkfifo(file),
+    "device": lambda file: file.symlink_to("/dev/zero"),
+    "terminal": lambda file: file.symlink_to("/dev/null"),
+    "folder": lambda file: file.mkdir(),
+    "garbage": lambda file: file.write_bytes(bytes(range(256)) * 40),
+    "nest": lambda file: nest(file, 2000),
+    "deep_nest": lambda file: nest(file, 100_000),
+    "empty": lambda file: file.write_bytes(b""),
+}
 LIBRARIES = {
     "ray set parquet": "pyarrow",
     "irradiance fits": "astropy",
@@ -229,7 +191,6 @@ LIBRARIES = {
     "STEP": "cascadio",
     "STL": "trimesh",
     "PLY": "trimesh",
-    "import step": "cascadio",
 }
 
 

@@ -1,18 +1,29 @@
-"""Arguments that are none, and letters that no font has: a line says what to do."""
+"""Arguments that are none, closed streams, places without UTF-8 or home: a line says what to do, or all is well."""
 
 from __future__ import annotations
 
+import contextlib
 import io
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from command_line import fails
+from command_line import fails, run
+from interrupting import MISTRAY
+from oracles.small_scenes import plates_text
 
+import mistray.scene
 from mistray.cli.program import COMMANDS
 from mistray.errors import MistrayWarning
 from mistray.report import writable_directory
 from mistray.report.figures.figure import Figure
 
+CONTENTS = [bytes([letter]) * 300_000 for letter in b"abcd"]
 # An option of every kind
 KINDS = {
     (str(option.type), option.nargs): (module.COMMAND.name, word)
@@ -72,3 +83,96 @@ def test_letters_that_a_font_does_not_have() -> None:
     with pytest.warns(MistrayWarning, match="COLLISION SYMBOL") as caught:
         figure.savefig(io.BytesIO(), format="png", bbox_inches="tight")
     assert len(caught) == 1
+
+
+WRITER = """
+import random
+import sys
+from pathlib import Path
+
+out, rng = Path(sys.argv[1]), random.Random(int(sys.argv[2]))
+sys.argv = sys.orig_argv = ["mistray"]  # as the command, which starts without Mitsuba
+from mistray.report.output import write_files
+contents = [bytes([letter]) * 300_000 for letter in b"abcd"]
+print(flush=True)
+while True:
+    data = rng.choice(contents)
+    write_files({"paths.csv": data, "report.html": data}, out)
+"""
+
+
+@contextlib.contextmanager
+def writing(out: Path, seed: int) -> Iterator[subprocess.Popen[str]]:
+    """A process that has begun to write the same again and again, and is killed in the end."""
+    command = [sys.executable, "-c", WRITER, str(out), str(seed)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def test_two_processes_write_the_same_folder(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with writing(out, 0) as one, writing(out, 1) as two:
+        until = time.monotonic() + 1.0
+        while time.monotonic() < until:
+            for path in out.glob("*.*"):
+                if path.suffix != ".part":
+                    assert path.read_bytes() in CONTENTS
+        assert one.poll() is two.poll() is None  # neither has met a draft of the other
+    assert {"paths.csv", "report.html"} <= {path.name for path in out.iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("command", "to", "code"),
+    [
+        ("--help", "| true", 0),
+        ("ghosts --help", "| true", 0),
+        ("completion bash", "| head -1", 0),
+        ("--version", ">&-", 0),
+        ("--version", "> /dev/full", 2),
+    ],
+)
+def test_nobody_reads_the_output(command: str, to: str, code: int) -> None:
+    line = f"set -o pipefail; {' '.join(MISTRAY)} {command} {to}"
+    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, timeout=60)
+    assert done.returncode == code
+    if code:
+        assert done.stderr.startswith("mistray: error: No space left on device; ")
+        assert done.stderr.count("\n") == 1
+    else:
+        assert done.stderr == ""
+
+
+def test_an_interrupt_within_another_error(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """As Dr.Jit has it, which makes a RuntimeError of what is raised while it records a loop."""
+
+    def load(*given: object) -> None:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as error:
+            raise RuntimeError("while_loop(): encountered an exception") from error
+
+    monkeypatch.setattr(mistray.scene, "load", load)
+    assert run(capsys, "ghosts", "lens.xml") == (130, "", "mistray: interrupted, nothing was written\n")
+
+
+@pytest.mark.long
+def test_strange_surroundings(tmp_path: Path) -> None:
+    """A scene whose name is no ASCII: no UTF-8, no home for the cache of kernels, no asserts and docstrings."""
+    scene, out = tmp_path / "Höhe.xml", tmp_path / "out"
+    scene.write_text(plates_text(1), encoding="utf-8")
+    surroundings = {
+        "LC_ALL": "C", "LANG": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0", "PYTHONIOENCODING": "",
+        "HOME": "/proc/nobody", "XDG_CACHE_HOME": "/proc/nobody/cache", "MPLCONFIGDIR": str(tmp_path / "mpl"),
+        "PYTHONOPTIMIZE": "2",
+    }  # fmt: skip
+    command = [*MISTRAY, "ghosts", str(scene), "--rays", "200", "--json", "--out", str(out)]
+    done = subprocess.run(command, env={**os.environ, **surroundings}, capture_output=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert b"the disk cache is disabled." in done.stderr  # of Dr.Jit
+    assert json.loads(done.stdout)["fields"]
+    assert "Höhe" in (out / "report.html").read_text(encoding="utf-8")

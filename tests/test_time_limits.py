@@ -17,8 +17,6 @@ import pytest
 from oracles.small_scenes import plates_text, write
 
 import mistray
-from mistray import cli
-from mistray.kernel import launches
 from mistray.report.pst_output import write_pst
 from mistray.report.tables.ghosts_csv import csv_tables
 from mistray.time_budget import coarse_first
@@ -120,23 +118,6 @@ def test_a_pass_that_cannot_end_early_is_not_cut_into_short_launches(lens: Path)
     assert found.value[0] > 0
 
 
-@pytest.mark.parametrize(("took", "line"), [([0.3, 0.4], "0.7 s went into the compilation"), ([0.2, 0.2], "")])
-def test_a_compilation_is_told_where_it_takes_long(
-    lens: Path, took: list[float], line: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Half a second of it, and only with a time budget."""
-    command = ["ghosts", str(lens), "--rays", "100", "--quiet"]
-    assert cli.main(command) == 0  # compiles
-    monkeypatch.setattr(launches, "compilations", took)
-    capsys.readouterr()
-    assert cli.main(command) == 0
-    assert "compilation" not in capsys.readouterr().err
-    assert cli.main([*command, "--seconds", "5"]) == 0
-    told = capsys.readouterr().err
-    assert line in told
-    assert ("compilation" in told) == bool(line)
-
-
 @pytest.mark.long
 def test_the_time_of_the_compilation_is_said(tmp_path: Path) -> None:
     """With real kernels: in a new home there is no cache of them, and the second time there is."""
@@ -146,11 +127,6 @@ def test_the_time_of_the_compilation_is_said(tmp_path: Path) -> None:
     (seconds,) = re.findall(r"mistray: ([\d.]+) s went into the compilation of kernels", told[0])
     assert float(seconds) >= 0.5
     assert "compilation" not in told[1]
-
-
-def test_without_a_budget_nothing_is_left_out(lens: Path) -> None:
-    report = mistray.ghosts(mistray.load(lens), [0, 1, 2], rays=1000)
-    assert (list(report), report.not_traced) == ([0, 1, 2], ())
 
 
 STATES = "".join(f'[[configuration]]\nname = "c{k}"\nvalues = {{ "L1_rear.z" = {k / 1e3} }}\n' for k in range(50))

@@ -22,7 +22,7 @@ PARTS: dict[str, Part] = {
     part.__name__: part
     for part in (
         in_process.options, in_process.scenes, in_process.files, in_process.bombs, in_process.entries,
-        processes.kills, processes.interrupts, processes.surroundings, processes.requests,
+        processes.kills, processes.interrupts, processes.surroundings,
     )
 }  # fmt: skip
 

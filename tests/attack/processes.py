@@ -9,16 +9,14 @@ import os
 import random
 import re
 import signal
-import socket
 import subprocess
 import time
-import weakref
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from urllib.parse import urlsplit
 
-from interrupting import BUDGET, COMMANDS, LATEST_S, MISTRAY, begun, interrupted
+from fuzz_scenes import LINES, SMALL
+from interrupting import MISTRAY, begun, interrupted
 from number_fuzz import GUTS, Worker
 
 Cases = dict[str, Callable[[], str]]
@@ -62,21 +60,34 @@ def kills(worker: Worker, seed: int) -> Cases:
     return {f"{k} {name} after {delay:.2f} s": partial(run, name, delay) for k, (name, delay) in enumerate(chosen)}
 
 
+LATEST_S = 8.0
+# Command lines that run for long, where a command can: the last one of an option counts
+LONG = {"image": ("--grid", "1000"), "app": ("--seconds", "1000")}
+MANY = ("--rays", "4e9")
+COMMANDS = {
+    name: (name, *line, *LONG.get(name, MANY if line[-2:] == SMALL else ())) for name, line in LINES.items()
+} | {
+    "one thread": ("ghosts", "cooke_triplet", *MANY, "--threads", "1"),
+    "scatter": ("pst", "phone_camera_scatter", *MANY),
+    "forward": ("pst", "phone_camera_scatter", "--method", "forward", *MANY),
+    "image of a lens": ("image", "double_gauss", "--grid", "1000"), "doctor": ("doctor",),
+}  # fmt: skip
+
+
 def interrupts(worker: Worker, seed: int) -> Cases:
     """Ctrl-C or SIGTERM at a random time, four times for each command, and 20 times in the first second of one."""
     rng = random.Random(seed)
-    (worker.folder / "interrupted.toml").write_text(BUDGET)
 
     def run(name: str, number: signal.Signals, after_s: float) -> str:
         def wait(process: subprocess.Popen[str]) -> None:
             begun(process)
             time.sleep(after_s)
 
-        end = interrupted([*MISTRAY, name.split(",")[0], *COMMANDS[name]], number, wait, worker.folder)
+        end = interrupted([*MISTRAY, *COMMANDS[name]], number, wait, worker.folder)
         return "" if end is None else end.problem
 
     cases = [(name, rng.uniform(0.0, LATEST_S)) for name in COMMANDS for _ in range(4)]
-    cases += [("ghosts, one thread", 0.05 * k) for k in range(20)]
+    cases += [("one thread", 0.05 * k) for k in range(20)]
     return {
         f"{name} after {after_s:.2f} s": partial(run, name, (signal.SIGINT, signal.SIGTERM)[k % 2], after_s)
         for k, (name, after_s) in enumerate(cases)
@@ -135,57 +146,3 @@ def surroundings(worker: Worker, seed: int) -> Cases:
         for value in VALUES.get(name, ("", "C", "/proc/nobody"))
     }
     return {line: partial(run, line, *given) for line, given in (lines | PLACES).items()}
-
-
-HOSTS = ("{host}", "evil.example", "", "{host}\r\nHost: evil.example")
-PATHS = ("/", "/{token}/", "/{token}x/", "/" + "a" * 5000, "/{token}/../x", "*", "/{token}/call")
-LENGTHS = ("9" * 5000, "-1", "", "x", "1e3", "0", "99999999", "٣", "2, 2")
-BODIES = ("", "[]", "null", "[" * 5000, '{"call": 1}', "{" * 5000, '{"call": "eval"}', "\0", "9" * 5000, "NaN")
-MORE = ("", "\r\nOrigin: http://evil.example", "\r\nOrigin: null", "\r\nTransfer-Encoding: chunked",
-        "\r\nContent-Length: 1")  # fmt: skip
-
-
-def requests(worker: Worker, seed: int) -> Cases:
-    """Requests to the page of the explorer: answered in one line, and only those that know the token with 200."""
-    server = subprocess.Popen(
-        [*MISTRAY, "app", "plate", "--rays", "50", "--no-browser"], cwd=worker.folder, stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT, text=True,
-    )  # fmt: skip
-    assert server.stdout is not None
-    weakref.finalize(worker, server.kill)
-    url = urlsplit(next(found[0] for line in server.stdout if (found := re.search(r"http://\S+", line))))
-    known = {"token": url.path.strip("/"), "host": url.netloc}
-
-    def run(method: str, path: str, host: str, length: str, body: str) -> str:
-        head = f"{method} {path} HTTP/1.1\r\nHost: {host}".format(**known)
-        lines = [head, "Content-Type: application/json", f"Content-Length: {length}", "Connection: close", "", body]
-        with socket.create_connection(("127.0.0.1", url.port), timeout=15) as made:
-            try:
-                with contextlib.suppress(ConnectionError):
-                    made.sendall("\r\n".join(lines).encode())
-                answer = made.recv(200)
-            except TimeoutError:
-                return "no answer within 15 s"
-            except ConnectionError:
-                return ""  # closed while more was sent than is read
-        status = re.match(rb"HTTP/1\.[01] (\d+)", answer)
-        if status is None:
-            return f"no answer: {answer[:60]!r}"
-        strange = "evil" in host or not host or "null" in host
-        return "served" if status[1] == b"200" and strange else ""
-
-    def ends() -> str:
-        server.send_signal(signal.SIGTERM)
-        try:
-            server.communicate(timeout=20)
-        except subprocess.TimeoutExpired:
-            server.kill()
-            return "the server does not end"
-        return ""
-
-    asked = [(method, path, host, "2", "{}") for method in ("GET", "POST", "PUT", "OPTIONS", "G" * 5000)
-             for path in PATHS for host in HOSTS]  # fmt: skip
-    asked += [("POST", "/{token}/call", "{host}", length, "{}") for length in LENGTHS]
-    asked += [("POST", "/{token}/call", "{host}" + more, str(len(body)), body) for body in BODIES for more in MORE]
-    cases: Cases = {f"{k} {one[0][:8]} {one[1][:12]}": partial(run, *one) for k, one in enumerate(asked)}
-    return cases | {"its end": ends}
