@@ -91,15 +91,10 @@ def words_of(action: argparse.Action, value: str) -> Iterator[tuple[str, ...]]:
 
 
 def tries(lines: Mapping[str, Iterable[str]], about: Mapping[tuple[str, str], Iterable[str]]) -> list[Try]:
-    """
-    Every numeric option of every command with every nasty number, and every other one with every nasty word.
+    """Every numeric option of the commands of `lines` with every nasty number, every other one with every nasty word.
 
-    Parameters
-    ----------
-    lines : mapping of str to iterable of str
-        Command → arguments with which it does little; a command that is not here is not tried.
-    about : mapping of (str, str) to iterable of str
-        Command and option → what must stand beside the option; the command "*" holds for all.
+    `lines` has for a command the arguments with which it does little, `about` for a command and an option, or "*" and
+    an option, what must stand beside the option instead.
     """
     found = []
     for command, parser in parsers().items():
@@ -265,17 +260,9 @@ class Worker:
 
 
 def complaint(answer: Mapping[str, Any], usual: Iterable[str] = (), work: bool = False) -> str:
-    """
-    What is wrong with an answer; "" if it is a result, or refused in one clear line.
+    """What is wrong with an answer of `Worker.run`; "" if it is a result, or refused in one clear line.
 
-    Parameters
-    ----------
-    answer : mapping
-        Of `Worker.run`.
-    usual : iterable of str
-        Places where null may stand.
-    work : bool
-        Whether it may take long, if it ends soon after an interrupt.
+    Null may stand at the places that are `usual`; what is `work` may take long, if it ends soon after an interrupt.
     """
     if work and answer["code"] == 130 and answer["seconds"] < LIMIT_S + STOP_S:
         return ""

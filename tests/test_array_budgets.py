@@ -80,13 +80,8 @@ def test_a_grid_of_too_many_points(tmp_path: Path) -> None:
 
 
 def test_the_scene_names_the_surface(tmp_path: Path) -> None:
-    archive(tmp_path / "grid.npz", HUGE)
-    shape = {
-        "type": "freeform",
-        "grid": str(tmp_path / "grid.npz"),
-        "semi_diameter": 5.0,
-        "bsdf": {"type": "interface"},
-    }
+    file = archive(tmp_path / "grid.npz", HUGE)
+    shape = {"type": "freeform", "grid": str(file), "semi_diameter": 5.0, "bsdf": {"type": "interface"}}
     with pytest.raises(MistrayError, match=r"'mirror'.*26\.8 GiB"):
         mistray.load({"type": "scene", "mirror": shape})
 

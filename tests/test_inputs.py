@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import ast
-import contextlib
 import importlib.util
-import io
 import os
 import signal
 from collections.abc import Callable, Iterator
@@ -13,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from test_cli_import import SEQ, ZMX
 
 import mistray
 from mistray.analysis.pst.state import load_state
 from mistray.cache import Cache, file_fingerprint
-from mistray.cli.program import main
 from mistray.coatings.files import read_coating
 from mistray.errors import MistrayError
 from mistray.files.intensities import read_intensities
@@ -50,20 +48,6 @@ WAITING_S = 60  # until one that uses no time of it waits for ever
 
 SCENE = '<scene version="3.0.0">{}</scene>'
 SPHERE = '<shape type="sphere" id="wall">{}</shape>'
-CODEV = "LEN NEW\nRDM\nDIM M\nWL 550\nEPD 5\nSO 0 1E10\nS 50 2 ODD\nSTO\nS -50 10\nSI 0 0\nGO\n"
-LENS = """MODE SEQ
-WAVM 1 0.55 1
-ENPD 5
-SURF 0
-  DISZ INFINITY
-SURF 1
-  CURV 0.01
-  DISZ 2
-  GLAS ODD 0 0
-SURF 2
-  DISZ 10
-SURF 3
-"""
 
 
 def with_glasses(read: Callable[..., Any], ending: str, text: str) -> Callable[[Path], Any]:
@@ -88,18 +72,6 @@ def scene(body: str) -> Callable[[Path], Any]:
     return load
 
 
-def command(*words: str) -> Callable[[Path], Any]:
-    """A command of the shell, with the file in place of FILE; what it says becomes the error."""
-
-    def run(file: Path) -> None:
-        with contextlib.redirect_stderr(io.StringIO()) as told:
-            code = main([str(file) if word == "FILE" else word for word in words])
-        if code:
-            raise MistrayError(told.getvalue().rstrip("\n"))
-
-    return run
-
-
 TEXTURE = SPHERE.format('<bsdf type="diffuse"><texture type="bitmap" name="reflectance">{}</texture></bsdf>')
 NAME = '<string name="filename" value="{file}"/>'
 BSDF = SPHERE.format('<bsdf type="{kind}">{inside}</bsdf>')
@@ -107,9 +79,9 @@ BSDF = SPHERE.format('<bsdf type="{kind}">{inside}</bsdf>')
 READERS: dict[str, tuple[str, Callable[[Path], Any]]] = {
     "json lens": (".json", from_json),
     "zemax lens": (".zmx", read_zemax),
-    "zemax glasses": (".agf", with_glasses(read_zemax, ".zmx", LENS)),
+    "zemax glasses": (".agf", with_glasses(read_zemax, ".zmx", ZMX.replace("N-BK7", "ODD"))),
     "codev lens": (".seq", read_codev),
-    "codev glasses": (".agf", with_glasses(read_codev, ".seq", CODEV)),
+    "codev glasses": (".agf", with_glasses(read_codev, ".seq", SEQ.replace("NBK7_SCHOTT", "ODD"))),
     "glass catalogue": (".agf", glass_names),
     "material table": (".csv", lambda file: refractive_index(str(file), 550.0)),
     "material of a catalogue": (".agf", lambda file: refractive_index(f"{file}:ODD", 550.0)),
@@ -158,11 +130,6 @@ READERS: dict[str, tuple[str, Callable[[Path], Any]]] = {
     "measured": (".bsdf", scene(BSDF.format(kind="measured", inside=NAME))),
     "dict shape": (".ply", lambda file: mistray.load({"type": "scene", "a": {"type": "ply", "filename": str(file)}})),
     "tabulated": (".csv", scene(BSDF.format(kind="tabulated", inside='<string name="file" value="{file}"/>'))),
-    "import": (".zmx", command("import", "FILE", "--wavelength-nm", "550")),
-    "coating": (".csv", command("coating", "FILE")),
-    "ghosts": (".xml", command("ghosts", "FILE", "--rays", "100")),
-    "sweep": (".toml", command("sweep", "plate", "FILE", "--field-deg", "0", "--rays", "100")),
-    "optimize": (".toml", command("optimize", "plate", "FILE", "--out", "out")),
 }
 if importlib.util.find_spec("batoid"):
     READERS["batoid lens"] = (".yaml", lambda file: from_batoid(file, wavelength_nm=550.0))

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from fuzz_scenes import STUDY
 
 from mistray.cli.program import main
 from mistray.errors import MistrayError
@@ -168,17 +169,6 @@ def test_a_full_disk_leaves_nothing(
     assert contents(tmp_path / "out") == {}
 
 
-STUDY = """[[term]]
-kind = "path_power"
-goal = "minimise"
-[trace]
-rays = 100
-[[coating]]
-name = "AR"
-surfaces = "all"
-layers = "1.38 60"
-thickness_nm = [20, 180]
-"""
 RUNS = {
     "pst": (("pst", "plate", "--rays", "1000", "--paths", "0"), "pst_state.npz"),
     "optimize": (("optimize", "plate", "study.toml", "--steps", "1"), "checkpoint.json"),

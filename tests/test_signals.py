@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from interrupting import LIMIT_S, MISTRAY, interrupted, worker
+from attack.processes import LIMIT_S, MISTRAY, interrupted, worker
 from oracles.scatter_scenes import placed_xml, wall_xml
 from oracles.small_scenes import plates_text, scene_text, write
 

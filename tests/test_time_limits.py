@@ -7,13 +7,13 @@ import json
 import os
 import re
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from attack.processes import MISTRAY
 from oracles.small_scenes import plates_text, write
 
 import mistray
@@ -21,7 +21,6 @@ from mistray.report.pst_output import write_pst
 from mistray.report.tables.ghosts_csv import csv_tables
 from mistray.time_budget import coarse_first
 
-MISTRAY = [sys.executable, "-m", "mistray"]
 FIELDS = [k / 10 for k in range(200)]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import glob
 import os
 import subprocess
 import sys
@@ -88,28 +87,6 @@ def test_llvm_is_chosen_before_mitsuba_is_imported():
         """
     )
     assert run.stdout.split() == ["llvm_ad_rgb", "True", "25.0"], run.stderr
-
-
-OLD_LLVM = sorted(glob.glob("/usr/lib/*/libLLVM-1[456].so*"))
-
-
-@pytest.mark.skipif(not OLD_LLVM, reason="no LLVM 14 to 16 on this machine")
-@pytest.mark.parametrize("path", OLD_LLVM[-1:])
-def test_old_llvm_is_refused_without_an_abort(path):
-    code = """
-        import sys
-        if sys.argv[1:]:
-            import drjit
-        try:
-            from mistray._variant import ensure_variant
-            ensure_variant()
-        except ValueError as error:
-            print(error)
-        """
-    early = run_python(code, DRJIT_LIBLLVM_PATH=path)
-    assert early.stdout.startswith(f"DRJIT_LIBLLVM_PATH={path} is LLVM 1"), early.stderr
-    late = run_python(code, "drjit first", DRJIT_LIBLLVM_PATH=path)
-    assert late.stdout.startswith("variant 'llvm_ad_rgb': Dr.Jit has been imported with LLVM 1"), late.stderr
 
 
 @pytest.mark.long

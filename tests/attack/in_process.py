@@ -69,20 +69,7 @@ def scenes(worker: Worker, seed: int) -> Cases:
 
 @dataclass(frozen=True)
 class Kind:
-    """
-    A kind of file.
-
-    Attributes
-    ----------
-    samples : tuple of Path or bytes
-        What is damaged.
-    job : str
-        What is done with a FILE: a job of the worker or a command.
-    nest : Nest
-        What makes it deep.
-    count : int
-        Damaged files of each sort.
-    """
+    """What of a kind of file is damaged, the job or command that reads FILE, what is deep, and how many of a sort."""
 
     samples: tuple[Path | bytes, ...]
     job: str
@@ -183,14 +170,9 @@ def bombs(worker: Worker, seed: int) -> Cases:
 
 def _bombs() -> Iterator[tuple[str, bytes]]:
     head = '<scene version="3.0.0">'
-    for count in (20, 24, 26, 200):
-        lines = "".join(f'<default name="p{k + 1}" value="$p{k}$p{k}"/>' for k in range(count))
-        inside = f'<default name="p0" value="ab"/>{lines}<float name="$p{count}" value="1"/>'
-        yield "parameters.xml", f"{head}{inside}</scene>".encode()
     entities = "".join(f'<!ENTITY e{k + 1} "{f"&e{k};" * 20}">' for k in range(8))
     start = f'<!DOCTYPE scene [<!ENTITY e0 "1">{entities}]>'
     yield "entities.xml", f'{start}{head}<float name="a" value="&e8;"/></scene>'.encode()
-    yield "deep.xml", (head + "<bsdf type='interface'>" * 20_000 + "</bsdf>" * 20_000 + "</scene>").encode()
     yield "wide.xml", (head + '<float name="a" value="1"/>' * 200_000 + "</scene>").encode()
     aliases = [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]" for k in range(1, 10)]
     yield "aliases.yaml", "\n".join(["type: CompoundOptic", "a0: &a0 [x, x, x]", *aliases]).encode()
