@@ -98,13 +98,9 @@ MEMORY = """
 
 def run(program: str, variant: str, *arguments: str) -> str:
     """What a program prints last that runs with a variant."""
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(program), *arguments],
-        env={**os.environ, "MISTRAY_VARIANT": variant},
-        capture_output=True,
-        text=True,
-        timeout=1200,
-    )
+    command = [sys.executable, "-c", textwrap.dedent(program), *arguments]
+    env = os.environ | {"MISTRAY_VARIANT": variant}
+    done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=1200)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -22,16 +22,17 @@ GROUND_UP = """
     sweeps report explore doctor cli __main__
 """
 LAYERS = [set(names.split("|")) for names in GROUND_UP.split()]
-# `physics` holds equations and nothing else.
-PURE = {"physics": {"errors", "ranges", "physics"}}
-# Plugins are looked up by Mitsuba: they use these, and no module imports them.
-PLUGINS_MAY_IMPORT = {
-    "errors", "ids", "ranges", "param", "settings", "files", "_variant", "_mitsuba_compat", "physics", "materials",
-    "coatings", "spectra", "scatter", "surfaces", "recorders", "kernel", "sampling", "execute", "gradients",
-    "trace", "plugins",
+# `physics` holds equations and nothing else; plugins are looked up by Mitsuba: they use these, and no module imports
+# them; a shipped scene is a prescription written in Python.
+MAY_IMPORT = {
+    "physics": {"errors", "ranges", "physics"},
+    "plugins": {
+        "errors", "ids", "ranges", "param", "settings", "files", "_variant", "_mitsuba_compat", "physics", "materials",
+        "coatings", "spectra", "scatter", "surfaces", "recorders", "kernel", "sampling", "execute", "gradients",
+        "trace", "plugins",
+    },
+    "scenes": {"errors", "materials", "prescription", "scenes"},
 }  # fmt: skip
-# A shipped scene is a prescription written in Python.
-SCENES_MAY_IMPORT = {"errors", "materials", "prescription", "scenes"}
 # These work on arrays and tables, or before Mitsuba can be imported.
 NO_MITSUBA = {
     "errors", "ids", "ranges", "renamed", "settings", "replace_file", "replace_folder", "read_file", "files", "io",
@@ -195,16 +196,10 @@ def broken_rule(use: Use) -> str | None:
     if top != "mistray" or use.layer == "mistray":
         return None
     target = layer_of(use.target)
-    if use.layer == "plugins":
-        return None if target in PLUGINS_MAY_IMPORT else f"plugins do not import {target}"
-    if use.layer == "scenes":
-        return None if target in SCENES_MAY_IMPORT else f"scenes do not import {target}"
-    if target == "plugins":
-        return "plugins are looked up by Mitsuba"
-    if target == "scenes":
-        return None if use.layer == "scene" else "shipped scenes are found by mistray.scene"
-    if use.layer in PURE and target not in PURE[use.layer]:
-        return f"{use.layer} does not import {target}"
+    if use.layer in ("plugins", "scenes") or (use.layer in MAY_IMPORT and target not in MAY_IMPORT[use.layer]):
+        return None if target in MAY_IMPORT[use.layer] else f"{use.layer} does not import {target}"
+    if target in ("plugins", "scenes"):
+        return None if (use.layer, target) == ("scene", "scenes") else f"{target} are looked up by name"
     if target not in HEIGHT:
         return f"import the module that defines it instead of '{use.target}'"
     if HEIGHT[target] > HEIGHT[use.layer] and not (use.lazy and (use.layer, target) in LAZY):
