@@ -131,18 +131,8 @@ PLUGINS = (
     "straylight", "rectangle", "sphere", "obj", "diffuse", "perspective", "path", "bitmap", "asfere", "target", "",
 )  # fmt: skip
 STRINGS = (
-    b"",
-    b" ",
-    b"true",
-    b"1",
-    b"1, 2",
-    b"1 2 3 4",
-    b"$x",
-    b"N-BK8",
-    b"../../etc/passwd",
-    "Glas ß".encode(),
-    b"a" * 5000,
-)
+    b"", b" ", b"true", b"1", b"1, 2", b"1 2 3 4", b"$x", b"N-BK8", b"../../etc/passwd", "Glas ß".encode(), b"a" * 5000,
+)  # fmt: skip
 
 
 def write_companions(folder: Path) -> None:

@@ -1,53 +1,56 @@
-"""Nasty numbers for every numeric option of every command, and for every number of every plugin.
+"""Nasty words for every option of every command and number of every plugin, and the process in which they are tried.
 
 Options come from the parsers, and parameters from the tables of the plugins' manual: what is new is tried by itself.
-Tries run in a worker of their own, `python number_fuzz.py`, which answers one line of JSON for each line of arguments,
-so that a hang or a crash ends the worker and not the tests.
+The worker, `python number_fuzz.py`, answers one line of JSON for each line of arguments, so that a hang or a crash ends
+the worker and not the tests.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
-import csv
 import io
 import json
 import math
 import os
+import re
 import resource
 import select
 import signal
 import subprocess
 import sys
-import time
 import traceback
 import warnings
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from time import process_time
 from typing import Any
 
 from fuzzing import unclear
 
 NASTY = ("nan", "inf", "-inf", "0", "-0.0", "-1", "1e-308", "1e308", "1e-30", "1e30", "2147483648", "0.5", "abc")
 NASTY_XML = ("nan", "inf", "-inf", "0", "-1", "1e-308", "1e308", "1e-30", "1e30", "2147483648", "0.5")
+WORDS = ("", " ", "--", "9" * 20, "0x10", "1,5", "1:2", "½", "a" * 5000, "\x1b[2J", "../../etc/passwd")
 LIMIT_S = 10.0  # of processor time, which does not grow with the load of the machine
 STOP_S = 2.0 * (os.cpu_count() or 1)  # of processor time, all cores at work: an interrupt ends a command in 2 s
 STUCK_S = 120.0  # after which a worker is ended
 MEMORY = 6 << 30  # bytes beyond those of the worker at its start
+GUTS = re.compile(r"Traceback|\.cpp:|\.h:\d|jit_init|recursion depth|object is not|has no attribute|unexpected keyword"
+                  "|RuntimeWarning|overflow encountered|invalid value encountered|divide by zero")  # fmt: skip
+CLOSURE = re.compile(r'"closure": ([-+.e\d]+)')
 
 # Options without a type of their own that hold numbers
 TEXTS = {"cut_below": "R={}", "cut_below_W": "R={}", "coefficients": "c000={}", "particle": "{}+0.002i",
          "space": "*={}", "front": "{}", "back": "{}"}  # fmt: skip
 WORK = ("--rays",)  # what takes as long as is asked for, and is stopped as by Ctrl-C: 2³¹ rays are a wish, no slip
-
-WAITING = (("app", "--seconds"),)  # what waits as long as is asked for
+# What waits as long as is asked for or for other machines, or is of the machine
+LEFT_OUT = (("app", "--seconds"), ("*", "--scheduler"), ("*", "--port"), ("*", "--variant"), ("*", "--state"))
 
 
 @dataclass(frozen=True)
 class Try:
-    """A command line with one nasty number, or a scene with one: then `argv` is its text."""
+    """A command line with one nasty word, or a scene with one: then `argv` is its text."""
 
     command: str
     option: str
@@ -65,8 +68,8 @@ def parsers() -> dict[str, argparse.ArgumentParser]:
     return choices
 
 
-def numeric(parser: argparse.ArgumentParser) -> list[argparse.Action]:
-    """The options of a command that take numbers."""
+def numeric(parser: argparse.ArgumentParser, numbers: bool = True) -> list[argparse.Action]:
+    """The options of a command that take numbers, or those that take other words."""
     return [
         action
         for action in parser._actions
@@ -74,12 +77,12 @@ def numeric(parser: argparse.ArgumentParser) -> list[argparse.Action]:
         and action.help != argparse.SUPPRESS
         and action.nargs != 0
         and action.choices is None
-        and (action.dest in TEXTS or action.type not in (None, str, Path))
+        and (action.dest in TEXTS or action.type not in (None, str, Path)) is numbers
     ]
 
 
 def words_of(action: argparse.Action, value: str) -> Iterator[tuple[str, ...]]:
-    """The values of an option with a nasty number at each of its places."""
+    """The values of an option with a nasty word at each of its places."""
     label = action.metavar if isinstance(action.metavar, str) else ""
     text = TEXTS.get(action.dest) or ("x={}" if "=" in label else "{}")
     count = action.nargs if isinstance(action.nargs, int) else 1
@@ -88,24 +91,20 @@ def words_of(action: argparse.Action, value: str) -> Iterator[tuple[str, ...]]:
 
 
 def tries(lines: Mapping[str, Iterable[str]], about: Mapping[tuple[str, str], Iterable[str]]) -> list[Try]:
-    """
-    Every numeric option of every command with every nasty value.
+    """Every numeric option of the commands of `lines` with every nasty number, every other one with every nasty word.
 
-    Parameters
-    ----------
-    lines : mapping of str to iterable of str
-        Command → arguments with which it does little; a command that is not here is not tried.
-    about : mapping of (str, str) to iterable of str
-        Command and option → what must stand beside the option; the command "*" holds for all.
+    `lines` has for a command the arguments with which it does little, `about` for a command and an option, or "*" and
+    an option, what must stand beside the option instead.
     """
     found = []
     for command, parser in parsers().items():
-        for action in numeric(parser) if command in lines else ():
+        actions = [(action, NASTY) for action in numeric(parser)] + [(one, WORDS) for one in numeric(parser, False)]
+        for action, values in actions if command in lines else ():
             option = action.option_strings[-1]
-            if (command, option) in WAITING:
+            if not {(command, option), ("*", option)}.isdisjoint(LEFT_OUT):
                 continue
             beside = about.get((command, option), about.get(("*", option), lines[command]))
-            for value in NASTY:
+            for value in values:
                 for words in words_of(action, value):
                     # "=" for numbers that look like options; argparse takes the words after it as well
                     given = (f"{option}={words[0]}",) if len(words) == 1 else (option, *words)
@@ -125,18 +124,65 @@ def nothing(value: Any, path: str = "") -> Iterator[str]:
         yield path
 
 
-def nothing_in_csv(path: Path) -> Iterator[str]:
-    """Columns of a CSV file where nan or inf stands."""
-    rows = list(csv.reader(line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")))
-    for row in rows[1:]:
-        for name, cell in zip(rows[0], row, strict=False):
-            if cell.strip().lower() in ("nan", "inf", "-inf"):
-                yield f"{path.name}:{name}"
+# ---- what the worker does beside commands
 
 
-def run_one(argv: list[str], out: Path | None, limit_s: float) -> dict[str, Any]:
-    """One command line in this process: its exit code or exception, seconds, and where its output holds nothing."""
+def load_scene(path: Path) -> None:
+    """All that comes before the first ray; a scene that gets so far has a place and a size."""
+    import numpy as np
+
+    from mistray.execute.tracer import prepare
+    from mistray.scene import load
+    from mistray.settings import Settings
+
+    scene = load(path)
+    prepare(scene, Settings.of(scene))
+    box = scene.bbox()
+    if not (np.isfinite(np.array(box.min)).all() and np.isfinite(np.array(box.max)).all()):
+        raise ArithmeticError(f"the scene reaches from {box.min} to {box.max}")
+
+
+def read_coatings(path: Path) -> None:
+    """Evaluate every coating of a file; of those that cannot be, one that is not told clearly comes first."""
+    from mistray.coatings import read_coating_file, spectrum
+    from mistray.errors import MistrayError
+
+    file = read_coating_file(path)
+    wrong = None
+    for name in file:
+        try:
+            spectrum(file[name], [550.0], [0.0, 45.0], "air", "N-BK7")
+        except MistrayError as error:
+            wrong = error if wrong is None or unclear(str(error)) else wrong
+    if wrong is not None:
+        raise wrong
+
+
+def read_lamp(path: Path) -> None:
+    from mistray.files.intensities import read_intensities
+
+    read_intensities(path)
+
+
+JOBS: dict[str, Callable[[Path], None]] = {"load": load_scene, "coatings": read_coatings, "lamp": read_lamp}
+
+
+def _run(argv: list[str]) -> int:
     from mistray.cli.program import main
+    from mistray.errors import MistrayError
+
+    if argv[0] not in JOBS:
+        return main(argv)
+    try:
+        JOBS[argv[0]](Path(argv[1]))
+    except MistrayError as error:
+        print(f"mistray: error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def run_one(argv: list[str], limit_s: float, strict: bool = False) -> dict[str, Any]:
+    """One command line or job in this process: its code or exception, seconds, and where its output holds nothing."""
 
     def late(number: int, frame: object) -> None:
         """As Ctrl-C, which a command answers by itself."""
@@ -145,28 +191,30 @@ def run_one(argv: list[str], out: Path | None, limit_s: float) -> dict[str, Any]
     printed, complained = io.StringIO(), io.StringIO()
     error, code = "", None
     signal.signal(signal.SIGPROF, late)
-    began = time.process_time()
+    began = process_time()
     signal.setitimer(signal.ITIMER_PROF, limit_s)
     try:
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(complained), warnings.catch_warnings():
-            warnings.simplefilter("default")
-            code = main(argv)
+            warnings.simplefilter("error" if strict else "default")
+            code = _run(argv)
     except BaseException as caught:
         last = traceback.extract_tb(caught.__traceback__)[-1]
         error = f"{type(caught).__name__}: {str(caught)[:200]} ({Path(last.filename).name}:{last.lineno})"
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
-    seconds = time.process_time() - began
+    seconds = process_time() - began
     if seconds > limit_s:
         error = f"late: {seconds:.1f} s"
-    absent: list[str] = []
+    lost = max((abs(float(word)) for word in CLOSURE.findall(printed.getvalue())), default=0.0)
+    if lost > 1e-3:
+        error = f"energy is lost: {lost:.1e}"
+    absent: set[str] = set()
     if code == 0:
         with contextlib.suppress(ValueError):
-            absent += nothing(json.loads(printed.getvalue()))
-        for file in sorted(out.rglob("*.csv")) if out is not None else ():
-            absent += nothing_in_csv(file)
-    said = complained.getvalue()
-    return {"code": code, "error": error, "seconds": seconds, "said": said, "absent": sorted(set(absent))}
+            absent |= set(nothing(json.loads(printed.getvalue())))
+    peak_MB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000
+    return {"code": code, "error": error, "seconds": seconds, "said": complained.getvalue(), "absent": sorted(absent),
+            "peak_MB": peak_MB}  # fmt: skip
 
 
 class Worker:
@@ -176,27 +224,32 @@ class Worker:
         self.folder = folder
         self.process: subprocess.Popen[str] | None = None
 
-    def run(self, argv: Iterable[str], out: Path | None = None, limit_s: float = LIMIT_S) -> dict[str, Any]:
-        """The answer of `run_one`; its error is "hang" or "crash" where there was none."""
+    def run(self, argv: Iterable[str], limit_s: float = LIMIT_S, strict: bool = False) -> dict[str, Any]:
+        """The answer of `run_one`, whose error is "hang" or "crash" where there was none, and what libraries print."""
+        log = self.folder / "worker.log"
         if self.process is None:
-            environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).parent)}
-            self.process = subprocess.Popen(
-                [sys.executable, __file__],
-                stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=self.folder, env=environment,
-            )  # fmt: skip
+            environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).parent),
+                                        "MISTRAY_CACHE": str(self.folder / "cache")}  # fmt: skip
+            with log.open("w") as file:
+                self.process = subprocess.Popen(
+                    [sys.executable, __file__], text=True, cwd=self.folder, env=environment,
+                    stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=file,
+                )  # fmt: skip
         process = self.process
         assert process.stdin is not None
         assert process.stdout is not None
-        process.stdin.write(json.dumps([list(argv), None if out is None else str(out), limit_s]) + "\n")
+        before = log.stat().st_size
+        process.stdin.write(json.dumps([list(argv), limit_s, strict]) + "\n")
         process.stdin.flush()
         ready, _, _ = select.select([process.stdout], [], [], STUCK_S)
         line = process.stdout.readline() if ready else ""
+        chatter = log.read_bytes()[before:].decode(errors="replace")
         if line:
             answer: dict[str, Any] = json.loads(line)
-            return answer
+            return answer | {"chatter": chatter}
         self.close()
-        error = "hang" if not ready else f"crash: exit status {process.returncode}"
-        return {"code": None, "error": error, "seconds": STUCK_S, "said": "", "absent": []}
+        error = f"{'hang' if ready == [] else f'crash: exit status {process.returncode}'} {chatter[-300:]}"
+        return {"code": None, "error": error, "seconds": STUCK_S, "said": "", "absent": [], "chatter": ""}
 
     def close(self) -> None:
         """End the process."""
@@ -206,46 +259,24 @@ class Worker:
             self.process = None
 
 
-def table(outcomes: Iterable[tuple[str, str]]) -> str:
-    """Counts of (command, outcome), one line for each command."""
-    counts: dict[str, Counter[str]] = {}
-    for command, outcome in outcomes:
-        counts.setdefault(command, Counter())[outcome] += 1
-    heads = ("tries", "exit 0", "exit 2", "stopped", "exceptions", "hangs", "nothing")
-    lines = [f"{'':16}" + "".join(f"{head:>12}" for head in heads)]
-    whole = sum(counts.values(), Counter())
-    for command, count in [*counts.items(), ("all", whole)]:
-        numbers = (count.total(), *(count[head] for head in heads[1:]))
-        lines.append(f"{command:16}" + "".join(f"{number:12d}" for number in numbers))
-    return "\n".join(lines)
+def complaint(answer: Mapping[str, Any], usual: Iterable[str] = (), work: bool = False) -> str:
+    """What is wrong with an answer of `Worker.run`; "" if it is a result, or refused in one clear line.
 
-
-def outcome_of(answer: Mapping[str, Any], usual: Iterable[str], work: bool = False) -> tuple[str, str]:
+    Null may stand at the places that are `usual`; what is `work` may take long, if it ends soon after an interrupt.
     """
-    Kind of outcome, and what is wrong; "" if nothing is.
-
-    Parameters
-    ----------
-    answer : mapping
-        Of `run_one`.
-    usual : iterable of str
-        Places where null may stand.
-    work : bool
-        Whether it may take long, if it ends soon after an interrupt.
-    """
-    stopped = work and answer["code"] == 130 and answer["seconds"] < LIMIT_S + STOP_S
-    if answer["error"].startswith(("late", "hang")) and not stopped:
-        return "hangs", answer["error"]
-    if answer["error"] and not stopped:
-        return "exceptions", answer["error"]
-    absent = [place for place in answer["absent"] if place not in usual]
-    if answer["code"] == 0 and absent:
-        return "nothing", ", ".join(absent[:4])
-    if stopped:
-        return "stopped", ""
-    said = answer["said"].strip().rpartition("\n")[2].removeprefix("mistray: error: ")
-    wrong = "" if answer["code"] == 0 else unclear(said) if answer["code"] == 2 else said
-    return f"exit {answer['code']}", wrong or ""
+    if work and answer["code"] == 130 and answer["seconds"] < LIMIT_S + STOP_S:
+        return ""
+    said = answer["said"].strip()
+    if answer["error"] or GUTS.search(said):
+        return answer["error"] or f"the inside of a program: {said[-300:]}"
+    if answer["code"] == 0:
+        return ", ".join([place for place in answer["absent"] if place not in usual][:4])
+    if answer["code"] != 2:
+        return f"exit code {answer['code']}: {said[-300:]}"
+    last = said.splitlines()[-1] if said else ""
+    if said.count("mistray: error: ") != 1 or not last.startswith("mistray: error: "):
+        return f"not one line at the end: {said[:300]!r}"
+    return unclear(last.removeprefix("mistray: error: ")) or ""
 
 
 def serve() -> None:
@@ -261,8 +292,7 @@ def serve() -> None:
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what libraries print is no answer
     for line in sys.stdin:
-        argv, out, limit_s = json.loads(line)
-        print(json.dumps(run_one(argv, None if out is None else Path(out), limit_s)), file=answers, flush=True)
+        print(json.dumps(run_one(*json.loads(line))), file=answers, flush=True)
 
 
 if __name__ == "__main__":

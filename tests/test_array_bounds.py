@@ -27,9 +27,6 @@ PROGRAMS = {
     "pst by both directions": """
         mistray.pst(mistray.load("baffle_tube"), [5.0, 40.0], rays=20_000, max_scatters=1)
     """,
-    "pst of a tube": """
-        mistray.pst(mistray.load("baffle_tube"), [5.0, 40.0], rays=20_000, max_scatters=2)
-    """,
     "pst of a deep tube": """
         mistray.pst(mistray.load("baffle_tube"), [5.0, 40.0], rays=20_000, max_scatters=3)
     """,
@@ -56,9 +53,7 @@ PROGRAMS = {
     """,
 }
 # LLVM takes ten minutes for the checked kernel of two scatters, and seconds for that of one
-TIERS = {"a wrong index": ()} | dict.fromkeys(
-    ("pst of a tube", "pst of a deep tube", "pst of a camera"), pytest.mark.slow
-)
+TIERS = {"a wrong index": ()} | dict.fromkeys(("pst of a deep tube", "pst of a camera"), pytest.mark.slow)
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=TIERS.get(n, pytest.mark.long)) for n in PROGRAMS])

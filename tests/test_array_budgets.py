@@ -69,10 +69,8 @@ def test_a_grid_of_too_many_points(tmp_path: Path) -> None:
     """Each number is a byte here, and would be eight."""
     path = tmp_path / "grid.npz"
     side = 4097
-    np.savez_compressed(
-        path, corners=np.zeros((side, side, 4), np.int8), missing=np.zeros((side, side), bool), step=[1.0, 1.0],
-        middle=[0.0, 0.0],
-    )  # fmt: skip
+    square = np.zeros((side, side, 4), np.int8)
+    np.savez_compressed(path, corners=square, missing=square[..., 0] > 0, step=[1.0, 1.0], middle=[0.0, 0.0])
     assert f"{side} by {side} points" in refused(read_sag_grid, path)
     text = tmp_path / "grid.dat"
     text.write_text("100000 100000 1 1 0 0 0\n0 0 0 0\n")
@@ -80,13 +78,8 @@ def test_a_grid_of_too_many_points(tmp_path: Path) -> None:
 
 
 def test_the_scene_names_the_surface(tmp_path: Path) -> None:
-    archive(tmp_path / "grid.npz", HUGE)
-    shape = {
-        "type": "freeform",
-        "grid": str(tmp_path / "grid.npz"),
-        "semi_diameter": 5.0,
-        "bsdf": {"type": "interface"},
-    }
+    file = archive(tmp_path / "grid.npz", HUGE)
+    shape = {"type": "freeform", "grid": str(file), "semi_diameter": 5.0, "bsdf": {"type": "interface"}}
     with pytest.raises(MistrayError, match=r"'mirror'.*26\.8 GiB"):
         mistray.load({"type": "scene", "mirror": shape})
 

@@ -42,22 +42,16 @@ def run(*arguments, program="bench.py", code=0):
     return done.stdout, done.stderr
 
 
-@pytest.mark.parametrize(
-    ("ratio", "bar", "small", "verdict"),
-    [
-        (10.0, 10.0, False, "≥ 10 reached"),
-        (9.99, 10.0, False, "≥ 10 NOT REACHED"),
-        (1.05, 1.05, True, "≤ 1.05 reached"),
-        (1.06, 1.05, True, "≤ 1.05 NOT REACHED"),
-        (math.nan, 10.0, False, ""),
-        (3.0, None, False, ""),
-    ],
-)
-def test_verdict(ratio, bar, small, verdict):
-    one = row(ratio, bar=bar, small=small)
-    assert one.verdict == verdict
-    assert str(one).count(" | ") == 5
-    assert "nan" not in str(one)
+def test_verdict():
+    for ratio, bar, small, verdict in (
+        (10.0, 10.0, False, "≥ 10 reached"), (9.99, 10.0, False, "≥ 10 NOT REACHED"),
+        (1.05, 1.05, True, "≤ 1.05 reached"), (1.06, 1.05, True, "≤ 1.05 NOT REACHED"),
+        (math.nan, 10.0, False, ""), (3.0, None, False, ""),
+    ):  # fmt: skip
+        one = row(ratio, bar=bar, small=small)
+        assert one.verdict == verdict
+        assert str(one).count(" | ") == 5
+        assert "nan" not in str(one)
 
 
 def test_work_that_differs_gives_no_ratio():
@@ -74,45 +68,27 @@ def test_work_that_differs_gives_no_ratio():
     assert "flux 2 here and 1 there" in refused.other
 
 
-def test_clock_alternates():
-    from rows import alternate
+def test_clock_alternates_and_exponents():
+    from rows import alternate, slope
 
     turns = []
-    first, second = alternate(lambda: turns.append("a"), lambda: turns.append("b"), repeats=3)
+    pair = alternate(lambda: turns.append("a"), lambda: turns.append("b"), repeats=3)
     assert turns == ["a", "b"] * 4  # once before the clock starts
-    assert 0 < first.seconds < 1
-    assert 0 < second.seconds < 1
-
-
-def test_exponent():
-    from rows import slope
-
+    assert all(0 < one.seconds < 1 for one in pair)
     x = np.array([10, 20, 40, 80])
     assert slope(x, 3e-9 * x**2) == pytest.approx(2, abs=1e-12)
     assert slope(x, np.full(4, 7.0)) == pytest.approx(0, abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("before", "now", "small", "loss"),
-    [
-        (10.0, 8.8, False, None),
-        (10.0, 8.0, False, 25),
-        (10.0, 30.0, False, None),
-        (2.0, 2.25, True, None),
-        (2.0, 2.5, True, 25),
-        (2.0, 1.0, True, None),
-        (math.nan, 1.0, False, None),
-        (10.0, math.nan, False, None),
-    ],
-)
-def test_what_got_worse_says_so(before, now, small, loss):
+def test_what_got_worse_says_so():
     from record import worse
 
-    line = worse(row(now, small=small), row(before, small=small))
-    assert (line == "") == (loss is None)
-    assert "\n" not in line
-    if loss:
-        assert line == f"SLOWER by {loss} % than the kept run: this: {before:.3g} → {now:.3g}"
+    for before, now, small, slower in (
+        (10.0, 8.8, False, False), (10.0, 8.0, False, True), (10.0, 30.0, False, False), (2.0, 2.25, True, False),
+        (2.0, 2.5, True, True), (2.0, 1.0, True, False), (math.nan, 1.0, False, False), (10.0, math.nan, False, False),
+    ):  # fmt: skip
+        expected = f"SLOWER by 25 % than the kept run: this: {before:.3g} → {now:.3g}"
+        assert worse(row(now, small=small), row(before, small=small)) == (expected if slower else "")
 
 
 def test_record_keeps_what_was_not_run_again(tmp_path):
@@ -123,20 +99,19 @@ def test_record_keeps_what_was_not_run_again(tmp_path):
 
     path = tmp_path / "last.json"
     assert read(path) == {}
-    old = {
-        one.name: one for one in (kept("batoid", "lsst", 5.0), kept("films", "tmm", 7.0), kept("films", "gone", 1.0))
-    }
-    write(path, old)
+    old = (kept("batoid", "lsst", 5.0), kept("films", "tmm", 7.0), kept("films", "gone", 1.0))
+    write(path, {one.name: one for one in old})
     found = read(path)
-    assert {name: one.row.ratio for name, one in found.items()} == {name: one.row.ratio for name, one in old.items()}
+    assert {name: one.row.ratio for name, one in found.items()} == {one.name: one.row.ratio for one in old}
     assert found["films/tmm"].row.series == {"x": [1.0, 2.0]}
     new = merged(found, ["films"], [kept("films", "tmm", math.nan, "2026-02-02"), kept("films", "mie", 3.0)])
     # batoid was not run; tmm is not installed today; the row `gone` is no more
-    assert {name: (one.row.ratio, one.day) for name, one in new.items()} == {
-        "batoid/lsst": (5.0, "2026-01-01"),
-        "films/tmm": (7.0, "2026-01-01"),
-        "films/mie": (3.0, "2026-01-01"),
+    assert {name: one.row.ratio for name, one in new.items()} == {
+        "batoid/lsst": 5.0,
+        "films/tmm": 7.0,
+        "films/mie": 3.0,
     }
+    assert {one.day for one in new.values()} == {"2026-01-01"}
     write(path, {"a/b": kept("a", "b", math.nan)})
     assert json.loads(path.read_text())["rows"][0]["ratio"] is None
     assert math.isnan(read(path)["a/b"].row.ratio)
@@ -153,24 +128,22 @@ def test_missing_program_has_a_row(monkeypatch):
     assert [one.key for one in found] == ["lsst", "hsc", "decam", "rubin"]
     for one in found:
         assert one.other == "not measured: batoid not installed (pip install batoid)"
-        assert math.isnan(one.ratio)
-        assert not one.failed
+        assert (math.isnan(one.ratio), one.failed) == (True, False)
 
 
 def test_other_sizes_are_not_the_same_work(monkeypatch):
     """Spheres and films that are 0.1 % larger on one side: no ratio may come out."""
+    pytest.importorskip("miepython")
+    pytest.importorskip("tmm")
     import spheres
     import thinfilm
+    from rows import NotTheSameWorkError
 
     same = spheres.spheres
     monkeypatch.setattr(spheres, "spheres", lambda x, m, a: same(1.001 * x, m, a))
-    pytest.importorskip("miepython")
     (one,) = spheres.rows(True)
     assert one.failed
     assert "extinction" in one.other
-    pytest.importorskip("tmm")
-    from rows import NotTheSameWorkError
-
     grid = thinfilm.Grid.of(4, 2)
     theirs = thinfilm.in_tmm(grid)
     monkeypatch.setattr(thinfilm, "D_NM", 1.001 * thinfilm.D_NM)
@@ -193,18 +166,6 @@ def test_ghosts_of_another_reflectance_are_not_the_same_work(monkeypatch):
         telescopes.same_ghosts(trace, brighter)
 
 
-def test_command_in_small(tmp_path):
-    pytest.importorskip("miepython")
-    table, _ = run("--quick", "--only", "mie", "--folder", tmp_path)
-    assert "30 spheres" in table
-    assert "NOT REACHED" not in table
-    assert not list(tmp_path.iterdir())  # a quick run keeps nothing
-    (tmp_path / "last.json").write_text("{}")
-    _, error = run("--only", "mie", "--folder", tmp_path, code=2)
-    assert error.count("\n") == 1
-    assert "last.json: no record of benchmarks" in error
-
-
 def test_run_keeps_compares_and_is_strict(tmp_path, monkeypatch, capsys):
     import bench
     import spheres
@@ -217,23 +178,19 @@ def test_run_keeps_compares_and_is_strict(tmp_path, monkeypatch, capsys):
     def kept():
         return [entry["ratio"] for entry in json.loads((tmp_path / "last.json").read_text())["rows"]]
 
-    code, table = measure(10.0)
-    assert (code, kept()) == (0, [10.0])
-    assert "SLOWER" not in table
+    assert "≥ 5 reached" in measure(10.0)[1]
+    assert kept() == [10.0]
     assert "≥ 5 reached" in (tmp_path / "README.md").read_text()
-    code, table = measure(4.0, "--strict")
-    assert (code, kept()) == (1, [10.0])
-    assert table.count("SLOWER by 150 % than the kept run: this: 10 → 4") == 2  # after its row and at the end
-    assert "1 of 1 ratios got worse by more than 15 %" in table
-    assert measure(9.0, "--strict", "--no-write")[0] == 0
-    assert kept() == [10.0]
-    code, table = measure(4.0, "--quick")
-    assert code == 0
-    assert "SLOWER" not in table
-    assert kept() == [10.0]
-    code, table = measure(4.0)
-    assert (code, kept()) == (0, [4.0])
-    assert "SLOWER" in table
+    for ratio, options, expected, slower in (
+        (4.0, ("--strict",), (1, [10.0]), True),
+        (9.0, ("--strict", "--no-write"), (0, [10.0]), False),
+        (4.0, ("--quick",), (0, [10.0]), False),
+        (4.0, (), (0, [4.0]), True),
+    ):
+        code, table = measure(ratio, *options)
+        assert (code, kept()) == expected
+        assert ("SLOWER by 150 % than the kept run: this: 10 → 4" in table) is slower
+        assert ("1 of 1 ratios got worse by more than 15 %" in table) is slower
     code, table = measure(4.0, more=[row(math.nan, key="b", other="not the same work", failed=True)])
     assert code == 1
     assert "mie/b: not the same work" in table
@@ -242,42 +199,37 @@ def test_run_keeps_compares_and_is_strict(tmp_path, monkeypatch, capsys):
     assert "FAILED: ZeroDivisionError: division by zero" in capsys.readouterr().out
 
 
-def test_page_shows_every_row_and_the_figure(tmp_path):
+def test_page_shows_every_row_and_what_each_side_computes(tmp_path):
+    """With the figure, the days and machines, and of every comparison with another program the precision."""
     from bench import PARTS
     from page import write_page
     from record import Kept
 
-    rows = [row(2.0, key="rays", series={"rays": [1e4, 1e5], "seconds": [1.0, 9.0]})]
-    kept = [Kept("growth", rows[0], "2026-01-01", "machine A"), Kept("memory", row(3.0), "2026-01-02", "machine B")]
-    write_page(tmp_path / "README.md", tmp_path / "growth.svg", {one.name: one for one in kept}, PARTS)
+    more = {"growth": {"series": {"rays": [1e4, 1e5], "seconds": [1.0, 9.0]}}}
+    kept = {part: Kept(part, row(2.0, **more.get(part, {})), "2026-01-01", "machine A") for part in PARTS}
+    kept["memory"] = Kept("memory", row(3.0), "2026-01-02", "machine B")
+    write_page(tmp_path / "README.md", tmp_path / "growth.svg", kept, PARTS)
     text = (tmp_path / "README.md").read_text()
-    assert all(str(one.row) in text for one in kept)
-    assert "- 2026-01-02, machine B: memory\n- 2026-01-01, machine A: growth\n" in text
+    assert all(str(one.row) in text for one in kept.values())
+    assert "- 2026-01-02, machine B: memory\n- 2026-01-01, machine A: " in text
     assert "(growth.svg)" in text
     assert (tmp_path / "growth.svg").read_text().lstrip().startswith("<?xml")
-
-
-def test_page_says_what_each_side_computes(tmp_path):
-    """From the module's docstring, for every comparison with another program."""
-    from bench import PARTS
-    from page import write_page
-    from record import Kept
-
-    record = {part: Kept(part, row(2.0), "2026-01-01", "machine A") for part in PARTS}
-    write_page(tmp_path / "README.md", tmp_path / "growth.svg", record, PARTS)
-    sections = (tmp_path / "README.md").read_text().split("\n## ")[1:]
+    sections = text.split("\n## ")[1:]
     assert len(sections) == len(PARTS)
     for part, section in zip(PARTS, sections, strict=True):
         assert (FOLDER / f"{PARTS[part][0]}.py").exists()
         if part in ("embree", "batoid", "optiland", "films", "mie"):
-            assert "float" in section or "complex128" in section  # the precision of each side
+            assert "float" in section or "complex128" in section
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", ["embree", "batoid", "optiland", "films", "modes", "gradients", "memory", "growth"])
-def test_every_part_runs_in_small(part):
-    """A failed row is exit code 1."""
-    table, _ = run("--quick", "--only", part)
+@pytest.mark.parametrize(
+    "part", ["embree", "batoid", "optiland", "films", "mie", "modes", "gradients", "memory", "growth"]
+)
+def test_every_part_runs_in_small(part, tmp_path):
+    """A failed row is exit code 1; a quick run keeps nothing."""
+    table, _ = run("--quick", "--only", part, "--folder", tmp_path)
+    assert not list(tmp_path.iterdir())
     assert "FAILED" not in table
     assert "not the same work" not in table
 

@@ -1,29 +1,34 @@
-"""Every Python example in docs/ runs, the blocks of a page in one namespace; commands exist; links lead somewhere."""
+"""What README.md and docs/ show works: Python runs, a page in one namespace; commands exist; links lead somewhere."""
 
 from __future__ import annotations
 
 import re
 import shlex
+import shutil
+import subprocess
+import sys
 from itertools import takewhile
 from pathlib import Path
 
 import pytest
+from command_line import run
 
 from mistray.cli import program
 from mistray.errors import MistrayError
 
 ROOT = Path(__file__).parents[1]
-PAGES = sorted([*(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "questions").glob("*.md")])
+README = ROOT / "README.md"
+PAGES = [README, *sorted([*(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "questions").glob("*.md")])]
 ALL_PAGES = sorted((ROOT / "docs").rglob("*.md"))
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 SHELL = re.compile(r"^```sh\n(.*?)^```", re.MULTILINE | re.DOTALL)
 INDENTED = re.compile(r"^ {4}(mistray .*)", re.MULTILINE)
 
 
-def command_lines(text: str) -> list[str]:
+def command_lines(page: Path) -> list[str]:
     """Commands of a page: lines of shell blocks, and indented lines that begin with the name of the program."""
-    lines = [line for block in SHELL.findall(text) for line in block.splitlines() if line]
-    return lines + INDENTED.findall(text)
+    text = page.read_text(encoding="utf-8")
+    return [line for block in SHELL.findall(text) for line in block.splitlines() if line] + INDENTED.findall(text)
 
 
 def parse(line: str) -> None:
@@ -33,10 +38,6 @@ def parse(line: str) -> None:
         program._parser().parse_args(words[1:])
     else:
         assert words[0] in ("mistray", "make", "pip", "python", "dask"), line
-
-
-def test_there_are_pages() -> None:
-    assert any(BLOCK.search(page.read_text(encoding="utf-8")) for page in PAGES)
 
 
 @pytest.mark.long
@@ -49,23 +50,61 @@ def test_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         line = text[: match.start()].count("\n") + 2
         code = compile("\n" * (line - 1) + match[1], str(page), "exec")
         exec(code, namespace)
+        assert page != README or len([text for text in match[1].splitlines() if text.strip()]) <= 15
+    if page == README:
+        assert (tmp_path / "paths.csv").read_text().startswith("path_id,")
 
 
 def test_commands_exist() -> None:
     """With their options; `test_docs_commands` runs them, which takes most of an hour."""
-    lines = [line for page in ALL_PAGES for line in command_lines(page.read_text(encoding="utf-8"))]
+    lines = [line for page in (README, *ALL_PAGES) for line in command_lines(page)]
     assert len(lines) > 40
     for line in lines:
         parse(line)
+    for wrong in ("mistray ghost scene.xml", "mistray ghosts scene.xml --flux-treshold 1", "mistary"):
+        with pytest.raises((MistrayError, AssertionError)):
+            parse(wrong)
 
 
-@pytest.mark.parametrize("line", ["mistray ghost scene.xml", "mistray ghosts scene.xml --flux-treshold 1", "mistary"])
-def test_a_wrong_command_would_be_noticed(line: str) -> None:
-    with pytest.raises((MistrayError, AssertionError)):
-        parse(line)
-
-
-@pytest.mark.parametrize("page", [*ALL_PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", [*ALL_PAGES, ROOT / "CONTRIBUTING.md", README], ids=lambda page: page.stem)
 def test_links_lead_somewhere(page: Path) -> None:
-    for target in re.findall(r"\]\((?!http|#)([^)#]+)", page.read_text(encoding="utf-8")):
-        assert (page.parent / target).exists(), target
+    for target in re.findall(r"\]\((?!https?:|#)([^)]+)", page.read_text(encoding="utf-8")):
+        name, _, part = target.partition("#")
+        assert (page.parent / name).exists(), target
+        if part and page == README:
+            headings = re.findall(r"(?m)^#+ (.+)$", (ROOT / name).read_text(encoding="utf-8"))
+            assert part in [re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings], target
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("line", [line for line in command_lines(README) if line.startswith("mistray")])
+def test_a_command_of_the_readme(
+    line: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(ROOT)
+    Path("out").mkdir(exist_ok=True)
+    force = ["--force"] if " out/" in line else []  # which may hold the results of an earlier run of this test
+    code, out, err = run(capsys, *shlex.split(line)[1:], *force)
+    assert code == 0, err
+    assert out
+
+
+@pytest.mark.long
+def test_make_demo_writes_the_report() -> None:
+    if shutil.which("make") is None or Path(sys.prefix) != ROOT / ".venv":
+        pytest.skip("not run by make in its own environment")
+    demo = ROOT / "out" / "demo"
+    shutil.rmtree(demo, ignore_errors=True)
+    done = subprocess.run(["make", "demo"], cwd=ROOT, capture_output=True, text=True, timeout=900)
+    assert done.returncode == 0, done.stderr
+    assert {"report.html", "paths.csv", "overview.png", "path_sort_27deg.txt"} <= {path.name for path in demo.iterdir()}
+    assert not re.search(r"(src|href)=[\"']https?:", (demo / "report.html").read_text(encoding="utf-8"))
+
+
+def test_the_readme_names_its_commands_scenes_and_notebooks() -> None:
+    text = README.read_text(encoding="utf-8")
+    assert [line for line in command_lines(README) if not line.startswith("mistray ")] == ["make demo", "make test"]
+    assert all(f"`{path.parent.name}`" in text for path in (ROOT / "scenes").glob("*/scene.xml"))
+    notebooks = [path.relative_to(ROOT).as_posix() for path in (ROOT / "notebooks").glob("*.ipynb")]
+    assert notebooks
+    assert all(f"]({name})" in text for name in [*notebooks, "docs/tasks.md"])

@@ -3,78 +3,44 @@
 from __future__ import annotations
 
 import ast
-import contextlib
+import importlib
 import importlib.util
-import io
 import os
 import signal
 from collections.abc import Callable, Iterator
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 import pytest
+from test_cli_import import SEQ, ZMX
 
 import mistray
-from mistray.analysis.pst.state import load_state
 from mistray.cache import Cache, file_fingerprint
-from mistray.cli.program import main
 from mistray.coatings.files import read_coating
 from mistray.errors import MistrayError
-from mistray.files.intensities import read_intensities
-from mistray.files.irradiance_files import read_irradiance
-from mistray.files.ray_sets import read_ray_set
 from mistray.files.sky_picture import read_healpix
-from mistray.io.codev.read import read_codev
-from mistray.io.zemax.read import read_zemax
 from mistray.materials import refractive_index
-from mistray.materials.agf import glass_names
-from mistray.mechanics import read_mechanics
 from mistray.optimize.study.checkpoint import Checkpoint
-from mistray.optimize.toml.read_budget import read_budget
-from mistray.optimize.toml.read_study import read_study
-from mistray.prescription import from_batoid, from_json, read_grid
+from mistray.prescription import from_batoid, from_codev, from_zemax
 from mistray.read_file import read_text
-from mistray.report.rays.ray_files import read_rays
-from mistray.scatter.measured.bsdf_csv import read_bsdf_csv
-from mistray.scatter.measured.psd_table import PsdTable
-from mistray.scatter.measured.zemax_abg import abg_from_catalogue
-from mistray.scatter.measured.zemax_bsdf import read_zemax_bsdf
-from mistray.scene.files import scene_files
-from mistray.scene.unshared import SceneText
-from mistray.scene.xml_file import SceneFile
-from mistray.spectra.spectrum import read_table
-from mistray.sweeps.read_configurations import read_configurations
 
 PATIENCE_S = 5  # of a reader, by the clock of the processor, which does not run while others have it
 WAITING_S = 60  # until one that uses no time of it waits for ever
 
 SCENE = '<scene version="3.0.0">{}</scene>'
 SPHERE = '<shape type="sphere" id="wall">{}</shape>'
-LENS = """MODE SEQ
-{catalogue}WAVM 1 0.55 1
-ENPD 5
-SURF 0
-  DISZ INFINITY
-SURF 1
-  CURV 0.01
-  DISZ 2
-  GLAS ODD 0 0
-SURF 2
-  DISZ 10
-SURF 3
-"""
 
 
-def codev(file: Path) -> Any:
-    lens = file.with_name("lens.seq")
-    lens.write_text("LEN NEW\nRDM\nDIM M\nWL 550\nEPD 5\nSO 0 1E10\nS 50 2 ODD\nSTO\nS -50 10\nSI 0 0\nGO\n")
-    return read_codev(lens, glass_catalogues=[file])
+def with_glasses(read: Callable[..., Any], ending: str, text: str) -> Callable[[Path], Any]:
+    """Reads a lens whose glass is in the file."""
 
+    def run(file: Path) -> Any:
+        lens = file.with_name(f"lens{ending}")
+        lens.write_text(text)
+        return read(lens, glass_catalogues=[file])
 
-def zemax(file: Path) -> Any:
-    lens = file.with_name("lens.zmx")
-    lens.write_text(LENS.format(catalogue=""))
-    return read_zemax(lens, glass_catalogues=[file])
+    return run
 
 
 def scene(body: str) -> Callable[[Path], Any]:
@@ -88,77 +54,44 @@ def scene(body: str) -> Callable[[Path], Any]:
     return load
 
 
-def in_dict(entry: dict[str, Any]) -> Callable[[Path], Any]:
-    """Loads a dict whose `filename` is the file."""
-    return lambda file: mistray.load({"type": "scene", "wall": _filled(entry, file)})
-
-
-def _filled(entry: Any, file: Path) -> Any:
-    if isinstance(entry, dict):
-        return {key: _filled(value, file) for key, value in entry.items()}
-    return str(file) if entry == "FILE" else entry
-
-
-def command(*words: str) -> Callable[[Path], Any]:
-    """A command of the shell, with the file in place of FILE; what it says becomes the error."""
-
-    def run(file: Path) -> None:
-        with contextlib.redirect_stderr(io.StringIO()) as told:
-            code = main([str(file) if word == "FILE" else word for word in words])
-        if code:
-            raise MistrayError(told.getvalue().rstrip("\n"))
-
-    return run
-
-
 TEXTURE = SPHERE.format('<bsdf type="diffuse"><texture type="bitmap" name="reflectance">{}</texture></bsdf>')
 NAME = '<string name="filename" value="{file}"/>'
 BSDF = SPHERE.format('<bsdf type="{kind}">{inside}</bsdf>')
+# What a module of the package reads a file with, and the endings of the file
+FUNCTIONS = {
+    "prescription:from_json": ".json", "io.zemax.read:read_zemax": ".zmx", "io.codev.read:read_codev": ".seq",
+    "materials.agf:glass_names": ".agf", "scatter.measured.bsdf_csv:read_bsdf_csv": ".csv",
+    "scatter.measured.zemax_bsdf:read_zemax_bsdf": ".bsdf", "scatter.measured.psd_table:PsdTable.read": ".csv",
+    "report.rays.ray_files:read_rays": ".ply .obj .json", "files.ray_sets:read_ray_set": ".csv .dat .parquet",
+    "files.irradiance_files:read_irradiance": ".npy .fits .exr", "spectra.spectrum:read_table": ".csv",
+    "files.intensities:read_intensities": ".ies .csv", "analysis.pst.state:load_state": ".npz",
+    "prescription:read_grid": ".npz .dat", "sweeps.read_configurations:read_configurations": ".toml",
+    "optimize.toml.read_study:read_study": ".toml", "optimize.toml.read_budget:read_budget": ".toml",
+    "mechanics:read_mechanics": ".step .stl .obj .ply", "scene:load": ".xml", "scene.xml_file:SceneFile": ".xml",
+    "scene.unshared:SceneText": ".xml", "scene.files:scene_files": ".xml",
+}  # fmt: skip
+
+
+def reader(name: str) -> Callable[[Path], Any]:
+    """A function by its module and its name there."""
+    module, _, name = name.partition(":")
+    return lambda file: attrgetter(name)(importlib.import_module(f"mistray.{module}"))(file)
+
+
 # Reader by name: the ending of the file and the reader
 READERS: dict[str, tuple[str, Callable[[Path], Any]]] = {
-    "json lens": (".json", from_json),
-    "zemax lens": (".zmx", read_zemax),
-    "zemax glasses": (".agf", zemax),
-    "codev lens": (".seq", read_codev),
-    "codev glasses": (".agf", codev),
-    "glass catalogue": (".agf", glass_names),
+    f"{name} {ending}": (ending, reader(name)) for name, endings in FUNCTIONS.items() for ending in endings.split()
+} | {
+    "zemax glasses": (".agf", with_glasses(from_zemax, ".zmx", ZMX.replace("N-BK7", "ODD"))),
+    "codev glasses": (".agf", with_glasses(from_codev, ".seq", SEQ.replace("NBK7_SCHOTT", "ODD"))),
     "material table": (".csv", lambda file: refractive_index(str(file), 550.0)),
     "material of a catalogue": (".agf", lambda file: refractive_index(f"{file}:ODD", 550.0)),
     "material of a coating file": (".dat", lambda file: refractive_index(f"{file}:ODD", 550.0)),
     "coating table": (".csv", lambda file: read_coating(str(file))),
     "coating of a file": (".dat", lambda file: read_coating(f"{file}:AR")),
-    "BSDF table": (".csv", read_bsdf_csv),
-    "Zemax BSDF": (".bsdf", read_zemax_bsdf),
-    "ABg catalogue": (".dat", lambda file: abg_from_catalogue(f"{file}:ODD")),
-    "PSD table": (".csv", PsdTable.read),
-    "ray file ply": (".ply", read_rays),
-    "ray file obj": (".obj", read_rays),
-    "ray file json": (".json", read_rays),
-    "ray set csv": (".csv", read_ray_set),
-    "ray set dat": (".dat", read_ray_set),
-    "ray set parquet": (".parquet", read_ray_set),
-    "irradiance npy": (".npy", read_irradiance),
-    "irradiance fits": (".fits", read_irradiance),
-    "irradiance exr": (".exr", read_irradiance),
-    "spectrum of a source": (".csv", read_table),
-    "intensities ies": (".ies", read_intensities),
-    "intensities csv": (".csv", read_intensities),
+    "ABg catalogue": (".dat", lambda file: reader("scatter.measured.zemax_abg:abg_from_catalogue")(f"{file}:ODD")),
     "sky in healpix": (".fits", lambda file: read_healpix(str(file), "sky")),
-    "state": (".npz", load_state),
-    "grid": (".npz", read_grid),
-    "grid as text": (".dat", read_grid),
     "checkpoint": (".json", lambda file: Checkpoint(file, mistray.scene.find("plate"), "x").read()),
-    "configurations": (".toml", read_configurations),
-    "study": (".toml", read_study),
-    "budget": (".toml", read_budget),
-    "STEP": (".step", read_mechanics),
-    "STL": (".stl", read_mechanics),
-    "OBJ": (".obj", read_mechanics),
-    "PLY": (".ply", read_mechanics),
-    "scene": (".xml", mistray.load),
-    "scene to edit": (".xml", SceneFile),
-    "scene to unshare": (".xml", SceneText),
-    "files of a scene": (".xml", scene_files),
     "include": (".xml", scene('<include filename="{file}"/>')),
     "include by parameter": (".xml", scene('<default name="f" value="{file}"/><include filename="$f"/>')),
     "spectrum": (".spd", scene(BSDF.format(kind="diffuse", inside='<spectrum name="reflectance" filename="{file}"/>'))),
@@ -167,70 +100,29 @@ READERS: dict[str, tuple[str, Callable[[Path], Any]]] = {
     "part mesh": (".ply", scene(f'<shape type="part_mesh" id="p">{NAME}</shape>')),
     "bitmap": (".png", scene(TEXTURE.format(NAME))),
     "measured": (".bsdf", scene(BSDF.format(kind="measured", inside=NAME))),
-    "dict shape": (".ply", in_dict({"type": "ply", "filename": "FILE"})),
-    "dict bitmap": (".exr", in_dict({"type": "envmap", "filename": "FILE"})),
-    "tabulated": (
-        ".csv",
-        scene(BSDF.format(kind="tabulated", inside='<string name="file" value="{file}"/>')),
-    ),
-    "import": (".zmx", command("import", "FILE", "--wavelength-nm", "550")),
-    "import step": (".stp", command("import", "FILE")),
-    "import json": (".json", command("import", "FILE")),
-    "bsdf": (".bsdf", command("bsdf", "FILE")),
-    "coating": (".csv", command("coating", "FILE")),
-    "ghosts": (".xml", command("ghosts", "FILE", "--rays", "100")),
-    "sweep": (".toml", command("sweep", "plate", "FILE", "--field-deg", "0", "--rays", "100")),
-    "optimize": (".toml", command("optimize", "plate", "FILE", "--out", "out")),
-    "budget command": (".toml", command("budget", "plate", "FILE")),
+    "dict shape": (".ply", lambda file: mistray.load({"type": "scene", "a": {"type": "ply", "filename": str(file)}})),
+    "tabulated": (".csv", scene(BSDF.format(kind="tabulated", inside='<string name="file" value="{file}"/>'))),
 }
 if importlib.util.find_spec("batoid"):
     READERS["batoid lens"] = (".yaml", lambda file: from_batoid(file, wavelength_nm=550.0))
 
 
-def pipe(file: Path) -> None:
-    os.mkfifo(file)
-
-
-def device(file: Path) -> None:
-    file.symlink_to("/dev/zero")
-
-
-def terminal(file: Path) -> None:
-    file.symlink_to("/dev/null")
-
-
-def folder(file: Path) -> None:
-    file.mkdir()
-
-
-def garbage(file: Path) -> None:
-    file.write_bytes(bytes(range(256)) * 40)
-
-
-def nest(file: Path, levels: int = 2000) -> None:
+def nest(file: Path, levels: int) -> None:
     opening, closing = ("<a>", "</a>") if file.suffix == ".xml" else ("[", "")
     file.write_text(("a = " if file.suffix == ".toml" else "") + opening * levels + closing * levels)
 
 
-def deep_nest(file: Path) -> None:
-    nest(file, 100_000)
-
-
-def empty(file: Path) -> None:
-    file.write_bytes(b"")
-
-
-KINDS = {made.__name__: made for made in (pipe, device, terminal, folder, garbage, nest, deep_nest, empty)}
-LIBRARIES = {
-    "ray set parquet": "pyarrow",
-    "irradiance fits": "astropy",
-    "sky in healpix": "astropy",
-    "irradiance exr": "OpenEXR",
-    "STEP": "cascadio",
-    "STL": "trimesh",
-    "PLY": "trimesh",
-    "import step": "cascadio",
+KINDS: dict[str, Callable[[Path], object]] = {
+    "pipe": lambda file: os.mkfifo(file),
+    "device": lambda file: file.symlink_to("/dev/zero"),
+    "terminal": lambda file: file.symlink_to("/dev/null"),
+    "folder": lambda file: file.mkdir(),
+    "garbage": lambda file: file.write_bytes(bytes(range(256)) * 40),
+    "nest": lambda file: nest(file, 2000),
+    "deep_nest": lambda file: nest(file, 100_000),
+    "empty": lambda file: file.write_bytes(b""),
 }
+LIBRARIES = {".parquet": "pyarrow", ".fits": "astropy", ".exr": "OpenEXR", ".step": "cascadio", ".stl": "trimesh"}
 
 
 @pytest.fixture
@@ -253,13 +145,13 @@ def patience() -> Iterator[None]:
 @pytest.mark.long
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize("name", READERS)
 def test_what_is_no_such_file_is_named_at_once(
-    tmp_path: Path, monkeypatch: Any, patience: None, reader: str, kind: str
+    tmp_path: Path, monkeypatch: Any, patience: None, name: str, kind: str
 ) -> None:
-    if reader in LIBRARIES:
-        pytest.importorskip(LIBRARIES[reader])
-    ending, read = READERS[reader]
+    ending, read = READERS[name]
+    if ending in LIBRARIES or name == "mechanics:read_mechanics .ply":
+        pytest.importorskip(LIBRARIES.get(ending, "trimesh"))
     file = tmp_path / f"odd one{ending}"
     KINDS[kind](file)
     monkeypatch.chdir(tmp_path)

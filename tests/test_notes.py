@@ -12,6 +12,7 @@ from typing import Any
 
 import mitsuba as mi
 import pytest
+from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
 from mistray.notes import Code
@@ -28,58 +29,47 @@ def heard(call: Callable[[], Any]) -> tuple[Any, list[tuple[str, str]]]:
     return result, [(one.message.code, str(one.message)) for one in raised]
 
 
-def two_balls(exchanged: bool) -> mi.Scene:
-    """Two balls of glass before a detector; exchanged: the interface of the first says that the glass is outside."""
-    # The normal of a sphere points outwards: it comes from the front, which is inside
-    right, wrong = {"front": "1.5", "back": "air"}, {"front": "air", "back": "1.5"}
-    return mistray.load(
-        {
-            "type": "scene",
-            "near": {"type": "sphere", "radius": 5.0, "bsdf": {"type": "interface", **(wrong if exchanged else right)}},
-            "far": {"type": "sphere", "radius": 9.0, "center": [0, 0, 15], "bsdf": {"type": "interface", **right}},
-            "source": {
-                "type": "collimated",
-                "to_world": mi.ScalarTransform4f().translate([0, 0, -20]),
-                "radius": 3.0,
-            },
-            "detector": {
-                "type": "rectangle",
-                "to_world": mi.ScalarTransform4f().translate([0, 0, 30]).scale(9),
-                "sensor": {
-                    "type": "irradiancemeter",
-                    "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}},
-                },
-                "bsdf": {"type": "interface", "R": 0.0, "T": 0.0},
-            },
-        }
-    )
+@pytest.fixture(scope="module")
+def scene() -> mi.Scene:
+    return mistray.load("cooke_triplet")
 
 
-def test_medium_on_the_wrong_side():
+def two_balls(near: str) -> str:
+    """Two balls of glass before a detector; the normal of a sphere points outwards: it comes from the front, inside."""
+    glass = interface_xml("1.5", "air")
+    far = f'<shape type="sphere" id="far"><float name="radius" value="9"/><point name="center" z="15"/>{glass}</shape>'
+    detector = shape_xml("asphere", "detector", 30.0, sensor=True, half_width=9.0, half_height=9.0)
+    first = f'<shape type="sphere" id="near"><float name="radius" value="5"/>{near}</shape>'
+    text = scene_text(first, far, detector, radius=3.0)
+    place = '<transform name="to_world"><translate z="-20"/></transform></emitter>'
+    return text.replace("</emitter>", place)
+
+
+def test_medium_on_the_wrong_side(load_scene):
     """The far ball is met from glass that is not there: the light is lost, and `trace` says so."""
-    t, found = heard(lambda: mistray.trace(two_balls(exchanged=True), rays=500))
+    t, found = heard(lambda: mistray.trace(load_scene(two_balls(interface_xml("air", "1.5"))), rays=500))
     assert [code for code, _ in found] == [note.code for note in t.notes if note.warns]
     lost = t.energy.cut["medium"] / t.energy.launched_W
     assert lost > 0.1
     (text,) = [text for code, text in found if code == "medium"]
     assert f"{lost:.1e}" in text
-    right, _ = heard(lambda: mistray.trace(two_balls(exchanged=False), rays=500))
+    right, _ = heard(lambda: mistray.trace(load_scene(two_balls(interface_xml("1.5", "air"))), rays=500))
     assert not [note for note in right.notes if note.code == "medium"]
 
 
-def test_small_cuts_are_notes_and_large_ones_warn():
-    scene = mistray.load("cooke_triplet")
+def test_small_cuts_are_notes_and_large_ones_warn(scene):
     t, found = heard(lambda: mistray.trace(scene, rays=500))
     assert [(note.code, note.warns) for note in t.notes if note.code == "cut"] == [("cut", False)]
     assert "cut" not in [code for code, _ in found]
+    for again in (copy.deepcopy(t.notes), pickle.loads(pickle.dumps(t.notes))):
+        assert [(note, note.code, note.warns) for note in again] == [(note, note.code, note.warns) for note in t.notes]
     few, found = heard(lambda: mistray.trace(scene, rays=500, max_reflections=0))
     assert few.energy.cut["max_reflections"] > 0.01 * few.energy.launched_W
     assert "cut" in [code for code, _ in found]
 
 
-def test_ghosts_warn_once_for_all_fields():
+def test_ghosts_warn_once_for_all_fields(scene):
     """Each line once, with its fields; the traces of the fields say nothing of their own."""
-    scene = mistray.load("cooke_triplet")
     report, found = heard(lambda: mistray.ghosts(scene, [0.0, 5.0], rays=500, max_reflections=0))
     assert found == [(note.code, f"{note} [{note.code}]") for note in report.notes if note.warns]
     cut = [text for code, text in found if code == "cut"]
@@ -87,8 +77,7 @@ def test_ghosts_warn_once_for_all_fields():
     assert cut[0].startswith("field 0, 5 deg: ")
 
 
-def test_pst_and_objects():
-    scene = mistray.load("cooke_triplet")
+def test_pst_and_objects(scene):
     pst, found = heard(lambda: mistray.pst(scene, [0.0, 70.0], rays=2000, next_order=False))
     assert found == [(note.code, f"{note} [{note.code}]") for note in pst.notes]
     assert {"no-light", "error"} & {code for code, _ in found}
@@ -96,8 +85,7 @@ def test_pst_and_objects():
     assert found == [(note.code, f"{note} [{note.code}]") for note in seen.notes]
 
 
-def test_filters_choose_by_code():
-    scene = mistray.load("cooke_triplet")
+def test_filters_choose_by_code(scene):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         warnings.filterwarnings("error", r".*\[cut\]$", mistray.MistrayWarning)
@@ -106,17 +94,10 @@ def test_filters_choose_by_code():
     assert raised.value.code == "cut"
 
 
-def test_a_gradient_is_quiet():
+def test_a_gradient_is_quiet(scene):
     """What a search traces on its way is no result of the user's."""
-    scene = mistray.load("cooke_triplet")
     metric = mistray.optimize.transmission(scene, rays=500, max_reflections=0)
     assert heard(lambda: mistray.gradient(metric, mi.traverse(scene), ["L1_front.curvature"]))[1] == []
-
-
-def test_notes_survive_copies():
-    t = mistray.trace(mistray.load("cooke_triplet"), rays=500)
-    for again in (copy.deepcopy(t.notes), pickle.loads(pickle.dumps(t.notes))):
-        assert [(note, note.code, note.warns) for note in again] == [(note, note.code, note.warns) for note in t.notes]
 
 
 def test_every_code_is_documented():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import pkgutil
 import re
 import shutil
 import subprocess
@@ -11,13 +12,12 @@ import sys
 import tomllib
 import zipfile
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 import yaml
 
 ROOT = Path(__file__).parents[1]
-CONFIG = tomllib.loads((ROOT / "pyproject.toml").read_text())
-SETUPTOOLS = CONFIG["tool"]["setuptools"]
 # Folder in the repository → folder in the wheel
 SOURCES = {"mistray": "mistray", "plugins": "mistray/plugins", "scenes": "mistray/scenes"}
 
@@ -62,14 +62,16 @@ def wheel_files(folder: Path) -> set[str]:
     return {name for name in names if not re.match(r"mistray-[^/]*\.dist-info/", name)}
 
 
-def test_wheel(clone, tmp_path):
-    run(sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "-w", str(tmp_path), ".", cwd=clone)
-    assert wheel_files(tmp_path) == expected_files()
-
-
-@pytest.mark.long
-def test_wheel_of_the_sdist(clone, tmp_path):
-    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", str(tmp_path), ".", cwd=clone)
+@pytest.mark.parametrize("sdist", [False, pytest.param(True, marks=pytest.mark.long)])
+def test_wheel(clone, tmp_path, sdist):
+    """Of the repository, and by way of the sdist."""
+    wheel = ("pip", "wheel", "--no-deps", "--no-build-isolation", "-w", str(tmp_path), ".")
+    run(
+        sys.executable,
+        "-m",
+        *(("build", "--no-isolation", "--outdir", str(tmp_path), ".") if sdist else wheel),
+        cwd=clone,
+    )
     assert wheel_files(tmp_path) == expected_files()
 
 
@@ -86,31 +88,15 @@ def test_editable_install(clone, tmp_path):
     assert mapping == {inside: clone / outside for outside, inside in SOURCES.items()}
 
 
-def test_list_of_packages_is_complete():
-    """A package that is not listed imports in the editable install and is missing from the wheel."""
-    folders = {str(file.parent) for file in repository_files() if file.name == "__init__.py"}
-    found = {"/".join([SOURCES[Path(f).parts[0]], *Path(f).parts[1:]]) for f in folders if Path(f).parts[0] in SOURCES}
-    assert SETUPTOOLS["packages"] == sorted(name.replace("/", ".") for name in found)
-    mapped = {name: folder for folder, name in SOURCES.items() if name != folder}
-    assert SETUPTOOLS["package-dir"] == {name.replace("/", "."): folder for name, folder in mapped.items()}
-    homes = {str(file.parent) for file in repository_files() if file.suffix == ".py" and file.parts[0] in SOURCES}
-    assert homes <= folders, "Python files in folders without __init__.py"
-
-
 @pytest.mark.long
 def test_nobody_imports_the_mapped_folders_directly():
     """From the root of the repository, `import plugins` is a second copy of `mistray.plugins`."""
     wrong = []
     for file in repository_files():
-        if file.suffix != ".py":
-            continue
-        for node in ast.walk(ast.parse((ROOT / file).read_text())):
-            if isinstance(node, ast.Import):
-                names = [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+        for node in ast.walk(ast.parse((ROOT / file).read_text())) if file.suffix == ".py" else ():
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom) and node.level == 0:
                 names = [node.module or ""]
-            else:
-                continue
             wrong += [f"{file}:{node.lineno}" for name in names if name.split(".")[0] in ("plugins", "scenes")]
     assert not wrong
 
@@ -127,10 +113,16 @@ PUBLIC = sorted(
 def test_public_names(name):
     """A prompt offers what a package means to offer: each name is there, nothing private or imported."""
     package = importlib.import_module(name)
+    if name != "mistray":  # also where a module of the package is called as its function
+        for found in pkgutil.iter_modules(package.__path__, f"{name}."):
+            importlib.import_module(found.name)
     assert dir(package) == sorted(package.__all__) != []
     for public in package.__all__:
         assert not public.startswith("_")
+        assert name in ("mistray", "mistray.scenes") or not isinstance(getattr(package, public), ModuleType)
         assert hasattr(package, public)
+    with pytest.raises(AttributeError, match=f"module '{name}' has no attribute 'nothing'"):
+        _ = package.nothing
 
 
 @pytest.mark.quick

@@ -1,4 +1,4 @@
-"""Ranges of numbers: what lies in them, what they say, and that Python, the shell and scenes use the same ones."""
+"""Ranges of numbers and shares as texts: what they hold and say, and that Python, shell and scenes use the same."""
 
 from __future__ import annotations
 
@@ -10,13 +10,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import fails
 from oracles.small_scenes import plates_text
 
 import mistray
-from mistray import cli, ranges
-from mistray.cli.arguments import Angles, Help
+from mistray import ranges
+from mistray.cli.arguments import Angles
 from mistray.cli.program import _parser
 from mistray.errors import MistrayError
+from mistray.percent import percent_text
 from mistray.ranges import FIELD_DEG, RAYS, THRESHOLD, Range, check_fields
 from mistray.settings import Settings
 
@@ -44,34 +46,25 @@ def test_ends(name: str) -> None:
     assert one.low < one.high
 
 
-@pytest.mark.parametrize("value", NOT_NUMBERS)
-def test_what_is_no_number_is_refused(value: Any) -> None:
-    with pytest.raises(MistrayError, match=r"^shape 'a': size is "):
-        ranges.SIZE_MM.check("size", value, "shape 'a'")
+def test_what_is_no_number_is_refused() -> None:
+    for value in NOT_NUMBERS:
+        with pytest.raises(MistrayError, match=r"^shape 'a': size is "):
+            ranges.SIZE_MM.check("size", value, "shape 'a'")
+    for text in ("nan", "inf", "1e308", "90", "-90", "abc", "", "1,5"):
+        with pytest.raises(argparse.ArgumentTypeError) as caught:
+            FIELD_DEG(text)
+        assert text in str(caught.value)
 
 
-@pytest.mark.parametrize("value", [7, 7.0, np.float32(7), np.int64(7), np.array(7.0)])
-def test_whole_numbers_become_int(value: Any) -> None:
-    found = RAYS.check("rays", value)
-    assert (type(found), found) == (int, 7)
+def test_whole_numbers_become_int() -> None:
+    for value in (7, 7.0, np.float32(7), np.int64(7), np.array(7.0)):
+        found = RAYS.check("rays", value)
+        assert (type(found), found) == (int, 7)
     with pytest.raises(MistrayError, match="whole number between 1 and 4294967295"):
         RAYS.check("rays", 7.5)
-
-
-@pytest.mark.parametrize(
-    ("one", "text", "value"),
-    [(RAYS, "1e6", 1_000_000), (RAYS, "4294967295", 2**32 - 1), (FIELD_DEG, "-89.9", -89.9), (THRESHOLD, "0", 0.0)],
-)
-def test_command_line(one: Range, text: str, value: float) -> None:
-    assert one(text) == value
-    assert isinstance(one(text), int) is one.whole
-
-
-@pytest.mark.parametrize("text", ["nan", "inf", "1e308", "90", "-90", "abc", "", "1,5"])
-def test_command_line_refuses(text: str) -> None:
-    with pytest.raises(argparse.ArgumentTypeError) as caught:
-        FIELD_DEG(text)
-    assert text in str(caught.value)
+    for text, number in (("1e6", 1_000_000), ("4294967295", 2**32 - 1)):
+        assert (type(RAYS(text)), RAYS(text)) == (int, number)
+    assert (FIELD_DEG("-89.9"), THRESHOLD("0")) == (-89.9, 0.0)
 
 
 def test_fields_of_a_dataclass() -> None:
@@ -101,8 +94,7 @@ def test_one_range_for_python_shell_and_scene(tmp_path: Any, capsys: Any) -> Non
         demand = str(caught.value).partition("; it ")[2]
         assert demand
         option = f"--{name.replace('_', '-')}"
-        assert cli.main(["ghosts", "plate", option, text]) == 2
-        assert f"argument {option}: {text} {demand}" in capsys.readouterr().err
+        assert f"argument {option}: {text} {demand}" in fails(capsys, "ghosts", "plate", option, text)
         integrator = f'<integrator type="straylight"><float name="{name}" value="{text}"/></integrator>'
         path.write_text(plates_text(1).replace('<integrator type="straylight"/>', integrator))
         with pytest.raises(MistrayError) as caught:
@@ -110,18 +102,26 @@ def test_one_range_for_python_shell_and_scene(tmp_path: Any, capsys: Any) -> Non
         assert demand in str(caught.value)
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_help_says_the_range(command: str) -> None:
-    shown = " ".join(COMMANDS[command].format_help().split())
-    for action in COMMANDS[command]._actions:
-        shows = action.help != argparse.SUPPRESS and action.type is not ranges.FINITE
-        if shows and isinstance(action.type, Range | Angles):
-            assert f"; {action.type}" in shown, action.option_strings
-    assert COMMANDS[command].formatter_class is Help
+def test_help_says_the_range() -> None:
+    for parser in COMMANDS.values():
+        shown = " ".join(parser.format_help().split())
+        for action in parser._actions:
+            shows = action.help != argparse.SUPPRESS and action.type is not ranges.FINITE
+            if shows and isinstance(action.type, Range | Angles):
+                assert f"; {action.type}" in shown, action.option_strings
 
 
 def test_threads_are_those_of_the_machine(capsys: Any) -> None:
     most = os.cpu_count() or 1
     assert ranges.THREADS.high == most
-    assert cli.main(["ghosts", "plate", "--threads", str(most + 1)]) == 2
-    assert f"argument --threads: {most + 1} must be a whole number between 1 and {most}" in capsys.readouterr().err
+    said = fails(capsys, "ghosts", "plate", "--threads", most + 1)
+    assert f"argument --threads: {most + 1} must be a whole number between 1 and {most}" in said
+
+
+def test_no_exponent_where_a_share_is_large() -> None:
+    for share, digits, text in (
+        (0.0, 2, "0 %"), (0.00312, 2, "0.31 %"), (0.12345, 3, "12.3 %"), (0.9949, 2, "99 %"), (0.997, 2, "100 %"),
+        (1.0, 3, "100 %"), (12.34, 2, "1234 %"), (-1.5, 2, "-150 %"), (1e-12, 2, "1e-10 %"),
+        (float("inf"), 2, "– %"), (float("nan"), 2, "– %"),
+    ):  # fmt: skip
+        assert percent_text(share, digits) == text

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import re
 from pathlib import Path
 
@@ -23,7 +22,6 @@ OLD = re.compile(
 CODE = re.compile(r"[{};]\s*$|^\s*(import|from|const|let|for|return)\b|</\w+>", re.MULTILINE)
 
 
-@functools.cache
 def messages(folder: Path) -> list[tuple[str, str]]:
     """Place and text of every literal of a folder with blanks in it that is no code of another language."""
     below = folder.glob("*.py") if folder.name == "mistray" else folder.rglob("*.py")
@@ -33,11 +31,6 @@ def messages(folder: Path) -> list[tuple[str, str]]:
         for line, text in literals(source.read_text(encoding="utf-8"))
         if " " in text and not CODE.search(text)
     ]
-
-
-def long(text: str) -> list[str]:
-    """The sentences of a paragraph that have too many words."""
-    return [sentence for sentence in of_text(text) if words(sentence) > MOST]
 
 
 def test_what_counts_as_a_sentence() -> None:
@@ -52,22 +45,15 @@ def test_what_counts_as_a_sentence() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_sentences_of_a_page_are_short(page: Path) -> None:
+def test_pages(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert [sentence for sentence in sentences(text) if words(sentence) > MOST] == []
+    assert OLD.findall(text) == []
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
-def test_messages_and_help_are_short(folder: Path) -> None:
-    paragraphs = [(place, part) for place, text in messages(folder) for part in re.split(r"\n\s*\n", text)]
-    assert [f"{place}: {sentence}" for place, part in paragraphs for sentence in long(part)] == []
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_no_old_name_on_a_page(page: Path) -> None:
-    assert OLD.findall(page.read_text(encoding="utf-8")) == []
-
-
-@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
-def test_no_old_name_in_a_message(folder: Path) -> None:
-    assert [f"{place}: {text}" for place, text in messages(folder) if OLD.search(text)] == []
+def test_messages_and_help(folder: Path) -> None:
+    found = messages(folder)
+    paragraphs = [(place, part) for place, text in found for part in re.split(r"\n\s*\n", text)]
+    assert [f"{place}: {one}" for place, part in paragraphs for one in of_text(part) if words(one) > MOST] == []
+    assert [f"{place}: {text}" for place, text in found if OLD.search(text)] == []

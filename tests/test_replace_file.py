@@ -5,16 +5,18 @@ from __future__ import annotations
 import errno
 import os
 import resource
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from fuzz_scenes import STUDY
 
 from mistray.cli.program import main
 from mistray.errors import MistrayError
-from mistray.replace_file import replace_files
-from mistray.report.output import write_files
+from mistray.replace_file import replace_file, replace_files
+from mistray.report.output import writable_directory, write_files
 
 OLD = "old\n"
 CUBE = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)) + "f 1 2 4\nf 5 8 6\n"
@@ -43,6 +45,8 @@ def test_all_or_none(tmp_path: Path, small_files: Any, large: str) -> None:
         write_files({name: "x" * (200_000 if name == large else 10) for name in "abc"}, tmp_path)
     assert f"{large}'" in str(caught.value)
     assert "space" in str(caught.value)
+    with pytest.raises(MistrayError, match="cannot be written"):
+        writable_directory(tmp_path)  # before anything is traced
     assert contents(tmp_path) == before
     assert [path.name for path in write_files(dict.fromkeys("abc", "new"), tmp_path)] == list("abc")
     assert contents(tmp_path) == dict.fromkeys("abc", b"new")
@@ -79,6 +83,59 @@ def test_a_read_only_place_asks_for_permissions(tmp_path: Path, monkeypatch: Any
         replace_files({tmp_path / "a": "first"})
 
 
+def test_a_target_that_is_a_disk_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a mounted volume: it cannot be exchanged, and nothing can be moved into it from beside it."""
+    out = tmp_path / "volume"
+    out.mkdir()
+    (out / "notes.txt").write_bytes(b"mine")
+    rename, replace = os.rename, os.replace
+
+    def within(move: Callable[[Path, Path], None]) -> Callable[[Path, Path], None]:
+        def moved(source: Path, target: Path) -> None:
+            if (out in Path(source).parents) != (out in Path(target).parents) or out in (Path(source), Path(target)):
+                raise OSError(errno.EXDEV, os.strerror(errno.EXDEV), str(source))
+            move(source, target)
+
+        return moved
+
+    monkeypatch.setattr(os.path, "ismount", lambda path: Path(path) == out)
+    monkeypatch.setattr(os, "rename", within(rename))
+    monkeypatch.setattr(os, "replace", within(replace))
+    inside = out.stat().st_ino
+    files = write_files(dict.fromkeys(("a.csv", "report.html"), "new"), out)
+    assert {path.name for path in files} | {"notes.txt"} == set(contents(out))
+    assert out.stat().st_ino == inside
+    assert [path.name for path in tmp_path.iterdir()] == ["volume"]
+
+
+def test_what_is_no_file_is_written_to(tmp_path: Path) -> None:
+    """A pipe, or a device such as /dev/null, is not replaced by a file."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    got: list[bytes] = []
+    reader = threading.Thread(target=lambda: got.append(pipe.read_bytes()))
+    reader.start()
+    replace_file(pipe, b"curve")
+    reader.join(timeout=10)
+    assert got == [b"curve"]
+    assert pipe.is_fifo()
+
+
+@pytest.mark.parametrize("place", ["file", "file/below", "loop", "a" * 300, "dev"])
+def test_places_that_cannot_be_written(tmp_path: Path, place: str) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "loop").symlink_to("loop")
+    path = Path("/proc/nobody/out") if place == "dev" else tmp_path / place
+    before = contents(tmp_path)
+    for write in (writable_directory, lambda path: write_files({"a.csv": "1"}, path)):
+        with pytest.raises((MistrayError, RuntimeError)) as caught:
+            write(path)
+        assert len(str(caught.value).splitlines()) == 1
+    with pytest.raises(MistrayError, match=r"check the folder|is a folder"):
+        replace_file(tmp_path if place == "file" else path / "a.csv", b"1")
+    assert contents(tmp_path) == before
+
+
 # Commands, the size of their files and what they would write: a place for each that finds no room
 COMMANDS = {
     "mechanics": (("import", "cube.obj", "-o", "out/c.xml"), 100),
@@ -112,17 +169,6 @@ def test_a_full_disk_leaves_nothing(
     assert contents(tmp_path / "out") == {}
 
 
-STUDY = """[[term]]
-kind = "path_power"
-goal = "minimise"
-[trace]
-rays = 100
-[[coating]]
-name = "AR"
-surfaces = "all"
-layers = "1.38 60"
-thickness_nm = [20, 180]
-"""
 RUNS = {
     "pst": (("pst", "plate", "--rays", "1000", "--paths", "0"), "pst_state.npz"),
     "optimize": (("optimize", "plate", "study.toml", "--steps", "1"), "checkpoint.json"),

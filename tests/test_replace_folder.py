@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from command_line import run
 
 from mistray.cli.program import main
 from mistray.replace_file import INCOMPLETE, incomplete_notes, replace_file, replace_files
@@ -46,10 +47,9 @@ def whole(word: bytes, names: tuple[str, ...] = FILES) -> dict[str, bytes]:
 
 
 def in_a_child(work: Callable[[], None], event: int, kill: bool) -> bool:
-    """
-    Work in a process that meets its end, or an error of the disk, at a certain one of its calls of the system.
+    """Whether a process meets its end, or an error of the disk, at a certain one of its calls of the system.
 
-    Python tells an audit hook of each of them: open, rename, link, remove and others. Returns whether it came so far.
+    Python tells an audit hook of each of them: open, rename, link, remove and others.
     """
     child = os.fork()
     if child == 0:
@@ -83,6 +83,8 @@ def folder(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.M
         monkeypatch.chdir(place)
     if request.param == "folder within":
         (place / "pst").mkdir()
+    for name, data in OTHERS.items():
+        (place / name).write_bytes(data)
     return place
 
 
@@ -90,8 +92,6 @@ def folder(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.M
 def test_at_every_call(folder: Path, kill: bool) -> None:
     """Whatever is in the folder afterwards, the next run mends it, and old drafts go."""
     mixed = events = 0
-    for name, data in OTHERS.items():
-        (folder / name).write_bytes(data)
     report(b"old", folder)
     while in_a_child(lambda: report(b"new", folder), events + 1, kill):
         events += 1
@@ -111,8 +111,6 @@ def test_at_every_call(folder: Path, kill: bool) -> None:
 
 
 def test_what_an_earlier_run_listed_goes(folder: Path) -> None:
-    for name, data in OTHERS.items():
-        (folder / name).write_bytes(data)
     report(b"old", folder, (*FILES, "scene.xml", "changed.csv"))
     (folder / "changed.csv").write_bytes(b"by hand")
     report(b"new", folder, FILES[:2])
@@ -190,37 +188,26 @@ def test_drafts_of_dead_runs_go_when_they_are_old(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {"out", *(name for name, stays in names.items() if stays)}
 
 
-@pytest.fixture
-def broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+@pytest.mark.long
+def test_commands_read_the_mark(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A folder with a scene and a mark of a run that was killed."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "cube.obj").write_text(CUBE)
-    assert main(["import", "cube.obj", "-o", "cube.xml"]) == 0
+    remake = ("import", "cube.obj", "-o", "cube.xml", "--force")
+    assert run(capsys, *remake)[0] == 0
     event = 1
-    while in_a_child(lambda: main(["import", "cube.obj", "-o", "cube.xml", "--force"]), event, True):
-        if incomplete_notes([tmp_path]):
-            break
+    while in_a_child(lambda: main(remake), event, True) and not incomplete_notes([tmp_path]):
         event += 1
-    return tmp_path
-
-
-@pytest.mark.long
-def test_commands_read_the_mark(broken: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    names = json.loads((broken / INCOMPLETE).read_text())["sets"]["cube.xml"]
+    names = json.loads((tmp_path / INCOMPLETE).read_text())["sets"]["cube.xml"]
     assert "cube.xml" in names
     assert len(names) > 1
-    capsys.readouterr()
-    for words in (
-        ["export", "cube.xml", "-o", "out.step"],
-        ["coat", str(broken / "cube.xml"), "*=R=0.1", "-o", "c.xml"],
-    ):
-        main(words)
-        assert "is incomplete" in capsys.readouterr().err
-    assert main(["import", "cube.obj", "-o", "cube.xml", "--force"]) == 0
-    assert not (broken / INCOMPLETE).exists()
-    capsys.readouterr()
-    main(["export", "cube.xml", "-o", "out.step", "--force"])
-    assert "is incomplete" not in capsys.readouterr().err
+    for words in (("export", "cube.xml", "-o", "out.step"), ("coat", tmp_path / "cube.xml", "*=R=0.1", "-o", "c.xml")):
+        assert "is incomplete" in run(capsys, *words)[2]
+    assert run(capsys, *remake)[0] == 0
+    assert not (tmp_path / INCOMPLETE).exists()
+    assert "is incomplete" not in run(capsys, "export", "cube.xml", "-o", "out.step", "--force")[2]
 
 
 def test_a_file_of_others_with_the_name_of_the_mark(tmp_path: Path) -> None:

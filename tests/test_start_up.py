@@ -1,21 +1,15 @@
-"""Starting costs what the task needs and no more: what is imported when, and how much CPU time that takes.
+"""Starting costs what the task needs and no more: what is imported when, and how much CPU time, best of several.
 
-CPU time, best of several. That of the package grows with the load of the machine, by half where other tests run, and is
-compared with that of NumPy and Mitsuba alone. Both come from byte code, as on any machine that has started the package
-before: an environment that writes none would measure Python's compiler. Seconds on an idle machine are measured by
-benchmarks/start_up.py.
+That of the package grows with the load of the machine, and is compared with that of NumPy and Mitsuba alone.
 """
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 import resource
 import subprocess
 import sys
 import textwrap
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
@@ -40,33 +34,29 @@ def imported(*command: str) -> set[str]:
     return {line.rpartition("|")[2].strip().partition(".")[0] for line in done.stderr.splitlines() if "|" in line}
 
 
-@pytest.mark.parametrize("arguments", [("--help",), ("ghosts", "--help"), ("--version",)])
-def test_help_imports_nothing_that_traces(arguments: tuple[str, ...]) -> None:
-    heavy = {"mitsuba", "drjit", "numpy", "scipy", "pandas", "matplotlib", "pyarrow"}
-    assert not imported("-m", "mistray", *arguments) & heavy
-
-
-def test_help_is_fast(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From byte code: where an environment writes none, Python's compiler would be timed."""
+@pytest.fixture
+def byte_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where an environment writes none, Python's compiler would be timed."""
     monkeypatch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
     monkeypatch.setenv("PYTHONPYCACHEPREFIX", str(tmp_path))
+
+
+@pytest.mark.usefixtures("byte_code")
+def test_help_is_fast_and_imports_nothing_that_traces() -> None:
+    heavy = {"mitsuba", "drjit", "numpy", "scipy", "pandas", "matplotlib", "pyarrow"}
+    for arguments in (("--help",), ("ghosts", "--help"), ("--version",)):
+        assert not imported("-m", "mistray", *arguments) & heavy
     assert min(run(sys.executable, "-m", "mistray", "--help")[1] for _ in range(REPEATS)) < HELP_S
 
 
 @pytest.mark.long
-def test_the_package_is_fast(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
-    monkeypatch.setenv("PYTHONPYCACHEPREFIX", str(tmp_path))
+@pytest.mark.usefixtures("byte_code")
+def test_the_package_is_fast() -> None:
     run(sys.executable, "-c", "import mistray")
     package, bare = (
         min(run(sys.executable, "-c", code)[1] for _ in range(REPEATS)) for code in ("import mistray", BARE)
     )
     assert package < OF_MITSUBA * bare
-
-
-@pytest.mark.quick
-def test_the_package_imports_no_tables_and_pictures() -> None:
-    assert not imported("-c", "import mistray") & {"scipy", "pandas", "matplotlib", "pyarrow", "colour", "plotly"}
 
 
 def test_a_program_gets_a_variant_and_the_command_does_not(tmp_path: Path) -> None:
@@ -86,7 +76,8 @@ def test_a_program_gets_a_variant_and_the_command_does_not(tmp_path: Path) -> No
 
 @pytest.mark.quick
 def test_a_table_needs_no_pictures() -> None:
-    """Matplotlib is for --out, SciPy for searches and statistics."""
+    """Matplotlib is for --out, SciPy for searches and statistics; the package alone needs no pandas either."""
+    assert not imported("-c", "import mistray") & {"scipy", "pandas", "matplotlib", "pyarrow", "colour", "plotly"}
     found = imported("-m", "mistray", "ghosts", "plate", "--rays", "1000")
     assert "mitsuba" in found
     assert not found & {"matplotlib", "scipy", "colour", "plotly"}
@@ -98,21 +89,3 @@ def test_every_module_can_be_the_first_that_the_command_imports(tmp_path: Path) 
     script.write_text("import sys, importlib\nfor name in sys.argv[1:]:\n    importlib.import_module(name)\n")
     run(sys.executable, str(script), "mistray.report.figures.plots")
     run(sys.executable, str(script), "mistray.scene", "mistray.mechanics", "mistray.kernel.lobes")
-
-
-@pytest.mark.parametrize("package", ["analysis", "io", "mechanics", "optimize", "report"])
-def test_names_of_a_lazy_package(package: str) -> None:
-    """All of `__all__` are there, also where a module of the package has the same name as its function."""
-    module = importlib.import_module(f"mistray.{package}")
-    for found in pkgutil.iter_modules(module.__path__, f"mistray.{package}."):
-        importlib.import_module(found.name)
-    assert set(vars(module)["_homes"]) == set(module.__all__) <= set(dir(module))
-    for name in module.__all__:
-        value = getattr(module, name)
-        assert not isinstance(value, ModuleType), name
-        home = vars(module)["_homes"][name]
-        assert value.__module__.startswith(f"{home.rpartition('.')[0]}."), name
-    with pytest.raises(AttributeError, match=f"module 'mistray.{package}' has no attribute 'nothing'"):
-        _ = module.nothing
-    with pytest.raises(ImportError, match="cannot import name 'nothing'"):
-        exec(f"from mistray.{package} import nothing")

@@ -1,21 +1,27 @@
-"""Arguments that are none, streams, folders and homes that are not there: a line says what to do, or all is well."""
+"""Arguments that are none, closed streams, places without UTF-8 or home: a line says what to do, or all is well."""
 
 from __future__ import annotations
 
 import io
+import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
+from attack.processes import MISTRAY
+from command_line import fails, run
+from oracles.small_scenes import plates_text
 
-from mistray.cli.program import COMMANDS, main
+import mistray.scene
+from mistray.cli.program import COMMANDS
 from mistray.errors import MistrayWarning
 from mistray.report import writable_directory
 from mistray.report.figures.figure import Figure
 
-MISTRAY = [sys.executable, "-m", "mistray"]
+CONTENTS = [bytes([letter]) * 300_000 for letter in b"abcd"]
 # An option of every kind
 KINDS = {
     (str(option.type), option.nargs): (module.COMMAND.name, word)
@@ -26,19 +32,12 @@ KINDS = {
 }
 
 
-def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
-    assert main(words) == 2
-    out, err = capsys.readouterr()
-    assert (out, err.count("\n")) == ("", 1)
-    return err
-
-
 @pytest.mark.quick
 def test_two_dashes_are_no_value(capsys: pytest.CaptureFixture[str]) -> None:
     """argparse of Python 3.11 makes an empty list of them."""
     assert len(KINDS) > 30
     for command, option in KINDS.values():
-        line = refused(capsys, command, f"{option}=--")
+        line = fails(capsys, command, f"{option}=--")
         assert option in line
         assert "'--' is no value" in line or "expected" in line
 
@@ -49,7 +48,7 @@ def test_a_name_that_is_empty(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for words in (("ghosts", "plate", "--out", ""), ("import", "a.zmx", "-o", " "), ("view", "plate", "--layout=")):
-        assert "names nothing" in refused(capsys, *words)
+        assert "names nothing" in fails(capsys, *words)
     with pytest.raises(ValueError, match="no name"):
         writable_directory("")
     assert not list(tmp_path.iterdir())
@@ -57,23 +56,10 @@ def test_a_name_that_is_empty(
 
 @pytest.mark.parametrize("text", ["(" * 5000 + "H" + ")" * 5000, "!" * 20_000 + "H", "(" * 101 + "H" + ")" * 101])
 def test_a_filter_that_is_too_deep(capsys: pytest.CaptureFixture[str], text: str) -> None:
-    line = refused(capsys, "ghosts", "plate", "--filter", text)
+    line = fails(capsys, "ghosts", "plate", "--filter", text)
     assert "filter '" in line
     assert "100 are the most" in line
     assert len(line) < 400
-
-
-def test_a_message_about_content_without_sense_is_short(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("zeros.csv").write_bytes(b"\0" * 5000)
-    Path("digits.toml").write_text(f"[trace]\nrays = {'9' * 5000}\n")
-    assert "column" in (line := refused(capsys, "coating", "zeros.csv"))
-    assert len(line) < 600
-    line = refused(capsys, "optimize", "plate", "digits.toml")
-    assert "'digits.toml'" in line
-    assert "correct the TOML" in line
 
 
 def test_letters_that_a_font_does_not_have() -> None:
@@ -84,33 +70,77 @@ def test_letters_that_a_font_does_not_have() -> None:
     assert len(caught) == 1
 
 
-@pytest.mark.long
-def test_closed_streams(tmp_path: Path) -> None:
-    """What is for stderr comes neither on stdout nor into a file that is written."""
-    for closed, out in (("2>&-", '"fields"'), ("<&- 2>&-", '"fields"'), (">&-", "")):
-        words = " ".join([*MISTRAY, f"ghosts plate --rays 100 --json --force --out {tmp_path / 'out'} {closed}"])
-        done = subprocess.run(words, shell=True, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-        assert out in done.stdout if out else done.stdout == ""
-        assert "mistray: " not in done.stdout
-    done = subprocess.run(f"{' '.join(MISTRAY)} ghosts nothing 2>&-", shell=True, capture_output=True, text=True)
-    assert (done.returncode, done.stdout, done.stderr) == (2, "", "")
+WRITER = """
+import sys
+sys.argv, out = ["mistray"], sys.argv[1]
+from mistray.report.output import write_files
+print(flush=True)
+while True:
+    for letter in b"abcd":
+        data = bytes([letter]) * 300_000
+        write_files({"paths.csv": data, "report.html": data}, out)
+"""
+
+
+def test_two_processes_write_the_same_folder(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    command = [sys.executable, "-c", WRITER, str(out)]
+    both = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    for process in both:
+        assert process.stdout is not None
+        process.stdout.readline()
+    until = time.monotonic() + 1.0
+    while time.monotonic() < until:
+        for path in out.glob("*.*"):
+            if path.suffix != ".part":
+                assert path.read_bytes() in CONTENTS
+    ends = [process.poll() for process in both]
+    for process in both:
+        process.kill()
+        process.communicate()
+    assert ends == [None, None]  # neither has met a draft of the other
+    assert {"paths.csv", "report.html"} <= {path.name for path in out.iterdir()}
+
+
+def test_nobody_reads_the_output() -> None:
+    full = "mistray: error: No space left on device; "
+    for command, code, told in (
+        ("--help | true", 0, ""), ("ghosts --help | true", 0, ""), ("completion bash | head -1", 0, ""),
+        ("--version >&-", 0, ""), ("--version > /dev/full", 2, full),
+    ):  # fmt: skip
+        line = f"set -o pipefail; {' '.join(MISTRAY)} {command}"
+        done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, timeout=60)
+        assert done.returncode == code
+        assert done.stderr[: len(full)] == told
+        assert done.stderr.count("\n") == bool(told)
+
+
+def test_an_interrupt_within_another_error(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """As Dr.Jit has it, which makes a RuntimeError of what is raised while it records a loop."""
+
+    def load(*given: object) -> None:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as error:
+            raise RuntimeError("while_loop(): encountered an exception") from error
+
+    monkeypatch.setattr(mistray.scene, "load", load)
+    assert run(capsys, "ghosts", "lens.xml") == (130, "", "mistray: interrupted, nothing was written\n")
 
 
 @pytest.mark.long
-def test_a_deleted_working_folder(tmp_path: Path) -> None:
-    place = tmp_path / "place"
-    for words in ("ghosts plate --rays 100", "pst plate", "import lens.zmx", "bsdf abg --A 0.01 --B 0.01 --g 2"):
-        place.mkdir()
-        script = f"cd {place} && rmdir {place} && {' '.join(MISTRAY)} {words}"
-        done = subprocess.run(script, shell=True, capture_output=True, text=True)
-        assert done.returncode == 2
-        assert done.stderr.count("\n") == 1
-        assert "working folder was deleted" in done.stderr
-
-
-@pytest.mark.long
-def test_no_home() -> None:
-    surroundings = {name: value for name, value in os.environ.items() if name != "HOME"}
-    done = subprocess.run([*MISTRAY, "ghosts", "plate", "--rays", "100"], env=surroundings, capture_output=True)
-    assert (done.returncode, done.stderr) == (0, b"")
+def test_strange_surroundings(tmp_path: Path) -> None:
+    """A scene whose name is no ASCII: no UTF-8, no home for the cache of kernels, no asserts and docstrings."""
+    scene, out = tmp_path / "Höhe.xml", tmp_path / "out"
+    scene.write_text(plates_text(1), encoding="utf-8")
+    surroundings = {
+        "LC_ALL": "C", "LANG": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0", "PYTHONIOENCODING": "",
+        "HOME": "/proc/nobody", "XDG_CACHE_HOME": "/proc/nobody/cache", "MPLCONFIGDIR": str(tmp_path / "mpl"),
+        "PYTHONOPTIMIZE": "2",
+    }  # fmt: skip
+    command = [*MISTRAY, "ghosts", str(scene), "--rays", "200", "--json", "--out", str(out)]
+    done = subprocess.run(command, env={**os.environ, **surroundings}, capture_output=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert b"the disk cache is disabled." in done.stderr  # of Dr.Jit
+    assert json.loads(done.stdout)["fields"]
+    assert "Höhe" in (out / "report.html").read_text(encoding="utf-8")

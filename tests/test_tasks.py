@@ -127,10 +127,6 @@ def test_there_are_ten_and_each_is_short() -> None:
         assert len(code) <= 10
 
 
-def test_the_readme_leads_there() -> None:
-    assert "](docs/tasks.md)" in (ROOT / "README.md").read_text(encoding="utf-8")
-
-
 @pytest.mark.long
 @pytest.mark.parametrize(("text", "facts"), list(zip(TEXTS, FACTS, strict=True)), ids=TITLES)
 def test_a_task(text: str, facts: Callable[[str], None], monkeypatch: pytest.MonkeyPatch) -> None:

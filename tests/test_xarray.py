@@ -64,27 +64,21 @@ def test_pst() -> None:
     found = pst.to_xarray()
     assert found.pst.dims == ("light", "field", "azimuth")
     assert found.light.values.tolist() == ["total", "stray", *CLASSES]
-    np.testing.assert_array_equal(found.pst.sel(light="stray"), pst.map("stray")[0])
-    np.testing.assert_array_equal(found.pst_se.sel(light="stray"), pst.map("stray")[1])
-    np.testing.assert_array_equal(found.pst_mean.sel(light="ghost"), pst.curve("ghost")[0])
-    np.testing.assert_array_equal(found.pst_mean_se.sel(light="ghost"), pst.curve("ghost")[1])
+    stray, ghost = found.sel(light="stray"), found.sel(light="ghost")
+    np.testing.assert_array_equal([stray.pst, stray.pst_se], pst.map("stray"))
+    np.testing.assert_array_equal([ghost.pst_mean, ghost.pst_mean_se], pst.curve("ghost"))
     np.testing.assert_array_equal(found.field, angles)
     assert (found.field_from < found.field).all()
     assert (found.field < found.field_to).all()
-    value, error = pst.irradiance(20.0)
     one = found.sel(field=20.0).isel(azimuth=0)
-    np.testing.assert_array_equal(one.irradiance, value)
-    np.testing.assert_array_equal(one.irradiance_se, error)
+    np.testing.assert_array_equal([one.irradiance, one.irradiance_se], pst.irradiance(20.0))
     units = units_of(found)
     assert {units[name] for name in ("field", "field_from", "field_to", "azimuth")} == {"degree"}
     assert {units[name] for name in ("pst", "pst_se", "pst_mean", "pst_mean_se")} == {"1"}
     assert units["light"] == ""
     assert "projected" in found.pst.attrs["long_name"]
     assert json.loads(found.attrs["facts"])["convention"] == "projected"
-
-
-def test_a_pst_without_maps_has_no_pixels() -> None:
-    assert set(fake_pst(field_deg=[10.0]).to_xarray().sizes) == {"light", "field", "azimuth"}
+    assert set(fake_pst(field_deg=[10.0]).to_xarray().sizes) == {"light", "field", "azimuth"}  # without maps
 
 
 def test_as_netcdf_and_back(trace: mistray.Trace, tmp_path: Path) -> None:
