@@ -86,8 +86,6 @@ def test_a_file_wins_over_a_shipped_name(tmp_path: Path, monkeypatch: pytest.Mon
     assert "my_rear" in names
 
 
-
-
 def test_an_interrupt_while_a_plugin_is_made_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """Mitsuba makes a RuntimeError of it."""
 
