@@ -60,9 +60,6 @@ class TestCurve:
         within = (found * 2.0 ** (32 // dimensions)) % 1
         assert_z("within", within.mean(axis=1), 0.5, np.sqrt(1 / 12 / count) + 1 / 256, false_alarm=5e-4)
 
-    def test_the_last_place_is_in_the_cube(self) -> None:
-        assert np.all(self.points(np.array([0.0, 1 - 1e-16, 1.0]), 4) <= 1)
-
 
 def test_places_are_stratified() -> None:
     """Each batch has one place in each of its strata."""
@@ -195,6 +192,9 @@ def test_detector_is_lambertian(detector_table, name: str, how: str, both_sides:
     assert w.min() >= 0
     cosine = np.einsum("ij,ij->i", d, normal)
     side = -np.sign(cosine)  # the normals go along the light, the rays against it
+    if how == "plain" and not both_sides and name == "rectangle":  # whatever the azimuth
+        mean, error = averages(np.stack([d[:, 0] ** 2, d[:, 1] ** 2, d[:, 0] * d[:, 1], d[:, 0], d[:, 1]]))
+        assert_z("moments", mean, [0.25, 0.25, 0, 0, 0], error, k=4.0, floor=1e-5)
     for sign in (1, -1):
         weight = np.where(side == sign, w, 0)
         if sign < 0 and not both_sides:
@@ -207,19 +207,6 @@ def test_detector_is_lambertian(detector_table, name: str, how: str, both_sides:
     if how == "plain" and name != "curved":  # all rays of a side weigh the same
         shares = (1 - FROM_BACK, FROM_BACK) if both_sides else (1.0, 1.0)
         np.testing.assert_allclose(w, np.where(side > 0, 1 / shares[0], 1 / shares[1]), rtol=1e-6)
-
-
-def test_directions_do_not_depend_on_the_azimuth(detector_table) -> None:
-    """Of a Lambertian source the mean of d_x² and d_y² is 1/4, of d_x d_y 0; false alarm 2e-4."""
-    found = rays_of(DetectorStart(detector_table("rectangle"), AXIS, None, False))
-    x, y, _ = host(found.d).T
-    mean, error = averages(np.stack([x * x, y * y, x * y, x, y]))
-    assert_z("moments", mean, [0.25, 0.25, 0, 0, 0], error, k=4.0, floor=1e-5)
-
-
-def test_light_from_the_other_side(detector_table) -> None:
-    found = rays_of(DetectorStart(detector_table("rectangle"), -AXIS, None, False), lanes=3200)
-    assert host(found.d)[:, 2].min() > 0
 
 
 def test_aimed_rays_go_to_the_targets(detector_table) -> None:
