@@ -6,7 +6,6 @@ from functools import lru_cache
 from pathlib import Path
 
 import pytest
-from oracles import closed_forms
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 from oracles.statistics import assert_z, mean_and_error
 from tiers import slow_unless
@@ -54,42 +53,6 @@ def test_closure(path: Path, splitting: str, below: str) -> None:
 
 class TestCuts:
     """Each limit takes what it says and books it."""
-
-    def test_threshold(self) -> None:
-        """Plate n = 1.5: 1e-2 stops the ghost of 1.6e-3, 1e-4 lets it pass and stops that of 2.6e-6."""
-        scene = mistray.load("plate")
-        r = 0.04
-        powers = closed_forms.plate_orders(r, 3)
-
-        def traced(threshold: float):
-            t = mistray.trace(scene, rays=1000, max_reflections=20, flux_threshold=threshold)
-            return t, t.energy.cut["flux_threshold"] / t.energy.launched_W
-
-        high, cut = traced(1e-2)
-        assert [row.order for row in high.paths] == [0]
-        # what is left after the first reflection at the rear goes: through the front (3.7 %) not, back (0.15 %) yes
-        assert cut == pytest.approx((1 - r) * r * r, rel=1e-6)
-        low, cut = traced(1e-4)
-        assert [row.order for row in low.paths] == [0, 2]
-        assert low.paths[1].power_W / low.energy.launched_W == pytest.approx(powers[1], rel=1e-6)
-        assert 0 < cut < 1e-4
-        none, cut = traced(0.0)
-        assert [row.order for row in none.paths[:3]] == [0, 2, 4]
-        assert cut == 0
-        for most, left in ((0, r + (1 - r) * r), (1, (1 - r) * r * r)):
-            e = mistray.trace(scene, rays=100, max_reflections=most).energy
-            assert e.cut["max_reflections"] / e.launched_W == pytest.approx(left, rel=1e-5)
-
-    def test_events(self) -> None:
-        """The direct path of the plate has three events, its first ghost five."""
-        scene = mistray.load("plate")
-        r = 0.04
-        for limit, orders in ((2, []), (3, [0]), (4, [0]), (5, [0, 2]), (6, [0, 2])):
-            t = mistray.trace(scene, rays=100, max_events=limit)
-            assert [row.order for row in t.paths] == orders
-            assert abs(t.energy.closure) < 1e-6
-        cut = mistray.trace(scene, rays=100, max_events=2).energy.cut["max_events"]
-        assert cut / (25 * 3.141592653589793) == pytest.approx(1 - r, rel=1e-6)
 
     @pytest.mark.long
     @pytest.mark.parametrize("below", ["cut", "roulette"])

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from report.fake_ledger import hit_sums
 
+import mistray
 from mistray.recorders.ledger import SUMS
+from mistray.recorders.sampled import ERROR_RAYS
 from mistray.settings import BATCHES
 from mistray.trace.path_numbers import PathNumbers, RunSums, path_numbers
 
@@ -73,3 +75,14 @@ def test_numbers_of_rays() -> None:
     assert found["few_rays"].tolist() == [False, True, False]
     assert np.isnan(found["power_se_W"]).tolist() == [False, True, False]
     assert np.isfinite(found["power_W"]).all()
+
+
+def test_the_ledger_sums_squares_of_its_rays() -> None:
+    """Against the list of all rays, to single precision."""
+    t = mistray.trace(mistray.load("plate_and_wall"), rays=500)
+    table = t.paths.to_pandas().set_index("path_id")
+    assert (table.rays > ERROR_RAYS).any()
+    for path_id, w in t.rays(n=None).groupby("path_id").flux_W:
+        assert table.effective_rays[path_id] == pytest.approx(w.sum() ** 2 / (w**2).sum(), rel=1e-4)
+        assert table.error_rays[path_id] <= (w**2).sum() ** 2 / (w**4).sum() * (1 + 1e-4)
+    assert table[table.few_rays][["power_se_W", "percent_se"]].isna().all(axis=None)

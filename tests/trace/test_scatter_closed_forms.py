@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import vectors
 from oracles import scatter_integrals as integrals
 from oracles.scatter_scenes import (
     beam_xml,
@@ -25,17 +26,11 @@ from oracles.scatter_scenes import (
     wall_xml,
 )
 from oracles.statistics import assert_z, mean_and_error
-from vectors import analytic, rows
+from vectors import analytic
 
 import mistray
 
 Load = Callable[[str], Any]
-
-PROFILES = {
-    "lamb": integrals.lambertian(0.05),
-    "abg": integrals.abg(2e-5, 1e-6, 2.0),
-    "har": integrals.harvey_shack(0.1099, 0.01, -1.5),
-}
 TRANSMITTED = {
     "lamb": bsdf_xml("paint", reflectance=0.05, event="transmission", relative_to="specular"),
     "abg": bsdf_xml("abg", A=2e-5, B=1e-6, g=2.0, event="transmission"),
@@ -242,7 +237,7 @@ def cone_text(bsdf: str, incidence_deg: float, axis_deg: float, azimuth_deg: flo
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("row", rows("is_cone_flux.csv"), ids=lambda r: "_".join(list(r.values())[:5]))
+@pytest.mark.parametrize("row", vectors.rows("is_cone_flux.csv"), ids=lambda r: "_".join(list(r.values())[:5]))
 def test_flux_into_a_cone(load_scene: Load, row: dict[str, str]) -> None:
     """The importance sampled flux of TracePro: a target that fills the cone gives the integral of f cos over it.
 
@@ -286,7 +281,7 @@ def converging_text(bsdf: str, plate_z: float, theta_deg: float, half: float) ->
 @pytest.mark.long
 @pytest.mark.parametrize(
     "row",
-    rows("scatter_plate_converging.csv"),
+    vectors.rows("scatter_plate_converging.csv"),
     ids=lambda r: "_".join(list(r.values())[:3]).replace("/", "-"),
 )
 def test_plate_in_a_converging_beam(load_scene: Load, row: dict[str, str]) -> None:
