@@ -46,14 +46,6 @@ def test_slab_against_photons(load_scene, albedo: float, g: float, splitting: st
     assert taken[0] / energy.launched_W == pytest.approx(absorbed, abs=5 * np.hypot(taken[1], 5e-4))
 
 
-def test_one_scatter_in_closed_form(load_scene) -> None:
-    """What leaves unscattered is exp(-τ); what the limit cuts is 1 - exp(-τ), and both exactly."""
-    scene = load_scene(slab_text("1.0 scatter=0.1 g=0.5"))
-    energy = mistray.trace(scene, rays=1000, max_scatters=0).energy
-    assert energy.detected_W / energy.launched_W == pytest.approx(np.exp(-1), rel=1e-5)
-    assert energy.cut["max_scatters"] / energy.launched_W == pytest.approx(1 - np.exp(-1), rel=1e-5)
-
-
 def test_thin_media_keep_their_digits(load_scene) -> None:
     """An optical thickness of 1e-6 scatters 1e-6 of the light, nearly all of it forward if g = 0.95."""
     scene = load_scene(slab_text("1.0 scatter=1e-7 g=0.95"))

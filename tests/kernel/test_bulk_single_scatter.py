@@ -39,13 +39,7 @@ def slab_text(sigma: float, g: float, radius: float) -> str:
     return scatter_scene(
         beam_xml(1e-3, power=1.0, distance=5.0),
         placed_xml("asphere", "front", interface_xml("air", medium, R=0.0, T=1.0), semi_diameter=500.0),
-        placed_xml(
-            "asphere",
-            "rear",
-            interface_xml(medium, "air", R=0.0, T=1.0),
-            at=(0.0, 0.0, THICK),
-            semi_diameter=500.0,
-        ),
+        placed_xml("asphere", "rear", interface_xml(medium, R=0.0, T=1.0), at=(0.0, 0.0, THICK), semi_diameter=500.0),
         placed_xml("asphere", "detector", at=(0.0, 0.0, THICK + GAP), pixels=4, semi_diameter=radius),
     )
 
@@ -67,11 +61,3 @@ def test_single_scatter(load_scene, sigma: float, g: float, radius: float, split
     assert_z("scattered once", power, expected, se, k=4.0)
     assert se < 0.06 * expected
     assert abs(t.energy.closure) < 1e-6
-
-
-def test_nothing_is_lost(load_scene) -> None:
-    """Without absorption all light comes out again, whatever it has gone through."""
-    t = mistray.trace(load_scene(slab_text(0.05, 0.5, 20.0)), rays=20_000, max_scatters=30, aim="none", ledger=False)
-    e = t.energy
-    assert e.detected_W + e.escaped_W == pytest.approx(1.0, rel=2e-2)
-    assert abs(e.closure) < 1e-6

@@ -35,30 +35,27 @@ def assert_same(a: Any, b: Any) -> None:
     np.testing.assert_allclose(a[1], b[1], rtol=1e-9, atol=1e-12 * a[1].max())
 
 
-class TestSameNumbers:
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        *((name, change) for name in ("double_gauss", "phone_camera") for change in ("levels", "no waiting")),
+        ("plate_and_wall", "rows"),
+        ("double_gauss", "rows"),
+        pytest.param("phone_camera_scatter", "rows", marks=pytest.mark.slow),
+    ],
+)
+def test_same_numbers(name: str, change: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither the order in which lanes go on nor the place of the surfaces' numbers enters a result."""
-
-    @pytest.mark.parametrize("name", ["double_gauss", "phone_camera"])
-    def test_lanes_that_wait_less(self, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-        usual = numbers(name)
-        monkeypatch.setattr(ray_tree, "LEVELS", 1)
-        assert_same(numbers(name), usual)
-
-    @pytest.mark.parametrize("name", ["double_gauss", "phone_camera"])
-    def test_lanes_that_do_not_wait(self, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-        usual = numbers(name)
-        monkeypatch.setattr(ray_tree, "LEVELS", 1)
-        monkeypatch.setattr(ray_tree, "in_step", ray_tree.at_once)
-        assert_same(numbers(name), usual)
-
-    @pytest.mark.parametrize(
-        "name", ["double_gauss", "plate_and_wall", pytest.param("phone_camera_scatter", marks=pytest.mark.slow)]
-    )
-    def test_rows_that_are_copied_or_gathered(self, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if change == "rows":
         monkeypatch.setattr(surface_rows, "MOST_ROWS", 128)
-        usual = numbers(name)
+    usual = numbers(name)
+    if change == "rows":
         monkeypatch.setattr(surface_rows, "MOST_ROWS", 0)
-        assert_same(numbers(name), usual)
+    else:
+        monkeypatch.setattr(ray_tree, "LEVELS", 1)
+    if change == "no waiting":
+        monkeypatch.setattr(ray_tree, "in_step", ray_tree.at_once)
+    assert_same(numbers(name), usual)
 
 
 @pytest.mark.parametrize(("terms", "size"), [(1, 1), (2, 2), (7, 8), (8, 8), (10, 16)])

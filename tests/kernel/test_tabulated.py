@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import mitsuba as mi
 import numpy as np
 import pytest
+from lit_detector import BLACK, lit, square
 
 import mistray
 from mistray.scatter.measured.bsdf_csv import write_bsdf_csv
@@ -14,17 +16,6 @@ from mistray.scatter.paint import Paint
 from mistray.scatter.scan import table
 
 GLOSS = {"reflectance": 0.1, "b0": 0.3, "l": 0.2, "s": -3.0, "n": 1.5}
-SCENE = """<scene version="3.0.0">
-<integrator type="straylight"/>
-<emitter type="collimated" id="beam"><float name="radius" value="1"/></emitter>
-<shape type="asphere" id="wall"><float name="semi_diameter" value="30"/>
-  <transform name="to_world"><rotate y="1" angle="-25"/><translate z="20"/></transform>
-  <bsdf type="interface"><float name="R" value="0"/>{scatter}</bsdf></shape>
-<shape type="asphere" id="detector"><float name="half_width" value="6"/><float name="half_height" value="6"/>
-  <transform name="to_world"><translate x="20" z="-5"/></transform>
-  <bsdf type="interface"><float name="R" value="0"/></bsdf>
-  <sensor type="irradiancemeter"><film type="hdrfilm"><rfilter type="box"/></film></sensor></shape>
-</scene>"""
 ACCURACY = 0.02  # of a measured BSDF, and of its interpolation between angles 5° apart
 
 
@@ -34,13 +25,13 @@ def test_paint_and_its_tables(tmp_path: Path) -> None:
     paint, angles = Paint(**GLOSS), np.arange(0, 90, 5)
     write_bsdf_csv(table(paint, angles, "normal"), tmp_path / "paint.csv")
     write_zemax_bsdf(table(paint, angles, "specular"), tmp_path / "paint.bsdf")
-    numbers = "".join(f'<float name="{key}" value="{value}"/>' for key, value in GLOSS.items())
-    files = [f'<bsdf type="tabulated"><string name="file" value="paint.{kind}"/></bsdf>' for kind in ("csv", "bsdf")]
+    files = [{"type": "tabulated", "file": str(tmp_path / f"paint.{kind}")} for kind in ("csv", "bsdf")]
+    turned = mi.ScalarTransform4f().translate([0, 0, 20]).rotate([0, 1, 0], -25)
+    beam, wall = {"type": "collimated", "radius": 1.0}, {"type": "asphere", "semi_diameter": 30.0, "to_world": turned}
     found = []
-    for scatter in (f'<bsdf type="paint">{numbers}</bsdf>', *files):
-        path = tmp_path / "scene.xml"
-        path.write_text(SCENE.format(scatter=scatter))
-        energy = mistray.trace(mistray.load(path), rays=50_000).energy
+    for model in ({"type": "paint", **GLOSS}, *files):
+        scene = lit(beam, wall={**wall, "bsdf": {**BLACK, "model": model}}, detector=square(6.0, x=20.0, z=-5.0))
+        energy = mistray.trace(scene, rays=50_000).energy
         assert energy.detected_se_W < 3e-3 * energy.detected_W
         assert abs(energy.closure) < 1e-5
         found.append(energy.detected_W)
