@@ -20,10 +20,7 @@ def henyey_greenstein(mu: np.ndarray, g: float) -> np.ndarray:
 
 
 def once_into_disc(sigma: float, g: float, radius: float) -> float:
-    """Share of an axial beam that is scattered once in the slab and then leaves it into a disc behind it.
-
-    The slab has the index of its surroundings, so that the rays are straight.
-    """
+    """Share of an axial beam that is scattered once in a slab of the index around it, and leaves it into a disc."""
     z, wz = gauss_legendre(np.linspace(0.0, THICK, 9), 16)
     total = 0.0
     for depth, weight in zip(z, wz, strict=True):

@@ -10,7 +10,7 @@ from oracles.scatter_scenes import beam_xml, placed_xml, scatter_scene, scatteri
 
 import mistray
 from mistray.kernel.targets import Target
-from mistray.sampling.backward_targets import SKY_DEG, BackwardTargets, backward_targets, find_opening, sky_discs
+from mistray.sampling.backward_targets import BackwardTargets, backward_targets, find_opening
 from mistray.sampling.design_path import DesignPath, find_design_path
 from mistray.settings import Settings
 from mistray.surfaces.surfaces import SurfaceTable
@@ -55,38 +55,6 @@ def test_opening_of_a_tube(load_scene) -> None:
         assert np.linalg.norm(half) == pytest.approx(1.0, abs=0.03)
         assert abs(half[2]) < 1e-9
     assert abs(found.u @ found.v) < 1e-9
-
-
-def test_opening_is_across_the_axis_of_the_field(load_scene) -> None:
-    """Before a bare detector, for an axis at 30°: a disc across that axis."""
-    scene = load_scene(scatter_scene(beam_xml(0.5), placed_xml("asphere", "detector", at=(0, 0, 2), **DETECTOR)))
-    axis = np.array([0.5, 0.0, np.sqrt(0.75)])
-    found, _ = opening_of(scene, axis)
-    assert abs(abs(found.normal @ axis) - 1) < 1e-9
-
-
-def test_opening_is_seen_from_the_first_surface(load_scene) -> None:
-    """A hood before a window: from the window the hood's mouth, whatever is behind the window."""
-    window = [
-        placed_xml("asphere", "front", scattering_xml([], "air", "1.5"), at=(0, 0, 2), semi_diameter=1.0),
-        placed_xml("asphere", "rear", scattering_xml([], "1.5", "air"), at=(0, 0, 3), semi_diameter=1.0),
-        placed_xml("frustum", "hood", r0=1.0, z0=0.0, r1=1.0, z1=2.0),
-    ]
-    meter = placed_xml("asphere", "detector", at=(0.0, 0.0, 60.0), pixels=4, semi_diameter=0.8)
-    found, _ = opening_of(load_scene(scatter_scene(beam_xml(0.5), *window, meter)))
-    assert found.centre[2] == pytest.approx(-0.06, abs=1e-4)
-    assert np.linalg.norm(found.u) == pytest.approx(1.0, abs=0.06)
-
-
-def test_discs_of_the_sky_reach_to_their_angles(load_scene) -> None:
-    """Seen from the scene, however far from its middle, to 1 %."""
-    scene = load_scene(tube())
-    for target, angle in zip(sky_discs(scene, AXIS), SKY_DEG, strict=True):
-        rim = np.array([target.centre + target.u, target.centre - target.v])
-        for point in ([0.0, 0.0, 0.0], [1.0, 0.0, 2.0]):
-            towards = rim - point
-            cosine = -towards @ AXIS / np.linalg.norm(towards, axis=1)
-            np.testing.assert_allclose(np.degrees(np.arccos(cosine)), angle, rtol=1e-2)
 
 
 # -- the design path in reverse ------------------------------------------------------------------------------------
@@ -158,16 +126,6 @@ def test_targets_of_a_tube(load_scene) -> None:
         assert nothing.views == found.views
     _, closed = exits_of(load_scene(tube(placed_xml("asphere", "lid", semi_diameter=1.0))))
     assert closed.start is None
-
-
-def test_a_wall_under_the_sky_aims_at_the_sky(load_scene) -> None:
-    """A grey screen beside the detector that faces the light: as many targets as the sky has discs."""
-    screen = placed_xml("asphere", "screen", wall_xml(0.2), at=(20.0, 0.0, 2.0), semi_diameter=2.0)
-    table, found = exits_of(load_scene(tube(screen)))
-    aim = found.aims[table.ids.index("screen"), False]
-    assert len(aim.targets) == len(SKY_DEG)
-    assert all(target.centre[2] < -100 for target in aim.targets)
-    assert (table.ids.index("screen"), True) not in found.aims
 
 
 @pytest.mark.parametrize("beam", ["", beam_xml(0.5, at=(50.0, 0.0, 0.0))], ids=["no source", "no path"])

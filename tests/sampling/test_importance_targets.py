@@ -20,7 +20,6 @@ from oracles.scatter_scenes import (
     placed_xml,
     scatter_scene,
     scattering_xml,
-    tube_text,
     wall_xml,
 )
 from oracles.scene_xml import read_scene
@@ -37,7 +36,6 @@ from mistray.surfaces.surfaces import SurfaceTable
 
 ROOT = Path(__file__).parents[2]
 D_LINE_NM = 587.5618
-DIFFUSE = bsdf_xml("paint", reflectance=0.05)
 
 
 def images_of(scene: Any, wavelength_nm: float = 550.0) -> DetectorImages:
@@ -184,17 +182,6 @@ def test_targets_hold_the_light_that_reaches_the_detector(name):
 # -- what structure sees -------------------------------------------------------------------------------------------
 
 
-def test_a_tube_sees_the_detector_and_the_entrance_too(load_scene):
-    """Wall: the detector at its end. Entrance: the detector. Both real, of its size."""
-    found = aims_of(load_scene(tube_text(4.0, 0.5)))
-    assert set(found) == {("entrance", "back"), ("wall", "front")}
-    for aim in found.values():
-        assert aim.rays == 1
-        (target,) = aim.targets
-        np.testing.assert_allclose(target.centre, [0, 0, 4], atol=1e-6)
-        assert np.linalg.norm(target.u) == pytest.approx(1.0, rel=1e-6)
-
-
 def test_a_wall_before_a_lens_aims_at_what_the_lens_shows(load_scene):
     """A tube before a singlet: rays through the lens reach the detector from it, so it aims at the detector's image."""
     lens = [
@@ -230,28 +217,6 @@ def test_what_is_hidden_is_no_target(load_scene):
     found = aims_of(load_scene(scatter_scene(beam, plate, meter)))
     assert set(found) == {("plate", "back")}
     np.testing.assert_allclose(found["plate", "back"].targets[0].centre, [0, 0, 30], atol=1e-6)
-
-
-def test_stock_shapes(load_scene):
-    """A rectangle as detector, disks that see it with one side only; the answer is the same twice."""
-    scene = load_scene(
-        scatter_scene(
-            beam_xml(1.0),
-            placed_xml("asphere", "sheet", scattering_xml([DIFFUSE], R=0.0, T=0.9), semi_diameter=5.0),
-            placed_xml("disk", "slanted", wall_xml(0.1), at=(9.0, 0.0, 3.0), facing=(-1.0, 0.0, 1.0), scale=(2, 2, 1)),
-            placed_xml("disk", "upright", wall_xml(0.1), at=(-9.0, 0.0, 3.0), facing=(1.0, 0.0, 0.0), scale=(2, 2, 1)),
-            placed_xml("rectangle", "detector", at=(0.0, 0.0, 20.0), pixels=8, scale=(3.0, 2.0, 1.0)),
-        )
-    )
-    found = aims_of(scene)
-    assert set(found) == {("sheet", "back"), ("slanted", "back"), ("upright", "back")}
-    for aim in found.values():
-        (target,) = aim.targets
-        np.testing.assert_allclose(target.centre, [0, 0, 20], atol=1e-5)
-        assert target.area == pytest.approx(24.0, rel=1e-5)
-    again = aims_of(scene)
-    for side, aim in found.items():
-        np.testing.assert_array_equal(again[side].targets[0].u, aim.targets[0].u)
 
 
 # -- which targets a trace uses ------------------------------------------------------------------------------------

@@ -63,11 +63,7 @@ def test_zemax_file_by_hand(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_light_of_a_trace_goes_on(tmp_path: Path) -> None:
-    """
-    Rays at a plane, in a file, traced on: the image behind it is that of the whole trace. False alarms 0.1 %.
-
-    The rays of the file stand for all of them: their number is in the error as well.
-    """
+    """Rays at a plane, in a file, traced on: the image behind it is that of the whole trace. False alarms 0.1 %."""
     lamp = {"type": "surface_source", "radius": 2.0, "z": -30.0, "half_angle_deg": 20.0, "wavelength_nm": "450, 600"}
     plane = lit(lamp, detector=square(200.0, 8))
     t = mistray.trace(plane, rays=100_000)
@@ -80,6 +76,7 @@ def test_light_of_a_trace_goes_on(tmp_path: Path) -> None:
     assert again.wavelengths_nm == [450.0, 600.0]
     assert again.energy.launched_W == pytest.approx(t.energy.detected_W, rel=1e-9)
     assert abs(again.energy.closure) < 1e-6
+    # The rays of the file stand for all of them: their number is in the error as well
     error = np.sqrt(whole.irradiance_se**2 + 2 * again.irradiance_se**2)
     known = np.isfinite(error)
     assert known.sum() >= 30

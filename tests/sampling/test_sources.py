@@ -143,11 +143,7 @@ def test_errors_hold_over_seeds() -> None:
 
 
 def test_a_sky_is_aimed_at_the_front_of_a_short_scene() -> None:
-    """
-    A cone of sky on a detector in front, whose sphere stands out of that of the scene: π L sin² ρ A, false alarm 1e-4.
-
-    Behind it stands a black stop, whose light is that of rays without aim within 4 errors; false alarm 6e-5.
-    """
+    """A cone of sky on a detector whose sphere stands out of that of the scene: π L sin² ρ A; false alarms 1.6e-4."""
     stop = {"type": "frustum", "r0": 0.0, "z0": 30.0, "r1": RADIUS, "z1": 30.0, "bsdf": BLACK}
     here = lit({"type": "sky", "half_angle_deg": 60.0}, stop=stop)
     (run,) = prepare(here, Settings())
@@ -339,6 +335,7 @@ def test_several_sources() -> None:
         own = t.energy_of(name)
         assert own.launched_W == pytest.approx(launched, rel=1e-6)
         assert abs(own.closure) < 1e-6
+        assert set(t.rays(f"source = {name}", n=20).source) == {name}
         assert own.detected_W == pytest.approx(table.power_W[table.source == name].sum(), rel=1e-6)
     with pytest.raises(mistray.MistrayError, match="'sun'"):
         t.energy_of("sun")

@@ -48,15 +48,10 @@ def test_densities_are_those_of_the_samples(learned: StartMap, cell: int) -> Non
         assert abs(found.mean() - integral) < 5 * found.std() / np.sqrt(COUNT) + 1e-6
     if cell == 1:  # without light
         np.testing.assert_allclose(density, 1.0, rtol=1e-6)
-
-
-def test_starts_are_where_the_light_was_and_sometimes_elsewhere(learned: StartMap) -> None:
-    """A slab of 2 % of the cube gets most of the rays; the floor keeps 40 % of them anywhere."""
-    points, density = sampled(DeviceMap(learned), 0)
-    inside = np.abs(points[:, 0] - 0.3 - 0.4 * points[:, 2]) < 0.01
-    assert inside.mean() > 0.25
-    assert density.min() >= UNIFORM
-    assert (~inside).mean() > UNIFORM * 0.97
+    else:  # a slab of 2 % of the cube gets most of the rays; the floor keeps 40 % of them anywhere
+        inside = np.abs(points[:, 0] - 0.3 - 0.4 * points[:, 2]) < 0.01
+        assert 0.25 < inside.mean() < 1 - UNIFORM * 0.97
+        assert density.min() >= UNIFORM
 
 
 def test_light_that_arrives_by_chance_gets_more_rays() -> None:

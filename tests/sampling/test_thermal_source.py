@@ -95,11 +95,7 @@ def test_temperatures_by_name() -> None:
 
 
 def test_isothermal_cavity() -> None:
-    """
-    In a closed grey box of one temperature every wall absorbs what it emits, and the detector π L.
-
-    False alarms 0.2 %.
-    """
+    """In a grey box of one temperature every wall absorbs what it emits, and the detector π L; false alarms 0.2 %."""
     shapes = {
         "tube": {"type": "frustum", "r0": RADIUS, "r1": RADIUS, "z0": -15.0, "z1": 0.0, "bsdf": GREY},
         "lid": {"type": "asphere", "semi_diameter": RADIUS, "z": -15.0, "bsdf": {"type": "interface", "back": "Al"}},

@@ -43,28 +43,6 @@ class TestColoursSourcesDetectors:
         total, _ = t.irradiance_of([row.path_id for row in t.paths])
         np.testing.assert_allclose(total, t.irradiance, rtol=1e-9, atol=1e-12)
 
-    def test_sources(self, load_text) -> None:
-        second = (
-            '<emitter type="collimated" id="second"><float name="radius" value="0.5"/>'
-            '<float name="irradiance" value="8"/><float name="field_deg" value="10"/></emitter>'
-        )
-        scene, _ = load_text(plates_text(1).replace("<emitter", f'{second}<emitter id="first"', 1))
-        t = mistray.trace(scene, rays=3000)
-        assert t.energy.launched_W == pytest.approx(np.pi * (1 + 2), rel=1e-12)
-        rays = {row.source: row.rays for row in t.paths if row.order == 0}
-        assert rays == {"first": 1250, "second": 1750}  # half of them by flux, half alike
-        centres = {row.source: row.y_mm for row in t.paths if row.order == 0}
-        assert abs(centres["first"]) < 0.1
-        assert centres["second"] > 1.0
-        table = t.rays(n=20)
-        assert set(table.source) == {"first", "second"}
-        assert len(table) == 20
-        second = next(row for row in t.paths if row.source == "second" and row.order == 0)
-        history = t.history(second.path_id, 4).to_pandas()
-        assert set(history[history.intercept == "Emitted"].object) == {"second"}
-        both = mistray.trace(scene, rays=3000, field_deg=0.0)
-        assert all(abs(row.y_mm) < 0.1 for row in both.paths)
-
 
 class TestArguments:
     def test_the_scene_has_the_first_word_and_the_call_the_last(self, load_text) -> None:

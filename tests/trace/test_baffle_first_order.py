@@ -1,8 +1,4 @@
-"""Baffles in the trace: generated tubes show no first-order path, forwards and backwards; spoiled ones do.
-
-No test compares random numbers: a path that does not exist has no rays whatever the seed, so that the false-alarm
-probability of "nothing arrives" is 0; where something must arrive, thousands of rays do.
-"""
+"""Generated tubes show no first-order path, forwards and backwards; spoiled ones do: false alarms 0."""
 
 from __future__ import annotations
 

@@ -56,16 +56,11 @@ class TestPlates:
         assert share <= expected * (1 + ROUNDING)
         assert expected <= (share + cut) * (1 + ROUNDING)
         assert share == pytest.approx(expected, rel=1e-3)
-
-    @pytest.mark.parametrize("number", [3, 5])
-    def test_plates_in_a_row_one_in_one_out(self, load_text, number: int) -> None:
-        """False alarm 6e-5 each: 4 standard errors."""
-        scene, _ = load_text(plates_text(number))
-        t = mistray.trace(scene, rays=2_000_000, max_reflections=60, splitting="one", ledger=False)
-        share = np.array([t.energy.detected_W, t.energy.detected_se_W]) / t.energy.launched_W
-        assert_power(f"T of {number} plates", share[0], closed_forms.plates(0.04, number), share[1])
-        binomial = np.sqrt(share[0] * (1 - share[0]) / 2_000_000)
-        assert share[1] == pytest.approx(binomial, rel=0.5)  # 32 batches: known to 13 %
+        if number > 2:  # one in, one out: false alarm 6e-5 each, 4 standard errors
+            t = mistray.trace(scene, rays=2_000_000, max_reflections=60, splitting="one", ledger=False)
+            share, se = np.array([t.energy.detected_W, t.energy.detected_se_W]) / t.energy.launched_W
+            assert_power(f"T of {number} plates", share, expected, se)
+            assert se == pytest.approx(np.sqrt(share * (1 - share) / 2_000_000), rel=0.5)  # 32 batches: known to 13 %
 
     @pytest.mark.parametrize(("r", "t"), [(0.05, 0.9), (0.3, 0.7), (0.5, 0.5), (0.2, 0.1)])
     def test_plate_with_ideal_coatings(self, load_text, r: float, t: float) -> None:
@@ -266,32 +261,3 @@ class TestTotalReflection:
         # cos_t = 0.064 comes from 1 - sin²: float32 leaves it 1e-5
         assert share == pytest.approx(0.5 * (rs**2 + rp**2), rel=1e-4)
         assert below.energy.escaped_W / below.energy.launched_W == pytest.approx(1 - share, rel=1e-4)
-
-
-class TestSegments:
-    """A binary tree of beam splitters: 1, 3, 7 segments a ray."""
-
-    def splitters(self, load_text, levels: int):
-        half = interface_xml(R=0.5, T=0.5)
-        turn = '<transform name="to_world"><rotate x="1" angle="45"/><translate y="{y}" z="{z}"/></transform>'
-        places = [(0.0, 0.0), (0.0, 10.0), (10.0, 0.0)][: 2**levels - 1]
-        shapes = []
-        for i, (y, z) in enumerate(places):
-            text = shape_xml("asphere", f"splitter{i}", 0.0, half, semi_diameter=3.0)
-            start, rest = text.split("<transform", 1)
-            shapes.append(start + turn.format(y=y, z=z) + rest.split("</transform>", 1)[1])
-        black = shape_xml("asphere", "plate", 5.0, semi_diameter=3.0) if not levels else ""
-        detector = shape_xml("asphere", "detector", 40.0, sensor=True, half_width=1e-3, half_height=1e-3)
-        away = detector.replace("<translate z", '<translate x="50" z')
-        return load_text(scene_text(*shapes, black, away))[0]
-
-    @pytest.mark.parametrize(("levels", "segments"), [(0, 1), (1, 3), (2, 7)])
-    def test_tree(self, load_text, levels: int, segments: int) -> None:
-        t = mistray.trace(self.splitters(load_text, levels), rays=1000, max_reflections=5)
-        assert t.segments == 1000 * segments
-        assert sum(row.hits for row in t.surfaces) == 1000 * (1 if levels == 0 else 2**levels - 1)
-        assert abs(t.energy.closure) < 1e-6
-        if levels:
-            assert t.energy.escaped_W == pytest.approx(t.energy.launched_W, rel=ROUNDING)
-        one = mistray.trace(self.splitters(load_text, levels), rays=1000, splitting="one")
-        assert one.segments == 1000 * (levels + 1)

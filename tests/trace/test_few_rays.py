@@ -44,10 +44,7 @@ def deviations(heavy: float, weight: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_paths_that_lack_their_heavy_rays_have_no_errors() -> None:
-    """A third of the light in one ray of 40 times the weight, on average: without it the value is four errors low.
-
-    It is missing with a probability of exp(-0.75), 47 %. All 2400 paths are judged by their kind, which has 30 of them.
-    """
+    """A third of the light in one ray, missing in exp(-0.75) of the paths: without it the value is four errors low."""
     every, given = deviations(heavy=0.75, weight=40.0)
     assert np.mean(every < -3) > 0.3
     assert len(given) == 0

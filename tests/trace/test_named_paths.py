@@ -84,8 +84,6 @@ def test_wrong_names_are_refused_before_the_trace(scene) -> None:
     [
         (("goasts", "phone_camera"), ("'ghosts'?", "See 'mistray --help'")),
         (("ghosts", "phone_camera", "--feild-deg", "20"), ("--field-deg?", "See 'mistray ghosts --help'")),
-        (("view", "phone_camera", "20"), ("20; see 'mistray view --help'",)),
-        (("ghosts", "phone_camera", "--rank", "rsm"), ("'rms'?", "See 'mistray ghosts --help'")),
         (("ghosts", "singlet_window_detector", "--filter", "L1_fron -> L1_rear", "--rays", "1e9"), ("'L1_front'",)),
         (("view", "singlet_window_detector", "--path-ids", "L1_fron -> L1_rear", "--rays", "1e9"), ("'L1_front'",)),
         (("sensitivity", "singlet_window_detector", "--paths", "L1_fron -> L1_rear", "--rays", "1e9"), ("'L1_front'",)),

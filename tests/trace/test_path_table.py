@@ -197,11 +197,7 @@ def test_ways_of_different_wavelengths_stay_apart(hits: Hits) -> None:
 
 
 def test_the_error_of_a_sum_holds_what_its_paths_have_in_common() -> None:
-    """
-    A start ray that scatters sends light into both paths or into none: their errors add up linearly.
-
-    The error comes from 32 batches, so it is right within a factor 1 ± 5 sqrt(1/62) but for one case in 2e6.
-    """
+    """Light in both paths or in none: their errors, within 1 ± 5 sqrt(1/62) but for one in 2e6, add up linearly."""
     rng = np.random.default_rng(3)
     start = rng.permutation(3200)[:640]
     batch = start % BATCHES
@@ -232,11 +228,7 @@ def test_independent_paths_add_up_in_quadrature() -> None:
 
 
 def test_a_start_ray_that_branches_takes_a_path_several_times() -> None:
-    """
-    100 start rays of 32 000 hit a surface that scatters ten rays, all of which land: the error is that of 100 hits.
-
-    By hits it would be sqrt(10) too small. False alarm below 1e-6, see above.
-    """
+    """100 start rays scatter ten rays each, which land: by hits the error would be sqrt(10) too small; alarm < 1e-6."""
     rng = np.random.default_rng(5)
     batch = np.repeat(rng.integers(0, BATCHES, 100), 10)
     one = np.ones(len(batch))

@@ -72,11 +72,7 @@ class TestPilot:
         ids=["refractions", "reflections", "total", "crossed", "films"],
     )
     def test_skew_paths(self, load_scene, faces) -> None:
-        """
-        Flux of both modes against field vectors: of the whole path, and hit by hit for light that forgets its state.
-
-        The tolerance is that of the start rays in float32, and of a beam of 0.01 mm.
-        """
+        """Both modes against field vectors, hit by hit for light that forgets its state; start rays are in float32."""
         path = skew_path(faces)
         found = by_path(load_scene(path.text), path)
         launched = np.pi * 0.01**2

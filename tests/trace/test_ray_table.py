@@ -186,19 +186,6 @@ class TestSelection:
             assert ray.opl_mm.iloc[-1] == rays.opl_mm[number]
         assert triplet.rays("H(detector) > 9", events=True).empty
 
-    def test_path_in_flux_out(self, triplet: Any, everything: pd.DataFrame) -> None:
-        """A path as text: the flux of its rays, of its rows and of the full run filtered afterwards."""
-        text = '"L3_rear:R L2_rear:R"'
-        rows = triplet.paths.select(text)
-        assert [row.events for row in rows] == [row.events for row in triplet.paths.find("L3_rear:R", "L2_rear:R")]
-        ids = [row.path_id for row in rows]
-        flux = triplet.rays(text, n=None).flux_W.sum()
-        assert flux == pytest.approx(everything.flux_W[everything.path_id.isin(ids)].sum(), rel=1e-12)
-        assert flux == pytest.approx(sum(row.incident_W for row in rows), rel=1e-6)
-        whole = rows[0].events
-        (one,) = triplet.paths.select(f'events = "{whole}" & wavelength_nm = {rows[0].wavelength_nm}')
-        assert one == rows[0]
-
 
 PLATE = (
     shape_xml("asphere", "p_front", 0.0, interface_xml("air", "1.5"), semi_diameter=9.0),
