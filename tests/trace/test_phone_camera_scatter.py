@@ -1,4 +1,4 @@
-"""The phone camera with scatter: the models of the study's Tables 11 to 13, and what they leave of the ghosts."""
+"""The phone camera with scatter: the models of the study's Tables 11 and 12."""
 
 from __future__ import annotations
 

@@ -37,22 +37,15 @@ def everything(triplet: Any) -> pd.DataFrame:
 @pytest.fixture(scope="module")
 def rough(load_scene: Callable[[str], Any]) -> Any:
     """A plate with a rough and a coated side: many rays of one start ray, aimed and random."""
-    abg = bsdf_xml("abg", A=1e-3, B=1e-3, g=2.0)
-    return mistray.trace(
-        load_scene(
-            scatter_scene(
-                beam_xml(2.0),
-                placed_xml("asphere", "front", scattering_xml([abg], "air", "1.5"), semi_diameter=4.0),
-                placed_xml("asphere", "rear", interface_xml("1.5", "air"), at=(0, 0, 3.0), semi_diameter=4.0),
-                placed_xml("asphere", "detector", interface_xml(R=0.2), at=(0, 0, 9.0), half_width=5.0,
-                           half_height=5.0, pixels=16),
-            )
-        ),
-        rays=1500,
-        scatter_rays=3,
-        aimed_rays=2,
-        max_scatters=2,
-    )  # fmt: skip
+    front = scattering_xml([bsdf_xml("abg", A=1e-3, B=1e-3, g=2.0)], "air", "1.5")
+    plate = [
+        placed_xml("asphere", "front", front, semi_diameter=4.0),
+        placed_xml("asphere", "rear", interface_xml("1.5", "air"), at=(0, 0, 3.0), semi_diameter=4.0),
+    ]
+    size = {"half_width": 5.0, "half_height": 5.0, "pixels": 16}
+    meter = placed_xml("asphere", "detector", interface_xml(R=0.2), at=(0, 0, 9.0), **size)
+    branches = {"scatter_rays": 3, "aimed_rays": 2, "max_scatters": 2}
+    return mistray.trace(load_scene(scatter_scene(beam_xml(2.0), *plate, meter)), rays=1500, **branches)
 
 
 class TestAll:
@@ -71,6 +64,9 @@ class TestAll:
             assert set(rays.type) == {intercepts[-2]}
             assert set(rays.node) == {len(intercepts)}
             assert rays.detector_x_mm.mean() == pytest.approx(row.x_mm, abs=max(4 * row.x_se_mm, 1e-4))
+        few = triplet.rays(n=40).merge(everything, on=["path_id", "start_ray", "history", "x_mm", "y_mm", "flux_W"])
+        assert (len(few), few.wavelength_nm_x.nunique()) == (40, 2)  # some of these, spread over sources and beam
+        assert np.ptp(few.start_ray) > 0.7 * np.ptp(everything.start_ray)
         norms = np.linalg.norm(everything[["dx", "dy", "dz"]].to_numpy(), axis=1)
         np.testing.assert_allclose(norms, 1, rtol=1e-12)
 
@@ -82,14 +78,6 @@ class TestAll:
         x0, x1, y0, y1 = triplet.extent
         pixel = (x1 - x0) * (y1 - y0) / image.size
         np.testing.assert_allclose(image / pixel, triplet.irradiance, rtol=1e-5, atol=1e-12)
-
-    def test_a_few_are_spread_over_sources_and_beam(self, triplet: Any, everything: pd.DataFrame) -> None:
-        few = triplet.rays(n=40)
-        assert len(few) == 40
-        assert set(few.wavelength_nm) == {486.1, 656.3}
-        assert np.ptp(few.start_ray) > 0.7 * np.ptp(everything.start_ray)
-        merged = few.merge(everything, on=["path_id", "start_ray", "history", "x_mm", "y_mm", "flux_W"])
-        assert len(merged) == 40, "they are rays of the trace"
 
     def test_branches_beyond_the_recorder_s_room(self, rough: Any, monkeypatch: pytest.MonkeyPatch) -> None:
         whole = rough.rays(n=None)
@@ -194,7 +182,7 @@ PLATE = (
 SENSOR = shape_xml("asphere", "detector", 12.0, interface_xml(R=0.3), sensor=True, half_width=9.0, half_height=9.0)
 MIRRORS = interface_xml(R=0.5)
 ABG = bsdf_xml("abg", A=1e-3, B=1e-3, g=2.0)
-ROUGH = scattering_xml([ABG], "1.5", "air")
+ROUGH_PLATE = (PLATE[0], PLATE[1].replace(interface_xml("1.5", "air"), scattering_xml([ABG], "1.5", "air")))
 PAINT = scattering_xml([bsdf_xml("paint", reflectance=0.5)], R=0.0)
 RING = placed_xml(
     "frustum", "ring", scattering_xml([bsdf_xml("edge_diffraction", width_mm=0.05)], R=0.0, T=1.0),
@@ -216,9 +204,9 @@ SCENES = {
     "structure": ((*PLATE, TUBE), TURNED),
     "structure+ghost": ((*PLATE, TUBE), TURNED | {"max_reflections": 3}),
     "TIR": (BALL, TURNED),
-    "single scatter": ((PLATE[0], PLATE[1].replace(interface_xml("1.5", "air"), ROUGH)), {}),
+    "single scatter": (ROUGH_PLATE, {}),
     "multiple scatter": ((*PLATE, TUBE.replace(MIRRORS, PAINT)), TURNED | {"max_scatters": 2}),
-    "ghost + scatter": ((PLATE[0], PLATE[1].replace(interface_xml("1.5", "air"), ROUGH)), {}),
+    "ghost + scatter": (ROUGH_PLATE, {}),
     "edge diffraction": ((RING,), {}),
     "diffraction + others": ((RING, *PLATE), {}),
 }

@@ -141,32 +141,22 @@ class TestPathTable:
         assert rows
         assert all(row.events.count("L2_front:T") >= 2 for row in rows)
 
-    def test_no_ledger(self) -> None:
+    def test_none_and_empty(self, load_text) -> None:
+        """Without a ledger there is no table; where nothing arrives one with all its columns, and maps of zeros."""
         scene = mistray.load("cooke_triplet")
-        t = mistray.trace(scene, rays=20_000, field_deg=8.0, ledger=False)
+        t, with_ledger = (mistray.trace(scene, rays=2000, ledger=ledger) for ledger in (False, True))
         for use in (lambda: t.paths, lambda: t.box(0, 1, 0, 1), lambda: t.history(0), lambda: t.irradiance_of([0])):
             with pytest.raises(mistray.MistrayError, match="trace with ledger=True"):
                 use()
-        with_ledger = mistray.trace(scene, rays=20_000, field_deg=8.0)
         assert t.energy.detected_W == pytest.approx(with_ledger.energy.detected_W, rel=1e-12)
         assert t.segments == with_ledger.segments
-
-    def test_empty(self, load_text) -> None:
-        """Nothing reaches the detector: an empty table with all its columns, and maps of zeros."""
-        scene, _ = load_text(
-            scene_text(
-                shape_xml("asphere", "wall", 0.0, semi_diameter=3.0),
-                shape_xml("asphere", "detector", 5.0, sensor=True, half_width=1.0, half_height=1.0),
-            )
-        )
-        t = mistray.trace(scene, rays=100)
-        assert len(t.paths) == 0
+        wall = shape_xml("asphere", "wall", 0.0, semi_diameter=3.0)
+        screen = shape_xml("asphere", "detector", 5.0, sensor=True, half_width=1.0, half_height=1.0)
+        t = mistray.trace(load_text(scene_text(wall, screen))[0], rays=100)
         assert list(t.paths.to_pandas().columns) == [f.name for f in fields(PathRow)]
+        assert (len(t.paths), len(t.rays()), t.paths.find("wall"), t.energy.detected_W) == (0, 0, [], 0)
         assert not t.irradiance.any()
-        assert t.energy.detected_W == 0
         assert t.energy.absorbed["wall"][0] == pytest.approx(np.pi)
-        assert t.paths.find("wall") == []
-        assert t.rays().empty
 
 
 class TestRayTables:

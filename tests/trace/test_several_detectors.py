@@ -11,7 +11,6 @@ import pytest
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
-from mistray.optimize.metrics.metric import path_power
 from mistray.prescription import Coating, Detector, Prescription, Source, Surface
 
 pytestmark = pytest.mark.quick
@@ -123,28 +122,22 @@ class TestScatteredLight:
         assert abs(t.energy.closure) < 1e-5
 
 
-class TestPrescription:
-    def test_more_detectors(self, tmp_path) -> None:
-        camera = Detector("camera", z=60.0, half_width=6.0, half_height=6.0)
-        monitor = Detector("monitor", y=40.0, z=20.0, tilt_deg=(90.0, 0.0, 0.0), half_width=6.0, half_height=6.0)
-        splitter = Surface(
-            "splitter", z=20.0, tilt_deg=(45.0, 0.0, 0.0), semi_diameter=12.0, coating=Coating(R=0.08, T=0.9)
-        )
-        design = Prescription(
-            name="splitter", surfaces=(splitter,), detector=camera, more_detectors=(monitor,), source=Source(radius=4.0)
-        )
-        design.to_xml(tmp_path / "scene.xml")
-        launched = np.pi * 4.0**2
-        for scene in (design.to_scene(), mistray.load(tmp_path / "scene.xml")):
-            t = mistray.trace(scene, rays=500)
-            assert {name: power for name, (power, _) in t.energy.detected.items()} == pytest.approx(
-                {"camera": 0.9 * launched, "monitor": 0.08 * launched}, rel=1e-6
-            )
-            metric = path_power(scene, "all", detector="monitor", rays=500)
-            found = mistray.gradient(metric, mi.traverse(scene), keys=["splitter.bsdf.R"])
-            assert found.value == pytest.approx(0.08, rel=1e-6)  # of the light of the source
-            assert found.gradient["splitter.bsdf.R"] == pytest.approx(1.0, rel=1e-5)
-        with pytest.raises(mistray.MistrayError, match="2 shapes are called 'camera'"):
-            replace(design, more_detectors=(camera,))
-        with pytest.raises(mistray.MistrayError, match="detector is a tuple"):
-            replace(design, more_detectors=((1, 2),))
+def test_detectors_of_a_prescription(tmp_path) -> None:
+    """Each has its light, and derivatives of what it alone detects; they come back from the file."""
+    camera = Detector("camera", z=60.0, half_width=6.0, half_height=6.0)
+    monitor = Detector("monitor", y=40.0, z=20.0, tilt_deg=(90.0, 0.0, 0.0), half_width=6.0, half_height=6.0)
+    splitter = Surface("splitter", z=20.0, tilt_deg=(45.0, 0, 0), semi_diameter=12.0, coating=Coating(R=0.08, T=0.9))
+    both = {"detector": camera, "more_detectors": (monitor,), "source": Source(radius=4.0)}
+    design = Prescription(name="splitter", surfaces=(splitter,), **both)
+    design.to_xml(tmp_path / "scene.xml")
+    for scene in (design.to_scene(), mistray.load(tmp_path / "scene.xml")):
+        energy = mistray.trace(scene, rays=500).energy
+        shares = {name: power / energy.launched_W for name, (power, _) in energy.detected.items()}
+        assert shares == pytest.approx({"camera": 0.9, "monitor": 0.08}, rel=1e-6)
+        metric = mistray.optimize.path_power(scene, "all", detector="monitor", rays=500)
+        found = mistray.gradient(metric, mi.traverse(scene), keys=["splitter.bsdf.R"])
+        assert found.value == pytest.approx(0.08, rel=1e-6)  # of the light of the source
+        assert found.gradient["splitter.bsdf.R"] == pytest.approx(1.0, rel=1e-5)
+    for wrong, words in (((camera,), "2 shapes are called 'camera'"), (((1, 2),), "detector is a tuple")):
+        with pytest.raises(mistray.MistrayError, match=words):
+            replace(design, more_detectors=wrong)
