@@ -139,23 +139,24 @@ class TestDiscs:
         check("element", t.energy.detected_W / area, t.energy.detected_se_W / area, expected, 2e-3)
 
 
-ABG = bsdf_xml("abg", A=0.0025, B=0.001, g=1.8, event="transmission")
+ABG = scattering_xml([bsdf_xml("abg", A=0.0025, B=0.001, g=1.8, event="transmission")], R=0.0, T=1.0)
 
 
-def plate_text(
-    model: str, detector_deg: float, incidence_deg: float = 0.0, half: float = 0.05, reflect: bool = False
-) -> str:
-    """A plate in the origin, 1 W on one point of it, and 100 mm away a square that faces it, with a target on it."""
-    t, i = np.radians([detector_deg, incidence_deg])
-    sign = -1.0 if reflect else 1.0
-    out = np.array([np.sin(t), 0.0, sign * np.cos(t)])
-    surface = wall_xml(0.05) if reflect else scattering_xml([model], R=0.0, T=1.0)
+def lit_plate(surface: str, axis: np.ndarray, size: float, incidence_deg: float = 0.0, kind: str = "rectangle") -> str:
+    """A plate in the origin, 1 W on one point of it, and 100 mm away along an axis a detector with a target on it."""
+    i, place = np.radians(incidence_deg), {"at": 100 * axis, "facing": axis}
+    numbers = {"half_width": size, "half_height": size} if kind == "rectangle" else {"semi_diameter": size}
     return scatter_scene(
-        beam_xml(1e-3, power=1.0, along=(float(np.sin(i)), 0.0, float(np.cos(i))), distance=50.0),
-        placed_xml("asphere", "plate", surface, semi_diameter=5.0),
-        target_xml("aim", "plate", "rectangle", at=100 * out, facing=out, scale=(half, half, 1.0)),
-        placed_xml("asphere", "detector", at=100 * out, facing=out, pixels=4, half_width=half, half_height=half),
+        beam_xml(1e-3, power=1.0, along=(float(np.sin(i)), 0.0, float(np.cos(i))), distance=10.0),
+        placed_xml("asphere", "plate", surface, semi_diameter=1.0),
+        target_xml("aim", "plate", kind, scale=(size, size, 1.0), **place),
+        placed_xml("asphere", "detector", pixels=4, **numbers, **place),
     )
+
+
+def axis_at(polar_deg: float, azimuth_deg: float = 0.0) -> np.ndarray:
+    theta, phi = np.radians([polar_deg, azimuth_deg])
+    return np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
 
 
 def scattered(t: mistray.Trace) -> tuple[float, float]:
@@ -175,8 +176,9 @@ class TestPlates:
     )
     def test_irradiance(self, load_scene: Load, case: str, angle_deg: int) -> None:
         lambertian = case.startswith("Lambertian")
-        text = plate_text(ABG, angle_deg, reflect=lambertian)
-        t = mistray.trace(load_scene(text), rays=100_000, aim="targets")
+        axis = axis_at(180 - angle_deg if lambertian else angle_deg)
+        surface = wall_xml(0.05) if lambertian else ABG
+        t = mistray.trace(load_scene(lit_plate(surface, axis, 0.05)), rays=100_000, aim="targets")
         power, se = scattered(t)
         expected = analytic(f"{case} d=100 th={angle_deg} ", "E_det per W [1/mm2]")
         check("irradiance", power / 0.01, se / 0.01, expected, 2e-3, RIM)
@@ -186,7 +188,7 @@ class TestPlates:
     @pytest.mark.parametrize("incidence_deg", [0.0, 30.0, 60.0, 85.0])
     def test_total(self, load_scene: Load, incidence_deg: float) -> None:
         """The specular beam loses the TIS at its angle, to 1e-4; the scattered rays carry as much on average."""
-        scene = load_scene(plate_text(ABG, 10.0, incidence_deg))
+        scene = load_scene(lit_plate(ABG, axis_at(10.0), 0.05, incidence_deg))
         tis = integrals.total_scatter(integrals.abg(0.0025, 0.001, 1.8), np.sin(np.radians(incidence_deg)))
         none = mistray.trace(scene, rays=100, max_scatters=0).energy
         assert none.cut["max_scatters"] / none.launched_W == pytest.approx(tis, rel=1e-4)
@@ -205,35 +207,13 @@ class TestPlates:
 def test_what_aimed_rays_leave_out_is_cut(load_scene: Load, splitting: str) -> None:
     """A Lambertian wall that may only aim, at a cone of 30° about its normal, loses rho cos² 30°."""
     rho, radius = 0.5, 100 * float(np.tan(np.radians(30.0)))
-    disc = {"at": (0.0, 0.0, -100.0), "facing": (0.0, 0.0, -1.0)}
-    scene = load_scene(
-        scatter_scene(
-            beam_xml(1e-3, power=1.0, distance=50.0),
-            placed_xml("asphere", "plate", wall_xml(rho), semi_diameter=1.0),
-            target_xml("aim", "plate", scale=(radius, radius, 1.0), **disc),
-            placed_xml("asphere", "detector", pixels=4, semi_diameter=radius, **disc),
-        )
-    )
+    scene = load_scene(lit_plate(wall_xml(rho), axis_at(180.0), radius, kind="disk"))
     how = {"rays": 40_000, "aim": "targets", "max_random_scatters": 0, "splitting": splitting}
     cuts = [mistray.trace(scene, seed=seed, **how).energy.cut for seed in range(16)]
     assert {cut["scatter_sampling"] for cut in cuts} == {0.0}
     mean, se = mean_and_error([cut["max_scatters"] for cut in cuts])
     assert_z(f"cut, {splitting}", mean, rho * 0.75, se, k=4.0, floor=1e-5)
     assert se < 1e-3 * rho
-
-
-def cone_text(bsdf: str, incidence_deg: float, axis_deg: float, azimuth_deg: float, half_deg: float) -> str:
-    """A plate, 1 W on a point of it, and a disc, detector and target, that fills a cone as seen from there."""
-    theta, phi, half, i = np.radians([axis_deg, azimuth_deg, half_deg, incidence_deg])
-    axis = np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
-    radius = float(100 * np.tan(half))
-    disc = {"at": 100 * axis, "facing": axis}
-    return scatter_scene(
-        beam_xml(1e-3, power=1.0, along=(float(np.sin(i)), 0.0, float(np.cos(i))), distance=10.0),
-        placed_xml("asphere", "plate", scattering_xml([TRANSMITTED[bsdf]], R=0.0, T=1.0), semi_diameter=1.0),
-        target_xml("aim", "plate", scale=(radius, radius, 1.0), **disc),
-        placed_xml("asphere", "detector", pixels=4, semi_diameter=radius, **disc),
-    )
 
 
 @pytest.mark.long
@@ -244,9 +224,12 @@ def test_flux_into_a_cone(load_scene: Load, row: dict[str, str]) -> None:
     To 1e-4 where the BSDF is smooth over the cone; the two cones about the specular direction hold the whole peak.
     """
     numbers = [float(row[key]) for key in ("theta_i", "cone_axis_theta", "cone_axis_phi", "cone_half_deg")]
-    rays = 8_000_000 if numbers[-1] == 10 else 2_000_000
-    t = mistray.trace(load_scene(cone_text(row["bsdf"], *numbers)), rays=rays, aim="targets")
-    peaked = row["bsdf"] != "lamb" and numbers[0] == numbers[1] == numbers[2] == 0
+    incidence, polar, azimuth, half = numbers
+    rays = 8_000_000 if half == 10 else 2_000_000
+    surface, radius = scattering_xml([TRANSMITTED[row["bsdf"]]], R=0.0, T=1.0), float(100 * np.tan(np.radians(half)))
+    text = lit_plate(surface, axis_at(polar, azimuth), radius, incidence, "disk")
+    t = mistray.trace(load_scene(text), rays=rays, aim="targets")
+    peaked = row["bsdf"] != "lamb" and incidence == polar == azimuth == 0
     power, se = scattered(t)
     check("cone", power, se, float(row["Phi_imp/Phi_inc"]), 1e-3 if peaked else 1e-4, RIM)
     (surface,) = t.aiming
