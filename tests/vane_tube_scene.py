@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import mitsuba as mi
+from lit_detector import BLACK, meter
 from oracles.vane_tube import VaneTube
 
 import mistray
@@ -14,28 +15,14 @@ TUBE = VaneTube(radius=10.0, length=120.0, vanes=(40.0, 80.0), hole=4.5, detecto
 
 def vane_tube(given: VaneTube = TUBE) -> mi.Scene:
     """The tube of the oracle; light travels +z, from its opening at z = 0."""
-    paint = {"type": "interface", "R": 0.0, "model": {"type": "paint", "reflectance": given.reflectance}}
+    paint = {**BLACK, "model": {"type": "paint", "reflectance": given.reflectance}}
 
     def frustum(r0: float, z0: float, r1: float, z1: float) -> dict[str, Any]:
         return {"type": "frustum", "r0": r0, "z0": z0, "r1": r1, "z1": z1, "bsdf": paint}
 
     r, end = given.radius, given.length
-    film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}
+    beam = {"type": "collimated", "radius": given.detector, "distance": 1.0}
+    detector = {"type": "asphere", "semi_diameter": given.detector, "z": end, "bsdf": BLACK, "sensor": meter()}
     vanes = {f"vane_{k}": frustum(given.hole, end - z, r, end - z) for k, z in enumerate(given.vanes)}
-    return mistray.load(
-        {
-            "type": "scene",
-            "integrator": {"type": "straylight"},
-            "beam": {"type": "collimated", "radius": given.detector, "distance": 1.0},
-            "wall": frustum(r, 0.0, r, end),
-            "bottom": frustum(given.detector, end, r, end),
-            **vanes,
-            "detector": {
-                "type": "asphere",
-                "semi_diameter": given.detector,
-                "to_world": mi.ScalarTransform4f().translate([0, 0, end]),
-                "bsdf": {"type": "interface", "R": 0.0},
-                "sensor": {"type": "irradiancemeter", "film": film},
-            },
-        }
-    )
+    walls = {"wall": frustum(r, 0.0, r, end), "bottom": frustum(given.detector, end, r, end), **vanes}
+    return mistray.load({"type": "scene", "beam": beam, **walls, "detector": detector})

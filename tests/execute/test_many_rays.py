@@ -1,8 +1,4 @@
-"""A hundred million start rays: no precision is lost in the sums, and memory does not grow with the number of rays.
-
-What counts in 32 bits is tested at the end of the range, in the last pass of 4.29e9 rays, without the passes before.
-benchmarks/many_rays.py traces 1e9 rays.
-"""
+"""A hundred million start rays, and the last pass of 4.29e9: no precision is lost in sums, and memory does not grow."""
 
 from __future__ import annotations
 
@@ -55,11 +51,7 @@ def traced(rays: int) -> dict:
 
 @pytest.mark.slow
 def test_a_hundred_million_rays() -> None:
-    """Plate, 8e8 segments. A float32 sum of 1e8 equal terms would end at 2^24 of them.
-
-    One path's flux is a float32 product, good to 1e-7; the sums add nothing to its error: 1e8 rays give what a thousand
-    rays give, to 1e-12. A pass has 2^20 rays: from four passes on, memory stays.
-    """
+    """A float32 sum of 1e8 equal terms would end at 2^24 of them; a pass has 2^20 rays: from four on, memory stays."""
     few, some, many = traced(1_000), traced(4_000_000), traced(100_000_000)
     assert many["hits"] == [100_000_000, 100_000_000]
     assert many["segments"] == 800_000_000

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from oracles.polarized import transport
-from oracles.skew_path import Face, SkewPath, skew_path
+from oracles.skew_path import Face, skew_path
 from oracles.small_scenes import plates_text
 
 import mistray
@@ -31,6 +31,7 @@ class TestPlateAt45Degrees:
         )  # fmt: skip
         assert t.energy.detected_W / t.energy.launched_W == pytest.approx(TOTAL_45[polarization], abs=1e-6)
         assert abs(t.energy.closure) < 1e-6
+        assert np.isnan(t.paths[0].polarization) == (polarization == "unpolarized")  # it does not pretend
 
     def test_degree_of_polarization(self, load_text) -> None:
         """Behind m reflections and two refractions: (p - s)/(p + s) with s = T_s² R_s^m, p likewise."""
@@ -45,10 +46,6 @@ class TestPlateAt45Degrees:
             assert row.power_W / t.energy.launched_W == pytest.approx((s + p) / 2, rel=3e-6)
             assert row.polarization == pytest.approx(abs(s - p) / (s + p), abs=3e-6)
             assert row.polarization_se < 1e-6
-
-    def test_unpolarized_traces_do_not_pretend(self, load_text) -> None:
-        t = mistray.trace(load_text(plates_text(1))[0], rays=64, field_deg=45.0, polarization="unpolarized")
-        assert np.isnan(t.paths[0].polarization)
 
     def test_many_plates_polarize(self, load_text) -> None:
         """A pile of plates at Brewster's angle lets p pass whole: T_p = 1, the rest is s."""
@@ -68,16 +65,6 @@ GLASS = 1.7
 WEAK = 2e-6
 
 
-def bare_path(angles_deg: list[tuple[float, float]], kinds: str) -> SkewPath:
-    """Bare planes between air and glass; angle of incidence and azimuth at each."""
-    inside, faces = 1.0, []
-    for (incidence, azimuth), kind in zip(angles_deg, kinds, strict=True):
-        behind = GLASS if inside == 1.0 else 1.0
-        faces.append(Face(incidence, azimuth, kind, behind))
-        inside = behind if kind == "T" else inside
-    return skew_path(faces)
-
-
 class TestSkewPaths:
     """Flux and degree of polarisation of rays whose planes of incidence all differ, against field vectors."""
 
@@ -91,26 +78,18 @@ class TestSkewPaths:
         ],
     )
     def test_rays(self, load_scene, angles_deg, kinds) -> None:
-        path = bare_path(angles_deg, kinds)
+        inside, faces = 1.0, []
+        for (incidence, azimuth), kind in zip(angles_deg, kinds, strict=True):
+            behind = GLASS if inside == 1.0 else 1.0
+            faces.append(Face(incidence, azimuth, kind, behind))
+            inside = behind if kind == "T" else inside
+        path = skew_path(faces)
         t = mistray.trace(load_scene(path.text), rays=32, max_reflections=4, flux_threshold=0.0, polarization="stokes")
         (row,) = t.paths.find(*path.events)
         assert row.path == kinds + "A"
-        history = t.history(row.path_id, n=2)
-        table = history.to_pandas()
         flux, degree = transport(path.directions, path.hits, 550.0)
-        for number in range(len(history)):
-            ray = table[table.ray == number]
+        for _, ray in t.history(row.path_id, n=2).to_pandas().groupby("ray"):
             measured = ray.flux_W.to_numpy()
             np.testing.assert_allclose(measured[2:] / measured[0], flux, rtol=WEAK, atol=1e-9)
         assert degree > 0.02
         assert row.polarization == pytest.approx(degree, abs=WEAK)
-
-    def test_it_matters(self, load_scene) -> None:
-        """The same skew path without memory is wrong by more than the tolerance above, so the test can fail."""
-        path = bare_path([(40, 20), (25, 100), (30, 215), (20, 300)], "TRRT")
-        powers = [
-            mistray.trace(load_scene(path.text), rays=32, max_reflections=4, flux_threshold=0.0, polarization=p).paths
-            for p in ("unpolarized", "stokes")
-        ]
-        a, b = (paths.find(*path.events)[0].power_W for paths in powers)
-        assert abs(a / b - 1) > 1e-2

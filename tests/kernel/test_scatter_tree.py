@@ -158,10 +158,9 @@ def test_energy_closes(path: Path, splitting: str, tmp_path: Path) -> None:
     scene = mistray.load(scene_file)
     near = scene_xml.parse_scene(text, path).emitters[0].kind == "point_source"
     for field_deg in (0.0, 2.0) if near else (0.0, 9.0, 40.0):
-        for aim in ("none", "auto"):
-            t = mistray.trace(
-                scene, rays=500, field_deg=field_deg, splitting=splitting, aim=aim, max_scatters=2, max_reflections=1
-            )
+        for aim, below in (("none", "roulette"), ("auto", "cut")):
+            limits = {"max_scatters": 2, "max_reflections": 1, "below_threshold": below}
+            t = mistray.trace(scene, rays=500, field_deg=field_deg, splitting=splitting, aim=aim, **limits)
             e = t.energy
             assert abs(e.closure) < 1e-5, f"{field_deg} deg, aim {aim}: {e}"
             parts = [e.detected_W, e.escaped_W, *(watt for watt, _ in (*e.absorbed.values(), *e.absorbed_in.values()))]
@@ -169,3 +168,6 @@ def test_energy_closes(path: Path, splitting: str, tmp_path: Path) -> None:
             # Of metres a seam between a face and its edge is open by the rounding of float32
             assert e.cut["medium"] <= (1e-12 * e.launched_W if path.parent.name == "rubin" else 0)
             assert sum(row.power_W for row in t.paths) == pytest.approx(e.detected_W, rel=1e-9)
+            assert {row.id: row.absorbed_W for row in t.surfaces if row.id in e.absorbed} == {
+                name: watt for name, (watt, _) in e.absorbed.items()
+            }

@@ -6,6 +6,7 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
+from lit_detector import BLACK, square
 from oracles.statistics import z_limit
 
 import mistray
@@ -16,26 +17,18 @@ DIFFUSE, BEAM, AWAY, ASIDE, HALF = 0.02, 2.0, 100.0, 40.0, 1.0  # share scattere
 
 def window(scattering: str, z: float, **more: Any) -> mi.Scene:
     """A window in a thin beam, of which one face or what stands behind it scatters, and a detector aside at z."""
-    at = mi.ScalarTransform4f().translate
-    film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}
     # Without reflections, so that the closed form has one term
     faces = {"front": {"type": "interface", "back": f"{INDEX}", "R": 0.0, "T": 0.9},
              "rear": {"type": "interface", "front": f"{INDEX}", "R": 0.0, "T": 1.0}}  # fmt: skip
     faces.get(scattering, {})["paint"] = {"type": "paint", "reflectance": DIFFUSE, "event": "transmission"}
-    return mistray.load(
-        {
-            "type": "scene",
-            "beam": {"type": "collimated", "radius": BEAM, "irradiance": 1 / (np.pi * BEAM**2)},
-            "front": {"type": "asphere", "semi_diameter": RADIUS, "bsdf": faces["front"]},
-            "rear": {"type": "asphere", "semi_diameter": RADIUS, "to_world": at([0, 0, THICK]), "bsdf": faces["rear"]},
-            "edge": {"type": "frustum", "r0": RADIUS, "z0": 0.0, "r1": RADIUS, "z1": THICK,
-                     "bsdf": {"type": "interface", "R": 0.0}},
-            "detector": {"type": "asphere", "half_width": HALF, "half_height": HALF,
-                         "to_world": at([0, ASIDE, z]), "bsdf": {"type": "interface", "R": 0.0},
-                         "sensor": {"type": "irradiancemeter", "film": film}},
-        }
-        | more
-    )  # fmt: skip
+    shapes = {
+        "front": {"type": "asphere", "semi_diameter": RADIUS, "bsdf": faces["front"]},
+        "rear": {"type": "asphere", "semi_diameter": RADIUS, "z": THICK, "bsdf": faces["rear"]},
+        "edge": {"type": "frustum", "r0": RADIUS, "z0": 0.0, "r1": RADIUS, "z1": THICK, "bsdf": BLACK},
+    }
+    beam = {"type": "collimated", "radius": BEAM, "irradiance": 1 / (np.pi * BEAM**2)}
+    given = {"lamp": beam, **shapes, "detector": square(HALF, y=ASIDE, z=z)}
+    return mistray.load({"type": "scene"} | given | more)
 
 
 def through_the_window() -> float:
@@ -75,11 +68,10 @@ def test_scatter_at_the_front_of_a_window_finds_the_detector_through_its_rear() 
 
 def test_a_diffuser_behind_a_window_finds_the_detector_before_it() -> None:
     """An opaque wall that sees the detector through both faces: as by rays without aim, 4 errors (6e-5) of a fifth."""
-    at = mi.ScalarTransform4f().translate
-    paint = {"type": "interface", "R": 0.0, "paint": {"type": "paint", "reflectance": 0.5}}
-    wall = {"type": "asphere", "semi_diameter": 10.0, "to_world": at([0, 0, 20.0]), "bsdf": paint}
-    beam = {"type": "collimated", "radius": BEAM, "to_world": at([0, 0, -10.0])}
-    scene = window("none", -AWAY, beam=beam, wall=wall)
+    paint = {**BLACK, "paint": {"type": "paint", "reflectance": 0.5}}
+    wall = {"type": "asphere", "semi_diameter": 10.0, "z": 20.0, "bsdf": paint}
+    beam = {"type": "collimated", "radius": BEAM, "to_world": mi.ScalarTransform4f().translate([0, 0, -10])}
+    scene = window("none", -AWAY, lamp=beam, wall=wall)
     (aimed, se), (blind, error) = measured(scene, 10_000), measured(scene, 100_000, aim="none")
     assert abs(aimed - blind) < 4 * np.hypot(se, error)
     assert se < 0.2 * error

@@ -147,15 +147,6 @@ def test_light_is_aimed_at_the_lens_behind_a_large_front(load_scene, inside: str
     assert sphere.radius == pytest.approx(ids[aimed], rel=1e-6)
 
 
-def test_no_path_where_the_light_does_not_arrive(load_scene):
-    shapes = [
-        shape_xml("asphere", "plate", 0.0, interface_xml("air", "air", R=0.0), semi_diameter=5.0),
-        shape_xml("asphere", "detector", 10.0, sensor=True, half_width=2.0, half_height=2.0),
-    ]
-    scene = load_scene(scene_text(*shapes))
-    assert find_design_path(table_of(scene), scene) is None
-
-
 @pytest.mark.parametrize("path", SCENES, ids=IDS)
 def test_points_lie_on_their_surfaces(path):
     """On the surface, within the outline's radius, and spread over it."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
 
 import mistray
@@ -13,7 +12,6 @@ from mistray.prescription import (
     Coating,
     Detector,
     Prescription,
-    Scatter,
     Source,
     Structure,
     Surface,
@@ -21,8 +19,6 @@ from mistray.prescription import (
     moved_as_one,
     prism,
 )
-from mistray.recorders.design_sequences import DesignKeys, DesignSequences
-from mistray.recorders.path_key import EVENT_BITS, host_keys
 
 BLACK = Coating(R=0.0)
 LENS = (
@@ -90,26 +86,17 @@ def cassegrain(filtered: bool) -> Prescription:
 
 @pytest.mark.parametrize("filtered", [False, True])
 def test_light_through_the_hole_of_a_cassegrain_is_a_straight_shot(filtered: bool) -> None:
-    """
-    At 5° a geometric Monte Carlo of the open hole has a PST of 0.958; a filter passes 0.92 of it.
-
-    The PST is stable to 1 % at these rays: 5 % are far beyond chance.
-    """
+    """At 5° a geometric Monte Carlo of the open hole has a PST of 0.958 ± 1 %; a filter passes 0.92 of it."""
     scene = cassegrain(filtered).to_scene()
     found = mistray.pst(scene, [5.0], rays=20_000, max_reflections=2)
     (direct, _), (shot, _) = (found.curve(name) for name in ("direct", "straight_shot"))
     assert direct[0] == 0
+    forward = mistray.pst(scene, [5.0], method="forward", rays=2000, max_reflections=2)  # the same classes
+    assert forward.curve("direct")[0][0] == 0 < forward.curve("straight_shot")[0][0]
     assert shot[0] == pytest.approx(0.958 * (0.92 if filtered else 1.0), rel=0.05)
     t = mistray.trace(scene, rays=5000, field_deg=5.0)
     assert {row.kind for row in t.paths} <= {"straight shot", "ghost"}
     assert share(mistray.trace(scene, rays=2000), "direct") > 0.98
-
-
-def test_the_forward_pst_has_the_same_classes() -> None:
-    scene = cassegrain(True).to_scene()
-    found = mistray.pst(scene, [0.0, 5.0], method="forward", rays=2000, max_reflections=2)
-    assert found.curve("direct")[0][1] == 0 < found.curve("direct")[0][0]
-    assert found.curve("straight_shot")[0][1] > 0
 
 
 def test_every_segment_of_a_mirror_is_on_the_design_path() -> None:
@@ -200,7 +187,7 @@ def test_filters_over_parts_of_a_beam() -> None:
     assert half["left_a:T left_b:T front:T rear:T"] == half["front:T rear:T"] == "direct"
 
 
-def test_light_around_a_small_lens_is_a_straight_shot() -> None:
+def test_light_around_a_small_lens_is_a_straight_shot_unless_declared(tmp_path) -> None:
     """Four times as much light goes past the lens and through the window as through both."""
     window = (
         Surface("window_a", z=70.0, half_width=25.0, half_height=25.0, back="N-BK7"),
@@ -211,19 +198,12 @@ def test_light_around_a_small_lens_is_a_straight_shot() -> None:
     assert found["window_a:T window_b:T"] == "straight shot"
     assert found["front:T rear:T window_a:T window_b:T"] == "direct"
     other = Detector("screen", **screen, design_path="window_a:T window_b:T")
-    declared = kinds(traced(LENS + window, other, radius=20.0))
-    assert declared["window_a:T window_b:T"] == "direct"
-    assert declared["front:T rear:T window_a:T window_b:T"] == "straight shot"
-
-
-def test_light_through_the_ring_of_an_edge_is_direct_where_it_is_not_deflected() -> None:
-    ring = Structure(
-        "ring", 3.0, -20.0, 4.0, -20.0, coating=Coating(R=0.0, T=1.0),
-        scatter=(Scatter("edge_diffraction", {"width_mm": 0.5}),),
-    )  # fmt: skip
-    t = traced(LENS, Detector("screen", z=88.0, half_width=6.0, half_height=6.0), structures=(ring,), radius=4.0)
-    found = kinds(t)
-    assert found["ring:T front:T rear:T"] == found["front:T rear:T"] == "direct"
+    system = Prescription(name="system", surfaces=LENS + window, detector=other, source=Source(radius=20.0, z=-60.0))
+    system.to_xml(tmp_path / "scene.xml")  # a declaration survives the file
+    for scene in (system.to_scene(), mistray.load(tmp_path / "scene.xml")):
+        declared = kinds(mistray.trace(scene, rays=2000, max_reflections=2))
+        assert declared["window_a:T window_b:T"] == "direct"
+        assert declared["front:T rear:T window_a:T window_b:T"] == "straight shot"
 
 
 @pytest.mark.parametrize(
@@ -239,35 +219,3 @@ def test_a_wrong_declaration_is_refused(text: str, parts: tuple[str, ...]) -> No
     with pytest.raises(MistrayError) as error:
         traced(LENS, Detector("camera", z=88.0, half_width=6.0, half_height=6.0, design_path=text))
     assert all(part in str(error.value) for part in parts)
-
-
-def test_a_declaration_survives_the_scene_file(tmp_path) -> None:
-    declared = "front:T rear:T; front|rear:R"
-    detector = Detector("camera", z=88.0, half_width=6.0, half_height=6.0, design_path=declared)
-    system = Prescription(name="system", surfaces=LENS, detector=detector, source=Source(radius=4.0, z=-60.0))
-    system.to_xml(tmp_path / "scene.xml")
-    scene = mistray.load(tmp_path / "scene.xml")
-    (shape,) = (shape for shape in scene.shapes() if shape.id() == "camera")
-    assert shape.bsdf().design_path == declared
-
-
-def test_keys_on_the_device_are_those_of_the_host() -> None:
-    """Membership among 1, 2, 3 and 300 random sequences, forwards and backwards, of those and of others."""
-    import mitsuba as mi
-
-    rng = np.random.default_rng(1)
-    for count in (0, 1, 2, 3, 300):
-        lists = {7: tuple(tuple(rng.integers(0, 99 << EVENT_BITS, rng.integers(0, 9)).tolist()) for _ in range(count))}
-        sequences = DesignSequences(lists)
-        keys = DesignKeys(sequences, 7)
-        for backward in (False, True):
-            own = sequences.keys(7, backward)
-            asked = np.concatenate([own, rng.integers(0, 2**63, 50, dtype=np.uint64)])
-            held = np.array(keys.hold(mi.UInt64(asked), backward))
-            np.testing.assert_array_equal(held, np.isin(asked, own))
-        events = np.zeros((count, 10), dtype=np.uint32)
-        for row, one in enumerate(lists[7]):
-            events[row, : len(one)], events[row, len(one)] = one, 7 << EVENT_BITS
-        lengths = np.array([len(one) + 1 for one in lists[7]], dtype=np.int64)
-        assert sequences.direct(events, lengths).all()
-        np.testing.assert_array_equal(np.unique(host_keys(events, lengths - 1)), sequences.keys(7))

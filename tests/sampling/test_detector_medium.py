@@ -7,6 +7,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from lit_detector import BLACK, lit, meter, square
 
 import mistray
 from mistray.errors import MistrayError
@@ -14,25 +15,18 @@ from mistray.physics import planck
 
 T = mi.ScalarTransform4f
 GLASS = 1.6
-BLACK = {"type": "interface", "R": 0.0}
-SENSOR = {"type": "irradiancemeter", "film": {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}}
+BEAM = {"type": "collimated", "radius": 1.0}
+DISC = {"type": "asphere", "semi_diameter": 10.0}
 
 
 def scene(wall: dict[str, Any], detector: dict[str, Any], window: dict[str, Any] | None = None) -> mi.Scene:
     """A black box of 80 mm and a black detector at its end; the other end is a black lid, or a window."""
     lid = {"back": wall["front"]} if "front" in wall else {}
-    return mistray.load(
-        {
-            "type": "scene",
-            "beam": {"type": "collimated", "radius": 1.0},
-            "lid": {"type": "asphere", "semi_diameter": 10.0, "bsdf": {**BLACK, **lid} if window is None else window},
-            "tube": {"type": "frustum", "r0": 10.0, "r1": 10.0, "z0": 0.0, "z1": 80.0, "bsdf": {**BLACK, **wall}},
-            "detector": {
-                "type": "asphere", "semi_diameter": 10.0, "to_world": T().translate([0, 0, 80]),
-                "bsdf": {**BLACK, **detector}, "sensor": SENSOR,
-            },
-        }
-    )  # fmt: skip
+    walls = {
+        "lid": {**DISC, "bsdf": {**BLACK, **lid} if window is None else window},
+        "tube": {"type": "frustum", "r0": 10.0, "r1": 10.0, "z0": 0.0, "z1": 80.0, "bsdf": {**BLACK, **wall}},
+    }
+    return lit(BEAM, **walls, detector={**DISC, "z": 80.0, "bsdf": {**BLACK, **detector}, "sensor": meter()})
 
 
 def of_a_blackbody(there: mi.Scene) -> float:
@@ -84,30 +78,18 @@ def test_a_note_where_walls_alone_say_it() -> None:
 @pytest.mark.long
 def test_a_solid_telescope_has_one_pst() -> None:
     """A mirror and a painted wall hide the entrance; forward rays need not know the glass. False alarms 1e-4 each."""
-    front = {"type": "interface", "R": 0.0, "front": "1.6"}
-    there = mistray.load(
-        {
-            "type": "scene",
-            "beam": {"type": "collimated", "radius": 12.0, "to_world": T().translate([0, 0, -5])},
-            "entrance": {
-                "type": "asphere", "semi_diameter": 10.0, "inner_semi_diameter": 3.0,
-                "bsdf": {"type": "interface", "back": "1.6"},
-            },
-            "mirror": {
-                "type": "asphere", "radius": -100.0, "semi_diameter": 10.0, "to_world": T().translate([0, 0, 49]),
-                "bsdf": {**front, "R": 0.9, "mirror": True},
-            },
-            "wall": {
-                "type": "frustum", "r0": 10, "z0": 0, "r1": 10, "z1": 48.5,
-                "bsdf": {**front, "p": {"type": "paint", "reflectance": 0.1}},
-            },
-            "hole": {"type": "frustum", "r0": 0, "z0": -1e-3, "r1": 3, "z1": -1e-3, "bsdf": BLACK},
-            "detector": {
-                "type": "asphere", "half_width": 2.0, "half_height": 2.0, "bsdf": front, "sensor": SENSOR,
-                "to_world": T().translate([0, 0, 0.2]).rotate([1, 0, 0], 180),
-            },
-        }
-    )  # fmt: skip
+    front = {**BLACK, "front": "1.6"}
+    disc = {**DISC, "bsdf": {"type": "interface", "back": "1.6"}}
+    mirror = {**DISC, "radius": -100.0, "z": 49.0, "bsdf": {**front, "R": 0.9, "mirror": True}}
+    paint = {**front, "p": {"type": "paint", "reflectance": 0.1}}
+    shapes = {
+        "entrance": {**disc, "inner_semi_diameter": 3.0},
+        "mirror": mirror,
+        "wall": {"type": "frustum", "r0": 10, "z0": 0, "r1": 10, "z1": 48.5, "bsdf": paint},
+        "hole": {"type": "frustum", "r0": 0, "z0": -1e-3, "r1": 3, "z1": -1e-3, "bsdf": BLACK},
+        "detector": square(2.0, bsdf=front, to_world=T().translate([0, 0, 0.2]).rotate([1, 0, 0], 180)),
+    }
+    there = lit({"type": "collimated", "radius": 12.0, "to_world": T().translate([0, 0, -5])}, **shapes)
     joined, forward = (
         mistray.pst(there, [0, 20], rays=40_000, method=m, max_scatters=1) for m in ("joined", "forward")
     )

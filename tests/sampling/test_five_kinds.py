@@ -7,49 +7,28 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from lit_detector import BLACK, hazy_block, square, towards_origin
 from oracles.statistics import assert_z
 
 import mistray
 
-BLACK = {"type": "interface", "R": 0.0}
 FAR = 200.0  # mm: the detector from the origin
-
-
-def detector(angle_deg: float, half: float) -> dict[str, Any]:
-    """A square that faces the origin, at an angle to z."""
-    s, c = np.sin(np.radians(angle_deg)), np.cos(np.radians(angle_deg))
-    place = mi.ScalarTransform4f().look_at([FAR * s, 0, FAR * c], [0, 0, 0], [0, 1, 0])
-    film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}
-    size = {"half_width": half, "half_height": half}
-    sensor = {"type": "irradiancemeter", "film": film}
-    return {"type": "asphere", **size, "to_world": place, "bsdf": BLACK, "sensor": sensor}
-
-
-def rough(**model: Any) -> dict[str, Any]:
-    """A surface that scatters and does nothing else."""
-    return {"type": "interface", "R": 0.0, "haze": model}
-
-
 BEAM = {"type": "collimated", "radius": 1.0}
-HAZE = "1.0 scatter=0.01 g=0.5"
 EDGE = {"type": "interface", "R": 0.0, "T": 1.0, "model": {"type": "edge_diffraction", "width_mm": 0.02}}
+PAINT = {**BLACK, "haze": {"type": "paint", "reflectance": 0.2}}
+BACK = mi.ScalarTransform4f().look_at([0, 0, 0], [0, 0, -1], [0, 1, 0])
+ASIDE = square(10.0, to_world=towards_origin(30, FAR))
 # The parts of each scene, and the share of the launched light that is emitted, scattered or diffracted
 KINDS: dict[str, tuple[dict[str, Any], float]] = {
-    "emitted": ({"lamp": {"type": "point_source"}, "detector": detector(30, 10.0)}, 1.0),
-    "surface source": (
-        {"lamp": {"type": "surface_source", "radius": 3.0}, "detector": detector(30, 10.0)},
-        1.0,
-    ),
+    "emitted": ({"lamp": {"type": "point_source"}, "detector": ASIDE}, 1.0),
+    "in a cone": ({"lamp": {"type": "point_source", "half_angle_deg": 60.0}, "detector": ASIDE}, 1.0),
+    "by a cosine": ({"lamp": {"type": "point_source", "exponent": 5.0}, "detector": ASIDE}, 1.0),
+    "surface source": ({"lamp": {"type": "surface_source", "radius": 3.0}, "detector": ASIDE}, 1.0),
     "scattered": (
         {
-            "lamp": {**BEAM, "to_world": mi.ScalarTransform4f().look_at([0, 0, 0], [0, 0, -1], [0, 1, 0])},
-            "plate": {
-                "type": "asphere",
-                "semi_diameter": 2.0,
-                "z": -1.0,
-                "bsdf": rough(type="paint", reflectance=0.2),
-            },
-            "detector": detector(30, 10.0),
+            "lamp": {**BEAM, "to_world": BACK},
+            "plate": {"type": "asphere", "semi_diameter": 2.0, "z": -1.0, "bsdf": PAINT},
+            "detector": ASIDE,
         },
         0.2,
     ),
@@ -57,32 +36,11 @@ KINDS: dict[str, tuple[dict[str, Any], float]] = {
         {
             "lamp": {**BEAM, "inner_radius": 0.98},
             "edge": {"type": "frustum", "r0": 0.98, "z0": 0.0, "r1": 1.0, "z1": 0.0, "bsdf": EDGE},
-            "detector": detector(4, 2.0),
+            "detector": square(2.0, to_world=towards_origin(4, FAR)),
         },
         1.0,
     ),
-    "bulk": (
-        {
-            "lamp": BEAM,
-            "front": {"type": "asphere", "semi_diameter": 5.0, "bsdf": {"type": "interface", "back": HAZE}},
-            "edge": {
-                "type": "frustum",
-                "r0": 5.0,
-                "z0": 0.0,
-                "r1": 5.0,
-                "z1": 10.0,
-                "bsdf": {"type": "interface", "front": HAZE},
-            },
-            "rear": {
-                "type": "asphere",
-                "semi_diameter": 5.0,
-                "z": 10.0,
-                "bsdf": {"type": "interface", "front": HAZE},
-            },
-            "detector": detector(30, 10.0),
-        },
-        1 - np.exp(-0.1),
-    ),
+    "bulk": ({"lamp": BEAM, **hazy_block("1.0 scatter=0.01 g=0.5"), "detector": ASIDE}, 1 - np.exp(-0.1)),
 }
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from lit_detector import BLACK, lit, meter
 
 import mistray
 from mistray.errors import MistrayError
@@ -17,7 +18,6 @@ from mistray.sampling.emission_laws import cosine_power_angle
 pytestmark = pytest.mark.quick
 
 SPOT = 8.0  # mm, radius of the light on the detector
-BLACK = {"type": "interface", "R": 0.0}
 TURNS = [
     ([0, 1, 0], 0.0),
     ([0, 1, 0], 5.0),
@@ -36,9 +36,8 @@ def turned(axis: list[int], angle: float) -> mi.ScalarTransform4f:
 
 def scene(source: dict[str, Any], frame: mi.ScalarTransform4f) -> mi.Scene:
     """A black disc in the plane z = 0 of a frame, and a source in the same frame."""
-    sensor = {"type": "irradiancemeter", "film": {"type": "hdrfilm", "rfilter": {"type": "box"}}}
-    detector = {"type": "asphere", "semi_diameter": 10.0, "bsdf": BLACK, "sensor": sensor, "to_world": frame}
-    return mistray.load({"type": "scene", "detector": detector, "source": {**source, "to_world": frame}})
+    detector = {"type": "asphere", "semi_diameter": 10.0, "bsdf": BLACK, "sensor": meter(), "to_world": frame}
+    return lit({"id": "source", **source, "to_world": frame}, detector=detector)
 
 
 @pytest.mark.filterwarnings("ignore:source 'source'. to_world is in single precision")

@@ -8,6 +8,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from lit_detector import BLACK, RADIUS, TUBE, discs, lit, meter, square
 from oracles.statistics import assert_z
 
 import mistray
@@ -17,46 +18,15 @@ from mistray.sampling.design_path import find_design_path
 from mistray.sampling.outlines import outline
 from mistray.sampling.sources import scene_sources
 from mistray.settings import Settings
-from mistray.surfaces.surfaces import SurfaceTable
 
 pytestmark = pytest.mark.quick
 
-BLACK = {"type": "interface", "R": 0.0}
-RADIUS = 10.0  # mm, of the detector
-
-
-def watts(value: float) -> dict[str, Any]:
-    """A number of a stock emitter."""
-    return {"type": "spectrum", "value": value}
-
-
-def scene(lamp: dict[str, Any], tube: bool = False, **more: Any) -> mi.Scene:
-    """A round black detector in the plane z = 0, and a lamp; far behind it a tube that makes the scene larger."""
-    wall = {"type": "frustum", "r0": 60.0, "r1": 60.0, "z0": 300.0, "z1": 400.0, "bsdf": BLACK}
-    film = {"type": "hdrfilm", "width": 64, "height": 64, "rf": {"type": "box"}}
-    sensor = {"type": "irradiancemeter", "film": film}
-    return mi.load_dict(
-        {
-            "type": "scene",
-            "detector": {"type": "asphere", "semi_diameter": RADIUS, "bsdf": BLACK, "sensor": sensor},
-            "lamp": lamp,
-            **({"tube": wall} if tube else {}),
-            **more,
-        },
-        optimize=False,
-    )
+WATTS = {"type": "spectrum", "value": 2.0}  # a number of a stock emitter
 
 
 def cone(distance: float) -> float:
     """Solid angle of the detector from a point on its axis, sr."""
     return float(2 * np.pi * (1 - distance / np.hypot(distance, RADIUS)))
-
-
-def discs(distance: float, first: float, second: float = RADIUS) -> float:
-    """View factor of two parallel discs on one axis, from the first (J. R. Howell, A Catalog, C-41)."""
-    a, b = first / distance, second / distance
-    x = 1 + (1 + b * b) / (a * a)
-    return float(0.5 * (x - np.sqrt(x * x - 4 * (b / a) ** 2)))
 
 
 def squares(distance: float, first: float, second: float, n: int = 60) -> float:
@@ -106,20 +76,20 @@ CASES: dict[str, tuple[dict[str, Any], float]] = {
         {"type": "sky", "half_angle_deg": 20.0},
         np.pi * np.sin(np.radians(20)) ** 2 * np.pi * RADIUS**2,
     ),
-    "stock point": ({"type": "point", "position": [0, 0, -20], "intensity": watts(2.0)}, 2 * cone(20.0)),
+    "stock point": ({"type": "point", "position": [0, 0, -20], "intensity": WATTS}, 2 * cone(20.0)),
     "stock spot": (
-        {"type": "spot", "to_world": AT, "intensity": watts(2.0), "cutoff_angle": 25.0, "beam_width": 10.0},
+        {"type": "spot", "to_world": AT, "intensity": WATTS, "cutoff_angle": 25.0, "beam_width": 10.0},
         spot(30.0, 2.0, 10.0, 25.0),
     ),
-    "stock sky": ({"type": "constant", "radiance": watts(2.0)}, 2 * 2 * np.pi * np.pi * RADIUS**2),
-    "stock beam": ({"type": "directional", "direction": [0, 0, 1], "irradiance": watts(2.0)}, 2 * np.pi * RADIUS**2),
+    "stock sky": ({"type": "constant", "radiance": WATTS}, 2 * 2 * np.pi * np.pi * RADIUS**2),
+    "stock beam": ({"type": "directional", "direction": [0, 0, 1], "irradiance": WATTS}, 2 * np.pi * RADIUS**2),
     "stock area": (
         {
             "type": "sphere",
             "center": [0, 0, -100],
             "radius": 30.0,
             "bsdf": BLACK,
-            "emitter": {"type": "area", "radiance": watts(2.0)},
+            "emitter": {"type": "area", "radiance": WATTS},
         },
         # A Lambertian ball has the irradiance of a point: π L (R/r)² cos θ, and cos θ dA / r² = dΩ
         np.pi * 2 * 900 * cone(100.0),
@@ -132,7 +102,7 @@ CASES: dict[str, tuple[dict[str, Any], float]] = {
 def test_closed_forms(name: str, tube: bool) -> None:
     """Flux on the detector; 34 of them: false alarms 0.1 % in all."""
     lamp, exact = CASES[name]
-    t = mistray.trace(scene(lamp, tube), rays=60_000)
+    t = mistray.trace(lit(lamp, **({"tube": TUBE} if tube else {})), rays=60_000)
     error = max(t.energy.detected_se_W, 1e-6 * exact)
     assert_z(name, t.energy.detected_W, exact, error, false_alarm=3e-5)
     assert abs(t.energy.closure) < 1e-6
@@ -140,12 +110,11 @@ def test_closed_forms(name: str, tube: bool) -> None:
 
 def test_squares() -> None:
     """A square that shines on a square, and on one turned away; false alarms 6e-5."""
-    square = {"type": "asphere", "half_width": 8.0, "half_height": 8.0, "bsdf": BLACK}
-    lit = {"detector": {**square, "sensor": {"type": "irradiancemeter"}}}
+    detector = square(8.0)
     lamp = {"type": "surface_source", "half_width": 5.0, "half_height": 5.0, "z": -12.0}
-    energy = mistray.trace(scene(lamp, **lit), rays=100_000).energy
+    energy = mistray.trace(lit(lamp, detector=detector), rays=100_000).energy
     assert_z("flux", energy.detected_W, squares(12.0, 5.0, 8.0), energy.detected_se_W, false_alarm=3e-5)
-    tilted = mistray.trace(scene({**lamp, "tilt_x": 90.0}, **lit), rays=100_000).energy
+    tilted = mistray.trace(lit({**lamp, "tilt_x": 90.0}, detector=detector), rays=100_000).energy
     n = 400_000
     rng = np.random.default_rng(5)
     # The normal (0, -1, 0): half of the detector is before it
@@ -163,7 +132,7 @@ def test_errors_hold_over_seeds() -> None:
     """χ² of 40 seeds of four sources; false alarms 0.2 %."""
     for name in ("cone", "disc", "part of the sky", "stock area"):
         lamp, exact = CASES[name]
-        here = scene(lamp, tube=True)
+        here = lit(lamp, tube=TUBE)
         z = []
         for seed in range(40):
             energy = mistray.trace(here, rays=8000, seed=seed, ledger=False).energy
@@ -173,27 +142,10 @@ def test_errors_hold_over_seeds() -> None:
         assert_z(f"spread of {name}", float(np.mean(np.square(z))), 31 / 29, np.sqrt(3 / 40), false_alarm=2.5e-4)
 
 
-@pytest.mark.parametrize("name", ["point", "cone", "disc", "power of the cosine"])
-def test_aimed_rays_gain_what_the_solid_angle_promises(name: str) -> None:
-    """Variance of the flux for as many rays: at least half of 1 / (share of the light that arrives) less."""
-    lamp, exact = CASES[name]
-    here = scene(lamp, tube=True)
-    energy = mistray.trace(here, rays=200_000, ledger=False).energy
-    share = exact / energy.launched_W
-    relative = energy.detected_se_W / exact
-    unaimed = (1 - share) / share / 200_000  # of a random number of hits
-    gain = unaimed / relative**2
-    assert gain > 0.5 / share * (1 - share) * (1 - 3 * np.sqrt(2 / 31) if name != "cone" else 1)
-
-
 def test_a_sky_is_aimed_at_the_front_of_a_short_scene() -> None:
-    """
-    A cone of sky on a detector in front, whose sphere stands out of that of the scene: π L sin² ρ A, false alarm 1e-4.
-
-    Behind it stands a black stop, whose light is that of rays without aim within 4 errors; false alarm 6e-5.
-    """
+    """A cone of sky on a detector whose sphere stands out of that of the scene: π L sin² ρ A; false alarms 1.6e-4."""
     stop = {"type": "frustum", "r0": 0.0, "z0": 30.0, "r1": RADIUS, "z1": 30.0, "bsdf": BLACK}
-    here = scene({"type": "sky", "half_angle_deg": 60.0}, stop=stop)
+    here = lit({"type": "sky", "half_angle_deg": 60.0}, stop=stop)
     (run,) = prepare(here, Settings())
     source = run.source
     assert source.aperture is not None
@@ -208,25 +160,24 @@ def test_a_sky_is_aimed_at_the_front_of_a_short_scene() -> None:
     assert aimed.energy.launched_W == pytest.approx(blind.energy.launched_W, rel=1e-9)
 
 
-@pytest.mark.parametrize("name", ["phone_camera", "newtonian"])
-@pytest.mark.parametrize("lamp", ["sun:field_deg=2", "sky:half_angle_deg=10"])
-def test_suns_and_skies_are_aimed_for_short_systems(name: str, lamp: str) -> None:
-    """At the first surface of the design path, whose sphere does not lie within that of the scene."""
+@pytest.mark.parametrize(
+    ("name", "lamp"),
+    [
+        *(
+            (name, lamp)
+            for name in ("phone_camera", "newtonian")
+            for lamp in ("sun:field_deg=2", "sky:half_angle_deg=10")
+        ),
+        ("cooke_triplet", "sky"),  # open: its detector sees more of the sky past the lens than through it
+    ],
+)
+def test_suns_and_skies_are_aimed_at_the_first_surface_of_the_design(name: str, lamp: str) -> None:
+    """Also where its sphere does not lie within that of the scene."""
     here = mistray.load(name, lamp)
-    table = SurfaceTable(here, 550.0)
-    path = find_design_path(table, here)
-    assert path is not None
-    assert path.has_optics
     (run,) = prepare(here, Settings())
-    assert run.source.aperture is not None
-    np.testing.assert_allclose(run.source.aperture.centre, outline(table.shapes[path.steps[0].surface]).centre)
-
-
-def test_a_sky_all_around_is_aimed_at_the_lens() -> None:
-    """An open triplet, whose detector sees more of the sky past the lens than through it."""
-    (run,) = prepare(mistray.load("cooke_triplet", "sky"), Settings())
-    assert run.source.aperture is not None
-    assert run.source.aperture.centre[2] < 5.0
+    path = find_design_path(run.table, here)
+    centre = outline(run.table.shapes[path.steps[0].surface]).centre
+    np.testing.assert_allclose(run.source.aperture.centre, centre, atol=0.0 if name != "cooke_triplet" else 5.0)
 
 
 def test_shadow_edge_of_the_sun() -> None:
@@ -234,7 +185,7 @@ def test_shadow_edge_of_the_sun() -> None:
     edge = {"type": "asphere", "half_width": 50.0, "half_height": 50.0, "y": 50.0, "z": -200.0, "bsdf": BLACK}
     for limb in (0.0, 0.6):
         lamp = {"type": "distant_disc", "diameter_deg": 0.8, "limb": limb}
-        t = mistray.trace(scene(lamp, edge=edge), rays=2_000_000, ledger=False)
+        t = mistray.trace(lit(lamp, pixels=64, edge=edge), rays=2_000_000, ledger=False)
         y = (np.arange(64) + 0.5) / 64 * 2 * RADIUS - RADIUS
         reach = 200 * np.tan(np.radians(0.4))
         x = np.linspace(-1, 1, 4001)
@@ -257,45 +208,32 @@ def test_shadow_edge_of_the_sun() -> None:
 
 def test_lens_images_a_point_where_gauss_says() -> None:
     """A thin lens of 50 mm images what is 150 mm before it at 75 mm, a height of 3 mm at -1.5 mm."""
-    glass = {"type": "asphere", "semi_diameter": 2.0}
+    glass = {"type": "asphere", "semi_diameter": 2.0, "part": "lens"}
     radius = 2 * 50.0 * 0.5
+    rear = {"radius": -radius, "z": 0.02 + 2.0**2 / radius, "bsdf": {"type": "interface", "front": "1.5"}}
     lens = {
-        "front": {**glass, "part": "lens", "radius": radius, "bsdf": {"type": "interface", "back": "1.5"}},
-        "rear": {
-            **glass,
-            "part": "lens",
-            "radius": -radius,
-            "z": 0.02 + 2.0**2 / radius,
-            "bsdf": {"type": "interface", "front": "1.5"},
-        },
+        "front": {**glass, "radius": radius, "bsdf": {"type": "interface", "back": "1.5"}},
+        "rear": {**glass, **rear},
     }
-    focal = 50.0 / (1 - (0.02 + 4 / 50) * 0.5 / (1.5 * 2 * 50.0))
-    here = {
-        **lens,
-        "detector": {
-            "type": "asphere",
-            "semi_diameter": 5.0,
-            "z": 75.0,
-            "bsdf": BLACK,
-            "sensor": {"type": "irradiancemeter"},
-        },
-    }
+    detector = {"type": "asphere", "semi_diameter": 5.0, "z": 75.0, "bsdf": BLACK, "sensor": meter()}
     t = mistray.trace(
-        scene({"type": "point_source", "z": -150.0}, **here), rays=20_000, field_mm=3.0, max_reflections=0
+        lit({"type": "point_source", "z": -150.0}, **lens, detector=detector),
+        rays=20_000,
+        field_mm=3.0,
+        max_reflections=0,
     )
     direct = t.paths.select("kind == 'direct'")[0]  # others pass where the lens has no edge
     assert direct.events.count(":T") == 2
     assert direct.y_mm == pytest.approx(-1.5, abs=0.01)
     assert direct.x_mm == pytest.approx(0.0, abs=0.002)
     assert direct.rms_radius_mm < 0.02  # 2 mm of the lens, with its aberrations
-    assert focal == pytest.approx(50.0, abs=0.02)
 
 
 def test_gaussian_beam_spreads_as_it_should() -> None:
     """Second moments before, at and behind the waists of an astigmatic beam; false alarms 0.1 %."""
     numbers = {"waist_x": 0.4, "waist_y": 1.1, "m2_x": 2.0, "m2_y": 9.0, "offset_x": 300.0, "offset_y": 900.0}
     for z in (-10.0, -300.0, -1500.0):
-        t = mistray.trace(scene({"type": "gaussian_beam", "z": z, "wavelength_nm": 1000.0, **numbers}), rays=100_000)
+        t = mistray.trace(lit({"type": "gaussian_beam", "z": z, "wavelength_nm": 1000.0, **numbers}, 64), rays=100_000)
         places = (np.arange(64) + 0.5) / 64 * 2 * RADIUS - RADIUS
         for k, axis in enumerate("xy"):
             profile = t.irradiance.sum(axis=k)
@@ -308,10 +246,10 @@ def test_gaussian_beam_spreads_as_it_should() -> None:
 
 def test_fields_of_near_sources() -> None:
     """A field moves a point in its object plane, and turns a beam about the origin."""
-    here = scene({"type": "point_source", "z": -100.0})
+    here = lit({"type": "point_source", "z": -100.0})
     (source,) = scene_sources(here, field_deg=30.0, azimuth_deg=90.0)
     assert source.pivot + np.array([0, 0, -100]) == pytest.approx([100 * np.tan(np.radians(30)), 0, -100])
-    laser = scene({"type": "gaussian_beam", "z": -100.0, "waist_x": 0.1, "waist_y": 0.1})
+    laser = lit({"type": "gaussian_beam", "z": -100.0, "waist_x": 0.1, "waist_y": 0.1})
     (beam,) = scene_sources(laser, field_deg=30.0)
     assert beam.direction == pytest.approx([0, 0.5, np.sqrt(0.75)])
     both = (
@@ -321,7 +259,7 @@ def test_fields_of_near_sources() -> None:
     assert both[0].energy.detected_W == pytest.approx(both[1].energy.detected_W, rel=1e-5)
     for lamp in ({"type": "collimated", "radius": 1.0}, {"type": "point_source"}, {"type": "sky"}):
         with pytest.raises(mistray.MistrayError, match="degrees"):
-            mistray.trace(scene(lamp), rays=1000, field_mm=1.0)
+            mistray.trace(lit(lamp), rays=1000, field_mm=1.0)
 
 
 def test_picture_of_a_sky(tmp_path: Path) -> None:
@@ -341,24 +279,15 @@ def test_picture_of_a_sky(tmp_path: Path) -> None:
     lid = {"type": "asphere", "half_width": 60.0, "half_height": 60.0, "z": 0.1, "bsdf": BLACK}
     around = {"type": "envmap", "filename": file, "scale": 2.0, "to_world": turned}
     path = mi.load_dict({"type": "path"})
-    stock = scene(around, lid=lid, detector=plate)
+    stock = lit(around, lid=lid, detector=plate)
     rendered = [
         float(np.array(mi.render(stock, spp=100_000, seed=seed, integrator=path)).ravel()[0]) for seed in range(4)
     ]
     for lamp in (around, {"type": "sky", "filename": file, "radiance": 2.0, "to_world": turned}):
-        energy = mistray.trace(scene(lamp, lid=lid, detector=plate), rays=400_000).energy
+        energy = mistray.trace(lit(lamp, lid=lid, detector=plate), rays=400_000).energy
         error = float(np.hypot(energy.detected_se_W / 100, np.std(rendered)))
         assert_z(lamp["type"], energy.detected_W / 100, float(np.mean(rendered)), error, false_alarm=5e-4)
         assert abs(energy.closure) < 1e-6
-    mi.Bitmap(0 * picture).write(file)
-    for wrong in (
-        {"filename": file},
-        {"filename": str(tmp_path / "none.exr")},
-        {"filename": file, "half_angle_deg": 9.0},
-    ):
-        with pytest.raises(mistray.MistrayError, match="lamp") as found:
-            mistray.load({"type": "scene", "lamp": {"type": "sky", **wrong}})
-        assert "\n" not in str(found.value)
 
 
 @pytest.mark.parametrize("ordering", ["RING", "NESTED"])
@@ -376,19 +305,19 @@ def test_sky_in_healpix(ordering: str, tmp_path: Path) -> None:
     table = fits.BinTableHDU.from_columns([fits.Column("I", "D", array=values)])
     table.header["ORDERING"] = ordering
     table.writeto(file)
-    energy = mistray.trace(scene({"type": "sky", "filename": str(file)}), rays=200_000).energy
+    energy = mistray.trace(lit({"type": "sky", "filename": str(file)}), rays=200_000).energy
     # Both sides of the detector, across z: 2 · 2π ∫ (1 + c²) c dc = 4π (1/2 + 1/4)
     exact = 3 * np.pi * np.pi * RADIUS**2
     assert_z("flux", energy.detected_W, exact, np.hypot(energy.detected_se_W, 2e-4 * exact), false_alarm=5e-4)
     aside = {"type": "sky", "filename": str(file), "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], 90)}
-    energy = mistray.trace(scene(aside), rays=200_000).energy
+    energy = mistray.trace(lit(aside), rays=200_000).energy
     # Across another axis z is s cos φ: 2 ∫ (1 + s² cos² φ) c dΩ = 4π (1/2 + 1/2 · 1/4)
     exact = 4 * np.pi * (0.5 + 0.125) * np.pi * RADIUS**2
     assert_z("aside", energy.detected_W, exact, np.hypot(energy.detected_se_W, 2e-4 * exact), false_alarm=5e-4)
     table.header["ORDERING"] = "none"
     table.writeto(file, overwrite=True)
     with pytest.raises(mistray.MistrayError, match="ORDERING"):
-        mistray.load({"type": "scene", "lamp": {"type": "sky", "filename": str(file)}})
+        lit({"type": "sky", "filename": str(file)})
 
 
 def test_several_sources() -> None:
@@ -398,7 +327,7 @@ def test_several_sources() -> None:
         "moon": {"type": "distant_disc", "irradiance": 1e-3},
         "screen": {"type": "surface_source", "radius": 3.0, "z": -9.0},
     }
-    t = mistray.trace(scene(lamps.pop("lamp"), **lamps), rays=30_000)
+    t = mistray.trace(lit(lamps.pop("lamp"), **lamps), rays=30_000)
     table = t.paths.to_pandas()
     assert set(table.source) == {"lamp", "moon", "screen"}
     assert abs(t.energy.closure) < 1e-6
@@ -406,67 +335,18 @@ def test_several_sources() -> None:
         own = t.energy_of(name)
         assert own.launched_W == pytest.approx(launched, rel=1e-6)
         assert abs(own.closure) < 1e-6
+        assert set(t.rays(f"source = {name}", n=20).source) == {name}
         assert own.detected_W == pytest.approx(table.power_W[table.source == name].sum(), rel=1e-6)
     with pytest.raises(mistray.MistrayError, match="'sun'"):
         t.energy_of("sun")
     assert table.power_W.sum() == pytest.approx(t.energy.detected_W, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    "lamp",
-    [
-        {"type": "point_source", "power": -1.0},
-        {"type": "point_source", "power": float("nan")},
-        {"type": "point_source", "power": 1.0, "intensity": 1.0},
-        {"type": "point_source", "exponent": 2.0, "half_angle_deg": 120.0},
-        {"type": "point_source", "profile": "0:1"},
-        {"type": "point_source", "profile": "0:1, 0:2"},
-        {"type": "point_source", "profile": "0:0, 10:0"},
-        {"type": "point_source", "profile": "a:b"},
-        {"type": "point_source", "profile": "0:1, 10:nan"},
-        {"type": "point_source", "half_angle_deg": 0.0},
-        {"type": "surface_source"},
-        {"type": "surface_source", "radius": 0.0},
-        {"type": "surface_source", "radius": 1.0, "half_width": 1.0, "half_height": 1.0},
-        {"type": "surface_source", "half_width": 1.0},
-        {"type": "surface_source", "radius": 1.0, "inner_radius": 1.0},
-        {"type": "gaussian_beam", "waist_x": 1.0},
-        {"type": "gaussian_beam", "waist_x": 1.0, "waist_y": 1.0, "m2_x": 0.5},
-        {"type": "distant_disc", "irradiance": 1.0, "radiance": 1.0},
-        {"type": "sky", "radiance": 0.0},
-    ],
-    ids=str,
-)
-def test_bad_numbers(lamp: dict[str, Any]) -> None:
-    """One line that names the source."""
-    with pytest.raises(mistray.MistrayError, match="'lamp'") as error:
-        mistray.load({"type": "scene", "lamp": lamp})
-    assert "\n" not in str(error.value)
-
-
-@pytest.mark.long
-def test_a_lamp_in_a_metal() -> None:
-    block = {"type": "sphere", "center": [0, 0, -50], "radius": 5.0, "bsdf": {"type": "interface", "back": "Al"}}
-    inside = {"type": "point_source", "z": -50.0}
-    with pytest.raises(mistray.MistrayError, match=r"'lamp'.*'Al'.*'block'") as error:
-        mistray.trace(scene(inside, block={**block, "flip_normals": True}), rays=1000)
-    assert "\n" not in str(error.value)
-    glass = {**block, "flip_normals": True, "bsdf": {"type": "interface", "back": "1.5"}}
-    assert mistray.trace(scene(inside, block=glass), rays=1000).energy.escaped_W > 0
-
-
-def test_light_that_meets_nothing() -> None:
-    with pytest.raises(mistray.MistrayError, match="'lamp'"):
-        mistray.trace(scene({"type": "point_source", "z": 20.0, "half_angle_deg": 10.0}), rays=1000)
-    with pytest.raises(mistray.MistrayError, match="Projector"):
-        mistray.trace(scene({"type": "projector", "irradiance": watts(1.0), "fov": 20.0}), rays=1000)
-
-
 def test_sources_of_a_call() -> None:
     """Text and dicts in place of the emitters of a scene."""
     given = {
         "type": "scene",
-        "detector": {"type": "asphere", "semi_diameter": RADIUS, "bsdf": BLACK, "sensor": {"type": "irradiancemeter"}},
+        "detector": {"type": "asphere", "semi_diameter": RADIUS, "bsdf": BLACK, "sensor": meter()},
         "own": {"type": "collimated", "radius": 1.0},
     }
     for sources, names in (
@@ -479,6 +359,13 @@ def test_sources_of_a_call() -> None:
         assert {emitter.id() for emitter in here.emitters()} == names
         assert mistray.trace(here, rays=1000).energy.detected_W > 0
     for wrong in ("point:0,0", "point:0,a,1", "", "point:0,0,1,z=2", "warp:0,0,1", "point:0,0,1,power", {"z": 1.0}):
-        with pytest.raises(mistray.MistrayError) as error:
+        with pytest.raises(mistray.MistrayError):
             mistray.load(given, wrong)
-        assert "\n" not in str(error.value)
+
+
+def test_a_lamp_in_a_ball_of_glass() -> None:
+    """From its middle all light meets the surface at right angles, 4 % of it comes back there."""
+    glass = {"type": "interface", "back": "1.5"}
+    ball = {"type": "sphere", "center": [0, 0, -50], "radius": 5.0, "flip_normals": True, "bsdf": glass}
+    energy = mistray.trace(lit({"type": "point_source", "z": -50.0, "power": 1.0}, block=ball), rays=1000).energy
+    assert energy.escaped_W + energy.detected_W == pytest.approx(0.96 * (1 + 0.04 + 0.04**2), rel=1e-5)

@@ -46,19 +46,12 @@ def test_densities_are_those_of_the_samples(learned: StartMap, cell: int) -> Non
     for f, integral in ((np.ones(COUNT), 1.0), (np.prod(points, axis=1), 1 / 16), (points[:, 0] ** 3, 1 / 4)):
         found = f / density
         assert abs(found.mean() - integral) < 5 * found.std() / np.sqrt(COUNT) + 1e-6
-
-
-def test_starts_are_where_the_light_was_and_sometimes_elsewhere(learned: StartMap) -> None:
-    """A slab of 2 % of the cube gets most of the rays; the floor keeps 40 % of them anywhere."""
-    points, density = sampled(DeviceMap(learned), 0)
-    inside = np.abs(points[:, 0] - 0.3 - 0.4 * points[:, 2]) < 0.01
-    assert inside.mean() > 0.25
-    assert density.min() >= UNIFORM
-    assert (~inside).mean() > UNIFORM * 0.97
-
-
-def test_a_cell_without_light_is_even(learned: StartMap) -> None:
-    np.testing.assert_allclose(sampled(DeviceMap(learned), 1)[1], 1.0, rtol=1e-6)
+    if cell == 1:  # without light
+        np.testing.assert_allclose(density, 1.0, rtol=1e-6)
+    else:  # a slab of 2 % of the cube gets most of the rays; the floor keeps 40 % of them anywhere
+        inside = np.abs(points[:, 0] - 0.3 - 0.4 * points[:, 2]) < 0.01
+        assert 0.25 < inside.mean() < 1 - UNIFORM * 0.97
+        assert density.min() >= UNIFORM
 
 
 def test_light_that_arrives_by_chance_gets_more_rays() -> None:
@@ -93,13 +86,10 @@ def test_cells_lend_what_they_have_met() -> None:
     densities = [np.array(one.density(cell, list(point), dr.full(mi.Bool, True, len(narrow)))) for one in (alone, both)]
     assert np.median(densities[1]) > 5 * np.median(densities[0])
 
-
-def test_azimuths_go_round_and_dark_cells_borrow_nothing() -> None:
-    rng = np.random.default_rng(4)
-    samples = MapSamples.of([even(rng.random((20, 4)), cell) for cell in (0, 3)])  # 2 field angles, 4 azimuths
-    there = samples.with_those_beside((2, 4))
-    assert sorted(set(there.cell.tolist())) == [0, 3]
-    assert np.count_nonzero(there.cell == 0) == np.count_nonzero(there.cell == 3) == 40
+    there = samples.with_those_beside((1, 3))  # azimuths go round
+    assert [np.count_nonzero(there.cell == cell) > np.count_nonzero(samples.cell == cell) for cell in range(3)] == [
+        True
+    ] * 3
 
 
 def test_thinned_samples_stand_for_all() -> None:

@@ -2,37 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from lit_detector import BLACK, lit, square
 
 import mistray
 from mistray import pst
 
 WHITE = {"type": "interface", "R": 0.0, "scatter": {"type": "abg", "A": 0.2, "B": 1.0, "g": 0.0}}
-BLACK = {"type": "interface", "R": 0.0}
+T = mi.ScalarTransform4f
 
 
 def scene() -> mi.Scene:
     """A scattering plate of triangles beside a detector that a lamp of Mitsuba lights."""
-    turned = mi.ScalarTransform4f().translate([0, 14, -10]).rotate([1, 0, 0], 60)
-    film = {"type": "hdrfilm", "width": 2, "height": 2, "rfilter": {"type": "box"}}
-    shapes: dict[str, Any] = {
-        "plate": {"type": "asphere", "half_width": 15.0, "half_height": 15.0, "to_world": turned, "bsdf": WHITE},
-        "detector": {
-            "type": "asphere", "half_width": 5.0, "half_height": 5.0, "bsdf": BLACK,
-            "sensor": {"type": "irradiancemeter", "film": film},
-        },
-        "lamp": {
-            "type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, -6, -40]).scale([4, 7, 1]),
-            "bsdf": {"type": "interface", "R": 0.0},
-            "emitter": {"type": "area", "radiance": {"type": "spectrum", "value": 2.0}},
-        },
-    }  # fmt: skip
-    return mistray.load({"type": "scene", **shapes})
+    turned = T().translate([0, 14, -10]).rotate([1, 0, 0], 60)
+    plate = {"type": "asphere", "half_width": 15.0, "half_height": 15.0, "to_world": turned, "bsdf": WHITE}
+    light = {"type": "area", "radiance": {"type": "spectrum", "value": 2.0}}
+    place = T().translate([0, -6, -40]).scale([4, 7, 1])
+    lamp = {"type": "rectangle", "to_world": place, "bsdf": BLACK, "emitter": light}
+    return lit(lamp, plate=plate, detector=square(5.0, 2))
 
 
 @pytest.mark.parametrize("name", ["plate.vertex_positions", "plate.z", "lamp.emitter.radiance.value"])

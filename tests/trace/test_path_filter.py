@@ -209,7 +209,6 @@ def test_a_path_cannot_decide_for_its_rays(rows: Rows) -> None:
         ("I)", ("')'",)),
         ("I G", ("'G'", "&")),
         ("I &", ("end",)),
-        ("", ()),
         ("& I", ("'&'",)),
         ("!", ("end",)),
         ("M", ("M(x)",)),
@@ -236,9 +235,6 @@ def test_a_path_cannot_decide_for_its_rays(rows: Rows) -> None:
     ],
 )
 def test_errors_name_the_filter_and_what_is_wrong(text: str, names: tuple[str, ...], rows: Rows) -> None:
-    if not text:
-        assert all(held(text, rows))
-        return
     with pytest.raises(mistray.MistrayError) as caught:
         PathFilter(text).holds(rows)
     message = str(caught.value)

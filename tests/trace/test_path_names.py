@@ -75,16 +75,6 @@ def test_no_name_is_blank_or_given_twice_in_a_pst(scene: str) -> None:
         assert rows.label.str.strip().astype(bool).all()
 
 
-@pytest.mark.parametrize(
-    ("scene", "field"),
-    [pytest.param("phone_camera", 20.0, marks=pytest.mark.long), ("double_gauss", 20.0), ("newtonian", 0.2)],
-)
-def test_no_name_is_blank_or_given_twice_in_a_table_of_ghosts(scene: str, field: float) -> None:
-    table = mistray.ghosts(mistray.load(scene), field_deg=[0.0, field], rays=20_000).table(field)
-    assert table.label.is_unique
-    assert table.label.str.strip().astype(bool).all()
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("scene", sorted(shipped_scenes()))
 def test_every_path_of_a_trace_has_a_name_of_its_own(scene: str) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 from report.fake_ledger import (
@@ -20,8 +18,7 @@ from report.fake_ledger import (
 )
 
 from mistray.errors import MistrayError
-from mistray.recorders.ledger import SUMS
-from mistray.recorders.path_events import INTERCEPTS, LETTERS, describe_events, way_text
+from mistray.recorders.path_events import describe_events
 from mistray.settings import BATCHES
 from mistray.trace.paths import PathTable, path_table
 
@@ -50,87 +47,68 @@ def facts(*lists: str) -> list[dict]:
     return [{name: column[k] for name, column in columns.items()} for k in range(len(lists))]
 
 
-@pytest.mark.parametrize(
-    ("events", "kind"),
-    [
-        ("L1_front:T L1_rear:T detector:A", "direct"),
-        ("primary:R detector:A", "direct"),
-        ("detector:A", "straight shot"),
-        ("L1_rear:T detector:A", "straight shot"),
-        ("primary:R L1_front:T L1_rear:T detector:A", "straight shot"),
-        ("L1_front:T L1_rear:T primary:R L1_edge:I detector:A", "direct"),
-        ("L1_edge:I detector:A", "straight shot"),
-        ("L1_edge:R detector:A", "straight shot"),
-        ("L1_front:T L1_edge:T detector:A", "straight shot"),
-        ("L1_front:I detector:A", "TIR"),
-        ("L1_front:T detector:R L1_rear:R detector:A", "ghost"),
-        ("L1_front:T barrel:R detector:A", "structure"),
-        ("barrel:R L1_front:T L1_rear:R L1_front:R detector:A", "structure+ghost"),
-        ("L1_front:t L1_rear:T detector:A", "single scatter"),
-        ("L1_front:i L1_rear:T detector:A", "single scatter"),
-        ("L1_front:T barrel:r detector:A", "single scatter"),
-        ("L1_front:T barrel:j detector:A", "single scatter"),
-        ("primary:j detector:A", "single scatter"),
-        ("primary:R L1_front:t detector:A", "single scatter"),
-        ("L1_front:I L1_rear:t detector:A", "single scatter"),
-        ("L1_front:t L1_edge:T detector:A", "single scatter"),
-        ("L1_front:t barrel:j detector:A", "multiple scatter"),
-        ("barrel:r barrel:r barrel:j detector:A", "multiple scatter"),
-        ("L1_front:T L1_rear:R L1_front:r L1_rear:T detector:A", "ghost + scatter"),
-        ("L1_front:t detector:R L1_rear:R detector:A", "ghost + scatter"),
-        ("barrel:R L1_front:i L1_rear:T detector:A", "ghost + scatter"),
-        ("barrel:r detector:R L1_rear:j detector:A", "ghost + scatter"),
+CLASSES = {
+    "direct": [
+        "L1_front:T L1_rear:T detector:A",
+        "primary:R detector:A",
+        "L1_front:T L1_rear:T primary:R L1_edge:I detector:A",
     ],
-)
-def test_every_path_has_one_class(events: str, kind: str) -> None:
-    (row,) = facts(events)
-    assert row["kind"] == kind
-    assert row["events"] == events
-    assert row["path"] == "".join(word[-1] for word in events.split())
+    "straight shot": [
+        "detector:A",
+        "L1_rear:T detector:A",
+        "primary:R L1_front:T L1_rear:T detector:A",
+        "L1_edge:I detector:A",
+        "L1_edge:R detector:A",
+        "L1_front:T L1_edge:T detector:A",
+    ],
+    "TIR": ["L1_front:I detector:A"],
+    "ghost": ["L1_front:T detector:R L1_rear:R detector:A"],
+    "structure": ["L1_front:T barrel:R detector:A"],
+    "structure+ghost": ["barrel:R L1_front:T L1_rear:R L1_front:R detector:A"],
+    "single scatter": [
+        "L1_front:t L1_rear:T detector:A",
+        "L1_front:i L1_rear:T detector:A",
+        "L1_front:T barrel:r detector:A",
+        "L1_front:T barrel:j detector:A",
+        "primary:j detector:A",
+        "primary:R L1_front:t detector:A",
+        "L1_front:I L1_rear:t detector:A",
+        "L1_front:t L1_edge:T detector:A",
+    ],
+    "multiple scatter": ["L1_front:t barrel:j detector:A", "barrel:r barrel:r barrel:j detector:A"],
+    "ghost + scatter": [
+        "L1_front:T L1_rear:R L1_front:r L1_rear:T detector:A",
+        "L1_front:t detector:R L1_rear:R detector:A",
+        "barrel:R L1_front:i L1_rear:T detector:A",
+        "barrel:r detector:R L1_rear:j detector:A",
+    ],
+}
+
+
+def test_every_path_has_one_class() -> None:
+    """Also where lists are filled up to the length of the longest: what stands there says nothing."""
+    lists = [(events, kind) for kind, listed in CLASSES.items() for events in listed]
+    for row, (events, kind) in zip(facts(*(events for events, _ in lists)), lists, strict=True):
+        assert (row["kind"], row["events"]) == (kind, events)
+        assert row["path"] == "".join(word[-1] for word in events.split())
+        assert row == facts(events)[0]
 
 
 def test_surfaces_are_named_in_the_order_of_the_light() -> None:
-    ghost, scatter, both, mirror = facts(
-        "L1_front:T detector:R L1_rear:R detector:A",
-        "L1_front:T barrel:j L1_rear:t detector:A",
-        "barrel:R L1_front:i L1_rear:R L1_front:R primary:R barrel:r detector:A",
-        "primary:R detector:A",
-    )
-    names = ("ghost_1", "ghost_2", "scatter_1", "scatters", "order", "structure_bounces", "tir")
-    assert [ghost[name] for name in names] == ["detector", "L1_rear", "-", 0, 2, 0, 0]
-    assert [scatter[name] for name in names] == ["-", "-", "barrel", 2, 0, 0, 0]
-    assert [both[name] for name in names] == ["barrel", "L1_rear", "L1_front", 2, 2, 1, 0]
-    assert [mirror[name] for name in names] == ["-", "-", "-", 0, 0, 0, 0]
-
-
-def test_edges_and_bevels_are_named() -> None:
-    rows = facts(
-        "L1_front:T L1_edge:T L1_rear:I L1_edge:R detector:A",
-        "L1_front:T L1_rear:T detector:A",
-        "barrel:r L1_front:T L1_edge:t detector:A",
-        "L1_edge:I L1_front:T detector:A",
-    )
-    assert [row["edges"] for row in rows] == ["L1_edge L1_edge", "-", "L1_edge", "L1_edge"]
-
-
-def test_a_list_is_read_to_its_end_and_no_further() -> None:
-    """Lists are filled up to the length of the longest: what stands there says nothing."""
-    long = "barrel:r L1_front:t L1_rear:R L1_front:R L1_edge:T L1_rear:I detector:A"
-    (alone,) = facts("L1_front:T L1_rear:T detector:A")
-    assert facts("L1_front:T L1_rear:T detector:A", long)[0] == alone
-    events, lengths = encode(["L1_front:T L1_rear:T detector:A", long], list(SURFACES))
-    events[0, 3:] = events[1, 3:]
-    words = np.array(list(SURFACES.values()), dtype=np.uint32)
-    columns = describe_events(events, lengths, list(SURFACES), words, DESIGN)
-    assert {name: column[0] for name, column in columns.items()} == alone
-
-
-def test_letters_and_intercepts_are_distinct() -> None:
-    assert len(set(LETTERS.values())) == len(set(INTERCEPTS.values())) == len(LETTERS) == len(INTERCEPTS) == 8
-
-
-def test_a_way_does_not_tell_aimed_light_from_random_light() -> None:
-    assert way_text(["a:i b:j c:T d:I e:R i:t", "x:i:i j:A"]) == ["a:t b:r c:T d:I e:R i:t", "x:i:t j:A"]
+    names = ("ghost_1", "ghost_2", "scatter_1", "edges", "scatters", "order", "structure_bounces", "tir")
+    for events, expected in (
+        ("L1_front:T detector:R L1_rear:R detector:A", ["detector", "L1_rear", "-", "-", 0, 2, 0, 0]),
+        ("L1_front:T barrel:j L1_rear:t detector:A", ["-", "-", "barrel", "-", 2, 0, 0, 0]),
+        (
+            "barrel:R L1_front:i L1_rear:R L1_front:R primary:R barrel:r detector:A",
+            ["barrel", "L1_rear", "L1_front", "-", 2, 2, 1, 0],
+        ),
+        ("primary:R detector:A", ["-", "-", "-", "-", 0, 0, 0, 0]),
+        ("L1_edge:T L1_rear:I L1_edge:T detector:A", ["-", "-", "-", "L1_edge L1_edge", 0, 0, 0, 1]),
+        ("barrel:r L1_edge:t detector:A", ["-", "-", "barrel", "L1_edge", 2, 0, 0, 0]),
+    ):
+        (row,) = facts(events)
+        assert [row[name] for name in names] == expected
 
 
 class Hits:
@@ -207,14 +185,6 @@ def test_one_way_is_one_row_with_the_numbers_of_all_its_light(hits: Hits) -> Non
     assert rows.power_W.is_monotonic_decreasing
 
 
-def test_without_scatter_the_ways_are_the_paths(hits: Hits) -> None:
-    lists = ["L1_front:T L1_rear:T detector:A", "L1_front:T detector:R L1_rear:R detector:A"]
-    table = table_of(lists, Hits(np.random.default_rng(2), [100, 50], [1.0, 0.1]))
-    rows = table.by_way()
-    assert list(rows.path_ids) == [(0,), (1,)]
-    assert rows.drop(columns="path_ids").equals(table.to_pandas())
-
-
 def test_ways_of_different_wavelengths_stay_apart(hits: Hits) -> None:
     runs = [
         fake_run(SURFACES, decoded(*encode([LISTS[1], LISTS[2]], list(SURFACES)), np.array([hits.sums(hits.path == k)
@@ -227,11 +197,7 @@ def test_ways_of_different_wavelengths_stay_apart(hits: Hits) -> None:
 
 
 def test_the_error_of_a_sum_holds_what_its_paths_have_in_common() -> None:
-    """
-    A start ray that scatters sends light into both paths or into none: their errors add up linearly.
-
-    The error comes from 32 batches, so it is right within a factor 1 ± 5 sqrt(1/62) but for one case in 2e6.
-    """
+    """Light in both paths or in none: their errors, within 1 ± 5 sqrt(1/62) but for one in 2e6, add up linearly."""
     rng = np.random.default_rng(3)
     start = rng.permutation(3200)[:640]
     batch = start % BATCHES
@@ -262,11 +228,7 @@ def test_independent_paths_add_up_in_quadrature() -> None:
 
 
 def test_a_start_ray_that_branches_takes_a_path_several_times() -> None:
-    """
-    100 start rays of 32 000 hit a surface that scatters ten rays, all of which land: the error is that of 100 hits.
-
-    By hits it would be sqrt(10) too small. False alarm below 1e-6, see above.
-    """
+    """100 start rays scatter ten rays each, which land: by hits the error would be sqrt(10) too small; alarm < 1e-6."""
     rng = np.random.default_rng(5)
     batch = np.repeat(rng.integers(0, BATCHES, 100), 10)
     one = np.ones(len(batch))
@@ -292,38 +254,3 @@ def test_rows_are_sequences_and_equal_themselves(hits: Hits) -> None:
         table.locate(8)
     assert {row.path for row in table.find("barrel:j")} == {"TjA", "tjA", "ijA"}
     assert len(table.find("L1_front", "barrel")) == 5
-
-
-def test_the_printed_table_says_what_it_leaves_out() -> None:
-    lists = [f"{' '.join(['L1_rear:T'] * k)} barrel:r detector:A" for k in range(30)]
-    table = table_of(lists, Hits(np.random.default_rng(6), [40] * 30, list(np.linspace(2, 1, 30))))
-    lines = str(table).splitlines()
-    rest = sum(row.percent for row in table[20:])
-    assert lines[-1] == f"… and 10 more, together {rest:.4g} % of all"
-    assert "% of all" in lines[0]
-
-
-@pytest.mark.long
-def test_a_hundred_thousand_paths() -> None:
-    """Reading, sorting and merging take seconds (3.7 s on one core); a loop over the paths took minutes."""
-    rng = np.random.default_rng(7)
-    count = 50_000
-    lengths = np.full(count, 12)
-    events = (rng.integers(0, 5, (count, 12)) << 3 | 1).astype(np.uint32)
-    events[:, 0] = 3 << 3 | 5  # scattered at random; for the other half aimed
-    events[:, -1] = 5 << 3
-    events = np.concatenate([events, events])
-    events[count:, 0] += np.uint32(2)
-    sums = np.zeros((2 * count, BATCHES, SUMS))
-    sums[np.arange(2 * count), rng.integers(0, BATCHES, 2 * count)] = 1 + rng.random((2 * count, SUMS))
-    distinct = len(np.unique(events, axis=0))
-    run = fake_run(SURFACES, decoded(events, np.concatenate([lengths, lengths]), sums), 1.0, 10**7)
-    started = time.perf_counter()
-    table = path_table([run], [run.paths])
-    rows = table.by_way()
-    power, _ = table.power(np.arange(len(table)))
-    seconds = time.perf_counter() - started
-    assert len(table) == 2 * count
-    assert len(rows) <= distinct // 2 + 1
-    assert rows.power_W.sum() == pytest.approx(power, rel=1e-9)
-    assert seconds < 60

@@ -8,27 +8,21 @@ import colour
 import mitsuba as mi
 import numpy as np
 import pytest
+from command_line import fails, succeeds
+from lit_detector import lit, square
 
 import mistray
-from mistray import MistrayError, cli
+from mistray import MistrayError
 from mistray.recorders import FarField, Probe, SurfaceMaps
 from mistray.report import read_irradiance
 
-BLACK = {"type": "interface", "R": 0.0}
-DETECTOR = {
-    "type": "asphere",
-    "half_width": 5.0,
-    "half_height": 5.0,
-    "z": 10.0,
-    "bsdf": BLACK,
-    "sensor": {"type": "irradiancemeter", "film": {"type": "hdrfilm", "width": 4, "height": 4}},
-}
+DETECTOR = square(5.0, z=10.0)
 
 
 def beam(**light: object) -> mi.Scene:
     """A beam of 1 W on a square of 100 mm², which fills the detector."""
     source = {"type": "collimated", "half_width": 5.0, "half_height": 5.0, "irradiance": 0.01, **light}
-    return mi.load_dict({"type": "scene", "beam": source, "detector": DETECTOR}, optimize=False)
+    return lit(source, detector=DETECTOR)
 
 
 @pytest.mark.quick
@@ -71,7 +65,7 @@ def test_illuminant_a_with_power_outside_of_the_visible():
 def test_a_lamp_all_around():
     """1 W in all directions at 510 nm, V = 0.503: 683.002 V/(4π) cd, and at a distance of 10 mm that over 1e-4 m²."""
     lamp = {"type": "point_source", "power": 1.0, "wavelength_nm": 510.0}
-    scene = mi.load_dict({"type": "scene", "lamp": lamp, "detector": DETECTOR | {"z": 20.0}}, optimize=False)
+    scene = lit(lamp, detector=DETECTOR | {"z": 20.0})
     sky, size = FarField("sky", edges_deg=(120, 180)), 0.5
     probe = Probe("probe", (0, 0, 10), half_width=size, half_height=size, pixels=(1, 1))
     mistray.trace(scene, rays=100_000, recorders=[sky, probe], ledger=False)
@@ -85,28 +79,17 @@ def test_a_lamp_all_around():
     np.testing.assert_allclose(probe.luminance[0].sum() * 4, value[0, 0], rtol=1e-9)  # du dv = 2 × 2
 
 
-def test_illuminance_in_files(capsys, tmp_path):
+def test_the_command_and_its_files(capsys, tmp_path):
     """The file of the detector over its irradiance is 683.002 lm/W times V(555 nm), and 1e6 mm² are a square metre."""
-    command = ["ghosts", "plate", "--rays", "300", "--quiet", "--photometric", "--wavelength-nm", "555"]
-    assert cli.main([*command, "--formats", "npy", "--out", str(tmp_path / "out")]) == 0
-    capsys.readouterr()
-    maps = {name: read_irradiance(tmp_path / "out" / f"{name}_0deg.npy") for name in ("illuminance", "irradiance")}
-    assert maps["illuminance"].unit == "lx"
-    lux, watts = maps["illuminance"].irradiance, maps["irradiance"].irradiance
-    assert lux.sum() == pytest.approx(683.002e6 * watts.sum(), rel=1e-9)
-    assert sorted(np.load(tmp_path / "out" / "illuminance_0deg.npy").dtype.names)[:2] == ["extent_mm", "facts"]
-
-
-def test_the_command(capsys):
-    command = ["ghosts", "plate", "--rays", "300", "--quiet", "--json", "--photometric"]
-    assert cli.main([*command, "--wavelength-nm", "1550"]) == 2
-    assert "1550" in capsys.readouterr().err
-    assert cli.main([*command, "--source", "beam:radius=3"]) == 2
-    assert "--wavelength-nm" in capsys.readouterr().err
-    assert cli.main([*command, "--wavelength-nm", "555", "--far-field", "edges_deg=0 90 180"]) == 0
-    record = json.loads(capsys.readouterr().out)
+    command = ["ghosts", "plate", "--rays", 300, "--quiet", "--json", "--photometric"]
+    assert "1550" in fails(capsys, *command, "--wavelength-nm", 1550)
+    assert "--wavelength-nm" in fails(capsys, *command, "--source", "beam:radius=3")
+    more = ["--far-field", "edges_deg=0 90 180", "--formats", "npy", "--out", tmp_path / "out"]
+    record = json.loads(succeeds(capsys, *command, "--wavelength-nm", 555, *more))
     (flux,) = record["sections"]["photometric"]["luminous_flux"]
     detected = record["fields"][0]["energy"]["detected_W"]
     assert flux["luminous_flux_lm"] == pytest.approx(683.002 * detected, rel=1e-6)
-    rows = record["sections"]["photometric"]["photometric"]
-    assert [row["unit"] for row in rows] == ["lx", "cd"]
+    assert [row["unit"] for row in record["sections"]["photometric"]["photometric"]] == ["lx", "cd"]
+    lux, watts = (read_irradiance(tmp_path / "out" / f"{name}_0deg.npy") for name in ("illuminance", "irradiance"))
+    assert lux.unit == "lx"
+    assert lux.irradiance.sum() == pytest.approx(683.002e6 * watts.irradiance.sum(), rel=1e-9)

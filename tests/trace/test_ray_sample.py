@@ -19,16 +19,6 @@ def report():
     return mistray.ghosts(mistray.load("singlet_window_detector"), field_deg=[0.0, 2.0], rays=RAYS)
 
 
-@pytest.mark.parametrize("field", [0.0, 2.0])
-def test_maps_of_paths_add_up(report, field):
-    t, table = report[field], report.table(field)
-    maps = report.path_maps(field, list(table.path_id[:5]))
-    for path_id, found in maps.paths.items():
-        assert found.power_W.sum() == pytest.approx(t.paths[path_id].power_W, rel=1e-6)
-    assert maps.rest.power_W.sum() == pytest.approx(table.power_W[5:].sum(), rel=1e-6)
-    assert maps.direct.power_W.sum() + maps.stray.power_W.sum() == pytest.approx(t.energy.detected_W, rel=1e-6)
-
-
 def test_box_of_the_report_is_that_of_the_trace(report):
     """The same rays once more, hit by hit, with the box in the kernel."""
     t = report[2.0]

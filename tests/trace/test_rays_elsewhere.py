@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import fails, succeeds
 
 import mistray
-from mistray import cli
 
 
 @pytest.fixture(scope="module")
@@ -70,10 +70,9 @@ def test_the_command_writes_rays_that_arrive(tmp_path, capsys):
         (["--rays-at", "screen", "--filter", "power_W > 1", "--out", str(out)], "power_W"),
         (["--formats", "dat", "--out", str(out)], "--rays-at"),
     ):
-        assert cli.main([*command, *more]) == 2
-        assert word in capsys.readouterr().err
+        assert word in fails(capsys, *command, *more)
     more = ["--rays-at", "screen", "--most-rays", "0", "--formats", "dat", "parquet"]
-    assert cli.main([*command, *more, "--out", str(out)]) == 0
+    succeeds(capsys, *command, *more, "--out", out)
     rays = pd.read_csv(out / "rays_at.csv")
     surfaces = pd.read_csv(out / "surfaces.csv")
     (incident,) = surfaces.incident_W[surfaces.id == "screen"]

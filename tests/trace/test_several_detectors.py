@@ -11,7 +11,6 @@ import pytest
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
-from mistray.optimize.metrics.metric import path_power
 from mistray.prescription import Coating, Detector, Prescription, Source, Surface
 
 pytestmark = pytest.mark.quick
@@ -71,40 +70,24 @@ class TestSplitBeam:
             history = view.history(0, 2).to_pandas()
             assert history.object.tolist()[-1] == name
 
-    def test_labels_and_maps(self, load_text) -> None:
-        t = mistray.trace(load_text(split_text(R=0.4))[0], rays=2000, max_reflections=4)
-        labels = t.paths.column("label").tolist()
-        assert len(set(labels)) == len(labels)
-        with pytest.raises(mistray.MistrayError, match=r"2 detectors \(back, side\)"):
-            _ = t.irradiance
-        with pytest.raises(
-            mistray.MistrayError, match="'splitter' is no detector of this trace; choose from back, side"
-        ):
-            t.on("splitter")
-        assert t.on("side").on("side").irradiance.shape == (20, 16)
 
-    def test_what_looks_at_one(self, load_text, tmp_path) -> None:
-        """Ghosts and PST ask for its name before they trace."""
-        scene, _ = load_text(split_text())
-        for look in (mistray.ghosts, mistray.pst):
-            with pytest.raises(mistray.MistrayError, match=r"2 detectors \(back, side\).* --detector"):
-                look(scene, rays=100)
-        report = mistray.ghosts(scene, rays=100, detector="back")
-        assert report[0.0].detectors == ["back"]
-
-    def test_some_of_them(self, load_text) -> None:
-        scene, _ = load_text(split_text())
-        with pytest.raises(
-            mistray.MistrayError, match=r"'splitter' is no detector of this scene; choose from back, side"
-        ):
-            mistray.trace(scene, rays=100, detector="splitter")
-        with pytest.raises(mistray.MistrayError, match="empty"):
-            mistray.trace(scene, rays=100, detector=[])
-        for name, other, path in (("back", "side", "TA"), ("side", "back", "RA")):
-            t = mistray.trace(scene, rays=100, detector=[name])
-            assert t.settings["detector"] == name
-            assert [row.path for row in t.paths] == [path]
-            assert other in t.energy.absorbed
+def test_wrong_and_missing_names(load_text) -> None:
+    """What looks at one detector asks for its name before it traces."""
+    scene, _ = load_text(split_text())
+    both = mistray.trace(scene, rays=500)
+    asked, choose = r"2 detectors \(back, side\)", "'splitter' is no detector of this .*; choose from back, side"
+    for call, words in (
+        (lambda: both.irradiance, asked),
+        (lambda: both.on("splitter"), choose),
+        (lambda: mistray.ghosts(scene, rays=100), f"{asked}.* --detector"),
+        (lambda: mistray.pst(scene, rays=100), f"{asked}.* --detector"),
+        (lambda: mistray.trace(scene, rays=100, detector="splitter"), choose),
+        (lambda: mistray.trace(scene, rays=100, detector=[]), "empty"),
+    ):
+        with pytest.raises(mistray.MistrayError, match=words):
+            call()
+    assert both.on("side").on("side").irradiance.shape == (20, 16)
+    assert mistray.ghosts(scene, rays=100, detector="back")[0.0].detectors == ["back"]
 
 
 def scatter_text() -> str:
@@ -138,39 +121,23 @@ class TestScatteredLight:
             assert abs(found - flux) < 4 * se + 1e-4 * flux
         assert abs(t.energy.closure) < 1e-5
 
-    def test_beside_traces_of_each_alone(self, load_text) -> None:
-        """The same light by other rays, within 4 SE of both (1 in 16,000)."""
-        scene, _ = load_text(scatter_text())
-        t = mistray.trace(scene, rays=20_000, max_scatters=1)
-        for name in t.detectors:
-            alone = mistray.trace(scene, rays=20_000, max_scatters=1, seed=3, detector=name).energy
-            found, se = t.energy.detected[name]
-            assert abs(found - alone.detected_W) < 4 * np.hypot(se, alone.detected_se_W)
-            assert t.on(name).paths.by_way().power_W.sum() == pytest.approx(found, rel=1e-9)
 
-
-class TestPrescription:
-    def test_more_detectors(self, tmp_path) -> None:
-        camera = Detector("camera", z=60.0, half_width=6.0, half_height=6.0)
-        monitor = Detector("monitor", y=40.0, z=20.0, tilt_deg=(90.0, 0.0, 0.0), half_width=6.0, half_height=6.0)
-        splitter = Surface(
-            "splitter", z=20.0, tilt_deg=(45.0, 0.0, 0.0), semi_diameter=12.0, coating=Coating(R=0.08, T=0.9)
-        )
-        design = Prescription(
-            name="splitter", surfaces=(splitter,), detector=camera, more_detectors=(monitor,), source=Source(radius=4.0)
-        )
-        design.to_xml(tmp_path / "scene.xml")
-        launched = np.pi * 4.0**2
-        for scene in (design.to_scene(), mistray.load(tmp_path / "scene.xml")):
-            t = mistray.trace(scene, rays=500)
-            assert {name: power for name, (power, _) in t.energy.detected.items()} == pytest.approx(
-                {"camera": 0.9 * launched, "monitor": 0.08 * launched}, rel=1e-6
-            )
-            metric = path_power(scene, "all", detector="monitor", rays=500)
-            found = mistray.gradient(metric, mi.traverse(scene), keys=["splitter.bsdf.R"])
-            assert found.value == pytest.approx(0.08, rel=1e-6)  # of the light of the source
-            assert found.gradient["splitter.bsdf.R"] == pytest.approx(1.0, rel=1e-5)
-        with pytest.raises(mistray.MistrayError, match="2 shapes are called 'camera'"):
-            replace(design, more_detectors=(camera,))
-        with pytest.raises(mistray.MistrayError, match="detector is a tuple"):
-            replace(design, more_detectors=((1, 2),))
+def test_detectors_of_a_prescription(tmp_path) -> None:
+    """Each has its light, and derivatives of what it alone detects; they come back from the file."""
+    camera = Detector("camera", z=60.0, half_width=6.0, half_height=6.0)
+    monitor = Detector("monitor", y=40.0, z=20.0, tilt_deg=(90.0, 0.0, 0.0), half_width=6.0, half_height=6.0)
+    splitter = Surface("splitter", z=20.0, tilt_deg=(45.0, 0, 0), semi_diameter=12.0, coating=Coating(R=0.08, T=0.9))
+    both = {"detector": camera, "more_detectors": (monitor,), "source": Source(radius=4.0)}
+    design = Prescription(name="splitter", surfaces=(splitter,), **both)
+    design.to_xml(tmp_path / "scene.xml")
+    for scene in (design.to_scene(), mistray.load(tmp_path / "scene.xml")):
+        energy = mistray.trace(scene, rays=500).energy
+        shares = {name: power / energy.launched_W for name, (power, _) in energy.detected.items()}
+        assert shares == pytest.approx({"camera": 0.9, "monitor": 0.08}, rel=1e-6)
+        metric = mistray.optimize.path_power(scene, "all", detector="monitor", rays=500)
+        found = mistray.gradient(metric, mi.traverse(scene), keys=["splitter.bsdf.R"])
+        assert found.value == pytest.approx(0.08, rel=1e-6)  # of the light of the source
+        assert found.gradient["splitter.bsdf.R"] == pytest.approx(1.0, rel=1e-5)
+    for wrong, words in (((camera,), "2 shapes are called 'camera'"), (((1, 2),), "detector is a tuple")):
+        with pytest.raises(mistray.MistrayError, match=words):
+            replace(design, more_detectors=wrong)
