@@ -37,7 +37,7 @@ def scene() -> mi.Scene:
 def two_balls(near: str) -> str:
     """Two balls of glass before a detector; the normal of a sphere points outwards: it comes from the front, inside."""
     glass = interface_xml("1.5", "air")
-    far = f'<shape type="sphere" id="far"><float name="radius" value="9"/><point name="center" z="15"/>{glass}</shape>'
+    far = f'<shape type="sphere" id="far"><float name="radius" value="9"/><point name="center" x="0" y="0" z="15"/>{glass}</shape>'
     detector = shape_xml("asphere", "detector", 30.0, sensor=True, half_width=9.0, half_height=9.0)
     first = f'<shape type="sphere" id="near"><float name="radius" value="5"/>{near}</shape>'
     text = scene_text(first, far, detector, radius=3.0)
