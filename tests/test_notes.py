@@ -36,11 +36,11 @@ def scene() -> mi.Scene:
 
 def two_balls(near: str) -> str:
     """Two balls of glass before a detector; the normal of a sphere points outwards: it comes from the front, inside."""
-    glass = interface_xml("1.5", "air")
-    far = f'<shape type="sphere" id="far"><float name="radius" value="9"/><point name="center" z="15"/>{glass}</shape>'
+    ball = '<shape type="sphere" id="{}"><float name="radius" value="{}"/>{}</shape>'
+    centre = '<point name="center" x="0" y="0" z="15"/>'
+    far = ball.format("far", 9, centre + interface_xml("1.5", "air"))
     detector = shape_xml("asphere", "detector", 30.0, sensor=True, half_width=9.0, half_height=9.0)
-    first = f'<shape type="sphere" id="near"><float name="radius" value="5"/>{near}</shape>'
-    text = scene_text(first, far, detector, radius=3.0)
+    text = scene_text(ball.format("near", 5, near), far, detector, radius=3.0)
     place = '<transform name="to_world"><translate z="-20"/></transform></emitter>'
     return text.replace("</emitter>", place)
 

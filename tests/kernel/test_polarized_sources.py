@@ -5,6 +5,7 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 import pytest
+from lit_detector import BLACK, lit, square
 from oracles.polarized import Hit, carry, ending, starting
 from oracles.skew_path import Face, SkewPath, skew_path
 from oracles.small_scenes import TAGS, interface_xml, plates_text, scene_text, shape_xml
@@ -114,67 +115,50 @@ def test_orthogonal_states_make_unpolarised_light(load_scene, pair) -> None:
         assert (one[events] + other[events]) / 2 == pytest.approx(power, abs=2e-7)
 
 
-class TestAxes:
-    def test_first_axis_is_carried_by_the_smallest_rotation(self) -> None:
-        """Rodrigues' rotation about axis × d, for directions all around, those close to the way back included."""
-        rng = np.random.default_rng(5)
-        d = rng.normal(size=(500, 3))
-        d[:50] = [0, 0, -1] + 1e-2 * d[:50]
-        d /= np.linalg.norm(d, axis=1, keepdims=True)
-        axis, u = np.array([0.0, 0.0, 1.0]), np.array([0.6, 0.8, 0.0])
-        k = np.cross(axis, d)
-        sine, cosine = np.linalg.norm(k, axis=1), d[:, 2]
-        k /= sine[:, None]
-        expected = (
-            cosine[:, None] * u + sine[:, None] * np.cross(k, u) + ((1 - cosine) * (k @ u))[:, None] * k
-        )  # fmt: skip
-        found = carried(mi.Vector3d(*u.tolist()), mi.Vector3d(*axis.tolist()), mi.Vector3d(*d.T))
-        np.testing.assert_allclose(np.array(found).T, expected, atol=1e-10)
-        for z in (1.0, -1.0):  # forwards and straight back it stays
-            still = carried(mi.Vector3d(1, 0, 0), mi.Vector3d(0, 0, 1), mi.Vector3d(0, 0, z))
-            np.testing.assert_allclose(np.array(still).ravel(), [1, 0, 0], atol=1e-15)
+def rotated(u: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Rodrigues' rotation of u about z × d by the angle between z and directions (n, 3)."""
+    k = np.cross([0.0, 0.0, 1.0], d)
+    sine, cosine = np.linalg.norm(k, axis=1)[:, None], d[:, 2:]
+    k /= sine
+    return cosine * u + sine * np.cross(k, u) + (1 - cosine) * (k @ u)[:, None] * k
 
-    def test_rays_of_a_point(self, load_scene) -> None:
-        """A polarised point before a tilted plane: each ray against the fields of its own direction."""
-        matrix = mi.ScalarTransform4f().rotate([1, 0, 0], 50.0).matrix
-        plane = shape_xml("asphere", "face", 0.0, interface_xml("air", "1.7"), semi_diameter=40.0).replace(
-            '<translate z="0.0"/>', f'<matrix value="{" ".join(map(str, np.array(matrix).ravel()))}"/>'
-        )
-        detector = shape_xml(
-            "asphere", "detector", 60.0, interface_xml("1.7", R=0.0), True, half_width=60.0, half_height=60.0
-        )
-        light = (
-            '<emitter type="point_source"><float name="z" value="-30"/><float name="half_angle_deg" value="35"/>'
-            '<string name="jones" value="1, 0.5-0.5i"/></emitter>'
-        )
-        text = scene_text(plane, detector)
-        text = text[: text.index("<emitter")] + light + text[text.index("</emitter>") + len("</emitter>") :]
-        t = mistray.trace(load_scene(text), rays=3000, max_reflections=0)
-        (row,) = t.paths.find("face:T")
-        table = t.history(row.path_id, n=200).to_pandas()
-        normal = np.array(matrix, dtype=float)[:3, 2]
-        stokes = (1 / 3, 2 / 3, 2 / 3)  # 2 ex ey* = 1 + i, of 1.5
-        seen, states, fluxes = 0, [], []
-        for _, ray in table.groupby("ray"):
-            d = ray[["dx", "dy", "dz"]].to_numpy()[:-1]
-            rotation_axis = np.cross([0.0, 0.0, 1.0], d[0])
-            sine = np.linalg.norm(rotation_axis)
-            k = rotation_axis / sine
-            u = d[0, 2] * np.array([1.0, 0, 0]) + sine * np.cross(k, [1.0, 0, 0]) + (1 - d[0, 2]) * k[0] * k
-            cosine = abs(d[0] @ normal)
-            flux, fields = carry(d, [Hit("T", 1.0, 1.7)], 550.0, starting(d[0], u, stokes))
-            measured = ray.flux_W.to_numpy()
-            # The rounding of a cosine of incidence by 2e-7, times |dT / d cos θ| < 10, steeper close to grazing
-            assert measured[2] / measured[0] == pytest.approx(flux[-1], abs=2e-6 / max(cosine, 0.05))
-            states.append(ending(fields, d[-1]))
-            fluxes.append(flux[-1] * measured[0])
-            seen += 1
-        assert seen == 200
-        # The rays of a history are some of the path's: 5 standard errors of a mean, 2e-6 by chance for three means
-        mean = np.average(states, axis=0, weights=fluxes)
-        assert np.all(
-            np.abs(np.subtract(mean, (row.s1, row.s2, row.s3))) < 5 * np.std(states, axis=0) / np.sqrt(seen) + 1e-6
-        )
+
+def test_first_axis_is_carried_by_the_smallest_rotation() -> None:
+    """For directions all around, those close to the way back included; forwards and straight back it stays."""
+    d = np.random.default_rng(5).normal(size=(500, 3))
+    d[:50] = [0, 0, -1] + 1e-2 * d[:50]
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    for u, towards, expected, atol in (
+        ([0.6, 0.8, 0.0], d, rotated(np.array([0.6, 0.8, 0.0]), d), 1e-10),
+        ([1.0, 0.0, 0.0], np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]), [[1.0, 0.0, 0.0]] * 2, 1e-15),
+    ):
+        found = carried(mi.Vector3d(*u), mi.Vector3d(0, 0, 1), mi.Vector3d(*towards.T))
+        np.testing.assert_allclose(np.array(found).T, expected, atol=atol)
+
+
+def test_rays_of_a_point() -> None:
+    """A polarised point before a tilted plane: each ray against the fields of its own direction."""
+    turned = mi.ScalarTransform4f().rotate([1, 0, 0], 50.0)
+    face = {"type": "asphere", "semi_diameter": 40.0, "to_world": turned, "bsdf": {"type": "interface", "back": "1.7"}}
+    detector = square(60.0, z=60.0, bsdf={**BLACK, "front": "1.7"})
+    lamp = {"type": "point_source", "z": -30.0, "half_angle_deg": 35.0, "jones": "1, 0.5-0.5i"}
+    t = mistray.trace(lit(lamp, face=face, detector=detector), rays=3000, max_reflections=0)
+    (row,) = t.paths.find("face:T")
+    normal = np.array(turned.matrix, dtype=float)[:3, 2]
+    stokes = (1 / 3, 2 / 3, 2 / 3)  # 2 ex ey* = 1 + i, of 1.5
+    states, fluxes = [], []
+    for _, ray in t.history(row.path_id, n=200).to_pandas().groupby("ray"):
+        d, measured = ray[["dx", "dy", "dz"]].to_numpy()[:-1], ray.flux_W.to_numpy()
+        (u,) = rotated(np.array([1.0, 0.0, 0.0]), d[:1])
+        flux, fields = carry(d, [Hit("T", 1.0, 1.7)], 550.0, starting(d[0], u, stokes))
+        # The rounding of a cosine of incidence by 2e-7, times |dT / d cos θ| < 10, steeper close to grazing
+        assert measured[2] / measured[0] == pytest.approx(flux[-1], abs=2e-6 / max(abs(d[0] @ normal), 0.05))
+        states.append(ending(fields, d[-1]))
+        fluxes.append(flux[-1] * measured[0])
+    assert len(states) == 200
+    # The rays of a history are some of the path's: 5 standard errors of a mean, 2e-6 by chance for three means
+    mean, error = np.average(states, axis=0, weights=fluxes), np.std(states, axis=0) / np.sqrt(200)
+    assert np.all(np.abs(np.subtract(mean, (row.s1, row.s2, row.s3))) < 5 * error + 1e-6)
 
 
 def test_two_sources_one_polarised(load_scene) -> None:

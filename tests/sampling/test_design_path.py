@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from lit_detector import lit, square
 from oracles.nonsequential import nearest_hits
 from oracles.scene_xml import read_scene
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
@@ -87,20 +88,17 @@ def test_first_hits_are_those_of_the_oracle(path):
             np.testing.assert_allclose(normal[here], shape.normal(p[here]), atol=1e-6)
 
 
-def test_total_reflection_is_part_of_the_path(load_scene):
+def test_total_reflection_is_part_of_the_path():
     """A beam enters a block, is totally reflected at 45 degrees and leaves to the side."""
-    glass = interface_xml("air", "1.5")
-    tilted = shape_xml("asphere", "slope", 5.0, interface_xml("1.5", "air"), half_width=9.0, half_height=9.0).replace(
-        "<translate", '<rotate x="1" angle="-45"/><translate'
-    )
-    side = shape_xml("asphere", "side", 5.0, glass, half_width=4.0, half_height=4.0).replace(
-        '<translate z="5.0"/>', '<rotate x="1" angle="-90"/><translate y="-5" z="5"/>'
-    )
-    meter = shape_xml("asphere", "detector", 5.0, sensor=True, half_width=9.0, half_height=9.0).replace(
-        '<translate z="5.0"/>', '<rotate x="1" angle="90"/><translate y="-20" z="5"/>'
-    )
-    front = shape_xml("asphere", "front", 0.0, glass, half_width=4.0, half_height=4.0)
-    scene = load_scene(scene_text(front, tilted, side, meter))
+    glass, after = {"type": "interface", "back": "1.5"}, {"type": "interface", "front": "1.5"}
+    shapes = {
+        "front": {"half_width": 4.0, "half_height": 4.0, "bsdf": glass},
+        "slope": {"half_width": 9.0, "half_height": 9.0, "z": 5.0, "tilt_x": -45.0, "bsdf": after},
+        "side": {"half_width": 4.0, "half_height": 4.0, "y": -5.0, "z": 5.0, "tilt_x": -90.0, "bsdf": glass},
+    }
+    meter = square(9.0, y=-20.0, z=5.0, tilt_x=90.0)
+    planes = {name: {"type": "asphere", **shape} for name, shape in shapes.items()}
+    scene = lit({"type": "collimated", "radius": 1.0}, **planes, detector=meter)
     table = table_of(scene)
     path = find_design_path(table, scene)
     assert [(table.ids[step.surface], step.reflects) for step in path.steps] == [
