@@ -565,10 +565,7 @@ class Trace:
         selection, n, events
             As in `rays`; of columns a filter knows kind, order and the like, wavelength_nm, source, surface.
 
-        Returns
-        -------
-        pandas.DataFrame
-            Last node of each ray with flux and direction as `RayHistory.to_pandas`; source, kind, key, history.
+        A row has the last node of a ray with flux and direction as `RayHistory.to_pandas`; source, kind, key, history.
         """
         return rays_elsewhere(self._runs, where, PathFilter(selection), n, events)
 
