@@ -124,7 +124,8 @@ def pieces(path: Path) -> Iterator[str]:
                 found = whole | marks(member) | (marks(node) if owner else set())
                 if not runs(file, owner + member.name, found):
                     continue
-            yield "\n".join(lines[member.lineno - 1 : member.end_lineno])
+            first = min([member.lineno, *(each.lineno for each in getattr(member, "decorator_list", ()))])
+            yield "\n".join(lines[first - 1 : member.end_lineno])
 
 
 @lru_cache(maxsize=1)

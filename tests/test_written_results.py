@@ -39,6 +39,15 @@ def test_study() -> None:
     assert "plate" in text
 
 
+@pytest.mark.core
+def test_first_level() -> None:
+    """Without reflections there are no ghosts; with them there are."""
+    limits = {"ghosts off": {"max_reflections": 0}, "all": {"max_reflections": 2}}
+    found = mistray.first_level(mistray.load("lens_and_window"), [0.0], limits=limits, rays=1000)
+    ghosts = {name: curve.curve("ghost")[0].sum() for name, curve in found.curves.items()}
+    assert ghosts["ghosts off"] == 0 < ghosts["all"]
+
+
 def test_tables_of_materials() -> None:
     assert materials.table_nodes_nm("nd=1.5 Vd=60") == ()
     nodes = materials.table_nodes_nm("Ag")
