@@ -72,28 +72,19 @@ def test_examples_of_the_program() -> None:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_description_and_summary(name: str) -> None:
-    """A sentence or more on what it does, and the line in the list of commands without a full stop."""
+def test_commands_and_options_are_explained(name: str) -> None:
+    """A sentence or more on what it does, and the line in the list of commands without a full stop; units stand there."""
     parser = COMMANDS[name]
     assert (parser.description or "").strip().endswith((".", ")"))
     listed = program._parser()._subparsers._group_actions[0]._choices_actions
     (summary,) = [item.help for item in listed if item.dest == name]
     assert summary[0].islower() or summary.split()[0].isupper()  # BSDF
     assert not summary.endswith(".")
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_options_are_explained(name: str) -> None:
     for action in OPTIONS[name]:
         assert action.help, action.dest
         assert action.help[0] != " "
         assert not action.help.endswith("."), action.help
         assert action.help % {} if "%" in action.help else True  # a lone % breaks the help of the whole command
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_options_name_their_units(name: str) -> None:
-    for action in OPTIONS[name]:
         option = max(action.option_strings or [""], key=len)
         ending = option.rpartition("-")[2]
         if ending in UNITS:
@@ -130,3 +121,10 @@ def test_every_command_that_traces_has_a_variant_and_threads() -> None:
         flags = {flag for action in OPTIONS.get(name, ()) for flag in action.option_strings}
         assert tracing == ({"--variant", "--threads"} <= flags), name
     assert {"--variant", "--threads"} <= {flag for action in OPTIONS["ghosts"] for flag in action.option_strings}
+
+
+def test_commands_that_write_reports_can_be_quiet() -> None:
+    """Whatever has --out takes long and has --quiet."""
+    for name, actions in OPTIONS.items():
+        flags = {flag for action in actions for flag in action.option_strings}
+        assert "--out" not in flags or "--quiet" in flags, name

@@ -13,7 +13,6 @@ import pytest
 
 from mistray import cli
 from mistray.analysis.pst.state import PstProgress
-from mistray.cli import program
 from mistray.cli import progress as shown
 from mistray.cli.progress import progress_bar, working
 
@@ -31,44 +30,22 @@ def on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
     return stream
 
 
-def test_what_takes_long_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_takes_long_says_so_and_leaves_nothing_behind(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = on_a_terminal(monkeypatch)
-    with working("loading phone_camera"):
-        time.sleep(0.3)
-    assert "loading phone_camera … 00:00" in terminal.getvalue()
-    # and leaves nothing behind
-    assert terminal.getvalue().rstrip(" ").endswith("\r")
-
-
-def test_what_is_quick_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    terminal = on_a_terminal(monkeypatch)
-    with working("loading plate"):
-        pass
-    assert terminal.getvalue() == ""
-
-
-def test_errors_end_the_line_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
-    terminal = on_a_terminal(monkeypatch)
-
-    def fails() -> None:
-        with working("loading plate"):
-            time.sleep(0.2)
-            raise ValueError("broken")
-
-    with pytest.raises(ValueError, match="broken"):
-        fails()
-    written = terminal.getvalue()
-    time.sleep(0.2)
-    assert terminal.getvalue() == written
-
-
-def test_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
-    terminal = on_a_terminal(monkeypatch)
-    with working("loading plate", quiet=True):
-        time.sleep(0.2)
+    for quiet, seconds in ((True, 0.2), (False, 0.0)):
+        with working("loading plate", quiet=quiet):
+            time.sleep(seconds)
     with progress_bar(argparse.Namespace(quiet=True)) as progress:
         assert progress is None
     assert terminal.getvalue() == ""
+    with pytest.raises(ValueError, match="broken"), working("loading phone_camera"):
+        time.sleep(0.3)
+        raise ValueError("broken")
+    written = terminal.getvalue()
+    assert "loading phone_camera … 00:00" in written
+    assert written.rstrip(" ").endswith("\r")
+    time.sleep(0.2)
+    assert terminal.getvalue() == written
 
 
 def test_no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -129,11 +106,3 @@ def test_the_doctor_is_at_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "report", report)
     assert cli.main(["doctor"]) == 0
     assert "looking at this machine … " in terminal.getvalue()
-
-
-def test_commands_that_write_reports_can_be_quiet() -> None:
-    """Whatever has --out takes long and has --quiet."""
-    for name, parser in program._parser()._subparsers._group_actions[0].choices.items():
-        flags = parser._option_string_actions
-        if "--out" in flags:
-            assert "--quiet" in flags, name

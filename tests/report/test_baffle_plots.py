@@ -1,3 +1,5 @@
+"""Pictures of baffles: their zones and rays are those of the construction."""
+
 from __future__ import annotations
 
 import importlib
@@ -6,6 +8,7 @@ from io import BytesIO
 
 import pytest
 from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_rgba
 
 from mistray.prescription.baffles.cassegrain import cassegrain_baffles
 from mistray.prescription.baffles.tube import vane_tube
@@ -19,8 +22,6 @@ TUBE = vane_tube("tube", optic_radius=18, z_rear=102, length=102, wall_radius=30
 
 def zones(figure, colour):
     """(z0, z1) of the bands of a colour above the axis, sorted."""
-    from matplotlib.colors import to_rgba
-
     found = []
     for band in figure.axes[0].findobj(PolyCollection):
         if tuple(band.get_facecolor()[0]) == to_rgba(colour):

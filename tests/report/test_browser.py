@@ -30,7 +30,10 @@ FLAGS = (
     "--virtual-time-budget=200000", "--dump-dom",
 )  # fmt: skip
 DRAWN = ("overview.png", "overview_common.png")  # pictures that nothing is done with
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to open a report; install chromium")
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to open a report; install chromium"),
+]
 
 DRIVER = """
 <script>
@@ -310,19 +313,11 @@ def found(report, tmp_path_factory):
     return opened(pages, tmp_path_factory.mktemp("pages"))
 
 
-@pytest.mark.long
-def test_no_errors(found):
+def test_controls_and_widths(found):
+    """No errors; every kind of control was used; heads sort, filters hide; nothing is wider than its page."""
     assert {page: result["errors"] for page, result in found.items()} == {page: [] for page in found}
-
-
-@pytest.mark.long
-def test_every_kind_of_control_was_used(found):
-    assert {page: found[page]["unused"] for page in ("ghosts.html", "pst.html")} == {"ghosts.html": [], "pst.html": []}
-
-
-@pytest.mark.long
-def test_heads_sort_and_filters_hide(found):
     for page in ("ghosts.html", "pst.html"):
+        assert found[page]["unused"] == []
         tables = found[page]["tables"]
         assert tables["sorted"]
         for kind, answer in tables["sorted"].items():
@@ -330,17 +325,17 @@ def test_heads_sort_and_filters_hide(found):
         none, again, rows = tables["filtered"]
         assert (none, again) == (0, rows)
         assert tables["opens"]
-
-
-@pytest.mark.long
-def test_nothing_is_wider_than_its_page(found):
     for page, width in (("wide.html", WIDE), ("narrow.html", NARROW)):
         scrolled, shown = found[page]["width"]
         assert scrolled <= shown <= width
         assert found[page]["beside"] == []
+    assert found["ghosts.html"]["hover"]["first"] == "field 0°"
+    values = found["pst.html"]["hover"]
+    assert (values["before"], values["after"]) == (True, True)
+    assert (values["first"], values["second"], values["last"]) == ("PST at 0°", "PST at 2°", "PST at 80°")
+    assert values["rows"] >= 4
 
 
-@pytest.mark.long
 def test_accessibility(report, tmp_path):
     """The rules of axe for pages: landmarks, names of controls, texts of pictures, contrast, order of headings."""
     axe = pytest.importorskip("axe_core_python.base", reason="no axe; pip install axe-core-python")
@@ -356,7 +351,6 @@ def test_accessibility(report, tmp_path):
     assert {page: result.get("violations") for page, result in found.items()} == {page: [] for page in pages}
 
 
-@pytest.mark.long
 def test_on_paper(report, tmp_path):
     """Portrait pages with the answer on the first; folded fields are a line, and settings are printed."""
     (tmp_path / "page.html").write_text(html_text(report, "lens", "mistray ghosts lens"), encoding="utf-8")
@@ -370,24 +364,10 @@ def test_on_paper(report, tmp_path):
     assert all(float(width) < float(height) for width, height in boxes)
 
 
-@pytest.mark.long
-def test_links_open_what_is_folded(found):
-    assert found["ghosts.html"]["folded"] == [False, False]
-    assert found["ghosts.html"]["opened"]
-
-
-@pytest.mark.long
-def test_maps_on_the_scale_of_all_fields(report, found):
-    own, common = found["ghosts.html"]["own_scale"], found["ghosts.html"]["common_scale"]
-    low, high = common_range(report)
-    assert f"all light, log10 scale 1e{low:.0f} to 1e{high:.0f} W/mm²" in common
-    assert high > 0
-    assert f"to 1e{high:.0f} W/mm²" not in own  # there are ghosts alone
-
-
-@pytest.mark.long
 def test_a_path_is_chosen(report, found):
     found = found["ghosts.html"]
+    assert found["folded"] == [False, False]
+    assert found["opened"]
     table = report.table(0.0).sort_values("rank_rms_irradiance")
     assert found["drawn_when_near"]
     assert found["paths"] == [str(path_id) for path_id in table.path_id]
@@ -400,11 +380,17 @@ def test_a_path_is_chosen(report, found):
     assert found["ray_colour"] == dict((path_id, colour) for path_id, colour, _ in worst_paths(report, 0.0))[1]
     assert found["scale"] == "2 mm (z to the right, y up)"
     assert found["back"]
+    assert 0 < found["filtered"] < len(report.table(0.0))
+    assert found["sorted"] == sorted(found["sorted"])
+    assert found["sorted_down"] == sorted(found["sorted"], reverse=True)
 
 
-@pytest.mark.long
-def test_maps(found):
+def test_maps(report, found):
     found = found["ghosts.html"]
+    low, high = common_range(report)
+    assert f"all light, log10 scale 1e{low:.0f} to 1e{high:.0f} W/mm²" in found["common_scale"]
+    assert high > 0
+    assert f"to 1e{high:.0f} W/mm²" not in found["own_scale"]  # there are ghosts alone
     assert "path 1, log10 scale 1e" in found["label"]
     assert "without the direct image, log10 scale 1e" in found["stray_label"]
     assert found["all_light"] > 0
@@ -414,7 +400,6 @@ def test_maps(found):
     assert found["beside"].startswith("Drag a box")  # no irradiance beside the detector
 
 
-@pytest.mark.long
 def test_boxes(report, found):
     found, t = found["ghosts.html"], report[0.0]
     assert found["dragged"] == pytest.approx([0, 2, 0, 1.5], abs=0.051)  # a pixel is 0.05 mm
@@ -429,30 +414,11 @@ def test_boxes(report, found):
     assert found["in_box"] == sorted(found["in_box"], reverse=True)
     assert f"{len(expected)} of {len(t.fakes)} paths of the table light it" in found["box"]
     assert "% of it" in found["box_column"][0]
-    assert found["clicked"] is False
+    assert found["clicked"] is found["boxed_outside"] is found["escaped"] is False
     assert found["cleared"] == found["paths"]
     assert "Give all four edges" in found["refused"]
     assert found["outside"] == "The box lies beside the detector, which has x -2 … 2, y -1.5 … 1.5 mm."
-    assert found["boxed_outside"] is False
     assert sum(found["whole"]) == pytest.approx(t.irradiance.sum() * 0.05**2, rel=2e-3)
-    assert found["escaped"] is False
     assert found["cross"] > 0
     assert found["read_by_keys"].startswith("x ")
     assert found["by_keys"].startswith("Box x ")
-
-
-@pytest.mark.long
-def test_tables(report, found):
-    found = found["ghosts.html"]
-    assert 0 < found["filtered"] < len(report.table(0.0))
-    assert found["sorted"] == sorted(found["sorted"])
-    assert found["sorted_down"] == sorted(found["sorted"], reverse=True)
-
-
-@pytest.mark.long
-def test_values_of_plots(found):
-    assert found["ghosts.html"]["hover"]["first"] == "field 0°"
-    values = found["pst.html"]["hover"]
-    assert (values["before"], values["after"]) == (True, True)
-    assert (values["first"], values["second"], values["last"]) == ("PST at 0°", "PST at 2°", "PST at 80°")
-    assert values["rows"] >= 4

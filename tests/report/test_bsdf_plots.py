@@ -21,12 +21,8 @@ def labels(axes) -> list[str]:
 def test_abg() -> None:
     figure = bsdf_figure(scan(ABg(0.0025, 0.001, 1.8), ANGLES), "ABg", knee=0.0215)
     left, right = figure.axes
-    assert (left.get_xscale(), left.get_yscale(), right.get_xscale(), right.get_yscale()) == (
-        "log",
-        "log",
-        "linear",
-        "log",
-    )
+    scales = [scale for axes in (left, right) for scale in (axes.get_xscale(), axes.get_yscale())]
+    assert scales == ["log", "log", "linear", "log"]
     assert labels(left) == ["all angles of incidence"]  # one curve, for it depends on |β - β0| alone
     assert labels(right) == ["0°: TIS 4.134 %", "30°: TIS 3.936 %", "60°: TIS 3.258 %"]
     r, f = left.lines[0].get_data()
@@ -39,21 +35,15 @@ def test_abg() -> None:
     assert any("knee 0.0215" in text.get_text() for text in left.texts)
 
 
-def test_a_model_that_grows_is_drawn_for_each_angle() -> None:
+def test_other_models() -> None:
+    """One that grows away from the normal is drawn for each angle; a Lambertian one is a straight line."""
     left, _ = bsdf_figure(scan(Paint(0.04, b0=0.05, l=0.1, s=-3, n=1.5), ANGLES), "paint").axes
     assert labels(left) == ["0°", "30°", "60°"]
     assert any(line.get_linestyle() == "--" for line in left.lines)
-    assert left.get_xlabel().endswith("dashed: away from the normal")
-
-
-def test_lambertian() -> None:
     left, right = bsdf_figure(scan(Paint(0.3), ANGLES), "paint").axes
     assert labels(left) == ["all angles of incidence"]
     low, high = right.get_ylim()
     assert low < 0.3 / np.pi < high
-
-
-def test_nothing_to_draw() -> None:
     with pytest.raises(MistrayError, match="one or more angles"):
         bsdf_figure([], "none")
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -38,65 +40,45 @@ def test_lines_are_the_spectra() -> None:
     assert line(left, "bare, 0°").get_ydata()[0] == pytest.approx(4.21646, abs=1e-4)
 
 
-def test_mirrors_have_a_linear_scale_and_no_bare_line() -> None:
-    left, right = coating_figure(preset("protected_al"), WAVELENGTHS, [0.0]).axes
+def test_scales_and_axes() -> None:
+    left, right = coating_figure(preset("protected_al"), WAVELENGTHS, [0.0]).axes  # a mirror
     assert right.get_yscale() == left.get_yscale() == "linear"
     assert all(not str(item.get_label()).startswith("bare") for item in left.get_lines())
-
-
-def test_total_reflection_has_a_logarithmic_scale() -> None:
-    left, _ = coating_figure(Bare(), WAVELENGTHS, [0.0, 60.0], from_front=False).axes
+    left, _ = coating_figure(Bare(), WAVELENGTHS, [0.0, 60.0], from_front=False).axes  # total reflection
     assert left.get_yscale() == "log"
-
-
-def test_axes_say_what_they_are() -> None:
     figure = coating_figure(Ideal(0.1, 0.9, "split"), WAVELENGTHS, [0.0], "air", "N-SF6", from_front=False)
-    left, right = figure.axes
-    assert left.get_xlabel() == "wavelength [nm]"
-    assert right.get_xlabel() == "angle of incidence in N-SF6 [deg]"
-    assert left.get_ylabel() == right.get_ylabel() == "reflectance [%]"
+    assert figure.axes[1].get_xlabel() == "angle of incidence in N-SF6 [deg]"
     assert figure.get_suptitle() == "split, N-SF6 | air, light from N-SF6"
 
 
 @pytest.fixture(scope="module")
 def scene():
-    film = {"type": "thinfilm", "preset": "bbar3"}
-    surface = {"type": "asphere", "semi_diameter": 5.0}
-
-    def at(z: float) -> mi.ScalarTransform4f:
-        return mi.ScalarTransform4f().translate([0, 0, z])
-
-    return mistray.load(
-        {
-            "type": "scene",
-            "ar": film,
-            "a": {**surface, "bsdf": {"type": "interface", "back": "1.6", "coating": {"type": "ref", "id": "ar"}}},
-            "b": {**surface, "to_world": at(2), "bsdf": {"type": "interface", "front": "1.6", "back": "air"}},
-            "c": {
-                **surface,
-                "to_world": at(4),
-                "bsdf": {"type": "interface", "back": "1.6", "coating": {"type": "ref", "id": "ar"}},
-            },
-            "d": {
-                **surface,
-                "to_world": at(6),
-                "bsdf": {"type": "interface", "front": "1.6", "R": 0.9, "mirror": True},
-            },
-            "wall": {**surface, "to_world": at(20), "bsdf": {"type": "interface", "R": 0.0}},
+    coated = {"back": "1.6", "coating": {"type": "ref", "id": "ar"}}
+    bsdfs = {
+        "a": coated,
+        "b": {"front": "1.6", "back": "air"},
+        "c": coated,
+        "d": {"front": "1.6", "R": 0.9, "mirror": True},
+        "wall": {"R": 0.0},
+    }
+    shapes = {
+        name: {
+            "type": "asphere",
+            "semi_diameter": 5.0,
+            "to_world": mi.ScalarTransform4f().translate([0, 0, 2 * k]),
+            "bsdf": {"type": "interface", **bsdf},
         }
-    )
+        for k, (name, bsdf) in enumerate(bsdfs.items())
+    }
+    return mistray.load({"type": "scene", "ar": {"type": "thinfilm", "preset": "bbar3"}, **shapes})
 
 
-def test_surfaces_of_a_scene_go_together(scene) -> None:
+def test_one_row_for_each_kind_of_surface(scene) -> None:
     groups = coated_surfaces(scene)
     assert [group.names for group in groups] == [("a", "c"), ("b",), ("d",)]
     assert groups[0].coating.name == "ar"
     assert (groups[1].front, groups[1].back) == ("1.6", "air")
     assert isinstance(groups[1].coating, Bare)
-
-
-def test_one_row_for_each_kind_of_surface(scene) -> None:
-    groups = coated_surfaces(scene)
     figure = surfaces_figure(groups, WAVELENGTHS, [0.0, 30.0])
     assert len(figure.axes) == 6
     first = figure.axes[0]
@@ -114,9 +96,5 @@ def test_errors(scene) -> None:
     with pytest.raises(MistrayError, match="needs two or more wavelengths"):
         surfaces_figure(coated_surfaces(scene), [550.0], [0.0])
 
-    class Empty:
-        def shapes(self) -> list:
-            return []
-
     with pytest.raises(MistrayError, match="no optical surface"):
-        coated_surfaces(Empty())
+        coated_surfaces(SimpleNamespace(shapes=list))

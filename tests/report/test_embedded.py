@@ -36,16 +36,11 @@ def test_powers_keep_their_value_to_a_fifth_of_a_percent():
     np.testing.assert_array_equal(found[:10_000] == 0, power == 0)
     np.testing.assert_allclose(found[:10_000], power, rtol=1.93e-3)  # half a step: 10^(1/1200) - 1
     np.testing.assert_allclose(found[10_000:], 1.0, rtol=1e-12)
+    # Beyond the range the last one stays
+    assert power_codes(np.array([0.0, 1e-200, 1e200])).tolist() == [0, 1, 65535]
+    assert stored(MapStore().text()).size == 0
     # Rounding goes up as often as down
     assert found.sum() / (power.sum() + 2) == pytest.approx(1, rel=1e-3)
-
-
-def test_powers_beyond_the_range_stay_the_last_one():
-    assert power_codes(np.array([0.0, 1e-200, 1e200])).tolist() == [0, 1, 65535]
-
-
-def test_empty_store():
-    assert stored(MapStore().text()).size == 0
 
 
 def test_json_cannot_end_its_element():
@@ -84,7 +79,4 @@ def test_thumbnail_is_centred_upright_and_on_its_own_scale():
     above = thumbnail(found, EXTENT, (60, 80), (x, y - 4 * pixel), 0.0)
     rows = np.flatnonzero(matplotlib.image.imread(io.BytesIO(above.png), format="png")[:, :, :3].any(axis=(1, 2)))
     assert rows.mean() < SIDE / 4
-
-
-def test_dark_thumbnail():
     assert thumbnail(PathMap.of(np.zeros((60, 80)), 96), EXTENT, (60, 80), (0.0, 0.0), np.nan).limits is None

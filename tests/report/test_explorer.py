@@ -18,6 +18,7 @@ from report.fake_trace import EXTENT, SHAPE, trace_at
 from report.test_embedded import stored
 
 from mistray.analysis.ghosts import GhostReport
+from mistray.analysis.irradiance import log_range
 from mistray.recorders.film import WEIGHTS
 from mistray.report.ghosts.fields import explored_paths
 from mistray.report.ghosts.report import html_text
@@ -26,6 +27,7 @@ from mistray.settings import BATCHES
 
 NODE = shutil.which("node")
 needs_node = pytest.mark.skipif(NODE is None, reason="no node to run the scripts of a report; install nodejs")
+SCRIPTS = ("report", "drawing", "explorer")
 # The scripts find nothing to work on, and what they define is at hand
 STUB = """
 const document = { querySelectorAll: () => [], getElementById: () => null };
@@ -140,19 +142,14 @@ def test_box_of_the_script_holds_the_hits_within_it(report, data):
         });
         """,
         {"data": data, "boxes": boxes},
-        "report",
-        "drawing",
-        "explorer",
+        *SCRIPTS,
     )
     for box, corners in zip(found, boxes, strict=True):
         a, b, c, d = box["mm"]
         size = data["grid"] * (x1 - x0) / SHAPE[1]
         inside = sorted(corners[:2]) + sorted(corners[2:])
         clipped = np.clip(inside, [x0, x0, y0, y0], [x1, x1, y1, y1])
-        assert a <= clipped[0] + 1e-9
-        assert b >= clipped[1] - 1e-9
-        assert c <= clipped[2] + 1e-9
-        assert d >= clipped[3] - 1e-9
+        assert np.all(np.array([-a, b, -c, d]) >= clipped * [-1, 1, -1, 1] - 1e-9)
         assert b - a < clipped[1] - clipped[0] + 2 * size
         for path_id, path in enumerate(t.fakes):
             x, y = path.points.T
@@ -187,9 +184,7 @@ def test_box_names_the_paths_that_the_table_leaves_out(monkeypatch):
         return { mm: box.mm, about, rest, text: Explorer.prototype.below.call({ others, box }, rest, rest) };
         """,
         {"data": data, "half": [x0, (x0 + x1) / 2, y0, y1]},
-        "report",
-        "drawing",
-        "explorer",
+        *SCRIPTS,
     )
     inside = {
         number: path.power * float(np.mean(path.points[:, 0] < found["mm"][1]))
@@ -216,7 +211,7 @@ def test_sum_of_two_maps_is_that_of_their_pixels():
         const sums = [together(...given.maps), together(given.dark, given.maps[0])];
         return sums.map((map) => ({ ...map, power: [...map.power] }));
         """
-    both, alone = javascript(code, {"maps": maps, "dark": dark}, "report", "drawing", "explorer")
+    both, alone = javascript(code, {"maps": maps, "dark": dark}, *SCRIPTS)
 
     def pixels_of(found):
         whole, n = np.zeros((40, 40)), found["pixels"]
@@ -234,36 +229,24 @@ def test_sum_of_two_maps_is_that_of_their_pixels():
 
 @needs_node
 def test_scale_of_the_script_is_that_of_the_thumbnails():
-    from mistray.analysis.irradiance import log_range
-
     values = 10.0 ** np.random.default_rng(2).uniform(-9, 2.5, 500)
     values[::5] = 0
     maps = [values, values[:3], np.array([1e-4]), np.zeros(4)]
-    found = javascript(
-        "return given.map((v) => logRange(v, 6));", [list(v) for v in maps], "report", "drawing", "explorer"
-    )
+    found = javascript("return given.map((v) => logRange(v, 6));", [list(v) for v in maps], *SCRIPTS)
     assert [None if limits is None else tuple(limits) for limits in found] == [log_range([v], 6.0) for v in maps]
 
 
 @needs_node
-def test_script_sorts_numbers_by_value_and_text_last():
-    cells = [{"dataset": {}, "textContent": text} for text in ("10", "9", "–", "1e-3", "barrel")]
-    found = javascript("return given.map(key).sort(compare);", cells, "report")
-    assert found == [1e-3, 9, 10, "barrel", "–"]
-
-
-@needs_node
-def test_nearest_place_of_a_plot():
-    found = javascript("return given.map((x) => nearest([1, 5, 6], x));", [-3, 2.9, 3.1, 5.4, 99], "hover")
-    assert found == [0, 0, 1, 1, 2]
-
-
-@needs_node
-def test_ticks_are_round_numbers_within_the_axis():
-    assert javascript("return ticks(...given);", [-2.1, 2.1, 5], "drawing") == [-2, -1, 0, 1, 2]
-    assert javascript("return ticks(...given);", [0.0012, 0.0031, 4], "drawing") == [
-        0.0015,
-        0.002,
-        0.0025,
-        0.003,
-    ]
+@pytest.mark.parametrize(
+    ("code", "given", "script", "answer"),
+    [
+        ("given.map((text) => key({ dataset: {}, textContent: text })).sort(compare)",
+         ["10", "9", "–", "1e-3", "barrel"], "report", [1e-3, 9, 10, "barrel", "–"]),
+        ("given.map((x) => nearest([1, 5, 6], x))", [-3, 2.9, 3.1, 5.4, 99], "hover", [0, 0, 1, 1, 2]),
+        ("ticks(...given)", [-2.1, 2.1, 5], "drawing", [-2, -1, 0, 1, 2]),
+        ("ticks(...given)", [0.0012, 0.0031, 4], "drawing", [0.0015, 0.002, 0.0025, 0.003]),
+    ],
+    ids=["numbers by value, text last", "nearest place", "round numbers", "small round numbers"],
+)  # fmt: skip
+def test_parts_of_the_scripts(code, given, script, answer):
+    assert javascript(f"return {code};", given, script) == answer

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import builtins
 import json
 import sys
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from report.fake_trace import EXTENT, SHAPE, scatter_trace_at, trace_at
+from report.fake_trace import EXTENT, SHAPE, FakeTrace, scatter_trace_at
 
 from mistray.errors import MistrayError
 from mistray.files.parquet import unit
@@ -20,126 +20,73 @@ from mistray.trace import Trace
 pytestmark = pytest.mark.quick
 
 UNITS = {
-    "path_id": "1",
+    **dict.fromkeys(("path_id", "rays", "polarization", "polarization_se"), "1"),
+    **dict.fromkeys(("power_W", "power_se_W", "incident_se_W"), "W"),
+    **dict.fromkeys(("percent", "percent_se"), "%"),
+    **dict.fromkeys(("x_mm", "x_se_mm"), "mm"),
+    **dict.fromkeys(("rms_irradiance_W_mm2", "rms_irradiance_se_W_mm2"), "W/mm²"),
     "wavelength_nm": "nm",
-    "rays": "1",
-    "power_W": "W",
-    "power_se_W": "W",
-    "incident_se_W": "W",
-    "percent": "%",
-    "percent_se": "%",
-    "x_mm": "mm",
-    "x_se_mm": "mm",
-    "rms_irradiance_W_mm2": "W/mm²",
-    "rms_irradiance_se_W_mm2": "W/mm²",
-    "polarization": "1",
-    "polarization_se": "1",
 }
 
 
 @pytest.fixture(scope="module")
-def trace():
+def trace() -> FakeTrace:
     return scatter_trace_at(5.0)
 
 
 @pytest.fixture(scope="module")
-def one(trace):
+def one(trace: FakeTrace) -> IrradianceMap:
     return IrradianceMap.of(trace)
 
 
-def hidden(monkeypatch, name):
-    """As if a package were not installed."""
-    real = builtins.__import__
-
-    def without(module, *arguments, **keywords):
-        if module.partition(".")[0] == name:
-            raise ImportError(name)
-        return real(module, *arguments, **keywords)
-
-    for module in [module for module in sys.modules if module.partition(".")[0] == name]:
-        monkeypatch.delitem(sys.modules, module)
-    monkeypatch.setattr(builtins, "__import__", without)
-
-
-def test_the_path_table_comes_back_from_parquet(trace, tmp_path):
-    trace.paths.to_parquet(tmp_path / "paths.parquet")
-    table = trace.paths.to_pandas()
-    pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "paths.parquet"), table, check_exact=True)
-    assert table.power_W.dtype == np.float64
-    assert table.rays.dtype == np.int64
-
-
-def test_csv_holds_the_same_numbers(trace, tmp_path):
-    trace.paths.to_csv(tmp_path / "paths.csv")
-    table = trace.paths.to_pandas()
-    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "paths.csv"), table, rtol=1e-8, check_dtype=False)
-
-
-def test_columns_of_parquet_have_units(trace, tmp_path):
+def test_tables_come_back(trace: FakeTrace, tmp_path: Path) -> None:
+    """Parquet to the last bit, CSV to nine digits; the columns of Parquet have units."""
     import pyarrow.parquet as parquet
 
-    write_parquet(trace.paths.to_pandas(), tmp_path / "paths.parquet", {"field_deg": 5.0, "seed": 3})
-    schema = parquet.read_schema(tmp_path / "paths.parquet")
-    found = {name: schema.field(name).metadata[b"unit"].decode() for name in UNITS}
-    assert found == UNITS
+    path, table = tmp_path / "paths.parquet", trace.paths.to_pandas()
+    trace.paths.to_csv(tmp_path / "paths.csv")
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "paths.csv"), table, rtol=1e-8, check_dtype=False)
+    trace.paths.to_parquet(path)
+    pd.testing.assert_frame_equal(pd.read_parquet(path), table, check_exact=True)
+    assert (table.power_W.dtype, table.rays.dtype) == (np.float64, np.int64)
+    write_parquet(table, path, {"field_deg": 5.0, "seed": 3})
+    schema = parquet.read_schema(path)
+    assert {name: schema.field(name).metadata[b"unit"].decode() for name in UNITS} == UNITS
     assert b"unit" not in (schema.field("events").metadata or {})
     assert json.loads(schema.metadata[b"mistray"]) == {"field_deg": 5.0, "seed": 3}
-    assert str(schema.field("power_W").type) == "double"
-    assert str(schema.field("path_id").type) == "int64"
+    assert (str(schema.field("power_W").type), str(schema.field("path_id").type)) == ("double", "int64")
+    write_parquet(table.iloc[:0], path)
+    assert list(pd.read_parquet(path).columns) == list(table.columns)
+    assert [unit(column) for column in ("pst_se", "share", "x_direction")] == ["1"] * 3
 
 
-def test_a_table_without_paths(tmp_path, trace):
-    empty = trace.paths.to_pandas().iloc[:0]
-    write_parquet(empty, tmp_path / "none.parquet")
-    assert list(pd.read_parquet(tmp_path / "none.parquet").columns) == list(empty.columns)
-
-
-@pytest.mark.parametrize("column", ["pst_se", "share", "x_direction"])
-def test_pure_numbers_have_unit_one(column):
-    assert unit(column) == "1"
-
-
-@pytest.mark.parametrize("ending", ["fits", "npy"])
-def test_maps_come_back_to_the_last_bit(one, tmp_path, ending):
+@pytest.mark.parametrize("ending", ["fits", "npy", "EXR"])
+def test_maps_come_back(trace: FakeTrace, one: IrradianceMap, tmp_path: Path, ending: str) -> None:
+    """To the last bit, but for the single precision of EXR."""
+    kind = np.float32 if ending == "EXR" else np.float64
     back = read_irradiance(write_irradiance(one, tmp_path / f"map.{ending}"))
-    assert np.array_equal(back.irradiance, one.irradiance)
-    assert np.array_equal(back.irradiance_se, one.irradiance_se, equal_nan=True)
-    assert back.extent == EXTENT
-    assert back.facts == one.facts
-    assert back.irradiance.dtype == np.float64
-    assert back.irradiance.dtype.isnative
-
-
-def test_exr_rounds_to_single_precision_and_no_further(one, tmp_path):
-    back = read_irradiance(write_irradiance(one, tmp_path / "map.EXR"))
-    assert np.array_equal(back.irradiance, one.irradiance.astype(np.float32))
-    assert np.array_equal(back.irradiance_se, one.irradiance_se.astype(np.float32), equal_nan=True)
-    assert back.extent == EXTENT
-    assert back.facts == one.facts
+    assert np.array_equal(back.irradiance, one.irradiance.astype(kind))
+    assert np.array_equal(back.irradiance_se, one.irradiance_se.astype(kind), equal_nan=True)
+    assert (back.extent, back.facts, back.irradiance.dtype.isnative) == (EXTENT, one.facts, True)
+    Trace.write_irradiance(trace, tmp_path / f"own.{ending}")
+    assert np.array_equal(read_irradiance(tmp_path / f"own.{ending}").irradiance, back.irradiance)
 
 
 @pytest.mark.parametrize("unit", ["W/mm²", "lx"])
 @pytest.mark.parametrize("ending", ["fits", "npy", "exr"])
-def test_odd_extents_and_numbers(tmp_path, ending, unit):
+def test_odd_extents_and_numbers(tmp_path: Path, ending: str, unit: str) -> None:
     """Extents without a short decimal form, numbers of all sizes, facts that are not ASCII."""
-    rng = np.random.default_rng(5)
-    values = 10.0 ** rng.uniform(-30, 30, (2, 3, 5))
+    values = 10.0 ** np.random.default_rng(5).uniform(-30, 30, (2, 3, 5))
     one = IrradianceMap(*values, (-np.pi, 2 / 3, 1e-9 / 3, 0.1 + 0.2), {"Feld": "5°", "list": [1, 2.5, None]}, unit)
     back = read_irradiance(write_irradiance(one, tmp_path / f"map.{ending}"))
     kind = np.float32 if ending == "exr" else np.float64
     assert np.array_equal(back.irradiance, values[0].astype(kind))
     assert np.array_equal(back.irradiance_se, values[1].astype(kind))
     assert back.extent == (pytest.approx(one.extent, rel=1e-14) if ending == "fits" else one.extent)
-    assert back.facts == one.facts
-    assert back.unit == unit
+    assert (back.facts, back.unit) == (one.facts, unit)
 
 
-def test_a_unit_that_no_map_has():
-    with pytest.raises(MistrayError, match="'W/m2'"):
-        IrradianceMap(np.zeros((2, 2)), np.zeros((2, 2)), (0, 1, 0, 1), unit="W/m2")
-
-
-def test_astropy_places_the_pixels(one, tmp_path):
+def test_astropy_places_the_pixels(one: IrradianceMap, tmp_path: Path) -> None:
     """The world coordinate of a pixel is its centre in the frame of the detector, mm; the sum is the flux."""
     from astropy import units
     from astropy.io import fits
@@ -147,23 +94,23 @@ def test_astropy_places_the_pixels(one, tmp_path):
 
     write_irradiance(one, tmp_path / "map.fits")
     x0, x1, y0, y1 = EXTENT
+    half_x, half_y = (x1 - x0) / SHAPE[1] / 2, (y1 - y0) / SHAPE[0] / 2
     with fits.open(tmp_path / "map.fits", checksum=True) as hdus:
         assert [hdu.name for hdu in hdus] == ["PRIMARY", "STDERR"]
         for hdu in hdus:
             assert units.Unit(hdu.header["BUNIT"]) == units.W / units.mm**2
             wcs = WCS(hdu.header)
-            assert wcs.pixel_to_world_values(0, 0) == pytest.approx(
-                (x0 + (x1 - x0) / SHAPE[1] / 2, y0 + (y1 - y0) / SHAPE[0] / 2)
-            )
+            assert wcs.pixel_to_world_values(0, 0) == pytest.approx((x0 + half_x, y0 + half_y))
             last = wcs.pixel_to_world_values(SHAPE[1] - 1, SHAPE[0] - 1)
-            assert last == pytest.approx((x1 - (x1 - x0) / SHAPE[1] / 2, y1 - (y1 - y0) / SHAPE[0] / 2))
+            assert last == pytest.approx((x1 - half_x, y1 - half_y))
             # wcslib turns mm into m only where it knows the kind of axis
             assert list(wcs.wcs.cunit) == [units.mm, units.mm]
         area = hdus[0].header["CDELT1"] * hdus[0].header["CDELT2"]
         assert hdus[0].data.sum() * area == pytest.approx(one.irradiance.sum() * 4 * 3 / (80 * 60))
 
 
-def test_exr_stands_upright_and_names_its_channels(one, tmp_path):
+def test_other_programs_read_exr_and_npy(one: IrradianceMap, tmp_path: Path) -> None:
+    """EXR stands upright."""
     import OpenEXR
 
     write_irradiance(one, tmp_path / "map.exr")
@@ -171,68 +118,57 @@ def test_exr_stands_upright_and_names_its_channels(one, tmp_path):
         assert set(file.channels()) == {"Y", "standard_error.Y"}
         assert np.array_equal(file.channels()["Y"].pixels[0], one.irradiance[-1].astype(np.float32))
         assert file.header()["unit"] == "W/mm^2"
-
-
-def test_npy_is_plain_numpy(one, tmp_path):
     write_irradiance(one, tmp_path / "map.npy")
     assert np.array_equal(np.load(tmp_path / "map.npy")["irradiance_W_mm2"], one.irradiance)
 
 
-def test_the_trace_writes_its_map(one, trace, tmp_path):
-    Trace.write_irradiance(trace, tmp_path / "map.npy")
-    assert np.array_equal(read_irradiance(tmp_path / "map.npy").irradiance, trace.irradiance)
-
-
 @pytest.mark.parametrize(
-    ("package", "name", "text"),
-    [
-        (
-            "pyarrow",
-            "parquet",
-            "Parquet files need pyarrow, which is not installed; run: pip install 'mistray[tables]'",
-        ),
-        ("OpenEXR", "exr", "EXR files need OpenEXR, which is not installed; run: pip install 'mistray[images]'"),
-        ("astropy", "fits", "FITS files need astropy, which is not installed; run: pip install 'mistray[images]'"),
-    ],
-)
-def test_a_missing_package_is_one_line(monkeypatch, one, tmp_path, package, name, text):
-    hidden(monkeypatch, package)
-    with pytest.raises(MistrayError) as caught:
+    ("package", "name", "extra"),
+    [("pyarrow", "parquet", "tables"), ("OpenEXR", "exr", "images"), ("astropy", "fits", "images"),
+     ("fpdf", "pdf", "pdf")],
+)  # fmt: skip
+def test_a_missing_package_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, one: IrradianceMap, tmp_path: Path, package: str, name: str, extra: str
+) -> None:
+    for module in [module for module in sys.modules if module.partition(".")[0] == package]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, package, None)
+    words = rf"need {package}, which is not installed; run: pip install 'mistray\[{extra}\]'"
+    with pytest.raises(MistrayError, match=words if package != "fpdf" else rf"mistray\[{extra}\]"):
         require_formats([name])
-    assert str(caught.value) == text
-    with pytest.raises(MistrayError) as caught:
-        write_formats([name], tmp_path, {"paths.csv": pd.DataFrame({"a": [1]})}, {"map": one})
-    assert str(caught.value) == text
+    if package != "fpdf":
+        with pytest.raises(MistrayError, match=words):
+            write_formats([name], tmp_path, {"paths.csv": pd.DataFrame({"a": [1]})}, {"map": one})
     assert list(tmp_path.iterdir()) == []
-
-
-def test_npy_needs_nothing():
     require_formats(["npy"])
 
 
-def test_wrong_names_and_files(one, tmp_path):
-    with pytest.raises(MistrayError, match=r"its name must end in \.fits, \.exr, \.npy"):
-        write_irradiance(one, tmp_path / "map.tif")
-    with pytest.raises(MistrayError, match="No such file or directory; check the path"):
-        read_irradiance(tmp_path / "map.npy")
-    with pytest.raises(MistrayError, match="check the folder and its permissions"):
-        write_irradiance(one, tmp_path / "nowhere" / "map.npy")
-    for ending in ("fits", "exr", "npy"):
-        path = tmp_path / f"broken.{ending}"
-        path.write_bytes(b"no map")
-        with pytest.raises(MistrayError, match="give a file that mistray wrote"):
-            read_irradiance(path)
-    np.save(tmp_path / "other.npy", one.irradiance)
-    with pytest.raises(MistrayError, match="no field irradiance_se_W_mm2"):
-        read_irradiance(tmp_path / "other.npy")
+def test_wrong_names_and_files(one: IrradianceMap, tmp_path: Path) -> None:
+    for name, words in (
+        ("map.tif", r"its name must end in \.fits, \.exr, \.npy"),
+        ("nowhere/map.npy", "check the folder and its permissions"),
+    ):
+        with pytest.raises(MistrayError, match=words):
+            write_irradiance(one, tmp_path / name)
     with pytest.raises(MistrayError, match="1e\\+40 W/mm² is too large for EXR"):
         write_irradiance(IrradianceMap(np.full((2, 2), 1e40), np.zeros((2, 2)), EXTENT), tmp_path / "map.exr")
-    with pytest.raises(MistrayError, match="give two arrays"):
-        IrradianceMap(np.zeros((2, 2)), np.zeros((2, 3)), EXTENT)
+    np.save(tmp_path / "other.npy", one.irradiance)
+    for ending in ("fits", "exr", "npy"):
+        (tmp_path / f"broken.{ending}").write_bytes(b"no map")
+    for name, words in (
+        ("map.npy", "No such file or directory; check the path"),
+        ("other.npy", "no field irradiance_se_W_mm2"),
+        *((f"broken.{ending}", "give a file that mistray wrote") for ending in ("fits", "exr", "npy")),
+    ):
+        with pytest.raises(MistrayError, match=words):
+            read_irradiance(tmp_path / name)
+    for shape, unit, words in (((2, 3), "lx", "give two arrays"), ((2, 2), "W/m2", "'W/m2'")):
+        with pytest.raises(MistrayError, match=words):
+            IrradianceMap(np.zeros((2, 2)), np.zeros(shape), EXTENT, unit=unit)
 
 
-def test_formats_are_written_by_name(one, tmp_path):
-    table = trace_at(0.0).paths.to_pandas()
+def test_formats_are_written_by_name(trace: FakeTrace, one: IrradianceMap, tmp_path: Path) -> None:
+    table = trace.paths.to_pandas()
     files = write_formats(["npy", "parquet", "fits"], tmp_path, {"paths.csv": table}, {"irradiance_0deg": one})
     assert [file.name for file in files] == ["irradiance_0deg.npy", "paths.parquet", "irradiance_0deg.fits"]
     assert all(file.is_file() for file in files)

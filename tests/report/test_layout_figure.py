@@ -29,10 +29,6 @@ def test_rays_are_those_of_the_history_near_the_section(figure, trace):
         assert len(drawn) == 4
         for line, ray in zip(drawn, wanted, strict=True):
             np.testing.assert_array_equal(line.get_xydata(), ray[:, [2, 1]])
-
-
-def test_axes_are_in_mm_and_equal(figure):
-    axes = figure.axes[0]
     assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_aspect()) == ("z [mm]", "y [mm]", 1.0)
     assert "field 10°" in axes.get_title()
     assert figure.get_figwidth() == pytest.approx(6.9)
@@ -49,23 +45,19 @@ def test_section_of_a_surface_of_revolution_is_exact(scene):
     assert np.abs(lens[:, 0] - 3.0 - sag).max() < 2e-3
 
 
-def test_the_scene_alone(scene):
-    axes = layout_figure(scene).axes[0]
-    assert axes.get_legend_handles_labels() == ([], [])
-    assert axes.get_title() == ""
-
-
 def test_path_ids_choose_the_rows(scene, trace):
     labels = layout_figure(scene, trace, path_ids=[3, 0], rays=1).axes[0].get_legend_handles_labels()[1]
     assert [label.split()[0] for label in labels] == ["3", "0"]
-    with pytest.raises(MistrayError, match="path_id 99 does not exist"):
-        layout_figure(scene, trace, path_ids=[99])
-    with pytest.raises(MistrayError, match="path_ids without a trace"):
-        layout_figure(scene, path_ids=[1])
-    with pytest.raises(MistrayError, match="rays is 0"):
-        layout_figure(scene, trace, rays=0)
-    with pytest.raises(MistrayError, match="paths is -2"):
-        layout_figure(scene, trace, paths=-2)
+    axes = layout_figure(scene).axes[0]
+    assert (axes.get_legend_handles_labels(), axes.get_title()) == (([], []), "")
+    for given, options, words in (
+        (trace, {"path_ids": [99]}, "path_id 99 does not exist"),
+        (None, {"path_ids": [1]}, "path_ids without a trace"),
+        (trace, {"rays": 0}, "rays is 0"),
+        (trace, {"paths": -2}, "paths is -2"),
+    ):
+        with pytest.raises(MistrayError, match=words):
+            layout_figure(scene, given, **options)
 
 
 def test_more_paths_than_colours_are_told_apart(scene):
@@ -83,18 +75,13 @@ def test_svg_has_lines_and_text(scene, trace, figure, tmp_path):
     text = path.read_text(encoding="utf-8")
     assert "".join(ET.fromstring(text).itertext()).count("0 direct image, 3 W") == 1
     assert "<image" not in text
-    assert (
-        write_layout(layout_figure(scene, trace, paths=2, rays=4), tmp_path / "again.svg").read_text(encoding="utf-8")
-        == text
-    )
+    again = write_layout(layout_figure(scene, trace, paths=2, rays=4), tmp_path / "again.svg")
+    assert again.read_text(encoding="utf-8") == text
 
 
-@pytest.mark.parametrize(("ending", "start"), [("pdf", b"%PDF"), ("eps", b"%!PS"), ("png", b"\x89PNG")])
-def test_other_formats(figure, ending, start, tmp_path):
-    assert write_layout(figure, tmp_path / f"layout.{ending}").read_bytes().startswith(start)
-
-
-def test_an_unknown_ending(figure, tmp_path):
+def test_other_formats(figure, tmp_path):
+    for ending, start in (("pdf", b"%PDF"), ("eps", b"%!PS"), ("png", b"\x89PNG")):
+        assert write_layout(figure, tmp_path / f"layout.{ending}").read_bytes().startswith(start)
     with pytest.raises(MistrayError, match=r"layout.dwg': layouts are written as .svg, .pdf, .eps, .png"):
         write_layout(figure, tmp_path / "layout.dwg")
 

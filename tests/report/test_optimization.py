@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from pathlib import Path
 from typing import Any
 
+import html_pages
 import mitsuba as mi
 import numpy as np
+import pandas as pd
 import pytest
 from oracles.small_scenes import plates_text, write
 
 import mistray
-from mistray.errors import MistrayError
 from mistray.optimize import Optimization, Term, measure, optimize
 from mistray.report.figures.optimization import reflectance_figure, search_figure, variables_figure
 from mistray.report.optimization import scene_text, write_optimization
@@ -47,62 +47,33 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Optimization:
 
 
 @pytest.fixture(scope="module")
-def files(result: Optimization, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    return write_optimization(result, tmp_path_factory.mktemp("optimised") / "new" / "out", "mistray optimize <x>")
-
-
-def read(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
+def out(result: Optimization, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("optimised") / "new" / "out"
+    write_optimization(result, folder, "mistray optimize <x>")
+    return folder
 
 
 @pytest.mark.long
-def test_files(result: Optimization, files: list[Path]) -> None:
-    assert [file.name for file in files] == [
-        "scene.xml",
-        "terms.csv",
-        "variables.csv",
-        "history.csv",
-        "search.png",
-        "variables.png",
-        "reflectance.png",
-        "report.html",
-    ]
-    assert sorted(file.name for file in files[0].parent.iterdir()) == sorted(file.name for file in files)
-    for file in files[4:7]:
-        assert file.read_bytes().startswith(b"\x89PNG")
-    rows = read(files[1])
-    assert list(rows[0]) == [
-        *("term", "unit", "field_deg", "wavelength_nm", "before", "before_se", "after", "after_se", "ratio", "ratio_se")
-    ]
+def test_tables(result: Optimization, out: Path) -> None:
+    rows = pd.read_csv(out / "terms.csv")
     assert len(rows) == len(result.comparison.rows) == 1 + 2 + 2 + 4 + 1
-    assert (rows[0]["term"], rows[0]["field_deg"], rows[0]["wavelength_nm"], rows[0]["unit"]) == (
-        "ghosts",
-        "",
-        "",
-        "W/W",
-    )
-    assert float(rows[0]["after"]) == pytest.approx(result.comparison.total.after, rel=1e-8)
-    assert (rows[8]["field_deg"], rows[8]["wavelength_nm"]) == ("2", "600")
-    assert rows[9]["term"] == "price"
-    moved = {row["parameter"]: row for row in read(files[2])}
-    assert set(moved) == {
-        "front.thickness_nm[0]",
-        "front.thickness_nm[1]",
-        "rear.thickness_nm[0]",
-        "front.n_shift[0]",
-        "rear.n_shift[0]",
-    }
-    assert float(moved["rear.n_shift[0]"]["after"]) == pytest.approx(result.after["n"], rel=1e-8)
-    history = read(files[3])
+    assert list(rows.iloc[0][["term", "unit"]]) == ["ghosts", "W/W"]
+    assert rows.iloc[0][["field_deg", "wavelength_nm"]].isna().all()
+    assert rows.after[0] == pytest.approx(result.comparison.total.after, rel=1e-8)
+    assert list(rows.iloc[8][["field_deg", "wavelength_nm"]]) == [2, 600]
+    assert rows.term[9] == "price"
+    moved = pd.read_csv(out / "variables.csv").set_index("parameter")
+    layers = [f"front.thickness_nm[{k}]" for k in (0, 1)] + ["rear.thickness_nm[0]"]
+    assert set(moved.index) == {*layers, "front.n_shift[0]", "rear.n_shift[0]"}
+    assert moved.after["rear.n_shift[0]"] == pytest.approx(result.after["n"], rel=1e-8)
+    history = pd.read_csv(out / "history.csv")
     assert len(history) == len(result.steps)
-    assert float(history[0]["rear.thickness_nm[0]"]) == pytest.approx(60.0)
-    assert float(history[0]["price"]) == pytest.approx(150.0)
+    assert list(history.iloc[0][["rear.thickness_nm[0]", "price"]]) == pytest.approx([60, 150])
 
 
-def test_the_scene(result: Optimization, files: list[Path]) -> None:
+def test_the_scene(result: Optimization, out: Path) -> None:
     """It holds the result: layers, indices, and the terms as they were verified."""
-    scene = mistray.load(files[0])
+    scene = mistray.load(out / "scene.xml")
     params = mi.traverse(scene)
     for name in ("front", "rear"):
         assert np.array(params[f"{name}.thickness_nm"]) == pytest.approx(result.thickness_nm(name), rel=1e-6)
@@ -118,13 +89,12 @@ def test_a_scene_that_names_files(tmp_path: Path) -> None:
     (tmp_path / "glass.csv").write_text("wavelength_nm,n,k\n400,1.5,0\n700,1.5,0\n")
     scene = write(tmp_path, plates_text(1).replace('"1.5"', '"glass.csv"'))
     assert "glass.csv" in scene.read_text()
-    study = {**STUDY, "optimizer": {"starts": 1, "steps": 1}}
-    result = optimize(scene, study, verification_seeds=2)
-    out = tmp_path / "deep" / "out"
-    out.mkdir(parents=True)
-    text = scene_text(result, out)
-    assert not list(out.iterdir())
-    (file := out / "scene.xml").write_text(text)
+    result = optimize(scene, {**STUDY, "optimizer": {"starts": 1, "steps": 1}}, verification_seeds=2)
+    folder = tmp_path / "deep" / "out"
+    folder.mkdir(parents=True)
+    text = scene_text(result, folder)
+    assert not list(folder.iterdir())
+    (file := folder / "scene.xml").write_text(text)
     assert np.array(mi.traverse(mistray.load(file))["rear.n_shift"]) == pytest.approx([result.after["n"]], rel=1e-6)
 
 
@@ -144,48 +114,37 @@ def test_without_coatings(tmp_path: Path) -> None:
     assert "Coatings" not in files[-1].read_text(encoding="utf-8")
 
 
-def test_html(result: Optimization, files: list[Path]) -> None:
-    """Complete in itself, with every row of the comparison, every variable and layer, and the command."""
-    html = files[-1].read_text(encoding="utf-8")
-    assert "http" not in html
+def test_html(result: Optimization, out: Path) -> None:
+    """Every row of the comparison, every variable and layer, and the command."""
+    html = (out / "report.html").read_text(encoding="utf-8")
+    html_pages.check(html)
     assert html.count("data:image/png;base64,") == 3
-    assert "mistray optimize &lt;x&gt;" in html
-    parts = [html.index(f'id="{name}"') for name in ("t-terms", "t-variables", "t-coatings", "search")]
-    assert parts == sorted(parts)
-    assert html[parts[0] : parts[1]].count("<tr>") == 1 + len(result.comparison.rows)
-    assert html[parts[1] : parts[2]].count("<tr>") == 1 + 4
-    assert f"{result.thickness_nm('front')[0]:.2f}" in html
-    assert "times smaller" in html
-    assert "its limit (≤ 225) holds" in html
+    for words in ("mistray optimize &lt;x&gt;", f"{result.thickness_nm('front')[0]:.2f}", "times smaller",
+                  "its limit (≤ 225) holds", 'id="search"'):  # fmt: skip
+        assert words in html
+    assert html_pages.table_of(html, "t-terms").count("<tr>") == 1 + len(result.comparison.rows)
+    assert html_pages.table_of(html, "t-variables").count("<tr>") == 1 + 4
 
 
-def test_a_file_in_the_way(result: Optimization, tmp_path: Path) -> None:
-    (tmp_path / "out").write_text("")
-    with pytest.raises(MistrayError, match="is a file; name a directory"):
-        write_optimization(result, tmp_path / "out")
-
-
-def test_text(result: Optimization) -> None:
+def test_text_and_record(result: Optimization) -> None:
     text = report_text(result)
     assert text.startswith("2 seeds not used in the search")
-    for table in (terms_table(result), comparison_table(result.comparison), variables_table(result)):
-        assert table in text
-    assert "coating 'front' on p0_front: 1.38, 2.0; first layer outside" in text
-    assert "branches below flux_threshold" in text
-    assert "search from start " in text
-    lines = comparison_table(result.comparison).splitlines()
-    assert [line.split("W/W")[0].split() for line in lines[2:7]] == [
-        ["ghosts", "all"],
-        ["field", "0°"],
-        ["field", "2°"],
-        ["500", "nm"],
-        ["600", "nm"],
-    ]
-    assert terms_table(result).splitlines()[-1].split()[-3:] == ["≤", "225", "yes"]
-    rows = {line.split()[0]: line for line in variables_table(result).splitlines()}
+    tables = (terms_table(result), comparison_table(result.comparison), variables_table(result))
+    for words in (*tables, "coating 'front' on p0_front: 1.38, 2.0; first layer outside",
+                  "branches below flux_threshold", "search from start "):  # fmt: skip
+        assert words in text
+    terms, compared, variables = (table.splitlines() for table in tables)
+    starts = [line.split("W/W")[0].split() for line in compared[2:7]]
+    assert starts == [["ghosts", "all"], ["field", "0°"], ["field", "2°"], ["500", "nm"], ["600", "nm"]]
+    assert terms[-1].split()[-3:] == ["≤", "225", "yes"]
+    rows = {line.split()[0]: line for line in variables}
     assert "70* " in rows["rear.thickness_nm[0]"], "the quarter wave lies beyond"
     assert "2 parameters" in rows["n"]
-    assert variables_table(result).splitlines()[-1] == "* at its bound"
+    assert variables[-1] == "* at its bound"
+    record = json.loads(json.dumps(optimization_record(result), allow_nan=False))
+    assert record["holds"] == {"ghosts": True, "price": True}
+    assert {row["name"]: row["after"] for row in record["variables"]} == pytest.approx(result.after)
+    assert record["terms"][0]["ratio"] == pytest.approx(result.comparison.total.ratio)
 
 
 def test_goals() -> None:
@@ -195,14 +154,7 @@ def test_goals() -> None:
     assert goal_text(Term("t", "path_power", "keep", tolerance=0.02), 3.0) == "keep ± 2 %"
 
 
-def test_record(result: Optimization) -> None:
-    record = json.loads(json.dumps(optimization_record(result), allow_nan=False))
-    assert record["holds"] == {"ghosts": True, "price": True}
-    assert {row["name"]: row["after"] for row in record["variables"]} == pytest.approx(result.after)
-    assert record["terms"][0]["ratio"] == pytest.approx(result.comparison.total.ratio)
-
-
-def test_search_figure(result: Optimization) -> None:
+def test_pictures_of_the_search(result: Optimization) -> None:
     left, middle, right = search_figure(result).axes
     curves = [container.lines[0].get_ydata() for container in left.containers]
     assert sum(len(curve) for curve in curves) == len(result.steps)
@@ -213,14 +165,9 @@ def test_search_figure(result: Optimization) -> None:
     first = result.steps[0].terms
     assert ghosts == pytest.approx([step.terms["ghosts"] / first["ghosts"] for step in own])
     assert price == pytest.approx([step.terms["price"] / first["price"] for step in own])
-
-
-def test_variables_figure(result: Optimization) -> None:
     (axes,) = variables_figure(result).axes
     assert len(axes.lines) == 4
-    own = [step for step in result.steps if step.start == result.best.start]
-    thickness = np.array([step.x[2] for step in own])
-    assert axes.lines[2].get_ydata() == pytest.approx((thickness - 20) / 50)
+    assert axes.lines[2].get_ydata() == pytest.approx((np.array([step.x[2] for step in own]) - 20) / 50)
 
 
 def test_reflectance(result: Optimization) -> None:
@@ -228,15 +175,13 @@ def test_reflectance(result: Optimization) -> None:
     front, rear = reflectance_figure(result).axes
     assert front.get_title() == "front, air | 1.5"
     assert len(rear.lines) == 4
-    r1, r2 = (1 - 1.38) / (1 + 1.38), (1.38 - 1.5) / (1.38 + 1.5)
-    x, before = rear.lines[0].get_data()
-    phase = np.exp(4j * np.pi * 1.38 * 60.0 / x)
-    assert before == pytest.approx(100 * abs((r1 + r2 * phase) / (1 + r1 * r2 * phase)) ** 2, rel=1e-9)
-    n = 1.38 + result.after["n"]
-    s1, s2 = (1 - n) / (1 + n), (n - 1.5) / (n + 1.5)
-    phase = np.exp(4j * np.pi * n * result.thickness_nm("rear")[0] / x)
-    after = rear.lines[2].get_ydata()
-    assert after == pytest.approx(100 * abs((s1 + s2 * phase) / (1 + s1 * s2 * phase)) ** 2, rel=1e-6)
+    x = rear.lines[0].get_xdata()
+    moved = 1.38 + result.after["n"], result.thickness_nm("rear")[0]
+    for line, (n, thickness), error in ((rear.lines[0], (1.38, 60.0), 1e-9), (rear.lines[2], moved, 1e-6)):
+        r1, r2 = (1 - n) / (1 + n), (n - 1.5) / (n + 1.5)
+        phase = np.exp(4j * np.pi * n * thickness / x)
+        expected = 100 * abs((r1 + r2 * phase) / (1 + r1 * r2 * phase)) ** 2
+        assert line.get_ydata() == pytest.approx(expected, rel=error)
     assert x[0] < 500 < 600 < x[-1]
 
 

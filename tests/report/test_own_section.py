@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import Captured, succeeds
 
-from mistray import cli
 from mistray.analysis import GhostReport
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
@@ -90,18 +90,18 @@ def test_the_section_is_on_the_page_and_among_the_tables(section: Any, report: G
     assert body.count("<tr>") == 1 + len(expected)
     assert "&lt;by power&gt;" in body
     assert page.index('id="surfaces"') < page.index('id="brightest"') < page.index('id="settings"')
+    printed = main_table(report).split("Surfaces of the brightest ghosts")[1]
+    assert all(surface in printed for _, surface, _ in expected)
 
 
-def test_the_section_is_printed(section: Any, report: GhostReport) -> None:
-    text = main_table(report)
-    assert "Surfaces of the brightest ghosts" in text
-    assert all(surface in text.split("Surfaces of the brightest ghosts")[1] for _, surface, _ in reflecting(report))
-
-
-def test_the_command_has_it_too(section: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["ghosts", "plate", "--rays", "1000", "--field-deg", "0", "--quiet"]
-    assert cli.main([*arguments, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["sections"]["brightest"]
+def test_the_command_has_it_too(capsys: Captured) -> None:
+    command = ("ghosts", "plate", "--rays", "1000", "--field-deg", "0", "--json")
+    assert "sections" not in json.loads(succeeds(capsys, *command))
+    report_section(brightest_ghosts)
+    try:
+        found = json.loads(succeeds(capsys, *command))["sections"]["brightest"]
+    finally:
+        remove_section(brightest_ghosts)
     assert found["title"] == "Surfaces of the brightest ghosts"
     assert found["ghost_surfaces"][0]["power_W"] > 0
     assert found["light"]["largest"] > found["light"]["smallest"] == 0
@@ -110,24 +110,13 @@ def test_the_command_has_it_too(section: Any, tmp_path: Path, capsys: pytest.Cap
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["", "paths"])
 def test_a_table_needs_a_file_name_of_its_own(report: GhostReport, tmp_path: Path, name: str) -> None:
-    @report_section
     def section(_: GhostReport) -> Section:
         return Section("mine", "Mine", [Table(columns("a"), [["1"]], name)])
 
+    report_section(section)
     try:
         with pytest.raises(MistrayError, match="'Mine'"):
             write_all(report, tmp_path / "out", "plate")
     finally:
         remove_section(section)
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.long
-def test_without_it_nothing_is_different(
-    report: GhostReport, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    files = {file.name for file in write_all(report, tmp_path / "out", "plate")}
-    assert "ghost_surfaces.csv" not in files
-    assert 'id="brightest"' not in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert cli.main(["ghosts", "plate", "--rays", "1000", "--field-deg", "0", "--quiet", "--json"]) == 0
-    assert "sections" not in json.loads(capsys.readouterr().out)

@@ -14,9 +14,8 @@ from report.fake_trace import trace_at
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
-from mistray.errors import MistrayError
 from mistray.report.figures.figure import Figure as Drawing
-from mistray.report.formats import require_formats, write_formats
+from mistray.report.formats import write_formats
 from mistray.report.ghosts.report import ghosts_report
 from mistray.report.html.embedded import palette_png
 from mistray.report.model import Figure, Folded, Html, Items, Map, Note, Report, Section, Table, Terms, columns
@@ -70,25 +69,15 @@ def test_every_part_of_the_model():
 
 
 def test_tables_are_no_wider_than_the_page():
-    with contextlib.closing(_Writer("title")) as writer:
-        _check_widths(writer)
-
-
-def _check_widths(writer):
     table = wide_table(3)
     rows = [[column.head for column in table.columns], *([_cell(value) for value in row] for row in table.rows)]
-    left = [column.style == "t" for column in table.columns]
-    _, widths = writer._widths(rows, left)
-    assert sum(widths) <= writer.pdf.epw + 1e-6
+    with contextlib.closing(_Writer("title")) as writer:
+        _, widths = writer._widths(rows, [column.style == "t" for column in table.columns])
+        size, narrow = writer._widths([["a", "b"], ["1", "2"]], [True, False])
+        assert sum(widths) <= writer.pdf.epw + 1e-6
     assert min(widths) > 3
-    narrow = [["a", "b"], ["1", "2"]]
-    size, widths = writer._widths(narrow, [True, False])
-    assert (size, sum(widths) < 20) == (7.0, True)
-
-
-def test_cells():
-    assert _cell(Estimate(1.5, 0.1)) == "1.50\n± 0.10"
-    assert _cell("a </ b") == "a </ b"
+    assert (size, sum(narrow) < 20) == (7.0, True)
+    assert [_cell(value) for value in (Estimate(1.5, 0.1), "a </ b")] == ["1.50\n± 0.10", "a </ b"]
 
 
 @pytest.mark.long
@@ -109,9 +98,3 @@ def test_written_beside_the_page(tmp_path):
     (path,) = write_formats(["pdf"], tmp_path, {}, {}, report=report)
     assert path.name == "objects.pdf"
     assert pages_of(path.read_bytes()) == 1
-
-
-def test_without_the_package(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "fpdf", None)
-    with pytest.raises(MistrayError, match=r"mistray\[pdf\]"):
-        require_formats(["pdf"])

@@ -1,5 +1,7 @@
 """Pictures: what they show, on which scale, with which labels."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -12,7 +14,6 @@ from mistray.errors import MistrayError
 from mistray.report.figures.chains import chain
 from mistray.report.figures.layout import glass_bodies, layout, meridional, section, slice_mesh
 from mistray.report.figures.plots import (
-    as_png,
     common_range,
     draw_map,
     ghost_image,
@@ -26,6 +27,10 @@ from mistray.report.figures.plots import (
 def report():
     traces = {field: trace_at(field) for field in (0.0, 10.0, 20.0)}
     return GhostReport(lens_scene(), traces, traces[0.0], {})
+
+
+def scene_of(*shapes):
+    return SimpleNamespace(shapes=lambda: list(shapes))
 
 
 def drawn(figure):
@@ -49,7 +54,8 @@ def test_pixels_of_few_rays_are_hatched(report):
 
 
 def test_ghost_image_shows_log10_of_the_map(report):
-    whole, stray = images(ghost_image(report, 10.0))
+    figure = ghost_image(report, 10.0)
+    whole, stray = images(figure)
     t, (map_, _) = report[10.0], report.stray_map(10.0)
     for image, expected in ((whole, t.irradiance), (stray, map_)):
         floor, top = image.get_clim()
@@ -59,22 +65,13 @@ def test_ghost_image_shows_log10_of_the_map(report):
         assert np.ma.masked_invalid(image.get_array()).mask[~lit].all()
         assert tuple(image.get_extent()) == pytest.approx(t.extent)
     assert stray.get_clim()[1] < whole.get_clim()[1]
-
-
-def test_ghost_image_on_one_scale(report):
-    assert {image.get_clim() for image in images(ghost_image(report, 10.0, (-7.0, 3.0)))} == {(-7.0, 3.0)}
-
-
-def test_out_of_field_all_light_is_stray_light_and_drawn_once(report):
-    (image,) = images(ghost_image(report, 20.0))
-    assert np.nansum(10 ** image.get_array()) == pytest.approx(report[20.0].irradiance.sum(), rel=1e-6)
-
-
-def test_axes_are_in_mm_with_equal_aspect_and_the_scale_is_explained(report):
-    figure = ghost_image(report, 0.0)
     left = figure.axes[0]
     assert (left.get_xlabel(), left.get_ylabel(), left.get_aspect()) == ("x [mm]", "y [mm]", 1.0)
     assert all(word in figure.get_supxlabel() for word in ("W/mm²", "own scale", "black"))
+    assert {image.get_clim() for image in images(ghost_image(report, 10.0, (-7.0, 3.0)))} == {(-7.0, 3.0)}
+    # Out of field all light is stray light, and drawn once
+    (image,) = images(ghost_image(report, 20.0))
+    assert np.nansum(10 ** image.get_array()) == pytest.approx(report[20.0].irradiance.sum(), rel=1e-6)
 
 
 def test_montage_shows_stray_light_on_scales_of_their_own_or_on_one(report):
@@ -103,16 +100,12 @@ def test_colours_grow_lighter_all_the_way():
     assert (np.diff(luminance) > 0).all()
 
 
-def test_a_dark_map_says_so():
-    axes = Figure().subplots()
-    assert draw_map(axes, np.zeros((4, 4)), (-1.0, 1.0, -1.0, 1.0), None) is None
+def test_a_dark_map_says_so_and_a_scale_upside_down_is_an_error():
+    axes, extent = Figure().subplots(), (-1.0, 1.0, -1.0, 1.0)
+    assert draw_map(axes, np.zeros((4, 4)), extent, None) is None
     assert [text.get_text() for text in axes.texts] == ["no light"]
-
-
-def test_scale_upside_down_is_an_error(report):
-    figure = montage(report)
     with pytest.raises(MistrayError, match="the floor must lie below the top"):
-        draw_map(figure.axes[0], np.ones((2, 2)), (0.0, 1.0, 0.0, 1.0), (2.0, 1.0))
+        draw_map(axes, np.ones((2, 2)), extent, (2.0, 1.0))
 
 
 def test_levels_leave_out_what_a_logarithmic_axis_cannot_show(report):
@@ -121,10 +114,6 @@ def test_levels_leave_out_what_a_logarithmic_axis_cannot_show(report):
     assert labels == ["direct image", "ghost", "structure"]
     direct = left.containers[0].lines[0].get_xdata()
     np.testing.assert_array_equal(direct, [0.0, 10.0])
-
-
-def test_png_is_a_png(report):
-    assert as_png(montage(report)).startswith(b"\x89PNG")
 
 
 def test_section_of_a_lens_is_exact():
@@ -141,27 +130,22 @@ def test_section_of_a_tilted_surface():
     mirror = FakeShape("fold", "fold", [[0.0, 0.0], [1.0, 0.0]], 0.0, mirror=True)
     c = np.sqrt(0.5)
     mirror.matrix[:3, :3] = [[1, 0, 0], [0, c, -c], [0, c, c]]
-    (surface,) = section(type("Scene", (), {"shapes": lambda self: [mirror]})())
+    (surface,) = section(scene_of(mirror))
     assert surface.kind == "mirror"
-    np.testing.assert_allclose(np.linalg.norm(surface.lines[0][-1]), 1.0)
     np.testing.assert_allclose(surface.lines[0][-1], [c, c], atol=1e-12)
 
 
-def test_glass_is_filled_between_surfaces_of_the_same_material():
-    bodies = glass_bodies(lens_scene())
-    assert len(bodies) == 2
-    window = bodies[0]
+def test_glass_is_filled_to_its_edge():
+    """L1 of the fake lens has rims at r = 1 and an edge of r = 1 between z = 1.05 and 1.5; here one that is pointed."""
+    window, _ = glass_bodies(lens_scene())
     assert (window[:, 0].min(), window[:, 0].max(), window[:, 1].max()) == (0.0, 0.3, 1.2)
-
-
-def test_glass_follows_its_edge():
-    """L1 of the fake lens has rims at r = 1 and an edge of r = 1 between z = 1.05 and 1.5."""
-    shapes = [shape for shape in lens_scene().shapes() if shape.part == "L1"]
-    shapes[2] = FakeShape("L1_edge", "L1", [[1.0, 1.05], [1.2, 1.2]], 0.0, "nd=1.6 Vd=30", "air", opaque=True)
-    shapes.append(FakeShape("L1_bevel", "L1", [[1.0, 1.5], [1.2, 1.2]], 0.0, "nd=1.6 Vd=30", "air", opaque=True))
-    (body,) = glass_bodies(type("Scene", (), {"shapes": lambda self: shapes})())
-    assert body[:, 1].max() == 1.2
-    assert body[:, 1].min() == -1.2
+    front, rear, _ = (shape for shape in lens_scene().shapes() if shape.part == "L1")
+    sides = [
+        FakeShape(name, "L1", [[1.0, z], [1.2, 1.2]], 0.0, "nd=1.6 Vd=30", "air", opaque=True)
+        for name, z in (("L1_edge", 1.05), ("L1_bevel", 1.5))
+    ]
+    (body,) = glass_bodies(scene_of(front, rear, *sides))
+    assert (body[:, 1].max(), body[:, 1].min()) == (1.2, -1.2)
 
 
 def test_chain_takes_the_shortest_way():
@@ -194,12 +178,6 @@ def test_meridional_rays_spread_over_the_pupil_and_stay_near_the_plane():
     assert len(meridional(rays[:2], 7)) == 2
 
 
-def test_layout_draws_the_direct_image_and_the_worst_ghosts(report):
-    figure = layout(report, 10.0, ghosts=2)
-    labels = figure.axes[0].get_legend_handles_labels()[1]
-    assert labels == ["direct image", "detector → L1_rear (ghost)", "detector → window_rear (ghost)"]
-
-
 def test_layout_says_which_path_is_too_rare():
     t = trace_at(20.0)
     sampled = t.sampled_rays
@@ -210,24 +188,19 @@ def test_layout_says_which_path_is_too_rare():
     assert labels == ["detector → L1_rear (ghost)", "detector → window_rear (ghost), too rare to draw"]
 
 
-def test_layout_out_of_field_draws_stray_paths_only(report):
-    labels = layout(report, 20.0, ghosts=1).axes[0].get_legend_handles_labels()[1]
-    assert labels == ["detector → L1_rear (ghost)", "detector → window_rear (ghost)"]  # the worst and the strongest
-
-
-def test_layout_draws_the_paths_asked_for(report):
+def test_layout_draws_the_worst_ghosts_or_the_paths_asked_for(report):
+    """Out of field the worst and the strongest stray path."""
+    lens, window = "detector → L1_rear (ghost)", "detector → window_rear (ghost)"
+    for field, ghosts, wanted in (
+        (10.0, 2, ["direct image", lens, window]),
+        (10.0, 0, ["direct image"]),
+        (20.0, 1, [lens, window]),
+    ):
+        assert layout(report, field, ghosts=ghosts).axes[0].get_legend_handles_labels()[1] == wanted
     table = report.table(10.0)
-    direct, window = (
-        table.path_id[table.kind == "direct"].iloc[0],
-        table.path_id[table.ghost_2 == "window_rear"].iloc[0],
-    )
-    axes = layout(report, 10.0, path_ids=[direct, window]).axes[0]
-    handles, labels = axes.get_legend_handles_labels()
-    assert labels == [f"path {direct}: direct image", f"path {window}: detector → window_rear"]
+    direct, other = (table.path_id[rows].iloc[0] for rows in (table.kind == "direct", table.ghost_2 == "window_rear"))
+    handles, labels = layout(report, 10.0, path_ids=[direct, other]).axes[0].get_legend_handles_labels()
+    assert labels == [f"path {direct}: direct image", f"path {other}: detector → window_rear"]
     assert handles[0].get_color() != handles[1].get_color()
     with pytest.raises(MistrayError, match="path 99 is not in the table of field 10 deg"):
         layout(report, 10.0, path_ids=[99])
-
-
-def test_layout_without_ghosts_draws_the_direct_image(report):
-    assert layout(report, 10.0, ghosts=0).axes[0].get_legend_handles_labels()[1] == ["direct image"]

@@ -1,6 +1,8 @@
-"""Pictures of a PST: what they show, on which scale, with which labels."""
+"""Pictures of a PST: what they show, on which scale."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,32 +21,38 @@ def pst() -> Pst:
     return fake_pst(map_pixels=16, relative_error=0.02, error_up_to_deg=60)
 
 
-def lines(axes):
+def lines(axes: Any) -> dict[str, Any]:
     return {line.get_label(): line for line in axes.get_lines()}
 
 
-def test_curve_shows_every_class_on_a_log_scale(pst: Pst) -> None:
+def texts(axes: Any) -> list[str]:
+    return [text.get_text() for text in axes.texts]
+
+
+def test_curve_shows_every_class_with_its_error(pst: Pst) -> None:
     above, below = pst_curve(pst, "camera").axes
-    drawn = lines(above)
     names = {"all light": "total", "stray light: all but direct": "stray", "direct image": "direct", "ghosts": "ghost",
              "single scatter": "single_scatter", "multiple scatter": "multiple_scatter",
              "straight shots": "straight_shot"}  # fmt: skip
     for label, group in names.items():
         value = pst.curve(group)[0]
-        np.testing.assert_array_equal(drawn[label].get_ydata(), np.where(value > 0, value, np.nan))
+        np.testing.assert_array_equal(lines(above)[label].get_ydata(), np.where(value > 0, value, np.nan))
     assert above.get_yscale() == "log"
     assert below.get_xlabel() == "field angle θ [deg]"
     assert "normal" in above.get_ylabel()
     assert above.get_title() == "camera: point source transmittance, joined, mean over all azimuths"
+    assert "edge of the field, 26.1°" in texts(above)
     assert "cos θ" in pst_curve(pst.to("projected")).axes[0].get_ylabel()
-
-
-def test_bands_are_one_standard_error(pst: Pst) -> None:
-    above, _ = pst_curve(pst).axes
+    assert not texts(pst_curve(fake_pst(field_deg=(40, 50))).axes[0])
+    # Bands are one standard error, which stands below with the one that was asked for
     value, se = pst.curve("total")
     vertices = above.collections[0].get_paths()[0].vertices
     at_40 = vertices[np.isclose(vertices[:, 0], 40.0)][:, 1]
     np.testing.assert_allclose([at_40.min(), at_40.max()], [value[20] - se[20], value[20] + se[20]], rtol=1e-9)
+    errors = lines(below)
+    np.testing.assert_allclose(errors["standard error, all light"].get_ydata(), 100 * se / value)
+    np.testing.assert_allclose(errors["requested error"].get_xydata(), [[0, 2], [60, 2]])
+    np.testing.assert_allclose(errors["largest ray of scatter"].get_ydata()[[0, -1]], [0.2, 31])
 
 
 def test_a_point_without_neighbours_has_its_error_too() -> None:
@@ -55,46 +63,25 @@ def test_a_point_without_neighbours_has_its_error_too() -> None:
     np.testing.assert_allclose(bar[:, 1], [value[2] - se[2], value[2] + se[2]])
 
 
-def test_errors_and_the_one_asked_for_stand_below(pst: Pst) -> None:
-    below = lines(pst_curve(pst).axes[1])
-    value, se = pst.curve("total")
-    np.testing.assert_allclose(below["standard error, all light"].get_ydata(), 100 * se / value)
-    np.testing.assert_allclose(below["requested error"].get_xydata(), [[0, 2], [60, 2]])
-    np.testing.assert_allclose(below["largest ray of scatter"].get_ydata()[[0, -1]], [0.2, 31])
-
-
-def test_edge_of_the_field_is_marked(pst: Pst) -> None:
-    above, _ = pst_curve(pst).axes
-    assert any(text.get_text() == "edge of the field, 26.1°" for text in above.texts)
-    assert not pst_curve(fake_pst(field_deg=(40, 50))).axes[0].texts
-
-
-def test_angles_without_light_are_marked_at_the_bottom() -> None:
+def test_dark_angles_and_deep_curves() -> None:
+    """Angles without light are marked at the bottom; ten decades between the field and 80° are within the axis."""
     above = pst_curve(fake_pst(dark_from_deg=55)).axes[0]
     marks = lines(above)["no light found"]
     np.testing.assert_array_equal(marks.get_xdata(), np.arange(56, 81, 2))
     assert np.all(marks.get_ydata() < 10 * above.get_ylim()[0])
-
-
-def test_deep_curves_stay_on_the_axis() -> None:
-    """Ten decades between the field and 80°: all light is within the axis."""
-    pst = fake_pst()
-    pst.by_batch[:, 20:] *= 1e-6
-    low, high = pst_curve(pst).axes[0].get_ylim()
-    assert low < pst.value.min()
-    assert pst.value.max() < high
-
-
-def test_a_dark_pst_says_so() -> None:
-    above, _ = pst_curve(fake_pst(dark_from_deg=0)).axes
-    assert [text.get_text() for text in above.texts] == ["no light was seen"]
-    assert as_png(pst_causes(fake_pst(dark_from_deg=0))).startswith(b"\x89PNG")
+    deep = fake_pst()
+    deep.by_batch[:, 20:] *= 1e-6
+    low, high = pst_curve(deep).axes[0].get_ylim()
+    assert low < deep.value.min()
+    assert deep.value.max() < high
+    dark = fake_pst(azimuths_deg=(0, 90), dark_from_deg=0)
+    assert texts(pst_curve(dark).axes[0]) == ["no light was seen"]
+    for draw in (pst_causes, pst_map):
+        assert as_png(draw(dark)).startswith(b"\x89PNG")
 
 
 def test_causes_are_stacked_shares(pst: Pst) -> None:
-    axes = pst_causes(pst).axes[0]
-    table = cause_frame(pst)
-    tops = np.zeros(41)
+    axes, table, tops = pst_causes(pst).axes[0], cause_frame(pst), np.zeros(41)
     for bars, name in zip(axes.containers, table.columns, strict=True):
         assert bars.get_label() == name
         np.testing.assert_allclose([bar.get_y() for bar in bars], tops)
@@ -103,29 +90,27 @@ def test_causes_are_stacked_shares(pst: Pst) -> None:
     np.testing.assert_allclose(tops, 100, rtol=1e-6)
     assert axes.get_ylabel() == "share of the stray light [%]"
     assert {"barrel_1", "barrel_1 (reflects)", "ghosts", "window_front", "straight shots"} <= set(table.columns)
-
-
-def test_many_causes_end_in_a_rest() -> None:
-    pst = fake_pst(field_deg=(0, 20, 40))
-    rows = pst.path_rows
+    # Many causes end in a rest
+    few = fake_pst(field_deg=(0, 20, 40))
+    rows = few.path_rows
     copies = [rows.assign(scatter_1=f"wall_{k}", events=f"wall_{k}:r detector:A") for k in range(12)]
-    many = type(pst)(**{**vars(pst), "path_rows": type(rows)(np.vstack(copies), columns=rows.columns).infer_objects()})
+    many = type(few)(**{**vars(few), "path_rows": type(rows)(np.vstack(copies), columns=rows.columns).infer_objects()})
     labels = [bars.get_label() for bars in pst_causes(many).axes[0].containers]
     assert len(labels) == 10
     assert labels[-1].endswith(" more")
 
 
-def test_map_shows_the_cells_where_they_are() -> None:
-    pst = fake_pst(field_deg=(10, 20, 40), azimuths_deg=(0, 90, 200))
-    panels = [axes for axes in pst_map(pst).axes if axes.name == "polar"]
+def test_map_shows_the_cells_where_they_are(pst: Pst) -> None:
+    around = fake_pst(field_deg=(10, 20, 40), azimuths_deg=(0, 90, 200))
+    panels = [axes for axes in pst_map(around).axes if axes.name == "polar"]
     assert [axes.get_title() for axes in panels] == ["all light", "stray light: all but direct"]
     for axes, group in zip(panels, ("total", "stray"), strict=True):
         (mesh,) = [item for item in axes.collections if isinstance(item, QuadMesh)]
         corners, shown = mesh.get_coordinates(), mesh.get_array()
         middle = (corners[:-1, :-1] + corners[1:, 1:]) / 2
-        value = pst.map(group)[0]
-        for i, angle in enumerate(pst.field_deg):
-            for j, azimuth in enumerate(pst.grid.azimuths_deg):
+        value = around.map(group)[0]
+        for i, angle in enumerate(around.field_deg):
+            for j, azimuth in enumerate(around.grid.azimuths_deg):
                 turned = np.degrees(middle[..., 0]) - azimuth
                 here = (np.abs((turned + 180) % 360 - 180) < 1.0) & np.isclose(middle[..., 1], angle)
                 assert here.any()
@@ -135,15 +120,8 @@ def test_map_shows_the_cells_where_they_are() -> None:
         assert np.ma.getmaskarray(shown)[between].all()
         assert axes.get_theta_offset() == pytest.approx(np.pi / 2)
         assert axes.get_theta_direction() == 1
-
-
-def test_map_needs_azimuths(pst: Pst) -> None:
     with pytest.raises(MistrayError, match="two azimuths or more"):
         pst_map(pst)
-
-
-def test_map_of_a_dark_pst() -> None:
-    assert as_png(pst_map(fake_pst(azimuths_deg=(0, 90), dark_from_deg=0))).startswith(b"\x89PNG")
 
 
 def test_irradiance_is_a_log_map_in_mm(pst: Pst) -> None:
@@ -156,10 +134,6 @@ def test_irradiance_is_a_log_map_in_mm(pst: Pst) -> None:
     assert "W/mm²" in bar.get_ylabel()
     assert axes.get_title() == "source at 40°, mean over all azimuths"
     assert "relative error of the others 10 %" in figure.get_supxlabel()
-
-
-def test_irradiance_names_the_azimuth_and_a_dark_detector() -> None:
     several = fake_pst(field_deg=(0, 60), azimuths_deg=(0, 90), map_pixels=4, dark_from_deg=50)
     assert pst_irradiance(several, 0.0, 90.0).axes[0].get_title() == "source at 0°, azimuth 90°"
-    (axes,) = pst_irradiance(several, 60.0, 90.0).axes
-    assert [text.get_text() for text in axes.texts] == ["no light"]
+    assert texts(pst_irradiance(several, 60.0, 90.0).axes[0]) == ["no light"]

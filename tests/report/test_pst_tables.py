@@ -1,15 +1,20 @@
-"""Tables of a PST: what they say is what the result holds; JSON and warnings."""
+"""Tables and files of a PST: what they say is what the result holds."""
 
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
+import html_pages
 import numpy as np
+import pandas as pd
 import pytest
 from report.fake_pst import FACTS, fake_pst
 
 from mistray.analysis.pst.causes import field_edge, stray_paths
 from mistray.analysis.pst.result import CLASSES, Pst
+from mistray.report.html.render import html_page
+from mistray.report.pst_output import pst_report, write_pst
 from mistray.report.tables.pst import (
     cell_frame,
     curve_frame,
@@ -28,14 +33,22 @@ def pst() -> Pst:
 
 @pytest.fixture(scope="module")
 def around() -> Pst:
-    return fake_pst(field_deg=(0, 20, 40), azimuths_deg=(0, 90, 180, 270))
+    return fake_pst(field_deg=(0, 20, 40), azimuths_deg=(0, 90, 180, 270), map_pixels=8)
+
+
+@pytest.fixture(scope="module")
+def written(around: Pst, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("pst") / "new" / "out"
+    files = write_pst(around, out, "a <b> & c", "mistray pst 'a <b> & c'", 3, [(20.0, 90.0), (40.0, 0.0)])
+    assert {file.name for file in files} == {entry.name for entry in out.iterdir()}
+    return out
 
 
 def rows(text: str) -> list[list[str]]:
     """Cells of the rows below the rule of a table."""
     lines = text.splitlines()
     rule = next(k for k, line in enumerate(lines) if set(line) <= {"-", " "} and line.strip())
-    return [[cell for cell in line.split("  ") if cell.strip()] for line in lines[rule + 1 :]]
+    return [[cell.strip() for cell in line.split("  ") if cell.strip()] for line in lines[rule + 1 :]]
 
 
 def test_curve_frame_holds_the_means_of_the_batches(pst: Pst) -> None:
@@ -48,32 +61,24 @@ def test_curve_frame_holds_the_means_of_the_batches(pst: Pst) -> None:
         np.testing.assert_allclose(frame[f"pst_{name}"], batches[k].mean(axis=-1), rtol=1e-12)
     assert list(frame.largest_share[[0, 40]]) == [0.002, 0.31]
     assert list(frame.angle_from_deg[:2]) == [0.0, 1.0]
-
-
-def test_projected_is_normal_over_the_cosine(pst: Pst) -> None:
-    ratio = curve_frame(pst.to("projected")).pst_total / curve_frame(pst).pst_total
+    # Projected is normal over the cosine
     low, high = np.radians(pst.grid.edges_deg).T
+    ratio = curve_frame(pst.to("projected")).pst_total / frame.pst_total
     np.testing.assert_allclose(ratio, 2 / (np.cos(low) + np.cos(high)), rtol=1e-12)
 
 
-def test_cells_have_a_row_for_each_angle_and_azimuth(around: Pst) -> None:
-    frame = cell_frame(around)
-    assert len(frame) == 12
-    np.testing.assert_allclose(
-        frame.pst_total.to_numpy().reshape(3, 4).mean(axis=1), curve_frame(around).pst_total, rtol=1e-12
-    )
-    assert set(frame.largest_share) == {0.002}
-
-
-def test_path_frame_ranks_the_paths_of_each_cell(around: Pst) -> None:
+def test_cells_and_paths_of_each_angle_and_azimuth(around: Pst) -> None:
+    cells = cell_frame(around)
+    means = cells.pst_total.to_numpy().reshape(3, 4).mean(axis=1)
+    np.testing.assert_allclose(means, curve_frame(around).pst_total, rtol=1e-12)
+    assert set(cells.largest_share) == {0.002}
     frame = path_frame(around)
-    cells = frame.groupby(["angle_deg", "azimuth_deg"])
-    assert len(cells) == 12
-    for _, part in cells:
+    of_cells = frame.groupby(["angle_deg", "azimuth_deg"])
+    assert len(of_cells) == 12
+    for _, part in of_cells:
         assert list(part["rank"]) == list(range(1, len(part) + 1))
         assert part.pst.is_monotonic_decreasing
-    stray = cells.percent_of_stray.sum()
-    np.testing.assert_allclose(stray, 100, rtol=1e-6)
+    np.testing.assert_allclose(of_cells.percent_of_stray.sum(), 100, rtol=1e-6)
     assert frame.percent_of_stray.isna().sum() == (frame.kind == "direct").sum()
 
 
@@ -88,59 +93,50 @@ def test_paths_of_several_azimuths_are_their_mean(around: Pst) -> None:
 
 
 def test_curve_text_has_the_numbers_with_their_errors(pst: Pst) -> None:
-    table = rows(curve_text(pst))
+    text = curve_text(pst)
+    table = rows(text)
     assert len(table) == 41
     angle, total, stray, *classes, share = table[20]
-    value, _, error = stray.strip().partition(" ± ")
-    assert angle.strip() == "40"
+    value, _, error = stray.partition(" ± ")
+    assert (angle, total) == ("40", stray)
     assert float(value) == pytest.approx(pst.stray[20], rel=0.02)
     assert float(error) == pytest.approx(pst.stray_se[20], rel=0.1)
-    assert total.strip() == stray.strip()
-    assert classes[0].strip() == "–"  # no direct light there
+    assert classes[0] == "–"  # no direct light there
     assert float(share) == 0.2
-
-
-def test_straight_shots_have_a_column_where_there_are_any(pst: Pst) -> None:
-    assert "straight shot" in curve_text(pst)
-    assert "straight shot" not in curve_text(fake_pst(field_deg=(0, 20)))
+    assert ("straight shot" in text, "straight shot" in curve_text(fake_pst(field_deg=(0, 20)))) == (True, False)
     assert stray_paths(pst, 44.0).label.isin(["straight shot"]).sum() == 1
+    assert rows(curve_text(fake_pst(dark_from_deg=50)))[-1][:-1] == ["80", *["–"] * 7]
 
 
 def test_top_paths_stand_beside_each_other_with_their_shares(pst: Pst) -> None:
-    table = rows(top_paths_text(pst, 2))
     expected = stray_paths(pst, 20.0, 2)
-    angle, first, share, second, second_share = (cell.strip() for cell in table[10])
+    angle, first, share, second, second_share = rows(top_paths_text(pst, 2))[10]
     assert angle == "20"
     assert [first, second] == list(expected.label) == ["barrel_1 (structure)", "detector → L1_rear"]
     assert [float(share), float(second_share)] == pytest.approx(list(expected.percent_of_stray), rel=5e-3)
-
-
-def test_names_are_those_of_the_rows() -> None:
-    """Whatever the other rows of an angle are; that names tell paths apart is held where they are made."""
-    pst = fake_pst(field_deg=(40,))
-    pst.path_rows.loc[pst.path_rows.scatter_1 == "stop_wall", "label"] = "L1_front:T barrel_1:r mirror:R"
-    text = top_paths_text(pst, 4)
+    # Names are those of the rows, whatever the other rows of an angle are
+    one = fake_pst(field_deg=(40,))
+    one.path_rows.loc[one.path_rows.scatter_1 == "stop_wall", "label"] = "L1_front:T barrel_1:r mirror:R"
+    text = top_paths_text(one, 4)
     assert "scatter at barrel_1  " in text
     assert "  L1_front:T barrel_1:r mirror:R" in text
 
 
-def test_text_names_convention_method_and_denominator(pst: Pst) -> None:
+def test_text(pst: Pst) -> None:
     text = pst_text(pst)
-    assert "PST = E_det/E_⊥" in text
-    assert "joined: rays from the detector" in text
-    assert "1e+06 start rays; 550 nm; means over cells of 2° and all azimuths" in text
-    assert "%: share of the stray light at that angle, which is all light but the direct image" in text
-    assert "edge of the field, half of the direct light at 0°, interpolated: 26.1°" in text
+    for words in (
+        "PST = E_det/E_⊥", "joined: rays from the detector", "first scattered by",
+        "1e+06 start rays; 550 nm; means over cells of 2° and all azimuths",
+        "%: share of the stray light at that angle, which is all light but the direct image",
+        "edge of the field, half of the direct light at 0°, interpolated: 26.1°",
+    ):  # fmt: skip
+        assert words in text
     assert "cos θ" in pst_text(pst.to("projected"))
     assert "30° of azimuth" in pst_text(fake_pst(field_deg=(0, 20), azimuths_deg=range(0, 360, 30)))
     assert "Strongest stray paths" not in pst_text(fake_pst(paths=False))
     assert "Strongest stray paths" not in pst_text(pst, 0)
-
-
-def test_breaks_name_the_causes_on_either_side(pst: Pst) -> None:
-    text = pst_text(pst)
-    table = rows(text[text.index("Breaks of the curve") : text.index("±: one standard error")])
-    assert any("ghosts" in row[3] and "barrel_1 (reflects)" in row[4] for row in table if len(row) == 5)
+    breaks = rows(text[text.index("Breaks of the curve") : text.index("±: one standard error")])
+    assert any("ghosts" in row[3] and "barrel_1 (reflects)" in row[4] for row in breaks if len(row) == 5)
 
 
 def test_field_edge_is_where_direct_light_is_half() -> None:
@@ -152,21 +148,14 @@ def test_field_edge_is_where_direct_light_is_half() -> None:
 
 def test_warnings_are_the_notes_and_large_errors() -> None:
     assert fake_pst().notes == FACTS["notes"]
-    noisy = fake_pst(field_deg=(0, 70, 80), noise=0.5, notes=[]).notes
-    assert len(noisy) == 1
-    assert noisy[0].startswith("standard error up to ")
-    assert "at 70, 80°" in noisy[0]
-    many = fake_pst(noise=1.0, notes=[]).notes[0]
-    assert "angles from" in many
-
-
-def test_dark_angles_are_no_numbers() -> None:
-    table = rows(curve_text(fake_pst(dark_from_deg=50)))
-    assert [cell.strip() for cell in table[-1][:-1]] == ["80", *["–"] * 7]
+    (noisy,) = fake_pst(field_deg=(0, 70, 80), noise=0.5, notes=[]).notes
+    assert noisy.startswith("standard error up to ")
+    assert "at 70, 80°" in noisy
+    assert "angles from" in fake_pst(noise=1.0, notes=[]).notes[0]
 
 
 def test_a_dark_pst_has_tables_too() -> None:
-    dark = fake_pst(dark_from_deg=0, notes=["PST is 0"])
+    dark = fake_pst(dark_from_deg=0, notes=["PST is 0: it sees no opening"])
     assert dark.is_dark
     text = pst_text(dark)
     assert "no stray light was seen" in text
@@ -174,15 +163,54 @@ def test_a_dark_pst_has_tables_too() -> None:
     record = pst_record(dark)
     assert record["field_edge_deg"] is None
     assert all(row["pst_total"] == 0 for row in record["curve"])
+    page = html_page(pst_report(dark))
+    assert "No light was seen at any angle." in page
+    assert "it sees no opening" in page
 
 
-def test_record_is_json(around: Pst) -> None:
-    text = json.dumps(pst_record(around, 2), allow_nan=False)
-    record = json.loads(text)
+def test_files(around: Pst, written: Path, tmp_path: Path) -> None:
+    """CSV holds nine digits; a simpler PST has fewer files."""
+    assert {file.name for file in written.iterdir()} == {
+        "pst.csv", "pst_cells.csv", "pst_paths.csv", "pst.png", "pst_causes.png", "pst_map.png",
+        "irradiance_20deg_90deg.png", "irradiance_40deg_0deg.png", "pst.json", "report.html",
+    }  # fmt: skip
+    curve = pd.read_csv(written / "pst.csv")
+    assert curve.pst_stray.to_list() == pytest.approx(list(around.stray), rel=1e-8)
+    assert set(curve.convention) == {"normal"}
+    assert len(pd.read_csv(written / "pst_cells.csv")) == 12
+    assert len(pd.read_csv(written / "pst_paths.csv")) == len(around.path_rows)
+    files = write_pst(fake_pst(field_deg=(0, 20), paths=False), tmp_path)
+    assert {file.name for file in files} == {"pst.csv", "pst.png", "pst.json", "report.html"}
+    record = json.loads((written / "pst.json").read_text(encoding="utf-8"))
+    assert (record["title"], record["command"]) == ("a <b> & c", "mistray pst 'a <b> & c'")
     assert record["convention"] == "normal"
     assert [row["angle_deg"] for row in record["curve"]] == [0, 20, 40]
     assert record["curve"][1]["pst_total"] == pytest.approx(around.value[1])
-    assert [len(row["paths"]) for row in record["curve"]] == [2, 2, 2]
-    assert len(record["cells"]) == 12
-    assert record["facts"]["seed"] == 0
+    assert [len(row["paths"]) for row in record["curve"]] == [3, 3, 3]
+    assert (len(record["cells"]), record["facts"]["seed"]) == (12, 0)
     assert "cells" not in pst_record(fake_pst(field_deg=(0, 20)))
+
+
+def test_page(around: Pst, written: Path) -> None:
+    text = (written / "report.html").read_text(encoding="utf-8")
+    html_pages.check(text)
+    assert "a <b> & c" not in text
+    assert "Point source transmittance: a &lt;b&gt; &amp; c" in text
+    assert "single rays carry more than 10 %" in text
+    assert "%: share of the stray light at that angle" in text
+    assert text.count("data:image/png;base64,") == 3
+    table = html_pages.table_of(text, "t-paths")
+    assert table.count("<tr>") == 1 + 3 * len(around.field_deg)
+    assert "direct image" not in table
+
+
+def test_a_failure_leaves_the_old_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "pst.csv").write_text("old")
+
+    def fail(*_: object) -> None:
+        raise RuntimeError("out of paper")
+
+    monkeypatch.setattr("mistray.report.html.render.html_page", fail)
+    with pytest.raises(RuntimeError, match="out of paper"):
+        write_pst(fake_pst(field_deg=(0, 20)), tmp_path)
+    assert [(entry.name, entry.read_text()) for entry in tmp_path.iterdir()] == [("pst.csv", "old")]

@@ -63,8 +63,11 @@ def test_light_by_the_first_surface_that_scatters(report):
     assert table.power_W.to_numpy() == pytest.approx([WINDOW + GHOST, STOP, TWICE], rel=1e-9)
     assert table.percent_of_stray.to_numpy() == pytest.approx(100 * table.power_W.to_numpy() / STRAY, rel=1e-9)
     assert table.equals(report.scatter_surfaces(0.0, 550.0))
-    without = GhostReport(lens_scene(), {0.0: trace_at(0.0)}, trace_at(0.0), {})
-    assert without.scatter_surfaces(0.0).empty
+    # Events within a body bear the name of the material in brackets
+    t = FakeTrace([FakePath("window_front:T (glass):t window_rear:T detector:A", 1e-5, 40)])
+    body = GhostReport(lens_scene(), {0.0: t}, trace_at(0.0), {})
+    assert list(body.scatter_surfaces(0.0).part) == ["(glass)"]
+    assert "(glass)" in path_sort_text(t)
 
 
 def test_the_main_table_names_surfaces_and_shares(report):
@@ -96,9 +99,9 @@ def test_the_sampling_is_judged(report):
 def test_without_scatter_nothing_is_said_about_it():
     t = trace_at(0.0)
     report = GhostReport(lens_scene(), {0.0: t}, t, {})
-    text = main_table(report)
-    assert "catter" not in text.replace("ghost and scatter surfaces", "")
+    assert "catter" not in main_table(report).replace("ghost and scatter surfaces", "")
     assert "scatter.csv" not in csv_tables(report)
+    assert report.scatter_surfaces(0.0).empty
     page = html_text(report)
     assert 'id="scatter"' not in page
     assert "no scattered light reaches the detector" in page
@@ -175,14 +178,6 @@ def test_the_path_sort_file_tells_random_from_aimed_and_what_it_leaves_out():
     assert f"6 weaker paths are left out; together they hold {rest:.3g} % of the detected flux." in text
     assert len(parse_path_sort(text)) == 4
     assert "Percent of detected flux" in text
-
-
-def test_a_medium_that_scatters_is_its_own_part():
-    """Events within a body bear the name of the material in brackets."""
-    t = FakeTrace([FakePath("window_front:T (glass):t window_rear:T detector:A", 1e-5, 40)])
-    report = GhostReport(lens_scene(), {0.0: t}, trace_at(0.0), {})
-    assert list(report.scatter_surfaces(0.0).part) == ["(glass)"]
-    assert "(glass)" in path_sort_text(t)
 
 
 def test_long_lists_are_cut_and_say_so(report, monkeypatch):

@@ -6,41 +6,26 @@ import math
 import re
 
 import pandas as pd
-import pytest
 
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.study.step import STEPS, Fact, StudyStep, count_of
+from mistray.analysis.study.step import Fact
 from mistray.report.html.render import html_parts
 from mistray.report.study_output import fact_text
 from mistray.report.tables.frames import error_of, frame_table, heading_of, value_text
 
 
-@pytest.mark.parametrize(
-    ("column", "heading"),
-    [
-        ("z_mm", ("z", "mm")),
-        ("rms_irradiance_W_mm2", ("RMS irradiance", "W/mm²")),
-        ("pst_single_scatter", ("PST single scatter", "")),
-        ("percent_of_stray", ("share", "% of stray light")),
-        ("main_cause_percent_of_stray", ("main cause", "% of stray light")),
-        ("TIS_reflected_percent", ("TIS reflected", "%")),
-        ("slope_before_per_deg", ("slope before", "decades/°")),
-        ("bsdf_1_sr", ("BSDF", "1/sr")),
-        ("id", ("surface", "")),
-        ("kind", ("kind", "")),
-    ],
-)
-def test_headings(column, heading):
-    assert heading_of(column) == heading
-
-
-def test_errors_are_found_by_name():
+def test_headings_and_errors_are_made_of_names():
+    for column, heading in {
+        "z_mm": ("z", "mm"),
+        "rms_irradiance_W_mm2": ("RMS irradiance", "W/mm²"),
+        "percent_of_stray": ("share", "% of stray light"),
+        "slope_before_per_deg": ("slope before", "decades/°"),
+        "id": ("surface", ""),
+    }.items():
+        assert heading_of(column) == heading
     columns = ["pst", "pst_se", "power_W", "power_se_W", "flux_W", "flux_W_se", "rays"]
-    found = {column: error_of(column, columns) for column in columns}
-    assert found["pst"] == "pst_se"
-    assert found["power_W"] == "power_se_W"
-    assert found["flux_W"] == "flux_W_se"
-    assert found["rays"] is None
+    errors = ["pst_se", "power_se_W", "flux_W_se", None]
+    assert [error_of(column, columns) for column in ("pst", "power_W", "flux_W", "rays")] == errors
 
 
 def test_a_table_hides_its_errors_below_the_values():
@@ -63,24 +48,12 @@ def test_a_table_hides_its_errors_below_the_values():
     assert "power_se" not in html
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(3, "3"), (12345.0, "12 345"), (0.123456789, "0.12346"), (math.inf, "∞"), (-math.inf, "-∞"), (math.nan, "–"),
-     (None, "–"), ("stop", "stop"), (Estimate(0.2, 0.01), "0.200 ± 0.010")],
-)  # fmt: skip
-def test_values(value, text):
-    assert value_text(value) == text
-
-
-def test_facts_carry_their_unit():
+def test_values_and_facts():
+    for value, text in (
+        (3, "3"), (12345.0, "12 345"), (0.123456789, "0.12346"), (math.inf, "∞"), (-math.inf, "-∞"), (math.nan, "–"),
+        (None, "–"), ("stop", "stop"), (Estimate(0.2, 0.01), "0.200 ± 0.010"),
+    ):  # fmt: skip
+        assert value_text(value) == text
     assert fact_text(Fact("half field", 18.0, "°")) == "18°"
     assert fact_text(Fact("focal length", 7.0734, "mm")) == "7.0734 mm"
     assert fact_text(Fact("defocus", math.nan, "mm")) == "–"
-
-
-def test_steps_are_numbered_in_order():
-    steps = [StudyStep.of(key, "text") for key, _ in STEPS]
-    assert [step.number for step in steps] == list(range(1, 9))
-    assert steps[4].title == "Common objects"
-    assert steps[0].table.empty
-    assert [count_of(n, "way") for n in (0, 1, 2)] == ["0 ways", "1 way", "2 ways"]

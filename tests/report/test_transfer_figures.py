@@ -33,6 +33,7 @@ def test_curves_are_those_of_the_result(halo):
     lost = {line.get_label(): line.get_ydata() for line in right.lines}
     assert lost["scatter"][-1] == pytest.approx(100 * (1 - one.veiling_floor.value), rel=0.2)
     np.testing.assert_allclose(lost["ghosts"], 0, atol=1e-9)
+    assert sum(isinstance(part, Figure) for part in transfer_parts(halo, "mirror")) == 3
 
 
 def test_rings_are_joined_until_they_are_sure_and_keep_their_flux(halo):
@@ -67,11 +68,6 @@ def test_an_image_is_drawn_as_far_as_the_pupil_resolves_it(halo, monkeypatch):
     for axes in image_figure(one).axes[:2]:
         left, right, *_ = axes.images[0].get_extent()
         assert right - left == pytest.approx(2e3 * one.image.largest_radius_mm, rel=2e-3)
-
-
-def test_the_parts_of_a_report(halo):
-    parts = transfer_parts(halo, "mirror")
-    assert sum(isinstance(part, Figure) for part in parts) == 3
 
 
 @pytest.mark.long

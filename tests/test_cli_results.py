@@ -1,0 +1,286 @@
+"""What options of objects, study, sweep, sensitivity, budget and thermal make of a result, in text, JSON and files."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import json_units
+import pandas as pd
+import pytest
+from command_line import Captured, fails, run, succeeds
+from oracles.object_scenes import open_tube_text
+from oracles.small_scenes import plates_text, write
+from test_every_command import BUDGET, INPUTS
+
+from mistray.errors import UnfinishedError
+
+SHARES = ("--parameter", "p0_*.bsdf.[RT]")
+ASKED = ("--field-deg", "0", "10", "--wavelength-nm", "500", "600", "--rays", "64")
+STATES = """
+[[configuration]]
+name = "weak"
+
+[[configuration]]
+name = "strong"
+values = { "p0_*.bsdf.R" = 0.3, "p0_*.bsdf.T" = 0.6 }
+"""
+
+
+@pytest.fixture
+def plate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A coated plate; nothing is kept of other tests."""
+    monkeypatch.setenv("MISTRAY_CACHE", str(tmp_path / "cache"))
+    return str(write(tmp_path, plates_text(1, R=0.1, T=0.8)))
+
+
+def names_in(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+class TestObjects:
+    @pytest.fixture
+    def tube(self, tmp_path: Path) -> str:
+        return str(write(tmp_path, open_tube_text(3.0, 1.0, 0.7)))
+
+    def test_an_open_tube(self, capsys: Captured, tube: str) -> None:
+        out = succeeds(capsys, "objects", tube, "--rays", "2e3")
+        for part in ("Critical objects: 1", "Illuminated objects: 2", "Common objects: 1", "W per W started"):
+            assert part in out
+        assert "warning: the detector sees the outside with no surface in between" in out
+
+    def test_options_reach_the_search(self, capsys: Captured, tube: str) -> None:
+        given = {
+            "rays": 2000, "azimuth_deg": 30, "view_half_angle_deg": 45, "threshold": 1e-3, "ray_control": "halt_all",
+            "seed": 7, "max_events": 9, "wavelength_nm": 600,
+        }  # fmt: skip
+        words = [word for name, value in given.items() for word in (f"--{name.replace('_', '-')}", value)]
+        more = ("--field-deg", "10", "20:40:10", "--no-total-reflection", "--stop", "wall", "--detector", "detector")
+        record = json_units.read(succeeds(capsys, "objects", tube, *words, *more, "--json"))
+        assert record["angles_deg"] == [10, 20, 30, 40]
+        assert {name: record["facts"][name] for name in given} == given
+        assert record["facts"]["total_reflection"] is False
+        assert record["stop"] == "wall"
+
+    def test_a_disc_as_source(self, capsys: Captured, tube: str) -> None:
+        disc = ("--rays", "2e3", "--disc", "-1", "0.5", "--half-angle-deg", "5", "--json")
+        record = json_units.read(succeeds(capsys, "objects", tube, *disc))
+        assert record["facts"]["source"].startswith("disc")
+        assert record["optics"][0]["illuminated_power"] > 0.5  # it is narrower than the detector
+
+
+@pytest.mark.long
+def test_findings_of_a_study_and_the_same_pst_again(capsys: Captured, tmp_path: Path) -> None:
+    few = ("--rays", "2000", "--pst-field-deg", "0:60:20", "--field-deg", "0", "20")
+    out, command = tmp_path / "new" / "out", ("study", "plate_and_wall", *few)
+    record = json_units.read(succeeds(capsys, *command, "--out", out, "--json"))
+    curve = record["steps"][7]["tables"]["pst"]
+    assert [row["angle_deg"] for row in curve] == [0, 20, 40, 60]
+    assert curve[0]["pst_total"] > curve[-1]["pst_total"] > 0
+    focal = next(fact for fact in record["steps"][0]["facts"] if fact["name"] == "focal length")
+    assert focal["value"] is None  # a flat plate: infinite
+    verdict = record["verdict"]["pst"]
+    assert verdict["main_cause"]["cause"] == "screen"
+    assert 50 < verdict["main_cause"]["percent_of_stray"] < 100
+    assert verdict["main_cause"]["pst_left"] < verdict["main_cause"]["pst_stray"]
+    assert any("screen" in text for text in verdict["sentences"])
+    assert record["verdict"]["ghosts"]["remedy"]["deed"] == "reflects"
+    html = (out / "report.html").read_text(encoding="utf-8")
+    assert html.count("<section ") == len(record["steps"]) + 3
+    # The answer comes first: of all angles, of the ghosts, and the table of the worst
+    order = ["Change <b>screen</b> first", "Ghosts, without scatter", 'id="worst"', 'id="findings"']
+    assert sorted(map(html.index, order)) == [html.index(text) for text in order]
+    before = (out / "8_pst.csv").read_text()
+    printed = succeeds(capsys, *command, "--out", out, "--resume")
+    assert (out / "8_pst.csv").read_text() == before
+    places = [printed.index(f"\n{number} {step['title']}\n") for number, step in enumerate(record["steps"], start=1)]
+    assert places == sorted(places)
+    assert printed.index("Change screen first") < places[0]
+    assert re.search(r"Main cause by angle: .*screen", printed)
+
+
+class TestSweep:
+    def test_configurations_of_a_file_and_of_the_line(self, capsys: Captured, plate: str, tmp_path: Path) -> None:
+        """Those of the line stand behind those of the file; a second time all rows come from the cache."""
+        states, out = tmp_path / "states.toml", tmp_path / "new" / "out"
+        states.write_text(STATES)
+        command = ("sweep", plate, states, "--set", "p0_*.bsdf.R=0.3", "p0_*.bsdf.T=0.6", *ASKED)
+        printed = succeeds(capsys, *command, "--out", out)
+        lines = [line.split() for line in printed.splitlines()]
+        assert sum(line[:1] == ["weak"] for line in lines) == sum(line[:1] == ["strong"] for line in lines) == 4
+        assert "12 rows, 0 of them from the cache in" in printed
+        table = pd.read_csv(out / "sweep.csv")
+        assert list(table.columns[:3]) == ["configuration", "field_deg", "wavelength_nm"]
+        assert list(table.ghost_to_signal.round(6)) == [0.01] * 4 + [0.09] * 8
+        values = pd.read_csv(out / "configurations.csv")
+        assert list(values[values.key == "p0_rear.bsdf.R"].value.round(6)) == [0.3, 0.3]
+        assert "p0_rear.bsdf.T = 0.6" in (out / "report.html").read_text(encoding="utf-8")
+        record = json_units.read(succeeds(capsys, *command, "--json"))
+        assert record["rows_from_cache"] == 12
+        assert record["rows"] == json.loads((out / "sweep.json").read_text())["rows"]
+        row = record["rows"][7]
+        assert (row["configuration"], row["field_deg"], row["wavelength_nm"]) == ("strong", 10, 600)
+        assert row["ghost_to_signal_se"] < 1e-6  # all rays carry the same
+        assert record["rows"][8]["configuration"] == "p0_*.bsdf.R = 0.3, p0_*.bsdf.T = 0.6"
+        assert {item["unit"] for item in record["configurations"][1]["values"]} == {"1"}
+
+    def test_without_the_cache(self, capsys: Captured, plate: str, tmp_path: Path) -> None:
+        assert "1 rows, all traced" in succeeds(capsys, "sweep", plate, "--rays", "64", "--no-cache")
+        assert not (tmp_path / "cache").exists()
+
+    def test_its_pst(self, capsys: Captured, plate: str) -> None:
+        """
+        Half the reflectance of a face halves the ghost, a PST of 0.005, and a black face takes it.
+
+        What goes past the plate is a straight shot before and after.
+        """
+        asked = ("--pst-field-deg", "0", "--rays", "2000", "--json")
+        for change, lost in ((("--set", "p0_front.bsdf.R=0.05"), 0.0025), (("--paint", "p0_front=black"), 0.005)):
+            (row,) = json_units.read(succeeds(capsys, "sweep", plate, *change, *asked))["rows"]
+            assert row["configuration"] == change[1].replace("=", " = ")
+            assert row["before"] - row["after"] == pytest.approx(lost, rel=0.15)
+
+    def test_a_dark_field_is_drawn(self, capsys: Captured, plate: str, tmp_path: Path) -> None:
+        """Light that misses the detector: no direct image, no stray light, nothing to divide by."""
+        out = tmp_path / "out"
+        succeeds(capsys, "sweep", plate, "--field-deg", "0", "88.8", "--rays", "64", "--out", out)
+        dark = json.loads((out / "sweep.json").read_text())["rows"][1]
+        assert (dark["direct_W"], dark["ghost_to_signal"], dark["worst_path"]) == (0.0, None, None)
+
+    def test_a_cache_that_cannot_be(self, capsys: Captured, plate: str, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("MISTRAY_CACHE", f"{plate}/below")
+        code, printed, errors = run(capsys, "sweep", plate, "--rays", "64", "--json")
+        assert (code, errors.count("\n"), len(json_units.read(printed)["rows"])) == (0, 1, 1)
+        assert errors.startswith("mistray: warning: cache '")
+        assert "Not a directory; results are not kept" in errors
+        monkeypatch.setenv("MISTRAY_CACHE_MB", "much")
+        assert fails(capsys, "cache", "info").startswith("MISTRAY_CACHE_MB is 'much'; give the size of the cache in MB")
+
+    def test_workers_that_are_gone(
+        self, capsys: Captured, plate: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """The rows that are finished are written, and are in the cache."""
+        running, out = sys.modules["mistray.sweeps.trace_rows"], tmp_path / "out"
+        real, calls = running.trace, []
+
+        def gone(*arguments: Any, **more: Any) -> Any:
+            calls.append(more)
+            if len(calls) > 2:
+                raise UnfinishedError("scheduler tcp://host:1 is gone; start it again")
+            return real(*arguments, **more)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(running, "trace", gone)
+            line = fails(capsys, "sweep", plate, *ASKED, "--out", out)
+        assert "configuration 'as it is', field 0 deg, 600 nm: scheduler tcp://host:1 is gone; start it again" in line
+        assert f"the rows that are finished are in {out}" in line
+        assert list(pd.read_csv(out / "sweep.csv").field_deg) == [0, 10]
+        assert "4 rows, 2 of them from the cache" in succeeds(capsys, "sweep", plate, *ASKED)
+
+    @pytest.mark.parametrize("finished", [0, 2])
+    def test_interrupted(self, capsys: Captured, plate: str, monkeypatch: pytest.MonkeyPatch, finished: int) -> None:
+        running, done = sys.modules["mistray.sweeps.trace_rows"], []
+
+        def interrupted(*_: Any) -> dict[str, Any]:
+            if len(done) == finished:
+                raise KeyboardInterrupt
+            done.append(None)
+            return {"number": 1}
+
+        monkeypatch.setattr(running, "_traced", interrupted)
+        code, printed, errors = run(capsys, "sweep", plate, *ASKED)
+        assert (code, printed, errors.count("\n")) == (130, "", 1)
+        assert ("finished rows are in the cache, the same command goes on" in errors) == (finished > 0)
+
+
+class TestSensitivity:
+    def test_systems_and_groups(self, capsys: Captured, plate: str, tmp_path: Path) -> None:
+        out = tmp_path / "new" / "out"
+        more = ("--rays", "64", "--monte-carlo", "4", "--together", "p0_*.R", "--formats", "parquet")
+        printed = succeeds(capsys, "sensitivity", plate, *SHARES, *more, "--out", out)
+        for words in (
+            "in a group", "2 changes that lower it", "together 'p0_*.R' (2 parameters): ", "4 perturbed systems",
+            "not in the derivatives: branches below flux_threshold",
+        ):  # fmt: skip
+            assert words in printed
+        assert {"draws.csv", "monte_carlo.png", "sensitivity.parquet", "propagation.parquet", "draws.parquet"} <= (
+            names_in(out)
+        )
+        draws = pd.read_parquet(out / "draws.parquet")
+        assert draws.ratio.tolist() == pytest.approx(pd.read_csv(out / "draws.csv").ratio.tolist(), rel=1e-8)
+        assert list(pd.read_csv(out / "sensitivity.csv").change_percent.round(3)) == [20, 20, 5, 5]
+        html = (out / "report.html").read_text(encoding="utf-8")
+        assert html.count("data:image/png") == 2
+
+    def test_a_time_and_a_saved_run(self, capsys: Captured, plate: str, tmp_path: Path) -> None:
+        """What had no time is told; the run goes on in its folder."""
+        out = tmp_path / "out"
+        command = ("sensitivity", plate, *SHARES, "--rays", "2e6", "--out", out, "--json")
+        code, printed, _ = run(capsys, *command, "--monte-carlo", "100000", "--seconds", "5")
+        short = json.loads(printed)
+        assert code == 0
+        assert any("perturbed systems" in text for text in short["not_traced"])
+        code, printed, _ = run(capsys, *command, "--monte-carlo", "3", "--seconds", "0.1", "--resume")
+        assert code == 0
+        assert json.loads(printed)["metric"] == short["metric"]
+
+    def test_a_kind(self, capsys: Captured, plate: str) -> None:
+        more = ("--rays", "64", "--kind", "index", "--no-check", "--metric", "transmission")
+        printed = succeeds(capsys, "sensitivity", plate, *more)
+        assert "index of 1.5" in printed
+        assert "no derivative is known well enough to propose a change" in printed
+
+
+def test_the_scene_of_a_budget_is_that_of_its_table(capsys: Captured, tmp_path: Path) -> None:
+    rough, study, out = write(tmp_path, INPUTS["rough.xml"]), tmp_path / "budget.toml", tmp_path / "out"
+    study.write_text(BUDGET)
+    assert "met by" in succeeds(capsys, "budget", rough, study, "--out", out, "--formats", "parquet")
+    assert {"budget.parquet", "requirements.parquet"} <= names_in(out)
+    record, table = json.loads((out / "budget.json").read_text()), pd.read_csv(out / "budget.csv")
+    assert list(table.surfaces) == ["front", "rear"]
+    assert f'name="rms_nm" value="{record["numbers"][0]["after"]!r}"' in (out / "scene.xml").read_text()
+    again = json_units.read(succeeds(capsys, "budget", out / "scene.xml", study, "--json"))["numbers"]
+    assert [row["before"] for row in again] == pytest.approx(list(table.after), rel=1e-6)
+    study.write_text(BUDGET.replace("1e-4", "1e-12"))
+    assert "times the limit 1e-12" in fails(capsys, "budget", rough, study)
+
+
+class TestThermal:
+    @pytest.fixture
+    def warm(self, tmp_path: Path) -> str:
+        return str(write(tmp_path, INPUTS["warm.xml"]))
+
+    def test_temperatures_of_parts(self, capsys: Captured, warm: str, tmp_path: Path) -> None:
+        command = ("thermal", warm, "--part", "tube=150", "detector=77", "--rays", "2e4", "--out", tmp_path / "out")
+        text = succeeds(capsys, *command)
+        assert "293 K where no other is given, detector at 77 K" in text
+        assert any(line.split()[:3] == ["tube", "tube", "150"] for line in text.splitlines())
+
+    @pytest.mark.long
+    def test_a_time_budget_is_kept_and_the_result_says_so(self, capsys: Captured, warm: str) -> None:
+        began = time.monotonic()
+        code, text, _ = run(capsys, "thermal", warm, "--rays", "1e9", "--seconds", "3", "--json")
+        assert code == 0
+        assert time.monotonic() - began < 15  # others may use the machine, too
+        found = json.loads(text)
+        assert any("rays were traced" in note for note in found["notes"])
+        assert found["total_W_mm2"] > found["total_W_mm2_se"] > 0
+
+    def test_noise(self, capsys: Captured, warm: str, tmp_path: Path) -> None:
+        """NETD in text, JSON and files."""
+        out = tmp_path / "out"
+        pixel = ("--pixel-um", "15", "--bandwidth-hz", "500", "--quantum-efficiency", "0.6")
+        command = ("thermal", warm, *pixel, "--rays", "2e4")
+        text = succeeds(capsys, *command, "--out", out)
+        assert any(line.startswith("NETD by the noise of photons") for line in text.splitlines())
+        assert "NETD by D*" not in text
+        assert (out / "netd.csv").exists()
+        assert "quantum efficiency 0.6" in (out / "report.html").read_text(encoding="utf-8")
+        record = json_units.read(succeeds(capsys, *command, "--detectivity", "1e11", "--json"))["netd"]
+        assert (record["pixel_um"], record["detectivity"]) == (15, 1e11)
+        assert 0 < record["by_photons_K_se"] < 0.05 * record["by_photons_K"]
+        assert record["by_detectivity_K"] == pytest.approx(500**0.5 / 0.015 / 1e12 / record["per_kelvin_W_mm2"])
