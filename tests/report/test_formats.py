@@ -162,9 +162,9 @@ def test_wrong_names_and_files(one: IrradianceMap, tmp_path: Path) -> None:
     ):
         with pytest.raises(MistrayError, match=words):
             read_irradiance(tmp_path / name)
-    for shape, unit, words in (((2, 3), "lx", "give two arrays"), ((2, 2), "W/m2", "'W/m2'")):
+    for shape, its_unit, words in (((2, 3), "lx", "give two arrays"), ((2, 2), "W/m2", "'W/m2'")):
         with pytest.raises(MistrayError, match=words):
-            IrradianceMap(np.zeros((2, 2)), np.zeros(shape), EXTENT, unit=unit)
+            IrradianceMap(np.zeros((2, 2)), np.zeros(shape), EXTENT, unit=its_unit)
 
 
 def test_formats_are_written_by_name(trace: FakeTrace, one: IrradianceMap, tmp_path: Path) -> None:
