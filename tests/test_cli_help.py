@@ -73,7 +73,7 @@ def test_examples_of_the_program() -> None:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_commands_and_options_are_explained(name: str) -> None:
-    """A sentence or more on what it does, and the line in the list of commands without a full stop; units stand there."""
+    """A sentence or more on what it does; the line in the list of commands has no full stop; units stand there."""
     parser = COMMANDS[name]
     assert (parser.description or "").strip().endswith((".", ")"))
     listed = program._parser()._subparsers._group_actions[0]._choices_actions

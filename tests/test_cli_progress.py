@@ -38,9 +38,14 @@ def test_what_takes_long_says_so_and_leaves_nothing_behind(monkeypatch: pytest.M
     with progress_bar(argparse.Namespace(quiet=True)) as progress:
         assert progress is None
     assert terminal.getvalue() == ""
-    with pytest.raises(ValueError, match="broken"), working("loading phone_camera"):
-        time.sleep(0.3)
-        raise ValueError("broken")
+
+    def fails() -> None:
+        with working("loading phone_camera"):
+            time.sleep(0.3)
+            raise ValueError("broken")
+
+    with pytest.raises(ValueError, match="broken"):
+        fails()
     written = terminal.getvalue()
     assert "loading phone_camera … 00:00" in written
     assert written.rstrip(" ").endswith("\r")
