@@ -12,7 +12,6 @@ from typing import Any
 import mitsuba as mi
 import pytest
 
-import mistray  # registers the plugins
 from mistray._variant import plugin_modules
 from mistray.scatter.kinds import KINDS
 from mistray.scene.messages import parameters as names_for_messages
@@ -233,23 +232,3 @@ def test_table_knows_what_is_differentiable(recipe: dict[str, Any], files: None)
 def differentiable(offered: Any, key: str) -> bool:
     """Whether Mitsuba may put a gradient on a parameter."""
     return not offered.flags(key) & mi.ParamFlags.NonDifferentiable.value
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (("default   meaning", "standard  meaning"), "the columns of a table"),
-        ((".. code-block:: xml", ".. code-block:: text"), "has no xml"),
-    ],
-)
-def test_a_docstring_that_cannot_be_read_is_named(change: tuple[str, str], message: str, tmp_path: Path) -> None:
-    source = (ROOT / "plugins" / "shapes" / "asphere.py").read_text(encoding="utf-8")
-    assert source.count(change[0]) == 1
-    wrong = tmp_path / "asphere.py"
-    wrong.write_text(source.replace(*change), encoding="utf-8")
-    with pytest.raises(ValueError, match=message):
-        PAGES._manual("shapes", wrong)
-
-
-def test_variant_is_one_with_gradients() -> None:
-    assert "ad" in mistray.ensure_variant()

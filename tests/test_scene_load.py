@@ -86,8 +86,6 @@ def test_a_file_wins_over_a_shipped_name(tmp_path: Path, monkeypatch: pytest.Mon
     assert "my_rear" in names
 
 
-
-
 def test_an_interrupt_while_a_plugin_is_made_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """Mitsuba makes a RuntimeError of it."""
 
@@ -99,20 +97,6 @@ def test_an_interrupt_while_a_plugin_is_made_is_one(monkeypatch: pytest.MonkeyPa
         mistray.load("plate")
     with pytest.raises(KeyboardInterrupt):
         mistray.load({"type": "scene", "a": {"type": "asphere"}})
-
-
-def test_coating_tables_lie_beside_the_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A relative path is relative to the scene file, not to the working directory."""
-    folder = tmp_path / "lens"
-    folder.mkdir()
-    (folder / "coat.csv").write_text("wavelength_nm,angle_deg,R,T\n550,0,.2,.7\n550,90,.2,.7\n", encoding="utf-8")
-    text = find("plate").read_text(encoding="utf-8")
-    text = text.replace('<string name="back" value="1.5"/>', '<string name="back" value="1.5"/>'
-                        '<string name="table" value="coat.csv"/>', 1)  # fmt: skip
-    (folder / "scene.xml").write_text(text, encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    t = mistray.trace(mistray.load("lens/scene.xml"), rays=100, max_reflections=0)
-    assert t.paths[0].power_W / t.energy.launched_W == pytest.approx(0.7 * 0.96, rel=1e-6)
 
 
 def test_scenes_are_loaded_one_shape_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -134,21 +118,6 @@ def test_scenes_are_loaded_one_shape_after_the_other(monkeypatch: pytest.MonkeyP
     for _ in range(3):
         mistray.load("newtonian")
     assert depth["most"] == 1
-
-
-def test_merged_shapes_keep_their_names() -> None:
-    """Mitsuba's scene optimisation would make one nameless mesh of these."""
-    black = {"type": "interface", "R": 0.0}
-    scene = mistray.load(
-        {
-            "type": "scene",
-            **{
-                f"disk_{z}": {"type": "disk", "to_world": mi.ScalarTransform4f().translate([0, 0, z]), "bsdf": black}
-                for z in range(3)
-            },
-        }
-    )
-    assert [shape.id() for shape in scene.shapes()] == ["disk_0", "disk_1", "disk_2"]
 
 
 def test_a_sky_of_an_exr_file_is_read_with_one_thread(tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ import scene_dicts
 
 import mistray
 from mistray._mitsuba_compat import mesh_arrays
-from mistray.physics.geometry.pose import moved
 from mistray.surfaces.surfaces import SurfaceTable
 
 GLASS = {"type": "interface", "back": "1.5"}
@@ -112,14 +111,3 @@ def test_values() -> None:
     for key, value, words in (("x", float("inf"), "x is inf"), ("tilt_z", "5 deg", "tilt_z is '5 deg'")):
         with pytest.raises(Exception, match=f"shape 'S': {words}"):
             mi.load_dict(SHAPES["asphere"] | {"id": "S", key: value})
-
-
-def test_moved_is_a_rigid_motion() -> None:
-    rng = np.random.default_rng(4)
-    for _ in range(20):
-        frame = moved(np.eye(4), *rng.uniform(-5, 5, 3), *rng.uniform(-180, 180, 3))
-        again = moved(frame, *rng.uniform(-5, 5, 3), *rng.uniform(-180, 180, 3))
-        np.testing.assert_allclose(again[:3, :3] @ again[:3, :3].T, np.eye(3), atol=1e-14)
-        assert np.linalg.det(again[:3, :3]) == pytest.approx(1.0)
-    up = moved(np.eye(4), 1, 2, 3, 90, 0, 0)  # right-handed: y goes to z
-    np.testing.assert_allclose(up @ [0, 1, 0, 1], [1, 2, 4, 1], atol=1e-15)

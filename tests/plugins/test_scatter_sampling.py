@@ -35,6 +35,10 @@ SAMPLES = 200_000
 FALSE_ALARM = 1e-3 / 70
 BY_ANGLE = ("particulate", "phong")  # lobes about a direction, not about its direction cosines
 OCTAVES = {"abg_narrow": 19}  # of r below 2 that are tested, else 14
+TYPES = [
+    getattr(mi.BSDFFlags, kind).value
+    for kind in ("DeltaReflection", "DeltaTransmission", "GlossyReflection", "GlossyTransmission")
+]  # of components
 CASES = [
     (name, event, angle, True, IMPORTANCE)
     for name, model in MODELS.items()
@@ -138,37 +142,22 @@ def test_a_wrong_density_fails(name: str, key: str, factor: float) -> None:
     assert p < 1e-9, f"a wrong {key} went unnoticed: p = {p:.2g}"
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("name", MODELS)
-@pytest.mark.parametrize("mode", [IMPORTANCE, RADIANCE])
-def test_weight_value_and_density_agree(name: str, mode: Any) -> None:
-    """Weight · pdf = eval, pdf as in `pdf` and `eval_pdf`, for every direction that was drawn."""
-    bsdf, count = surface(MODELS[name]), 20_000
-    for angle, front in ((0.0, True), (45.0, True), (45.0, False), (85.0, False)):
-        wi, ctx = direction(angle, front), context(mode)
-        sample, weight = draw(bsdf, wi, ctx, count, 3)
-        kind = np.array(sample.sampled_component)
-        assert set(kind) <= {0, 1, 2, 3}
-        scattered = (kind >= 2) & (weight > 0)
-        # Particles lie in front, and an edge diffracts what is transmitted: nothing is scattered inside of the glass
-        assert scattered.any() or name in ("particulate", "edge_diffraction")
-        si = interaction(wi, count)
-        value, pdf = bsdf.eval_pdf(ctx, si, sample.wo)
-        np.testing.assert_array_equal(np.array(pdf), np.array(bsdf.pdf(ctx, si, sample.wo)))
-        np.testing.assert_array_equal(np.array(value), np.array(bsdf.eval(ctx, si, sample.wo)))
-        np.testing.assert_allclose(np.array(sample.pdf)[scattered], np.array(pdf)[scattered], rtol=1e-5)
-        values = np.array(value, dtype=float)[0]
-        np.testing.assert_allclose((weight * np.array(sample.pdf))[scattered], values[scattered], rtol=1e-4)
-        norms = np.linalg.norm(np.array(sample.wo, dtype=float), axis=0)
-        np.testing.assert_allclose(norms[weight > 0], 1, atol=1e-6)
-        z = np.array(sample.wo)[2]
-        side = np.where((kind == 0) | (kind == 2), np.sign(wi[2]), -np.sign(wi[2]))
-        assert np.all((np.sign(z) == side)[weight > 0])
-        types = {
-            0: mi.BSDFFlags.DeltaReflection, 1: mi.BSDFFlags.DeltaTransmission,
-            2: mi.BSDFFlags.GlossyReflection, 3: mi.BSDFFlags.GlossyTransmission,
-        }  # fmt: skip
-        assert all(int(t) == types[k].value for t, k in zip(np.array(sample.sampled_type), kind, strict=True))
+def assert_agree(bsdf: Any, wi: np.ndarray, mode: Any, count: int = 20_000) -> None:
+    """Weight · pdf = eval, pdf as in `pdf` and `eval_pdf`, for every direction that was drawn; on the right side."""
+    ctx, si = context(mode), interaction(wi, count)
+    sample, weight = draw(bsdf, wi, ctx, count, 3)
+    kind, wo = np.array(sample.sampled_component), np.array(sample.wo, dtype=float)
+    value, pdf = bsdf.eval_pdf(ctx, si, sample.wo)
+    np.testing.assert_array_equal(np.array(pdf), np.array(bsdf.pdf(ctx, si, sample.wo)))
+    np.testing.assert_array_equal(np.array(value), np.array(bsdf.eval(ctx, si, sample.wo)))
+    scattered = (kind >= 2) & (weight > 0)
+    np.testing.assert_allclose(np.array(sample.pdf)[scattered], np.array(pdf)[scattered], rtol=1e-5)
+    values = np.array(value, dtype=float)[0]
+    np.testing.assert_allclose((weight * np.array(sample.pdf))[scattered], values[scattered], rtol=1e-4)
+    np.testing.assert_allclose(np.linalg.norm(wo, axis=0)[weight > 0], 1, atol=1e-6)
+    side = np.where(kind % 2 == 0, np.sign(wi[2]), -np.sign(wi[2]))
+    assert np.all((np.sign(wo[2]) == side)[weight > 0])
+    assert np.array_equal(np.array(sample.sampled_type), np.array(TYPES)[kind])
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -190,6 +179,8 @@ def test_every_component_scatters_its_share(name: str) -> None:
             sums.scattered("reflection", np.array(R))[0],
             sums.scattered("transmission", np.array(T))[0],
         ]
+        for mode in (IMPORTANCE, RADIANCE):
+            assert_agree(bsdf, wi, mode)
         sample, weight = draw(bsdf, wi, context(IMPORTANCE), count, 7)
         kind = np.array(sample.sampled_component)
         for component, share in enumerate(shares):

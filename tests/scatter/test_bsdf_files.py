@@ -98,16 +98,6 @@ class TestZemax:
         totals = [float(line.split()[1]) for line in (tmp_path / "a.bsdf").read_text().splitlines() if "TIS" in line]
         assert totals == pytest.approx([0.3, 0.3], rel=1e-3)
 
-    def test_full_circle(self, tmp_path: Path) -> None:
-        rows = "1 1 1 1\n" * 5
-        text = LAMBERT.replace("PlaneSymmetrical", "Asymmetrical")
-        text = text.replace("ScatterAzimuth 3\n0 90 180", "ScatterAzimuth 5\n0 90 180 270 360")
-        start, end = text.index("TIS"), text.index("DataEnd")
-        text = text[:start] + "TIS 1\n" + rows + "TIS 1\n" + rows + text[end:]
-        assert read_zemax_bsdf(write(tmp_path / "a.bsdf", text)).values.shape == (2, 3, 4)
-        with pytest.raises(MistrayError, match="azimuths 90 and 270° differ by 1 1/sr"):
-            read_zemax_bsdf(write(tmp_path / "b.bsdf", text.replace("1 1 1 1\n1 1 1 1", "1 1 1 1\n2 2 2 2", 1)))
-
     @pytest.mark.parametrize(
         ("old", "new", "words"),
         [

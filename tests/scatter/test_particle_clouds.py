@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mistray.errors import MistrayError
 from mistray.physics import contamination
 from mistray.scatter import particle_clouds
 from mistray.scatter.particle_clouds import kept_cloud
@@ -60,26 +59,6 @@ def test_every_argument_counts(place: int, monkeypatch: pytest.MonkeyPatch) -> N
     kept_cloud(*SMALL)
     kept_cloud(*other)
     assert done == [SMALL, tuple(other)]
-
-
-def test_the_code_counts(monkeypatch: pytest.MonkeyPatch) -> None:
-    done = _computed(monkeypatch)
-    kept_cloud(*SMALL)
-    _forget()
-    monkeypatch.setattr(particle_clouds, "code_fingerprint", lambda: "other code")
-    kept_cloud(*SMALL)
-    assert len(done) == 2
-
-
-def test_impossible_distributions_are_refused_as_before() -> None:
-    with pytest.raises(MistrayError, match="cleanliness level 0"):
-        kept_cloud(0.55, 1.53 + 0j, 0.0, 0.926, 1.0, None, 1.0)
-
-
-def test_switched_off(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MISTRAY_CACHE", "off")
-    kept_cloud(*SMALL)
-    assert not folder.exists()
 
 
 @pytest.mark.parametrize("content", [None, b"null", b"{}", b"[1, 1, []]", b"[1, 2, [0]]", b"[NaN, 0, [0]]", b"\xff"])

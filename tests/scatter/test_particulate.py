@@ -118,13 +118,6 @@ def test_without_absorption_nothing_is_lost_at_normal_incidence() -> None:
     assert absorbed[0] == pytest.approx(0, abs=2e-6)
 
 
-def test_coverage_instead_of_a_level() -> None:
-    covered = Particulate(coverage_percent=0.02530928)
-    assert covered.cleanliness == pytest.approx(300, rel=1e-6)
-    level = Particulate(level=300.0).cloud(WAVELENGTH_NM)
-    assert covered.cloud(WAVELENGTH_NM).extinction == pytest.approx(level.extinction, rel=1e-6)
-
-
 def test_particles_of_a_file_that_changes_are_computed_again(tmp_path: Path) -> None:
     """In one process, under the same name."""
     file = tmp_path / "soot.csv"

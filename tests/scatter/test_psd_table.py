@@ -69,11 +69,6 @@ def test_above_the_last_frequency() -> None:
     assert PsdTable(*values).lobes(2001.0, 1.0, 1.0, True)
 
 
-def test_too_rough() -> None:
-    with pytest.raises(MistrayError, match=r"is not smooth in reflection at 550 nm .*use a paint or a table"):
-        PsdTable.read(POLISH, scale=100.0).lobes(550.0, 1.0, 1.5, True)
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -73,16 +73,6 @@ class TestValues:
             expected = lobe_total(truth.lobes(550, 1, 1.5, True)[0], cosine, 1, 1.5)
             np.testing.assert_allclose(lobe_total(lobe, cosine, 1, 1.5), expected, rtol=tolerance)
 
-    def test_the_peak_moves_with_the_specular_direction(self) -> None:
-        """Half way between two angles of the table there is one peak, where the light is reflected."""
-        truth = ABg(0.0025, 0.001, 1.8)
-        model = Tabulated(table(truth, [0, 30, 60], "specular"))
-        theta = np.radians(np.linspace(0, 80, 1601))
-        line = np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=-1)
-        f = values(model, 45.0, line)
-        assert np.degrees(theta[f.argmax()]) == pytest.approx(45, abs=0.2)
-        assert f[np.abs(np.degrees(theta) - 30) < 1].max() < 0.1 * f.max()
-
     def test_follows_the_angle_of_incidence(self) -> None:
         """A surface that scatters more at oblique incidence, Lambertian otherwise."""
         empty = samples("normal", lambda d: np.full(d.shape[:-1], 1.0))
@@ -91,12 +81,6 @@ class TestValues:
         for angle, tolerance in ((0.0, 1e-9), (35.0, 0.02), (65.0, 0.02)):
             np.testing.assert_allclose(values(model, angle, directions()), (0.1 + angle / 100) / np.pi, rtol=tolerance)
         np.testing.assert_allclose(values(model, 89.0, directions()), (0.1 + 0.8) / np.pi, rtol=1e-9)  # held
-
-    def test_side_of_the_specular_direction(self) -> None:
-        """A table with forward scatter only: nothing comes back towards the source."""
-        model = Tabulated(samples("normal", lambda d: np.where(d[..., 0] > 0.05, 0.1, 0.0)))
-        line = np.array([[0.5, 0.0, np.sqrt(0.75)], [-0.5, 0.0, np.sqrt(0.75)]])
-        assert values(model, 30.0, line) == pytest.approx([0.1, 0.0], rel=1e-6)
 
 
 class TestCover:
@@ -175,11 +159,6 @@ class TestPlacement:
         with pytest.raises(MistrayError, match="the table holds reflection, the event is 'transmission'"):
             Tabulated(brdf, event="transmission")
         assert Tabulated(brdf, side="back").lobes(550, 1, 1.5, True) == ()
-
-    def test_is_absolute(self) -> None:
-        full = samples("normal", lambda d: np.full(d.shape[:-1], 0.1))
-        assert Tabulated(full).lobes(550, 1, 1.5, True)[0].shares == (1.0, 0.0, 0.0)
-        assert Tabulated(full, relative_to="specular").lobes(550, 1, 1.5, True)[0].shares == (0.0, 1.0, 0.0)
 
     def test_equal_by_content(self) -> None:
         """Models are keys of caches: two tables with the same options are two models."""

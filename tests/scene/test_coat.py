@@ -13,7 +13,7 @@ from command_line import Captured, fails, run, succeeds
 import mistray
 from mistray.coatings import fitted_preset
 from mistray.errors import MistrayError
-from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, Stop, Surface
+from mistray.prescription import Detector, Prescription, Source, Stop, Surface
 from mistray.scene import Rules, find, write_coated
 from mistray.scene.source import source_of
 
@@ -138,12 +138,6 @@ class TestPatterns:
         films = bsdfs(mistray.load(shared))
         assert [layer.thickness_nm for layer in films["B_rear"].coating.layers] == [100]
         assert [layer.thickness_nm for layer in films["A front"].coating.layers] == [90]
-
-    def test_objects_of_python(self) -> None:
-        ar, rough = Coating(preset="v_coat"), Scatter("harvey_shack", {"rms_nm": 2.0})
-        system = mistray.coat(lens(), {"B": ar}, scatter={"B": rough})
-        assert system.surfaces[2].coating == ar
-        assert system.surfaces[2].scatter == (rough,)
 
     def test_files_lie_where_they_are(self, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         """Paths count from the current folder; the new scene finds them from its own."""

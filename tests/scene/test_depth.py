@@ -107,13 +107,6 @@ def test_other_numbers_are_taken_as_they_are(tmp_path: Path, text: str) -> None:
     assert mistray.load(scene_of(tmp_path, text)) is not None
 
 
-def test_a_point_of_a_stock_plugin_needs_its_numbers(tmp_path: Path) -> None:
-    for attributes in ('x="" y="0" z="0"', 'value="1 2"', 'value=""'):
-        assert "'lamp'" in refusal(
-            tmp_path, f'<emitter type="point" id="lamp"><point name="position" {attributes}/></emitter>'
-        )
-
-
 def test_includes_that_multiply(tmp_path: Path) -> None:
     """Fourteen files of two kilobytes, six includes each: 1.6e10 files; Mitsuba would not end."""
     for k in range(14):
@@ -167,15 +160,6 @@ def test_large_files_are_not_read(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_messages(tmp_path: Path, text: str, words: str) -> None:
     assert words in refusal(tmp_path, text)
-
-
-@pytest.mark.parametrize(("value", "words"), [("-5", "width: value -5 is out of bounds"), ("1e99", "width is '1e99'")])
-def test_numbers_that_a_stock_plugin_refuses(tmp_path: Path, value: str, words: str) -> None:
-    film = f'<film type="hdrfilm"><integer name="width" value="{value}"/></film>'
-    said = refusal(tmp_path, LENS.format(f'<sensor type="irradiancemeter">{film}</sensor>'))
-    assert "hdrfilm of irradiancemeter of shape 'L1'" in said
-    assert words in said
-    assert "properties.h" not in said
 
 
 def test_numbers_of_dicts(tmp_path: Path) -> None:

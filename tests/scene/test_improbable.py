@@ -58,13 +58,6 @@ def test_names_surface_value_and_range() -> None:
         assert "\n" not in text
 
 
-def test_a_shared_model_speaks_once() -> None:
-    given = scene(*[{"type": "ref", "id": "polish"}] * 5)
-    found = told({"polish": {"type": "abg", "A": 1e-4, "B": 1e-3, "g": 1.8}, **given})
-    assert len(found) == 1
-    assert "and 2 more" in found[0]
-
-
 @pytest.mark.parametrize("name", shipped_scenes())
 def test_shipped_scenes_are_probable(name: str) -> None:
     """But for one, whose A, B and g are those that the webinar plots, outside of what it calls typical."""
@@ -81,3 +74,10 @@ def test_the_command_line_shows_it(tmp_path: Path, capsys: pytest.CaptureFixture
     file = write(tmp_path, scene_text(shape_xml("asphere", "wall", 9.0, wall, sensor=True, semi_diameter=1.0)))
     code, _, err = run(capsys, "ghosts", file, "--rays", "100", "--quiet")
     assert (code, err.count("mistray: warning: surface 'wall': ABg")) == (0, 1)
+
+
+def test_a_shared_model_speaks_once() -> None:
+    given = scene(*[{"type": "ref", "id": "polish"}] * 5)
+    found = told({"polish": {"type": "abg", "A": 1e-4, "B": 1e-3, "g": 1.8}, **given})
+    assert len(found) == 1
+    assert "and 2 more" in found[0]

@@ -13,7 +13,6 @@ import pytest
 
 import mistray
 from mistray import Metric, MistrayError
-from mistray.scene.load import find
 
 T = mi.ScalarTransform4f
 WALL = {"type": "interface", "R": 0.1}
@@ -35,17 +34,6 @@ def lens(**others: Any) -> dict[str, Any]:
         "beam": {"type": "collimated", "radius": 5.0, "to_world": T().translate([0, 0, -20]), "wavelength_nm": "550"},
         **others,
     }  # fmt: skip
-
-
-def test_a_scene_of_one_surface_keeps_it() -> None:
-    tube, plane = (
-        {"type": "frustum", "r0": 5.0, "z0": 0.0, "r1": 5.0, "z1": 9.0},
-        {"type": "asphere", "semi_diameter": 5.0},
-    )
-    for described in (tube, plane):
-        (shape,) = mi.load_dict({"type": "scene", "tube": described | {"bsdf": WALL}}).shapes()
-        assert shape.id() == "tube"
-        assert shape.values == mistray.load({"type": "scene", "tube": described | {"bsdf": WALL}}).shapes()[0].values
 
 
 def test_parts_from_cad_keep_their_names_and_parts(tmp_path: Path) -> None:
@@ -73,17 +61,6 @@ def test_exact_surfaces_beside_stock_meshes_are_traced_as_they_are() -> None:
         images.append((t.paths[0].power_W, t.paths[0].rms_radius_mm))
     assert images[1] == pytest.approx(images[0], rel=1e-6)
     assert images[0][1] < 0.05  # mm; a lens of facets spreads its light over more than a millimetre
-
-
-def test_a_shipped_scene_by_load_file() -> None:
-    """Merged, its spot was 1.4 mm wide."""
-    given = mistray.load("newtonian")
-    opened = mi.load_file(str(find("newtonian")), parallel=False)
-    assert [shape.id() for shape in opened.shapes()] == [shape.id() for shape in given.shapes()]
-    ours, theirs = (mistray.trace(scene, rays=2000, max_scatters=0).paths[0] for scene in (given, opened))
-    assert theirs.rms_radius_mm == pytest.approx(ours.rms_radius_mm, rel=1e-6)
-    assert theirs.rms_radius_mm < 1e-3
-    assert theirs.power_W == pytest.approx(ours.power_W, rel=1e-6)
 
 
 def test_renders_and_gradients_of_a_scene_by_load_dict() -> None:

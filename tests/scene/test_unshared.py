@@ -60,16 +60,6 @@ def test_every_surface_has_its_own(source: Path) -> None:
     assert "AR.thickness_nm" in after  # a coating stays shared
 
 
-def test_the_light_is_the_same(source: Path) -> None:
-    settings = {"rays": 2000, "max_reflections": 1}
-    powers = []
-    for own in (False, True):
-        path = source.parent / f"{own}.xml"
-        path.write_text(SceneText(source, own).text(source.parent), encoding="utf-8")
-        powers.append(mistray.trace(mistray.load(path), **settings).energy.detected_W)
-    assert powers[1] == pytest.approx(powers[0], rel=1e-6)
-
-
 @pytest.mark.parametrize(
     ("key", "value"),
     [

@@ -67,19 +67,6 @@ def test_no_segment_meets_a_shape(tmp_path, shift: float) -> None:
     assert not np.any(np.array(table.free_space.holds(origin, d, dr.full(mi.Float, dr.inf, len(o)))))
 
 
-def test_same_light(tmp_path, monkeypatch) -> None:
-    """A trace finds the same hits whether segments are left out or all of them are looked up."""
-    (tmp_path / "scene.xml").write_text(housing_text(tmp_path))
-    scene = mistray.load(tmp_path / "scene.xml")
-    settings = {"rays": 20_000, "field_deg": 9.0, "max_reflections": 3}
-    left_out = mistray.trace(scene, **settings)
-    monkeypatch.setattr("mistray.surfaces.free_space.FreeSpace.holds", lambda *_: mi.Bool(False))
-    whole = mistray.trace(scene, **settings)
-    assert left_out.energy.absorbed["housing"][0] > 0
-    assert [row.hits for row in left_out.surfaces] == [row.hits for row in whole.surfaces]
-    np.testing.assert_allclose(left_out.irradiance, whole.irradiance, rtol=1e-12)
-
-
 def test_a_shape_on_the_axis(load_text) -> None:
     """Where a stock shape stands across the axis there is nothing to leave out but what lies beside it along z."""
     disc = '<shape type="disk" id="disc"><transform name="to_world"><scale value="2"/><translate z="5"/></transform>'

@@ -17,7 +17,6 @@ import mistray
 from mistray import MistrayError
 from mistray.physics.geometry.outline import Figure, Outline
 from mistray.physics.sags.terms import sag
-from mistray.physics.sags.zernike import fringe_orders, noll_orders, polynomial
 from mistray.prescription import read_grid
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.surfaces import SurfaceTable
@@ -158,33 +157,6 @@ def test_light_the_other_way_goes_through() -> None:
     for meets, hits in (("both", ["shape", "shape"]), ("+z", ["shape", ""]), ("-z", ["detector", "shape"])):
         _, ids = kernel_hits(scene({"type": "freeform", "semi_diameter": 2.0, "meets": meets}), o, d)
         assert ids == hits
-
-
-def test_zernikes_are_orthogonal_and_in_order() -> None:
-    assert [noll_orders(j) for j in (1, 2, 3, 4, 5, 6, 11, 22)] == [
-        (0, 0), (1, 1), (1, -1), (2, 0), (2, -2), (2, 2), (4, 0), (6, 0),
-    ]  # fmt: skip
-    assert [fringe_orders(j) for j in (1, 4, 9, 16, 25, 36, 37)] == [(2 * k, 0) for k in range(7)]
-    x, y = np.meshgrid(*2 * [np.linspace(-1, 1, 801)])
-    disc = x * x + y * y <= 1
-    a, b = (polynomial(*noll_orders(j), x[disc], y[disc]) for j in (8, 16))
-    assert abs(np.mean(a * b)) < 1e-2 * math.sqrt(np.mean(a * a) * np.mean(b * b))
-
-
-def test_the_kernels_numbers_move_as_the_formula_does() -> None:
-    numbers = {"curvature": 1 / 80, "zernike_6": 0.02, "zernike_7": 0.0, "zernike_11": 1e-3, "zernike_radius": 11.0}
-
-    shape = scene({"type": "freeform", "semi_diameter": 10.0, **numbers}).shapes()
-    piece = next(s for s in shape if s.id() == "shape")
-    assert set(numbers) - {"zernike_radius"} <= set(piece.differentiable)
-    x, y = np.random.default_rng(5).uniform(-6, 6, (2, 50))
-    for name in ("curvature", "zernike_6", "zernike_7"):
-        step = piece.step(name)
-        more, less = (piece.surface({**piece.values, name: piece.values[name] + s * step}) for s in (1, -1))
-        found = (more._sag(x, y)[0] - less._sag(x, y)[0]) / (2 * step)
-        high, low = (sag(x, y, {**numbers, name: numbers[name] + s * step}) for s in (1, -1))
-        formula = (high - low) / (2 * step)
-        np.testing.assert_allclose(found, formula, rtol=1e-4, atol=1e-4 * np.abs(formula).max())
 
 
 CROSSING = {"x1": 0.0, "y1": 0.0, "x2": 4.0, "y2": 4.0, "x3": 4.0, "y3": 0.0, "x4": 0.0, "y4": 4.0}

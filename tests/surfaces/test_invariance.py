@@ -7,7 +7,6 @@ import re
 from pathlib import Path
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from tiers import slow_unless
 
 import mistray
 from mistray.execute import tracer
-from mistray.recorders.path_key import FIRST_KEY, MULTIPLIER, extend_key
+from mistray.recorders.path_key import FIRST_KEY, MULTIPLIER
 
 SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*/scene.xml"))
 # Lenses, mirrors, walls and scatter; all others are slow
@@ -195,12 +194,3 @@ class TestLedger:
         run.ledger.events = mi.UInt32(events)
         with pytest.raises(mistray.MistrayError, match=rf"1 of {len(run.paths.keys)} event lists do not match"):
             run.ledger.decode()
-
-    def test_keys_do_not_collide(self) -> None:
-        """300 000 paths of four events on 20 surfaces."""
-        rng = np.random.default_rng(1)
-        lists = np.unique(rng.integers(0, 80, (300_000, 4), dtype=np.uint32), axis=0)
-        key = dr.full(mi.UInt64, FIRST_KEY, len(lists))
-        for k in range(4):
-            key = extend_key(key, mi.UInt32(np.ascontiguousarray(lists[:, k])))
-        assert len(np.unique(np.array(key))) == len(lists)

@@ -18,7 +18,6 @@ from oracles.small_scenes import scene_text, shape_xml
 import mistray
 from mistray.optimize import path_power
 from mistray.surfaces import shell_tree
-from mistray.surfaces.host_rays import first_hit
 from mistray.surfaces.surfaces import SurfaceTable
 
 RADIUS, LENGTH = 20.0, 100.0
@@ -102,37 +101,6 @@ def test_surfaces_of_all_kinds_in_a_tree_stop_the_same_light(
     launched = unrolled.energy.launched_W
     for name, (power, _) in unrolled.energy.absorbed.items():
         assert looped.energy.absorbed[name][0] == pytest.approx(power, abs=2e-4 * launched), name
-
-
-def test_rays_of_the_host_meet_the_same_surfaces_through_a_tree(
-    load: Callable[[str], mi.Scene], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scene = load(cups(60))
-    rng = np.random.default_rng(2)
-    o = rng.uniform((-20, -20, 0), (20, 20, 100), (5000, 3))
-    d = rng.normal(size=(5000, 3))
-    d /= np.linalg.norm(d, axis=1, keepdims=True)
-    d[:50] = 0, 0, 1
-    last = np.full(len(o), -1)
-    unrolled = first_hit(SurfaceTable(scene, 550.0), o, d, last)
-    monkeypatch.setattr(shell_tree, "MOST_UNROLLED", 0)
-    monkeypatch.setattr(shell_tree, "MOST_ASPHERES", 0)
-    looped = first_hit(SurfaceTable(scene, 550.0), o, d, last)
-    assert np.sum(unrolled[0] >= 0) > 400
-    np.testing.assert_array_equal(looped[0], unrolled[0])
-    np.testing.assert_allclose(looped[1], unrolled[1], rtol=0, atol=1e-12)
-
-
-def test_more_than_thirty_two_aspheres_are_all_met(load: Callable[[str], mi.Scene]) -> None:
-    """A row of weak ideal aspheres passes the light that one passes; each is met by every ray."""
-    clear = '<bsdf type="interface"><float name="R" value="0"/><float name="T" value="1"/></bsdf>'
-    row = "".join(
-        shape_xml("asphere", f"pane_{k}", 10.0 + 2.0 * k, clear, radius=1e5, semi_diameter=18.0, a4=1e-9)
-        for k in range(40)
-    )
-    trace = mistray.trace(load(row), rays=5000, seed=1)
-    assert trace.segments == 5000 * 41
-    assert trace.energy.detected_W == pytest.approx(trace.energy.launched_W, rel=1e-6)
 
 
 @pytest.mark.long
