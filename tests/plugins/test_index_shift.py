@@ -74,26 +74,6 @@ def test_two_shifts_are_two_media() -> None:
     assert front.complex_indices(500.0)[1] == rear.complex_indices(500.0)[0] + SHIFT
 
 
-@pytest.mark.parametrize("name", COATINGS)
-def test_stock_integrators_see_it(name: str) -> None:
-    ours, theirs = (mi.load_dict({"type": "interface", **COATINGS[name], "back": n}) for n in ("1.5", "1.625"))
-    si = dr.zeros(mi.SurfaceInteraction3f, 50)
-    si.wi = mi.warp.square_to_uniform_sphere(mi.Point2f(np.random.default_rng(1).random((2, 50)).astype(np.float32)))
-    u = mi.Float(np.random.default_rng(2).random(50).astype(np.float32))
-
-    def sampled(bsdf: mi.BSDF) -> list[np.ndarray]:
-        bs, weight = bsdf.sample(mi.BSDFContext(), si, u, mi.Point2f(0.5, 0.5))
-        return [np.array(bs.wo), np.array(bs.eta), np.array(weight)]
-
-    before = sampled(ours)
-    params = mi.traverse(ours)
-    params["n_back_shift"] = mi.Float(SHIFT)
-    params.update()
-    for mine, his in zip(sampled(ours), sampled(theirs), strict=True):
-        np.testing.assert_allclose(mine, his, atol=1e-7)
-    assert np.any(before[0] != sampled(ours)[0])
-
-
 def test_bad_updates_leave_everything() -> None:
     bsdf = mi.load_dict({"type": "interface", "id": "face", "back": "1.5", "R": 0.1, "T": 0.8})
     params = mi.traverse(bsdf)

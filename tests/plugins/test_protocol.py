@@ -70,11 +70,6 @@ def test_normals_of_the_meshes_are_those_of_the_surfaces(scene: mi.Scene) -> Non
     assert float(inside.n.x[0]) > 0.9
 
 
-def test_stock_particle_tracer_runs_with_the_beam(scene: mi.Scene) -> None:
-    image = np.array(mi.render(scene, integrator=mi.load_dict({"type": "ptracer", "max_depth": 4}), spp=2))
-    assert np.all(np.isfinite(image))
-
-
 @pytest.mark.parametrize(
     ("values", "words"),
     [

@@ -119,12 +119,8 @@ def test_chi_square_of_a_table_and_of_several_models(tmp_path: Path) -> None:
     ("name", "key", "factor"),
     [
         ("abg", "B", 1.3),
-        ("abg", "g", 1.05),
         ("abg_narrow", "B", 1.3),
-        ("edge_diffraction", "width_mm", 1.3),
-        ("harvey_shack", "l", 1.3),
         ("k_correlation", "B_um", 1.3),
-        ("rayleigh_rice", "slope", 1.1),
         ("gaussian_lobe", "width", 1.1),
         ("phong", "exponent", 1.1),
         ("polynomial", "l10", 1.3),

@@ -53,12 +53,6 @@ def test_half_of_the_runs_hit() -> None:
         assert abs(hit.mean() - exact) < 4.4 * math.sqrt(exact * (1 - exact) / 20_000)
 
 
-def test_a_lambertian_and_a_share_of_the_coating() -> None:
-    white = ABg(0.5 / math.pi, 0.0, 0.0, event="reflection")
-    assert chance(white, -60.0, 1e-3, incidence_deg=40.0).of_scatter == pytest.approx(0.5 / math.pi * 0.5 * 1e-3)
-    assert chance(ABg(0.0, 1.0, 2.0), 10.0, 1e-3).rays_for_one_hit == math.inf
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

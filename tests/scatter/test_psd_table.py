@@ -79,7 +79,6 @@ def test_above_the_last_frequency() -> None:
         ("frequency_1_um,psd_um4\n1,1\n", "1 frequencies and 1 values; give two or more"),
         ("frequency_1_um,psd_um4\n2,1\n1,1\n", "the frequencies must be above 0 and ascend"),
         ("frequency_1_um,psd_um4\n1,1\n2,0\n", "spectrum 0 µm⁴ at 2 1/µm; give values > 0"),
-        ("frequency_1_um,psd_um4\n1,1e308\n2,1\n", "spectrum 1e\\+308 µm⁴ at 1 1/µm"),
     ],
 )
 def test_refuses(tmp_path: Path, text: str, message: str) -> None:

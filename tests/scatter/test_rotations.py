@@ -10,7 +10,6 @@ from oracles import brushed
 
 from mistray.errors import MistrayError
 from mistray.scatter.evaluate import bsdf
-from mistray.scatter.measured.bsdf_csv import read_bsdf_csv, write_bsdf_csv
 from mistray.scatter.measured.rotations import RotatedSamples, by_rotation, whole_circle
 from mistray.scatter.measured.samples import Samples
 from mistray.scatter.measured.tabulated import Tabulated
@@ -90,14 +89,6 @@ class TestCsv:
                 out = np.array([[0.6 * np.cos(azimuth), 0.6 * np.sin(azimuth), 0.8]])
                 found = bsdf(lobes, "reflection", 0.8, out, 1.0, 1.5, 1.0, np.radians(rotation))
                 assert found[0] == pytest.approx(0.1 + 0.06 * np.cos(2 * np.radians(phi)), rel=2e-3)
-
-    def test_written_again(self, tmp_path: Path) -> None:
-        read = read_bsdf_csv(brushed.write_two_fold(tmp_path / "two.csv", 0.1, 0.06, step=30.0), "keep")
-        write_bsdf_csv(read, tmp_path / "again.csv")
-        assert read_bsdf_csv(tmp_path / "again.csv", "keep").tables == tuple(
-            Samples(str(tmp_path / "again.csv"), t.frame, t.specular_deg, t.azimuth_deg, t.polar_deg, t.values)
-            for t in read.tables
-        )
 
 
 def reduced(rotations: list[float], function: object, anisotropy: str = "keep") -> Samples | RotatedSamples:

@@ -75,14 +75,11 @@ def test_on_the_command_line(catalogue: Path, capsys: pytest.CaptureFixture[str]
         (CATALOGUE, "steep", "line 10: A, B and g of 'steep' change with the angle"),
         ("0 1 1 1\n", "x", "line 1: '0 1 1 1' before the first NAME"),
         ("NAME x\n0 1 1\n", "x", "line 2, angle A B g: 3 values where 4"),
-        ("NAME x\nGAUSS 0 1 1\n", "x", "line 2, angle A B g: could not convert"),
-        ("NAME x\n0 1 nan 1\n", "x", "line 2, angle A B g: nan"),
         ("NAME x\n95 1 1 1\n", "x", "line 2: angle of incidence 95°"),
         ("NAME x\nWAVE -1\n", "x", "line 2: wavelength -1 µm"),
         ("NAME x\nWAVE 1\n", "x", "line 1: 'x' has no line"),
         ("NAME x\n0 1 1 1\nNAME X\n", "x", "line 3: NAME X"),
         ("NAME x\n0 1 0 2\n", "x", "line 1: ABg: B is 0"),
-        ("NAME\n", "x", "line 1: NAME without a name"),
     ],
 )
 def test_refuses(tmp_path: Path, text: str, name: str, words: str) -> None:

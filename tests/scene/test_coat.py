@@ -116,15 +116,6 @@ class TestPatterns:
         assert bsdfs(scene)["B_rear"].opaque
         assert [item.kind for item in bsdfs(scene)["B_rear"].scatterers] == ["paint", "particulate"]
 
-    def test_scatter_replaces_its_kind(self, file: Path, tmp_path: Path) -> None:
-        first, second = tmp_path / "1.xml", tmp_path / "2.xml"
-        write_coated(file, first, Rules(scatter={"A front": ["harvey_shack rms_nm=3", "particulate level=300"]}))
-        write_coated(first, second, Rules(scatter={"A front": "harvey_shack rms_nm=5"}))
-        models = {item.kind: item.model for item in bsdfs(mistray.load(second))["A front"].scatterers}
-        assert (models["harvey_shack"].rms_nm, models["particulate"].level) == (5, 300)
-        write_coated(second, tmp_path / "3.xml", Rules(scatter={"A*": "none"}))
-        assert bsdfs(mistray.load(tmp_path / "3.xml"))["A front"].scatterers == ()
-
     def test_names_of_the_scene(self, file: Path, tmp_path: Path) -> None:
         """What the scene has by a name is referred to; a new one of the same values too; another one gets a number."""
         layers, shared = tmp_path / "1.xml", tmp_path / "2.xml"

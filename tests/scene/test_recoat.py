@@ -62,11 +62,6 @@ SCENE = """<?xml version="1.0" encoding="utf-8"?>
 """  # noqa: E501
 
 
-def coatings(path: Path) -> dict[str, Stack]:
-    scene = mistray.load(path)
-    return {shape.id(): shape.bsdf().coating for shape in scene.shapes()}
-
-
 class TestWhatChanges:
     def test_only_the_new_lines(self, tmp_path: Path) -> None:
         before = TRIPLET.read_text(encoding="utf-8")
@@ -114,49 +109,14 @@ class TestWhatChanges:
         assert second.count('id="AR"') == 3
         assert "first" not in second
 
-    def test_a_name_that_is_taken(self, tmp_path: Path) -> None:
-        source = write(tmp_path, SCENE)
-        text = recoated(source, [SharedCoating("glass", AR, ("a",)), SharedCoating("old", AR, ("c",))], tmp_path)
-        assert '<bsdf type="thinfilm" id="glass_2">' in text
-        assert '<bsdf type="thinfilm" id="old_2">' in text, "b still refers to the old one"
-
     def test_order_and_design_wavelength(self, tmp_path: Path) -> None:
         infrared = Stack((Layer("Ge", 300.0),), first="back")
         text = recoated(TRIPLET, [SharedCoating("IR", infrared, ("L1_front",), 10600.0)], tmp_path)
         assert '<string name="first" value="back"/>' in text
         assert '<float name="design_nm" value="10600"/>' in text
 
-    def test_files_beside_the_scene_are_still_found(self, tmp_path: Path) -> None:
-        """A table and a glass named relative to the old folder, and a scene that names none."""
-        (tmp_path / "t.csv").write_text("wavelength_nm,angle_deg,R,T\n550,0,0.1,0.9\n550,90,0.1,0.9\n")
-        (tmp_path / "g.csv").write_text("wavelength_nm,n,k\n400,1.5,0\n700,1.5,0\n")
-        text = SCENE.replace(
-            '<bsdf type="interface"/>', '<bsdf type="interface"><string name="table" value="t.csv"/></bsdf>'
-        )
-        source = write(tmp_path, text.replace('value="1.6"', 'value="g.csv"'))
-        other = tmp_path / "results"
-        other.mkdir()
-        done = write_recoated(source, [SharedCoating("AR", AR, ("a",))], other / "scene.xml")
-        assert '<path value=".."/>' in done.read_text(encoding="utf-8")
-        tables = [Path(coatings(path)["e"].name).resolve() for path in (source, done)]
-        assert tables[0] == tables[1] == tmp_path.resolve() / "t.csv"
-        assert "<path" not in recoated(source, [SharedCoating("AR", AR, ("a",))], tmp_path)
-        assert "<path" not in recoated(TRIPLET, [SharedCoating("AR", AR, ("L1_front",))], other)
-
 
 class TestRefusals:
-    @pytest.mark.parametrize(
-        ("surfaces", "message"),
-        [
-            (("nothing",), "it has no shape 'nothing'"),
-            (("a", "a"), "shape 'a' gets two coatings"),
-            (("glass",), "it has no shape 'glass'"),
-        ],
-    )
-    def test_surfaces(self, tmp_path: Path, surfaces: tuple[str, ...], message: str) -> None:
-        with pytest.raises(MistrayError, match=message):
-            recoated(write(tmp_path, SCENE), [SharedCoating("AR", AR, surfaces)], tmp_path)
-
     def test_files(self, tmp_path: Path) -> None:
         coating = [SharedCoating("AR", AR, ("a",))]
         with pytest.raises(MistrayError, match=r"none\.xml': No such file"):
@@ -171,3 +131,6 @@ class TestRefusals:
         bare = SCENE.replace('<bsdf type="interface"/>', "")
         with pytest.raises(MistrayError, match="shape 'e': it has no BSDF"):
             recoated(write(tmp_path, bare), [SharedCoating("AR", AR, ("e",))], tmp_path)
+        for surfaces, words in ((("glass",), "it has no shape 'glass'"), (("a", "a"), "shape 'a' gets two coatings")):
+            with pytest.raises(MistrayError, match=words):
+                recoated(write(tmp_path, SCENE), [SharedCoating("AR", AR, surfaces)], tmp_path)

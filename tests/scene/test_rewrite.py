@@ -18,7 +18,6 @@ from mistray.errors import MistrayError
 from mistray.scene.load import find
 from mistray.scene.rewrite import rewritten, write_rewritten
 
-SHIPPED = sorted(path.parent.name for path in Path(mistray.scenes.__file__).parent.glob("*/scene.xml"))
 TRIPLET = find("cooke_triplet")
 
 
@@ -34,22 +33,6 @@ def values_of(scene: mi.Scene) -> dict[str, np.ndarray]:
         elif hasattr(plugin, "complex_indices"):
             found[key] = np.array(params[key], dtype=np.float64)
     return found
-
-
-def changed(key: str, value: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A value nearby that is possible whatever the others are."""
-    name, u = key.rpartition(".")[2], rng.uniform(0.2, 1.0, value.shape)
-    if name in ("x", "y", "z", "tilt_x", "tilt_y", "tilt_z", "z0", "z1"):
-        return value + 1e-3 * u
-    if name in ("n_front_shift", "n_back_shift", "n_shift", "k_shift", "inner_semi_diameter"):
-        return value + np.float32(1e-4) * u
-    if name.startswith("a") and name[1:].isdigit():
-        return value - 1e-6 * u * 5000.0 ** (1 - int(name[1:]))  # of micrometres at 5 m
-    if name in ("curvature", "conic"):
-        return value * (1 - 1e-3 * u) + (1e-7 * u if name == "curvature" else -1e-3 * u)
-    if name in ("r0", "r1", "thickness_nm", "level"):
-        return value * (1 + 1e-3 * u)
-    return value * (1 - 1e-3 * u)
 
 
 def assert_loads(path: Path, expected: dict[str, np.ndarray]) -> None:
@@ -71,36 +54,15 @@ PLACES = {
 }
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("name", SHIPPED)
-def test_round_trip_of_all_values_of_a_shipped_scene(name: str, tmp_path: Path) -> None:
-    rng = np.random.default_rng(6)
-    source = find(name)
-    before = values_of(mistray.load(source))
-    new = {key: changed(key, value, rng) for key, value in before.items()}
-    assert len(new) > 50
-    path = write_rewritten(source, new, tmp_path / "all.xml", "everything")
-    assert_loads(path, new)
-
-
 def test_what_is_not_given_stays_and_comes_back(tmp_path: Path) -> None:
-    rng = np.random.default_rng(7)
     before = values_of(mistray.load(TRIPLET))
-    keys = ["L2_front.curvature", "L2_rear.x", "L1_front.bsdf.n_back_shift", "barrel_face.bsdf.R", "barrel_face.r0"]
-    some = {key: changed(key, before[key], rng) for key in keys}
+    some = {"L2_front.curvature": -0.0451, "L2_rear.x": 7e-4, "barrel_face.bsdf.R": 0.03, "barrel_face.r0": 6.1}
+    some = {key: np.array([value]) for key, value in some.items()}
+    some["L1_front.bsdf.n_back_shift"] = np.float32([1e-4])
     path = write_rewritten(TRIPLET, some, tmp_path / "some.xml")
     assert_loads(path, before | some)
     back = write_rewritten(path, {key: before[key] for key in some}, tmp_path / "back.xml")
     assert_loads(back, before)
-
-
-def test_half_a_glass_is_noticed(tmp_path: Path) -> None:
-    """A melt has one index: its shift belongs to both of its surfaces."""
-    path = write_rewritten(TRIPLET, {"L1_front.bsdf.n_back_shift": 1e-3}, tmp_path / "half.xml")
-    with pytest.raises(MistrayError, match=r"the material between them is '.* shift=0.001\d*' for one"):
-        mistray.load(path)
-    both = {"L1_front.bsdf.n_back_shift": 1e-3, "L1_rear.bsdf.n_front_shift": 1e-3}
-    mistray.load(write_rewritten(TRIPLET, both, tmp_path / "whole.xml"))
 
 
 SCENE = """<?xml version="1.0" encoding="utf-8"?>

@@ -82,22 +82,6 @@ def test_new_values(source: Path, key: str, value: float) -> None:
     assert all(np.array_equal(np.array(before[k]), np.array(after[k])) for k in others)
 
 
-def test_two_of_a_kind(tmp_path: Path) -> None:
-    values = '<float name="A" value="{}"/><float name="B" value="1e-3"/><float name="g" value="1.8"/>'
-    two = "".join(f'<bsdf type="abg">{values.format(a)}</bsdf>' for a in (1e-4, 2e-4))
-    bsdf = interface_xml("air", "1.5", R=0.1, T=0.8).removesuffix("</bsdf>") + two + "</bsdf>"
-    path = tmp_path / "scene.xml"
-    shapes = (
-        shape_xml("asphere", "front", 0.0, bsdf, semi_diameter=5.0),
-        shape_xml("asphere", "detector", 2.0, interface_xml("1.5", "1.5", R=0.0), sensor=True, semi_diameter=5.0),
-    )
-    path.write_text(scene_text(*shapes), encoding="utf-8")
-    file = SceneText(path)
-    file.set("front.bsdf.abg_2.A", 5e-4)
-    params = rewritten(file, tmp_path)
-    assert [float(params[f"front.bsdf.{name}.A"][0]) for name in ("abg", "abg_2")] == pytest.approx([1e-4, 5e-4])
-
-
 def test_what_cannot_be_done(source: Path, tmp_path: Path) -> None:
     with pytest.raises(MistrayError, match=r"the model of 'side\.bsdf\.paint\.reflectance' does not stand in the file"):
         SceneText(source).set("side.bsdf.paint.reflectance", 0.1)

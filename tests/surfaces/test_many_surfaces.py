@@ -76,15 +76,6 @@ def absorbed(trace: mistray.Trace, but: str = "detector") -> float:
     return float(sum(power for name, (power, _) in trace.energy.absorbed.items() if name != but))
 
 
-@pytest.mark.long
-def test_a_tube_of_three_hundred_rings_is_one_tube(load: Callable[[str], mi.Scene]) -> None:
-    settings = {"rays": 200_000, "seed": 3, "field_deg": 20.0, "aim": "none"}
-    one, many = (mistray.trace(load(tube(rings)), **settings) for rings in (1, 300))
-    assert many.segments == one.segments
-    assert absorbed(many) == pytest.approx(absorbed(one), rel=1e-6)
-    assert many.energy.escaped_W == pytest.approx(one.energy.escaped_W, abs=1e-6 * one.energy.launched_W)
-
-
 def test_surfaces_of_all_kinds_in_a_tree_stop_the_same_light(
     load: Callable[[str], mi.Scene], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -107,11 +98,11 @@ def test_surfaces_of_all_kinds_in_a_tree_stop_the_same_light(
 def test_derivatives_by_rings_add_up_to_that_of_the_tube(load: Callable[[str], mi.Scene]) -> None:
     """A metric of the tube's reflectance and radius: the same rays, so its derivative is the sum over the rings."""
 
-    def total(rings: int, name: str) -> float:
+    def total(rings: int, name: str) -> tuple[float, float]:
         scene = load(tube(rings))
         metric = path_power(scene, "stray", rays=1000, field_deg=(20.0,), seed=1)
         found = mistray.gradient(metric, mi.traverse(scene), keys=[f"ring_*.{name}"])
-        return float(sum(np.sum(values) for values in found.gradient.values()))
+        return found.value, float(sum(np.sum(values) for values in found.gradient.values()))
 
     assert total(150, "bsdf.reflectance") == pytest.approx(total(1, "bsdf.reflectance"), rel=1e-5)
 

@@ -112,23 +112,6 @@ def test_random_stacks(load_scene, seed) -> None:
                         assert np.all(error < allowed[pair].mean(axis=0)), (pair, from_front, reverse)
 
 
-def test_the_bound_holds_between_the_nodes() -> None:
-    """The estimated error bounds the true one, 4000 angles against direct evaluation, for 20 stacks."""
-    for seed in range(20):
-        layers, glass = random_stack(np.random.default_rng(100 + seed))
-        stack = Stack(tuple(Layer(f"{n.real!r}+{n.imag!r}i", d) for n, d in layers), "front", "random")
-        made = optics.angle_table(stack, 550.0, 1 + 0j, complex(glass), False, False)
-        x = np.random.default_rng(seed).uniform(0, 1, 4000)
-        inside = np.sqrt(1 - (1 - x * x) / glass**2)
-        nodes = np.linspace(0, 1, len(made.refraction))
-        front = stack.response(550.0, 1 + 0j, complex(glass), x, True)
-        back = stack.response(550.0, 1 + 0j, complex(glass), inside, False)
-        for channel, exact in enumerate((front.R.mean(axis=1), back.R.mean(axis=1), front.T.mean(axis=1))):
-            error = np.max(np.abs(np.interp(x, nodes, made.refraction[:, channel, 0]) - exact))
-            assert error <= max(made.refraction_error, 1e-12)
-        assert made.refraction_error <= optics.TABLE_ERROR
-
-
 def test_a_film_of_a_file_that_changes_is_tabulated_again(tmp_path: Path) -> None:
     """In one process, under the same name: the disk cache would keep the old numbers as those of the new file."""
     stack = Stack((Layer(str(tmp_path / "film.csv"), 99.6),), "front")
