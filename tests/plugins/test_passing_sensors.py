@@ -69,6 +69,7 @@ def test_a_scene_of_a_file(plate: Path, load_text) -> None:
 def test_light_of_surfaces() -> None:
     """`surface_maps` and `flux_split` on a Lambertian wall across a beam of 1 W/mm²: shares and map in closed form."""
     scene = scene_dicts.load(
+        integrator={"type": "straylight"},
         beam={"type": "collimated", "half_width": 3.0, "half_height": 2.0},
         wall={"type": "asphere", "half_width": 3.0, "half_height": 2.0, "bsdf": {"type": "paint", "reflectance": 0.25}},
         detector=scene_dicts.detector(-90.0, semi_diameter=0.1, x=20.0),
@@ -168,9 +169,6 @@ def test_json_of_the_command(tmp_path: Path, capsys: Captured) -> None:
     assert first["mean_irradiance_W_mm2"] == pytest.approx(2 * first["power_W"])
     assert first["highest_radiance_W_mm2_sr"] > 0
     assert [(row["from_deg"], row["to_deg"]) for row in found["far_fields"]] == 2 * [(90, 135), (135, 180)]
+    without = json.loads(succeeds(capsys, "ghosts", path, *SCENE, "--json"))
+    assert "probes" not in without["sections"]
     assert "two sensors have this id" in fails(capsys, "ghosts", path, *SCENE, "--probe", "0,0,1,id=a", "0,0,2,id=a")
-
-
-def test_a_report_without_them_has_no_section(tmp_path: Path) -> None:
-    mistray.ghosts(mistray.load("plate"), rays=500).write(tmp_path)
-    assert 'id="probes"' not in (tmp_path / "report.html").read_text(encoding="utf-8")

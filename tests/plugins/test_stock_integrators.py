@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -9,7 +10,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import scene_dicts
+from oracles.object_scenes import painted_tube_text
 from oracles.scatter_integrals import disc_to_disc
+from oracles.small_scenes import write
 from oracles.statistics import assert_z
 from scene_dicts import BLACK, at
 
@@ -77,6 +80,64 @@ def test_even_light() -> None:
     plate = wide(glass("air", "1.5"), sensor={"type": "irradiancemeter", "film": FILM})
     middle = render([0, 0, -40], [0, 0, 0], plate=plate)[8:16, 8:16].mean()
     assert middle == pytest.approx(0.04 + 0.96 / 1.5**2, rel=0.01)
+
+
+INCIDENCE_DEG, GLASS = 40.0, "1.5168"
+
+
+def window(film: dict[str, Any]) -> dict[str, Any]:
+    """A plane plate of 3 mm with a coating on both faces, 60 mm wide."""
+    coated, size = (
+        {"coating": {"type": "ref", "id": "ar"}},
+        {"type": "asphere", "half_width": 30.0, "half_height": 30.0},
+    )
+    return {
+        "ar": {"type": "thinfilm", **film},
+        "front": {**size, "bsdf": glass("air", GLASS, **coated)},
+        "rear": {**size, "to_world": at(3), "bsdf": glass(GLASS, "air", **coated)},
+    }
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "film", [{"preset": "bbar3"}, {"layers": "2.1+0.3i 20, 1.46 90"}, {"layers": "2.3 0.25w, 1.38 0.25w, 2.3 0.25w"}]
+)
+def test_a_coated_window_under_path_and_straylight(film: dict[str, Any]) -> None:
+    """
+    A screen behind a coated window, seen by `path` at 40°, has the brightness that `straylight` gives a beam.
+
+    Both follow the reflections inside of the plate. False-alarm probability 1e-3.
+    """
+    beam = scene_dicts.load(
+        beam={"type": "collimated", "radius": 2.0, "field_deg": INCIDENCE_DEG},
+        **window(film),
+        detector=scene_dicts.detector(10, half_width=40.0, half_height=40.0),
+    )
+    # `path` carries no polarisation from one face to the other
+    unpolarized = {"polarization": "unpolarized", "max_reflections": 20, "flux_threshold": 1e-9}
+    energy = mistray.trace(beam, rays=500, **unpolarized).energy
+    along = np.array([0.0, np.sin(np.radians(INCIDENCE_DEG)), np.cos(np.radians(INCIDENCE_DEG))])
+    scene = stock_scene(
+        integrator=PATH,
+        camera={
+            "type": "orthographic",
+            "to_world": T().look_at((-40 * along).tolist(), [0, 0, 0], [1, 0, 0]).scale([2, 2, 1]),
+            "film": scene_dicts.film(16, **GREY),
+        },
+        **window(film),
+        screen={
+            "type": "rectangle",
+            "to_world": T().translate([0, 0, 20]).rotate([1, 0, 0], 180).scale(200.0),
+            "bsdf": {"type": "diffuse", "reflectance": 0.0},
+            "light": {"type": "area", "radiance": 1.0},
+        },
+    )
+    pixels = np.array(mi.render(scene, spp=8192, seed=3)).ravel().astype(float)
+    error = pixels.std(ddof=1) / np.sqrt(pixels.size)
+    assert error < 4e-4
+    # What straylight leaves out beyond 20 reflections, and float32
+    passed = energy.detected_W / energy.launched_W
+    assert_z("radiance of the screen", pixels.mean(), passed, error, false_alarm=1e-3, floor=1e-6)
 
 
 def lit_plate(integrator: dict[str, Any], film: Any) -> mi.Scene:
@@ -154,6 +215,21 @@ class TestStockSensor:
         assert error < 0.01 * exact
         assert_z("lamp", found, exact, error, floor=1e-3 * exact)  # the mesh is a polygon of 96 sides
         assert irradiance(64, d=detector(semi_diameter=2.0), lamp=lamp(6.0, 180.0))[0] == 0
+
+    @pytest.mark.long
+    def test_a_painted_tube_under_path_and_straylight(self, tmp_path: Path) -> None:
+        """The sky through a painted tube: `path` against the PST of `straylight`, integrated over the hemisphere."""
+        text = painted_tube_text(3.0, 1.0, 1.0, 0.3)
+        pst = mistray.pst(mistray.load(write(tmp_path, text)), field_deg=range(0, 91, 2), rays=100_000, max_scatters=12)
+        value, se = pst.curve()
+        cells = pst.grid.solid_angle
+        assert cells.sum() == pytest.approx(2 * np.pi, rel=1e-6)
+        painted = glass("air", "air", R=0.0, paint={"type": "paint", "reflectance": 0.3})
+        tube = {"type": "frustum", "r0": 1.0, "z0": 0.0, "r1": 1.0, "z1": 3.0, "bsdf": painted}
+        found, error = irradiance(4096, sky=SKY, tube=tube, d=detector(semi_diameter=1.0, to_world=at(3)))
+        expected, both = float(value @ cells), np.hypot(error, float(np.linalg.norm(se * cells)))
+        assert both < 0.01 * expected
+        assert_z("sky", found, expected, both, floor=1e-3 * expected)
 
     def test_a_shared_interface(self) -> None:
         shared = mi.load_dict(glass("air", "1.5"))
