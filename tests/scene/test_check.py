@@ -181,11 +181,3 @@ def test_loading_grows_in_proportion_to_the_number_of_shapes(tmp_path: Path, sha
     few, many = row(tmp_path, shape, count), row(tmp_path, shape, 4 * count)
     mistray.load(few)
     assert min(seconds(many) for _ in range(2)) < 1.6 * 4 * min(seconds(few) for _ in range(3))
-
-
-def test_walls_of_one_paint_share_what_it_takes_milliseconds_to_tabulate(tmp_path: Path) -> None:
-    from mistray.scatter.radial import _table
-
-    _table.cache_clear()
-    mistray.load(row(tmp_path, WALL, 20))
-    assert _table.cache_info().misses <= 1

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -188,18 +187,6 @@ def test_wrong_rules_by_all_ways_in(file: Path, capsys: Captured) -> None:
         mistray.coat(3, {"a": "bbar3"})  # type: ignore[call-overload]
     with pytest.raises(MistrayError, match="sources and sensors are for scenes"):
         mistray.coat(lens(), {"A": "bbar3"}, sources="sun")  # type: ignore[call-overload]
-
-
-def test_the_provenance_of_a_coated_prescription() -> None:
-    """What presets reach is added; the remark on a black detector goes where the rules answer it."""
-    bare = lens()
-    assert bare.detector is not None
-    (remark,) = bare.detector.notes()
-    bare = replace(bare, provenance=f"From a file.\nNote: {remark}.")
-    coated = mistray.coat(bare, {"A front": "bbar3"})
-    assert coated.provenance.startswith(bare.provenance)
-    assert "bbar3 on " in coated.provenance
-    assert mistray.coat(bare, {"detector": "R=0.1"}).provenance == "From a file."
 
 
 class TestCommand:
