@@ -1,8 +1,4 @@
-"""Scatter models as closed forms of the directions of incidence and of scatter, float64.
-
-A form gives the BSDF in 1/sr for unit vectors in any frame. It knows nothing of lobes, tables or sampling; the
-equations are those of the models' papers, from `mistray.physics` where they are long.
-"""
+"""Scatter models as closed forms of unit vectors of incidence and of scatter, 1/sr in float64, without lobes."""
 
 from __future__ import annotations
 
@@ -154,13 +150,12 @@ def _psd(v: Values, light: Light, band_um: float | None = None) -> Array:
     return amplitude / (1 + (length * light.n * light.r / WAVELENGTH_UM) ** 2) ** (slope / 2)
 
 
-def smooth(v: Values, light: Light) -> Array:
+def smooth(v: Values, light: Light, band_um: float | None = None) -> Array:
     """First order of the generalised Harvey-Shack theory."""
-    return 4 * math.pi**2 * light.n**2 * light.path**2 / WAVELENGTH_UM**4 * _psd(v, light)
+    return 4 * math.pi**2 * light.n**2 * light.path**2 / WAVELENGTH_UM**4 * _psd(v, light, band_um)
 
 
-def smooth_in_band(v: Values, light: Light) -> Array:
-    return 4 * math.pi**2 * light.n**2 * light.path**2 / WAVELENGTH_UM**4 * _psd(v, light, BAND_UM)
+smooth_in_band = partial(smooth, band_um=BAND_UM)
 
 
 def all_orders(v: Values, light: Light) -> Array:
@@ -235,11 +230,9 @@ def particles(v: Values, light: Light, share: float) -> Array:
 @dataclass(frozen=True)
 class Form:
     """
-    A plugin with its values, and what it scatters.
+    A plugin with its values, and what it scatters: `parts` per unit of R or T, or of the light where `absolute`.
 
-    `parts` are BSDFs per unit of R or T, or of the light where `absolute`; those `about_normal` need no specular
-    direction. Particles lie at the front: light from the back does not meet them when it is reflected. A part that is
-    not proportional to R or T takes that as its third argument: `own_share`.
+    Those `about_normal` need no specular direction; with `own_share` R or T is the third argument of the only part.
     """
 
     kind: str
@@ -279,12 +272,7 @@ FORMS: dict[str, Form] = {
     "harvey_shack of a roughness": Form("harvey_shack", {"rms_nm": 4.0, "l": 0.01, "s": -1.5}, (harvey_shack,)),
     "gaussian_lobe": Form("gaussian_lobe", {"total": 0.3, "width": 0.15}, (gaussian,)),
     "phong": Form("phong", {"b0": 0.4, "exponent": 16.0}, (phong,)),
-    "polynomial": Form(
-        "polynomial",
-        {"c100": -0.8, "l11": 0.1},
-        (partial(polynomial, REST),),
-        REST,
-    ),
+    "polynomial": Form("polynomial", {"c100": -0.8, "l11": 0.1}, (partial(polynomial, REST),), REST),
     "psd_table": Form("psd_table", {"scale": 1.2}, (measured,), {"file": str(SPECTRUM)}),
     "ghs": Form("k_correlation", K, (smooth,)),
     "ghs in a band": Form("k_correlation", K, (smooth_in_band,), {"band_limited": True, "reference_nm": 1e3 * BAND_UM}),
@@ -310,4 +298,3 @@ FORMS: dict[str, Form] = {
     ),
     "particulate": Form("particulate", {"level": 100.0}, (particles,), own_share=True, reflects_at_back=False),
 }
-"""Of every kind of model with values; `event` is that of the plugin if only one scatters."""

@@ -9,6 +9,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.scatter.harvey_shack import HarveyShack
+from mistray.scatter.measured.bsdf_csv import write_bsdf_csv
+from mistray.scatter.scan import table
+
 R, T = 0.2, 0.4
 FRONT, BACK = 1.0, 1.5
 EVENTS = ("reflection", "transmission")
@@ -70,15 +74,6 @@ def vectors(directions: np.ndarray) -> mi.Vector3f:
 
 def write_table(folder: Path) -> dict[str, Any]:
     """A `tabulated` model: a broad peak about the specular direction, in a CSV file."""
-    angles = np.array([0.0, 20.0, 40.0, 60.0, 75.0, 85.0])
-    polar = np.append(np.arange(0.0, 90.0, 2.5), 90.0)
-    lines = ["theta_i_deg,theta_s_deg,phi_deg,bsdf"]
-    for incidence in angles:
-        for theta in polar:
-            for phi in np.arange(0.0, 181.0, 15.0):
-                t, p, i = np.radians([theta, phi, incidence])
-                r2 = (np.sin(t) * np.cos(p) - np.sin(i)) ** 2 + (np.sin(t) * np.sin(p)) ** 2
-                lines.append(f"{incidence:g},{theta:g},{phi:g},{0.02 + 0.2 / (1 + r2 / 0.04):.6g}")
     file = folder / "measured.csv"
-    file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_bsdf_csv(table(HarveyShack(0.2, 0.2, -2.0), [0, 20, 40, 60, 75, 85], "normal"), file)
     return {"type": "tabulated", "file": str(file)}

@@ -1,4 +1,4 @@
-"""`mistray.load`: where a scene may come from, and that what comes back is whole."""
+"""`mistray.load` and Mitsuba's own loaders: where a scene may come from, and that what comes back is whole."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+import scene_dicts
 from oracles import scene_xml
 
 import mistray
+from mistray import Metric, MistrayError
 from mistray.scene import find
 
 SCENES = sorted((Path(__file__).parents[1] / "scenes").glob("*/scene.xml"))
@@ -99,20 +101,6 @@ def test_an_interrupt_while_a_plugin_is_made_is_one(monkeypatch: pytest.MonkeyPa
         mistray.load({"type": "scene", "a": {"type": "asphere"}})
 
 
-def test_coating_tables_lie_beside_the_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A relative path is relative to the scene file, not to the working directory."""
-    folder = tmp_path / "lens"
-    folder.mkdir()
-    (folder / "coat.csv").write_text("wavelength_nm,angle_deg,R,T\n550,0,.2,.7\n550,90,.2,.7\n", encoding="utf-8")
-    text = find("plate").read_text(encoding="utf-8")
-    text = text.replace('<string name="back" value="1.5"/>', '<string name="back" value="1.5"/>'
-                        '<string name="table" value="coat.csv"/>', 1)  # fmt: skip
-    (folder / "scene.xml").write_text(text, encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    t = mistray.trace(mistray.load("lens/scene.xml"), rays=100, max_reflections=0)
-    assert t.paths[0].power_W / t.energy.launched_W == pytest.approx(0.7 * 0.96, rel=1e-6)
-
-
 def test_scenes_are_loaded_one_shape_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
     """In parallel, Mitsuba may begin one Python plugin inside of another one's constructor, on the same thread, while
     this one waits for Dr.Jit. That has ended in a segmentation fault.
@@ -134,21 +122,6 @@ def test_scenes_are_loaded_one_shape_after_the_other(monkeypatch: pytest.MonkeyP
     assert depth["most"] == 1
 
 
-def test_merged_shapes_keep_their_names() -> None:
-    """Mitsuba's scene optimisation would make one nameless mesh of these."""
-    black = {"type": "interface", "R": 0.0}
-    scene = mistray.load(
-        {
-            "type": "scene",
-            **{
-                f"disk_{z}": {"type": "disk", "to_world": mi.ScalarTransform4f().translate([0, 0, z]), "bsdf": black}
-                for z in range(3)
-            },
-        }
-    )
-    assert [shape.id() for shape in scene.shapes()] == ["disk_0", "disk_1", "disk_2"]
-
-
 def test_a_sky_of_an_exr_file_is_read_with_one_thread(tmp_path: Path) -> None:
     """Mitsuba's reader of EXR files waits for other threads, and waited for ever where there were none."""
     mi.Bitmap(np.ones((4, 8, 3), np.float32)).write(str(tmp_path / "sky.exr"))
@@ -161,3 +134,80 @@ def test_a_sky_of_an_exr_file_is_read_with_one_thread(tmp_path: Path) -> None:
     """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=True)
     assert done.stdout.split() == ["1", "1"]
+
+
+T = mi.ScalarTransform4f
+WALL = {"type": "interface", "R": 0.1}
+
+
+def lens(**others: Any) -> dict[str, Any]:
+    """A plano-convex lens of f = 100 mm and its detector."""
+    face, back = {"type": "asphere", "semi_diameter": 10.0}, {"type": "interface", "front": "1.5"}
+    return {
+        "type": "scene",
+        "front": face | {"radius": 50.0, "bsdf": {"type": "interface", "back": "1.5"}},
+        "rear": face | {"z": 4.0, "bsdf": back},
+        "detector": scene_dicts.detector(101.3, semi_diameter=5.0),
+        "beam": {"type": "collimated", "radius": 5.0, "to_world": scene_dicts.at(-20), "wavelength_nm": "550"},
+        **others,
+    }
+
+
+def test_parts_from_cad_keep_their_names_and_parts(tmp_path: Path) -> None:
+    """Two meshes of one paint in one object: they would be one shape without a name."""
+    head = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    file = tmp_path / "sheet.ply"
+    file.write_text(
+        f"{head}element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n9 0 0\n0 9 0\n3 0 1 2\n"
+    )
+    mesh = {"type": "part_mesh", "filename": str(file), "part": "mount", "bsdf": {"type": "ref", "id": "black"}}
+    far = mesh | {"to_world": T().translate([0, 0, 500])}
+    scene = mi.load_dict({"type": "scene", "black": WALL, "a": mesh, "b": far})
+    assert {(shape.id(), shape.part) for shape in scene.shapes()} == {("a", "mount"), ("b", "mount")}
+
+
+def test_exact_surfaces_beside_stock_meshes_are_traced_as_they_are() -> None:
+    """Two boxes of one paint are merged, and the lens is not: its image is as sharp as without merging, ray by ray."""
+    boxes = {f"box_{x}": {"type": "cube", "to_world": T().translate([x, 0, 50]), "bsdf": WALL} for x in (-30, 30)}
+    images = []
+    for optimize in (False, True):
+        scene = mi.load_dict(lens(**boxes), optimize=optimize)
+        assert {"front", "rear", "detector"} <= {shape.id() for shape in scene.shapes()}
+        assert len(scene.shapes()) == (4 if optimize else 5)
+        t = mistray.trace(scene, rays=2000, max_scatters=0)
+        images.append((t.paths[0].power_W, t.paths[0].rms_radius_mm))
+    assert images[1] == pytest.approx(images[0], rel=1e-6)
+    assert images[0][1] < 0.05  # mm; a lens of facets spreads its light over more than a millimetre
+
+
+def test_renders_and_gradients_of_a_scene_by_load_dict() -> None:
+    """The image of `straylight` is the trace's, and its derivative by a curvature is that of the scene as given."""
+    integrator = {"type": "straylight", "rays": 2000, "max_scatters": 0}
+    found = []
+    for optimize in (False, True):
+        scene = mi.load_dict(lens(integrator=integrator), optimize=optimize)
+        metric = Metric(scene, lambda seen: seen[0].power("direct"), settings={"rays": 2000})
+        gradient = mistray.gradient(metric, mi.traverse(scene), ["front.curvature"])
+        found.append((float(np.sum(mi.render(scene))), float(gradient.gradient["front.curvature"][0])))
+    assert found[1] == pytest.approx(found[0], rel=1e-6)
+
+
+def test_equal_sensors_of_two_detectors_are_refused_by_name() -> None:
+    """Mitsuba takes equal sensors for one, which cannot belong to two shapes; as given, they are two."""
+    second = scene_dicts.detector(150.0, semi_diameter=5.0)
+    with pytest.raises(RuntimeError, match=r"shape '(detector|second)': its sensor .*optimize=False") as caught:
+        mi.load_dict(lens(second=second))
+    assert MistrayError.__name__ in str(caught.value)
+    assert len(mi.load_dict(lens(second=second), optimize=False).sensors()) == 2
+
+
+def test_the_folder_of_plugins_registers_them_by_itself(tmp_path: Path) -> None:
+    program = (
+        "import mitsuba as mi; mi.set_variant('llvm_ad_rgb'); import plugins;"
+        "print(type(mi.load_dict({'type': 'asphere', 'semi_diameter': 5.0, 'bsdf': {'type': 'interface'}})).__name__)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, cwd=Path(__file__).parents[1], check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["Asphere"]

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 import tmm
 from oracles.interface import CoatingTable, Interface, interact
-from scipy.stats import chi2
 
 import mistray
 
@@ -126,10 +125,12 @@ def test_directions_weights_and_probabilities(case: Case, mode: Any) -> None:
     eta = np.where(front, case.indices[0] / case.indices[1], case.indices[1] / case.indices[0])
     inside = np.sqrt(np.maximum(0, 1 - eta**2 * (1 - case.cosines**2)))
     refracted = np.column_stack([-eta[:, None] * wi[:, :2], np.where(front, inside, -inside)])
-    for u in (0.0, 0.9999999):
-        sample, weight = case.bsdf.sample(mi.BSDFContext(mode), case.surface, mi.Float(u), mi.Point2f(0.5))
-        share = case.R / np.maximum(total, 1e-30)
-        reflected = u <= share
+    share = case.R / np.maximum(total, 1e-30)
+    # Next to the share itself the other event is drawn: frequencies are right
+    for u in (0.0 * share, share - 1e-4, share + 1e-4, 0.9999999 + 0 * share):
+        drawn = mi.Float(np.clip(np.nan_to_num(u), 0, 0.9999999).astype(np.float32))
+        sample, weight = case.bsdf.sample(mi.BSDFContext(mode), case.surface, drawn, mi.Point2f(0.5))
+        reflected = np.array(drawn) <= share
         pdf = np.where(reflected, share, 1 - share)
         lit = np.isfinite(case.R) & (total > 0) & (pdf > 1e-6)
         # A table's error is 1e-6 of R and T, the rest float32
@@ -142,32 +143,6 @@ def test_directions_weights_and_probabilities(case: Case, mode: Any) -> None:
         kind = np.array(sample.sampled_type)
         assert set(kind[reflected & lit]) <= {int(mi.BSDFFlags.DeltaReflection)}
         assert set(kind[~reflected & lit]) <= {int(mi.BSDFFlags.DeltaTransmission)}
-
-
-def test_frequencies(case: Case) -> None:
-    """
-    χ² of the reflected and transmitted counts against R and T, with a false-alarm probability of 1e-3.
-
-    A distribution in which 3 % of the reflected light were transmitted instead must fail.
-    """
-    counts, total = 40_000, case.R + case.T
-    at = np.flatnonzero(np.isfinite(case.R) & (total > 0))[:: 4 if len(total) > 4 else 1]
-    share = (case.R / np.maximum(total, 1e-30))[at]
-    u = mi.Float(np.random.default_rng(7).random(counts * len(at)).astype(np.float32))
-    si = surface(np.repeat(case.cosines[at], counts))
-    sample, _ = case.bsdf.sample(mi.BSDFContext(IMPORTANCE), si, u, mi.Point2f(0.5))
-    reflected = (np.array(sample.sampled_component).reshape(len(at), counts) == 0).sum(axis=1)
-
-    def p_value(expected: np.ndarray) -> float:
-        certain = np.minimum(expected, 1 - expected) * counts < 5  # too few for χ²
-        if np.any(np.abs(reflected - expected * counts)[certain] > 30):
-            return 0.0
-        e, n = expected[~certain], reflected[~certain]
-        statistic = np.sum((n - counts * e) ** 2 / (counts * e * (1 - e)))
-        return float(chi2.sf(statistic, max(len(e), 1)))
-
-    assert p_value(share) > 1e-3
-    assert p_value(0.97 * share) < 1e-3
 
 
 def test_masks(case: Case) -> None:

@@ -277,17 +277,6 @@ class TestCollimated:
         assert error < 0.02 * path.mean()
         assert_z("particles", particles.mean(), path.mean(), error, k=5.4)  # Student's t, 7 degrees of freedom
 
-    @pytest.mark.long
-    def test_behind_glass(self) -> None:
-        """A shadow ray to the beam ends at the first face: `path` sees no screen behind a window."""
-        scene = stock_scene(
-            beam={"type": "collimated", "radius": 2.0},
-            window=wide(glass("air", "1.5"), to_world=at(-2)),
-            screen=SCREEN,
-            camera=camera([0, 0, -1], [0, 0, 0]),
-        )
-        assert not np.array(mi.render(scene, integrator=mi.load_dict({"type": "path"}), spp=16)).any()
-
     @pytest.mark.parametrize("plane", ["beam", "axis"])
     @pytest.mark.parametrize(
         "size", [{"radius": 2.0}, {"radius": 2.0, "inner_radius": 1.5}, {"half_width": 2.0, "half_height": 0.5}]

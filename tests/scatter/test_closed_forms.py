@@ -101,7 +101,7 @@ def of_form(name: str, difference: float = EXACT, total: float = QUADRATURE, **v
     """A case of `scatter_forms`, with other values perhaps."""
     form = FORMS[name]
     return Case(form.kind, form.values | values, form.bsdf, form.events, difference, total, True, form.options,
-                "side" not in form.options)  # fmt: skip
+                form.reflects_at_back)  # fmt: skip
 
 
 def at_slope_two(v: Values, light: Light) -> np.ndarray:
@@ -152,7 +152,6 @@ CASES = {
     **{f"ghs_full, {rms} nm": Case("k_correlation", {"rms_nm": rms, "B_um": 100 * np.pi, "slope": 3.0}, all_orders,
                                    REFLECTED, TABLE, TABLE, options={"theory": "ghs_full"}, from_back=False)
        for rms in (6.0, 61.0)},
-    "ghs_full": of_form("ghs_full", 0.03, TABLE),
     "rayleigh_rice": of_form("rayleigh_rice"),
     "rayleigh_rice_vector": of_form("rayleigh_rice_vector", TABLE, TABLE),
     "rayleigh_rice_vector absolute": Case("k_correlation", K, vector_absolute, REFLECTED, TABLE, TABLE, True,

@@ -1,15 +1,187 @@
-"""Mitsuba's errors in one line: places in files and dicts."""
+"""Scenes that are refused, in one line: too deep, no numbers, unknown plugins and parameters."""
 
 from __future__ import annotations
 
+import math
+import time
 from pathlib import Path
 from typing import Any
 
+import mitsuba as mi
 import pytest
 
 import mistray
 from mistray.errors import MistrayError
+from mistray.scene.depth import check_source
 from mistray.scene.messages import explain
+from mistray.scene.xml_file import DEEPEST
+
+
+def nested(levels: int) -> str:
+    """A scene with elements within each other, the outermost included."""
+    return '<scene version="3.0.0">\n' + "<bsdf>" * (levels - 1) + "</bsdf>" * (levels - 1) + "\n</scene>"
+
+
+@pytest.mark.parametrize("levels", [DEEPEST + 1, 20_000])
+def test_deep_files_are_refused(tmp_path: Path, levels: int) -> None:
+    path = tmp_path / "deep.xml"
+    path.write_text(nested(levels))
+    with pytest.raises(MistrayError) as caught:
+        mistray.load(path)
+    assert str(caught.value) == f"scene '{path}', line 2: <bsdf> lies within 100 other elements; close them first"
+
+
+def test_included_files_are_looked_at(tmp_path: Path) -> None:
+    (tmp_path / "part.xml").write_text(nested(500))
+    path = tmp_path / "scene.xml"
+    path.write_text('<scene version="3.0.0"><include filename="part.xml"/><include filename="scene.xml"/></scene>')
+    with pytest.raises(MistrayError, match=r"part\.xml', line 2"):
+        check_source(path)
+
+
+@pytest.mark.parametrize("data", [nested(DEEPEST).encode(), b"<scene", b"", b"\x00\xff", b'<?xml encoding="?"?><a/>'])
+def test_other_files_are_left_to_the_reader(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "scene.xml"
+    path.write_bytes(data)
+    check_source(path)
+
+
+def scene_of(folder: Path, text: str, name: str = "scene.xml") -> Path:
+    """A file with these elements in a scene."""
+    path = folder / name
+    path.write_text(f'<scene version="3.0.0">{text}</scene>')
+    return path
+
+
+def refusal(folder: Path, text: str) -> str:
+    """What `mistray.load` says of these elements: one line."""
+    with pytest.raises(MistrayError) as caught:
+        mistray.load(scene_of(folder, text))
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 500
+    return str(caught.value)
+
+
+LENS = '<shape type="asphere" id="L1">{}<float name="semi_diameter" value="5"/></shape>'
+
+
+@pytest.mark.parametrize("value", ["", "\t", "$none", "$blank", "5x", "1,5", "1e400", "1e-400"])
+def test_what_is_no_number_is_refused(tmp_path: Path, value: str) -> None:
+    """Mitsuba makes 0 of what is empty, a plane of an empty radius, and inf or 0 of what it cannot hold."""
+    defaults = '<default name="none" value=""/><default name="blank" value="$none $none"/>'
+    said = refusal(tmp_path, defaults + LENS.format(f'<float name="radius" value="{value}"/>'))
+    assert "shape 'L1': radius is '" in said
+    assert "must be a number" in said or "beyond the range" in said
+
+
+@pytest.mark.parametrize(
+    ("operation", "words"),
+    [
+        ('<translate z=""/>', "z of <translate> is ''"),
+        ('<translate value="1 2"/>', "give 1 or 3 numbers, not 2"),
+        ('<rotate angle="" z="1"/>', "angle of <rotate> is ''"),
+        ('<lookat origin="" target="0 0 1"/>', "origin of <lookat> is ''"),
+        ('<matrix value=""/>', "give 9 or 16 numbers"),
+        ('<matrix value="1 0 0 0  0 1 0 0  0 0 1 0  0 0 0 0"/>', "'0 0 0 0' as its last row"),
+        ('<matrix value="1 0 0 0  0 1 0 0  0 0 x 0  0 0 0 1"/>', "holds 'x'"),
+    ],
+)
+def test_numbers_of_transforms(tmp_path: Path, operation: str, words: str) -> None:
+    """Mitsuba makes 0 of what is empty, and the unit matrix's last row of any."""
+    said = refusal(tmp_path, LENS.format(f'<transform name="to_world">{operation}</transform>'))
+    assert "shape 'L1': to_world: " in said
+    assert words in said
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        LENS.format('<float name="radius" value=" -1.5e+01 "/>'),
+        LENS.format('<float name="radius" value="inf"/>'),
+        LENS.format('<transform name="to_world"><lookat origin="0 0 0" target="0 0 1" up=""/></transform>'),
+        LENS.format('<transform name="to_world"><matrix value="1 0 0, 0 1 0, 0 0 1"/><translate/></transform>'),
+        '<default name="a" value="5"/><default name="ab" value="$a."/>' + LENS.format('<float name="z" value="-$ab"/>'),
+    ],
+)
+def test_other_numbers_are_taken_as_they_are(tmp_path: Path, text: str) -> None:
+    assert mistray.load(scene_of(tmp_path, text)) is not None
+
+
+def test_includes_that_multiply(tmp_path: Path) -> None:
+    """Fourteen files of two kilobytes, six includes each: 1.6e10 files; Mitsuba would not end."""
+    for k in range(14):
+        include = f'<include filename="part{k + 1}.xml"/>' if k < 13 else ""
+        scene_of(tmp_path, include * 6, f"part{k}.xml")
+    began = time.monotonic()
+    with pytest.raises(MistrayError, match=r"part0\.xml': it includes more than 1000 files, .*; put"):
+        mistray.load(tmp_path / "part0.xml")
+    assert time.monotonic() - began < 20
+
+
+def test_parameters_that_double(tmp_path: Path) -> None:
+    """Each of 26 lines is twice as long as the one before: Mitsuba took 4 GB. No value is made that is too long."""
+    lines = "".join(f'<default name="p{k + 1}" value="$p{k}$p{k}"/>' for k in range(40))
+    said = refusal(tmp_path, f'<default name="p0" value="{"x" * 64}"/>{lines}')
+    assert "<default> 'p" in said
+    assert "more than 32 MiB" in said
+
+
+def test_files_within_each_other(tmp_path: Path) -> None:
+    """Mitsuba ends at fifteen files, with as many lines and no name of a file."""
+    for k in range(16):
+        scene_of(tmp_path, f'<include filename="{k + 1}.xml"/>' if k < 15 else "", f"{k}.xml")
+    assert mistray.load(tmp_path / "1.xml") is not None
+    with pytest.raises(MistrayError, match=r"14\.xml', line 1: <include> '15\.xml' lies within 15 files"):
+        mistray.load(tmp_path / "0.xml")
+    assert "'scene.xml' lies within itself" in refusal(tmp_path, '<include filename="scene.xml"/>')
+
+
+def test_large_files_are_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "scene.xml"
+    with path.open("wb") as file:
+        file.truncate(1 << 40)  # sparse: a terabyte of nothing
+    with pytest.raises(MistrayError, match="more than 32 MiB of text"):
+        mistray.load(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (LENS.format('<transform name="0"><translate z="5"/></transform>'), "unknown parameter '0' of shape 'L1'"),
+        (LENS.format(f'<string name="layers" value="{"MgF2 100 " * 20_000}"/>'), "'layers' = MgF2 100"),
+        (LENS.format('<float name="z" value="1"/><float name="z" value="1"/>'), "'L1': z is given twice"),
+        (LENS.format('<float name="Radius" value="1"/>'), "did you mean 'radius'?"),
+        ('<shape type="sphere" id="${jndi}"/>', "holds $"),
+        ('<string name="x" value="1"/>', "unknown parameter 'x' = 1 of <scene>"),
+        # Mitsuba takes a property for known once somebody has read it, whoever it was
+        *((LENS.format(f'<string name="{name}" value="x"/>'), f"unknown parameter '{name}'")
+          for name in ("filename", "prt", "r")),
+    ],
+)  # fmt: skip
+def test_messages(tmp_path: Path, text: str, words: str) -> None:
+    assert words in refusal(tmp_path, text)
+
+
+def test_numbers_of_dicts(tmp_path: Path) -> None:
+    """Of stock plugins too, which say nothing."""
+    box = {"type": "interface", "R": 0.0}
+    tipped = mi.ScalarTransform4f([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 0]])
+    for part, words in (
+        ({"type": "sphere", "radius": math.nan, "bsdf": box}, "radius is nan"),
+        ({"type": "sphere", "to_world": mi.ScalarTransform4f().translate([0, 0, math.inf]), "bsdf": box}, "to_world"),
+        ({"type": "cube", "to_world": tipped, "bsdf": box}, "last row"),
+        ({"type": "point", "intensity": {"type": "rgb", "value": [1.0, 2.0, math.inf]}}, "intensity holds inf"),
+        ({"type": "point", "intensity": {"type": "spectrum", "value": math.nan}}, "intensity holds nan"),
+        ({"type": "asphere", "semi_diameter": ""}, "semi_diameter is ''"),
+        ({"type": "asphere", "semi_diameter": 5.0, "part": "a\ud800"}, "half of a character"),
+        ({"type": "part_mesh", "filename": ""}, "filename is ''"),
+        ({"type": "collimated", "radius": 1.0, "wavelength_nm": "550,,600"}, "wavelength_nm is '550,,600'"),
+    ):
+        with pytest.raises(MistrayError) as caught:
+            mistray.load({"type": "scene", "one": part})
+        assert "'one'" in str(caught.value)
+        assert words in str(caught.value)
+
 
 GOOD = {"type": "asphere", "semi_diameter": 5.0, "bsdf": {"type": "interface", "back": "1.5"}}
 

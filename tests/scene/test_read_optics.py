@@ -26,18 +26,7 @@ SCENE = """<scene version="3.0.0">
 </scene>"""
 
 
-KEYS = (
-    "name",
-    "curvature",
-    "conic",
-    "coefficients",
-    "semi_diameter",
-    "half_width",
-    "front",
-    "back",
-    "mirror",
-    "coating",
-)
+KEYS = ("name", "curvature", "conic", "coefficients", "semi_diameter", "half_width", "front", "back", "mirror")
 
 
 @pytest.fixture

@@ -129,38 +129,6 @@ class TestBallLens:
             assert row.x_mm == pytest.approx(record.x_mm, abs=1e-3)
             assert row.rms_radius_mm == pytest.approx(record.rms_radius_mm, abs=1e-3)
 
-    def test_history(self, load_text) -> None:
-        """Directions and optical path lengths use the normals of the sphere at the hits themselves."""
-        scene, _ = load_text(self.text)
-        t = mistray.trace(scene, rays=2000)
-        table = t.history(0, 20).to_pandas()
-        for _, ray in table.groupby("ray"):
-            points = ray[["x_mm", "y_mm", "z_mm"]].to_numpy()
-            assert list(ray.surface) == ["-", "ball", "ball", "detector"]
-            assert np.linalg.norm(points[1:3], axis=1) == pytest.approx([5.0, 5.0], abs=1e-5)
-            steps = np.diff(points, axis=0)
-            unit = steps / np.linalg.norm(steps, axis=1, keepdims=True)
-            np.testing.assert_allclose(ray[["dx", "dy", "dz"]].to_numpy()[:-1], unit, atol=2e-5)
-            lengths = np.linalg.norm(steps, axis=1)
-            np.testing.assert_allclose(np.diff(ray.opl_mm), lengths * [1, 1.5, 1], rtol=1e-6)
-        assert set(t.rays(n=50).node) == {3, 5}
-
-    def test_inside_out_and_again(self, load_text) -> None:
-        """Light whispers along the inside of a ball: many hits of one stock shape, none lost, none counted twice."""
-        scene, _ = load_text(
-            scene_text(
-                stock("sphere", "ball", '<float name="radius" value="5"/>', bsdf=BALL),
-                shape_xml("asphere", "detector", 40.0, sensor=True, half_width=1.0, half_height=1.0),
-                radius=4.99,
-            )
-        )
-        t = mistray.trace(scene, rays=5000, max_reflections=30, flux_threshold=1e-7)
-        assert t.energy.cut["medium"] < 1e-5 * t.energy.launched_W
-        assert abs(t.energy.closure) < 1e-5
-        assert t.energy.escaped_W + t.energy.detected_W == pytest.approx(t.energy.launched_W, rel=1e-5)
-        hits = next(row for row in t.surfaces if row.id == "ball")
-        assert hits.hits > 5000 * 6
-
 
 class TestMesh:
     @pytest.fixture(scope="class")
@@ -193,25 +161,6 @@ class TestMesh:
         # entrance, hypotenuse, exit; then back and forth between exit and entrance once more
         assert rows["prism"].hits == 5000 * 7
 
-    def test_mesh_of_a_lens_surface(self, load_text, load_scene, tmp_path: Path) -> None:
-        """The triangles of an asphere as a PLY: the same light to the accuracy of the facets."""
-        lens = [
-            shape_xml("asphere", "front", 0.0, GLASS, radius=60.0, semi_diameter=8.0),
-            shape_xml("asphere", "rear", 3.0, interface_xml("1.5", "air"), semi_diameter=8.0),
-            shape_xml("asphere", "detector", 60.0, sensor=True, half_width=8.0, half_height=8.0),
-        ]
-        scene, _ = load_text(scene_text(*lens, radius=6.0))
-        front = next(shape for shape in scene.shapes() if shape.id() == "front")
-        front.write_ply(str(tmp_path / "front.ply"))
-        mesh = stock("ply", "front", f'<string name="filename" value="{tmp_path / "front.ply"}"/>', bsdf=GLASS)
-        meshed = load_scene(scene_text(mesh, *lens[1:], radius=6.0))
-        a, b = (mistray.trace(s, rays=5000) for s in (scene, meshed))
-        assert [row.events for row in a.paths] == [row.events for row in b.paths]
-        for x, y in zip(a.paths, b.paths, strict=True):
-            assert y.power_W == pytest.approx(x.power_W, rel=1e-2)
-            assert y.rms_radius_mm == pytest.approx(x.rms_radius_mm, rel=0.05)
-        assert b.energy.cut["medium"] == 0
-
 
 class TestMixtures:
     def test_nearest_of_both_kinds(self, load_text) -> None:
@@ -233,20 +182,6 @@ class TestMixtures:
         assert {row.events for row in t.paths} == {record.text for record in ledger.paths}
         for row in t.paths:
             assert row.power_W == pytest.approx(ledger.find(*row.events.split()).power_W, rel=1e-6)
-
-    def test_disk_as_absorber(self, load_text) -> None:
-        """A black disk of half the beam's radius takes a quarter of it: 4 standard errors."""
-        scene, _ = load_text(
-            scene_text(
-                stock("disk", "spot", "", '<scale value="0.5"/><translate z="1"/>'),
-                shape_xml("asphere", "detector", 2.0, sensor=True, half_width=2.0, half_height=2.0),
-            )
-        )
-        t = mistray.trace(scene, rays=100_000)
-        watt, se = t.energy.absorbed["spot"]
-        assert watt == pytest.approx(np.pi / 4, abs=4 * se)
-        assert 0 < se < 0.01
-        assert t.energy.detected_W == pytest.approx(np.pi - watt, rel=1e-9)
 
     def test_cylinder(self, load_scene) -> None:
         """A stock cylinder and a frustum as the wall of a rod: the normal of both points outwards."""
