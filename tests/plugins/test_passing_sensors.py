@@ -69,7 +69,6 @@ def test_a_scene_of_a_file(plate: Path, load_text) -> None:
 def test_light_of_surfaces() -> None:
     """`surface_maps` and `flux_split` on a Lambertian wall across a beam of 1 W/mm²: shares and map in closed form."""
     scene = scene_dicts.load(
-        integrator={"type": "straylight"},
         beam={"type": "collimated", "half_width": 3.0, "half_height": 2.0},
         wall={"type": "asphere", "half_width": 3.0, "half_height": 2.0, "bsdf": {"type": "paint", "reflectance": 0.25}},
         detector=scene_dicts.detector(-90.0, semi_diameter=0.1, x=20.0),
@@ -81,9 +80,9 @@ def test_light_of_surfaces() -> None:
     assert row.incident[0] == pytest.approx(24.0, rel=1e-3)
     assert row.absorbed[0] == pytest.approx(0.75 * row.incident[0], rel=1e-6)
     assert row.scattered_reflection[0] == pytest.approx(0.25 * row.incident[0], rel=1e-6)
-    image = np.array(mi.render(scene, sensor=[s.id() for s in scene.sensors()].index("maps"), spp=2000)).squeeze()
-    assert image.shape == (4, 6)
-    assert image == pytest.approx(1.0, rel=0.15)  # 48,000 rays, 2000 in a cell: 5 SE are 0.11
+    value, se = found["maps"].maps["wall"].irradiance
+    assert value.shape == (4, 6)
+    assert np.all(np.abs(value - 1) < 6 * se)  # of 24 cells, from 32 batches: a false alarm in 3e-5 of runs
 
 
 @pytest.mark.quick
@@ -170,5 +169,5 @@ def test_json_of_the_command(tmp_path: Path, capsys: Captured) -> None:
     assert first["highest_radiance_W_mm2_sr"] > 0
     assert [(row["from_deg"], row["to_deg"]) for row in found["far_fields"]] == 2 * [(90, 135), (135, 180)]
     without = json.loads(succeeds(capsys, "ghosts", path, *SCENE, "--json"))
-    assert "probes" not in without["sections"]
+    assert "probes" not in without.get("sections", {})
     assert "two sensors have this id" in fails(capsys, "ghosts", path, *SCENE, "--probe", "0,0,1,id=a", "0,0,2,id=a")

@@ -100,7 +100,7 @@ def test_wrong_values_by_all_ways_in(tmp_path: Path, capsys: Captured) -> None:
     with pytest.raises(MistrayError) as by_file:
         mistray.load(file)
     for text in (str(by_dict.value), str(by_file.value), fails(capsys, "ghosts", file)):
-        assert "interface of asphere 'lens': R is 2" in text
+        assert "'lens': R is 2; it must lie between 0 and 1" in text
         assert "\n" not in text
 
 
