@@ -38,8 +38,8 @@ class TestPlate:
         assert_z("T", e.detected_W / e.launched_W, through, e.detected_se_W / e.launched_W, k=4.5, floor=2e-6 * through)
         assert_z("R", e.escaped_W / e.launched_W, back, e.escaped_se_W / e.launched_W, k=4.5, floor=1e-5 * back)
         assert set(e.absorbed_in) == {DARK}
-        value, se = e.absorbed_in[DARK]
-        assert_z("absorbed", value / e.launched_W, 1 - through - back, se / e.launched_W, k=4.5, floor=1e-5 * (1 - through - back))
+        (value, se), stays = e.absorbed_in[DARK], 1 - through - back
+        assert_z("absorbed", value / e.launched_W, stays, se / e.launched_W, k=4.5, floor=1e-5 * stays)
         assert "splitting" in how or se / e.launched_W < 1e-6
         assert sum(v for v, _ in e.absorbed.values()) == pytest.approx(0, abs=1e-6)
         assert abs(e.closure) < 1e-6
