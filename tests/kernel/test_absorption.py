@@ -35,11 +35,12 @@ class TestPlate:
         back = 0.02 + 0.98**2 * 0.05 * TAU**2 / many
         assert through == pytest.approx(0.8385792491918453, rel=1e-12)
         # False-alarm probability of what is sampled: 4.5 σ, 7e-6
-        assert_z("T", e.detected_W / e.launched_W, through, e.detected_se_W / e.launched_W, k=4.5, floor=2e-6)
-        assert_z("R", e.escaped_W / e.launched_W, back, e.escaped_se_W / e.launched_W, k=4.5, floor=1e-6)
+        assert_z("T", e.detected_W / e.launched_W, through, e.detected_se_W / e.launched_W, k=4.5, floor=2e-6 * through)
+        assert_z("R", e.escaped_W / e.launched_W, back, e.escaped_se_W / e.launched_W, k=4.5, floor=1e-5 * back)
         assert set(e.absorbed_in) == {DARK}
-        value, se = e.absorbed_in[DARK]
-        assert_z("absorbed", value / e.launched_W, 1 - through - back, se / e.launched_W, k=4.5, floor=1e-6)
+        (value, se), stays = e.absorbed_in[DARK], 1 - through - back
+        assert_z("absorbed", value / e.launched_W, stays, se / e.launched_W, k=4.5, floor=1e-5 * stays)
+        assert "splitting" in how or se / e.launched_W < 1e-6
         assert sum(v for v, _ in e.absorbed.values()) == pytest.approx(0, abs=1e-6)
         assert abs(e.closure) < 1e-6
         assert f"absorbed in {DARK}" in str(e)

@@ -7,7 +7,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
-from lit_detector import RADIUS, TUBE, lit
+from lit_detector import BLACK, RADIUS, TUBE, lit, meter
 from oracles.statistics import assert_z
 
 import mistray
@@ -16,6 +16,12 @@ from mistray.plugins.emitters.light_source import LightSource
 from mistray.sampling.sources import scene_sources
 
 pytestmark = pytest.mark.quick
+
+
+def scene(lamp: dict[str, Any]) -> mi.Scene:
+    """A round black detector in the plane z = 0, and a lamp; far behind it a tube that makes the scene larger."""
+    detector = {"type": "asphere", "semi_diameter": RADIUS, "bsdf": BLACK, "sensor": meter(8)}
+    return mi.load_dict({"type": "scene", "detector": detector, "lamp": lamp, "tube": TUBE}, optimize=False)
 
 
 WAIST = {"waist_x": 0.2, "waist_y": 0.2, "m2_x": 2.0, "m2_y": 2.0}
@@ -146,7 +152,7 @@ def alike(name: str) -> bool:
 def test_gradient(name: str) -> None:
     """By numbers of the source, with what the rim of the detector takes; false alarms 0.02 % each of 31."""
     lamp, key, step = GRADIENTS[name]
-    here = lit(lamp, 8, tube=TUBE)
+    here = scene(lamp)
     metric = path_power(here, "straight shot", rays=400_000, seed=1)  # half of them go to the detector
     g = mistray.gradient(metric, mi.traverse(here), keys=[f"lamp.{key}"])
     up, down = (exact_flux({**lamp, key: lamp.get(key, 0.0) + sign * step}) for sign in (1, -1))
