@@ -8,8 +8,41 @@ from typing import Any
 
 from number_fuzz import NASTY_XML, Try, Worker
 from oracles.small_scenes import interface_xml, shape_xml
-from test_plugin_pages import BLACK_BSDF, BRACKET_PLY, MANUALS
+from test_plugin_pages import MANUALS
 
+BLACK_BSDF = """Source Measured
+Symmetry PlaneSymmetrical
+SpectralContent Monochrome
+ScatterType BRDF
+SampleRotation 1
+0
+AngleOfIncidence 1
+0
+ScatterAzimuth 2
+0 180
+ScatterRadial 3
+0 45 90
+Monochrome
+DataBegin
+TIS 0.05
+0.016 0.016 0.016
+0.016 0.016 0.016
+DataEnd
+"""
+BRACKET_PLY = """ply
+format ascii 1.0
+element vertex 3
+property float x
+property float y
+property float z
+element face 1
+property list uchar int vertex_indices
+end_header
+0 0 0
+1 0 0
+0 1 0
+3 0 1 2
+"""
 BENT = {"z": 5.0, "curvature": 0.01}
 SQUARE = {"clip_1": "+rectangle", "clip_1_half_width": 4.0, "clip_1_half_height": 4.0}
 TRIANGLE = {"clip_1": "+polygon", "clip_1_x1": -4.0, "clip_1_y1": -4.0, "clip_1_x2": 4.0, "clip_1_y2": -3.0,

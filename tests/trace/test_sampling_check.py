@@ -42,7 +42,7 @@ def silent(count: int, share: float) -> dict[str, Any]:
     ("values", "words"),
     [
         (aimed(1000, 250), ()),
-        (aimed(1000, 199), ("window 19.9 %",)),
+        (aimed(1000, 199), ("window 20 %",)),
         (aimed(1000, 200), ()),
         (aimed(99, 0), ()),  # of a few rays no reason to warn
         (aimed(100, 0), ("window 0 %",)),
