@@ -49,6 +49,7 @@ def test_all_or_none(tmp_path: Path, small_files: Any, large: str) -> None:
     with pytest.raises(MistrayError, match="cannot be written"):
         writable_directory(tmp_path)
     assert contents(tmp_path) == before
+    small_files(1 << 30)
     assert [path.name for path in write_files(dict.fromkeys("abc", "new"), tmp_path)] == list("abc")
     assert contents(tmp_path) == dict.fromkeys("abc", b"new")
 

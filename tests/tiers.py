@@ -24,7 +24,7 @@ RECORDING = "MISTRAY_RECORD"
 PART = "MISTRAY_PART"  # a whole number, modulo the number of parts
 AT_ONCE_S = 0.6  # of a function with all its cases
 KEPT_S = 0.2  # shorter ones are not recorded
-MOST_S = 2000.0  # of processors, for a part: two of them take half of it
+MOST_S = 1200.0  # of processors, for a part: two of them take half of it
 
 
 def slow_unless(quick: bool) -> pytest.MarkDecorator | tuple[()]:
