@@ -74,7 +74,8 @@ def test_a_time_budget(capsys: Captured, files: tuple[str, str, str]) -> None:
     began = time.perf_counter()
     code, printed, errors = run(capsys, scene, study, "--out", out, "--seconds", str(SECONDS))
     spent = time.perf_counter() - began
-    assert (code, errors) == (0, "")
+    assert code == 0
+    assert all("compilation of kernels" in line for line in errors.splitlines())  # told where nothing is in the cache
     assert f"search from start 1: {TIME_USED}" in printed
     assert spent < SECONDS + DRAWING_SECONDS
     assert {"scene.xml", "terms.csv", "history.csv", "report.html", "checkpoint.json"} <= {

@@ -135,9 +135,9 @@ def test_pst_by_workers(method, tmp_path):
     if method == "forward":
         return
     state = tmp_path / "state.npz"
-    with working_with(Here(last=2)), pytest.raises(UnfinishedError, match=r"4.915e\+04 of 6e\+04 rays") as caught:
+    with working_with(Here(last=2)), pytest.raises(UnfinishedError, match=r"3.277e\+04 of 6e\+04 rays") as caught:
         mistray.pst(scene, state=state, **arguments)
-    assert caught.value.partial.facts["rays"] == 49152
+    assert caught.value.partial.facts["rays"] == 2 * 2**14
     assert str(state) in str(caught.value)
     rest = mistray.pst(scene, state=state, resume=True, **arguments)
     np.testing.assert_allclose(rest.by_batch, one.by_batch, rtol=ROUNDING)
