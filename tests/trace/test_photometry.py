@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 
-import colour
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ import mistray
 from mistray import MistrayError
 from mistray.recorders import FarField, Probe, SurfaceMaps
 from mistray.report import read_irradiance
+from mistray.spectra.cie import colour_science
 
 DETECTOR = square(5.0, z=10.0)
 
@@ -43,6 +43,7 @@ def test_a_watt_at_555_nm():
 def test_illuminant_a_with_power_outside_of_the_visible():
     """Lines every 20 nm, 300 … 1100 nm, against the integral of colour-science over the same lines; most are unseen."""
     lines = np.arange(300.0, 1101.0, 20.0)
+    colour = colour_science()
     power = colour.sd_blackbody(2856.0, colour.SpectralShape(300, 1100, 20)).values
     v = colour.SDS_LEFS["CIE 1924 Photopic Standard Observer"].copy()
     inside = [nm for nm in lines if 360 <= nm <= 830]
