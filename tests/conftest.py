@@ -29,10 +29,8 @@ def processors() -> float:
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark what is long, keep the part that is asked for, and let files that take long come first."""
-    of_file: dict[Path, float] = {}
     for item in items:
         tiers.mark_long(item)
-        of_file[item.path] = of_file.get(item.path, 0.0) + tiers.seconds_of(item)
         if item.get_closest_marker("slow"):
             item.add_marker(pytest.mark.timeout(SLOW_S))
     if tiers.PART in os.environ:
@@ -40,7 +38,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         chosen = set(kept)
         config.hook.pytest_deselected(items=[item for item in items if item not in chosen])
         items[:] = kept
-    items.sort(key=lambda item: -of_file[item.path])  # two processes take whole files
+    of_file: dict[str, float] = {}
+    for file, function in dict.fromkeys(map(tiers.place, items)):  # in the same order in all processes
+        of_file[file] = of_file.get(file, 0.0) + tiers.seconds_of(file, function)
+    items.sort(key=lambda item: -of_file[tiers.place(item)[0]])  # two processes take whole files
 
 
 @pytest.hookimpl(wrapper=True)

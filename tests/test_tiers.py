@@ -98,13 +98,6 @@ def marks(node: ast.AST) -> set[str]:
     return {m for d in getattr(node, "decorator_list", ()) for m in re.findall(r"mark\.(\w+)", ast.unparse(d))}
 
 
-def runs(file: str, name: str, of: set[str]) -> bool:
-    """Whether `make test` runs a test function with such marks."""
-    if of & {"long", "slow", "gpu"}:
-        return False
-    return "core" in of or tiers.recorded().get(file, {}).get(name, 0.0) <= tiers.AT_ONCE_S
-
-
 def pieces(path: Path) -> Iterator[str]:
     """Source of a test file without the tests that `make test` leaves out."""
     text = path.read_text(encoding="utf-8")
@@ -122,7 +115,7 @@ def pieces(path: Path) -> Iterator[str]:
         for member in members:
             if isinstance(member, Function) and member.name.startswith("test"):
                 found = whole | marks(member) | (marks(node) if owner else set())
-                if not runs(file, owner + member.name, found):
+                if found & {"long", "slow", "gpu"} or tiers.takes_long(file, owner + member.name, "core" in found):
                     continue
             first = min([member.lineno, *(each.lineno for each in getattr(member, "decorator_list", ()))])
             yield "\n".join(lines[first - 1 : member.end_lineno])

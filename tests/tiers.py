@@ -46,15 +46,19 @@ def place(item: pytest.Item) -> tuple[str, str]:
     return file, names.replace("::", ".")
 
 
-def seconds_of(item: pytest.Item) -> float:
-    """What the function of a test takes by the record; 0 if it is not in there."""
-    file, function = place(item)
+def seconds_of(file: str, function: str) -> float:
+    """What a function takes by the record; 0 if it is not in there."""
     return recorded().get(file, {}).get(function, 0.0)
+
+
+def takes_long(file: str, function: str, core: bool) -> bool:
+    """Whether a function takes longer than `make test` has time for; it has it for those that are marked `core`."""
+    return not core and seconds_of(file, function) > AT_ONCE_S
 
 
 def mark_long(item: pytest.Item) -> None:
     """Mark a test `long` that takes longer than `make test` has time for."""
-    if item.get_closest_marker("core") is None and seconds_of(item) > AT_ONCE_S:
+    if takes_long(*place(item), core=item.get_closest_marker("core") is not None):
         item.add_marker(pytest.mark.long)
 
 
