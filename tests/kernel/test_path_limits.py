@@ -332,7 +332,7 @@ def test_impossible_settings(values: dict[str, Any], words: str) -> None:
         Settings(**values)
 
 
-@pytest.mark.long
+@pytest.mark.core
 @pytest.mark.parametrize("below", ["cut", "roulette"])
 def test_roulette_is_booked_and_zero_on_average(below: str) -> None:
     """False alarm 6e-5: the mean of 40 seeds within 4 standard errors."""

@@ -21,6 +21,7 @@ def fresnel_45(n: float = 1.5) -> tuple[float, float]:
 
 
 class TestPlateAt45Degrees:
+    @pytest.mark.core
     @pytest.mark.parametrize("polarization", ["unpolarized", "stokes"])
     @pytest.mark.parametrize("azimuth_deg", [0.0, 30.0, 90.0, 217.0])
     def test_transmittance(self, load_text, polarization, azimuth_deg) -> None:
