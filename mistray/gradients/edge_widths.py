@@ -25,6 +25,7 @@ from mistray.settings import BATCHES
 AUTOMATIC = tuple(0.05 * 0.5**k for k in range(5))
 EQUAL = np.ones(BATCHES)  # runs of several fields and wavelengths are added batch by batch; each splits its rays evenly
 MOST_SAMPLES = 3  # of further rays: more of them take longer than the search for the width
+CERTAIN = 3  # standard errors beyond which two widths differ by more than chance; several are compared
 REMAINING = 4 / 3  # bias of a width over what half of it changes, where the bias goes with the square of the width
 
 
@@ -46,7 +47,7 @@ class WidthErrors:
         Derivative with the next width less that with this one, and the standard error of this difference.
     bias : (w - 1, n) float64
         Bias of the width, with its probable sign: `REMAINING` times `check`. It is no less than the noise of `check`,
-        nor than what is certain of the differences from still narrower zones: those less their standard errors.
+        nor than what is certain of the differences from still narrower zones: those less `CERTAIN` standard errors.
     """
 
     noise: np.ndarray
@@ -76,7 +77,7 @@ class WidthErrors:
         bias = np.maximum(REMAINING * np.abs(check), check_se)
         for k in range(last - 1):
             apart = sums[k + 2 :] - sums[k]
-            certain = np.abs(apart.sum(axis=1)) - np.maximum(error(apart), check_se[k])
+            certain = np.abs(apart.sum(axis=1)) - CERTAIN * np.maximum(error(apart), check_se[k])
             bias[k] = np.maximum(bias[k], certain.max(axis=0))
         return cls(noise, check, check_se, np.where(check < 0, bias, -bias))
 
