@@ -11,10 +11,9 @@ import numpy as np
 
 from mistray.analysis.next_order import NextOrder, decided, next_limits
 from mistray.analysis.pst.result import Pst
-from mistray.execute.workers import current_workers
-from mistray.settings import Settings
+from mistray.settings import BATCHES, Settings
 from mistray.surfaces.surfaces import SurfaceTable
-from mistray.time_budget import left, within
+from mistray.time_budget import is_limited, left, within
 
 LEAST_SHARE = 0.4  # of the time of the first measurement, in which another one is prepared and begins
 
@@ -23,8 +22,9 @@ def with_next_orders(scene: mi.Scene, first: Pst, seconds: float, measure: Calla
     """
     Measure a PST with one more scatter event and, apart from that, with one more reflection.
 
-    Each has the seed of the first, and at most half of its time; what a pass takes, it takes. The stray light is
-    compared angle by angle. A note says so where a time budget is too short for one of them.
+    Each has the seed of the first, and at most half of its rays, whatever the time: equal seeds find equal numbers.
+    Within a time budget it also has at most half of its time; what a pass takes, it takes. The stray light is compared
+    angle by angle. A note says so where a time budget is too short for one of them.
 
     Parameters
     ----------
@@ -33,7 +33,8 @@ def with_next_orders(scene: mi.Scene, first: Pst, seconds: float, measure: Calla
     seconds : float
         That it took.
     measure : callable
-        Gets a limit by its name, as in ``measure(max_scatters=2)``, and gives the PST with it, else as `first`.
+        Gets a limit by its name and rays, as in ``measure(max_scatters=2, rays=1000)``, and gives the PST with them,
+        else as `first`.
 
     Returns
     -------
@@ -44,15 +45,16 @@ def with_next_orders(scene: mi.Scene, first: Pst, seconds: float, measure: Calla
     settings = Settings(**facts["settings"])
     table = SurfaceTable(scene, float(facts["wavelength_nm"][0]), facts["detector"])
     limits = next_limits(settings, table)
-    timed = first.method != "forward" or current_workers() is None  # parts of workers are not
+    # At each angle, or from the detector
+    rays = int(np.max(facts["rays_of_cell"] if first.method == "forward" else facts["rays"]))
     found: list[tuple[Pst, NextOrder]] = []
     prepared = seconds - float(facts["seconds"])  # what the first one took but for its passes
     for limit, allowed in limits.items():
         if left() < max(LEAST_SHARE * seconds, prepared):
             first.facts["notes"] = [*first.facts["notes"], f"the time was up before {limit} = {allowed} was measured"]
             continue
-        with within(seconds / len(limits)) if timed else contextlib.nullcontext():
-            more = measure(**{limit: allowed})
+        with within(seconds / len(limits)) if is_limited() else contextlib.nullcontext():
+            more = measure(**{limit: allowed}, rays=max(rays // len(limits), BATCHES))
         found.append((more, _compared(first, more, limit, allowed)))
     orders = decided([order for _, order in found])
     chosen = next((more for (more, _), order in zip(found, orders, strict=True) if order.taken), first)
