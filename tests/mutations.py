@@ -120,6 +120,8 @@ def caught(fault: Fault) -> str:
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "mistray"
         shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".git", ".venv*", "out", "__pycache__", ".*_cache"))
+        for package in ("plugins", "scenes"):  # installed from beside the package; those of the copy count
+            (copy / "mistray" / package).symlink_to(copy / package)
         path = copy / fault.file
         text = path.read_text(encoding="utf-8")
         if text.count(fault.right) != 1:

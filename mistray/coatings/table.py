@@ -81,7 +81,9 @@ class CoatingTable:
             except ValueError as error:
                 raise MistrayError(f"{what}, line {number}: {error}; every cell must be a number") from None
             if len(values) != len(header) or not all(map(math.isfinite, values)):
-                raise MistrayError(f"{what}, line {number}: {len(header)} finite numbers are needed, as in the header")
+                raise MistrayError(
+                    f"{what}, line {number}: '{','.join(row)}'; give {len(header)} finite numbers, as above"
+                )
             rows.append(values)
         columns = np.array(rows, dtype=np.float64).reshape(len(rows), len(header)).T
         return cls.from_columns(str(path), dict(zip(header, columns, strict=True)))

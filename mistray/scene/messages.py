@@ -33,7 +33,7 @@ _NODE = re.compile(r"dictionary node \"(?P<path>[^\"]+)\"")
 _TRACEBACK = "Traceback (most recent call last)"
 _INTERRUPT = re.compile(r"^KeyboardInterrupt\b", re.MULTILINE)
 _RAISED = re.compile(r"^\s*(\w+(?:Error|Warning|Exception): [^\n]*)", re.MULTILINE)  # the last line of a traceback
-_PREFIX = re.compile(r"\[\w+\.cpp:\d+\] |\[\w+\] ")
+_PREFIX = re.compile(r"\[\w+\.(?:cpp|h):\d+\] |\[\w+\] ")
 _LOADING = re.compile(r"(Error while loading|While loading|At) (XML file )?\S+( \(line \d+, col \d+\))?: ")
 
 

@@ -373,7 +373,9 @@ class Interface(mi.BSDF):
         tir = (sin2_t >= 1) & (not stock["opaque"])
         cos_t = dr.sqrt(dr.maximum(0, 1 - sin2_t))
         if self.ideal:
-            r, t = dr.select(tir, self.R + self.T, self.R), dr.select(tir, 0, self.T)
+            # Copies, since Dr.Jit may widen a literal in place where a mask is one as well
+            R, T = mi.Float(self.R), mi.Float(self.T)
+            r, t = dr.select(tir, R + T, R), dr.select(tir, 0, T)
         elif stock["tables"]:
             rarer = cos_i if stock["opaque"] else dr.minimum(cos_i, cos_t)
             r, t = _interpolate(*stock["tables"]["refraction"], rarer, from_back, active)
