@@ -22,7 +22,7 @@ Seconds = dict[str, dict[str, float]]  # file, below tests → function → seco
 RECORD = Path(__file__).parent / "durations.json"
 RECORDING = "MISTRAY_RECORD"
 PART = "MISTRAY_PART"  # a whole number, modulo the number of parts
-AT_ONCE_S = 0.6  # of a function with all its cases
+AT_ONCE_S = 0.8  # of a function with all its cases
 KEPT_S = 0.2  # shorter ones are not recorded
 MOST_S = 1200.0  # of processors, for a part: two of them take half of it
 

@@ -76,7 +76,6 @@ def test_what_has_been_saved_is_not_saved_again(window: Any, tmp_path: Path, mon
     assert again.paths(0.0).equals(first.paths(0.0))
 
 
-@pytest.mark.filterwarnings("ignore:the PST takes about")
 def test_an_interrupt_saves_the_pass_that_it_waited_for(
     window: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
