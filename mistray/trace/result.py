@@ -557,6 +557,8 @@ class Trace:
         """
         Trace again for rays that arrive at any surface, or leave the scene.
 
+        A row has the last node of a ray with flux and direction as `RayHistory.to_pandas`; source, kind, key, history.
+
         Parameters
         ----------
         where : str or sequence of str
@@ -564,8 +566,6 @@ class Trace:
             "returned" (escaped backwards). What misses all surfaces is left out.
         selection, n, events
             As in `rays`; of columns a filter knows kind, order and the like, wavelength_nm, source, surface.
-
-        A row has the last node of a ray with flux and direction as `RayHistory.to_pandas`; source, kind, key, history.
         """
         return rays_elsewhere(self._runs, where, PathFilter(selection), n, events)
 

@@ -226,15 +226,6 @@ def importance_sampling(
     """
     Step 7: where each surface sends aimed rays, and how many of them arrive.
 
-    Parameters
-    ----------
-    table : SurfaceTable
-    path : DesignPath, optional
-    targets : mapping
-        Where light is scattered → targets, as from `mistray.sampling.importance_targets.importance_targets`.
-    probe : Trace, optional
-        A trace with scatter, whose sampling is judged; None where nothing scatters.
-
     Columns of the table: surface, role, leaves ("front", "back"; "in front", "behind": what the medium there scatters
     on the way to the surface), number (of the target), shape, distance_mm (from the vertex of the surface to the middle
     of the target; negative: virtual, inf: far away), half_width_mm, half_height_mm, half_angle_deg (the larger of both
@@ -244,6 +235,15 @@ def importance_sampling(
     and in a row for each target that is traced from there its number (0: none is), traced_distance_mm,
     traced_half_width_mm, traced_half_height_mm and traced_half_angle_deg. Traced targets are as large as real rays
     need, see `mistray.sampling.detector_images`.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    path : DesignPath, optional
+    targets : mapping
+        Where light is scattered → targets, as from `mistray.sampling.importance_targets.importance_targets`.
+    probe : Trace, optional
+        A trace with scatter, whose sampling is judged; None where nothing scatters.
     """
     rows = []
     far_away = FAR_SIZES * float(np.linalg.norm(np.ptp(table.vertices, axis=0)))
