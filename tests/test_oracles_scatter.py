@@ -2,32 +2,19 @@
 
 from __future__ import annotations
 
-import csv
-from pathlib import Path
-
 import numpy as np
 import pytest
 from oracles import beams, scatter, scene_xml
 from oracles import scatter_integrals as integrals
 from oracles.scatter_scenes import bsdf_xml, discs_text, lenses_text, sphere_text, tube_text
 from oracles.statistics import assert_z
+from vectors import analytic, rows
 
-DATA = Path(__file__).parent / "data"
 PROFILES = {
     "lamb": integrals.lambertian(0.05),
     "abg": integrals.abg(2e-5, 1e-6, 2),
     "har": integrals.harvey_shack(0.1099, 0.01, -1.5),
 }
-
-
-def vectors(name: str) -> list[dict[str, str]]:
-    with (DATA / name).open(newline="", encoding="utf-8") as stream:
-        return list(csv.DictReader(line for line in stream if not line.startswith("#")))
-
-
-def analytic(start: str, quantity: str) -> float:
-    (row,) = (r for r in vectors("analytic_cases.csv") if r["case"].startswith(start) and r["quantity"] == quantity)
-    return float(row["closed_form"])
 
 
 def traced(text: str, rays: int, **limits: float) -> scatter.Books:
@@ -39,7 +26,7 @@ def traced(text: str, rays: int, **limits: float) -> scatter.Books:
 
 
 class TestIntegrals:
-    @pytest.mark.parametrize("row", vectors("is_cone_flux.csv"), ids=lambda r: "_".join(list(r.values())[:5]))
+    @pytest.mark.parametrize("row", rows("is_cone_flux.csv"), ids=lambda r: "_".join(list(r.values())[:5]))
     def test_cone_flux(self, row: dict[str, str]) -> None:
         numbers = (float(row[key]) for key in ("theta_i", "cone_axis_theta", "cone_axis_phi", "cone_half_deg"))
         flux = integrals.cone_flux(PROFILES[row["bsdf"]], *numbers)
@@ -50,7 +37,7 @@ class TestIntegrals:
         flux = integrals.cone_flux(integrals.lambertian(0.3), 20.0, 40.0, 77.0, 13.0)
         assert flux == pytest.approx(0.3 * np.sin(np.radians(13)) ** 2 * np.cos(np.radians(40)), rel=1e-12)
 
-    @pytest.mark.parametrize("row", vectors("scatter_plate_converging.csv"), ids=lambda r: "_".join(r.values())[:34])
+    @pytest.mark.parametrize("row", rows("scatter_plate_converging.csv"), ids=lambda r: "_".join(r.values())[:34])
     def test_plate_in_a_converging_beam(self, row: dict[str, str]) -> None:
         profile = {"h": PROFILES["har"], "l": PROFILES["lamb"], "A": PROFILES["abg"]}[row["BTDF"][0]]
         found = integrals.converging_irradiance(

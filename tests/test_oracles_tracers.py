@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-from pathlib import Path
-
 import numpy as np
 import pytest
+import vectors
 from oracles import beams, closed_forms, nonsequential, scene_xml
 from oracles.geometry import Asphere
 from oracles.replay import OUTCOMES, parse_events, replay
 from oracles.small_scenes import STEEP_REAR, interface_xml, plates_text, scene_text, shape_xml
-
-DATA = Path(__file__).parent / "data"
-
-
-def vectors(name: str) -> list[dict[str, str]]:
-    with (DATA / name).open(newline="", encoding="utf-8") as stream:
-        return list(csv.DictReader(line for line in stream if not line.startswith("#")))
 
 
 def scene_of(*shapes: str, radius: float = 1.0) -> scene_xml.SceneModel:
@@ -34,7 +25,7 @@ def bundle(model: scene_xml.SceneModel, rays: int = 50, field_deg: float = 0.0, 
 
 @pytest.fixture(scope="module")
 def expected() -> dict[tuple[str, str], float]:
-    return {(row["case"], row["quantity"]): float(row["closed_form"]) for row in vectors("analytic_cases.csv")}
+    return {(row["case"], row["quantity"]): float(row["closed_form"]) for row in vectors.rows("analytic_cases.csv")}
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +70,7 @@ class TestClosedForms:
         assert far == pytest.approx(expected[case, "spot radius paraxial far"], rel=1e-13)
 
     def test_ghost_counts(self) -> None:
-        for row in vectors("ghost_counts.csv"):
+        for row in vectors.rows("ghost_counts.csv"):
             n = int(row["n_surfaces"])
             for bounces in (2, 4, 6, 8):
                 if int(row[f"{bounces}_bounce"]) < 2**62:
@@ -102,7 +93,7 @@ class TestClosedForms:
         surfaces, focus = singlet_window
         assert closed_forms.back_focus(surfaces[:2]) == pytest.approx((97.58040934528817, 95.91804266709576), rel=1e-13)
         ghosts = {(g.second, g.first): g for g in closed_forms.paraxial_ghosts(surfaces, focus, 0.2, 10.0)}
-        rows = vectors("ghost_lens_window_det.csv")
+        rows = vectors.rows("ghost_lens_window_det.csv")
         assert len(ghosts) == len(rows) == 10
         for row in rows:
             ghost = ghosts[int(row["second_reflecting_surface"]), int(row["first_reflecting_surface"])]

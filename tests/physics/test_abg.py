@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-import pandas as pd
 import pytest
+import vectors
 from oracles import scatter_integrals
 from scipy.integrate import quad
 
@@ -21,7 +20,6 @@ from mistray.physics.disc import disc_total
 
 pytestmark = pytest.mark.quick
 
-DATA = Path(__file__).parents[1] / "data"
 VECTORS, QUADRATURE = 1e-6, 1e-4  # relative, as required
 
 # σ 50 Å, correlation length 100 µm, λ 0.5 µm, Δn 2, R 0.95: the sheet "ABg from RMS"
@@ -29,19 +27,15 @@ SHEET = {"rms_um": 0.005, "correlation_length_um": 100.0, "wavelength_um": 0.5, 
 SHEET_INTEGRAL = 0.015552516
 
 
-def vectors(name: str) -> pd.DataFrame:
-    return pd.read_csv(DATA / name, comment="#", skipinitialspace=True)
-
-
 def test_values() -> None:
-    table = vectors("abg_values.csv")
+    table = vectors.frame("abg_values.csv")
     found = abg.bsdf(table["abs_beta_minus_beta0"].to_numpy(), *(table[key].to_numpy() for key in "ABg"))
     np.testing.assert_allclose(found, table["BSDF_per_sr"], rtol=VECTORS)
 
 
 def test_directions() -> None:
     """|β - β0| from angles, for the A, B and g that both sources plot."""
-    table = vectors("abg_directions.csv")
+    table = vectors.frame("abg_directions.csv")
     theta_i, theta_s, phi = (np.radians(table[key]) for key in ("theta_i", "theta_s", "phi_s_from_specular"))
     r = np.hypot(np.sin(theta_s) * np.cos(phi) - np.sin(theta_i), np.sin(theta_s) * np.sin(phi))
     np.testing.assert_allclose(r, table["abs_dbeta"], rtol=VECTORS, atol=1e-12)
@@ -49,7 +43,7 @@ def test_directions() -> None:
 
 
 def test_tis_vectors() -> None:
-    table = vectors("abg_tis.csv")
+    table = vectors.frame("abg_tis.csv")
     for row in table.itertuples():
         sine = math.sin(math.radians(row.theta_i_deg))
         total = disc_total(lambda r, row=row: abg.bsdf(r, row.A, row.B, row.g), sine)
@@ -101,7 +95,7 @@ def test_tis_limits() -> None:
 
 
 def test_wavelength_scaling() -> None:
-    for row in vectors("abg_wavelength_scaling.csv").itertuples():
+    for row in vectors.frame("abg_wavelength_scaling.csv").itertuples():
         a, b = abg.at_wavelength(row.A1, row.B1, row.g1, row.lam2_um / row.lam1_um)
         assert a == pytest.approx(row.A2, rel=VECTORS)
         assert b == pytest.approx(row.B2, rel=VECTORS)
@@ -111,7 +105,7 @@ def test_wavelength_scaling() -> None:
 
 
 def sheet() -> dict[str, float]:
-    return dict(vectors("tracepro_sheet.csv").set_index("quantity")["computed"])
+    return dict(vectors.frame("tracepro_sheet.csv").set_index("quantity")["computed"])
 
 
 def test_sheet_abg_from_rms() -> None:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from pathlib import Path
 
 import drjit as dr
 import numpy as np
-import pandas as pd
 import pytest
+import vectors
 from scipy.integrate import quad
 from scipy.special import fresnel, j1
 
@@ -17,16 +16,11 @@ import mistray  # noqa: F401  (settles libLLVM and the variant)
 from mistray.errors import MistrayError
 from mistray.physics import diffraction
 
-DATA = Path(__file__).parents[1] / "data"
 LAMBDA = 0.55e-3  # mm
 
 
-def vectors(name: str) -> pd.DataFrame:
-    return pd.read_csv(DATA / name, comment="#", skipinitialspace=True)
-
-
 def test_keller_vectors() -> None:
-    table = vectors("diffraction_keller.csv")
+    table = vectors.frame("diffraction_keller.csv")
     theta = np.radians(table["theta_deg"].to_numpy())
     for name, sign in (("shadow", 1), ("lit", -1)):
         soft, hard = diffraction.keller(sign * theta, 1.0)
@@ -102,7 +96,7 @@ def test_unpolarised_keller_at_any_incidence() -> None:
 
 
 def test_circular_aperture_vectors() -> None:
-    for row in vectors("diffraction_circular.csv").itertuples():
+    for row in vectors.frame("diffraction_circular.csv").itertuples():
         found = diffraction.circular_aperture(row.theta_rad, row.lambda_mm, row.radius_mm)
         assert found == pytest.approx(row[5], rel=1e-11)
         assert found / math.cos(row.theta_rad) == pytest.approx(row[7], rel=1e-11)
@@ -122,7 +116,7 @@ def test_circular_aperture_against_airy(radius: float, theta: float) -> None:
 
 def test_heisenberg_vectors() -> None:
     """A strip of any width diffracts, far out, by length of the edge: width · density."""
-    table = vectors("diffraction_hup.csv")
+    table = vectors.frame("diffraction_hup.csv")
     column = table.columns[2]
     for row in table.to_dict("records"):
         law = "heisenberg" if "HUP" in row["model"] else "half_plane"

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
-import pandas as pd
 import pytest
+import vectors
 from oracles import scatter_integrals
 
 import mistray  # noqa: F401  (settles libLLVM and the variant)
@@ -17,17 +16,12 @@ from mistray.physics import generalized_harvey_shack as ghs
 from mistray.physics import harvey_shack, rayleigh_rice
 from mistray.physics import k_correlation as kc
 
-DATA = Path(__file__).parents[1] / "data"
 VECTORS, QUADRATURE = 1e-6, 1e-4  # relative, as required
-
-
-def vectors(name: str) -> pd.DataFrame:
-    return pd.read_csv(DATA / name, comment="#", skipinitialspace=True)
 
 
 def test_reflection() -> None:
     """The smooth form, the full series with the total and with the relevant roughness, and Rayleigh-Rice with Q = 1."""
-    table = vectors("ghs_rr_vectors.csv")
+    table = vectors.frame("ghs_rr_vectors.csv")
     assert table["phase_variance_a"].max() > 3
     for row in table.itertuples(index=False):
         ci, cs = (math.cos(math.radians(angle)) for angle in (row.theta_i, row.theta_s))
@@ -47,7 +41,7 @@ def test_transmission() -> None:
     """Smooth, σ = 4 nm, lc = 10 µm, λ = 0.55 µm, from both sides."""
     length = 2 * math.pi * 10
     amplitude = kc.amplitude_um4(0.004, length, 3.0)
-    for row in vectors("ghs_transmissive.csv").itertuples(index=False):
+    for row in vectors.frame("ghs_transmissive.csv").itertuples(index=False):
         ci, cs = (math.cos(math.radians(angle)) for angle in (row.theta_i_deg_in_n1, row.theta_s_deg_in_n2))
         psd = kc.psd_um4(row.f_1_per_um, amplitude, length, 3.0)
         path = ghs.path_in_transmission(ci, cs, row.n1, row.n2)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-import pandas as pd
 import pytest
+import vectors
 from oracles import scatter_integrals
 from oracles.derivatives import central_differences
 
@@ -17,23 +16,18 @@ import mistray  # noqa: F401  (settles libLLVM and the variant)
 from mistray.physics import harvey_shack as hs
 from mistray.physics.disc import disc_total
 
-DATA = Path(__file__).parents[1] / "data"
 VECTORS, QUADRATURE = 1e-6, 1e-4  # relative, as required
 POLISH = {"rms_um": 0.004, "wavelength_um": 0.55}  # 40 Å, of the phone camera
 
 
-def vectors(name: str) -> pd.DataFrame:
-    return pd.read_csv(DATA / name, comment="#", skipinitialspace=True)
-
-
 def test_values() -> None:
-    table = vectors("harvey_values.csv")
+    table = vectors.frame("harvey_values.csv")
     found = hs.bsdf(table["abs_dbeta"].to_numpy(), *(table[key].to_numpy() for key in ("b0", "l", "s")))
     np.testing.assert_allclose(found, table["BSDF"], rtol=VECTORS)
 
 
 def test_tis_vectors() -> None:
-    table = vectors("harvey_tis.csv")
+    table = vectors.frame("harvey_tis.csv")
     for row in table.itertuples():
         sine = math.sin(math.radians(row.theta_i_deg))
         total = disc_total(lambda r, row=row: hs.bsdf(r, row.b0, row.l, row.s), sine)
@@ -72,7 +66,7 @@ def test_table_13() -> None:
 
     Δn of reflection is 2 from air and 2n from inside, which scatters 7 to 34 times as much as transmission.
     """
-    table = vectors("harvey_table13.csv")
+    table = vectors.frame("harvey_table13.csv")
     for row in table.itertuples():
         share = hs.tis_from_rms(**POLISH, index_step=row.n - 1)
         assert 100 * share == pytest.approx(row.TIS_pct_calc, rel=VECTORS)

@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-import csv
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from vectors import rows
 
 from mistray.physics.henyey_greenstein import phase_function, sampled_cosine
 
-VECTORS = Path(__file__).parents[1] / "data" / "hg_phase.csv"
-
-
-def rows() -> list[dict[str, str]]:
-    return list(csv.DictReader(line for line in VECTORS.read_text().splitlines() if not line.startswith("#")))
-
 
 def test_vectors() -> None:
-    for row in rows():
+    for row in rows("hg_phase.csv"):
         value = phase_function(float(row["cos"]), float(row["g"]))
         assert value == pytest.approx(float(row["p_per_sr"]), rel=1e-12), row
 

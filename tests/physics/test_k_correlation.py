@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-import pandas as pd
 import pytest
+import vectors
 from oracles import scatter_integrals
 from oracles.derivatives import central_differences
 
@@ -18,17 +17,12 @@ from mistray.physics import generalized_harvey_shack as ghs
 from mistray.physics import harvey_shack
 from mistray.physics import k_correlation as kc
 
-DATA = Path(__file__).parents[1] / "data"
 VECTORS, QUADRATURE = 1e-6, 1e-4  # relative, as required
-
-
-def vectors(name: str) -> pd.DataFrame:
-    return pd.read_csv(DATA / name, comment="#", skipinitialspace=True)
 
 
 def test_band_limited_roughness() -> None:
     """A' and the BSDF of a smooth surface, S = 1.5, 2 (a logarithm) and 2.5."""
-    table = vectors("kcorr_bandlimited.csv")
+    table = vectors.frame("kcorr_bandlimited.csv")
     assert set(table["s"]) >= {1.5, 2.0, 2.5}
     for row in table.itertuples(index=False):
         amplitude = kc.band_amplitude_um4(row.sigma_prime_um, row.B_um, row.s, row.lambda_um)
@@ -43,7 +37,7 @@ def test_band_limited_roughness() -> None:
 
 
 def test_relevant_roughness() -> None:
-    for row in vectors("kcorr_sigma_rel.csv").itertuples(index=False):
+    for row in vectors.frame("kcorr_sigma_rel.csv").itertuples(index=False):
         amplitude = kc.amplitude_um4(row.sigma_um, row.B_um, row.C + 1)
         sine = math.sin(math.radians(row.theta_i_deg))
         rms = kc.relevant_rms_um(amplitude, row.B_um, row.C + 1, row.lambda_um, sine)

@@ -1,23 +1,16 @@
 from __future__ import annotations
 
-import csv
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+from vectors import rows
 
 from mistray.errors import MistrayError
 from mistray.physics.geometry.paraxial import ParaxialSystem, chief_ray_angle, image_seen, natural_illumination
 
-DATA = Path(__file__).parents[1] / "data"
 N = 1.5168
 R_BARE = ((N - 1) / (N + 1)) ** 2
-
-
-def table(name):
-    with (DATA / name).open() as file:
-        return list(csv.DictReader(line for line in file if not line.startswith("#")))
 
 
 @pytest.fixture
@@ -32,7 +25,7 @@ def with_window():
 
 def test_focal_lengths(singlet):
     cases = {
-        row["quantity"]: float(row["closed_form"]) for row in table("analytic_cases.csv") if "singlet R" in row["case"]
+        row["quantity"]: float(row["closed_form"]) for row in rows("analytic_cases.csv") if "singlet R" in row["case"]
     }
     assert singlet.efl == pytest.approx(cases["EFL"], rel=1e-13)
     assert singlet.bfl == pytest.approx(cases["BFL"], rel=1e-13)
@@ -44,7 +37,7 @@ def test_the_ten_ghosts_of_lens_window_and_detector(with_window):
     image_z = 87.0 + with_window.bfl
     assert with_window.bfl == pytest.approx(14.599477266251874, rel=1e-13)
     ghosts = with_window.ghosts(image_z, 10.0, [R_BARE] * 4, image_reflectance=0.2)
-    expected = table("ghost_lens_window_det.csv")
+    expected = rows("ghost_lens_window_det.csv")
     assert len(ghosts) == len(expected) == 10
     by_pair = {(ghost.second + 1, ghost.first + 1): ghost for ghost in ghosts}
     for row in expected:
@@ -55,7 +48,7 @@ def test_the_ten_ghosts_of_lens_window_and_detector(with_window):
         assert ghost.irradiance(10.0) == pytest.approx(irradiance, rel=1e-11)
 
 
-@pytest.mark.parametrize("row", table("ghost_counts.csv"), ids=lambda row: row["n_surfaces"])
+@pytest.mark.parametrize("row", rows("ghost_counts.csv"), ids=lambda row: row["n_surfaces"])
 def test_number_of_ghosts(row):
     n = int(row["n_surfaces"])
     system = ParaxialSystem([0.01] * n, list(range(n)), [1.0 + k % 2 / 2 for k in range(n + 1)])
@@ -90,7 +83,7 @@ def test_afocal_and_bad_input(singlet):
         singlet.chief_ray(1.0, 5.0 + singlet.bfl)
 
 
-AUDIT = table("table15_audit.csv")
+AUDIT = rows("table15_audit.csv")
 
 
 def column(name):

@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
+import vectors
 from scipy import constants
 from scipy.integrate import quad
 
 from mistray.errors import MistrayError
 from mistray.physics import planck
 
-DATA = Path(__file__).parents[1] / "data"
 PER_M2 = 1e-6  # W/m² in W/mm²
 BANDS = {"0.4-0.7": (0.4, 0.7), "3-5": (3.0, 5.0), "8-12": (8.0, 12.0), "8-14": (8.0, 14.0)}
-
-
-def vectors(name: str) -> pd.DataFrame:
-    return pd.read_csv(DATA / name, comment="#", skipinitialspace=True)
 
 
 def radiance(wavelength_um: float, temperature: float) -> float:
@@ -30,7 +24,7 @@ def radiance(wavelength_um: float, temperature: float) -> float:
 
 
 def test_bands() -> None:
-    table = vectors("planck_bands.csv")
+    table = vectors.frame("planck_bands.csv")
     temperatures = table["T_K"].to_numpy()
     for name, (low, high) in BANDS.items():
         rtol = 1e-11 if name != "0.4-0.7" else 1e-8  # exp(-270) with rounded constants
@@ -82,7 +76,7 @@ def test_spectrum() -> None:
 
 def test_self_emission() -> None:
     """E of the scene, of optics in the cone, and of the housing about it."""
-    for row in vectors("self_emission.csv").itertuples():
+    for row in vectors.frame("self_emission.csv").itertuples():
         solid_angle = planck.cone_projected_solid_angle(row.F)
         assert solid_angle == pytest.approx(row.proj_solid_angle, rel=1e-12)
         sine = math.sin(math.atan(0.5 / row.F))
@@ -95,7 +89,7 @@ def test_self_emission() -> None:
 
 
 def test_narcissus() -> None:
-    for row in vectors("narcissus.csv").itertuples():
+    for row in vectors.frame("narcissus.csv").itertuples():
         found = planck.narcissus_nitd(row.R * row.fraction_of_cone_returning_cold, row.T_housing, row.T_cold, 8.0, 12.0)
         assert found == pytest.approx(row.NITD_K, rel=1e-8)
     small = planck.narcissus_nitd(1.0, 293.0, 292.99, 8.0, 12.0)
