@@ -108,3 +108,21 @@ def test_the_readme_names_its_commands_scenes_and_notebooks() -> None:
     notebooks = [path.relative_to(ROOT).as_posix() for path in (ROOT / "notebooks").glob("*.ipynb")]
     assert notebooks
     assert all(f"]({name})" in text for name in [*notebooks, "docs/tasks.md"])
+
+
+@pytest.mark.core
+def test_docstrings_of_functions_have_the_sections_of_numpydoc(caplog: pytest.LogCaptureFixture) -> None:
+    """What stands after the parameters is another section: the site takes free text there for parameters."""
+    griffe = pytest.importorskip("griffe")
+    pending, parsed = [griffe.load("mistray", search_paths=[ROOT], docstring_parser="numpy")], 0
+    caplog.clear()
+    while pending:
+        for member in pending.pop().members.values():
+            if member.is_alias:
+                continue
+            pending += [member] if member.is_module or member.is_class else []
+            if member.is_function and member.docstring:
+                assert member.docstring.parsed
+                parsed += 1
+    assert parsed > 1000
+    assert not [message for message in caplog.messages if "mistray/" in message]

@@ -157,24 +157,6 @@ def test_every_public_name_is_there(pages: dict[str, Page]) -> None:
             assert f"reference/{name}.html" in pages, name
 
 
-@pytest.mark.core
-def test_docstrings_of_functions_have_the_sections_of_numpydoc(caplog: pytest.LogCaptureFixture) -> None:
-    """What stands after the parameters is another section: the site takes free text there for parameters."""
-    griffe = pytest.importorskip("griffe")
-    pending, parsed = [griffe.load("mistray", search_paths=[ROOT], docstring_parser="numpy")], 0
-    caplog.clear()
-    while pending:
-        for member in pending.pop().members.values():
-            if member.is_alias:
-                continue
-            pending += [member] if member.is_module or member.is_class else []
-            if member.is_function and member.docstring:
-                assert member.docstring.parsed
-                parsed += 1
-    assert parsed > 1000
-    assert not [message for message in caplog.messages if "mistray/" in message]
-
-
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to search in; install chromium")
 def test_questions_are_answered(site: Path, tmp_path: Path) -> None:
     assert len(QUESTIONS) == 20
