@@ -148,6 +148,10 @@ class TestGeometry:
         assert both.sum() > 200
         np.testing.assert_allclose(flat[both], cone[both], atol=1e-6)
 
+    def test_asphere_beyond_its_conic_is_refused(self) -> None:
+        with pytest.raises(ValueError, match="ends before"):
+            Asphere(STEEP_REAR.curvature, STEEP_REAR.conic, (), 1.2)
+
 
 class TestSceneXml:
     def test_transforms_act_in_xml_order(self) -> None:

@@ -80,9 +80,11 @@ class CoatingTable:
                 values = [float(cell) for cell in row]
             except ValueError as error:
                 raise MistrayError(f"{what}, line {number}: {error}; every cell must be a number") from None
-            if len(values) != len(header) or not all(map(math.isfinite, values)):
+            finite = sum(map(math.isfinite, values))
+            if not len(header) == len(values) == finite:
                 raise MistrayError(
-                    f"{what}, line {number}: '{','.join(row)}'; give {len(header)} finite numbers, as above"
+                    f"{what}, line {number}: {finite} of {len(values)} cells are finite numbers; "
+                    f"give {len(header)}, as in the header"
                 )
             rows.append(values)
         columns = np.array(rows, dtype=np.float64).reshape(len(rows), len(header)).T

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -22,9 +21,9 @@ def with_next_orders(scene: mi.Scene, first: Pst, seconds: float, measure: Calla
     """
     Measure a PST with one more scatter event and, apart from that, with one more reflection.
 
-    Each has the seed of the first, and at most half of its rays, whatever the time: equal seeds find equal numbers.
-    Within a time budget it also has at most half of its time; what a pass takes, it takes. The stray light is compared
-    angle by angle. A note says so where a time budget is too short for one of them.
+    They have the seed of the first and share as many rays as it had, whatever the time: equal seeds find equal numbers.
+    Within a time budget they also share as much time; what a pass takes, it takes. The stray light is compared angle by
+    angle. A note says so where a time budget is too short for one of them.
 
     Parameters
     ----------
@@ -53,7 +52,7 @@ def with_next_orders(scene: mi.Scene, first: Pst, seconds: float, measure: Calla
         if left() < max(LEAST_SHARE * seconds, prepared):
             first.facts["notes"] = [*first.facts["notes"], f"the time was up before {limit} = {allowed} was measured"]
             continue
-        with within(seconds / len(limits)) if is_limited() else contextlib.nullcontext():
+        with within(seconds / len(limits) if is_limited() else None):
             more = measure(**{limit: allowed}, rays=max(rays // len(limits), BATCHES))
         found.append((more, _compared(first, more, limit, allowed)))
     orders = decided([order for _, order in found])

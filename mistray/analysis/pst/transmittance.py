@@ -116,8 +116,8 @@ def pst(
         there are. The pass that is under way ends first.
     next_order : bool
         Measure the PST again with one more scatter event and, apart from that, with one more reflection, see
-        `Pst.next_orders`; each with at most half of the rays of the first, and within `seconds`. Where the stray
-        light at some angle changes by more than 5 % and two errors, the result is the PST with that limit.
+        `Pst.next_orders`; they share as many rays as the first had, within `seconds`. Where the stray light at some
+        angle changes by more than 5 % and two errors, the result is the PST with that limit.
     **settings
         Fields of `mistray.trace.Settings`, such as ``max_reflections`` and ``max_scatters``; the others are those of
         the scene's integrator.
