@@ -59,7 +59,7 @@ def polar(sine: float) -> tuple[np.ndarray, np.ndarray]:
     edges = np.concatenate([[0.0], np.logspace(-6, -0.3, 47), 1 - np.logspace(-0.5, -6, 12), [1.0]])
     r, weight = scatter_integrals.gauss_legendre(inside * edges, 8)
     if sine > 0:
-        t, w = scatter_integrals.gauss_legendre(np.pi * np.concatenate([[0.0], np.logspace(-5, 0, 33)]), 8)
+        t, w = scatter_integrals.gauss_legendre(np.pi * np.concatenate([[0.0], np.logspace(-5, 0, 66)]), 8)
         r, weight = np.concatenate([r, 1 - sine * np.cos(t)]), np.concatenate([weight, w * sine * np.sin(t)])
         half = np.arccos(np.clip((r * r + sine * sine - 1) / (2 * sine * r), -1, 1))
     else:
@@ -140,8 +140,8 @@ CASES = {
     "harvey_shack": of_form("harvey_shack"),
     "harvey_shack of a roughness": of_form("harvey_shack of a roughness"),
     "gaussian_lobe": of_form("gaussian_lobe"),
-    **{f"phong {n}": Case("phong", {"b0": 0.05, "exponent": n}, phong, total=total, angles_deg=STEEP_DEG)
-       for n, total in ((1.0, 4e-4), (2.7, 3e-4), (16.0, 3e-4), (300.0, 3e-4))},
+    **{f"phong {n}": Case("phong", {"b0": 0.05, "exponent": n}, phong, total=3e-4, angles_deg=STEEP_DEG)
+       for n in (1.0, 2.7, 16.0, 300.0)},
     "polynomial": of_form("polynomial", 5e-3, 1e-3),
     "polynomial of the distance": Case("polynomial", {"c000": 0.6, "l10": -0.6, "d": 2e3}, partial(polynomial, POWERS)),
     "ghs": of_form("ghs", TABLE, TABLE),
