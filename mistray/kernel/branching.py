@@ -110,33 +110,19 @@ class Children:
     remainder: mi.UInt32 | int
 
 
-class ScatterFactor(NamedTuple):
+class ScatterFactors(NamedTuple):
     """
-    By what the scattered rays of a node are stronger because others like it scatter none.
+    By what the scattered rays of a node are stronger because others like it scatter none; 0: it scatters none.
 
     Attributes
     ----------
-    packed : mi.Float
-        As a node keeps it in one number: 0 if nothing scatters; negative where the surface does not, but the medium
-        before it.
+    surface, medium : mi.Float
+        Of the flux of a ray that the surface scatters, and of one that the medium before it does. They differ only
+        where one of transmission, reflection and scatter of the surface takes the flux of all.
     """
 
-    packed: mi.Float
-
-    @property
-    def of_surface(self) -> mi.Bool:
-        """Whether the surface scatters."""
-        return self.packed > 0
-
-    @property
-    def of_medium(self) -> mi.Bool:
-        """Whether what the medium has scattered is sent on."""
-        return self.packed != 0
-
-    @property
-    def factor(self) -> mi.Float:
-        """Of the flux of a ray."""
-        return dr.abs(self.packed)
+    surface: mi.Float
+    medium: mi.Float
 
 
 @dataclass
@@ -155,7 +141,7 @@ class Choice:
         0: none is sent on.
     scatter, cloud : mi.Bool
         Whether the surface scatters it, or the medium before it has.
-    kept : ScatterFactor
+    kept : ScatterFactors
         For later visits.
     factor : mi.Float
         Of the flux of a ray that the surface scatters.
@@ -169,7 +155,7 @@ class Choice:
     flux: mi.Float
     scatter: mi.Bool
     cloud: mi.Bool
-    kept: ScatterFactor
+    kept: ScatterFactors
     factor: mi.Float
     draw: Callable[[mi.PCG32], ScatteredRay]
     draw_cloud: Callable[[mi.PCG32], CloudRay]
@@ -308,7 +294,7 @@ class Branching:
         u = node.rng.next_float32() if draws else mi.Float(0)
         if not self._split:
             return self._one(node, children, fresh, limit, u, memory)
-        scattering = ScatterFactor(state["scatter_factor"])
+        scattering = self._kept(state)
         if self._scatters:
             scattering = self._scatter_factor(node, children, own, u)
         if self._optics.one_child:
@@ -319,7 +305,7 @@ class Branching:
         self._cut_weak(node, children, fresh, limit, u, memory)
         return self._next(node, children, scattering)
 
-    def _scatter_factor(self, node: Node, children: Children, own: mi.Float, u: mi.Float) -> ScatterFactor:
+    def _scatter_factor(self, node: Node, children: Children, own: mi.Float, u: mi.Float) -> ScatterFactors:
         """Factor of scattered rays; a weak node scatters with a probability in proportion to the light there."""
         state, first, w = node.state, node.first, node.state["w"]
         least = own
@@ -336,7 +322,13 @@ class Branching:
             if self._connections is not None:
                 wanted = dr.select(state["joint"] == 0, wanted, 1)
             chance = chance * wanted
-        return ScatterFactor(dr.select(first, dr.select(1 - u <= chance, dr.rcp(chance), 0), state["scatter_factor"]))
+        factor = dr.select(1 - u <= chance, dr.rcp(chance), 0)
+        return ScatterFactors(*(dr.select(first, factor, kept) for kept in self._kept(state)))
+
+    def _kept(self, state: dict[str, Any]) -> ScatterFactors:
+        """The factors of a node at its later visits."""
+        surface = state["scatter_factor"]
+        return ScatterFactors(surface, state["medium_factor"] if self._bulk and self._optics.one_child else surface)
 
     @staticmethod
     def thins(it: Interaction, children: Children) -> mi.Bool:
@@ -356,7 +348,7 @@ class Branching:
         return dr.select(thinned & fresh, state["birth"] / self._probabilities.reflection, state["birth"])
 
     @staticmethod
-    def _only_child(node: Node, children: Children, scattering: ScatterFactor) -> ScatterFactor:
+    def _only_child(node: Node, children: Children, scattering: ScatterFactors) -> ScatterFactors:
         """
         Let one of transmission, reflection and scatter take the flux of all, at surfaces that are declared so.
 
@@ -367,12 +359,12 @@ class Branching:
         chosen = node.rng.next_float32() * w_all
         only = node.first & ((node.interaction.word & ONE_CHILD) != 0)
         to_t, to_r = chosen < w_t, (chosen >= w_t) & ((chosen < w_t + w_r) | (w_s == 0))
-        packed = scattering.packed
-        packed = dr.select(only, dr.select(to_t | to_r, -packed, packed * w_all / w_s), packed)
+        factor = scattering.surface
+        factor = dr.select(only, dr.select(to_t | to_r, 0, factor * w_all / w_s), factor)
         children.transmitted = dr.select(only, dr.select(to_t, w_all, 0), w_t)
         children.reflected = dr.select(only, dr.select(to_r, w_all, 0), w_r)
         children.scattered = dr.select(only, dr.select(to_t | to_r, 0, w_all), w_s)
-        return ScatterFactor(packed)
+        return scattering._replace(surface=factor)
 
     def _cut_weak(
         self, node: Node, children: Children, fresh: mi.Bool, limit: mi.Float, u: mi.Float, memory: Memory
@@ -402,17 +394,17 @@ class Branching:
             w_t, w_r = left_t, left_r
         children.transmitted, children.reflected = w_t, w_r
 
-    def _next(self, node: Node, children: Children, scattering: ScatterFactor) -> Choice:
+    def _next(self, node: Node, children: Children, scattering: ScatterFactors) -> Choice:
         """Of all children the next that has flux."""
         first, visit, given, bulk_aim = node.first, node.visit, node.shares, children.bulk_aim
         w_t, w_r, w_s, w_b = children.transmitted, children.reflected, children.scattered, children.clouded
         random_rays, random_clouds = children.random_rays, children.random_clouds
         own_rays = random_rays + children.aimed_rays
-        scattered_rays = dr.select(scattering.of_surface & (w_s > 0), own_rays + children.connected_rays, 0)
+        scattered_rays = dr.select((scattering.surface > 0) & (w_s > 0), own_rays + children.connected_rays, 0)
         if self._connections is not None:  # where light arrives the one ray that goes against it is sent on
             at_point = node.state["joint"] != 0
             scattered_rays = dr.select(at_point, dr.minimum(scattered_rays, 1), scattered_rays)
-        end = SCATTER + scattered_rays + dr.select(scattering.of_medium & (w_b > 0), children.clouded_rays, 0)
+        end = SCATTER + scattered_rays + dr.select((scattering.medium > 0) & (w_b > 0), children.clouded_rays, 0)
         after_t = dr.select(w_r > 0, mi.UInt32(REFLECT), mi.UInt32(SCATTER))
         number = dr.select(first, dr.select(w_t > 0, mi.UInt32(TRANSMIT), after_t), node.state["child"])
         later = dr.select(number == TRANSMIT, after_t, dr.maximum(number + 1, SCATTER))
@@ -420,7 +412,7 @@ class Branching:
         flux = dr.select(number == TRANSMIT, w_t, dr.select(number == REFLECT, w_r, 0))
         scatter = visit & (number >= SCATTER) & (number < SCATTER + scattered_rays)
         cloud = visit & (number >= SCATTER + scattered_rays) & (number < end)
-        flux = dr.select(cloud, w_b * scattering.factor, flux)
+        flux = dr.select(cloud, w_b * scattering.medium, flux)
 
         def draw(rng: mi.PCG32) -> ScatteredRay:
             assert given is not None
@@ -434,7 +426,7 @@ class Branching:
             aimed = number >= SCATTER + scattered_rays + random_clouds
             return CloudRay(aimed, mi.Float(random_clouds), mi.Float(bulk_aim.rays))
 
-        return Choice(number, later, pending, flux, scatter, cloud, scattering, scattering.packed, draw, draw_cloud)
+        return Choice(number, later, pending, flux, scatter, cloud, scattering, scattering.surface, draw, draw_cloud)
 
     def _one(
         self, node: Node, children: Children, fresh: mi.Bool, limit: mi.Float, u: mi.Float, memory: Memory
@@ -476,5 +468,5 @@ class Branching:
             assert bulk_aim is not None
             return bulk.one_ray(bulk_aim, random_clouds, rng)
 
-        kept = ScatterFactor(node.state["scatter_factor"])
+        kept = self._kept(node.state)
         return Choice(number, number, mi.Bool(False), flux, scatter, cloud, kept, flux / both, draw, draw_cloud)

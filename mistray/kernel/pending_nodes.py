@@ -12,7 +12,7 @@ would take half as long again there, and lanes go on at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import drjit as dr
@@ -21,6 +21,17 @@ import mitsuba as mi
 from mistray.settings import NO_LIMIT
 
 LEVELS = 2
+# Type and count of the numbers of a node, with the names of the loop's state; recorders may read the first ones
+ALWAYS: dict[str, tuple[type, int]] = {"p": (mi.Float, 3), "d": (mi.Float, 3), "w": (mi.Float, 1)}
+ALWAYS |= {"key": (mi.UInt64, 1), "word": (mi.UInt32, 1), "pending": (mi.UInt32, 1)}
+OPTIONAL: dict[str, tuple[type, int]] = {
+    **dict.fromkeys(("run",), (mi.UInt32, 1)),
+    **dict.fromkeys(("normal", "stokes"), (mi.Float, 3)),
+    **dict.fromkeys(("child", "scatters", "aimed_from", "medium"), (mi.UInt32, 1)),
+    **dict.fromkeys(("birth", "scatter_factor", "medium_factor", "odds", "chance", "near", "link"), (mi.Float, 1)),
+    **dict.fromkeys(("joint",), (mi.UInt32, 1)),
+    **dict.fromkeys(("length", "away", "shared", "clouded"), (mi.Float, 1)),
+}
 REFLECTIONS_SHIFT, SURFACE_MASK = 16, 0xFFFF  # of the word of a pending node: the reflections before it, its surface
 
 
@@ -37,41 +48,12 @@ class PendingNodes:
     ----------
     max_events : int
         Most nodes of a path.
-    stock, stokes, scatters, bulk, runs, weighs, connects : bool
-        Whether the scene has stock shapes, light is polarised, something scatters, media scatter, hits of one surface
-        in a row are counted, rays are weighed against those of the other direction, and some are connected to them.
+    needed : collection of str
+        Those of `OPTIONAL` that the scene needs.
     """
 
-    def __init__(
-        self,
-        max_events: int,
-        stock: bool,
-        stokes: bool,
-        scatters: bool,
-        bulk: bool,
-        runs: bool,
-        weighs: bool,
-        connects: bool,
-    ) -> None:
-        # With the names of the loop's state, the recorded ones first
-        numbers: dict[str, tuple[type, int]] = {"p": (mi.Float, 3), "d": (mi.Float, 3), "w": (mi.Float, 1)}
-        numbers |= {"key": (mi.UInt64, 1), "word": (mi.UInt32, 1), "pending": (mi.UInt32, 1)}
-        if runs:
-            numbers["run"] = mi.UInt32, 1
-        if stock:
-            numbers["normal"] = mi.Float, 3
-        if stokes:
-            numbers["stokes"] = mi.Float, 3
-        if scatters:
-            numbers |= dict.fromkeys(("child", "scatters", "aimed_from", "medium"), (mi.UInt32, 1))
-            numbers |= dict.fromkeys(("birth", "scatter_factor"), (mi.Float, 1))
-        if weighs:
-            numbers |= dict.fromkeys(("odds", "chance"), (mi.Float, 1))
-        if connects:
-            numbers |= dict.fromkeys(("near", "link"), (mi.Float, 1))
-            numbers["joint"] = mi.UInt32, 1
-        if scatters and bulk:
-            numbers |= dict.fromkeys(("length", "away", "shared", "clouded"), (mi.Float, 1))
+    def __init__(self, max_events: int, needed: Collection[str]) -> None:
+        numbers = ALWAYS | {name: kind for name, kind in OPTIONAL.items() if name in needed}
         self._numbers = numbers
         self.memory = tuple(
             dr.alloc_local(dtype, max_events) for dtype, count in numbers.values() for _ in range(count)

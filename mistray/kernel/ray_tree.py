@@ -25,7 +25,7 @@ from mistray.kernel.interaction import interact
 from mistray.kernel.kernel_scene import KernelScene
 from mistray.kernel.next_hit import film_coordinates, next_hit
 from mistray.kernel.odds import Odds
-from mistray.kernel.pending_nodes import LEVELS, PendingNodes, at_once, in_step, node_word, wait_level
+from mistray.kernel.pending_nodes import LEVELS, OPTIONAL, PendingNodes, at_once, in_step, node_word, wait_level
 from mistray.kernel.scatter_shares import Rivalry
 from mistray.kernel.start_supply import StartSupply
 from mistray.recorders.path_key import ABSORBED, COUNT_MASK, EVENT_BITS, FIRST_KEY, extend_key
@@ -124,16 +124,8 @@ class _Tree:
         self.connects = self.odds is not None and self.odds.connects
         self.books = mi.Bool(True)  # lanes whose rays are no connections, which stand for light that others stand for
         self.branching = Branching(scene, settings, self.limits, self.lose, start.batch)
-        self.nodes = PendingNodes(
-            settings.max_events,
-            self.has_stock,
-            settings.stokes,
-            self.scatters,
-            self.bulk,
-            self.runs,
-            self.odds is not None,
-            self.connects,
-        )
+        self.needed = self._needed()
+        self.nodes = PendingNodes(settings.max_events, self.needed)
         self.rows: LaneRows | None = None
         self.first_depth = start.given("depth", self.full())
 
@@ -204,7 +196,8 @@ class _Tree:
             "aimed_from": mi.UInt32(start.given("aimed_from", full(NO_SURFACE))),
             # Weight when it left the source or was scattered last, see `Branching.birth`
             "birth": mi.Float(start.given("birth", start.w)),
-            "scatter_factor": dr.full(mi.Float, 1, n),  # of its scattered rays, see `ScatterFactor`
+            "scatter_factor": dr.full(mi.Float, 1, n),  # of its scattered rays, see `ScatterFactors`
+            "medium_factor": dr.full(mi.Float, 1, n),  # of those that its medium scatters, where it is another one
             # See `mistray.kernel.odds`
             **Odds.first(n if self.odds is not None else 1, n if self.connects else 1),
             # Of a ray that is connected to light, see `mistray.kernel.scatter_shares.JOINED`; 0 of others
@@ -257,21 +250,32 @@ class _Tree:
 
     def varying(self, state: State) -> tuple[State, State]:
         """The variables that this scene needs, and the others with the values that they keep."""
-        scatters, bulk = self.scatters, self.bulk
-        needed = {
-            "run": self.runs,
-            "stokes": self.settings.stokes,
-            "normal": self.has_stock,
-            "length": bulk,
-            "away": bulk and scatters,
-            "shared": bulk and scatters,
-            "clouded": bulk,
-        }
-        needed |= dict.fromkeys(("odds", "chance"), self.odds is not None)
-        needed |= dict.fromkeys(("near", "link", "joint"), self.connects)
-        needed |= dict.fromkeys(("scatters", "aimed_from", "birth", "scatter_factor"), scatters)
-        constant = {name: state[name] for name, is_needed in needed.items() if not is_needed}
+        always = ("child", "medium")  # though not all scenes keep them with their nodes
+        constant = {name: state[name] for name in OPTIONAL if name not in self.needed and name not in always}
         return {name: value for name, value in state.items() if name not in constant}, constant
+
+    def _needed(self) -> set[str]:
+        """Names of the variables of a node, beside those of every scene, that this one needs."""
+        needed = set()
+        if self.runs:
+            needed |= {"run"}
+        if self.settings.stokes:
+            needed |= {"stokes"}
+        if self.has_stock:
+            needed |= {"normal"}
+        if self.bulk:
+            needed |= {"length", "clouded"}
+        if self.odds is not None:
+            needed |= {"odds", "chance"}
+        if self.connects:
+            needed |= {"near", "link", "joint"}
+        if self.scatters:
+            needed |= {"child", "medium", "scatters", "aimed_from", "birth", "scatter_factor"}
+            if self.bulk:
+                needed |= {"away", "shared"}
+                if self.scene.table.optics.one_child:
+                    needed |= {"medium_factor"}
+        return needed
 
     def visit(self, state: State) -> State:
         """One visit of a node by every lane: arrive, report, choose a child, send it on, or go back."""
@@ -419,7 +423,7 @@ class _Tree:
         sent.active = go = visit & (sent.flux > 0)
         word = node_word(state["s"], state["reflections"])
         kept = {**state, "p": sent.origin, "away": sent.away, "word": word}
-        kept |= {"child": choice.later, "scatter_factor": choice.kept.packed}
+        kept |= {"child": choice.later, "scatter_factor": choice.kept.surface, "medium_factor": choice.kept.medium}
         path = self.nodes.keep(path, kept, depth, choice.pending, choice.pending | go, self.recorders.node_floats)
         how = (scatter, cloud, mi.Bool(False) if self.by_way else sent.aim) if self.scatters else None
         code = event_code(sent.place, it, sent.reflect, how)
@@ -497,6 +501,8 @@ class _Tree:
                 "birth": dr.select(scattered, sent.flux, self.branching.birth(state, bounced & thins)),
                 "scatter_factor": dr.full(mi.Float, 1, self.n),
             }
+            if "medium_factor" in self.needed:
+                following["medium_factor"] = dr.full(mi.Float, 1, self.n)
             if bulk:
                 shared = dr.select(scattered, sent.shared, state["shared"])
                 following |= {"length": t, "clouded": clouded, "away": mi.Float(0), "shared": shared}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from oracles import bulk
 from oracles.scatter_integrals import gauss_legendre
-from oracles.scatter_scenes import beam_xml, placed_xml, scatter_scene
+from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene, scattering_xml
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 from oracles.statistics import assert_z, z_limit, z_score
 
@@ -46,6 +46,21 @@ def test_slab_against_photons(load_scene, albedo: float, g: float, splitting: st
     assert abs(energy.closure) < 1e-5
     (taken,) = energy.absorbed_in.values() if albedo < 1 else [(0.0, 0.0)]
     assert taken[0] / energy.launched_W == pytest.approx(absorbed, abs=5 * np.hypot(taken[1], 5e-4))
+
+
+@pytest.mark.parametrize("splitting", ["split", "one"])
+def test_one_child_of_a_surface_leaves_the_medium_alone(load_scene, splitting: str) -> None:
+    """Its lobe takes 30 % of what the medium before it has scattered once, whoever gets the flux; false alarm 1e-4."""
+    medium, through = "1.0 scatter=0.05 g=0.9", []
+    for lobes in ([], [bsdf_xml("gaussian_lobe", total=0.3, width=0.05, event="transmission")]):
+        rear = scattering_xml(lobes, medium, "air", R=0.0, T=1.0)
+        rear = rear.removesuffix("</bsdf>") + f'<string name="splitting" value="{splitting}"/></bsdf>'
+        scene = load_scene(slab_text(medium).replace(interface_xml(medium, "air", R=0.0, T=1.0), rear))
+        trace = mistray.trace(scene, rays=20_000, max_scatters=1)
+        (row,) = (row for row in trace.paths if row.path == "TtTA")
+        through.append((row.power_W, row.power_se_W))
+    (bare, bare_se), (rough, se) = through
+    assert_z("scattered in the medium", rough, 0.7 * bare, np.hypot(se, 0.7 * bare_se), false_alarm=1e-4)
 
 
 def test_thin_media_keep_their_digits(load_scene) -> None:
