@@ -65,17 +65,9 @@ def with_shape(text: str, shape: str) -> str:
 
 @dataclass
 class Case:
-    """
-    A scene, its trace, and the oracle's view of all rays that reach the detector.
+    """A scene, its trace, and the oracle's view of all rays that reach the detector.
 
-    Attributes
-    ----------
-    text : str
-        XML of the scene without the new parameters of position, tilt and index.
-    moved : dict
-        Keys of those and their values, set on both sides.
-    settings : dict
-        Of `mistray.trace`.
+    Keys of new parameters of position, tilt and index, which the XML does not have, are in `moved`, set on both sides.
     """
 
     text: str
@@ -154,19 +146,17 @@ class Case:
         def places(hits: Hits) -> tuple[Array, Array]:
             return (hits.x - x0) / (x1 - x0) * width - 0.5, (hits.y - y0) / (y1 - y0) * height - 0.5
 
+        def at(i: Array, j: Array) -> Array:
+            return by_pixel[np.clip(j, 0, height - 1).astype(int), np.clip(i, 0, width - 1).astype(int)]
+
         # The cell between centres, and the pixel, are those of the ray as it was: a derivative does not see corners
         cells, offsets = [], []
         for hits in take(self.paths.nominal):
             u, v = places(hits)
             i, j = (np.floor(w).astype(int) for w in (u, v))
-            corners = [
-                by_pixel[np.clip(j + b, 0, height - 1), np.clip(i + a, 0, width - 1)] for b in (0, 1) for a in (0, 1)
-            ]
-            own = by_pixel[
-                np.clip(np.rint(v).astype(int), 0, height - 1), np.clip(np.rint(u).astype(int), 0, width - 1)
-            ]
+            corners = [at(i + a, j + b) for b in (0, 1) for a in (0, 1)]
             cells.append((i, j, corners))
-            offsets.append(own - _bilinear(u - i, v - j, corners))
+            offsets.append(at(np.rint(u), np.rint(v)) - _bilinear(u - i, v - j, corners))
 
         def value(hits: Sequence[Hits]) -> float:
             total = 0.0
@@ -180,11 +170,14 @@ class Case:
     def metrics(self, ghost: str) -> dict[str, tuple[Callable[[Any], Any], Callable[[Sequence[Hits]], float]]]:
         """Names → the metric for mistray, of one observation, and for the oracle."""
         one, everything = self.select([ghost]), self.select(None)
-        area = np.prod([self.trace.extent[1] - self.trace.extent[0], self.trace.extent[3] - self.trace.extent[2]])
-        area /= self.trace.irradiance.size
+        x0, x1, y0, y1 = self.trace.extent
+        area = (x1 - x0) * (y1 - y0) / self.trace.irradiance.size
         ids = [row.path_id for row in self.trace.paths if row.events == ghost]
         spot = self.trace.irradiance_of(ids)[0]
         peak = spot.max() * np.sum((spot / spot.max()) ** NORM) ** (1 / NORM)
+
+        image = self.image_functional(2 * self.trace.irradiance / area)
+        brightest = self.image_functional((spot / peak) ** (NORM - 1) / area, [ghost])
 
         def y_of(hits: Sequence[Hits]) -> float:
             return float(sum(h.flux @ h.y for h in one(hits)) / power(one(hits)))
@@ -194,14 +187,8 @@ class Case:
             "one ghost": (lambda o: o.power(ghost) / o.launched_W, lambda hits: power(one(hits)) / self.launched_W),
             "rms radius": (lambda o: o.moments(ghost).rms_radius, lambda hits: rms_radius(one(hits))),
             "mean y": (lambda o: o.moments(ghost).y, y_of),
-            "image": (
-                lambda o: dr.sum(dr.square(o.irradiance)),
-                self.image_functional(2 * self.trace.irradiance / area),
-            ),
-            "peak": (
-                lambda o: o.peak(ghost, NORM),
-                self.image_functional((spot / peak) ** (NORM - 1) / area, [ghost]),
-            ),
+            "image": (lambda o: dr.sum(dr.square(o.irradiance)), image),
+            "peak": (lambda o: o.peak(ghost, NORM), brightest),
         }
 
 
@@ -221,18 +208,14 @@ def step(scene: FrozenScene, key: str) -> float:
         return 1e-4 * abs(scene.number(key))
     surface = scene.model.by_id[owner].surface
     size = max(surface.r0, surface.r1) if isinstance(surface, Frustum) else surface.extent()
-    if name in ("x", "y", "z", "r0", "z0", "r1", "z1"):
+    if name in ("x", "y", "z", "r0", "z0", "r1", "z1") or name.startswith(("zernike", "fringe", "q", "chebyshev")):
         return MOVE * size
+    if name in ("curvature", "curvature_x", "toroid_curvature"):
+        return MOVE / size
     if name.startswith("tilt"):
         return float(np.degrees(MOVE))
-    if name == "curvature":
-        return MOVE / size
     if name in ("conic", "conic_x"):
         return 10 * MOVE
-    if name in ("curvature_x", "toroid_curvature"):
-        return MOVE / size
-    if name.startswith(("zernike", "fringe", "q", "chebyshev")):
-        return MOVE * size
     if name.startswith("slope"):
         return MOVE
     return float(MOVE * size ** (1 - sum(int(order) for order in re.findall(r"\d+", name))))

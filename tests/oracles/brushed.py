@@ -15,18 +15,7 @@ A, B, C, D = 0.1, 0.05, 0.06, 0.02
 
 
 def bsdf(specular: np.ndarray, scattered: np.ndarray, x_axis: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """
-    BSDF, 1/sr, at vectors of any frame, (…, 3).
-
-    Parameters
-    ----------
-    specular, scattered : (…, 3) float64
-        Unit vectors.
-    x_axis : (…, 3) float64
-        Of the sample, at right angles to the normal.
-    normal : (3,) float64
-        On the side that the light comes from.
-    """
+    """BSDF, 1/sr, at unit vectors (…, 3) of any frame; the normal (3,) is on the side that the light comes from."""
     y_axis = np.cross(normal, x_axis)
     (tx, ty), (sx, sy) = (
         tuple(np.sum(v * axis, axis=-1) for axis in (x_axis, y_axis)) for v in (specular, scattered)

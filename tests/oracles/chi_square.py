@@ -17,19 +17,11 @@ INNER = 24  # points of a cell each way, for the integral of the density
 @dataclass(frozen=True)
 class Chart:
     """
-    Directions by azimuth φ about a centre and u = ln r.
+    Directions by azimuth φ about a centre, a vector whose x and y alone count if ``flat``, and u = ln r.
 
-    Attributes
-    ----------
-    centre : (3,) float64
-        A unit vector, or any vector whose x and y count for ``flat``.
-    side : float
-        Sign of z of all directions.
-    flat : bool
-        r is the distance of the tangential parts, else of the unit vectors.
-    octaves : int
-        Of the distances that cells cover, down from `R_MAX`; directions that are nearer are in one cell with the
-        samples that have no direction.
+    ``side`` is the sign of z of all directions; r the distance of the tangential parts if ``flat``, else of the unit
+    vectors. Cells cover so many octaves down from `R_MAX`; what is nearer is in one cell with the samples that have no
+    direction.
     """
 
     centre: np.ndarray
@@ -75,16 +67,8 @@ def p_value(
     """
     Probability that directions deviate from a density as much as they do, or more.
 
-    Parameters
-    ----------
-    directions : (n, 3) float64
-        Of those samples that have one.
-    drawn : int
-        All samples; the others are counted as one cell.
-    density : callable
-        (m, 3) unit vectors → (m,) density per solid angle.
-    charts : sequence of Chart
-        A direction belongs to the one whose centre is nearest.
+    Directions (n, 3) of those samples that have one; the others of all that are ``drawn`` are counted as one cell. The
+    density is per solid angle. A direction belongs to the chart whose centre is nearest.
     """
     seen, expected = [], []
     nearest = _nearest(directions, charts)

@@ -1,4 +1,4 @@
-"""Closed forms that a ghost trace must meet: plates, paraxial ghosts, ghost counts, retro ghosts.
+"""Closed forms that a ghost trace must meet: plates, paraxial ghosts, ghost counts.
 
 R and T are power factors at one surface; indices are real; lengths in mm.
 """
@@ -49,14 +49,6 @@ def tilted_plate(n: float, incidence_deg: float) -> tuple[float, float]:
     r_s = ((cos_i - n * cos_t) / (cos_i + n * cos_t)) ** 2
     r_p = ((n * cos_i - cos_t) / (n * cos_i + cos_t)) ** 2
     return float(0.5 * (plate(r_s)[0] + plate(r_p)[0])), float(plate(0.5 * (r_s + r_p))[0])
-
-
-def retro_ghost_radius(f_number: float, gap: float, thickness: float = 0.0, n: float = 1.0) -> float:
-    """Near-axis spot radius of the ghost detector - plate - detector: d / F# with d the air-equivalent gap.
-
-    ``thickness`` and ``n`` of the plate for the reflection at its far side, 0 for its near side.
-    """
-    return (gap + thickness / n) / f_number
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from .geometry import Array
+from .layers import stack_powers
 
 # nm: x̄, ȳ, z̄
 OBSERVER = {
@@ -65,13 +66,6 @@ def bare(index: float) -> float:
 
 
 def stack_in_air(layers: list[tuple[float, float]], substrate: float, wavelength_nm: Array) -> Array:
-    """
-    Reflectance at normal incidence by the characteristic matrix (Macleod, Thin-Film Optical Filters, 2.77).
-
-    `layers`: index and thickness in nm, the first one outermost; no absorption.
-    """
-    b, c = np.ones(len(wavelength_nm), complex), np.full(len(wavelength_nm), substrate, complex)
-    for index, thickness in reversed(layers):
-        delta = 2 * np.pi * index * thickness / wavelength_nm
-        b, c = np.cos(delta) * b + 1j * np.sin(delta) / index * c, 1j * index * np.sin(delta) * b + np.cos(delta) * c
-    return np.abs((b - c) / (b + c)) ** 2
+    """Reflectance at normal incidence; ``layers``: index and thickness in nm, the outermost first, no absorption."""
+    n, d = np.array(layers, dtype=float).reshape(-1, 2).T
+    return np.array([stack_powers(1.0, n, d, substrate, nm, np.ones(1))[0][0] for nm in wavelength_nm])

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import RectBivariateSpline
 
-from .geometry import Array, Mask
+from .geometry import Array, Mask, Surface, box_span
 
 TINY = 1e-30
 SAMPLES, HALVINGS = 257, 60
@@ -66,10 +66,14 @@ def zernike(n: int, m: int, x: Array, y: Array, normalised: bool) -> Array:
         * r2 ** ((n - k) // 2 - s)
         for s in range((n - k) // 2 + 1)
     )
-    first = 0 if m >= 0 else 1  # θ from the x axis; r^k cos kθ and r^k sin kθ
-    angular = sum((-1) ** ((i - first) // 2) * math.comb(k, i) * x ** (k - i) * y**i for i in range(first, k + 1, 2))
     scale = math.sqrt((n + 1) * (1 if m == 0 else 2)) if normalised else 1.0
-    return np.asarray(scale * radial * angular)
+    return np.asarray(scale * radial * harmonic(k, m < 0, x, y))
+
+
+def harmonic(k: int, odd: bool, x: Array, y: Array) -> Array:
+    """r^k cos kθ, or r^k sin kθ where odd, with θ from the x axis."""
+    powers = range(int(odd), k + 1, 2)
+    return sum((-1) ** ((i - odd) // 2) * math.comb(k, i) * x ** (k - i) * y**i for i in powers)
 
 
 def q2d(m: int, last: int) -> list[float]:
@@ -80,14 +84,12 @@ def q2d(m: int, last: int) -> list[float]:
     u^b cos mφ half of (a b + m²) times that of u^(a + b - 2).
     """
 
+    def mean(a: int, b: int) -> Fraction:
+        k = (a + b - 2) // 2
+        return Fraction(a * b + m * m, 2) * Fraction(math.comb(2 * k, k), 4**k)
+
     def product(f: list[Fraction], g: list[Fraction]) -> Fraction:
-        total = Fraction(0)
-        for i, p in enumerate(f):
-            for j, q in enumerate(g):
-                a, b = m + 2 * i, m + 2 * j
-                k = (a + b - 2) // 2
-                total += p * q * Fraction(a * b + m * m, 2) * Fraction(math.comb(2 * k, k), 4**k)
-        return total
+        return sum(p * q * mean(m + 2 * i, m + 2 * j) for i, p in enumerate(f) for j, q in enumerate(g))
 
     known: list[list[Fraction]] = []
     for n in range(last + 1):
@@ -138,9 +140,8 @@ class Figure:
             return np.asarray((u / n["half_width"]) ** 2 + (v / n["half_height"]) ** 2 <= 1)
         if self.kind == "rectangle":
             return np.asarray((np.abs(u) <= n["half_width"]) & (np.abs(v) <= n["half_height"]))
-        corners = []
-        while f"x{len(corners) + 1}" in n:
-            corners.append((n[f"x{len(corners) + 1}"], n[f"y{len(corners) + 1}"]))
+        count = sum(re.fullmatch(r"x\d+", name) is not None for name in n)
+        corners = [(n[f"x{k}"], n[f"y{k}"]) for k in range(1, count + 1)]
         turns = np.zeros(np.shape(u))
         for (ax, ay), (bx, by) in zip(corners, corners[1:] + corners[:1], strict=True):
             cross = (ax - u) * (by - v) - (ay - v) * (bx - u)
@@ -149,7 +150,7 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class Freeform:
+class Freeform(Surface):
     """z = sag(x, y), normal towards +z; `numbers` by their names in a scene, `way` ±1 where light one way passes."""
 
     numbers: Mapping[str, float]
@@ -183,15 +184,9 @@ class Freeform:
             own = {key: given.pop(key) for key in list(given) if key.startswith(start + "_")}
             numbers = {key.removeprefix(start + "_"): float(value) for key, value in own.items()}
             figures.append(Figure(text[0], text[1:], numbers))
-        whole = cls({key: float(value) for key, value in given.items()}, tuple(figures), (0, 0, 0, 0), way)
-        boxes = np.array([_box(figure) for figure in figures if figure.sign == "+"])
-        box = (
-            *boxes[:, 0:1].min(axis=0),
-            *boxes[:, 1:2].max(axis=0),
-            *boxes[:, 2:3].min(axis=0),
-            *boxes[:, 3:].max(axis=0),
-        )
-        return cls(whole.numbers, whole.figures, tuple(map(float, box)), way, grid)  # type: ignore[arg-type]
+        corners = np.concatenate([_corners(figure) for figure in figures if figure.sign == "+"])
+        (x0, y0), (x1, y1) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+        return cls({key: float(value) for key, value in given.items()}, tuple(figures), (x0, x1, y0, y1), way, grid)
 
     def sag(self, x: Array, y: Array) -> Array:
         """mm; complex x and y for slopes."""
@@ -216,13 +211,9 @@ class Freeform:
         """Forbes's polynomial without symmetry, along the axis."""
         n, radius = self.numbers, self.numbers["q_radius"]
         u, v = x / radius, y / radius
-        first = 0 if part == "cos" else 1
-        angular = sum(
-            (-1) ** ((i - first) // 2) * math.comb(m, i) * u ** (m - i) * v**i for i in range(first, m + 1, 2)
-        )
         radial = sum(a * (u * u + v * v) ** k for k, a in enumerate(q2d(m, last)))
         c2r2, k = n.get("curvature", 0.0) ** 2 * (x * x + y * y), n.get("conic", 0.0)
-        return np.asarray(angular * radial * np.sqrt((1 - k * c2r2) / (1 - (1 + k) * c2r2)))
+        return np.asarray(harmonic(m, part == "sin", u, v) * radial * np.sqrt((1 - k * c2r2) / (1 - (1 + k) * c2r2)))
 
     def _term(self, name: str, x: Array, y: Array, r2: Array) -> Array:
         n = self.numbers
@@ -246,7 +237,7 @@ class Freeform:
             order = noll(i) if kind == "zernike" else fringe(i)
             return zernike(*order, x / radius, y / radius, kind == "zernike")
         if kind == "chebyshev":
-            return _chebyshev(i, x / n["chebyshev_x"]) * _chebyshev(j, y / n["chebyshev_y"])
+            return np.cos(i * np.arccos(x / n["chebyshev_x"])) * np.cos(j * np.arccos(y / n["chebyshev_y"]))
         u2 = r2 / n["q_radius"] ** 2
         if kind == "qcon":
             return u2 * u2 * QCON[i](u2)
@@ -259,14 +250,10 @@ class Freeform:
         """Derivatives of the sag, by complex steps."""
         return self.sag(x + 1j * TINY, y).imag / TINY, self.sag(x, y + 1j * TINY).imag / TINY
 
-    def implicit(self, p: Array) -> tuple[Array, Array]:
-        """F = z - sag (n,) and its gradient (n, 3)."""
-        across, along = self.slopes(p[:, 0], p[:, 1])
-        return p[:, 2] - self.sag(p[:, 0], p[:, 1]), np.column_stack([-across, -along, np.ones(len(p))])
-
-    def normal(self, point: Array) -> Array:
-        gradient = self.implicit(point)[1]
-        return np.asarray(gradient / np.linalg.norm(gradient, axis=1, keepdims=True))
+    def implicit(self, point: Array) -> tuple[Array, Array]:
+        x, y, z = point.T
+        across, along = self.slopes(x, y)
+        return z - self.sag(x, y), np.column_stack([-across, -along, np.ones(len(point))])
 
     def contains(self, x: Array, y: Array) -> Mask:
         inside = np.full(np.shape(x), self.figures[0].sign == "-")
@@ -286,15 +273,9 @@ class Freeform:
         with np.errstate(invalid="ignore"):
             z = self.sag(gx, gy)
         reach = 1.5 * (np.nanmax(z) - np.nanmin(z)) + 1e-3 * self.extent()
-        low, high = np.full(len(origin), 0.0), np.full(len(origin), np.inf)
-        for axis, (a, b) in enumerate(((x0, x1), (y0, y1), (np.nanmin(z) - reach, np.nanmax(z) + reach))):
-            with np.errstate(divide="ignore", invalid="ignore"):
-                t = np.stack([(a - origin[:, axis]) / direction[:, axis], (b - origin[:, axis]) / direction[:, axis]])
-            still = direction[:, axis] == 0
-            out = still & ((origin[:, axis] < a) | (origin[:, axis] > b))
-            t[:, still] = np.array([[-np.inf], [np.inf]])
-            low, high = np.maximum(low, t.min(axis=0)), np.minimum(high, t.max(axis=0))
-            high[out] = -np.inf
+        bottom, top = np.array([x0, y0, np.nanmin(z) - reach]), np.array([x1, y1, np.nanmax(z) + reach])
+        low, high = box_span(origin, direction, bottom, top)
+        low = np.maximum(low, 0.0)
         some = np.flatnonzero((high > low) & (direction[:, 2] * self.way >= 0))
         best = np.full(len(origin), np.inf)
         if not len(some):
@@ -322,16 +303,17 @@ class Freeform:
         return best
 
 
-def _box(figure: Figure) -> tuple[float, float, float, float]:
+def _corners(figure: Figure) -> Array:
+    """Points (n, 2) whose box holds the figure."""
     n = figure.numbers
-    u = [v for k, v in n.items() if re.fullmatch(r"x\d+", k)] or [n.get("radius", n.get("half_width", 0.0))]
-    v = [v for k, v in n.items() if re.fullmatch(r"y\d+", k)] or [n.get("radius", n.get("half_height", 0.0))]
-    points = np.array([(a, b) for a, b in zip(u, v, strict=True)] if len(u) > 1 else
-                      [(s * u[0], t * v[0]) for s in (-1, 1) for t in (-1, 1)])  # fmt: skip
+    if figure.kind == "polygon":
+        u, v = (np.array([value for key, value in n.items() if re.fullmatch(rf"{axis}\d+", key)]) for axis in "xy")
+    else:
+        half_width, half_height = (n.get("radius", n.get(name, 0.0)) for name in ("half_width", "half_height"))
+        u, v = half_width * np.array([-1, -1, 1, 1]), half_height * np.array([-1, 1, -1, 1])
     angle = math.radians(n.get("angle_deg", 0.0))
-    x = n.get("x", 0.0) + points[:, 0] * math.cos(angle) - points[:, 1] * math.sin(angle)
-    y = n.get("y", 0.0) + points[:, 0] * math.sin(angle) + points[:, 1] * math.cos(angle)
-    return float(x.min()), float(x.max()), float(y.min()), float(y.max())
+    x = n.get("x", 0.0) + u * math.cos(angle) - v * math.sin(angle)
+    return np.stack([x, n.get("y", 0.0) + u * math.sin(angle) + v * math.cos(angle)], axis=1)
 
 
 def _conic(r2: Array, c: float, k: float) -> Array:
@@ -352,7 +334,3 @@ def _turned(g: Array, x: Array, c: float) -> Array:
         return g
     # (1/c - z)² + x² = (1/c - g)²
     return np.asarray((1 - np.sqrt((1 - c * g) ** 2 - c * c * x * x)) / c)
-
-
-def _chebyshev(order: int, x: Array) -> Array:
-    return np.asarray(np.cos(order * np.arccos(x)))

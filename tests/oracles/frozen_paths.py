@@ -12,35 +12,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .frozen_scene import FrozenScene, Lobe, Outcome
+from .frozen_scene import FrozenScene, Lobe
 from .geometry import Array, Mask
-from .replay import Event
+from .interface import Interaction
+from .replay import SPECULAR, Event, path_text
 
-SPECULAR = {"SpecTran": "T", "SpecRefl": "R", "TIR": "TIR", "Absorbed": "A"}
 SCATTERED = {"RandTran": "transmission", "ImpTran": "transmission", "RandRefl": "reflection", "ImpRefl": "reflection"}
 
 
 @dataclass(frozen=True)
 class Bundle:
-    """
-    Rays of one path as a trace recorded them.
+    """Rays of one path as a trace recorded them; the last event is Absorbed, at the detector.
 
-    Attributes
-    ----------
-    events : tuple of (shape id, intercept type)
-        The last one is Absorbed, at the detector.
-    origin, direction : (n, 3) float64
-        Start rays, mm.
-    points : (k, n, 3) float64
-        Recorded hits, mm; only near ones are needed.
-    leaving : (k, n, 3) float64
-        Recorded directions after each event; used after scatter events.
-    power : (n,) float64
-        Flux of the start rays, W.
-    arriving : (n,) float64
-        Recorded flux with which each ray meets the detector, W.
-    start : (n,) int
-        Numbers of the start rays.
+    Start rays (n, 3) in mm with their flux in W and their numbers; recorded hits (k, n, 3), of which only near ones are
+    needed; recorded directions after each event (k, n, 3), used after scatter; recorded flux that meets the detector.
     """
 
     events: tuple[Event, ...]
@@ -54,10 +39,8 @@ class Bundle:
 
     @property
     def text(self) -> str:
-        """Events as a row of a path table has them, with the letters of scatter as well."""
-        letters = {"SpecTran": "T", "SpecRefl": "R", "TIR": "I", "Absorbed": "A"}
-        letters |= {"RandTran": "t", "RandRefl": "r", "ImpTran": "i", "ImpRefl": "j"}
-        return " ".join(f"{shape_id}:{letters[name]}" for shape_id, name in self.events)
+        """Events as a row of a path table has them."""
+        return path_text(self.events)
 
     @property
     def scatters(self) -> bool:
@@ -67,19 +50,9 @@ class Bundle:
 
 @dataclass(frozen=True)
 class Hits:
-    """
-    Where the rays of a bundle meet the detector.
+    """Where the rays of a bundle meet the detector: in its own frame, mm; flux that it absorbs and that meets it, W.
 
-    Attributes
-    ----------
-    x, y : (n,)
-        In the detector's own frame, mm.
-    flux, arriving : (n,)
-        What the detector absorbs, and what meets it, W.
-    points : (k, n, 3)
-        All hits, mm.
-    trail : list
-        Position, direction, flux and absorption coefficient before each event.
+    All hits (k, n, 3), mm; and position, direction, flux and absorption coefficient before each event.
     """
 
     x: Array
@@ -121,19 +94,18 @@ def follow(scene: FrozenScene, bundle: Bundle, trail: Sequence[State] = ()) -> H
             local = (position - vertex) @ rotation
             taken = flux * _absorbed(scene, shape_id, out)
             return Hits(local[:, 0], local[:, 1], taken, flux, np.array(points), states)
+        passes = name == "SpecTran" or SCATTERED.get(name) == "transmission"
         if name in SCATTERED:
             heading = bundle.leaving[step]
             flux = flux * _scattered(scene, shape_id, out, SCATTERED[name], heading)
-            passes = SCATTERED[name] == "transmission"
         else:
             kind = SPECULAR[name]
-            passes = kind == "T"
-            if np.any(out.tir != (kind == "TIR")) and kind != "R":
+            if np.any(out.tir != (kind == "I")) and kind != "R":
                 beyond = f"{np.sum(out.tir)} of {len(flux)} rays are beyond the critical angle"
                 raise ValueError(f"event {step}, {name} at {shape_id}: {beyond}")
             event = "transmission" if passes else "reflection"
-            flux = flux * (out.T if passes else out.R) * _kept(scene, shape_id, out, event)
-            heading = out.transmitted if passes else out.reflected
+            power, heading = _specular(out, event)
+            flux = flux * power * (1 - _total(scene, shape_id, out, event, False))
         interface = scene.model.by_id[shape_id].interface
         if passes and not interface.opaque:
             if not (out.from_front.all() or not out.from_front.any()):
@@ -142,71 +114,47 @@ def follow(scene: FrozenScene, bundle: Bundle, trail: Sequence[State] = ()) -> H
     raise ValueError(f"path does not end on the detector: {bundle.text}")
 
 
-def _specular(out: Outcome, event: str) -> Array:
-    return out.transmitted if event == "transmission" else out.reflected
+def _specular(out: Interaction, event: str) -> tuple[Array, Array]:
+    """R or T, and directions."""
+    return (out.transmittance, out.transmitted) if event == "transmission" else (out.reflectance, out.reflected)
 
 
-def _lobes_by_side(scene: FrozenScene, shape_id: str, out: Outcome) -> Iterator[tuple[Lobe, Mask]]:
-    """The lobes of a surface, each with the rays that it is for."""
-    if not scene.scatter.get(shape_id):
-        return
+def _lobes(scene: FrozenScene, shape_id: str, out: Interaction, event: str) -> Iterator[tuple[Lobe, Mask]]:
+    """The lobes of one event at a surface, each with the rays that it is for."""
     for side, here in (("front", out.from_front), ("back", ~out.from_front)):
-        if here.any():
-            for lobe in scene.lobes(shape_id, side):
-                yield lobe, here
+        if scene.scatter.get(shape_id) and here.any():
+            yield from ((lobe, here) for lobe in scene.lobes(shape_id, side) if lobe.event == event)
 
 
-def _kept(scene: FrozenScene, shape_id: str, out: Outcome, event: str) -> Array:
-    """What scatter leaves of the specular beam of one event."""
-    x = out.T if event == "transmission" else out.R
-    cosine = np.abs(np.einsum("ij,ij->i", _specular(out, event), out.normal))
-    kept = np.ones(len(cosine))
-    for lobe, here in _lobes_by_side(scene, shape_id, out):
-        if lobe.event == event and not lobe.absolute:
-            share = lobe.coefficient(x) / np.where(x > 0, x, 1.0) * lobe.total(cosine)
-            kept = kept - np.where(here, share, 0.0)
-    return kept
+def _total(scene: FrozenScene, shape_id: str, out: Interaction, event: str, absolute: bool) -> Array:
+    """Total of the lobes of one event that are absolute, or of those that are not, (n,)."""
+    cosine = np.abs(np.einsum("ij,ij->i", _specular(out, event)[1], out.normal))
+    lobes = _lobes(scene, shape_id, out, event)
+    return sum((here * lobe.total(cosine) for lobe, here in lobes if lobe.absolute == absolute), np.zeros(len(cosine)))
 
 
-def _absorbed(scene: FrozenScene, shape_id: str, out: Outcome) -> Array:
+def _absorbed(scene: FrozenScene, shape_id: str, out: Interaction) -> Array:
     """Share that a surface takes: what is neither reflected, nor transmitted, nor scattered."""
-    taken = np.ones(len(out.R))
-    for event, x in (("transmission", out.T), ("reflection", out.R)):
-        taken = taken - x * _kept(scene, shape_id, out, event)
-        cosine = np.abs(np.einsum("ij,ij->i", _specular(out, event), out.normal))
-        for lobe, here in _lobes_by_side(scene, shape_id, out):
-            if lobe.event == event:
-                taken = taken - np.where(here, lobe.coefficient(x) * lobe.total(cosine), 0.0)
-    return taken
+    absolute = sum(_total(scene, shape_id, out, event, True) for event in ("transmission", "reflection"))
+    return np.asarray(1 - out.reflectance - out.transmittance - absolute)
 
 
-def _scattered(scene: FrozenScene, shape_id: str, out: Outcome, event: str, heading: Array) -> Array:
+def _scattered(scene: FrozenScene, shape_id: str, out: Interaction, event: str, heading: Array) -> Array:
     """Scattered flux per solid angle along `heading` and unit of incident flux."""
-    x = out.T if event == "transmission" else out.R
+    x, specular = _specular(out, event)
 
     def tangential(v: Array) -> Array:
         return v - np.einsum("ij,ij->i", v, out.normal)[:, None] * out.normal
 
-    centre = tangential(_specular(out, event))
-    beta = tangential(heading)
     density = np.zeros(len(x))
-    for lobe, here in _lobes_by_side(scene, shape_id, out):
-        if lobe.event == event:
-            r = np.linalg.norm(beta - (0.0 if lobe.about_normal else centre), axis=1)
-            density = density + np.where(here, lobe.coefficient(x) * lobe.profile(r), 0.0)
+    for lobe, here in _lobes(scene, shape_id, out, event):
+        r = np.linalg.norm(tangential(heading if lobe.about_normal else heading - specular), axis=1)
+        density = density + here * (1.0 if lobe.absolute else x) * lobe.profile(r)
     return density * np.abs(np.einsum("ij,ij->i", heading, out.normal))
 
 
 class FrozenPaths:
-    """
-    The recorded rays of a trace.
-
-    Parameters
-    ----------
-    scene : FrozenScene
-        As it was traced.
-    bundles : sequence of Bundle
-    """
+    """The recorded rays of a trace, in the scene as it was traced."""
 
     def __init__(self, scene: FrozenScene, bundles: Sequence[Bundle]) -> None:
         self.scene, self.bundles = scene, list(bundles)
@@ -215,13 +163,10 @@ class FrozenPaths:
             bundle.arriving / hits.arriving if bundle.scatters else np.ones(len(hits.x))
             for bundle, hits in zip(self.bundles, nominal, strict=True)
         ]
-        self.nominal = self._scaled(nominal, range(len(self.bundles)))
+        self.nominal = [self._scaled(k, hits) for k, hits in enumerate(nominal)]
 
-    def _scaled(self, hits: Sequence[Hits], numbers: Sequence[int]) -> list[Hits]:
-        return [
-            replace(h, flux=h.flux * self._scale[k], arriving=h.arriving * self._scale[k])
-            for h, k in zip(hits, numbers, strict=True)
-        ]
+    def _scaled(self, k: int, hits: Hits) -> Hits:
+        return replace(hits, flux=hits.flux * self._scale[k], arriving=hits.arriving * self._scale[k])
 
     def moved(self, direction: Direction, factor: float) -> list[Hits]:
         """The hits with numbers changed by a factor times the direction."""
@@ -235,8 +180,7 @@ class FrozenPaths:
         for k, bundle in enumerate(self.bundles):
             first = next((step for step, (name, _) in enumerate(bundle.events) if name in moving), None)
             if first is not None:
-                hits = follow(scene, bundle, self.nominal[k].trail[: first + 1])
-                (found[k],) = self._scaled([hits], [k])
+                found[k] = self._scaled(k, follow(scene, bundle, self.nominal[k].trail[: first + 1]))
         return found
 
     def along(self, metrics: Sequence[Metric], direction: Direction) -> Array:
@@ -255,24 +199,6 @@ class FrozenPaths:
         values = np.zeros(len(self.scene.numbers[key]))
         values[entry] = step
         return self.along(metrics, {key: values}) / step
-
-    def scan(
-        self, metrics: Sequence[Metric], key: str, steps: Sequence[float], entry: int = 0
-    ) -> tuple[Array, Array, float]:
-        """
-        Derivatives with several steps, and where they agree best.
-
-        Returns
-        -------
-        derivatives, change : (metrics,)
-            Those of the step that agrees best with its two neighbours, and the larger of the differences from them.
-        step : float
-        """
-        rows = np.array([self.derivatives(metrics, key, step, entry) for step in steps])
-        inner = np.maximum(np.abs(rows[1:-1] - rows[:-2]), np.abs(rows[1:-1] - rows[2:]))
-        scale = np.maximum(np.abs(rows).max(axis=0), 1e-300)
-        best = int(np.argmin(np.max(inner / scale, axis=1)))
-        return rows[best + 1], inner[best], float(steps[best + 1])
 
 
 def power(hits: Sequence[Hits]) -> float:

@@ -11,68 +11,25 @@ from __future__ import annotations
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from .freeform import Freeform
-from .geometry import Array, Asphere, Frustum, Mask, Plane, Sphere, Surface
+from .geometry import Array, Asphere, Frustum, Surface
 from .glass import absorption_per_mm
-from .interface import Interface, interact
+from .interface import Interaction, Interface, interact
 from .layers import stack_powers
-from .scatter_integrals import Profile, abg, harvey_shack, lambertian, total_scatter
+from .scatter_integrals import Lobe, Profile, abg, harvey_shack, lambertian
 from .scene_xml import SceneModel, _rotation, parse_scene
 
 ORDERS = tuple(range(4, 21, 2))
 POSE = ("x", "y", "z", "tilt_x", "tilt_y", "tilt_z")
-ANGLES = 33  # nodes of a lobe's total over the cosine, for a cubic spline
 
 
-@dataclass(frozen=True)
-class Lobe:
-    """
-    One lobe: (c0 + c1 X + c2 X²) profile(|β - βc|) per projected solid angle, X the coating's R or T.
-
-    βc is that of the specular direction, or 0; a lobe that is not `absolute` takes its light from the specular beam.
-    """
-
-    event: str
-    profile: Profile
-    shares: tuple[float, float, float] = (0.0, 1.0, 0.0)
-    sides: tuple[str, ...] = ("front", "back")
-    about_normal: bool = False
-
-    @property
-    def absolute(self) -> bool:
-        """Relative to the incident light."""
-        return self.shares[0] > 0
-
-    def coefficient(self, x: Array) -> Array:
-        """c0 + c1 X + c2 X²."""
-        c0, c1, c2 = self.shares
-        return c0 + x * (c1 + x * c2)
-
-    @cached_property
-    def _totals(self) -> CubicSpline:
-        cosines = np.linspace(0.0, 1.0, ANGLES)
-        sines = np.zeros(ANGLES) if self.about_normal else np.sqrt(1 - cosines**2)
-        totals = {sine: total_scatter(self.profile, sine) for sine in np.unique(sines)}
-        return CubicSpline(cosines, [totals[sine] for sine in sines])
-
-    def total(self, cosine: Array) -> Array:
-        """Integral of the profile over the projected hemisphere, where the specular direction has these cosines."""
-        return np.asarray(self._totals(cosine))
-
-
-class LobesOf(Protocol):
-    """Lobes of a scatter model from its numbers: wavelength (nm), index on the side of incidence and on the other."""
-
-    def __call__(
-        self, numbers: tuple[float, ...], wavelength_nm: float, n_in: float, n_out: float
-    ) -> tuple[Lobe, ...]: ...
+# Of a scatter model, from its numbers, the wavelength (nm), the index on the side of incidence and on the other
+LobesOf = Callable[[tuple[float, ...], float, float, float], tuple[Lobe, ...]]
 
 
 @dataclass(frozen=True)
@@ -94,36 +51,11 @@ class Film:
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What n rays meet: directions (n, 3), R and T as the coating gives them, indices (n,) of both sides."""
-
-    normal: Array
-    transmitted: Array
-    reflected: Array
-    R: Array
-    T: Array
-    tir: Mask
-    from_front: Mask
-    n_in: Array
-    n_out: Array
-
-
-@dataclass(frozen=True)
 class FrozenScene:
     """
-    A scene whose numbers can be moved.
+    A scene whose numbers can be moved: the model as the file gives it, and key → float64 array.
 
-    Attributes
-    ----------
-    model : SceneModel
-        As the file gives it; shapes, labels, transforms.
-    wavelength_nm : float
-    numbers : dict
-        Key → float64 array, (1,) but for the layers of a coating.
-    interface_keys : dict
-        Shape id → key prefix of its interface.
-    films, scatter : dict
-        Shape id → `Film`; shape id → tuple of `ScatterModel`.
+    Arrays are (1,) but for the layers of a coating. By shape id: key prefix of its interface, film, scatter models.
     """
 
     model: SceneModel
@@ -185,30 +117,28 @@ class FrozenScene:
         o, d = (origin - vertex) @ rotation, direction @ rotation
         t, tolerance = near.copy(), 1e-13 * (1 + np.abs(near) + np.linalg.norm(o, axis=1))
         for _ in range(30):
-            value, gradient = _implicit(surface, o + t[:, None] * d)
+            value, gradient = surface.implicit(o + t[:, None] * d)
             step = value / np.einsum("ij,ij->i", gradient, d)
             t = t - step
             if np.all(np.abs(step) <= tolerance):
                 return t
         raise ValueError(f"rays do not settle on {shape_id}: last step {np.max(np.abs(step)):.1e} mm")
 
-    def meet(self, shape_id: str, point: Array, direction: Array) -> Outcome:
+    def meet(self, shape_id: str, point: Array, direction: Array) -> Interaction:
         """Both daughters of rays at points of a surface, and its R and T for unpolarised light."""
         rotation, vertex = self.pose(shape_id)
         normal = self.surface(shape_id).normal((point - vertex) @ rotation) @ rotation.T
         interface, (n_front, n_back) = self._interface(shape_id), self._indices(shape_id)
         out = interact(interface, n_front, n_back, self.wavelength_nm, direction, normal)
-        R, T = out.reflectance, out.transmittance
         film = self.films.get(shape_id)
-        if film is not None:
-            cos_i = np.abs(np.einsum("ij,ij->i", direction, normal))
-            R, T = np.zeros(len(point)), np.zeros(len(point))
-            for side in (True, False):
-                here = out.from_front == side
-                R[here], T[here] = self._film_powers(film, n_front, n_back, side, cos_i[here])
-        n_in = np.where(out.from_front, n_front, n_back)
-        n_out = np.where(out.from_front, n_back, n_front)
-        return Outcome(normal, out.transmitted, out.reflected, R, T, out.tir, out.from_front, n_in, n_out)
+        if film is None:
+            return out
+        cos_i = np.abs(np.einsum("ij,ij->i", direction, normal))
+        R, T = np.zeros(len(point)), np.zeros(len(point))
+        for side in (True, False):
+            here = out.from_front == side
+            R[here], T[here] = self._film_powers(film, n_front, n_back, side, cos_i[here])
+        return replace(out, reflectance=R, transmittance=T)
 
     def lobes(self, shape_id: str, side: str) -> list[Lobe]:
         """The lobes of a surface for light from one side."""
@@ -256,25 +186,6 @@ class FrozenScene:
 @lru_cache
 def _absorption(material: str, wavelength_nm: float) -> float:
     return absorption_per_mm(material, wavelength_nm)
-
-
-def _implicit(surface: Surface, p: Array) -> tuple[Array, Array]:
-    """F (n,) and its gradient (n, 3) at points of the frame of a surface; F = 0 on the unbounded sheet."""
-    if isinstance(surface, Asphere):
-        u = p[:, 0] ** 2 + p[:, 1] ** 2
-        slope = surface.slope_u(u)
-        return surface.sag(u) - p[:, 2], np.stack([2 * slope * p[:, 0], 2 * slope * p[:, 1], -np.ones(len(p))], axis=1)
-    if isinstance(surface, Frustum):
-        m_r, m_z, k = surface._line()
-        radius = np.hypot(p[:, 0], p[:, 1])
-        across = m_r * p[:, :2] / np.maximum(radius, 1e-300)[:, None]
-        return m_r * radius + m_z * p[:, 2] - k, np.column_stack([across, np.full(len(p), m_z)])
-    if isinstance(surface, Freeform):
-        return surface.implicit(p)
-    if isinstance(surface, Sphere):
-        return 0.5 * (np.sum(p * p, axis=1) - surface.radius**2), p
-    assert isinstance(surface, Plane)
-    return p[:, 2], np.tile([0.0, 0.0, 1.0], (len(p), 1))
 
 
 def read_frozen(source: str | Path, wavelength_nm: float | None = None) -> FrozenScene:
@@ -354,41 +265,30 @@ def _scatter_model(key: str, node: ElementTree.Element, numbers: dict[str, Array
     event = values.pop("event", "reflection" if kind == "paint" else "both")
     relative_to = values.pop("relative_to", "incident" if kind == "paint" else "specular")
     side = values.pop("side", "both")
-    defaults = {"abg": {}, "harvey_shack": {"l": 0.01, "s": -1.5}, "paint": {"b0": 0.0, "l": 0.1, "s": -2.0}}
-    makers: dict[str, Callable[..., list[tuple[Profile, bool]]]] = {
-        "abg": _abg,
-        "harvey_shack": _harvey_shack,
-        "paint": _paint,
+    known: dict[str, tuple[set[str], dict[str, float], Callable[..., list[tuple[Profile, bool]]]]] = {
+        "abg": ({"A", "B", "g"}, {}, lambda v, *_: [(abg(v["A"], v["B"], v["g"]), False)]),
+        "harvey_shack": ({"b0", "rms_nm"}, {"l": 0.01, "s": -1.5}, _harvey_shack),
+        "paint": ({"reflectance"}, {"b0": 0.0, "l": 0.1, "s": -2.0}, _paint),
     }
-    known = {
-        "abg": {"A", "B", "g"},
-        "harvey_shack": {"b0", "rms_nm", "l", "s"},
-        "paint": {"reflectance", "b0", "l", "s"},
-    }
-    if kind not in makers or set(values) - known[kind]:
+    names, defaults, make = known.get(kind, (set(), {}, _paint))
+    if set(values) - names - set(defaults) or kind not in known:
         raise ValueError(f"oracle knows no {kind!r} with {sorted(values)}")
-    own = {**defaults[kind], **{name: float(value) for name, value in values.items()}}
+    own = {**defaults, **{name: float(value) for name, value in values.items()}}
     for name, value in own.items():
         numbers[f"{key}.{name}"] = np.array([value])
     events = ("transmission", "reflection") if event == "both" else (event,)
     sides = ("front", "back") if side == "both" else (side,)
-    shares = (1.0, 0.0, 0.0) if relative_to == "incident" else (0.0, 1.0, 0.0)
-    make = makers[kind]
 
     @lru_cache(maxsize=64)  # a lobe's totals are dear
     def lobes(numbers: tuple[float, ...], wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
         named = dict(zip(own, numbers, strict=True))
         return tuple(
-            Lobe(event, profile, shares, sides, about_normal)
+            Lobe(event, profile, relative_to == "incident", sides, about_normal)
             for event in events
             for profile, about_normal in make(named, event, wavelength_nm, n_in, n_out)
         )
 
     return ScatterModel(key, tuple(own), lobes)
-
-
-def _abg(v: dict[str, float], *_: float | str) -> list[tuple[Profile, bool]]:
-    return [(abg(v["A"], v["B"], v["g"]), False)]
 
 
 def _harvey_shack(

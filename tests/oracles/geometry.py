@@ -10,7 +10,6 @@ rigorous bounds on the slope, so the first crossing is never skipped.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,15 +18,23 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
-class Surface(Protocol):
+class Surface:
     """What the tracers ask of a surface."""
 
-    def first_hit(self, origin: Array, direction: Array, leaving: Mask) -> Array: ...
+    def first_hit(self, origin: Array, direction: Array, leaving: Mask) -> Array:
+        raise NotImplementedError
 
-    def normal(self, point: Array) -> Array: ...
+    def implicit(self, point: Array) -> tuple[Array, Array]:
+        """F (n,) and its gradient (n, 3), which is along the normal; F = 0 on the unbounded sheet."""
+        raise NotImplementedError
 
     def extent(self) -> float:
         """Radius in mm of a ball about the frame's origin that holds the surface."""
+        raise NotImplementedError
+
+    def normal(self, point: Array) -> Array:
+        gradient = self.implicit(point)[1]
+        return np.asarray(gradient / np.linalg.norm(gradient, axis=1, keepdims=True))
 
 
 def _nearest(candidates: list[tuple[Array, Mask]], size: int) -> Array:
@@ -51,8 +58,19 @@ def _quadratic_roots(a: Array, b: Array, c: Array, leaving: Mask) -> list[tuple[
     return [(np.where(first_ok, first, 0.0), first_ok), (np.where(second_ok, second, 0.0), second_ok)]
 
 
+def box_span(origin: Array, direction: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Path lengths (n,) between which rays are in a box; the first is the larger one where they miss it."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = np.stack([(low - origin) / direction, (high - origin) / direction])
+    still = direction == 0
+    t[:, still] = np.array([[-np.inf], [np.inf]])
+    t[1][still & ((origin < low) | (origin > high))] = -np.inf
+    t.sort(axis=0)
+    return t[0].max(axis=1), t[1].min(axis=1)
+
+
 @dataclass(frozen=True)
-class Plane:
+class Plane(Surface):
     """z = 0 inside a ring or a rectangle; stock ``rectangle`` and ``disk`` are planes too.
 
     Parameters in mm: ``outer`` and ``inner`` radius, or ``half_width`` and ``half_height`` along x and y;
@@ -76,15 +94,15 @@ class Plane:
         good &= (np.abs(x) <= self.half_width) & (np.abs(y) <= self.half_height)
         return _nearest([(t, good)], len(t))
 
-    def normal(self, point: Array) -> Array:
-        return np.tile([0.0, 0.0, self.sign], (len(point), 1))
+    def implicit(self, point: Array) -> tuple[Array, Array]:
+        return self.sign * point[:, 2], np.tile([0.0, 0.0, self.sign], (len(point), 1))
 
     def extent(self) -> float:
         return min(self.outer, float(np.hypot(self.half_width, self.half_height)))
 
 
 @dataclass(frozen=True)
-class Sphere:
+class Sphere(Surface):
     """Full sphere about the origin, ``radius`` in mm, normal outward for ``sign`` = 1."""
 
     radius: float
@@ -95,15 +113,15 @@ class Sphere:
         c = np.einsum("ij,ij->i", origin, origin) - self.radius**2
         return _nearest(_quadratic_roots(np.ones_like(b), b, c, leaving), len(b))
 
-    def normal(self, point: Array) -> Array:
-        return self.sign * point / np.linalg.norm(point, axis=1, keepdims=True)
+    def implicit(self, point: Array) -> tuple[Array, Array]:
+        return 0.5 * self.sign * (np.sum(point * point, axis=1) - self.radius**2), self.sign * point
 
     def extent(self) -> float:
         return self.radius
 
 
 @dataclass(frozen=True)
-class Frustum:
+class Frustum(Surface):
     """Cone, cylinder or flat annulus from (r0, z0) to (r1, z1) about z, mm.
 
     The normal points away from the axis, or to +z on a flat annulus. The generator is written as
@@ -143,19 +161,18 @@ class Frustum:
             candidates.append((t, real & nappe & (along >= 0) & (along <= length2)))
         return _nearest(candidates, len(a))
 
-    def normal(self, point: Array) -> Array:
-        m_r, m_z, _ = self._line()
-        if m_r == 0:
-            return np.tile([0.0, 0.0, 1.0], (len(point), 1))
-        radius = np.maximum(np.hypot(point[:, 0], point[:, 1]), 1e-300)
-        return np.stack([m_r * point[:, 0] / radius, m_r * point[:, 1] / radius, np.full(len(point), m_z)], axis=1)
+    def implicit(self, point: Array) -> tuple[Array, Array]:
+        m_r, m_z, k = self._line()
+        radius = np.hypot(point[:, 0], point[:, 1])
+        across = m_r * point[:, :2] / np.maximum(radius, 1e-300)[:, None]
+        return m_r * radius + m_z * point[:, 2] - k, np.column_stack([across, np.full(len(point), m_z)])
 
     def extent(self) -> float:
         return float(max(np.hypot(self.r0, self.z0), np.hypot(self.r1, self.z1)))
 
 
 @dataclass(frozen=True)
-class Asphere:
+class Asphere(Surface):
     """z = c u / (1 + sqrt(1 - (1 + k) c^2 u)) + sum a_2i u^i with u = x^2 + y^2, normal +z at the vertex.
 
     ``coefficients`` is a tuple of (power i of u, a_2i in mm^(1-2i)). The clear aperture is the ring inner … outer (mm)
@@ -198,10 +215,10 @@ class Asphere:
         """d sag / d(r^2) in 1/mm."""
         return np.sum(self._terms(u), axis=0)
 
-    def normal(self, point: Array) -> Array:
-        s = 2 * self.slope_u(point[:, 0] ** 2 + point[:, 1] ** 2)
-        n = np.stack([-s * point[:, 0], -s * point[:, 1], np.ones(len(point))], axis=1)
-        return n / np.linalg.norm(n, axis=1, keepdims=True)
+    def implicit(self, point: Array) -> tuple[Array, Array]:
+        u = point[:, 0] ** 2 + point[:, 1] ** 2
+        across = -2 * self.slope_u(u)[:, None] * point[:, :2]
+        return point[:, 2] - self.sag(u), np.column_stack([across, np.ones(len(point))])
 
     def extent(self) -> float:
         return float(np.hypot(self.reach, np.abs(self._sag_bounds()).max()))
@@ -219,21 +236,10 @@ class Asphere:
 
     def _domains(self, o: Array, d: Array, start: Array) -> list[tuple[Array, Array]]:
         """Parts [a, b] of each ray that lie over the clear aperture and inside the slab of the sag."""
-        low = start.copy()
-        high = np.full(len(o), np.inf)
-
-        def slab(position: Array, velocity: Array, minimum: float, maximum: float) -> None:
-            with np.errstate(divide="ignore", invalid="ignore"):
-                t0, t1 = (minimum - position) / velocity, (maximum - position) / velocity
-            still = velocity == 0
-            outside = still & ((position < minimum) | (position > maximum))
-            np.copyto(low, np.where(still, low, np.maximum(low, np.minimum(t0, t1))))
-            np.copyto(high, np.where(outside, -np.inf, np.where(still, high, np.minimum(high, np.maximum(t0, t1)))))
-
-        slab(o[:, 2], d[:, 2], *self._sag_bounds())
-        if np.isfinite(self.half_width):
-            slab(o[:, 0], d[:, 0], -self.half_width, self.half_width)
-            slab(o[:, 1], d[:, 1], -self.half_height, self.half_height)
+        sides = np.array([self.half_width, self.half_height])
+        (z0, z1) = self._sag_bounds()
+        low, high = box_span(o, d, np.append(-sides, z0), np.append(sides, z1))
+        low = np.maximum(low, start)
         a = d[:, 0] ** 2 + d[:, 1] ** 2
         b = o[:, 0] * d[:, 0] + o[:, 1] * d[:, 1]
         c = o[:, 0] ** 2 + o[:, 1] ** 2

@@ -11,7 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .geometry import Array
+from .geometry import Array, Asphere
+from .interface import Interface, interact
 from .scatter_integrals import Profile, gauss_legendre
 from .scatter_scenes import placed_xml
 from .small_scenes import interface_xml
@@ -58,26 +59,12 @@ def _faces(focal: float, semi_diameter: float, R: float = 0.0, T: float = 1.0) -
 
 def through_lens(points: Array, direction: Array, focal: float) -> tuple[Array, Array]:
     """Points and unit directions behind the rear face of rays (n, 3) that start in the plane of the stop."""
-    o = points + ((-THICKNESS - points[:, 2]) / direction[2])[:, None] * direction
-    d = _refract(np.broadcast_to(direction, points.shape), np.array([0.0, 0.0, 1.0]), 1 / INDEX)
-    c, k = -1 / ((INDEX - 1) * focal), -(INDEX**2)
-    t = -o[:, 2] / d[:, 2]
-    for _ in range(20):  # Newton: F = c (x² + y² + (1 + k) z²) - 2 z
-        p = o + t[:, None] * d
-        value = c * (p[:, 0] ** 2 + p[:, 1] ** 2 + (1 + k) * p[:, 2] ** 2) - 2 * p[:, 2]
-        slope = 2 * np.stack([c * p[:, 0], c * p[:, 1], c * (1 + k) * p[:, 2] - 1], axis=1)
-        t = t - value / np.sum(slope * d, axis=1)
-    p = o + t[:, None] * d
-    normal = -slope / np.linalg.norm(slope, axis=1)[:, None]
-    return p, _refract(d, normal, INDEX)
-
-
-def _refract(d: Array, normal: Array, eta: float) -> Array:
-    """Snell's law; ``normal`` along the light, ``eta`` index before over index behind."""
-    normal = np.broadcast_to(normal, d.shape)
-    cosine = np.sum(d * normal, axis=1)
-    left = 1 - eta**2 * (1 - cosine**2)
-    return eta * d + (np.sqrt(left) - eta * cosine)[:, None] * normal
+    d = np.broadcast_to(direction, points.shape)
+    o = points + ((-THICKNESS - points[:, 2]) / d[:, 2])[:, None] * d
+    out = interact(Interface("air", str(INDEX)), 1.0, INDEX, 550.0, d, np.tile([0.0, 0.0, 1.0], (len(o), 1)))
+    rear = Asphere(-1 / ((INDEX - 1) * focal), -(INDEX**2), outer=2 * focal)
+    p = o + rear.first_hit(o, out.transmitted, np.zeros(len(o), dtype=bool))[:, None] * out.transmitted
+    return p, interact(Interface(str(INDEX), "air"), INDEX, 1.0, 550.0, out.transmitted, rear.normal(p)).transmitted
 
 
 def plate_behind(

@@ -5,11 +5,11 @@ Unpolarised light; the mean over s and p is taken anew at every hit. Directions 
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from .geometry import Array, Mask
 
@@ -27,33 +27,22 @@ class CoatingTable:
     @classmethod
     def read(cls, path: Path) -> CoatingTable:
         """Reads columns wavelength_nm, angle_deg, R, T and optionally R_back; lines that start with # are comments."""
-        with path.open(newline="", encoding="utf-8") as stream:
-            rows = list(csv.DictReader(line for line in stream if line.strip() and not line.startswith("#")))
-        lam = np.array([float(row["wavelength_nm"]) for row in rows])
-        ang = np.array([float(row["angle_deg"]) for row in rows])
-        lams, angs = np.unique(lam), np.unique(ang)
-        if len(rows) != len(lams) * len(angs):
-            raise ValueError(f"{path}: {len(rows)} rows do not fill a {len(lams)} x {len(angs)} grid")
-        order = np.lexsort((ang, lam))
-
-        def grid(name: str) -> Array:
-            return np.array([float(row[name]) for row in rows])[order].reshape(len(lams), len(angs))
-
-        front = grid("R")
-        return cls(lams, np.radians(angs), front, grid("R_back") if "R_back" in rows[0] else front, grid("T"))
-
-    def _interpolate(self, values: Array, wavelength_nm: float, angle: Array) -> Array:
-        if len(self.wavelength_nm) > 1 and not self.wavelength_nm[0] <= wavelength_nm <= self.wavelength_nm[-1]:
-            raise ValueError(f"coating table ends before {wavelength_nm} nm")
-        row = np.array([np.interp(wavelength_nm, self.wavelength_nm, column) for column in values.T])
-        return np.interp(angle, self.angle, row)
+        table = pd.read_csv(path, comment="#").pivot(index="wavelength_nm", columns="angle_deg")
+        front, back, t = (table[name].to_numpy() for name in ("R", "R_back" if "R_back" in table else "R", "T"))
+        if np.isnan(front).any():
+            raise ValueError(f"{path}: its rows do not fill a grid")
+        return cls(table.index.to_numpy(float), np.radians(table["R"].columns.to_numpy(float)), front, back, t)
 
     def evaluate(self, wavelength_nm: float, cos_rarer: Array, from_front: Mask) -> tuple[Array, Array]:
         """R and T, (n,), for the cosine in the rarer medium."""
+        if len(self.wavelength_nm) > 1 and not self.wavelength_nm[0] <= wavelength_nm <= self.wavelength_nm[-1]:
+            raise ValueError(f"coating table ends before {wavelength_nm} nm")
         angle = np.arccos(np.clip(cos_rarer, 0.0, 1.0))
-        front = self._interpolate(self.front, wavelength_nm, angle)
-        back = self._interpolate(self.back, wavelength_nm, angle)
-        return np.where(from_front, front, back), self._interpolate(self.transmittance, wavelength_nm, angle)
+        front, back, t = (
+            np.interp(angle, self.angle, [np.interp(wavelength_nm, self.wavelength_nm, column) for column in values.T])
+            for values in (self.front, self.back, self.transmittance)
+        )
+        return np.where(from_front, front, back), t
 
 
 @dataclass(frozen=True)
@@ -82,6 +71,7 @@ ABSORBER = Interface(reflectance=0.0, transmittance=0.0)
 class Interaction:
     """Outcome of n hits: directions (n, 3), factors (n,); TIR has T = 0 and R = what R + T would have been."""
 
+    normal: Array
     transmitted: Array
     reflected: Array
     reflectance: Array
@@ -112,7 +102,7 @@ def interact(
         else:
             r = np.full(len(along), float(interface.reflectance or 0.0))
             t = np.zeros(len(along))
-        return Interaction(direction, reflected, r, t, np.zeros(len(along), dtype=bool), from_front)
+        return Interaction(normal, direction, reflected, r, t, np.zeros(len(along), dtype=bool), from_front)
     n1 = np.where(from_front, n_front, n_back)
     n2 = np.where(from_front, n_back, n_front)
     eta = n1 / n2
@@ -129,4 +119,5 @@ def interact(
     else:
         r = fresnel_unpolarised(n1, n2, cos_i, cos_t)
         t = 1 - r
-    return Interaction(transmitted, reflected, np.where(tir, r + t, r), np.where(tir, 0.0, t), tir, from_front)
+    r, t = np.where(tir, r + t, r), np.where(tir, 0.0, t)
+    return Interaction(normal, transmitted, reflected, r, t, tir, from_front)

@@ -1,85 +1,134 @@
 """Nonsequential split tracer, breadth first: an independent ledger and energy budget for few rays.
 
-Every hit makes a transmitted and a reflected ray; what a limit removes is booked. A ray that hits a detector leaves the
-power (1 - R - T) w there, and its reflected part goes on. Total internal reflection and ``mirror`` surfaces are not
-counted by ``max_reflections``.
+Every hit makes a transmitted and a reflected ray, and one drawn from each lobe that scatters; what a limit removes is
+booked. A ray that hits a detector leaves there what goes nowhere else. Total internal reflection and ``mirror``
+surfaces are not counted by ``max_reflections``.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from .geometry import Array, Mask
 from .glass import absorption_per_mm, refractive_index
 from .interface import interact
-from .replay import Event
+from .replay import Event, path_text
+from .scatter_integrals import Lobe
 from .scene_xml import SceneModel
 
-EVENT_NAMES = ("SpecTran", "SpecRefl", "TIR", "Absorbed")
-TRANSMITTED, REFLECTED, TOTAL, ABSORBED = range(4)
+EVENT_NAMES = ("SpecTran", "SpecRefl", "TIR", "Absorbed", "RandTran", "RandRefl")
+TRANSMITTED, REFLECTED, TOTAL, ABSORBED, SCATTERED_ON, SCATTERED_BACK = range(6)
 
 
 @dataclass(frozen=True)
 class PathRecord:
-    """One path to a detector; positions in the detector's frame.
+    """One path to a detector: reflections other than TIR and at mirrors (``order``), and its hits by ray.
 
-    Attributes
-    ----------
-    events : tuple of (shape id, event name), the last one Absorbed
-    order : reflections other than TIR and at mirrors
-    rays : detector hits;  power_W absorbed, incident_W arriving
-    x_mm, y_mm, rms_radius_mm : power-weighted centroid and root-mean-square distance from it
-    start_rays : (rays,) numbers of the start rays;  hits : (rays, 2) in mm;  weights : (rays,) absorbed W
+    Numbers of start rays (rays,), places in the detector's frame (rays, 2) in mm, power absorbed and arriving (rays,).
     """
 
     events: tuple[Event, ...]
     order: int
-    rays: int
-    power_W: float
-    incident_W: float
-    x_mm: float
-    y_mm: float
-    rms_radius_mm: float
     start_rays: np.ndarray
     hits: Array
     weights: Array
+    arriving: Array
 
     @property
     def text(self) -> str:
-        """``"lens_front:T … detector:A"``; TIR is written as TIR."""
-        short = {"SpecTran": "T", "SpecRefl": "R", "TIR": "TIR", "Absorbed": "A"}
-        return " ".join(f"{shape_id}:{short[name]}" for shape_id, name in self.events)
+        """``"lens_front:T … detector:A"``."""
+        return path_text(self.events)
 
     @property
-    def rms_irradiance_W_mm2(self) -> float:
-        """power / (pi rms_radius^2)."""
-        return self.power_W / (np.pi * self.rms_radius_mm**2)
+    def rays(self) -> int:
+        return len(self.start_rays)
+
+    @cached_property
+    def power_W(self) -> float:
+        """Absorbed."""
+        return float(self.weights.sum())
+
+    @property
+    def incident_W(self) -> float:
+        return float(self.arriving.sum())
+
+    @cached_property
+    def _centre(self) -> Array:
+        return np.average(self.hits, axis=0, weights=self.weights if self.power_W > 0 else None)
+
+    @property
+    def x_mm(self) -> float:
+        return float(self._centre[0])
+
+    @property
+    def y_mm(self) -> float:
+        return float(self._centre[1])
+
+    @property
+    def rms_radius_mm(self) -> float:
+        """Root-mean-square distance from the centroid, weighted by power as that is."""
+        distance2 = np.sum((self.hits - self._centre) ** 2, axis=1)
+        return float(np.sqrt(np.average(distance2, weights=self.weights if self.power_W > 0 else None)))
 
 
 @dataclass(frozen=True)
 class Ledger:
-    """Everything that became of the launched power, W; ``paths`` by falling power."""
+    """Everything that became of the launched power, W; ``paths`` by falling power.
+
+    ``books``: (what, where …) → power by start ray. What is absorbed, absorbed in a medium, escaped, cut, or a leak.
+    """
 
     launched_W: float
-    detected_W: float
-    absorbed_W: dict[str, float]
-    escaped_W: float
-    cut_W: dict[str, float]
     paths: list[PathRecord]
     segments: int
-    leaks_W: dict[tuple[str, str, str], float] = field(default_factory=dict)
-    escaped_from_W: dict[str, float] = field(default_factory=dict)
-    absorbed_in_W: dict[str, float] = field(default_factory=dict)
+    books: Mapping[tuple[str, ...], Array]
+
+    def _sums(self, what: str) -> dict[Any, float]:
+        found = {key[1:]: float(power.sum()) for key, power in self.books.items() if key[0] == what}
+        return {key if len(key) > 1 else key[0]: power for key, power in found.items()}
+
+    @property
+    def detected_W(self) -> float:
+        return sum(path.power_W for path in self.paths)
+
+    @property
+    def absorbed_W(self) -> dict[str, float]:
+        return self._sums("absorbed")
+
+    @property
+    def absorbed_in_W(self) -> dict[str, float]:
+        return self._sums("absorbed in")
+
+    @property
+    def escaped_from_W(self) -> dict[str, float]:
+        """By the last surface touched."""
+        return self._sums("escaped")
+
+    @property
+    def escaped_W(self) -> float:
+        return sum(self.escaped_from_W.values())
+
+    @property
+    def cut_W(self) -> dict[str, float]:
+        """By the limit."""
+        return self._sums("cut")
+
+    @property
+    def leaks_W(self) -> dict[tuple[str, str, str], float]:
+        """By surface left, surface hit, and medium travelled in."""
+        return self._sums("leak")
 
     @property
     def closure(self) -> float:
         """(launched - everything booked) / launched."""
-        absorbed = sum(self.absorbed_W.values()) + sum(self.absorbed_in_W.values())
-        booked = self.detected_W + absorbed + self.escaped_W + sum(self.cut_W.values())
-        return (self.launched_W - booked) / self.launched_W
+        booked = sum(float(power.sum()) for key, power in self.books.items() if key[0] != "leak")
+        return (self.launched_W - self.detected_W - booked) / self.launched_W
 
     def find(self, *events: str) -> PathRecord:
         """The path whose text is the given events joined by blanks."""
@@ -101,6 +150,7 @@ class _Rays:
     last: np.ndarray
     medium: np.ndarray
     order: np.ndarray
+    scatters: np.ndarray
     path: np.ndarray
 
     def take(self, index: np.ndarray | Mask) -> _Rays:
@@ -109,32 +159,6 @@ class _Rays:
     @staticmethod
     def join(parts: list[_Rays]) -> _Rays:
         return _Rays(*(np.concatenate([getattr(p, name) for p in parts]) for name in _Rays.__dataclass_fields__))
-
-
-class _Trie:
-    """Paths as a tree of (parent, surface, event), so that rays carry one integer."""
-
-    def __init__(self) -> None:
-        self.nodes: list[tuple[int, int, int]] = [(-1, -1, -1)]
-        self.index: dict[tuple[int, int, int], int] = {}
-
-    def step(self, parents: np.ndarray, surface: int, event: int) -> np.ndarray:
-        unique, inverse = np.unique(parents, return_inverse=True)
-        children = np.empty(len(unique), dtype=np.int64)
-        for i, parent in enumerate(unique):
-            key = (int(parent), surface, event)
-            if key not in self.index:
-                self.index[key] = len(self.nodes)
-                self.nodes.append(key)
-            children[i] = self.index[key]
-        return children[inverse]
-
-    def events(self, node: int, ids: list[str]) -> tuple[Event, ...]:
-        found: list[Event] = []
-        while node > 0:
-            node, surface, event = self.nodes[node]
-            found.append((ids[surface], EVENT_NAMES[event]))
-        return tuple(reversed(found))
 
 
 def nearest_hits(model: SceneModel, origin: Array, direction: Array, last: np.ndarray) -> tuple[Array, np.ndarray]:
@@ -154,19 +178,22 @@ def trace(
     power: Array,
     wavelength_nm: float,
     *,
+    lobes: Mapping[str, Sequence[Lobe]] | None = None,
     max_reflections: int = 2,
+    max_scatters: int = 1,
     max_events: int = 32,
     flux_threshold: float = 1e-8,
     start_material: str = "air",
+    seed: int = 0,
 ) -> Ledger:
     """Ledger of all paths of the start rays: positions and directions (n, 3), powers (n,) in W.
 
-    ``max_events`` counts the hits of a path, the last one on the detector included. ``flux_threshold`` is relative to
-    the start ray's own power. ``leaks_W`` books the incident power of hits whose incidence-side index differs from that
-    of the medium the ray travels in, by (surface left, surface hit, medium travelled in), and what leaves the scene in
-    a medium other than the first as a hit on "escape". ``escaped_from_W`` books what left by the last surface touched.
+    ``lobes`` of the surfaces that scatter. ``max_events`` counts the hits of a path, the last one on the detector
+    included. ``flux_threshold`` is relative to the start ray's own power. A leak is a hit whose incidence-side index
+    differs from that of the medium the ray travels in; what leaves the scene in a medium other than the first is a
+    hit on "escape".
     """
-    ids = [shape.shape_id for shape in model.shapes]
+    ids, rng = [shape.shape_id for shape in model.shapes], np.random.default_rng(seed)
     materials = [start_material]
     for shape in model.shapes:
         if not shape.interface.opaque:
@@ -175,123 +202,118 @@ def trace(
     absorption = np.array([absorption_per_mm(material, wavelength_nm) for material in materials])
     n = len(origin)
     unit = direction / np.linalg.norm(direction, axis=1, keepdims=True)
-    none = np.full(n, -1)
     zero = np.zeros(n, dtype=np.int64)
-    rays = _Rays(np.array(origin), unit, np.array(power, dtype=np.float64), np.arange(n), none, zero, zero, zero)
-    floor = flux_threshold * np.asarray(power)
-    trie = _Trie()
-    absorbed: defaultdict[str, float] = defaultdict(float)
-    absorbed_in: defaultdict[str, float] = defaultdict(float)
-    cut: defaultdict[str, float] = defaultdict(float)
-    leaks: defaultdict[tuple[str, str, str], float] = defaultdict(float)
+    power = np.array(power, dtype=np.float64)
+    rays = _Rays(np.array(origin), unit, power, np.arange(n), zero - 1, zero, zero, zero, zero)
+    floor = flux_threshold * power
+    known: dict[tuple[Event, ...], int] = {(): 0}  # paths, so that rays carry one integer
+    listed: list[tuple[Event, ...]] = [()]
+    books: defaultdict[tuple[str, ...], Array] = defaultdict(lambda: np.zeros(n))
     hits: defaultdict[int, list[tuple[np.ndarray, Array, Array, Array]]] = defaultdict(list)
     orders: dict[int, int] = {}
-    escaped: defaultdict[str, float] = defaultdict(float)
     segments = 0
+
+    def step(parents: np.ndarray, name: str, events: np.ndarray) -> np.ndarray:
+        unique, inverse = np.unique(parents * len(EVENT_NAMES) + events, return_inverse=True)
+        paths = [(*listed[code // len(EVENT_NAMES)], (name, EVENT_NAMES[code % len(EVENT_NAMES)])) for code in unique]
+        for path in paths:
+            if known.setdefault(path, len(listed)) == len(listed):
+                listed.append(path)
+        return np.array([known[path] for path in paths], dtype=np.int64)[inverse]
+
+    def book(key: tuple[str, ...], booked: _Rays, mask: Mask) -> None:
+        if mask.any():
+            books[key] += np.bincount(booked.start[mask], booked.weight[mask], n)
+
+    def book_leaks(gone: _Rays, to: str, wrong: Mask) -> None:
+        for last, medium in set(zip(gone.last[wrong].tolist(), gone.medium[wrong].tolist(), strict=True)):
+            key = ("leak", "source" if last < 0 else ids[last], to, materials[medium])
+            book(key, gone, wrong & (gone.last == last) & (gone.medium == medium))
+
     for generation in range(max_events):
         segments += len(rays.weight)
         t, surface = nearest_hits(model, rays.origin, rays.direction, rays.last)
-        for number in np.unique(rays.last[surface < 0]):
-            gone = rays.take((surface < 0) & (rays.last == number))
-            left = "source" if number < 0 else ids[number]
-            escaped[left] += float(gone.weight.sum())
-            for medium in np.unique(gone.medium[np.abs(index[gone.medium] - index[0]) > 1e-9]):
-                leaks[left, "escape", materials[medium]] += float(gone.weight[gone.medium == medium].sum())
+        gone = surface < 0
+        for number in np.unique(rays.last[gone]):
+            book(("escaped", "source" if number < 0 else ids[number]), rays, gone & (rays.last == number))
+        book_leaks(rays, "escape", gone & (np.abs(index[rays.medium] - index[0]) > 1e-9))
         children: list[_Rays] = []
-        for number in np.unique(surface[surface >= 0]):
-            shape = model.shapes[number]
+        for number in np.unique(surface[~gone]):
+            shape, name = model.shapes[number], ids[number]
             here = surface == number
             arrived = rays.take(here)
             point = arrived.origin + t[here, None] * arrived.direction
-            left_over = arrived.weight * np.exp(-absorption[arrived.medium] * t[here])
+            passed = np.exp(-absorption[arrived.medium] * t[here])
+            lost = replace(arrived, weight=arrived.weight * (1 - passed))
             for medium in np.unique(arrived.medium[absorption[arrived.medium] > 0]):
-                lost = (arrived.weight - left_over)[arrived.medium == medium]
-                absorbed_in[materials[medium]] += float(lost.sum())
-            arrived.weight = left_over
-            n_front, n_back = model.indices(shape.shape_id, wavelength_nm)
-            out = interact(shape.interface, n_front, n_back, wavelength_nm, arrived.direction, shape.normal(point))
+                book(("absorbed in", materials[medium]), lost, arrived.medium == medium)
+            arrived.weight = arrived.weight * passed
+            n_front, n_back = model.indices(name, wavelength_nm)
+            normal = shape.normal(point)
+            out = interact(shape.interface, n_front, n_back, wavelength_nm, arrived.direction, normal)
             after = arrived.medium
             if not shape.interface.opaque:
                 front, back = materials.index(shape.interface.front), materials.index(shape.interface.back)
                 before, after = np.where(out.from_front, front, back), np.where(out.from_front, back, front)
-                for i in np.flatnonzero(np.abs(index[before] - index[arrived.medium]) > 1e-9):
-                    left = "source" if arrived.last[i] < 0 else ids[arrived.last[i]]
-                    leaks[left, shape.shape_id, materials[arrived.medium[i]]] += float(arrived.weight[i])
-            taken = arrived.weight * (1 - out.reflectance - out.transmittance)
+                book_leaks(arrived, name, np.abs(index[before] - index[arrived.medium]) > 1e-9)
+            taken = 1 - out.reflectance - out.transmittance
+            daughters = []  # share, direction, event, medium, by how much order and number of scatters grow
+            for transmits, x, heading in (
+                (True, out.transmittance, out.transmitted),
+                (False, out.reflectance, out.reflected),
+            ):
+                medium, kept = after if transmits else arrived.medium, np.ones(len(x))
+                for lobe in (lobes or {}).get(name, ()):
+                    if transmits != (lobe.event == "transmission"):
+                        continue
+                    mine = np.where(out.from_front, "front" in lobe.sides, "back" in lobe.sides)
+                    mine &= ~(out.tir & transmits)
+                    share = mine * (1.0 if lobe.absolute else x)
+                    total = np.where(mine, lobe.total(np.abs(np.einsum("ij,ij->i", heading, normal))), 0.0)
+                    if lobe.absolute:
+                        taken -= total
+                    else:
+                        kept -= total
+                    scattered, factor = lobe.drawn(heading, normal, rng)
+                    event = np.full(len(x), SCATTERED_ON if transmits else SCATTERED_BACK)
+                    daughters.append((share * factor, scattered, event, medium, 0, 1))
+                event = np.where(transmits, TRANSMITTED, np.where(out.tir, TOTAL, REFLECTED))
+                counts = ~out.tir & (not transmits and not shape.interface.mirror)
+                daughters.append((x * kept, heading, event, medium, counts, 0))
             if shape.detector:
-                nodes = trie.step(arrived.path, number, ABSORBED)
+                nodes = step(arrived.path, name, np.array(ABSORBED))
                 local, _ = shape.to_local(point, arrived.direction)
                 for node in np.unique(nodes):
                     mine = nodes == node
-                    hits[node].append((arrived.start[mine], local[mine, :2], taken[mine], arrived.weight[mine]))
+                    weight = arrived.weight[mine]
+                    hits[node].append((arrived.start[mine], local[mine, :2], taken[mine] * weight, weight))
                     orders[node] = int(arrived.order[mine][0])
             else:
-                absorbed[shape.shape_id] += float(taken.sum())
-            for reflects in (False, True):
-                weight = arrived.weight * (out.reflectance if reflects else out.transmittance)
-                counts = reflects & ~out.tir & (not shape.interface.mirror)
-                order = arrived.order + counts
-                some = weight > 0
-                over = some & (order > max_reflections)
-                weak = some & ~over & (weight < floor[arrived.start])
-                late = some & ~over & ~weak & (generation + 1 >= max_events)
-                for reason, mask in (("max_reflections", over), ("flux_threshold", weak), ("max_events", late)):
-                    if mask.any():
-                        cut[reason] += float(weight[mask].sum())
-                go = some & ~over & ~weak & ~late
-                if not go.any():
-                    continue
-                path = np.empty(int(go.sum()), dtype=np.int64)
-                for kind in (TRANSMITTED,) if not reflects else (REFLECTED, TOTAL):
-                    chosen = np.ones(len(path), dtype=bool) if not reflects else out.tir[go] == (kind == TOTAL)
-                    if chosen.any():
-                        path[chosen] = trie.step(arrived.path[go][chosen], number, kind)
-                heading = out.reflected if reflects else out.transmitted
-                medium = arrived.medium if reflects else after
-                child = _Rays(
-                    point, heading, weight, arrived.start, np.full(len(weight), number), medium, order, arrived.path
-                )
-                kept = child.take(go)
-                kept.path = path
-                children.append(kept)
-        if not children:
+                book(("absorbed", name), replace(arrived, weight=arrived.weight * taken), np.ones(len(taken), bool))
+            for share, heading, event, medium, counts, scatters in daughters:
+                child = replace(
+                    arrived, origin=point, direction=heading, weight=arrived.weight * share, medium=medium,
+                    last=np.full(len(share), number), order=arrived.order + counts,
+                    scatters=arrived.scatters + scatters,
+                )  # fmt: skip
+                left = child.weight > 0
+                for reason, beyond in (
+                    ("max_reflections", child.order > max_reflections),
+                    ("max_scatters", child.scatters > max_scatters),
+                    ("flux_threshold", child.weight < floor[child.start]),
+                    ("max_events", left & (generation + 1 >= max_events)),
+                ):
+                    book(("cut", reason), child, left & beyond)
+                    left &= ~beyond
+                child = child.take(left)
+                child.path = step(child.path, name, event[left])
+                children.append(child)
+        rays = _Rays.join(children) if children else rays.take(np.zeros(len(t), dtype=bool))
+        if not len(rays.weight):
             break
-        rays = _Rays.join(children)
-    paths = [_record(trie.events(node, ids), orders[node], parts) for node, parts in hits.items()]
+    paths = [
+        PathRecord(listed[node], orders[node], *map(np.concatenate, zip(*parts, strict=True)))
+        for node, parts in hits.items()
+    ]
     paths.sort(key=lambda p: -p.power_W)
-    detected = sum(p.power_W for p in paths)
-    launched = float(np.sum(power))
-    lost = sum(escaped.values())
-    return Ledger(
-        launched,
-        detected,
-        dict(absorbed),
-        lost,
-        dict(cut),
-        paths,
-        segments,
-        dict(leaks),
-        dict(escaped),
-        dict(absorbed_in),
-    )
-
-
-def _record(events: tuple[Event, ...], order: int, parts: list[tuple[np.ndarray, Array, Array, Array]]) -> PathRecord:
-    start, hit, taken, arriving = (np.concatenate(column) for column in zip(*parts, strict=True))
-    total = float(taken.sum())
-    share = taken / total if total > 0 else np.full(len(taken), 1 / len(taken))
-    centre = share @ hit
-    rms = float(np.sqrt(share @ np.sum((hit - centre) ** 2, axis=1)))
-    return PathRecord(
-        events,
-        order,
-        len(start),
-        total,
-        float(arriving.sum()),
-        float(centre[0]),
-        float(centre[1]),
-        rms,
-        start,
-        hit,
-        taken,
-    )
+    return Ledger(float(np.sum(power)), paths, segments, dict(books))

@@ -72,11 +72,7 @@ def transport(directions: np.ndarray, hits: Sequence[Hit], wavelength_nm: float)
     """
     Flux behind each event for unpolarised light of flux 1, and the degree of polarisation at the end.
 
-    Parameters
-    ----------
-    directions : (k + 1, 3)
-        Unit vectors along the ray: before the first event, and behind each.
-    hits : sequence of k Hit
+    ``directions`` (k + 1, 3) are unit vectors along the ray: before the first event, and behind each.
     """
     first = directions[0]
     helper = np.eye(3)[np.argmin(np.abs(first))]
@@ -90,16 +86,7 @@ def transport(directions: np.ndarray, hits: Sequence[Hit], wavelength_nm: float)
 def carry(
     directions: np.ndarray, hits: Sequence[Hit], wavelength_nm: float, fields: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Flux behind each event, and the fields at the end.
-
-    Parameters
-    ----------
-    directions, hits, wavelength_nm
-        As for `transport`.
-    fields : (m, 3) complex
-        At the start; they do not interfere.
-    """
+    """Flux behind each event, and the fields at the end, of fields (m, 3) at the start that do not interfere."""
     flux = []
     for before, after, hit in zip(directions[:-1], directions[1:], hits, strict=True):
         reflected = hit.kind in ("R", "I")
@@ -109,11 +96,8 @@ def carry(
         normal = normal / size if size > 1e-9 else before
         cosine = abs(float(before @ normal))
         s = np.cross(before, normal)
-        s = (
-            s / np.linalg.norm(s)
-            if np.linalg.norm(s) > 1e-12
-            else np.cross(before, np.eye(3)[np.argmin(np.abs(before))])
-        )
+        if np.linalg.norm(s) <= 1e-12:
+            s = np.cross(before, np.eye(3)[np.argmin(np.abs(before))])
         s = s / np.linalg.norm(s)
         j_s, j_p = amplitudes(hit, cosine, wavelength_nm)
         p_in, p_out = np.cross(s, before), np.cross(s, after)

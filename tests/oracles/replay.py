@@ -13,15 +13,9 @@ from .interface import interact
 from .scene_xml import SceneModel
 
 Event = tuple[str, str]
-KINDS = {
-    "SpecTran": "T",
-    "SpecRefl": "R",
-    "TIR": "TIR",
-    "Absorbed": "A",
-    "T": "T",
-    "R": "R",
-    "A": "A",
-}
+SPECULAR = {"SpecTran": "T", "SpecRefl": "R", "TIR": "I", "Absorbed": "A"}
+KINDS = {**SPECULAR, "T": "T", "R": "R", "A": "A"}
+LETTERS = {**SPECULAR, "RandTran": "t", "RandRefl": "r", "ImpTran": "i", "ImpRefl": "j"}
 OUTCOMES = (
     "reached the end",
     "missed the surface",
@@ -35,20 +29,9 @@ OUTCOMES = (
 class Replay:
     """Result for n rays and k events.
 
-    Attributes
-    ----------
-    points : (k + 1, n, 3)
-        Start points, then the hit of each event, mm; NaN after a ray failed.
-    directions : (k, n, 3)
-        Unit directions of the segments that lead to each event.
-    flux : (n,)
-        Product of the factors R, T and 1 - R - T (Absorbed); 0 where not valid.
-    opl_mm : (n,)
-        Optical path length from start point to end.
-    valid : (n,)
-        All surfaces were hit inside their clear apertures, in the prescribed way.
-    outcome : (n,)
-        Index into `OUTCOMES`; ``failed_at`` (n,) is the event's number, -1 for none.
+    Start points and the hit of each event (k + 1, n, 3), mm; unit directions of the segments (k, n, 3); the product of
+    the factors R, T and 1 - R - T; the optical path length; and the outcome, an index into `OUTCOMES`, with the number
+    of the event that failed or -1. Where a ray fails, its points are NaN from there on and its flux is 0.
     """
 
     points: Array
@@ -71,9 +54,9 @@ class Replay:
         )
 
 
-def parse_events(text: str) -> list[Event]:
-    """``"window_front:T window_rear:R detector:A"`` into a list of events."""
-    return [(item.rsplit(":", 1)[0], item.rsplit(":", 1)[1]) for item in text.split()]
+def path_text(events: Sequence[Event]) -> str:
+    """Events as a row of a path table has them, random and aimed scatter in letters of their own."""
+    return " ".join(f"{shape_id}:{LETTERS[name]}" for shape_id, name in events)
 
 
 def replay(
@@ -108,8 +91,6 @@ def replay(
         outcome[new], failed_at[new] = code, step
 
     for step, (shape_id, name) in enumerate(events):
-        if name not in KINDS:
-            raise ValueError(f"unknown event {name!r} at {shape_id}")
         shape, kind = model.by_id[shape_id], KINDS[name]
         alive = np.flatnonzero(outcome == 0)
         o, d = position[alive], heading[alive]
@@ -148,7 +129,7 @@ def replay(
         elif kind == "A":
             flux[good] *= 1 - hit.reflectance - hit.transmittance
         else:
-            if kind == "TIR":
+            if kind == "I":
                 fail(~tir & (outcome == 0), 4, step)
             flux[good] *= hit.reflectance
             heading[good] = hit.reflected

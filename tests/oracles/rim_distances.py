@@ -10,34 +10,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .frozen_paths import SCATTERED, Bundle, follow
-from .frozen_scene import FrozenScene, _implicit
+from .frozen_scene import FrozenScene
 from .geometry import Array, Asphere, Frustum
 
 RIMS = ("outer", "inner", "half_width", "half_height", "low", "high")
-APERTURES = {
-    "semi_diameter": "outer",
-    "inner_semi_diameter": "inner",
-    "half_width": "half_width",
-    "half_height": "half_height",
-}
+APERTURES = {"semi_diameter": "outer", "inner_semi_diameter": "inner"}
 
 
 @dataclass(frozen=True)
 class RimHits:
-    """
-    Rays of one path that end close to one rim.
+    """Rays of one path whose last event, Absorbed, is close to a rim, one of `RIMS`, of that event's surface.
 
-    Attributes
-    ----------
-    bundle : Bundle
-        Whose last event, Absorbed, is at the surface with the rim.
-    rim : str
-        One of `RIMS`.
-    joined : str or None
-        Surface whose distance counts instead of that of the rim.
-    c : (…, n) float64
-        Coefficients of the distances.
-    batch : (n,) int
+    ``joined`` is the surface whose distance counts instead of that of the rim; ``c`` (…, n) weighs the distances.
     """
 
     bundle: Bundle
@@ -69,11 +53,10 @@ def distances(scene: FrozenScene, hits: RimHits, shift: float = 0.0) -> Array:
     if hits.joined is not None:
         rotation, vertex = scene.pose(hits.joined)
         other = scene.surface(hits.joined)
-        value, gradient = _implicit(other, (end - vertex) @ rotation)
-        falling = (
-            isinstance(other, Frustum) and other.z0 == other.z1
-        )  # for the program F falls along the axis of a plane
-        return np.asarray((-1 if falling else 1) * value / np.linalg.norm(gradient, axis=1))
+        value, gradient = other.implicit((end - vertex) @ rotation)
+        # For the program F falls along the axis of aspheres and planes
+        sign = -1 if isinstance(other, Asphere) or (isinstance(other, Frustum) and other.z0 == other.z1) else 1
+        return np.asarray(sign * value / np.linalg.norm(gradient, axis=1))
     rotation, vertex = scene.pose(hits.surface)
     local = (end - vertex) @ rotation
     place = rim_place(scene, hits.surface, hits.rim) + shift
@@ -92,14 +75,7 @@ def edge_derivative(scene: FrozenScene, groups: list[RimHits], key: str, step: f
     """
     Derivative of Σ c Δ by a number of the scene, or by a clear radius or half side, by batch: (…, 32).
 
-    Parameters
-    ----------
-    scene : FrozenScene
-    groups : list of RimHits
-    key : str
-        ``stop.r0``, ``lens_front.curvature``, ``lens_front.semi_diameter``, …
-    step : float
-        Of the central differences.
+    The key is ``stop.r0``, ``lens_front.curvature``, ``lens_front.semi_diameter``, …; the step that of the differences.
     """
     owner, name = key.rsplit(".", 1)
     total = np.zeros((*groups[0].c.shape[:-1], 32))
@@ -109,7 +85,7 @@ def edge_derivative(scene: FrozenScene, groups: list[RimHits], key: str, step: f
                 continue
             up, down = (distances(scene.moved(key, sign * step), hits) for sign in (1, -1))
         else:
-            own = owner == hits.surface and APERTURES[name] == hits.rim and hits.joined is None
+            own = owner == hits.surface and APERTURES.get(name, name) == hits.rim and hits.joined is None
             up, down = (distances(scene, hits, sign * step * own) for sign in (1, -1))
         slope = hits.c * (up - down) / (2 * step)
         for row in np.ndindex(slope.shape[:-1]):
@@ -131,20 +107,9 @@ def bundles_of_hits(
     """
     Sort hits by path, rim and joined surface.
 
-    Parameters
-    ----------
-    ids : list of str
-        Surfaces by their numbers.
-    intercepts : tuple of str
-        Names of what happens at a surface.
-    codes, lengths, points : (n, k) int, (n,) int, (n, k, 3) float64
-        Events, their number, recorded hits.
-    origin, direction : (n, 3) float64
-        Start rays.
-    rest : dict
-        ``rim`` (n,) int, ``joined`` (n,) int (beyond the surfaces: none), ``c`` (…, n), ``batch`` (n,) int.
-    event_bits : int
-        Bits of a code that tell what happens.
+    Surfaces by their numbers, names of what happens at one; events (n, k), their number (n,), recorded hits (n, k, 3)
+    and start rays (n, 3); by name ``rim`` (n,), ``joined`` (n,), beyond the surfaces for none, ``c`` (…, n) and
+    ``batch`` (n,); bits of a code that tell what happens.
     """
     found: dict[tuple[bytes, int, int], list[int]] = {}
     for i, length in enumerate(lengths):

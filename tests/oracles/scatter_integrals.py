@@ -7,13 +7,16 @@ Directions are written by direction cosines (alpha, beta) along the surface; the
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from dataclasses import dataclass
+from functools import cache, cached_property
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from .geometry import Array
 
 Profile = Callable[[Array], Array]
+ANGLES = 33  # nodes of a lobe's total over the cosine, for a cubic spline
 
 
 def abg(a: float, b: float, g: float) -> Profile:
@@ -64,6 +67,57 @@ def total_scatter(profile: Profile, sine: float) -> float:
     return total
 
 
+@dataclass(frozen=True)
+class Lobe:
+    """
+    One lobe: X profile(|β - βc|) per projected solid angle, X the coating's R or T, or 1 where `absolute`.
+
+    βc is that of the specular direction, or 0; a lobe that is not `absolute` takes its light from the specular beam.
+    """
+
+    event: str
+    profile: Profile
+    absolute: bool = False
+    sides: tuple[str, ...] = ("front", "back")
+    about_normal: bool = False
+
+    @cached_property
+    def _totals(self) -> CubicSpline:
+        cosines = np.linspace(0.0, 1.0, ANGLES)
+        sines = np.zeros(ANGLES) if self.about_normal else np.sqrt(1 - cosines**2)
+        totals = {sine: total_scatter(self.profile, sine) for sine in np.unique(sines)}
+        return CubicSpline(cosines, [totals[sine] for sine in sines])
+
+    def total(self, cosine: Array) -> Array:
+        """Integral of the profile over the projected hemisphere, where the specular direction has these cosines."""
+        return np.asarray(self._totals(cosine))
+
+    @cached_property
+    def _within(self) -> tuple[Array, Array]:
+        """Radii 0 … 2 and the flux within them, on a fine grid; linear in r² between its nodes."""
+        r = np.concatenate([[0.0], np.logspace(-9, np.log10(2.0), 20_000)])
+        rings = np.pi * np.diff(r * r) * self.profile(np.sqrt(0.5 * (r[1:] ** 2 + r[:-1] ** 2)))
+        return r, np.concatenate([[0.0], np.cumsum(rings)])
+
+    def drawn(self, heading: Array, normal: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Directions (n, 3), one for each specular one, and weights (n,) whose mean is the total.
+
+        From the profile itself over the circle |β - βc| ≤ 1 + |βc|; the weight is 0 where β is no direction.
+        """
+        along = np.einsum("ij,ij->i", heading, normal)
+        centre = 0.0 * heading if self.about_normal else heading - along[:, None] * normal
+        r, within = self._within
+        most = np.interp(1 + np.linalg.norm(centre, axis=1), r, within)
+        radius = np.sqrt(np.interp(rng.random(len(most)) * most, within, r * r))
+        first = np.cross(normal, np.where(np.abs(normal[:, :1]) < 0.7, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        angle = 2 * np.pi * rng.random((len(most), 1))
+        beta = centre + radius[:, None] * (np.cos(angle) * first + np.sin(angle) * np.cross(normal, first))
+        beta2 = np.sum(beta * beta, axis=1)
+        up = np.copysign(np.sqrt(np.maximum(0.0, 1 - beta2)), along)
+        return beta + up[:, None] * normal, np.where(beta2 < 1, most, 0.0)
+
+
 def cone_flux(profile: Profile, incidence_deg: float, axis_deg: float, azimuth_deg: float, half_deg: float) -> float:
     """Share of the incident flux scattered into a cone: integral of f cos(theta) over it.
 
@@ -99,26 +153,6 @@ def rectangle_flux(
     r = np.hypot(d[..., 0] - beta0[0], d[..., 1] - beta0[1])
     projected = np.abs(d @ across) / distance**2
     return float(np.sum(np.outer(w, w) / 4 * profile(r) * np.abs(d[..., 2]) * projected))
-
-
-def converging_irradiance(profile: Profile, plate_z: float, theta_deg: float, focal: float, radius: float) -> float:
-    """Irradiance on axis in the focus of an ideal thin lens per unit of irradiance normal to the light at its pupil,
-    from a scattering plate at ``plate_z`` behind the lens; slopes change by -h/f, the plate transmits with its BTDF.
-    """
-    tangent = np.tan(np.radians(theta_deg))
-    h, wh = gauss_legendre(np.linspace(0.0, radius, 9), 12)
-    phi, wphi = np.arange(256) * (2 * np.pi / 256), 2 * np.pi / 256
-    x, y = h[:, None] * np.cos(phi), h[:, None] * np.sin(phi)
-    u = np.stack([tangent - x / focal, -y / focal], axis=-1)  # slopes behind the lens
-    at = np.stack([x, y], axis=-1) + plate_z * u
-    gap = focal - plate_z
-    out = -at / gap
-    length_in, length_out = (np.sqrt(1 + np.sum(np.square(v), axis=-1)) for v in (u, out))
-    r = np.linalg.norm(u / length_in[..., None] - out / length_out[..., None], axis=-1)
-    cosine = 1 / length_out
-    value = profile(r) * cosine * cosine / (gap * length_out) ** 2
-    flux = np.cos(np.radians(theta_deg))  # through a unit area of the pupil
-    return float(flux * np.sum(wh * h * np.sum(value, axis=1)) * wphi)
 
 
 def disc_to_disc(r1: float, r2: float, distance: float) -> float:

@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 
 from .scene_xml import SceneModel
-from .small_scenes import TAGS, interface_xml
+from .small_scenes import TAGS, interface_xml, meter_xml
 
 Vector = Sequence[float]
 
@@ -48,15 +48,20 @@ def placed_xml(
 ) -> str:
     """A shape at a point in mm with its local z along ``facing``; with ``pixels`` it is the detector."""
     floats = "".join(f'<float name="{key}" value="{value!r}"/>' for key, value in numbers.items())
-    target = ", ".join(repr(float(a) + float(b)) for a, b in zip(at, facing, strict=True))
     up = "1, 0, 0" if abs(facing[1]) > 0.9 * sum(c * c for c in facing) ** 0.5 else "0, 1, 0"
-    size = "" if scale is None else '<scale value="{}"/>'.format(", ".join(repr(float(s)) for s in scale))
-    origin = ", ".join(repr(float(c)) for c in at)
-    place = f'<transform name="to_world">{size}<lookat origin="{origin}" target="{target}" up="{up}"/></transform>'
-    film = f'<film type="hdrfilm"><integer name="width" value="{pixels}"/><integer name="height" value="{pixels}"/>'
-    meter = f'<sensor type="irradiancemeter">{film}<rfilter type="box"/></film></sensor>' if pixels else ""
+    size = "" if scale is None else f'<scale value="{_list(scale)}"/>'
     surface = interface_xml(R=0.0) if bsdf is None else bsdf
-    return f'<shape type="{kind}" id="{shape_id}">{floats}{place}{surface}{meter}</shape>'
+    meter = meter_xml(pixels) if pixels else ""
+    return f'<shape type="{kind}" id="{shape_id}">{floats}{_look(at, facing, up, size)}{surface}{meter}</shape>'
+
+
+def _list(numbers: Vector) -> str:
+    return ", ".join(repr(float(number)) for number in numbers)
+
+
+def _look(at: Vector, along: Vector, up: str, before: str = "") -> str:
+    target = _list([float(a) + float(b) for a, b in zip(at, along, strict=True)])
+    return f'<transform name="to_world">{before}<lookat origin="{_list(at)}" target="{target}" up="{up}"/></transform>'
 
 
 def target_xml(shape_id: str, surfaces: str, kind: str = "disk", **place: object) -> str:
@@ -77,10 +82,7 @@ def beam_xml(
     if power is not None:
         values["irradiance"] = power / (3.141592653589793 * radius**2)
     floats = "".join(f'<float name="{key}" value="{value!r}"/>' for key, value in (("radius", radius), *values.items()))
-    target = ", ".join(repr(float(a) + float(b)) for a, b in zip(at, along, strict=True))
-    origin = ", ".join(repr(float(c)) for c in at)
-    place = f'<transform name="to_world"><lookat origin="{origin}" target="{target}" up="0, 1, 0"/></transform>'
-    return f'<emitter type="collimated">{floats}{place}</emitter>'
+    return f'<emitter type="collimated">{floats}{_look(at, along, "0, 1, 0")}</emitter>'
 
 
 def scatter_scene(*parts: str) -> str:

@@ -10,28 +10,29 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from .freeform import Freeform
 from .geometry import Array, Asphere, Frustum, Mask, Plane, Sphere, Surface
 from .glass import refractive_index
 from .interface import ABSORBER, CoatingTable, Interface
 
-VALUE_TAGS = ("float", "integer", "boolean", "string", "point", "vector")
-ASPHERE_PARAMETERS = {
-    "radius",
-    "curvature",
-    "conic",
-    "semi_diameter",
-    "inner_semi_diameter",
-    "half_width",
-    "half_height",
-}
-ASPHERE_PARAMETERS |= {f"a{order}" for order in range(4, 21, 2)}
+CENTRE = ("center.x", "center.y", "center.z")
+PARAMETERS = {
+    "asphere": {
+        "radius", "curvature", "conic", "semi_diameter", "inner_semi_diameter", "half_width", "half_height",
+        *(f"a{order}" for order in range(4, 21, 2)),
+    },
+    "frustum": {"r0", "z0", "r1", "z1"},
+    "rectangle": {"flip_normals"},
+    "disk": {"flip_normals"},
+    "sphere": {"flip_normals", "radius", *CENTRE},
+}  # fmt: skip
 LABELS = {"part", "space"}
 EMITTERS = ("collimated", "point_source")
 
@@ -102,12 +103,7 @@ class SceneModel:
 
     def without(self, *shape_ids: str) -> SceneModel:
         """The same scene less some shapes."""
-        for shape_id in shape_ids:
-            if shape_id not in self.by_id:
-                raise ValueError(f"scene has no shape {shape_id!r}")
-        return SceneModel(
-            self.path, tuple(s for s in self.shapes if s.shape_id not in shape_ids), self.emitters, self.settings
-        )
+        return replace(self, shapes=tuple(s for s in self.shapes if s.shape_id not in shape_ids))
 
 
 def read_scene(path: str | Path) -> SceneModel:
@@ -160,15 +156,15 @@ class _Reader:
     def _values(self, node: ElementTree.Element) -> dict[str, str | float]:
         values: dict[str, str | float] = {}
         for child in node:
+            name, text = child.attrib.get("name", ""), self._text(child.attrib.get("value", ""))
             if child.tag in ("float", "integer"):
-                values[child.attrib["name"]] = float(self._text(child.attrib["value"]))
+                values[name] = float(text)
             elif child.tag == "boolean":
-                values[child.attrib["name"]] = float(self._text(child.attrib["value"]).lower() == "true")
+                values[name] = float(text.lower() == "true")
             elif child.tag == "string":
-                values[child.attrib["name"]] = self._text(child.attrib["value"])
+                values[name] = text
             elif child.tag in ("point", "vector"):
-                for axis, number in zip("xyz", self._vector(child), strict=True):
-                    values[f"{child.attrib['name']}.{axis}"] = number
+                values |= {f"{name}.{axis}": number for axis, number in zip("xyz", self._vector(child), strict=True)}
         return values
 
     def _vector(self, node: ElementTree.Element, default: float = 0.0) -> list[float]:
@@ -218,13 +214,12 @@ class _Reader:
         shape_id = node.attrib.get("id", f"shape_{number}")
         kind = node.attrib["type"]
         values, matrix = self._values(node), self._transform(node)
-        builders = {"asphere": _asphere, "frustum": _frustum, "rectangle": _rectangle, "disk": _disk, "sphere": _sphere}
         own = {key: value for key, value in values.items() if key not in LABELS}
         if kind == "freeform":
             surface: Surface = Freeform.of(own)
             pose = _rigid(shape_id, matrix)
-        elif kind in builders:
-            surface, pose = builders[kind](shape_id, {key: float(value) for key, value in own.items()}, matrix)
+        elif kind in PARAMETERS:
+            surface, pose = _surface(kind, shape_id, {key: float(value) for key, value in own.items()}, matrix)
         else:
             raise ValueError(f"oracle knows no shape type {kind!r} ({shape_id})")
         sensors = [s for s in self._nested(node, "sensor") if s.attrib["type"] == "irradiancemeter"]
@@ -251,23 +246,14 @@ class _Reader:
         if "table" in values:
             folder = self.path.parent if self.path else Path()
             table = CoatingTable.read(folder / str(values["table"]))
-        reflectance = float(values["R"]) if "R" in values else None
-        return Interface(
-            front=str(values.get("front", "air")),
-            back=str(values.get("back", "air")),
-            reflectance=reflectance,
-            transmittance=None if reflectance is None else float(values.get("T", 0.0)),
-            table=table,
-            mirror=bool(values.get("mirror", 0.0)),
-        )
+        front, back = (str(values.get(side, "air")) for side in ("front", "back"))
+        powers = (float(values["R"]), float(values.get("T", 0.0))) if "R" in values else (None, None)
+        return Interface(front, back, *powers, table, bool(values.get("mirror", 0.0)))
 
 
 def _rotation(axis: Array, angle_deg: float) -> Array:
-    """Rodrigues' formula, right-handed about ``axis``."""
-    x, y, z = axis / np.linalg.norm(axis)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    angle = np.radians(angle_deg)
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    """Right-handed about ``axis``."""
+    return Rotation.from_rotvec(angle_deg * axis / np.linalg.norm(axis), degrees=True).as_matrix()
 
 
 def _rigid(shape_id: str, matrix: Array) -> Array:
@@ -276,65 +262,28 @@ def _rigid(shape_id: str, matrix: Array) -> Array:
     return matrix
 
 
-def _split_scale(shape_id: str, matrix: Array) -> tuple[Array, Array]:
-    """Rigid part and the three positive scales of a transform without shear."""
-    scale = np.linalg.norm(matrix[:3, :3], axis=0)
-    pose = matrix.copy()
-    pose[:3, :3] = matrix[:3, :3] / scale
-    return _rigid(shape_id, pose), scale
-
-
-def _no_more(shape_id: str, values: Mapping[str, float], known: set[str]) -> None:
-    if set(values) - known:
-        raise ValueError(f"shape {shape_id}: unknown parameters {sorted(set(values) - known)}")
-
-
-def _asphere(shape_id: str, values: Mapping[str, float], matrix: Array) -> tuple[Surface, Array]:
-    _no_more(shape_id, values, ASPHERE_PARAMETERS)
-    radius = values.get("radius", 0.0)
-    curvature = 1 / radius if radius and np.isfinite(radius) else values.get("curvature", 0.0)
-    powers = tuple((order // 2, values[f"a{order}"]) for order in range(4, 21, 2) if values.get(f"a{order}", 0.0))
-    surface = Asphere(
-        curvature,
-        values.get("conic", 0.0),
-        powers,
-        values.get("semi_diameter", np.inf),
-        values.get("inner_semi_diameter", 0.0),
-        values.get("half_width", np.inf),
-        values.get("half_height", np.inf),
-    )
-    return surface, _rigid(shape_id, matrix)
-
-
-def _frustum(shape_id: str, values: Mapping[str, float], matrix: Array) -> tuple[Surface, Array]:
-    _no_more(shape_id, values, {"r0", "z0", "r1", "z1"})
-    return Frustum(values["r0"], values["z0"], values["r1"], values["z1"]), _rigid(shape_id, matrix)
-
-
-def _sign(values: Mapping[str, float]) -> float:
-    return -1.0 if values.get("flip_normals") else 1.0
-
-
-def _rectangle(shape_id: str, values: Mapping[str, float], matrix: Array) -> tuple[Surface, Array]:
-    _no_more(shape_id, values, {"flip_normals"})
-    pose, scale = _split_scale(shape_id, matrix)
-    return Plane(half_width=scale[0], half_height=scale[1], sign=_sign(values)), pose
-
-
-def _disk(shape_id: str, values: Mapping[str, float], matrix: Array) -> tuple[Surface, Array]:
-    _no_more(shape_id, values, {"flip_normals"})
-    pose, scale = _split_scale(shape_id, matrix)
-    if not np.isclose(scale[0], scale[1]):
-        raise ValueError(f"oracle knows no elliptic disk ({shape_id})")
-    return Plane(outer=scale[0], sign=_sign(values)), pose
-
-
-def _sphere(shape_id: str, values: Mapping[str, float], matrix: Array) -> tuple[Surface, Array]:
-    _no_more(shape_id, values, {"flip_normals", "radius", "center.x", "center.y", "center.z"})
-    pose, scale = _split_scale(shape_id, matrix)
-    if not np.allclose(scale, scale[0]):
-        raise ValueError(f"oracle knows no ellipsoid ({shape_id})")
-    centre = np.array([values.get(f"center.{axis}", 0.0) for axis in "xyz"])
-    pose = pose.copy()
-    pose[:3, 3] = (matrix @ np.append(centre, 1.0))[:3]
-    return Sphere(values.get("radius", 1.0) * scale[0], _sign(values)), pose
+def _surface(kind: str, shape_id: str, v: Mapping[str, float], matrix: Array) -> tuple[Surface, Array]:
+    """A surface and the rigid part of its transform; stock shapes may be scaled."""
+    if set(v) - PARAMETERS[kind]:
+        raise ValueError(f"shape {shape_id}: unknown parameters {sorted(set(v) - PARAMETERS[kind])}")
+    if kind == "frustum":
+        return Frustum(v["r0"], v["z0"], v["r1"], v["z1"]), _rigid(shape_id, matrix)
+    if kind == "asphere":
+        radius = v.get("radius", 0.0)
+        curvature = 1 / radius if radius and np.isfinite(radius) else v.get("curvature", 0.0)
+        powers = tuple((order // 2, v[f"a{order}"]) for order in range(4, 21, 2) if v.get(f"a{order}", 0.0))
+        sizes = v.get("semi_diameter", np.inf), v.get("inner_semi_diameter", 0.0)
+        sides = v.get("half_width", np.inf), v.get("half_height", np.inf)
+        return Asphere(curvature, v.get("conic", 0.0), powers, *sizes, *sides), _rigid(shape_id, matrix)
+    scale, pose = np.linalg.norm(matrix[:3, :3], axis=0), matrix.copy()
+    pose[:3, :3] /= scale
+    sign = -1.0 if v.get("flip_normals") else 1.0
+    _rigid(shape_id, pose)
+    if kind == "rectangle":
+        return Plane(half_width=scale[0], half_height=scale[1], sign=sign), pose
+    if not np.allclose(scale[:2] if kind == "disk" else scale, scale[0]):
+        raise ValueError(f"oracle knows no elliptic {kind} ({shape_id})")
+    if kind == "disk":
+        return Plane(outer=scale[0], sign=sign), pose
+    pose[:3, 3] = (matrix @ [*(v.get(axis, 0.0) for axis in CENTRE), 1.0])[:3]
+    return Sphere(v.get("radius", 1.0) * scale[0], sign), pose

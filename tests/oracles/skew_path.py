@@ -14,10 +14,9 @@ from .small_scenes import interface_xml, scene_text, shape_xml
 @dataclass(frozen=True)
 class Face:
     """
-    A plane that the ray meets.
+    A plane that the ray meets: its incidence and the azimuth of its normal about the ray; T, R or I; the index behind.
 
-    Its angle of incidence and the azimuth of its normal about the ray, degrees; what happens there (T, R or I); the
-    index behind it; layers (index, thickness in nm) in the order in which the light meets them.
+    Layers are (index, thickness in nm), in the order in which the light meets them.
     """
 
     incidence_deg: float
@@ -29,18 +28,7 @@ class Face:
 
 @dataclass(frozen=True)
 class SkewPath:
-    """
-    A scene and the ray through its middle.
-
-    Attributes
-    ----------
-    text : str
-        The scene: ``face_0``, ``face_1``, … and the detector.
-    hits : list of Hit
-    directions : (k + 1, 3) float64
-    u : (3,) float64
-        First axis of the source.
-    """
+    """A scene of ``face_0``, ``face_1``, … and the detector, the ray through its middle, first axis of the source."""
 
     text: str
     hits: list[Hit]
@@ -80,18 +68,7 @@ def _bsdf(inside: complex, face: Face) -> str:
 def skew_path(
     faces: Sequence[Face], gap: float = 20.0, field_deg: float = 0.0, azimuth_deg: float = 0.0, **light: float | str
 ) -> SkewPath:
-    """
-    Planes along a ray that starts in air, `gap` mm apart, and a black detector across its end.
-
-    Parameters
-    ----------
-    faces : sequence of Face
-    gap : float
-    field_deg, azimuth_deg : float
-        Of the source.
-    **light
-        Its other properties, such as ``stokes``.
-    """
+    """Planes along a ray that starts in air, `gap` mm apart, and a black detector across its end."""
     theta, phi = np.radians([field_deg, azimuth_deg])
     spin = np.array([[np.cos(phi), -np.sin(phi), 0], [np.sin(phi), np.cos(phi), 0], [0, 0, 1.0]])
     d, u = spin @ [0.0, np.sin(theta), np.cos(theta)], spin[:, 0]

@@ -25,14 +25,19 @@ def interface_xml(front: str = "air", back: str = "air", **more: float | str) ->
     return f'<bsdf type="interface">{"".join(items)}</bsdf>'
 
 
+def meter_xml(pixels: int) -> str:
+    """What makes a shape a detector."""
+    film = f'<film type="hdrfilm"><integer name="width" value="{pixels}"/><integer name="height" value="{pixels}"/>'
+    return f'<sensor type="irradiancemeter">{film}<rfilter type="box"/></film></sensor>'
+
+
 def shape_xml(
     kind: str, shape_id: str, z: float = 0.0, bsdf: str | None = None, sensor: bool = False, **numbers: float
 ) -> str:
     """A shape at z mm with float parameters, an interface (opaque and black by default) and perhaps the detector."""
     floats = "".join(f'<float name="{key}" value="{value!r}"/>' for key, value in numbers.items())
     place = f'<transform name="to_world"><translate z="{z!r}"/></transform>'
-    film = '<film type="hdrfilm"><integer name="width" value="64"/><integer name="height" value="64"/>'
-    meter = f'<sensor type="irradiancemeter">{film}<rfilter type="box"/></film></sensor>' if sensor else ""
+    meter = meter_xml(64) if sensor else ""
     surface = interface_xml(R=0.0) if bsdf is None else bsdf
     return f'<shape type="{kind}" id="{shape_id}">{floats}{place}{surface}{meter}</shape>'
 

@@ -36,14 +36,7 @@ def random_stack(rng: np.random.Generator, layers: int) -> Stack:
 
 
 def by_tmm(stack: Stack, wavelength_nm: float, cosine: float) -> np.ndarray:
-    """
-    One wavelength and angle.
-
-    Returns
-    -------
-    (4, 2) complex128
-        R, T, r and t for s and p.
-    """
+    """R, T, r and t for s and p, (4, 2), at one wavelength and angle."""
     angle = np.arccos(cosine)
     if complex(stack.n_incident).imag:  # the angle that gives a real tangential index
         angle = np.arcsin(complex(stack.n_incident.real * np.sin(angle) / stack.n_incident))

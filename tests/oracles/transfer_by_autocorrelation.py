@@ -60,9 +60,8 @@ def transfer(rays: dict[str, np.ndarray], wavelength_um: float, frequencies: np.
 
     def slopes(points: np.ndarray, k: int) -> np.ndarray:
         x, y = ((points - middle) / scale).T
-        if k == 0:
-            return np.stack([i * x ** max(i - 1, 0) * y**j for i, j in powers], axis=1) / scale
-        return np.stack([j * x**i * y ** max(j - 1, 0) for i, j in powers], axis=1) / scale
+        p, q = (k == 0), (k == 1)
+        return np.stack([(i * p + j * q) * x ** max(i - p, 0) * y ** max(j - q, 0) for i, j in powers], axis=1) / scale
 
     values = np.column_stack([rays["stop"], rays["across"], rays["opd"]])
     found, *_ = np.linalg.lstsq(terms(at), values, rcond=None)

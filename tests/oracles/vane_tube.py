@@ -8,11 +8,13 @@ in the opening. All orders of scatter are found in this way, and nothing but tha
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-Array = np.ndarray
-FAR, CLOSE = 1e9, 1e-9
+from .geometry import Array, Frustum
+
+CLOSE = 1e-9
 WALL, BOTTOM, FIRST_VANE = 0, 1, 2
 
 
@@ -28,29 +30,20 @@ class VaneTube:
     reflectance: float
     scatters: int
 
+    @cached_property
+    def surfaces(self) -> tuple[Frustum, ...]:
+        """The wall, the bottom, the vanes and the opening."""
+        r, length = self.radius, self.length
+        vanes = (Frustum(self.hole, z, r, z) for z in self.vanes)
+        return Frustum(r, 0.0, r, length), Frustum(0.0, 0.0, r, 0.0), *vanes, Frustum(0.0, length, r, length)
+
     def hit(self, p: Array, d: Array) -> tuple[Array, Array, Array, Array]:
         """Distance, surface, point and normal towards the ray of the next hit; the opening is the last surface."""
-        a = d[:, 0] ** 2 + d[:, 1] ** 2
-        b = np.sum(p[:, :2] * d[:, :2], axis=1)
-        c = np.minimum(p[:, 0] ** 2 + p[:, 1] ** 2 - self.radius**2, 0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            t = np.where(a > 1e-14, (-b + np.sqrt(np.maximum(b * b - a * c, 0))) / a, FAR)
-        t, s = np.where(t < CLOSE, FAR, t), np.zeros(len(p), dtype=int)
-        for number, z in enumerate((0.0, *self.vanes, self.length)):
-            with np.errstate(divide="ignore", invalid="ignore"):
-                here = (z - p[:, 2]) / d[:, 2]
-                r2 = np.sum((p[:, :2] + here[:, None] * d[:, :2]) ** 2, axis=1)
-            meets = (here > CLOSE) & (here < t)
-            if 0 < number <= len(self.vanes):
-                meets &= r2 > self.hole**2
-            t, s = np.where(meets, here, t), np.where(meets, number + 1, s)
+        lengths = np.array([surface.first_hit(p, d, np.zeros(len(p), dtype=bool)) for surface in self.surfaces])
+        t, s = lengths.min(axis=0), lengths.argmin(axis=0)
         q = p + t[:, None] * d
-        normal = np.zeros_like(p)
-        normal[:, 2] = -np.sign(d[:, 2])
-        wall = s == WALL
-        normal[wall] = 0
-        normal[wall, :2] = -q[wall, :2] / self.radius
-        return t, s, q, normal
+        normal = np.array([surface.normal(q) for surface in self.surfaces])[s, np.arange(len(q))]
+        return t, s, q, normal * -np.sign(np.sum(normal * d, axis=1, keepdims=True))
 
     def pst(self, low_deg: float, high_deg: float, paths: int, seed: int) -> tuple[float, float]:
         """PST of light from between two angles, and its standard error from batches."""

@@ -1,19 +1,15 @@
-"""The ABg model against float64 test vectors (closed forms and quadrature), TracePro's sheet, and quadrature here."""
+"""The ABg model against float64 test vectors, TracePro's sheet, and quadrature."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 import pytest
 import vectors
 from oracles import scatter_integrals
 from scipy.integrate import quad
 
-import mistray  # noqa: F401  (settles libLLVM and the variant)
 from mistray.errors import MistrayError
 from mistray.physics import abg
 from mistray.physics.disc import disc_total
@@ -27,12 +23,6 @@ SHEET = {"rms_um": 0.005, "correlation_length_um": 100.0, "wavelength_um": 0.5, 
 SHEET_INTEGRAL = 0.015552516
 
 
-def test_values() -> None:
-    table = vectors.frame("abg_values.csv")
-    found = abg.bsdf(table["abs_beta_minus_beta0"].to_numpy(), *(table[key].to_numpy() for key in "ABg"))
-    np.testing.assert_allclose(found, table["BSDF_per_sr"], rtol=VECTORS)
-
-
 def test_directions() -> None:
     """|β - β0| from angles, for the A, B and g that both sources plot."""
     table = vectors.frame("abg_directions.csv")
@@ -40,31 +30,6 @@ def test_directions() -> None:
     r = np.hypot(np.sin(theta_s) * np.cos(phi) - np.sin(theta_i), np.sin(theta_s) * np.sin(phi))
     np.testing.assert_allclose(r, table["abs_dbeta"], rtol=VECTORS, atol=1e-12)
     np.testing.assert_allclose(abg.bsdf(r.to_numpy(), 0.0025, 0.001, 1.8), table["BSDF"], rtol=VECTORS)
-
-
-def test_tis_vectors() -> None:
-    table = vectors.frame("abg_tis.csv")
-    for row in table.itertuples():
-        sine = math.sin(math.radians(row.theta_i_deg))
-        total = disc_total(lambda r, row=row: abg.bsdf(r, row.A, row.B, row.g), sine)
-        assert total == pytest.approx(row.TIS_numeric, rel=VECTORS), row
-        if sine == 0:
-            assert abg.tis(row.A, row.B, row.g) == pytest.approx(row.TIS_closed_normal, rel=VECTORS), row
-    assert len(table) > 60
-
-
-def test_tis_by_quadrature() -> None:
-    """Random parameters over all that is allowed, at random angles; closed form at normal incidence."""
-    rng = np.random.default_rng(1)
-    for _ in range(60):
-        b, g, sine = 10 ** rng.uniform(-12, 0.5), rng.uniform(0.1, 6), rng.uniform(0, 1)
-        profile = scatter_integrals.abg(1.0, b, g)
-        assert abg.tis(1.0, b, g) == pytest.approx(scatter_integrals.total_scatter(profile, 0.0), rel=QUADRATURE), (
-            b,
-            g,
-        )
-        expected = scatter_integrals.total_scatter(profile, sine)
-        assert disc_total(lambda r, b=b, g=g: abg.bsdf(r, 1.0, b, g), sine) == pytest.approx(expected, rel=QUADRATURE)
 
 
 @pytest.mark.parametrize("b", [2e-12, 1e-6, 1e-2, 3.0])
@@ -92,14 +57,6 @@ def test_tis_limits() -> None:
         assert disc_total(lambda r: abg.bsdf(r, 0.05 / math.pi, 0.0, 0.0), sine) == pytest.approx(0.05, rel=1e-12)
     with pytest.raises(MistrayError, match="give B > 0"):
         abg.tis(1.0, 0.0, 2.0)
-
-
-def test_wavelength_scaling() -> None:
-    for row in vectors.frame("abg_wavelength_scaling.csv").itertuples():
-        a, b = abg.at_wavelength(row.A1, row.B1, row.g1, row.lam2_um / row.lam1_um)
-        assert a == pytest.approx(row.A2, rel=VECTORS)
-        assert b == pytest.approx(row.B2, rel=VECTORS)
-        assert abg.tis(a, b, row.g2) == pytest.approx(row.TIS2, rel=VECTORS)
     a, b = abg.at_wavelength(1.0, 1e-6, 2.0, 1.0, step_ratio=3.0, specular_ratio=0.5)
     assert (a, b) == (pytest.approx(4.5), pytest.approx(1e-6))
 
@@ -127,9 +84,8 @@ def test_sheet_abg_from_rms() -> None:
         assert value == pytest.approx(expected[name], rel=VECTORS), name
     assert f"{found.a:.5E}" == "1.81832E-06"  # as the sheet prints it
     total = abg.tis(found.a, found.b, found.g)
-    assert total == pytest.approx(
-        expected["TIS of the sheet's own final ABg (A,B,g)"], rel=1e-5
-    )  # A has 6 digits there
+    printed = expected["TIS of the sheet's own final ABg (A,B,g)"]
+    assert total == pytest.approx(printed, rel=1e-5)  # A has 6 digits there
     assert total > 1.16 * found.tis
 
 
@@ -162,25 +118,3 @@ def test_abg_from_rms_scatters_what_it_says() -> None:
 def test_abg_from_rms_refuses(change: dict[str, float], message: str) -> None:
     with pytest.raises(MistrayError, match=message):
         abg.abg_from_rms(**{**SHEET, **change})
-
-
-@pytest.mark.parametrize("g", [0.0, 0.5, 1.8, 3.0])
-def test_drjit(g: float) -> None:
-    """Values to the rounding of float32, and gradients in A, B and g, also at the peak."""
-    r = np.array([0.0, 1e-6, 1e-3, 0.1, 1.0, 1.99])
-    expected = abg.bsdf(r, 0.0025, 1e-3, g)
-    np.testing.assert_allclose(abg.bsdf(mi.Float(r), 0.0025, mi.Float(1e-3), mi.Float(g)), expected, rtol=3e-6)
-    float64 = dr.llvm.ad.Float64
-    point, step = np.array([0.0025, 1e-3, g]), 1e-6
-    for k in range(3):
-        parameters: list[Any] = [float64(value) for value in point]
-        dr.enable_grad(parameters[k])
-        values = abg.bsdf(float64(r), *parameters)
-        dr.forward(parameters[k])
-        gradient = np.array(dr.grad(values))
-        up, down = point.copy(), point.copy()
-        h = step * max(point[k], 1e-3)
-        up[k], down[k] = up[k] + h, down[k] - h
-        difference = (abg.bsdf(r[1:], *up) - abg.bsdf(r[1:], *down)) / (2 * h)
-        np.testing.assert_allclose(gradient[1:], difference, rtol=1e-5, atol=1e-8)
-        assert np.all(np.isfinite(gradient))

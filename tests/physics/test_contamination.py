@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
-import pandas as pd
 import pytest
+import vectors
 from scipy.integrate import quad
 
 from mistray.errors import MistrayError
 from mistray.physics import contamination
 
-DATA = Path(__file__).parents[1] / "data"
 VECTORS = 1e-3  # relative, as required
 WAVELENGTH_UM = 0.55
 DUST = contamination.dust_index(WAVELENGTH_UM)
-COLUMNS = {"F_CL300": (300.0, 0.926), "F_CL400": (400.0, 0.926), "F_CL500": (500.0, 0.926)}
+COLUMNS = {f"F_CL{level:g}": (level, 0.926) for level in (300.0, 400.0, 500.0)}
+COLUMNS["F_CL500_slope0.383"] = (500.0, 0.383)
 
 
 @pytest.mark.parametrize("level", [300.0, 400.0, 500.0])
@@ -37,11 +35,10 @@ def test_coverage_of_the_standard() -> None:
     """Equation 12 gives percent: 0.1 % is level 395."""
     levels = np.array([300, 396, 400, 500])
     expected = [0.02736, 0.10085, 0.10585, 0.31651]
-    np.testing.assert_allclose(contamination.standard_coverage_percent(levels), expected, atol=5e-6)
+    found = contamination.standard_coverage_percent(levels)
+    np.testing.assert_allclose(found, expected, atol=5e-6)
     assert contamination.standard_level(0.1) == pytest.approx(395.3, abs=0.05)
-    np.testing.assert_allclose(
-        contamination.standard_level(contamination.standard_coverage_percent(levels)), levels, rtol=1e-12
-    )
+    np.testing.assert_allclose(contamination.standard_level(found), levels, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -63,9 +60,7 @@ def test_area_of_the_spheres(level: float, slope: float, percent: float) -> None
 def test_level_of_a_truncated_distribution() -> None:
     level = contamination.level_of_coverage(0.05, 0.926, 2.0, 200.0)
     assert contamination.coverage_percent(level, 0.926, 2.0, 200.0) == pytest.approx(0.05, rel=1e-9)
-    with pytest.raises(
-        MistrayError, match=r"no cleanliness level with slope 0.926 and diameters 1 … 10 µm covers 1e-09 %"
-    ):
+    with pytest.raises(MistrayError, match="no cleanliness level"):
         contamination.level_of_coverage(1e-9, 0.926, 1.0, 10.0)
 
 
@@ -81,16 +76,9 @@ def test_index_of_dust() -> None:
 
 @pytest.mark.parametrize("column", COLUMNS)
 def test_scattered_light(column: str) -> None:
-    table = pd.read_csv(DATA / "contam_F_055um.csv", comment="#")
+    table = vectors.frame("contam_F_055um.csv")
     cloud = contamination.cloud(WAVELENGTH_UM, DUST, *COLUMNS[column])
     np.testing.assert_allclose(cloud.f(np.radians(table["theta_deg"].to_numpy())), table[column], rtol=VECTORS)
-
-
-def test_scattered_light_of_fallout() -> None:
-    table = pd.read_csv(DATA / "contam_F_055um.csv", comment="#")
-    cloud = contamination.cloud(WAVELENGTH_UM, DUST, 500.0, 0.383)
-    theta = np.radians(table["theta_deg"].to_numpy())
-    np.testing.assert_allclose(cloud.f(theta), table["F_CL500_slope0.383"], rtol=VECTORS)
 
 
 def test_totals() -> None:

@@ -11,10 +11,6 @@ from mistray.physics.fresnel import amplitudes, cos2_refracted, reflectance
 pytestmark = pytest.mark.quick
 
 
-def rows():
-    return [{key: float(value) for key, value in row.items()} for row in vectors.rows("fresnel.csv")]
-
-
 def cosines(angle_deg, n1, n2):
     cos_i = math.cos(math.radians(angle_deg))
     return cos_i, math.sqrt(max(0.0, cos2_refracted(cos_i, n1, n2)))
@@ -24,12 +20,12 @@ def bare(angle_deg, n1, n2):
     return reflectance(*cosines(angle_deg, n1, n2), n1, n2)
 
 
-@pytest.mark.parametrize("row", rows(), ids=lambda r: f"{r['n1']:g}-{r['n2']:g}-{r['aoi']:g}")
-def test_vectors(row):
-    at = row["aoi"], row["n1"], row["n2"]
-    assert bare(*at) == pytest.approx(row["Runpol"], abs=1e-12)
-    s, p = amplitudes(*cosines(*at), row["n1"], row["n2"])
-    assert (s * s, p * p) == pytest.approx((row["Rs"], row["Rp"]), abs=1e-12)
+def test_vectors():
+    for row in vectors.frame("fresnel.csv").itertuples():
+        at = row.aoi, row.n1, row.n2
+        assert bare(*at) == pytest.approx(row.Runpol, abs=1e-12)
+        s, p = amplitudes(*cosines(*at), row.n1, row.n2)
+        assert (s * s, p * p) == pytest.approx((row.Rs, row.Rp), abs=1e-12)
 
 
 @pytest.mark.parametrize("n", [1.0, 1.3, 1.5168, 4.0])

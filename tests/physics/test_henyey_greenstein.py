@@ -5,15 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from vectors import rows
+from vectors import frame
 
 from mistray.physics.henyey_greenstein import phase_function, sampled_cosine
 
 
 def test_vectors() -> None:
-    for row in rows("hg_phase.csv"):
-        value = phase_function(float(row["cos"]), float(row["g"]))
-        assert value == pytest.approx(float(row["p_per_sr"]), rel=1e-12), row
+    table = frame("hg_phase.csv")
+    np.testing.assert_allclose(phase_function(table["cos"], table["g"]), table["p_per_sr"], rtol=1e-12)
 
 
 @pytest.mark.parametrize("g", [-0.7, 0.0, 0.3, 0.9])

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import math
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 import pytest
 import vectors
 from oracles import scatter_integrals
-from oracles.derivatives import central_differences
 
-import mistray  # noqa: F401  (settles libLLVM and the variant)
 from mistray.physics import generalized_harvey_shack as ghs
 from mistray.physics import harvey_shack
 from mistray.physics import k_correlation as kc
@@ -63,17 +59,6 @@ def test_total_roughness_by_quadrature() -> None:
         assert math.sqrt(variance) == pytest.approx(rms, rel=QUADRATURE)
 
 
-def test_exponential_autocovariance() -> None:
-    """S = 3, B = 2π lc is the Hankel transform of σ² exp(-ρ/lc)."""
-    rho, weight = scatter_integrals.gauss_legendre(np.linspace(0, 60, 401), 16)
-    for f in (0.0, 0.05, 0.3, 1.0):
-        azimuth = (np.arange(256) + 0.5) * (np.pi / 256)
-        bessel = np.array([np.mean(np.cos(2 * np.pi * f * r * np.cos(azimuth))) for r in rho])
-        transform = np.sum(weight * 2 * np.pi * rho * np.exp(-rho / 1.3) * bessel)
-        found = kc.psd_um4(f, kc.amplitude_um4(1.0, 2 * np.pi * 1.3, 3.0), 2 * np.pi * 1.3, 3.0)
-        assert found == pytest.approx(transform, rel=1e-6)
-
-
 def test_tends_to_the_power_law() -> None:
     """Far above the knee the PSD falls as f^-S, and it is a Harvey-Shack lobe with l = λ/B and s = -S."""
     amplitude, length, slope = 2.0, 100.0, 2.5
@@ -81,21 +66,3 @@ def test_tends_to_the_power_law() -> None:
     psd = kc.psd_um4(f, amplitude, length, slope)
     assert math.log2(psd[0] / psd[1]) == pytest.approx(slope, rel=1e-6)
     np.testing.assert_allclose(psd, harvey_shack.bsdf(f * 0.5, amplitude, 0.5 / length, -slope), rtol=1e-12)
-
-
-def test_drjit() -> None:
-    f, point = np.array([0.0, 1e-3, 0.1, 2.0]), (1.5e-3, 200.0, 2.0)
-
-    def psd(rms, length, slope):
-        amplitude = kc.band_amplitude_um4(rms, length, slope, 0.55)
-        return kc.psd_um4(dr.llvm.ad.Float64(f) if dr.is_array_v(rms) else f, amplitude, length, slope)
-
-    single = kc.psd_um4(mi.Float(f), kc.band_amplitude_um4(*map(mi.Float, point), 0.55), *map(mi.Float, point[1:]))
-    np.testing.assert_allclose(single, psd(*point), rtol=3e-6)
-    expected = central_differences(psd, point, (1e-7, 1e-2, 1e-4))
-    for k in range(3):
-        parameters = [dr.llvm.ad.Float64(value) for value in point]
-        dr.enable_grad(parameters[k])
-        values = psd(*parameters)
-        dr.forward(parameters[k])
-        np.testing.assert_allclose(dr.grad(values), expected[k], rtol=1e-7, atol=1e-9 * np.abs(expected[k]).max())

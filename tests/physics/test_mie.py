@@ -2,39 +2,30 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
-import pandas as pd
 import pytest
+import vectors
 from oracles import mie as oracle
 
 from mistray.errors import MistrayError
 from mistray.physics import mie
 
-DATA = Path(__file__).parents[1] / "data"
 VECTORS = 1e-8  # relative, as required
 ANGLES_DEG = (0, 10, 90, 180)
 
 
 def test_vectors() -> None:
-    """Extinction, scattering and intensities of spheres from x = 0.01 to the largest of level 500."""
-    table = pd.read_csv(DATA / "mie_spheres.csv", comment="#")
-    for row in table.itertuples():
+    """
+    Extinction, scattering and intensities of spheres from x = 0.01 to the largest of level 500.
+
+    And the efficiencies by miepython, to the digits that its fewer orders leave.
+    """
+    for row in vectors.frame("mie_spheres.csv").itertuples():
         answer = mie.spheres([row.x], complex(row.n, abs(row.k)), np.radians(ANGLES_DEG))
         found = [answer.extinction[0], answer.scattering[0], *answer.intensity[0]]
         expected = [row.Qext, row.Qsca, row.i_0deg, row.i_10deg, row.i_90deg, row.i_180deg]
         np.testing.assert_allclose(found, expected, rtol=VECTORS, err_msg=f"x = {row.x}, m = {row.n} + {row.k}i")
-
-
-def test_other_program() -> None:
-    """The same efficiencies from miepython, to the digits that its fewer orders leave."""
-    table = pd.read_csv(DATA / "mie_spheres.csv", comment="#")
-    for row in table.itertuples():
-        answer = mie.spheres([row.x], complex(row.n, abs(row.k)))
-        np.testing.assert_allclose(
-            [answer.extinction[0], answer.scattering[0]], [row.Qext_miepython, row.Qsca_miepython], rtol=1e-7
-        )
+        np.testing.assert_allclose(found[:2], [row.Qext_miepython, row.Qsca_miepython], rtol=1e-7)
 
 
 @pytest.mark.parametrize("index", [1.33, 1.53 + 0.002j, 0.75, 0.3 + 3.5j, 1.9 + 1j])

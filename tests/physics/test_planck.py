@@ -97,12 +97,11 @@ def test_narcissus() -> None:
 
 
 def test_cold_and_bad_input() -> None:
-    assert planck.band_radiance(0.0, 8.0, 12.0) == 0
-    assert planck.band_derivative(0.0, 8.0, 12.0) == 0
+    assert planck.band_radiance(0.0, 8.0, 12.0) == planck.band_derivative(0.0, 8.0, 12.0) == 0
     for arguments, words in (
-        ((-1.0, 8.0, 12.0), "temperature of -1 K; give one of 0 K or more"),
+        ((-1.0, 8.0, 12.0), "temperature of -1 K"),
         ((math.nan, 8.0, 12.0), "temperature of nan K"),
-        ((300.0, 12.0, 8.0), "band of 12 to 8 µm; give 0 ≤ low < high"),
+        ((300.0, 12.0, 8.0), "band of 12 to 8 µm"),
         ((300.0, -1.0, 8.0), "band of -1 to 8 µm"),
     ):
         with pytest.raises(MistrayError, match=words):

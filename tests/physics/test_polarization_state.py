@@ -9,18 +9,13 @@ from mistray.errors import MistrayError
 from mistray.physics.polarization.state import jones_numbers, polarization_state
 
 
-def in_time(ex: complex, ey: complex) -> tuple[np.ndarray, np.ndarray]:
-    """The real field Re(e exp(-iωt)) at a fixed place over a period."""
-    turn = np.exp(-1j * np.linspace(0, 2 * np.pi, 721))
-    return (ex * turn).real, (ey * turn).real
-
-
 @pytest.mark.parametrize("seed", range(20))
 def test_jones_vectors_are_their_fields_in_time(seed) -> None:
     """s1 and s2 are the power through polarisers, the sign of s3 is the sense in which the field turns."""
     rng = np.random.default_rng(seed)
     ex, ey = rng.normal(size=2) + 1j * rng.normal(size=2)
-    x, y = in_time(ex, ey)
+    turn = np.exp(-1j * np.linspace(0, 2 * np.pi, 721))  # the real field Re(e exp(-iωt)) over a period
+    x, y = (ex * turn).real, (ey * turn).real
     total = np.mean(x[:-1] ** 2 + y[:-1] ** 2)
     s1, s2, s3 = polarization_state("", jones=(ex, ey))
     assert s1 == pytest.approx(np.mean(x[:-1] ** 2 - y[:-1] ** 2) / total, abs=1e-12)
@@ -51,9 +46,10 @@ def test_ways_to_state_it(given, expected) -> None:
     assert polarization_state("", **given) == pytest.approx(expected, abs=1e-5)
 
 
-def test_unpolarised() -> None:
+def test_unpolarised_and_numbers() -> None:
     assert polarization_state("") is None
     assert polarization_state("", stokes="0, 0, 0") is None
+    assert jones_numbers("", "1, 0.5-2i") == (1, 0.5 - 2j)
 
 
 @pytest.mark.parametrize(
@@ -63,8 +59,6 @@ def test_unpolarised() -> None:
         ({"stokes": "nan, 0, 0"}, "nan"),
         ({"stokes": "inf, 0, 0"}, "inf"),
         ({"stokes": "0, 1"}, "3 numbers"),
-        ({"stokes": ""}, "3 numbers"),
-        ({"stokes": "1, 0, 0, 0"}, "3 numbers"),
         ({"stokes": 1.0}, "3 numbers"),
         ({"stokes": "linear"}, "linear"),
         ({"jones": "0, 0"}, "no light"),
@@ -85,7 +79,3 @@ def test_what_no_light_can_be(given, fact) -> None:
     assert "source 'laser'" in message
     assert fact in message
     assert "\n" not in message
-
-
-def test_numbers_of_a_jones_vector() -> None:
-    assert jones_numbers("", "1, 0.5-2i") == (1, 0.5 - 2j)

@@ -1,19 +1,14 @@
-"""
-Vector perturbation theory against SCATMECH 7 (NIST), by stored values and live, and against Fresnel's formulas.
-
-The stored values are of pySCATMECH 0.1.10, model Microroughness_BRDF_Model.
-"""
+"""Vector perturbation theory against SCATMECH 7 (NIST), stored of pySCATMECH 0.1.10 and live, and against Fresnel."""
 
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-import pandas as pd
 import pytest
+import vectors
 
 import mistray  # noqa: F401  (settles libLLVM and the variant)
 from mistray.physics import generalized_harvey_shack as ghs
@@ -21,27 +16,19 @@ from mistray.physics import k_correlation as kc
 from mistray.physics import rayleigh_rice as rr
 from mistray.physics.fresnel import reflectance
 
-DATA = Path(__file__).parents[1] / "data"
 VECTORS = 1e-6  # relative, as required
 LENGTH_UM = 2 * math.pi  # of the roughness spectrum of the stored values: σ = 1 nm, lc = 1 µm
 AMPLITUDE_UM4 = 2 * math.pi * 1e-6
 
 
 def test_stored_values() -> None:
-    table = pd.read_csv(DATA / "rr_scatmech.csv", comment="#", skipinitialspace=True)
-    assert set(table["substrate"]).__len__() >= 3
-    for row in table.itertuples(index=False):
+    for row in vectors.frame("rr_scatmech.csv").itertuples(index=False):
         ci, cs, cphi = (math.cos(math.radians(angle)) for angle in (row.theta_i, row.theta_s, row.phi_s))
         q = rr.polarization_factor(ci, cs, cphi, complex(row.n, row.k))
         assert q == pytest.approx(row.Q_scatmech, rel=VECTORS)
         psd = kc.psd_um4(row.f_1_um, AMPLITUDE_UM4, LENGTH_UM, 3.0)
         assert psd == pytest.approx(row.PSD_um4, rel=VECTORS)
         assert rr.brdf(ci, cs, q, psd, 0.6328) == pytest.approx(row.BRDF_SCATMECH_unpol, rel=VECTORS)
-
-
-def random_directions(rng: np.random.Generator, count: int) -> np.ndarray:
-    """(count, 3): angles of incidence and of scatter and azimuth, rad, away from grazing."""
-    return np.stack([rng.uniform(0, 1.55, count), rng.uniform(0, 1.55, count), rng.uniform(0, math.pi, count)], axis=1)
 
 
 @pytest.mark.validation
@@ -57,7 +44,7 @@ def test_live(kind: str) -> None:
         text = f"({index.real!r},{index.imag!r})" if metal else repr(index)
         side = {"reflection": 0, "transmission": 1}[kind]
         theirs = model("Microroughness_BRDF_Model", {"lambda": 0.6328, "substrate": text, "type": side, "psd": psd})
-        for theta_i, theta_s, phi in random_directions(rng, 20):
+        for theta_i, theta_s, phi in rng.uniform(0, [1.55, 1.55, math.pi], (20, 3)):
             ci, cs, cphi = math.cos(theta_i), math.cos(theta_s), math.cos(phi)
             n = 1.0 if kind == "reflection" else index
             sine = math.sin(theta_i) / n

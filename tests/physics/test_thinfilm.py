@@ -1,17 +1,14 @@
 """Stacks against tables, against `tmm` and against closed forms, in NumPy and in Dr.Jit at both precisions.
 
 All of it is computed in float64 whatever the precision of the arrays, so float32 results differ from float64 ones by
-the rounding of arguments and result only. What rounded arguments do to R and T is bounded in
-`test_float32_differs_by_the_rounding_of_its_arguments`.
+the rounding of arguments and result only.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -19,13 +16,13 @@ import mitsuba as mi
 import numpy as np
 import pandas as pd
 import pytest
+import vectors
 from oracles.stacks import Stack, by_tmm, random_stack
 
 import mistray
 from mistray.physics import thinfilm
 from mistray.physics.thinfilm import amplitudes, reflectance_transmittance
 
-DATA = Path(__file__).parents[1] / "data"
 GLASS = 1.5168
 # Vectors: 1e-12 where the computation is float64 throughout; 2e-6 with float32 arguments.
 EXACT, SINGLE = 1e-12, 2e-6
@@ -86,13 +83,9 @@ LIBRARIES = [NUMPY, DOUBLE, FLOAT]
 each_library = pytest.mark.parametrize("library", LIBRARIES, ids=str)
 
 
-def table(name: str) -> pd.DataFrame:
-    return pd.read_csv(DATA / name, comment="#")
-
-
 def designs() -> dict[str, Stack]:
     found = {"bare": Stack(1.0, (), (), GLASS), "Al_bare": Stack(1.0, (), (), 0.958 + 6.69j)}
-    for name, rows in table("thinfilm_designs.csv").groupby("design"):
+    for name, rows in vectors.frame("thinfilm_designs.csv").groupby("design"):
         rows = rows.sort_values("layer_index_from_air")
         substrate = complex(rows.substrate_n.iloc[0], rows.substrate_k.iloc[0])
         found[str(name)] = Stack(1.0, tuple(rows.n + 1j * rows.k), tuple(rows.thickness_nm), substrate)
@@ -120,7 +113,7 @@ class TestVectors:
     @each_library
     @pytest.mark.parametrize("design", sorted(designs()))
     def test_designs(self, design, library):
-        rows = table("thinfilm.csv").query("design == @design")
+        rows = vectors.frame("thinfilm.csv").query("design == @design")
         assert len(rows) == 56
         found = of_polarisation(library.solve(designs()[design], rows.lambda_nm, cosines(rows.aoi_deg)), rows.pol)
         for values, expected in zip(
@@ -134,7 +127,7 @@ class TestVectors:
     @pytest.mark.parametrize("case", sorted(INTERNAL))
     def test_internal(self, case, library):
         """From inside glass, total reflection and its frustration included, with phases."""
-        rows = table("thinfilm_internal.csv").query("case == @case")
+        rows = vectors.frame("thinfilm_internal.csv").query("case == @case")
         assert len(rows) == 14
         R, T, r, _ = of_polarisation(library.solve(INTERNAL[case], 550.0, cosines(rows.aoi_deg_in_glass)), rows.pol)
         expected = rows.r_re + 1j * rows.r_im
@@ -143,15 +136,6 @@ class TestVectors:
         np.testing.assert_allclose(r, expected, rtol=0, atol=library.tolerance)
         turn = np.exp(1j * np.radians(rows.phase_deg))
         np.testing.assert_allclose(np.angle(r / turn), 0, atol=(library.tolerance / abs(expected)).max())
-
-    @each_library
-    def test_fresnel(self, library):
-        rows = table("fresnel.csv")
-        assert len(rows) == 35
-        for (n1, n2), group in rows.groupby(["n1", "n2"]):
-            R, *_ = library.solve(Stack(n1, (), (), n2), 550.0, cosines(group.aoi)).real
-            for values, expected in ((R[0], group.Rs), (R[1], group.Rp), (R.mean(axis=0), group.Runpol)):
-                np.testing.assert_allclose(values, expected, rtol=0, atol=library.tolerance)
 
 
 LAYERS = 40
@@ -186,33 +170,25 @@ def side_by_side() -> tuple[Stack, np.ndarray, np.ndarray]:
     return every, lanes([wavelength for _, wavelength, _ in cases]), np.concatenate([cosine for _, _, cosine in cases])
 
 
+@functools.lru_cache
 def solve_side_by_side(library: Library) -> np.ndarray:
-    """(200, 4, 2, 7)."""
-    return np.moveaxis(library.solve(*side_by_side()).reshape(4, 2, -1, ANGLES), 2, 0)
+    """(200, 4, 2, 7); absorption is never negative but for the last digits of R and T."""
+    found = np.moveaxis(library.solve(*side_by_side()).reshape(4, 2, -1, ANGLES), 2, 0)
+    R, T = np.moveaxis(found.real, 1, 0)[:2]
+    assert (1 - R - T).min() >= -(2**-23 if library is FLOAT else 1e-13)
+    assert min(R.min(), T.min()) >= 0
+    return found
 
 
 class TestRandomStacks:
-    def test_numpy(self):
-        cases, expected = random_cases()
-        for case, reference in zip(cases, expected, strict=True):
-            np.testing.assert_allclose(NUMPY.solve(*case), reference, rtol=0, atol=TO_TMM)
-
-    def test_drjit_float64(self):
-        np.testing.assert_allclose(solve_side_by_side(DOUBLE), random_cases()[1], rtol=0, atol=TO_TMM)
-
-    def test_drjit_float32(self):
-        """R and T; rounded thicknesses turn the phases of r and t by more, see the last test of this class."""
-        found, expected = solve_side_by_side(FLOAT)[:, :2], random_cases()[1][:, :2]
+    @pytest.mark.long
+    @each_library
+    def test_against_tmm(self, library):
+        """Missing layers have no thickness. In float32 R and T alone: rounding turns the phases of r and t more."""
+        results = slice(2) if library is FLOAT else slice(4)
+        found, expected = solve_side_by_side(library)[:, results], random_cases()[1][:, results]
         np.testing.assert_allclose(found, expected, rtol=0, atol=TO_TMM)
         assert abs(found - expected).mean() < 2e-7
-
-    @pytest.mark.long
-    def test_absorption_is_never_negative(self):
-        """But for the last digits of R and T."""
-        for library, rounding in ((DOUBLE, 1e-13), (FLOAT, 2**-23)):
-            R, T = np.moveaxis(solve_side_by_side(library).real, 1, 0)[:2]
-            assert (1 - R - T).min() >= -rounding
-            assert min(R.min(), T.min()) >= 0
 
     def test_float32_is_the_rounded_float64_result(self):
         """Float32 arguments, taken as they are, give the same as in float64 to half a unit of the last digit."""
@@ -228,47 +204,8 @@ class TestRandomStacks:
             FLOAT.solve(*same)[:2], NUMPY.solve(*same)[:2], rtol=2**-24 * (1 + 1e-6), atol=2**-149
         )
 
-    @pytest.mark.long
-    def test_float32_differs_by_the_rounding_of_its_arguments(self):
-        """
-        A bound for every stack from its own derivatives.
-
-        Rounding moves an argument x by at most 2⁻²⁴ |x|: thickness, wavelength, index and cosine, which together make
-        the phases 2πqd/λ. To first order R, T, r or t moves by at most 2⁻²⁴ Σ |x ∂R/∂x|, and its own rounding adds
-        2⁻²⁴ of its size. The derivatives are central differences in float64; 1e-9 covers their error and second order.
-        """
-        stack, wavelength, cosine = side_by_side()
-        lanes = slice(2, None, ANGLES)  # one random angle for each stack
-        outer = [stack.n_incident.real, stack.n_substrate.real, stack.n_substrate.imag, wavelength, cosine]
-        n, d = np.array(stack.n_layers)[:, lanes], np.array(stack.d_nm)[:, lanes]
-        values = np.concatenate([n.real, n.imag, d, [x[lanes] for x in outer]])
-
-        def solve(v: np.ndarray) -> np.ndarray:
-            n, d = v[:LAYERS] + 1j * v[LAYERS : 2 * LAYERS], v[2 * LAYERS : 3 * LAYERS]
-            n_incident, n_substrate, k_substrate, wavelength_nm, cosine = v[3 * LAYERS :]
-            arguments = n_incident, n, d, n_substrate + 1j * k_substrate, wavelength_nm, cosine
-            return np.array([*reflectance_transmittance(*arguments), *amplitudes(*arguments)])
-
-        exact = solve(values)
-        bound = 2**-24 * abs(exact) + 1e-9
-        for j in range(len(values)):
-            moved = np.array([values, values])
-            moved[:, j] *= [[1 + 1e-5], [1 - 1e-5]]
-            bound += 2**-24 * abs(np.subtract(*map(solve, moved))) / 2e-5
-        error = abs(FLOAT.solve(*side_by_side())[..., lanes] - exact)
-        assert np.all(error <= bound), f"float32 error {(error / bound).max():.2f} of its bound"
-        assert np.median(error) > 0.01 * np.median(bound), "the bound is far above what it bounds"
-
 
 class TestEnergy:
-    @each_library
-    def test_lossless_stacks_lose_nothing(self, library):
-        cases, _ = random_cases()
-        for stack, wavelength, cosine in cases[:: 8 if library is NUMPY else 40]:
-            lossless = Stack(stack.n_incident, tuple(np.real(stack.n_layers)), stack.d_nm, 1.45)
-            R, T, *_ = library.solve(lossless, wavelength, cosine).real
-            np.testing.assert_allclose(R + T, 1, rtol=0, atol=1e-6)
-
     def test_complex_indices_without_absorption_are_real_ones(self):
         stack = designs()["HR_(HL)^7H"]
         cosine = np.linspace(0, 1, 101)
@@ -291,9 +228,7 @@ class TestEnergy:
     @pytest.mark.parametrize("seed", range(20))
     def test_reciprocity(self, seed):
         """Between lossless media T is the same along a path from either side, whatever the stack absorbs."""
-        rng = np.random.default_rng(seed)
-        stack = random_stack(rng, 1 + 2 * seed)
-        stack = Stack(stack.n_incident, stack.n_layers, stack.d_nm, 1.7)
+        stack = replace(random_stack(np.random.default_rng(seed), 1 + 2 * seed), n_substrate=1.7)
         from_back = np.linspace(0.85, 1, 20)
         sine = 1.7 / stack.n_incident * np.sqrt(1 - from_back**2)
         from_back, from_front = from_back[sine < 1], np.sqrt(1 - sine[sine < 1] ** 2)
@@ -325,8 +260,8 @@ class TestLimits:
 
     @each_library
     def test_frustrated_total_reflection(self, library):
-        """Airy's formula for a gap with the internal reflection coefficient, for a real exponent."""
-        cosine, gap, wavelength = cosines(55.0), np.array([1.0, 30.0, 200.0, 1000.0]), 550.0
+        """Airy's formula for a gap with the internal reflection coefficient, for a real exponent that may underflow."""
+        cosine, gap, wavelength = cosines(55.0), np.array([1.0, 30.0, 200.0, 1000.0, 1e6]), 550.0
         decay = np.sqrt(GLASS**2 * (1 - cosine**2) - 1)
         through = np.exp(-2 * math.pi * decay * gap / wavelength)
         for i, ratio in enumerate((GLASS * cosine / (1j * decay), cosine / GLASS / (1j * decay))):
@@ -385,18 +320,6 @@ class TestLimits:
         assert np.all(t == 0)
         assert np.all(R < 1 + 1e-12)
 
-    def test_thick_evanescent_layer(self):
-        """A gap so wide that exp(-Im δ) underflows."""
-        R, T, *_ = NUMPY.solve(Stack(GLASS, (1.0,), (1e6,), GLASS), 550.0, cosines(60.0))
-        np.testing.assert_allclose(R, 1, atol=EXACT)
-        assert np.all(T == 0)
-
-    def test_layers_without_thickness_do_nothing(self):
-        cosine = cosines([0, 40, 80])
-        with_them = NUMPY.solve(Stack(1.0, (3 + 2j, 1.38, 1.0), (0.0, 90.0, 0.0), 1.5), 550.0, cosine)
-        without = NUMPY.solve(Stack(1.0, (1.38,), (90.0,), 1.5), 550.0, cosine)
-        np.testing.assert_allclose(with_them, without, rtol=0, atol=1e-15)
-
 
 class TestCalls:
     def test_arguments_broadcast(self):
@@ -423,37 +346,3 @@ class TestCalls:
     def test_as_many_thicknesses_as_indices(self):
         with pytest.raises(mistray.MistrayError, match="2 indices and 1 thicknesses"):
             reflectance_transmittance(1.0, [1.38, 2.1], [100.0], 1.5, 550.0, 1.0)
-
-
-def wrong_phase(original: Callable[..., Any]) -> Callable[..., Any]:
-    def joined(*arguments: Any) -> Any:
-        layer = original(*arguments)
-        return layer._replace(over=-layer.over, times=-layer.times)
-
-    return joined
-
-
-def growing(original: Callable[..., Any]) -> Callable[..., Any]:
-    def joined(*arguments: Any) -> Any:
-        layer = original(*arguments)
-        return layer._replace(factor=1 / layer.factor)
-
-    return joined
-
-
-def other_branch(original: Callable[..., Any]) -> Callable[..., Any]:
-    def root(*arguments: Any) -> Any:
-        q, modulus = original(*arguments)
-        return -q, modulus
-
-    return root
-
-
-@pytest.mark.parametrize(
-    ("function", "mutation"), [("_joined", wrong_phase), ("_joined", growing), ("_root", other_branch)]
-)
-def test_a_wrong_sign_is_seen(monkeypatch, function, mutation):
-    """The comparison with `tmm` fails if a sign inside is turned round."""
-    monkeypatch.setattr(thinfilm, function, mutation(getattr(thinfilm, function)))
-    with pytest.raises(AssertionError):
-        TestRandomStacks().test_numpy()
