@@ -26,7 +26,11 @@ from mistray.optimize import Metric
 SCENES = Path(__file__).parents[1] / "scenes"
 LAYERS = '<bsdf type="thinfilm"><string name="layers" value="1.38 95, 2.1 120, 1.63 80"/></bsdf>'
 NORM = 16.0  # of the peak
+SMALL = 0.1  # of the largest derivative of its kind, or of what cancels in it: what a smaller one is compared with
 MOVE = 2e-5  # of a surface, in units of its size
+# Names → the metric for mistray, of one observation, and for the oracle
+Metrics = dict[str, tuple[Callable[[Any], Any], Callable[[Sequence[Hits]], float]]]
+Kinds = Callable[[str], str]
 
 
 def scene_text(name: str) -> str:
@@ -167,8 +171,8 @@ class Case:
 
         return value
 
-    def metrics(self, ghost: str) -> dict[str, tuple[Callable[[Any], Any], Callable[[Sequence[Hits]], float]]]:
-        """Names → the metric for mistray, of one observation, and for the oracle."""
+    def metrics(self, ghost: str) -> Metrics:
+        """Of all light, of one ghost, and of images."""
         one, everything = self.select([ghost]), self.select(None)
         x0, x1, y0, y1 = self.trace.extent
         area = (x1 - x0) * (y1 - y0) / self.trace.irradiance.size
@@ -219,3 +223,68 @@ def step(scene: FrozenScene, key: str) -> float:
     if name.startswith("slope"):
         return MOVE
     return float(MOVE * size ** (1 - sum(int(order) for order in re.findall(r"\d+", name))))
+
+
+def deviations(
+    gradient: dict[str, Array],
+    batches: dict[str, Array],
+    expected: dict[str, Array],
+    zero: dict[str, float],
+    kind_of: Kinds,
+) -> dict[str, float]:
+    """Largest deviation of each kind, relative to the derivative or to what is small beside it."""
+    largest: dict[str, float] = {}
+    for key, values in expected.items():
+        largest[kind_of(key)] = max(largest.get(kind_of(key), 0.0), float(np.max(np.abs(values))))
+    worst: dict[str, float] = {}
+    for key, values in expected.items():
+        kind, cancelling = kind_of(key), np.abs(batches[key]).sum(axis=0)
+        scale = np.maximum(np.abs(values), SMALL * np.maximum(largest[kind], cancelling))
+        error = np.abs(gradient[key] - values) / np.maximum(scale, max(zero[key], np.finfo(float).tiny))
+        worst[kind] = max(worst.get(kind, 0.0), float(np.max(error)))
+    return worst
+
+
+def compare(
+    case: Case, keys: Sequence[str], metrics: Metrics, kind_of: Kinds, *, tolerance: float, wrong: float,
+    cancels: float, zero: float = 0.0,
+) -> set[str]:  # fmt: skip
+    """
+    Asserts the derivatives of each metric by each key; those that are larger by the factor ``wrong`` must fail.
+
+    Parameters
+    ----------
+    cancels : float
+        A derivative below this share of Σ |parts of the batches| is nothing but parts that cancel: it need not fail.
+    zero : float
+        Share of the metric's value that a move by the size of the surface may change it by.
+
+    Returns
+    -------
+    set
+        Kinds of parameters of which some metric has a derivative that does not cancel.
+    """
+    params, steps = mi.traverse(case.scene), {key: step(case.frozen, key) for key in keys}
+    expected: dict[str, dict[str, Array]] = {metric: {} for metric in metrics}
+    for key in keys:
+        oracles = [oracle for _, oracle in metrics.values()]
+        entries = len(case.frozen.numbers[key])
+        rows = [case.paths.derivatives(oracles, key, steps[key], entry) for entry in range(entries)]
+        for metric, values in zip(metrics, np.transpose(rows), strict=True):
+            expected[metric][key] = values
+    noticed: set[str] = set()
+    for metric, (function, _) in metrics.items():
+        found = mistray.gradient(case.metric(function), params, keys=list(keys), edges=False)
+        floor = {key: zero * abs(found.value) * MOVE / steps[key] for key in keys}
+        worst = deviations(found.gradient, found.batches, expected[metric], floor, kind_of)
+        assert max(worst.values()) <= tolerance, (metric, worst)
+        larger = {key: wrong * values for key, values in found.gradient.items()}
+        seen = deviations(larger, found.batches, expected[metric], floor, kind_of)
+        there = {
+            kind_of(key)
+            for key, values in expected[metric].items()
+            if np.any(np.abs(values) > cancels * np.abs(found.batches[key]).sum(axis=0) + floor[key])
+        }
+        assert {kind for kind, value in seen.items() if value > tolerance} >= there, (metric, seen)
+        noticed |= there
+    return noticed

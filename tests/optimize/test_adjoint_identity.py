@@ -30,7 +30,10 @@ KINDS = {
     "position": ["L2_rear.x", "L3_front.z", "L1_front.y", "detector.z", "detector.x"],
     "tilt": ["L1_rear.tilt_x", "L3_rear.tilt_y", "detector.tilt_x"],
     "index": ["L1_front.bsdf.n_back_shift", "L2_rear.bsdf.n_front_shift"],
-    "coating": ["L2_front.bsdf.coating.thickness_nm", "L3_rear.bsdf.coating.n_shift", "detector.bsdf.R"],
+    "coating": [
+        *("L2_front.bsdf.coating.thickness_nm", "L3_rear.bsdf.coating.n_shift", "L3_rear.bsdf.coating.k_shift"),
+        "detector.bsdf.R",
+    ],
 }
 
 

@@ -1,10 +1,8 @@
 """
 `mistray.gradient` by the values of scatter models, and by shapes and coatings that scattered light meets.
 
-Against central differences in float64 on frozen paths: the oracle follows all rays of the trace by itself, keeps the
-directions after scatter events, and lets the flux change with the closed form of the BSDF, with what scatter leaves of
-the specular beams, and with what a scattering detector absorbs. Deviations are relative as in test_geometry_gradient.py
-(a tenth of the largest of the kind, a tenth of what cancels); a gradient that is 5 % too large must fail for each kind.
+Against central differences in float64 on frozen paths: the oracle keeps the directions after scatter events, and lets
+the flux change with the closed form of the BSDF and with what scatter leaves of the specular beams.
 """
 
 from __future__ import annotations
@@ -16,17 +14,15 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
-from frozen_cases import Case, step
-from oracles.frozen_paths import Hits, power, rms_radius
+from frozen_cases import Case, Metrics, compare
+from oracles.frozen_paths import power, rms_radius
 from oracles.scatter_scenes import bsdf_xml, scattering_xml
 from oracles.small_scenes import scene_text, shape_xml
 from oracles.statistics import z_limit, z_score
 
 import mistray
-from mistray.optimize import Gradient
 
 TOLERANCE = 1e-2  # of BSDF parameters
-SMALL = 0.1
 TRACED = {"max_reflections": 1, "flux_threshold": 0.0, "scatter_threshold": 0.0, "field_deg": 3.0, "azimuth_deg": 20.0}
 ABG = bsdf_xml("abg", A=2e-3, B=1e-3, g=1.8)
 POLISH = bsdf_xml("harvey_shack", rms_nm=4.0, l=0.01, s=-1.5)
@@ -89,14 +85,14 @@ def cases() -> Callable[[str], Case]:
     return cache(lambda name: CASES[name]())
 
 
-def metrics_of(case: Case) -> dict[str, tuple[Callable[[Any], Any], Callable[[Sequence[Hits]], float]]]:
-    """Names → the metric for mistray, of one observation, and for the oracle."""
+def is_scattered(row: Any) -> bool:
+    return bool(row.scatters > 0)
+
+
+def metrics_of(case: Case) -> Metrics:
     scattered = [bundle.text for bundle in case.paths.bundles if bundle.scatters]
     straight = [bundle.text for bundle in case.paths.bundles if not bundle.scatters]
     stray, direct = case.select(scattered), case.select(straight)
-
-    def is_scattered(row: Any) -> bool:
-        return bool(row.scatters > 0)
 
     return {
         "scattered": (lambda o: o.power(is_scattered) / o.launched_W, lambda h: power(stray(h)) / case.launched_W),
@@ -112,46 +108,13 @@ def kind_of(key: str) -> str:
     return key if ".bsdf." in key else key.rsplit(".", 1)[-1]
 
 
-def deviations(found: Gradient, gradient: dict[str, np.ndarray], expected: dict[str, float]) -> dict[str, float]:
-    """Largest deviation of each kind."""
-    largest: dict[str, float] = {}
-    for key, value in expected.items():
-        largest[kind_of(key)] = max(largest.get(kind_of(key), 0.0), abs(value))
-    worst: dict[str, float] = {}
-    for key, value in expected.items():
-        cancelling = float(np.abs(found.batches[key]).sum())
-        scale = max(abs(value), SMALL * largest[kind_of(key)], SMALL * cancelling, np.finfo(float).tiny)
-        worst[kind_of(key)] = max(worst.get(kind_of(key), 0.0), abs(float(gradient[key][0]) - value) / scale)
-    return worst
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("name", CASES)
 def test_against_the_oracle(cases: Callable[[str], Case], name: str) -> None:
+    """A gradient that is 5 % too large must fail for each kind."""
     case, keys = cases(name), KEYS[name]
     assert any(bundle.scatters for bundle in case.paths.bundles)
-    metrics = metrics_of(case)
-    params = mi.traverse(case.scene)
-    expected: dict[str, dict[str, float]] = {metric: {} for metric in metrics}
-    for key in keys:
-        values = case.paths.derivatives([oracle for _, oracle in metrics.values()], key, step(case.frozen, key))
-        for metric, value in zip(metrics, values, strict=True):
-            expected[metric][key] = float(value)
-    noticed, missed = set(), {}
-    for metric, (function, _) in metrics.items():
-        found = mistray.gradient(case.metric(function), params, keys=keys, edges=False)
-        worst = deviations(found, found.gradient, expected[metric])
-        missed |= {(metric, kind): value for kind, value in worst.items() if value > TOLERANCE}
-        wrong = {key: 1.05 * values for key, values in found.gradient.items()}
-        seen = deviations(found, wrong, expected[metric])
-        there = {
-            kind_of(key)
-            for key in keys
-            if abs(expected[metric][key]) > 0.25 * np.abs(found.batches[key]).sum() and expected[metric][key]
-        }
-        assert {kind for kind, value in seen.items() if value > TOLERANCE} >= there, (metric, seen)
-        noticed |= there
-    assert not missed
+    noticed = compare(case, keys, metrics_of(case), kind_of, tolerance=TOLERANCE, wrong=1.05, cancels=0.25)
     assert noticed >= {kind_of(key) for key in keys}
 
 
@@ -172,9 +135,6 @@ def test_cleanliness_level() -> None:
     """
     case = Case(lens((bsdf_xml("particulate", level=400.0),), ()), {**TRACED, "rays": 20_000, "seed": 5})
     params, key = mi.traverse(case.scene), "front.bsdf.particulate.level"
-
-    def is_scattered(row: Any) -> bool:
-        return bool(row.scatters > 0)
 
     found = mistray.gradient(case.metric(lambda o: o.power(is_scattered)), params, [key], edges=False)
     values, errors = [], []

@@ -1,11 +1,8 @@
 """
 `mistray.gradient` by shapes, positions, indices and coatings, on frozen paths, against central differences in float64.
 
-The oracle follows all rays of the trace through their event lists by itself (tests/oracles/frozen_paths.py). A
-derivative is compared relative to itself, or, where it is small, to a tenth of the largest one of its kind (curvatures,
-positions along x, …) in that metric and to a tenth of what cancels in it, Σ |parts of the batches|: a derivative that
-happens to be small, or that symmetry makes 0, must be right to 1e-4 of these, or to 1e-9 of the metric's own value for
-a move by the size of the surface.
+The oracle follows all rays of the trace through their event lists by itself (tests/oracles/frozen_paths.py). What is
+small is compared as `frozen_cases.compare` says, or with 1e-9 of the metric's value for a move by the surface's size.
 """
 
 from __future__ import annotations
@@ -18,17 +15,15 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
-from frozen_cases import MOVE, Case, coated_text, scene_text, step, with_shape, with_values
+from frozen_cases import Case, coated_text, compare, scene_text, step, with_shape, with_values
 from oracles.frozen_paths import Hits
 from oracles.small_scenes import interface_xml, shape_xml
 from oracles.small_scenes import scene_text as small_text
 
 import mistray
-from mistray.optimize import Gradient
 from mistray.optimize.parameters import parameters
 
 TOLERANCE = 1e-3  # of geometry on frozen paths, and of coatings
-SMALL = 0.1
 ZERO = 1e-6  # of the metric's value, for a move by the size of the surface
 POSE = ("x", "y", "z", "tilt_x", "tilt_y", "tilt_z")
 TRACED = {"max_reflections": 2, "flux_threshold": 0.0, "azimuth_deg": 30.0}
@@ -210,56 +205,13 @@ def kind_of(key: str) -> str:
     return "index" if name in ("n_front_shift", "n_back_shift") else name
 
 
-def deviations(
-    case: Case, found: Gradient, gradient: dict[str, np.ndarray], expected: dict[str, np.ndarray]
-) -> dict[str, float]:
-    """Largest deviation of each kind, relative as the module says."""
-    largest: dict[str, float] = {}
-    for key, values in expected.items():
-        largest[kind_of(key)] = max(largest.get(kind_of(key), 0.0), float(np.max(np.abs(values))))
-    worst: dict[str, float] = {}
-    for key, values in expected.items():
-        kind = kind_of(key)
-        zero = ZERO * abs(found.value) * MOVE / step(case.frozen, key)
-        cancelling = np.abs(found.batches[key]).sum(axis=0)
-        scale = np.maximum(np.abs(values), SMALL * np.maximum(largest[kind], cancelling))
-        error = np.abs(gradient[key] - values) / np.maximum(scale, zero)
-        worst[kind] = max(worst.get(kind, 0.0), float(np.max(error)))
-    return worst
-
-
-def vanishes(case: Case, found: Gradient, key: str, expected: np.ndarray) -> bool:
-    """Whether a derivative is nothing but parts that cancel."""
-    zero = ZERO * abs(found.value) * MOVE / step(case.frozen, key)
-    return bool(np.all(np.abs(expected) < 0.2 * np.abs(found.batches[key]).sum(axis=0) + zero))
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("name", KEYS)
 def test_each_parameter(cases: Callable[[str], Case], name: str) -> None:
     """Every kind of parameter and metric; a gradient that is 1 % too large fails for each of them."""
     case, keys = cases(name), KEYS[name]
     metrics = case.metrics(case.strongest("ghost"))
-    params = mi.traverse(case.scene)
-    expected: dict[str, dict[str, np.ndarray]] = {metric: {} for metric in metrics}
-    for key in keys:
-        rows = [
-            case.paths.derivatives([oracle for _, oracle in metrics.values()], key, step(case.frozen, key), entry)
-            for entry in range(len(case.frozen.numbers[key]))
-        ]
-        for metric, values in zip(metrics, np.transpose(rows), strict=True):
-            expected[metric][key] = values
-    noticed, missed = set(), {}
-    for metric, (function, _) in metrics.items():
-        found = mistray.gradient(case.metric(function), params, keys=keys, edges=False)
-        worst = deviations(case, found, found.gradient, expected[metric])
-        missed |= {(metric, kind): value for kind, value in worst.items() if value > TOLERANCE}
-        wrong = {key: 1.01 * values for key, values in found.gradient.items()}
-        seen = deviations(case, found, wrong, expected[metric])
-        there = {kind_of(key) for key in keys if not vanishes(case, found, key, expected[metric][key])}
-        assert {kind for kind, value in seen.items() if value > TOLERANCE} >= there, (metric, seen)
-        noticed |= there
-    assert not missed
+    noticed = compare(case, keys, metrics, kind_of, tolerance=TOLERANCE, wrong=1.01, cancels=0.2, zero=ZERO)
     # A turn about its own axis moves nothing but the detector's frame
     assert noticed >= {kind_of(key) for key in keys} - ({"tilt_z"} if name in ("triplet", "Offner relay") else set())
 

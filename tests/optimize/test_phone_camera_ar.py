@@ -3,32 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
-import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from example_scripts import script
 
 from mistray.coatings import preset
 from mistray.optimize.reflectance_weights import reflectance_weights
 from mistray.scene.recoat import SharedCoating
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "phone_camera_ar.py"
 RAYS = 320
 # With 31 degrees of freedom a false pass of a gain that is not there has a probability of 4.5e-5; the seeds are fixed
 ERRORS = 4.5
 
 
-@pytest.fixture(scope="module")
-def script() -> Any:
-    """The script as a module, for two fields, with few rays and one round."""
-    spec = importlib.util.spec_from_file_location("phone_camera_ar", EXAMPLE)
-    assert spec is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # where dataclasses look for their annotations
-    spec.loader.exec_module(module)  # type: ignore[union-attr]
+@pytest.fixture(scope="module", name="script")
+def reduced() -> Any:
+    """The example for two fields, with few rays and one round."""
+    module = script("phone_camera_ar")
     module.FIELDS_DEG, module.SEARCH_NM, module.SEARCH_RAYS = (0, 10), (470, 550, 630), 96
     module.BAND_NM, module.ROUNDS = (450, 510, 590, 650), 1
     return module

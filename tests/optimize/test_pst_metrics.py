@@ -73,13 +73,9 @@ class TestNumbers:
         projected = number(o.value_at(27.0, light, convention="projected"))
         assert projected == pytest.approx(expected[2].mean() / (0.5 * (low + high)), rel=1e-13)
         assert projected == pytest.approx(AROUND.to("projected").curve(light)[0][2], rel=1e-13)
-
-    def test_several_classes(self) -> None:
-        o = PstObservation(DENSE)
-        both = number(o.value_at(5, ["ghost", "single_scatter", "ghost"]))
-        assert both == pytest.approx(
-            total_of(DENSE, "ghost")[0, 0] + total_of(DENSE, "single_scatter")[0, 0], rel=1e-13
-        )
+        both = number(o.value_at(5.0, [light, "single_scatter", light], 0.0))
+        two = expected if light in ("stray", "total") else expected + total_of(AROUND, "single_scatter")
+        assert both == pytest.approx(two[0, 0], rel=1e-13)
 
     @pytest.mark.parametrize("interpolation", ["cells", "linear", "log"])
     def test_band(self, interpolation: str) -> None:
@@ -169,19 +165,11 @@ class TestDerivatives:
             (expected,) = central_differences(changed, [0.0], [1e-3 * now])
             assert found[place] == pytest.approx(expected, rel=1e-7, abs=1e-11 * abs(number(value)) / now), place
 
-    def test_a_wrong_class_is_seen(self) -> None:
-        o, value = self.evaluated("cell")
-        dr.backward(value)
-        assert o.derivative[CLASSES.index("ghost")].sum() == pytest.approx(1.0)
-        assert not np.delete(o.derivative, CLASSES.index("ghost"), axis=0).any()
-
     def test_noise_of_a_sum(self) -> None:
-        o, value = self.evaluated("ratio", DENSE)
-        coefficients = np.zeros(DENSE.grid.shape)
+        o, coefficients = PstObservation(DENSE), np.zeros(DENSE.grid.shape)
         coefficients[3] = 1
         dr.backward(Metric(None, lambda seen: seen[0].value_at(35)).evaluate([o]))
         assert o.noise().se == pytest.approx(weighted_sum(DENSE, coefficients, "stray").se, rel=1e-12)
-        assert number(value) > 0
 
 
 @pytest.fixture(scope="module")
@@ -234,6 +222,7 @@ class TestMetrics:
 
     @pytest.mark.long
     def test_equal_runs_are_made_once(self, scene, monkeypatch: pytest.MonkeyPatch) -> None:
+        """As in test_metrics.py: of four metrics of a PST, one with other rays."""
         made: list[Any] = []
 
         def counted(*args: Any, **more: Any) -> Any:
@@ -247,17 +236,13 @@ class TestMetrics:
             "b": pst_bin(scene, 40, "total", pst_field_deg=np.array(angles), **TRACED),
             "mask": pst_mask(scene, angles, (1, 1), **TRACED),
             "other": pst_bin(scene, 20, pst_field_deg=angles, **TRACED | {"rays": 3000}),
-            "image": pst_bin(scene, 40, pst_field_deg=angles, **TRACED),
         }
-        merit = combine(parts, lambda m: m["a"] + m["b"] / m["mask"] + m["other"] * m["image"])
         values = {name: part.value() for name, part in parts.items()}
         made.clear()
-        expected = values["a"] + values["b"] / values["mask"] + values["other"] * values["image"]
+        merit = combine(parts, lambda m: m["a"] + m["b"] / m["mask"] + m["other"])
+        expected = values["a"] + values["b"] / values["mask"] + values["other"]
         assert merit.value() == pytest.approx(expected, rel=1e-12)
         assert sorted(made) == [3000, 20_000]
-        made.clear()
-        merit.value(2.0, seed=2)
-        assert sorted(made) == [6000, 40_000]
 
 
 class TestCoatings:
@@ -296,22 +281,20 @@ class TestRefusals:
             (lambda: pst_bin(scene, 20, ()), "no light is chosen; use total, stray"),
             (lambda: pst_bin(scene, 20, convention="both"), "convention is 'both'; choose from normal, projected"),
             (lambda: pst_bin(scene, 20, ray=3), "there is no setting 'ray'; did you mean 'rays'"),
-            (lambda: pst_bin(scene, 20, fields_deg=3), "there is no setting 'fields_deg'"),
             (lambda: pst_bin(scene, 20, method="forward"), "method of a PST metric is 'forward'; use 'joined'"),
             (lambda: pst_bin(scene, 20, relative_error=0.1), "relative_error is no setting of a PST metric"),
             (lambda: pst_bin(scene, 20, pst_field_deg=(40,), **TRACED).value(), "angle 20° is in no cell"),
+            (lambda: pst_bin(scene, (20, 40)), "field_deg is .20, 40.; it must lie between -90 and 90"),
             (lambda: pst_band(scene, 50, 20), "band from 50 to 20°; field angles must ascend"),
             (lambda: pst_band(scene, 20, 50, quantity="sum"), "quantity is 'sum'; choose from mean, integral"),
             (lambda: pst_band(scene, 20, 50, cell_deg=1.0), "cell_deg is given without pst_field_deg"),
             (lambda: pst_band(scene, 20, 50, pst_field_deg=80, **TRACED).value(), "no cell of the PST holds any of it"),
-            (lambda: pst_bin(scene, (20, 40)), "field_deg is .20, 40.; it must lie between -90 and 90"),
             (lambda: pst_mask(scene, 20, 1e-3, pst_field_deg=30), "leave out pst_field_deg"),
             (lambda: pst_mask(scene, (20, 40), (1e-3,)), "mask of 2 angles and 1 limits"),
             (lambda: pst_mask(scene, (20, 40), (1e-3, 0)), "limits is 0; it must lie between 1e-30"),
             (lambda: veiling_glare(scene, 5.0, place="map", **TRACED).value(), "place is 'map'; choose from mean"),
             (lambda: veiling_glare(scene, 95.0, **TRACED).value(), "patch of half-width 95°"),
-            (lambda: log(pst_bin(scene, 80, "direct", **TRACED)).value(), "its logarithm does not exist"),
-        ]  # fmt: skip
+        ]
         for call, message in refused:
             with pytest.raises(MistrayError, match=message):
                 call()

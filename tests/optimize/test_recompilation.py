@@ -15,7 +15,7 @@ from oracles.small_scenes import scene_text as small_text
 from oracles.small_scenes import shape_xml
 
 import mistray
-from mistray.optimize import Metric
+from mistray.optimize import Metric, optimize
 
 LITERAL = 0.25
 ABG = bsdf_xml("abg", A=2e-3, B=1e-3, g=1.8)
@@ -89,6 +89,29 @@ def test_numbers_are_data(load_scene: Callable[[str], Any], name: str) -> None:
     counts = changing(scene, metric, keys)
     assert counts[0] > 0
     assert counts[2:] == [0, 0, 0], counts
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("how", [{}, {"method": "adam", "seeds": "fresh"}])
+def test_no_step_of_a_search_compiles(how: dict[str, Any]) -> None:
+    """On the Cooke triplet: two terms of light at two fields, one of layers; none after the second step."""
+    given = {
+        "trace": {"field_deg": [0, 15], "wavelength_nm": [550], "rays": 200},
+        "term": [
+            {"kind": "path_power", "goal": "minimise"},
+            {"kind": "transmission", "goal": "at_least", "limit_of_start": 0.9},
+            {"kind": "total_thickness", "goal": "at_most", "limit": 300},
+        ],
+        "coating": [{"surfaces": "all", "preset": "bbar3", "thickness_nm": [10, 250]}],
+        "optimizer": {"starts": 1, "steps": 4, "tolerance": 0, **how},
+    }
+    new: list[int] = []
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        optimize("cooke_triplet", given, verification_seeds=2, progress=lambda step, start: new.append(new_kernels()))
+        dr.kernel_history_clear()
+    assert len(new) == 5
+    assert new[3:] == [0, 0], new
 
 
 def test_a_literal_is_counted() -> None:

@@ -1,16 +1,9 @@
-"""
-Coating gradients of scattered light, against central differences.
-
-With common random numbers where no random choice depends on the coating: one event and one lobe for each surface. Where
-a ray chooses between reflection and transmission, or between lobes, by what the coating gives them, both sides of the
-comparison have noise of their own and agree within it.
-"""
+"""Coating gradients of scattered light, against central differences; with common random numbers where they can be."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -20,6 +13,7 @@ from oracles.statistics import z_limit, z_score
 
 import mistray
 from mistray.optimize import gradient, path_power
+from mistray.optimize.scene_values import changed
 from mistray.recorders import adjoint
 
 BOTH = bsdf_xml("abg", A=2e-3, B=1e-3, g=1.8)
@@ -51,15 +45,12 @@ def scattered_power(scene: mi.Scene):
 
 
 def central_difference(scene: mi.Scene, key: str, step: float = 2e-3) -> float:
-    values = []
-    start = float(mi.traverse(scene)[key][0])
-    for sign in (1, -1, 0):
-        params = mi.traverse(scene)
-        params[key] = dr.opaque(mi.Float, start + sign * step)
-        params.update()
-        if sign:
+    params, values = mi.traverse(scene), []
+    start = float(params[key][0])
+    for sign in (1, -1):
+        with changed(params, {key: np.array([start + sign * step])}):
             trace = mistray.trace(scene, **SETTINGS)
-            values.append(sum(row.power_W for row in trace.paths if row.scatters) / trace.energy.launched_W)
+        values.append(sum(row.power_W for row in trace.paths if row.scatters) / trace.energy.launched_W)
     return (values[0] - values[1]) / (2 * step)
 
 
@@ -99,10 +90,8 @@ def test_where_choices_depend_on_the_coating(load_scene, model: str, key: str) -
     found = gradient(path_power(scene, lambda row: row.scatters > 0, **settings), mi.traverse(scene), [key])
     start, step, powers = float(mi.traverse(scene)[key][0]), 0.04, []
     for seed, sign in ((1, 1), (2, -1)):
-        params = mi.traverse(scene)
-        params[key] = dr.opaque(mi.Float, start + sign * step)
-        params.update()
-        trace = mistray.trace(scene, **settings, seed=seed)
+        with changed(mi.traverse(scene), {key: np.array([start + sign * step])}):
+            trace = mistray.trace(scene, **settings, seed=seed)
         power = trace.paths.power([row.path_id for row in trace.paths if row.scatters])
         powers.append([value / trace.energy.launched_W for value in power])
     expected = (powers[0][0] - powers[1][0]) / (2 * step)

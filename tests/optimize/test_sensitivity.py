@@ -97,50 +97,48 @@ class TestClosedForm:
         assert table.draws.percentile(50).value == pytest.approx(np.median(expected), rel=1e-4)
 
 
-def test_errors_of_the_rows(load_scene) -> None:
+@pytest.fixture(scope="module")
+def lens(load_scene) -> Any:
+    """A stop, a lens and a small detector that reflects."""
+    sides = (("front", 0.0, ("air", "1.5"), 0.02), ("rear", 3.0, ("1.5", "air"), -0.02))
+    return load_scene(
+        scene_text(
+            shape_xml("frustum", "stop", 14.0, r0=0.5, z0=0.0, r1=3.0, z1=0.0),
+            *(
+                shape_xml("asphere", name, z, interface_xml(*glass, R=0.05, T=0.9), curvature=c, semi_diameter=5.0)
+                for name, z, glass, c in sides
+            ),
+            shape_xml("asphere", "detector", 20.0, interface_xml(R=0.1), sensor=True, half_width=0.9, half_height=0.9),
+        )
+    )
+
+
+def test_errors_of_the_rows(lens: Any) -> None:
     """
     Over 16 seeds the relative changes spread as their errors say: the metric shares its rays with its derivatives.
 
     Variance ratio of 15 degrees of freedom within its quantiles 1e-5: false alarm 1e-4 for all. Added in quadrature the
     error of the metric made them 5 times too large.
     """
-    scene = load_scene(
-        scene_text(
-            shape_xml("frustum", "stop", 14.0, r0=0.5, z0=0.0, r1=3.0, z1=0.0),
-            shape_xml("asphere", "front", 0.0, interface_xml("air", "1.5", R=0.05, T=0.9), curvature=0.02,
-                      semi_diameter=5.0),
-            shape_xml("asphere", "rear", 3.0, interface_xml("1.5", "air", R=0.05, T=0.9), curvature=-0.02,
-                      semi_diameter=5.0),
-            shape_xml("asphere", "detector", 20.0, interface_xml(R=0.1), sensor=True, half_width=0.9, half_height=0.9),
-        )
-    )  # fmt: skip
-    params, keys = mi.traverse(scene), ["front.bsdf.R", "rear.bsdf.R", "rear.bsdf.T"]
+    params, keys = mi.traverse(lens), ["front.bsdf.R", "rear.bsdf.R", "rear.bsdf.T"]
     values, errors, apart = [], [], []
     for seed in range(16):
-        found = sensitivity(path_power(scene, "ghost", rays=2000, seed=seed), params, keys, check=False)
-        values.append([found[key].change.value for key in keys])
-        errors.append([found[key].change.se for key in keys])
-        apart.append([math.hypot(found[key].derivative.se / found[key].derivative.value,
-                                 found.value.se / found.value.value) * abs(found[key].change.value)
-                      for key in keys])  # fmt: skip
+        found = sensitivity(path_power(lens, "ghost", rays=2000, seed=seed), params, keys, check=False)
+        rows = [found[key] for key in keys]
+        values.append([row.change.value for row in rows])
+        errors.append([row.change.se for row in rows])
+        of_metric = found.value.se / found.value.value
+        apart.append(
+            [math.hypot(row.derivative.se / row.derivative.value, of_metric) * abs(row.change.value) for row in rows]
+        )
     ratio = np.var(values, axis=0, ddof=1) / np.mean(np.square(errors), axis=0)
     assert np.all((ratio > 0.1) & (ratio < 3.9)), ratio
     assert np.all(np.mean(errors, axis=0) < 0.5 * np.mean(apart, axis=0))
 
 
-def test_against_differences(load_scene) -> None:
+def test_against_differences(lens: Any) -> None:
     """The change per tolerance of a lens and its stop is that of traces with the same rays; 4.5 σ, false alarm 3e-5."""
-    scene = load_scene(
-        scene_text(
-            shape_xml("frustum", "stop", 14.0, r0=0.5, z0=0.0, r1=3.0, z1=0.0),
-            shape_xml("asphere", "front", 0.0, interface_xml("air", "1.5", R=0.05, T=0.9), curvature=0.02,
-                      semi_diameter=5.0),
-            shape_xml("asphere", "rear", 3.0, interface_xml("1.5", "air", R=0.05, T=0.9), curvature=-0.02,
-                      semi_diameter=5.0),
-            shape_xml("asphere", "detector", 20.0, sensor=True, half_width=0.9, half_height=0.9),
-        )
-    )  # fmt: skip
-    metric, params = path_power(scene, "ghost", rays=16_000), mi.traverse(scene)
+    metric, params = path_power(lens, "ghost", rays=16_000), mi.traverse(lens)
     keys = ["stop.r0", "rear.bsdf.R", "front.curvature"]
     found = sensitivity(metric, params, keys, check=False)
     for key in keys:
@@ -149,11 +147,9 @@ def test_against_differences(load_scene) -> None:
         for sign in (1, -1):
             with changed(params, {key: np.array([start + sign * step])}):
                 values.append(metric.value())
-        change = 10 * math.log(values[0] / values[1]) / 2
+        change, row = 10 * math.log(values[0] / values[1]) / 2, found[key].change
         # Differences see the rays at the rim that they move over: noise of its own, of about the same size
-        assert abs(found[key].change.value - change) < 4.5 * math.sqrt(2) * found[key].change.se + 1e-3 * abs(change), (
-            key
-        )
+        assert abs(row.value - change) < 4.5 * math.sqrt(2) * row.se + 1e-3 * abs(change), key
     assert found["stop.r0"].change.value > 3 * found["stop.r0"].change.se
     assert not np.isnan(found["stop.r0"].edge_check.value)
 
@@ -167,16 +163,12 @@ class TestLines:
     """What changes together for physical reasons."""
 
     def test_one_material_is_one_line(self, plate: Any) -> None:
-        found = sensitivity(path_power(plate, "direct", **SETTINGS), keys=["p0_front.bsdf.n_back_shift"], check=False)
-        (row,) = found.rows
-        assert row.label == "index of 1.5"
-        assert set(row.line.keys) == {"p0_front.bsdf.n_back_shift", "p0_rear.bsdf.n_front_shift"}
-
-    def test_the_glass_stays_whole(self, plate: Any) -> None:
         """Perturbed indices lose no light between the surfaces of a plate."""
         metric = path_power(plate, "direct", **SETTINGS)
         found = sensitivity(metric, keys=["p0_front.bsdf.n_*"], check=False, monte_carlo=2)
-        assert {row.label for row in found.rows} == {"index of 1.5", "index of air"}
+        lines = {row.label: set(row.line.keys) for row in found.rows}
+        assert set(lines) == {"index of 1.5", "index of air"}
+        assert lines["index of 1.5"] == {"p0_front.bsdf.n_back_shift", "p0_rear.bsdf.n_front_shift"}
         assert found.draws.ratios == pytest.approx([1.0, 1.0], rel=1e-5)
 
     def test_a_part_moves_as_a_whole(self, camera: Any) -> None:
@@ -213,7 +205,7 @@ def test_systems_that_cross_are_drawn_again(load_scene, monkeypatch: pytest.Monk
         sensitivity(metric, keys=["front.z", "rear.z"], check=False, monte_carlo=2)
 
 
-def test_a_table_has_all(table: Any) -> None:
+def test_a_table_has_all(plate: Any, table: Any) -> None:
     frame = table.to_pandas()
     assert list(frame.label) == [row.label for row in table.rows]
     assert frame.change_percent.iloc[0] == pytest.approx(20, rel=1e-4)
@@ -223,6 +215,8 @@ def test_a_table_has_all(table: Any) -> None:
     assert "p0_front.bsdf.R" in str(table)
     with pytest.raises(MistrayError, match="the table has no parameter 'nothing'"):
         table["nothing"]
+    params = mi.traverse(plate)
+    assert [float(params[key][0]) for key in (*RS, *TS)] == pytest.approx([R, R, T, T], rel=1e-6), "as they were"
 
 
 @pytest.mark.parametrize(
@@ -237,29 +231,15 @@ def test_a_table_has_all(table: Any) -> None:
         ({"together": ["p0_*"], "keys": None}, "parameters of several kinds"),
         ({"together": ["p0_*.R", "p0_front.bsdf.R"]}, "put it into one of them"),
         ({"together": ["detector.z"]}, "holds none of the parameters that were chosen"),
+        ({"selection": "single scatter"}, "the metric is 0, so that it has no relative change"),
+        ({"monte_carlo": 20, "tolerances": {"*.R": 1.0}}, r"perturbed system \d+: the metric is 0"),
     ],
 )
 def test_bad_input(plate: Any, change: dict[str, Any], words: str) -> None:
-    arguments = {"keys": RS, "check": False} | change
+    arguments = {"selection": "ghost", "keys": RS, "check": False} | change
+    metric = path_power(plate, arguments.pop("selection"), **SETTINGS)
     with pytest.raises(MistrayError, match=words):
-        sensitivity(path_power(plate, "ghost", **SETTINGS), **arguments)
-
-
-def test_a_metric_that_is_0(plate: Any) -> None:
-    with pytest.raises(MistrayError, match="the metric is 0, so that it has no relative change"):
-        sensitivity(path_power(plate, "single scatter", **SETTINGS), keys=RS)
-
-
-def test_a_system_without_light(plate: Any) -> None:
-    metric = path_power(plate, "ghost", **SETTINGS)
-    with pytest.raises(MistrayError, match=r"perturbed system \d+: the metric is 0"):
-        sensitivity(metric, keys=RS[:1], check=False, monte_carlo=20, tolerances={"*.R": 1.0})
-
-
-def test_the_scene_is_as_it_was(plate: Any, table: Any) -> None:
-    params = mi.traverse(plate)
-    assert [float(params[key][0]) for key in (*RS, *TS)] == pytest.approx([R, R, T, T], rel=1e-6)
-    assert dataclasses.is_dataclass(table)
+        sensitivity(metric, **arguments)
 
 
 class TestInTime:
@@ -289,15 +269,15 @@ class TestInTime:
         assert repr(found.together) == repr(table.together)  # with NaN
         assert found.not_traced == ()
 
-    @pytest.mark.parametrize(
-        ("change", "words"),
-        [({"rays": 128}, "settings.rays was 256 and is 128"), ({"selection": "all"}, "the metric was .* and is")],
-    )
-    def test_a_state_of_another_run(self, plate: Any, tmp_path: Path, change: dict[str, Any], words: str) -> None:
+    def test_a_state_of_another_run(self, plate: Any, tmp_path: Path) -> None:
         saved: dict[str, Any] = {"keys": RS, "check": False, "state": tmp_path / "state.npz"}
-        mistray.sensitivity(path_power(plate, **{"selection": "ghost", **SETTINGS}), **saved)
-        with pytest.raises(MistrayError, match=words):
-            mistray.sensitivity(path_power(plate, **{"selection": "ghost", **SETTINGS, **change}), resume=True, **saved)
+        mistray.sensitivity(path_power(plate, "ghost", **SETTINGS), **saved)
+        for selection, rays, words in (
+            ("ghost", 128, "rays was 256 and is 128"),
+            ("all", 256, "the metric was .* and"),
+        ):
+            with pytest.raises(MistrayError, match=words):
+                mistray.sensitivity(path_power(plate, selection, **SETTINGS | {"rays": rays}), resume=True, **saved)
 
     def test_what_has_no_time_is_listed(self, plate: Any, tmp_path: Path) -> None:
         """The closed form from fewer rays; systems that are not traced are not there; going on traces them."""

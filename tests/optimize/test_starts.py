@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -14,16 +12,17 @@ from mistray.optimize.study.study_scene import Placed, place
 from mistray.optimize.study.variables import Place, Variable, Variables
 
 
-class TestProxy:
-    def placed(self, layers: str, surfaces: Any, bounds: list[float]) -> Placed:
-        coating = {"surfaces": surfaces, "layers": layers, "thickness_nm": bounds}
-        study = {"term": [{"kind": "path_power", "goal": "minimise"}], "coating": [coating]}
-        (placed,) = place(mistray.load("cooke_triplet"), read_study(study))
-        return placed
+def placed_coating(layers: str, surfaces: list[str], bounds: list[float]) -> Placed:
+    coating = {"name": "AR", "surfaces": surfaces, "layers": layers, "thickness_nm": bounds}
+    study = {"term": [{"kind": "path_power", "goal": "minimise"}], "coating": [coating]}
+    (placed,) = place(mistray.load("cooke_triplet"), read_study(study))
+    return placed
 
+
+class TestProxy:
     def test_proxy_is_the_mean_square_of_R(self) -> None:
         """Against the coating's own response, from the air on both sides of a lens, whatever side is the front."""
-        placed = self.placed("1.38 90, 2.1 120", ["L1_front", "L1_rear"], [10.0, 200.0])
+        placed = placed_coating("1.38 90, 2.1 120", ["L1_front", "L1_rear"], [10.0, 200.0])
         proxy = Proxy.of(placed, (500.0, 600.0), (0.25, 0.75))
         stack = placed.stack((90.0, 120.0))
         expected = 0.0
@@ -36,7 +35,7 @@ class TestProxy:
 
     def test_minima(self) -> None:
         """Of one layer at one wavelength: odd quarter waves, the one next to the given design among them, each once."""
-        placed = self.placed("1.38 530", ["L1_front"], [20.0, 600.0])
+        placed = placed_coating("1.38 530", ["L1_front"], [20.0, 600.0])
         proxy = Proxy.of(placed, (550.0,), (1.0,))
         found = minima(proxy, placed.group.bounds_nm, np.array([530.0]), seed=0)
         quarter = min(d[0] for d in found)
@@ -68,15 +67,13 @@ class TestStarts:
         assert [start.x.tolist() for start in again[1:]] == [start.x.tolist() for start in others]
 
     def test_minima_of_coatings_leave_other_variables(self) -> None:
-        coating = {"name": "AR", "surfaces": ["L1_front"], "layers": "1.38 90", "thickness_nm": [10.0, 400.0]}
-        study = {"term": [{"kind": "path_power", "goal": "minimise"}], "coating": [coating]}
-        placed = place(mistray.load("cooke_triplet"), read_study(study))
-        given, *others = starts(self.variables(1), placed, (550.0,), (1.0,), 4, 0)
+        placed = placed_coating("1.38 90", ["L1_front"], [10.0, 400.0])
+        given, *others = starts(self.variables(1), (placed,), (550.0,), (1.0,), 4, 0)
         assert given.x.tolist() == [90.0, 12.0]
         assert 1 <= len(others) <= 3, "as many as there are minima"
         assert [start.x[1] for start in others] == [12.0] * len(others)
         first = others[0]
         grid = np.linspace(10.0, 400.0, 4001)
-        proxy = Proxy.of(placed[0], (550.0,), (1.0,))
+        proxy = Proxy.of(placed, (550.0,), (1.0,))
         assert first.x[0] == pytest.approx(grid[np.argmin(proxy(grid[:, None]))], abs=0.2)
         assert first.name == "minimum 1 of the mean square R"

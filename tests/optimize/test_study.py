@@ -42,6 +42,7 @@ GOOD: dict[str, Any] = {
 
 
 LIGHT = {"term": [{"kind": "path_power", "goal": "minimise"}]}
+EVERYWHERE = {**LIGHT, "coating": [{"surfaces": "all", "preset": "bbar3", "thickness_nm": [10, 200]}]}
 
 
 def changed(place: str, value: Any) -> dict[str, Any]:
@@ -93,28 +94,23 @@ class TestReading:
 
     def test_starts_and_methods(self) -> None:
         """Several starts with coatings, a method for limits with limits, unless the study says."""
-        assert read_study(GOOD).optimizer.starts == 4
         assert read_study(changed("optimizer.starts", 7)).optimizer.starts == 7
         study = changed("term", GOOD["term"][:1])
-        assert read_study(study).optimizer.method == "lbfgsb"
-        assert read_study(study).optimizer.patience == 2
+        assert (read_study(study).optimizer.method, read_study(study).optimizer.patience) == ("lbfgsb", 2)
         del study["coating"]
         assert read_study(study).optimizer.starts == 1
-        assert read_study(changed("optimizer.method", "lbfgsb")).optimizer.method == "lbfgsb"
-        assert read_study(changed("optimizer.method", "adam")).optimizer.patience == 10
+        adam = read_study(changed("optimizer.method", "adam")).optimizer
+        assert (adam.method, adam.patience) == ("adam", 10)
 
-    def test_an_entry_of_a_list(self) -> None:
+    def test_short_forms(self) -> None:
+        """An entry of a list, a range of wavelengths, a thickness in waves of design_nm."""
         (group, _) = read_study(changed("variable.0.parameters", ["AR.thickness_nm[2]", "vane_[12].r0"])).variables
         assert group.parameters == (Moved("AR.thickness_nm", 2), Moved("vane_[12].r0"))
-
-    def test_a_range_of_wavelengths(self) -> None:
         study = changed("trace.wavelength_nm", {"start": 450, "stop": 500, "step": 12.5})
         del study["trace"]["weights"]
         assert read_study(study).terms[0].traced["wavelength_nm"] == (450.0, 462.5, 475.0, 487.5, 500.0)
-
-    def test_the_file_of_the_example(self) -> None:
-        study = read_study(ROOT / "examples" / "triplet_ar.toml")
-        assert [group.name for group in study.coatings] == ["crown", "flint"]
+        study["coating"][0] |= {"design_nm": 600.0, "layers": "1.5 0.25w"}
+        assert read_study(study).coatings[0].start.layers[0].thickness_nm == pytest.approx(100.0)
 
     def test_the_studies_of_the_docs(self) -> None:
         text = (ROOT / "docs" / "optimization.md").read_text(encoding="utf-8")
@@ -122,6 +118,10 @@ class TestReading:
         assert len(blocks) >= 2
         for block in blocks:
             read_study(tomllib.loads(block))
+        assert [group.name for group in read_study(ROOT / "examples" / "triplet_ar.toml").coatings] == [
+            "crown",
+            "flint",
+        ]
 
     def test_every_key_is_in_the_docs(self) -> None:
         text = (ROOT / "docs" / "optimization.md").read_text(encoding="utf-8")
@@ -131,11 +131,6 @@ class TestReading:
         assert named == {f"{section}.{key}" for section, known in keys.items() for key in known}
         for kind in KINDS:
             assert f"| `{kind}` |" in text, kind
-
-    def test_a_thickness_in_waves_is_meant_at_design_nm(self) -> None:
-        study = changed("coating.0.design_nm", 600.0)
-        study["coating"][0]["layers"] = "1.5 0.25w"
-        assert read_study(study).coatings[0].start.layers[0].thickness_nm == pytest.approx(100.0)
 
     def test_materials_are_sought_beside_the_study(self, tmp_path: Path) -> None:
         (tmp_path / "film.csv").write_text("wavelength_nm,n,k\n400,1.4,0\n700,1.4,0\n")
@@ -182,100 +177,58 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("place", "value", "message"),
         [
-            ("metric", {}, "metric is unknown; choose from trace, term, variable, coating, optimizer"),
             ("optimiser", {}, "optimiser is unknown; did you mean 'optimizer'?"),
             ("optimizer", 3, r"optimizer is 3; write a section \[optimizer\]"),
             ("term", [], r"term is missing, or all are about layers alone; add a section \[\[term\]\] about light"),
             ("term", {"a": 1}, r"term is no list of sections; write each one as \[\[term\]\]"),
             ("term.0.kind", "path_pwer", r"term\[1\]\.kind is 'path_pwer'; did you mean 'path_power'\?"),
             ("term.0.kind", None, r"term\[1\]\.kind is missing; choose from path_power, ghost_to_signal"),
-            ("term.0.goal", None, r"term\[1\]\.goal is missing; it must be one of minimise, at_least, at_most, keep"),
-            ("term.0.goal", "minimize", r"term\[1\]\.goal is 'minimize'; did you mean 'minimise'\?"),
-            ("term.0.wieght", 2, r"term\[1\]\.wieght is unknown; did you mean 'weight'\?"),
-            ("term.0.low_deg", 2, r"term\[1\]\.low_deg is unknown"),
             ("term.0.weight", 0, r"term\[1\]\.weight is 0; it must lie between 1e-30"),
             ("term.0.limit", 1, r"term\[1\]\.limit has no meaning with goal = \"minimise\"; remove it"),
             ("term.1.limit", None, r"term\[2\]\.limit is missing; with goal = \"at_least\" give limit or"),
             ("term.1.limit_of_start", 1, r"term\[2\]\.limit_of_start is one limit too many; with goal"),
-            ("term.1.limit", float("nan"), r"term\[2\]\.limit is nan; it must lie between"),
-            ("term.0.floor_of_start", -1, r"term\[1\]\.floor_of_start is -1; it must lie between 1e-30"),
-            (
-                "term.1.floor_of_start",
-                0.1,
-                r"term\[2\]\.floor_of_start has no meaning with goal = \"at_least\"; remove",
-            ),
-            ("term.1.tolerance", -1, r"term\[2\]\.tolerance is -1; it must lie between 1e-30"),
+            ("term.1.floor_of_start", 0.1, r"term\[2\]\.floor_of_start has no meaning with goal = \"at_least\""),
             ("term.2.low_deg", None, r"term\[3\]\.low_deg is missing; kind = 'pst_band' needs it"),
             ("term.2.low_deg", 80, r"term\[3\]\.\(kind 'pst_band'\): band from 80 to 80°"),
             ("term.2.low_deg", "x", r"term\[3\]\.\(kind 'pst_band'\): its arguments do not fit: "),
-            ("term.2.light", "gost", r"light 'gost' does not exist; did you mean 'ghost'"),
-            ("term.2.field_deg", [1], r"term\[3\]\.field_deg is unknown"),
             ("term.3.coatings", ["c"], r"term\[4\]\.coatings names 'c'; choose from a, b"),
             ("term.3.coatings", "a", r"term\[4\]\.coatings is 'a'; give a list of names"),
             ("term.3.rays", 9, r"term\[4\]\.rays is unknown"),
             ("term.1.name", "ghosts", r"term\.name 'ghosts' is given twice"),
-            ("trace.ray", 3, "trace\\.ray is unknown; did you mean 'rays'?"),
             ("trace.seed", 3, "trace\\.seed is unknown"),
             ("trace.field_deg", [0, 90], "angles lie between -90 and 90 degrees"),
             ("trace.field_deg", ["x"], r"trace\.field_deg is \['x'\]; give a number or a list"),
-            ("trace.field_deg", [], r"trace\.field_deg is \[\]; give a number or a list"),
             ("trace.field_deg", [float("nan")], "the numbers must be finite"),
             ("trace.wavelength_nm", [500, 500], "give positive numbers in nm, each once"),
             ("trace.wavelength_nm", {"start": 450, "stop": 500}, r"trace\.wavelength_nm has no step"),
             ("trace.wavelength_nm", {"start": 500, "stop": 450, "step": 5}, "stop must not be below start"),
-            ("trace.wavelength_nm", {"start": 5, "stop": 9, "step": 5, "end": 1}, r"wavelength_nm\.end is unknown"),
             ("trace.weights", [1.0], r"trace\.weights has 1 entries for 2 wavelength_nm"),
             ("trace.weights", [1, 0], r"trace\.weights is \[1\.0, 0\.0\]; weights are greater than 0"),
-            ("trace.rays", 0, r"term\[1\]\.\(kind 'path_power'\): rays is 0; it must be"),
-            ("trace.rays", 1.5, r"rays is 1\.5; it must be a whole number"),
-            ("trace.flux_threshold", -1, r"flux_threshold is -1; it must lie between 0 and 1"),
-            ("coating", {"a": 1}, r"coating is no list of sections; write each one as \[\[coating\]\]"),
-            ("coating.1.name", "a", "'a' is given twice"),
             ("coating.0.name", "", r"coating\[1\]\.name is ''"),
-            ("coating.0.surface", "all", r"coating\[1\]\.surface is unknown; did you mean 'surfaces'\?"),
             ("coating.0.surfaces", None, r"coating\[1\]\.surfaces is None; give a list of shape ids"),
             ("coating.0.surfaces", ["x", "x"], r"coating\[1\]\.surfaces is \['x', 'x'\]; name every surface once"),
             ("coating.0.layers", None, r"coating\[1\] has no start design; give layers or preset"),
             ("coating.0.preset", "bbar3", r"coating\[1\] has layers and preset; give layers or preset"),
             ("coating.0.layers", "MgF2", r"coating\[1\]\.layers: .*has no material and thickness"),
-            ("coating.0.layers", 7, r"coating\[1\]\.layers is 7; it must be text"),
-            ("coating.0.first", "top", r"coating\[1\]\.layers: .*first = 'top'"),
             ("coating.1.first", "back", r"coating\[2\]\.first stands beside a preset"),
             ("coating.1.preset", "bbar9", r"coating\[2\]\.preset: coating preset 'bbar9' is unknown"),
             ("coating.1.preset", "protected_al", r"coating\[2\]\.preset is 'protected_al', a mirror"),
             ("coating.0.design_nm", 0, r"coating\[1\]\.design_nm is 0"),
             ("coating.0.thickness_nm", None, r"coating\[1\]\.thickness_nm is None; give \[low, high\]"),
-            ("coating.0.thickness_nm", [20, 20], "low must be at least 0 and less than high"),
             ("coating.0.thickness_nm", [-5, 200], "low must be at least 0 and less than high"),
             ("coating.0.thickness_nm", [120, 200], r"but layer 1 \(MgF2\) starts with 99\.\d+ nm; widen the bounds"),
             ("coating.1.thickness_nm", [[1, 200], [1, 200]], "has 2 pairs for 3 layers"),
-            ("variable.0.parameters", None, r"variable\[1\]\.parameters is missing; give keys or patterns"),
             ("variable.0.parameters", [], r"variable\[1\]\.parameters is empty; give keys or patterns"),
             ("variable.0.parameters", [3], r"variable\[1\]\.parameters has the entry 3; give text, or"),
-            (
-                "variable.0.parameters",
-                [{"key": "x", "factr": 1}],
-                r"parameters\.factr is unknown; did you mean 'factor'",
-            ),
             ("variable.0.parameters", [{"key": "x", "factor": 0}], r"parameters\.factor is 0; the parameter would not"),
             ("variable.0.parameters", [{"factor": 2}], r"variable\[1\]\.parameters\.key is missing; it must be text"),
-            ("variable.0.low", None, r"variable\[1\]\.low is missing; it must lie between"),
-            ("variable.0.low", 9, r"variable\[1\]\.low is 9 and high is 9; low must be less than high"),
             ("variable.0.high", 4, r"variable\[1\]\.low is 5 and high is 4; low must be less than high"),
-            ("variable.0.high", float("nan"), r"variable\[1\]\.high is nan; it must lie between"),
             ("variable.0.scale", "log", r"variable\[1\]\.parameters has a factor; with scale = \"log\""),
             ("variable.1.low", 0, r"variable\[2\]\.low is 0; with scale = \"log\" it must be greater than 0"),
-            ("variable.0.scale", "cubic", r"variable\[1\]\.scale is 'cubic'; choose from linear, log"),
             ("variable.0.each", 1, r"variable\[1\]\.each is 1; it must be true or false"),
-            ("variable.0.parameter", "x", r"variable\[1\]\.parameter is unknown; did you mean 'parameters'\?"),
-            ("optimizer.starts", 0, r"optimizer\.starts is 0; it must be a whole number between 1 and 100"),
-            ("optimizer.stepps", 0, r"optimizer\.stepps is unknown; did you mean 'steps'\?"),
-            ("optimizer.method", "adma", r"optimizer\.method is 'adma'; did you mean 'adam'\?"),
             ("optimizer.seeds", "fresh", r"optimizer\.seeds is .fresh., which method = \"sqp\" cannot work with"),
             ("optimizer.decay", 0.9, r"optimizer\.decay has no meaning with method = \"sqp\"; remove it"),
-            ("optimizer.algorithm", "LD_MMA", r"optimizer\.algorithm has no meaning with method"),
             ("optimizer.seed", True, r"optimizer\.seed is True; it must be a whole number"),
-            ("optimizer.tolerance", "small", r"optimizer\.tolerance is 'small'; it must lie between 0 and 1"),
         ],
     )
     def test_one_line_with_key_and_remedy(self, place: str, value: Any, message: str) -> None:
@@ -289,32 +242,25 @@ class TestRefusals:
         del study["coating"], study["variable"]
         with pytest.raises(MistrayError, match=r"study: variable is missing: nothing may change; add a section"):
             read_study(study)
-        study = changed("coating", None)
         with pytest.raises(MistrayError, match=r"term\[4\] of kind 'layer_minimum' is about layers"):
-            read_study(study)
+            read_study(changed("coating", None))
 
     def test_files(self, tmp_path: Path) -> None:
         file = tmp_path / "study.toml"
         with pytest.raises(MistrayError, match=r"study '.*study\.toml': No such file"):
             read_study(file)
-        file.write_text("[trace]\nrays = = 3\n")
-        with pytest.raises(MistrayError, match=r"study '.*study\.toml': .*line 2.*"):
-            read_study(file)
-        file.write_text("[trace]\nrays = 3\n")
-        with pytest.raises(MistrayError, match=r"study '.*study\.toml': term is missing"):
-            read_study(file)
+        for text, message in (("[trace]\nrays = = 3\n", ".*line 2.*"), ("[trace]\nrays = 3\n", "term is missing")):
+            file.write_text(text)
+            with pytest.raises(MistrayError, match=rf"study '.*study\.toml': {message}"):
+                read_study(file)
 
 
 class TestSurfaces:
     def test_all(self, scene: Any) -> None:
-        study = read_study({**LIGHT, "coating": [{"surfaces": "all", "preset": "bbar3", "thickness_nm": [10, 200]}]})
-        (placed,) = place(scene, study)
+        (placed,) = place(scene, read_study(EVERYWHERE))
         assert set(placed.surfaces) == {f"L{k}_{side}" for k in (1, 2, 3) for side in ("front", "rear")}
         assert set(placed.glasses) == {
-            ("air", "N-LAK9"),
-            ("N-LAK9", "air"),
-            ("air", "N-SF5"),
-            ("N-SF5", "air"),
+            pair for glass in ("N-LAK9", "N-SF5") for pair in (("air", glass), (glass, "air"))
         }
 
     @pytest.mark.parametrize(
@@ -322,8 +268,7 @@ class TestSurfaces:
     )
     def test_all_are_no_cemented_surfaces_and_no_bevels(self, name: str, left_out: set[str]) -> None:
         scene = mistray.load(name)
-        study = read_study({**LIGHT, "coating": [{"surfaces": "all", "preset": "bbar3", "thickness_nm": [10, 200]}]})
-        (placed,) = place(scene, study)
+        (placed,) = place(scene, read_study(EVERYWHERE))
         assert left_out <= {shape.id() for shape in scene.shapes()}
         assert not left_out & set(placed.surfaces)
         assert {"L1_front", "L1_rear", "L2_front"} <= set(placed.surfaces)
@@ -333,7 +278,6 @@ class TestSurfaces:
         [
             (["L2_front", "L9"], "coating 'b': the scene has no surface 'L9'; choose from L1_front"),
             (["detector"], "coating 'b': surface 'detector' is opaque or a mirror"),
-            (["L1_front"], "coating 'b': surface 'L1_front' has the coating 'a' already"),
             ("all", "coating 'b': surface 'L1_front' has the coating 'a' already"),
         ],
     )
@@ -354,6 +298,3 @@ class TestSurfaces:
         study["term"][0]["goal"], study["term"][1] = "keep", {**study["term"][1], "goal": "minimise"}
         del study["term"][1]["limit"]
         assert band(scene, read_study(study)) == ((450.0,), (1.0,))
-
-    def test_without_coatings(self, scene: Any) -> None:
-        assert place(scene, read_study({**LIGHT, "variable": GOOD["variable"]})) == ()

@@ -1,10 +1,8 @@
 """
 The whole derivative of a detected power, what rims cut included, against differences of full traces.
 
-A double Gauss that its stop and the rims of its lenses clip. Both sides are random: the gradient with zones at rims of
-two widths, and differences of traces with common random numbers. They must agree within three of their combined
-standard errors, at either width. False-alarm probability of a comparison 0.3 %, of all eight together 2 %; seeds are
-fixed.
+Within three combined standard errors at either width of the zones at rims: a false alarm of 0.3 % for a comparison, 2 %
+for all eight together; seeds are fixed.
 """
 
 from __future__ import annotations
@@ -18,6 +16,7 @@ import pytest
 
 import mistray
 from mistray.optimize import path_power
+from mistray.optimize.scene_values import changed
 from mistray.recorders.sampled import batch_error
 from mistray.settings import BATCHES
 
@@ -51,21 +50,14 @@ def by_batch(scene: Any) -> np.ndarray:
 @pytest.fixture(scope="module")
 def differences(scene: Any) -> dict[str, tuple[float, float]]:
     """Name of a direction → difference of traces over twice the step, and its standard error."""
-    found = {}
-    params = mi.traverse(scene)
+    found, params = {}, mi.traverse(scene)
     for name, (keys, step) in DIRECTIONS.items():
-        before = {key: float(params[key][0]) for key in keys}
-        powers, width = [], 0.0
+        powers, places = [], []
         for sign in (1, -1):
-            for key in keys:
-                params[key] = mi.Float(before[key] + sign * step)
-            params.update()
-            powers.append(by_batch(scene))
-            width += sign * (float(params[keys[0]][0]) - before[keys[0]])
-        for key in keys:
-            params[key] = mi.Float(before[key])
-        params.update()
-        slopes = (powers[0] - powers[1]) / width
+            with changed(params, {key: np.array([float(params[key][0]) + sign * step]) for key in keys}):
+                powers.append(by_batch(scene))
+                places.append(float(params[keys[0]][0]))
+        slopes = (powers[0] - powers[1]) / (places[0] - places[1])
         found[name] = float(slopes.sum()), float(batch_error(slopes, np.ones(BATCHES)))
     return found
 

@@ -3,26 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
 from pathlib import Path
-from typing import Any
 
 import pytest
+from example_scripts import EXAMPLES, script
 
 import mistray
 from mistray.optimize import compare, measure, optimize, read_study
 from mistray.report.optimization import write_optimization
-
-EXAMPLES = Path(__file__).parents[2] / "examples"
-
-
-def script() -> Any:
-    """The script as a module."""
-    spec = importlib.util.spec_from_file_location("triplet_ar", EXAMPLES / "triplet_ar.py")
-    assert spec is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)  # type: ignore[union-attr]
-    return module
 
 
 @pytest.mark.slow
@@ -46,7 +34,7 @@ def test_ratios_on_other_seeds_and_wavelengths(tmp_path: Path) -> None:
     layers = {name: len(result.thickness_nm(name)) for name in ("crown", "flint")}
     assert layers == {"crown": 3, "flint": 3}, "as many layers as the preset"
 
-    against_mgf2 = script().against_quarter_wave(scene_file)
+    against_mgf2 = script("triplet_ar").against_quarter_wave(scene_file)
     fields = [row for row in against_mgf2.marginals() if row.wavelength_nm is None]
     assert [row.field_deg for row in fields] == [None, 0.0, 10.0, 20.0]
     for row in fields:

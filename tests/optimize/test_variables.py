@@ -48,6 +48,9 @@ def variables(*sections: dict[str, Any], coatings: dict[str, str] | None = None,
     return find_variables(read_study(content), VALUES, known(), coatings or {})
 
 
+VANE = "vane_1.r0"
+
+
 class TestOne:
     def test_linear(self) -> None:
         found = variables({"parameters": "vane_1.r0", "low": 10, "high": 14})
@@ -68,13 +71,11 @@ class TestOne:
             slope = (found.values(y + 1e-6) - found.values(y - 1e-6)) / 2e-6
             assert found.stretch([x]) == pytest.approx(slope, rel=1e-6)
 
-    def test_values_stay_within_the_bounds(self) -> None:
-        """Whatever rounding does: a plugin may refuse what lies beyond."""
+    def test_ends_but_for_their_rounding(self) -> None:
+        """A plugin may refuse what lies beyond."""
         found = variables({"parameters": "paint.A", "low": 1e-3, "high": 3e-3, "scale": "log"})
         for y in np.linspace(-0.1, 1.1, 97):
             assert 1e-3 <= found.values(np.array([y]))[0] <= 3e-3
-
-    def test_start_at_a_bound_but_for_its_rounding(self) -> None:
         found = variables({"parameters": "vane_1.r0", "low": 11 + 1e-7, "high": 14})
         assert found.shares(found.start) == pytest.approx([0.0])
 
@@ -97,12 +98,8 @@ class TestGroups:
 
     def test_factors(self) -> None:
         """A symmetric lens: the other surface bends the other way; the bounds hold for both."""
-        section = {
-            "parameters": ["lens_front.curvature", {"key": "lens_rear.curvature", "factor": -1}],
-            "low": 0.01,
-            "high": 0.05,
-        }
-        found = variables(section)
+        both = ["lens_front.curvature", {"key": "lens_rear.curvature", "factor": -1}]
+        found = variables({"parameters": both, "low": 0.01, "high": 0.05})
         moved = found.parameters([0.03])
         assert (moved["lens_front.curvature"][0], moved["lens_rear.curvature"][0]) == pytest.approx((0.03, -0.03))
         slope = found.slope({"lens_front.curvature": np.array([2.0]), "lens_rear.curvature": np.array([5.0])}, [0.03])
@@ -154,70 +151,49 @@ class TestTogether:
         params = mi.traverse(scene)
         return params, parameters(scene, params)
 
-    def found(self, triplet: tuple[Any, dict[str, Parameter]], name: str) -> Variables:
-        variable = {"parameters": name, "low": -0.01, "high": 0.01}
-        study = {"term": [{"kind": "path_power", "goal": "minimise"}], "variable": [variable]}
-        return find_variables(read_study(study), *triplet, {})
+    def keys(self, triplet: tuple[Any, dict[str, Parameter]], name: str) -> set[str]:
+        section = {"parameters": name, "low": -0.01, "high": 0.01}
+        study = {"term": [{"kind": "path_power", "goal": "minimise"}], "variable": [section]}
+        (variable,) = find_variables(read_study(study), *triplet, {}).variables
+        return {place.key for place in variable.places}
 
-    def test_an_index(self, triplet: tuple[Any, dict[str, Parameter]]) -> None:
-        (variable,) = self.found(triplet, "N-SF5.index").variables
-        keys = {place.key for place in variable.places}
-        assert {"L2_front.bsdf.n_back_shift", "L2_rear.bsdf.n_front_shift"} <= keys
-        assert not [key for key in keys if not key.startswith("L2")]
-
-    def test_a_part(self, triplet: tuple[Any, dict[str, Parameter]]) -> None:
-        (variable,) = self.found(triplet, "L1.z").variables
-        assert {"L1_front.z", "L1_rear.z"} <= {place.key for place in variable.places}
-
-    def test_an_index_at_one_surface(self, triplet: tuple[Any, dict[str, Parameter]]) -> None:
-        with pytest.raises(
-            MistrayError, match=r'variable\[1\]: it changes the index .* write parameters = "N-SF5\.index"'
-        ):
-            self.found(triplet, "L2_rear.bsdf.n_front_shift")
+    def test_what_belongs_together(self, triplet: tuple[Any, dict[str, Parameter]]) -> None:
+        index = self.keys(triplet, "N-SF5.index")
+        assert {"L2_front.bsdf.n_back_shift", "L2_rear.bsdf.n_front_shift"} <= index
+        assert all(key.startswith("L2") for key in index)
+        assert {"L1_front.z", "L1_rear.z"} <= self.keys(triplet, "L1.z")
+        message = r'variable\[1\]: it changes the index .* write parameters = "N-SF5\.index"'
+        with pytest.raises(MistrayError, match=message):
+            self.keys(triplet, "L2_rear.bsdf.n_front_shift")
 
 
-class TestRefusals:
-    @pytest.mark.parametrize(
-        ("section", "message"),
-        [
-            ({"parameters": "vane_1.r1"}, r"variable\[1\]\.parameters: .*'vane_1\.r1'.*vane_1\.r0"),
-            ({"parameters": "van_*.r0"}, r"variable\[1\]\.parameters: .*'van_\*\.r0'"),
-            (
-                {"parameters": "AR.thickness_nm[3]"},
-                r"variable\[1\]\.parameters: 'AR\.thickness_nm' has no entry 3; its entries are 0 to 2",
-            ),
-            (
-                {"parameters": "vane_1.r0", "low": 12},
-                r"variable\[1\]: low … high is 12 … 100 mm, but vane_1\.r0\[0\] starts with 11; widen the bounds",
-            ),
-            (
-                {"parameters": {"key": "lens_rear.curvature", "factor": -1}, "low": 0.03, "high": 0.1},
-                r"lens_rear\.curvature\[0\] starts with -0\.02, over its factor 0\.02; widen",
-            ),
-            (
-                {"parameters": "vane_1.r0", "low": -5},
-                r"low … high is -5 … 100 mm, but vane_1\.r0\[0\] lies between 0 and 1000; narrow the bounds",
-            ),
-            ({"parameters": ["vane_1.r0", "AR.thickness_nm"]}, "have the units mm, nm; give each unit a variable"),
-            (
-                {"parameters": "vane_*.r0", "low": 11, "high": 14},
-                r"its parameters start from 11 to 14, as far apart as low and high; .* or set each = true",
-            ),
-            (
-                {"parameters": "window.z", "low": 1e-3, "scale": "log"},
-                r"window\.z\[0\] starts with 0; widen the bounds",
-            ),
-        ],
-    )
-    def test_one_line(self, section: dict[str, Any], message: str) -> None:
-        with pytest.raises(MistrayError, match=message) as caught:
-            variables(section)
-        assert "\n" not in str(caught.value)
-        assert str(caught.value).startswith("study 'study': variable[1]")
-
-    def test_moved_twice(self) -> None:
-        sections = {"parameters": "vane_1.r0"}, {"parameters": "vane_*.r0", "name": "vanes"}
-        with pytest.raises(MistrayError, match=r"'vane_1\.r0' and 'vanes' both move vane_1\.r0\[0\]"):
-            variables(*sections)
-        with pytest.raises(MistrayError, match="two variables are called 'x'"):
-            variables({"parameters": "vane_1.r0", "name": "x"}, {"parameters": "vane_2.r0", "name": "x"})
+@pytest.mark.parametrize(
+    ("sections", "message"),
+    [
+        ([{"parameters": "vane_1.r1"}], r"variable\[1\]\.parameters: .*'vane_1\.r1'.*vane_1\.r0"),
+        ([{"parameters": "van_*.r0"}], r"variable\[1\]\.parameters: .*'van_\*\.r0'"),
+        ([{"parameters": "AR.thickness_nm[3]"}], r"'AR\.thickness_nm' has no entry 3; its entries are 0 to 2"),
+        ([{"parameters": VANE, "low": 12}], r"low … high is 12 … 100 mm, but vane_1\.r0\[0\] starts with 11; widen"),
+        (
+            [{"parameters": {"key": "lens_rear.curvature", "factor": -1}, "low": 0.03, "high": 0.1}],
+            r"lens_rear\.curvature\[0\] starts with -0\.02, over its factor 0\.02; widen",
+        ),
+        ([{"parameters": VANE, "low": -5}], r"-5 … 100 mm, but vane_1\.r0\[0\] lies between 0 and 1000; narrow"),
+        ([{"parameters": [VANE, "AR.thickness_nm"]}], "have the units mm, nm; give each unit a variable"),
+        (
+            [{"parameters": "vane_*.r0", "low": 11, "high": 14}],
+            r"its parameters start from 11 to 14, as far apart as low and high; .* or set each = true",
+        ),
+        ([{"parameters": "window.z", "low": 1e-3, "scale": "log"}], r"window\.z\[0\] starts with 0; widen the bounds"),
+        (
+            [{"parameters": VANE}, {"parameters": "vane_*.r0", "name": "vanes"}],
+            r"'vane_1\.r0' and 'vanes' both move vane_1\.r0\[0\]",
+        ),
+        ([{"parameters": f"vane_{k}.r0", "name": "x"} for k in (1, 2)], "two variables are called 'x'"),
+    ],
+)
+def test_refusals(sections: list[dict[str, Any]], message: str) -> None:
+    with pytest.raises(MistrayError, match=message) as caught:
+        variables(*sections)
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith("study 'study': ")

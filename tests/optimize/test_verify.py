@@ -77,8 +77,7 @@ class TestRows:
         values = {cell: value for cell, value in levels.values.items() if not cell.whole}
         assert np.all(np.isfinite(levels.of("ghost_rms_irradiance")))
         assert any(np.isnan(value).any() for value in values.values())
-        comparison = compare(levels, levels)
-        assert {row.ratio for row in comparison.rows if np.isfinite(row.ratio)} == {1.0}
+        assert {row.ratio for row in compare(levels, levels).rows if np.isfinite(row.ratio)} == {1.0}
         assert measure(scene, study({**term, "selection": "structure"}), seeds=2).of(term["kind"]).tolist() == [0, 0]
         beside = measure(
             scene, study({"kind": "rms_spot", "goal": "minimise", "rays": 300, "field_deg": [80]}), seeds=2
@@ -130,12 +129,15 @@ class TestErrors:
             assert abs(getattr(one, key) - getattr(two, key)) < 5 * error, key
         assert one.ratio_se / one.ratio < 0.5 * one.before_se / one.before
 
-    def test_different_measurements(self, tmp_path: Path) -> None:
-        scene = plate(tmp_path, 0.05)
-        read = study(GHOSTS, rays=64)
-        with pytest.raises(MistrayError, match="differ in seeds"):
-            compare(measure(scene, read, 2), measure(scene, read, 3))
-        with pytest.raises(MistrayError, match="differ in terms"):
-            compare(measure(scene, read, 2), measure(scene, study({**GHOSTS, "name": "x"}, rays=64), 2))
-        with pytest.raises(MistrayError, match="seeds is 1"):
-            measure(scene, read, 1)
+
+def test_different_measurements(tmp_path: Path) -> None:
+    scene, read = plate(tmp_path, 0.05), study(GHOSTS, rays=64)
+    one = measure(scene, read, 2)
+    for other, message in (
+        (measure(scene, read, 3), "differ in seeds"),
+        (measure(scene, study({**GHOSTS, "name": "x"}, rays=64), 2), "differ in terms"),
+    ):
+        with pytest.raises(MistrayError, match=message):
+            compare(one, other)
+    with pytest.raises(MistrayError, match="seeds is 1"):
+        measure(scene, read, 1)

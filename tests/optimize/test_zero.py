@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from oracles.small_scenes import plates_text, scene_text, shape_xml, write
 
-from mistray.errors import MistrayError
 from mistray.optimize import optimize
 from mistray.report.optimization import write_optimization
 from mistray.report.optimization_tables import optimization_record, report_text
@@ -71,11 +70,6 @@ def test_zero_reflectance_of_a_coating(tmp_path: Path) -> None:
     result = optimize(write(tmp_path, plates_text(1)), coated, verification_seeds=2)
     assert result.thickness_nm("AR") == pytest.approx([550 / 4 / index], abs=0.1)
     assert np.isfinite(result.best.merit)
-
-
-def test_a_term_that_is_zero_at_the_start_is_refused(beam: Path) -> None:
-    with pytest.raises(MistrayError, match="term 'path_power': its value is 0 at the start"):
-        optimize(beam, study({"kind": "path_power", "selection": "ghost"}))
 
 
 def test_a_point_without_a_merit_ends_the_search_and_keeps_its_steps(beam: Path) -> None:
