@@ -42,6 +42,11 @@ ROOF = -0.9 * 10 / (25 * math.pi)  # R times the length of the ridge in the beam
 Make = Callable[[float], Any]
 
 
+def system(surfaces: Sequence[Surface], detector: Detector, source: Source = BEAM, **more: Any) -> Any:
+    """The scene of some surfaces in a beam."""
+    return Prescription(name="one", surfaces=tuple(surfaces), detector=detector, source=source, **more).to_scene()
+
+
 def roof(step: float = 0.0, tilt: float = 0.0) -> Any:
     """A mirror roof, its ridge in the beam; what one side reflects goes up to the detector."""
     faces = prism(
@@ -49,7 +54,7 @@ def roof(step: float = 0.0, tilt: float = 0.0) -> Any:
         coatings={"top": MIRROR, "bottom": MIRROR, "base": BLACK}, mirrors=("top", "bottom"),
     )  # fmt: skip
     faces = moved_as_one(faces, y=step, tilt_deg=(tilt, 0.0, 0.0))
-    return Prescription(name="roof", surfaces=faces, detector=ABOVE, source=BEAM).to_scene()
+    return system(faces, ABOVE)
 
 
 def inclined(name: str, sign: float) -> Surface:
@@ -63,20 +68,20 @@ def inclined(name: str, sign: float) -> Surface:
 
 def two_mirrors(step: float = 0.0) -> Any:
     faces = moved_as_one([inclined("top", 1.0), inclined("bottom", -1.0)], y=step)
-    return Prescription(name="two", surfaces=faces, detector=ABOVE, source=BEAM).to_scene()
+    return system(faces, ABOVE)
 
 
 def turned_box(step: float = 0.0) -> Any:
     side = 10 * math.sqrt(2)
     faces = moved_as_one(box("P", (20.0, side, side), coating=MIRROR), tilt_deg=(45.0, 0.0, 0.0))
     faces = moved_as_one(faces, y=step, z=10.0)
-    return Prescription(name="box", surfaces=(), structures=faces, detector=ABOVE, source=BEAM).to_scene()
+    return system((), ABOVE, structures=faces)
 
 
 def biprism(step: float) -> Any:
     faces = moved_as_one(prism("P", [(-8, 0), (-8, -0.5), (0, -3), (8, -0.5), (8, 0)], 16.0, material="1.5"), y=step)
     detector = Detector(y=5.0, z=60.0, half_width=20.0, half_height=5.0)
-    return Prescription(name="biprism", surfaces=faces, detector=detector, source=BEAM).to_scene()
+    return system(faces, detector)
 
 
 def tilted_prism(step: float) -> Any:
@@ -86,7 +91,7 @@ def tilted_prism(step: float) -> Any:
     )
     faces = moved_as_one(faces, y=step)
     detector, wide = Detector(z=30.0, half_width=15.0, half_height=3.0), Source(radius=9.0, distance=30.0)
-    return Prescription(name="block", surfaces=faces, detector=detector, source=wide).to_scene()
+    return system(faces, detector, wide)
 
 
 def lens(step: float, freeform: bool = True) -> Any:
@@ -99,9 +104,7 @@ def lens(step: float, freeform: bool = True) -> Any:
     edge = Structure("edge", 5.0, rim, 5.0, 4.0 - rim, y=step, part="P", front="1.5", coating=BLACK)
     detector = Detector(y=12.0, z=12.0, half_width=20.0, half_height=10.0)
     light = Source(radius=9.0, distance=30.0, field_deg=25.0)
-    return Prescription(
-        name="lens", surfaces=(front, rear), structures=(edge,), detector=detector, source=light
-    ).to_scene()
+    return system((front, rear), detector, light, structures=(edge,))
 
 
 def mirrors_side_by_side(step: float = 0.0) -> Any:
@@ -111,16 +114,14 @@ def mirrors_side_by_side(step: float = 0.0) -> Any:
     )
     faces = [Surface(**{**vars(face), "part": "P"}) for face in array([tile], [(-4.0, step, 10.0), (4.0, step, 10.0)])]
     below = Detector("below", y=-30.0, z=10.0, tilt_deg=(90.0, 0.0, 0.0), half_width=20.0, half_height=20.0)
-    return Prescription(name="tiles", surfaces=tuple(faces), detector=below, source=Source(radius=2.0)).to_scene()
+    return system(faces, below, Source(radius=2.0))
 
 
 def splitter(step: float) -> Any:
     """A cube whose splitting diagonal ends in two of its edges; half of it lies in the beam."""
     cube = beam_splitter_cube("P", 10.0, material="1.5", splitter=Coating(R=0.5, T=0.5))
     faces = moved_as_one(cube, y=step + 5.0, z=10.0)
-    return Prescription(
-        name="cube", surfaces=faces, detector=Detector(z=40.0, half_width=4.0, half_height=8.0), source=BEAM
-    ).to_scene()
+    return system(faces, Detector(z=40.0, half_width=4.0, half_height=8.0))
 
 
 def derivative(scene: Any, metric: Metric, name: str = "y", pivot: Sequence[float] | None = None) -> Estimate:
@@ -144,22 +145,16 @@ def check(found: Estimate, expected: float, most: float = 0.1) -> None:
     assert found.se < most * abs(expected), (found, expected)
 
 
-@pytest.mark.parametrize("make", [roof, two_mirrors])
+@pytest.mark.parametrize("make", [roof, two_mirrors, pytest.param(turned_box, marks=pytest.mark.long)])
 def test_mirror_roof(make: Make) -> None:
     scene = make(0.0)
-    check(derivative(scene, path_power(scene, "all", rays=30_000)), ROOF)
-
-
-@pytest.mark.long
-def test_turned_box() -> None:
-    scene = turned_box()
     check(derivative(scene, path_power(scene, "all", rays=30_000)), ROOF)
 
 
 def test_one_mirror_alone() -> None:
     """Behind its end there is nothing: the whole of it counts by its own keys."""
     face = inclined("P_top", 1.0)
-    scene = Prescription(name="one", surfaces=(face,), detector=ABOVE, source=BEAM).to_scene()
+    scene = system((face,), ABOVE)
     found = mistray.gradient(path_power(scene, "all", rays=60_000), mi.traverse(scene), keys=["P_top.y", "P_top.z"])
     way = face.to_world()[:3, :3].T @ (0.0, 1.0, 0.0)
     check(found.along({f"P_top.{axis}": float(part) for axis, part in zip("yz", way[1:], strict=True)}), ROOF)
@@ -208,10 +203,7 @@ def test_pst_of_a_box() -> None:
     def make(step: float) -> Any:
         faces = moved_as_one(box("P", (6.0, 4.0, 3.0), coating=Coating(R=0.8)), y=3.0 + step, z=-6.0)
         wall = Structure("wall", 12.0, -20.0, 12.0, 0.0, coating=BLACK)
-        detector = Detector(half_width=4.0, half_height=4.0)
-        return Prescription(
-            name="pst", surfaces=(), structures=(*faces, wall), detector=detector, source=BEAM
-        ).to_scene()
+        return system((), Detector(half_width=4.0, half_height=4.0), structures=(*faces, wall))
 
     def metric(scene: Any, rays: int = 400_000, seed: int = 1) -> Metric:
         return pst_bin(scene, 30.0, "total", rays=rays, method="adjoint", cell_deg=10.0, seed=seed)

@@ -12,7 +12,6 @@ import pytest
 from oracles.small_scenes import scene_text, shape_xml, write
 
 import mistray
-from mistray.errors import MistrayError
 from mistray.gradients.edge_widths import AUTOMATIC, WidthErrors, least_error, widths_of
 from mistray.gradients.edges import kernel
 from mistray.optimize import optimize, path_power, sensitivity
@@ -45,12 +44,7 @@ class TestWidthErrors:
 
     @pytest.mark.parametrize("edge", [1.0, 0.03, 0.0166, 0.008], ids=["none", "0.03", "0.0166", "0.008"])
     def test_light_that_ends_beside_a_rim(self, edge: float) -> None:
-        """
-        A density of 1 up to some distance, 0 beyond, 300 times.
-
-        Printed errors hold: the mean square of the distances from 1 in units of them is below 1.2². Of 300 numbers with
-        a mean square of 1 it would be above by chance with a probability below 1e-4.
-        """
+        """A density of 1 up to some distance: 300 errors have a mean square above 1.2² by chance below 1e-4."""
         rng, off, chosen = np.random.default_rng(1), [], []
         for _ in range(300):
             sums = drawn(lambda d: np.where(d < edge, 1.0, 0.0), 5000.0, rng)
@@ -97,11 +91,7 @@ def hole() -> str:
 class TestGradient:
     @pytest.mark.long
     def test_hole_in_a_beam(self, load_scene) -> None:
-        """
-        Twelve seeds. Errors with a true mean square of 1 break the limit with a probability of 1e-3.
-
-        Zones of 5 % are wrong by ∫ k over the lit part of them less 1, 0.12, and say so.
-        """
+        """Errors of 12 seeds break the limit by chance once in 1000; zones of 5 % are off by 0.12, and say so."""
         scene = load_scene(hole())
         off, wide = [], []
         for seed in range(12):
@@ -184,13 +174,7 @@ class TestStudy:
         more = optimize(scene, study(method=method), checkpoint=file, resume=True, verification_seeds=2)
         assert more.edge_widths == first.edge_widths
         assert f"{first.edge_widths[name]:g} ({name})" in report_text(more)
-
-    def test_given(self, tmp_path: Path) -> None:
-        result = optimize(write(tmp_path, hole()), study(edge_width=0.03), verification_seeds=2)
-        assert result.edge_widths == {"merit": 0.03}
-        assert "given: 0.03" in report_text(result)
-
-    @pytest.mark.parametrize("width", [0.0, 0.6, "wide", True])
-    def test_refused(self, tmp_path: Path, width: Any) -> None:
-        with pytest.raises(MistrayError, match="edge_width"):
-            optimize(write(tmp_path, hole()), study(edge_width=width), verification_seeds=2)
+        if method == "lbfgsb":
+            given = optimize(scene, study(edge_width=0.03), verification_seeds=2)
+            assert given.edge_widths == {"merit": 0.03}
+            assert "given: 0.03" in report_text(given)

@@ -8,11 +8,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-import mistray
 from mistray.gradients.geometry_gradient import (
     column_derivatives,
     geometry_columns,
-    geometry_gradient,
     index_gradient,
     row_derivatives,
     shape_parameters,
@@ -160,11 +158,13 @@ class Columns:
     def local(self, p: np.ndarray) -> np.ndarray:
         return (p - self.vertex) @ self.rotation
 
+    def moved(self, q: np.ndarray, columns: dict[str, float]) -> np.ndarray:
+        moved = q - np.array([columns[axis] for axis in "xyz"])
+        return moved - np.cross([columns[f"tilt_{axis}"] for axis in "xyz"], moved)
+
     def value(self, q: np.ndarray, columns: dict[str, float]) -> np.ndarray:
         """Zero on the surface; points of the world, the frame moved by its columns."""
-        moved = q - np.array([columns[axis] for axis in "xyz"])
-        turn = np.array([columns[f"tilt_{axis}"] for axis in "xyz"])
-        moved = moved - np.cross(turn, moved)
+        moved = self.moved(q, columns)
         r2 = moved[:, 0] ** 2 + moved[:, 1] ** 2
         if self.cone:
             return np.sqrt(r2) - columns["r0"] - columns["slope"] * moved[:, 2]
@@ -172,9 +172,7 @@ class Columns:
 
     def beyond(self, q: np.ndarray, columns: dict[str, float], rim: str) -> np.ndarray:
         """Zero at a rim."""
-        moved = q - np.array([columns[axis] for axis in "xyz"])
-        turn = np.array([columns[f"tilt_{axis}"] for axis in "xyz"])
-        moved = moved - np.cross(turn, moved)
+        moved = self.moved(q, columns)
         where = {
             "low": moved[:, 2], "high": moved[:, 2], "half_width": np.abs(moved[:, 0]),
             "half_height": np.abs(moved[:, 1]),
@@ -246,28 +244,6 @@ def test_a_flat_annulus_moves_as_a_whole() -> None:
     assert {"z0", "z1"} & set(shape_parameters(random_shape("annulus", 1))) == set()
     assert {"z0", "z1"} <= set(shape_parameters(random_shape("cylinder", 1)))
     assert shape_parameters(mi.load_dict({"type": "disk"})) == ()
-
-
-def test_unknown_names_have_no_columns() -> None:
-    assert geometry_columns(["r0", "x"]) == {"r0", "slope", "outer", "inner", "x", "y", "z"}
-    with pytest.raises(mistray.MistrayError, match="'thickness_of_none' is no parameter"):
-        geometry_columns(["thickness_of_none"])
-
-
-def test_the_chain_is_the_sum_over_columns() -> None:
-    shapes = {kind: random_shape(kind, 3) for kind in ("round", "cone")}
-    scene = mi.load_dict({"type": "scene", **shapes, "detector": DETECTOR}, optimize=False)
-    table = SurfaceTable(scene, 550.0)
-    raw = np.random.default_rng(5).normal(size=(BATCHES, table.count, len(GEOMETRY)))
-    found = {(owner.id(), name): part for owner, name, part in geometry_gradient(table, raw)}
-    assert {key for key, _ in found} == {"round", "cone", "detector"}
-    shape = table.shapes[table.ids.index("cone")]
-    for name in shape_parameters(shape):
-        moves = column_derivatives(shape, name)
-        np.testing.assert_allclose(found["cone", name], (raw[:, table.ids.index("cone")] @ moves)[:, None])
-    some = list(geometry_gradient(table, raw, lambda owner, name: (owner.id(), name) == ("round", "a6")))
-    assert [(owner.id(), name) for owner, name, _ in some] == [("round", "a6")]
-    assert some[0][0] in list(scene.shapes())
 
 
 SIDES = {"glass": ("air", "1.5"), "from glass": ("1.7", "1.3"), "pellicle": ("1.4", "1.4"), "metal": ("air", "1.2+6i")}

@@ -1,9 +1,4 @@
-"""
-Derivatives of a PST by rays of both directions.
-
-A lens with scatter in a painted tube with a vane. At 30° light gets in through the lens, from there to the tube and on
-to the detector. Rays against the light seldom find it.
-"""
+"""Derivatives of a PST by rays of both directions, of a lens that scatters in a painted tube with a vane."""
 
 from __future__ import annotations
 
@@ -95,11 +90,7 @@ def difference(scene: mi.Scene, key: str, step: float) -> tuple[float, float]:
 @pytest.mark.long
 @pytest.mark.parametrize("key", STEPS)
 def test_against_differences(scene, key: str) -> None:
-    """
-    Within 4 errors of both: by chance once in 16 000 times.
-
-    Zones at rims are 5 % wide, and differences of a finite step: 2 % are allowed for their curvature.
-    """
+    """Within 4 errors of both, by chance once in 16 000 times, and 2 % for the curvature of zones and steps."""
     expected, error = difference(scene, key, STEPS[key])
     found, own = derivative(scene, [key], rays=1 << 18)[key]
     assert own < 0.1 * abs(found)
@@ -108,11 +99,7 @@ def test_against_differences(scene, key: str) -> None:
 
 @pytest.mark.long
 def test_less_noise_than_one_direction(scene) -> None:
-    """
-    Half the error with a fourth of the start rays; the others, with the light, are as many.
-
-    The errors of a run are known to 30 %, so they are those of three runs together.
-    """
+    """Half the error with a fourth of the start rays; the errors of a run are known to 30 %, so three runs count."""
     joined = [derivative(scene, seed=seed) for seed in (3, 4, 5)]
     alone = [derivative(scene, method="adjoint", rays=1 << 18, seed=seed) for seed in (3, 4, 5)]
     for key in STEPS:
@@ -123,12 +110,7 @@ def test_less_noise_than_one_direction(scene) -> None:
 
 @pytest.mark.long
 def test_errors_hold(scene) -> None:
-    """
-    Over 24 runs the spread is what the printed errors say.
-
-    The spread of 24 normal numbers is off by more than 50 % or -45 % once in 20 000 times; of five derivatives that
-    share their rays it is no more often than five times that.
-    """
+    """The spread of 24 runs is off by 50 % or -45 % once in 20 000 times, of five derivatives five times as often."""
     runs = [derivative(scene, seed=100 + k) for k in range(24)]
     for key in STEPS:
         found, errors = np.array([run[key] for run in runs]).T
@@ -136,11 +118,7 @@ def test_errors_hold(scene) -> None:
 
 
 def test_families_are_the_same_both_ways(scene) -> None:
-    """
-    Both directions see the same light in each family that is strong.
-
-    At 20° both see all of it: within 5 errors for each of some ten families, by chance once in 10⁵ times.
-    """
+    """Both directions see the same light in each strong family: 5 errors for some ten, by chance once in 10⁵ times."""
     grid, rays = DirectionGrid.of([20.0], cell_deg=10.0), 1 << 17
     trace = BackwardTrace(scene, grid, Settings.of(scene, rays=rays))
     trace.share_paths(Sharing(hull_points(trace.table), StartMap.uniform(1), np.ones(1), np.zeros(1)))
@@ -163,11 +141,7 @@ def test_families_are_the_same_both_ways(scene) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
 def test_any_shares_have_the_same_mean(scene, share: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """
-    What a share leaves to rays against the light is what those with it lack, whatever it is.
-
-    Value and derivative by the vane; within 5 errors: by chance once in 10⁶ times.
-    """
+    """What a share leaves to one direction the other has: within 5 errors, by chance once in 10⁶ times."""
 
     def constant(self: FamilyVariances) -> np.ndarray:
         return np.full((CLASS_COUNT, FAMILIES, self.cells), share, dtype=np.float32)

@@ -173,25 +173,6 @@ class TestRimRecorder:
             other = walked(run, going_on(found | wrong, mi.PCG32(size=len(found["w"]))), adjoint)
             assert np.mean((np.abs(other - found["gain"]) < 1e-3 * scale)[found["gain"] != 0]) < 0.9
 
-    def test_light_that_leaves(self, load_scene) -> None:
-        """Against the light the totals of the lanes are the derivative times the sums of the sky."""
-        text = scene_text(
-            shape_xml("frustum", "tube", 0.0, wall_xml(0.5), r0=15.0, z0=0.0, r1=15.0, z1=40.0),
-            shape_xml("frustum", "detector", 40.0, sensor=True, r0=0.0, z0=0.0, r1=5.0, z1=0.0),
-        )
-        trace = BackwardTrace(load_scene(text), DirectionGrid.of([15.0, 45.0, 75.0], cell_deg=30.0), Settings())
-        trace.advance(8192)
-        derivative = np.random.default_rng(1).normal(size=(CLASS_COUNT, 3, 1))
-        expected = np.einsum("kab,kabn->n", derivative, trace.sums["cells"])
-        band, start = trace.bands[0], trace.start_pass(0, 0, 8192)
-        adjoint = trace.adjoint(derivative)
-        trace_tree(trace.scene(band), start, trace.settings, [adjoint])
-        dr.eval(adjoint.gain)
-        found = np.bincount(np.array(start.batch), np.array(adjoint.gain), 32)
-        np.testing.assert_allclose(found, expected, rtol=1e-9)
-        assert adjoint.directions is not None
-        assert not np.any(np.array(adjoint.directions.sums))
-
 
 def contact(table: Any, name: str, rim: int, at: Sequence[float], d: Sequence[float]) -> tuple[str | None, float, bool]:
     """What a ray along d meets beside the edge next to a point of the world: surface, factor, whether it is joined."""
@@ -323,17 +304,6 @@ class TestPortions:
     def test_a_metric_that_gains_nothing(self, load_scene) -> None:
         _, groups = traced_edges(load_scene(self.TEXT), 0.1, pixel=0.0, rays=1000)
         assert groups == []
-
-    def test_another_seed_width_and_radius_compile_nothing(self, load_scene) -> None:
-        self.coefficients(load_scene)
-        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-            dr.kernel_history_clear()
-            other = load_scene(self.TEXT.replace('name="r0" value="3.0"', 'name="r0" value="2.8"'))
-            traced_edges(other, 0.08, pixel=2.0, rays=30_000, seed=5)
-            kernels = [entry for entry in dr.kernel_history() if entry["type"] == dr.KernelType.JIT]
-        assert kernels
-        fresh = [entry for entry in kernels if not entry["cache_hit"]]
-        assert not fresh, f"{len(fresh)} of {len(kernels)} kernels were compiled anew"
 
 
 def test_the_kernel_has_unit_area_and_no_first_moment() -> None:

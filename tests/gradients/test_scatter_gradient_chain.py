@@ -1,10 +1,4 @@
-"""Derivatives of scatter along a path: by the models' values, by directions and normals, by R and T.
-
-The tables, their replay and the chain to the values are held against central differences of closed forms in float64,
-`scatter_forms`, which know nothing of tables. The 32 batches of start rays are 32 rays here, eight for each
-event and side, so that each has a derivative of its own. The limit of the issue is 1e-2; most models have nothing but
-radial tables, good to 1e-4, and a lower limit. A derivative that is 2 % wrong fails everywhere.
-"""
+"""Derivatives of scatter along a path by values, directions, normals, R and T, against closed forms in float64."""
 
 from __future__ import annotations
 
@@ -33,6 +27,7 @@ from mistray.surfaces.surfaces import SurfaceTable
 
 R, T, GLASS = 0.3, 0.4, 1.5
 RAYS = BATCHES // 4
+# A derivative that is 2 % wrong fails everywhere.
 # Largest error as a part of the largest derivative of eight rays; where a table of directions stands beside the radial
 # one, or Mie's curves ripple with the level, the issue's
 VALUES, COARSE = 2e-3, 1e-2
@@ -109,6 +104,14 @@ class Rays:
     @property
     def direction(self) -> mi.Vector3d:
         return mi.Vector3d(self.w.T.copy())
+
+    def by_turns(self, replay: ScatterReplay, table: SurfaceTable) -> tuple[np.ndarray, np.ndarray]:
+        """ln f of each ray, and its derivatives by turns of ray and normal."""
+        turns = [dr.zeros(mi.Float64, RAYS) for _ in range(4)]
+        dr.enable_grad(turns)
+        value = replay.log_flux(self.event(table, *turns), self.direction, mi.Bool(True))
+        dr.backward(dr.sum(value))
+        return np.array(value), np.array([dr.grad(turn) for turn in turns])
 
 
 def all_rays(form: Form, backward: bool) -> list[Rays]:
@@ -205,16 +208,12 @@ def test_flux_by_direction_and_normal(load_scene: Load, name: str) -> None:
     for backward in (False, True):
         replay = ScatterReplay(table, scattering_of(table, backward))
         for rays in all_rays(form, backward):
-            turns = [dr.zeros(mi.Float64, RAYS) for _ in range(4)]
-            dr.enable_grad(turns)
-            value = replay.log_flux(rays.event(table, *turns), rays.direction, mi.Bool(True))
-            dr.backward(dr.sum(value))
-            found = np.array([dr.grad(turn) for turn in turns])
+            value, found = rays.by_turns(replay, table)
 
             def log_flux(*turn: float) -> np.ndarray:
                 return rays.log_flux(form, form.values, backward, *turn)  # noqa: B023
 
-            np.testing.assert_allclose(np.array(value), log_flux(), atol=2 * limit_of(form))
+            np.testing.assert_allclose(value, log_flux(), atol=2 * limit_of(form))
             expected = central_differences(log_flux, [0.0] * 4, [TURN] * 4)
             size = np.linalg.norm(expected, axis=0)
             limit = limit_of(form) * np.maximum(size, 0.1 * np.max(size))
@@ -440,25 +439,7 @@ def test_directions_without_azimuth_or_slope(load_scene: Load, name: str) -> Non
         rays.across, rays.beside, rays.axis = (np.tile(row, (RAYS, 1)) for row in np.eye(3))
         rays.d = np.column_stack([np.sin(angle), np.zeros(RAYS), np.cos(angle)])
         rays.w = np.column_stack([np.sin(out), np.zeros(RAYS), -np.cos(out)])
-        turns = [dr.zeros(mi.Float64, RAYS) for _ in range(4)]
-        dr.enable_grad(turns)
-        value = replay.log_flux(rays.event(table, *turns), rays.direction, mi.Bool(True))
-        dr.backward(dr.sum(value))
-        found = np.array([dr.grad(turn) for turn in turns])
+        _, found = rays.by_turns(replay, table)
         assert np.all(np.isfinite(found))
         # What scatters is the same on both sides of the plane of incidence
         np.testing.assert_allclose(found[[1, 3]], 0, atol=1e-3 * np.max(np.abs(found)))
-
-
-@pytest.mark.parametrize("name", ["ghs", "rayleigh_rice_vector"])
-def test_ratios_that_are_called_fixed_are(load_scene: Load, name: str) -> None:
-    form = FORMS[name]
-    table = table_of(load_scene, model_xml(form))
-    (plugin,) = table.optics.bsdfs[table.ids.index("face")].scatterers
-    for key, value in form.values.items():
-        models = (plugin.model.changed(**(form.values | {key: changed})) for changed in (value, 1.2 * value))
-        base, moved = ([lobe.ratio for lobe in model.lobes(WAVELENGTH_NM, 1.0, GLASS, True)] for model in models)
-        for one, other in zip(base, moved, strict=True):
-            if one is not None:
-                assert one.fixed
-                np.testing.assert_array_equal(one.values, other.values)

@@ -277,38 +277,22 @@ FRED = {
     "max_generations": 3,
     "ray_control": "TRIMtrA",
 }
-SIXTEEN = {
-    "cut_below": "R=1e-6, T=2e-6, r=3e-9, t=4e-9, A=5e-12",
-    "cut_below_W": "R=1e-7, T=2e-7, r=3e-10, t=4e-10, A=5e-13",
-    "max_events": 900,
-    "max_consecutive": 9,
-    "max_reflections": 3,
-    "max_scatters": 2,
-    "max_generations": 4,
-    "ray_control": "TRItA",
-}
 
 
-def test_sixteen_numbers(load_scene, plate) -> None:
-    """By a call and by a file; FRED's defaults differ from those here in limits that a plate never meets."""
-    t = mistray.trace(plate, rays=100, **SIXTEEN)
-    expected = vars(Settings(**SIXTEEN))
-    assert {key: t.settings[key] for key in SIXTEEN} == {key: expected[key] for key in SIXTEEN}
-    assert t.settings["cut_below"] == (1e-6, 2e-6, 3e-9, 4e-9, 5e-12)
-    kinds = {str: "string", int: "integer"}
-    inside = "".join(f'<{kinds[type(v)]} name="{k}" value="{v}"/>' for k, v in SIXTEEN.items())
-    given = f'<integrator type="straylight">{inside}</integrator>'
-    text = plates_text(1, "air", R=R, T=T).replace('<integrator type="straylight"/>', given)
-    assert load_scene(text).integrator().settings == Settings(**SIXTEEN)
+def test_limits_of_fred(plate) -> None:
+    """FRED's defaults differ from those here in limits that a plate never meets."""
     assert energy(plate, **FRED).detected_W == pytest.approx(energy(plate).detected_W, rel=1e-12)
 
 
-def test_forms_of_the_settings() -> None:
+def test_forms_of_the_settings(load_scene) -> None:
     expected = (1e-6, 0.0, 0.0, 1e-9, 0.0)
     for given in ("R=1e-6, t=1e-9", "t=1e-9 R=1e-6", {"R": 1e-6, "t": 1e-9}, expected, list(expected)):
         assert Settings(cut_below=given).cut_below == expected
     for letters, name in (("A, M, I, T", "transmit_specular"), ("rtTRIMA", "allow_all"), ("ATI", "TIA")):
         assert Settings(ray_control=letters).ray_control == name
+    inside = '<string name="cut_below" value="R=1e-6, t=1e-9"/><string name="ray_control" value="ATI"/>'
+    text = plates_text(1, "air", R=R, T=T).replace('"straylight"/>', f'"straylight">{inside}</integrator>')
+    assert load_scene(text).integrator().settings == Settings(cut_below=expected, ray_control="TIA")
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import mitsuba as mi
 import numpy as np
 import pytest
 from oracles.scatter_scenes import bsdf_xml, scattering_xml
@@ -10,8 +9,6 @@ from oracles.small_scenes import interface_xml, scene_text, shape_xml
 from oracles.statistics import z_limit, z_score
 
 import mistray
-from mistray.kernel.lobes import RadialSampler
-from mistray.scatter.radial import RadialTable
 
 FRONT, REAR = '<string name="front" value="air"/>', '<string name="front" value="1.5"/>'
 ROUGH = bsdf_xml("abg", A=2e-3, B=1e-3, g=1.8)
@@ -92,21 +89,6 @@ def test_without_scatter_surfaces_lose_what_they_would_scatter(load_scene) -> No
     assert energy.detected_W / energy.launched_W == pytest.approx(direct, rel=1e-4)
     lost = total + (1 - R) * (1 - total) * total
     assert energy.cut["max_scatters"] / energy.launched_W == pytest.approx(lost, rel=1e-3)
-
-
-def test_narrow_lobes_have_no_false_centre() -> None:
-    """Share of samples within a thousandth and a hundredth of the knee; false alarm 1e-3 for both."""
-    b = 1e-9
-    table = RadialTable.of(lambda r: 1 / (b + r**2))
-    sampler = RadialSampler([table])
-    count = 1 << 24
-    rng = mi.PCG32(size=count, initstate=5)
-    r = np.array(sampler.sample(mi.UInt32(0), rng.next_float32(), rng.next_float32(), mi.Bool(True)), dtype=np.float64)
-    for fraction in (0.05, 0.3):
-        edge = fraction * np.sqrt(b)
-        share = float(table.within(np.array([edge]))[0]) / table.total
-        measured = float(np.mean(r < edge))
-        assert abs(z_score(measured, share, np.sqrt(share / count))) < z_limit(2), fraction
 
 
 def test_a_surface_can_ask_for_more_random_rays(load_scene) -> None:

@@ -8,6 +8,7 @@ import mitsuba as mi
 import numpy as np
 import pandas as pd
 import pytest
+from lit_detector import BLACK, lit, meter
 
 import mistray
 from mistray import MistrayError, cli
@@ -18,25 +19,17 @@ R = ((N - 1) / (N + 1)) ** 2
 A, B = 0.02, 0.25
 TIS = np.pi * A / (1 + B)  # of ABg scatter with g = 0, which is Lambertian
 SHARES = ("absorbed", "specular_reflection", "specular_transmission", "scattered_reflection", "scattered_transmission")
+BEAM = {"type": "collimated", "radius": 2.0, "irradiance": 1 / (4 * np.pi)}
 
 
 def split(bsdf: dict, split_of: str = "sample", tilt: float = 0.0, **settings: object) -> dict[str, SplitRow]:
     """A beam of 1 W on a plane sample, tilted about x, before a black wall and a detector that stands aside."""
     pose = mi.ScalarTransform4d().rotate([1, 0, 0], tilt)
-    scene = {
-        "type": "scene",
-        "beam": {"type": "collimated", "radius": 2.0, "irradiance": 1 / (4 * np.pi), "distance": 50.0},
-        "sample": {"type": "asphere", "semi_diameter": 20.0, "to_world": pose, "bsdf": bsdf},
-        "detector": {
-            "type": "asphere",
-            "semi_diameter": 0.5,
-            "to_world": mi.ScalarTransform4d().translate([300, 0, -300]),
-            "bsdf": {"type": "interface", "R": 0.0},
-            "sensor": {"type": "irradiancemeter"},
-        },
-    }
+    detector = {"type": "asphere", "semi_diameter": 0.5, "x": 300.0, "z": -300.0, "bsdf": BLACK, "sensor": meter()}
+    sample = {"type": "asphere", "semi_diameter": 20.0, "to_world": pose, "bsdf": bsdf}
+    scene = lit({**BEAM, "distance": 50.0}, sample=sample, detector=detector)
     found = FluxSplit("split", split_of)
-    t = mistray.trace(mi.load_dict(scene, optimize=False), rays=500, recorders=[found], **settings)
+    t = mistray.trace(scene, rays=500, recorders=[found], **settings)
     for row in found.rows:
         ledger = next(one for one in t.surfaces if one.id == row.surface)
         assert row.incident == pytest.approx((ledger.incident_W, ledger.incident_se_W), rel=1e-6, abs=1e-9)
@@ -107,18 +100,14 @@ def test_all_surfaces_of_a_barrel_close():
 @pytest.mark.quick
 @pytest.mark.long
 def test_a_mesh_and_patterns():
-    scene = mi.load_dict(
-        {
-            "type": "scene",
-            "beam": {"type": "collimated", "radius": 2.0, "irradiance": 1 / (4 * np.pi)},
-            "wall": {"type": "rectangle", "to_world": mi.ScalarTransform4d().scale(9).translate([0, 0, 2]),
-                     "bsdf": interface({"type": "paint", "reflectance": 0.25}, R=0.0)},
-            "detector": {"type": "asphere", "semi_diameter": 0.1, "z": 90.0, "bsdf": interface(R=0.0),
-                         "sensor": {"type": "irradiancemeter"}},
-            "own": {"type": "flux_split", "surfaces": "wall"},
-        },
-        optimize=False,
-    )  # fmt: skip
+    place = mi.ScalarTransform4d().scale(9).translate([0, 0, 2])
+    paint = interface({"type": "paint", "reflectance": 0.25}, R=0.0)
+    scene = lit(
+        BEAM,
+        wall={"type": "rectangle", "to_world": place, "bsdf": paint},
+        detector={"type": "asphere", "semi_diameter": 0.1, "z": 90.0, "bsdf": BLACK, "sensor": meter()},
+        own={"type": "flux_split", "surfaces": "wall"},
+    )
     (row,) = mistray.trace(scene, rays=300).recorders["own"].rows
     assert row.scattered_reflection[0] == pytest.approx(0.25, rel=1e-6)
     assert row.absorbed[0] == pytest.approx(0.75, rel=1e-6)

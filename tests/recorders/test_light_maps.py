@@ -8,14 +8,15 @@ import mitsuba as mi
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import fails, succeeds
+from lit_detector import BLACK, lit, square
 
 import mistray
-from mistray import MistrayError, cli
+from mistray import MistrayError
 from mistray.recorders import SurfaceMaps
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.report import read_irradiance
 
-BLACK = {"type": "interface", "R": 0.0}
 N = 1.5
 R = ((N - 1) / (N + 1)) ** 2
 
@@ -27,19 +28,9 @@ def window() -> mi.Scene:
         name: {"type": "asphere", "semi_diameter": 6.0, "z": z, "bsdf": {"type": "interface", **glass[name]}}
         for name, z in (("front", 10.0), ("rear", 12.0))
     }
-    plates = {
-        "plate": {"type": "asphere", "half_width": 8.0, "half_height": 8.0, "z": -5.0, "bsdf": BLACK},
-        "detector": {
-            "type": "asphere",
-            "half_width": 8.0,
-            "half_height": 8.0,
-            "z": 20.0,
-            "bsdf": BLACK,
-            "sensor": {"type": "irradiancemeter", "film": {"type": "hdrfilm", "width": 16, "height": 16}},
-        },
-    }
+    plate = {"type": "asphere", "half_width": 8.0, "half_height": 8.0, "z": -5.0, "bsdf": BLACK}
     beam = {"type": "collimated", "radius": 5.0, "irradiance": 1 / (25 * np.pi), "distance": 3.0}
-    return mi.load_dict({"type": "scene", "beam": beam, **surfaces, **plates}, optimize=False)
+    return lit(beam, **surfaces, plate=plate, detector=square(8.0, 16, z=20.0))
 
 
 @pytest.mark.quick
@@ -92,19 +83,15 @@ def test_parts_add_up_to_what_a_recorder_sums():
 COMMAND = ["ghosts", "plate_and_wall", "--rays", "500", "--max-scatters", "1", "--quiet"]
 
 
-def test_the_command_refuses_what_is_no_part_of_the_light(capsys):
-    for wrong, word in (("goost", "ghost"), ("S(screeen)", "screen"), ("power_W > 1", "power_W")):
-        assert cli.main([*COMMAND, "--maps", wrong, "--surface-maps", "screen"]) == 2
-        assert word in capsys.readouterr().err
-
-
 @pytest.mark.long
 def test_the_command_maps_parts_of_the_light(tmp_path, capsys):
+    for wrong, word in (("goost", "ghost"), ("S(screeen)", "screen"), ("power_W > 1", "power_W")):
+        assert word in fails(capsys, *COMMAND, "--maps", wrong, "--surface-maps", "screen")
     out = tmp_path / "out"
     lights = ["single scatter", "S(plate*) & !G", "stray"]
     more = ["--surface-maps", "screen", "lengths=6", "--formats", "npy", "--json"]
-    assert cli.main([*COMMAND, "--maps", *lights, *more, "--out", str(out)]) == 0
-    rows = json.loads(capsys.readouterr().out)["sections"]["light"]["light_maps"]
+    found = succeeds(capsys, *COMMAND, "--maps", *lights, *more, "--out", out)
+    rows = json.loads(found)["sections"]["light"]["light_maps"]
     assert [(row["light"], row["surface"]) for row in rows] == [
         (light, where) for light in lights for where in ("detector", "screen")
     ]

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import functools
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from oracles import closed_forms
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
 from oracles.statistics import assert_z, z_limit
 
@@ -76,16 +74,6 @@ def test_modes_agree_with_splitting(name: str, mode: str) -> None:
         assert_z(f"{name}, {what}", measured, expected, np.hypot(*errors.T), names=names, floor=floor)
 
 
-@pytest.mark.parametrize("mode", [{"splitting": "split"}, {"splitting": "one", "rays": 300_000}])
-def test_plate_either_way(mode: dict[str, Any]) -> None:
-    """0.923077 (A5), within 3 standard errors: false alarm 0.3 %."""
-    t = mistray.trace(mistray.load("plate"), **{"rays": 1000, "max_reflections": 20, "flux_threshold": 0.0, **mode})
-    expected = closed_forms.plate(0.04)[0]
-    share, se = t.energy.detected_W / t.energy.launched_W, t.energy.detected_se_W / t.energy.launched_W
-    assert expected == pytest.approx(0.923077, abs=5e-7)
-    assert_z("T of the plate", share, expected, se, k=3.0, floor=1e-6)
-
-
 class TestStandardErrors:
     """The spread over seeds against the standard errors of the single runs."""
 
@@ -127,17 +115,6 @@ class TestStandardErrors:
             assert len(value) == n
             chi2 = float(np.sum(np.square((value - value.mean()) / se))) / n
             assert abs(chi2 - 31 / 29) < limit * np.sqrt(2.54 / n), f"{name}: chi²/n = {chi2:.3f}"
-
-    def test_errors_shrink_faster_than_with_the_square_root(self, load_text) -> None:
-        """As rays^-0.75 where rims cut an even sample. From 32 batches an error is known to 12.6 %: 5 of these."""
-        scene, _ = load_text(lens_text())
-        few, many = (mistray.trace(scene, rays=rays, seed=3) for rays in (2_000, 200_000))
-        for a, b in (
-            (few.energy.detected_se_W, many.energy.detected_se_W),
-            (few.paths[0].power_se_W, many.paths[0].power_se_W),
-        ):
-            assert a / b == pytest.approx(100**0.75, rel=5 * 0.126 * np.sqrt(2))
-            assert a / b > 10
 
     def test_binomial(self, load_text) -> None:
         """One in, one out: σ = sqrt(p (1 - p)/N) (A13); from 32 batches it is known to 12.6 %: 5 of these."""

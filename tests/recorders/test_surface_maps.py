@@ -9,29 +9,34 @@ import mitsuba as mi
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import succeeds
+from lit_detector import BLACK, lit, meter
 
 import mistray
-from mistray import MistrayError, cli
+from mistray import MistrayError
 from mistray.recorders import SurfaceMaps
 from mistray.report import read_irradiance
 from mistray.scene.other_sensors import sensor_dict
 
-BLACK = {"type": "interface", "R": 0.0}
 SOURCE = np.array([0.7, -0.4, 3.0])
 Place = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def scene_of(source: np.ndarray, **shapes: dict) -> mi.Scene:
     """Shapes, a lamp of 1 W that shines everywhere, and a small detector far away."""
-    detector = {
-        "type": "asphere",
-        "semi_diameter": 0.01,
-        "z": 500.0,
-        "bsdf": BLACK,
-        "sensor": {"type": "irradiancemeter"},
-    }
+    detector = {"type": "asphere", "semi_diameter": 0.01, "z": 500.0, "bsdf": BLACK, "sensor": meter()}
     lamp = {"type": "point_source", **dict(zip("xyz", map(float, source), strict=True))}
-    return mi.load_dict({"type": "scene", "detector": detector, "lamp": lamp} | shapes, optimize=False)
+    return lit(lamp, **{"detector": detector} | shapes)
+
+
+def tube(z0: float, z1: float, **more: str) -> dict:
+    return {"type": "frustum", "r0": 5.0, "r1": 5.0, "z0": z0, "z1": z1, "bsdf": BLACK, **more}
+
+
+def in_tube(one: mistray.recorders.SurfaceMap, z0: float) -> np.ndarray:
+    """Share of the light of a lamp at z0 on the axis of a tube of 5 mm in each cell of a ring."""
+    u = (one.along_mm - z0) / np.hypot(5.0, one.along_mm - z0)
+    return 0.5 * np.diff(u)[:, None] / one.incident.value.shape[1]
 
 
 def flux(place: Place, source: np.ndarray, u: np.ndarray, v: np.ndarray, steps: int = 24) -> np.ndarray:
@@ -59,15 +64,12 @@ def turned(radius: Callable[[np.ndarray], np.ndarray], z: Callable[[np.ndarray],
 def test_the_wall_of_a_tube_about_a_lamp_on_its_axis():
     """E = Φ a / (4π (a² + z²)^(3/2)); a ring between z1 and z2 has Φ/2 (u(z2) - u(z1)), u = z / √(a² + z²)."""
     a, z0 = 5.0, 3.0
-    scene = scene_of(
-        np.array([0, 0, z0]), tube={"type": "frustum", "r0": a, "r1": a, "z0": -10.0, "z1": 20.0, "bsdf": BLACK}
-    )
+    scene = scene_of(np.array([0, 0, z0]), tube=tube(-10.0, 20.0))
     walls = SurfaceMaps("walls", azimuths=6, lengths=10)
     t = mistray.trace(scene, rays=200_000, recorders=[walls])
     one = walls.maps["tube"]
     np.testing.assert_allclose(one.along_mm, np.linspace(-10, 20, 11), atol=1e-12)
-    u = (one.along_mm - z0) / np.hypot(a, one.along_mm - z0)
-    exact = np.repeat(0.5 * np.diff(u)[:, None], 6, axis=1) / 6
+    exact = in_tube(one, z0)
     # 60 cells within 6 standard errors of 32 batches: fails once in 10 000
     assert np.all(np.abs(one.incident.value - exact) < 6 * one.incident.se)
     value, se = one.irradiance
@@ -154,17 +156,13 @@ def test_powers_are_those_of_the_ledger(name):
 @pytest.mark.long
 def test_standard_errors_hold_over_seeds():
     """z² of 24 cells over 24 seeds, each of a t-distribution of 31 degrees: mean 1.07 ± 0.07; fails once in 10⁶."""
-    scene = scene_of(
-        np.array([0, 0, 3.0]), tube={"type": "frustum", "r0": 5.0, "r1": 5.0, "z0": -3.0, "z1": 9.0, "bsdf": BLACK}
-    )
+    scene = scene_of(np.array([0, 0, 3.0]), tube=tube(-3.0, 9.0))
     squares = []
     for seed in range(24):
         walls = SurfaceMaps("walls", azimuths=4, lengths=6)
         mistray.trace(scene, rays=20_000, seed=seed, recorders=[walls])
         one = walls.maps["tube"]
-        u = (one.along_mm - 3) / np.hypot(5, one.along_mm - 3)
-        exact = 0.5 * np.diff(u)[:, None] / 4
-        squares.append(((one.incident.value - exact) / one.incident.se) ** 2)
+        squares.append(((one.incident.value - in_tube(one, 3.0)) / one.incident.se) ** 2)
     assert abs(np.mean(squares) - 31 / 29) < 5 * 0.07
 
 
@@ -172,7 +170,7 @@ def test_standard_errors_hold_over_seeds():
 def test_patterns_and_what_cannot_be_unrolled():
     scene = scene_of(
         SOURCE,
-        tube={"type": "frustum", "r0": 5.0, "r1": 5.0, "z0": -3.0, "z1": 9.0, "part": "barrel", "bsdf": BLACK},
+        tube=tube(-3.0, 9.0, part="barrel"),
         lump={"type": "cube", "bsdf": BLACK},
         lens={"type": "asphere", "semi_diameter": 1.0, "z": 8.0, "bsdf": {"type": "interface", "back": "1.5"}},
     )
@@ -210,10 +208,9 @@ def test_a_sensor_of_a_scene_and_its_text():
             sensor_dict(text)
     with pytest.raises(Exception, match="to_world"):
         mi.load_dict({"type": "surface_maps", "to_world": mi.ScalarTransform4f()})
-    lamp = scene_of(SOURCE, walls={"type": "surface_maps", "surfaces": "tube_?", "azimuths": 8, "lengths": 4}, **{
-        f"tube_{k}": {"type": "frustum", "r0": 5.0, "r1": 5.0, "z0": 3.0 * k, "z1": 3.0 * k + 2, "bsdf": BLACK}
-        for k in (1, 2)
-    })  # fmt: skip
+    walls = {"type": "surface_maps", "surfaces": "tube_?", "azimuths": 8, "lengths": 4}
+    tubes = {f"tube_{k}": tube(3.0 * k, 3.0 * k + 2) for k in (1, 2)}
+    lamp = scene_of(SOURCE, walls=walls, **tubes)
     found = mistray.trace(lamp, rays=1000, max_reflections=0).recorders["walls"]
     assert list(found.maps) == ["tube_1", "tube_2"]
     number = [sensor.id() for sensor in lamp.sensors()].index("walls")
@@ -226,8 +223,7 @@ def test_the_command_prints_draws_and_writes_them(tmp_path, capsys):
     out = tmp_path / "out"
     command = ["ghosts", "plate_and_wall", "--field-deg", "20", "--rays", "500", "--max-scatters", "0"]
     more = ["--surface-maps", "housing*", "screen,lengths=6", "--formats", "npy", "--json", "--quiet"]
-    assert cli.main([*command, *more, "--out", str(out)]) == 0
-    rows = json.loads(capsys.readouterr().out)["sections"]["walls"]
+    rows = json.loads(succeeds(capsys, *command, *more, "--out", out))["sections"]["walls"]
     table = pd.read_csv(out / "surface_maps.csv")
     assert len(table) == 3 == len(rows["surface_maps"] if isinstance(rows, dict) else rows)
     assert (out / "surface_maps_20deg.png").stat().st_size > 10_000

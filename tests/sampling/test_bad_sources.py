@@ -15,11 +15,9 @@ import mistray
 
 pytestmark = pytest.mark.quick
 
-NAN = float("nan")
 FILES = {
     "no unit.csv": "x,y,z,dx,dy,dz,flux_W\n0,0,-5,0,0,1,1\n",
     "no unit.dat": "1\n1 2 3 0 0 1 5.5\n",
-    "nan.csv": "x_mm,y_mm,z_mm,dx,dy,dz,flux_W\n0,0,-5,0,0,1,1\n0,0,nan,0,0,1,1\n",
     "lines.csv": "x_mm,y_mm,z_mm,dx,dy,dz,flux_W,wavelength_nm\n0,0,-5,0,0,1,1,500\n",
     "falling.csv": "500,1\n400,2\n",
     "dark.csv": "400,0\n500,0\n",
@@ -34,10 +32,8 @@ IES = {**POINT, "filename": "lamp.ies"}
 # What of the value and of the remedy its message names
 WRONG: list[tuple[dict[str, Any], tuple[str, ...]]] = [
     ({**POINT, "power": -1.0}, ("power is -1", "1e-30")),
-    ({**POINT, "power": NAN}, ("power is nan", "number")),
     ({**POINT, "power": 1e308}, ("power is 1e+308", "1e30")),
     ({**POINT, "power": 1.0, "intensity": 1.0}, ("power", "intensity")),
-    ({**POINT, "z": -1e308}, ("z is -1e+308", "1e12")),
     ({**POINT, "exponent": 2.0, "half_angle_deg": 120.0}, ("exponent", "120")),
     ({**POINT, "half_angle_deg": 0.0}, ("half_angle_deg is 0",)),
     *(({**POINT, "profile": text}, ("profile",)) for text in ("0:1", "0:1, 0:2", "0:0, 10:0", "a:b", "0:1, 10:nan")),
@@ -52,18 +48,13 @@ WRONG: list[tuple[dict[str, Any], tuple[str, ...]]] = [
     ({**BEAM, "waist_x": 0.0}, ("waist_x is 0", "1e-15")),
     ({"type": "gaussian_beam", "waist_x": 1.0}, ("waist_y",)),
     ({**BEAM, "m2_x": 0.5}, ("m2_x is 0.5",)),
-    ({**DISC, "radiance": -2.0}, ("radiance is -2", "1e-30")),
     ({"type": "surface_source"}, ("radius",)),
-    ({**DISC, "radius": 0.0}, ("radius is 0",)),
     ({**DISC, "half_width": 1.0, "half_height": 1.0}, ("radius", "half_width")),
     ({"type": "surface_source", "half_width": 1.0}, ("half_height",)),
     ({**DISC, "inner_radius": 1.0}, ("inner_radius",)),
-    ({"type": "distant_disc", "irradiance": -2.0}, ("irradiance is -2", "1e-30")),
     ({"type": "distant_disc", "irradiance": 1.0, "radiance": 1.0}, ("irradiance", "radiance")),
-    ({"type": "collimated", "radius": 1.0, "irradiance": -2.0}, ("irradiance is -2", "1e-30")),
     ({"type": "sky", "radiance": 0.0}, ("radiance is 0", "1e-30")),
     ({"type": "sky", "spectrum": "blackbody:0"}, ("temperature is 0", "0 excluded")),
-    ({"type": "sky", "spectrum": "blackbody:-5"}, ("temperature is -5", "0 excluded")),
     ({"type": "sky", "spectrum": "falling.csv"}, ("falling.csv", "line 2", "400 nm", "sort")),
     ({"type": "sky", "spectrum": "dark.csv"}, ("dark.csv",)),
     ({"type": "sky", "spectrum": "none.csv"}, ("none.csv", "check the path")),
@@ -72,17 +63,14 @@ WRONG: list[tuple[dict[str, Any], tuple[str, ...]]] = [
     ({"type": "sky", "filename": "dark.exr", "half_angle_deg": 9.0}, ("half_angle_deg",)),
     ({"type": "ray_file", "filename": "no unit.csv"}, ("no unit.csv", "x_mm")),
     ({"type": "ray_file", "filename": "no unit.dat"}, ("no unit.dat", "unit=")),
-    ({"type": "ray_file", "filename": "nan.csv"}, ("nan.csv", "ray 2 is 0, 0, nan", "give numbers")),
     ({"type": "ray_file", "filename": "lines.csv", "wavelength_nm": 500.0}, ("wavelength_nm", "leave it out")),
     ({"type": "ray_file", "filename": "none.csv"}, ("none.csv", "check the path")),
     ({**THERMAL, "temperature_K": -3.0}, ("temperature_K is -3", "1e6 K")),
-    ({**THERMAL, "temperature_K": NAN}, ("temperature_K is nan",)),
     ({**THERMAL, "temperature_K": 0.0}, ("0 K", "temperature_K")),
     ({**THERMAL, "parts": "cold stop=77"}, ("cold stop", "detector")),
     *(({**THERMAL, "parts": text}, ("parts",)) for text in ("detector", "detector=cold", "=4")),
     ({**THERMAL, "parts": "detector=-4"}, ("temperature of 'detector' is -4",)),
     *(({**THERMAL, "band_nm": text}, ("band_nm",)) for text in ("12000, 8000", "8000")),
-    ({**THERMAL, "bands": 0}, ("bands is 0",)),
     *(
         ({**THERMAL, key: value}, (key,))
         for key, value in {

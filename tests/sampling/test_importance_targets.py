@@ -150,10 +150,7 @@ def oracle_lands(images: DetectorImages, name: str, number: int, origins: np.nda
 @pytest.mark.long
 @pytest.mark.parametrize("name", [*LENS_SCENES, "phone_camera"])
 def test_targets_hold_the_light_that_reaches_the_detector(name):
-    """
-    From every surface of the design path at least 98 % of the light that would land by it lies within the target, 5 %
-    less where all diffuse light lands (in between in proportion); and at least 10 % of the rays aimed there land.
-    """
+    """At least 98 % of the light that lands (5 % less of diffuse light) lies within; 10 % of the aimed rays land."""
     scene = mistray.load(name)
     images = images_of(scene)
     table = images.path.table

@@ -46,6 +46,7 @@ def spot(distance: float, intensity: float, beam: float, cutoff: float) -> float
     return float(2 * np.pi * intensity * np.sum(fall * np.sin(theta)) * edge / 400_000)
 
 
+BALL = {"type": "sphere", "bsdf": BLACK}
 AT = mi.ScalarTransform4f().look_at([0, 0, -30], [0, 0, 0], [0, 1, 0])
 CASES: dict[str, tuple[dict[str, Any], float]] = {
     "point": ({"type": "point_source", "z": -20.0, "power": 3.0}, 3 * cone(20.0) / (4 * np.pi)),
@@ -84,13 +85,7 @@ CASES: dict[str, tuple[dict[str, Any], float]] = {
     "stock sky": ({"type": "constant", "radiance": WATTS}, 2 * 2 * np.pi * np.pi * RADIUS**2),
     "stock beam": ({"type": "directional", "direction": [0, 0, 1], "irradiance": WATTS}, 2 * np.pi * RADIUS**2),
     "stock area": (
-        {
-            "type": "sphere",
-            "center": [0, 0, -100],
-            "radius": 30.0,
-            "bsdf": BLACK,
-            "emitter": {"type": "area", "radiance": WATTS},
-        },
+        {**BALL, "center": [0, 0, -100], "radius": 30.0, "emitter": {"type": "area", "radiance": WATTS}},
         # A Lambertian ball has the irradiance of a point: π L (R/r)² cos θ, and cos θ dA / r² = dΩ
         np.pi * 2 * 900 * cone(100.0),
     ),
@@ -208,20 +203,13 @@ def test_shadow_edge_of_the_sun() -> None:
 
 def test_lens_images_a_point_where_gauss_says() -> None:
     """A thin lens of 50 mm images what is 150 mm before it at 75 mm, a height of 3 mm at -1.5 mm."""
-    glass = {"type": "asphere", "semi_diameter": 2.0, "part": "lens"}
-    radius = 2 * 50.0 * 0.5
-    rear = {"radius": -radius, "z": 0.02 + 2.0**2 / radius, "bsdf": {"type": "interface", "front": "1.5"}}
-    lens = {
-        "front": {**glass, "radius": radius, "bsdf": {"type": "interface", "back": "1.5"}},
-        "rear": {**glass, **rear},
-    }
+    glass, radius = {"type": "asphere", "semi_diameter": 2.0, "part": "lens"}, 2 * 50.0 * 0.5
+    front = {**glass, "radius": radius, "bsdf": {"type": "interface", "back": "1.5"}}
+    z = 0.02 + 2.0**2 / radius
+    rear = {**glass, "radius": -radius, "z": z, "bsdf": {"type": "interface", "front": "1.5"}}
     detector = {"type": "asphere", "semi_diameter": 5.0, "z": 75.0, "bsdf": BLACK, "sensor": meter()}
-    t = mistray.trace(
-        lit({"type": "point_source", "z": -150.0}, **lens, detector=detector),
-        rays=20_000,
-        field_mm=3.0,
-        max_reflections=0,
-    )
+    scene = lit({"type": "point_source", "z": -150.0}, front=front, rear=rear, detector=detector)
+    t = mistray.trace(scene, rays=20_000, field_mm=3.0, max_reflections=0)
     direct = t.paths.select("kind == 'direct'")[0]  # others pass where the lens has no edge
     assert direct.events.count(":T") == 2
     assert direct.y_mm == pytest.approx(-1.5, abs=0.01)

@@ -55,11 +55,7 @@ def test_densities_are_those_of_the_samples(learned: StartMap, cell: int) -> Non
 
 
 def test_light_that_arrives_by_chance_gets_more_rays() -> None:
-    """
-    Both halves bring as much, but one only by every hundredth ray, so that E[F²] is 100 times as large there.
-
-    The variance is least with √100 times as many rays; the share is the mean of this, 1/11, and that by light, 1/2.
-    """
+    """With E[F²] 100 times as large √100 times as many rays are best; the share is the mean of 1/11 and 1/2."""
     rng = np.random.default_rng(2)
     points = rng.random((200_000, 4))
     brings = np.where(points[:, 0] < 0.5, 1.0, np.where(rng.random(len(points)) < 0.01, 100.0, 0.0))

@@ -68,15 +68,9 @@ def test_temperatures_by_name() -> None:
     """Each surface has that of the last name that fits, and is a source of its own; false alarms 0.2 %."""
     names = {"near shield": 80.0, "far": 400.0, "shield_2": 100.0}
     sizes = [(30.0 + 10 * k, 20.0 + 10 * k) for k in range(3)]
+    black = {"type": "asphere", "z": -20.0, "bsdf": BLACK}
     rings = {
-        name: {
-            **FLAT,
-            "semi_diameter": outer,
-            "inner_semi_diameter": inner,
-            "z": -20.0,
-            "part": f"part {k}",
-            "bsdf": BLACK,
-        }
+        name: {**black, "semi_diameter": outer, "inner_semi_diameter": inner, "part": f"part {k}"}
         for k, (name, (outer, inner)) in enumerate(zip(names, sizes, strict=True))
     }
     parts = "detector=0; *shield*=90; near*=80; part 1=400; shield_2=100"
