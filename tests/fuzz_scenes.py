@@ -10,39 +10,14 @@ from number_fuzz import NASTY_XML, Try, Worker
 from oracles.small_scenes import interface_xml, shape_xml
 from test_plugin_pages import MANUALS
 
-BLACK_BSDF = """Source Measured
-Symmetry PlaneSymmetrical
-SpectralContent Monochrome
-ScatterType BRDF
-SampleRotation 1
-0
-AngleOfIncidence 1
-0
-ScatterAzimuth 2
-0 180
-ScatterRadial 3
-0 45 90
-Monochrome
-DataBegin
-TIS 0.05
-0.016 0.016 0.016
-0.016 0.016 0.016
-DataEnd
-"""
-BRACKET_PLY = """ply
-format ascii 1.0
-element vertex 3
-property float x
-property float y
-property float z
-element face 1
-property list uchar int vertex_indices
-end_header
-0 0 0
-1 0 0
-0 1 0
-3 0 1 2
-"""
+from mistray.scatter.measured.zemax_bsdf import write_zemax_bsdf
+from mistray.scatter.paint import Paint
+from mistray.scatter.scan import table
+
+BRACKET_PLY = (
+    "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n"
+    "property list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+)
 BENT = {"z": 5.0, "curvature": 0.01}
 SQUARE = {"clip_1": "+rectangle", "clip_1_half_width": 4.0, "clip_1_half_height": 4.0}
 TRIANGLE = {"clip_1": "+polygon", "clip_1_x1": -4.0, "clip_1_y1": -4.0, "clip_1_x2": 4.0, "clip_1_y2": -3.0,
@@ -84,37 +59,43 @@ NUMBERS: dict[str, dict[str, Any]] = {
     "rectangle": {},
 }
 # Plugin and parameter → what stands there instead of the above, where the two do not go together
+CURVED = BENT | SQUARE
 INSTEAD: dict[tuple[str, str], dict[str, Any]] = {
-    ("asphere", "half_width"): {"half_height": 2.0},
-    ("asphere", "half_height"): {"half_width": 2.0},
-    **{("freeform", name): {"z": 5.0, **SQUARE} for name in ("radius", "curvature_x", "toroid_curvature")},
-    ("freeform", "radius_x"): {"z": 5.0, **SQUARE},
-    ("freeform", "toroid_radius"): {"z": 5.0, **SQUARE},
-    ("freeform", "conic_x"): BENT | SQUARE | {"curvature_x": -0.01},
-    ("freeform", "zernike_5"): BENT | SQUARE | {"zernike_radius": 4.0},
-    ("freeform", "zernike_radius"): BENT | SQUARE | {"zernike_5": 0.01},
-    ("freeform", "fringe_5"): BENT | SQUARE | {"fringe_radius": 4.0},
-    ("freeform", "fringe_radius"): BENT | SQUARE | {"fringe_5": 0.01},
-    ("freeform", "qbfs_5"): BENT | SQUARE | {"q_radius": 4.0},
-    ("freeform", "qcon_5"): BENT | SQUARE | {"q_radius": 4.0},
-    ("freeform", "q_radius"): BENT | SQUARE | {"qcon_5": 0.01},
-    ("freeform", "chebyshev_5_5"): BENT | SQUARE | {"chebyshev_x": 5.0, "chebyshev_y": 5.0},
-    ("freeform", "chebyshev_x"): BENT | SQUARE | {"chebyshev_5_5": 0.01, "chebyshev_y": 5.0},
-    ("freeform", "chebyshev_y"): BENT | SQUARE | {"chebyshev_5_5": 0.01, "chebyshev_x": 5.0},
+    **{
+        (plugin, f"half_{one}"): others | {f"half_{other}": 4.0 if plugin == "freeform" else 2.0}
+        for plugin, others in {
+            "asphere": {},
+            "freeform": BENT,
+            "collimated": {},
+            "surface_source": {"z": -50.0},
+        }.items()
+        for one, other in (("width", "height"), ("height", "width"))
+    },
+    **{
+        ("freeform", name): {"z": 5.0, **SQUARE}
+        for name in ("radius", "radius_x", "curvature_x", "toroid_curvature", "toroid_radius")
+    },
+    **{
+        ("freeform", one): CURVED | {other: value}
+        for one, other, value in (
+            ("conic_x", "curvature_x", -0.01),
+            *((name, f"{name[:-2]}_radius", 4.0) for name in ("zernike_5", "fringe_5")),
+            *((f"{name[:-2]}_radius", name, 0.01) for name in ("zernike_5", "fringe_5")),
+            *((name, "q_radius", 4.0) for name in ("qbfs_5", "qcon_5")),
+            ("q_radius", "qcon_5", 0.01),
+        )
+    },
+    ("freeform", "chebyshev_5_5"): CURVED | {"chebyshev_x": 5.0, "chebyshev_y": 5.0},
+    ("freeform", "chebyshev_x"): CURVED | {"chebyshev_5_5": 0.01, "chebyshev_y": 5.0},
+    ("freeform", "chebyshev_y"): CURVED | {"chebyshev_5_5": 0.01, "chebyshev_x": 5.0},
     ("freeform", "semi_diameter"): BENT,
     ("freeform", "inner_semi_diameter"): BENT | {"semi_diameter": 4.0},
-    ("freeform", "half_width"): BENT | {"half_height": 4.0},
-    ("freeform", "half_height"): BENT | {"half_width": 4.0},
     ("freeform", "clip_1_radius"): BENT | {"clip_1": "+circle"},
     ("freeform", "clip_1_x1"): BENT | TRIANGLE,
     ("freeform", "clip_1_y1"): BENT | TRIANGLE,
     ("harvey_shack", "rms_nm"): {"l": 0.01, "s": -1.5},
     ("k_correlation", "reference_nm"): NUMBERS["k_correlation"] | {"band_limited": True},
     ("particulate", "coverage_percent"): {},
-    ("collimated", "half_width"): {"half_height": 2.0},
-    ("collimated", "half_height"): {"half_width": 2.0},
-    ("surface_source", "half_width"): {"half_height": 2.0, "z": -50.0},
-    ("surface_source", "half_height"): {"half_width": 2.0, "z": -50.0},
     ("target", "cone_deg"): {"surfaces": "*", "about": "specular"},
     ("thinfilm", "R"): {"T": 0.1},
     ("thinfilm", "T"): {"R": 0.1},
@@ -123,16 +104,8 @@ INSTEAD: dict[tuple[str, str], dict[str, Any]] = {
 LAMP_CSV = "x_mm,y_mm,z_mm,dx,dy,dz,flux_W\n0,0,-5,0,0,1,1\n0.5,0,-5,0,0.01,1,1\n"
 MODELS_OF_SCATTER = ("abg", "edge_diffraction", "gaussian_lobe", "harvey_shack", "k_correlation", "paint",
                      "particulate", "phong", "polynomial", "psd_table", "tabulated")  # fmt: skip
-SOURCES = (
-    "collimated",
-    "distant_disc",
-    "gaussian_beam",
-    "point_source",
-    "ray_file",
-    "sky",
-    "surface_source",
-    "thermal",
-)
+SOURCES = ("collimated", "distant_disc", "gaussian_beam", "point_source", "ray_file", "sky", "surface_source",
+           "thermal")  # fmt: skip
 SENSORS = ("far_field", "flux_split", "probe", "surface_maps")
 PAINTS = ("paint", "tabulated")  # that scatter at the wall, not at the lens
 ALONE = ("R", "T", "n_front_shift", "n_back_shift", "wavelength_nm")  # that a model has only by itself
@@ -215,21 +188,8 @@ def scene_with(plugin: str, name: str = "", text: str = "", kind: str = "float")
 
 
 # What the manual says of parameters that are numbers
-NUMERIC = (
-    "1",
-    "1/mm",
-    "1/sr",
-    "mm",
-    "mm^(1-order)",
-    "mm^(1-i-j)",
-    "deg",
-    "degree",
-    "nm",
-    "um",
-    "%",
-    "W/mm²",
-    "integer",
-)
+NUMERIC = ("1", "1/mm", "1/sr", "mm", "mm^(1-order)", "mm^(1-i-j)", "deg", "degree", "nm", "um", "%", "W/mm²",
+           "integer")  # fmt: skip
 BLACK = '<bsdf type="interface"><float name="R" value="0"/></bsdf>'
 SCENE = scene_with("abg")
 
@@ -308,37 +268,39 @@ MORE = {
     ),
     "thermal": (("--scene-K", "0"), ("--temperature-K", "0")),
 }
+
+
+def bsdf_line(kind: str, *without: str, **numbers: Any) -> tuple[str, ...]:
+    """A model on the command line with its numbers, or with others, less those that are tried."""
+    given = numbers or {key: value for key, value in NUMBERS[kind].items() if key not in without}
+    return (kind, *(word for key, value in given.items() for word in (f"--{key.replace('_', '-')}", f"{value}")))
+
+
+HIT = LINES["bsdf"][:-1]
 MODELS = {
-    "--b0": ("phong", "--exponent", "3"),
-    "--exponent": ("phong", "--b0", "0.1"),
-    "--l": ("harvey_shack", "--b0", "0.1", "--s", "-1.5"),
-    "--s": ("harvey_shack", "--b0", "0.1", "--l", "0.01"),
-    "--rms-nm": ("abg", "--correlation-um", "100"),
-    "--correlation-um": ("abg", "--rms-nm", "1"),
-    "--delta-n": ("abg", "--rms-nm", "1", "--correlation-um", "100"),
-    "--raw-integral": ("abg", "--rms-nm", "1", "--correlation-um", "100"),
-    "--B-um": ("k_correlation", "--rms-nm", "1", "--slope", "2.5"),
-    "--slope": ("k_correlation", "--rms-nm", "1", "--B-um", "10"),
-    "--width-mm": ("edge_diffraction",),
-    "--total": ("gaussian_lobe", "--width", "0.1"),
-    "--width": ("gaussian_lobe", "--total", "0.1"),
-    "--level": ("particulate",),
+    **{
+        f"--{key.replace('_', '-')}": bsdf_line(kind, key)
+        for kind, keys in {
+            "phong": "b0 exponent", "harvey_shack": "l s", "k_correlation": "B_um slope", "abg": "A B g",
+            "edge_diffraction": "width_mm", "particulate": "level", "gaussian_lobe": "total width",
+        }.items()
+        for key in keys.split()
+    },
+    "--rms-nm": bsdf_line("abg", correlation_um=100),
+    "--correlation-um": bsdf_line("abg", rms_nm=1),
+    "--delta-n": bsdf_line("abg", rms_nm=1, correlation_um=100),
+    "--raw-integral": bsdf_line("abg", rms_nm=1, correlation_um=100),
     "--coverage-percent": ("particulate",),
-    "--particle": ("particulate", "--level", "300"),
-    "--min-um": ("particulate", "--level", "300"),
-    "--max-um": ("particulate", "--level", "300"),
-    "--reflectance": ("paint", "--b0", "0.1", "--l", "0.1", "--s", "-2"),
-    "--n": ("paint", "--b0", "0.1", "--l", "0.1", "--s", "-2", "--reflectance", "0.05"),
+    **{f"--{name}": bsdf_line("particulate") for name in ("particle", "min-um", "max-um")},
+    "--reflectance": bsdf_line("paint", "reflectance"),
+    "--n": bsdf_line("paint"),
     "--coefficients": ("polynomial",),
     "--d": ("polynomial", "--coefficients", "c000=-0.5,c100=-0.4,l10=-0.7"),
-    "--scale": ("psd_table", "--file", "psd.csv", "--beyond", "zero"),
-    "--A": ("abg", "--B", "0.001", "--g", "2"),
-    "--B": ("abg", "--A", "0.01", "--g", "2"),
-    "--g": ("abg", "--A", "0.01", "--B", "0.001"),
-    "--hit-deg": (*LINES["bsdf"][:-1], "--hit-sr", "1e-6"),
-    "--hit-sr": (*LINES["bsdf"][:-1], "--hit-deg", "30"),
-    "--hit-before": (*LINES["bsdf"][:-1], "--hit-deg", "30", "--hit-sr", "1e-6"),
-}
+    "--scale": bsdf_line("psd_table"),
+    "--hit-deg": (*HIT, "--hit-sr", "1e-6"),
+    "--hit-sr": (*HIT, "--hit-deg", "30"),
+    "--hit-before": (*HIT, "--hit-deg", "30", "--hit-sr", "1e-6"),
+}  # fmt: skip
 ABOUT: dict[tuple[str, str], tuple[str, ...]] = {
     **{("bsdf", option): (*line, "--json") for option, line in MODELS.items()},
     **{
@@ -404,7 +366,7 @@ def write(folder: Path) -> None:
     (folder / "dark.xml").write_text(scene_with("interface", "T", "0"), encoding="utf-8")
     (folder / "study.toml").write_text(STUDY, encoding="utf-8")
     (folder / "budget.toml").write_text(BUDGET, encoding="utf-8")
-    (folder / "black.bsdf").write_text(BLACK_BSDF, encoding="utf-8")
+    write_zemax_bsdf(table(Paint(0.05), [0.0], "specular"), folder / "black.bsdf")
     (folder / "bracket.ply").write_text(BRACKET_PLY, encoding="utf-8")
     (folder / "lamp.csv").write_text(LAMP_CSV, encoding="utf-8")
     (folder / "psd.csv").write_text("frequency_1_um,psd_um4\n0.001,1e-3\n0.1,1e-7\n2,1e-12\n", encoding="utf-8")

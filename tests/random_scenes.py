@@ -13,6 +13,7 @@ along the axis that do not overlap, whatever their tilts are. Light that is in g
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import random
@@ -35,17 +36,8 @@ ORACLE_COATINGS = ("bare", "ideal", "table")  # those that tests/oracles know
 LENS_SCATTER = ("abg", "harvey_shack", "rough", "k_correlation", "gaussian_lobe", "particulate", "tabulated", "paint")
 WALL_SCATTER = ("paint", "flat_black", "tabulated", "abg_incident", "none")
 PRESETS = ("mgf2_quarter_wave", "v_coat", "bbar3", "bbar4")
-GLASSES = (
-    "N-BK7",
-    "N-SF11",
-    "N-LAK9",
-    "fused silica k=0",
-    "nd=1.544 Vd=56.1 k=0",
-    "1.5",
-    "1.9",
-    "1.62+1e-7i",
-    "1.5+2e-6i",
-)
+GLASSES = ("N-BK7", "N-SF11", "N-LAK9", "fused silica k=0", "nd=1.544 Vd=56.1 k=0", "1.5", "1.9", "1.62+1e-7i",
+           "1.5+2e-6i")  # fmt: skip
 ORACLE_GLASSES = ("nd=1.544 Vd=56.1 k=0", "1.5", "1.9", "1.62+1e-7i", "1.5+2e-6i", "N-BK7 k=1e-8")
 FILMS = ("MgF2", "Ta2O5 k=0", "SiO2 k=0", "1.7", "2.2", "2.1+0.001i", "1.3")
 SAMPLES = 257  # radii at which faces are compared
@@ -91,28 +83,13 @@ class Structure:
 
 @dataclass
 class Scene:
-    """
-    A scene with all that belongs to it.
-
-    Attributes
-    ----------
-    number : int
-    text : str
-        XML.
-    files : dict
-        Contents of the files that the XML names.
-    settings : dict
-        Arguments of `mistray.trace`.
-    nonsense : str
-        What makes no sense of it and must be refused; empty: the scene is sound.
-    structure : Structure
-    """
+    """A scene with all that belongs to it."""
 
     number: int
     text: str
-    files: dict[str, str]
-    settings: dict[str, Any]
-    nonsense: str
+    files: dict[str, str]  # contents of the files that the XML names
+    settings: dict[str, Any]  # arguments of `mistray.trace`
+    nonsense: str  # what makes no sense of it and must be refused; empty: the scene is sound
     structure: Structure
 
     def write(self, folder: Path) -> Path:
@@ -195,7 +172,6 @@ class _Builder:
     def scene(self) -> Scene:
         u = self.rng.uniform
         scale = 10 ** u(-1, 2)  # mm
-        places: list[tuple[float, float]] = []
         z = 0.0
         gaps = []
         for k, body in enumerate(self.plan.bodies):
@@ -203,7 +179,6 @@ class _Builder:
             z += scale * 10 ** u(-2, 0.3)
             gaps.append(z)
             z = self._body(f"L{k}", body, size, z)
-            places.append((z, size))
         if self.plan.ball:
             r = scale * u(0.1, 0.6)
             z += scale * 10 ** u(-2, 0)
@@ -254,10 +229,8 @@ class _Builder:
             self._shape("asphere", f"{name}_{k}", pose, bsdf, rims[k], **numbers)
             if face.collar:
                 rim = float(heights[k][-1])
-                plain = interface_xml(front, back, **self._edge())
-                self._shape(
-                    "frustum", f"{name}_{k}_collar", pose, plain, r0=numbers["semi_diameter"], z0=rim, r1=size, z1=rim
-                )
+                ends = {"r0": numbers["semi_diameter"], "z0": rim, "r1": size, "z1": rim}
+                self._shape("frustum", f"{name}_{k}_collar", pose, interface_xml(front, back, **self._edge()), **ends)
         for k in range(len(faces) - 1):
             plain = interface_xml(media[k + 1], "air", **self._edge())
             ends = {"r0": size, "z0": float(heights[k][-1]), "r1": size, "z1": float(heights[k + 1][-1])}
@@ -322,11 +295,10 @@ class _Builder:
         u = self.rng.uniform
         start, absorbed, tint = u(0, 0.5), u(0, 0.3), u(-0.1, 0.1)
         rows = ["wavelength_nm,angle_deg,R,T"]
-        for nm in (400, 550, 700):
-            for angle in range(0, 91, 3):
-                R = start + (1 - start) * (1 - math.cos(math.radians(angle))) ** 3
-                R *= 1 + tint * (nm - 550) / 150 * (1 - R)
-                rows.append(f"{nm},{angle},{R:.9f},{(1 - R) * (1 - absorbed):.9f}")
+        for nm, angle in itertools.product((400, 550, 700), range(0, 91, 3)):
+            R = start + (1 - start) * (1 - math.cos(math.radians(angle))) ** 3
+            R *= 1 + tint * (nm - 550) / 150 * (1 - R)
+            rows.append(f"{nm},{angle},{R:.9f},{(1 - R) * (1 - absorbed):.9f}")
         return "\n".join(rows) + "\n"
 
     def _scatter(self, name: str, kind: str) -> str:
@@ -349,10 +321,9 @@ class _Builder:
         if kind == "particulate":
             return bsdf_xml("particulate", level=rng.choice((100.0, 300.0, 600.0)))  # three: Mie takes its time
         if kind == "tabulated":
-            self.files[f"{name}.csv" if f"{name}.csv" not in self.files else f"{name}_bsdf.csv"] = self._bsdf_table(
-                share
-            )
-            return bsdf_xml("tabulated", file=list(self.files)[-1], relative_to="specular")
+            file = f"{name}.csv" if f"{name}.csv" not in self.files else f"{name}_bsdf.csv"
+            self.files[file] = self._bsdf_table(share)
+            return bsdf_xml("tabulated", file=file, relative_to="specular")
         if kind == "flat_black":
             return bsdf_xml("paint", preset="flat_black")
         if kind == "paint":
@@ -364,11 +335,9 @@ class _Builder:
     def _bsdf_table(self, share: float) -> str:
         bend = self.rng.uniform(0, 2)
         rows = ["theta_i_deg,theta_s_deg,phi_deg,bsdf"]
-        for i in (0, 30, 60):
-            for s in range(0, 91, 10):
-                for phi in range(0, 181, 30):
-                    away = abs(s - i) / 90 + phi / 180
-                    rows.append(f"{i},{s},{phi},{share / math.pi * math.exp(-bend * away):.9g}")
+        for i, s, phi in itertools.product((0, 30, 60), range(0, 91, 10), range(0, 181, 30)):
+            away = abs(s - i) / 90 + phi / 180
+            rows.append(f"{i},{s},{phi},{share / math.pi * math.exp(-bend * away):.9g}")
         return "\n".join(rows) + "\n"
 
     # ---- mechanics, detector, light
@@ -442,11 +411,8 @@ class _Builder:
         else:
             values |= {"half_width": size, "half_height": size * u(0.2, 1.0)}
         nm = ", ".join(f"{u(420, 680):.1f}" for _ in range(self.plan.wavelengths))
-        spectrum = (
-            f'<string name="wavelength_nm" value="{nm}"/>'
-            if "," in nm
-            else f'<float name="wavelength_nm" value="{nm}"/>'
-        )
+        kind = "string" if "," in nm else "float"
+        spectrum = f'<{kind} name="wavelength_nm" value="{nm}"/>'
         return bsdf_xml("collimated", **values).replace("<bsdf", "<emitter").replace("</bsdf>", spectrum + "</emitter>")
 
     def _settings(self) -> dict[str, Any]:
@@ -477,16 +443,9 @@ class _Builder:
         return settings | self.plan.settings
 
     def _shape(
-        self,
-        kind: str,
-        name: str,
-        pose: Sequence[float],
-        bsdf: str,
-        z: float = 0.0,
-        extra: str = "",
-        scale: Sequence[float] = (),
-        **numbers: float,
-    ) -> None:
+        self, kind: str, name: str, pose: Sequence[float], bsdf: str, z: float = 0.0, extra: str = "",
+        scale: Sequence[float] = (), **numbers: float,
+    ) -> None:  # fmt: skip
         """A shape at (0, 0, z) of a frame that is tilted (degrees, about x and then y) and moved to (x, y, z) mm."""
         tilt_x, tilt_y, *move = pose
         floats = "".join(f'<float name="{key}" value="{value!r}"/>' for key, value in numbers.items())

@@ -20,10 +20,8 @@ from attack import in_process, processes
 Part = Callable[[Worker, int], dict[str, Callable[[], str]]]
 PARTS: dict[str, Part] = {
     part.__name__: part
-    for part in (
-        in_process.options, in_process.scenes, in_process.files, in_process.bombs, in_process.entries,
-        processes.kills, processes.interrupts, processes.surroundings,
-    )
+    for part in (in_process.options, in_process.scenes, in_process.files, in_process.bombs,
+                 processes.interrupts, processes.surroundings)
 }  # fmt: skip
 
 

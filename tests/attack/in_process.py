@@ -1,12 +1,9 @@
-"""Parts whose cases run one after another in a worker: options, scenes, damaged files, bombs and cache entries."""
+"""Parts whose cases run one after another in a worker: options, scenes, damaged files and bombs."""
 
 from __future__ import annotations
 
 import gzip
-import hashlib
-import json
 import random
-import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -177,36 +174,3 @@ def _bombs() -> Iterator[tuple[str, bytes]]:
     aliases = [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]" for k in range(1, 10)]
     yield "aliases.yaml", "\n".join(["type: CompoundOptic", "a0: &a0 [x, x, x]", *aliases]).encode()
     yield "zipped.zmx", gzip.compress(b"\0" * 100_000_000)
-
-
-CONTENTS = (
-    b"", b"null", b"[]", b"{}", b"7", b"-1", b"NaN", b"1e999", b'""', b'"row"', b"true", b"\xff\xfe", b"\0", b"[" *
-    100_000,
-    b"{" * 100_000, b'{"a":' * 9, b'{"stray_W": 1}', b"[[]]", b"9" * 5000, b"\xef\xbb\xbf{}", b"{}{}", b"' OR 1",
-    b"STRAY:1e999", b"STRAY:NaN", b'STRAY:"1"', b"STRAY:true", b"STRAY:null", b"STRAY:[]", b"STRAY:{}",
-    b"rays:-Infinity",
-    b"worst_path:3", b"worst_events:[]", b"first_light:null", b"first_light:{}", b"first_light:[1]", b"polarization:5",
-    b"launched_W:{}",
-)  # fmt: skip
-TAKEN = (b"STRAY:NaN",)  # a number may not be known
-
-
-def entries(worker: Worker, seed: int) -> Cases:
-    """Entries of the cache whose sum agrees, and which are no results: named, removed and made again."""
-    words = ["sweep", "plate", "--rays", "50", "--field-deg", "0", "--wavelength-nm", "500", "--json"]
-
-    def run(content: bytes) -> str:
-        worker.run(words, 60.0)
-        (path,) = (worker.folder / "cache").glob("*.result")
-        magic, key, _, old = path.read_bytes().split(b"\n", 3)
-        name, _, value = content.replace(b"STRAY", b"stray_W").partition(b":")
-        made = content
-        if re.fullmatch(rb"[a-zA-Z_]+", name) and value:
-            made = json.dumps({**json.loads(old), name.decode(): "HERE"}).encode().replace(b'"HERE"', value)
-        path.write_bytes(b"\n".join((magic, key, hashlib.sha256(made).hexdigest().encode(), made)))
-        answer = worker.run(words, 60.0)
-        path.unlink(missing_ok=True)
-        told = "is damaged" in answer["said"] or content in TAKEN
-        return complaint(answer, answer["absent"]) or ("" if told else f"it was believed: {answer['said'][:200]}")
-
-    return {repr(content[:30]): partial(run, content) for content in CONTENTS}

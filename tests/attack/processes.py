@@ -1,13 +1,9 @@
-"""Parts whose cases are processes of their own: killed, interrupted, in strange surroundings, asked too much."""
+"""Parts whose cases are processes of their own: interrupted, in strange surroundings, asked too much."""
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
-import json
 import os
 import random
-import re
 import signal
 import subprocess
 import sys
@@ -84,46 +80,6 @@ def begun(process: subprocess.Popen[str]) -> None:
 
 
 Cases = dict[str, Callable[[], str]]
-RUNS = {
-    "ghosts": ["ghosts", "plate", "--rays", "500", "--field-deg", "0", "2"],
-    "pst": ["pst", "plate", "--rays", "2000", "--no-next-order", "--field-deg", "0", "20"],
-    "sweep": ["sweep", "plate", "--rays", "500", "--field-deg", "0", "2", "--no-cache"],
-}
-LIST = re.compile(rb"<!-- files of this report: (.*?) -->", re.DOTALL)
-
-
-def _mixed(out: Path) -> str:
-    """What is wrong with a folder: files that are not those of its page, and no mark of it."""
-    page = out / "report.html"
-    if not page.exists() or (out / "incomplete").exists():
-        return ""
-    lists = LIST.findall(page.read_bytes())
-    if not lists:
-        return "the page has no list"
-    for name, wanted in json.loads(lists[-1]).items():
-        if not (out / name).exists() or hashlib.sha256((out / name).read_bytes()).hexdigest() != wanted:
-            return f"{name} is not that of the page"
-    return ""
-
-
-def kills(worker: Worker, seed: int) -> Cases:
-    """Runs that are killed at a random time: the folder is whole, and the next run is not in its way."""
-    rng, folder = random.Random(seed), worker.folder
-
-    def run(name: str, delay: float) -> str:
-        words = [*MISTRAY, *RUNS[name], "--quiet", "--force", "--out", str(folder / name)]
-        process = subprocess.Popen(words, cwd=folder, stderr=subprocess.DEVNULL)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(delay)
-        ended = process.returncode
-        process.kill()
-        process.wait()
-        return _mixed(folder / name) or (f"exit code {ended}" if ended else "")
-
-    chosen = [(name, rng.uniform(1, 8)) for name in ["ghosts"] * 20 + ["pst"] * 14 + ["sweep"] * 14]
-    return {f"{k} {name} after {delay:.2f} s": partial(run, name, delay) for k, (name, delay) in enumerate(chosen)}
-
-
 LATEST_S = 8.0
 # Command lines that run for long, where a command can: the last one of an option counts
 LONG = {"image": ("--grid", "1000"), "app": ("--seconds", "1000")}

@@ -9,7 +9,7 @@ import pytest
 from attack.__main__ import PARTS, run_part
 
 # One of so many cases in the long tests; in how many tests all of them are split
-SOME = {"options": 151, "scenes": 71, "files": 13, "entries": 6, "surroundings": 15}
+SOME = {"options": 151, "scenes": 71, "files": 13, "surroundings": 15}
 SPLIT = {"options": 12, "scenes": 6, "files": 4}
 
 

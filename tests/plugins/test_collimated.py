@@ -118,27 +118,3 @@ def test_wavelengths() -> None:
         many = emitter(radius=1.0, **given)
         assert (many.wavelengths_nm.tolist(), many.weights.tolist()) == (wavelengths, weights)
     assert not mi.traverse(many).keys(), "none of its numbers is a Dr.Jit variable that an update could miss"
-
-
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [
-        ({"radius": float("nan")}, "source 'sun': radius is nan"),
-        ({"radius": 0.0, "inner_radius": 1.0}, "radius is 0"),
-        ({"inner_radius": 1.0}, "inner_radius is 1 mm; it must lie between 0 and radius = 1 mm"),
-        ({"radius": 0.0, "half_width": 1.0}, "half_height is 0"),
-        ({"half_width": 1.0, "half_height": 1.0}, "give radius or half_width and half_height"),
-        ({"field_deg": 90.0}, "field_deg is 90"),
-        ({"plane": "disc"}, "plane is 'disc'; use 'beam' or 'axis'"),
-        ({"wavelength_nm": "500, nan"}, "wavelength_nm is nan"),
-        ({"wavelength_nm": "green"}, "wavelength_nm is 'green'"),
-        ({"weights": "1, 2"}, "2 weights for 1 wavelengths"),
-        ({"wavelength_nm": "500, 600", "weights": "0, 0"}, "give one above 0"),
-        ({"diameter": 2.0}, "diameter"),
-        ({"to_world": mi.ScalarTransform4f().scale(2.0)}, "to_world scales, shears or mirrors"),
-    ],
-)
-def test_wrong_values(values: dict[str, Any], words: str) -> None:
-    with pytest.raises((mistray.MistrayError, RuntimeError)) as caught:
-        emitter(**{"radius": 1.0, **values})
-    assert words in str(caught.value)

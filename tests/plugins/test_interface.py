@@ -24,27 +24,6 @@ def test_defaults() -> None:
     assert glass.indices(587.5618) == pytest.approx((1.0, 1.5168), abs=1e-5)
 
 
-@pytest.mark.quick
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [
-        ({"R": 0.6, "T": 0.5}, "interface 'coat': R = 0.6 and T = 0.5"),
-        ({"R": float("nan")}, "R is nan"),
-        ({"T": 0.5}, "T is given without R"),
-        ({"R": 0.1, "table": "x.csv"}, "give R and T or table, not both"),
-        ({"back": "N-BK8"}, "material 'N-BK8' is unknown; did you mean N-BK7"),
-        ({"front": "0.7"}, "index 0.7"),
-        ({"table": "nowhere.csv"}, "coating table 'nowhere.csv': No such file"),
-        ({"wavelength_nm": 0.0}, "wavelength_nm is 0"),
-        ({"reflectance": 0.1}, "reflectance"),
-    ],
-)
-def test_wrong_values(values: dict[str, Any], words: str) -> None:
-    with pytest.raises((mistray.MistrayError, RuntimeError)) as caught:
-        mi.load_dict({"type": "interface", "id": "coat", **values})
-    assert words in str(caught.value)
-
-
 def test_update_changes_the_trace() -> None:
     scene = mistray.load("phone_camera")
     params = mi.traverse(scene)
@@ -56,18 +35,6 @@ def test_update_changes_the_trace() -> None:
     ratio = after.paths[0].power_W / before.paths[0].power_W
     assert ratio == pytest.approx(0.6 / 0.99, rel=1e-6)
     assert after.energy.absorbed["window_front"][0] == pytest.approx(0.1 * after.energy.launched_W, rel=1e-5)
-
-
-def test_bad_update_leaves_everything() -> None:
-    bsdf = mi.load_dict({"type": "interface", "id": "coat", "R": 0.1, "T": 0.8})
-    params = mi.traverse(bsdf)
-    params["R"] = mi.Float(0.5)
-    with pytest.raises(mistray.MistrayError, match=r"interface 'coat': R = 0.5 and T = 0.8"):
-        params.update()
-    assert (bsdf.R[0], bsdf.T[0]) == pytest.approx((0.1, 0.8))
-    params["R"], params["T"] = mi.Float(0.5), mi.Float(0.5)
-    params.update()
-    assert (bsdf.R[0], bsdf.T[0]) == (0.5, 0.5)
 
 
 SHIFT = 0.125  # exact in float32, as are the indices with it
@@ -135,15 +102,20 @@ def test_bad_updates_leave_everything() -> None:
     bsdf = mi.load_dict({"type": "interface", "id": "face", "back": "1.5", "R": 0.1, "T": 0.8})
     params = mi.traverse(bsdf)
     for key, value, words in (
+        ("R", 0.5, r"interface 'face': R = 0.5 and T = 0.8"),
         ("n_back_shift", float("nan"), r"interface 'face': n_back_shift is nan"),
         ("n_front_shift", [0.1, 0.2], r"give one number"),
         ("n_back_shift", -2.0, r"interface 'face': material '1.5 shift=-2.0': index -0.5"),
     ):
-        params[key] = mi.Float(value)
+        before, params[key] = np.array(params[key]), mi.Float(value)
         with pytest.raises(mistray.MistrayError, match=words):
             params.update()
         assert bsdf.indices(550.0) == (1.0, 1.5)
-        assert np.array(mi.traverse(bsdf)[key]).tolist() == [0.0]
+        assert (bsdf.R[0], bsdf.T[0]) == pytest.approx((0.1, 0.8))
+        np.testing.assert_array_equal(np.array(mi.traverse(bsdf)[key]), before)
+    params["R"], params["T"] = mi.Float(0.5), mi.Float(0.5)
+    params.update()
+    assert (bsdf.R[0], bsdf.T[0]) == (0.5, 0.5)
 
 
 def test_nested_plugins_have_none() -> None:
@@ -154,6 +126,3 @@ def test_nested_plugins_have_none() -> None:
     assert {key for key in keys if "coating" in key} == {f"coating.{k}" for k in ("thickness_nm", "n_shift", "k_shift")}
     alone = mi.load_dict({"type": "thinfilm", "layers": "1.38 99", "back": "1.5", "n_back_shift": 0.25})
     assert alone.indices(550.0) == (1.0, 1.75)
-    for nested in ({"coating": film | {"n_back_shift": 0.1}}, {"polish": polish | {"n_front_shift": 0.1}}):
-        with pytest.raises(Exception, match=r"n_(back|front)_shift as well; give n_\w+_shift at the interface only"):
-            mi.load_dict({"type": "interface", "back": "1.5", **nested})

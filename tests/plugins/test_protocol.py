@@ -64,30 +64,6 @@ def test_vertices_have_no_derivative(scene: mi.Scene) -> None:
         dr.disable_grad(params[key])
 
 
-def test_normals_of_the_meshes_are_those_of_the_surfaces(scene: mi.Scene) -> None:
-    """Mitsuba's own ray meets the lens from -z and the edge from inside: the normals point along it."""
-    hit = scene.ray_intersect(mi.Ray3f(mi.Point3f(1, 1, -5), mi.Vector3f(0, 0, 1)))
-    assert float(hit.n.z[0]) > 0.9
-    inside = scene.ray_intersect(mi.Ray3f(mi.Point3f(0, 0, 3), mi.Vector3f(1, 0, 0)))
-    assert inside.shape[0].id() == "lens_edge"
-    assert float(inside.n.x[0]) > 0.9
-
-
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [
-        ({"rays": 0}, "rays is 0"),
-        ({"max_events": 1001}, "max_events is 1001"),
-        ({"splitting": "both"}, "splitting is 'both'"),
-        ({"below_threshold": "drop"}, "below_threshold is 'drop'"),
-        ({"flux_threshold": 2.0}, "flux_threshold is 2"),
-    ],
-)
-def test_wrong_settings(values: dict[str, float | str], words: str) -> None:
-    with pytest.raises(MistrayError, match=words):
-        scene_dicts.load(integrator={"type": "straylight", **values})
-
-
 def test_wrong_values_by_all_ways_in(tmp_path: Path, capsys: Captured) -> None:
     """A dict, a file and the command name shape and value in one line."""
     with pytest.raises(MistrayError) as by_dict:

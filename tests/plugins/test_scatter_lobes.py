@@ -137,26 +137,23 @@ def test_derivative_of_eval(name: str, key: str) -> None:
     bsdf = surface(model)
     parameters = mi.traverse(bsdf)
     parameter = parameters[f"{model['type']}.{key}"]
-    at, step = float(parameter[0]), 1e-3
+    at = float(parameter[0])
     wi = direction(50.0 if name == "rough" else 30.0, True)
     wo = np.concatenate([hemisphere(30, -1.0, 8), hemisphere(30, 1.0, 9)])
     dr.enable_grad(parameter)
     values = bsdf.eval(context(IMPORTANCE), interaction(wi, len(wo)), vectors(wo))[0]
     dr.forward(parameter)
     got = np.array(dr.grad(values), dtype=float)
-    if name in (
-        "k_correlation",
-        "paint",
-        "polynomial",
-        "rough",
-    ):  # the lobes have tables where the plugin has equations
-        step = 4e-3
-        low, high = (value(moved(name, key, 1 + sign * step), wi, wo) for sign in (-1, 1))
-    else:
-        low, high = (
-            np.concatenate([host(at_end, wi, wo[:30], "reflection"), host(at_end, wi, wo[30:], "transmission")])
-            for at_end in (moved(name, key, 1 + sign * step) for sign in (-1, 1))
-        )
+    # Some lobes have tables where the plugin has equations
+    tabled = name in ("k_correlation", "paint", "polynomial", "rough")
+    step = 4e-3 if tabled else 1e-3
+    ends = [moved(name, key, 1 + sign * step) for sign in (-1, 1)]
+    low, high = (
+        value(end, wi, wo)
+        if tabled
+        else np.concatenate([host(end, wi, wo[:30], "reflection"), host(end, wi, wo[30:], "transmission")])
+        for end in ends
+    )
     expected = (high - low) / (2 * step * at)
     accuracy = 1e-2 if name == "rough" else 2e-3  # its shape changes with the roughness, over the angles too
     # Central differences are good to step² of the scale, in float32 to its rounding over the step

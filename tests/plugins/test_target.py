@@ -10,7 +10,6 @@ import pytest
 import scene_dicts
 
 import mistray
-from mistray import MistrayError
 from mistray.surfaces.surfaces import SurfaceTable
 
 T = mi.ScalarTransform4f
@@ -26,34 +25,6 @@ def test_parameters() -> None:
     assert (bsdf.surfaces, bsdf.rays, bsdf.scale, bsdf.hole, bsdf.reverse) == (("a_*", "b"), 10, 2, 0.5, True)
     plain = target()
     assert (plain.surfaces, plain.rays, plain.scale, plain.hole, plain.reverse) == (("lens",), 1, 1, 0, False)
-
-
-CONE = {"about": "point", "cone_deg": 1.0}
-
-
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [
-        ({"surfaces": " , "}, "surfaces is empty"),
-        ({"surfaces": None}, "surfaces is missing"),
-        ({"rays": 256}, "rays is 256"),
-        ({"rays": "many"}, "rays is 'many'"),
-        ({"scale": 0.0}, "scale is 0"),
-        ({"hole": 1.0}, "hole is 1"),
-        ({"half_axes": "1, 2"}, "half_axes is '1, 2'; give three positive numbers"),
-        ({"half_axes": "1, b, 3"}, "half_axes is '1, b, 3'"),
-        (CONE | {"about": "axis"}, "about is 'axis'; use direction, point or specular"),
-        ({"about": "point"}, "about without cone_deg"),
-        ({"cone_deg": 2.0}, "cone_deg without about"),
-        (CONE | {"entity": "lens"}, "about and entity exclude each other"),
-        (CONE | {"scale": 2.0}, "about and scale exclude each other"),
-        ({"entity": "lens", "hole": 0.5}, "entity and hole exclude each other"),
-    ],
-)
-def test_bad_parameters(values: dict[str, Any], words: str) -> None:
-    given = {key: value for key, value in ({"surfaces": "lens"} | values).items() if value is not None}
-    with pytest.raises(MistrayError, match=words):
-        scene_dicts.load(t={"type": "disk", "bsdf": {"type": "target", **given}})
 
 
 def test_a_target_is_no_surface_of_the_ray_tree() -> None:

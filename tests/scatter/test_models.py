@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -25,13 +24,9 @@ ABG = {"A": 1.0, "B": 1e-3, "g": 2.0}
 ROUGH = {"rms_nm": 1.0, "B_um": 20.0, "slope": 3.0}
 VECTOR = {"theory": "rayleigh_rice_vector"}
 REFUSED: list[tuple[type, dict[str, Any], str]] = [
-    (ABg, ABG | {"A": math.nan}, "A is nan"),
     (ABg, ABG | {"B": 0.0}, "B is 0; give B > 1e-12, or B ≥ 0 with g = 0"),
-    (ABg, ABG | {"B": 1e-12}, "B is 1e-12"),
-    (Gaussian, {"total": 1.1, "width": 0.1}, "total is 1.1"),
     (HarveyShack, {}, "neither of b0 and rms_nm"),
     (HarveyShack, {"b0": 1.0, "rms_nm": 4.0}, "both of b0 and rms_nm"),
-    (HarveyShack, {"b0": 1.0, "s": 0.0}, "s is 0"),
     (KCorrelation, ROUGH | {"slope": 2.0}, "slope is 2, .*band_limited"),
     (KCorrelation, ROUGH | {"theory": "beckmann"}, "theory is 'beckmann'"),
     (KCorrelation, ROUGH | {"theory": "ghs_full", "slope": 2.5}, "ghs_full needs slope 3"),
@@ -40,25 +35,19 @@ REFUSED: list[tuple[type, dict[str, Any], str]] = [
     (KCorrelation, ROUGH | {"reference_nm": 550.0}, "reference_nm goes with band_limited"),
     (KCorrelation, ROUGH | {"substrate": 1.5 + 0j}, "substrate goes with theory rayleigh_rice_vector"),
     (KCorrelation, ROUGH | VECTOR | {"substrate": -1 + 2j}, "substrate is -1"),
-    (Paint, {"reflectance": 1.2}, "reflectance is 1.2"),
-    (Paint, {"b0": 1.0, "s": 0.5}, "s is 0.5"),
     (Paint, {}, "nothing is scattered"),
     (Paint, {"reflectance": 0.99, "b0": 1.0}, "of the light at 0°; lower reflectance or b0"),
     (Paint, {"reflectance": 0.9, "b0": 1.0, "l": 0.1, "s": -3.0, "n": 1.5}, r"scatters 1\.\d+ of the light at \d+.*°"),
     (Particulate, {}, "neither of level and coverage_percent"),
     (Particulate, {"level": 300.0, "coverage_percent": 0.1}, "both of level and coverage_percent"),
-    (Particulate, {"level": 0.5}, "level is 0.5"),
     (Particulate, {"level": 300.0, "max_um": 400.0}, "max_um ≤ level"),
     (Particulate, {"level": 300.0, "relative_to": "incident"}, "relative_to is 'incident'"),
     (Phong, {"b0": 0.1, "exponent": 0.5}, "exponent is 0.5"),
     (Polynomial, {"coefficients": (("c00", -1.0),)}, "'c00' is no coefficient"),
     (Polynomial, {"coefficients": (("c100", -1.0),)}, "give each once, and c000"),
     (Polynomial, {"coefficients": (("c000", -1.0), ("c000", -2.0))}, "c000, c000; give each once"),
-    (Polynomial, {"coefficients": (("c000", math.nan),)}, "c000 is nan"),
     (Polynomial, {"coefficients": ()}, "coefficients none"),
-    (Polynomial, {"coefficients": (("c000", -1.0),), "d": 0.0}, "d is 0"),
     (Polynomial, {"coefficients": (("c000", 400.0),)}, "its BSDF runs from .* the coefficients are too large"),
-    (EdgeDiffraction, {"width_mm": 0.0}, "width_mm is 0"),
     (EdgeDiffraction, {"width_mm": 1.0, "law": "fresnel"}, "law is 'fresnel'"),
     (EdgeDiffraction, {"width_mm": 1.0, "event": "both"}, "event is 'both'.*transmission"),
 ]

@@ -105,13 +105,6 @@ class TestCover:
         np.testing.assert_allclose(values(held, 0.0, grazing), 0.1, rtol=1e-9)
         zero = Tabulated(self.short("normal"), beyond="zero")
         np.testing.assert_allclose(values(zero, 0.0, grazing), [0.0, 0.1], atol=1e-9)
-        with pytest.raises(MistrayError, match="beyond is 'last'"):
-            Tabulated(self.short("normal"), beyond="last")
-
-    def test_azimuth(self) -> None:
-        full = samples("normal", lambda d: np.full(d.shape[:-1], 0.1))
-        with pytest.raises(MistrayError, match=r"azimuths from 0 to 90° do not cover the hemisphere"):
-            Samples("half", "normal", ANGLES, AZIMUTH[:10], full.polar_deg, full.values[:, :10])
 
     def test_full_circle(self) -> None:
         azimuth = np.array([0.0, 90.0, 180.0, 270.0, 360.0])
@@ -125,59 +118,60 @@ class TestCover:
             half_circle("test", azimuth[[0, 1, 2, 4]], grid[:, [0, 1, 2, 4]])
 
 
-class TestRefused:
-    def test_more_than_all_light(self) -> None:
-        with pytest.raises(MistrayError, match=r"TIS = 1\.5 at \d+°, more than all light"):
-            Tabulated(samples("normal", lambda d: np.full(d.shape[:-1], 1.5 / np.pi)))
+def level(value: float = 0.1, event: str | None = None) -> Samples:
+    """The same in all directions."""
+    return samples("normal", lambda d: np.full(d.shape[:-1], value), event)
 
-    def test_no_light(self) -> None:
-        with pytest.raises(MistrayError, match="all values are 0"):
-            Tabulated(samples("normal", lambda d: np.zeros(d.shape[:-1])))
 
-    def test_grids(self) -> None:
-        full = samples("normal", lambda d: np.full(d.shape[:-1], 0.1))
-        for value, words in ((np.nan, "nan at incidence 20°, azimuth 30°, polar angle 10°"), (-1.0, "-1 at")):
-            full.values[2, 3, 5] = value
-            with pytest.raises(MistrayError, match=words):
-                Samples("bad", "normal", ANGLES, AZIMUTH, full.polar_deg, full.values)
-        grid = np.ones((1, 2, 2))
-        ends = np.array([0.0, 180.0])
-        with pytest.raises(MistrayError, match="the polar angles do not ascend"):
-            Samples("x", "normal", np.zeros(1), ends, np.array([90.0, 0.0]), grid)
-        with pytest.raises(MistrayError, match="polar angles begin at 5°"):
-            Samples("x", "normal", np.zeros(1), ends, np.array([5.0, 90.0]), grid)
-        with pytest.raises(MistrayError, match="incidence angles from 95 to 95°"):
-            Samples("x", "normal", np.array([95.0]), ends, np.array([0.0, 90.0]), grid)
-        with pytest.raises(MistrayError, match="light at 90° does not meet the surface"):
-            Samples("x", "normal", np.array([90.0]), ends, np.array([0.0, 90.0]), grid)
-        with pytest.raises(MistrayError, match="4 values for 1 × 2 × 3 angles"):
-            Samples("x", "normal", np.zeros(1), ends, np.array([0.0, 45.0, 90.0]), grid)
+def grid(specular: float = 0.0, azimuth: float = 180.0, polar: tuple[float, ...] = (0.0, 90.0)) -> Samples:
+    """1 at every pair of angles; the values are always four."""
+    return Samples("x", "normal", np.array([specular]), np.array([0.0, azimuth]), np.array(polar), np.ones((1, 2, 2)))
+
+
+def with_one(value: float) -> Samples:
+    full = level()
+    full.values[2, 3, 5] = value
+    return Samples("bad", "normal", ANGLES, AZIMUTH, full.polar_deg, full.values)
+
+
+@pytest.mark.parametrize(
+    ("made", "words"),
+    [
+        (lambda: Tabulated(level(1.5 / np.pi)), r"TIS = 1\.5 at \d+°, more than all light"),
+        (lambda: Tabulated(level(0.0)), "all values are 0"),
+        (lambda: Tabulated(level(), beyond="last"), "beyond is 'last'"),
+        (lambda: Tabulated(level(event="reflection"), event="transmission"), "holds reflection, the event is 'trans"),
+        (lambda: Tabulated.read("a.txt"), r"'a.txt': its name must end in .bsdf"),
+        (lambda: Tabulated.read("none.csv"), "No such file or directory; check the path"),
+        (lambda: with_one(np.nan), "nan at incidence 20°, azimuth 30°, polar angle 10°"),
+        (lambda: with_one(-1.0), "-1 at"),
+        (lambda: grid(polar=(90.0, 0.0)), "the polar angles do not ascend"),
+        (lambda: grid(polar=(5.0, 90.0)), "polar angles begin at 5°"),
+        (lambda: grid(polar=(0.0, 45.0, 90.0)), "4 values for 1 × 2 × 3 angles"),
+        (lambda: grid(95.0), "incidence angles from 95 to 95°"),
+        (lambda: grid(90.0), "light at 90° does not meet the surface"),
+        (lambda: grid(azimuth=90.0), "azimuths from 0 to 90° do not cover the hemisphere"),
+    ],
+)
+def test_refused(made: Callable[[], object], words: str) -> None:
+    with pytest.raises(MistrayError, match=words):
+        made()
 
 
 class TestPlacement:
     def test_event_of_the_file(self) -> None:
-        both = samples("normal", lambda d: np.full(d.shape[:-1], 0.1))
-        brdf = samples("normal", lambda d: np.full(d.shape[:-1], 0.1), "reflection")
+        both, brdf = level(), level(event="reflection")
         assert [lobe.event for lobe in Tabulated(both).lobes(550, 1, 1.5, True)] == ["reflection", "transmission"]
         assert [lobe.event for lobe in Tabulated(brdf).lobes(550, 1, 1.5, True)] == ["reflection"]
-        with pytest.raises(MistrayError, match="the table holds reflection, the event is 'transmission'"):
-            Tabulated(brdf, event="transmission")
         assert Tabulated(brdf, side="back").lobes(550, 1, 1.5, True) == ()
 
     def test_equal_by_content(self) -> None:
         """Models are keys of caches: two tables with the same options are two models."""
-        level, other = (samples("normal", lambda d, v=v: np.full(d.shape[:-1], v)) for v in (0.1, 0.2))
-        again = samples("normal", lambda d: np.full(d.shape[:-1], 0.1))
-        assert Tabulated(level) != Tabulated(other)
-        assert Tabulated(level) == Tabulated(again)
-        assert hash(Tabulated(level)) == hash(Tabulated(again))
-        assert Tabulated(level, cosine_corrected=False) != Tabulated(level, side="back")
-
-    def test_read_by_ending(self, tmp_path: Path) -> None:
-        with pytest.raises(MistrayError, match=r"'a.txt': its name must end in .bsdf"):
-            Tabulated.read("a.txt")
-        with pytest.raises(MistrayError, match="No such file or directory; check the path"):
-            Tabulated.read(tmp_path / "none.csv")
+        one = Tabulated(level())
+        assert one != Tabulated(level(0.2))
+        assert one == Tabulated(level())
+        assert hash(one) == hash(Tabulated(level()))
+        assert one != Tabulated(level(), side="back")
 
 
 LAMBERT = """# a comment

@@ -36,26 +36,13 @@ class Sums:
 
 @dataclass(frozen=True)
 class Comparison:
-    """
-    Both programs at one field.
-
-    Attributes
-    ----------
-    trace : mistray.Trace
-    paths : dict
-        Surfaces of a path → (mistray, batoid), for the paths that both find.
-    more, missing : dict
-        Those that only mistray finds, with batoid's figures from following the named surfaces, and those that only
-        batoid finds.
-    order : dict
-        Ghost reflections of every path.
-    """
+    """Both programs at one field, by the surfaces of a path; figures of mistray come first."""
 
     trace: mistray.Trace
-    paths: dict[Names, tuple[Sums, Sums]]
-    more: dict[Names, tuple[Sums, Sums]]
-    missing: dict[Names, Sums]
-    order: dict[Names, int]
+    paths: dict[Names, tuple[Sums, Sums]]  # that both find
+    more: dict[Names, tuple[Sums, Sums]]  # that only mistray finds, with batoid's figures from following the surfaces
+    missing: dict[Names, Sums]  # that only batoid finds
+    order: dict[Names, int]  # ghost reflections
 
     def ghosts(self) -> dict[Names, tuple[Sums, Sums]]:
         """The two-reflection paths that both find."""
@@ -69,20 +56,11 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Telescope:
-    """
-    A telescope of batoid's with R = 2 % on every refracting surface and on the detector.
-
-    Attributes
-    ----------
-    file : str
-    wavelength_nm : float
-    shipped : str
-        Name of a scene that comes with mistray and stands for it here; empty: what is read from the file.
-    """
+    """A telescope of batoid's with R = 2 % on every refracting surface and on the detector."""
 
     file: str
     wavelength_nm: float
-    shipped: str = ""
+    shipped: str = ""  # name of a scene that comes with mistray and stands for what is read from the file
 
     @cached_property
     def prescription(self) -> Prescription:
@@ -208,3 +186,6 @@ def differences(pairs: dict[Names, tuple[Sums, Sums]]) -> dict[str, float]:
         "centroid_mm": max(float(np.hypot(a.x_mm - b.x_mm, a.y_mm - b.y_mm)) for a, b in both),
         "rms": max(abs(a.rms_mm / b.rms_mm - 1) for a, b in both),
     }
+
+
+LSST = Telescope("LSST_r.yaml", 620.0)

@@ -1,7 +1,7 @@
 """Figures of the phone camera: its image, its irradiance on axis, its ghosts beside those of the FRED study.
 
 The reference figures of the image stand in the ``checks`` of ``scenes/phone_camera/prescription.json``; they come from
-an independent float64 ray trace. Those of the study are in `REPORT`.
+an independent float64 ray trace. Those of the study are in tests/data.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import vectors
 from oracles import beams, scene_xml
 from oracles.replay import Replay, replay
 
@@ -39,62 +40,20 @@ DIRECT = [*((face, "SpecTran") for face in (*WINDOW, *FACES)), ("detector", "Abs
 
 @dataclass(frozen=True)
 class Ghost:
-    """
-    One row of the study's Table 21, with the surfaces of Tables 22-26 in our names.
-
-    Attributes
-    ----------
-    field_deg : float
-    path : int
-        Number of the path in the study.
-    irradiance, normalised : float
-        RMS irradiance in W/mm² and over that of the image on axis, as printed.
-    surfaces : tuple of str
-        Reflecting surfaces; empty where the study does not name them.
-    """
+    """A path of the study: RMS irradiance (W/mm²), the same over that of the image, the surfaces if it names them."""
 
     field_deg: float
     path: int
     irradiance: float
     normalised: float
-    surfaces: tuple[str, ...] = ()
+    surfaces: tuple[str, ...]
 
 
 NOMINAL = 130432.0  # RMS irradiance of the image on axis, W/mm²
 NOMINAL_RAYS = 10_000
 REPORT = [
-    Ghost(0, 478, 9.354802972, 7.17217e-05, ("detector", "window_rear")),
-    Ghost(0, 479, 9.352988661, 7.17078e-05, ("detector", "window_front")),
-    Ghost(0, 466, 1.393128597, 1.06809e-05, ("detector", "filter_rear")),
-    Ghost(0, 467, 0.341211019, 2.61601e-06, ("detector", "filter_front")),
-    Ghost(5, 1158, 0.094694656, 7.26008e-07, ("detector", "L5_rear")),
-    Ghost(5, 1157, 0.077582875, 5.94815e-07, ("detector", "L5_front")),
-    Ghost(5, 1156, 0.060528169, 4.64059e-07, ("detector", "L4_rear")),
-    Ghost(5, 1160, 0.015605596, 1.19645e-07, ("detector", "L3_rear")),
-    Ghost(10, 2299, 0.118851031, 9.11211e-07, ("detector", "filter_rear")),
-    Ghost(10, 2302, 0.099233339, 7.60805e-07, ("detector", "L5_front")),
-    Ghost(10, 2300, 0.078501595, 6.01858e-07, ("detector", "filter_front")),
-    Ghost(10, 2303, 0.072464173, 5.55571e-07, ("detector", "L4_rear")),
-    Ghost(15, 2237, 0.145029919, 1.11192e-06, ("detector", "filter_rear")),
-    Ghost(15, 2238, 0.09304392, 7.13352e-07, ("detector", "filter_front")),
-    Ghost(15, 27, 0.064206826, 4.92263e-07, ("detector", "L5_bevel_2")),
-    Ghost(15, 12, 0.000543492, 4.16686e-09, ("stop_wall",)),
-    Ghost(20, 26, 0.020045672, 1.53687e-07, ("barrel_2_cone",)),
-    Ghost(20, 21, 0.019685929, 1.50929e-07, ("barrel_2_cone",)),
-    Ghost(20, 11, 0.017770291, 1.36242e-07),
-    Ghost(20, 84, 0.000703999, 5.39744e-09, ("barrel_3_cone", "detector", "L5_bevel_2")),
-    Ghost(25, 15, 0.024531682, 1.8808e-07),
-    Ghost(25, 21, 0.023816372, 1.82596e-07),
-    Ghost(25, 13, 0.01082153, 8.29668e-08, ("barrel_1_cone",)),
-    Ghost(25, 9, 0.000169909, 1.30266e-09, ("stop_wall", "barrel_4_cone")),
-    Ghost(26, 6, 0.013466926, 1.03249e-07),
-    Ghost(26, 361, 2.2975e-05, 1.76145e-10),
-    Ghost(26, 362, 1.93729e-05, 1.48529e-10),
-    Ghost(26, 365, 8.34105e-06, 6.39494e-11),
-    Ghost(27, 70, 0.003072682, 9.18724e-07),
-    Ghost(27, 69, 0.005709146, 5.045e-07, ("stop_wall", "L2_rear", "barrel_3_cone")),
-    Ghost(27, 66, 0.607101326, 1.53019e-07),
-    Ghost(27, 67, 0.796453608, 1.12021e-07, ("stop_wall", "L2_rear", "L1_rear")),
+    Ghost(float(field), int(path), float(irradiance), float(normalised), tuple(surfaces.split()))
+    for field, path, irradiance, normalised, surfaces in map(dict.values, vectors.rows("phone_camera_ghosts.csv"))
 ]
 FIELDS_DEG = sorted({ghost.field_deg for ghost in REPORT})
 THREE_REFLECTIONS = (20.0, 27.0)  # fields at which the study names paths with three
@@ -143,12 +102,7 @@ def image(rays: int) -> list[dict[str, float]]:
 
     The relative illumination is that of an even scene by conservation of étendue: the flux that passes, with the cosine
     of the tilted stop, times the solid angle in object space from which an area of the image collects,
-    sin θ dθ / (y dy).
-
-    Parameters
-    ----------
-    rays : int
-        For the lenses alone, on a grid. The camera with its barrel gets eight times as many random rays.
+    sin θ dθ / (y dy). The lenses alone get `rays` on a grid, the camera with its barrel eight times as many at random.
     """
     rims = wide_open(barrel=False)
     scene, with_barrel = rims.to_scene(), wide_open(barrel=True).to_scene()
@@ -267,23 +221,10 @@ def radial(
     camera: Prescription | None = None,
 ) -> tuple[float, ...]:
     """
-    An on-axis path by quadrature (midpoints) over the square of the height in the beam, in float64.
+    An on-axis path by quadrature (midpoints) over the square of the height in a beam of 1 W/mm², in float64.
 
-    Parameters
-    ----------
-    events : list of (surface, event)
-    radius : float
-        Of the beam of 1 W/mm², mm.
-    wavelength_nm : float
-    stop : bool
-        Whether the faces of the stop clip, on the way back too; nothing else does.
-    camera : Prescription, optional
-        Instead of the shipped one.
-
-    Returns
-    -------
-    power_W, rms_mm, irradiance_W_mm2, spread : float
-        The last, over √n, is the relative standard error of the irradiance from n random rays.
+    Only the faces of the stop clip, on the way back too, or nothing does. Gives power, RMS radius, RMS irradiance, and
+    what over √n is the relative standard error of that from n random rays.
     """
     r = radius * np.sqrt((np.arange(NODES) + 0.5) / NODES)
     origin = np.column_stack([0 * r, r, np.full_like(r, -3.0)])
@@ -310,11 +251,7 @@ def _with_stop(camera: Prescription) -> scene_xml.SceneModel:
 
 
 def readings() -> list[dict[Any, Any]]:
-    """
-    RMS irradiance of the image on axis by quadrature, W/mm², for other readings of the study's tables.
-
-    Keys are "reading" and (radius of the beam in mm, wavelength in nm).
-    """
+    """RMS irradiance of the image on axis by quadrature for other readings of the tables, by (radius, wavelength)."""
 
     def changed(part: str, material: str) -> Prescription:
         camera = shipped()
@@ -362,14 +299,7 @@ def on_axis(rays: int) -> list[dict[str, Any]]:
 
 
 def ghost_pairs(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """
-    The four ghosts of Table 22 on axis: traced, by quadrature, and by quadrature with nothing that clips.
-
-    Parameters
-    ----------
-    table : DataFrame
-        Of `ghost_table` at field 0.
-    """
+    """The four ghosts of Table 22 on axis: traced (`ghost_table`), by quadrature, and with nothing that clips."""
     rows = []
     for ghost in REPORT[:4]:
         row = strongest(table, ghost.surfaces)

@@ -15,7 +15,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from validation.tables import markdown, number, write
+import vectors
+from validation.tables import markdown, number, table, write
 
 import mistray
 from mistray.analysis.objects.search import Objects, objects
@@ -29,95 +30,36 @@ VIEW_DEG = 45.0
 BEAM_RADIUS = 1.252  # of the study's beam, about the centre of the stop
 PRODUCT_ANGLES = (4.0, 30.0)
 PRODUCTS_SHOWN = 12
-FRONT, BACK, BOTH = "front", "back", "both"
 
 
 @dataclass(frozen=True)
 class Row:
-    """
-    One object of the study, its halves added up, and the objects here that stand for it.
-
-    Attributes
-    ----------
-    label : str
-        Element and surfaces as the study names them; "B" is the barrel with its optical space.
-    rays : int
-        Of 1 000 000.
-    power : float
-        W of 1 W.
-    here : tuple of (str, str)
-        Shape and side; empty where there is none.
-    """
+    """An object of the study, rays of 1 000 000, W of 1 W, and shape and side of the objects here that stand for it."""
 
     label: str
     rays: int
     power: float
-    here: tuple[tuple[str, str], ...] = ()
+    common: bool
+    here: tuple[tuple[str, str], ...]
 
 
-CRITICAL = (
-    Row("Lens 2, bevel 1", 7318, 0.006226, (("L2_bevel_1", BOTH), ("L2_flange_1", BACK))),
-    Row("Lens 3, bevel 1", 43844, 0.038842, (("L3_bevel_1", BOTH), ("L3_flange_1", BACK))),
-    Row("IR filter, edge", 6368, 0.006349, (("filter_edge", FRONT),)),
-    Row("Lens 4, edge", 386, 0.000341, (("L4_edge", FRONT),)),
-    Row("Lens 4, bevel 2", 830, 0.000735, (("L4_flange_2", FRONT),)),
-    Row("Lens 5, bevel 2", 13299, 0.013034, (("L5_bevel_2", BOTH),)),
-    Row("Stop, inner wall", 301, 0.000241, (("stop_wall", FRONT),)),
-    Row("B 0, plane 22", 242, 0.000193),
-    Row("B 1, cone 4 + 5", 6216 + 6308, 0.004977 + 0.005051, (("barrel_1_cone", FRONT),)),
-    Row("B 1, plane 31", 304, 0.000248, (("stop_rear", BACK),)),
-    Row("B 2, cone 3 + 22", 6841 + 6867, 0.005704 + 0.005725, (("barrel_2_cone", FRONT),)),
-    Row("B 3, cone 2 + 31", 30261 + 30296, 0.026273 + 0.026303, (("barrel_3_cone", FRONT),)),
-    Row("B 3, plane 12", 1385, 0.001202),
-    Row("B 4, cone 2 + 31", 106778 + 106247, 0.096482 + 0.096002, (("barrel_4_cone", FRONT),)),
-    Row("B 4, plane 12", 55986, 0.051443, (("L4_bevel_1", BOTH), ("L4_flange_1", BACK))),
-    Row("B 5, cone 2 + 31", 2602 + 2679, 0.002439 + 0.002509, (("barrel_5_cone", FRONT),)),
-    Row("B 5, 4 + 13", 231 + 290, 0.000204 + 0.000256),
-    Row("B 5, plane 12", 92, 8.03e-5),
-    Row("B 5, plane 30", 2629, 0.002485),
-    Row("B 6, cone 3 + 22", 94618 + 94714, 0.0927 + 0.092829, (("barrel_6_cone", FRONT),)),
-    Row("B 6, plane 30", 32952, 0.032296, (("barrel_6_plane", BACK),)),
-    Row("B 7, cone 2 + 31", 16406 + 16600, 0.016405 + 0.016599, (("barrel_7_cone", FRONT),)),
-    Row("B 7, wall 3 + 22", 6994 + 5999, 0.006972 + 0.005982, (("barrel_7_cyl", FRONT),)),
-    Row("B 7, plane 21", 165677, 0.165676, (("barrel_7_plane", BACK),)),
-    Row("B 7, plane 30", 6669, 0.006668, tuple((f"board_{k}", FRONT) for k in ("left", "right", "bottom", "top"))),
-)
-ILLUMINATED = (
-    Row("Lens 3, edge", 1, 8.51e-7, (("L3_edge", FRONT),)),
-    Row("Lens 3, bevel 1", 71, 6.04e-5, (("L3_bevel_1", BOTH),)),
-    Row("Lens 4, bevel 2", 2443, 0.002078, (("L4_flange_2", FRONT),)),
-    Row("Lens 5, bevel 2", 2834, 0.002315, (("L5_bevel_2", BOTH), ("L5_flange_2", FRONT))),
-    Row("Stop, face", 71348, 0.069928, (("stop_front", FRONT),)),
-    Row("Stop, inner wall", 1286, 0.00126, (("stop_wall", FRONT),)),
-    Row("B 0, recess 3 + 32", 3582 + 3585, 0.003581 + 0.003584, (("barrel_0_recess", FRONT),)),
-    Row("B 0, cone 5 + 14", 35540 + 35192, 0.034832 + 0.034491, (("barrel_0_cone", FRONT),)),
-    Row("B 0, plane 13", 339581, 0.336185, (("barrel_0_window_seat", FRONT),)),
-    Row("B 0, plane 22", 68527, 0.067163, (("barrel_0_plane", FRONT),)),
-    Row("B 0, plane 31", 71304, 0.071303, (("barrel_0_front_face", FRONT),)),
-    Row("B 1, cone 4 + 5", 23 + 37, 2.25e-5 + 3.63e-5, (("barrel_1_cone", FRONT),)),
-    Row("B 1, plane 13", 912, 0.000893, (("barrel_1_L1_seat_lip", FRONT),)),
-    Row("B 1, plane 22", 126030, 0.123522, (("barrel_1_plane", FRONT),)),
-    Row("B 2, cone 3 + 22", 33 + 33, 2 * 3.11e-5, (("barrel_2_cone", FRONT),)),
-    Row("B 2, plane 21", 10, 9.60e-6),
-    Row("B 3, cone 2 + 31", 1027 + 1031, 0.000928 + 0.000932, (("barrel_3_cone", FRONT),)),
-    Row("B 3, plane 30", 43, 3.97e-5),
-    Row("B 4, cone 2 + 31", 4203 + 4318, 0.003648 + 0.003748, (("barrel_4_cone", FRONT),)),
-    Row("B 4, 3 + 22", 6 + 2, 5.11e-6 + 1.70e-6),
-    Row("B 4, plane 30", 1406, 0.001245, (("L3_flange_2", FRONT),)),
-    Row("B 5, cone 2 + 31", 685 + 667, 0.000571 + 0.000556, (("barrel_5_cone", FRONT),)),
-    Row("B 5, plane 12", 2240, 0.001878),
-    Row("B 6, cone 3 + 22", 949 + 1042, 0.000764 + 0.000839, (("barrel_6_cone", FRONT),)),
-    Row("B 6, plane 21", 2029, 0.001658, (("barrel_6_IR_seat", FRONT),)),
-    Row("B 7, cone 2 + 31", 1459 + 1470, 0.001145 + 0.001153, (("barrel_7_cone", FRONT),)),
-    Row("B 7, plane 12", 115, 9.03e-5, (("barrel_7_IR_seat", FRONT),)),
-    Row("B 7, plane 30", 2201, 0.001744, tuple((f"board_{k}", FRONT) for k in ("left", "right", "bottom", "top"))),
-)
-# Table 10; the rows of the tables above that it names
-COMMON = (
-    "Stop, inner wall", "Lens 3, bevel 1", "Lens 4, bevel 2", "Lens 5, bevel 2", "B 0, plane 22", "B 1, cone 4 + 5",
-    "B 1, plane 31", "B 2, cone 3 + 22", "B 3, cone 2 + 31", "B 4, cone 2 + 31", "B 5, cone 2 + 31", "B 5, plane 12",
-    "B 6, cone 3 + 22", "B 7, cone 2 + 31", "B 7, plane 30",
-)  # fmt: skip
+def _rows(which: str) -> tuple[Row, ...]:
+    """A list of the study."""
+    return tuple(
+        Row(
+            row["label"],
+            int(row["rays"]),
+            float(row["power"]),
+            row["common"] == "1",
+            tuple((shape, side) for shape, side in (place.split(":") for place in row["here"].split())),
+        )
+        for row in vectors.rows("phone_camera_objects.csv")
+        if row["list"] == which
+    )
+
+
+CRITICAL, ILLUMINATED = _rows("critical"), _rows("illuminated")
+COMMON = {row.label for row in (*CRITICAL, *ILLUMINATED) if row.common}
 
 
 def search(rays: int = STUDY_RAYS, total_reflection: bool = False) -> Objects:
@@ -147,30 +89,17 @@ def names(row: Row) -> str:
     return " + ".join(name for name, _ in row.here) or "–"
 
 
-def text(power: float, se: float) -> str:
-    """A power with its error; 0 where no ray came."""
-    return number(power, se) if power else "0"
-
-
 def list_table(rows: Sequence[Row], which: str, found: Objects, other: Objects | None = None) -> str:
     """The rows of the study beside the objects here; `other`: with total reflection."""
+
+    def cells(row: Row) -> list[str]:
+        rays, *watt = sums(found, which, row)
+        watts = [watt, *([sums(other, which, row)[1:]] if other else [])]
+        own = (number(power, se) if power else "0" for power, se in watts)
+        return [row.label, f"{row.rays}", f"{row.power:.6f}", names(row), f"{rays:.0f}", *own]
+
     header = ["study", "study rays", "study W", "here", "rays", "W", *(["W with total reflection"] if other else [])]
-    lines = []
-    for row in rows:
-        rays, power, se = sums(found, which, row)
-        cells = [
-            row.label,
-            f"{row.rays}",
-            f"{row.power:.6f}",
-            names(row),
-            f"{rays:.0f}",
-            number(power, se) if power else "0",
-        ]
-        if other is not None:
-            _, power, se = sums(other, which, row)
-            cells.append(number(power, se) if power else "0")
-        lines.append(cells)
-    return markdown(header, lines)
+    return markdown(header, [cells(row) for row in rows])
 
 
 def beyond_table(rows: Sequence[Row], which: str, found: Objects, least: float = 1e-4) -> str:
@@ -237,18 +166,18 @@ def products(angle_deg: float, rays: int, trace_rays: int) -> list[dict[str, Any
 
 def product_table(results: dict[float, list[dict[str, Any]]]) -> str:
     """The strongest objects of each angle."""
-    header = ("angle °", "object", "Φ W", "BSDF 1/sr", "GCF", "product W", "traced W", "product / traced")
-    lines = []
-    for angle, rows in results.items():
-        for row in rows[:PRODUCTS_SHOWN]:
-            ratio = row["product"] / row["traced"]
-            error = ratio * np.hypot(row["product_se"] / row["product"], row["traced_se"] / row["traced"])
-            lines.append(
-                (f"{angle:g}", row["id"], f"{row['flux']:.4g}", f"{row['bsdf']:.3g}", f"{row['gcf']:.3g}",
-                 number(row["product"], row["product_se"]), number(row["traced"], row["traced_se"]),
-                 number(ratio, error))
-            )  # fmt: skip
-    return markdown(header, lines)
+
+    def with_ratio(angle: float, row: dict[str, Any]) -> dict[str, Any]:
+        ratio = row["product"] / row["traced"]
+        error = ratio * np.hypot(row["product_se"] / row["product"], row["traced_se"] / row["traced"])
+        return row | {"angle": angle, "ratio": ratio, "ratio_se": error}
+
+    return table(
+        "angle ° | object | Φ W | BSDF 1/sr | GCF | product W | traced W | product / traced",
+        "{angle:g} | {id} | {flux:.4g} | {bsdf:.3g} | {gcf:.3g} | {product±product_se} | {traced±traced_se} | "
+        "{ratio±ratio_se}",
+        [with_ratio(angle, row) for angle, rows in results.items() for row in rows[:PRODUCTS_SHOWN]],
+    )
 
 
 def write_tables() -> None:

@@ -9,11 +9,16 @@ import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 import pandas as pd
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import scene_dicts
 
 import mistray
 from mistray.analysis.metrics import glare, ratios
@@ -37,41 +42,22 @@ FEW = 100  # rays, below which the shape of a path is not compared: its distribu
 def painted_screen(pixels: int = 8) -> mi.Scene:
     """A beam on a painted screen and a detector beside it, in whose pixels many scattered rays of one start land."""
     place = mi.ScalarTransform4f().look_at([6, 0, -6], [0, 0, 0], [0, 1, 0])
-    film = {"type": "hdrfilm", "width": pixels, "height": pixels, "rfilter": {"type": "box"}}
-    scene: mi.Scene = mistray.load(
-        {
-            "type": "scene",
-            "beam": {"type": "collimated", "radius": 1.0},
-            "screen": {
-                "type": "asphere",
-                "semi_diameter": 5.0,
-                "bsdf": {"type": "interface", "R": 0.0, "m": {"type": "paint", "reflectance": 0.5}},
-            },
-            "detector": {
-                "type": "asphere",
-                "half_width": 5.0,
-                "half_height": 5.0,
-                "to_world": place,
-                "bsdf": {"type": "interface", "R": 0.0},
-                "sensor": {"type": "irradiancemeter", "film": film},
-            },
-        }
+    paint = {"type": "interface", "R": 0.0, "m": {"type": "paint", "reflectance": 0.5}}
+    meter = {"to_world": place, "sensor": scene_dicts.meter(pixels)}
+    return scene_dicts.load(
+        beam={"type": "collimated", "radius": 1.0},
+        screen={"type": "asphere", "semi_diameter": 5.0, "bsdf": paint},
+        detector=scene_dicts.detector(0.0, half_width=5.0, half_height=5.0, **meter),
     )
-    return scene
 
 
 def rows_of(table: pd.DataFrame, kind: str = "", wavelength: bool = True) -> Iterator[Entry]:
     """Numbers of the rows of a path table."""
     for row in table.itertuples():
+        way = f"{row.wavelength_nm if wavelength else 0:.0f} {row.events}"
         for name, (value, se) in NUMBERS.items():
-            if name in SHAPES and (row.rays < FEW or row.rms_radius_mm < 1e-6):
-                continue
-            yield (
-                f"{kind}{name}",
-                f"{row.wavelength_nm if wavelength else 0:.0f} {row.events}",
-                getattr(row, value),
-                getattr(row, se),
-            )
+            if name not in SHAPES or (row.rays >= FEW and row.rms_radius_mm >= 1e-6):
+                yield f"{kind}{name}", way, getattr(row, value), getattr(row, se)
 
 
 def pixels_of(kind: str, value: np.ndarray, se: np.ndarray, of: float = 0.0) -> Iterator[Entry]:
@@ -90,11 +76,11 @@ def of_trace(scene: mi.Scene, seed: int, again: bool = True, **settings: Any) ->
     t = mistray.trace(scene, seed=seed, **settings)
     yield from rows_of(t.paths.by_way())
     yield from pixels_of("pixel", t.irradiance, t.irradiance_se)
-    for row in t.surfaces:
-        yield "surface", row.id + " incident", row.incident_W, row.incident_se_W
-        yield "surface", row.id + " absorbed", row.absorbed_W, row.absorbed_se_W
-    yield "energy", "detected", t.energy.detected_W, t.energy.detected_se_W
-    yield "energy", "escaped", t.energy.escaped_W, t.energy.escaped_se_W
+    for kind, name, of, ends in (
+        *(("surface", f"{row.id} ", row, ("incident", "absorbed")) for row in t.surfaces),
+        ("energy", "", t.energy, ("detected", "escaped")),
+    ):
+        yield from ((kind, name + end, getattr(of, f"{end}_W"), getattr(of, f"{end}_se_W")) for end in ends)
     if not again:
         return
     frame = t.paths.to_pandas()
@@ -120,9 +106,8 @@ def of_ghosts(scene: mi.Scene, seed: int, field_deg: tuple[float, ...], **settin
             if row.kind != "direct":
                 yield "ghost percent of stray", name, row.percent_of_stray, row.percent_of_stray_se
             if row.rays >= FEW:
-                yield (
-                    "ghost normalised", name, row.normalised_rms_irradiance, row.normalised_rms_irradiance_se,
-                )  # fmt: skip
+                density = row.normalised_rms_irradiance, row.normalised_rms_irradiance_se
+                yield "ghost normalised", name, *density
         one = report.summary(field)
         for name in ("stray_W", "ghost_to_signal", "stray_to_nominal"):
             yield estimate("ghost summary", f"{field:g} {name}", getattr(one, name))
@@ -148,20 +133,22 @@ def of_pst(scene: mi.Scene, seed: int, angles: list[float], maps: int = 0, **set
             if value > 0:
                 yield "PST by class", f"{name} {angle:g}", value, se
     sky = Sky(to_deg=float(angles[-1]))
-    yield estimate("PST metric", "sky", source_irradiance(p, sky))
-    yield estimate("PST metric", "disc", source_irradiance(p, Disc(4.0, 1.0, angles[len(angles) // 2])))
-    yield estimate("PST metric", "vgi", glare.veiling_glare_index(p, 4.0, source_deg=angles[-1], place="mean"))
-    yield estimate("PST metric", "throughput", ratios.image_throughput(p))
-    yield estimate("PST metric", "radiance", ratios.equivalent_stray_radiance(p, sky))
-    yield estimate("PST metric", "stray to signal", ratios.stray_to_signal(p, sky, 1.0))
+    for name, found in {
+        "sky": source_irradiance(p, sky),
+        "disc": source_irradiance(p, Disc(4.0, 1.0, angles[len(angles) // 2])),
+        "vgi": glare.veiling_glare_index(p, 4.0, source_deg=angles[-1], place="mean"),
+        "throughput": ratios.image_throughput(p),
+        "radiance": ratios.equivalent_stray_radiance(p, sky),
+        "stray to signal": ratios.stray_to_signal(p, sky, 1.0),
+    }.items():
+        yield estimate("PST metric", name, found)
     curve = ratios.rejection_ratio(p, reference_deg=float(angles[2]))  # that of 0° has few rays: a ratio would be skew
     for angle, value, se in zip(curve.field_deg, curve.value, curve.se, strict=True):
         if se > 0:
             yield "PST metric", f"psrr {angle:g}", value, se
     if maps:
-        yield estimate(
-            "PST map metric", "vgi", glare.veiling_glare_index(p, 4.0, source_deg=angles[-1], at_mm=(1.0, 1.0))
-        )
+        at_a_place = glare.veiling_glare_index(p, 4.0, source_deg=angles[-1], at_mm=(1.0, 1.0))
+        yield estimate("PST map metric", "vgi", at_a_place)
         for angle in angles[2:4]:
             yield from pixels_of("PST pixel", *p.irradiance(angle), angle)
 
@@ -263,13 +250,9 @@ CASES = {
 
 def repeats(name: str, seeds: int) -> pd.DataFrame:
     """
-    The entries of a case in repeated runs.
+    The entries of a case that were there in all of so many runs, by kind and name.
 
-    Returns
-    -------
-    DataFrame
-        For each entry that was there in all runs: kind, name, mean, std (over the runs), rms_se (root mean square of
-        the errors) and excess kurtosis (over the runs, at least 0).
+    The mean, std and excess kurtosis (at least 0) are those over the runs, rms_se the root mean square of the errors.
     """
     found: dict[tuple[str, str], list[tuple[float, float]]] = defaultdict(list)
     case = CASES[name]
@@ -283,9 +266,8 @@ def repeats(name: str, seeds: int) -> pd.DataFrame:
         if len(pairs) < seeds:
             continue
         value, se = np.array(pairs).T
-        rows.append(
-            (name, kind, entry, value.mean(), value.std(ddof=1), np.sqrt(np.mean(np.square(se))), peaked(value))
-        )
+        spread, error = value.std(ddof=1), np.sqrt(np.mean(np.square(se)))
+        rows.append((name, kind, entry, value.mean(), spread, error, peaked(value)))
     frame = pd.DataFrame(rows, columns=["case", "kind", "entry", "mean", "std", "rms_se", "kurtosis"])
     return frame[frame["std"] > 1e-6 * frame["mean"].abs()]  # what does not vary has no error to compare
 

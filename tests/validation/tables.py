@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 DOCS = Path(__file__).parents[2] / "docs" / "validation"
 
@@ -37,6 +38,19 @@ def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
         return "| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) + " |"
 
     return "\n".join([line(cells[0]), "|" + "|".join("-" * (w + 2) for w in widths) + "|", *map(line, cells[1:])])
+
+
+class _Cells(dict[str, Any]):
+    """Values of a row; "a±b" is the number a with the standard error b."""
+
+    def __missing__(self, key: str) -> str:
+        value, se = key.split("±")
+        return number(self[value], self[se])
+
+
+def table(header: str, cells: str, rows: Iterable[Mapping[str, Any]]) -> str:
+    """A Markdown table of headings and formats of a row's values, parted by " | "; {a±b} is a number with its error."""
+    return markdown(header.split(" | "), [cells.format_map(_Cells(row)).split(" | ") for row in rows])
 
 
 def write(file: str, tables: dict[str, str]) -> None:

@@ -119,9 +119,8 @@ def test_transmittance_of_1e_10_is_that_of_a_random_walk(baffle):
     )
     walk = Walk(shapes, baffle.inner.optic_radius, baffle.inner.z_rear)
     opening = baffle.outer.vanes[0].radius
-    runs = np.array(
-        [transmittances(walk, opening, baffle.outer.z_front, baffle.inner.z_front, 5, seed) for seed in range(BATCHES)]
-    )
+    places = (opening, baffle.outer.z_front, baffle.inner.z_front)
+    runs = np.array([transmittances(walk, *places, 5, seed) for seed in range(BATCHES)])
     np.testing.assert_array_equal(runs[:, :3], 0)
     scene = Prescription(
         name="two stages",
@@ -133,17 +132,10 @@ def test_transmittance_of_1e_10_is_that_of_a_random_walk(baffle):
     for scatters in (4, 5):
         sums = runs[:, :scatters].sum(axis=1)
         wanted, wanted_se = sums.mean(), sums.std(ddof=1) / np.sqrt(BATCHES)
-        found = pst(
-            scene,
-            [(LOW_DEG + HIGH_DEG) / 2],
-            cell_deg=HIGH_DEG - LOW_DEG,
-            rays=1_500_000,
-            max_scatters=scatters,
-            max_reflections=0,
-            paths=False,
-        )
+        limits = {"max_scatters": scatters, "max_reflections": 0, "paths": False}
+        middle, width = (LOW_DEG + HIGH_DEG) / 2, HIGH_DEG - LOW_DEG
+        found = pst(scene, [middle], cell_deg=width, rays=1_500_000, **limits)
         value, se = found.value[0], found.standard_error[0]
-        print(f"{scatters} scatters: {value:.3e} ± {se:.1e}, random walk {wanted:.3e} ± {wanted_se:.1e}")
         assert wanted_se < 0.05 * wanted
         assert se < 0.08 * value
         assert abs(value - wanted) < 4 * np.hypot(se, wanted_se)

@@ -123,17 +123,6 @@ def test_telescopes(file, wavelength_nm, field):
     inside = cKDTree(cells).query(at)[0] < pupil.step
     off = opd_at(pupil, at[inside]) - opd[inside]
     assert inside.sum() > 150
-    print(
-        field,
-        image.main.rms_waves("piston"),
-        image.image_mm,
-        opd[inside].std(),
-        file,
-        inside.sum(),
-        radius,
-        np.ptp(opd[inside]),
-        np.abs(off - np.median(off)).max(),
-    )
     assert off - np.median(off) == pytest.approx(0.0 * off, abs=OPD_WAVES)
 
 

@@ -38,37 +38,16 @@ LARGEST_SHARE = 0.1  # of a cell's scattered light in a single ray
 
 @dataclass(frozen=True)
 class Case:
-    """
-    One scene.
+    """One scene."""
 
-    Attributes
-    ----------
-    rays : tuple of float
-        Against the light in all, and with the light at each angle.
-    limits : dict
-        Of the ray tree.
-    numbers : int
-        That are good enough to be compared, at least, of six at each of six angles.
-    dark : tuple of float
-        Angles that no light reaches the detector from.
-    entrance : Entrance, optional
-        The opening of the only tube that light can come through.
-    sampling : dict
-        Settings of the run with the light that find rare light, which the trace against it finds at once.
-    polish : dict
-        A Harvey-Shack model that all mirrors get.
-    seed : int
-        Against the light.
-    """
-
-    rays: tuple[float, float]
+    rays: tuple[float, float]  # against the light in all, and with the light at each angle
     limits: dict[str, int]
-    numbers: int
-    dark: tuple[float, ...] = ()
-    entrance: Entrance | None = None
-    sampling: dict[str, Any] = field(default_factory=dict)
-    polish: dict[str, float] = field(default_factory=dict)
-    seed: int = 1
+    numbers: int  # that are good enough to be compared, at least, of six at each of six angles
+    dark: tuple[float, ...] = ()  # angles that no light reaches the detector from
+    entrance: Entrance | None = None  # the opening of the only tube that light can come through
+    sampling: dict[str, Any] = field(default_factory=dict)  # that finds rare light with the light
+    polish: dict[str, float] = field(default_factory=dict)  # Harvey-Shack, of all mirrors
+    seed: int = 1  # against the light
 
 
 CASES = {

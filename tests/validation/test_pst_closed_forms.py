@@ -7,18 +7,17 @@ false alarm has the probability 2e-5 (Student's t of 31 degrees of freedom); the
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import vectors
 from oracles import ideal_lens
 from oracles import scatter_integrals as integrals
 from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene, scattering_xml, wall_xml
-from oracles.small_scenes import interface_xml, write
+from oracles.small_scenes import interface_xml
 from oracles.statistics import assert_z
 
 import mistray
@@ -34,27 +33,10 @@ Load = Callable[[str], Any]
 
 pytestmark = pytest.mark.validation
 
-DATA = Path(__file__).parents[1] / "data"
 WHOLE = np.arange(5, 90, 10.0)  # cells of 10° that leave no gap
 EVERYTHING = {"scatter_threshold": 0.0, "flux_threshold": 0.0}
 ONE_BRANCH = {"max_reflections": 64, "max_scatters": 64, "splitting": "one", "aim": "none", **EVERYTHING}
 METHODS = pytest.mark.parametrize("method", ["joined", "adjoint", "forward"])
-
-
-@pytest.fixture(scope="session")
-def load_scene(tmp_path_factory: pytest.TempPathFactory) -> Load:
-    """XML text → Mitsuba scene."""
-    return lambda text: mistray.load(write(tmp_path_factory.mktemp("scene"), text))
-
-
-def vectors(name: str) -> list[dict[str, str]]:
-    with (DATA / name).open(newline="", encoding="utf-8") as stream:
-        return list(csv.DictReader(line for line in stream if not line.startswith("#")))
-
-
-def analytic(start: str, quantity: str) -> float:
-    (row,) = (r for r in vectors("analytic_cases.csv") if r["case"].startswith(start) and r["quantity"] == quantity)
-    return float(row["closed_form"])
 
 
 def check(what: str, measured: Any, se: Any, expected: Any, relative: Any, rounding: float = 1e-6) -> None:
@@ -158,9 +140,9 @@ class TestFirstOrderScatter:
     def test_plate_before_a_thin_lens(self, load_scene: Load, method: str) -> None:
         angles, edges = [5.0, 20.0, 45.0], np.array([[4.5, 5.5], [19.5, 20.5], [44.5, 45.5]])
         at_middle = ideal_lens.plate_before(PROFILES["ABg"], angles, 100.0, 12.5)
+        quantity = "PST_normal=BSDF cos(th) pi NA^2"
         published = [
-            analytic(f"thin lens 1st-order scatter f=100 a=12.5 th={angle:g}", "PST_normal=BSDF cos(th) pi NA^2")
-            for angle in angles
+            vectors.analytic(f"thin lens 1st-order scatter f=100 a=12.5 th={angle:g}", quantity) for angle in angles
         ]
         assert at_middle == pytest.approx(published, rel=1e-3)  # the rim of the lens is 0.04 mm before its vertex
         nodes = ideal_lens.cell_nodes(edges, 6)
@@ -176,7 +158,7 @@ class TestFirstOrderScatter:
     @pytest.mark.parametrize("bsdf", ["lambert", "ABg", "harvey"])
     def test_plate_in_a_converging_beam(self, load_scene: Load, bsdf: str, plate_z: float, method: str) -> None:
         """The vectors are of a lens that changes slopes by -h/f, which no surface does: 1.3 % from this one."""
-        for row in vectors("scatter_plate_converging.csv"):
+        for row in vectors.rows("scatter_plate_converging.csv"):
             if row["BTDF"].startswith(bsdf) and float(row["plate_z_mm"]) == round(plate_z):
                 exact = ideal_lens.plate_behind(PROFILES[bsdf], plate_z, [float(row["theta_deg"])], 100.0, 10.0, 100.0)
                 assert exact[0] == pytest.approx(float(row["E_det_on_axis_per_E0(normal)"]), rel=0.013)
@@ -192,7 +174,7 @@ class TestFirstOrderScatter:
 class TestVeilingGlare:
     @pytest.mark.long
     @METHODS
-    @pytest.mark.parametrize("row", vectors("vgi_retro.csv"), ids=lambda r: f"{r['R_det']}-{r['R_w1']}")
+    @pytest.mark.parametrize("row", vectors.rows("vgi_retro.csv"), ids=lambda r: f"{r['R_det']}-{r['R_w1']}")
     def test_retro_ghost(self, load_scene: Load, row: dict[str, str], method: str) -> None:
         """Light that the detector sends back to the window returns to the black patch: R_det R_window of E_white.
 
@@ -241,7 +223,7 @@ class TestCavities:
             placed_xml("asphere", "detector", at=(0.0, 0.0, length), pixels=4, semi_diameter=1.0),
         )
         found = of(load_scene(text), method, (500_000, 100_000), max_scatters=60, aim="none", **EVERYTHING)
-        expected = analytic(f"tube L/r={length:g} rho={rho:g} ", "T (Lambertian entrance)")
+        expected = vectors.analytic(f"tube L/r={length:g} rho={rho:g} ", "T (Lambertian entrance)")
         check_sky("tube", found, expected, 0.01)
         direct = source_irradiance(found, Sky(), "direct")
         f12 = integrals.disc_to_disc(1.0, 1.0, length)
@@ -276,16 +258,14 @@ def cavity_text(*parts: str, wall: str, inner: str = "air", glass_from: float | 
 
     Behind ``glass_from`` it is filled with the material ``inner``.
     """
-    behind = wall if glass_from is None else scattering_xml([bsdf_xml("paint", reflectance=1.0)], front=inner, R=0.0)
-    end = 1.2
-    shapes = [placed_xml("frustum", "can", wall, r0=1.0, z0=0.0, r1=1.0, z1=end if glass_from is None else glass_from)]
-    if glass_from is not None:
-        shapes.append(placed_xml("frustum", "filled", behind, r0=1.0, z0=glass_from, r1=1.0, z1=end))
-        shapes.append(
-            placed_xml("asphere", "face", interface_xml("air", inner), at=(0, 0, glass_from), semi_diameter=1.0)
-        )
-    shapes.append(placed_xml("asphere", "bottom", behind, at=(0, 0, end), semi_diameter=1.0, inner_semi_diameter=0.6))
     white = scattering_xml([bsdf_xml("paint", reflectance=1.0)], front=inner, R=0.0)
+    filled, end = glass_from is not None, 1.2
+    behind, rim = (white, glass_from) if filled else (wall, end)
+    shapes = [placed_xml("frustum", "can", wall, r0=1.0, z0=0.0, r1=1.0, z1=rim)]
+    if filled:
+        shapes.append(placed_xml("frustum", "filled", white, r0=1.0, z0=rim, r1=1.0, z1=end))
+        shapes.append(placed_xml("asphere", "face", interface_xml("air", inner), at=(0, 0, rim), semi_diameter=1.0))
+    shapes.append(placed_xml("asphere", "bottom", behind, at=(0, 0, end), semi_diameter=1.0, inner_semi_diameter=0.6))
     shapes.append(placed_xml("asphere", "detector", white, at=(0, 0, end), pixels=4, semi_diameter=0.6))
     return scatter_scene(beam_xml(1.0), *parts, *shapes)
 

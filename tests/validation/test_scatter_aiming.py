@@ -134,14 +134,6 @@ class TestWorldWithoutImportanceSampling:
         gain = variance * unaimed.seconds / (se**2 * aimed.seconds)
         assert gain > 100, f"gain {gain:.3g}"
 
-    def test_numbers(self) -> None:
-        """The deck's own: f = 8.0e-5, p2 = 2.77e-10, p = 3.46e-11."""
-        f = float(integrals.abg(self.A, self.B, self.G)(0.5))
-        p2 = f * np.cos(np.radians(30)) * 4e-6
-        assert f == pytest.approx(8.0e-5, rel=1e-2)
-        assert p2 == pytest.approx(2.7712702e-10, rel=1e-6)
-        assert p2 / 8 == pytest.approx(3.46409e-11, rel=1e-5)
-
 
 class TestPhoneCameraWindow:
     """The dirty, polished window of the phone camera, the sun 35° off the axis, outside of the field.
