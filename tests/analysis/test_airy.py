@@ -85,16 +85,6 @@ def test_where_it_is_told() -> None:
     floored = listed[listed.airy_radius_mm.notna()]
     assert 0 < len(floored) < len(listed)
     assert floored.label.str.contains("stop_front").all()
-    text = main_table(report)
-    assert AIRY_TEXT in text
-    assert "Airy radius" in text
+    assert AIRY_TEXT in main_table(report)
     paths = as_json(report)["fields"][0]["worst_paths"]
     assert [path["airy_radius_mm"] is not None for path in paths] == list(listed.airy_radius_mm.notna())
-    # A second way to the same number: the table of ray histories, in air
-    path_id = int(floored.path_id.iloc[0])
-    nodes = report[10.0].history(path_id, 300).to_pandas().groupby("ray")
-    ahead, weight = nodes.nth(-2), nodes.last().flux_W.to_numpy()
-    weight = weight / weight.sum()
-    square = sum(weight @ (ahead[name] - weight @ ahead[name]).to_numpy() ** 2 for name in ("dx", "dy"))
-    cone = report[10.0].light_cones([path_id])[path_id]
-    assert cone.aperture == pytest.approx(math.sqrt(2 * square), abs=4 * cone.aperture_se)

@@ -63,6 +63,10 @@ def test_thick_lens():
     assert found.focal_length_mm == pytest.approx(focal, rel=1e-7)
     # The detector stands in the paraxial focus
     assert abs(found.defocus_mm) < 1e-5
+    # A flat window has no focus
+    found, _ = measured("plate")
+    assert math.isinf(found.focal_length_mm)
+    assert math.isnan(found.defocus_mm)
 
 
 def test_image_in_glass(load_scene):
@@ -111,12 +115,6 @@ def test_phone_camera():
     edge = np.interp(4.36788654 / 2, np.polyval(np.polyfit([16, 17, 18], heights, 2), np.linspace(17, 18.2, 500)),
                      np.linspace(17, 18.2, 500))  # fmt: skip
     assert found.field_deg["y"] == pytest.approx(edge, abs=0.002)
-
-
-def test_flat_window_has_no_focus():
-    found, _ = measured("plate")
-    assert math.isinf(found.focal_length_mm)
-    assert math.isnan(found.defocus_mm)
 
 
 def test_near_object():

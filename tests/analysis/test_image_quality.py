@@ -11,7 +11,6 @@ from mistray.errors import MistrayError
 from mistray.physics.imaging import ideal
 
 pytestmark = pytest.mark.quick
-
 FOCAL, RADIUS, OBSTRUCTION = 100.0, 12.5, 0.2
 
 
@@ -104,6 +103,16 @@ def test_table():
     assert found[0].shares == pytest.approx([1 / 3, 2 / 3])
 
 
+def test_light_that_is_not_resolved_has_no_psf():
+    """A point at 300 mm before a lens that is focused at infinity: the spot is there, a note says why MTF is not."""
+    found = mistray.image_quality(mistray.load("cooke_triplet", "point:0,0,-300"), field_mm=5.0)
+    (image,) = found
+    assert np.isnan(image.mtf([10.0])).all()
+    assert np.isnan(image.strehl)
+    assert np.isfinite(image.rms_spot_mm())
+    assert "field 5 mm" in found.notes[0]
+
+
 def test_refused():
     scene, blind = mistray.load(paraboloid()), paraboloid()
     del blind["mirror"]
@@ -130,16 +139,6 @@ def test_near_object():
     assert axis.strehl > 0.99
     f = np.linspace(0, 0.9, 10) * axis.cut_off_per_mm()
     assert axis.mtf(f) == pytest.approx(axis.diffraction_limit(f), abs=0.01)
-
-
-def test_light_that_is_not_resolved_has_no_psf():
-    """A point at 300 mm before a lens that is focused at infinity: the spot is there, a note says why MTF is not."""
-    found = mistray.image_quality(mistray.load("cooke_triplet", "point:0,0,-300"), field_mm=5.0)
-    (image,) = found
-    assert np.isnan(image.mtf([10.0])).all()
-    assert np.isnan(image.strehl)
-    assert np.isfinite(image.rms_spot_mm())
-    assert "field 5 mm" in found.notes[0]
 
 
 @pytest.mark.long

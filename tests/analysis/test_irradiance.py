@@ -26,20 +26,18 @@ def test_statistics_are_those_of_numpy(noisy):
     assert pixel_size(np.zeros((3, 8)), EXTENT) == (0.5, 1.0)
 
 
-def test_log10_image_hides_what_is_below_the_floor():
-    image = log10_image(np.array([[0.0, 1e-9], [1e-3, 100.0]]), floor=1e-6)
-    assert np.isnan(image[0]).all()
-    np.testing.assert_allclose(image[1], [-3.0, 2.0], rtol=1e-15)
-    with pytest.raises(MistrayError, match="floor is 0 W/mm²"):
-        log10_image(np.ones((2, 2)), 0.0)
-
-
 def test_log_range_spans_all_maps_within_the_decades():
     assert log_range([np.array([[2e-4, 3e-2]]), np.array([[0.0, 50.0]])], decades=12) == (-4.0, 2.0)
     assert log_range([np.array([[1e-15, 50.0]])], decades=12) == (-10.0, 2.0)
     assert log_range([np.array([[1.0, 1.0]])]) == (-1.0, 0.0)
     assert log_range([np.zeros((2, 2))]) is None
     assert log_range([]) is None
+    # An image hides what is below the floor
+    image = log10_image(np.array([[0.0, 1e-9], [1e-3, 100.0]]), floor=1e-6)
+    assert np.isnan(image[0]).all()
+    np.testing.assert_allclose(image[1], [-3.0, 2.0], rtol=1e-15)
+    with pytest.raises(MistrayError, match="floor is 0 W/mm²"):
+        log10_image(np.ones((2, 2)), 0.0)
 
 
 def test_asymmetry_of_noise_is_the_expected_one(noisy):

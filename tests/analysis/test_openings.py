@@ -11,7 +11,6 @@ import pytest
 from oracles.scatter_integrals import disc_to_disc
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
-import mistray
 from mistray.analysis.changes.first_surfaces import (
     Entering,
     FirstLight,
@@ -65,19 +64,14 @@ def test_two_tubes_end_to_end(load: Load) -> None:
     assert only(opened(scene, rear__x=0.1), "rear", "front") == pytest.approx(0.1, rel=1e-3)
     apart = load(tube("front", 5, 0, 5, 10), tube("rear", 5, 10.01, 5, 20))
     assert opened(apart, rear__z=1.0) == ()  # what did not meet has no gap
-
-
-def test_a_vane_that_moves_along_leaves_no_gap(load: Load) -> None:
+    # A vane that moves along leaves no gap
     walls = (tube("front", 5, 0, 5, 10), tube("middle", 5, 10, 5, 20), tube("rear", 5, 20, 5, 30))
     scene = load(*walls, tube("vane", 3, 10, 5, 10))
     assert opened(scene, vane__z=12.0) == opened(scene, vane__z=-3.0) == ()
     (gap,) = opened(scene, vane__r1=4.5)
     assert set(gap.surfaces) in ({"vane", "front"}, {"vane", "middle"})
     assert gap.gap_mm == pytest.approx(0.5, abs=1e-6)
-
-
-def test_a_wall_on_a_flange(load: Load) -> None:
-    """It may slide on it; a cone that gets narrower than the hole leaves a gap, and one that is lifted too."""
+    # A wall may slide on a flange; a cone narrower than the hole leaves a gap, and one that is lifted too
     scene = load(tube("cone", 5, 0, 4, 8), tube("flange", 3.5, 8, 9, 8))
     assert opened(scene, cone__r1=3.6) == ()
     assert only(opened(scene, cone__r1=3.0), "cone", "flange") == pytest.approx(0.5, abs=1e-6)
@@ -102,14 +96,6 @@ def test_a_lens_and_its_edge(load: Load) -> None:
     assert only(opened(scene, face__curvature=1 / 100), "face", "edge") == pytest.approx(steeper, rel=1e-5)
     assert opened(scene, back__z=0.4) == ()  # the lens has moved along the barrel
     assert only(opened(scene, barrel__z=0.4), "barrel", "edge") == pytest.approx(0.4, abs=1e-6)
-
-
-def test_cones_of_the_phone_camera_made_cylinders() -> None:
-    """The end of the third cone falls from the flange of a lens, r = 1.112, to the clear radius before it, 1.085."""
-    found = opened(mistray.load("phone_camera_scatter"), barrel_3_cone__r1=1.085)
-    assert only(found, "barrel_3_cone", "L3_flange_1") == pytest.approx(0.027, abs=1e-6)
-    # Made as wide as its other end, it slides on the flange of the lens before it
-    assert opened(mistray.load("phone_camera_scatter"), barrel_3_cone__r0=1.112) == ()
 
 
 def test_straight_rims_of_a_prism() -> None:
@@ -141,8 +127,6 @@ def light(unseen: float = 0.0, direct: float = 0.0, **power: float) -> FirstLigh
 
 
 BEFORE = light(front=8.0, hood=0.02)
-
-
 BRIGHT = {"front": 4.0, "L3": 1.0}
 LOUD = FirstLight(BRIGHT, {"front": 0.0, "L3": 0.16}, {"front": 0.0, "L3": 0.0}, BRIGHT)
 
@@ -176,10 +160,7 @@ def test_share_of_the_stray_light() -> None:
     assert both.power == {"front": 4.0, "L3": 2.0}
     assert both.variance["front"] == pytest.approx(0.01**2 * (1 + 9))
     assert both.strongest == {"front": 3.0, "L3": 2.0}
-
-
-def test_no_gain_above_a_percent() -> None:
-    """But little light left of much is one, all that is left being new."""
+    # There is no gain above a percent; but little light left of much is one, all that is left being new
     assert not spoils(())
     assert not spoils((Entering("a", 0.009, 0.001, 0.5),))
     two = Entering("a", 0.009, 0.003, 0.008), Entering("b", 0.002, 0.004, 0.003)
@@ -206,10 +187,7 @@ def test_around_a_sheet(load_scene) -> None:
         3.0 < sum(((one.share - 1 + disc_to_disc(RADIUS, SHEET, DISTANCE)) / one.share_se) ** 2 for one in seeds) < 60.0
     )
     assert all(0.005 < one.share_se < 0.03 for one in seeds)
-
-
-def test_closed_and_without_optics(load_scene) -> None:
-    """A tube from the sheet to behind the detector leaves one way in."""
+    # A tube from the sheet to behind the detector leaves one way in
     tube = shape_xml("frustum", "tube", r0=SHEET, z0=0.0, r1=SHEET, z1=DISTANCE + 1)
     found = entrances(load_scene(scene_text(SHEET_XML, tube, DISC)))
     assert (found.share, found.others) == (0.0, {})

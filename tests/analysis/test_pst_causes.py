@@ -48,16 +48,7 @@ def test_breaks_are_where_the_slope_changes():
     # Three independent points of 2 %: sqrt(1 + 4 + 1) · 0.02 / ln(10) / 2°
     assert first.change_se == pytest.approx(np.sqrt(6) * 0.02 / np.log(10) / 2, rel=0.4)
     assert first.before == ()
-
-
-@pytest.mark.parametrize("noise", [0.02, 0.2])
-def test_noise_is_no_break(noise: float) -> None:
-    """Points of 20 % error change the slope by more than the least change, but not by four standard errors."""
-    assert breaks(curve(10.0 ** (-3 - 2.9 * ANGLES / 80), noise)) == []
-
-
-def test_errors_that_all_angles_share_drop_out():
-    """One factor on all angles of a batch changes no slope: the error of a change vanishes, that of the curve stays."""
+    # One factor on all angles of a batch changes no slope: the error of a change vanishes, that of the curve stays
     rng = np.random.default_rng(3)
     shared = 1 + 0.5 * rng.standard_normal(BATCHES)
     by_batch = np.zeros((len(CLASSES), len(ANGLES), 1, BATCHES))
@@ -69,14 +60,10 @@ def test_errors_that_all_angles_share_drop_out():
     assert found[0].change_se < 1e-9
 
 
-def test_the_causes_of_a_break_are_those_beside_it():
-    pst = fake_pst()
-    found = next(b for b in breaks(pst) if b.field_deg == 22.0)
-    (name, share), *_ = found.before
-    rows = pst.paths(20.0)
-    assert name == "barrel_1 (reflects)"
-    stray = rows[rows.kind != "direct"].pst.sum()
-    assert share == pytest.approx(100 * rows.pst[rows.kind == "structure"].sum() / stray)
+@pytest.mark.parametrize("noise", [0.02, 0.2])
+def test_noise_is_no_break(noise: float) -> None:
+    """Points of 20 % error change the slope by more than the least change, but not by four standard errors."""
+    assert breaks(curve(10.0 ** (-3 - 2.9 * ANGLES / 80), noise)) == []
 
 
 def test_causes_add_up_and_are_named():
@@ -88,13 +75,15 @@ def test_causes_add_up_and_are_named():
     assert words[0][0].startswith("ghosts such as detector → L1_rear")
     shares = pd.DataFrame({"a": [60.0, 70.0, 10.0, 0.0, 51.0], "b": [40.0, 30.0, 90.0, 0.0, 49.0]}, [0, 2, 4, 6, 8])
     assert reigns(shares) == [(0, 2, "a", 60, 70), (4, 4, "b", 90, 90), (8, 8, "a", 51, 51)]
-    pst = fake_pst(azimuths_deg=(0.0, 180.0))  # paths of several azimuths are their mean
-    parts = [pst.paths(20.0, azimuth).set_index("events").pst for azimuth in (0.0, 180.0)]
-    for row in stray_paths(pst, 20.0).itertuples():
-        assert row.pst == pytest.approx(0.5 * (parts[0][row.events] + parts[1][row.events]))
-
-
-def test_first_level_is_scattered_once_and_not_reflected():
+    # The causes of a break are those beside it
+    pst = fake_pst()
+    found = next(b for b in breaks(pst) if b.field_deg == 22.0)
+    (name, share), *_ = found.before
+    rows = pst.paths(20.0)
+    assert name == "barrel_1 (reflects)"
+    stray = rows[rows.kind != "direct"].pst.sum()
+    assert share == pytest.approx(100 * rows.pst[rows.kind == "structure"].sum() / stray)
+    # First-level scatter is scattered once and not reflected
     pst = fake_pst(field_deg=(0, 30))
     table = first_level_scatter(pst)
     at_30 = table[table.angle_deg == 30].set_index("surface")

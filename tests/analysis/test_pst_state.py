@@ -76,7 +76,6 @@ def test_files_that_are_none_are_one_line(tmp_path: Path, monkeypatch: pytest.Mo
     [
         ({"settings": {"max_scatters": 2, "seed": 0, "aim": "auto"}}, "settings.max_scatters was 1 and is 2;"),
         ({"settings": {"max_scatters": 1, "seed": 0}}, "settings.aim was auto and is absent;"),
-        ({"detector": "ccd"}, "detector was absent and is ccd;"),
         ({"scene": "f" * 64, "wavelength_nm": [600.0]}, "wavelength_nm was [550] and is [600];"),
         ({"scene": "f" * 64}, "the scene is another one or has changed;"),
         (

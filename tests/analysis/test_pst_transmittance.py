@@ -15,11 +15,9 @@ import mistray
 from mistray.analysis.pst import backward_run
 from mistray.analysis.pst.state import PstProgress, load_state
 from mistray.execute.backward import BackwardTrace
-from mistray.recorders.direction_recorder import CLASSES, DIFFRACTED, DIRECT, GHOST, MULTIPLE, SINGLE, STRAIGHT
 from mistray.settings import Settings
 
 pytestmark = pytest.mark.quick
-
 RAYS = 8192  # less than a first pass: one pass
 SCATTERED = ("single_scatter", "multiple_scatter")
 
@@ -36,12 +34,6 @@ def window(load_scene: Any) -> Any:
             placed_xml("asphere", "detector", at=(0, 0, 2), pixels=4, semi_diameter=1.0),
         )
     )
-
-
-def test_classes_have_the_order_of_their_names() -> None:
-    numbers = {"direct": DIRECT, "straight_shot": STRAIGHT, "ghost": GHOST, "single_scatter": SINGLE}
-    numbers |= {"multiple_scatter": MULTIPLE, "edge_diffraction": DIFFRACTED}
-    assert {name: CLASSES.index(name) for name in CLASSES} == numbers
 
 
 def test_the_largest_share_is_of_the_scattered_light_alone(window: Any) -> None:

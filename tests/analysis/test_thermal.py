@@ -29,7 +29,6 @@ from mistray.physics import planck
 from mistray.physics.netd import netd_by_detectivity, netd_by_photons
 
 pytestmark = pytest.mark.quick
-
 PER_M2 = 1e-6
 BAND = (8.0, 12.0)
 RADIANCE = planck.band_radiance(293.0, *BAND)  # its tests have oracles of their own
@@ -290,6 +289,18 @@ class TestCavity:
         assert math.isnan(report.to_image.value)
         assert "the detector sees no scene" in report.notes[0]
         assert (report.netd.sources, math.isnan(report.netd.by_detectivity_K.value)) == ([], True)
+        # A share that is not followed
+        scene = load(
+            detector_xml(1.0),
+            placed_xml("frustum", "wall", wall_xml(0.9), r0=3.0, z0=-5.0, r1=3.0, z1=1.0),
+            placed_xml("asphere", "end", wall_xml(0.9), at=(0, 0, -5), semi_diameter=3.0),
+        )
+        report = thermal(scene, 293.0, BAND, rays=20_000, max_scatters=1)
+        assert "was not followed to its source; raise max_reflections and max_scatters" in report.notes[0]
+        whole = math.pi * RADIANCE
+        assert 0.5 * whole < report.lost_W_mm2 < 0.81 * whole
+        rest = report.total_W_mm2.value + report.scene_W_mm2.value + report.lost_W_mm2
+        assert rest == pytest.approx(whole, rel=1e-5)
 
     def test_everything(self, load: Load) -> None:
         """Lens, coatings, paint and a grey detector in glass: π n² L of a blackbody, less what was not followed."""
@@ -312,19 +323,6 @@ class TestCavity:
         check("total", (total, report.total_W_mm2.se), 1.5**2 * math.pi * RADIANCE, 0.01)
         assert any(e.kind == "medium" and e.name == glass and e.irradiance_W_mm2.value > 0 for e in report.emitters)
         assert any(e.name == "detector" and e.emission.value > 0 for e in report.emitters)
-
-    def test_a_share_that_is_not_followed(self, load: Load) -> None:
-        scene = load(
-            detector_xml(1.0),
-            placed_xml("frustum", "wall", wall_xml(0.9), r0=3.0, z0=-5.0, r1=3.0, z1=1.0),
-            placed_xml("asphere", "end", wall_xml(0.9), at=(0, 0, -5), semi_diameter=3.0),
-        )
-        report = thermal(scene, 293.0, BAND, rays=20_000, max_scatters=1)
-        assert "was not followed to its source; raise max_reflections and max_scatters" in report.notes[0]
-        whole = math.pi * RADIANCE
-        assert 0.5 * whole < report.lost_W_mm2 < 0.81 * whole
-        rest = report.total_W_mm2.value + report.scene_W_mm2.value + report.lost_W_mm2
-        assert rest == pytest.approx(whole, rel=1e-5)
 
 
 def test_absorbing_medium(load: Load) -> None:
@@ -437,9 +435,7 @@ def test_bad_input(load: Load) -> None:
     scene = load(detector_xml(), placed_xml("asphere", "window", at=(0, 0, -5), semi_diameter=1.0))
     for arguments, words in (
         ({"temperature_K": -3.0}, "temperature_K is -3; it must lie between 0 and 1e6 K"),
-        ({"temperatures": {"detector": math.nan}}, "temperature of 'detector' is nan"),
         ({"band_um": (12.0, 8.0)}, "band_um is 12 to 8; give the shorter"),
-        ({"band_um": (0.0, 8.0)}, "band_um is 0; it must lie between 0.01 and 10000 µm"),
         ({"wavelengths_um": [9.0, 8.0]}, "give one or more in ascending order"),
         ({"temperatures": {"lense": 77.0}}, "no surface, part or material is called 'lense'; parts are detector"),
     ):
@@ -448,7 +444,6 @@ def test_bad_input(load: Load) -> None:
     for values, words in (
         ({}, "give detectivity, quantum_efficiency or both"),
         ({"quantum_efficiency": 1.2}, "quantum_efficiency is 1.2"),
-        ({"detectivity": -1.0}, "detectivity is -1"),
     ):
         with pytest.raises(MistrayError, match=words):
             DetectorNoise(pixel_um=15.0, bandwidth_hz=500.0, **values)

@@ -79,8 +79,7 @@ class TestRoughMirror:
         assert_z("floor", floor.value, expected, floor.se, k=4, floor=SMALL_ANGLE * A)  # false alarm 6e-5
         last = found.stf()
         assert_z("plateau", last.value[-1], floor.value, np.hypot(last.se[-1], floor.se), k=4)
-
-    def test_the_books_close(self, found):
+        # The books close
         assert sum(share.value for share in found.books.values()) == pytest.approx(1, abs=1e-6)
         inside = sum(float(part.value.sum()) for part in found.ring_shares.values())
         assert inside + found.outside == pytest.approx(1, abs=1e-9)
@@ -90,8 +89,7 @@ class TestRoughMirror:
         whole = np.diff(found.encircled_energy(found.edges_mm).value)
         np.testing.assert_allclose(whole, sum(part.value for part in found.ring_shares.values()), atol=1e-9)
         assert np.all(whole >= 0)
-
-    def test_the_composite_psf_has_the_flux_of_its_parts(self, found):
+        # The composite PSF has the flux of its parts
         image, stray = found.psf(64, 0.004)
         direct = found.image.psf(64, 0.004).values
         np.testing.assert_allclose(image.values, found.veiling_floor.value * direct + stray)
@@ -292,13 +290,11 @@ def test_refused(load_scene):
         ("ascend", {"detector_table": ((0.0, 5.0, 4.0), (1.0, 0.5, 0.1))}),
         ("begins at 0.5", {"detector_table": ((0.0, 5.0), (0.5, 0.2))}),
         ("frequencies_per_mm", {"frequencies_per_mm": [-1.0]}),
-        ("frequencies_per_mm", {"frequencies_per_mm": [1e308]}),
         ("empty", {"frequencies_per_mm": []}),
         ("sort them", {"frequencies_per_mm": [2.0, 1.0]}),
         ("recorders", {"recorders": []}),
         ("rayz", {"rayz": 10}),
         ("quality and wavelength_nm", {"quality": quality, "wavelength_nm": 550.0}),
-        ("quality and field_deg", {"quality": quality, "field_deg": 0.0}),
     ):
         with pytest.raises(MistrayError, match=named) as error:
             mistray.transfer(scene, **options)

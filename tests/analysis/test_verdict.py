@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 from report.fake_scene import lens_scene
-from report.fake_trace import LENS, FakePath, FakeTrace, paths_at, scatter_paths_at, trace_at
+from report.fake_trace import LENS, FakePath, FakeTrace, ghosts_of, paths_at, scatter_paths_at, trace_at
 
 import mistray
 from mistray.analysis.ghosts import GhostReport, ghosts
@@ -41,6 +41,15 @@ def test_worst_paths_stand_once_at_their_worst_field():
     assert powers[0] == pytest.approx(2e-4)
 
 
+def test_shares_of_kinds_add_up():
+    report = report_of({0.0: scatter_paths_at(0.0)})
+    shares = shares_of_kinds(report, 0.0)
+    assert sum(share.value for share in shares.values()) == pytest.approx(100)
+    assert list(shares.values()) == sorted(shares.values(), reverse=True)
+    (alone,) = shares_of_kinds(report_of({0.0: [FakePath(f"stop_wall:R {LENS} detector:A", 1e-3, 99)]}), 0.0).values()
+    assert (alone.value, alone.se) == pytest.approx((100, 0), abs=1e-9)
+
+
 def test_a_field_without_stray_light_is_left_with_none():
     """The remedy is not the detector, at which all ghosts of the fake trace turn; a dark one needs none."""
     dark = [FakePath(f"{LENS} detector:A", 1.0, 99)]
@@ -50,15 +59,6 @@ def test_a_field_without_stray_light_is_left_with_none():
     report = report_of({0.0: []})
     assert (worst_of_all_fields(report), most_stray(report), remedy(report)) == ([], None, None)
     assert verdict(report) == ["No stray path reaches the detector."]
-
-
-def test_shares_of_kinds_add_up():
-    report = report_of({0.0: scatter_paths_at(0.0)})
-    shares = shares_of_kinds(report, 0.0)
-    assert sum(share.value for share in shares.values()) == pytest.approx(100)
-    assert list(shares.values()) == sorted(shares.values(), reverse=True)
-    (alone,) = shares_of_kinds(report_of({0.0: [FakePath(f"stop_wall:R {LENS} detector:A", 1e-3, 99)]}), 0.0).values()
-    assert (alone.value, alone.se) == pytest.approx((100, 0), abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -146,7 +146,7 @@ def traced(monkeypatch):
     return calls
 
 
-def test_a_contested_field_is_traced_again_with_four_times_the_rays(traced):
+def test_a_contested_field_is_traced_again_with_four_times_the_rays(traced, monkeypatch):
     """A uniform disc of 100 rays has its area to 10 %, one of 6400 to 1.2 %: ghosts 10 % apart are then distinct."""
     seen = []
     report = ghosts(lens_scene(), [0.0, 10.0], rays=100, contested_rays=6400, progress=lambda *at: seen.append(at))
@@ -160,6 +160,14 @@ def test_a_contested_field_is_traced_again_with_four_times_the_rays(traced):
     traced.clear()  # several sources may each have an angle of their own, which stays
     assert ghosts(lens_scene(), rays=100).traced_again == (10.0,)
     assert traced == [(None, 100), (0.0, 100), (None, 400)]
+    traced.clear()
+    # The yardstick has the rays of its field
+    monkeypatch.setitem(globals(), "CLOSE", 0.0)
+    report = ghosts(lens_scene(), [10.0, 0.0], rays=100)
+    assert report.traced_again == (0.0,)
+    assert report.nominal_trace is report[0.0]
+    assert report.nominal_trace.settings["rays"] == 400
+    assert list(report) == [10.0, 0.0]
 
 
 @pytest.mark.parametrize("given", [{"contested_rays": 0}, {"contested_rays": 100}, {"rank": "power"}, {"seconds": 60}])
@@ -169,15 +177,6 @@ def test_nothing_is_traced_again(traced, given):
     assert traced == [(0.0, 100), (10.0, 100)]
     assert report.traced_again == ()
     assert {"traced_again_deg", "contested_rays"}.isdisjoint(report.settings)
-
-
-def test_the_yardstick_has_the_rays_of_its_field(traced, monkeypatch):
-    monkeypatch.setitem(globals(), "CLOSE", 0.0)
-    report = ghosts(lens_scene(), [10.0, 0.0], rays=100)
-    assert report.traced_again == (0.0,)
-    assert report.nominal_trace is report[0.0]
-    assert report.nominal_trace.settings["rays"] == 400
-    assert list(report) == [10.0, 0.0]
 
 
 def test_an_interrupt_leaves_what_was_traced_first(traced, monkeypatch):
@@ -213,7 +212,7 @@ def test_what_is_told(traced):
 def test_the_worst_of_all_fields_are_contested_by_the_first_of_all():
     """The worst of each field is sure there; that of the other may be as bright."""
     first, other = lens_trace(0.0, 400, 0.01), FakeTrace([FakePath(RIVAL, 1e-4, 100, radius=0.05)], 10.0)
-    report = GhostReport(lens_scene(), {0.0: first, 10.0: other}, first, {})
+    report = ghosts_of(first, other)
     assert report.rivals(0.0).empty
     assert report.rivals(10.0).empty
     worst = worst_of_all_fields(report)

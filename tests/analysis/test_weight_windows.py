@@ -44,6 +44,16 @@ def test_rays_of_a_weight() -> None:
     assert dr.width(rays) == 5
 
 
+def test_scenes_that_are_compared_have_the_same_windows() -> None:
+    """Those of the first; none where surfaces were added; they are saved with the plan."""
+    first, second = np.random.default_rng(0).random((2, 3, WAYS)), np.full((2, 3, WAYS), 2.0)
+    assert all(one.sharing.windows is first for one in shared([plan(first), plan(second)]))
+    assert all(one.sharing.windows is None for one in shared([plan(first), plan(np.ones((2, 4, WAYS)))]))
+    assert all(one.sharing.windows is None for one in shared([plan(first), plan(None)]))
+    assert np.array_equal(Plan.of_arrays(plan(first).arrays()).sharing.windows, first)
+    assert Plan.of_arrays(plan(None).arrays()).sharing.windows is None
+
+
 def test_the_kernel_reads_what_the_pilot_has_written() -> None:
     """Rays that are left to chance at all ways which the pilot has met, and at no others, are so everywhere."""
     scene = mistray.load("baffle_tube")
@@ -117,13 +127,3 @@ def plan(windows: np.ndarray | None) -> Plan:
         light=one, variance=one, pilot_rays=np.ones(2),
         samples=MapSamples(np.zeros(1, dtype=np.int64), np.full((1, 4), 0.5), one, one),
     )  # fmt: skip
-
-
-def test_scenes_that_are_compared_have_the_same_windows() -> None:
-    """Those of the first; none where surfaces were added; they are saved with the plan."""
-    first, second = np.random.default_rng(0).random((2, 3, WAYS)), np.full((2, 3, WAYS), 2.0)
-    assert all(one.sharing.windows is first for one in shared([plan(first), plan(second)]))
-    assert all(one.sharing.windows is None for one in shared([plan(first), plan(np.ones((2, 4, WAYS)))]))
-    assert all(one.sharing.windows is None for one in shared([plan(first), plan(None)]))
-    assert np.array_equal(Plan.of_arrays(plan(first).arrays()).sharing.windows, first)
-    assert Plan.of_arrays(plan(None).arrays()).sharing.windows is None

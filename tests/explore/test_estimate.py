@@ -62,9 +62,7 @@ def test_a_coating_is_followed_within_what_the_sample_of_rays_knows(at_start):
     by_events = {path["events"]: path["power_W"] for path in estimate["paths"]}
     for path in traced["paths"][:8]:
         assert by_events[path["events"]] == pytest.approx(path["power_W"], rel=0.03)
-
-
-def test_layers_and_wavelength_together_with_a_coating(at_start):
+    # Layers and wavelength together with a coating
     part = next(name for name in at_start.controls if name.startswith("coating "))
     at_start.move({part: "mgf2_quarter_wave"})
     at_start.settle()
@@ -215,10 +213,7 @@ def test_an_estimate_has_the_coating_that_is_put_on(explored):
         ]
         np.testing.assert_allclose(shares[0], shares[1], atol=1e-6)
         assert np.abs(shares[0] - shares[2]).max() > 1e-4, "the design is another one"
-
-
-def test_choices_suit_the_body_and_the_light(explored):
-    path, _, controls, name = explored
+    # Choices suit the body and the light
     visible = name == "cooke_triplet"
     for control in controls.values():
         if control.kind == COATING:

@@ -73,6 +73,19 @@ def test_what_rayoptics_has_and_we_do_not():
         setattr(model["seq_model"].ifcs[1], key, thing)
         with pytest.raises(MistrayError, match=f"interface 1: {words}"):
             from_rayoptics(model)
+    # Edges are drawn or listed
+    model = model_of("CODV_32327.seq")
+    surface = peers.rayoptics("elem.surface")
+    interfaces = model["seq_model"].ifcs
+    for interface in interfaces:
+        interface.clear_apertures, interface.edge_apertures = [], []
+    interfaces[1].edge_apertures = [surface.Circular(radius=7.5)]
+    interfaces[2].clear_apertures = [surface.Circular(radius=6.0)]
+    interfaces[2].edge_apertures = [surface.Circular(radius=8.0)]
+    found = from_rayoptics(model)
+    sizes = [(row.semi_diameter, row.semi_diameter_fixed) for row in found.rows]
+    assert sizes == [(7.5, False), (6.0, True)] + [(None, False)] * (len(sizes) - 2)
+    assert [entry.text for entry in found.unread] == ["interface 2: edge Circular"]
 
 
 @pytest.mark.parametrize(
@@ -91,21 +104,6 @@ def test_profiles_of_rayoptics(kind, numbers):
     points = np.random.default_rng(1).uniform(-3, 3, (20, 2))
     theirs = [float(profile.sag(x, y)) for x, y in points]
     assert freeform_sag(*points.T, row.sag_numbers) == pytest.approx(np.array(theirs), abs=1e-9)
-
-
-def test_edges_of_rayoptics_are_drawn_or_listed():
-    model = model_of("CODV_32327.seq")
-    surface = peers.rayoptics("elem.surface")
-    interfaces = model["seq_model"].ifcs
-    for interface in interfaces:
-        interface.clear_apertures, interface.edge_apertures = [], []
-    interfaces[1].edge_apertures = [surface.Circular(radius=7.5)]
-    interfaces[2].clear_apertures = [surface.Circular(radius=6.0)]
-    interfaces[2].edge_apertures = [surface.Circular(radius=8.0)]
-    found = from_rayoptics(model)
-    sizes = [(row.semi_diameter, row.semi_diameter_fixed) for row in found.rows]
-    assert sizes == [(7.5, False), (6.0, True)] + [(None, False)] * (len(sizes) - 2)
-    assert [entry.text for entry in found.unread] == ["interface 2: edge Circular"]
 
 
 @pytest.mark.parametrize("thing", [None, 3, {}, "lens.zmx"])

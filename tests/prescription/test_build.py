@@ -103,16 +103,6 @@ def test_clear_radii_are_those_of_rays_with_a_margin_unless_the_file_gives_them(
     assert any("drawn clear radii" in note and note.endswith("surfaces 1") for note in built.notes)
 
 
-def test_edges_can_be_ground_or_open():
-    ground = by_name(to_prescription(triplet(), edges="ground", ground_reflectance=0.3))
-    (model,) = ground["L2_edge"].scatter
-    assert (model.kind, dict(model.properties), model.name) == ("paint", {"reflectance": 0.3}, "ground_edge")
-    assert ground["barrel_1_wall"].scatter == ()
-    open_ = by_name(to_prescription(triplet(), edges="open"))
-    assert open_["L2_edge"].coating is None
-    assert not any(name.startswith(("barrel", "board")) for name in open_)
-
-
 def test_cemented_lenses_share_a_rim_and_no_face_stands_twice():
     doublet = lens(
         Row(1, radius=61.0, thickness=6.0, material="1.5168", stop=True, label="crown"),
@@ -154,26 +144,6 @@ def test_rays_of_the_table_meet_the_surfaces_of_the_prescription():
             assert local[:, 2] == pytest.approx(flat.z_at(np.hypot(local[:, 0], local[:, 1])), abs=1e-9)
 
 
-def test_stated_apertures_become_plates_and_clips():
-    rows = list(newtonian().rows)
-    rows[0] = replace(rows[0], obscuration=circle(30.0))
-    rows[1] = replace(rows[1], aperture=circle(110.0, 20.0))
-    rows[3] = replace(rows[3], aperture=rectangle(25.0, 40.0))
-    shapes = by_name(to_prescription(newtonian().with_rows(rows)))
-    assert (shapes["sky_obscuration"].semi_diameter, shapes["sky_obscuration"].coating) == (30.0, Coating(R=0.0))
-    assert (shapes["primary"].semi_diameter, shapes["primary"].inner_semi_diameter) == (110.0, 20.0)
-    assert (shapes["flat"].half_width, shapes["flat"].half_height) == (25.0, 40.0)
-    assert "flat_rim" not in shapes
-    for number, name in ((1, "S1"), (2, "S2")):
-        given = changed(number, obscuration=circle(2.0, y=1.0))
-        shapes = by_name(to_prescription(given))
-        patch, surface = shapes[f"{name}_obscuration"], shapes[name]
-        # 1 µm before the surface, on its figure, in the material before it
-        assert (patch.outline, patch.z) == (circle(2.0, y=1.0), pytest.approx(surface.z - 1e-3))
-        assert (patch.radius, patch.conic) == (surface.radius, surface.conic)
-        assert patch.front == patch.back == surface.front
-
-
 def test_coatings_come_by_name():
     given = changed(3, changed(2, changed(1, coating="AR"), coating="lib/COATING.DAT:HEAR1"), coating="unknown")
     built = build(given, coatings={"ar": Coating(preset="mgf2_quarter_wave")})
@@ -187,6 +157,16 @@ def test_coatings_come_by_name():
     built = build(changed(1, material="nd=1.62 Vd=60"))
     assert by_name(built.prescription)["S1"].back == "nd=1.62 Vd=60 k=0"
     assert "material 'nd=1.62 Vd=60': its absorption is unknown and taken for 0" in built.notes
+
+
+def test_edges_can_be_ground_or_open():
+    ground = by_name(to_prescription(triplet(), edges="ground", ground_reflectance=0.3))
+    (model,) = ground["L2_edge"].scatter
+    assert (model.kind, dict(model.properties), model.name) == ("paint", {"reflectance": 0.3}, "ground_edge")
+    assert ground["barrel_1_wall"].scatter == ()
+    open_ = by_name(to_prescription(triplet(), edges="open"))
+    assert open_["L2_edge"].coating is None
+    assert not any(name.startswith(("barrel", "board")) for name in open_)
 
 
 def test_provenance_lists_notes_and_every_line_without_effect(tmp_path):
@@ -230,6 +210,11 @@ def test_the_source_fills_the_pupil_or_the_front():
     assert source.azimuth_deg == pytest.approx(-math.degrees(math.atan2(*tangents)), abs=1e-8)
     down = to_prescription(triplet(fields=((0.0, -5.0), (0.0, 5.0)))).source
     assert (down.field_deg, down.azimuth_deg) == (-5.0, 0.0)
+
+
+def test_very_many_fields():
+    built = build(triplet(fields=tuple((0.0, 0.1 * k) for k in range(200))))
+    assert "of 200 fields the 24 outermost give sizes and vignetting" in built.notes
 
 
 MANY = [*triplet().rows[:-1], *(Row(number, thickness=0.1) for number in range(8, 501)), triplet().rows[-1]]
@@ -323,11 +308,24 @@ def test_the_stop_has_the_apertures_that_the_file_states():
     assert "S5_aperture" not in shapes
     shapes = by_name(to_prescription(changed(5, aperture=rectangle(1.0, 3.0))))
     assert shapes["S5_frame_left"].x + shapes["S5_frame_left"].half_width == pytest.approx(-1.0)
-
-
-def test_very_many_fields():
-    built = build(triplet(fields=tuple((0.0, 0.1 * k) for k in range(200))))
-    assert "of 200 fields the 24 outermost give sizes and vignetting" in built.notes
+    # Stated apertures of other surfaces become plates and clips
+    rows = list(newtonian().rows)
+    rows[0] = replace(rows[0], obscuration=circle(30.0))
+    rows[1] = replace(rows[1], aperture=circle(110.0, 20.0))
+    rows[3] = replace(rows[3], aperture=rectangle(25.0, 40.0))
+    shapes = by_name(to_prescription(newtonian().with_rows(rows)))
+    assert (shapes["sky_obscuration"].semi_diameter, shapes["sky_obscuration"].coating) == (30.0, Coating(R=0.0))
+    assert (shapes["primary"].semi_diameter, shapes["primary"].inner_semi_diameter) == (110.0, 20.0)
+    assert (shapes["flat"].half_width, shapes["flat"].half_height) == (25.0, 40.0)
+    assert "flat_rim" not in shapes
+    for number, name in ((1, "S1"), (2, "S2")):
+        given = changed(number, obscuration=circle(2.0, y=1.0))
+        shapes = by_name(to_prescription(given))
+        patch, surface = shapes[f"{name}_obscuration"], shapes[name]
+        # 1 µm before the surface, on its figure, in the material before it
+        assert (patch.outline, patch.z) == (circle(2.0, y=1.0), pytest.approx(surface.z - 1e-3))
+        assert (patch.radius, patch.conic) == (surface.radius, surface.conic)
+        assert patch.front == patch.back == surface.front
 
 
 def test_a_freeform_lens_has_an_edge_that_reaches_both_rims():

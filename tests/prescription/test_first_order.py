@@ -144,9 +144,7 @@ def test_edge_rays_meet_the_rim_of_the_stop():
     hits, _ = trace(lens, [[0.0, 5.0, -1.0]], [[0.0, 0.0, 1.0]])
     assert rays.stop_radius == pytest.approx(hits[2, 0, 1], rel=1e-12)
     assert rays.reach[0] == pytest.approx(np.nanmax(np.hypot(rays.positions[0, :, 0], rays.positions[0, :, 1])))
-
-
-def test_vignetting_factors_move_and_squeeze_the_rim():
+    # Vignetting factors move and squeeze the rim
     lens = singlet(fields=((0.0, 10.0),), vignetting=((0.0, 0.1, 0.2, 0.4),))
     rays = edge_rays(lens)
     y = rays.positions[2, 1:, 1] / rays.stop_radius

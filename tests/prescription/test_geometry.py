@@ -33,9 +33,7 @@ def test_wall_leaves_out_empty_pieces_and_numbers_the_rest():
     (edge,) = lens_edge(*body())
     assert profile([edge]) == [("L1_edge", (5.0, 0.0), (5.0, 2.0))]
     assert (edge.front, edge.back, edge.part, edge.coating) == ("1.5", "air", "L1", Coating(R=0.0))
-
-
-def test_edge_with_bevels_and_flanges():
+    # An edge with bevels and flanges
     coating, bevel = Coating(R=0.07), Coating(R=0.02, T=0.98)
     faces = lens_edge(*body(rear_radius=4.0), 6.0, coating=coating, bevel_coating=bevel, contact_radii=(5.2, 4.0))
     assert profile(faces) == [

@@ -13,7 +13,6 @@ from mistray.errors import MistrayError
 from mistray.prescription import Coating, Detector, Prescription, Source, Stop, Structure, Surface
 
 pytestmark = pytest.mark.quick
-
 DETECTOR = Detector(z=20.0, half_width=1.0, half_height=1.0)
 SOURCE = Source(radius=1.0)
 AR = Coating(preset="bbar3", name="ar")
@@ -42,32 +41,21 @@ def message(function, *arguments, **keywords):
     ("part", "values", "wanted"),
     [
         (Surface, {"semi_diameter": -5.0}, "surface 'x': semi_diameter = -5 mm; it must be greater than 0"),
-        (Surface, {"semi_diameter": math.nan}, "semi_diameter = nan"),
         (Surface, {"half_width": 1.0}, "give either semi_diameter, both half sizes or an outline"),
-        (Surface, {"semi_diameter": 1.0, "half_width": 1.0, "half_height": 1.0}, "give either"),
         (Surface, {"semi_diameter": 1.0, "inner_semi_diameter": 1.0}, "between 0 and the outer radius 1 mm"),
         (Surface, {"semi_diameter": 1.0, "coefficients": (0.0,) * 10}, "at most 9"),
-        (Surface, {"semi_diameter": 3.0, "radius": 2.0}, "its conic ends at 2 mm"),
-        (
-            Surface,
-            {"half_width": 1.5, "half_height": 1.5, "radius": 2.0},
-            "clear radius 2.12132 mm; its conic ends at 2 mm",
-        ),
+        (Surface, {"half_width": 1.5, "half_height": 1.5, "radius": 2.0}, "2.12132 mm; its conic ends at 2 mm"),
         (Coating, {}, "coating 'x': it has no recipe; give one of R (and T), table, layers and preset"),
         (Coating, {"R": 0.1, "table": "x.csv"}, "it has R = 0.1 and table = 'x.csv'; give one of"),
-        (Coating, {"layers": "1.38 10", "preset": "bbar3"}, "layers = '1.38 10' and preset = 'bbar3'; give one of"),
         (Coating, {"R": 0.6, "T": 0.5}, "coating 'x': R = 0.6 and T = 0.5; both must lie in 0 … 1 and R + T must"),
-        (Coating, {"R": -0.1}, "R = -0.1"),
         (Coating, {"table": "x.csv", "T": 0.1}, "T = 0.1 beside table = 'x.csv', which already holds T"),
         (Coating, {"preset": "bbar9"}, "coating preset 'bbar9' is unknown; did you mean 'bbar4'?"),
         (Coating, {"layers": "1.38 10", "design_nm": 0.0}, "design_nm = 0; it must be greater than 0"),
         (Coating, {"layers": "1.38 10", "first": "top"}, "first = 'top'; it is outside, front or back"),
         (Coating, {"R": 0.1, "first": "front"}, "coating 'x': first has no meaning beside R, which has no layers"),
-        (Coating, {"table": "x.csv", "n_shift": (0.1,)}, "n_shift has no meaning beside table"),
         (Coating, {"R": 0.1, "name": "a.b"}, "must not be empty or hold a dot"),
         (Structure, {"r0": 1.0, "z0": 0.0, "r1": -1.0, "z1": 1.0}, "radii must be ≥ 0"),
         (Structure, {"r0": 1.0, "z0": 0.0, "r1": 1.0, "z1": 0.0}, "no area"),
-        (Structure, {"r0": 0.0, "z0": 0.0, "r1": 0.0, "z1": 1.0}, "no area"),
         (Detector, {"half_width": 1.0, "half_height": 1.0, "pixels": (0, 5)}, "at least 1"),
         (Source, {}, "give either radius or both half sizes"),
         (Source, {"radius": -1.0}, "radius = -1"),
@@ -82,28 +70,12 @@ def message(function, *arguments, **keywords):
         (Prescription, {"surfaces": (*lens(), *lens(z=10.0))}, "2 shapes are called 'L1_front'"),
         (Prescription, {"surfaces": (*lens(), Surface("s", z=2.0, radius=-50.0, semi_diameter=3.0))}, "coincide"),
         (Prescription, {"surfaces": (Surface("s", z=20.0, semi_diameter=3.0),), "detector": DETECTOR}, "coincide"),
-        (
-            Prescription,
-            {"surfaces": lens(front=AR, rear=replace(AR, preset="bbar4"))},
-            "coatings are called 'ar', that of",
-        ),
-        (
-            Prescription,
-            {"surfaces": lens(front=replace(AR, name="L1_rear"))},
-            "a shape and a coating are called 'L1_rear'",
-        ),
+        (Prescription, {"surfaces": lens(front=AR, rear=replace(AR, preset="bbar4"))}, "coatings are called 'ar'"),
+        (Prescription, {"surfaces": lens(front=replace(AR, name="L1_rear"))}, "a shape and a coating are called"),
     ],
 )
 def test_bad_parts(part, values, wanted):
     assert wanted in message(part, **({} if part is Source else {"name": "x"}) | values)
-
-
-def test_bad_stops_and_names():
-    assert "radius = 5 mm" in message(Stop, 5.0, 0.0, 0.1, 4.0, 6.0)
-    assert "swap them" in message(Stop, 1.0, 0.2, 0.1, 4.0, 6.0)
-    for name in ("", "a.b", " a", "=a", "a\nb"):
-        assert ascii(name) in message(Surface, name, semi_diameter=1.0)
-        assert ascii(name) in message(Structure, name, 1.0, 0.0, 1.0, 1.0)
 
 
 def test_which_coatings_have_layers_and_are_opaque():
@@ -133,6 +105,14 @@ def test_surfaces_that_cross():
     )
 
 
+def test_bad_stops_and_names():
+    assert "radius = 5 mm" in message(Stop, 5.0, 0.0, 0.1, 4.0, 6.0)
+    assert "swap them" in message(Stop, 1.0, 0.2, 0.1, 4.0, 6.0)
+    for name in ("", "a.b", " a", "=a", "a\nb"):
+        assert ascii(name) in message(Surface, name, semi_diameter=1.0)
+        assert ascii(name) in message(Structure, name, 1.0, 0.0, 1.0, 1.0)
+
+
 @pytest.mark.parametrize("missing", ["detector", "source"])
 def test_scene_needs_detector_and_source(missing, tmp_path):
     prescription = system(*lens(), **{missing: None})
@@ -157,6 +137,13 @@ def test_stop_has_three_faces_or_one():
     assert thin.z0 == thin.z1 == 0.0
 
 
+def test_paraxial():
+    thin = system(*lens(radius=100.0)).paraxial(550.0)
+    assert thin.efl == pytest.approx(1 / (0.5 * (2 / 100 - 0.5 * 2 / (1.5 * 100**2))), rel=1e-12)
+    mirror = Surface("m", semi_diameter=5.0, radius=-100.0, coating=Coating(R=1.0), mirror=True)
+    assert "surface 'm'" in message(system(mirror).paraxial, 550.0)
+
+
 def test_placement_turns_about_x_then_y_then_z():
     placed = Surface("s", semi_diameter=1.0, x=1.0, y=2.0, z=3.0, tilt_deg=(90.0, 90.0, 90.0))
     matrix = placed.to_world()
@@ -167,10 +154,3 @@ def test_placement_turns_about_x_then_y_then_z():
     np.testing.assert_allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-15)
     assert not placed.coaxial
     assert Surface("s", semi_diameter=1.0, z=3.0, tilt_deg=(0.0, 0.0, 45.0)).coaxial
-
-
-def test_paraxial():
-    thin = system(*lens(radius=100.0)).paraxial(550.0)
-    assert thin.efl == pytest.approx(1 / (0.5 * (2 / 100 - 0.5 * 2 / (1.5 * 100**2))), rel=1e-12)
-    mirror = Surface("m", semi_diameter=5.0, radius=-100.0, coating=Coating(R=1.0), mirror=True)
-    assert "surface 'm'" in message(system(mirror).paraxial, 550.0)

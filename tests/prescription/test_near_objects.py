@@ -14,7 +14,6 @@ from mistray.prescription import ObjectPoint, from_zemax
 
 pytestmark = pytest.mark.quick
 
-
 # An ellipsoid of revolution images one focus in the other without aberrations: at R/(1 - e) and R/(1 + e)
 RADIUS, ECCENTRICITY = -60.0, 0.5
 FAR, NEAR = -RADIUS / (1 - ECCENTRICITY), -RADIUS / (1 + ECCENTRICITY)

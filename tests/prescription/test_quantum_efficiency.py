@@ -11,7 +11,6 @@ import mistray
 from mistray.prescription import Coating, Detector, Prescription, Source, Surface
 
 pytestmark = pytest.mark.quick
-
 TABLE = """wavelength_nm,angle_deg,R,T
 500,0,0.2,0.1
 500,60,0.4,0.3

@@ -14,7 +14,6 @@ from mistray.prescription import Structure, from_batoid
 from mistray.trace import trace
 
 batoid = pytest.importorskip("batoid")
-
 WAVELENGTH_NM = 620.0
 
 
@@ -41,9 +40,7 @@ def test_figures_and_places(optic, rubin):
         np.testing.assert_allclose(s.z_at(r), expected, rtol=1e-12, atol=1e-9)
         assert s.outer_radius == interface.outRadius * 1e3
         assert s.inner_semi_diameter == pytest.approx((interface.inRadius or 0) * 1e3)
-
-
-def test_media_and_coatings(optic, rubin):
+    # Media and coatings
     n = optic["L1_entrance"].outMedium.getN(WAVELENGTH_NM * 1e-9)
     for s in rubin.surfaces:
         if s.mirror:

@@ -79,10 +79,7 @@ def test_a_lens_with_its_focal_length_and_f_number(nikkor):
     assert (presets["S1"], presets["S2"]) == ("mgf2_quarter_wave", None)
     cement = [f"S{k + 1}" for k in range(1, len(rows)) if rows[k][2] > 1 and rows[k - 1][2] > 1]
     assert all(presets[name] is None for name in cement)
-
-
-def test_the_image_is_where_the_light_is_narrowest(nikkor):
-    """The mean square distance of rays of the beam is least: a plane 20 µm before or behind has more."""
+    # The mean square distance of rays of the beam is least: a plane 20 µm before or behind has more
     height = np.linspace(0.05, 1, 200) * 13.83 / 2 * 0.7
     start = np.column_stack([0 * height, height, np.full(200, -5.0)])
     hits, along = trace(nikkor, start, np.broadcast_to([0.0, 0.0, 1.0], start.shape))

@@ -31,6 +31,9 @@ def test_focal_length_at_two_wavelengths(camera):
         assert system.efl == pytest.approx(checks[key]["EFL"], abs=6e-6)
         defocus = system.z[-1] + system.bfl - camera.detector.z
         assert defocus == pytest.approx(checks[key]["paraxial_defocus_mm"], abs=6e-6)
+    # And of the variant
+    other = from_json(FILE, variant="R13=5.272")
+    assert other.paraxial(587.5618).efl == pytest.approx(DATA["variants"]["R13=5.272"]["EFL"], abs=6e-6)
 
 
 def test_surfaces(camera):
@@ -45,9 +48,7 @@ def test_surfaces(camera):
         assert surface.rim[1] == pytest.approx(row.get("edge_z", row["z"]), abs=6e-7)
     assert {s.coating.R for s in camera.surfaces if s.part in ("window", "filter")} == {0.01}
     assert {s.coating.R for s in camera.surfaces if s.part.startswith("L")} == {0.02}
-
-
-def test_source_stop_and_detector(camera):
+    # Source, stop and detector
     filling = from_json(FILE, beam="exact").source
     assert np.pi * filling.radius**2 == pytest.approx(DATA["sources"]["stray_light"]["power_W"], rel=1e-9)
     assert camera.source.radius == pytest.approx(1.05 * filling.radius)
@@ -72,9 +73,7 @@ def test_every_barrel_piece_is_there_once(camera):
         if a.z0 == b.z0:
             overlap = min(max(a.r0, a.r1), max(b.r0, b.r1)) - max(min(a.r0, a.r1), min(b.r0, b.r1))
             assert overlap <= 0, (a.name, b.name)
-
-
-def test_visible_rings_are_glass_and_contact_is_opaque(camera):
+    # Visible rings are glass, contact is opaque
     faces = {s.name: s for s in camera.structures}
     for body in DATA["lens_bodies"]:
         for number in (1, 2):
@@ -127,11 +126,6 @@ def test_every_cell_is_closed(cell, variant):
         last = hit
 
 
-def test_variant():
-    other = from_json(FILE, variant="R13=5.272")
-    assert other.paraxial(587.5618).efl == pytest.approx(DATA["variants"]["R13=5.272"]["EFL"], abs=6e-6)
-
-
 def changed(tmp_path, change):
     data = json.loads(FILE.read_text())
     change(data)
@@ -144,17 +138,12 @@ def changed(tmp_path, change):
     ("change", "wanted"),
     [
         (lambda d: d.pop("coatings"), "key 'coatings' is missing"),
-        (lambda d: d["surfaces"][6].pop("semi_diameter"), "key 'semi_diameter' is missing"),
         (lambda d: d["surfaces"][6].update(semi_diameter=-1.4), "surface 'L1_front': semi_diameter = -1.4 mm"),
-        (lambda d: d["surfaces"][9].update(semi_diameter=1.2), "surface 'L2_rear': .* conic ends at 1.11"),
         (lambda d: d["surfaces"][6].update(medium_after="GLASS"), "'GLASS'"),
         (lambda d: d["surfaces"][6].update(name="first"), "surface 'first' is not named"),
-        (lambda d: d["surfaces"][8].update(z=0.9), "'L1_rear' and 'L2_front' cross at r ="),
         (lambda d: d["barrel"]["optical_spaces"]["2"][0].update(label="cone"), "barrel piece 'cone'"),
         (lambda d: d["barrel"]["optical_spaces"]["1"].pop(3), r"labelled '\(AS rear\)'"),
-        (lambda d: d["coatings"].update(lenses={"preset": "bbar"}), "preset 'bbar' is unknown"),
         (lambda d: d.update(scatter=[POLISH | {"shapes": ["L9_*"]}]), r"no shape is called 'L9_\*'"),
-        (lambda d: d.update(scatter=[{"kind": "abg", "A": 1.0, "B": 1.0, "g": 1.0}]), "key 'shapes' is missing"),
     ],
 )
 def test_bad_files(tmp_path, change, wanted):
@@ -182,10 +171,7 @@ def test_coatings_of_layers(tmp_path):
     by_part = {surface.part: surface.coating for surface in lens.surfaces}
     assert by_part["L1"] == Coating(**layers)
     assert by_part["window"] == by_part["filter"] == Coating(**shared)
-
-
-def test_scatter(tmp_path):
-    """A list of models, each with the faces that have it."""
+    # A list of models of scatter, each with the faces that have it
     dirt = {"kind": "particulate", "level": 300.0, "shapes": ["window_*", "barrel_?_cone"]}
     lens = from_json(changed(tmp_path, lambda data: data.update(scatter=[POLISH, dirt])))
     scatter = {shape.name: shape.scatter for shape in lens.shapes() if shape.scatter}

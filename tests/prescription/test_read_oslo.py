@@ -18,7 +18,6 @@ from mistray.prescription.sequential.first_order import first_order
 from mistray.prescription.sequential.rays import to_world, trace
 
 pytestmark = pytest.mark.quick
-
 DOUBLET = (Path(__file__).parents[1] / "data" / "doublet.len").read_text(encoding="utf-8")
 
 

@@ -17,7 +17,6 @@ from mistray.prescription.sequential.rays import frames, to_world, trace
 from mistray.prescription.sequential.table import Decentre, Sequential
 
 pytestmark = pytest.mark.quick
-
 COATINGS = Path(__file__).parents[1] / "data" / "coating_sample.dat"
 SYSTEM = """MODE SEQ
 NAME Singlet
@@ -132,6 +131,9 @@ def test_materials_around_breaks_and_mirrors(read):
     assert rows[1].decentre == Decentre(x=1.0)
     row = read(surface("SCBD 1 1 0 0.5 -0.25 10 20 30", "SCBD 2 0 0 0 0 0 0 0", "DISZ 2")).rows[0]
     assert row.decentre == Decentre(x=0.5, y=-0.25, tilt_deg=(10.0, 20.0, 30.0), tilt_first=True)
+    # A model glass that is picked up
+    text = surface("GLAS ___BLANK 1 0 1.6 40", "DISZ 1").replace("GLAS N-BK7 0 0 1.5 40", "GLAS ___BLANK 2 1 1.5 30")
+    assert [row.material for row in read(text).rows[:2]] == ["nd=1.6 Vd=40 k=0"] * 2
 
 
 @pytest.mark.parametrize(("curvature", "conic"), [("0", "3"), ("0.02", "-1")])
@@ -161,7 +163,6 @@ def glass(line: str, system: str = "") -> str:
         ("GLAS B270 0 0", "SCHOTT", "schott/B270 k=0", "glass B270: absorption unknown, taken to be 0"),
         ("GLAS ___BLANK 1 0 1.6 38.5 0 0 0 0", "", "nd=1.6 Vd=38.5 k=0", "two-term Cauchy"),
         ("GLAS ___BLANK 1 0 1,6 38,5 0,01", "", "nd=1.6 Vd=38.5 k=0", "dPgF = 0.01 is not used"),
-        ("GLAS MODEL 1 0 1.6 38.5", "", "nd=1.6 Vd=38.5 k=0", "two-term Cauchy"),
         ("GLAS ___BLANK 1 0 1.6 0", "", "1.6", None),
         ("GLAS AIR 0 0 1 0", "", "air", None),
     ],
@@ -173,11 +174,6 @@ def test_glasses(line, catalogues, material, note, read):
         assert all("absorption" in each for each in lens.notes)
     else:
         assert any(note in each for each in lens.notes)
-
-
-def test_model_glass_that_is_picked_up(read):
-    text = surface("GLAS ___BLANK 1 0 1.6 40", "DISZ 1").replace("GLAS N-BK7 0 0 1.5 40", "GLAS ___BLANK 2 1 1.5 30")
-    assert [row.material for row in read(text).rows[:2]] == ["nd=1.6 Vd=40 k=0"] * 2
 
 
 def test_agf_file_and_replacements_go_first(read, tmp_path):
@@ -196,7 +192,6 @@ def test_agf_file_and_replacements_go_first(read, tmp_path):
 @pytest.mark.parametrize(
     ("lines", "semi_diameter", "fixed", "aperture"),
     [
-        (["DIAM 4 0 0 0 1"], 4.0, False, None),
         (["DIAM 0 0"], None, False, None),
         (["DIAM 4 1 0 0 1"], 4.0, False, None),
         (["DIAM 4 1", "FLAP 0 4 0"], 4.0, True, None),
@@ -234,7 +229,6 @@ WAVES = "WAVM 1 0.5875618 1\nPWAV 1"
     ("old", "new", "expected"),
     [
         ("ENPD 8", "FNUM 2.8 0", {"aperture_kind": "f_number", "aperture": 2.8}),
-        ("ENPD 8", "FNUM 2.8 1", {"aperture_kind": "f_number", "aperture": 2.8}),
         ("ENPD 8", "OBNA 0.25 0", {"aperture_kind": "object_na", "aperture": 0.25}),
         ("ENPD 8", "OBNA 30 1", {"aperture_kind": "object_na", "aperture": pytest.approx(0.5)}),
         ("ENPD 8", "FLOA", {"aperture_kind": "stop_diameter", "aperture": 7.0}),
@@ -371,19 +365,14 @@ def test_no_line_gets_lost(read):
         (("GLAS N-BK7 0", "GLAS ___BLANK 0"), "its flag 0 says it is no model glass"),
         (("GLAS N-BK7 0 0", "GLAS ___BLANK 2 7"), "picks up the glass of surface 7, which has none"),
         (("GLAS N-BK7 0 0 1.5 40", "GLAS ___BLANK 1 0 0.5 40"), "index 0.5; a real index is at least 1"),
-        (
-            ("TYPE STANDARD\n  CURV", "TYPE SZERNSAG\n  XDAT 1 4\n  XDAT 5 0.1\n  CURV"),
-            "4 terms|3 terms over a radius of 0",
-        ),
+        (("TYPE STANDARD\n  CURV", "TYPE SZERNSAG\n  XDAT 1 4\n  XDAT 5 0.1\n  CURV"), "terms over a radius of 0"),
         (("SURF 2\n  TYPE STANDARD", "SURF 2\n  TYPE PARAXIAL"), "put the real surfaces of that lens in its place"),
-        (("SURF 2\n  TYPE STANDARD", "SURF 2\n  TYPE USERSURF"), "mistray knows STANDARD, EVENASPH, .* and COORDBRK"),
         (("TYPE STANDARD\n  CURV 0.02", "TYPE IRREGULA\n  PARM 3 0.01\n  DIAM 8 0"), "put coordinate breaks around it"),
         ((SINGLET, bytes(range(256)).decode("latin-1")), "no line 'SURF 0'"),
         (("TYPE STANDARD\n  CURV 0.02", "TYPE EVENASPH\n  PARM 2 1\n  PARM 2 2"), "parameter 2 is there already"),
         (("  STOP", "  STOP\n  SCBD 2 0 2 1 0 0 0 0"), "tilts and decentres before a surface are read"),
         (("  STOP", "  STOP\n  CLAP 0 3\n  SQAP 2 2"), "surface 1 has two apertures"),
         (("  STOP", "  STOP\n  CLAP 3 2"), "radii 3 and 2 mm; the second must be the greater"),
-        (("  STOP", "  STOP\n  SQAP 3"), "ends before two lengths"),
         (("CURV -0.02", "STOP\n  CURV -0.02"), "surfaces 1, 2 are all stops"),
         ((IMAGE, "SURF 3\n  TYPE COORDBRK"), "surface 3, the image, is a coordinate break"),
         ((f"{FRONT}\n{REAR}\n{IMAGE}", IMAGE.replace("3", "1")), "it needs one at least, and an image"),
@@ -440,9 +429,7 @@ def test_configurations(wanted, read):
     [
         (CONFIGURATIONS, 3, "line .*: 'GLSS 1 3 N-SF11.*' *: GLSS is not read"),
         (CONFIGURATIONS, 4, "configuration 4 of 3"),
-        (CONFIGURATIONS, 0, "configuration 0 of 3"),
         (CONFIGURATIONS, "far", "configuration 'far' is not there; the file has 'at infinity', 'near', 'other glass'"),
-        (SINGLET, 2, "configuration 2 of 1"),
     ],
 )
 def test_configurations_that_cannot_be_read(text, wanted, message, read):

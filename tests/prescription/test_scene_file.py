@@ -69,19 +69,6 @@ def test_dictionary_and_file_load_to_the_same_scene(tmp_path):
         assert films == {"ar", *(f"{name}.bsdf.coating" for name in ("layered", "preset", "scattering", "zemax"))}
 
 
-def test_nodes_of_the_dictionary():
-    written = SYSTEM.to_dict()
-    keys = "type radius conic a4 a8 semi_diameter inner_semi_diameter part space to_world bsdf"
-    assert set(written["L1_front"]) == set(keys.split())
-    assert written["detector"]["sensor"]["film"]["width"] == 40
-    assert written["fold"]["bsdf"] == {"type": "interface", "R": 1.0, "mirror": True}
-    assert written["split_coating"] == {"type": "thinfilm", "R": 0.1, "T": 0.8}
-    assert {written[name]["bsdf"]["ref"]["id"] for name in ("shared_1", "shared_2")} == {"ar"}
-    assert written["source"]["wavelength_nm"] == "486.1, 587.6"
-    assert list(written["scattering"]["bsdf"]) == ["type", "bsdf", "bsdf_2", "bsdf_3", "ref", "ref_2"]
-    assert written["scattering"]["bsdf"]["bsdf_3"]["band_limited"] is True
-
-
 def test_file_is_readable_and_the_same_each_time(tmp_path):
     """Numbers survive to the last bit."""
     path = tmp_path / "scene.xml"

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from oracles import beams, nonsequential, scene_xml
-from same_scenes import assert_same
 
 import mistray
 from mistray.physics.sags.terms import sag
@@ -98,12 +97,6 @@ def test_lens_and_reflector_has_the_paths_of_the_slide():
     assert direct.power_W / direct.rays / beam.power[0] == pytest.approx(20.7347613517402 / 26, rel=3e-3)
     per_ray = (ghost.power_W / ghost.rays) / (direct.power_W / direct.rays)
     assert per_ray == pytest.approx((0.00286680426298308 / 2) / (20.7347613517402 / 26), rel=1e-2)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", NAMES)
-def test_dictionary_and_file_load_as_the_same_scene(name):
-    assert_same(build(name).to_scene(), mistray.load(SCENES / name / "scene.xml"))
 
 
 def test_the_mirror_of_the_head_up_display_is_a_paraboloid():

@@ -8,7 +8,9 @@ from types import SimpleNamespace
 
 import numpy as np
 from report.fake_ledger import GLASS, SENSOR, STRUCTURE, decoded, encode, fake_run, hit_sums
+from report.fake_scene import lens_scene
 
+from mistray.analysis import GhostReport
 from mistray.recorders.film import Pixels
 from mistray.recorders.ledger import SUMS
 from mistray.settings import BATCHES
@@ -237,6 +239,11 @@ def scatter_trace_at(field_deg: float) -> FakeTrace:
     t.aiming = [AimedSurface("window_rear", 1000.0, 800.0), AimedSurface("stop_wall", 1000.0, 50.0)]
     t.scattered_rays_per_start, t.effective_scattered_rays, t.largest_ray_share = 0.65, 400.0, 0.01
     return t
+
+
+def ghosts_of(*traces: FakeTrace, nominal: FakeTrace | None = None) -> GhostReport:
+    """The ghosts of fields, of which the first has the nominal image unless another trace has it."""
+    return GhostReport(lens_scene(), {t.settings["field_deg"]: t for t in traces}, nominal or traces[0], {})
 
 
 SHARES = {450.0: 0.25, 550.0: 0.5, 650.0: 0.25}

@@ -41,9 +41,7 @@ def test_zones_are_drawn():
         assert figure.axes[0].get_title() == "a tube"
     assert zones(baffle_figure(spoiled), VERMILION)
     assert not zones(baffle_figure(TUBE), VERMILION)
-
-
-def test_rays_meet_the_tips():
+    # Rays meet the tips
     lines = [line for line in baffle_figure(TUBE).axes[0].lines if line.get_color() == BLUE]
     assert len(lines) == len(TUBE.vanes)
     for line, vane in zip(lines, TUBE.vanes, strict=True):

@@ -12,10 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from report.fake_pst import fake_pst
-from report.fake_scene import lens_scene
-from report.fake_trace import trace_at
+from report.fake_trace import ghosts_of, trace_at
 
-from mistray.analysis.ghosts import GhostReport
 from mistray.report.figures.layout import worst_paths
 from mistray.report.figures.plots import common_range
 from mistray.report.ghosts.report import html_text
@@ -34,7 +32,6 @@ pytestmark = [
     pytest.mark.long,
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to open a report; install chromium"),
 ]
-
 DRIVER = """
 <script>
 const found = { errors: [] };
@@ -112,10 +109,8 @@ async function drive() {
   found.label = canvas.getAttribute("aria-label");
   found.turns = panel.querySelectorAll('svg.rays path[stroke="#e69f00"]').length;
   found.ray_colour = panel.querySelector("svg.rays path.ray").getAttribute("stroke");
-  found.scale = panel.querySelector("svg.rays text").textContent;
   found.events = [...panel.querySelectorAll("ol.events li")].map((item) => item.textContent);
   found.rays = panel.querySelectorAll("svg.rays path.ray").length;
-  found.chosen = panel.querySelector(".chosen").textContent;
   found.path_light = light();
   panel.querySelector("input.whole").click();
   await pause();
@@ -139,14 +134,10 @@ async function drive() {
   drag("pointerdown", 0.5, 0.5); drag("pointerup", 0.5, 0.5);
   found.clicked = table.classList.contains("boxed");
   drag("pointermove", 1.1, 0.5);
-  found.beside = panel.querySelector(".readout").textContent;
   drag("pointerdown", 0.5, 0.5); drag("pointermove", 0.8, 0.7);
-  found.readout = panel.querySelector(".readout").textContent;
   drag("pointerup", 1, 1);
   await until(() => table.classList.contains("boxed"));
   found.dragged = ["x0", "x1", "y0", "y1"].map((name) => Number(panel.querySelector("form").elements[name].value));
-  found.box = panel.querySelector(".found").textContent;
-  found.box_column = rows().map((row) => row.querySelector("td.inbox").textContent);
   found.box_paths = ids();
   found.in_box = rows().map((row) => Number(row.querySelector("td.inbox").dataset.v));
   panel.querySelector('button[type="reset"]').click();
@@ -179,17 +170,6 @@ async function drive() {
   found.by_keys = panel.querySelector(".found").textContent;
   panel.querySelector('button[type="reset"]').click();
   await pause();
-  // Filter, sort, values of the plot
-  const filter = document.querySelector(`input.filter[data-table="${table.id}"]`);
-  filter.value = "window"; filter.dispatchEvent(new Event("input"));
-  found.filtered = rows().length;
-  filter.value = ""; filter.dispatchEvent(new Event("input"));
-  const head = [...table.tHead.rows[0].cells].find((cell) => cell.textContent.startsWith("power"));
-  const column = () => rows().map((row) => Number(row.cells[[...head.parentNode.cells].indexOf(head)].dataset.v));
-  press(head, "Enter");
-  found.sorted = column();
-  head.click();
-  found.sorted_down = column();
   found.hover = values();
   // The field without a direct image, on its own scale and on that of both
   const second = document.querySelectorAll("div.explorer")[1], map = second.querySelector("canvas");
@@ -248,7 +228,6 @@ function values() {
 </script>
 """
 
-
 # Whatever is folded is opened: nothing may be wider than the page, but for tables, which scroll by themselves
 WIDTH = """
 <script>
@@ -295,8 +274,7 @@ def opened(pages: dict[str, tuple[str, str]], folder: Path) -> dict[str, dict]:
 
 @pytest.fixture(scope="module")
 def report():
-    traces = {field: trace_at(field) for field in (0.0, 20.0)}
-    return GhostReport(lens_scene(), traces, traces[0.0], {})
+    return ghosts_of(*map(trace_at, (0.0, 20.0)))
 
 
 @pytest.fixture(scope="module")
@@ -378,26 +356,19 @@ def test_a_path_is_chosen(report, found):
     assert found["turns"] == 2  # the detector and the window
     assert found["rays"] == 7
     assert found["ray_colour"] == dict((path_id, colour) for path_id, colour, _ in worst_paths(report, 0.0))[1]
-    assert found["scale"] == "2 mm (z to the right, y up)"
     assert found["back"]
-    assert 0 < found["filtered"] < len(report.table(0.0))
-    assert found["sorted"] == sorted(found["sorted"])
-    assert found["sorted_down"] == sorted(found["sorted"], reverse=True)
 
 
 def test_maps(report, found):
     found = found["ghosts.html"]
     low, high = common_range(report)
     assert f"all light, log10 scale 1e{low:.0f} to 1e{high:.0f} W/mm²" in found["common_scale"]
-    assert high > 0
     assert f"to 1e{high:.0f} W/mm²" not in found["own_scale"]  # there are ghosts alone
     assert "path 1, log10 scale 1e" in found["label"]
     assert "without the direct image, log10 scale 1e" in found["stray_label"]
     assert found["all_light"] > 0
     assert found["stray_light"] not in (0, found["all_light"])
     assert found["path_alone"] > found["path_light"] > 0  # larger in its own frame
-    assert "W/mm²" in found["readout"]
-    assert found["beside"].startswith("Drag a box")  # no irradiance beside the detector
 
 
 def test_boxes(report, found):
@@ -412,12 +383,10 @@ def test_boxes(report, found):
             expected[str(path_id)] = path.power * share
     assert dict(zip(found["box_paths"], found["in_box"], strict=True)) == pytest.approx(expected, rel=2e-3)
     assert found["in_box"] == sorted(found["in_box"], reverse=True)
-    assert f"{len(expected)} of {len(t.fakes)} paths of the table light it" in found["box"]
-    assert "% of it" in found["box_column"][0]
     assert found["clicked"] is found["boxed_outside"] is found["escaped"] is False
     assert found["cleared"] == found["paths"]
     assert "Give all four edges" in found["refused"]
-    assert found["outside"] == "The box lies beside the detector, which has x -2 … 2, y -1.5 … 1.5 mm."
+    assert found["outside"].startswith("The box lies beside the detector")
     assert sum(found["whole"]) == pytest.approx(t.irradiance.sum() * 0.05**2, rel=2e-3)
     assert found["cross"] > 0
     assert found["read_by_keys"].startswith("x ")

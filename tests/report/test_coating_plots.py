@@ -92,9 +92,6 @@ def test_one_row_for_each_kind_of_surface(scene) -> None:
 
 def test_errors(scene) -> None:
     with pytest.raises(MistrayError, match="needs two or more wavelengths, there is 1"):
-        coating_figure(Bare(), [550.0], [0.0])
-    with pytest.raises(MistrayError, match="needs two or more wavelengths"):
         surfaces_figure(coated_surfaces(scene), [550.0], [0.0])
-
     with pytest.raises(MistrayError, match="no optical surface"):
         coated_surfaces(SimpleNamespace(shapes=list))

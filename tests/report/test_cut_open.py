@@ -48,9 +48,7 @@ def test_halves_have_the_area_of_the_whole(scene):
         assert whole[name] == pytest.approx(exact, rel=2e-3)
         assert areas(CutPlane(180.0, 50.0))[name] == pytest.approx(exact, rel=5e-3)
     assert all(len(surface.faces) == 0 for surface in open_surfaces(scene, CutPlane(180.0, -50.0)))
-
-
-def test_roles_parts_and_materials(scene):
+    # Surfaces have roles, parts and materials
     surfaces = {surface.name: surface for surface in open_surfaces(scene, CutPlane())}
     roles = {**dict.fromkeys(surfaces, "glass"), "stop_wall": "structure", "detector": "detector"}
     assert {name: surface.role for name, surface in surfaces.items()} == roles
@@ -66,10 +64,7 @@ def test_cut_cylinder_in_closed_form():
     np.testing.assert_allclose(
         sorted(end[0, :2].tolist() for end in ends), [[1.0, -np.sqrt(3)], [1.0, np.sqrt(3)]], atol=1e-12
     )
-
-
-def test_tilted_disc_keeps_its_area():
-    """A disc whose plane is not that of any ring of the cut: half of it is left whatever its tilt."""
+    # A disc whose plane is not that of any ring of the cut: half of it is left whatever its tilt
     matrix = tilted(25.0)
     r = np.linspace(0.0, 3.0, 33)
     vertices, faces, _ = turned(np.column_stack([r, 0.0 * r]), matrix, 200, CutPlane(180.0))
@@ -93,11 +88,6 @@ def test_clipped_box(offset):
     outward = vertices[faces].mean(axis=1) - [(offset - 1) / 2, 1.0, 5.5]
     assert (np.einsum("ij,ij->i", normals, outward) > 0).all()
     assert clip(CORNERS.astype(np.float32), BOX, CutPlane(0.0, offset))[0].dtype == np.float32
-
-
-def test_right_angles_are_exact():
-    np.testing.assert_array_equal(CutPlane(90.0).normal, [0.0, 1.0, 0.0])
-    np.testing.assert_array_equal(CutPlane(-180.0).normal, [-1.0, 0.0, 0.0])
 
 
 OUTLINES = {

@@ -13,11 +13,9 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
-from report.fake_scene import lens_scene
-from report.fake_trace import EXTENT, SHAPE, trace_at
+from report.fake_trace import EXTENT, SHAPE, ghosts_of, trace_at
 from report.test_embedded import stored
 
-from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.irradiance import log_range
 from mistray.recorders.film import WEIGHTS
 from mistray.report.ghosts.fields import explored_paths
@@ -56,8 +54,7 @@ def data_of(text: str, name: str) -> dict:
 
 @pytest.fixture(scope="module")
 def report():
-    traces = {field: trace_at(field) for field in (0.0, 20.0)}
-    report = GhostReport(lens_scene(), traces, traces[0.0], {})
+    report = ghosts_of(*map(trace_at, (0.0, 20.0)))
     report.text = html_text(report, "lens")
     return report
 
@@ -83,6 +80,7 @@ def maps_of(data: dict) -> dict[str, tuple[list[int], np.ndarray]]:
 
 
 def test_page_holds_the_power_of_every_path(report, data):
+    """And its rays, which start at z = -2 and end at the detector at z = 5."""
     table = report.table(0.0).set_index("path_id")
     maps = maps_of(data)
     assert set(map(int, data["paths"])) == set(table.index)
@@ -91,32 +89,24 @@ def test_page_holds_the_power_of_every_path(report, data):
     assert maps["rest"][1].size == 0
     assert maps["direct"][1].sum() == pytest.approx(table.power_W[table.kind == "direct"].sum(), rel=2e-3)
     assert maps["stray"][1].sum() == pytest.approx(table.power_W[table.kind != "direct"].sum(), rel=2e-3)
+    for lines in data["rays"].values():
+        assert 1 <= len(lines) <= 7
+        assert all((line[0], line[-2]) == (-2, 5) for line in lines)
 
 
 def test_summaries_are_those_of_maps_asked_for_one_by_one(report):
-    alone = GhostReport(lens_scene(), {20.0: trace_at(20.0), 0.0: trace_at(0.0)}, trace_at(0.0), {})
+    alone = ghosts_of(trace_at(20.0), trace_at(0.0), nominal=trace_at(0.0))
     for field in (0.0, 20.0):
         for found, expected in zip(report.stray_map(field), alone.stray_map(field), strict=True):
             np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-18)
     assert tuple(report.peak_to_nominal(20.0)) == pytest.approx(tuple(alone.peak_to_nominal(20.0)), nan_ok=True)
 
 
-def test_rays_and_events_of_a_path(report, data):
-    """The knots of the fake rays: start at z = -2, at the detector z = 5."""
-    for lines in data["rays"].values():
-        assert 1 <= len(lines) <= 7
-        assert all((line[0], line[-2]) == (-2, 5) for line in lines)
-    shared = data_of(report.text, "data-page")
-    assert shared["events"]["R"] == "reflected"
-    assert {"L1_front", "detector"} <= {surface["name"] for surface in shared["surfaces"]}
-    assert shared["bounds"][2] >= 5
-
-
 def test_paths_beyond_the_memory_are_the_rest(monkeypatch):
     room = 8.0 * SHAPE[0] * SHAPE[1] * (1 + 3 * (BATCHES + WEIGHTS))
     monkeypatch.setattr(importlib.import_module("mistray.analysis.maps.path_maps"), "MAP_BYTES", room)
     t = trace_at(0.0)
-    report = GhostReport(lens_scene(), {0.0: t}, t, {})
+    report = ghosts_of(t)
     table = report.table(0.0).set_index("path_id")
     maps = report.path_maps(0.0, list(table.index))
     assert list(maps.paths) == [0, 1]
@@ -167,7 +157,7 @@ def test_box_names_the_paths_that_the_table_leaves_out(monkeypatch):
     monkeypatch.setattr(fields, "ROWS_SHOWN", 1)
     monkeypatch.setattr(fields, "STRONGEST_SHOWN", 1)
     t = trace_at(0.0)
-    report = GhostReport(lens_scene(), {0.0: t}, t, {})
+    report = ghosts_of(t)
     table = report.table(0.0).set_index("path_id")
     data = panel_of(html_text(report, "lens"))
     others = {path_id for path_id, _, _ in data["others"]}

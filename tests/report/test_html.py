@@ -8,8 +8,7 @@ from typing import Any
 
 import html_pages
 import pytest
-from report.fake_scene import lens_scene
-from report.fake_trace import SHARES, FakeTrace, trace_at, trace_in_colours
+from report.fake_trace import SHARES, FakeTrace, ghosts_of, trace_at, trace_in_colours
 
 import mistray
 from mistray.analysis.ghosts import GhostReport
@@ -25,8 +24,7 @@ from mistray.surfaces.surfaces import SurfaceTable
 
 @pytest.fixture(scope="module")
 def report() -> GhostReport:
-    traces = {field: trace_at(field) for field in (0.0, 20.0)}
-    return GhostReport(lens_scene(), traces, traces[0.0], {})
+    return ghosts_of(*map(trace_at, (0.0, 20.0)))
 
 
 @pytest.fixture(scope="module")
@@ -41,34 +39,23 @@ def written(report: GhostReport, tmp_path_factory: pytest.TempPathFactory) -> tu
 @pytest.fixture(scope="module")
 def coloured(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, set[str]]:
     """The same with everything in it."""
-    traces, out = {field: trace_in_colours(field) for field in (0.0, 20.0)}, tmp_path_factory.mktemp("out")
-    report = GhostReport(lens_scene(), traces, traces[0.0], {})
+    report, out = ghosts_of(*map(trace_in_colours, (0.0, 20.0))), tmp_path_factory.mktemp("out")
     files = write_all(report, out, per_wavelength=True, look=Look())
     return (out / "report.html").read_text(encoding="utf-8"), {file.name for file in files}
 
 
-def test_page_of_one_wavelength(written: tuple[str, set[str]]) -> None:
+def test_page_of_one_wavelength(written: tuple[str, set[str]], coloured: tuple[str, set[str]]) -> None:
     text, names = written
     html_pages.check(text)
     assert "a <b> & c" not in text
     assert "Ghost analysis: a &lt;b&gt; &amp; c" in text
-    for words in (
-        "mistray ghosts", "3.9.1", "closure", "W/mm²", "few rays: its numbers have no errors", "detector → L1_rear",
-        "one standard error", "max_events",
-    ):  # fmt: skip
-        assert words in text
     assert {"paths.csv", "overview.png", "ghosts_0deg.png", "layout_20deg.png", "path_sort_0deg.txt"} <= names
     for name, paths in (("t-field-0", 5), ("t-field-20", 4)):
         table = html_pages.table_of(text, name)
-        assert table.count("data:image/png;base64,") == paths
-        assert table.count('class="pick"') == paths
-        assert len(re.findall(r"(?:1e-?\d+ … 1e-?\d+|dark)<br>", table)) == paths  # the scale of each
+        assert table.count("data:image/png;base64,") == table.count('class="pick"') == paths
     assert not {name for name in names if name.startswith("colour") or "per_wavelength" in name}
     assert "in colour" not in text
-    assert "At each wavelength" not in text
-
-
-def test_page_in_colours(coloured: tuple[str, set[str]]) -> None:
+    # The page in colours
     text, names = coloured
     html_pages.check(text)
     assert {"colour_0deg.png", "colour_20deg.png", "paths_per_wavelength.csv"} <= names
@@ -85,26 +72,21 @@ def test_page_in_colours(coloured: tuple[str, set[str]]) -> None:
 @pytest.mark.parametrize("shares", [None, SHARES])
 def test_a_detector_in_the_dark(tmp_path: Path, shares: dict[float, float] | None) -> None:
     dark = FakeTrace([], shares=shares)
-    report = GhostReport(lens_scene(), {0.0: dark}, dark, {})
+    report = ghosts_of(dark)
     write_all(report, tmp_path / "out", per_wavelength=True, look=Look() if shares else None)
     text = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "No stray path reaches the detector." in text
     assert "no direct light reaches the detector on axis" in text
 
 
-def test_assumptions_name_the_polarisation(
-    written: tuple[str, set[str]], report: GhostReport, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert "Unpolarised light at every surface" in written[0]
-    assert "as a Stokes vector" not in written[0]
-    monkeypatch.setitem(report[0.0].settings, "polarization", "stokes")
-    said = html_parts(html._settings(report, "").parts)
-    assert "as a Stokes vector" in said
-    assert "the light of the source is unpolarised" in said
-    monkeypatch.setitem(report[0.0].settings, "source_stokes", {"laser": (0.6, 0.0, -0.8)})
-    said = html_parts(html._settings(report, "").parts)
-    assert "0.6, 0, -0.8 (laser)" in said
-    assert "unpolarised;" not in said
+def test_assumptions_name_the_polarisation(report: GhostReport, monkeypatch: pytest.MonkeyPatch) -> None:
+    for key, value, words in (
+        ("polarization", "stokes", "the light of the source is unpolarised"),
+        ("source_stokes", {"laser": (0.6, 0.0, -0.8)}, "0.6, 0, -0.8 (laser)"),
+    ):
+        assert words not in html_parts(html._settings(report, "").parts)
+        monkeypatch.setitem(report[0.0].settings, key, value)
+        assert words in html_parts(html._settings(report, "").parts)
 
 
 @pytest.mark.quick
@@ -142,11 +124,7 @@ def test_a_failure_leaves_nothing(report: GhostReport, tmp_path: Path, monkeypat
     with pytest.raises(RuntimeError, match="out of paper"):
         write_all(report, tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_files_of_others_stay_and_folders_are_made(
-    report: GhostReport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    # Files of others stay, and folders are made
     monkeypatch.setattr(output, "draw", lambda report, _: ({"overview.png": b"picture"}, report))
     monkeypatch.setattr(output, "pages", lambda *_: {"report.html": b"text"})
     out = tmp_path / "a" / "b"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -39,22 +38,14 @@ def estimates(found: Any) -> pd.DataFrame:
 
 def test_text_holds_the_lists(found: Any, estimates: pd.DataFrame) -> None:
     text = objects_text(found, estimates, 5)
-    for part in (
-        "Critical objects", "Illuminated objects", "Common objects", "barrel_6_cone", "± ", "Φ · BSDF",
-        f"… and {len(found.critical) - 5} more", "a distant source at 0, 30° each", "aperture stop: stop",
-        "warning: the detector sees the outside past L3_rear through L3_bevel_2",
-    ):  # fmt: skip
+    for part in ("barrel_6_cone", f"… and {len(found.critical) - 5} more", "aperture stop: stop"):
         assert part in text
     # Rows left out are added up
     lines = table_text(object_table(found.critical, 3)).splitlines()
     assert lines[-1].split()[0] == str(sum(row.rays for row in found.critical[3:]))
     assert table_text(object_table([])) == table_text(common_table([])) == "none"
-
-
-def test_estimates_of_each_angle(estimates: pd.DataFrame) -> None:
     text = table_text(estimate_table(estimates, 2))
     assert text.count("… and") == 2
-    assert "(optic)" in text
     np.testing.assert_allclose(estimates.groupby("angle_deg").percent.sum(), 100, rtol=1e-12)
     assert "no common object scatters" in table_text(estimate_table(estimates.assign(pst=0.0)))
 
@@ -81,9 +72,8 @@ def test_files(found: Any, estimates: pd.DataFrame, tmp_path: Path) -> None:
     write_objects(found, estimates, out, "a <camera>", "mistray objects x")
     assert list(pd.read_csv(out / "objects_critical.csv").id) == [row.id for row in found.critical]
     tables = csv_tables(found, estimates)
-    assert list(tables["objects_common.csv"].columns)[:4] == ["id", "part", "side", "space"]
     assert len(tables["objects_optics.csv"]) == 15
-    assert list(tables["objects_straight_shots.csv"].columns)[:2] == ["way", "surfaces"]
+    assert set(tables) == {file.name for file in out.glob("*.csv")}
     record = json.loads(json.dumps(objects_record(found, estimates), allow_nan=False))
     assert (record["stop"], record["angles_deg"]) == ("stop", [0.0, 30.0])
     assert record["critical"][0]["id"] == found.critical[0].id
@@ -91,4 +81,3 @@ def test_files(found: Any, estimates: pd.DataFrame, tmp_path: Path) -> None:
     html_pages.check(html)
     assert "a &lt;camera&gt;" in html
     assert "<camera>" not in html
-    assert re.search(r"<b>barrel_3_cone</b>|<b>window_front</b>|<b>L\d_\w+</b>", html)

@@ -22,17 +22,11 @@ def test_round_trip_in_the_order_of_the_flux(trace):
     assert flux == sorted(flux, reverse=True)
     assert sum(path.percent for path in read) == pytest.approx(100, abs=1e-6)
     assert [path.path_id for path in parse_path_sort(path_sort_text(trace, count=2))] == [0, 1]
-
-
-def test_intercepts_run_from_source_to_detector(trace):
     direct, ghost = sorted_paths(trace)[:2]
     assert direct.intercepts == "(4 SpecTran)"
     assert ghost.intercepts == "(8 SpecTran)(2 SpecRefl)"
     assert ghost.events[:2] == (("Emitted", "", ""), ("SpecTran", "window", "window_front"))
     assert ghost.events[-1] == ("Absorbed", "detector", "detector")
-
-
-def test_other_texts_are_errors(trace):
     text = path_sort_text(trace)
     title = "the title or the column line is missing"
     cut = text[: text.index("Path 4: ")]

@@ -8,19 +8,13 @@ import re
 import numpy as np
 import pytest
 from markupsafe import Markup
-from report.fake_pst import fake_pst
-from report.fake_scene import lens_scene
-from report.fake_trace import trace_at
 
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.ghosts import GhostReport
 from mistray.report.figures.figure import Figure as Drawing
 from mistray.report.formats import write_formats
-from mistray.report.ghosts.report import ghosts_report
 from mistray.report.html.embedded import palette_png
 from mistray.report.model import Figure, Folded, Html, Items, Map, Note, Report, Section, Table, Terms, columns
 from mistray.report.pdf import _cell, _Writer, pdf_bytes
-from mistray.report.pst_output import pst_report
 
 
 def pages_of(pdf: bytes) -> int:
@@ -78,19 +72,6 @@ def test_tables_are_no_wider_than_the_page():
     assert min(widths) > 3
     assert (size, sum(narrow) < 20) == (7.0, True)
     assert [_cell(value) for value in (Estimate(1.5, 0.1), "a </ b")] == ["1.50\n± 0.10", "a </ b"]
-
-
-@pytest.mark.long
-def test_reports_of_mistray():
-    traces = {field: trace_at(field) for field in (0.0, 20.0)}
-    pdf = pdf_bytes(
-        ghosts_report(GhostReport(lens_scene(), traces, traces[0.0], {}), "lens", "mistray ghosts", {}, False)
-    )
-    assert 3 <= pages_of(pdf) <= 6
-    assert len(pdf) < 1e6
-    assert {"Pictures", "The worst paths of all fields"} <= set(texts_of(pdf, "Title"))
-    assert any("section of the system" in text.lower() for text in texts_of(pdf, "Alt"))
-    assert "Point source transmittance: camera" in texts_of(pdf_bytes(pst_report(fake_pst(), "camera")), "Title")
 
 
 def test_written_beside_the_page(tmp_path):

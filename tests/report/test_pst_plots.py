@@ -38,9 +38,6 @@ def test_curve_shows_every_class_with_its_error(pst: Pst) -> None:
         value = pst.curve(group)[0]
         np.testing.assert_array_equal(lines(above)[label].get_ydata(), np.where(value > 0, value, np.nan))
     assert above.get_yscale() == "log"
-    assert below.get_xlabel() == "field angle θ [deg]"
-    assert "normal" in above.get_ylabel()
-    assert above.get_title() == "camera: point source transmittance, joined, mean over all azimuths"
     assert "edge of the field, 26.1°" in texts(above)
     assert "cos θ" in pst_curve(pst.to("projected")).axes[0].get_ylabel()
     assert not texts(pst_curve(fake_pst(field_deg=(40, 50))).axes[0])
@@ -53,14 +50,6 @@ def test_curve_shows_every_class_with_its_error(pst: Pst) -> None:
     np.testing.assert_allclose(errors["standard error, all light"].get_ydata(), 100 * se / value)
     np.testing.assert_allclose(errors["requested error"].get_xydata(), [[0, 2], [60, 2]])
     np.testing.assert_allclose(errors["largest ray of scatter"].get_ydata()[[0, -1]], [0.2, 31])
-
-
-def test_a_point_without_neighbours_has_its_error_too() -> None:
-    pst = fake_pst(field_deg=(0, 10, 45, 60))  # straight shots at 45° only
-    value, se = pst.curve("straight_shot")
-    segments = [line for item in pst_curve(pst).axes[0].collections for line in getattr(item, "get_segments", list)()]
-    (bar,) = [line for line in segments if line[0][0] == 45.0]
-    np.testing.assert_allclose(bar[:, 1], [value[2] - se[2], value[2] + se[2]])
 
 
 def test_dark_angles_and_deep_curves() -> None:
@@ -80,6 +69,14 @@ def test_dark_angles_and_deep_curves() -> None:
         assert as_png(draw(dark)).startswith(b"\x89PNG")
 
 
+def test_a_point_without_neighbours_has_its_error_too() -> None:
+    pst = fake_pst(field_deg=(0, 10, 45, 60))  # straight shots at 45° only
+    value, se = pst.curve("straight_shot")
+    segments = [line for item in pst_curve(pst).axes[0].collections for line in getattr(item, "get_segments", list)()]
+    (bar,) = [line for line in segments if line[0][0] == 45.0]
+    np.testing.assert_allclose(bar[:, 1], [value[2] - se[2], value[2] + se[2]])
+
+
 def test_causes_are_stacked_shares(pst: Pst) -> None:
     axes, table, tops = pst_causes(pst).axes[0], cause_frame(pst), np.zeros(41)
     for bars, name in zip(axes.containers, table.columns, strict=True):
@@ -88,8 +85,6 @@ def test_causes_are_stacked_shares(pst: Pst) -> None:
         np.testing.assert_allclose([bar.get_height() for bar in bars], table[name], atol=1e-12)
         tops += table[name]
     np.testing.assert_allclose(tops, 100, rtol=1e-6)
-    assert axes.get_ylabel() == "share of the stray light [%]"
-    assert {"barrel_1", "barrel_1 (reflects)", "ghosts", "window_front", "straight shots"} <= set(table.columns)
     # Many causes end in a rest
     few = fake_pst(field_deg=(0, 20, 40))
     rows = few.path_rows
@@ -125,15 +120,11 @@ def test_map_shows_the_cells_where_they_are(pst: Pst) -> None:
 
 
 def test_irradiance_is_a_log_map_in_mm(pst: Pst) -> None:
-    figure = pst_irradiance(pst, 40.0)
-    axes, bar = figure.axes
+    axes, bar = pst_irradiance(pst, 40.0).axes
     (image,) = axes.get_images()
     np.testing.assert_allclose(image.get_array(), np.log10(pst.irradiance(40.0)[0]))
     assert tuple(image.get_extent()) == pst.extent_mm
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [mm]", "y [mm]")
     assert "W/mm²" in bar.get_ylabel()
-    assert axes.get_title() == "source at 40°, mean over all azimuths"
-    assert "relative error of the others 10 %" in figure.get_supxlabel()
     several = fake_pst(field_deg=(0, 60), azimuths_deg=(0, 90), map_pixels=4, dark_from_deg=50)
     assert pst_irradiance(several, 0.0, 90.0).axes[0].get_title() == "source at 0°, azimuth 90°"
     assert texts(pst_irradiance(several, 60.0, 90.0).axes[0]) == ["no light"]

@@ -155,6 +155,7 @@ def lens(tmp_path_factory):
 
 
 def test_a_lens_is_a_solid_of_the_volume_of_its_formula(lens):
+    """Its faces are exact and have the names of their shapes."""
     written, (front, rear) = lens
     assert (written.solids, written.sheets, written.notes) == (("my_lens",), (), ())
     body = parts_of(written.path, TOL)["my_lens"]
@@ -163,13 +164,9 @@ def test_a_lens_is_a_solid_of_the_volume_of_its_formula(lens):
     # Facets are within the tolerance of the faces, single precision within its rounding
     assert abs(volume(body) - exact) <= area(body) * (TOL + SINGLE * np.abs(body.vertices).max())
     assert body.path == "a system/optics/my_lens"
-
-
-def test_faces_have_the_names_of_their_shapes_and_exact_surfaces(lens):
-    text = Text(lens[0].path)
-    faces = {re.match(r"ADVANCED_FACE\('(\w+)'", body)[1] for body in text.of("ADVANCED_FACE")}
-    assert faces == {"a", "b", "c"}
-    assert {float(body.rsplit(",", 1)[1].rstrip(")")) for body in text.of("SPHERICAL_SURFACE")} == {20.0, 30.0}
+    text = Text(written.path)
+    assert {re.match(r"ADVANCED_FACE\('(\w+)'", face)[1] for face in text.of("ADVANCED_FACE")} == {"a", "b", "c"}
+    assert {float(face.rsplit(",", 1)[1].rstrip(")")) for face in text.of("SPHERICAL_SURFACE")} == {20.0, 30.0}
     assert len(text.of("CYLINDRICAL_SURFACE")) == 1
 
 
@@ -325,50 +322,38 @@ def test_a_beam_through_a_plate_is_a_cylinder_that_snells_law_shifts(plate):
             assert edge(rims[1][:, axis]) - edge(rims[0][:, axis]) == pytest.approx(moved, abs=1e-3)
     text = Text(written.path)
     assert len(text.of("MANIFOLD_SOLID_BREP")) == 1 + 3 + 3  # the plate, and three stretches of each beam
-
-
-def test_stray_paths_are_the_rays_of_the_trace(plate):
+    # Stray paths are the rays of the trace
     scene, written = plate
     text = Text(written.path)
-    lines = {}
+    lines = []
     for body in text.of("GEOMETRIC_CURVE_SET"):
-        label, members = re.match(r"GEOMETRIC_CURVE_SET\('((?:[^']|'')*)',\(([^)]*)\)", body).groups()
+        (members,) = re.match(r"GEOMETRIC_CURVE_SET\('(?:[^']|'')*',\(([^)]*)\)", body).groups()
         for number in re.findall(r"#(\d+)", members):
-            lines.setdefault(label, []).append(text.points(text.entities[int(number)].split("(", 2)[2]))
+            lines.append(text.points(text.entities[int(number)].split("(", 2)[2]))
     t = mistray.trace(scene, rays=2000, field_deg=0.0)
     row = next(row for row in t.paths if row.kind != "direct")
-    wanted = rays_of_paths(t, [row.path_id], 3)
-    label = next(label for label in lines if label.isascii() and "plate" in label) if lines else ""
-    found = [line for own in lines.values() for line in own]
-    for ray in wanted:
-        assert any(line.shape == ray.points.shape and np.array_equal(line, ray.points) for line in found), label
+    for ray in rays_of_paths(t, [row.path_id], 3):
+        assert any(np.array_equal(line, ray.points) for line in lines)
     assert len(written.paths) == len({*written.paths})
 
 
 @pytest.mark.quick
 def test_a_lens_without_an_edge_is_closed_by_a_straight_line(tmp_path):
+    """Faces that cross close no body."""
     scene = scene_of(
         a={"type": "asphere", "radius": 20.0, "semi_diameter": 5.0, "part": "L", "bsdf": GLASS},
         b={"type": "asphere", "semi_diameter": 4.0, "z": 3.0, "part": "L", "bsdf": GLASS_BACK},
+        c={"type": "asphere", "radius": 6.0, "semi_diameter": 5.0, "z": 9.0, "part": "M", "bsdf": GLASS},
+        d={"type": "asphere", "radius": -6.0, "semi_diameter": 5.0, "z": 10.0, "part": "M", "bsdf": GLASS_BACK},
     )
     written = mistray.export_step(scene, tmp_path / "bare.step")
-    assert written.solids == ("L",)
-    assert "L" in written.notes[0]
+    assert (written.solids, written.sheets) == (("L",), ("M",))
+    assert any("L" in note for note in written.notes)
+    assert any("M" in note and "cross" in note for note in written.notes)
     height = 20 - np.sqrt(20**2 - 5**2)
     exact = cap(20, height) + np.pi / 3 * (3 - height) * (25 + 20 + 16)
     body = parts_of(written.path, TOL)["L"]
     assert abs(volume(body) - exact) <= 1.1 * TOL * area(body)
-
-
-@pytest.mark.quick
-def test_faces_that_cross_close_no_body(tmp_path):
-    scene = scene_of(
-        a={"type": "asphere", "radius": 6.0, "semi_diameter": 5.0, "part": "L", "bsdf": GLASS},
-        b={"type": "asphere", "radius": -6.0, "semi_diameter": 5.0, "z": 1.0, "part": "L", "bsdf": GLASS_BACK},
-    )
-    written = mistray.export_step(scene, tmp_path / "crossed.step")
-    assert written.sheets == ("L",)
-    assert "cross" in written.notes[0]
 
 
 def test_stock_shapes_and_what_is_left_out(tmp_path):

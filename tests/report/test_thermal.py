@@ -67,11 +67,9 @@ NOTHING = replace(
 
 
 def test_text() -> None:
-    text = thermal_text(REPORT)
-    assert "8 to 12 µm, 293 K where no other is given, detector at 77 K; 400 000 rays, traced at 8, 10, 12 µm" in text
     many = thermal_text(replace(REPORT, wavelengths_um=tuple(8 + k / 8 for k in range(33))))
     assert "traced at 33 wavelengths from 8 to 12 µm" in many
-    lines = text.splitlines()
+    lines = thermal_text(REPORT).splitlines()
     first = next(line for line in lines if line.startswith("lens_<rear>"))
     assert "3.000e-06 ± 6.0e-08" in first
     assert first.endswith("59.9")
@@ -79,11 +77,8 @@ def test_text() -> None:
     assert any("NITD" in line and line.endswith("0.310 ± 0.020") for line in lines)
     (back,) = (line.split() for line in lines if line.startswith("lens_<rear>") and line.endswith("0.050"))
     assert " ".join(back) == "lens_<rear> lens 0.00150 ± 0.00010 0.250 ± 0.020 0.400 ± 0.030 0.200 ± 0.050"
-    assert lines[-1] == "warning: a <note>"
     assert "nothing emits" in thermal_text(NOTHING)
-
-
-def test_sums_by_part() -> None:
+    # Sums by part
     parts = REPORT.by_part()
     assert list(parts) == ["lens", "tube", "(ZnSe)", "detector"]
     assert parts["tube"].value == pytest.approx(sum(e.irradiance_W_mm2.value for e in EMITTERS))

@@ -25,6 +25,7 @@ def halo(load_scene):
 
 
 def test_curves_are_those_of_the_result(halo):
+    """Rings of the spread function keep its flux."""
     (one,) = halo
     left, right = mtf_figure(one, "mirror").axes
     drawn = {line.get_label(): line.get_ydata() for line in left.lines}
@@ -33,17 +34,10 @@ def test_curves_are_those_of_the_result(halo):
     lost = {line.get_label(): line.get_ydata() for line in right.lines}
     assert lost["scatter"][-1] == pytest.approx(100 * (1 - one.veiling_floor.value), rel=0.2)
     np.testing.assert_allclose(lost["ghosts"], 0, atol=1e-9)
-    assert sum(isinstance(part, Figure) for part in transfer_parts(halo, "mirror")) == 3
-
-
-def test_rings_are_joined_until_they_are_sure_and_keep_their_flux(halo):
-    (one,) = halo
-    irradiance, energy, outside = spread_figure(one).axes
-    labels = [line.get_label() for line in irradiance.lines]
-    assert labels == ["all light", "direct", "scatter"]
-    whole = {line.get_label(): line.get_ydata() for line in energy.lines}["with stray light"]
-    left = {line.get_label(): line.get_ydata() for line in outside.lines}["with stray light"]
-    np.testing.assert_allclose(whole + left, 1)
+    irradiance, *rings = spread_figure(one).axes
+    assert [line.get_label() for line in irradiance.lines] == ["all light", "direct", "scatter"]
+    within, outside = ({line.get_label(): line.get_ydata() for line in axes.lines} for axes in rings)
+    np.testing.assert_allclose(within["with stray light"] + outside["with stray light"], 1)
 
 
 @pytest.mark.parametrize(

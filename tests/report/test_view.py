@@ -28,13 +28,6 @@ def points(drawn):
     return np.column_stack([drawn.x, drawn.y, drawn.z])
 
 
-def split(drawn):
-    """The polylines between the gaps."""
-    xyz = points(drawn)
-    gaps = np.flatnonzero(np.isnan(xyz).any(axis=1))
-    return [part[~np.isnan(part).any(axis=1)] for part in np.split(xyz, gaps) if not np.isnan(part).all()]
-
-
 def of(figure, key):
     return {drawn.meta[key]: drawn for drawn in figure.data if key in (drawn.meta or {})}
 
@@ -46,22 +39,12 @@ def test_every_surface_is_a_mesh_with_its_points_on_the_formula(shown):
         assert FORMULAS[name](points(mesh)).max() < EXACT, name
         assert points(mesh)[:, 0].min() > -EXACT
         assert max(np.max(mesh.i), np.max(mesh.j), np.max(mesh.k)) == len(mesh.x) - 1
-
-
-def test_outlines_lie_on_the_surfaces(shown):
-    for role, drawn in of(shown.figure, "outlines").items():
-        names = [surface.name for surface in shown.surfaces if surface.role == role]
-        for line in split(drawn):
-            assert min(FORMULAS[name](line).max() for name in names) < EXACT
-
-
-def test_rays_are_those_of_the_history(shown, trace):
-    drawn = of(shown.figure, "path_id")
-    assert list(drawn) == [0, 1, 2]
-    for path_id, lines in drawn.items():
-        for line, exact in zip(split(lines), trace.history(path_id, 5).rays, strict=True):
-            np.testing.assert_array_equal(line, exact)
-    assert [ray.path_id for ray in shown.rays] == [0] * 5 + [1] * 5 + [2] * 5
+    # Axes are equal and hold the scene
+    axes = shown.figure.layout.scene
+    low, high = np.transpose([axis.range for axis in (axes.xaxis, axes.yaxis, axes.zaxis)])
+    ratios = np.array([axes.aspectratio.x, axes.aspectratio.y, axes.aspectratio.z]) / (high - low)
+    assert np.ptp(ratios) < 1e-12 * ratios.max()
+    assert all((low < points(mesh)).all() and (points(mesh) < high).all() for mesh in meshes.values())
 
 
 def test_legend_rows_are_the_rows_of_the_path_table(shown, trace):
@@ -73,26 +56,15 @@ def test_legend_rows_are_the_rows_of_the_path_table(shown, trace):
         ("2 detector → L1_rear, 0.0001 W", True),
     ]
     assert len({lines.line.color for lines in drawn.values()}) == 3
+    for path_id, lines in drawn.items():
+        exact = [part for ray in trace.history(path_id, 5).rays for part in (ray, np.full((1, 3), np.nan))]
+        np.testing.assert_array_equal(points(lines), np.concatenate(exact))
     # one row of the other legend for each role, which switches all of its surfaces, outlines and cut faces
     roles = [drawn for drawn in shown.figure.data if drawn.showlegend and drawn.legend == "legend2"]
     assert [drawn.name for drawn in roles] == ["glass", "mechanics", "detector"]
     for surface in shown.surfaces:
         assert of(shown.figure, "surface")[surface.name].legendgroup == surface.role
-
-
-def test_path_ids_choose_the_rows(scene, trace):
-    assert list(of(view(scene, trace, path_ids=[3, 1], rays=1).figure, "path_id")) == [3, 1]
-    with pytest.raises(MistrayError, match="path_id 99 does not exist"):
-        view(scene, trace, path_ids=[99])
-
-
-def test_wavelengths_are_named_where_there_are_several(scene):
-    several = RayTrace(trace_in_colours(0.0).fakes, shares=SHARES)
-    names = [lines.name for lines in of(view(scene, several, paths=2, rays=1).figure, "path_id").values()]
-    assert names[0] == "0 direct image, 550 nm, 1.5 W"
-
-
-def test_hovering_says_id_part_and_flux(shown):
+    # Hovering says id, part and flux
     text = of(shown.figure, "surface")["L1_front"].hovertemplate
     assert "<b>L1_front</b>, part L1<br>glass air | 1.6" in text
     assert "incident 4.000 ± 0.010 W, 1 000 hits<br>absorbed 0.1000 ± 0.0010 W<br>" in text
@@ -115,10 +87,8 @@ def test_colours_follow_the_flux(scene, trace):
     assert [mark.marker.coloraxis for mark in of(figure, "scale").values()] == ["coloraxis", "coloraxis2"]
     bar, other = figure.layout.coloraxis, figure.layout.coloraxis2
     assert (bar.cmin, bar.cmax, bar.showscale, other.showscale) == (scale.floor, scale.top, True, False)
-    assert bar.colorbar.title.text == "incident flux of a surface, W"
 
-
-def test_surfaces_without_light_have_a_colour_of_their_own(scene):
+    # Surfaces without light have a colour of their own
     class Row:
         def __init__(self, value):
             self.incident_W = value
@@ -130,19 +100,6 @@ def test_surfaces_without_light_have_a_colour_of_their_own(scene):
     assert [colour == NO_LIGHT for colour in scale.colours] == [True, False, False, False, False, True]
     dark = FluxScale(surfaces, {s.name: Row(0.0) for s in surfaces}, "incident")
     assert set(dark.colours) == {NO_LIGHT}
-
-
-def test_axes_are_equal_and_hold_the_scene(shown):
-    axes = shown.figure.layout.scene
-    assert axes.aspectmode == "manual"
-    spans = [axis.range[1] - axis.range[0] for axis in (axes.xaxis, axes.yaxis, axes.zaxis)]
-    ratios = np.array([axes.aspectratio.x, axes.aspectratio.y, axes.aspectratio.z]) / spans
-    assert np.ptp(ratios) < 1e-12 * ratios.max()
-    for mesh in of(shown.figure, "surface").values():
-        for axis, column in zip((axes.xaxis, axes.yaxis, axes.zaxis), points(mesh).T, strict=True):
-            assert axis.range[0] < column.min()
-            assert column.max() < axis.range[1]
-    assert [axis.title.text for axis in (axes.xaxis, axes.yaxis, axes.zaxis)] == ["x, mm", "y, mm", "z, mm"]
 
 
 @pytest.mark.parametrize("cut_deg", [0.0, 90.0, 180.0, 270.0, 30.0])
@@ -165,13 +122,11 @@ def test_glass_has_faces_where_it_is_cut(scene):
     segment = 20.0**2 * np.arcsin(half / 20.0) - half * np.sqrt(20.0**2 - half**2)  # between arc and chord
     sagitta = 20.0 - np.sqrt(20.0**2 - half**2)
     assert areas.sum() == pytest.approx(2 * half * (1.0 - sagitta) + segment, rel=1e-4)
-
-
-def test_a_plane_that_glass_is_not_known_in_has_no_faces(scene):
+    # In a plane where the glass is not known there are none
     assert not [drawn for drawn in view(scene, cut_deg=40.0).figure.data if "face" in (drawn.meta or {})]
 
 
-def test_without_a_trace(scene):
+def test_without_a_trace(scene, trace, tmp_path, monkeypatch):
     shown = view(scene)
     assert not of(shown.figure, "path_id")
     assert not of(shown.figure, "scale")
@@ -179,6 +134,16 @@ def test_without_a_trace(scene):
     assert len(shown.figure.layout.updatemenus) == 1
     assert of(shown.figure, "surface")["L1_front"].opacity < 1
     assert of(shown.figure, "surface")["stop_wall"].opacity == 1
+    # A trace of another scene
+    wall = re.search('<shape type="frustum" id="stop_wall">.*?</shape>', SCENE, re.DOTALL).group()
+    (tmp_path / "other.xml").write_text(SCENE.replace(wall, ""), encoding="utf-8")
+    other = mistray.load(tmp_path / "other.xml")
+    with pytest.raises(MistrayError, match="surface 'stop_wall' is not both in scene and trace"):
+        view(other, trace)
+    # Without plotly one line says what to do
+    monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
+    with pytest.raises(MistrayError, match=r"needs plotly, which is not installed; pip install 'mistray\[view\]'"):
+        view(scene)
 
 
 def test_the_buttons_recolour_and_switch(shown):
@@ -209,27 +174,14 @@ def test_the_page_holds_everything_and_needs_no_network(shown, tmp_path):
     assert text.startswith("<!DOCTYPE html>")
     assert "<title>&lt;plate&gt; &amp; lens</title>" in text
     assert "mistray view &lt;scene&gt;" in text
+    assert shown._repr_html_().startswith("<iframe srcdoc=")
+    assert repr(shown) == "View('<plate> & lens', 6 surfaces, 15 rays)"
     assert not re.findall(r"<(?:script|link|img|iframe)[^>]+(?:src|href)\s*=", text.replace(_plotly_js(), ""))
     assert text.count(_plotly_js()[:2000]) == 1
 
 
 def _plotly_js():
     return importlib.import_module("plotly.offline").get_plotlyjs()
-
-
-def test_jupyter_shows_the_page_in_a_frame(shown):
-    frame = shown._repr_html_()
-    assert frame.startswith("<iframe srcdoc=")
-    assert "<!DOCTYPE" not in frame  # everything is quoted
-    assert repr(shown) == "View('<plate> & lens', 6 surfaces, 15 rays)"
-
-
-def test_a_trace_of_another_scene(trace, tmp_path):
-    wall = re.search('<shape type="frustum" id="stop_wall">.*?</shape>', SCENE, re.DOTALL).group()
-    (tmp_path / "other.xml").write_text(SCENE.replace(wall, ""), encoding="utf-8")
-    other = mistray.load(tmp_path / "other.xml")
-    with pytest.raises(MistrayError, match="surface 'stop_wall' is not both in scene and trace"):
-        view(other, trace)
 
 
 @pytest.mark.parametrize(
@@ -240,27 +192,14 @@ def test_a_trace_of_another_scene(trace, tmp_path):
         ({"colour": "red"}, "colour is 'red'; choose flux, absorbed, irradiance or role"),
         ({"cut_mm": float("nan")}, "both must be finite"),
         ({"cut_mm": -100.0}, "leaves no surface; move the cut"),
+        ({"path_ids": [99]}, "path_id 99 does not exist"),
+        ({"trace": None, "path_ids": [1]}, "path_ids without a trace"),
+        ({"trace": None, "colour": "flux"}, "nothing was traced; give the trace, or colour='role'"),
     ],
 )
 def test_wrong_arguments(scene, trace, arguments, message):
     with pytest.raises(MistrayError, match=message):
-        view(scene, trace, **arguments)
-
-
-def test_flux_without_a_trace(scene):
-    with pytest.raises(MistrayError, match="nothing was traced; give the trace, or colour='role'"):
-        view(scene, colour="flux")
-
-
-def test_paths_without_a_trace(scene):
-    with pytest.raises(MistrayError, match="path_ids without a trace"):
-        view(scene, path_ids=[1])
-
-
-def test_without_plotly_one_line_says_what_to_do(scene, monkeypatch):
-    monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
-    with pytest.raises(MistrayError, match=r"needs plotly, which is not installed; pip install 'mistray\[view\]'"):
-        view(scene)
+        view(scene, **({"trace": trace} | arguments))
 
 
 def test_a_path_that_no_ray_is_found_of_says_so(scene):
@@ -272,3 +211,7 @@ def test_a_path_that_no_ray_is_found_of_says_so(scene):
 
     shown = view(scene, Rare(paths_at(0.0)), paths=2, rays=1)
     assert of(shown.figure, "path_id")[0].name == "0 direct image, 3 W, too rare to draw"
+    # Wavelengths are named where there are several
+    several = RayTrace(trace_in_colours(0.0).fakes, shares=SHARES)
+    names = [lines.name for lines in of(view(scene, several, paths=2, rays=1).figure, "path_id").values()]
+    assert names[0] == "0 direct image, 550 nm, 1.5 W"

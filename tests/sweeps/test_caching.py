@@ -23,7 +23,6 @@ from mistray.sweeps.numbers import COLUMNS, FIRST_LIGHT, TEXTS
 from mistray.trace import Settings
 
 pytestmark = pytest.mark.quick
-
 TABLE = "wavelength_nm,n\n400,1.53\n700,1.51\n"
 LENS = scene_text(
     shape_xml("asphere", "front", 0.0, interface_xml("air", "glass.csv k=0"), radius=20.0, semi_diameter=4.0),
@@ -207,21 +206,6 @@ class TestWhatIsNotCached:
 
 
 class TestTrouble:
-    def test_a_damaged_entry(self, lens: Path, kept: Path, traces: list[str]) -> None:
-        mistray.sweep(lens, cache=kept, **ASKED)
-        paths = sorted(kept.iterdir())
-        data = bytearray(paths[1].read_bytes())
-        data[-2] ^= 4
-        paths[1].write_bytes(bytes(data))
-        paths[2].write_bytes(paths[2].read_bytes()[:-9])
-        found = mistray.sweep(lens, cache=kept, **ASKED)
-        assert found.reused == 2
-        assert len(found.warnings) == 2
-        assert all("is damaged; its result is computed again" in line for line in found.warnings)
-        assert sum(row["number"] > 4 for row in found.rows) == 2 == len(traces) - 4  # made again, not guessed
-        again = mistray.sweep(lens, cache=kept, **ASKED)
-        assert (again.reused, again.warnings) == (4, ())
-
     @pytest.mark.parametrize(
         "content",
         [b"", b"null", b"[]", b"{}", b"7", b"NaN", b"1e999", b'"row"', b"\xff\xfe", b"[" * 100_000, b"{" + b'"a":' * 9,

@@ -7,7 +7,6 @@ import math
 from pathlib import Path
 
 import pytest
-from command_line import succeeds
 from oracles.scatter_scenes import beam_xml, diffuser_xml, placed_xml, scatter_scene
 
 from mistray.report.sweep_output import sweep_record, sweep_text
@@ -113,10 +112,3 @@ def test_ranking(scene: Path) -> None:
     for edit in ranking.edits:
         for gap in edit.gaps:
             assert gap.gap_mm == pytest.approx(expected[edit.kind], rel=1e-3), edit.label
-
-
-def test_command(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    command = ["sweep", scene, "--set", f"sheet.z=-{LIFTED}", "--field-deg", ANGLE, "--rays", "2e4"]
-    out = succeeds(capsys, *command, "--max-scatters", 1, "--no-cache")
-    assert "warning: sheet.z = -0.7" in out
-    assert "of the light after first meets detector" in out

@@ -173,7 +173,6 @@ def test_wrong_arguments(plate: Path) -> None:
     for arguments, words in (
         (([],), "field_deg is empty; give at least one"),
         (([0, 95],), "field_deg is 95; it must lie between -90 and 90"),
-        (([0], []), "wavelength_nm is"),
         (([0], [550, 550]), "give every wavelength once"),
         (([0], 550, {}), "configurations is empty"),
         (([0], 550, [Configuration("a", {})] * 2), "configuration 'a' is given twice"),
@@ -237,11 +236,9 @@ class TestToml:
             read_configurations(path)
         for text, words in (
             ("", "configuration is missing; add at least one section"),
-            ("[[configuration]]", "configuration\\[1\\].name is missing"),
             ("[[configuration]]\nname='a'\nvalue={}", "configuration\\[1\\].value is unknown; did you mean 'values'"),
             ("[[configuration]]\nname='a'\nvalues={x='1'}", "configuration\\[1\\].values.x is '1'; give a number"),
             ("[[configuration]]\nname='a'\nvalues={x=nan}", "the numbers must be finite"),
-            ("[[config]]", "config is unknown"),
             ("[[configuration]", "correct the TOML"),
         ):
             path.write_text(text, encoding="utf-8")
