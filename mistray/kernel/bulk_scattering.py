@@ -136,10 +136,14 @@ class BulkScattering:
         g = dr.gather(mi.Float, self._optics.asymmetry, medium, active)
         u = [rng.next_float32() for _ in range(3)]
         depth = coefficient * length
-        away = dr.select(
-            depth < THIN, u[0] * length, dr.log(dr.fma(u[0], dr.exp(depth) - 1, 1)) / dr.maximum(coefficient, 1e-30)
+        # ln(1 + u (e^τ - 1)) of the optical depth τ; where that is large it is taken out, for e^τ ends at τ = 88
+        scaled = dr.select(
+            depth < 1,
+            dr.log(dr.fma(u[0], dr.exp(depth) - 1, 1)),
+            depth + dr.log(dr.fma(1 - u[0], dr.exp(-depth), u[0])),
         )
-        away = dr.minimum(away, length)
+        away = dr.select(depth < THIN, u[0] * length, scaled / dr.maximum(coefficient, 1e-30))
+        away = dr.clip(away, 0, length)
         cosine = sampled_cosine(u[1], g)
         sine = dr.sqrt(dr.maximum(dr.fma(-cosine, cosine, 1), 0))
         across, beside = mi.coordinate_system(d)

@@ -462,7 +462,10 @@ class Optics:
         n = np.array(self.complex_indices)
         if not n.imag.any():
             return np.zeros(n.shape, dtype=bool), []
-        doubtful = is_dark(n, self.wavelength_nm, bodies.size)
+        # What scatters sends light back before it has gone through the body
+        scatters = [[bulk_scatter(spec).per_mm > 0 for spec in (bsdf.front, bsdf.back)] for bsdf in self.bsdfs]
+        may_be = (n.imag > METAL_K) | ~np.array(scatters)
+        doubtful = may_be & is_dark(n, self.wavelength_nm, bodies.size)
         # One answer for all surfaces of a body: the thinnest place counts. What nothing closes is as thick as may be
         length = np.full(n.shape, bodies.size)
         closed = np.zeros(n.shape, dtype=bool)
@@ -473,7 +476,7 @@ class Optics:
         for index in np.unique(n):
             same = closed & (n == index)
             length[same] = length[same].min(initial=np.inf)
-        dark = is_dark(n, self.wavelength_nm, length)
+        dark = may_be & is_dark(n, self.wavelength_nm, length)
         passed = np.exp(-absorption_per_mm(n, self.wavelength_nm) * length)
         at = f"at {self.wavelength_nm:g} nm"
         notes: dict[tuple[str, bool], Note] = {}

@@ -48,6 +48,24 @@ def test_slab_against_photons(load_scene, albedo: float, g: float, splitting: st
     assert taken[0] / energy.launched_W == pytest.approx(absorbed, abs=5 * np.hypot(taken[1], 5e-4))
 
 
+@pytest.mark.parametrize("depth", [60.0, 2000.0])
+def test_what_a_dense_slab_sends_back(load_scene, depth: float) -> None:
+    """1 - H(1) √(1 - ω) of a half space (Chandrasekhar, Radiative Transfer, section 38); false alarm 1e-4 each."""
+    albedo, per_mm = 0.8, depth / THICKNESS
+    mu, weight = gauss_legendre(np.array([0.0, 1.0]), 64)
+    h, root = np.ones_like(mu), np.sqrt(1 - albedo)
+    for _ in range(100):  # 1/H(μ) = √(1 - ω) + ω/2 ∫ μ' H(μ')/(μ + μ') dμ'
+        h = 1 / (root + 0.5 * albedo * (weight * mu * h / (mu[:, None] + mu)).sum(axis=1))
+    h_1 = 1 / (root + 0.5 * albedo * np.sum(weight * mu * h / (1 + mu)))
+    k = (1 - albedo) * per_mm * 550e-6 / (4 * np.pi)
+    scene = load_scene(slab_text(f"1.0+{k:.12g}i scatter={per_mm * albedo:.12g}"))
+    trace = mistray.trace(scene, rays=30_000, splitting="one", ledger=False, max_scatters=60, flux_threshold=1e-12)
+    energy = trace.energy
+    back, se = energy.escaped_W / energy.launched_W, energy.escaped_se_W / energy.launched_W
+    assert se < 0.01
+    assert_z("sent back", back, 1 - h_1 * root, se, false_alarm=1e-4)
+
+
 @pytest.mark.parametrize("splitting", ["split", "one"])
 def test_one_child_of_a_surface_leaves_the_medium_alone(load_scene, splitting: str) -> None:
     """Its lobe takes 30 % of what the medium before it has scattered once, whoever gets the flux; false alarm 1e-4."""
