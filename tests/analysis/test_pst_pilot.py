@@ -30,6 +30,7 @@ from mistray.analysis.pst.state import PstProgress
 from mistray.errors import MistrayWarning
 from mistray.execute.all_cells import AllCells
 from mistray.execute.backward import BackwardTrace
+from mistray.kernel.odds import Odds
 from mistray.recorders.direction_recorder import SINGLE
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.start_samples import Samples
@@ -228,8 +229,17 @@ def view_of_disc(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.long
-def test_odds_that_are_wrong_by_a_tenth_show() -> None:
+@pytest.mark.parametrize("wrong", [False, True])
+def test_odds_that_are_wrong_by_a_tenth_show(monkeypatch: pytest.MonkeyPatch, wrong: bool) -> None:
     """ρ <cos θ> F of the disc, within 4 errors (false alarm 6e-5); beyond 5 if one direction has wrong odds."""
+    if wrong:
+        after = Odds.after
+
+        def more(self: Odds, *arguments: Any) -> dict[str, Any]:
+            *given, odds = arguments
+            return after(self, *given, odds * 1.1 if self._backward else odds)
+
+        monkeypatch.setattr(Odds, "after", more)
     scene = lit_disc()
     grid = DirectionGrid.of([65.0], cell_deg=50.0)
     trace = BackwardTrace(scene, grid, Settings.of(scene))
@@ -246,7 +256,7 @@ def test_odds_that_are_wrong_by_a_tenth_show() -> None:
     nodes, weights = np.polynomial.legendre.leggauss(8)
     exact = 0.9 * grid.mean_cosine[0] * (weights @ view_of_disc(nodes[:, None], nodes) @ weights) / 4
     z = (sums.sum() - exact) / np.sqrt(squares)
-    assert abs(z) < 4
+    assert abs(z) > 5 if wrong else abs(z) < 4
 
 
 def test_rays_of_equal_errors_cost_least() -> None:
