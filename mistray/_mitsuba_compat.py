@@ -54,7 +54,7 @@ def import_mitsuba() -> Any:
 
 
 def import_remedy(reason: str) -> str:
-    """What to do when Mitsuba or Dr.Jit cannot be imported, by the text of the ImportError."""
+    """Say what to do when Mitsuba or Dr.Jit cannot be imported, by the text of the ImportError."""
     if "libatomic" in reason:  # the wheel of drjit 1.5 needs it and does not bring it
         return "install libatomic: apt-get install libatomic1 (Debian, Ubuntu), dnf install libatomic (Fedora)"
     if "current_path" in reason:

@@ -1,4 +1,4 @@
-"""What this machine has of the things mistray needs, what is missing and how to get it.
+"""Report on what this machine has of the things mistray needs, what is missing and how to get it.
 
 Works with anything missing or broken: Mitsuba and Dr.Jit are loaded in subprocesses only, where an abort costs nothing.
 """

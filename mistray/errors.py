@@ -25,14 +25,14 @@ class UnknownKeyError(MistrayError, KeyError):
 
 class MistrayWarning(UserWarning):
     """
-    What a user should know of a result or of its input, in one line: a note, an improbable number, an old name.
+    Warning about a result or its input, in one line: a note, or an improbable number.
 
     Parameters
     ----------
     message : str
     code : str
-        Of a note of a result, such as "aimed", see docs/warnings.md; "" otherwise. The text ends with it in brackets:
-        `warnings.filterwarnings` can choose by it.
+        Code of a note of a result, such as "aimed", see docs/warnings.md; "" otherwise. The text ends with it in
+        brackets: `warnings.filterwarnings` can choose by it.
     """
 
     def __init__(self, message: str, code: str = "") -> None:
@@ -93,7 +93,7 @@ def one_line(message: object) -> str:
 
 
 def nearest(word: str, choices: Iterable[str]) -> str:
-    """What a wrong word may have meant, or all that there is to choose from, for the end of a message."""
+    """Suggest the meaning of a wrong word, or all that there is to choose from, for the end of a message."""
     words = list(choices)
     close = difflib.get_close_matches(word, words, n=1)
     return f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(words)}"

@@ -1,4 +1,4 @@
-"""What ids of objects may be, and how the events at them are told apart in a line of text."""
+"""Rules for ids of objects, and how the events at them are told apart in a line of text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a reader of a result must know: notes with a code, which Python hears as warnings."""
+"""Notes for the reader of a result: each has a code, and Python hears them as warnings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 class Code(StrEnum):
-    """What a note is about; the value is the code of its warning. Each stands in docs/warnings.md with its remedy."""
+    """Subject of a note; the value is the code of its warning. Each stands in docs/warnings.md with its remedy."""
 
     CUT = "cut"
     MEDIUM = "medium"
@@ -74,7 +74,7 @@ class Note(str):
         return str(self), self.code, self.warns
 
     def beside(self, words: str) -> Note:
-        """The same note with words before it, such as the fields that it is about."""
+        """Return the note with words before it, such as the fields that it is about."""
         return Note(f"{words}: {self}", self.code, self.warns)
 
 
@@ -114,9 +114,9 @@ def warns(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def _level_of_caller() -> int:
-    """The ``stacklevel`` of the line that has called a decorated function, by an old name of an argument or not."""
+    """Return the ``stacklevel`` of the line that has called a decorated function."""
     level, frame = 2, sys._getframe(2)
-    while frame.f_globals.get("__name__") == "mistray.renamed" and frame.f_back is not None:
+    while frame.f_globals.get("__name__") == "mistray.known_arguments" and frame.f_back is not None:
         level, frame = level + 1, frame.f_back
     return level
 

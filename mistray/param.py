@@ -1,4 +1,4 @@
-"""What is known of the parameters of a scatter model, stated once as the fields of its dataclass."""
+"""Knowledge about the parameters of a scatter model, stated once as the fields of its dataclass."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Param(Demand):
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
-        """What a value must do."""
+        """Condition that a value must meet, in words."""
         return self.values.demand
 
     @property

@@ -22,7 +22,7 @@ _KEY, _DOC = "range", "doc"
 
 
 class Demand:
-    """What a value must be: a range of numbers, one of some words, of a type."""
+    """Condition on a value: a range of numbers, a choice of words, or a type."""
 
     demand: str
 
@@ -74,7 +74,7 @@ class Range(Demand):
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
-        """What a number must do, such as "must lie between 0 and 90 degrees"."""
+        """Condition that a number must meet, such as "must lie between 0 and 90 degrees"."""
         ends = {(True, True): ", both excluded", (True, False): f", {number_text(self.low)} excluded",
                 (False, True): f", {number_text(self.high)} excluded"}.get((self.above, self.below), "")  # fmt: skip
         unit = f" {self.unit}" if self.unit else ""
@@ -151,7 +151,7 @@ class Range(Demand):
 @dataclass(frozen=True)
 class Words(Demand):
     """
-    What a text can be, as `Range` says it of a number.
+    Texts that are allowed, as `Range` says it of numbers.
 
     Attributes
     ----------
@@ -162,7 +162,7 @@ class Words(Demand):
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
-        """What a text must do."""
+        """Condition that a text must meet, such as "must be one of a, b"."""
         return f"must be one of {', '.join(self.choices)}"
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
@@ -177,7 +177,7 @@ class Words(Demand):
 @dataclass(frozen=True)
 class OfType(Demand):
     """
-    What a value of another type can be, as `Range` says it of a number.
+    Values of another type that are allowed, as `Range` says it of numbers.
 
     Attributes
     ----------
@@ -197,12 +197,12 @@ class OfType(Demand):
 
 
 def demand_of(field: dataclasses.Field[Any]) -> Demand | None:
-    """What the value of a field of a dataclass must be; None if nothing is said of it."""
+    """Return the condition on a field of a dataclass; None if nothing is said of it."""
     return field.metadata.get(_KEY)
 
 
 def doc_of(field: dataclasses.Field[Any]) -> str:
-    """What the help of the command line says of a field of a dataclass."""
+    """Return the text for a field of a dataclass in the help of the command line."""
     return str(field.metadata.get(_DOC, ""))
 
 

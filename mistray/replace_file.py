@@ -356,7 +356,7 @@ def _marked(files: Sequence[Path], obsolete: Collection[Path]) -> Iterator[list[
 
 
 def sets_without(sets: Mapping[str, Collection[str]], done: Collection[str]) -> dict[str, list[str]]:
-    """What is left of `incomplete_sets` when some files are new."""
+    """Return the rest of `incomplete_sets` when some files are new."""
     return {name: left for name, names in sets.items() if (left := sorted({*names} - {*done}))}
 
 
@@ -383,7 +383,7 @@ def incomplete_sets(folder: Path) -> dict[str, list[str]]:
 
 def incomplete_notes(places: Iterable[str | Path]) -> list[str]:
     """
-    What is to be said of folders in which mistray was ended between two renames.
+    Return notes on folders in which mistray was ended between two renames.
 
     Parameters
     ----------

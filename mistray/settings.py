@@ -202,19 +202,19 @@ class Settings:
 
     @classmethod
     def of(cls, scene: Any, **given: Any) -> Settings:
-        """The same as `unresolved` without a pilot: "auto" is "stokes" only if a source is polarised."""
+        """Return settings as `unresolved` does, without a pilot: "auto" is "stokes" only if a source is polarised."""
         return cls.unresolved(scene, **given).resolved(scene)
 
     @classmethod
     def without_sources(cls, scene: Any, purpose: str = "", **given: Any) -> Settings:
         """
-        The same for what starts none of the light of the scene's sources, for which "auto" is "unpolarized".
+        Return settings for a trace without light of the scene's sources, for which "auto" is "unpolarized".
 
         Parameters
         ----------
         scene : mi.Scene
         purpose : str
-            What the sources' light is replaced for, such as "a PST", where a reader could take it for theirs.
+            Purpose for which the sources' light is replaced, such as "a PST", where a reader could take it for theirs.
         **given
             As for `of`.
 
@@ -242,13 +242,13 @@ class Settings:
         return cls(**(values | {key: value for key, value in given.items() if value is not None}))
 
     def resolved(self, scene: Any) -> Settings:
-        """The same with the `polarization` that "auto" is for the sources of a scene, whatever its surfaces are."""
+        """Return the settings with the `polarization` that "auto" is for the sources of a scene, for any surfaces."""
         if self.polarization != "auto":
             return self
         return replace(self, polarization="stokes" if polarized_sources(scene) else "unpolarized")
 
     def with_unit(self, unit_W: float) -> Settings:
-        """The same for start rays of this flux, W, with `cut_below_W` in `cut_below`."""
+        """Return the settings for start rays of this flux, W, with `cut_below_W` in `cut_below`."""
         if not any(self.cut_below_W):
             return self
         relative = (max(a, float(b) / float(unit_W)) for a, b in zip(self.cut_below, self.cut_below_W, strict=True))

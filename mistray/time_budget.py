@@ -71,7 +71,7 @@ def is_limited() -> bool:
 
 
 def left() -> float:
-    """What is left of it, s; infinite where there is none, and below 0 where it is used up."""
+    """Return the time left of the budget, s; infinite where there is none, and below 0 where it is used up."""
     return _end.get() - time.perf_counter()
 
 
@@ -95,8 +95,8 @@ def searched() -> float:
     return 2.0 ** math.floor(math.log2(min(max(left() / FULL, THINNEST), 1.0)))
 
 
-def thinned(rays: int) -> int:
-    """So many rays of a search, or the fewer that the time allows, see `searched`."""
+def fewer_rays(rays: int) -> int:
+    """Return a number of rays of a search, or the fewer that the time allows, see `searched`."""
     return math.ceil(searched() * rays)
 
 
@@ -145,7 +145,7 @@ class Shares:
 
 
 def coarse_first(things: Sequence[Thing]) -> list[Thing]:
-    """The same in an order of which every beginning is spread over all: the ends first, then what halves the gaps."""
+    """Return things in an order whose every beginning is spread over all: ends first, then what halves the gaps."""
     last = len(things) - 1
     step = 1 << max(last, 1).bit_length()
     order: dict[int, None] = dict.fromkeys((0, last) if things else ())

@@ -59,9 +59,9 @@ FAULTS = {
         "analysis validation",
     ),
     "pdf ratio of a connection": Fault(
-        "mistray/kernel/odds.py",
-        "begun = n2 * it.cos_i / (cos_on * against * state",
-        "begun = n2 * it.cos_i * against / (cos_on * state",
+        "mistray/kernel/pdf_ratios.py",
+        "begun = n2 * it.cos_i / (cos_out * pdf_rev * state",
+        "begun = n2 * it.cos_i * pdf_rev / (cos_out * state",
         "kernel execute sampling analysis validation",
     ),
     "weight of roulette": Fault(

@@ -1,4 +1,4 @@
-"""What the ledger says: ghosts, point source transmittance, objects, thermal emission, whole studies."""
+"""Analyses of what the ledger says: ghosts, point source transmittance, objects, thermal emission, whole studies."""
 
 from typing import TYPE_CHECKING
 

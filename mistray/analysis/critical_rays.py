@@ -13,16 +13,16 @@ import numpy as np
 import pandas as pd
 
 from mistray.errors import MistrayError
+from mistray.known_arguments import known_arguments
 from mistray.ranges import FIELD_DEG
 from mistray.recorders.path_events import DIRECT
-from mistray.renamed import renamed
 from mistray.trace import Settings, trace
 
 RIM = 8
 RAYS = 4000
 
 
-@renamed(fields_deg="field_deg")
+@known_arguments
 def critical_rays(
     scene: Any,
     field_deg: float | Sequence[float] | None = None,

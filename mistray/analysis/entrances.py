@@ -23,7 +23,7 @@ TOLD = 3  # surfaces that a sentence names
 @dataclass(frozen=True)
 class Entrances:
     """
-    What the detector sees of the side that the source's light comes from, by the surface where it enters.
+    View that the detector has of the side that the source's light comes from, by the surface where it enters.
 
     The measure is étendue: the flux by a sky of equal radiance over that hemisphere, without Fresnel losses, with
     neither a reflection at glass nor scatter. Mirrors and total reflection turn the light.
@@ -35,7 +35,7 @@ class Entrances:
     rays : int
         Rays from the detector that leave on that side.
     share, share_se : float
-        Of what is seen, what enters by any other surface, and its standard error.
+        Share of what is seen that enters by any other surface, and its standard error.
     others : dict of str to float
         The shares of these, the largest first; the detector itself where the light meets nothing before.
     """

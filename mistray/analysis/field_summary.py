@@ -134,7 +134,7 @@ def power_of(t: Trace, path_ids: Iterable[Iterable[int]]) -> Estimate:
 
 
 def _incident(t: Trace, rows: pd.DataFrame, chosen: pd.Series) -> Estimate:
-    """The same before the detector, which absorbs about the same share of all of it, reflects some."""
+    """Sum the power of some rows, W, before the detector reflects some; it absorbs about the same share of each."""
     power, se = power_of(t, rows.path_ids[chosen])
     incident = float(rows.incident_W[chosen].sum())
     return Estimate(incident, se * incident / power if power > 0 else 0.0)

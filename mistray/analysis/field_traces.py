@@ -144,7 +144,7 @@ def one_for_fields(scene: mi.Scene, wanted: Sequence[float | None], arguments: M
 
 
 def fewer_wavelengths(scene: mi.Scene, wanted: Sequence[float | None], arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """What changes in the arguments of the traces of fields where the time is too short for all wavelengths."""
+    """Return the changed arguments of the traces of fields where the time is too short for all wavelengths."""
 
     def timed(**few: Any) -> None:
         _ = trace(scene, field_deg=wanted[0], **{**arguments, **few}).irradiance  # the sum of an image of each

@@ -1,4 +1,4 @@
-"""What a reader of a ghost analysis must know before trusting the numbers."""
+"""Notes on what a reader of a ghost analysis must know before trusting the numbers."""
 
 from __future__ import annotations
 

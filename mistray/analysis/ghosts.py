@@ -37,11 +37,11 @@ from mistray.analysis.scatter_surfaces import scatter_surfaces
 from mistray.analysis.stray_levels import stray_levels
 from mistray.errors import Interrupted, MistrayError, UnfinishedError, UnknownKeyError
 from mistray.files.irradiance_files import Map
+from mistray.known_arguments import known_arguments
 from mistray.notes import Note, warns
 from mistray.ranges import CONTESTED_RAYS, FIELD_DEG, RAYS
 from mistray.recorders.film import Pixels
 from mistray.recorders.path_events import DIRECT
-from mistray.renamed import renamed
 from mistray.settings import refuse_unknown
 from mistray.time_budget import is_limited, within
 from mistray.trace import Trace
@@ -142,7 +142,7 @@ class GhostReport(Mapping[float, Trace]):
 
     @property
     def notes(self) -> list[Note]:
-        """What a reader must know of the numbers; `ghosts` raises them as warnings, see docs/warnings.md."""
+        """Notes on the reliability of the numbers; `ghosts` raises them as warnings, see docs/warnings.md."""
         return ghost_notes(self)
 
     def rivals(self, field_deg: float) -> pd.DataFrame:
@@ -462,7 +462,7 @@ class GhostReport(Mapping[float, Trace]):
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
-@renamed(fields_deg="field_deg")
+@known_arguments
 @warns
 def ghosts(
     scene: Any,

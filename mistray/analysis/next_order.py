@@ -83,7 +83,7 @@ class NextOrder:
 
     @property
     def sentence(self) -> str:
-        """What it found, in words: the number that changes most, both times, and the difference with its error."""
+        """Finding in words: the number that changes most, both times, and the difference with its error."""
         k = self.worst
         second, first = (
             f"{value:.3g} ± {percent_text(se / abs(value), 1) if value else f'{se:.1g}'}"
@@ -109,7 +109,7 @@ class NextOrder:
 
 
 def decided(orders: Sequence[NextOrder]) -> tuple[NextOrder, ...]:
-    """The same, with the one `taken` that changes most of those that matter, where any does."""
+    """Return the orders with the one `taken` that changes most of those that matter, where any does."""
     mattering = [order for order in orders if order.matters]
     most = max(mattering, key=lambda order: abs(float(order.change[order.worst])), default=None)
     return tuple(replace(order, taken=order is most) for order in orders)

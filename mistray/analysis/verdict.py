@@ -1,4 +1,4 @@
-"""What a ghost analysis comes to: the worst paths of all fields, and the surface that is worth changing first."""
+"""Verdict of a ghost analysis: the worst paths of all fields, and the surface that is worth changing first."""
 
 from __future__ import annotations
 
@@ -189,13 +189,13 @@ def _stray(report: GhostReport, field_deg: float) -> pd.DataFrame:
 
 
 def _design_events(report: GhostReport) -> set[str]:
-    """What happens to the direct images of all fields: surfaces with their letters."""
+    """Collect the events on the direct images of all fields: surfaces with their letters."""
     tables = [report[field].paths.by_way() for field in report] + [report.nominal_trace.paths.by_way()]
     return {word for table in tables for text in table.events[table.kind == DIRECT] for word in event_words(text)}
 
 
 def _deeds(rows: pd.DataFrame, wanted: set[str], detectors: set[str]) -> pd.DataFrame:
-    """What surfaces do to stray paths: surface, deed, place of the row among `rows`, its power."""
+    """List what surfaces do to stray paths: surface, deed, place of the row among `rows`, its power."""
     found = []
     for number, (text, power) in enumerate(zip(way_text(rows.events), rows.power_W, strict=True)):
         for word in event_words(text):

@@ -41,13 +41,13 @@ _KEY = re.compile(r"[0-9a-f]{64}")
 @dataclass(frozen=True)
 class Contents:
     """
-    What is in the folder of a cache.
+    Contents of the folder of a cache.
 
     Attributes
     ----------
     entries : int
     size_bytes : int
-        Of all entries and drafts.
+        Size of all entries and drafts.
     """
 
     entries: int
@@ -79,7 +79,7 @@ class Cache:
 
     def get(self, key: str, read: Callable[[bytes], T]) -> T | None:
         """
-        What an entry holds, or None where there is none that is whole and of the right form.
+        Return the result that an entry holds, or None where there is none that is whole and of the right form.
 
         Parameters
         ----------
@@ -143,7 +143,7 @@ class Cache:
 
     def contents(self) -> Contents:
         """
-        What is in the folder.
+        Measure the contents of the folder.
 
         Raises
         ------

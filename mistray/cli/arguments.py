@@ -1,4 +1,4 @@
-"""What the commands share: the parser, and the types of their arguments."""
+"""Parser that the commands share, and the types of their arguments."""
 
 from __future__ import annotations
 
@@ -13,18 +13,16 @@ from typing import Any, NoReturn
 
 from mistray.errors import MistrayError, nearest
 from mistray.ranges import FINITE, POLAR_DEG, Range
-from mistray.renamed import by_new_names
 
 MOST_ANGLES = 10_000  # in one range
 FIELD_ANGLES = [float(angle) for angle in range(0, 81, 2)]  # of a PST, degrees
 
 
 class Parser(argparse.ArgumentParser):
-    """Reports a wrong argument as any other bad input: in one line; knows old names of options."""
+    """Reports a wrong argument as any other bad input: in one line."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self._old_names: dict[str, str] = {}
         self._later: list[Callable[[Parser], None]] = []
 
     def error(self, message: str) -> NoReturn:
@@ -53,30 +51,14 @@ class Parser(argparse.ArgumentParser):
             raise argparse.ArgumentError(action, "'--' is no value; give one, or leave the option out")
         return super()._get_values(action, arg_strings)
 
-    def take_old_name(self, old: str, new: str) -> None:
-        """Accept an option by an old name too, with a warning; the help does not show it."""
-        now: Any = self._option_string_actions[new]
-        self.add_argument(
-            old, action=type(now), type=now.type, nargs=now.nargs, default=argparse.SUPPRESS, help=argparse.SUPPRESS
-        )
-        self._old_names[old] = new
-
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """What argparse finds, with the values of old names under the new ones."""
+        """Return the arguments that argparse finds; refuse those that are left over."""
         self.declare_all()
         found, others = super().parse_known_args(args, namespace)
         if others:  # here, where it is known whose arguments they are: a command's or the program's
             wrong = next((word for word in others if word.startswith("-")), "").split("=")[0]
             close = difflib.get_close_matches(wrong, self._option_string_actions, n=1)
             self.error(f"unrecognized arguments: {' '.join(others)}{f'; did you mean {close[0]}?' if close else ''}")
-        for old, new in self._old_names.items():
-            before, now = (self._option_string_actions[name].dest for name in (old, new))
-            if hasattr(found, before):
-                given = {old: getattr(found, before)}
-                delattr(found, before)
-                if getattr(found, now) is not None:
-                    given[new] = getattr(found, now)
-                setattr(found, now, by_new_names(given, self._old_names, "")[new])
         return found, others
 
 

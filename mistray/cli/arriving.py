@@ -18,16 +18,16 @@ RAYS = 4000
 @dataclass(frozen=True)
 class Arriving:
     """
-    What happens to the beam of a scene's source, at its own field, with no reflection at glass.
+    Fate of the beam of a scene's source, at its own field, with no reflection at glass.
 
     Attributes
     ----------
     share : float
-        What the detector absorbs of it.
+        Share of it that the detector absorbs.
     lost : str
-        What takes most of the rest, see `mistray.trace.energy.Energy.greatest_loss`.
+        Largest loss of the rest, see `mistray.trace.energy.Energy.greatest_loss`.
     entrances : Entrances
-        By which surfaces the detector sees the source's side.
+        Surfaces by which the detector sees the source's side.
     """
 
     scene_file: Path
@@ -36,7 +36,7 @@ class Arriving:
     entrances: Entrances
 
     def record(self) -> dict[str, Any]:
-        """What JSON has of it."""
+        """Return the values that JSON has of it."""
         others = [{"surface": name, "share": share} for name, share in self.entrances.others.items()]
         return {"arriving_share": self.share, "entrances": {**asdict(self.entrances), "others": others}}
 

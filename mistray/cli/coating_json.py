@@ -1,4 +1,4 @@
-"""What `mistray coating --json` prints."""
+"""Output of `mistray coating --json`."""
 
 from __future__ import annotations
 

@@ -29,8 +29,6 @@ class Option:
     default
     extends : bool
         Whether values given later are added to those given before.
-    old : str
-        An earlier name, which is still taken.
     writes : tuple of str, optional
         Given if it names what the command writes: patterns of the files in a folder, empty for a file.
     """
@@ -42,7 +40,6 @@ class Option:
     nargs: int | str | None = None
     default: Any = None
     extends: bool = False
-    old: str = ""
     writes: tuple[str, ...] | None = None
 
     @property
@@ -124,11 +121,8 @@ class Command:
                 part.declare(parser)
         written = {option.dest: option.writes for option in self.options if option.writes is not None}
         parser.set_defaults(outputs=tuple(written), folder_files=sum(written.values(), ()))
-        for option in self.options:
-            if option.old:
-                parser.take_old_name(option.old, option.name)
 
 
-def angles(name: str, help: str, within: Any = None, old: str = "") -> Option:
+def angles(name: str, help: str, within: Any = None) -> Option:
     """An option that takes angles in degrees and ranges of them, all in one list."""
-    return Option(name, help, Angles(within) if within else Angles(), "DEG", "+", old=old)
+    return Option(name, help, Angles(within) if within else Angles(), "DEG", "+")

@@ -23,7 +23,7 @@ def as_json(
     selection: str | None = None,
     more: Mapping[str, pd.DataFrame] | None = None,
 ) -> dict[str, Any]:
-    """What `mistray ghosts --json` prints; per wavelength, each field holds the same numbers at each wavelength."""
+    """Return the values of `mistray ghosts --json`; per wavelength, fields hold the same numbers at each wavelength."""
     from mistray.analysis.stray_levels import LEVELS
     from mistray.files.json_values import plain
     from mistray.report.ghosts.answer import verdict_record
@@ -61,7 +61,7 @@ def as_json(
 
 
 def _filtered(found: Filtered) -> dict[str, Any]:
-    """What passes a filter at a field."""
+    """Return the light and the paths that pass a filter at a field."""
     return {
         "filter": found.selection,
         "power_W": found.power_W.value,

@@ -63,7 +63,7 @@ class Imported:
 
     def coated(self, options: Options) -> Imported:
         """
-        The same with --coating, --paint and --scatter.
+        Return the lens with --coating, --paint and --scatter.
 
         Without the notes on a detector that these answer, with what presets reach.
         """
@@ -80,7 +80,7 @@ class Imported:
         return Imported(made, self.record | {"notes": notes})
 
     def lines(self, name: str) -> list[str]:
-        """What is printed of it, as text."""
+        """Return the lines of text that are printed of it."""
         record, lines = self.record, []
         if "efl_mm" in record:
             pupil = (
@@ -221,7 +221,7 @@ def _from_batoid(lens: Path, options: Options) -> Prescription:
 
 
 def _record(built: Built) -> dict[str, Any]:
-    """What is printed of a sequential lens; infinite numbers are null in JSON."""
+    """Return the record that is printed of a sequential lens; infinite numbers are null in JSON."""
     lens, data = built.lens, built.first_order
     return {
         "efl_mm": data.efl,

@@ -36,10 +36,10 @@ def print_json(record: Mapping[str, Any], files: Sequence[Path] = ()) -> None:
 
 
 class Options(argparse.Namespace):
-    """What argparse has read."""
+    """Options that argparse has read."""
 
     def given(self, *names: str) -> dict[str, Any]:
-        """Those of some options that are given."""
+        """Return the values of some options, of those that are given, by name."""
         return {name: value for name in names if (value := getattr(self, name)) is not None}
 
     def settings(self) -> dict[str, Any]:
@@ -69,12 +69,12 @@ class Options(argparse.Namespace):
 
     def seconds_left(self, page_s: float = PAGE_S) -> float | None:
         """
-        What is left of --seconds for traces; None where it is not given.
+        Return the time that is left of --seconds for traces; None where it is not given.
 
         Parameters
         ----------
         page_s : float
-            What the report takes on a free machine that is as fast as the one on which `START_S` was measured; 0
+            Time of the report on a free machine that is as fast as the one on which `START_S` was measured, s; 0
             without --out.
         """
         if self.seconds is None:
@@ -164,7 +164,7 @@ class Options(argparse.Namespace):
         return working(what, self.quiet)
 
     def rules(self) -> Rules:
-        """What --coating, --paint and --scatter say."""
+        """Return the rules of --coating, --paint and --scatter."""
         from mistray.scene import Rules
 
         scatter: dict[str, list[str]] = {}

@@ -1,4 +1,4 @@
-"""What is shown on a terminal while a command is at work."""
+"""Progress that a terminal shows while a command is at work."""
 
 from __future__ import annotations
 

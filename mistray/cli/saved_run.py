@@ -1,4 +1,4 @@
-"""What a command that fails, or is interrupted, says of the run that it has saved."""
+"""Messages of a command that fails, or is interrupted, on the run that it has saved."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a command does on Ctrl-C and SIGTERM, also where it is deep in a kernel or its compilation."""
+"""Response of a command to Ctrl-C and SIGTERM, also where it is deep in a kernel or its compilation."""
 
 from __future__ import annotations
 

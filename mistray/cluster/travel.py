@@ -58,7 +58,7 @@ class Parcel:
 
 
 def surroundings() -> dict[str, str]:
-    """What must be the same in all processes, by names that a message can use."""
+    """Return the versions and the variant, which must be the same in all processes, by names that a message can use."""
     return {**versions(), "variant": mi.variant()}
 
 
@@ -71,7 +71,7 @@ class _Pickler(cloudpickle.Pickler):
         self._known: dict[int, str] = {}
 
     def persistent_id(self, item: Any) -> Any:
-        """What stands for an object that is not pickled itself; None for all others."""
+        """Return the stand-in for an object that is not pickled itself; None for all others."""
         if isinstance(item, mi.Scene):
             if id(item) not in self._known:
                 packed = _packed(item)

@@ -1,4 +1,4 @@
-"""What runs in a worker of the cluster: one part of a task at a time."""
+"""Code that runs in a worker of the cluster: one part of a task at a time."""
 
 from __future__ import annotations
 

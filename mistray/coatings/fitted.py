@@ -58,7 +58,7 @@ class Fitted:
     bare: float
 
     def __str__(self) -> str:
-        """What it reaches, in words."""
+        """Say in words what the design reaches."""
         band = f"mean R = {100 * self.reached:.3g} % from {self.low_nm:g} to {self.high_nm:g} nm"
         return f"{band} (as designed {100 * self.designed:.3g} %, bare {100 * self.bare:.3g} %)"
 
@@ -113,7 +113,7 @@ def fitted_preset(name: str, body: str, design_nm: float = 550.0) -> Fitted:
 @lru_cache(maxsize=256)
 def unfitted(stack: Stack, body: str) -> str:
     """
-    What to say of a preset as it is designed, on a body in air on which it leaves much more than on its own; else "".
+    Return a remark on a preset as designed if it leaves much more on a body in air than on its own; else "".
 
     Layers are those of a preset if their materials are, and their thicknesses but for one factor.
     """

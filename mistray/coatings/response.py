@@ -1,4 +1,4 @@
-"""What a coating answers: shares of the flux and phases, for s and p."""
+"""Response of a coating: shares of the flux and phases, for s and p."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Response:
 
 class Coating(Protocol):
     """
-    What every coating has; the kernel, the plots and the export know no more of it.
+    Interface of every coating; the kernel, the plots and the export know no more of it.
 
     A coating is hashable, because its tables are cached.
     """

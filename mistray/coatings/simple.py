@@ -44,7 +44,7 @@ class Bare:
 @dataclass(frozen=True)
 class Ideal:
     """
-    The same R and T at all wavelengths and angles, from both sides, for s and p; the phases of an ordinary mirror.
+    Coating of one R and T at all wavelengths and angles, from both sides, for s and p; phases of an ordinary mirror.
 
     Attributes
     ----------

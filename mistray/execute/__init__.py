@@ -2,5 +2,5 @@
 
 from mistray._variant import active_variant, ensure_variant
 
-if active_variant() is None:  # types of the variant are used while modules are imported
+if active_variant() is None:  # modules use types of the variant while they are imported
     ensure_variant()

@@ -1,4 +1,14 @@
-"""Backward traces: from the detector to the sky, which is every direction that stray light can come from."""
+"""
+Backward traces: from the detector to the sky, over all directions that stray light can come from.
+
+Let w be the weight of rays from the Lambertian start of `mistray.sampling.detector_start` that leave the scene within a
+cell of directions, and ΔΩ the solid angle of the cell. Then
+
+    PST_normal = π/ΔΩ · mean(w),
+
+that is, the irradiance on the detector per irradiance of a plane wave across its own direction. The mean is over all
+start rays, and w includes n² of the medium before the detector. `BackwardTrace.unit` is π/ΔΩ.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +25,7 @@ from mistray.errors import MistrayError
 from mistray.execute.backward_parts import Ahead, BackwardTask
 from mistray.execute.fingerprint import fingerprint, kernel_arrays
 from mistray.execute.workers import current_workers
-from mistray.kernel.kernel_scene import BranchProbabilities, KernelScene, Opposite, WeightWindows
+from mistray.kernel.kernel_scene import BranchProbabilities, CompetingTrace, KernelScene, WeightWindows
 from mistray.kernel.launches import launches_of
 from mistray.kernel.ray_tree import trace_tree
 from mistray.kernel.scatter_tables import ScatterTables
@@ -26,20 +36,20 @@ from mistray.recorders.design_sequences import DesignKeys
 from mistray.recorders.direction_recorder import DirectionRecorder
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.film import Film
+from mistray.recorders.mis_weights import MisWeighting
 from mistray.recorders.path_sums import PathSums, join_sums
 from mistray.recorders.recorder import Recorder, Recorders
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.start_samples import SAMPLES, WAYS, DepartureSamples, Samples
 from mistray.recorders.tallies import CHANNEL_COUNT, CUTS, SEGMENTS, SURFACE_SUMS, Tallies
-from mistray.recorders.weighing import Weighing
 from mistray.sampling.backward_targets import backward_targets
 from mistray.sampling.design.search import design_sequences, traced_table
 from mistray.sampling.detector_start import DetectorStart
 from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.sharing.balance import Balance, Sharing
 from mistray.sampling.sharing.cell_starts import cell_starts, whole_batches
-from mistray.sampling.sharing.families import FamilyShares
 from mistray.sampling.sharing.light_vertices import LightVertexRecorder, LightVertices
+from mistray.sampling.sharing.path_classes import PathClassShares
 from mistray.sampling.sources import spectrum_of
 from mistray.settings import BATCHES, NO_LIMIT, Settings
 from mistray.surfaces.intersect import Intersector
@@ -49,12 +59,12 @@ from mistray.surfaces.upload import upload
 
 FIRST_PASS, PASS_LANES = 1 << 14, 1 << 18  # rays of the smallest passes, and of the largest
 PASSES_OF_A_SIZE = 4  # a run is at most about 1 / 4 longer than was requested
-PATH_SLOTS, ENTRY_SLOTS = 1 << 17, 1 << 20
-VERTICES_OF_RAY, VERTEX_SEED = 1.0, 2  # points of light for one ray of a pass
-ROOM = 1.3  # for points of light, over those of the pass before
-FIRST_SEARCH, SEARCHES = 1 << 24, 64  # number of a pass, beyond those of any run; searches of a pilot
-# Of a ray that meets all optics about so many hits scatter, and so many reflections are followed; but a surface that
-# sees the sky scatters with so many times the share of its rays that get there
+PATH_SLOTS, ENTRY_SLOTS = 1 << 17, 1 << 20  # sizes of the tables of paths, and of their sums by cell
+VERTICES_OF_RAY, VERTEX_SEED = 1.0, 2  # forward rays of the light vertex cache per ray of a pass; their random stream
+ROOM = 1.3  # capacity of the cache, in units of the number of vertices expected from the last pass
+FIRST_SEARCH, SEARCHES = 1 << 24, 64  # number of the first pass of a pilot, beyond those of any run; its searches
+# Branch probabilities: numbers of scatter events, and of reflections that are followed, of a ray that meets all optics;
+# and the least probability of scatter at a surface, in units of the share of its rays that reach the sky
 SCATTERS_OF_RAY, REFLECTIONS_OF_RAY, VIEWS_OF_SKY = 2.0, 4.0, 2.0
 
 
@@ -69,15 +79,16 @@ class Band:
 
 
 @dataclass(frozen=True)
-class Rival:
+class ForwardTrace:
     """
-    The trace with the light that shares the paths of one wavelength.
+    Forward trace that builds the same paths at one wavelength.
 
     Attributes
     ----------
     scattering : Scattering
-        Of rays with the light.
+        Scatter of forward rays.
     balance : Balance
+        MIS weights of both directions.
     """
 
     scattering: Scattering
@@ -86,12 +97,12 @@ class Rival:
 
 class BackwardTrace:
     """
-    A backward trace that can go on for as long as one likes.
+    A backward trace that can be continued without limit.
 
-    A ray leaves the detector like light from a Lambertian surface and goes on as the light came that would be detected
-    there. Of light of radiance L that a cell of directions sends towards the scene, the irradiance on the detector is
-    E = n² π L mean(w), where w is the weight of the rays that leave within the cell; for a distant source that is
-    PST_normal = n² π/ΔΩ mean(w). The factor n², for a detector in a medium, is part of the weights.
+    A ray leaves the detector like light from a Lambertian surface and follows, in reverse, the way of light that would
+    be detected there. Let w be the weight of the rays that leave within a cell of directions. Light of radiance L from
+    the cell has the irradiance E = π L mean(w) on the detector; for a distant source that is
+    PST_normal = π/ΔΩ mean(w). For a detector in a medium of index n the weights include the factor n².
 
     Parameters
     ----------
@@ -99,40 +110,44 @@ class BackwardTrace:
     grid : DirectionGrid
     settings : Settings
     wavelength_nm : float or sequence of float, optional
-        By default those of the first source, else 550 nm.
+        Wavelengths; by default those of the first source, else 550 nm.
     weights : sequence of float, optional
-        Shares of the flux.
+        Shares of the wavelengths in the flux.
     detector : str, optional
     map_pixels : int
         Longer side of the maps of the detector; 0: none.
     paths : bool
-        Keep a table of the paths.
+        Whether a table of the paths is kept.
     both_sides : bool
-        Light that meets the detector from behind counts as well, as in a forward trace.
+        Whether light that meets the detector from behind contributes, as in a forward trace.
     sharing : Sharing, optional
-        How rays with the light share the paths; None: all are counted here.
+        Numbers of forward rays for MIS weights; None: there are backward rays only.
 
     Attributes
     ----------
+    forward : list of ForwardTrace
+        Forward traces by wavelength; empty: there are backward rays only.
+    vertices_per_ray : float
+        Light vertices per forward start ray, from the last pass.
     sums : dict of str to np.ndarray
-        Everything that has been counted, see `DirectionRecorder.read`, and ``surfaces``, ``media``, ``channels`` (see
-        `mistray.recorders.tallies`); sums over all passes.
+        Sums over all passes, see `DirectionRecorder.read`, and ``surfaces``, ``media``, ``channels`` (see
+        `mistray.recorders.tallies`).
     passes : int
-        That have been traced.
+        Number of passes that have been traced.
     pass_rays : list of int or None
-        Rays of each of them; None if the trace has gone on from another.
+        Rays of each of them; None if the trace continues another one.
     area : float
-        Of the detector, mm².
+        Area of the detector, mm².
     design : DesignSequences
-        The sequences of the direct image; in a scene without optics light that meets nothing forms it.
+        Sequences of the direct image; in a scene without optics, light that meets nothing forms it.
 
     Raises
     ------
     MistrayError
-        For settings that a backward trace does not know.
+        For settings that a backward trace does not support.
     """
 
-    # More than 8 parameters: what a saved run must have in common with the one that goes on, each an argument
+    # More than 8 parameters: a saved run and the one that continues it must agree in each of them
     def __init__(
         self,
         scene: mi.Scene,
@@ -153,28 +168,32 @@ class BackwardTrace:
                 f"max_random_scatters is {settings.max_random_scatters}; it limits how light is sampled, which is "
                 "another thing in a backward trace: use max_scatters"
             )
+        # State of the forward trace, if there is one
         self.grid, self.settings = grid, settings
         self._scene = scene
         self._elsewhere: Ahead | None = None
         self._arguments = (grid, settings, wavelength_nm, weights, detector, map_pixels, paths, both_sides, sharing)
-        self.rivals: list[Rival] = []
-        self.points_of_ray = 2.0  # points of light for a start ray with the light
+        self.forward: list[ForwardTrace] = []
+        self.vertices_per_ray = 2.0  # first guess, before any pass
         self._paths_elsewhere: dict[str, np.ndarray] = {}
+        # Surfaces and targets
         wavelengths, shares = spectrum_of(scene, wavelength_nm, weights)
         self.wavelength_nm, self.weights = tuple(map(float, wavelengths)), tuple(map(float, shares))
         first = traced_table(scene, self.wavelength_nm[0], detector)
         self.intersector = Intersector(first)
         axis = np.asarray(grid.rotation)[:, 2]
         found = backward_targets(first, scene, settings, axis)
+        # Branch probabilities: every hit of a wall scatters, those of optics share `SCATTERS_OF_RAY`
         optics = max(len(found.views), 1)
-        chance = np.ones(first.count)
+        probability = np.ones(first.count)
         for surface, share in found.views.items():
-            chance[surface] = np.clip(VIEWS_OF_SKY * share, min(1.0, SCATTERS_OF_RAY / optics), 1.0)
+            probability[surface] = np.clip(VIEWS_OF_SKY * share, min(1.0, SCATTERS_OF_RAY / optics), 1.0)
         ghosts = dr.opaque(mi.Float, min(1.0, REFLECTIONS_OF_RAY / optics))
-        self._probabilities = BranchProbabilities(upload(mi.Float, chance), ghosts)
-        chance = np.ones(first.count)
-        chance[list(found.views)] = min(1.0, SCATTERS_OF_RAY / optics)
-        self._with_light = BranchProbabilities(upload(mi.Float, chance), ghosts)
+        self._probabilities = BranchProbabilities(upload(mi.Float, probability), ghosts)
+        probability = np.ones(first.count)
+        probability[list(found.views)] = min(1.0, SCATTERS_OF_RAY / optics)
+        self._forward_probabilities = BranchProbabilities(upload(mi.Float, probability), ghosts)
+        # Tables and start rays of each wavelength
         self.bands = []
         for wavelength, share in zip(self.wavelength_nm, self.weights, strict=True):
             table = first if wavelength == first.wavelength_nm else first.at(wavelength)
@@ -183,6 +202,7 @@ class BackwardTrace:
             self.bands.append(Band(table, scattering, DetectorStart(table, light, found.start, both_sides), share))
         self.design = design_sequences(scene, *(band.table for band in self.bands), free=True)
         self.design_keys = DesignKeys(self.design, first.detector)
+        # Maps with the aspect ratio of the film
         start = self.bands[0].start
         self.table, self.area, self.extent = first, start.area, start.extent
         long_side = max(start.width, start.height)
@@ -202,17 +222,18 @@ class BackwardTrace:
             self.share_paths(sharing)
 
     def share_paths(self, sharing: Sharing) -> None:
-        """Share the paths with rays that follow the light from now on, see `mistray.sampling.sharing.balance`."""
+        """Weight the paths against those of forward rays from now on, see `mistray.sampling.sharing.balance`."""
         self._arguments = (*self._arguments[:-1], sharing)
+        # Weight windows: inverse bounds, of which 0 and inf have no effect
         windows = np.zeros((2, self.table.count, WAYS)) if sharing.windows is None else sharing.windows
         many, few = windows[0], np.where(windows[1] > 0, windows[1], np.inf)
         self._windows = WeightWindows(upload(mi.Float, many.ravel()), upload(mi.Float, few.ravel()))
-        if self.rivals:
-            self.rivals = [replace(one, balance=one.balance.at(sharing)) for one in self.rivals]
+        if self.forward:
+            self.forward = [replace(one, balance=one.balance.at(sharing)) for one in self.forward]
             return
         targets = importance_targets(self.table, self._scene, self.settings)
-        self.rivals = [
-            Rival(
+        self.forward = [
+            ForwardTrace(
                 Scattering(ScatterTables(band.table, targets)),
                 Balance(sharing, self.grid, band.start, band.table.centre),
             )
@@ -221,7 +242,7 @@ class BackwardTrace:
 
     @property
     def notes(self) -> list[Note]:
-        """Gaps too thin for float32, and what was assumed of the media, see `Optics.notes`."""
+        """Notes on gaps too thin for float32, and on assumptions about the media, see `Optics.notes`."""
         return [
             *thin_gaps(self.table),
             *dict.fromkeys(text for band in self.bands for text in (*band.table.optics.notes, *band.start.notes)),
@@ -233,26 +254,26 @@ class BackwardTrace:
         return self._path_sums is not None
 
     def go_on_from(self, sums: dict[str, np.ndarray], passes: int, seconds: float) -> None:
-        """Take over what another trace with the same arguments has counted."""
+        """Take over the sums of another trace with the same arguments."""
         self.sums, self.passes, self.seconds = dict(sums), passes, seconds
         self.pass_rays = None
 
     @property
     def next_pass(self) -> int:
-        """Rays of the next pass."""
+        """Number of rays of the next pass."""
         return self.pass_size(self.passes)
 
     @staticmethod
     def pass_size(number: int) -> int:
-        """Rays of a pass: few at first, so that there is a result after seconds, and later a quarter of all before."""
+        """Return the rays of a pass: few at first, for a result within seconds; later a quarter of all before it."""
         return min(FIRST_PASS << max(0, number // PASSES_OF_A_SIZE - 1), PASS_LANES)
 
     def advance(self, rays: int | None = None) -> None:
-        """Trace one more pass of about so many rays, by default `next_pass`; `sums` grow."""
+        """Trace one more pass of about `rays` rays, by default `next_pass`, and add it to `sums`."""
         rays = self.next_pass if rays is None else rays
         started = time.perf_counter()
         sums_of_paths: list[dict[str, np.ndarray]] = []
-        # What an interrupt leaves out is a whole pass
+        # Sums are added after a whole pass, so that an interrupt loses a pass but leaves no part of one
         if self._elsewhere is None:
             new = [self.band_sums(number, self.passes, rays) for number in range(len(self.bands))]
         else:
@@ -268,10 +289,10 @@ class BackwardTrace:
         self.seconds += time.perf_counter() - started
 
     def band_sums(self, number: int, done: int, rays: int) -> dict[str, np.ndarray]:
-        """What a pass of so many rays, after so many passes, adds to `sums` at one wavelength."""
+        """Return the sums of pass number `done`, of `rays` rays, at wavelength `number`."""
         one = self.bands[number]
         vertices = self.light_vertices(number, (0, done), rays)
-        sky = self.make_directions(maps=True, weighing=self.balance(number, vertices))
+        sky = self.make_directions(maps=True, mis=self.balance(number, vertices))
         tallies = Tallies(one.table.count, len(one.table.optics.media))
         start = self.start_pass(number, done, rays)
         self.trace_shared(number, start, vertices, tallies, sky)
@@ -285,16 +306,16 @@ class BackwardTrace:
 
     def samples(self, rays: int, number: int, values: np.ndarray | None = None) -> list[Samples]:
         """
-        Light that arrives, from rays that are in no sums, by wavelength.
+        Return samples of light that arrives, by wavelength, from rays that do not enter the sums.
 
         Parameters
         ----------
         rays : int
-            In passes of at most `PASS_LANES`, so that memory is bounded.
+            Number of rays, traced in passes of at most `PASS_LANES` to bound memory.
         number : int
-            Of this search, below `SEARCHES`: another number is another sample.
+            Number of this search, below `SEARCHES`, which selects its random numbers.
         values : (c,) float64, optional
-            See `DepartureSamples`; None: `Samples.worth` is of no use.
+            See `DepartureSamples`; None: the importance in `Samples.importance` is not estimated.
         """
         found = []
         if values is None:
@@ -316,24 +337,25 @@ class BackwardTrace:
         return found
 
     def trace_shared(self, number: int, start: StartRays, vertices: LightVertices | None, *recorders: Recorder) -> None:
-        """Trace the trees of some start rays of a wavelength, whose paths are shared if any are."""
+        """Trace the trees of some start rays of a wavelength, with MIS weights if there is a forward trace."""
         scene = self.split_scene(number)
-        if self.rivals:
-            opposite = Opposite(self.rivals[number].scattering, self._with_light, self.connects)
-            scene = replace(scene, opposite=opposite, connections=vertices)
+        if self.forward:
+            competing = CompetingTrace(self.forward[number].scattering, self._forward_probabilities, self.connects)
+            scene = replace(scene, competing=competing, vertices=vertices)
         self._launch(scene, start, recorders)
 
     def split_scene(self, number: int) -> KernelScene:
-        """What the kernel traces at a wavelength, with rays split where a pilot says that they matter."""
+        """Return the scene of the kernel at a wavelength, with the weight windows of a pilot."""
         band = self.bands[number]
-        # What a medium scatters is sent on by the chance of the surface behind it, which knows nothing of its worth
-        windows = self._windows if self.rivals and not band.table.optics.scatters else None
+        # Light that a medium scatters branches with the probability of the surface behind it, whose weight window does
+        # not account for the importance of the medium
+        windows = self._windows if self.forward and not band.table.optics.scatters else None
         return replace(self.scene(band), windows=windows)
 
     @property
     def connects(self) -> bool:
-        """Whether rays are connected to points of light, see `mistray.sampling.sharing.light_vertices`."""
-        return bool(self.rivals) and self.rivals[0].balance.sharing.connects
+        """Whether rays are connected to light vertices, see `mistray.sampling.sharing.light_vertices`."""
+        return bool(self.forward) and self.forward[0].balance.sharing.connects
 
     @property
     def scatters(self) -> bool:
@@ -342,42 +364,43 @@ class BackwardTrace:
 
     @property
     def may_connect(self) -> bool:
-        """Whether they can be: at surfaces, where light is scattered twice, and rays with it are not left to chance."""
+        """Whether connections are possible: only surfaces scatter, two events are allowed, and rays split."""
         settings, optics = self.settings, self.table.optics
         surfaces = any(one.scattering.any for one in self.bands) and not optics.scatters
         return surfaces and settings.max_scatters > 1 and settings.splitting == "split" and not optics.one_child
 
     def balance(self, number: int, vertices: LightVertices | None, same_rays: bool = False) -> Balance | None:
         """
-        Who counts how much of a path at a wavelength; None: there are rays of one direction only.
+        Return the MIS weights at a wavelength; None: there are rays of one direction only.
 
-        With `same_rays` light that nothing scatters has no rays of its own.
+        With `same_rays`, unscattered light has no rays of its own.
         """
-        if not self.rivals:
+        if not self.forward:
             return None
-        balance = self.rivals[number].balance
+        balance = self.forward[number].balance
         if same_rays and balance.sharing.unscattered is not None:
             balance = balance.at(replace(balance.sharing, unscattered=None))
         return balance if vertices is None else balance.beside(vertices)
 
-    def family_shares(self) -> FamilyShares | None:
-        """Who counts how much of a path where it moves; None: there are rays of one direction only."""
-        if not self.rivals:
+    def path_class_shares(self) -> PathClassShares | None:
+        """Return the MIS weights of path classes, for derivatives of paths that move; None: one direction only."""
+        if not self.forward:
             return None
-        families = self.rivals[0].balance.sharing.families
-        assert families is not None
-        return FamilyShares(families.shares(), self.design_keys)
+        path_classes = self.forward[0].balance.sharing.path_classes
+        assert path_classes is not None
+        return PathClassShares(path_classes.shares(), self.design_keys)
 
     def light_vertices(self, number: int, stream: tuple[int, int], rays: int) -> LightVertices | None:
-        """Points of light for a pass of so many rays, if rays are connected to any; a stream for each pass."""
+        """Return the light vertices for a pass of `rays` rays, from a stream of their own; None without connections."""
         if not self.connects:
             return None
-        rival, one = self.rivals[number], self.bands[number]
-        linked = rival.balance.sharing.linked
-        lanes = whole_batches(np.ceil(VERTICES_OF_RAY * rays * one.share * linked))
+        # Forward start rays, none of which scatters: a vertex is where the first scatter event would be
+        forward, one = self.forward[number], self.bands[number]
+        starts_per_connection = forward.balance.sharing.starts_per_connection
+        lanes = whole_batches(np.ceil(VERTICES_OF_RAY * rays * one.share * starts_per_connection))
         seed = (self.settings.seed, VERTEX_SEED, *stream, number)
-        start = cell_starts(rival.balance, seed, lanes, (lanes > 0).astype(float))
-        scene = KernelScene(one.table, rival.scattering, self.intersector, self._with_light)
+        start = cell_starts(forward.balance, seed, lanes, (lanes > 0).astype(float))
+        scene = KernelScene(one.table, forward.scattering, self.intersector, self._forward_probabilities)
         settings = replace(self.settings, max_scatters=0)
 
         def traced(room: int) -> LightVertexRecorder:
@@ -386,36 +409,39 @@ class BackwardTrace:
             launches.whole(start, lambda part: trace_tree(scene, part, settings, [recorder]))
             return recorder
 
-        recorder = traced(round(ROOM * max(self.points_of_ray, 1.0) * lanes.sum()))
+        # If the cache is too small, trace the same rays again with room for all
+        recorder = traced(round(ROOM * max(self.vertices_per_ray, 1.0) * lanes.sum()))
         if recorder.count > recorder.room:
             recorder = traced(recorder.count)
-        self.points_of_ray = recorder.count / float(lanes.sum())
-        return LightVertices(*recorder.read(), linked, lanes, rival.balance.extent)
+        self.vertices_per_ray = recorder.count / float(lanes.sum())
+        return LightVertices(*recorder.read(), starts_per_connection, lanes, forward.balance.extent)
 
-    def rival_scene(self, number: int) -> KernelScene:
-        """What rays with the light that share the paths of a wavelength trace."""
-        band, scattering = self.bands[number], self.rivals[number].scattering
-        opposite = Opposite(band.scattering, self._probabilities, self.connects)
-        return KernelScene(band.table, scattering, self.intersector, self._with_light, opposite=opposite)
+    def forward_scene(self, number: int) -> KernelScene:
+        """Return the scene of the kernel for the forward rays of a wavelength."""
+        band, scattering = self.bands[number], self.forward[number].scattering
+        competing = CompetingTrace(band.scattering, self._probabilities, self.connects)
+        return KernelScene(band.table, scattering, self.intersector, self._forward_probabilities, competing=competing)
 
     def scene(self, band: Band) -> KernelScene:
-        """What the kernel traces at a wavelength."""
+        """Return the scene of the kernel for the backward rays of a wavelength."""
         return KernelScene(band.table, band.scattering, self.intersector, self._probabilities, backward=True)
 
     def trace_split(self, number: int, start: StartRays, *recorders: Recorder) -> None:
-        """Trace the trees of some start rays of a wavelength, with those split that matter, and no others beside."""
+        """Trace the trees of some start rays of a wavelength with weight windows, but without a competing trace."""
         self._launch(self.split_scene(number), start, recorders)
 
     def _launch(self, scene: KernelScene, start: StartRays, recorders: Sequence[Recorder]) -> None:
+        """Trace the trees of some start rays in launches of bounded time."""
+
         def trace(part: StartRays) -> None:
             trace_tree(scene, part, self.settings, recorders)
 
-        shared = None if scene.opposite is None else scene.opposite.connects
+        shared = None if scene.competing is None else scene.competing.connects
         launches_of(scene.table, self.settings, Recorders(recorders).code, shared).whole(start, trace)
 
-    def adjoint(self, derivative: np.ndarray, weighing: Weighing | None = None) -> Adjoint:
-        """The gain of a metric, see `make_directions`."""
-        return Adjoint(0, self.film, directions=self.make_directions(derivative, weighing=weighing))
+    def adjoint(self, derivative: np.ndarray, mis: MisWeighting | None = None) -> Adjoint:
+        """Return the recorder of an adjoint trace of a metric, see `make_directions`."""
+        return Adjoint(0, self.film, directions=self.make_directions(derivative, mis=mis))
 
     def forget_paths(self) -> None:
         """Empty the table of the paths."""
@@ -423,12 +449,12 @@ class BackwardTrace:
             self._path_sums = self.new_paths()
 
     def new_paths(self) -> PathSums:
-        """An empty table of paths by cell."""
+        """Return an empty table of paths by cell."""
         return PathSums(PATH_SLOTS, ENTRY_SLOTS, self.settings.max_events, int(np.prod(self.grid.shape)))
 
     @contextlib.contextmanager
     def shared(self, rays: int) -> Iterator[None]:
-        """Let other processes, if there are any, trace the passes of the block, which take so many rays in all."""
+        """Let workers, if there are any, trace the passes of the block, which have about `rays` rays in all."""
         workers = current_workers()
         if workers is None:
             yield
@@ -441,19 +467,19 @@ class BackwardTrace:
                 self._elsewhere = None
 
     def make_directions(
-        self, derivative: np.ndarray | None = None, maps: bool = False, weighing: Weighing | None = None
+        self, derivative: np.ndarray | None = None, maps: bool = False, mis: MisWeighting | None = None
     ) -> DirectionRecorder:
-        """Sums at zero for one pass, or with a derivative what tells the gain of a metric, see `DirectionRecorder`."""
+        """Return a recorder with sums at zero, or with a derivative that of the gain of a metric."""
         pixels = self.map_size[0] * self.map_size[1] if maps else 0
         paths = self._path_sums if derivative is None else None
-        return DirectionRecorder(self.grid, self.design_keys, pixels, paths, derivative, weighing)
+        return DirectionRecorder(self.grid, self.design_keys, pixels, paths, derivative, mis)
 
     def start_pass(self, number: int, done: int, rays: int) -> StartRays:
-        """The start rays of a wavelength in a pass of so many rays, after so many passes."""
+        """Return the start rays of wavelength `number` in pass number `done`, of `rays` rays."""
         one = self.bands[number]
         lanes = max(BATCHES, round(rays * one.share / BATCHES) * BATCHES)
         seed = self.settings.seed + 0x9E3779B9 * (number + len(self.bands) * done)
-        # The share of a wavelength is that of its rays, but for rounding
+        # The rays of a wavelength are in proportion to its share; the weight corrects the rounding of their number
         start = one.start.pass_rays(seed, lanes, one.share * rays / lanes, self.map_size)
         dr.eval(
             start.lane,
@@ -470,7 +496,8 @@ class BackwardTrace:
         return start
 
     def _by_medium(self, table: SurfaceTable, sums: np.ndarray) -> np.ndarray:
-        """Rows of media in the order of the first wavelength, where numbers by index may fall together otherwise."""
+        """Return rows of media in the order of the first wavelength."""
+        # Matched by name: another wavelength may number its media otherwise
         names = self.table.optics.media
         found = np.zeros((len(names), BATCHES))
         for name, row in zip(table.optics.media, sums, strict=True):
@@ -478,6 +505,7 @@ class BackwardTrace:
         return found
 
     def _add(self, more: Mapping[str, np.ndarray]) -> None:
+        """Add the sums of a pass to those of all passes."""
         for key, values in more.items():
             if key == "largest":
                 self.sums[key] = np.maximum(self.sums.get(key, 0.0), values)
@@ -486,15 +514,15 @@ class BackwardTrace:
 
     @property
     def fingerprint(self) -> str:
-        """Hash of all that the kernel reads: geometry, coatings, media, scatter, of every wavelength."""
+        """Hash of all that the kernel reads: geometry, coatings, media and scatter at every wavelength."""
         return fingerprint((one.table, one.scattering) for one in self.bands)
 
     def kernel_arrays(self) -> list[list[np.ndarray]]:
-        """What the kernel reads, for each wavelength."""
+        """Return the arrays that the kernel reads, for each wavelength."""
         return [kernel_arrays(one.table, one.scattering) for one in self.bands]
 
     def paths(self) -> dict[str, np.ndarray] | None:
-        """The path table so far, see `PathSums.read`."""
+        """Return the path table so far, see `PathSums.read`; None if there is none."""
         if self._path_sums is None:
             return None
         here = self._path_sums.read()
@@ -502,20 +530,20 @@ class BackwardTrace:
 
     @property
     def unit(self) -> np.ndarray:
-        """(n, m) PST_normal of a mean weight of 1 of the start rays."""
+        """PST_normal for a mean weight of 1 of the start rays, (n, m)."""
         return np.asarray(np.repeat(np.pi / self.grid.solid_angle[:, None], self.grid.shape[1], axis=1))
 
     @property
     def rays(self) -> np.ndarray:
-        """(BATCHES,) rays that have been started, by batch."""
+        """Start rays so far by batch, (BATCHES,)."""
         return np.asarray(self.sums.get("rays", np.zeros(BATCHES)))
 
     @property
     def segments(self) -> float:
-        """Ray segments that have been traced."""
+        """Number of ray segments that have been traced."""
         return float(self.sums["channels"][SEGMENTS].sum())
 
     @property
     def lost(self) -> np.ndarray:
-        """(BATCHES,) weight that limits and thresholds cut, and what random choices have taken or added so far."""
+        """Weight by batch, (BATCHES,), that limits and thresholds cut, and the net loss by random choices so far."""
         return np.asarray(self.sums["channels"][list(CUTS.values())].sum(axis=0))

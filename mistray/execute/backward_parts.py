@@ -1,4 +1,4 @@
-"""A backward trace whose passes other processes trace."""
+"""Backward traces by other processes: passes are sent, their sums come back."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from mistray.execute.workers import Job
 if TYPE_CHECKING:
     from mistray.execute.backward import BackwardTrace
 
-AHEAD = 2  # passes for each worker that are handed over before they are needed
+AHEAD = 2  # passes per worker that are handed over before they are needed
 Sums = dict[str, Any]
 
 
 class Pass(NamedTuple):
-    """One wavelength of a pass: the arguments of `BackwardTrace.band_sums`."""
+    """One wavelength of a pass, as the arguments of `BackwardTrace.band_sums`."""
 
     band: int
     done: int
@@ -29,14 +29,15 @@ class BackwardTask(SceneTask):
     """A backward trace, for `mistray.execute.workers`."""
 
     def make(self) -> BackwardTrace:
-        """The same trace at a worker."""
+        """Return the same trace at a worker."""
+        # Here, because that module imports this one
         from mistray.execute.backward import BackwardTrace
 
         trace: BackwardTrace = self.build(BackwardTrace)
         return trace
 
     def do(self, made: BackwardTrace, part: Pass) -> tuple[Sums, dict[str, np.ndarray] | None]:
-        """The sums of a wavelength of a pass, its maps without their zeros, and its paths."""
+        """Return the sums of a wavelength of a pass, with maps in sparse form, and its paths."""
         made.forget_paths()
         sums: Sums = made.band_sums(*part)
         if "maps" in sums:
@@ -46,15 +47,16 @@ class BackwardTask(SceneTask):
 
 class Ahead:
     """
-    Passes that others trace, some of them before they are requested.
+    Passes that workers trace, some of them before they are requested.
 
     Parameters
     ----------
     trace : BackwardTrace
     job : Job
     workers : int
+        Number of workers.
     rays : int
-        That the trace will take in all.
+        Number of rays that the trace will take in all.
     """
 
     def __init__(self, trace: BackwardTrace, job: Job, workers: int, rays: int) -> None:
@@ -62,7 +64,8 @@ class Ahead:
         self._handed_over: set[Pass] = set()
 
     def whole_pass(self, done: int, rays: int) -> tuple[list[dict[str, np.ndarray]], list[dict[str, np.ndarray]]]:
-        """What a pass adds to the sums at each wavelength, and its path tables, if there are any."""
+        """Return the sums of a pass at each wavelength, and its path tables, if there are any."""
+        # Hand over this pass and those after it, as far as the planned rays go
         bands = range(len(self._trace.bands))
         total, size, number = float(self._trace.rays.sum()), rays, done
         while number == done or (total < self._planned and number < done + AHEAD * self._workers):
@@ -72,12 +75,13 @@ class Ahead:
                     self._handed_over.add(part)
             total, number = total + size, number + 1
             size = self._trace.pass_size(number)
+        # Wait for this pass
         sums, path_sums = zip(*(self._job.result(Pass(band, done, rays)) for band in bands), strict=True)
         return [_whole(one) for one in sums], [one for one in path_sums if one is not None]
 
 
 def _whole(sums: Sums) -> dict[str, np.ndarray]:
-    """The sums with maps as arrays."""
+    """Return the sums with maps as dense arrays."""
     if "maps" not in sums:
         return sums
     shape, packed = sums["maps"]

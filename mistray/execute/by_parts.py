@@ -1,6 +1,7 @@
-"""A trace whose passes other processes trace: parts of passes go out, sums come back and are merged.
+"""
+Forward traces by other processes: parts of passes are sent, sums come back and are merged.
 
-A part is some batches of the start rays of a pass, with the random numbers that they have in any case. What it finds is
+A part is some batches of the start rays of a pass, with the random numbers that they have in any process. Its sums are
 added once, so that the merged sums are those of one process but for the rounding of float64.
 """
 
@@ -25,9 +26,9 @@ from mistray.recorders.tallies import CHANNEL_COUNT, STARTED, SURFACE_SUMS
 from mistray.settings import BATCHES, Settings
 from mistray.surfaces.upload import upload
 
-PARTS_PER_WORKER = 4  # so that one that is slow does not keep the others waiting for long
-LEAST_RAYS = 1 << 14  # of a part: fewer take as long as what goes with every part
-LOAD = 0.35  # of a table of paths
+PARTS_PER_WORKER = 4  # so that a slow worker does not keep the others waiting for long
+LEAST_RAYS = 1 << 14  # rays of a part: fewer take no longer than the overhead of a part
+LOAD = 0.35  # load factor of a table of paths
 
 Progress = Callable[[int, int], None]
 
@@ -42,9 +43,9 @@ class Place(NamedTuple):
 @dataclass(frozen=True)
 class PartSums:
     """
-    What a part has found; `surfaces`, `media`, `channels` and the sums of `paths` are those of its own batches only.
+    Sums of a part; `surfaces`, `media`, `channels` and the sums of `paths` have its own batches only.
 
-    See `Run` for what they are.
+    See `Run` for their meaning.
     """
 
     surfaces: np.ndarray
@@ -57,7 +58,8 @@ class PartSums:
 
     @classmethod
     def of(cls, run: Run, part: Part) -> PartSums:
-        """The sums of a run that has traced this part alone."""
+        """Return the sums of a run that has traced this part alone."""
+        # Other batches are zero and are not sent
         own = slice(part.low, part.high)
         paths = run.paths
         if paths is not None:
@@ -79,13 +81,13 @@ class TraceTask:
     scene : mi.Scene
     settings : Settings
     beam : dict
-        The further arguments of `mistray.execute.tracer.prepare`.
+        Other arguments of `mistray.execute.tracer.prepare`.
     ledger : bool
-        Keep the paths.
+        Whether paths are kept.
     arrays : sequence of list of array
-        What the kernel reads here, for each wavelength: workers check that they have the same.
+        Arrays that the kernel reads here, for each wavelength: workers check that they have the same.
     only : int or None
-        Number of the detector that is looked at, of several whose light was traced.
+        Number of the detector that results are for, of several whose light was traced.
     """
 
     scene: mi.Scene
@@ -96,7 +98,7 @@ class TraceTask:
     only: int | None = None
 
     def make(self) -> list[Run]:
-        """The runs, as they are everywhere."""
+        """Return the runs, which are the same in all processes."""
         runs = prepare(self.scene, self.settings, **self.beam)
         require_same(self.arrays, tables_of(runs))
         if self.only is not None:
@@ -105,7 +107,7 @@ class TraceTask:
         return runs
 
     def do(self, made: list[Run], part: Place | MapPlace) -> PartSums | Packed:
-        """Trace a part."""
+        """Trace a part, and return its sums or its images."""
         run = made[part.run]
         run.parts = (part.part,)
         if isinstance(part, MapPlace):
@@ -117,15 +119,15 @@ class TraceTask:
 @dataclass(frozen=True, eq=False)
 class SceneTask:
     """
-    What a worker builds again from a scene; the kind of task says which class and what it does with it.
+    An object that a worker builds again from a scene; the class of the task selects its class and its use.
 
     Attributes
     ----------
     scene : mi.Scene
     arguments : tuple
-        The others of the class.
+        Other arguments of its class.
     arrays : sequence of list of array
-        What the kernel reads here, for each wavelength.
+        Arrays that the kernel reads here, for each wavelength.
     """
 
     scene: mi.Scene
@@ -133,19 +135,19 @@ class SceneTask:
     arrays: Sequence[list[np.ndarray]]
 
     def build(self, kind: Callable[..., Any]) -> Any:
-        """An object of the class at a worker; refused if its kernel would read something else."""
+        """Return an object of the class at a worker; raise an error if its kernel would read other arrays."""
         made = kind(self.scene, *self.arguments)
         require_same(self.arrays, made.kernel_arrays())
         return made
 
 
 def tables_of(runs: Sequence[Run]) -> list[list[np.ndarray]]:
-    """What the kernel reads, for each wavelength of some runs."""
+    """Return the arrays that the kernel reads, for each wavelength of some runs."""
     return [kernel_arrays(run.table, run.scattering) for run in {id(run.table): run for run in runs}.values()]
 
 
 def require_same(here: Sequence[list[np.ndarray]], there: Sequence[list[np.ndarray]]) -> None:
-    """Refuse to trace a scene that became another one on its way to a worker."""
+    """Raise an error if the scene at a worker differs from the one here."""
     if len(here) != len(there) or not all(agree(a, b) for a, b in zip(here, there, strict=True)):
         raise MistrayError(
             "the scene is another one at the worker than here: it, or a file that it names, has changed since it was "
@@ -154,28 +156,30 @@ def require_same(here: Sequence[list[np.ndarray]], there: Sequence[list[np.ndarr
 
 
 def split(runs: Sequence[Run], workers: int) -> list[Place]:
-    """Parts of runs, so many that workers are busy to the end; the runs take turns."""
+    """Return parts of runs, enough to keep workers busy to the end; parts of different runs alternate."""
     wanted = max(LEAST_RAYS, sum(run.rays for run in runs) / (PARTS_PER_WORKER * workers))
     placed = []
     for number, run in enumerate(runs):
         found = []
         for k in range(run.passes):
+            # Powers of two, so that all parts of a pass have the same number of batches
             rays = min(PASS_LANES, run.rays - k * PASS_LANES)
             pieces = 1 << int(math.log2(min(max(rays / wanted, 1), BATCHES)))
             step = BATCHES // pieces
             found += [Part(k, low, low + step) for low in range(0, BATCHES, step)]
+        # Sorted by their place in their own run, so that all runs end together
         placed += [((k + 0.5) / len(found), Place(number, part)) for k, part in enumerate(found)]
     return [place for _, place in sorted(placed)]
 
 
 @dataclass
 class _Merged:
-    """The sums of the parts of a run so far."""
+    """Sums of the parts of a run so far."""
 
     run: Run
     parts: list[Part] = field(default_factory=list)
     sums: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    places: dict[int, int] = field(default_factory=dict)  # of keys among the paths
+    places: dict[int, int] = field(default_factory=dict)  # row of each key
     events: list[np.ndarray] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -188,7 +192,7 @@ class _Merged:
         self.sums = np.zeros((0, BATCHES, STOKES_SUMS if run.settings.stokes else SUMS))
 
     def add(self, part: Part, found: PartSums) -> int:
-        """Add what a part has found; the number of its start rays."""
+        """Add the sums of a part; return the number of its start rays."""
         own = slice(part.low, part.high)
         self.parts.append(part)
         self.surfaces[..., own] += found.surfaces
@@ -197,6 +201,7 @@ class _Merged:
         self.largest, self.seconds = max(self.largest, found.largest), self.seconds + found.seconds
         for one, total in zip(found.films, self.films, strict=True):
             one.add_to(total)
+        # Paths: new keys get the next rows, in the order in which they come
         if found.paths is not None:
             before = len(self.places)
             rows = [self.places.setdefault(key, len(self.places)) for key in found.paths.keys.tolist()]
@@ -211,12 +216,13 @@ class _Merged:
         return round(float(found.channels[STARTED].sum()))
 
     def finish(self, ledger: bool, whole: bool) -> None:
-        """Give the run its sums; one that is not whole stands for the rays of its parts alone."""
+        """Assign the sums to the run; an incomplete run is scaled from the rays of its parts."""
         run = self.run
         run.surfaces, run.media, run.channels, run.films = self.surfaces, self.media, self.channels, self.films
         run.largest, run.seconds = self.largest, self.seconds
         if not whole:
             run.stand_for(sorted(self.parts))
+        # Ledger on the device, with the paths in the order of its slots as `Ledger.decode` returns them
         if ledger:
             keys = np.array(list(self.places), dtype=np.uint64)
             lengths = np.array([len(events) for events in self.events], dtype=np.int64)
@@ -232,7 +238,7 @@ class _Merged:
 def _filled(
     run: Run, keys: np.ndarray, events: np.ndarray, lengths: np.ndarray, least: int = FIRST_CAPACITY
 ) -> tuple[Ledger, np.ndarray]:
-    """A ledger of at least so many slots that knows some paths, and their slots in it."""
+    """Return a ledger of at least `least` slots that holds some paths, and their slots in it."""
     settings = run.settings
     capacity = max(least, 1 << math.ceil(math.log2(max(len(keys), 1) / LOAD)))
     if capacity > LAST_CAPACITY:
@@ -243,6 +249,7 @@ def _filled(
     ledger = Ledger(capacity, settings.max_events, settings.stokes)
     if not len(keys):
         return ledger, np.zeros(0, dtype=np.int64)
+    # Claim the slots on the device, then write the event lists on the host
     slot, _, _ = ledger.find(upload(mi.UInt64, keys), mi.Bool(True))
     dr.eval(slot, ledger.keys)
     slots = np.array(slot).astype(np.int64)
@@ -256,14 +263,14 @@ def _filled(
 
 def execute_by_parts(workers: Workers, task: TraceTask, runs: Sequence[Run], progress: Progress | None = None) -> None:
     """
-    Let workers trace some runs, which get the sums that `Run.execute` would give them.
+    Let workers trace some runs, which receive the sums of `Run.execute`.
 
-    ``seconds`` of a run are those of its parts together, wherever they were traced.
+    ``seconds`` of a run is the total of its parts over all workers.
 
     Raises
     ------
     UnfinishedError
-        If the workers are gone. Runs of which a part was traced have the sums of these parts, and say so in ``parts``.
+        If no worker is left. Partly traced runs have the sums of their traced parts, and list these in ``parts``.
     """
     merged = [_Merged(run) for run in runs]
     places = split(runs, workers.count())
@@ -278,6 +285,7 @@ def execute_by_parts(workers: Workers, task: TraceTask, runs: Sequence[Run], pro
                     progress(done, rays)
     except UnfinishedError as error:
         lost = error
+    # Results are assigned even where workers were lost, and then the error is raised
     for one, count in zip(merged, expected, strict=True):
         one.finish(task.ledger, len(one.parts) == count)
     if lost is not None:
@@ -285,7 +293,7 @@ def execute_by_parts(workers: Workers, task: TraceTask, runs: Sequence[Run], pro
 
 
 class MapPlace(NamedTuple):
-    """A part of a run for so many images: keys of paths, uint64, and where the light of each goes, uint32."""
+    """A part of a run whose images are requested: keys of paths, uint64, and the image word of each, uint32."""
 
     run: int
     part: Part
@@ -299,7 +307,7 @@ def images_by_parts(
     workers: Workers, task: TraceTask, runs: Sequence[Run], words: Sequence[Mapping[int, int]], count: int
 ) -> list[np.ndarray]:
     """
-    What `Run.images` gives for some runs of a trace, by workers.
+    Return the images of `Run.images` for some runs of a trace, by workers.
 
     Parameters
     ----------
@@ -307,11 +315,12 @@ def images_by_parts(
     task : TraceTask
     runs : sequence of Run
     words : sequence of mapping of int to int
-        For each run ledger slot → where its light goes; a run without is not traced.
+        For each run, ledger slot → word of the image that its light enters; runs without any are not traced.
     count : int
-        Of images.
+        Number of images.
     """
     totals = [np.zeros((count, *run.film.shape[1:])) for run in runs]
+    # Slots differ from process to process, so that paths are sent by their keys
     groups, capacities = {}, {}
     for number, (run, slots) in enumerate(zip(runs, words, strict=True)):
         assert run.paths is not None
@@ -331,14 +340,14 @@ def images_by_parts(
 
 
 def _traced(runs: Sequence[Run], workers: int) -> list[Place]:
-    """The parts of runs that have been traced."""
+    """Return the parts of runs that have been traced."""
     if all(run.parts is None for run in runs):
         return split(runs, workers)
     return [Place(k, part) for k, run in enumerate(runs) for part in run.parts or map(Part, range(run.passes))]
 
 
 def _images(run: Run, place: MapPlace) -> np.ndarray:
-    """Images of a part, at a worker: its ledger knows the paths that count before the rays come."""
+    """Return the images of a part, at a worker, whose ledger is filled with the paths before rays are traced."""
     before = run.ledger
     keys = np.frombuffer(place.keys, dtype=np.uint64)
     empty = np.zeros((len(keys), 0), dtype=np.uint32)

@@ -1,4 +1,4 @@
-"""What the kernel reads of a scene, to tell whether two processes, or two runs, trace the same."""
+"""Arrays that the kernel reads of a scene, by which two processes, or two runs, verify that they trace the same."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 from mistray.kernel.scattering import Scattering
 from mistray.surfaces.surfaces import SurfaceTable
 
-# Two machines may round the last digits of a table otherwise
+# Machines may differ in the last digits of a table
 TOLERANCE = 1e-5
 
 
 def kernel_arrays(table: SurfaceTable, scattering: Scattering) -> list[np.ndarray]:
-    """Geometry, coatings, media and scatter at one wavelength, as they are in device memory."""
+    """Return geometry, coatings, media and scatter at one wavelength, as they are in device memory."""
     optics = table.optics
     arrays = [table.quadric, table.vertex, table.polynomial, table.rotation, table.clip, optics.words]
     arrays += [optics.indices, optics.places, optics.table, optics.extinction, optics.albedo]
@@ -23,23 +23,25 @@ def kernel_arrays(table: SurfaceTable, scattering: Scattering) -> list[np.ndarra
 
 
 def fingerprint(bands: Iterable[tuple[SurfaceTable, Scattering]]) -> str:
-    """Hash of all that the kernel reads, of every wavelength."""
+    """Return the hash of all that the kernel reads, over all wavelengths."""
     digest = hashlib.sha256()
     for number, (table, scattering) in enumerate(bands):
         if number == 0:
             digest.update(repr(table.ids).encode())
         for values in kernel_arrays(table, scattering):
             digest.update(values.tobytes())
+        # Mitsuba's own shapes are not in these arrays
         digest.update(repr([str(shape) for shape in table.shapes[len(table.pieces) :]]).encode())
     return digest.hexdigest()
 
 
 def agree(here: Sequence[np.ndarray], there: Sequence[np.ndarray]) -> bool:
-    """Whether arrays of two machines are the same but for rounding."""
+    """Whether arrays of two machines are equal but for rounding."""
     return len(here) == len(there) and all(_agree(a, b) for a, b in zip(here, there, strict=True))
 
 
 def _agree(a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether two arrays are equal but for rounding; integers must be identical."""
     if a.shape != b.shape or a.dtype.kind != "f":
         return np.array_equal(a, b)
     largest = float(np.max(np.abs(a), initial=0, where=np.isfinite(a)))

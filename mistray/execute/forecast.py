@@ -1,4 +1,4 @@
-"""How long a trace will take, as far as its first launches tell, and what makes it long."""
+"""Forecast of the duration of a trace from its first launches, and of the setting that makes it long."""
 
 from __future__ import annotations
 
@@ -9,44 +9,44 @@ from mistray.errors import MistrayWarning
 from mistray.execute.tracer import Run
 from mistray.recorders.tallies import SEGMENTS
 
-LONG = 120.0  # s: who waits for longer shall know it
-FIRST_LOOK = 2.0  # s after the first launch of a run: the next ones are short, and take longer for a ray
-LARGE_TREE = 10_000  # ray segments of a start ray; a lens has some hundred
+LONG = 120.0  # s, beyond which a trace warns
+FIRST_LOOK = 2.0  # s after the first launch of a run: the launches right after it are short and take longer per ray
+LARGE_TREE = 10_000  # ray segments per start ray; a lens has some hundred
 
 
 class Forecast:
     """
-    Tells once of a trace that takes long.
+    A warning, issued once, about a trace that takes long.
 
     Parameters
     ----------
     rays : int
-        In all.
+        Number of rays in all.
     tells : bool
-        Whether it is to tell.
+        Whether to warn.
     """
 
     def __init__(self, rays: int, tells: bool = True) -> None:
         self._rays, self._tells = rays, tells
-        self._run: Run | None = None  # that is to be looked at
-        self._first = 0, 0.0  # rays when its first launch had ended, and when: compiled
+        self._run: Run | None = None  # run that is timed
+        self._first = 0, 0.0  # rays at the end of its first launch, which includes compilation, and that time
         self._due = False
 
     def look(self, run: Run, done: int) -> None:
         """
-        Tell, if it is time to.
+        Warn if the remaining time is long, as soon as it can be estimated.
 
         Parameters
         ----------
         run : Run
-            That is traced.
+            Run that is traced.
         done : int
-            Rays that are traced, those of other runs included.
+            Number of rays that are traced, those of other runs included.
 
         Warns
         -----
         MistrayWarning
-            If what is left takes longer than `LONG`.
+            If the remaining rays take longer than `LONG`.
         """
         now = time.perf_counter()
         if run is not self._run:
@@ -69,7 +69,7 @@ class Forecast:
 
 
 def _remedy(run: Run, segments: float) -> str:
-    """What to lower, with its value."""
+    """Return the setting to lower, with its value."""
     settings = run.settings
     if segments < LARGE_TREE:
         return f"lower rays ({run.rays:.3g})"
@@ -84,7 +84,7 @@ def _remedy(run: Run, segments: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time in words, "3 min" or "5.2 h"."""
+    """Return a duration in words, "3 min" or "5.2 h"."""
     for size, unit in ((86400.0, "days"), (3600.0, "h")):
         if seconds >= size:
             return f"{seconds / size:.2g} {unit}"

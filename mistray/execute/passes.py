@@ -1,4 +1,4 @@
-"""Passes of a task whose sums stay apart, done here or by workers: one place for time, progress and what is lost."""
+"""Passes of a task whose sums stay separate, done here or by workers, with time budget, progress and lost workers."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ def execute_passes(
     task: Task, passes: Mapping[Name, Pass], made: Any, what: str, done: Callable[[Pass, Any], None]
 ) -> dict[Name, Any]:
     """
-    Do the passes of a task, in their order here, or by workers if there are any.
+    Do the passes of a task, here in their order, or by workers if there are any.
 
     Parameters
     ----------
     task : Task
     passes : mapping
-        By names, under which their sums are returned. Here each has an equal share of the time that is left. Those for
-        which a time budget is too short are left out; the others are spread over all.
+        Passes by names, under which their sums are returned. Here each has an equal share of the remaining time. If a
+        time budget is too short for all, those that are done are spread over all.
     made : object
-        What `Task.make` gives, as it is here.
+        Result of `Task.make` in this process.
     what : str
-        What passes are, in the plural, for messages.
+        Plural noun for the passes, for messages.
     done : callable
         Called with each pass and its sums.
 
@@ -40,6 +40,7 @@ def execute_passes(
     workers = current_workers()
     if workers is not None:
         return passes_by_workers(workers, task, passes, what, done)
+    # With a time budget coarse steps over all passes come first, so that those that are done are spread evenly
     found: dict[Name, Any] = {}
     shares = Shares(len(passes))
     for name in coarse_first(list(passes)) if is_limited() else passes:
@@ -54,7 +55,7 @@ def execute_passes(
 def passes_by_workers(
     workers: Workers, task: Task, passes: Mapping[Name, Pass], what: str, done: Callable[[Pass, Any], None]
 ) -> dict[Name, Any]:
-    """Let workers do the passes of a task; see `execute_passes`. The sums come back in the order of the passes."""
+    """Let workers do the passes of a task, see `execute_passes`; return the sums in the order of the passes."""
     found: dict[Name, Any] = {}
     names = {one: name for name, one in passes.items()}
     try:
@@ -63,6 +64,7 @@ def passes_by_workers(
                 found[names[one]] = sums
                 done(one, sums)
     except UnfinishedError as error:
+        # The caller can continue with the finished passes
         error.partial = found
         error.args = (f"{error}; {len(found)} of {len(passes)} {what} are finished and kept",)
         raise

@@ -1,4 +1,10 @@
-"""What a detector sees: shares of surfaces, media and the sky in a trace from it against the light."""
+"""
+The view of a detector: shares of surfaces, media and the sky in a backward trace from it.
+
+By Kirchhoff's law the absorptance of a surface for backward rays is its emissivity for light to the detector. A surface
+of blackbody radiance L irradiates the detector with π L · emission, where emission is the mean of weight times
+absorptance over Lambertian rays.
+"""
 
 from __future__ import annotations
 
@@ -28,23 +34,25 @@ NO_DESIGN = (
 @dataclass(frozen=True, kw_only=True)
 class SeenSurface:
     """
-    What the detector sees of a surface.
+    A surface in the view of the detector.
 
     Attributes
     ----------
     id, part : str
     space : int
-        Optical space.
+        Number of the optical space.
     hits : int
+        Number of hits.
     share, share_se : float
-        Mean weight that meets the surface, of Lambertian rays from the detector. If the surface alone had the
-        radiance L, towards all sides, the irradiance on the detector would be π L · share (but for light that is
-        scattered at the surface itself).
+        Mean weight that meets the surface, of Lambertian rays from the detector, and its standard error. If the surface
+        alone had the radiance L, towards all sides, the irradiance on the detector would be π L · share. Light that is
+        scattered at the surface itself is not in it.
     emission, emission_se : float
-        The same times what the surface absorbs at each angle, 1 - R - T - scatter, which by Kirchhoff's law is its
-        emissivity: a surface with the blackbody radiance L gives the irradiance π L · emission.
+        Mean weight times the absorptance at each angle, 1 - R - T - scatter, and its standard error. By Kirchhoff's
+        law, the absorptance is the emissivity: a surface with the blackbody radiance L gives the irradiance
+        π L · emission.
     emission_by_batch : (BATCHES,) float64
-        Its estimates from single batches of rays.
+        Estimates of `emission` from single batches of rays.
     """
 
     id: str
@@ -61,22 +69,22 @@ class SeenSurface:
 @dataclass(frozen=True, kw_only=True)
 class Seen:
     """
-    What a detector sees, in a backward trace.
+    The view of a detector, from a backward trace.
 
     All shares are of Lambertian rays from the side of the detector that the light of the design comes to, times n² of
-    the medium there; emission, escaped and lost add up to n².
+    the medium there. Emission, escaped and lost add up to n².
 
     Attributes
     ----------
     rows : list of SeenSurface
-        All surfaces, in the order of the scene; the detector itself where it sees itself.
+        All surfaces, in the order of the scene; the detector itself if it sees itself.
     media : dict
         Material → (emission, standard error, by batch) of absorbing media.
     escaped : tuple
         Share of the rays that leave the scene, standard error, by batch.
     image : tuple or None
-        Share of the rays that leave by a sequence of the design, against the light of the image. None in a scene
-        without lenses and mirrors, and where no sequence leads to the detector.
+        Share of the rays that leave by a design sequence, which is where the light of the image comes from; standard
+        error, by batch. None in a scene without lenses and mirrors, and where no sequence leads to the detector.
     lost : tuple
         Share that limits and thresholds cut, standard error, by batch.
     detector : str
@@ -85,7 +93,7 @@ class Seen:
     rays : int
     seconds : float
     notes : list of Note
-        What was assumed of the media, see `BackwardTrace.notes`, and of the image.
+        Assumptions about the media, see `BackwardTrace.notes`, and about the image.
     """
 
     rows: list[SeenSurface]
@@ -109,30 +117,32 @@ def see(
     **settings: Any,
 ) -> Seen:
     """
-    Trace backwards and tell what the detector sees: surfaces, media, the sky.
+    Trace backward from a detector, and return its view of surfaces, media and the sky.
 
-    A time budget around it (`mistray.time_budget`) ends it with the rays that it has, but not before the first pass.
+    A time budget (`mistray.time_budget`) around the call ends it early, but not before the first pass is complete.
 
     Parameters
     ----------
     scene : mi.Scene
     rays : int
     wavelength_nm : float, optional
-        By default the first of the scene's source.
+        Wavelength; by default the first one of the scene's source.
     detector : str, optional
     **settings
-        Fields of `mistray.trace.Settings`; ``max_reflections=0, max_scatters=0`` or
-        ``ray_control="transmit_specular"`` for what is seen directly.
+        Fields of `mistray.trace.Settings`. ``max_reflections=0, max_scatters=0`` or ``ray_control="transmit_specular"``
+        leave what is seen directly.
 
     Raises
     ------
     MistrayError
         For bad settings, or a detector that cannot be found.
     """
+    # One cell of directions for the whole half space
     chosen = Settings.without_sources(scene, rays=rays, **settings)
     wavelength = float(spectrum_of(scene, wavelength_nm, None)[0][0])
     whole = DirectionGrid.of([45.0], cell_deg=90.0, rotation=field_axes(scene))
     trace = BackwardTrace(scene, whole, chosen, wavelength, detector=detector, both_sides=False)
+    # Trace; with a time budget in small passes at first
     done = 0
     while done < chosen.rays and not (done and time_is_up()):
         here = min(trace.next_pass if is_limited() else PASS_LANES, chosen.rays - done)
@@ -147,6 +157,7 @@ def see(
             by_batch / started,
         )
 
+    # Surfaces: the weight that meets them, and the weight that they absorb
     rows = []
     for i in trace.table.listed:
         sums = trace.sums["surfaces"][i]
@@ -166,13 +177,16 @@ def see(
                 emission_by_batch=emission_by_batch,
             )
         )
+    # Absorbing media; the first entry is the unknown one
     media = {
         name: estimate(row)
         for name, row in zip(trace.table.optics.media[1:], trace.sums["media"][1:], strict=True)
         if row.any()
     }
+    # The image, if there are design sequences to this detector
     detector_id = trace.table.ids[trace.table.detector]
     optics, designed = has_optics(trace.table), bool(trace.design.lists.get(trace.table.detector))
+    # Without any, all light that is neither scattered nor a ghost counts as the image, which a note says
     notes = (
         trace.notes if designed or not optics else [*trace.notes, Note(NO_DESIGN.format(detector_id), Code.DESIGN_PATH)]
     )

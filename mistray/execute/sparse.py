@@ -1,4 +1,4 @@
-"""Arrays of mostly zeros, as they are sent."""
+"""Sparse arrays, as they are sent between processes."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 @dataclass(frozen=True)
 class Packed:
     """
-    An array of float64.
+    An array of float64, dense or without its zeros.
 
     Attributes
     ----------
     values : (n,) float64
     where : (n,) uint64 or None
-        Places of the values in the flat array, zeros are left out; None: there are all.
+        Indices of the values in the flat array, of which the zeros are left out; None: all values are there.
     """
 
     values: np.ndarray
@@ -32,8 +32,9 @@ class Packed:
 
 
 def pack(array: np.ndarray) -> Packed:
-    """An array without its zeros where that is shorter."""
+    """Return an array without its zeros if that is shorter."""
     flat = np.ascontiguousarray(array, dtype=np.float64).reshape(-1)
+    # An index takes as many bytes as a value
     where = np.flatnonzero(flat)
     if 2 * len(where) >= len(flat):
         return Packed(flat)

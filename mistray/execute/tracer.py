@@ -1,4 +1,4 @@
-"""Runs the kernel: passes of bounded size, ledgers that grow when full, one run for each source and wavelength."""
+"""Forward traces: one run for each source and wavelength, passes of bounded size, ledgers that grow when full."""
 
 from __future__ import annotations
 
@@ -39,20 +39,20 @@ from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 from mistray.time_budget import time_is_up
 
-PASS_LANES = 1 << 20
-FIRST_CAPACITY, FIRST_CAPACITY_OF_SCATTER = 1 << 12, 1 << 15  # slots: paths multiply where surfaces scatter
-RECORD_CAPACITY = 1 << 12
-LAST_CAPACITY = 1 << 20
-MOST_PATHS_KEPT = 10_000  # at an interrupt: a table of more takes longer than a second
+PASS_LANES = 1 << 20  # start rays of a pass, by which its memory is bounded
+FIRST_CAPACITY, FIRST_CAPACITY_OF_SCATTER = 1 << 12, 1 << 15  # slots: there are more paths where surfaces scatter
+RECORD_CAPACITY = 1 << 12  # branches that a recorder holds at least
+LAST_CAPACITY = 1 << 20  # slots of the largest ledger
+MOST_PATHS_KEPT = 10_000  # at an interrupt: decoding more paths takes longer than a second
 
 Progress = Callable[[int, int], None]
 
 
 class Part(NamedTuple):
     """
-    The start rays of a pass that are of the batches low ≤ batch < high: each batch is a sample of the whole beam.
+    The start rays of a pass in the batches low ≤ batch < high; each batch is a sample of the whole beam.
 
-    Of a part that was not finished only so many `rays`, the first in the order of `mistray.kernel.launches.Spread`.
+    A part that was not finished has the first `rays` of them only, in the order of `mistray.kernel.launches.Spread`.
     """
 
     number: int
@@ -64,34 +64,35 @@ class Part(NamedTuple):
 @dataclass(kw_only=True)
 class Run:
     """
-    One source at one wavelength: what the kernel needs, and what it found.
+    One source at one wavelength: the input of the kernel and its results.
 
     Attributes
     ----------
     source : Source
     table : SurfaceTable
     rays : int
-        Start rays.
+        Number of start rays.
     unit : float
         Flux of a start ray, W.
     surfaces : (s + m, SURFACE_SUMS, BATCHES) float64
-        Hits, incident and absorbed flux of every surface, in `unit`; rays that it aims, and those that land. The last
-        two also of media, which come behind.
+        Hits, incident and absorbed flux of every surface, in `unit`; rays that it aims, and those of them that land.
+        Rows of media follow; they have the last two only.
     largest : float
         Largest flux of a scattered ray at the detector, in `unit`.
     media : (m, BATCHES) float64
         Flux that each medium absorbs, in `unit`.
     channels : (CHANNEL_COUNT, BATCHES) float64
+        Sums of the energy ledger, see `mistray.recorders.tallies`.
     films : tuple of (images, height, width) float64
         Detected flux on each detector, in `unit`; see `mistray.recorders.film.Film`.
     paths : DecodedPaths or None
     design : DesignSequences
-        The sequences of the direct image.
+        Event sequences of the direct image.
     ledger : Ledger or None
     seconds : float
-        Time in the kernel, compilation included.
+        Time in the kernel, compilation included, s.
     parts : tuple of Part or None
-        What is traced; None: all passes.
+        Parts that are traced; None: all passes.
     """
 
     source: Source
@@ -114,7 +115,7 @@ class Run:
     parts: tuple[Part, ...] | None = None
 
     def make_film(self, detector: int | None = None) -> Film:
-        """The pixel grid of a detector (the only one) for the kernel."""
+        """Return the pixel grid of a detector, by default the only one, for the kernel."""
         detector = self.table.detector if detector is None else detector
         width, height, (x0, x1, y0, y1) = self.table.film(detector)
         return Film(
@@ -130,21 +131,22 @@ class Run:
 
     @property
     def light(self) -> Pixels:
-        """The image on the only detector, in `unit`."""
+        """Image on the only detector, in `unit`."""
         return Pixels.of_film(self.film, self.started)
 
     def make_films(self) -> list[Film]:
-        """The pixel grids of all detectors."""
+        """Return the pixel grids of all detectors."""
         detectors = self.table.detectors
         return [self.make_film()] if len(detectors) == 1 else [self.make_film(detector) for detector in detectors]
 
     @property
     def film(self) -> np.ndarray:
-        """Of `films` that of the only detector."""
+        """Film of the only detector, one of `films`."""
         return self.films[self.table.detectors.index(self.table.detector)]
 
     def on(self, detector: int, table: SurfaceTable) -> Run:
-        """What it found on one of its detectors, with a table that knows this one alone; its rays stay the same."""
+        """Return the results on one of its detectors, with a table that has this one alone; the rays are the same."""
+        # Paths end with the event of their detector
         paths = self.paths
         if paths is not None:
             last = paths.events[np.arange(len(paths.keys)), paths.lengths - 1] >> EVENT_BITS
@@ -159,37 +161,39 @@ class Run:
 
     @property
     def is_sample(self) -> bool:
-        """Whether what is traced stands for the whole beam: any part does, but for the rows of a grid in one pass."""
+        """Whether the traced parts are a sample of the whole beam; single passes of a grid of rays are not."""
         whole_rows = self.source.pattern != "grid" or self.passes == 1
         return self.parts is None or (bool(self.parts) and whole_rows)
 
     def start_pass(self, number: int) -> StartRays:
-        """The start rays of one pass."""
+        """Return the start rays of one pass."""
+        # Lanes and batches
         done = number * PASS_LANES
         lanes = min(PASS_LANES, self.rays - done)
         index = dr.arange(mi.UInt32, lanes)
         lane = index + dr.opaque(mi.UInt32, done)
         rng, scrambled = generators(self.seed, lane)
-        # Random batches of a grid: its rows are no sample of it
+        # Batches of a grid are random, because blocks of its rows would be no samples of it
         blocks = mi.UInt32(mi.Float64(index) * (BATCHES / lanes))
         batch = scrambled % BATCHES if self.source.pattern == "grid" else blocks
         dr.eval(lane, batch, rng)
+        # Rays of the source
         o, d, w, stokes = self.source.start(lane, batch, self.rays, rng, self.table.centre)
         dr.eval(o, d, w, stokes, rng)
-        # A weight of 1 stays a constant, and so does the kernel
+        # A weight of 1 stays a literal, so that all such sources share one kernel
         start = StartRays(lane, batch, rng, o, d, dr.full(mi.Float, 1, lanes) if w is None else w, scale=w)
         if self.settings.stokes and self.source.polarized:
             start.stokes = self.source.stokes_along(d) if stokes is None else stokes
             dr.eval(start.stokes)
         if self.source.shape:
             start.left = dr.full(mi.UInt32, self.table.ids.index(self.source.shape), lanes)
-            start.normal = mi.Vector3f(d)  # stock shapes: which side the rays leave to
+            start.normal = mi.Vector3f(d)  # for Mitsuba's own shapes: the side that the rays leave to
         if self.source.medium:
             start.medium = dr.full(mi.UInt32, self.source.medium, lanes)
         return start
 
     def starts(self) -> Iterator[tuple[Part, StartRays]]:
-        """The start rays of all parts."""
+        """Yield each part with its start rays."""
         for part in self.parts if self.parts is not None else map(Part, range(self.passes)):
             start = self.start_pass(part.number)
             if (part.low, part.high) != (0, BATCHES):
@@ -201,11 +205,11 @@ class Run:
             yield part, start
 
     def _order(self, part: Part) -> int:
-        """Seed of the order in which the rays of a part are traced."""
+        """Return the seed of the order in which the rays of a part are traced."""
         return (self.seed << 32) | part.number
 
     def start_rays(self, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Origins (mm) and directions of start rays by their numbers, (n, 3) float64 each."""
+        """Return origins (mm) and directions of start rays by their numbers, (n, 3) float64 each."""
         origins, directions = np.zeros((len(lanes), 3)), np.zeros((len(lanes), 3))
         for number in np.unique(lanes // PASS_LANES):
             here = lanes // PASS_LANES == number
@@ -214,16 +218,16 @@ class Run:
         return origins, directions
 
     def exact(self, start: StartRays) -> tuple[np.ndarray, np.ndarray]:
-        """Origins (mm) and directions of start rays in the world, without rounding of the device; (n, 3) float64."""
+        """Return origins (mm) and directions in the world without rounding of the device, (n, 3) float64 each."""
         return self.source.exact(self.table.download_points(start.o), np.array(start.d, dtype=np.float64).T)
 
     def make_tallies(self) -> Tallies:
-        """Sums at zero."""
+        """Return sums at zero."""
         return Tallies(self.table.count, len(self.table.optics.media))
 
     @property
     def scene(self) -> KernelScene:
-        """What the kernel traces."""
+        """Scene of the kernel."""
         return KernelScene(self.table, self.scattering, self.intersector)
 
     def launch(
@@ -233,12 +237,12 @@ class Run:
         stop: Callable[[], bool] | None = None,
     ) -> tuple[Part, ...] | None:
         """
-        Run the passes one after the other, until `stop`, which is asked after each launch, says so.
+        Run the passes one after the other until `stop`, which is called after each launch, returns True.
 
         Returns
         -------
         tuple of Part or None
-            What was traced, if that is not all.
+            Parts that were traced; None: all of them.
         """
         before, finished = 0, []
         for part, start in self.starts():
@@ -259,7 +263,7 @@ class Run:
             pass
 
     def trace_launches(self, start: StartRays, order: int, *recorders: Recorder | None) -> Iterator[int]:
-        """The same launch by launch; gives the number of rays after each, the first of `Spread` with that seed."""
+        """Trace trees launch by launch; yield the number of rays so far, in the order of `Spread` with that seed."""
         launches = launches_of(self.table, self.settings, Recorders(recorders).code)
 
         def trace(part: StartRays) -> None:
@@ -275,18 +279,20 @@ class Run:
         recorders: Sequence[Recorder] = (),
     ) -> None:
         """
-        Trace everything and read the sums back; a ledger that fills up is made larger and the trace starts again.
+        Trace everything and read the sums back; if a ledger is full, start again with a larger one.
 
-        What is traced when `stop`, which is asked after each launch, says so, or the time is up, is all then: it stands
-        in `parts`. Other recorders come after the ledger. At an interrupt a table of more than `MOST_PATHS_KEPT` paths
-        is not read.
+        The trace ends early when `stop`, which is called after each launch, returns True, or when the time is up. Then
+        `parts` holds the parts that were traced. Other recorders come after the ledger. At an interrupt a table of more
+        than `MOST_PATHS_KEPT` paths is not read.
         """
+        # Capacity of the ledger
         started = time.perf_counter()
         films = self.make_films()
         several = len(films) > 1
         capacity = FIRST_CAPACITY_OF_SCATTER if self.scattering.any and self.settings.max_scatters else FIRST_CAPACITY
-        if self.ledger is not None:  # executed before: the table had to grow so far
+        if self.ledger is not None:  # executed before: start with the capacity that sufficed
             capacity = self.ledger.capacity
+        # Trace, with eight times the capacity whenever the ledger is full
         while True:
             tallies = self.make_tallies()
             images = [
@@ -315,6 +321,7 @@ class Run:
                     f"max_scatters ({self.settings.max_scatters}), or set ledger=False"
                 )
             capacity = min(8 * capacity, LAST_CAPACITY)
+        # Read the sums back
         self.seconds = time.perf_counter() - started
         self.surfaces = np.array(tallies.surfaces).reshape(-1, SURFACE_SUMS, BATCHES)
         self.largest = float(np.array(tallies.largest).view(np.float32)[0])
@@ -331,7 +338,7 @@ class Run:
         others.collect(self.unit)
 
     def stand_for(self, parts: Sequence[Part]) -> None:
-        """Let what was found in some parts stand for all light of the source."""
+        """Scale the results of some parts to all light of the source."""
         self.parts = tuple(parts)
         self.unit = self.source.power / max(float(self.started.sum()), 1.0)
 
@@ -341,17 +348,17 @@ class Run:
         return self.channels[STARTED]
 
     def ledger_full(self) -> bool:
-        """Whether there is a ledger that needs more room."""
+        """Whether there is a ledger and it is full."""
         return self.ledger is not None and self.ledger.full
 
     def images(self, word_of_slot: Mapping[int, int], count: int) -> np.ndarray:
         """
-        Images of the light of some paths on the detector, by tracing the same rays again.
+        Return images of the light of some paths on the detector, by tracing the same rays again.
 
         Parameters
         ----------
         word_of_slot : mapping
-            Ledger slot → where its light goes, see `mistray.recorders.film.image_word`.
+            Ledger slot → word of the image that its light enters, see `mistray.recorders.film.image_word`.
         count : int
             Number of images.
 
@@ -365,6 +372,7 @@ class Run:
         words = np.zeros(self.ledger.capacity, dtype=np.uint32)
         words[list(word_of_slot)] = list(word_of_slot.values())
         film.image_of_slot = upload(mi.UInt32, words)
+        # The ledger holds every path already, and finds the slot of each hit
         images = Images(film, count)
         self.launch(self.ledger, images)
         return np.asarray(images.sums.numpy()).reshape(count, film.height, film.width)
@@ -377,17 +385,18 @@ class Run:
 
     def adjoint(self, pixel: np.ndarray | None, paths: PathDerivative | None, rows: int) -> Adjoint:
         """
-        Derivative of a metric for a trace.
+        Return the recorder of an adjoint trace, with the derivatives of a metric.
 
         Parameters
         ----------
         pixel : (maps, height, width) or None
-            By the flux in each pixel, in units of a start ray.
+            Derivative by the flux in each pixel, in units of a start ray.
         paths : PathDerivative or None
-            By the flux of each path; needs the ledger.
+            Derivative by the flux of each path; needs the ledger.
         rows : int
             See `Adjoint`.
         """
+        # Tables by ledger slot; number 0 is no path
         by_path = number = None
         if paths is not None:
             assert self.ledger is not None
@@ -402,31 +411,31 @@ class Run:
 
     def derivatives(self, pixel: np.ndarray | None, paths: PathDerivative | None) -> np.ndarray:
         """
-        Derivatives of a metric by the rows of the tables of R and T, by tracing the same rays in reverse.
+        Return derivatives of a metric by the rows of the tables of R and T, by an adjoint trace of the same rays.
 
         Parameters
         ----------
         pixel, paths
-            As for `adjoint`.
+            See `adjoint`.
 
         Returns
         -------
         (BATCHES, rows, CHANNELS) float64
-            By batch of start rays; see `mistray.recorders.adjoint`.
+            Derivatives by batch of start rays; see `mistray.recorders.adjoint`.
         """
         adjoint = self.adjoint(pixel, paths, self.table.optics.rows)
         self.launch(adjoint)
         return np.array(adjoint.sums).reshape(BATCHES, -1, CHANNELS)
 
     def paths_in_box(self, box: Sequence[float]) -> DecodedPaths:
-        """The ledger of the same rays, of the hits within x0 ≤ x ≤ x1, y0 ≤ y ≤ y1 only; mm."""
+        """Return the paths of the same rays, with their hits within x0 ≤ x ≤ x1, y0 ≤ y ≤ y1 (mm) only."""
         assert self.ledger is not None
         self.ledger.clear_sums()
         self.launch(Box(box), self.ledger)
         return self.ledger.decode()
 
     def recorder(self, capacity: int, slots: np.ndarray | None = None) -> BranchRecorder:
-        """For so many branches, of the paths in these slots of the ledger; None: of any path."""
+        """Return a recorder of at most `capacity` branches, of paths in these slots of the ledger; None: any path."""
         choice = None
         if slots is not None:
             assert self.ledger is not None
@@ -436,7 +445,7 @@ class Run:
         return BranchRecorder(capacity, self.settings.max_events, choice=choice)
 
     def peak_W(self) -> float:
-        """Flux of the strongest ray that meets the detector, by tracing all rays again; W."""
+        """Return the flux of the strongest ray that meets the detector, W, by tracing all rays again."""
         recorder = self.recorder(RECORD_CAPACITY, np.zeros(0, dtype=np.int64))
         for _, start in self.starts():
             self.trace_trees(start, recorder)
@@ -444,10 +453,10 @@ class Run:
 
     def record(self, slots: np.ndarray | None, count: int) -> BranchRecorder:
         """
-        Branches that end in the detector, node by node, of the paths in these slots of the ledger (None: of any path).
+        Record branches that end in the detector, node by node, of paths in these slots of the ledger (None: any path).
 
-        Start rays are traced until there are at least `count` branches or no more rays: first one batch, which is a
-        sample of the whole beam, then the others of the first pass, then the other passes.
+        Start rays are traced until there are at least `count` branches or no more rays. One batch is first, which is a
+        sample of the whole beam; then the others of the first pass follow, then the other passes.
         """
         recorder = self.recorder(max(count, RECORD_CAPACITY), slots)
         for part, start in self.starts():
@@ -456,7 +465,7 @@ class Run:
                 np.flatnonzero((host_batch >= low) & (host_batch < high))
                 for low, high in (((0, 1), (1, 4), (4, BATCHES)) if part.number == 0 else ((0, BATCHES),))
             ]
-            # The recorder keeps what comes first: of a large batch, rays that are spread over it
+            # The recorder keeps the first branches, so that rays spread over a large batch precede its others
             spread = slice(None, None, -(-len(groups[0]) // RECORD_CAPACITY) or 1)
             for lanes in (groups[0][spread], np.delete(groups[0], spread), *groups[1:]):
                 if len(lanes):
@@ -475,12 +484,13 @@ def prepare(
     weights: Sequence[float] | None = None,
     detector: str | Sequence[str] | None = None,
 ) -> list[Run]:
-    """Build one `Run` for each source and wavelength; the rays are shared half by flux, half equally."""
+    """Build one `Run` for each source and wavelength; half of the rays are divided by flux, half equally."""
     return runs_of(scene, settings, scene_sources(scene, field_deg, azimuth_deg, wavelength_nm, weights), detector)
 
 
 def _ray_shares(sources: Sequence[SceneSource]) -> list[float]:
-    """Shares of the rays: half by flux, which may say little about what matters of it, half equal for all names."""
+    """Return shares of the rays, half in proportion to flux, half equal for all names."""
+    # The flux of a source says little about its stray light: none of them may be left with too few rays
     total = sum(source.power for source in sources)
     own: dict[str, float] = {}
     for source in sources:
@@ -495,36 +505,40 @@ def runs_of(
     detector: str | Sequence[str] | None = None,
 ) -> list[Run]:
     """
-    Build one `Run` for each of some sources; the rays are shared half by flux, half equally.
+    Build one `Run` for each of some sources; half of the rays are divided by flux, half equally.
 
     Raises
     ------
     MistrayError
-        If a source is polarised and the settings forget it.
+        If a source is polarised and the settings ignore polarisation.
     """
     if not settings.stokes and (polarized := [source.name for source in sources if source.polarized]):
         raise MistrayError(
             f"source '{polarized[0]}' is polarised, and polarization is '{settings.polarization}', which would forget "
             "it; leave polarization out, or give 'stokes'"
         )
+    # Surfaces, and the importance targets of their scattered rays
     aims, shares = any(source.aims for source in sources), _ray_shares(sources)
     first = traced_table(scene, sources[0].wavelength_nm, detector, settings.stokes)
     intersector = Intersector(first)
     targets = importance_targets(first, scene, settings)
+    # Aim the sources at the first aperture
     if settings.aim == "none":
         sources = [source.unaimed() for source in sources]
     elif aims and (aperture := first_aperture(first, scene)):
-        # Wavelengths of a source go the same way
+        # All wavelengths of a source light the same part of it
         lit = {source.name: footprint(first, source, aperture) for source in sources if source.aims}
         sources = [source.aimed_at(aperture, lit.get(source.name)) for source in sources]
     for source in sources if aims else ():
         check_place(first, source)
+    # Tables of each wavelength
     tables = {first.wavelength_nm: (first, Scattering(ScatterTables(first, targets)))}
     for wavelength in dict.fromkeys(source.wavelength_nm for source in sources):
         if wavelength not in tables:
             other = first.at(wavelength)
             tables[wavelength] = other, Scattering(ScatterTables(other, targets))
     design = design_sequences(scene, *(table for table, _ in tables.values()))
+    # Runs, with a stream of random numbers each
     runs = []
     for number, source in enumerate(sources):
         count = source.count(max(1, round(settings.rays * shares[number])))
@@ -549,13 +563,13 @@ def runs_of(
 
 def irradiance_of_runs(runs: Sequence[Run], films: Sequence[np.ndarray]) -> Pixels:
     """
-    Irradiance of the images of some runs on the same detector, W/mm².
+    Return the irradiance of the images of some runs on the same detector, W/mm².
 
     Parameters
     ----------
     runs : sequence of Run
     films : sequence of (images, height, width) float64
-        Of each run, in its own unit.
+        Images of each run, in its own unit.
     """
     pixel = runs[0].pixel_area
     first, *others = (

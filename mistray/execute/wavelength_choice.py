@@ -1,4 +1,4 @@
-"""Which of many wavelengths are traced, where a time budget is too short for all of them."""
+"""Choice of the wavelengths that are traced where a time budget is too short for all of them."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from mistray.sampling.sources import source_emitters, spectrum_of
 from mistray.time_budget import coarse_first, is_limited, left, not_traced
 
 FEWEST = 3  # wavelengths, however short the time is
-PART = 0.35  # of the time that is left, for what wavelengths take whatever their rays
-TIMED_RAYS = 1000
+PART = 0.35  # share of the remaining time for the overhead of wavelengths, which does not depend on their rays
+TIMED_RAYS = 1000  # rays of a trace by which the overhead is measured
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,9 @@ class WavelengthChoice:
     Attributes
     ----------
     wavelengths_nm, weights : tuple of float
-        The weight of each is its own and that of those left out to which it is the nearest.
+        Traced wavelengths and their weights; each includes the weights of the omitted wavelengths nearest to it.
     left_out_nm : tuple of float
+        Omitted wavelengths.
     """
 
     wavelengths_nm: tuple[float, ...]
@@ -36,7 +37,8 @@ class WavelengthChoice:
 
     @classmethod
     def of(cls, wavelengths_nm: Sequence[float], weights: Sequence[float], most: int) -> WavelengthChoice:
-        """At most so many, two at least, spread over all with both ends."""
+        """Return a choice of at most `most` wavelengths, two at least, spread over all and with both ends."""
+        # Coarse steps first, which keeps both ends
         nm, shares = np.asarray(wavelengths_nm, dtype=float), np.asarray(weights, dtype=float)
         kept = np.sort(coarse_first(np.argsort(nm, kind="stable").tolist())[: max(most, 2)])
         nearest = np.abs(nm[:, None] - nm[kept]).argmin(axis=1)
@@ -46,16 +48,16 @@ class WavelengthChoice:
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """What `mistray.trace` is given of them."""
+        """Arguments of `mistray.trace` for them."""
         return {"wavelength_nm": self.wavelengths_nm, "weights": self.weights}
 
     @property
     def facts(self) -> dict[str, Any]:
-        """For the settings of a result."""
+        """Entries for the settings of a result."""
         return {"not_traced_nm": list(self.left_out_nm)} if self.left_out_nm else {}
 
     def notes(self, instead: str = "their light is traced at the nearest") -> list[Note]:
-        """One sentence that ends with what the result has instead of them, or none."""
+        """Return one note, which ends with what the result has instead of the omitted wavelengths, or none."""
         if not self.left_out_nm:
             return []
         names = [f"{nm:g}" for nm in sorted(self.left_out_nm)]
@@ -65,20 +67,21 @@ class WavelengthChoice:
 
 def in_time(wavelengths: Sequence[float], timed: Callable[[float], Any], traces: int = 1) -> int:
     """
-    How many of some wavelengths a time budget allows; all without one.
+    Return the number of wavelengths that a time budget allows; without a budget, of all.
 
-    What a wavelength takes whatever its rays is measured by two traces of few rays, of which the first compiles.
+    The overhead of a wavelength is measured by two traces of few rays, of which the first compiles the kernel.
 
     Parameters
     ----------
     wavelengths : sequence of float
     timed : callable
-        Called with one of them: traces what is timed, with `TIMED_RAYS`.
+        Called with one of them; runs the trace that is timed, with `TIMED_RAYS`.
     traces : int
-        Traces that are made at each of them.
+        Number of traces at each of them.
     """
     if not is_limited() or len(wavelengths) <= FEWEST:
         return len(wavelengths)
+    # The second trace is the measurement
     seconds = 0.0
     for one in (wavelengths[len(wavelengths) // 2], wavelengths[0]):
         began = time.perf_counter()
@@ -88,7 +91,7 @@ def in_time(wavelengths: Sequence[float], timed: Callable[[float], Any], traces:
 
 
 def lines_of(scene: Any, wavelength_nm: Any, weights: Any) -> tuple[list[float], list[float]] | None:
-    """Wavelengths and weights that a scene is traced at; None where its sources have wavelengths of their own."""
+    """Return the wavelengths and weights of a trace; None if sources have different wavelengths of their own."""
     own = {(tuple(emitter.wavelengths_nm), tuple(emitter.weights)) for emitter in source_emitters(scene)}
     if wavelength_nm is None and weights is None and len(own) != 1:
         return None
@@ -100,22 +103,22 @@ def chosen_wavelengths(
     scene: Any, beam: Mapping[str, Any], timed: Callable[..., Any], traces: int = 1
 ) -> WavelengthChoice | None:
     """
-    The wavelengths of a trace, where there is no time for all of them.
+    Return the wavelengths of a trace if there is no time for all of them.
 
     Parameters
     ----------
     scene : mi.Scene
     beam : mapping
-        What `mistray.trace` is given of the light; ``wavelength_nm`` and ``weights`` are read.
+        Arguments of `mistray.trace` for the light, of which ``wavelength_nm`` and ``weights`` are read.
     timed : callable
-        Called with ``wavelength_nm``, ``weights`` and ``rays``: traces what is timed.
+        Called with ``wavelength_nm``, ``weights`` and ``rays``; runs the trace that is timed.
     traces : int
-        Traces that are made of all these wavelengths.
+        Number of traces at all these wavelengths.
 
     Returns
     -------
     WavelengthChoice or None
-        None where all are traced.
+        None if all are traced.
     """
     lines = lines_of(scene, beam.get("wavelength_nm"), beam.get("weights")) if is_limited() else None
     if lines is None:

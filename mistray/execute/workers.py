@@ -1,7 +1,8 @@
-"""Other processes that can do parts of a piece of work; `mistray.cluster` has those of a cluster.
+"""
+Interface of processes that do parts of a task; `mistray.cluster` has those of a cluster.
 
-Whoever has work that falls into parts asks `current_workers` and hands a `Task` over. A part is done the same whoever
-does it, and its result is taken once, so that the number of workers, and workers that die, do not change a number.
+Code whose work has independent parts asks `current_workers` and hands over a `Task`. The result of a part does not
+depend on the worker and is used once, so that neither the number of workers nor their failures change a number.
 """
 
 from __future__ import annotations
@@ -15,13 +16,13 @@ from mistray.errors import MistrayError
 
 
 class Task(Protocol):
-    """Work that falls into parts; what it holds can be pickled, or is a scene from `mistray.load`: that travels too."""
+    """Work with independent parts; its attributes can be pickled, or are scenes from `mistray.load`, which are sent."""
 
     def make(self) -> Any:
-        """What all parts need; made once by each worker."""
+        """Return the state that all parts need; each worker calls this once."""
 
     def do(self, made: Any, part: Any) -> Any:
-        """The result of one part, picklable."""
+        """Return the result of one part, which can be pickled."""
 
 
 class Job(Protocol):
@@ -31,44 +32,45 @@ class Job(Protocol):
         """Hand over one more part, hashable."""
 
     def result(self, part: Any) -> Any:
-        """Wait for a part that has been handed over, and take its result; it is forgotten here then."""
+        """Wait for a part that has been handed over, and return its result, which is not kept."""
 
     def results(self) -> Iterator[tuple[Any, Any]]:
-        """All parts that have been handed over with their results, as they come."""
+        """Yield all parts that have been handed over with their results, as they come."""
 
 
 class Workers(Protocol):
     """
     Processes that do parts of tasks.
 
-    All of it raises `mistray.errors.UnfinishedError` when there is nobody left to do the work, and the `MistrayError`
-    of a part that fails.
+    All methods raise `mistray.errors.UnfinishedError` when no worker is left, and the `MistrayError` of a part that
+    fails.
     """
 
     def count(self) -> int:
-        """How many there are now, at least 1."""
+        """Return the present number of workers, at least 1."""
 
     def job(self, task: Task) -> contextlib.AbstractContextManager[Job]:
-        """Begin a task; parts that are not done at the end of the block are called off."""
+        """Begin a task; parts that are not done at the end of the block are cancelled."""
 
 
+# A context variable, so that threads and nested blocks have workers of their own
 _current: ContextVar[Workers | None] = ContextVar("workers", default=None)
 
 
 def current_workers() -> Workers | None:
-    """The workers of the block that we are in, None outside of one."""
+    """Return the workers of the enclosing block; None outside of one."""
     return _current.get()
 
 
 def refuse_workers_in_time() -> None:
-    """Refuse a time budget where workers trace, before anything is timed."""
+    """Raise an error if a time budget is given and workers trace, before anything is timed."""
     if current_workers() is not None:
         raise MistrayError("seconds is given and workers trace, whose parts are not timed; leave out one of the two")
 
 
 @contextlib.contextmanager
 def working_with(workers: Workers) -> Iterator[None]:
-    """Let traces and the like of the block go through workers."""
+    """Let workers do the traces and other tasks of the block."""
     before = _current.set(workers)
     try:
         yield
@@ -78,8 +80,9 @@ def working_with(workers: Workers) -> Iterator[None]:
 
 @contextlib.contextmanager
 def do_parts(workers: Workers, task: Task, parts: Sequence[Any]) -> Iterator[Iterator[tuple[Any, Any]]]:
-    """All parts of a task with their results, as they come; at the end of the block the others are called off."""
+    """Hand over a task; the block gets its parts and their results as they come. Its end cancels the other parts."""
     with workers.job(task) as job:
+        # All at once, so that no worker is idle while results are read
         for part in parts:
             job.submit(part)
         yield job.results()

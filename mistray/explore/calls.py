@@ -1,4 +1,4 @@
-"""What a page may ask of an explorer, by name: the one list that the local page and the widget share."""
+"""Calls that a page may make to an explorer, by name: the one list that the local page and the widget share."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can be turned in the live explorer: coatings of parts, numbers of the scene, field and wavelength."""
+"""Controls of the live explorer: coatings of parts, numbers of the scene, field and wavelength."""
 
 from __future__ import annotations
 
@@ -209,7 +209,7 @@ def _coatings(path: Path, scene: Any) -> list[Control]:
 
 
 def _choices(bodies: Iterable[str], light: Sequence[float]) -> tuple[str, ...]:
-    """What a part of some materials can be coated with: presets near the light that suit them all."""
+    """Return the coatings for a part of some materials: presets near the light that suit them all."""
     found = [AS_IT_IS, BARE]
     for name, design in PRESETS.items():
         middle = (min(light) + max(light)) / 2 if light else design.design_nm

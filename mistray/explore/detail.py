@@ -31,7 +31,7 @@ def path_detail(
     digits: int,
 ) -> dict[str, Any]:
     """
-    What a page shows of a way.
+    Return the details of a way that a page shows.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def path_detail(
     state : mapping
         Values of all controls.
     events : str
-        Of the way.
+        Events of the way.
     digits : int
         Decimals of coordinates.
 

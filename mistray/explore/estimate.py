@@ -1,4 +1,4 @@
-"""What a trace says of another state of the controls: every way of the light times what has changed along it."""
+"""Estimate of another state of the controls by a trace: every way of the light times what has changed along it."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ def at_field(
 
 
 def _beyond(near: Guess, note: str) -> Guess:
-    """What is known of a field beyond all that are traced: the order of magnitude, perhaps."""
+    """Return the estimate of a field beyond all that are traced: the order of magnitude, perhaps."""
     whole: dict[str, Any] = {
         name: Estimate(*[getattr(near, name).value] * 2) for name in ("stray_W", "direct_W", "ratio")
     }
@@ -183,7 +183,7 @@ def _ray_factors(of: Traced, looks: Looks, state: Mapping[str, VALUES], moved: l
 
 
 def _quotient(was: Floats, becomes: Floats) -> Floats:
-    """Of two factors; 1 where there was nothing: float32 and float64 differ at the critical angle."""
+    """Return the ratio of two factors; 1 where there was nothing: float32 and float64 differ at the critical angle."""
     return np.where(was > 0, becomes / np.where(was > 0, was, 1.0), 1.0)
 
 
@@ -220,7 +220,7 @@ def _in_proportion(traced: Estimate, value: float) -> Estimate:
 
 
 def _left_out(of: Traced, moved: list[Control]) -> list[str]:
-    """What an estimate does not know, in words."""
+    """Describe what an estimate does not know."""
     found = []
     for c in moved:
         if c.kind == WAVELENGTH:

@@ -144,7 +144,7 @@ class Explorer:
     # -- what answers at once --------------------------------------------------------------------------------------
 
     def page(self) -> dict[str, Any]:
-        """What a page needs once: title, controls, the section of the system."""
+        """Return the data that a page needs once: title, controls, the section of the system."""
         name = self.path.parent.name if self.path.name == "scene.xml" else self.path.stem
         return {
             "title": name,
@@ -155,7 +155,7 @@ class Explorer:
         }
 
     def view(self) -> dict[str, Any]:
-        """What is known of the present state, as JSON has it."""
+        """Return the view of the present state: what is known of it, as JSON has it."""
         with self._changed:
             return self._view()
 
@@ -548,7 +548,7 @@ def _key(state: Mapping[str, VALUES]) -> tuple[Any, ...]:
 
 
 def _shapes(of: Traced, controls: Mapping[str, Control]) -> dict[str, VALUES]:
-    """What of a state moves rays."""
+    """Return the values of a state that move rays."""
     return {
         name: value
         for name, value in of.state.items()

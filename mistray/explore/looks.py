@@ -1,4 +1,4 @@
-"""What the surfaces of a scene do to light in a state of the controls: their coatings and scatter models on the host.
+"""Effect of a scene's surfaces on light in a state of the controls: their coatings and scatter models on the host.
 
 An estimate asks for it at the angles of rays that were traced in another state; the scene itself is not touched, so
 that it may be traced meanwhile.
@@ -108,14 +108,14 @@ class Looks:
 
     def factor(self, surface: str, look: Look, hits: Hits) -> Floats:
         """
-        What a surface does to the flux of rays: the share that goes on, or of scattered light its BSDF.
+        Return the factor of a surface on the flux of rays: the share that goes on, or for scattered light its BSDF.
 
         Parameters
         ----------
         surface : str
         look : Look
         hits : Hits
-            Of this surface, all with the same event.
+            Hits of this surface, all with the same event.
         """
         plugin, nm = self._bsdfs[surface], hits.wavelength_nm
         sides = plugin.complex_indices(nm)
@@ -161,7 +161,7 @@ class Hits:
 
 
 def scaled(stack: Stack, factor: float) -> Stack:
-    """The same layers with all thicknesses times a factor."""
+    """Return a stack of the same layers with all thicknesses times a factor."""
     layers = tuple(dataclasses.replace(layer, thickness_nm=factor * layer.thickness_nm) for layer in stack.layers)
     return dataclasses.replace(stack, layers=layers)
 

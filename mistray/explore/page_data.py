@@ -1,4 +1,4 @@
-"""What the page of the live explorer draws, as JSON: the section of the system, and what is known of a state."""
+"""Data that the page of the live explorer draws, as JSON: the section of the system, and what is known of a state."""
 
 from __future__ import annotations
 

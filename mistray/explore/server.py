@@ -71,17 +71,17 @@ class PageServer(ThreadingHTTPServer):
 
     @property
     def port(self) -> int:
-        """That it listens to."""
+        """Port that it listens to."""
         return int(self.server_address[1])
 
     @property
     def address(self) -> str:
-        """What a browser opens."""
+        """Address that a browser opens."""
         return f"http://{LOOPBACK}:{self.port}/{self.token}/"
 
     @property
     def hosts(self) -> tuple[str, ...]:
-        """What requests may call this machine."""
+        """Names by which requests may call this machine."""
         return (f"{LOOPBACK}:{self.port}", f"localhost:{self.port}")
 
     def process_request(self, request: Any, client_address: Any) -> None:
@@ -168,7 +168,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(HTTPStatus.OK, json.dumps(found, allow_nan=False).encode(), "application/json")
 
     def _name(self) -> str | None:
-        """What is asked for behind the token; None if the request is refused."""
+        """Return the name that is asked for behind the token; None if the request is refused."""
         parts = self.path.partition("?")[0].split("/", 2)
         token, name = (parts[1], parts[2]) if len(parts) == 3 else ("", "")
         known = hmac.compare_digest(token.encode("utf-8", "replace"), self.server.token.encode())

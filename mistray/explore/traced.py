@@ -1,4 +1,4 @@
-"""What a trace leaves for estimates: powers of all ways of the light, maps of the strongest, rays with their angles."""
+"""Data of a trace for estimates: powers of all ways of the light, maps of the strongest, rays with their angles."""
 
 from __future__ import annotations
 

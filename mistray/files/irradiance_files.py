@@ -50,7 +50,7 @@ LARGEST = float(np.finfo(np.float32).max)
 
 
 class _Words(NamedTuple):
-    """What a unit is called: the quantity, its units in FITS and EXR, the fields of value and error in NPY."""
+    """Words for a unit: the quantity, its units in FITS and EXR, the fields of value and error in NPY."""
 
     quantity: str
     fits: str

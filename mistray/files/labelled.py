@@ -49,7 +49,7 @@ class Labelled:
     standard_error: npt.ArrayLike | None = None
 
     def attributes(self, **more: str) -> dict[str, str]:
-        """What its attributes are."""
+        """Return the attributes of the array."""
         return {"long_name": self.long_name, **({"units": self.units} if self.units else {}), **more}
 
 

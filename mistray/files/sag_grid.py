@@ -23,7 +23,7 @@ Values = tuple[np.ndarray, tuple[float, float], tuple[float, float], np.ndarray]
 
 def read_sag_grid(path: str | Path) -> Values:
     """
-    What a file of a grid holds.
+    Read a file of a grid.
 
     Parameters
     ----------

@@ -58,7 +58,7 @@ GOLDEN = (np.sqrt(5) - 1) / 2  # its multiples fill 0 … 1 evenly, however many
 @dataclass(frozen=True)
 class Rays:
     """
-    What a file says of its rays.
+    Rays as a file describes them.
 
     Attributes
     ----------

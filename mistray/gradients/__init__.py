@@ -1,6 +1,6 @@
-"""Derivatives of what a trace has found: replay of paths, edges, chain rules to parameters."""
+"""Derivatives of traced results: path replay, visibility edges, chain rules to parameters."""
 
 from mistray._variant import active_variant, ensure_variant
 
-if active_variant() is None:  # types of the variant are used while modules are imported
+if active_variant() is None:  # modules use types of the variant while they are imported
     ensure_variant()

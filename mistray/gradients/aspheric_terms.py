@@ -1,4 +1,4 @@
-"""The polynomial terms of a sag with an adjoint of their own, which is shorter than the automatic one."""
+"""Polynomial terms of an aspheric sag with a hand-written adjoint, which is shorter than the automatic one."""
 
 from __future__ import annotations
 
@@ -13,36 +13,37 @@ from mistray.physics.geometry.sag import polynomial, polynomial_derivative, poly
 
 class AsphericTerms(dr.CustomOp):
     """
-    P = Σ a_i r^(2i), i = 2, 3, …, or P' = dP/d(r²).
+    Polynomial P = Σ a_i r^(2i), i = 2, 3, …, or its derivative P' = dP/d(r²).
 
-    With the adjoints p of P, or q of P':  of a_i  p r^(2i) or q i r^(2i-2),  of r²  p P' or q P''.
+    With the adjoint p of P, or q of P', the adjoint of a_i is p r^(2i), or q i r^(2i-2); that of r² is p P', or q P''.
     """
 
     def eval(self, r2: Any, coefficients: Sequence[Any], still: Sequence[Any], derivative: bool) -> Any:
         """
-        Value of P (mm) or P' (1/mm).
+        Return P (mm) or P' (1/mm).
 
         Parameters
         ----------
         r2 : mi.Float64
-            mm².
+            Squared radius, mm².
         coefficients : sequence of mi.Float64
-            What derivatives go to.
+            Coefficients a_i, which receive the derivatives.
         still : sequence of mi.Float64
-            The same numbers, perhaps without the last ones where these are 0.
+            Coefficients without derivatives; trailing zeros may be missing.
         derivative : bool
-            P' instead of P.
+            Whether to return P' instead of P.
         """
         self.r2, self.still, self.orders = dr.detach(r2), [dr.detach(a) for a in still], len(coefficients)
         self.derivative = derivative
-        # As wide as r² in any case: a single 0 would get the sum of the adjoints of all lanes
+        # The zero term makes the result as wide as r²: a literal 0 would receive the sum of the adjoints of all lanes
         return (polynomial_derivative if derivative else polynomial)(self.r2, self.still) + mi.Float64(0) * self.r2
 
     def backward(self) -> None:
-        """Pass the adjoint on."""
+        """Propagate the adjoint to r² and the coefficients."""
         adjoint = self.grad_out()
         further = polynomial_second_derivative if self.derivative else polynomial_derivative
         self.set_grad_in("r2", adjoint * further(self.r2, self.still))
+        # Adjoints of a_i, by ascending powers of r²
         power, found = adjoint * (self.r2 if self.derivative else self.r2 * self.r2), []
         for order in range(2, 2 + self.orders):
             found.append(order * power if self.derivative else power)
@@ -50,5 +51,5 @@ class AsphericTerms(dr.CustomOp):
         self.set_grad_in("coefficients", found)
 
     def name(self) -> str:
-        """For messages of Dr.Jit."""
+        """Return the name that messages of Dr.Jit show."""
         return "aspheric terms"

@@ -1,7 +1,8 @@
-"""From derivatives by the rows of the tables of R and T to derivatives by coating parameters.
+"""
+Chain rule from derivatives by the rows of the tables of R and T to derivatives by coating parameters.
 
-The rows are exact values of the coating at the nodes, so the chain rule needs their derivatives by the thickness and
-the complex index of each layer. Those come from Dr.Jit's forward mode through `mistray.physics.thinfilm`, in float64,
+The rows are exact values of the coating at the nodes, so the chain rule takes their derivatives by the thickness and
+the complex index of each layer. These come from Dr.Jit's forward mode through `mistray.physics.thinfilm`, in float64,
 one lane for each row that was used and each parameter.
 """
 
@@ -35,25 +36,25 @@ NO_STOKES = (
 
 
 def coating_gradient(
-    optics: Optics, sums: np.ndarray, wanted: Callable[[Any, str], bool] = lambda owner, name: True
+    optics: Optics, sums: np.ndarray, is_chosen: Callable[[Any, str], bool] = lambda owner, name: True
 ) -> Iterator[tuple[Any, str, np.ndarray]]:
     """
-    Derivatives of a metric by the coating parameters of a scene.
+    Yield derivatives of a metric by the coating parameters of a scene.
 
     Parameters
     ----------
     optics : Optics
-        Of the run that was traced.
+        Optics of the run that was traced.
     sums : (BATCHES, rows, CHANNELS) float64
-        From `Run.derivatives`.
-    wanted : callable
-        Says of a plugin and a name whether its derivative is requested; by default all are.
+        Result of `Run.derivatives`.
+    is_chosen : callable
+        Takes a plugin and a name; returns whether that derivative is requested. By default all are.
 
     Yields
     ------
     owner, name, gradient
         The plugin that owns the parameter, its name (``thickness_nm``, ``n_shift``, ``k_shift``, ``R``, ``T``), and the
-        derivatives by batch, (BATCHES, entries). A coating between several pairs of materials comes once for each.
+        derivatives by batch, (BATCHES, entries). A coating is yielded once for each pair of materials beside it.
 
     Raises
     ------
@@ -67,21 +68,23 @@ def coating_gradient(
     for i, bsdf in enumerate(optics.bsdfs):
         kind = int(optics.host_words[i]) & 3
         first, _, total_first, total_last = (int(v) for v in optics.host_places[i])
+        # Ideal coating: its R and T are the row itself
         if kind == IDEAL:
             own = sums[:, first]
             both = own[:, REFLECTION_AND_TRANSMISSION]
             found = {"R": own[:, REFLECTION_FRONT] + own[:, REFLECTION_BACK] + both, "T": own[:, TRANSMISSION] + both}
             for name in IDEAL_PARAMETERS:
-                if wanted(bsdf.film, name):
+                if is_chosen(bsdf.film, name):
                     yield bsdf.film, name, found[name][:, None]
-        elif kind == TABLED and bsdf.film is not None and any(wanted(bsdf.film, name) for name in LAYER_PARAMETERS):
+        elif kind == TABLED and bsdf.film is not None and any(is_chosen(bsdf.film, name) for name in LAYER_PARAMETERS):
             own = sums[:, first : total_first + total_last + 1, :REFLECTION_AND_TRANSMISSION]
             key = id(bsdf.film), id(optics.tables[i])
             shared[key] = i, own + shared[key][1] if key in shared else own
+    # Chain rule: derivatives by used rows times derivatives of these rows by the layers
     asked = []
     for i, own in shared.values():
         film = optics.bsdfs[i].film
-        names = [name for name in LAYER_PARAMETERS if wanted(film, name)]
+        names = [name for name in LAYER_PARAMETERS if is_chosen(film, name)]
         asked.append((i, np.flatnonzero(np.any(own.any(axis=0), axis=1)), names))
     found_rows = layer_row_derivatives(optics, asked)
     for (_, own), (i, used, names), slopes in zip(shared.values(), asked, found_rows, strict=True):
@@ -93,18 +96,18 @@ def coating_gradient(
 @dataclass(frozen=True)
 class _Side:
     """
-    Light that meets a coating from one side, at rows of a table.
+    Incidence on a coating from one side, at rows of a table.
 
     Attributes
     ----------
     indices, thickness : (L,) complex and float
-        Of the layers in the order of incidence, nm.
+        Complex indices and thicknesses (nm) of the layers in the order of incidence.
     outer : (complex, complex)
         Indices of the materials before and behind.
     cosines : (m,) float
-        Of incidence.
+        Cosines of incidence.
     put : callable
-        Takes the derivatives of R and T, (parameters that are wanted · L, m) each, in the order of incidence.
+        Takes the derivatives of R and T, (requested parameters · L, m) each, in the order of incidence.
     """
 
     indices: np.ndarray
@@ -116,19 +119,19 @@ class _Side:
 
 def layer_row_derivatives(optics: Optics, asked: Sequence[tuple[int, np.ndarray, Sequence[str]]]) -> list[np.ndarray]:
     """
-    Derivatives of rows of the tables of coated surfaces by the parameters of their layers.
+    Compute derivatives of rows of the tables of coated surfaces by the parameters of their layers.
 
     Parameters
     ----------
     optics : Optics
     asked : sequence of (int, (u,) int, sequence of str)
-        Surfaces, the rows that are wanted, counted through both parts of the table, and the parameters that are wanted,
-        of `LAYER_PARAMETERS`.
+        Surfaces, the requested rows, numbered through both parts of the table, and the requested parameters, of
+        `LAYER_PARAMETERS`.
 
     Returns
     -------
     list of (names · L, u, 3) float64
-        By each parameter for all layers, in the coating's own order; columns as in the table.
+        Derivatives by each parameter for all layers, in the coating's own order; columns as in the table.
     """
     groups: dict[tuple[int, tuple[int, ...]], list[_Side]] = {}
     results = []
@@ -145,7 +148,7 @@ def layer_row_derivatives(optics: Optics, asked: Sequence[tuple[int, np.ndarray,
 
 
 def _sides(optics: Optics, surface: int, used: np.ndarray, parts: tuple[int, ...]) -> tuple[np.ndarray, list[_Side]]:
-    """Where the derivatives of some rows of a table go, at first 0, and what has to be computed for them."""
+    """Return the array of derivatives of some rows of a table, zero so far, and the sides that fill it."""
     _, last, _, total_last = (int(v) for v in optics.host_places[surface])
     refraction = last + 1
     n_front, n_back = optics.complex_indices[surface]
@@ -153,6 +156,7 @@ def _sides(optics: Optics, surface: int, used: np.ndarray, parts: tuple[int, ...
     indices, thickness, order = optics.bsdfs[surface].coating.front_to_back(optics.wavelength_nm, n_front, n_back)
     layers = len(indices)
     result = np.zeros((len(parts) * layers, len(used), 3))
+    # Cosines of incidence at the nodes of both parts of the table
     if opaque:
         front = back = np.linspace(0.0, 1.0, refraction)
         dense = np.zeros(total_last + 1)
@@ -162,7 +166,7 @@ def _sides(optics: Optics, surface: int, used: np.ndarray, parts: tuple[int, ...
     total = used >= refraction
     found = []
     for is_front, outer in ((True, (n_front, n_back)), (False, (n_back, n_front))):
-        # Total reflection is seen from the denser side only
+        # Total reflection occurs from the denser side only
         rows = ~total | (outer[0].real > outer[1].real)
         if not rows.any() or outer[0].imag > METAL_K:  # nothing travels in a metal
             continue
@@ -185,7 +189,7 @@ def _sides(optics: Optics, surface: int, used: np.ndarray, parts: tuple[int, ...
 def _tangents(
     sides: Sequence[_Side], parts: tuple[int, ...], wavelength_nm: float
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Derivatives of the mean R and T of coatings of as many layers by the same parameters of each layer."""
+    """Return derivatives of mean R and T by the same parameters of each layer, of coatings with equally many layers."""
     layers = len(sides[0].indices)
     blocks = len(parts) * layers
     # One lane for each row and each parameter of a side
@@ -199,6 +203,7 @@ def _tangents(
 
     complex_type = mi.Complex2f64
     n_layers, d_layers = [], []
+    # Forward mode: each lane moves one parameter of one layer
     with dr.resume_grad():
         for j in range(layers):
             n = [side.indices[j] for side in sides]
@@ -216,6 +221,7 @@ def _tangents(
             complex_type(*(spread(part([side.outer[k] for side in sides])) for part in (np.real, np.imag)))
             for k in (0, 1)
         ]
+        # Thin-film stack, mean of s and p
         (r_s, r_p), (t_s, t_p) = reflectance_transmittance(
             outer[0], n_layers, d_layers, outer[1], dr.opaque(mi.Float64, wavelength_nm), cosine
         )
@@ -224,6 +230,7 @@ def _tangents(
         dr.traverse(dr.ADMode.Forward)
         gradients = dr.grad(mean_r), dr.grad(mean_t)
         dr.eval(gradients)
+    # Split the lanes by side
     both = [np.array(gradient) for gradient in gradients]
     ends = np.cumsum([blocks * len(side.cosines) for side in sides])[:-1]
     return [

@@ -1,18 +1,19 @@
-"""Where the edge is that a hit lies close to, what touches it there, and what a ray just beside it meets.
+"""
+Edges next to hits: where they are, which surfaces touch them, and what a ray just beside them meets.
 
 At a contact no gap opens when the rim alone moves: the edge that light sees is the line in which the two surfaces meet.
-Along the edge nothing changes, so all is decided in the plane across it: with the direction u in which the rim ends the
-surface, the direction v from the edge along the other surface and the ray's direction d, the ray η u + t d meets the
+Nothing changes along the edge, so the plane across it decides. Let u be the direction in which the rim ends the
+surface, v the direction from the edge along the other surface and d the ray's direction. The ray η u + t d meets the
 other surface at τ v for
 
     τ = η (u × d)/(v × d),   t = -η (u × v)/(d × v)
 
 that is, if τ > 0; before it passes the rim (a concave corner) if t < 0, behind it (a convex one) if t > 0. The ray that
 hits at the same distance within the rim has the opposite τ and t: where its τ > 0 and t < 0, it comes from the other
-surface. Such rays say nothing about the edge, because their ways begin on one side of it only.
+surface. Such rays do not sample the edge, because their paths begin on one side of it only.
 
-Rims are circles about an axis, sides of rectangles, and edges of outlines. Which surfaces may touch a rim is found
-once, by boxes; whether one does next to a hit, and whether it ends there too, is looked at for each hit in float64.
+Rims are circles about an axis, sides of rectangles, and edges of outlines. The surfaces that may touch a rim are found
+once, by boxes. Whether one touches it next to a hit, and whether it ends there too, is found for each hit in float64.
 """
 
 from __future__ import annotations
@@ -32,11 +33,11 @@ from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
 TOUCH = 1e-4  # distance of surfaces that touch, in units of the radius or half side of the rim
-THIN = 0.1  # the same in units of the half width of the other surface, if that is less
-PROBE = 2.0  # distance from the edge at which another surface is looked for, in units of that
-PARALLEL = 1e-7  # by which the directions of axes may differ
-ALONG = 1e-2  # sine of the angle between an edge and a surface that holds it
-FLAT = 1e-3  # sine of the angle between surfaces that go on in one another
+THIN = 0.1  # upper limit of that distance, in units of the half width of the other surface
+PROBE = 2.0  # distance from the edge at which the other surface is probed, in units of the tolerance of a contact
+PARALLEL = 1e-7  # sine of the angle up to which axes count as parallel
+ALONG = 1e-2  # sine of the angle between an edge and a surface up to which the edge lies in it
+FLAT = 1e-3  # sine of the angle up to which one surface continues the other
 PAST = 1e-4  # distance from the rim at which rays go past it, in units of its radius or half side
 NEWTON_STEPS = 4  # along the axis, onto the surface
 CIRCLE_FLOATS = 5
@@ -46,18 +47,18 @@ CORNERS = 8  # of a polygon around a circle
 @dataclass
 class Edge:
     """
-    The edge next to hits; vectors of the world in float64.
+    Edges next to hits; vectors of the world in float64.
 
     Attributes
     ----------
     point : mi.Vector3d
-        mm.
+        Point of the edge, mm.
     along : mi.Vector3d
-        Unit vector along it.
+        Unit vector along the edge.
     outward, across : mi.Vector3d
-        Unit vectors at right angles to it: that in which it ends the surface, and the surface's normal.
+        Unit vectors at right angles to the edge: u, in which it ends the surface, and the surface's normal.
     stretch : mi.Float64
-        Part of `outward` along the coordinate in which distances from the rim count.
+        Component of `outward` along the coordinate in which distances from the rim are measured.
     real : mi.Bool
         Whether the surface ends there: it does not where figures of an outline overlap.
     """
@@ -73,18 +74,18 @@ class Edge:
 @dataclass
 class Corner:
     """
-    How rays go past a rim.
+    Start of rays past a rim.
 
     Attributes
     ----------
     at, left : mi.UInt32
-        Surface that they meet at once, or that they start on.
+        Surface that they meet at their origin, or that they leave; `NO_SURFACE`: none.
     joined : mi.UInt32
-        Surface that says where the edge is.
+        Surface whose distance replaces that from the rim, see `mistray.gradients.edges`; `NO_SURFACE`: none.
     factor : mi.Float64
-        Of the coefficient.
+        Factor of the coefficient.
     step : mi.Vector3d
-        Unit vector from the edge to where they start.
+        Unit vector from the edge to the origin of the rays.
     """
 
     at: mi.UInt32
@@ -96,7 +97,7 @@ class Corner:
 
 class EdgeContacts:
     """
-    The rims of a scene and what touches them.
+    Rims of a scene and the surfaces that touch them.
 
     Parameters
     ----------
@@ -115,6 +116,7 @@ class EdgeContacts:
                     point = piece.rim_point(rim)
                     outward = piece.tangent(point) * (1 if rim in (OUTER, HIGH) else -1)
                     circles[piece.index, rim] = *point, *outward, piece.rim_stretch(point)
+        # Candidates of each rim, in one list
         found = may_touch(table)
         self.some = bool(found)
         counts = np.zeros(shape, dtype=np.uint32)
@@ -130,7 +132,7 @@ class EdgeContacts:
         self, s: mi.UInt32, rim: mi.UInt32, p: mi.Vector3f, d: mi.Vector3f, starts: mi.Bool, active: mi.Bool
     ) -> tuple[Corner, mi.Vector3f]:
         """
-        How rays go past rims, and where they start.
+        Return the start of rays past rims, and their origins (mm).
 
         Parameters
         ----------
@@ -139,7 +141,7 @@ class EdgeContacts:
         p, d : mi.Vector3f
             Hits close to the rims, mm, and directions of arrival.
         starts : mi.Bool
-            Whether the rays started in the segment that leads there.
+            Whether the hit is the first one of the ray.
         active : mi.Bool
         """
         place = s * len(RIM_COLUMNS) + rim
@@ -150,11 +152,12 @@ class EdgeContacts:
         return corner, mi.Vector3f(edge.point + PAST * size * corner.step)
 
     def edge(self, s: mi.UInt32, rim: mi.UInt32, p: mi.Vector3d, size: mi.Float64, active: mi.Bool) -> Edge:
-        """The edge next to hits; `size` is the radius or half side of the rim, all else as of `past`."""
+        """Return the edge next to hits; `size` is the radius or half side of the rim, for the others see `past`."""
         surfaces = self._surfaces
         q = surfaces.local_point(p, s, active)
         numbers = surfaces.numbers(s, mi.UInt32(0), active, still=True)
         rims = surfaces.rims(s, mi.UInt32(0), active)
+        # Nearest point of the rim in x and y, and the direction `out` in which Δ is measured
         wide, high = rim == HALF_WIDTH, rim == HALF_HEIGHT
         x = dr.select(wide, dr.mulsign(rims["half_width"], q.x), q.x)
         y = dr.select(high, dr.mulsign(rims["half_height"], q.y), q.y)
@@ -165,6 +168,7 @@ class EdgeContacts:
                 found = family.edge(q.x, q.y, own, PAST * size)
                 x, y, real = (dr.select(here, *pair) for pair in ((found.x, x), (found.y, y), (found.real, real)))
                 out = dr.select(here, mi.Vector3d(found.out_x, found.out_y, 0), out)
+        # Onto the surface, along its axis
         point = mi.Vector3d(x, y, q.z)
         for _ in range(NEWTON_STEPS):
             value, gradient = surfaces.implicit(point, numbers)
@@ -173,6 +177,7 @@ class EdgeContacts:
         along = dr.normalize(dr.cross(out, across))
         outward = dr.cross(across, along)
         stretch = dr.dot(outward, out)
+        # Circular rims come from a table: point and outward direction in the meridional plane
         place = s * len(RIM_COLUMNS) + rim
         radius, height, out_r, out_z, of_circle = (
             dr.gather(mi.Float64, self._circles, CIRCLE_FLOATS * place + j, active) for j in range(CIRCLE_FLOATS)
@@ -195,7 +200,7 @@ class EdgeContacts:
     def corner(
         self, place: mi.UInt32, edge: Edge, d: mi.Vector3d, size: mi.Float64, starts: mi.Bool, active: mi.Bool
     ) -> Corner:
-        """What the surfaces that touch edges mean for rays along d beside them; `place` of the rims in the tables."""
+        """Return the start of rays along d beside edges; `place` is that of the rims in the tables."""
         count = dr.width(place)
         none, one = dr.full(mi.UInt32, NO_SURFACE, count), dr.full(mi.Float64, 1, count)
         found = Corner(mi.UInt32(none), mi.UInt32(none), mi.UInt32(none), one, mi.Vector3d(edge.outward))
@@ -205,6 +210,7 @@ class EdgeContacts:
         end = first + dr.gather(mi.UInt32, self._counts, place, active)
         ray = mi.Vector2d(dr.dot(d, edge.outward), dr.dot(d, edge.across))
 
+        # Each candidate that touches the edge is a half plane in the plane across it, or two of them
         def step(k: mi.UInt32, nearest: mi.Float64, *state: Any) -> tuple[Any, ...]:
             going = active & (k < end)
             other = dr.gather(mi.UInt32, self._others, k, going)
@@ -215,6 +221,7 @@ class EdgeContacts:
             v = dr.normalize(mi.Vector2d(-steep.y, steep.x))
             along = v.x * edge.outward + v.y * edge.across
             probe = PROBE * tolerance * along
+            # The surface may extend to one side of the edge, or to both
             ahead, behind = (self._holds(edge.point + way * probe, other, touches) for way in (1, -1))
             found, on = Corner(*state), ahead & behind
             for there, way in ((ahead, 1), (behind, -1)):
@@ -232,11 +239,11 @@ class EdgeContacts:
         return Corner(*state)
 
     def _holds(self, p: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Bool:
-        """Whether points next to surfaces lie within their bounds."""
+        """Whether points next to surfaces lie within their rims."""
         distances = self._surfaces.rim_distances(p, s, active)
         for rim, distance in enumerate(distances):
             exists = dr.gather(mi.Float64, self._sizes, s * len(RIM_COLUMNS) + rim, active) > 0
-            active = active & (~exists | (distance > 0))  # not in place: the caller keeps its own
+            active = active & (~exists | (distance > 0))  # not in place: the mask belongs to the caller
         return active
 
 
@@ -250,12 +257,13 @@ class _Half:
     there, ends : mi.Bool
         Whether there is such a half, and whether it is the only one.
     surface : mi.UInt32
+        Number of the other surface.
     v : mi.Vector2d
-        Unit vector along it, by its parts outward and across the surface with the rim.
+        Unit vector along it, by its components outward and across the surface with the rim.
     along : mi.Vector3d
-        The same in the world.
+        Unit vector along it in the world.
     apart : mi.Float64
-        By which the coefficient of Δ becomes that of the distance from it.
+        Factor that turns the coefficient of Δ into that of the distance from the other surface.
     """
 
     there: mi.Bool
@@ -266,17 +274,30 @@ class _Half:
     apart: mi.Float64
 
     def met(self, d: mi.Vector2d, starts: mi.Bool, first: mi.Float64, found: Corner) -> tuple[mi.Float64, Corner]:
-        """The distance t and the corner if this half is what a ray along d meets first, else what is given."""
+        """
+        Return distance t and corner of the first surface that a ray along d meets, this half included.
+
+        Parameters
+        ----------
+        d : mi.Vector2d
+            Direction of the ray, by its components outward and across the surface with the rim.
+        starts : mi.Bool
+            See `EdgeContacts.past`.
+        first : mi.Float64
+            Distance t of the first surface so far.
+        found : Corner
+            Start of rays past the rim, by the surfaces so far.
+        """
         across = self.v.x * d.y - self.v.y * d.x
         t = self.v.y / across
         corner = dr.abs(self.v.y) > FLAT
-        # Rays along the other surface pass its far end before they meet it. Where they come along it, those past the
+        # Rays parallel to the other surface pass its far end before they meet it. If they come along it, those past the
         # rim have been on its other side all the way
         oblique = dr.abs(across) > PAST * dr.norm(d)
         along = ~oblique & (dr.dot(self.v, d) < 0)
         beyond = d.y * across > 0
-        # The ray that hit has just left the other surface: light that moves from one to the other is in the events
-        # of rays that arrive there. But on both sides of the rim the surface may emit rays of its own
+        # The ray that hit has just left the other surface: rays that arrive there hold the light that moves from one
+        # to the other. But on both sides of the rim the surface may emit rays of its own
         left = self.there & corner & (along | (oblique & ~beyond & (t > 0)))
         near = self.there & oblique & beyond & (t < first)
         concave = corner & (t < 0)
@@ -295,10 +316,11 @@ class _Half:
 
 
 def may_touch(table: SurfaceTable) -> dict[tuple[int, int], list[int]]:
-    """Surfaces that may touch rims, by surface and place in `RIM_COLUMNS`: those whose boxes do."""
+    """Return the surfaces whose bounding boxes touch rims, by surface and place in `RIM_COLUMNS`."""
     pieces, found = table.pieces, dict[tuple[int, int], list[int]]()
     if not pieces:
         return found
+    # Hulls of all surfaces in the world
     turn = 2 * np.pi * np.arange(CORNERS) / CORNERS
     polygon = np.stack([np.cos(turn), np.sin(turn)], axis=1) / np.cos(np.pi / CORNERS)
     hulls = [piece.hull(polygon) for piece in pieces]
@@ -306,6 +328,7 @@ def may_touch(table: SurfaceTable) -> dict[tuple[int, int], list[int]]:
     world = np.concatenate([h @ table.rotations[k].T + table.vertices[k] for k, h in enumerate(hulls)])
     axes, vertices = table.rotations[: len(pieces), :, 2], table.vertices[: len(pieces)]
     holes = np.array([piece.least_radius for piece in pieces])
+    # Boxes in the frame of each surface; about the axis of a circular rim also the largest and the least radius
     for piece in pieces:
         own, vertex = table.rotations[piece.index], vertices[piece.index]
         q = (world - vertex) @ own

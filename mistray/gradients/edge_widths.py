@@ -1,14 +1,15 @@
-"""How wide the zones at rims are: of several widths that see the same hits the one with the least error.
+"""
+Choice of the width of the zones along rims: of several widths that use the same hits, the one of least error.
 
-A wide zone has little noise and much bias, a narrow one little bias and much noise. Of two widths the narrower has the
-bias of the wider in its difference from it. The boundary kernel of a width has the least variance of all kernels
-within it that are exact for a linear density (J. Fan and I. Gijbels, Local Polynomial Modelling and Its Applications,
-1996, section 3.2). So the difference is not correlated with the derivative of the wider one (J. A. Hausman,
-Econometrica 46, 1251, 1978), and who chooses by it does not choose by the noise of what he keeps.
+A wide zone has little noise and much bias, a narrow one little bias and much noise. The difference of two widths shows
+the bias of the wider one. The boundary kernel of a width has the least variance of all kernels within it that are exact
+for a linear density (J. Fan and I. Gijbels, Local Polynomial Modelling and Its Applications, 1996, section 3.2). So the
+difference is not correlated with the derivative of the wider one (J. A. Hausman, Econometrica 46, 1251, 1978), and a
+choice by the difference is no choice by the noise of the derivative that is kept.
 
 One width serves all parameters: moves that do nothing together, such as those of all faces of a body along themselves,
-still cancel. Where the rays of a trace choose it, its zones and those of half the width then see further rays, up to
-`MOST_SAMPLES` times as many.
+still cancel. If the rays of a trace choose the width, its zones and those of half the width then use further rays, up
+to `MOST_SAMPLES` times as many.
 """
 
 from __future__ import annotations
@@ -21,23 +22,23 @@ import numpy as np
 from mistray.recorders.sampled import batch_error
 from mistray.settings import BATCHES
 
-# Widths that are compared, in units of a rim's radius; the last one is there to judge those before it
+# Widths that are compared, in units of a rim's radius; the last one only serves to estimate the bias of the others
 AUTOMATIC = tuple(0.05 * 0.5**k for k in range(5))
 EQUAL = np.ones(BATCHES)  # runs of several fields and wavelengths are added batch by batch; each splits its rays evenly
-MOST_SAMPLES = 3  # of further rays: more of them take longer than the search for the width
-CERTAIN = 3  # standard errors beyond which two widths differ by more than chance; several are compared
-REMAINING = 4 / 3  # bias of a width over what half of it changes, where the bias goes with the square of the width
+MOST_SAMPLES = 3  # of further rays: more would take longer than the search for the width
+CERTAIN = 3  # standard errors beyond which a difference is significant although several widths are compared
+REMAINING = 4 / 3  # bias of a width over its difference from half the width, if the bias goes with its square
 
 
 def widths_of(edge_width: float | None) -> tuple[float, ...]:
-    """Widths of the zones for a width that is given, which is compared with half of it, or for the automatic one."""
+    """Return the widths of the zones: a given width and half of it, or those of the automatic choice."""
     return AUTOMATIC if edge_width is None else (edge_width, 0.5 * edge_width)
 
 
 @dataclass(frozen=True)
 class WidthErrors:
     """
-    What a derivative with each width but the narrowest is known to.
+    Errors of a derivative with each width but the narrowest.
 
     Attributes
     ----------
@@ -46,8 +47,8 @@ class WidthErrors:
     check, check_se : (w - 1, n) float64
         Derivative with the next width less that with this one, and the standard error of this difference.
     bias : (w - 1, n) float64
-        Bias of the width, with its probable sign: `REMAINING` times `check`. It is no less than the noise of `check`,
-        nor than what is certain of the differences from still narrower zones: those less `CERTAIN` standard errors.
+        Bias of the width, with its probable sign: `REMAINING` times `check`. Its magnitude is no less than the noise of
+        `check`, nor than the differences from still narrower zones less `CERTAIN` standard errors.
     """
 
     noise: np.ndarray
@@ -72,6 +73,7 @@ class WidthErrors:
 
         # A narrower zone has no less noise; where few rays hit it, it only seems so
         noise = np.maximum.accumulate(error(sums), axis=0)[:last]
+        # Bias: from the next width, and from all narrower ones where the difference is significant
         check = (sums[1:] - sums[:-1]).sum(axis=1)
         check_se = np.maximum.accumulate(error(sums[1:] - sums[:-1]), axis=0)
         bias = np.maximum(REMAINING * np.abs(check), check_se)
@@ -87,27 +89,31 @@ class WidthErrors:
         return self.with_rays(np.ones(1))
 
     def with_rays(self, times: np.ndarray) -> np.ndarray:
-        """The same where `times`, (w - 1, 1), as many rays see the zones of each width."""
+        """Return the standard errors if `times`, (w - 1, 1), as many rays see the zones of each width."""
         floor = self.check_se / np.sqrt(times)
         seen = np.where(np.abs(self.bias) > self.check_se, np.abs(self.bias), 0.0)
         return np.asarray(np.hypot(self.noise / np.sqrt(times), np.maximum(seen, floor)))
 
 
 def further_samples(number: int) -> int:
-    """Samples of as many rays as the trace has that a width sees beside them, to have the hits of a wider one."""
+    """
+    Return the number of further samples that a width needs to have as many hits as the widest one.
+
+    Each sample has as many rays as the trace; `number` counts halvings of the width.
+    """
     return min(2**number - 1, MOST_SAMPLES)
 
 
 def least_error(derivatives: Iterable[np.ndarray], more: bool = False) -> int:
     """
-    Number of the width with the least error.
+    Return the number of the width with the least error.
 
     Parameters
     ----------
     derivatives : iterable of (w, BATCHES, n) float64
-        By some parameters, as for `WidthErrors.of`. The geometric mean of their errors decides.
+        Derivatives by some parameters, see `WidthErrors.of`. The geometric mean of their errors decides.
     more : bool
-        Zones of the width that is chosen will see further samples of rays, see `further_samples`: the noise is then
+        Whether the zones of the chosen width will use further samples of rays, see `further_samples`: the noise is then
         that of all of them.
     """
     found = [WidthErrors.of(sums) for sums in derivatives]

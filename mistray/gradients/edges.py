@@ -1,30 +1,31 @@
-"""What a metric gains where rims move: rays that hit a surface close to a rim, and what became of them without it.
+"""
+Boundary terms of rims: rays that hit a surface close to a rim, compared with rays that go past it.
 
 Let Δ ≥ 0 be the distance of a hit from a rim: outer radius less ρ, ρ less inner radius, z less z_low and so on, in
 the frame of the surface. If the rim moves outwards by dΔ relative to the rays, those that have just missed it hit the
-surface, and the metric changes by the flux of rays per unit of Δ at the rim times what it gains from a ray that hits
-less what it gains from one that goes past. The flux density comes from the rays with Δ < ε, weighted with the one-
-sided linear boundary kernel (J. Fan and I. Gijbels, Local Polynomial Modelling and Its Applications, 1996, section
+surface. The metric then changes by the flux of rays per unit of Δ at the rim, times the difference of the contributions
+of a ray that hits and one that goes past. The flux density is estimated from the rays with Δ < ε, weighted with the
+one-sided linear boundary kernel (J. Fan and I. Gijbels, Local Polynomial Modelling and Its Applications, 1996, section
 3.2)
 
     k(Δ) = (4 - 6 Δ/ε)/ε,   ∫ k dΔ = 1,   ∫ k Δ dΔ = 0   over 0 … ε,
 
-so that the error goes with ε² where the density is smooth; `mistray.gradients.edge_widths` says which ε to take. With
-c = k · (gain of the hit - gain past the rim) held fixed, the derivative of Σ c Δ by any parameter is that of the
-metric: Δ depends on the rim, on the surface and on all that the ray has met before.
+so that the error goes with ε² where the density is smooth; `mistray.gradients.edge_widths` chooses ε. With
+c = k · (contribution of the hit - contribution past the rim) held fixed, the derivative of Σ c Δ by any parameter is
+that of the metric: Δ depends on the rim, on the surface and on all earlier hits of the path.
 
 A ray past the rim starts just outside of it, in the direction of the ray that hit. Where another surface touches the
-rim, the edge is the line in which both meet (see `mistray.gradients.edge_contacts`). A convex
-edge is described by the rays on either surface; if both end there, each counts half. The same goes for a concave
-edge, but there the rim itself has no part in where it is: Δ follows from the distance D = F/|∇F| of the hit from the
-other surface, which `EdgeEvents.joined` names, Δ = -D s/(n · u) with the gradient's direction n, the direction u in
-which the rim ends the surface and s the part of u along the coordinate in which Δ counts. The coefficient of D takes
-the place of that of Δ.
+rim, the edge is the line in which both meet (see `mistray.gradients.edge_contacts`). A convex edge is described by the
+rays on either surface; if both end there, each contributes half. The same goes for a concave edge, but there the rim
+itself does not determine the edge. Δ follows from the distance D = F/|∇F| of the hit from the
+other surface, which `EdgeEvents.joined` names: Δ = -D s/(n · u). Here n is the direction of the gradient, u the
+direction in which the rim ends the surface, and s the component of u along the coordinate of Δ. The coefficient of D
+replaces that of Δ.
 
 Silhouettes of curved surfaces and the onset of total reflection are treated the same way, with a distance and a
 kernel of their own: see `mistray.gradients.grazing`.
 
-What this does not see: lines in which surfaces cross away from their rims, and rims of meshes and other stock shapes.
+Not covered are lines in which surfaces cross away from their rims, and rims of meshes and other Mitsuba shapes.
 """
 
 from __future__ import annotations
@@ -53,34 +54,34 @@ from mistray.surfaces.gradient_columns import RIM_COLUMNS
 from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.upload import upload
 
-CAPACITY = 1 << 17  # hits that are kept at a time
-ROOM = 0.7  # share of it that the next portion of rays should fill
+CAPACITY = 1 << 17  # hits of a portion
+ROOM = 0.7  # fraction of the capacity that the next portion of rays should fill
 FIRST_LANES = 1 << 12
-CLEAR = 1.25  # lift over a silhouette, in units of what a sphere needs
-STREAM = 0x3C6EF372  # of the random numbers of rays past rims
+CLEAR = 1.25  # lift over a silhouette, in units of that which clears a sphere
+STREAM = 0x3C6EF372  # separates the random numbers of rays past rims from all others
 
 
 @dataclass
 class EdgeEvents:
     """
-    Hits close to rims, with what they say about the derivative of a metric.
+    Hits close to rims, with their coefficients c in the derivative of a metric.
 
     Attributes
     ----------
     paths : BranchRecorder
-        Where the paths up to and with the hits are; points only.
+        Paths up to and including the hits; points only.
     row : (n,) mi.UInt32
         Rows of the hits in `paths`.
     batch : (n,) mi.UInt32
         Batches of their start rays.
     rim : (n,) mi.UInt32
-        The rim, as a place in `RIM_COLUMNS`.
+        Rim, as a place in `RIM_COLUMNS`, or a jump of `mistray.gradients.grazing`.
     joined : (n,) mi.UInt32
         Surface that meets the rim in a concave edge; `NO_SURFACE` for all others.
     delta : (n,) mi.Float
         Distance from the rim, mm.
     scale : (n,) mi.Float
-        Of jumps, see `mistray.gradients.grazing.Jump`.
+        Scale of a jump, see `mistray.gradients.grazing.Jump`.
     c : list of (n,) mi.Float64
         Coefficients of Δ, 1/mm, for each width; where there is a `joined` surface those of the distance F/|∇F| from
         it. In units of a start ray.
@@ -98,17 +99,17 @@ class EdgeEvents:
 
 class Edges:
     """
-    Rims of a scene, for rays forward or backward.
+    Rims of a scene, for forward or backward rays.
 
     Parameters
     ----------
     scene : KernelScene
     settings : Settings
     widths : sequence of float
-        Of the zones along the rims, in units of their radius or half side, the widest first. Where that ends before
-        its zones overlap, all others are smaller in proportion.
+        Widths of the zones along the rims, in units of their radius or half side, the widest first. If the widest zones
+        of a surface are narrowed so that they do not overlap, all others are smaller in proportion.
     limits : mapping, optional
-        Narrower zones of some rims, mm, see `mistray.gradients.full.full_rims`.
+        Widths of narrower zones of some rims, mm, see `mistray.gradients.full.full_rims`.
     """
 
     def __init__(
@@ -124,7 +125,7 @@ class Edges:
         capacity = as_many(CAPACITY, settings.max_events)
         self._near = RimRecorder(table, width, capacity, settings.max_events, limits)
         self._lanes = FIRST_LANES
-        self._launches = launches_of(table, settings, Edges, scene.backward, scene.opposite is not None)
+        self._launches = launches_of(table, settings, Edges, scene.backward, scene.competing is not None)
         rims = len(RIM_COLUMNS)
         sizes = np.zeros((table.count, rims, 2))
         for (surface, rim), zone in self._near.zones.items():
@@ -133,20 +134,20 @@ class Edges:
 
     def events(self, start: StartRays, adjoint: Adjoint) -> Iterator[tuple[StartRays, EdgeEvents]]:
         """
-        Hits close to rims of the trees of some start rays, in portions of a bounded size.
+        Yield hits close to rims of the trees of some start rays, in portions of a bounded size.
 
         Parameters
         ----------
         start : StartRays
         adjoint : Adjoint
-            The metric; without rows.
+            Metric; without rows.
 
         Yields
         ------
         start : StartRays
-            The rays of the portion.
+            Rays of the portion.
         events : EdgeEvents
-            Valid until the next portion.
+            Hits of the portion, valid until the next one.
 
         Raises
         ------
@@ -157,6 +158,7 @@ class Edges:
         while done < count:
             here = min(self._lanes, self._launches.lanes, count - done)
             part = start if here == count else start.take(dr.arange(mi.UInt32, here) + dr.opaque(mi.UInt32, done))
+            # Record the hits of a portion, and adapt the size of the next one
             self._near.paths.clear()
             self._launches.time(here, lambda part=part: self._gains(part, adjoint, self._near))  # type: ignore[misc]
             hits = int(self._near.paths.count[0])
@@ -174,21 +176,23 @@ class Edges:
                 yield part, found
 
     def _gains(self, start: StartRays, adjoint: Adjoint, rims: RimRecorder | None = None) -> mi.Float64:
-        """What the metric gains from the tree of each ray."""
+        """Return the contribution of the tree of each ray to the metric."""
         trace_tree(self._scene, start, self._settings, [rims, adjoint])
         dr.eval(adjoint.gain)
         dr.sync_thread()
         return adjoint.gain
 
     def _compare(self, hits: int, adjoint: Adjoint) -> EdgeEvents:
-        """Let rays go past the rims, and compare."""
+        """Trace rays past the rims, and return the coefficients of the hits."""
         near, row = self._near, dr.arange(mi.UInt32, hits)
         rim, delta, scale, copies = (
             dr.gather(type(v), v, row) for v in (near.rim, near.delta, near.scale, near.copies)
         )
+        # Contribution of the hit less that past the rim
         past = self._past(row, rim)
         gain = dr.gather(mi.Float64, near.gain, row) - self._gains(past.start, adjoint)
         gain *= past.factor * mi.Float64(copies)
+        # Width of the zone; of jumps in the square of a cosine, see `mistray.gradients.grazing`
         zone = dr.gather(mi.Float, self._sizes, 2 * past.place + 1)
         jumps, grazes = rim >= SILHOUETTE, rim == SILHOUETTE
         zone = dr.select(jumps, near.grazing.zone * dr.select(grazes, 0.5 * scale, 1), zone)
@@ -197,6 +201,7 @@ class Edges:
             distance, width = mi.Float64(delta), mi.Float64(width)
             return dr.select(jumps, grazing_kernel(distance, width), kernel(distance, width))
 
+        # c = k · gain for each width, of the hits that contribute
         counts = dr.compress(gain != 0)
         c = [dr.gather(mi.Float64, gain * density(share * zone), counts) for share in self._shares]
         found = row, past.start.batch, rim, past.joined, delta, scale
@@ -205,10 +210,11 @@ class Edges:
         return EdgeEvents(near.paths, row, batch, rim, joined, delta, scale, c)
 
     def _past(self, row: mi.UInt32, rim: mi.UInt32) -> _Past:
-        """Rays that go past the rims."""
+        """Return rays that go past the rims."""
         near = self._near
         jumps = rim >= SILHOUETTE
         rim = dr.select(jumps, 0, rim)
+        # Last event of the recorded path: surface, point, direction of arrival, throughput
         length = dr.gather(mi.UInt32, near.paths.length, row)
         last = row * near.paths.max_events + length - 1
         s = dr.gather(mi.UInt32, near.paths.codes, last) >> EVENT_BITS
@@ -216,25 +222,27 @@ class Edges:
         d = mi.Vector3f(*(dr.gather(mi.Float, near.paths.heading, 3 * row + j) for j in range(3)))
         w = mi.Float(dr.gather(mi.Float64, near.paths.weight, row))
         before = {name: dr.gather(type(v), v, row) for name, v in near.before.items()}
+        # Start beside the edge, in the direction of the ray that hit
         corner, o = self._contacts.past(s, rim, p, d, before["depth"] == 0, ~jumps)
         key = before["key"]
-        # The order of the rows changes from run to run: random numbers go with the ray itself
+        # The order of the rows varies from run to run: the seed of each ray comes from its path and its hit
         bits = dr.reinterpret_array(mi.UInt32, p.x) ^ (dr.reinterpret_array(mi.UInt32, p.y) * 0x85EBCA6B)
         lane = dr.gather(mi.UInt32, near.paths.lane, row)
         own = mi.UInt32(key) ^ mi.UInt32(key >> 32) ^ bits ^ dr.opaque(mi.UInt32, self._settings.seed ^ STREAM)
         state, sequence = mi.sample_tea_32(own, lane)
-        rng = mi.PCG32()  # whose constructor would add the number of the row to both
+        rng = mi.PCG32()  # the constructor would add the number of the row to both
         rng.seed(mi.UInt64(state), mi.UInt64(sequence))
+        # Assemble the start rays; jumps have a start of their own
         left = dr.select(corner.left == NO_SURFACE, s, corner.left)
         o, d, left, at = self._jump(row, jumps, p, s, (o, d, left, corner.at))
-        family = self._family(row, length - 1)
-        start = StartRays(lane=lane, rng=rng, o=o, d=d, w=w, left=left, at=at, family=family, **before)
+        path_class = self._path_class(row, length - 1)
+        start = StartRays(lane=lane, rng=rng, o=o, d=d, w=w, left=left, at=at, path_class=path_class, **before)
         dr.eval(rng, vars(start))
         factor, joined = dr.select(jumps, 1, corner.factor), dr.select(jumps, NO_SURFACE, corner.joined)
         return _Past(start, s * len(RIM_COLUMNS) + rim, factor, joined)
 
-    def _family(self, row: mi.UInt32, count: mi.UInt32) -> mi.UInt32:
-        """What the first events of recorded paths add to the number of their family."""
+    def _path_class(self, row: mi.UInt32, count: mi.UInt32) -> mi.UInt32:
+        """Return the part of the first events of recorded paths in the number of their path class."""
         paths, none = self._near.paths, dr.zeros(mi.UInt32, dr.width(row))
 
         def code(k: mi.UInt32, going: mi.Bool) -> mi.UInt32:
@@ -243,14 +251,14 @@ class Edges:
         return mixed_events(code, none, count, none, dr.full(mi.Bool, True, dr.width(row)))
 
     def _jump(self, row: mi.UInt32, jumps: mi.Bool, p: mi.Vector3f, s: mi.UInt32, others: tuple[Any, ...]) -> Any:
-        """Start of rays beyond a jump (origin, direction, surface that they leave, surface that they are at)."""
+        """Return the start of rays past a jump: origin, direction, surface that they leave, surface they are at."""
         near = self._near
         o, d, left, at = others
         axis = mi.Vector3f(*(dr.gather(mi.Float, near.axis, 3 * row + j, jumps) for j in range(3)))
         scale, delta = (dr.gather(mi.Float, v, row, jumps) for v in (near.scale, near.delta))
         grazes = jumps & (dr.gather(mi.UInt32, near.rim, row) == SILHOUETTE)
         critical = jumps & ~grazes
-        # Past a silhouette: above the surface by a little where the ray is nearest to it, even if it bends more there
+        # Past a silhouette: slightly above the surface where the ray is nearest to it, even if it is more curved there
         depth = scale * (dr.rsqrt(1 - 2 * delta / scale) - 1)
         o = dr.select(grazes, p - (CLEAR * depth + PAST * scale) * axis, dr.select(critical, p, o))
         # Beyond the critical angle: in the same plane of incidence, at the same place
@@ -263,14 +271,14 @@ class Edges:
 
 @dataclass
 class _Past:
-    """Rays that go past rims, the places of these in the tables, the factors of their coefficients, what they join."""
+    """Rays that go past rims."""
 
     start: StartRays
-    place: mi.UInt32
-    factor: mi.Float64
-    joined: mi.UInt32
+    place: mi.UInt32  # of the rim in tables of (surfaces, rims)
+    factor: mi.Float64  # of the coefficient, see `mistray.gradients.edge_contacts.Corner`
+    joined: mi.UInt32  # see `EdgeEvents`
 
 
 def kernel(delta: Any, width: Any) -> Any:
-    """The boundary kernel at a distance from the rim, 1/mm; 0 beyond its width."""
+    """Evaluate the boundary kernel k at a distance Δ from the rim, 1/mm; 0 beyond its width ε."""
     return dr.select(delta < width, (4 - 6 * delta / width) / width, 0)

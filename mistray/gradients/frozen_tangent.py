@@ -1,7 +1,9 @@
-"""How an image changes when the numbers of a scene move together: forward mode of `mistray.gradients.replay`.
+"""
+Tangent of an image, visibility held, where the numbers of a scene move together: forward mode of path replay.
 
-Recorded rays are followed in float64 with the numbers moved a little to either side, through the same events; what a
-ray carries and where it lands changes by the difference. Visibility is held as it is.
+Recorded rays are followed in float64 with the numbers moved a little to either side, through the same events. The
+tangent of the flux and of the place on the detector is a central difference of the two. See `mistray.gradients.replay`
+for the reverse mode.
 """
 
 from __future__ import annotations
@@ -34,19 +36,21 @@ STEP = 1e-6  # largest move of a number, in units of its scale
 
 def step_of(direction: Numbers, sizes: np.ndarray) -> float:
     """
-    Factor by which a direction is moved to either side.
+    Return the factor of a direction that gives the step of the central difference.
 
     Parameters
     ----------
     direction : Numbers
+        Rates at which the numbers move.
     sizes : (surfaces,) float64
-        Of the surfaces, mm.
+        Sizes of the surfaces, mm.
 
     Raises
     ------
     MistrayError
         If nothing moves.
     """
+    # Scale of each number: its unit as a power of mm, of the size of the surface
     powers = {"curvature": -1, "conic": 0, "slope": 0, "tilt_x": 0, "tilt_y": 0, "tilt_z": 0}
     powers |= {name: 1 - int(name[1:]) for name in GEOMETRY if name[0] == "a"}
     scale = np.stack([sizes ** powers.get(name, 1) for name in GEOMETRY], axis=1)
@@ -68,18 +72,18 @@ def arrivals(
     Parameters
     ----------
     surfaces : ReplaySurfaces
-        Perhaps moved.
+        Surfaces with present or moved numbers.
     rays : Branches
-        They end at the detector.
+        Recorded rays that end at the detector.
     base : Followed
-        From `follow`, with the numbers as they are.
+        Result of `follow` with the present numbers.
 
     Returns
     -------
     x, y : mi.Float64
         Place on the detector in its own frame, mm.
     factor, absorbed : mi.Float64
-        ln of the product of all factors of the flux, and of the last of them, what the detector absorbs.
+        Logarithms of the product of all flux factors, and of the last of them, the absorption in the detector.
     """
     count = dr.width(rays.row)
 
@@ -90,8 +94,10 @@ def arrivals(
         code = rays.code(k, active)
         s, what = code >> EVENT_BITS, code & EVENT_MASK
         here = base.point(k, active)
+        # Intersect, from the unmoved hit
         met = surfaces.meet(p, d, dr.dot(here - p, d), s, rays.batch, active, 2)
         split = surfaces.split(met, s, what, rays.batch, active)
+        # Flux factor of the event, and of the segment before it
         last = k + 1 == rays.length
         transmitted = what == TRANSMITTED
         share = dr.select(last, 1 - split.R - split.T, dr.select(transmitted, split.T, split.R))
@@ -99,6 +105,7 @@ def arrivals(
         absorbed = dr.select(active & last, factor, absorbed)
         if surfaces.table.optics.absorbs:
             factor -= surfaces.extinction(base.medium(k, active), active) * met.length
+        # Next direction; after a scatter event it is held
         heading = surfaces.world_direction(met, dr.select(transmitted, split.transmitted, split.reflected), s, active)
         ahead = base.point(k + 1, active & ~last) - here
         heading = dr.select(what >= RANDOM_TRANSMITTED, ahead, heading)
@@ -131,16 +138,16 @@ def add_tangent(
     Parameters
     ----------
     image : (height · width,) mi.Float64
-        In units of a start ray.
+        Flux, in units of a start ray.
     film : Film
     rays, base
-        As for `arrivals`.
+        See `arrivals`.
     sides : (ReplaySurfaces, ReplaySurfaces)
-        The numbers moved back and forth.
+        Surfaces with their numbers moved back and forth.
     step : float
-        By so much.
+        Factor of the direction by which they are moved, see `step_of`.
     flux : mi.Float64
-        With which each ray meets the detector.
+        Flux with which each ray meets the detector.
     """
     (x0, y0, f0, last0), (x1, y1, f1, last1) = (arrivals(surfaces, rays, base) for surfaces in sides)
     per = dr.opaque(mi.Float64, 0.5 / step)
@@ -148,10 +155,12 @@ def add_tangent(
     flux = flux * dr.exp(0.5 * (last0 + last1))
     move_x, move_y, growth = (x1 - x0) * per, (y1 - y0) * per, (f1 - f0) * per
     x, y = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
+    # Change of the flux, at a fixed place
     for pixel, share in film.places(mi.Float(x), mi.Float(y)):
         part = flux * growth * (mi.Float64(1) if share is None else mi.Float64(share))
         dr.scatter_reduce(dr.ReduceOp.Add, image, part, pixel, alive)
-    # Between the centres of the pixels the share that each gets is linear in either coordinate
+    # Change of the place, at a fixed flux: the tent filter is bilinear between the centres of the pixels, and has a
+    # derivative there
     with dr.resume_grad():
         at = mi.Float(x), mi.Float(y)
         dr.enable_grad(at)
@@ -167,15 +176,16 @@ def add_tangent(
 
 def number_direction(table: SurfaceTable, tangents: Mapping[tuple[int, str], np.ndarray]) -> Numbers:
     """
-    How all numbers move.
+    Return the rates at which all numbers move.
 
     Parameters
     ----------
     table : SurfaceTable
     tangents : mapping
-        Identity of a plugin and name of a parameter → (entries,) how fast the parameter moves.
+        Identity of a plugin and name of a parameter → (entries,) rate at which the parameter moves.
     """
     optics = table.optics
+    # Shapes
     geometry = np.zeros((table.count, len(GEOMETRY)))
     for piece in table.pieces:
         shape = table.shapes[piece.index]
@@ -183,6 +193,7 @@ def number_direction(table: SurfaceTable, tangents: Mapping[tuple[int, str], np.
             speed = tangents.get((id(shape), name))
             if speed is not None:
                 geometry[piece.index] += float(speed[0]) * column_derivatives(shape, name)
+    # Refractive indices and coatings
     indices, ideal = np.zeros((table.count, 2)), np.zeros((table.count, 2))
     rows = np.zeros((optics.rows, TABLE_CHANNELS))
     for i, bsdf in enumerate(optics.bsdfs):
@@ -211,13 +222,13 @@ def number_direction(table: SurfaceTable, tangents: Mapping[tuple[int, str], np.
 
 def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.ndarray:
     """
-    How the detected flux of a run changes.
+    Compute the change of the detected flux of a run.
 
     Parameters
     ----------
     run : Run
     tangents : mapping
-        Identity of a plugin and name of a parameter → (entries,) how fast the parameter moves.
+        Identity of a plugin and name of a parameter → (entries,) rate at which the parameter moves.
 
     Returns
     -------
@@ -227,6 +238,7 @@ def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.
     table, film = run.table, run.make_film()
     nothing = GradientRequest(rows=False)
     path_replay = PathReplay(table, run.scattering, run.settings, nothing, run.settings.max_events)
+    # Surfaces as they are, and moved to either side
     direction = number_direction(table, tangents)
     step = step_of(direction, np.array([piece.size for piece in table.pieces]))
     still = ReplaySurfaces(table, nothing)

@@ -1,9 +1,10 @@
-"""From derivatives by the numbers and the indices of surfaces to derivatives by the parameters of their plugins.
+"""
+Chain rule from derivatives by numbers and indices of surfaces to derivatives by the parameters of their plugins.
 
-The tracer knows surfaces by the columns of `mistray.surfaces.gradient_columns`, in the frame of their vertex. A
-parameter of a shape moves the frame, the columns or both. How much, is found by central differences in float64 of the
-very functions that make the surfaces, `surface` and `vertex_frame` of its plugin. In the same way the index beside a
-coating changes its rows.
+The tracer describes surfaces by the columns of `mistray.surfaces.gradient_columns`, in the frame of their vertex. A
+parameter of a shape moves the frame, the columns or both. The rates are central differences in float64 of the
+functions that make the surfaces, `surface` and `vertex_frame` of the plugin. In the same way the index beside a coating
+changes its rows.
 """
 
 from __future__ import annotations
@@ -25,13 +26,13 @@ if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
 
 SHIFTS = ("n_front_shift", "n_back_shift")
-# Wide, for at the critical angle a cosine of 0 has the error 1e-8; five points make up for it
+# Wide, because at the critical angle a cosine of 0 has an error of 1e-8; a five-point formula makes up for it
 INDEX_STEP, EQUAL_INDICES = 2e-3, 1e-9
 
 
 def geometry_columns(names: Iterable[str]) -> frozenset[str]:
     """
-    The columns of `GEOMETRY` that parameters of shapes may move.
+    Return the columns of `GEOMETRY` that parameters of shapes may move.
 
     Raises
     ------
@@ -48,23 +49,23 @@ def geometry_columns(names: Iterable[str]) -> frozenset[str]:
 
 
 def shape_parameters(shape: Any) -> tuple[str, ...]:
-    """Names of the parameters of a shape that have a derivative; none for a stock shape."""
+    """Return the names of the differentiable parameters of a shape; none for one of Mitsuba's own."""
     return tuple(getattr(shape, "differentiable", ()))
 
 
 def geometry_gradient(
-    table: SurfaceTable, geometry: np.ndarray, wanted: Callable[[Any, str], bool] = lambda owner, name: True
+    table: SurfaceTable, geometry: np.ndarray, is_chosen: Callable[[Any, str], bool] = lambda owner, name: True
 ) -> Iterator[tuple[Any, str, np.ndarray]]:
     """
-    Derivatives of a metric by the parameters of shapes.
+    Yield derivatives of a metric by the parameters of shapes.
 
     Parameters
     ----------
     table : SurfaceTable
     geometry : (..., BATCHES, surfaces, len(GEOMETRY)) float64
-        By the columns, see `TableGradient`.
-    wanted : callable
-        Says of a shape and a name whether its derivative is requested; by default all are.
+        Derivatives by the columns, see `TableGradient`.
+    is_chosen : callable
+        Takes a shape and a name; returns whether that derivative is requested. By default all are.
 
     Yields
     ------
@@ -74,7 +75,7 @@ def geometry_gradient(
     for piece in table.pieces:
         shape, own = table.shapes[piece.index], geometry[..., piece.index, :]
         for name in shape_parameters(shape):
-            if wanted(shape, name):
+            if is_chosen(shape, name):
                 moves = column_derivatives(shape, name)
                 yield shape, name, (own @ moves)[..., None]
 
@@ -82,33 +83,33 @@ def geometry_gradient(
 def index_gradient(
     table: SurfaceTable,
     indices: np.ndarray,
-    wanted: Callable[[Any, str], bool] = lambda owner, name: True,
+    is_chosen: Callable[[Any, str], bool] = lambda owner, name: True,
     rows: np.ndarray | None = None,
 ) -> Iterator[tuple[Any, str, np.ndarray]]:
     """
-    Derivatives of a metric by the shifts of refractive indices.
+    Yield derivatives of a metric by the shifts of refractive indices.
 
     Parameters
     ----------
     table : SurfaceTable
     indices : (..., BATCHES, surfaces, 2) float64
-        By the real indices in front and behind, the rows of coatings held.
-    wanted : callable
-        Says of an interface and a name whether its derivative is requested; by default all are.
+        Derivatives by the real indices in front and behind, the rows of coatings held.
+    is_chosen : callable
+        Takes an interface and a name; returns whether that derivative is requested. By default all are.
     rows : (BATCHES, rows, CHANNELS) float64, optional
-        By the rows of the tables of R and T, which depend on the indices beside the coatings; without them R and T at
-        the nodes are held.
+        Derivatives by the rows of the tables of R and T, which depend on the indices beside the coatings; without them
+        R and T at the nodes are held.
 
     Yields
     ------
     owner, name, gradient
         The interface, the name of the shift, and the derivatives by batch, (..., BATCHES, 1). An interface that several
-        surfaces share comes once for each of them.
+        surfaces share is yielded once for each of them.
     """
     optics = table.optics
     for i, bsdf in enumerate(optics.bsdfs):
         for side, name in enumerate(SHIFTS):
-            if not wanted(bsdf, name):
+            if not is_chosen(bsdf, name):
                 continue
             found = indices[..., i, side]
             if rows is not None and int(optics.host_words[i]) & 3 == TABLED:
@@ -120,14 +121,14 @@ def index_gradient(
 
 def row_derivatives(optics: Optics, surface: int, side: int) -> np.ndarray:
     """
-    Derivatives of the rows of a coated surface by the real index in front (side 0) or behind (1).
+    Return derivatives of the rows of a coated surface by the real index in front (side 0) or behind (1).
 
-    The nodes are held: cosines in the rarer material, between equal indices those of incidence.
+    The nodes are held: they are cosines in the rarer material, or, between equal indices, cosines of incidence.
 
     Returns
     -------
     (rows, 3) float64
-        Both parts of its table, R from the front, R from the back and T.
+        Derivatives of both parts of its table: R from the front, R from the back and T.
     """
     sides = optics.complex_indices[surface]
     coating = optics.bsdfs[surface].coating
@@ -136,6 +137,7 @@ def row_derivatives(optics: Optics, surface: int, side: int) -> np.ndarray:
     setting = coating, optics.wavelength_nm
     opaque = bool(optics.host_words[surface] & OPAQUE)
     _, last, _, total_last = (int(v) for v in optics.host_places[surface])
+    # Nodes of both parts of the table, and the step of the differences
     x, w = np.linspace(0.0, 1.0, last + 1), np.linspace(0.0, 1.0, total_last + 1)
     contrast = abs(sides[0].real - sides[1].real)
     same = opaque or contrast < EQUAL_INDICES
@@ -155,35 +157,38 @@ def row_derivatives(optics: Optics, surface: int, side: int) -> np.ndarray:
 
 def column_derivatives(shape: Any, name: str) -> np.ndarray:
     """
-    Derivatives of the columns of `GEOMETRY` of an analytic surface by one of its parameters.
+    Return derivatives of the columns of `GEOMETRY` of an analytic surface by one of its parameters.
 
     Parameters
     ----------
     shape : mi.Shape
-        Its plugin.
+        Plugin of the surface.
     name : str
+        Name of the parameter.
 
     Returns
     -------
     (len(GEOMETRY),) float64
-        mm, rad and the units of the columns, by the unit of the parameter.
+        Rates in mm, rad and the units of the columns, per unit of the parameter.
     """
     values, step = shape.values, shape.step(name)
     low, high = ({**values, name: values[name] + sign * step} for sign in (-1, 1))
     result = np.zeros(len(GEOMETRY))
 
+    # Pose: displacement and rotation vector of the frame
     def frame(values: Mapping[str, float]) -> np.ndarray:
         return np.asarray(shape.vertex_frame(values, moved(shape.base, *(values[key] for key in POSE))))
 
     here, before, after = (frame(v) for v in (values, low, high))
     change = (after - before) / (2 * step)
     result[: len(DISPLACEMENT)] = here[:3, :3].T @ change[:3, 3]
-    turn = here[:3, :3].T @ change[:3, :3]  # the matrix of a vector product, but for rounding
+    turn = here[:3, :3].T @ change[:3, :3]  # antisymmetric but for rounding: its vector is the rotation
     result[len(DISPLACEMENT) : len(POSE)] = 0.5 * np.array(
         [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
     )
+    # Columns of the shape
     if name not in POSE:
-        with np.errstate(invalid="ignore"):  # a step beyond the end of a conic; its sag is in no column
+        with np.errstate(invalid="ignore"):  # a step may lie beyond the end of a conic, but its sag is in no column
             less, more = (shape.surface(v).columns for v in (low, high))
         for column in less | more:
             result[GEOMETRY.index(column)] = (more.get(column, 0.0) - less.get(column, 0.0)) / (2 * step)

@@ -1,13 +1,15 @@
-"""Where light jumps without a rim: silhouettes of curved surfaces, and the onset of total reflection.
+"""
+Discontinuities without a rim: silhouettes of curved surfaces, and the onset of total reflection.
 
 A ray that just touches a curved surface either meets it or goes past. A real interface reflects everything at grazing
-incidence, so that it makes no difference; a wall, and an ideal coating whose R and T are the same at every angle, make
-a jump. So does an ideal coating at the critical angle. Both are treated like rims (see `mistray.gradients.edges`), with
+incidence, so that both have the same contribution. A wall, and an ideal coating whose R and T are the same at every
+angle, make a jump. So does an ideal coating at the critical angle. Both are treated like rims (see
+`mistray.gradients.edges`), with
 
     Δ = cos²θ / (2 κ)      depth of the ray below the surface that it cuts, κ the curvature along the ray, mm
     Δ = cos²θ_t            margin from the critical angle, θ_t the angle of refraction
 
-What happens to a ray changes with cos θ, that is with √Δ, so the boundary kernel over 0 … ε is the one that is exact
+The contribution of a ray varies with cos θ, that is with √Δ, so the boundary kernel over 0 … ε is the one that is exact
 for it:  k = (9 - 12 √(Δ/ε))/ε,  ∫ k dΔ = 1,  ∫ k √Δ dΔ = 0.
 """
 
@@ -30,19 +32,19 @@ from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
 SILHOUETTE, CRITICAL = len(RIM_COLUMNS), len(RIM_COLUMNS) + 1  # numbers that follow those of rims
-ZONE = 1.0  # of the square of the cosine, in units of the width of the zones at rims
-NEARBY = 0.01  # of an asphere's radius: step of differences along the ray
-CLOSE_BY = 1e-3  # the same of an implicit surface
+ZONE = 1.0  # zone in the square of the cosine, in units of the width of the zones at rims
+NEARBY = 0.01  # step along the ray of an asphere, in units of its size
+CLOSE_BY = 1e-3  # step along the ray of an implicit surface, in units of its size
 FLAT = 1e-6  # curvature along the ray in units of that of the aperture, below which there is no silhouette
 
 
 def grazing_kernel(delta: Any, width: Any) -> Any:
-    """The boundary kernel of this module at Δ; 0 beyond its width."""
+    """Evaluate the boundary kernel of this module at Δ; 0 beyond its width."""
     return dr.select(delta < width, (9 - 12 * dr.sqrt(delta / width)) / width, 0)
 
 
 def jump_distance(split: Split, kind: mi.UInt32, scale: mi.Float64) -> mi.Float64:
-    """Δ of replayed hits, differentiable by all but the radius of curvature, which is `scale`."""
+    """Return Δ of replayed hits, differentiable by all but the radius of curvature, which is `scale`."""
     cosine2 = split.cos_i * split.cos_i
     margin = 1 - split.eta * split.eta * (1 - cosine2)
     return dr.select(kind == SILHOUETTE, 0.5 * scale * cosine2, margin)
@@ -58,7 +60,7 @@ class Jump:
     kind : mi.UInt32
         `SILHOUETTE` or `CRITICAL`.
     delta : mi.Float
-        Δ, mm or 1.
+        Distance Δ from the jump, in mm or dimensionless.
     scale : mi.Float
         Radius of curvature along the ray (mm), or n_i/n_t.
     near : mi.Bool
@@ -73,18 +75,18 @@ class Jump:
 
 class Grazing:
     """
-    Looks for hits close to jumps, in the kernel.
+    Search for hits close to jumps, in the kernel.
 
     Parameters
     ----------
     table : SurfaceTable
     width : float
-        Of the zones at rims, in units of their radii.
+        Width of the zones at rims, in units of their radii.
 
     Attributes
     ----------
     zone : mi.Float
-        Squares of cosines that are looked at.
+        Square of the cosine below which a hit is close to a jump.
     """
 
     def __init__(self, table: SurfaceTable, width: float) -> None:
@@ -98,7 +100,7 @@ class Grazing:
 
     def find(self, s: mi.UInt32, it: Interaction, d: mi.Vector3f, active: mi.Bool) -> Jump:
         """
-        Jumps next to hits.
+        Find jumps next to hits.
 
         Parameters
         ----------
@@ -108,13 +110,14 @@ class Grazing:
             Direction of arrival.
         active : mi.Bool
         """
+        # Silhouettes: curvature along the ray, to second order
         ideal, opaque = (it.word & 3) == IDEAL, (it.word & OPAQUE) != 0
         steep = active & (dr.square(it.cos_i) < self.zone) & (ideal | opaque)
         local = self._table.frame(s, steep).inward(d)
         extent = dr.gather(mi.Vector4f, self._extents, s, steep)
         along, bend, length = self._second_order(s, it.local, local, it.word, extent.z, steep)
         radius = length / dr.abs(bend)
-        # The ray comes out again on the side that it came from, where the surface still is
+        # The ray comes out again on the side of incidence, and the surface exists where the ray is deepest below it
         turning = -along / bend
         there = it.local + turning * local
         place = dr.select(extent.w > 0, there.z, dr.sqrt(dr.fma(there.x, there.x, there.y * there.y)))
@@ -123,6 +126,7 @@ class Grazing:
             place = dr.select(here, family.coordinate(*there, numbers), place)
         inside = (place > extent.x) & (place < extent.y)
         grazes = steep & inside & (turning > 0) & (dr.abs(bend) * extent.z > FLAT * length)
+        # Critical angle
         margin = 1 - dr.square(it.eta) * (1 - dr.square(it.cos_i))
         critical = active & ~grazes & ideal & ~opaque & ~it.tir & (it.eta > 1) & (margin < self.zone)
         return Jump(
@@ -135,13 +139,24 @@ class Grazing:
     def _second_order(
         self, s: mi.UInt32, q: mi.Vector3f, d: mi.Vector3f, word: mi.UInt32, outer: mi.Float, active: mi.Bool
     ) -> tuple[mi.Float, mi.Float, mi.Float]:
-        """F(q + t d) = 2 t along + t² bend to second order, with half gradients of this length."""
+        """
+        Expand F(q + t d) = 2 t along + t² bend along the ray, to second order.
+
+        Returns
+        -------
+        along, bend : mi.Float
+            Coefficients of the expansion.
+        length : mi.Float
+            Length of ½∇F at q.
+        """
         table = self._table
+        # Quadrics: exact
         quadric = dr.gather(mi.Vector4f, table.quadric, s, active)
         a, b, e = quadric.x, quadric.y, quadric.z
         g = mi.Vector3f(a * q.x, a * q.y, dr.fma(b, q.z, 0.5 * e))
         along, bend = dr.dot(g, d), a * (d.x * d.x + d.y * d.y) + b * d.z * d.z
         length = dr.norm(g)
+        # Aspheres, then implicit surfaces: differences of the gradient along the ray
         if table.coefficient_count:
             aspheric = active & ((word & ASPHERIC) != 0)
             shape = table.asphere_sag(s, aspheric)

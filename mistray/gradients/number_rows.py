@@ -1,6 +1,8 @@
-"""Numbers of surfaces in rows that are read, and added to by derivatives, four at a time: one costs as much alone.
+"""
+Numbers of surfaces in rows, which the device gathers, and scatters derivatives to, as vectors of four.
 
-A row belongs to a surface; rows of numbers whose derivatives are gathered are repeated for each batch of start rays.
+A gather of one number costs as much as one of four. A row belongs to a surface; rows of tracked numbers, whose
+derivatives are accumulated, are repeated for each batch of start rays.
 """
 
 from __future__ import annotations
@@ -21,15 +23,15 @@ WIDTH = 4  # numbers that are read together
 
 class NumberRows:
     """
-    Some columns of `GEOMETRY`.
+    Rows of some columns of `GEOMETRY`.
 
     Parameters
     ----------
     geometry : (surfaces, len(GEOMETRY)) float64
     columns : sequence of str
-        Columns that are 0 at all surfaces are left out unless they are tracked.
+        Names of the columns; those that are 0 at all surfaces are left out unless they are tracked.
     tracked : set of str
-        Columns whose derivatives are gathered.
+        Columns whose derivatives are accumulated.
 
     Attributes
     ----------
@@ -43,12 +45,14 @@ class NumberRows:
         self._plain = [name for name in columns if name not in tracked and geometry[:, GEOMETRY.index(name)].any()]
         self.names = {*self._tracked, *self._plain}
         self._surfaces = dr.opaque(mi.UInt32, self._count)
+        # Tracked rows have a copy for each batch, so that derivatives by batch give standard errors
         self._plain_values = upload(mi.Float64, _rows(geometry, self._plain))
         self._tracked_values = tracked_array(np.tile(_rows(geometry, self._tracked).ravel(), BATCHES))
         dr.eval(self._plain_values, self._tracked_values)
 
     def read(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> dict[str, Any]:
-        """All columns by name at the surfaces s; 0 where they have been left out."""
+        """Return all columns by name at the surfaces s; 0 for those that are left out."""
+        # Zeros are literals: Dr.Jit drops the terms of columns that are left out
         found: dict[str, Any] = dict.fromkeys(self._columns, mi.Float64(0))
         for names, values, row in (
             (self._plain, self._plain_values, s),
@@ -61,13 +65,13 @@ class NumberRows:
         return found
 
     def gradient(self) -> dict[str, np.ndarray]:
-        """Derivatives that have been gathered, by column, each (BATCHES, surfaces) float64."""
+        """Return the accumulated derivatives by column, each (BATCHES, surfaces) float64."""
         found = np.array(dr.grad(self._tracked_values)).reshape(BATCHES, self._count, -1)
         return {name: found[:, :, k] for k, name in enumerate(self._tracked)}
 
 
 def tracked_array(values: np.ndarray) -> mi.Float64:
-    """Numbers whose derivatives are gathered."""
+    """Upload numbers whose derivatives are accumulated."""
     with dr.resume_grad():
         array = upload(mi.Float64, values)
         dr.enable_grad(array)
@@ -75,7 +79,14 @@ def tracked_array(values: np.ndarray) -> mi.Float64:
 
 
 def _rows(geometry: np.ndarray, names: Sequence[str]) -> np.ndarray:
-    """Columns by name in rows whose length is a multiple of `WIDTH`, one column at least; shape (surfaces, length)."""
+    """
+    Return columns by name as rows, padded with zeros to a multiple of `WIDTH`.
+
+    Returns
+    -------
+    (surfaces, length) float64
+        At least one vector of `WIDTH` numbers for each surface.
+    """
     rows = np.zeros((len(geometry), max(1, -(-len(names) // WIDTH)) * WIDTH))
     for k, name in enumerate(names):
         rows[:, k] = geometry[:, GEOMETRY.index(name)]

@@ -1,4 +1,4 @@
-"""From what the tracer knows of the derivatives of a metric to derivatives by the parameters of plugins."""
+"""Chain rule from the derivatives that the tracer accumulates to derivatives by the parameters of plugins."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ IsChosen = Callable[[Any, str], bool]
 Derivatives = Iterator[tuple[Any, str, np.ndarray]]
 
 
-def parameter_gradient(raw: TableGradient, wanted: IsChosen) -> Derivatives:
+def parameter_gradient(raw: TableGradient, is_chosen: IsChosen) -> Derivatives:
     """
-    Derivatives by parameters with visibility as it is.
+    Yield derivatives by parameters, visibility held.
 
     Parameters
     ----------
     raw : TableGradient
-    wanted : callable
-        Says of a plugin and a name whether its derivative is requested.
+    is_chosen : callable
+        Takes a plugin and a name; returns whether that derivative is requested.
 
     Yields
     ------
@@ -33,35 +33,41 @@ def parameter_gradient(raw: TableGradient, wanted: IsChosen) -> Derivatives:
         The plugin that owns the parameter, its name, and the derivatives by batch, (BATCHES, entries). A parameter may
         come several times; the parts add up.
     """
+    # Interior terms: coatings, shapes, indices, scatter, sources
     if raw.rows is not None:
-        yield from coating_gradient(raw.table.optics, raw.rows, wanted)
+        yield from coating_gradient(raw.table.optics, raw.rows, is_chosen)
     if raw.geometry is not None:
-        yield from geometry_gradient(raw.table, raw.geometry, wanted)
+        yield from geometry_gradient(raw.table, raw.geometry, is_chosen)
     if raw.indices is not None:
-        yield from index_gradient(raw.table, raw.indices, wanted, raw.rows)
+        yield from index_gradient(raw.table, raw.indices, is_chosen, raw.rows)
     if raw.scatter:
-        yield from scatter_gradient(raw.table, raw.scattering, raw.scatter, wanted)
+        yield from scatter_gradient(raw.table, raw.scattering, raw.scatter, is_chosen)
     for found in raw.sources:
-        if wanted(found.owner, found.name):
+        if is_chosen(found.owner, found.name):
             yield found.owner, found.name, found.inner[:, None]
 
 
-def edge_gradient(raw: TableGradient, wanted: IsChosen) -> Derivatives:
-    """The part of rims, as `parameter_gradient`, for each width of the zones: (w, BATCHES, entries)."""
+def edge_gradient(raw: TableGradient, is_chosen: IsChosen) -> Derivatives:
+    """
+    Yield the boundary terms of rims as `parameter_gradient` does the interior ones.
+
+    Their arrays are (w, BATCHES, entries), one entry of the first axis for each width of the zones.
+    """
     if raw.edges is not None:
-        yield from geometry_gradient(raw.table, raw.edges, wanted)
+        yield from geometry_gradient(raw.table, raw.edges, is_chosen)
     if raw.edge_indices is not None:
-        yield from index_gradient(raw.table, raw.edge_indices, wanted)
+        yield from index_gradient(raw.table, raw.edge_indices, is_chosen)
     for found in raw.sources:
-        if len(found.edges) and wanted(found.owner, found.name):
+        if len(found.edges) and is_chosen(found.owner, found.name):
             yield found.owner, found.name, found.edges[..., None]
 
 
-def gathered(raws: Iterable[TableGradient], wanted: IsChosen) -> tuple[Sums, Sums]:
-    """Sums of `parameter_gradient` and of `edge_gradient`, by the identity of the plugin and the name."""
+def gathered(raws: Iterable[TableGradient], is_chosen: IsChosen) -> tuple[Sums, Sums]:
+    """Sum `parameter_gradient` and `edge_gradient` over several traces, by identity of the plugin and name."""
     inner, rims = Sums(), Sums()
     for raw in raws:
-        for sums, found in (inner, parameter_gradient(raw, wanted)), (rims, edge_gradient(raw, wanted)):
+        # A plugin that several surfaces share is yielded once for each: the parts add up
+        for sums, found in (inner, parameter_gradient(raw, is_chosen)), (rims, edge_gradient(raw, is_chosen)):
             for owner, name, part in found:
                 sums[id(owner), name] = sums.get((id(owner), name), 0.0) + part
     return inner, rims

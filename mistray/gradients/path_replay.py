@@ -1,4 +1,4 @@
-"""Recorded rays of a pass, sorted by path and replayed: what traces forward and backward have in common."""
+"""Recorded rays of a pass, sorted by path and replayed: the part that forward and backward traces share."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
 CAPACITY = 1 << 18  # rays that are recorded at once
-ROOM = 1.3  # of the buffer over what the trace has counted
+ROOM = 1.3  # size of the buffer over the number of rays that the trace has counted
 
 
 class PathReplay:
@@ -44,14 +44,14 @@ class PathReplay:
     settings : Settings
     request : GradientRequest
     longest : int
-        Longest path.
+        Number of events of the longest path.
     start : SceneSource or int, optional
-        Source of the rays, or the surface that they start from, backwards; None: it stays as it is.
+        Source of the rays, or the surface from which backward rays start; None: the start does not move.
 
     Raises
     ------
     MistrayError
-        For meshes and other stock shapes, media that scatter, polarised light.
+        For meshes and other shapes of Mitsuba's own, media that scatter, polarised light.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class PathReplay:
         self.scatter = ScatterReplay(table, scattering) if scattering.any else None
         self.recorder = BranchRecorder(as_many(CAPACITY, longest), longest, points_only=True)
         self.backward = isinstance(start, int)
-        # Rays at rims have only a place that changes; what it costs is in their coefficients
+        # Of hits close to rims only the position moves: their coefficients already hold the change of flux
         places = replace(request, rows=False, scatter=False)
         self.edges = [ReplaySurfaces(table, places) for _ in request.edge_widths if request.moves]
         self._starts = [self._start_motion(start, surfaces) for surfaces in (self.surfaces, *self.edges)]
@@ -86,15 +86,15 @@ class PathReplay:
         self, start: StartRays, hits_per_ray: float, trace: Callable[[StartRays], None]
     ) -> Iterator[StartRays]:
         """
-        Trace the rays of a pass in portions that the recorder holds; yields each when it is recorded.
+        Trace the rays of a pass in portions that fit the recorder, and yield each once it is recorded.
 
         Parameters
         ----------
         start : StartRays
         hits_per_ray : float
-            What is recorded of a start ray on average.
+            Average number of recorded rays per start ray.
         trace : callable
-            Traces some start rays with `recorder`.
+            Traces a portion of the start rays with `recorder`.
         """
         lanes = max(1, int(self.recorder.capacity / (ROOM * max(1.0, hits_per_ray))))
         count, done = dr.width(start.lane), 0
@@ -104,6 +104,7 @@ class PathReplay:
             self.recorder.clear()
             trace(part)
             recorded = int(self.recorder.count[0])
+            # Overflow: nothing of the portion is used, and half as many rays are traced again
             if recorded <= self.recorder.capacity:
                 yield part
                 done += here
@@ -129,14 +130,15 @@ class PathReplay:
         start : StartRays
             The portion.
         counts : callable
-            Takes the keys of the rays, (n,) uint64, and says which of them matter, (n,) bool.
+            Takes the keys of the rays, (n,) uint64, and returns which of them contribute, (n,) bool.
         end : callable
-            What the metric gains from them, given their rows in the recorder in the order of the lanes, and their keys.
+            Takes the rows of the rays in the recorder, in the order of the lanes, and their keys; returns their
+            contribution to the metric.
         group : callable, optional
-            Numbers below BATCHES by which sums are kept instead of by batch, given the rows.
+            Takes the rows; returns numbers below BATCHES by which sums are kept, instead of by batch.
         """
         keys = np.array(self.recorder.path)[: int(self.recorder.count[0])]
-        # Neighbours do the same work when they have had the same events
+        # Sorted by path, so that the lanes of a warp run through the same events
         order = np.argsort(keys, kind="stable")
         order = order[each(counts, keys[order])]
         if not len(order):
@@ -144,6 +146,7 @@ class PathReplay:
         rays = branches(self.recorder, start, order)
         if group is not None:
             rays = replace(rays, batch=group(rays.row))
+        # Forward in float64, then backward with derivatives
         found = follow(self.surfaces, rays)
         replay_rays(self.surfaces, rays, found, end(rays.row, keys[order]), self.scatter, self._starts[0])
         self.strayed += int(dr.count(found.strayed)[0])
@@ -164,7 +167,7 @@ class PathReplay:
             replay_rays(surfaces, rays, follow(surfaces, rays), end, None, start_motion)
 
     def result(self) -> TableGradient:
-        """What has been gathered."""
+        """Return the derivatives accumulated so far."""
         request = self.request
         raw = TableGradient(self.table, self.scattering, backward=self.backward)
         if not self.backward and request.sources:
@@ -188,19 +191,21 @@ class PathReplay:
 
 class RimEnd:
     """
-    What the metric gains from hits close to rims when they move relative to the rim, see `mistray.gradients.edges`.
+    Contribution to the metric of hits close to rims that move relative to the rim, see `mistray.gradients.edges`.
 
     Parameters
     ----------
     rim, joined : mi.UInt32
+        See `EdgeEvents`.
     scale : mi.Float
+        See `EdgeEvents`.
     c : mi.Float64
-        As in `EdgeEvents`.
+        Coefficients of `EdgeEvents` for one width.
     """
 
     def __init__(self, rim: mi.UInt32, joined: mi.UInt32, scale: mi.Float, c: mi.Float64) -> None:
         self._rim, self._joined, self._c = rim, joined, c
-        self._scale = dr.select(rim >= SILHOUETTE, mi.Float64(scale), 1)  # that of rims is not set
+        self._scale = dr.select(rim >= SILHOUETTE, mi.Float64(scale), 1)  # rims leave it unset
 
     def __call__(
         self,
@@ -212,10 +217,12 @@ class RimEnd:
         batch: mi.UInt32,
         active: mi.Bool,
     ) -> mi.Float64:
-        """The gain to first order: its value is 0."""
+        """Return the contribution to first order: its value is 0, its derivative that of c Δ."""
+        # Rim, or jump without one: the distance Δ itself
         free, jumps = self._joined == NO_SURFACE, self._rim >= SILHOUETTE
         distance = surfaces.rim_distance(met, self._rim, s, batch, active & free & ~jumps)
         distance = dr.select(jumps, jump_distance(split, self._rim, self._scale), distance)
+        # Concave edge: the distance is that from the adjoining surface
         corner = active & ~free
         apart = surfaces.distance_from(
             surfaces.world_point(met, s, corner), dr.select(free, 0, self._joined), batch, corner
@@ -225,7 +232,7 @@ class RimEnd:
 
 
 def each(function: Callable[[np.ndarray], Any], keys: np.ndarray) -> Any:
-    """An array, or a tuple of them, for rays sorted by key: computed once for all that have had the same events."""
+    """Return arrays for rays sorted by key, computed once for all rays of the same path."""
     if not len(keys):
         return function(keys)
     first = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
@@ -237,7 +244,7 @@ def each(function: Callable[[np.ndarray], Any], keys: np.ndarray) -> Any:
 
 
 def branches(recorder: BranchRecorder, start: StartRays, rows: np.ndarray) -> Branches:
-    """Recorded rays of a portion."""
+    """Return recorded rays of a portion, one lane for each row."""
     row = upload(mi.UInt32, rows)
     lane = dr.gather(mi.UInt32, recorder.lane, row) - dr.opaque(mi.UInt32, int(start.lane[0]))
     length = dr.gather(mi.UInt32, recorder.length, row)
@@ -253,7 +260,7 @@ def branches(recorder: BranchRecorder, start: StartRays, rows: np.ndarray) -> Br
 def _check(table: SurfaceTable, settings: Settings) -> None:
     if settings.stokes:
         raise MistrayError(NO_STOKES)
-    if table.stock_scene is not None:
+    if table.mitsuba_scene is not None:
         raise MistrayError(
             f"shape '{table.ids[len(table.pieces)]}' is none of mistray's own; gradients by anything but coatings need "
             "'asphere' and 'frustum' shapes only"

@@ -1,14 +1,14 @@
 """
 Derivatives of a metric of a PST: its rays are traced again, recorded, sorted and replayed by passes.
 
-Where rays of both directions share the paths, they share the derivatives, too. Two kinds are told apart:
+Where forward and backward rays share the paths by MIS, they share the derivatives, too. There are two kinds:
 
-- Coatings and scatter change the flux of a path and leave it where it is. Each ray counts with its share of the value,
-  see `mistray.sampling.sharing.balance`: shares of a path add up to 1, whatever is multiplied with them.
-- Shapes and indices move paths and the rims that end them. Rays against the light keep their start on the detector,
-  those with it their start in the sky: the same path moves in two ways, and shares that change along it do not cancel.
-  So all paths of a family have one share, see `mistray.sampling.sharing.families`, and each direction finds the whole
-  derivative of its part.
+- Coatings and scatter change the flux of a path and leave it in place. Each ray contributes with its MIS weight, see
+  `mistray.sampling.sharing.balance`: the weights of a path add up to 1 whatever factor they are multiplied by.
+- Shapes and indices move paths and the rims that end them. Backward rays keep their start on the detector, forward rays
+  theirs in the sky. The same path then moves in two ways, and MIS weights that vary along it do not cancel. So all
+  paths of a path class have one weight, see `mistray.sampling.sharing.path_classes`, and each direction estimates the
+  whole derivative of its part.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ EXITS_PER_RAY, ARRIVALS_PER_RAY = 8.0, 1.0  # first guesses; portions that are t
 @dataclass(frozen=True, eq=False)
 class PstRays:
     """
-    The rays that a PST was computed from.
+    Rays that a PST was computed from.
 
     Attributes
     ----------
     trace : BackwardTrace
-        Rays against the light.
+        Backward rays.
     cells : AllCells or None
-        Rays with it that share the paths with them; None: there are none.
+        Forward rays that share the paths with them by MIS; None: there are none.
     """
 
     trace: BackwardTrace
@@ -60,26 +60,26 @@ class PstRays:
         self, derivative: np.ndarray, request: GradientRequest, groups: np.ndarray | None = None
     ) -> Iterator[TableGradient]:
         """
-        Derivatives of a metric.
+        Yield derivatives of a metric.
 
         Parameters
         ----------
         derivative : (CLASS_COUNT, n, m) float64
-            Of the metric by PST_normal of each class in each cell.
+            Derivative of the metric by PST_normal of each class in each cell.
         request : GradientRequest
         groups : (n, m) int, optional
-            For each cell a number below BATCHES: the derivatives are those of the parts that the cells of each number
-            have, instead of those that the batches have. Rims know no cells: without `request.edge_widths` only.
+            A number below BATCHES for each cell: derivatives are kept by this number of their cell instead of by batch.
+            Boundary terms of rims hold no cell, so this is for requests without `edge_widths` only.
 
         Yields
         ------
         TableGradient
-            For each wavelength and direction; they add up.
+            Gradients for each wavelength and direction, to be added.
 
         Raises
         ------
         MistrayError
-            If the trace has gone on from a saved run, whose rays are not known.
+            If the trace continues a saved run, whose rays are not available.
         """
         if self.trace.pass_rays is None:
             raise MistrayError("this PST goes on from a saved run, whose rays are gone; compute it without 'resume'")
@@ -87,7 +87,7 @@ class PstRays:
             raise MistrayError("derivatives by groups of cells do not know what rims take and give; use edges=False")
         numbers = None if groups is None else upload(mi.UInt32, np.asarray(groups, dtype=np.uint32))
         for band in range(len(self.trace.bands)):
-            for part, moves in _parts(request) if self.trace.rivals else [(request, True)]:
+            for part, moves in _parts(request) if self.trace.forward else [(request, True)]:
                 yield self._against(band, derivative, part, numbers, moves)
                 if self.cells is not None:
                     yield self._along(band, derivative, part, numbers, moves)
@@ -95,10 +95,11 @@ class PstRays:
     def _against(
         self, number: int, derivative: np.ndarray, request: GradientRequest, groups: mi.UInt32 | None, moves: bool
     ) -> TableGradient:
-        """From rays against the light at a wavelength."""
+        """Return the derivatives from backward rays at a wavelength."""
         started = time.perf_counter()
         trace, band = self.trace, self.trace.bands[number]
         assert trace.pass_rays is not None
+        # The metric by the flux of a start ray instead of PST_normal
         derivative = trace.unit / float(trace.rays.sum()) * derivative
         path_replay = PathReplay(
             band.table, band.scattering, trace.settings, request, trace.settings.max_events, band.table.detector
@@ -113,7 +114,8 @@ class PstRays:
         def group(row: mi.UInt32) -> mi.UInt32:
             return dr.gather(mi.UInt32, groups, sky.cell(_heading(recorder, row))[0])
 
-        shares = trace.family_shares() if moves else None
+        # MIS weights: one per path class where paths move, else those of the balance heuristic
+        shares = trace.path_class_shares() if moves else None
         with dr.suspend_grad():
             edges = None
             if path_replay.edges:
@@ -121,8 +123,8 @@ class PstRays:
             for done, rays in enumerate(trace.pass_rays):
                 whole = trace.start_pass(number, done, rays)
                 vertices = None if moves else trace.light_vertices(number, (0, done), rays)
-                weighing = shares if moves else trace.balance(number, vertices, same_rays=True)
-                recorder.directions = trace.make_directions(derivative, weighing=weighing)
+                mis = shares if moves else trace.balance(number, vertices, same_rays=True)
+                recorder.directions = trace.make_directions(derivative, mis=mis)
 
                 def trace_again(start: StartRays, vertices: LightVertices | None = vertices) -> None:
                     if moves:
@@ -130,11 +132,12 @@ class PstRays:
                     else:
                         trace.trace_shared(number, start, vertices, recorder)
 
+                # Paths with visibility held
                 if not request.only_rims:
                     for start in path_replay.portions(whole, EXITS_PER_RAY, trace_again):
                         path_replay.replay(start, _all, end, None if groups is None else group)
                 if edges is not None:
-                    for start, events in edges.events(whole, trace.adjoint(derivative, weighing)):
+                    for start, events in edges.events(whole, trace.adjoint(derivative, mis)):
                         path_replay.replay_edges(start, events)
         raw = self._result(path_replay)
         raw.seconds = time.perf_counter() - started
@@ -143,30 +146,32 @@ class PstRays:
     def _along(
         self, number: int, derivative: np.ndarray, request: GradientRequest, groups: mi.UInt32 | None, moves: bool
     ) -> TableGradient:
-        """From rays with the light at a wavelength."""
+        """Return the derivatives from forward rays at a wavelength."""
         started = time.perf_counter()
         trace, cells = self.trace, self.cells
         assert cells is not None
         table = trace.bands[number].table
         path_replay = PathReplay(
-            table, trace.rivals[number].scattering, trace.settings, request, trace.settings.max_events
+            table, trace.forward[number].scattering, trace.settings, request, trace.settings.max_events
         )
         recorder = path_replay.recorder
+        # The metric by the flux of a start ray of each cell, with MIS weights
         rays = np.sum([rays for _, rays in cells.rounds], axis=0)
         unit = np.divide(cells.unit, rays, out=np.zeros_like(cells.unit), where=rays > 0)
-        weighing = trace.family_shares() if moves else trace.balance(number, None, same_rays=True)
-        assert weighing is not None
-        recorder.arrivals = cells.gains(unit * derivative.reshape(len(derivative), -1), weighing)
+        mis = trace.path_class_shares() if moves else trace.balance(number, None, same_rays=True)
+        assert mis is not None
+        recorder.arrivals = cells.gains(unit * derivative.reshape(len(derivative), -1), mis)
 
         def end(row: mi.UInt32, keys: np.ndarray) -> End:
             gain = dr.gather(mi.Float64, recorder.weight, row)
-            return lambda *hit: gain  # wherever the detector is hit
+            return lambda *hit: gain  # the same anywhere on the detector
 
         with dr.suspend_grad():
             edges = None
             if path_replay.edges:
-                edges = Edges(trace.rival_scene(number), trace.settings, request.edge_widths)
+                edges = Edges(trace.forward_scene(number), trace.settings, request.edge_widths)
                 adjoint = Adjoint(0, trace.film, arrivals=recorder.arrivals)
+            # The same rays as in the trace, round by round
             for round_number, of_cells in cells.rounds:
                 for whole in cells.starts(number, of_cells, (0, round_number)):
 
@@ -189,7 +194,7 @@ class PstRays:
         return raw
 
     def _result(self, path_replay: PathReplay) -> TableGradient:
-        """What has been gathered, without the part of the detector's own size, and what is left out."""
+        """Return the accumulated derivatives without those by the detector's size, and notes on what is left out."""
         raw, request = path_replay.result(), path_replay.request
         if request.moves:
             raw.left_out.append(CELL_BORDERS)
@@ -202,7 +207,14 @@ class PstRays:
 
 
 def _parts(request: GradientRequest) -> list[tuple[GradientRequest, bool]]:
-    """What leaves paths where they are, and what moves them; the latter with reflectances as indices change them."""
+    """
+    Split a request by whether its parameters move paths.
+
+    Returns
+    -------
+    list of (GradientRequest, bool)
+        Parts, and whether they move paths. Coatings belong to the second part where indices change their reflectance.
+    """
     still = replace(request, geometry=frozenset(), indices=False, rows=request.rows and not request.indices)
     moving = replace(request, rows=request.indices, scatter=False)
     return [(still, False)] * (still.rows or still.scatter) + [(moving, True)] * moving.moves

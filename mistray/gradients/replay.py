@@ -1,14 +1,20 @@
-"""Recorded rays again, in reverse: derivatives of a metric by geometry, indices and everything else along their paths.
+"""
+Path replay: derivatives of a metric along recorded paths, by geometry, indices and all other parameters.
 
-A recorded ray is a start ray, a list of events and what the metric gains from it. Its flux is a product of factors, one
-at each event, and its place a chain of refractions and reflections, so the derivative of its part of the metric is a
-sum over events: G d ln(factor), with G the part itself, and the derivative of the place carried back from the end. A
-first pass follows the rays forward in float64 and stores their points; a second goes back along them and lets Dr.Jit
-differentiate one event at a time, so that memory does not grow with the number of parameters.
+A recorded ray is a start ray, a list of events and its contribution G to the metric. G is the product of the flux
+factors f_k of the events, and each hit x_k follows from the one before by refraction or reflection. With parameters π
 
-Visibility is held as it is: what rays gain and lose at rims comes from `mistray.gradients.edges`. The direction after a
-scatter event is held fixed, and its flux changes with the BSDF; random choices keep their probabilities. Source:
-reverse mode of a chain; compare D. Vicini et al., "Path replay backpropagation", ACM Trans. Graph. 40, 108 (2021).
+    ∂G/∂π = Σ_k [G ∂ ln f_k/∂π + (∂G/∂x_k) · ∂x_k/∂π + (∂G/∂d_k) · ∂d_k/∂π],
+
+where x_k and the outgoing direction d_k vary with the numbers of surface k alone, the incident ray held. The adjoints
+∂G/∂x_k and ∂G/∂d_k are carried back from the end of the path. In the code G is `weight`, ln f_k `factor`, and the
+adjoints are `by_p` and `by_d`. A first pass follows the rays forward in float64 and stores their hits. A second goes
+back along them and lets Dr.Jit differentiate one event at a time, so that memory does not grow with the number of
+parameters. Source: reverse mode of a chain; compare D. Vicini et al., "Path replay backpropagation", ACM Trans. Graph.
+40, 108 (2021).
+
+Visibility is held: the contribution of rims comes from `mistray.gradients.edges`. The direction after a scatter event
+is held ("detached sampling"), and the flux varies with the BSDF; random choices keep their probabilities.
 """
 
 from __future__ import annotations
@@ -27,8 +33,8 @@ from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, RANDOM_TRANSMITTE
 if TYPE_CHECKING:
     from mistray.gradients.start_motion import StartMotion
 
-NEWTON_STEPS = 1  # of the first pass, from the recorded float32 point: its error of 1e-6 is squared, then again
-FAR_OFF = 1e-3  # a ray that misses its recorded points by more, in units of 1 + their coordinates, is not the same
+NEWTON_STEPS = 1  # of the first pass, from the float32 point with its error of 1e-6; the second pass squares it again
+FAR_OFF = 1e-3  # distance from a recorded point, over 1 + its norm, beyond which the ray counts as another one
 
 
 @dataclass
@@ -39,17 +45,17 @@ class Branches:
     Attributes
     ----------
     o, d : mi.Vector3d
-        Start, mm, and unit direction.
+        Origins, mm, and unit directions.
     batch, length : mi.UInt32
         Batch of the start ray, number of events.
     row : mi.UInt32
         Row of the lane in `codes` and `nodes`.
     codes : mi.UInt32
-        (rows, stride) events, surface << EVENT_BITS | what.
+        (rows, stride) events, surface << EVENT_BITS | kind of event.
     nodes : mi.Float
-        (rows, stride, node_floats) recorded points, perhaps more behind them.
+        (rows, stride, node_floats) recorded points in the first three floats of a node.
     stride : mi.UInt32
-        Events that a row has room for, opaque.
+        Capacity of a row in events, opaque.
     node_floats, longest : int
         Floats of a node, and events of the longest ray.
     """
@@ -66,21 +72,21 @@ class Branches:
     longest: int
 
     def code(self, k: mi.UInt32, active: mi.Bool) -> mi.UInt32:
-        """Event k."""
+        """Return event k."""
         return dr.gather(mi.UInt32, self.codes, self.row * self.stride + k, active)
 
     def point(self, k: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """Recorded point of event k, mm."""
+        """Return the recorded point of event k, mm."""
         base = (self.row * self.stride + k) * self.node_floats
         return mi.Vector3d(*(mi.Float64(dr.gather(mi.Float, self.nodes, base + j, active)) for j in range(3)))
 
 
 class Followed:
-    """Points of all rays in float64 (mm), and what they pass through, event by event."""
+    """Points of all rays in float64 (mm) and media of their segments, event by event."""
 
     def __init__(self, rays: int, longest: int) -> None:
         self.rays = dr.opaque(mi.UInt32, rays)
-        # Each an array of its own: equal ones would be shared, and copied before they are written to
+        # Separate arrays: equal ones would share memory, and be copied before each write
         self.points = [dr.empty(mi.Float64, rays * longest) for _ in range(3)]
         self.media = dr.empty(mi.UInt32, rays * longest)
         self.strayed = dr.zeros(mi.Bool, rays)
@@ -96,15 +102,15 @@ class Followed:
         dr.scatter(self.media, medium, self._index(k), active)
 
     def point(self, k: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """Point of event k."""
+        """Return the point of event k."""
         return mi.Vector3d(*(dr.gather(mi.Float64, values, self._index(k), active) for values in self.points))
 
     def medium(self, k: mi.UInt32, active: mi.Bool) -> mi.UInt32:
-        """Medium of the segment that led to event k."""
+        """Return the medium of the segment that led to event k."""
         return dr.gather(mi.UInt32, self.media, self._index(k), active)
 
 
-# What the metric gains from the last hit of a ray, which was recorded at the point that comes third
+# Contribution of a ray to the metric as a function of its last hit; the third argument is the recorded point
 End = Callable[[ReplaySurfaces, Hit, mi.Vector3d, Split, mi.UInt32, mi.UInt32, mi.Bool], mi.Float64]
 
 
@@ -116,11 +122,11 @@ class Exit:
     Attributes
     ----------
     gain : mi.Float64
-        What the metric gains from each.
+        Contribution of each ray to the metric.
     by_direction : mi.Vector3d
-        Its derivative by the direction in which they leave.
+        Derivative of the contribution by the direction in which the ray leaves.
     heading : mi.Vector3d
-        That direction as it was recorded.
+        Recorded direction in which the ray leaves.
     """
 
     gain: mi.Float64
@@ -130,7 +136,7 @@ class Exit:
 
 def follow(surfaces: ReplaySurfaces, rays: Branches) -> Followed:
     """
-    Find the points of recorded rays again, in float64.
+    Follow recorded rays through their events in float64.
 
     Parameters
     ----------
@@ -140,7 +146,7 @@ def follow(surfaces: ReplaySurfaces, rays: Branches) -> Followed:
     Returns
     -------
     Followed
-        `strayed` marks rays that could not be followed, because a hit is not where it was recorded.
+        Points and media; `strayed` marks rays of which a hit is not where it was recorded.
     """
     count = dr.width(rays.row)
     found = Followed(count, rays.longest)
@@ -153,18 +159,22 @@ def follow(surfaces: ReplaySurfaces, rays: Branches) -> Followed:
         code = rays.code(k, active)
         s, what = code >> EVENT_BITS, code & EVENT_MASK
         recorded = rays.point(k, active)
+        # Intersect: Newton from the recorded point
         met = surfaces.meet(p, d, dr.dot(recorded - p, d), s, rays.batch, active, NEWTON_STEPS, still=True)
         split = surfaces.split(met, s, what, rays.batch, active)
+        # Compare with the record
         here = surfaces.world_point(met, s, active)
         off = dr.norm(here - recorded) > FAR_OFF * (1 + dr.norm(recorded))
         strayed |= active & (off | ~dr.isfinite(dr.squared_norm(here)))
         found.write(k, here, dr.select(split.medium_in == 0, medium, split.medium_in), active)
+        # Next direction: Snell's law, or towards the recorded point after a scatter event
         heading = surfaces.world_direction(
             met, dr.select(what == TRANSMITTED, split.transmitted, split.reflected), s, active
         )
         more = active & (k + 1 < rays.length)
         scattered = what >= RANDOM_TRANSMITTED
         heading = dr.select(scattered & more, rays.point(k + 1, more) - here, heading)
+        # Next medium; 0 on the side of incidence is not known, and keeps the present one
         through = (what == TRANSMITTED) | (scattered & ((what & 1) == 0))
         medium = dr.select(through, split.medium_out, dr.select(split.medium_in == 0, medium, split.medium_in))
         return k + 1, here, dr.normalize(heading), medium, strayed
@@ -189,21 +199,21 @@ def replay_rays(
     start: StartMotion | None = None,
 ) -> None:
     """
-    Add the derivatives of what the metric gains from recorded rays to the numbers of the surfaces.
+    Accumulate the derivatives of the contributions of recorded rays in the numbers of the surfaces.
 
     Parameters
     ----------
     surfaces : ReplaySurfaces
-        Gathers the derivatives.
+        Accumulates the derivatives.
     rays : Branches
     found : Followed
-        From `follow`; rays that strayed are left out.
+        Result of `follow`; rays that strayed are left out.
     end : callable or Exit
-        What the metric gains from a ray as a differentiable function of its last hit, or for rays that leave.
+        Contribution of a ray as a differentiable function of its last hit, or that of rays that leave.
     scatter : ScatterReplay, optional
-        Of a scene that scatters.
+        Scatter of the scene; None: no surface scatters.
     start : StartMotion, optional
-        Told of the derivatives by the starts of the rays.
+        Receives the derivatives by the starts of the rays.
     """
     alive = ~found.strayed
     away = end if isinstance(end, Exit) else None
@@ -214,7 +224,7 @@ def replay_rays(
         active: mi.Bool,
         gain: Callable[[mi.Vector3d, mi.Vector3d, mi.Float64], mi.Float64],
     ) -> tuple[mi.Vector3d, mi.Vector3d, mi.Vector3d, mi.Float64]:
-        """Origin of the segment to event k, here; derivatives of its gain by origin and direction; the gain."""
+        """Return the origin of the segment to event k, derivatives of `gain` by origin and direction, and its value."""
         first = k == 0
         origin = dr.select(first, rays.o, found.point(dr.maximum(k, 1) - 1, active & ~first))
         along = here - origin
@@ -231,7 +241,7 @@ def replay_rays(
         return origin, dr.select(active, by_o, 0), dr.select(active, by_d, 0), dr.select(active, result, 0)
 
     def thin(met: Hit, k: mi.UInt32, active: mi.Bool) -> mi.Float64:
-        """Ln of what is left behind the segment that led to event k."""
+        """Return the logarithm of the transmittance of the segment that led to event k."""
         if not surfaces.table.optics.absorbs:
             return mi.Float64(0)
         return -surfaces.extinction(found.medium(k, active), active) * met.length
@@ -240,6 +250,7 @@ def replay_rays(
         code = rays.code(k, active)
         return code >> EVENT_BITS, code & EVENT_MASK
 
+    # End of the path: its contribution, and the adjoints of the last hit or direction
     if isinstance(end, Exit):
         weight = end.gain
         by_p, by_d, last = (
@@ -258,7 +269,7 @@ def replay_rays(
             met = surfaces.meet(o, d, t, s, rays.batch, alive)
             split = surfaces.split(met, s, what, rays.batch, alive)
             gain = meets(surfaces, met, rays.point(last, alive), split, s, rays.batch, alive)
-            left = thin(met, last, alive)  # is in the recorded flux already: only its derivative counts
+            left = thin(met, last, alive)  # the recorded flux holds its value: only the derivative is added
             return gain + dr.detach(gain) * (left - dr.detach(left))
 
         here, by_p, by_d, weight = differentiate(last, found.point(last, alive), alive, at_end)
@@ -271,6 +282,7 @@ def replay_rays(
         s, what = event_at(k, active)
         scattered, transmitted = what >= RANDOM_TRANSMITTED, what == TRANSMITTED
 
+        # One event as a function of its incident ray; `gain` has the derivative of G in the module docstring
         def event(o: mi.Vector3d, d: mi.Vector3d, t: mi.Float64) -> mi.Float64:
             met = surfaces.meet(o, d, t, s, rays.batch, active)
             split = surfaces.split(met, s, what, rays.batch, active)
@@ -278,9 +290,11 @@ def replay_rays(
             heading = surfaces.world_direction(
                 met, dr.select(transmitted, split.transmitted, split.reflected), s, active
             )
+            # Flux factor of a specular event
             share = dr.select(transmitted, split.T, split.R)
             factor = dr.log(dr.select(active & ~scattered & (share > 0), share, 1))
             if scatter is not None:
+                # Flux factor of scatter: the BSDF along the recorded direction, or the specular fraction
                 reflect = dr.select(scattered, (what & 1) != 0, ~transmitted)
                 ahead = found.point(k + 1, active & (k + 1 < rays.length)) - dr.detach(p)
                 if away is not None:
@@ -290,6 +304,7 @@ def replay_rays(
                 coating = surfaces.coating(split, s, rays.batch, active)
                 factor = factor + scatter.log_kept(hit, active & ~scattered)
                 factor = factor + scatter.log_flux(hit, at_surface, active & scattered, coating)
+            # A scattered direction is held: it passes no adjoint on
             gain = weight * (factor + thin(met, k, active)) + dr.dot(by_p, p)
             return gain + dr.select(scattered, 0, dr.dot(by_d, heading))
 
@@ -304,6 +319,7 @@ def replay_rays(
         mode="symbolic",
         label="replay rays",
     )
+    # Adjoints of the start
     if start is not None:
         start.add(rays, by_p, by_d, alive)
     dr.eval(by_p, by_d)
@@ -311,7 +327,7 @@ def replay_rays(
 
 
 def scatter_event(met: Hit, split: Split, s: mi.UInt32, reflect: mi.Bool, batch: mi.UInt32) -> ScatterEvent:
-    """A hit as `ScatterReplay` takes it, in the frame of the surface."""
+    """Return a hit as a `ScatterEvent`, in the frame of the surface."""
     return ScatterEvent(
         s,
         batch,

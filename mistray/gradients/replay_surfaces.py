@@ -1,9 +1,14 @@
-"""Surfaces in float64 for rays whose events are known: the hit, Snell's law, R and T, differentiable by every number.
+"""
+Surfaces in float64 for recorded events: the hit, Snell's law, R and T, differentiable by every number of a surface.
 
 The kernel looks for the next surface in float32 and keeps no derivatives. Here the surface is given, and so is the
-place of the hit up to rounding: one Newton step from it is exact to second order and carries the first derivatives of
-the hit by the ray and by the surface. All is computed in the frame of the surface; a displacement and a rotation of
-that frame, both zero, are among the numbers.
+place of the hit up to rounding. One Newton step on the implicit equation F(o + t d) = 0,
+
+    t ← t - F/(∇F · d)   with the denominator detached,
+
+is exact to second order and carries the first derivatives of the hit by the ray and by the surface. All is computed in
+the frame of the surface; a displacement and a rotation of that frame, both zero, are among the numbers. In the code F
+is `value`, ½∇F is `gradient`, and ∇F · d is `slope`.
 """
 
 from __future__ import annotations
@@ -52,9 +57,9 @@ class Hit:
     q, d, normal : mi.Vector3d
         Point (mm), direction of arrival, unit normal.
     length : mi.Float64
-        Of the segment, mm.
-    frame : tuple of mi.Vector3d
-        Rotation, displacement of the frame, vertex: what leads back to the world.
+        Length of the segment, mm.
+    turn, shift : mi.Vector3d
+        Rotation (rad) and displacement (mm) of the frame, both zero but with derivatives.
     """
 
     q: mi.Vector3d
@@ -67,25 +72,27 @@ class Hit:
 
 class ReplaySurfaces:
     """
-    The numbers of all surfaces, those that are requested with one copy for each batch of start rays.
+    Numbers of all surfaces; requested ones have one copy for each batch of start rays.
 
     Parameters
     ----------
     table : SurfaceTable
     request : GradientRequest
     moved : Numbers, optional
-        Added to all numbers.
+        Offsets added to all numbers.
     """
 
     def __init__(self, table: SurfaceTable, request: GradientRequest, moved: Numbers | None = None) -> None:
         self.table, self.request = table, request
         self.count = table.count
         self._surfaces = dr.opaque(mi.UInt32, self.count)
+        # Shapes and rims; `_still` has no derivatives, and reads fewer columns
         base = numbers_of(table)
         numbers = base if moved is None else base.plus(moved)
         self._still = NumberRows(numbers.geometry, SHAPE_COLUMNS)
         self._shape = NumberRows(numbers.geometry, SHAPE_COLUMNS, request.geometry)
         self._rims = NumberRows(numbers.geometry, RIM_COLUMNS, request.geometry)
+        # Indices, rows of the tables of R and T, ideal coatings
         optics = table.optics
         indices, rows, ideal = numbers.indices, numbers.rows, numbers.ideal
         self._indices = tracked_array(np.tile(indices.ravel(), BATCHES)) if request.indices else None
@@ -97,13 +104,15 @@ class ReplaySurfaces:
             self._rows, self._ideal = upload(mi.Float64, rows), upload(mi.Float64, ideal)
         self._row_stride = dr.opaque(mi.UInt32, rows.size if request.rows else 0)
         self._ideal_stride = dr.opaque(mi.UInt32, ideal.size if request.rows else 0)
+        # Frames
         self._rotations = upload(mi.Float64, table.rotations)
-        # Vertices, and whether F grows along the normal or against it
+        # Vertices, and the sign of ∇F · n
         places = np.column_stack([table.vertices - table.centre, np.full(self.count, -1.0)])
         for piece in table.pieces:
             places[piece.index, 3] = piece.sign
         self._places = upload(mi.Float64, places)
         self._extinction = upload(mi.Float64, np.array(optics.extinction))
+        # Terms of a pose that is not requested are left out of the kernel
         self._tilts = bool(self._shape.names & {"tilt_x", "tilt_y", "tilt_z"})
         self._shifts = bool(self._shape.names & {"x", "y", "z"})
         dr.eval(self._indices, self._plain_indices, self._rows, self._ideal, self._places)
@@ -112,34 +121,34 @@ class ReplaySurfaces:
     # ---- numbers
 
     def _sides(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Vector2d:
-        """Indices in front and behind."""
+        """Return the refractive indices in front and behind."""
         if self._indices is None:
             return dr.gather(mi.Vector2d, self._plain_indices, s, active)
         return dr.gather(mi.Vector2d, self._indices, batch * self._surfaces + s, active)
 
     def to_world(self, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """Vectors of the frames of the surfaces s in the world, without derivatives by these frames."""
+        """Rotate vectors from the frames of the surfaces s to the world, without derivatives by these frames."""
         if not self.table.rotated:
             return v
         m = [dr.gather(mi.Float64, self._rotations, 9 * s + k, active) for k in range(9)]
         return mi.Vector3d(*(m[3 * k] * v.x + m[3 * k + 1] * v.y + m[3 * k + 2] * v.z for k in range(3)))
 
     def to_local(self, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """The other way round."""
+        """Rotate vectors from the world to the frames of the surfaces s, the inverse of `to_world`."""
         if not self.table.rotated:
             return v
         m = [dr.gather(mi.Float64, self._rotations, 9 * s + k, active) for k in range(9)]
         return mi.Vector3d(*(m[k] * v.x + m[3 + k] * v.y + m[6 + k] * v.z for k in range(3)))
 
     def vertex(self, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """Vertices of the surfaces, mm."""
+        """Return the vertices of the surfaces, mm."""
         return mi.Vector3d(*list(self._place(s, active))[:3])
 
     def _place(self, s: mi.UInt32, active: mi.Bool) -> mi.Vector4d:
         return dr.gather(mi.Vector4d, self._places, s, active)
 
     def extinction(self, medium: mi.UInt32, active: mi.Bool) -> mi.Float64:
-        """What media absorb, 1/mm."""
+        """Return the absorption coefficients of media, 1/mm."""
         return dr.gather(mi.Float64, self._extinction, medium, active)
 
     # ---- geometry
@@ -156,7 +165,7 @@ class ReplaySurfaces:
         still: bool = False,
     ) -> Hit:
         """
-        The hit of a ray with the surfaces s near the distance t.
+        Return the hit of a ray with the surfaces s near the distance t.
 
         Parameters
         ----------
@@ -164,11 +173,15 @@ class ReplaySurfaces:
             Origin (mm) and unit direction in the world.
         t : mi.Float64
             Distance of a point near the hit, mm.
+        s, batch : mi.UInt32
+            Numbers of the surfaces, and batches of the start rays.
+        active : mi.Bool
         steps : int
             Newton steps; one is enough for derivatives at the hit itself.
         still : bool
-            Without derivatives, and without the work for terms that are 0.
+            Leave out derivatives, and the work for terms that are 0.
         """
+        # Ray in the frame of the surface
         vertex = self.vertex(s, active)
         p, direction = self.to_local(o - vertex, s, active), self.to_local(d, s, active)
         numbers = self.numbers(s, batch, active, still)
@@ -177,6 +190,7 @@ class ReplaySurfaces:
             p = p - shift
         if self._tilts:  # to first order; the rotation itself is 0
             p, direction = p - dr.cross(turn, p), direction - dr.cross(turn, direction)
+        # Newton steps; the last one carries the derivatives
         for _ in range(steps):
             q = p + t * direction
             value, gradient = self.implicit(q, numbers)
@@ -189,7 +203,7 @@ class ReplaySurfaces:
         return Hit(q, direction, normal, t, turn, shift)
 
     def numbers(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool, still: bool = False) -> dict[str, Any]:
-        """What the shapes of the surfaces s are made of, by name."""
+        """Return the numbers of the shapes of the surfaces s, by name."""
         rows = self._still if still else self._shape
         numbers = rows.read(s, batch, active)
         numbers["cone"] = self._place(s, active).w > 0
@@ -197,6 +211,7 @@ class ReplaySurfaces:
             (here, family, dict(zip(family.numbers, (numbers[name] for name in OWN), strict=False)))
             for here, family in self.table.families.members(s, active)
         ]
+        # Coefficients up to the last one that is used at any surface
         for key, some in (("coefficients", rows), ("still", self._still)):
             known = [order for order, name in enumerate(COEFFICIENTS, 1) if name in some.names]
             numbers[key] = [numbers[name] for name in COEFFICIENTS[: max(known, default=0)]]
@@ -204,9 +219,10 @@ class ReplaySurfaces:
 
     def implicit(self, q: mi.Vector3d, n: dict[str, Any]) -> tuple[mi.Float64, mi.Vector3d]:
         """
-        F and half its gradient in the surface's own frame; F = 0 is the surface.
+        Return F and half its gradient in the surface's own frame; F = 0 is the surface.
 
-        An asphere is its conic with z less the polynomial terms in the place of z, which needs no root.
+        A conic of curvature c and conic constant k has F = c (x² + y² + (1 + k) z²) - 2z. An asphere replaces z by z
+        less the polynomial terms, which needs no root.
         """
         c, k1, coefficients = n["curvature"], 1 + n["conic"], n["coefficients"]
         r2 = q.x * q.x + q.y * q.y
@@ -230,7 +246,7 @@ class ReplaySurfaces:
         return value, gradient
 
     def world_point(self, met: Hit, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """The hit in the world, mm."""
+        """Return the hit in the world, mm."""
         q = met.q
         if self._tilts:
             q = q + dr.cross(met.turn, q)
@@ -239,22 +255,22 @@ class ReplaySurfaces:
         return self.to_world(q, s, active) + self.vertex(s, active)
 
     def local_point(self, p: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """A point of the world in the frame of a surface, mm; without derivatives."""
+        """Transform a point of the world to the frame of a surface, mm; without derivatives."""
         return self.to_local(p - self.vertex(s, active), s, active)
 
     def rims(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> dict[str, Any]:
-        """Radii, half sides and ends of the surfaces s by the names of `RIM_COLUMNS`, mm; 0 where there is none."""
+        """Return radii, half sides and ends of the surfaces s by the names of `RIM_COLUMNS`, mm; 0: there is none."""
         return self._rims.read(s, batch, active)
 
     def rim_distance(self, met: Hit, rim: mi.UInt32, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Float64:
-        """Distance of a hit from a rim of its surface, a place in `RIM_COLUMNS`, along the surface's coordinate, mm."""
+        """Return the distance of a hit from a rim, a place in `RIM_COLUMNS`, along the surface's coordinate, mm."""
         distance = mi.Float64(0)
         for number, found in enumerate(self._rim_distances(met.q, s, batch, active)):
             distance = dr.select(active & (rim == number), found, distance)
         return distance
 
     def rim_distances(self, p: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> list[mi.Float64]:
-        """Distances of points of the world from the rims of surfaces, in the order of `RIM_COLUMNS`, mm; ≥ 0 inside."""
+        """Return distances of points of the world from rims, in the order of `RIM_COLUMNS`, mm; ≥ 0 inside."""
         return self._rim_distances(self.local_point(p, s, active), s, mi.UInt32(0), active)
 
     def _rim_distances(self, q: mi.Vector3d, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> list[mi.Float64]:
@@ -262,16 +278,16 @@ class ReplaySurfaces:
         x, y, z = dr.abs(q.x), dr.abs(q.y), q.z
         for here, family, own in self.numbers(s, batch, active)["families"]:
             z = dr.select(here, family.coordinate(*q, own), z)
-        # Place of the hit along the coordinate, and whether the surface lies below the rim in it
+        # Place of the hit along the coordinate, and 1 if the surface lies below the rim in it, else -1
         places = ((rho, 1), (rho, -1), (x, 1), (y, 1), (z, -1), (z, 1))
         values = self.rims(s, batch, active)
         return [sign * (values[name] - place) for name, (place, sign) in zip(RIM_COLUMNS, places, strict=True)]
 
     def sheet(self, p: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> tuple[mi.Float64, mi.Vector3d]:
         """
-        Distances of points of the world from the unbounded surfaces s next to them, and unit gradients of F there.
+        Return distances of points of the world from the unbounded surfaces s, and unit gradients of F there.
 
-        The distance is infinite next to the far half of a quadric, which is no part of the surface.
+        The distance is F/|∇F|. It is infinite next to the far half of a quadric, which is no part of the surface.
         """
         numbers = self.numbers(s, mi.UInt32(0), active, still=True)
         value, gradient = self.implicit(self.local_point(p, s, active), numbers)
@@ -280,7 +296,7 @@ class ReplaySurfaces:
         return dr.select(here, 0.5 * value / length, dr.inf), self.to_world(gradient / length, s, active)
 
     def distance_from(self, p: mi.Vector3d, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Float64:
-        """Distance of points of the world from the surfaces s next to them, mm; positive along the gradient of F."""
+        """Return the distance F/|∇F| of points of the world from the surfaces s next to them, mm."""
         q = self.to_local(p - self.vertex(s, active), s, active)
         numbers = self.numbers(s, batch, active)
         shift, turn = self._pose(numbers)
@@ -293,18 +309,18 @@ class ReplaySurfaces:
 
     @staticmethod
     def _pose(numbers: dict[str, Any]) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Displacement and rotation of the frames."""
+        """Return displacement (mm) and rotation (rad) of the frames."""
         shift, turn = (mi.Vector3d(*(numbers[prefix + axis] for axis in "xyz")) for prefix in ("", "tilt_"))
         return shift, turn
 
     def world_direction(self, met: Hit, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """A direction of the surface's frame in the world."""
+        """Rotate a direction from the surface's frame to the world."""
         if self._tilts:
             v = v + dr.cross(met.turn, v)
         return self.to_world(v, s, active)
 
     def local_direction(self, met: Hit, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """A direction of the world in the surface's frame."""
+        """Rotate a direction from the world to the surface's frame."""
         v = self.to_local(v, s, active)
         return v - dr.cross(met.turn, v) if self._tilts else v
 
@@ -318,7 +334,19 @@ class ReplaySurfaces:
         batch: mi.UInt32,
         active: mi.Bool,
     ) -> None:
-        """Add derivatives of rays that start from a surface and move with it, given those by their start."""
+        """
+        Accumulate derivatives of rays that start from a surface and move with it.
+
+        Parameters
+        ----------
+        surface : int
+        o, d : mi.Vector3d
+            Origins (mm) and unit directions of the rays.
+        by_o, by_d : mi.Vector3d
+            Derivatives of the metric by these.
+        batch : mi.UInt32
+        active : mi.Bool
+        """
         s = dr.full(mi.UInt32, surface, dr.width(batch))
         with dr.resume_grad():
             shift, turn = self._pose(self.numbers(s, batch, active))
@@ -337,7 +365,7 @@ class ReplaySurfaces:
     def coating(
         self, split: Split, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool
     ) -> Callable[[mi.Bool, mi.Float64], tuple[mi.Float64, mi.Float64]]:
-        """R and T of the surfaces s for other light: a function of its side and its cosine of incidence."""
+        """Return a function that evaluates R and T of the surfaces s by side and cosine of incidence."""
 
         def shares(from_front: mi.Bool, cos_i: mi.Float64) -> tuple[mi.Float64, mi.Float64]:
             return self._coated(s, split.word, from_front, cos_i, mi.Bool(False), batch, active)[:2]
@@ -345,13 +373,14 @@ class ReplaySurfaces:
         return shares
 
     def split(self, met: Hit, s: mi.UInt32, what: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> Split:
-        """Directions and shares at a hit; `what` says whether the reflection was a total one."""
+        """Return directions, R and T at a hit; `what` is the kind of event, `TOTAL` for total reflection."""
         cosine = dr.dot(met.d, met.normal)
         from_front = dr.detach(cosine) > 0
         axis = dr.select(from_front, met.normal, -met.normal)
         cos_i = dr.abs(cosine)
         word = dr.gather(mi.UInt32, self.table.optics.words, s, active)
         R, T, cos_t, eta, total = self._coated(s, word, from_front, cos_i, what == TOTAL, batch, active)
+        # Reflection and Snell's law, in the frame of the surface
         reflected = met.d - 2 * cosine * met.normal
         transmitted = eta * met.d + (cos_t - eta * cos_i) * axis
         medium_in, medium_out = (
@@ -375,14 +404,16 @@ class ReplaySurfaces:
         batch: mi.UInt32,
         active: mi.Bool,
     ) -> tuple[mi.Float64, mi.Float64, mi.Float64, mi.Float64, mi.Bool]:
-        """R and T (means of s and p), cosine of refraction, n_i/n_t, and whether light is reflected in total."""
+        """Return R and T (means of s and p), cosine of refraction, n_i/n_t, and whether reflection is total."""
         front, back = self._sides(s, batch, active)
         n_i, n_t = dr.select(from_front, front, back), dr.select(from_front, back, front)
+        # Refraction
         eta = n_i / n_t
         sin2_t = eta * eta * (1 - cos_i * cos_i)
         opaque = (word & OPAQUE) != 0
         total = known_total | ((dr.detach(sin2_t) >= 1) & ~opaque)
         cos_t = dr.select(total, 0, dr.sqrt(dr.maximum(dr.select(total, mi.Float64(1), 1 - sin2_t), 1e-24)))
+        # Coating: bare interface, ideal, or from the table of the run
         kind, kinds = word & 3, self.table.optics.kinds
         R, T = mi.Float64(0), mi.Float64(0)
         if FRESNEL in kinds:
@@ -411,8 +442,8 @@ class ReplaySurfaces:
                 return dr.gather(mi.Float64, self._rows, index, tabled)
 
             def read(channel: mi.UInt32) -> mi.Float64:
-                # Between the nodes the value is linear as in the kernel. The slope of that is good to the spacing of
-                # the nodes only; differences over two spacings, linear between the nodes, are good to its square
+                # Between the nodes the value is linear as in the kernel. Its slope has an error of first order in the
+                # spacing; central differences, interpolated between the nodes, have one of second order
                 low, high = value(node, channel), value(node + 1, channel)
                 before, after = dr.maximum(node, 1) - 1, dr.minimum(node + 2, last)
                 slopes = (
@@ -429,7 +460,7 @@ class ReplaySurfaces:
     # ---- results
 
     def geometry(self) -> np.ndarray:
-        """Derivatives that have been gathered, (BATCHES, surfaces, len(GEOMETRY)) float64."""
+        """Return the accumulated derivatives by geometry, (BATCHES, surfaces, len(GEOMETRY)) float64."""
         found = np.zeros((BATCHES, self.count, len(GEOMETRY)))
         for rows in (self._shape, self._rims):
             for name, values in rows.gradient().items():
@@ -437,11 +468,15 @@ class ReplaySurfaces:
         return found
 
     def index_gradient(self) -> np.ndarray:
-        """By the indices, (BATCHES, surfaces, 2) float64."""
+        """Return the accumulated derivatives by the indices, (BATCHES, surfaces, 2) float64."""
         return np.array(dr.grad(self._indices)).reshape(BATCHES, self.count, 2)
 
     def row_gradient(self, channels: int) -> np.ndarray:
-        """By the rows of the tables and ideal R and T, (BATCHES, rows, channels), see `mistray.recorders.adjoint`."""
+        """
+        Return the accumulated derivatives by rows of the tables and by ideal R and T.
+
+        Their shape is (BATCHES, rows, channels), see `mistray.recorders.adjoint`.
+        """
         found = np.zeros((BATCHES, self.rows, channels))
         found[:, :, :TABLE_CHANNELS] = np.array(dr.grad(self._rows)).reshape(BATCHES, self.rows, TABLE_CHANNELS)
         ideal = np.array(dr.grad(self._ideal)).reshape(BATCHES, self.count, 2)
@@ -454,7 +489,7 @@ class ReplaySurfaces:
 
 @dataclass
 class Split:
-    """What becomes of light at a hit; directions in the surface's frame, see `mistray.kernel.interaction`."""
+    """Specular split of light at a hit; directions in the surface's frame, see `mistray.kernel.interaction`."""
 
     reflected: mi.Vector3d
     transmitted: mi.Vector3d
@@ -474,15 +509,15 @@ class Split:
 @dataclass
 class Numbers:
     """
-    All numbers of the surfaces that have a derivative.
+    Numbers of the surfaces that have a derivative.
 
     Attributes
     ----------
     geometry : (surfaces, len(GEOMETRY)) float64
     indices : (surfaces, 2) float64
-        In front and behind.
+        Refractive indices in front and behind.
     rows : (rows, TABLE_CHANNELS) float64
-        Of the tables of R and T.
+        Rows of the tables of R and T.
     ideal : (surfaces, 2) float64
         R and T of ideal coatings.
     """
@@ -493,23 +528,23 @@ class Numbers:
     ideal: np.ndarray
 
     def plus(self, other: Numbers) -> Numbers:
-        """These plus others."""
+        """Return the sum of these and others."""
         return Numbers(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
 
     def times(self, factor: float) -> Numbers:
-        """A multiple of these."""
+        """Return a multiple of these."""
         return Numbers(*(factor * getattr(self, f.name) for f in fields(self)))
 
 
 def numbers_of(table: SurfaceTable) -> Numbers:
-    """The numbers of a table as they are."""
+    """Return the present numbers of a table."""
     geometry = np.zeros((table.count, len(GEOMETRY)))
     for piece in table.pieces:
         for name, value in piece.columns.items():
             geometry[piece.index, GEOMETRY.index(name)] = value
     optics = table.optics
     rows = np.array(optics.table, dtype=np.float64).reshape(-1, 4)[:, :TABLE_CHANNELS]
-    # The kernel's rows are float32; differences of neighbours, which are slopes, need the digits of the host's
+    # The kernel's rows are float32; slopes are differences of neighbours, and need the host's float64
     for known, (first, _, total, _) in zip(optics.tables, optics.host_places, strict=True):
         if known is not None:
             for place, part in ((first, known.refraction), (total, known.total)):

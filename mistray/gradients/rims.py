@@ -1,8 +1,9 @@
-"""Rays that hit a surface close to one of its rims: where they hit, on which way, and what the metric gains from them.
+"""
+Recorder of rays that hit a surface close to one of its rims, with their paths and their contributions to the metric.
 
 A rim is the end of an analytic surface: clear radii, the sides of a rectangle, the ends of a cone or tube. Rays within
-a narrow zone along it say how much light a move of the rim would let pass or catch; `mistray.gradients.edges` makes the
-derivative out of them.
+a narrow zone along it sample the light that a move of the rim would let pass or catch; `mistray.gradients.edges` forms
+the derivative from them.
 """
 
 from __future__ import annotations
@@ -24,10 +25,10 @@ from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
 NO_EVENT = 0xFFFFFFFF
-RIMS = "rims"  # of a lane, in the memory
+RIMS = "rims"  # key of the local arrays in the memory
 FAR = 1e30  # mm, where there is no rim
 SIDES = OUTER, INNER, HALF_WIDTH, HALF_HEIGHT, HIGH, LOW  # the first and the second rim of each coordinate
-# State of a ray before a hit, as `StartRays` has it
+# State of a ray before a hit, by the fields of `StartRays`
 STATE = {
     "batch": "UInt32",
     "medium": "UInt32",
@@ -35,7 +36,7 @@ STATE = {
     "reflections": "UInt32",
     "scatters": "UInt32",
     "key": "UInt64",
-    "birth": "Float",
+    "reference": "Float",
     "aimed_from": "UInt32",
     "run": "UInt32",
     "scale": "Float",
@@ -47,15 +48,15 @@ def rim_zones(
     table: SurfaceTable, width: float, limits: Mapping[tuple[int, int], float] | None = None
 ) -> dict[tuple[int, int], float]:
     """
-    Widths of the zones along all rims, mm, by surface and place in `RIM_COLUMNS`.
+    Return the widths of the zones along all rims, mm, by surface and place in `RIM_COLUMNS`.
 
     Parameters
     ----------
     table : SurfaceTable
     width : float
-        In units of the rim's radius or half side.
+        Width in units of the rim's radius or half side.
     limits : mapping, optional
-        Greatest widths of some of them, mm.
+        Upper limits of the widths of some zones, mm.
     """
     limits = limits or {}
     return {
@@ -73,32 +74,32 @@ class RimRecorder(Recorder):
     ----------
     table : SurfaceTable
     width : float
-        Of the zones, in units of the rim's radius or half side.
+        Width of the zones, in units of the rim's radius or half side.
     capacity : int
-        Most hits that are kept.
+        Largest number of hits that are kept.
     max_events : int
-        Longest path.
+        Number of events of the longest path.
     limits : mapping, optional
-        Of `rim_zones`.
+        See `rim_zones`.
 
     Attributes
     ----------
     zones : dict
-        From `rim_zones`.
+        Result of `rim_zones`.
     paths : BranchRecorder
-        Paths up to and with the hit; `weight` is the flux that arrives, `heading` the direction of arrival.
+        Paths up to and including the hit; `weight` is the throughput on arrival, `heading` the direction of arrival.
     rim : (capacity,) mi.UInt32
         Place in `RIM_COLUMNS`, or a jump of `mistray.gradients.grazing`.
     delta : (capacity,) mi.Float
         Distance from the rim, mm, or from the jump.
     axis : (capacity, 3) mi.Float
-        Normal at the hit, on the side that the light goes to.
+        Normal at the hit, on the side of transmission.
     scale : (capacity,) mi.Float
         See `mistray.gradients.grazing.Jump`.
     copies : (capacity,) mi.Float
-        How often the hit counts: once, twice where two zones overlap, of which one was chosen at random.
+        Factor 1/p of a hit whose zone was chosen with probability p: 1, or 2 for each choice between two zones.
     gain : (capacity,) mi.Float64
-        What the metric gains from the hit and all that follows.
+        Contribution to the metric of the hit and all events after it.
     before : dict
         Fields of `StartRays` → (capacity,) state of the ray before the hit.
     """
@@ -136,17 +137,18 @@ class RimRecorder(Recorder):
         dr.eval(self.rim, self.delta, self.copies, self.gain, self.axis, self.scale, self.before)
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
-        """Local arrays by depth: slot of the hit, and what the metric had gained before it."""
+        """Allocate local arrays by depth: slot of the hit, and contribution to the metric before it."""
         memory[RIMS] = dr.alloc_local(mi.UInt32, max_events), dr.alloc_local(mi.Float64, max_events)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Write down the hits that are close to a rim."""
+        """Record the hits that are close to a rim."""
         it, state, valid = visit.interaction, visit.state, visit.active
         slots, before = memory[RIMS]
         depth = state["depth"]
+        # Nearest rim or jump
         rim, delta, near, both = self._nearest(state["s"], it.local, valid)
         jump = self.grazing.find(state["s"], it, state["d"], valid)
-        # A hit is written once: where a rim and a jump are close, one of them is chosen by a bit of a coordinate
+        # A hit is recorded once: between a rim and a jump a low-order bit of a coordinate chooses
         mixed = near & jump.near
         jumps = jump.near & (~near | ((dr.reinterpret_array(mi.UInt32, it.local.y) & 1) != 0))
         rim, delta = dr.select(jumps, jump.kind, rim), dr.select(jumps, jump.delta, delta)
@@ -171,6 +173,7 @@ class RimRecorder(Recorder):
                 dr.scatter(values, of_start[name] if name in of_start else state[name], slot, kept)
             return dr.select(kept, slot, NO_EVENT)
 
+        # Few hits are close to a rim: the others skip the writes
         slot = dr.if_stmt(
             (near,), near, write, lambda near: mi.UInt32(NO_EVENT), arg_labels=("near",), mode="symbolic", label="rim"
         )
@@ -178,7 +181,7 @@ class RimRecorder(Recorder):
         before.write(memory[GAIN], depth, near)
 
     def _nearest(self, s: mi.UInt32, q: mi.Vector3f, active: mi.Bool) -> tuple[mi.UInt32, mi.Float, mi.Bool, mi.Bool]:
-        """Rim, distance from it (mm), whether that is within its zone, and whether another zone was as good."""
+        """Return the rim, the distance from it (mm), whether its zone holds the hit, and whether two zones do."""
         bounds = dr.gather(mi.Vector4f, self._bounds, s, active)
         kind = dr.gather(mi.UInt32, self._kinds, s, active)
         rho = dr.sqrt(dr.fma(q.x, q.x, q.y * q.y))
@@ -190,14 +193,14 @@ class RimRecorder(Recorder):
         to_first, to_second = dr.maximum(bounds.x - along, 0), dr.maximum(across - bounds.y, 0)
         near_first, near_second = active & (to_first < bounds.z), active & (to_second < bounds.w)
         both = near_first & near_second
-        # Which of the two it is, is decided by the last bit of a coordinate
+        # Between two zones the last bit of a coordinate chooses
         odd = (dr.reinterpret_array(mi.UInt32, q.x) & 1) != 0
         first = near_first & (~both | odd)
         rim = 2 * kind + dr.select(first ^ (kind == ENDS), mi.UInt32(0), 1)
         return rim, dr.select(first, to_first, to_second), near_first | near_second, both
 
     def back(self, back: Return, memory: Memory) -> None:
-        """Note what the metric has gained from the hits whose subtrees are complete."""
+        """Record the contributions of the hits whose subtrees are complete."""
         (slots, before), gain, active = memory[RIMS], memory[GAIN], back.active
 
         def step(k):  # type: ignore[no-untyped-def]

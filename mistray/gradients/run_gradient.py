@@ -1,4 +1,8 @@
-"""Derivatives of a metric by geometry and all else for one source and wavelength: record, sort, replay by passes."""
+"""
+Derivatives of a metric by geometry and all other parameters, for one source and wavelength.
+
+The rays of each pass are recorded, sorted by path and replayed, see `mistray.gradients.replay`.
+"""
 
 from __future__ import annotations
 
@@ -28,28 +32,28 @@ BOX_FILM = (
     "light that moves from pixel to pixel counts as if the derivative by the image were linear between their centres; "
     "a film with the reconstruction filter 'tent' has it exactly"
 )
-UNKNOWN_SHARE = 1e-9  # of the detected light past rims that is worth a line
-SAMPLE_STEP = 0x632BE5AB  # between the seeds of samples: none of those of runs, which differ by 0x9E3779B9
-HITS_PER_RAY = 8.0  # a first guess where the scene has not been traced; portions that are too large are halved
+UNKNOWN_SHARE = 1e-9  # detected light past rims that merits a note, as a fraction of all
+SAMPLE_STEP = 0x632BE5AB  # between seeds of samples; seeds of runs differ by 0x9E3779B9, so none coincide
+HITS_PER_RAY = 8.0  # first guess if the scene has not been traced; portions that are too large are halved
 
 
 class DetectorEnd:
     """
-    What the metric gains from a hit of the detector.
+    Contribution of a detector hit to the metric.
 
     Parameters
     ----------
     film : Film
     coefficients : (n, MOMENTS) float64 or None
-        Of each ray.
+        Coefficients of the moments of each ray's hit.
     pixel : mi.Float64 or None
         (maps, height, width) derivative by the flux in each pixel, in units of a start ray.
     maps : (n,) int
         Number of the map of each ray, -1: none.
     flux : mi.Float64
-        With which each ray meets the detector.
+        Flux with which each ray meets the detector.
     scatter : ScatterReplay or None
-        Of a scene that scatters.
+        Scatter of the scene; None: no surface scatters.
     """
 
     def __init__(
@@ -79,17 +83,19 @@ class DetectorEnd:
         batch: mi.UInt32,
         active: mi.Bool,
     ) -> mi.Float64:
-        """What each ray adds to the metric, to first order, as a function of its last hit."""
+        """Return the contribution of each ray to the metric, to first order, as a function of its last hit."""
         # The coefficients hold centroids of recorded hits. A float64 hit differs from its recorded one by a shift that
         # rays of a path share, and the slope of a variance would see it.
         there = surfaces.local_point(recorded, s, active)
         x, y = (now - dr.detach(now) + then for now, then in ((met.q.x, there.x), (met.q.y, there.y)))
         gain = mi.Float64(0)
         if self._terms is not None:
+            # Moments: a quadratic polynomial in the place of the hit
             a, bx, by, cxx, cyy, cxy = self._terms
             gain = gain + a + x * (bx + cxx * x + cxy * y) + y * (by + cyy * y)
         if self._pixel is not None:
             gain = gain + self._image(x, y, active)
+        # The detector records what it absorbs
         absorbed = 1 - split.R - split.T
         if self._scatter is not None:
             here = scatter_event(met, split, s, mi.Bool(True), batch)
@@ -97,7 +103,11 @@ class DetectorEnd:
         return self._flux * absorbed * gain
 
     def _image(self, x: mi.Float64, y: mi.Float64, active: mi.Bool) -> mi.Float64:
-        """The derivative by the image: its value as the film has it, its slope between the centres of the pixels."""
+        """
+        Return the derivative by the image at a place on the film.
+
+        The value is that of the film's own filter, the slope that of bilinear interpolation between pixel centres.
+        """
         film = self._film
         column, row = (
             (x - mi.Float64(film.x0)) * mi.Float64(film.per_mm_x),
@@ -126,31 +136,34 @@ def run_gradient(
     run: Run, paths: PathDerivative | None, pixel: np.ndarray | None, request: GradientRequest
 ) -> TableGradient:
     """
-    Derivatives of a metric at one source and wavelength, by tracing the same rays again.
+    Compute the derivatives of a metric at one source and wavelength by tracing the same rays again.
 
     Parameters
     ----------
     run : Run
     paths : PathDerivative or None
-        None: all hits count, in map 0.
+        Coefficients by path; None: all hits contribute, to map 0.
     pixel : (maps, height, width) or None
-        In units of a start ray.
+        Derivative by the flux in each pixel, in units of a start ray.
     request : GradientRequest
         Coatings alone take a second trace (see `mistray.recorders.adjoint`); for anything else rays are recorded and
         replayed (see `mistray.gradients.replay`).
     """
+    # Coatings alone: one adjoint trace, nothing is recorded
     if not request.replays:
         return TableGradient(run.table, run.scattering, rows=run.derivatives(pixel, paths))
     longest = run.settings.max_events if run.paths is None else int(run.paths.lengths.max(initial=1))
     source = run.source
     assert isinstance(source, SceneSource)
     path_replay = PathReplay(run.table, run.scattering, run.settings, request, longest, source)
+    # Size of the portions, from the hits of the trace
     film = run.make_film()
     image = None if pixel is None else upload(mi.Float64, np.asarray(pixel, dtype=np.float64))
     traced = run.surfaces.size > 0
     hits = float(run.surfaces[run.table.detector, HITS].sum()) / run.rays if traced else HITS_PER_RAY
     recorder = path_replay.recorder
 
+    # Callbacks: trace a portion, select its paths, evaluate the detector
     def trace(start: StartRays) -> None:
         run.trace_trees(start, recorder)
 
@@ -172,6 +185,7 @@ def run_gradient(
             full = FullRims(source, run.table, request.edge_widths[0])
             edges = Edges(run.scene, run.settings, request.edge_widths, full.limits)
             adjoint = run.adjoint(pixel, paths, rows=0)
+        # Record and replay pass by pass: paths with visibility held, then hits close to rims
         for sample in _samples(run, request.edge_samples):
             for number in range(run.passes):
                 whole = sample.start_pass(number)
@@ -181,6 +195,7 @@ def run_gradient(
                 if edges is not None:
                     for start, events in edges.events(whole, adjoint):
                         path_replay.replay_edges(start, events)
+    # Result, with notes on what it leaves out
     raw = path_replay.result()
     if edges is not None and full.any:
         raw.full.append(full)
@@ -196,7 +211,7 @@ def run_gradient(
 
 
 def _samples(run: Run, count: int) -> Iterator[Run]:
-    """The run itself, or so many like it that start other rays."""
+    """Yield the run itself, or as many further runs that start other rays."""
     if not count:
         yield run
     for number in range(1, count + 1):

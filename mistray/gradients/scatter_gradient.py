@@ -1,8 +1,9 @@
-"""From derivatives by the entries of the scatter tables to derivatives by the values of the scatter models.
+"""
+Chain rule from derivatives by the entries of the scatter tables to derivatives by the values of the scatter models.
 
-The tables are functions of the models' values in float64 on the host. Each is computed again a little to either side of
-a value, and the difference quotients are multiplied with the derivatives by the entries. The error is of second order
-in the relative step, about its square; the models are smooth.
+The tables are functions of the models' values, in float64 on the host. Each table is computed again a little to either
+side of a value, and the difference quotients are multiplied by the derivatives by the entries. The models are smooth:
+the relative error is about the square of the relative step.
 """
 
 from __future__ import annotations
@@ -35,28 +36,28 @@ if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
 
 STEP = 1e-4  # relative to the value
-PROBES = ((550.0, 1.0, 1.5, True), (550.0, 1.5, 1.0, False))  # wavelength, indices and side where `fixed` looks
+PROBES = ((550.0, 1.0, 1.5, True), (550.0, 1.5, 1.0, False))  # wavelength, indices and side that `fixed` examines
 
 
 def scatter_gradient(
     table: SurfaceTable,
     scattering: Scattering,
     derivatives: dict[str, np.ndarray],
-    wanted: Callable[[Any, str], bool] = lambda owner, name: True,
+    is_chosen: Callable[[Any, str], bool] = lambda owner, name: True,
 ) -> Iterator[tuple[Any, str, np.ndarray]]:
     """
-    Derivatives of a metric by the values of the scatter models of a scene.
+    Yield derivatives of a metric by the values of the scatter models of a scene.
 
     Parameters
     ----------
     table : SurfaceTable
-        Of the run.
+        Surfaces of the run.
     scattering : Scattering
-        Of the run.
+        Scatter of the run.
     derivatives : dict
-        From `mistray.gradients.scatter_replay.ScatterReplay.derivatives`.
-    wanted : callable
-        Says of a plugin and a name whether its derivative is requested; by default all are.
+        Result of `mistray.gradients.scatter_replay.ScatterReplay.derivatives`.
+    is_chosen : callable
+        Takes a plugin and a name; returns whether that derivative is requested. By default all are.
 
     Yields
     ------
@@ -67,8 +68,9 @@ def scatter_gradient(
     Raises
     ------
     MistrayError
-        If lobes come or go at a value, so that it has no derivative, see `fixed`.
+        If lobes appear or vanish at a value, so that it has no derivative, see `fixed`.
     """
+    # Cases of the tables that each plugin is part of
     packed = pack(scattering.tables.all_cases, by_plugin=True)
     cases: dict[int, dict[int, Case]] = {}  # by plugin and place
     for number, case in enumerate(scattering.tables.all_cases):
@@ -77,7 +79,7 @@ def scatter_gradient(
     for plugin in _plugins(table):
         own = list(cases.get(id(plugin), {}).values())
         for name in plugin.values:
-            if not wanted(plugin, name):
+            if not is_chosen(plugin, name):
                 continue
             reason = fixed(plugin, name)
             if reason is not None:
@@ -91,16 +93,16 @@ def scatter_gradient(
 
 
 def _plugins(table: SurfaceTable) -> list[Any]:
-    """The scatter plugins of all surfaces, each once."""
+    """Return the scatter plugins of all surfaces, each once."""
     return list({id(plugin): plugin for bsdf in table.optics.bsdfs for plugin in bsdf.scatterers}.values())
 
 
 def fixed(plugin: Any, name: str) -> str | None:
     """
-    Why a value of a scatter plugin has no derivative in a trace where it stands; None if it has one.
+    Return the reason why a value of a scatter plugin has no derivative in a trace; None if it has one.
 
-    At 0 lobes may come or go, as at the amplitude 0, so that a trace does not know what lies on the other side; and a
-    model may allow one value only.
+    At 0 lobes may appear or vanish, as at the amplitude 0: a trace then holds only one side. A model may also allow a
+    single value.
     """
     value = float(dr.detach(plugin.values[name])[0])
     try:
@@ -111,21 +113,26 @@ def fixed(plugin: Any, name: str) -> str | None:
         return f"{name} can only be {value:g}"
     try:
         kinds = {tuple(_kind(lobe) for at in PROBES for lobe in model.lobes(*at)) for model in models}
-    except MistrayError:  # what the model refuses at these indices, a trace of the scene refuses in its own words
+    except MistrayError:  # the model refuses these indices; a trace of the scene raises its own error
         return None
     return None if len(kinds) == 1 else f"lobes come or go at {name} = 0"
 
 
 def quotient(plugin: Any, name: str, relative_step: float = STEP) -> list[tuple[float, Any]]:
     """
-    Weights and models whose sum is the derivative by a value: a central difference, one-sided at the end of its range.
+    Return the terms of a difference quotient by a value, central or, at the end of its range, one-sided.
 
     Parameters
     ----------
     plugin : Scatterer
     name : str
     relative_step : float
-        In units of the value, or of 1 where that is 0.
+        Step in units of the value, or of 1 if that is 0.
+
+    Returns
+    -------
+    list of (float, model)
+        Weights and models; the weighted sum of anything that follows from a model is its derivative.
 
     Raises
     ------
@@ -149,7 +156,7 @@ def quotient(plugin: Any, name: str, relative_step: float = STEP) -> list[tuple[
 def _slopes(
     table: SurfaceTable, cases: list[Case], packed: PackedLobes, plugin: Any, models: list[tuple[float, Any]]
 ) -> Iterator[tuple[str, int, np.ndarray]]:
-    """Derivatives of the entries that depend on a plugin: name of the array, place of the first, and what they are."""
+    """Yield derivatives of the entries that depend on a plugin: name of the array, place of the first, values."""
     known: dict[tuple[float, float, bool], list[tuple[float, Side]]] = {}
     done: set[tuple[str, int]] = set()
     for case in cases:
@@ -158,6 +165,7 @@ def _slopes(
         if key not in known:
             known[key] = [(weight, make_side((model,), table.wavelength_nm, *key)) for weight, model in models]
         sides = known[key]
+        # The number and the kinds of lobes must be those of the trace
         for _, side in sides:
             lobes = [lobe for lobe in side.lobes if lobe.event == case.event]
             if [_kind(lobe) for lobe in lobes] != [_kind(member.lobe) for _, member in own]:
@@ -165,12 +173,13 @@ def _slopes(
                     f"{plugin.title}: its lobes at surface '{table.ids[case.surface]}' come or go with its values, so "
                     "they have no derivative there"
                 )
+        # Totals of the event, then floats, radial table and ratio table of each lobe
         slopes = _sum((w, np.broadcast_to(side.rows[case.event], case.rows.shape)) for w, side in sides)
         yield TOTALS, case.first_row * TOTAL_FLOATS, slopes
         for k, member in own:
             moved = [(w, side.lobes[member.number], side.tables[member.number]) for w, side in sides]
             yield LOBES, k * LOBE_FLOATS, _sum((w, lobe_floats(lobe, radial)) for w, lobe, radial in moved)
-            # Tables that several lobes share count once
+            # Tables that several lobes share are yielded once
             place = packed.table_numbers[k] * STRIDE
             if (LOGS, place) not in done:
                 yield LOGS, place, _sum((w, stored_logs(radial)) for w, _, radial in moved)
@@ -182,11 +191,11 @@ def _slopes(
 
 
 def _sum(terms: Iterable[tuple[float, np.ndarray]]) -> np.ndarray:
-    """Weighted sum of arrays."""
+    """Return the weighted sum of arrays."""
     return np.asarray(sum(weight * values for weight, values in terms))
 
 
 def _kind(lobe: Lobe) -> tuple[Any, ...]:
-    """What must not change where a lobe is differentiated."""
+    """Return the discrete properties of a lobe, which must not change where it is differentiated."""
     shape = None if lobe.ratio is None else (lobe.ratio.axes, lobe.ratio.r_min, lobe.ratio.values.shape)
     return lobe.event, lobe.measure, lobe.centre, lobe.factor, shape

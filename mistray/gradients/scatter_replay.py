@@ -1,12 +1,13 @@
-"""What scatter did to recorded paths, with derivatives by directions, indices, coatings and the tables of scatter.
+"""
+Flux factors of scatter along recorded paths, differentiable by directions, indices, coatings and scatter tables.
 
-At an event of a path the surface keeps a share of its light in the specular beam, or sends a flux per solid angle along
-the direction that the path took. Their logarithms are evaluated here by the kernel's own functions. Directions are held
-fixed ("detached sampling"): random numbers and sampling densities have no derivative, so they do not enter.
+At an event of a path the surface keeps a fraction of the light in the specular beam, or scatters a flux per solid angle
+into the next direction. Their logarithms are evaluated here by the kernel's own functions. Directions are held
+("detached sampling"): random numbers and sampling pdfs have no derivative, so they do not enter.
 
-Derivatives by the tables' entries are wanted for each batch of start rays. An entry is read as its value plus a number
-that is 0 and has a derivative: these zeros take no memory, only their derivatives do, and the values stay as the kernel
-has them. `mistray.gradients.scatter_gradient` goes on from there to the values of the scatter models.
+Derivatives by the entries of the tables are kept for each batch of start rays. An entry is read as its value plus a
+zero that has a derivative: only the derivatives of these zeros take memory, and the values stay as the kernel has them.
+`mistray.gradients.scatter_gradient` continues from there to the values of the scatter models.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from mistray.kernel.interaction import shares_at
 from mistray.kernel.lobes import STRIDE, RadialSampler, multilinear, radial_place
 from mistray.kernel.scatter_shares import Shares
 from mistray.kernel.scatter_tables import LOBE_FLOATS, RATIO_HEAD, PackedLobes, ScatterTables, pack
-from mistray.kernel.scattering import Around, Scattering, specular_direction
+from mistray.kernel.scattering import LobeFrame, Scattering, specular_direction
 from mistray.scatter.radial import RINGS, RadialTable
 from mistray.settings import BATCHES
 
@@ -34,8 +35,8 @@ if TYPE_CHECKING:
 TOTALS, LOBES, RATIOS, LOGS = "totals", "lobes", "ratios", "logs"
 TOTAL_FLOATS = 4
 AZIMUTH = 2  # axis of a ratio table
-ROUND = (1, 3)  # axes of an anisotropic one that go all round
-EDGE_OF_PROFILE = 0.5  # change of the step of log2 f from one cell to the next that no smooth profile has
+ROUND = (1, 3)  # periodic axes of an anisotropic one
+EDGE_OF_PROFILE = 0.5  # change of the step of log2 f between cells, above which the profile has an edge there
 
 Coating = Callable[[mi.Bool, mi.Float], tuple[mi.Float, mi.Float]]
 
@@ -43,31 +44,31 @@ Coating = Callable[[mi.Bool, mi.Float], tuple[mi.Float, mi.Float]]
 @dataclass
 class ScatterEvent:
     """
-    Where a path meets a surface; numbers may have derivatives, in single or double precision.
+    Hits of paths with surfaces; numbers may have derivatives, in single or double precision.
 
     Attributes
     ----------
     s : mi.UInt32
         Numbers of the surfaces.
     batch : mi.UInt32
-        Of start rays.
+        Batches of the start rays.
     reflect : mi.Bool
-        Whether the path goes on at the side that it came from.
+        Whether the path continues on the side of incidence.
     from_front : mi.Bool
-        Whether it comes from the front.
+        Whether it arrives from the front.
     d : mi.Vector3f
         Unit direction of arrival.
     axis : mi.Vector3f
-        Unit normal on the side that d goes to.
+        Unit normal on the side of transmission.
     cos_i, cos_t : mi.Float
         Cosines of the angles of incidence and refraction; the latter 0 in total reflection.
     eta : mi.Float
         Index on the side of incidence over the one on the other side.
     R, T : mi.Float
-        Of the coating for light along d; T = 0 in total reflection.
+        Reflectance and transmittance of the coating for light along d; T = 0 in total reflection.
     q : mi.Vector3f, optional
-        The point in the frame of the surface, mm, in which the directions are then given; needed where scatter depends
-        on how a sample is turned.
+        Point in the frame of the surface, mm; the directions are then in this frame, too. It is needed where scatter
+        depends on the orientation of a sample.
     """
 
     s: mi.UInt32
@@ -89,7 +90,7 @@ class ScatterEvent:
         return 2 * self.s + dr.select(self.from_front, mi.UInt32(0), 1)
 
     def where(self, active: mi.Bool) -> ScatterEvent:
-        """The same with harmless numbers in lanes that do not matter, so that no NaN comes out of them."""
+        """Return the event with harmless numbers in inactive lanes, so that they produce no NaN."""
         up = (0, 0, 1)
         return replace(
             self,
@@ -108,14 +109,14 @@ class ScatterReplay(Scattering):
     Parameters
     ----------
     table : SurfaceTable
-        Of the run.
+        Surfaces of the run.
     scattering : Scattering
-        Of the run; a surface must scatter.
+        Scatter of the run; a surface must scatter.
 
     Attributes
     ----------
     leaves : dict
-        Name of an array → zeros whose derivatives are those by its entries, (BATCHES · size) mi.Float64.
+        Name of an array → zeros that hold the derivatives by its entries, (BATCHES · size) mi.Float64.
     """
 
     def __init__(self, table: SurfaceTable, scattering: Scattering) -> None:
@@ -127,10 +128,10 @@ class ScatterReplay(Scattering):
             for name, size in sizes.items():
                 self.leaves[name] = dr.zeros(mi.Float64, BATCHES * size)
                 dr.enable_grad(self.leaves[name])
-        self._tables: ReplayTables = ReplayTables(scattering.tables, packed, self.leaves, sizes)
+        self.tables: ReplayTables = ReplayTables(scattering.tables, packed, self.leaves, sizes)
 
     def derivatives(self) -> dict[str, np.ndarray]:
-        """Name of an array → derivatives by its entries that have been accumulated, (BATCHES, size) float64."""
+        """Return name of an array → accumulated derivatives by its entries, (BATCHES, size) float64."""
         return {name: np.array(dr.grad(leaf)).reshape(BATCHES, -1) for name, leaf in self.leaves.items()}
 
     def clear(self) -> None:
@@ -139,26 +140,38 @@ class ScatterReplay(Scattering):
             dr.set_grad(leaf, dr.zeros(mi.Float64, dr.width(leaf)))
 
     def log_kept(self, event: ScatterEvent, active: mi.Bool) -> mi.Float:
-        """Logarithm of the share of R or T that stays in the specular beam; 0 where not active, or where it is 0."""
+        """Return ln of the fraction of R or T that stays in the specular beam; 0 if inactive, or if nothing stays."""
         transmission, reflection, _, _ = self._all_shares(event, active)
         kept = dr.select(event.reflect, reflection.kept, transmission.kept)
         good = active & (kept > 0)
         return dr.select(good, dr.log(dr.select(good, kept, 1)), 0)
 
     def absorbed(self, event: ScatterEvent, active: mi.Bool) -> mi.Float:
-        """Share of the light that neither event takes; of light along the ray. What a detector gets."""
+        """
+        Return the fraction of the light along the ray that a surface absorbs, as a detector does.
+
+        It is 1 less the specular beams and the scattered light of reflection and transmission.
+        """
         _, _, along, reflection = self._all_shares(event, active)
         event = event.where(active)
         specular = event.R * reflection.kept + event.T * along.kept
         return dr.select(active, 1 - specular - reflection.scattered - along.scattered, 0)
 
     def _all_shares(self, event: ScatterEvent, active: mi.Bool) -> tuple[Shares, Shares, Shares, Shares]:
-        """Of transmission, of reflection, and of transmission and of reflection of light along the ray."""
+        """
+        Return the scattering shares of an event.
+
+        Returns
+        -------
+        transmission, reflection, along, back : Shares
+            The first two for the light of the path, forward or backward; the others for light along the ray.
+        """
         event = event.where(active)
-        self._tables.batch = event.batch
+        self.tables.batch = event.batch
+        # Cosine in the rarer material: the variable of the rows of transmission
         side, rarer = event.side, dr.minimum(event.cos_i, event.cos_t)
-        plan = dr.gather(mi.Vector4u, self._tables.sides, side, active)
-        row = dr.gather(mi.UInt32, self._tables.transmission_rows, side, active)
+        plan = dr.gather(mi.Vector4u, self.tables.sides, side, active)
+        row = dr.gather(mi.UInt32, self.tables.transmission_rows, side, active)
         turns = self._turns(event.d, event.axis, self._sample_axis(event, active), side, active)
         return (
             self._shares(plan.x, rarer, event.T, active, turns["transmission"]),
@@ -168,20 +181,20 @@ class ScatterReplay(Scattering):
         )
 
     def _sample_axis(self, event: ScatterEvent, active: mi.Bool) -> mi.Vector3f | None:
-        """The x axis of the sample in the frame of the surface, if scatter depends on it."""
-        if self._tables.frames is None or event.q is None:
+        """Return the x axis of the sample in the frame of the surface; None if scatter does not depend on it."""
+        if self.tables.frames is None or event.q is None:
             return None
         normal = dr.select(event.from_front, event.axis, -event.axis)
-        return self._tables.frames.local(event.s, normal, event.q, active)
+        return self.tables.frames.local(event.s, normal, event.q, active)
 
     def log_flux(
         self, event: ScatterEvent, direction: mi.Vector3f, active: mi.Bool, coating: Coating | None = None
     ) -> mi.Float:
         """
-        Logarithm of the flux that the surface sends along a direction, per solid angle and unit of incident flux.
+        Return ln of the flux that the surface scatters into a direction, per solid angle and unit of incident flux.
 
-        Against the light it is that which light that comes against `direction` sends against d, as flux per solid angle
-        of `direction`, see `Scattering`.
+        In a backward trace it is the flux that forward light along -`direction` scatters into -d, as flux per solid
+        angle of `direction`, see `Scattering`.
 
         Parameters
         ----------
@@ -191,31 +204,33 @@ class ScatterReplay(Scattering):
         active : mi.Bool
         coating : callable, optional
             (from_front, cosine of incidence) → R and T of the surfaces for light of that side; in total reflection
-            R + T and 0. Only asked in a backward trace; by default from the tables, without derivatives by their rows.
+            R + T and 0. Only called in a backward trace; by default from the tables, without derivatives by their rows.
 
         Returns
         -------
         mi.Float
-            0 where not active, or where no light goes.
+            Logarithm; 0 if inactive, or if no light is scattered there.
         """
         event = event.where(active)
         direction = dr.select(active, direction, type(direction)(0, 0, dr.select(event.reflect, -1, 1)))
-        self._tables.batch = event.batch
+        self.tables.batch = event.batch
         plan = dr.gather(
-            mi.Vector4u, self._tables.cases, 2 * event.side + dr.select(event.reflect, mi.UInt32(1), 0), active
+            mi.Vector4u, self.tables.cases, 2 * event.side + dr.select(event.reflect, mi.UInt32(1), 0), active
         )
+        # Local shading frame of the lobes
         outward = dr.select(event.reflect, -event.axis, event.axis)
         cos_s = dr.dot(direction, outward)
         specular = specular_direction(event.reflect, event.d, event.axis, event.cos_i, event.cos_t, event.eta)
         x_axis, one = self._sample_axis(event, active), mi.Float(1)
-        around = Around(event.axis, outward, specular, event.d, event.cos_i, event.eta, x_axis, one)
-        if self._tables.backward:
+        frame = LobeFrame(event.axis, outward, specular, event.d, event.cos_i, event.eta, x_axis, one)
+        # BSDF: that of the forward light in a backward trace
+        if self.tables.backward:
             flux = self._coated_backward_flux(
-                event, plan, around, direction, cos_s, coating or self._coating(event.s, active)
+                event, plan, frame, direction, cos_s, coating or self._coating(event.s, active)
             )
         else:
             lobes = self._read_lobes(plan, dr.select(event.reflect, event.R, event.T), event.cos_i)
-            flux, _, _ = self._evaluate(lobes, one, direction, cos_s, around)
+            flux, _, _ = self._evaluate(lobes, one, direction, cos_s, frame)
         good = active & (cos_s > 0) & (flux > 0)
         return dr.select(good, dr.log(dr.select(good, flux, 1)), 0)
 
@@ -223,29 +238,29 @@ class ScatterReplay(Scattering):
         self,
         event: ScatterEvent,
         plan: mi.Vector4u,
-        around: Around,
+        frame: LobeFrame,
         direction: mi.Vector3f,
         cos_s: mi.Float,
         coating: Coating,
     ) -> mi.Float:
-        """As `_backward_flux`, where R and T have derivatives."""
+        """Return `_backward_flux`, with derivatives by R and T."""
         from_front = event.from_front ^ ~event.reflect
         R, T = coating(from_front, cos_s)
-        # Of light on the side of the ray, or on the other side
+        # R and T of the forward light, which arrives along -`direction`, on the ray's side or on the other one
         eta = dr.select(event.reflect, event.eta, dr.rcp(event.eta))
         cos_t = dr.safe_sqrt(1 - dr.square(eta) * (1 - dr.square(cos_s)))
         share = dr.select(event.reflect, R, T)
-        return self._backward_flux(plan, event.reflect, around, direction, cos_s, cos_t, share)
+        return self._backward_flux(plan, event.reflect, frame, direction, cos_s, cos_t, share)
 
     def _coating(self, s: mi.UInt32, active: mi.Bool) -> Coating:
-        """The coatings of surfaces, from the tables of the run."""
+        """Return the coatings of surfaces, from the tables of the run."""
         word = dr.gather(mi.UInt32, self._table.optics.words, s, active)
         return lambda from_front, cos_i: shares_at(self._table, s, word, from_front, mi.Float(cos_i), active)[:2]
 
 
 class ReplayTables(ScatterTables):
     """
-    The tables of a run, each entry with the zero of a leaf added.
+    Tables of a run, each entry with the zero of a leaf added.
 
     Parameters
     ----------
@@ -253,12 +268,12 @@ class ReplayTables(ScatterTables):
     packed : PackedLobes
         Their lobes, by plugin.
     leaves, sizes : dict
-        Name of an array → its leaf, and the size of that by batch.
+        Name of an array → its leaf, and the size of the leaf for one batch.
 
     Attributes
     ----------
     batch : mi.UInt32
-        Whose derivatives are meant; to be set before anything is read.
+        Batch to which derivatives are added; to be set before anything is read.
     """
 
     def __init__(
@@ -273,22 +288,26 @@ class ReplayTables(ScatterTables):
         self._leaves, self._sizes = leaves, {name: dr.opaque(mi.UInt32, size) for name, size in sizes.items()}
 
     def _zero(self, name: str, index: mi.UInt32, active: mi.Bool) -> mi.Float:
-        """The zero of an entry."""
+        """Return the zero of an entry."""
         return mi.Float(dr.gather(mi.Float64, self._leaves[name], self.batch * self._sizes[name] + index, active))
 
     def total(self, row: mi.UInt32, active: mi.Bool) -> mi.Vector4f:
-        """As in `ScatterTables`."""
+        """Return the row of `ScatterTables.total`, with derivatives."""
         zeros = mi.Vector4f(*(self._zero(TOTALS, TOTAL_FLOATS * row + k, active) for k in range(TOTAL_FLOATS)))
         return super().total(row, active) + zeros
 
     def lobe(self, row: mi.UInt32, active: mi.Bool) -> tuple[mi.Vector4f, mi.Float, mi.Float, mi.Vector2u]:
-        """As in `ScatterTables`."""
+        """Return the row of `ScatterTables.lobe`, with derivatives."""
         shares, limit, log2_r_min, words = super().lobe(row, active)
         zeros = [self._zero(LOBES, LOBE_FLOATS * row + k, active) for k in range(LOBE_FLOATS)]
         return shares + mi.Vector4f(*zeros[:4]), limit + zeros[4], log2_r_min + zeros[5], words
 
     def ratio(self, place: mi.UInt32, places: Sequence[mi.Float], active: mi.Bool) -> mi.Float:
-        """As in `ScatterTables`; derivatives along the axes are differences over a cell about the place."""
+        """
+        Return the value of `ScatterTables.ratio`, with derivatives by place and entries.
+
+        Derivatives along the axes are central differences over one cell about the place.
+        """
         sizes, held = self._ratio_sizes(place, len(places), active), [dr.detach(at) for at in places]
         turned = len(places) > 3
 
@@ -296,17 +315,19 @@ class ReplayTables(ScatterTables):
             return mi.Float(multilinear(values, first + RATIO_HEAD, sizes, where, lit))
 
         value = at(self.ratios, place, held, active)
+        # Slope along each axis, from two reads of the table
         for axis, (moved, still) in enumerate(zip(places, held, strict=True)):
             half = 0.5 / (mi.Float(sizes[axis]) - 1)
             low, high = dr.maximum(still - half, 0), dr.minimum(still + half, 1)
             mirrored, round_ = axis == AZIMUTH and not turned, axis in ROUND and turned
-            if mirrored:  # tables are the same on both sides of the plane of incidence
+            if mirrored:  # tables are symmetric about the plane of incidence
                 low, high = dr.abs(still - half), 1 - dr.abs(1 - still - half)
             if round_:
                 low, high = (end - dr.floor(end) for end in (still - half, still + half))
             ends = [at(self.ratios, place, [*held[:axis], end, *held[axis + 1 :]], active) for end in (low, high)]
             width = 2 * half if mirrored or round_ else high - low
             value = value + (ends[1] - ends[0]) / width * (moved - still)
+        # Derivatives by the entries
         if RATIOS not in self._leaves:
             return value
         size = self._sizes[RATIOS]
@@ -315,10 +336,10 @@ class ReplayTables(ScatterTables):
 
 class ReplayRadial(RadialSampler):
     """
-    Radial tables; the logarithm at a node has the zero of a leaf, by the place of the node, added.
+    Radial tables with the zero of a leaf added to the logarithm at each node.
 
-    The derivative by the radius is not that of the straight lines between the nodes, which jumps, but that of parabolas
-    through neighbours: the profile's own to 1e-4.
+    The slope of linear interpolation jumps at the nodes. The derivative by the radius is therefore that of parabolas
+    through neighbouring nodes, which is the profile's own to 1e-4.
     """
 
     def __init__(self, tables: Sequence[RadialTable], zero: Callable[[mi.UInt32, mi.Bool], mi.Float]) -> None:
@@ -326,7 +347,7 @@ class ReplayRadial(RadialSampler):
         self._zero = zero
 
     def value(self, table: mi.UInt32, r2: mi.Float, active: mi.Bool) -> mi.Float:
-        """As in `RadialSampler`."""
+        """Return the value of `RadialSampler`, with derivatives by radius and entries."""
         place = radial_place(r2)
         held = dr.detach(place)
         node = mi.UInt32(held)
@@ -335,7 +356,7 @@ class ReplayRadial(RadialSampler):
         low, high = self._pair(table, node, active)
         _, after = self._pair(table, dr.minimum(node, RINGS - 1) + 1, active)
         own = high - low
-        # Not across the edge of a profile
+        # Beyond the edge of a profile the slope of the cell itself replaces that of its neighbour
         sides = [dr.select(dr.abs(side - own) < EDGE_OF_PROFILE, side, own) for side in (low - before, after - high)]
         slope = 0.5 * (own + dr.lerp(*sides, fraction))
         low, high = low + self._zero(first + node, active), high + self._zero(first + node + 1, active)
@@ -343,7 +364,7 @@ class ReplayRadial(RadialSampler):
 
 
 def shapes(tables: ScatterTables, packed: PackedLobes) -> dict[str, tuple[int, ...]]:
-    """Name of an array → shape of the entries that have derivatives; those of ratios are of the moving ones."""
+    """Return name of an array → shape of the entries that have derivatives; of ratios the moving ones alone."""
     found: dict[str, tuple[int, ...]] = {
         TOTALS: (tables.total_rows, TOTAL_FLOATS),
         LOBES: packed.floats.shape,

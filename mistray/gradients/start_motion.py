@@ -1,4 +1,4 @@
-"""Derivatives of a metric by what moves the start of its rays: a parameter of their source, or the detector."""
+"""Derivatives of a metric by the motion of its start rays: parameters of their source, or the detector."""
 
 from __future__ import annotations
 
@@ -17,42 +17,43 @@ from mistray.settings import BATCHES
 
 
 class StartMotion(Protocol):
-    """What the starts of rays contribute to the derivatives."""
+    """Derivatives that the start of a ray contributes."""
 
     def add(self, rays: Branches, by_o: mi.Vector3d, by_d: mi.Vector3d, active: mi.Bool) -> None:
-        """Add those of some rays, by their origins and directions."""
+        """Accumulate derivatives, given those of the metric by origins and directions of some rays."""
 
 
 class SurfaceStart:
     """
-    Rays that start from a surface and move with it.
+    Backward rays that start from a surface and move with it.
 
     Parameters
     ----------
     surfaces : ReplaySurfaces
-        Gathers the derivatives.
+        Accumulates the derivatives.
     surface : int
+        Number of the surface.
     """
 
     def __init__(self, surfaces: ReplaySurfaces, surface: int) -> None:
         self._surfaces, self._surface = surfaces, surface
 
     def add(self, rays: Branches, by_o: mi.Vector3d, by_d: mi.Vector3d, active: mi.Bool) -> None:
-        """Add derivatives to the numbers of the surface."""
+        """Accumulate derivatives in the numbers of the surface."""
         self._surfaces.move_start(self._surface, rays.o, rays.d, by_o, by_d, rays.batch, active)
 
 
 class SourceStart:
     """
-    Rays that start from a source and move with its parameters.
+    Forward rays that start from a source and move with its parameters.
 
     Parameters
     ----------
     source : SceneSource
     names : iterable of str
-        The parameters that are requested; others than those of the source are left out.
+        Requested parameters; others than those of the source are left out.
     centre : (3,) float64
-        What the origins of rays are relative to, mm.
+        Origin of the coordinates of rays on the device, mm.
     """
 
     def __init__(self, source: SceneSource, names: Iterable[str], centre: np.ndarray) -> None:
@@ -61,14 +62,15 @@ class SourceStart:
         self._sums = {name: dr.zeros(mi.Float64, BATCHES) for name in sorted({*names} & {*source.moving})}
 
     def add(self, rays: Branches, by_o: mi.Vector3d, by_d: mi.Vector3d, active: mi.Bool) -> None:
-        """Add derivatives by the parameters."""
+        """Accumulate derivatives by the parameters."""
         for name, sums in self._sums.items():
+            # Rate at which origin and direction move with the parameter, times the adjoints of both
             o, d = self.source.motion(name, rays.o + self._centre, rays.d)
             gain = dr.select(active, dr.dot(by_o, o) + dr.dot(by_d, d), 0)
             dr.scatter_reduce(dr.ReduceOp.Add, sums, gain, rays.batch, active)
 
     def result(self) -> dict[str, np.ndarray]:
-        """Name → (BATCHES,) float64."""
+        """Return name of a parameter → derivatives by batch, (BATCHES,) float64."""
         return {name: np.array(sums) for name, sums in self._sums.items()}
 
 
@@ -82,9 +84,9 @@ class SourceDerivative:
     owner : mi.Emitter
     name : str
     inner : (BATCHES,) float64
-        With visibility as it is.
+        Derivatives with visibility held.
     edges : (w, BATCHES) float64
-        Of rims, for each width of the zones.
+        Boundary terms of rims, for each width of the zones.
     """
 
     owner: Any
@@ -94,9 +96,18 @@ class SourceDerivative:
 
 
 def source_derivatives(starts: Sequence[StartMotion | None]) -> list[SourceDerivative]:
-    """What has been gathered of a source: with visibility as it is and, where rims count, with each width of zones."""
+    """
+    Return the derivatives by the parameters of a source.
+
+    Parameters
+    ----------
+    starts : sequence of StartMotion or None
+        Accumulated derivatives with visibility held, then boundary terms for each width of the zones, if any.
+    """
+    # The first has visibility held; each further one belongs to a width
     inner, *edges = (start for start in starts if isinstance(start, SourceStart))
     at_rims = [start.result() for start in edges]
+    # No widths: the first axis is empty
     nothing = np.zeros((0, BATCHES))
     return [
         SourceDerivative(

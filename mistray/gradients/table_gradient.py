@@ -1,4 +1,4 @@
-"""What the tracer knows of the derivatives of a metric: by rows of coatings, geometry, indices, tables of scatter."""
+"""Derivatives of a metric as the tracer accumulates them: by coating rows, geometry, indices, scatter tables."""
 
 from __future__ import annotations
 
@@ -21,26 +21,25 @@ ARRAYS = ("rows", "geometry", "edges", "indices", "edge_indices")
 @dataclass(frozen=True)
 class GradientRequest:
     """
-    Which derivatives are requested.
+    Derivatives that are requested.
 
     Attributes
     ----------
     rows : bool
-        By the rows of the tables of R and T, and by ideal R and T.
+        Whether by the rows of the tables of R and T, and by ideal R and T.
     geometry : frozenset of str
         Columns of `GEOMETRY`.
     indices : bool
-        By the refractive indices on both sides of every surface.
+        Whether by the refractive indices on both sides of every surface.
     scatter : bool
-        By the tables of scatter.
+        Whether by the scatter tables.
     sources : frozenset of str
         Names of parameters of sources.
     edge_widths : tuple of float
-        Widths of the zones at rims in which rays are looked at, in units of their radii, the widest first. None:
-        without what rays gain and lose at rims.
+        Widths of the zones along rims, in units of the rims' radii, the widest first. Empty: no boundary terms.
     edge_samples : int
-        0: the rays of the trace. More: so many further samples of as many rays, of which nothing but what they gain
-        and lose at rims is gathered; their sum.
+        0: the rays of the trace. More: the sum over so many further samples of as many rays, of which only the
+        boundary terms of rims are accumulated.
     """
 
     rows: bool = True
@@ -52,22 +51,24 @@ class GradientRequest:
     edge_samples: int = 0
 
     def further(self, width: float, samples: int) -> GradientRequest:
-        """Of further samples of rays, with zones of a width and half of it."""
+        """Return the request for further samples of rays, with zones of a width and of half that width."""
         return replace(self, edge_widths=(width, 0.5 * width), edge_samples=samples)
 
     @property
     def replays(self) -> bool:
-        """Whether more than factors of coatings is requested, so that rays are followed again one by one."""
+        """Whether more than coatings is requested, so that rays are recorded and replayed."""
+        # Coatings alone take an adjoint trace: their factors leave the paths in place
         return self.moves or self.scatter
 
     @property
     def moves(self) -> bool:
-        """Whether places of hits change, and with them what rays gain and lose at rims."""
+        """Whether hits move, so that rims have boundary terms."""
         return bool(self.geometry or self.indices or self.sources)
 
     @property
     def only_rims(self) -> bool:
-        """Whether visibility is all that can change, or is asked for."""
+        """Whether boundary terms are all that can be different from 0, or all that is requested."""
+        # A rim moves no hit: paths need no replay
         return self.edge_samples > 0 or (
             self.geometry <= set(RIM_COLUMNS) and not (self.rows or self.indices or self.scatter or self.sources)
         )
@@ -83,27 +84,27 @@ class TableGradient:
     table : SurfaceTable
     scattering : Scattering
     rows : (BATCHES, rows, CHANNELS) float64 or None
-        By the rows of the tables of R and T, see `mistray.recorders.adjoint`.
+        Derivatives by the rows of the tables of R and T, see `mistray.recorders.adjoint`.
     geometry : (BATCHES, surfaces, len(GEOMETRY)) float64 or None
-        With visibility as it is: what rims gain and lose is in `edges`.
+        Derivatives by geometry with visibility held; boundary terms of rims are in `edges`.
     edges : (w, BATCHES, surfaces, len(GEOMETRY)) float64 or None
-        Of rims, for each width of the zones.
+        Boundary terms of rims by geometry, for each width of the zones.
     indices : (BATCHES, surfaces, 2) float64 or None
-        By the real indices in front and behind.
+        Derivatives by the real indices in front and behind, visibility held.
     edge_indices : (w, BATCHES, surfaces, 2) float64 or None
-        Their part of `edges`.
+        Boundary terms of rims by the indices.
     scatter : dict
         Name of an array of `Scattering.arrays` (totals, lobes, ratios, logs) → (BATCHES, size) float64.
     sources : list of SourceDerivative
-        By the parameters of sources.
+        Derivatives by the parameters of sources.
     full : list of FullRims
         Rims that a beam just fills, where there are any.
     left_out : list of str
-        What is not in it.
+        Contributions that are left out, in words.
     seconds : float
-        Time it took.
+        Time of the computation, s.
     backward : bool
-        Of a backward trace.
+        Whether the trace was a backward one.
     """
 
     table: SurfaceTable
@@ -122,17 +123,19 @@ class TableGradient:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Names of the arrays that there are."""
+        """Names of the arrays that are not None, and of those of scatter."""
         return (*(name for name in ARRAYS if getattr(self, name) is not None), *sorted(self.scatter))
 
     def add(self, other: TableGradient) -> None:
-        """Add another one, with the same tables and the same parts."""
+        """Add another gradient with the same tables and the same parts, in place."""
+        # Arrays
         for name in ARRAYS:
             value = getattr(self, name)
             if value is not None:
                 value += getattr(other, name)
         for name, values in self.scatter.items():
             values += other.scatter[name]
+        # Lists; a note is kept once
         self.sources += other.sources
         self.full += other.full
         self.left_out += [text for text in other.left_out if text not in self.left_out]

@@ -64,7 +64,7 @@ class _Line:
 
 @dataclass
 class _File:
-    """What a file says; `aspheres` whether it mentions them, which it cannot hold."""
+    """Contents of a file; only its name and remarks can mention aspheres, which it cannot hold."""
 
     what: str
     name: str

@@ -1,4 +1,4 @@
-"""What the glasses of all lens files share: replacements that the user asks for, a known k, notes and the remedy."""
+"""Common part of glasses of all lens files: replacements that the user asks for, a known k, notes and the remedy."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class FileGlasses:
 
 
 def remedy(name: str) -> str:
-    """What to do about a glass that is in no catalogue."""
+    """Return the remedy for a glass that is in no catalogue."""
     word = shown([name])
     return (
         f"give its AGF file (glass_catalogues, --glass-catalogue) or a material for it (glasses={{'{word}': '…'}}, "

@@ -155,7 +155,7 @@ def coatings_of(optic: Any) -> dict[str, Coating]:
 
 
 def _coating_name(surface: Any) -> str:
-    """Of a coating with numbers for R and T; "" of all others."""
+    """Return the name of a coating with numbers for R and T; "" for all others."""
     coating = getattr(surface.interaction_model, "coating", None)
     if type(coating).__name__ != "SimpleCoating":
         return ""

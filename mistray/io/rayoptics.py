@@ -208,7 +208,7 @@ def _surface(what: str, interface: Any) -> CodevSurface:
 
 
 def _apertures(number: int, interface: Any, unit: float, unread: list[Unread]) -> dict[str, Any]:
-    """What all clear apertures share, or without one the round edge of the body; the drawn radius is not used."""
+    """Return the common area of clear apertures, or without one the body's round edge; the drawn radius is not used."""
     result: dict[str, Any] = {}
     edges = getattr(interface, "edge_apertures", ())
     clear = getattr(interface, "clear_apertures", ())

@@ -1,4 +1,4 @@
-"""The ray tree: where a ray goes next, what happens there, how it branches and scatters."""
+"""Kernel of the traces: ray trees, interactions at surfaces, branching, scatter and MIS densities."""
 
 from mistray._variant import active_variant, ensure_variant
 

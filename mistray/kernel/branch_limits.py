@@ -1,4 +1,4 @@
-"""Light that is not followed although it could be, by limits that most traces do not set: then they take no code."""
+"""Limits of branches that most traces do not set; those that are not set take no code in the kernel."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mistray.surfaces.optics import MIRROR
 
 Cut = Callable[[int | mi.UInt32, mi.UInt32, mi.Float, mi.Bool], None]
 
-# Hits of one surface in a row in a word: the surface, and above it their number
+# Run of consecutive hits of one surface in a word: the surface, and above it the number of hits
 RUN_SHIFT, SURFACE_MASK = 16, 0xFFFF
 NO_RUN = SURFACE_MASK
 ABSORPTION = list(BRANCHES).index("A")
@@ -22,18 +22,19 @@ ABSORPTION = list(BRANCHES).index("A")
 
 class BranchLimits:
     """
-    `Settings.ray_control`, `max_generations`, `cut_below` and `max_consecutive` in the kernel, and what they cut.
+    Limits `ray_control`, `max_generations`, `cut_below` and `max_consecutive` of the settings.
 
     Parameters
     ----------
     settings : Settings
     cut : callable
-        Told of it, see `mistray.recorders.recorder.Recorder.cut`.
+        Function that records what is cut, see `mistray.recorders.recorder.Recorder.cut`.
     batch : mi.UInt32
+        Batches of the start rays.
     """
 
     def __init__(self, settings: Settings, cut: Cut, batch: mi.UInt32) -> None:
-        self._tell, self._batch = cut, batch
+        self._record, self._batch = cut, batch
         self._allowed = frozenset(settings.allowed)
         self._controls = settings.ray_control != "allow_all"
         self._generations, self._consecutive = (
@@ -48,15 +49,16 @@ class BranchLimits:
         self._cuts_absorption = settings.cut_below[ABSORPTION] > 0
 
     def _cut(self, channel: int | mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
-        self._tell(channel, self._batch, flux, active & (flux > 0))
+        self._record(channel, self._batch, flux, active & (flux > 0))
 
     def absorb(self, absorbed: mi.Float, active: mi.Bool) -> tuple[mi.Float, mi.Bool]:
-        """What counts of the flux that a surface absorbs, and whether the hit counts on a detector."""
+        """Return the flux that a surface absorbs after the limits, and whether the hit counts on a detector."""
         if "A" not in self._allowed:
             self._cut(CONTROL, absorbed, active)
             return mi.Float(0), mi.Bool(False)
         if not self._cuts_absorption:
             return absorbed, mi.Bool(True)
+        # A faint absorption is cut: it enters neither the surface nor the detector
         faint = absorbed < self._below[ABSORPTION]
         self._cut(CUT_BRANCHES + ABSORPTION, absorbed, active & faint)
         return dr.select(faint, 0, absorbed), ~faint
@@ -65,23 +67,25 @@ class BranchLimits:
         self, it: Interaction, generations: mi.UInt32, flux: tuple[mi.Float, ...], active: mi.Bool
     ) -> tuple[mi.Float, ...]:
         """
-        What is left of the light that goes on from a node.
+        Return the flux that goes on from a node after the limits of rays and generations.
 
         Parameters
         ----------
         it : Interaction
         generations : mi.UInt32
-            Reflections and scatter events before.
+            Number of reflections and scatter events before the node.
         flux : tuple of four mi.Float
             Transmitted, reflected, scattered by the surface, and scattered by the medium in front of it.
         active : mi.Bool
-            Lanes that book what is cut.
+            Lanes whose cut flux enters the energy ledger.
         """
+        # Events that `ray_control` allows: I total, M mirror and R other reflection, T transmission, r and t scatter
         if self._controls:
             total, mirror, other, through = (mi.Bool(letter in self._allowed) for letter in "IMRT")
             reflects = dr.select(it.tir, total, dr.select((it.word & MIRROR) != 0, mirror, other))
             scatters = mi.Bool(bool(self._allowed & set("rt")))  # one side of two: see `end`
             flux = self._keep(CONTROL, flux, (through, reflects, scatters, mi.Bool("t" in self._allowed)), active)
+        # Generations: transmissions, total and design reflections are none
         if self._generations is not None:
             young = generations < self._generations
             kept = mi.Bool(True), young | ~counts_as_reflection(it), young, young
@@ -95,24 +99,36 @@ class BranchLimits:
         self._cut(channel, sum((dr.select(keep, 0, value) for value, keep in parts), mi.Float(0)), active)
         return tuple(dr.select(keep, value, 0) for value, keep in parts)
 
-    def end(self, child: mi.Float, scatter: mi.Bool, cloud: mi.Bool, reflect: mi.Bool, active: mi.Bool) -> mi.Float:
+    def end(
+        self,
+        child: mi.Float,
+        scatter: mi.Bool,
+        by_medium: mi.Bool,
+        reflect: mi.Bool,
+        active: mi.Bool,
+        contributes: mi.Bool,
+    ) -> mi.Float:
         """
-        What is left of one branch.
+        Return the flux of branches after the limits on a single branch.
 
         Parameters
         ----------
         child : mi.Float
-            Its flux.
-        scatter, cloud, reflect : mi.Bool
-            Whether the surface scattered it, the medium did, and whether it goes back to where it came from.
-        active : mi.Bool
+            Flux of the branch.
+        scatter, by_medium, reflect : mi.Bool
+            Whether the surface scattered it, whether the medium did, and whether it stays on the side of incidence.
+        active, contributes : mi.Bool
+            Lanes that have one, and whose flux enters the energy ledger.
         """
+        active = active & contributes
+        # One side of scatter refused: known only when the direction is sampled
         if len(self._allowed & set("rt")) == 1:
             refused = scatter & (reflect if "t" in self._allowed else ~reflect)
             self._cut(CONTROL, child, active & refused)
             child = dr.select(refused, 0, child)
+        # Thresholds by kind of branch, in the order of `BRANCHES`
         if self._cuts_branches:
-            scattered = scatter | cloud
+            scattered = scatter | by_medium
             back, on, scattered_back, scattered_on = self._below[:ABSORPTION]
             limit = dr.select(
                 reflect, dr.select(scattered, scattered_back, back), dr.select(scattered, scattered_on, on)
@@ -123,17 +139,18 @@ class BranchLimits:
             child = dr.select(weak, 0, child)
         return child
 
-    def arrive(self, run: mi.UInt32, surface: mi.UInt32, flux: mi.Float, hit: mi.Bool) -> mi.Bool:
-        """Which rays may meet the surface that they come to, after such a run."""
+    def arrive(self, run: mi.UInt32, surface: mi.UInt32, flux: mi.Float, hit: mi.Bool, contributes: mi.Bool) -> mi.Bool:
+        """Return the rays that may hit the surface that they meet, after a run of hits."""
         if self._consecutive is None:
             return hit
         over = hit & ((run & SURFACE_MASK) == surface) & ((run >> RUN_SHIFT) >= self._consecutive)
-        self._cut(CONSECUTIVE, flux, over)
+        self._cut(CONSECUTIVE, flux, over & contributes)
         return hit & ~over
 
-    def run_after(self, run: mi.UInt32, surface: mi.UInt32, cloud: mi.Bool) -> mi.UInt32:
-        """The run of hits with one of this surface; a medium that scatters before it ends the run."""
+    def run_after(self, run: mi.UInt32, surface: mi.UInt32, by_medium: mi.Bool) -> mi.UInt32:
+        """Return the run of hits with one more hit of this surface; a medium that scatters before it ends the run."""
         if self._consecutive is None:
             return run
+        # Another surface starts a new run
         times = dr.select((run & SURFACE_MASK) == surface, run >> RUN_SHIFT, 0) + 1
-        return dr.select(cloud, NO_RUN, surface | (times << RUN_SHIFT))
+        return dr.select(by_medium, NO_RUN, surface | (times << RUN_SHIFT))

@@ -1,8 +1,14 @@
-"""How the kernel scatters a ray within a medium.
+"""
+Scatter of rays within media.
 
-The place on a segment has the density of what is scattered there. The direction is drawn either from the phase function
-or towards a target of the side of the surface at which the segment ends, and all rays of a segment together are
-weighted as in `mistray.kernel.scattering`: given the place, a direction counts f/Σ n_i p_i.
+The place on a segment has the density of the flux that is scattered there. The direction is sampled either from the
+phase function or towards a target of the side of the surface at which the segment ends. All rays of a segment together
+are weighted by the balance heuristic, as in `mistray.kernel.scattering`: given the place, a ray in a direction carries
+
+    f/(n_r f + n_a p)
+
+of the flux that the segment scatters, where f is the phase function, p the pdf of aimed rays, and n_r and n_a are the
+numbers of rays of the two techniques. In the code these are `phase`, `density`, `random_rays` and `aimed_rays`.
 """
 
 from __future__ import annotations
@@ -29,30 +35,30 @@ if TYPE_CHECKING:
 @dataclass
 class BulkAim:
     """
-    What a segment aims at.
+    Targets of segments.
 
     Attributes
     ----------
     targets : mi.Vector2u
-        The first and how many.
+        Number of the first target and number of targets.
     rays : mi.UInt32
-        Aimed rays of the segment.
+        Number of aimed rays of the segment.
     """
 
     targets: mi.Vector2u
     rays: mi.UInt32
 
 
-class CloudRay(NamedTuple):
+class MediumRay(NamedTuple):
     """
-    Which of a segment's rays is drawn.
+    Technique of a ray of a segment.
 
     Attributes
     ----------
     aim : mi.Bool
-        Whether it goes to a target.
+        Whether the ray goes to a target.
     random_rays, aimed_rays : mi.Float
-        How many rays of either kind the segment sends on average.
+        Number of rays of either technique that the segment sends on average.
     """
 
     aim: mi.Bool
@@ -77,6 +83,7 @@ class BulkScattering:
         sets, first = [], 0
         for place, aim in aims.items():
             if isinstance(place, Inside):
+                # Row of a side: first target, number of targets, aimed rays
                 rows[2 * place.surface + place.at_back, :3] = first, len(aim.targets), aim.rays
                 sets.append(aim)
                 first += len(aim.targets)
@@ -84,19 +91,20 @@ class BulkScattering:
         self._rows, self._targets = upload(mi.UInt32, rows), DeviceTargets(sets, table.centre)
 
     def aim(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> BulkAim:
-        """What the segments aim at that end at the surfaces s."""
+        """Return the targets of the segments that end at the surfaces s."""
         if not self._aimed:
             return BulkAim(mi.Vector2u(0), mi.UInt32(0))
         side = 2 * s + dr.select(it.from_front, mi.UInt32(0), 1)
         row = dr.gather(mi.Vector4u, self._rows, side, active)
         return BulkAim(row.xy, row.z)
 
-    def one_ray(self, aim: BulkAim, random_rays: mi.UInt32, rng: mi.PCG32) -> CloudRay:
-        """One ray for all of a segment, aimed half of the time."""
+    def one_ray(self, aim: BulkAim, random_rays: mi.UInt32, rng: mi.PCG32) -> MediumRay:
+        """Return one ray for all of a segment, aimed half of the time."""
         if not self._aimed:
-            return CloudRay(mi.Bool(False), mi.Float(1), mi.Float(0))
+            return MediumRay(mi.Bool(False), mi.Float(1), mi.Float(0))
+        # Always aimed where `max_random_scatters` leaves no random ray
         aiming = dr.select(aim.rays > 0, dr.select(random_rays > 0, mi.Float(0.5), 1), 0)
-        return CloudRay(rng.next_float32() < aiming, 1 - aiming, aiming)
+        return MediumRay(rng.next_float32() < aiming, 1 - aiming, aiming)
 
     def scatter(
         self,
@@ -105,22 +113,23 @@ class BulkScattering:
         d: mi.Vector3f,
         length: mi.Float,
         aim: BulkAim,
-        ray: CloudRay,
+        ray: MediumRay,
         rng: mi.PCG32,
         active: mi.Bool,
     ) -> tuple[mi.Float, mi.Vector3f, mi.Float]:
         """
-        Where on a segment its medium scatters, and whereto.
+        Sample the place on a segment at which its medium scatters, and a direction from there.
 
         Parameters
         ----------
         medium : mi.UInt32
+            Number of the medium.
         p, d : mi.Vector3f
             End of the segment (mm) and its direction.
         length : mi.Float
-            Of the segment, mm.
+            Length of the segment, mm.
         aim : BulkAim
-        ray : CloudRay
+        ray : MediumRay
         rng : mi.PCG32
         active : mi.Bool
 
@@ -130,13 +139,15 @@ class BulkScattering:
             Distance from the end of the segment, mm; of density exp(extinction · distance).
         direction : mi.Vector3f
         share : mi.Float
-            Flux of the ray in units of what the segment scatters in all.
+            Flux of the ray in units of all that the segment scatters.
         """
         coefficient = dr.gather(mi.Float, self._optics.extinction, medium, active)
         g = dr.gather(mi.Float, self._optics.asymmetry, medium, active)
         u = [rng.next_float32() for _ in range(3)]
+
+        # Place: invert ∫ exp(μ x) dx, where x is the distance from the end; uniform in a thin medium. It is
+        # ln(1 + u (e^τ - 1))/μ of the optical depth τ; where that is large it is taken out, for e^τ ends at τ = 88
         depth = coefficient * length
-        # ln(1 + u (e^τ - 1)) of the optical depth τ; where that is large it is taken out, for e^τ ends at τ = 88
         scaled = dr.select(
             depth < 1,
             dr.log(dr.fma(u[0], dr.exp(depth) - 1, 1)),
@@ -144,6 +155,8 @@ class BulkScattering:
         )
         away = dr.select(depth < THIN, u[0] * length, scaled / dr.maximum(coefficient, 1e-30))
         away = dr.clip(away, 0, length)
+
+        # Direction by the Henyey-Greenstein phase function about d
         cosine = sampled_cosine(u[1], g)
         sine = dr.sqrt(dr.maximum(dr.fma(-cosine, cosine, 1), 0))
         across, beside = mi.coordinate_system(d)
@@ -151,13 +164,18 @@ class BulkScattering:
         direction = dr.normalize(cosine * d + sine * (cos_phi * across + sin_phi * beside))
         if not self._aimed:
             return away, direction, mi.Float(1)
+
+        # Direction towards a target. In a medium the specular direction is d
         origin = dr.fma(-away, d, p)
         here = active & (ray.aimed_rays > 0)
         to_target, own = self._targets.sample(
             aim.targets, [u[1], u[2], mi.Float(0), rng.next_float32()], origin, d, here & ray.aim
         )
         direction = dr.select(here & ray.aim, to_target, direction)
+
+        # MIS weight: f/(n_r f + n_a p)
         phase = phase_about(dr.squared_norm(direction - d), dr.squared_norm(direction + d), g)
         density = self._targets.density(aim.targets, origin, direction, d, ray.aim, own, here)
         share = phase / dr.fma(ray.random_rays, phase, dr.select(here, ray.aimed_rays * density, 0))
+        # 0 instead of 0/0 where neither technique can send a ray
         return away, direction, dr.select(dr.isfinite(share), share, 0)

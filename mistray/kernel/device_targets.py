@@ -1,4 +1,14 @@
-"""Targets of scattered rays on the device: a direction towards one, and the density of such directions."""
+"""
+Targets of scattered rays on the device: sampling of a direction towards one, and the pdf of such directions.
+
+Targets may overlap: the pdf of a direction ω is Σ_k share_k p_k(ω) over all targets that it meets, with
+
+    p = r²/(A |cos θ|)            of a flat target of area A at the distance r,
+    p = 1/(2π (1 - cos α))        of a cone of the half-angle α,
+    p = 1/(2π w abc |M ω|³)       of an ellipsoid of half axes a, b, c, which M scales to the unit sphere,
+
+where 2π w is the solid angle in which that sphere is seen. M takes dω to det M dω/|M ω|³, and det M = 1/(abc).
+"""
 
 from __future__ import annotations
 
@@ -12,30 +22,30 @@ import numpy as np
 from mistray.kernel.targets import AimSet, AnyTarget, Cone, Ellipsoid
 from mistray.surfaces.upload import upload
 
-VECTORS = 6  # of four floats for each target
-DENSITY_VECTORS = 4  # the first of them, which say where a direction meets the target
-SHARES = 19  # place of the sum of shares among them
-# Shapes as the kernel knows them; of an ellipse it is the hole, 0 … 1
+VECTORS = 6  # vectors of four floats for each target
+DENSITY_VECTORS = 4  # number of the first of them, which say where a direction meets the target
+SHARES = 19  # place of the sum of shares among the floats
+# Codes of the shapes; that of an ellipse is its hole, 0 … 1
 PARALLELOGRAM, TRIANGLE, ELLIPSOID = -1.0, -2.0, -3.0
 CONES = {"direction": -4.0, "point": -5.0, "specular": -6.0}
 
 
 class DeviceTargets:
     """
-    The targets of some sets, one set after the other.
+    Targets of some sets, one set after the other.
 
     Parameters
     ----------
     sets : sequence of AimSet
     centre : (3,) float64
-        What positions on the device are relative to, mm.
+        Origin of positions on the device, mm.
     """
 
     def __init__(self, sets: Sequence[AimSet], centre: np.ndarray) -> None:
         targets = [target for aim in sets for target in aim.targets]
         rows = [row for aim in sets for row in _rows(aim, centre)]
         self._values = upload(mi.Float, np.array(rows if rows else [np.zeros(4 * VECTORS)]))
-        # What no target is takes no time
+        # Kinds of target that do not occur take no code in the kernel
         self._ellipsoids = any(isinstance(target, Ellipsoid) for target in targets)
         self._cones = any(isinstance(target, Cone) for target in targets)
 
@@ -46,28 +56,32 @@ class DeviceTargets:
         self, aims: mi.Vector2u, u: list[mi.Float], p: mi.Vector3f, specular: mi.Vector3f, active: mi.Bool
     ) -> tuple[mi.Vector3f, mi.UInt32]:
         """
-        A direction to a target, which is chosen by its share; and the number of that target.
+        Sample a direction to a target that is chosen by its share; return it and the number of the target.
 
         Parameters
         ----------
         aims : mi.Vector2u
-            The first target and how many.
+            Number of the first target and number of targets.
         u : list of mi.Float
             Random numbers: 0 and 1 place the direction, 3 chooses the target.
         p : mi.Vector3f
-            Where the ray starts, mm.
+            Start of the ray, mm.
         specular : mi.Vector3f
-            Direction of the light that is not scattered.
+            Direction of the specular beam.
         active : mi.Bool
         """
 
+        # Choose a target by the sums of the shares so far
         def later(k: mi.UInt32) -> mi.Bool:
             upto = dr.gather(mi.Float, self._values, 4 * VECTORS * (aims.x + k) + SHARES, active)
             return active & (k + 1 < aims.y) & (u[3] >= upto)
 
+        # A loop, since surfaces have different numbers of targets
         (k,) = dr.while_loop(
             (dr.zeros(mi.UInt32, dr.width(u[3])),), later, lambda k: (k + 1,), mode="symbolic", label="choose a target"
         )
+
+        # Flat: a point, uniform over the area, as in `Target.points`
         rows = self._row(aims.x + k, VECTORS, active)
         centre, _, _, normal, first, second = rows
         hole = centre.w
@@ -77,9 +91,10 @@ class DeviceTargets:
         a = dr.select(ellipse, root * cosine, dr.select(triangle, root * (1 - u[1]), 2 * u[0] - 1))
         b = dr.select(ellipse, root * sine, dr.select(triangle, root * u[1], 2 * u[1] - 1))
         point = centre.xyz + a * first.xyz + b * second.xyz
+        # `normal.w` is -1 for a virtual target
         direction = (point - p) * normal.w
         if self._ellipsoids:
-            # Where the ellipsoid is the unit sphere it is seen within a cone, all of whose directions are as likely
+            # Ellipsoid: scaled to the unit sphere it fills a cone, in which directions are uniform in solid angle
             _, towards, width = _sphere(rows, p)
             mapped = _within(towards, width, u[0], sine, cosine) * normal.w
             to_world = sum(
@@ -87,6 +102,7 @@ class DeviceTargets:
             )
             direction = dr.select(hole == ELLIPSOID, to_world, direction)
         if self._cones:
+            # Cone
             within = _within(_axis(centre, p, specular) * normal.w, first.x, u[0], sine, cosine)
             direction = dr.select(hole <= CONES["direction"], within, direction)
         return dr.normalize(direction), k
@@ -101,12 +117,13 @@ class DeviceTargets:
         own: mi.UInt32,
         active: mi.Bool,
     ) -> mi.Float:
-        """Density of the aimed rays in a direction, 1/sr; `own` is the target of a ray that was aimed."""
+        """Return the pdf of aimed rays in a direction, 1/sr; `own` is the number of an aimed ray's own target."""
 
         def step(k: mi.UInt32, density: mi.Float) -> tuple[mi.UInt32, mi.Float]:
             going = active & (k < aims.y)
             rows = self._row(aims.x + k, DENSITY_VECTORS, going)
             centre, along, beside, normal = rows
+            # Flat: where the line meets the plane, in the coordinates a, b of `Target`
             cosine = dr.dot(direction, normal.xyz)
             t = dr.dot(centre.xyz - p, normal.xyz) / cosine
             q = dr.fma(t, direction, p) - centre.xyz
@@ -116,7 +133,9 @@ class DeviceTargets:
             box = (dr.abs(a) <= 1) & (dr.abs(b) <= 1)
             inside = (a >= 0) & (b >= 0) & (a + b <= 1)
             on = dr.select(centre.w >= 0, ring, dr.select(centre.w == TRIANGLE, inside, box)) & (t * normal.w > 0)
+            # r²/|cos θ|; the row holds 1/A
             each = t * t / dr.abs(cosine)
+            # Ellipsoid: the line passes within 1 of the centre of the unit sphere, and ahead unless it starts within
             if self._ellipsoids:
                 round_one = centre.w == ELLIPSOID
                 start, towards, width = _sphere(rows, p)
@@ -127,6 +146,7 @@ class DeviceTargets:
                 meets = (dr.squared_norm(beside_centre) <= 1) & ((dr.dot(mapped, towards) > 0) | (width == 2))
                 on = dr.select(round_one, meets, on)
                 each = dr.select(round_one, dr.rcp(2 * dr.pi * width * length * length * length), each)
+            # Cone: |ω - axis|² = 2 (1 - cos), which rounds better than the cosine
             if self._cones:
                 cone = centre.w <= CONES["direction"]
                 apart = direction - _axis(centre, p, specular) * normal.w
@@ -149,22 +169,23 @@ class DeviceTargets:
 
 
 def _sphere(rows: list[mi.Vector4f], p: mi.Vector3f) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float]:
-    """Where an ellipsoid is the unit sphere: the point p, the direction to the centre, 1 - cos of what it fills."""
+    """Scale an ellipsoid to the unit sphere; return there the point p, the direction to the centre and its 1 - cos."""
     start = mi.Vector3f(*(dr.dot(p - rows[0].xyz, v.xyz) for v in rows[1:4]))
     square = dr.squared_norm(start)
     sine2 = dr.rcp(square)
+    # 1 - cos = sin²/(1 + cos), without the cancellation; a point within sees all directions, 1 - cos = 2
     return start, -start * dr.rsqrt(square), dr.select(square > 1, sine2 / (1 + dr.sqrt(1 - sine2)), 2)
 
 
 def _axis(centre: mi.Vector4f, p: mi.Vector3f, specular: mi.Vector3f) -> mi.Vector3f:
-    """Axis of a cone."""
+    """Return the axis of a cone."""
     to_point = dr.normalize(centre.xyz - p)
     axis = dr.select(centre.w == CONES["point"], to_point, centre.xyz)
     return dr.select(centre.w == CONES["specular"], specular, axis)
 
 
 def _within(axis: mi.Vector3f, width: mi.Float, u: mi.Float, sine: mi.Float, cosine: mi.Float) -> mi.Vector3f:
-    """A direction within a cone of `width` = 1 - cos of its half-angle about an axis, uniform in solid angle."""
+    """Return a direction within a cone of `width` = 1 - cos of its half-angle about an axis, uniform in solid angle."""
     less = u * width
     aside = dr.sqrt(less * (2 - less))
     across, beside = mi.coordinate_system(axis)
@@ -173,7 +194,7 @@ def _within(axis: mi.Vector3f, width: mi.Float, u: mi.Float, sine: mi.Float, cos
 
 def _rows(aim: AimSet, centre: np.ndarray) -> list[np.ndarray]:
     """
-    Targets as the kernel reads them.
+    Return the rows of targets as the kernel reads them.
 
     - flat: centre, shape | dual of u, 1/area | dual of v, share | normal, -1 if reverse | u, sum of shares | v, 0;
     - ellipsoid: centre, shape | three inverse half axes, with 1/(a b c), share, -1 if reverse | 0, sum of shares | 0;
@@ -191,7 +212,7 @@ def _rows(aim: AimSet, centre: np.ndarray) -> list[np.ndarray]:
 
 
 def _vectors(target: AnyTarget, origin: np.ndarray) -> tuple[Any, ...]:
-    """The rows of a target without its share, its sign and the sum of shares."""
+    """Return the rows of a target without its share, its sign and the sum of shares."""
     nothing = np.zeros(3)
     if isinstance(target, Cone):
         width = target.width
@@ -208,6 +229,7 @@ def _vectors(target: AnyTarget, origin: np.ndarray) -> tuple[Any, ...]:
         lengths = np.linalg.norm(target.axes, axis=1)
         return [*(target.centre - origin), ELLIPSOID], [*one, 1 / np.prod(lengths)], two, three, nothing, nothing
     normal = np.cross(target.u, target.v)
+    # Dual vectors of u and v within the plane, which give the coordinates a and b
     along, beside = np.cross(target.v, normal), np.cross(normal, target.u)
     along, beside = along / np.dot(along, target.u), beside / np.dot(beside, target.v)
     shape = {"parallelogram": PARALLELOGRAM, "triangle": TRIANGLE}.get(target.shape, target.hole)

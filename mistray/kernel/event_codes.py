@@ -1,4 +1,8 @@
-"""The code of an event in the kernel: where it is, and what happens there."""
+"""
+Codes of events in the kernel: their place and their type.
+
+A code is place << EVENT_BITS | type, where the place is the number of a surface or a medium.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +30,7 @@ def event_code(
     place: mi.UInt32, it: Interaction, reflect: mi.Bool, scattered: tuple[mi.Bool, mi.Bool, mi.Bool] | None
 ) -> mi.UInt32:
     """
-    Code of an event, see `mistray.recorders.ledger`.
+    Return the codes of events, see `mistray.recorders.ledger`.
 
     Parameters
     ----------
@@ -36,9 +40,11 @@ def event_code(
     reflect : mi.Bool
         Whether the ray leaves on the side that it came from.
     scattered : tuple of mi.Bool or None
-        Whether the surface scattered it, whether the medium did, and whether it was aimed; None: nothing scatters.
+        Whether the surface scattered the ray, whether the medium did, and whether it was aimed; None: nothing scatters.
     """
+    # Specular events
     what = dr.select(reflect, dr.select(it.tir, mi.UInt32(TOTAL), mi.UInt32(REFLECTED)), mi.UInt32(TRANSMITTED))
+    # Scattered: rays of different techniques are different events in the ledger
     if scattered is not None:
         surface, medium, aim = scattered
         technique = dr.select(aim, mi.UInt32(AIMED_TRANSMITTED), mi.UInt32(RANDOM_TRANSMITTED))
@@ -48,13 +54,15 @@ def event_code(
 
 
 def scatters_done(word: mi.UInt32) -> list[mi.UInt32]:
-    """Scatter events of a path by their word: all, those that were not aimed, those at optical surfaces."""
+    """Return the scatter events of paths by their words: all, those that were not aimed, those at optical surfaces."""
     return [(word >> shift) & COUNT_MASK for shift in (0, RANDOM_SHIFT, OPTICAL_SHIFT)]
 
 
 def after_scatter(word: mi.UInt32, aim: mi.Bool, optical: mi.Bool, diffracted: mi.Bool) -> mi.UInt32:
-    """The word of `scatters_done` after one event more, see `mistray.recorders.ledger.COUNT_MASK`."""
+    """Return the word of `scatters_done` after one more event, see `mistray.recorders.path_key.COUNT_MASK`."""
+    # One word holds all three counts, so that a node stores a single integer
     count = 1 + dr.select(aim, 0, 1 << RANDOM_SHIFT) + dr.select(optical, mi.UInt32(1 << OPTICAL_SHIFT), 0)
+    # `AT_WALL` is of the last event only; `NOT_DIFFRACTED` stays once it is set
     word = ((word & ~mi.UInt32(AT_WALL)) + count) | dr.select(diffracted, 0, mi.UInt32(NOT_DIFFRACTED))
     return word | dr.select(optical, 0, mi.UInt32(AT_WALL))
 

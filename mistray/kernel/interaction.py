@@ -1,4 +1,14 @@
-"""What happens to light at a point of a surface: normal, Snell's law, R and T."""
+"""
+Interaction of light with a surface at a point: normal, Snell's law, R and T.
+
+For the unit direction of propagation d, the normal a on the side that the light goes to, cos θi = d · a and η = n_i/n_t
+
+    reflected   = d - 2 cos θi a,
+    transmitted = η d + (cos θt - η cos θi) a,   cos θt = √(1 - η² (1 - cos² θi)),
+
+see M. Pharr et al., Physically based rendering, 4th edition, section 9.3, where directions point away from the surface.
+The code calls a `axis`. Reflection is total where η² (1 - cos² θi) ≥ 1.
+"""
 
 from __future__ import annotations
 
@@ -36,37 +46,37 @@ REFLECTION_AND_TRANSMISSION = 3
 @dataclass
 class Interaction:
     """
-    Outcome at a node of the ray tree.
+    Interaction of light with a surface at a node of the ray tree.
 
     Attributes
     ----------
     p : mi.Vector3f
-        The point, moved onto the surface, mm.
+        Point, moved onto the surface, mm.
     reflected, transmitted : mi.Vector3f
         Unit directions.
     R, T : mi.Float
         Shares of the flux that the coating reflects and transmits, for the polarisation of the branch, before scatter
-        takes its part; what is left is absorbed. Total internal reflection has T = 0.
+        takes its part; the rest is absorbed. Total internal reflection has T = 0.
     tir : mi.Bool
-        Total internal reflection.
+        Whether the reflection is total.
     axis : mi.Vector3f
-        The normal on the side that the light goes to.
+        Normal on the side that the light goes to.
     cos_i, cos_t : mi.Float
-        Cosines of the angles of incidence and refraction; the latter 0 in total reflection.
+        Cosines of the angles of incidence and refraction; the latter is 0 in total reflection.
     eta : mi.Float
-        Index on the side of incidence over the one on the other side.
+        Index on the side of incidence over the index on the other side.
     word : mi.UInt32
-        The surface's description (flags of `mistray.surfaces.surfaces`).
+        Description of the surface (flags of `mistray.surfaces.surfaces`).
     medium_in, medium_out : mi.UInt32
-        Numbers of the materials on the side of incidence and on the other; 0 where any will do.
+        Numbers of the materials on the side of incidence and on the other; 0: any material may be there.
     local : mi.Vector3f
-        The point in the surface's own frame, mm.
+        Point in the surface's own frame, mm.
     from_front : mi.Bool
         Whether the light comes from the front.
     place : Place
-        Where R and T stand in the tables.
+        Place of R and T in the coating's table.
     polarized : Polarized or None
-        What becomes of the Stokes vector.
+        Stokes vector and Mueller matrices; None: unpolarised.
     """
 
     p: mi.Vector3f
@@ -88,7 +98,8 @@ class Interaction:
     polarized: Polarized | None
 
     def channel(self, reflect: mi.Bool) -> mi.UInt32:
-        """Column of the table that holds the factor of the reflected or the transmitted child."""
+        """Return the column of the table that holds the factor of the reflected or the transmitted child."""
+        # An ideal coating has no entry of its own for total reflection: it reflects R + T then
         both = self.tir & ((self.word & 3) == IDEAL)
         reflection = dr.select(self.from_front, mi.UInt32(REFLECTION_FRONT), mi.UInt32(REFLECTION_BACK))
         reflection = dr.select(both, REFLECTION_AND_TRANSMISSION, reflection)
@@ -97,7 +108,7 @@ class Interaction:
 
 @dataclass
 class Place:
-    """Row of the table and the fraction of the way to the next row."""
+    """Row of the table and fraction of the way to the next row."""
 
     row: mi.UInt32
     fraction: mi.Float
@@ -105,7 +116,7 @@ class Place:
 
 @dataclass
 class Polarized:
-    """The Stokes vector in the plane of incidence and what the surface does to it."""
+    """Stokes vector in the plane of incidence and Mueller matrices of the surface."""
 
     stokes: mi.Vector3f
     s: mi.Vector3f
@@ -113,7 +124,7 @@ class Polarized:
     transmission: Mueller
 
     def after(self, reflect: mi.Bool, d: mi.Vector3f) -> mi.Vector3f:
-        """Stokes vector of the child that leaves along d."""
+        """Return the Stokes vector of the child that leaves along d."""
         chosen = dr.select(reflect, self.reflection.apply(self.stokes), self.transmission.apply(self.stokes))
         return from_plane(chosen, d, self.s)
 
@@ -123,7 +134,7 @@ def interact(
     p: mi.Vector3f,
     d: mi.Vector3f,
     s: mi.UInt32,
-    stock_normal: mi.Vector3f | None,
+    mitsuba_normal: mi.Vector3f | None,
     stokes: mi.Vector3f | None,
     active: mi.Bool,
     rows: LaneRows | None = None,
@@ -138,22 +149,23 @@ def interact(
         Point close to the surface (mm) and unit direction of propagation.
     s : mi.UInt32
         Numbers of the surfaces.
-    stock_normal : mi.Vector3f, optional
-        Normal where the surface is a stock shape; needed if the scene has any.
+    mitsuba_normal : mi.Vector3f, optional
+        Normal where the surface is a Mitsuba shape; needed if the scene has any.
     stokes : mi.Vector3f, optional
         Stokes vector of the light; None: unpolarised everywhere.
     active : mi.Bool
-        Lanes that matter.
+        Lanes that have a ray.
     rows : LaneRows, optional
-        Copies of the table's rows.
+        Copies of the table's rows; None: they are gathered here.
     """
+    # Into the frame of the surface
     row = gathered_row(table, s, active) if rows is None else rows.row(s, active)
     vertex, optics, word = row.vertex, row.optics, row.word
     q = p - vertex.xyz
     frame = table.frame(s, active)
     q, dl = frame.inward(q), frame.inward(d)
 
-    # Value and half gradient of F at q; the normal is along the gradient
+    # Quadric F = a (x² + y²) + b z² + e z + g at q: value, and half the gradient, which is along the normal
     a, b, e, g = row.quadric
     r2 = dr.fma(q.x, q.x, q.y * q.y)
     value = dr.fma(a, r2, dr.fma(dr.fma(b, q.z, e), q.z, g))
@@ -165,42 +177,52 @@ def interact(
         # F = 2 (sag - z), to be of the same sign and scale as the quadric
         value = dr.select(aspheric, 2 * (sag(r2, *shape) - q.z), value)
         across, along_z = dr.select(aspheric, 2 * slope, across), dr.select(aspheric, -1, along_z)
+    # Shapes that are neither have a residual and a gradient of their own
     families = [
         (here, family, table.families.numbers(family, s, here)) for here, family in table.families.members(s, active)
     ]
     for here, family, numbers in families:
         value = dr.select(here, family.residual(*q, numbers), value)
-    if table.stock_scene is not None:
-        assert stock_normal is not None
-        stock = s >= len(table.pieces)
-        value = dr.select(stock, 0, value)
+    if table.mitsuba_scene is not None:
+        # Mitsuba's hits are on the surface already
+        assert mitsuba_normal is not None
+        of_mitsuba = s >= len(table.pieces)
+        value = dr.select(of_mitsuba, 0, value)
 
-    # One Newton step along the ray removes the rounding of a distant origin
+    # One Newton step -F/(∇F · d) along the ray removes the rounding of a distant origin
     along = 2 * (across * dr.fma(q.x, dl.x, q.y * dl.y) + along_z * dl.z)
     for here, family, numbers in families:
         along = dr.select(here, dr.dot(mi.Vector3f(*family.gradient(*q, numbers)), dl), along)
     step = -value / along
+    # A step of more than 1e-3 √(1 + r²) mm is not due to rounding: the point stays
     step = dr.select(step * step < 1e-6 * (1 + r2), step, 0)
     p, q = dr.fma(step, d, p), dr.fma(step, dl, q)
 
-    # There, not where the step began: after 10 m of way that may be 1e-6 rad
+    # Normal at the new point: after a segment of 10 m the normal before the step may be off by 1e-6 rad
     along_z = dr.fma(dr.select(aspheric, 0, b) if table.coefficient_count else b, step * dl.z, along_z)
     gradient = mi.Vector3f(across * q.x, across * q.y, along_z)
     for here, family, numbers in families:
         gradient = dr.select(here, mi.Vector3f(*family.gradient(*q, numbers)), gradient)
-    if table.stock_scene is not None:
-        gradient = dr.select(stock, stock_normal, gradient)
+    if table.mitsuba_scene is not None:
+        gradient = dr.select(of_mitsuba, mitsuba_normal, gradient)
+    # The sign in `vertex.w` turns it from front to back
     normal = gradient * dr.mulsign(dr.rsqrt(dr.squared_norm(gradient)), vertex.w)
     if table.rotated:
+        # Back into the frame of the scene, where Mitsuba's normals are already
         rotated = frame.outward(normal)
-        normal = rotated if table.stock_scene is None else dr.select(stock, normal, rotated)
+        normal = rotated if table.mitsuba_scene is None else dr.select(of_mitsuba, normal, rotated)
     cosine = dr.dot(d, normal)
+
+    # Reflected and refracted directions
     from_front = cosine > 0  # the normal points from front to back
     along_d = dr.mulsign(normal, cosine)
     cos_i = smaller(dr.abs(cosine), 1)
     at = _incidence(optics, word, from_front, cos_i)
+    # Normalised, since the rounding of a direction would grow from node to node
     reflected = dr.normalize(d - 2 * cos_i * along_d)
     transmitted = dr.normalize(at.eta * d + (at.cos_t - at.eta * cos_i) * along_d)
+
+    # R and T of the coating: the means of s and p, or by the Stokes vector of the branch
     place = _place(table, s, at, active)
     polarized = None
     if stokes is None:
@@ -211,6 +233,8 @@ def interact(
         reflection, transmission = _mueller(table, optics, place, at, active)
         polarized = Polarized(turned, in_plane, reflection, transmission)
         R, T = reflection.share(turned), dr.select(at.tir | at.opaque, 0, transmission.share(turned))
+
+    # Materials on either side, which the word of the surface holds
     front, back = (word >> FRONT_MEDIUM_SHIFT) & MEDIUM_MASK, (word >> BACK_MEDIUM_SHIFT) & MEDIUM_MASK
     return Interaction(
         p=p,
@@ -236,7 +260,7 @@ def interact(
 def shares_at(
     table: SurfaceTable, s: mi.UInt32, word: mi.UInt32, from_front: mi.Bool, cos_i: mi.Float, active: mi.Bool
 ) -> tuple[mi.Float, mi.Float, mi.Float]:
-    """R, T and the cosine of refraction of the surfaces s for unpolarised light of another angle of incidence."""
+    """Return R, T and cos θt of the surfaces s for unpolarised light at another angle of incidence."""
     optics = dr.gather(mi.Vector4f, table.optics.indices, s, active)
     at = _incidence(optics, word, from_front, cos_i)
     return *_unpolarized(table, optics, _place(table, s, at, active), at, active), at.cos_t
@@ -244,7 +268,7 @@ def shares_at(
 
 @dataclass
 class _Incidence:
-    """Light that meets a surface: what it knows of the coating, the side, angles and indices."""
+    """Light that meets a surface: kind of coating, side of incidence, indices and angles."""
 
     kind: mi.UInt32
     opaque: mi.Bool
@@ -259,18 +283,21 @@ class _Incidence:
 
 
 def _incidence(optics: mi.Vector4f, word: mi.UInt32, from_front: mi.Bool, cos_i: mi.Float) -> _Incidence:
-    """Snell's law."""
+    """Apply Snell's law: n_i sin θi = n_t sin θt."""
     n_i, n_t = dr.select(from_front, optics.x, optics.y), dr.select(from_front, optics.y, optics.x)
     eta, opaque = n_i / n_t, (word & OPAQUE) != 0
     sin2_t = eta * eta * (1 - cos_i * cos_i)
+    # Behind an opaque surface is no medium, and n_t stands for nothing
     tir = (sin2_t >= 1) & ~opaque
+    # Not below 0, where the derivative of the root would be NaN
     cos_t = dr.sqrt(larger(1 - sin2_t, 0))
     return _Incidence(word & 3, opaque, from_front, n_i, n_t, eta, cos_i, cos_t, sin2_t, tir)
 
 
 def _place(table: SurfaceTable, s: mi.UInt32, at: _Incidence, active: mi.Bool) -> Place:
-    """Where the angle of incidence stands in the surface's table, see `mistray.surfaces.optics`."""
+    """Return the place of the angle of incidence in the surface's table, see `mistray.surfaces.optics`."""
     places = dr.gather(mi.Vector4u, table.optics.places, s, active)
+    # The smaller cosine is that in the rarer medium: in it R and T are smooth from either side
     x = dr.select(at.tir, total_variable(at.sin2_t, at.eta, at.cos_i), smaller(at.cos_i, at.cos_t))
     start, last = dr.select(at.tir, places.z, places.x), dr.select(at.tir, places.w, places.y)
     x = dr.select(at.kind == TABLED, x * mi.Float(last), 0)
@@ -281,14 +308,17 @@ def _place(table: SurfaceTable, s: mi.UInt32, at: _Incidence, active: mi.Bool) -
 def _unpolarized(
     table: SurfaceTable, optics: mi.Vector4f, place: Place, at: _Incidence, active: mi.Bool
 ) -> tuple[mi.Float, mi.Float]:
-    """R and T, each the mean of s and p; in total reflection all that is not absorbed is reflected."""
+    """Return R and T, each the mean of s and p; total reflection has all that is not absorbed."""
     kinds = table.optics.kinds
+    # Ideal coatings have R and T of their own
     R, T = optics.z, optics.w
+    # Bare surfaces. Kinds of coating that no surface has take no code in the kernel
     if FRESNEL in kinds:
         bare = reflectance(at.cos_i, at.cos_t, at.n_i, at.n_t)
         fresnel = at.kind == FRESNEL if len(kinds) > 1 else True
         R, T = dr.select(fresnel, bare, R), dr.select(fresnel, 1 - bare, T)
     if TABLED in kinds:
+        # Coatings that are tabulated over the angle of incidence, linear between rows
         tabled = active & (at.kind == TABLED)
         low, high = (dr.gather(mi.Vector4f, table.optics.table, place.row + k, tabled) for k in range(2))
         values = dr.lerp(low, high, place.fraction)
@@ -298,9 +328,10 @@ def _unpolarized(
 
 
 def _bare(at: _Incidence) -> tuple[mi.Vector4f, mi.Vector4f]:
-    """Coefficients of both children at a bare surface."""
+    """Return the coefficients (S, P, Re j_s j_p*, Im j_s j_p*) of both children at a bare surface."""
     r_s, r_p = amplitudes(at.cos_i, at.cos_t, at.n_i, at.n_t)
     s, p = r_s * r_s, r_p * r_p
+    # In total reflection |r_s| = |r_p| = 1, and s and p differ in phase
     re, im = total_product(at.cos_i, dr.sqrt(larger(at.sin2_t - 1, 0)), at.n_i, at.n_t)
     re, im = dr.select(at.tir, re, r_s * r_p), dr.select(at.tir, im, 0)
     through = transmitted_product(at.cos_i, at.cos_t, at.n_i, at.n_t)
@@ -310,16 +341,18 @@ def _bare(at: _Incidence) -> tuple[mi.Vector4f, mi.Vector4f]:
 def _mueller(
     table: SurfaceTable, optics: mi.Vector4f, place: Place, at: _Incidence, active: mi.Bool
 ) -> tuple[Mueller, Mueller]:
-    """Reflection and transmission of polarised light."""
+    """Return the Mueller matrices of reflection and transmission."""
     kinds = table.optics.kinds
     # An ideal coating acts on s and p alike, as a bare surface does at normal incidence
     R, T = dr.select(at.tir, optics.z + optics.w, optics.z), optics.w
     reflection, transmission = mi.Vector4f(R, R, -R, 0), mi.Vector4f(T, T, T, 0)
+    # Fresnel's amplitudes
     if FRESNEL in kinds:
         fresnel = at.kind == FRESNEL
         bare = _bare(at)
         reflection, transmission = dr.select(fresnel, bare[0], reflection), dr.select(fresnel, bare[1], transmission)
     if TABLED in kinds:
+        # Tabulated coefficients, four numbers for each channel and row
         tabled = active & (at.kind == TABLED)
         side = dr.select(at.from_front, mi.UInt32(REFLECTION_FRONT), mi.UInt32(REFLECTION_BACK))
 

@@ -13,20 +13,20 @@ from mistray.settings import Settings
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.surfaces import SurfaceTable
 
-MOST_RAYS, LEAST_CHANCE = 64, 1 / 8  # of a hit, by its weight window
+MOST_RAYS, LEAST_PROBABILITY = 64, 1 / 8  # a weight window splits a hit into so many rays at most, or lets it survive
 
 
 @dataclass(frozen=True)
 class BranchProbabilities:
     """
-    Probabilities with which rays branch; branches carry so much more, and results stay the same.
+    Probabilities with which rays branch; the throughput of a branch is divided by its probability.
 
     Attributes
     ----------
     scatter : mi.Float
-        (surfaces,) that a hit scatters.
+        (surfaces,) probability that a hit scatters.
     reflection : mi.Float
-        That the reflection at a surface that transmits is followed.
+        Probability that the reflection at a surface that transmits is followed.
     """
 
     scatter: mi.Float
@@ -36,40 +36,42 @@ class BranchProbabilities:
 @dataclass(frozen=True)
 class WeightWindows:
     """
-    How many rays are scattered where, by surface and the way there; results stay the same.
+    Weight windows of scattered rays (T. E. Booth, A sample problem for variance reduction in MCNP, 1985).
+
+    A hit whose throughput is above the upper bound is split into several scattered rays, and one whose throughput is
+    below the lower bound scatters by roulette. The mean of results stays the same.
 
     Attributes
     ----------
-    many, few : mi.Float
-        Rays at random for a weight of 1, in rows of `worth_row`: a hit that has more than one by `many` is split into
-        so many, and one that has less by `few` scatters with that chance.
+    inverse_upper, inverse_lower : mi.Float
+        Inverse of the bounds, by `window_row`: the surface and the event before.
     """
 
-    many: mi.Float
-    few: mi.Float
+    inverse_upper: mi.Float
+    inverse_lower: mi.Float
 
     def split(self, row: mi.UInt32, weight: mi.Float, active: mi.Bool) -> mi.UInt32:
-        """Rays that a hit is split into."""
-        rays = weight * dr.gather(mi.Float, self.many, row, active)
+        """Return the number of rays that a hit is split into."""
+        rays = weight * dr.gather(mi.Float, self.inverse_upper, row, active)
         return mi.UInt32(dr.clip(dr.round(rays), 1, MOST_RAYS))
 
-    def chance(self, row: mi.UInt32, weight: mi.Float, active: mi.Bool) -> mi.Float:
-        """Probability that a hit scatters."""
-        rays = weight * dr.gather(mi.Float, self.few, row, active)
-        return dr.clip(rays, LEAST_CHANCE, 1)
+    def survival(self, row: mi.UInt32, weight: mi.Float, active: mi.Bool) -> mi.Float:
+        """Return the probability that a hit scatters."""
+        rays = weight * dr.gather(mi.Float, self.inverse_lower, row, active)
+        return dr.clip(rays, LEAST_PROBABILITY, 1)
 
 
 @dataclass(frozen=True)
-class Opposite:
+class CompetingTrace:
     """
-    A trace in the other direction, that rays are weighed against.
+    Trace in the other direction that builds the same paths, see `mistray.kernel.pdf_ratios`.
 
     Attributes
     ----------
     scattering : Scattering
     probabilities : BranchProbabilities
     connects : bool
-        Whether rays against the light are connected to rays with it, see `Connections`.
+        Whether backward rays are connected to light vertices.
     """
 
     scattering: Scattering
@@ -77,20 +79,20 @@ class Opposite:
     connects: bool = False
 
 
-class Connections(Protocol):
-    """Points where light arrives, to which scattered rays against the light are sent: ends of rays with it."""
+class VertexCache(Protocol):
+    """Light vertices, ends of forward rays, to which scattered backward rays are connected."""
 
     def pick(self, batch: mi.UInt32, u: mi.Float) -> tuple[mi.UInt32, mi.Float]:
-        """Numbers of points for random numbers 0 … 1, and by what a ray to one of them is stronger; 0 of none."""
+        """Return numbers of vertices for random numbers 0 … 1, and the inverse of their probability; 0: no vertex."""
 
     def point(self, number: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
-        """Place of points."""
+        """Return the positions of vertices."""
 
     def heading(self, number: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
-        """Unit direction in which the light arrives there."""
+        """Return the unit directions in which the light arrives at vertices."""
 
     def meets(self, number: mi.UInt32, s: mi.UInt32, p: mi.Vector3f, active: mi.Bool) -> mi.Bool:
-        """Whether rays that meet the surfaces s at p have come to the points."""
+        """Whether rays that meet the surfaces s at p have come to their vertices."""
 
 
 @dataclass(frozen=True)
@@ -102,20 +104,21 @@ class KernelScene:
     ----------
     table : SurfaceTable
     scattering : Scattering
-        For rays along the light, or of a backward trace.
+        Scatter of forward rays, or of backward ones.
     intersector : Intersector
     probabilities : BranchProbabilities or None
         None: all branches are followed.
     backward : bool
-        Whether rays go from the detector to the sky: the detector is a surface like others then, and what a surface
-        absorbs of a ray is what it emits towards the detector. Else they follow the light.
-    opposite : Opposite or None
-        The trace in the other direction, where rays are weighed against those of such a trace, see
-        `mistray.kernel.odds`; None: they are not.
-    connections : Connections or None
-        What rays of a backward trace are connected to.
+        Whether rays go from the detector to the sky: the detector is a surface like others then, and the share of a ray
+        that a surface absorbs is the share that it emits towards the detector. Forward rays go from a source to the
+        detector.
+    competing : CompetingTrace or None
+        Trace in the other direction that builds the same paths; None: all MIS weights are 1.
+    vertices : VertexCache or None
+        Light vertices that backward rays are connected to.
     windows : WeightWindows or None
         None: all hits scatter as many rays as the settings say.
+
     """
 
     table: SurfaceTable
@@ -123,8 +126,9 @@ class KernelScene:
     intersector: Intersector
     probabilities: BranchProbabilities | None = None
     backward: bool = False
-    opposite: Opposite | None = None
-    connections: Connections | None = None
+    competing: CompetingTrace | None = None
+    vertices: VertexCache | None = None
+
     windows: WeightWindows | None = None
 
     def scatters(self, settings: Settings) -> bool:

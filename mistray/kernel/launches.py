@@ -1,10 +1,10 @@
 """
-Launches of the kernel that last about a second, since one that runs can be neither stopped nor asked how far it is.
+Launches of the kernel that last about a second, since a running launch can neither be stopped nor report its progress.
 
-The first launch of a kernel takes a ray of each batch. How long it ran, its compilation left out, says how many rays
-the next one may take, and those of later traces like it. The rays of a launch are spread over all start rays of a pass,
-so that those of the launches so far are a sample of the whole beam; a ray has its own random numbers, whichever launch
-it is in.
+The first launch of a kernel takes a ray of each batch. The time that it ran, compilation left out, sets the number of
+rays of the next launch, and of those of later traces like it. The rays of a launch are spread over all start rays of a
+pass, so that those of the launches so far are a sample of the whole beam. A ray has its own random numbers, whichever
+launch it is in.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 from mistray.time_budget import left
 
-SECONDS = 1.0  # of a launch
-SHORTEST = 0.1  # the same where a time budget ends or has ended: what a launch costs beside its rays stays small
-STRETCH = 1.5  # a launch may be so much longer if it is the last one then
-GROWTH = 512.0  # from a launch to the next
-PACKET, PACKETS = 16, 1 << 12  # fewest neighbours that stay together, since they walk similar trees; so many groups
-KERNELS = 256  # of which it is known how fast they are
+SECONDS = 1.0  # time that a launch should take
+SHORTEST = 0.1  # s, at the end of a time budget: the overhead of a launch stays small
+STRETCH = 1.5  # factor by which a launch may be longer if it is then the last one
+GROWTH = 512.0  # largest growth of the number of rays from a launch to the next
+PACKET, PACKETS = 16, 1 << 12  # fewest neighbours that stay together, since they walk similar trees; number of groups
+KERNELS = 256  # kernels whose speed is remembered
 GOLDEN = (5**0.5 - 1) / 2
 MILLISECOND = 1e-3
 
-compilations: list[float] = []  # s that LLVM took for the kernels of each first launch; 0 from the cache
+compilations: list[float] = []  # seconds that LLVM took for the kernels of each first launch; 0 from the cache
 
 
 class Launches:
-    """Launches of one kernel, each as large as the time of those before allows."""
+    """Launches of one kernel, each as large as the time of earlier launches allows."""
 
     def __init__(self) -> None:
         self._rate = 0.0  # rays per second
@@ -47,7 +47,7 @@ class Launches:
 
     @property
     def lanes(self) -> int:
-        """Rays of the next launch at most, but for `STRETCH`; fewer where a time budget ends sooner."""
+        """Largest number of rays of the next launch, but for `STRETCH`; fewer where a time budget ends sooner."""
         return self._lanes(min(SECONDS, max(left(), SHORTEST)))
 
     def _lanes(self, seconds: float) -> int:
@@ -63,21 +63,21 @@ class Launches:
         ----------
         start : StartRays
         trace : callable
-            Traces some of them.
+            Function that traces some of them.
         seed : int
-            Of the order in which they come, see `Spread`.
+            Seed of the order in which they are traced, see `Spread`.
         whole : bool
-            Whether all will be traced, with or without a time budget: short launches would take longer together.
+            Whether all rays are traced whatever the time budget: short launches would take longer together.
 
         Yields
         ------
         int
-            Rays that have been traced: the first of that order.
+            Number of rays that have been traced: the first of that order.
 
         Raises
         ------
         KeyboardInterrupt
-            After a launch, if one was dropped meanwhile.
+            After a launch, if the exception of an interrupt was swallowed during it.
         """
         count, done = dr.width(start.lane), 0
         order: Spread | None = None
@@ -92,7 +92,7 @@ class Launches:
             yield done
 
     def whole(self, start: StartRays, trace: Callable[[StartRays], object]) -> None:
-        """Trace all of them, or none in the end if an interrupt waits for too long; parameters as for `run`."""
+        """Trace all start rays, or raise if an interrupt waits for too long; parameters as for `run`."""
         count = dr.width(start.lane)
         for done in self.run(start, trace, whole=True):
             if done < count:
@@ -100,17 +100,17 @@ class Launches:
 
     @staticmethod
     def _next(left: int, most: int) -> int:
-        """Rays of the next launch, of so many that are left: launches to come are of one size."""
+        """Return the number of rays of the next launch of those that are left: later launches are of equal size."""
         return left if left <= STRETCH * most else math.ceil(left / math.ceil(left / most))
 
     def time(self, lanes: int, work: Callable[[], object]) -> None:
         """
-        Launch, and choose the size of the next launch by the time it took.
+        Launch, and choose the size of the next launch by the time that it took.
 
         Raises
         ------
         KeyboardInterrupt
-            If one was dropped meanwhile.
+            If the exception of an interrupt was swallowed during the launch.
         """
         first, self._compiled = not self._compiled, True
         # The time of the first launch in the kernel alone is in Dr.Jit's history
@@ -126,7 +126,7 @@ class Launches:
                 kernels = dr.kernel_history()
                 seconds = MILLISECOND * sum(kernel.get("execution_time", 0.0) for kernel in kernels)
                 compilations.append(MILLISECOND * sum(kernel.get("backend_time", 0.0) for kernel in kernels))
-        if lanes >= self.lanes / 4 or seconds > SECONDS:  # the last rays of a pass say little
+        if lanes >= self.lanes / 4 or seconds > SECONDS:  # a short last launch of a pass is mostly overhead
             self._rate = lanes * min(1 / max(seconds, 1e-9), GROWTH / SECONDS)
         check()
 
@@ -138,25 +138,25 @@ def _launches(*_: Hashable) -> Launches:
 
 def launches_of(table: SurfaceTable, settings: Settings, *writes: Hashable) -> Launches:
     """
-    Launches of a kernel, which know what an earlier trace like it has found.
+    Return the launches of a kernel, with the speed that an earlier trace like it has measured.
 
     Parameters
     ----------
     table : SurfaceTable
     settings : Settings
-        How many rays there are, and their seed, do not matter.
+        The number of rays and their seed do not matter.
     *writes : hashable
-        What tells kernels of the same scene apart.
+        Outputs of the kernel, which tell kernels of the same scene apart.
     """
     return _launches(tuple(table.ids), replace(settings, rays=1, seed=0), *writes)
 
 
 class Spread:
     """
-    Numbers 0 … count-1 in an order of which every beginning is spread over all of them.
+    Permutation of 0 … count-1 every prefix of which is spread over all of them.
 
-    First comes one number of each of `BATCHES` equal blocks, then packets of neighbours, by multiples of the golden
-    ratio from a random one on.
+    First comes one number of each of `BATCHES` equal blocks, then packets of neighbours, in steps of the golden ratio
+    from a random packet on.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ class Spread:
             stride += 1
         self._first = np.unique(block.astype(np.int64))
         self._packets = (rng.integers(packets) + np.arange(packets) * stride) % packets
-        # Where the packets end: the numbers of the first group are left out of theirs, and the last one may be short
+        # Ends of the packets: the numbers of the first group are left out of theirs, and the last packet may be short
         sizes = np.full(packets, self._size)
         sizes[-1] -= packets * self._size - count
         np.subtract.at(sizes, self._first // self._size, 1)
@@ -183,7 +183,7 @@ class Spread:
 
     def next(self, done: int, rays: int) -> np.ndarray:
         """
-        Numbers that come after the first `done`, which `next` has given: about so many, in ascending order.
+        Return about `rays` numbers that follow the first `done`, which `next` has returned, in ascending order.
 
         Returns
         -------
@@ -200,7 +200,7 @@ class Spread:
         return np.delete(found, place[np.isin(found[place], self._first)])
 
     def first(self, rays: int) -> np.ndarray:
-        """The first numbers, as many as `next` has given, in ascending order."""
+        """Return the first numbers, as many as `next` has returned, in ascending order."""
         if rays <= len(self._first):
             return self._first
         return np.sort(np.concatenate([self._first, self.next(len(self._first), rays - len(self._first))]))

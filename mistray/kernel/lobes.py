@@ -1,4 +1,10 @@
-"""The radial tables of scatter lobes on the device: evaluated and sampled by the kernel and by the plugins."""
+"""
+Radial tables of scatter lobes on the device, evaluated and sampled by the kernel and by the plugins.
+
+A lobe has the density 2π r f(r) / total over the radius r. The cells between the nodes are chosen by the alias method
+(M. Pharr et al., Physically based rendering, 4th edition, section A.1); within a cell f ∝ r^m, so that the power m + 2
+of r is uniform.
+"""
 
 from __future__ import annotations
 
@@ -14,24 +20,24 @@ from mistray.surfaces.upload import upload
 
 STRIDE = RINGS + 2  # floats of a table: values at the nodes, and one more so that every cell has a next node
 CELLS = RINGS + 1
-LAST_BIT = 2.0**-24  # of a random number: a cell of no share is not kept even if the number is 0
-LOG2_FIRST = 1.0 - OCTAVES  # of the radius of the first node
+LAST_BIT = 2.0**-24  # last bit of a random number: a cell of no share is not kept even if the number is 0
+LOG2_FIRST = 1.0 - OCTAVES  # log2 of the radius of the first node
 FIRST_R2 = 4.0**LOG2_FIRST
 
 
 class RadialSampler:
     """
-    Some radial tables in device memory.
+    Radial tables in device memory.
 
     Parameters
     ----------
     tables : sequence of RadialTable
-        Addressed by their numbers.
+        Tables, addressed by their numbers.
 
     Attributes
     ----------
     total : mi.Float
-        (tables,): integral of 2π r f(r) of each.
+        (tables,) integral of 2π r f(r) of each.
     """
 
     def __init__(self, tables: Sequence[RadialTable]) -> None:
@@ -44,11 +50,11 @@ class RadialSampler:
 
     @property
     def arrays(self) -> list[mi.Float]:
-        """All that is stored."""
+        """Arrays of all that is stored."""
         return [self._logs, self._cells]
 
     def value(self, table: mi.UInt32, r2: mi.Float, active: mi.Bool) -> mi.Float:
-        """Value f of a table at the squared radius r2."""
+        """Return the value f of a table at the squared radius r2."""
         place = radial_place(r2)
         node = mi.UInt32(place)
         low, high = self._pair(table, node, active)
@@ -56,16 +62,19 @@ class RadialSampler:
 
     def sample(self, table: mi.UInt32, u: mi.Float, v: mi.Float, active: mi.Bool) -> mi.Float:
         """
-        A radius with the density 2π r f(r) / total, from two uniform random numbers.
+        Sample a radius with the density 2π r f(r) / total, from two uniform random numbers.
 
-        The first gives the cell and the place in it, the second decides between the cell and its alias. One number for
-        both would not do: the places in a cell that a float32 can have are few, and many cells have a small share.
+        The first gives the cell and the place in it, the second decides between the cell and its alias. A single number
+        would have too few values: a float32 has few places in a cell, and many cells have a small share.
         """
+        # Choose a cell by the alias table
         place = u * CELLS
         cell = dr.minimum(mi.UInt32(place), CELLS - 1)
         inner = place - mi.Float(cell)
         entry = dr.gather(mi.Vector2f, self._cells, table * CELLS + cell, active)
         cell = dr.select(v + LAST_BIT < entry.x, cell, mi.UInt32(entry.y))
+
+        # Invert the integral within the cell: r^(m + 2) is uniform; where m + 2 is about 0, log r is
         ring = dr.maximum(cell, 1) - 1
         low, high = self._pair(table, ring, active)
         exponent = (high - low) * PER_OCTAVE + 2
@@ -78,19 +87,19 @@ class RadialSampler:
         return dr.exp2(LOG2_FIRST + mi.Float(ring) * (1 / PER_OCTAVE) + octaves)
 
     def _pair(self, table: mi.UInt32, node: mi.UInt32, active: mi.Bool) -> tuple[mi.Float, mi.Float]:
-        """log2 f at a node and at the next."""
+        """Return log2 f at a node and at the next."""
         at = table * STRIDE + node
         return dr.gather(mi.Float, self._logs, at, active), dr.gather(mi.Float, self._logs, at + 1, active)
 
 
 def radial_place(r2: mi.Float) -> mi.Float:
-    """Place of a squared radius among the nodes, 0 … RINGS."""
+    """Return the place of a squared radius among the nodes, 0 … RINGS."""
     # Bounded below before the logarithm, whose derivative is then finite
     return dr.minimum((0.5 * dr.log2(dr.maximum(r2, FIRST_R2)) - LOG2_FIRST) * PER_OCTAVE, RINGS)
 
 
 def stored_logs(table: RadialTable) -> np.ndarray:
-    """(STRIDE,) float64 numbers of a table as they are stored: log2 of its values, the last one twice."""
+    """Return the numbers of a table as they are stored, (STRIDE,) float64: log2 of its values, the last one twice."""
     return np.append(table.log2_values, table.log2_values[-1])
 
 
@@ -105,11 +114,11 @@ def multilinear(
     values : mi.Float
         Tables, one after the other, the last axis running fastest.
     first : mi.UInt32 or int
-        Where the table begins.
+        Place where the table begins.
     sizes : sequence of mi.UInt32 or int
-        Nodes of each axis, at least 2.
+        Number of nodes of each axis, at least 2.
     places : sequence of mi.Float
-        Along each axis, 0 … 1.
+        Place along each axis, 0 … 1.
     active : mi.Bool
     """
     low, fraction = [], []
@@ -119,6 +128,7 @@ def multilinear(
         low.append(node)
         fraction.append(place - mi.Float(node))
     result = mi.Float(0)
+    # Sum over the corners of the cell; the bits of `corner` say which end of each axis
     for corner in range(2 ** len(sizes)):
         weight, index = mi.Float(1), mi.UInt32(0)
         for axis in range(len(sizes)):

@@ -1,4 +1,4 @@
-"""Where a ray goes next, and where on the detector it arrives."""
+"""Next hit of a ray, and position of a hit on the detector."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import mitsuba as mi
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.surfaces import SurfaceTable
 
-GRAZING = 0.01  # smallest cosine that counts when a ray leaves a stock surface behind
+GRAZING = 0.01  # smallest cosine by which the offset from a Mitsuba surface is divided
 
 
 def next_hit(
@@ -22,27 +22,29 @@ def next_hit(
     active: mi.Bool,
     normal: mi.Vector3f | None = None,
 ) -> tuple[mi.Float, mi.UInt32, mi.Vector3f]:
-    """Nearest hit of analytic and stock surfaces: distance, surface, and the normal if it is stock."""
+    """Return the nearest hit of analytic and Mitsuba surfaces: distance, surface, and the normal if it is Mitsuba's."""
+    # Analytic surfaces first: they bound the ray for Mitsuba's tracer
     t, s = intersector.nearest(o, d, last, active)
-    if table.stock_scene is None:
+    if table.mitsuba_scene is None:
         return t, s, mi.Vector3f(0)
     if table.free_space is not None:
+        # Rays that stay in the space without Mitsuba shapes skip their tracer
         active = active & ~table.free_space.holds(o, d, t)
     skip = mi.Float(0)
-    if normal is not None:  # leave a stock surface behind by a few roundings, along the ray so that it stays the same
+    if normal is not None:  # offset from a Mitsuba surface by a few roundings, along the ray so that it stays the same
         slant = dr.maximum(dr.abs(dr.dot(normal, d)), GRAZING)
-        skip = dr.select(last >= len(table.pieces), table.stock_epsilon / slant, 0)
-    ray = mi.Ray3f(mi.Point3f(dr.fma(skip, d, o) + table.stock_offset), d)
+        skip = dr.select(last >= len(table.pieces), table.mitsuba_epsilon / slant, 0)
+    ray = mi.Ray3f(mi.Point3f(dr.fma(skip, d, o) + table.mitsuba_offset), d)
     ray.maxt = dr.select(dr.isfinite(t), t - skip, dr.largest(mi.Float))
-    hit = table.stock_scene.ray_intersect_preliminary(ray, coherent=False, active=active)
+    hit = table.mitsuba_scene.ray_intersect_preliminary(ray, coherent=False, active=active)
     nearer = active & hit.is_valid() & (hit.t + skip < t)
     si = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, nearer)
-    number = dr.gather(mi.UInt32, table.stock_lookup, dr.reinterpret_array(mi.UInt32, si.shape), nearer)
+    number = dr.gather(mi.UInt32, table.mitsuba_lookup, dr.reinterpret_array(mi.UInt32, si.shape), nearer)
     return dr.select(nearer, si.t + skip, t), dr.select(nearer, number, s), mi.Vector3f(si.n)
 
 
 def film_coordinates(table: SurfaceTable, it: Any, s: mi.UInt32) -> tuple[mi.Float, mi.Float]:
-    """Position on the detector in its own frame, mm; where there are several, on each surface s of them."""
+    """Return the position on the detector in its own frame, mm; of several detectors, on each surface s of them."""
     x, y = it.local.x, it.local.y
     for detector, (middle, right, up) in table.detector_axes.items():
         if detector in table.detectors:

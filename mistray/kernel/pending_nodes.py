@@ -1,4 +1,5 @@
-"""The nodes to which the lanes come back, and how the lanes of a packet keep in step.
+"""
+Pending nodes, to which the lanes come back, and the schedule of the lanes of a packet.
 
 A lane that has followed a branch to its end goes on at its deepest pending node. If each did so at once, the first of
 them whose branch is one surface shorter would be one node ahead of the others for good: neighbours would be at
@@ -18,45 +19,65 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from mistray.settings import NO_LIMIT
+from mistray.kernel.kernel_scene import KernelScene
+from mistray.settings import NO_LIMIT, Settings
 
 LEVELS = 2
-# Type and count of the numbers of a node, with the names of the loop's state; recorders may read the first ones
-ALWAYS: dict[str, tuple[type, int]] = {"p": (mi.Float, 3), "d": (mi.Float, 3), "w": (mi.Float, 1)}
-ALWAYS |= {"key": (mi.UInt64, 1), "word": (mi.UInt32, 1), "pending": (mi.UInt32, 1)}
-OPTIONAL: dict[str, tuple[type, int]] = {
-    **dict.fromkeys(("run",), (mi.UInt32, 1)),
-    **dict.fromkeys(("normal", "stokes"), (mi.Float, 3)),
-    **dict.fromkeys(("child", "scatters", "aimed_from", "medium"), (mi.UInt32, 1)),
-    **dict.fromkeys(("birth", "scatter_factor", "medium_factor", "odds", "chance", "near", "link"), (mi.Float, 1)),
-    **dict.fromkeys(("joint",), (mi.UInt32, 1)),
-    **dict.fromkeys(("length", "away", "shared", "clouded"), (mi.Float, 1)),
+FLOAT, WORD, LONG, VECTOR = (mi.Float, 1), (mi.UInt32, 1), (mi.UInt64, 1), (mi.Float, 3)
+# Variables of a node, by their names in the loop's state: type and count. Recorders may read the first floats
+ALWAYS: dict[str, tuple[type, int]] = {
+    "p": VECTOR,
+    "d": VECTOR,
+    "w": FLOAT,
+    "key": LONG,
+    "word": WORD,
+    "pending": WORD,
 }
-REFLECTIONS_SHIFT, SURFACE_MASK = 16, 0xFFFF  # of the word of a pending node: the reflections before it, its surface
+OPTIONAL: dict[str, tuple[type, int]] = {
+    "run": WORD,
+    "normal": VECTOR,
+    "stokes": VECTOR,
+    "child": WORD,
+    "scatters": WORD,
+    "aimed_from": WORD,
+    "medium": WORD,
+    "reference": FLOAT,
+    "scatter_factor": FLOAT,
+    "medium_factor": FLOAT,
+    "pdf_ratio": FLOAT,
+    "survival_ratio": FLOAT,
+    "partial_ratio": FLOAT,
+    "connection_ratio": FLOAT,
+    "light_vertex": WORD,
+    "length": FLOAT,
+    "away": FLOAT,
+    "shared": FLOAT,
+    "in_scattered": FLOAT,
+}
+REFLECTIONS_SHIFT, SURFACE_MASK = 16, 0xFFFF  # bit fields of the word of a node: reflections before it, its surface
 
 
 class PendingNodes:
     """
     The nodes of the current path, in local memory.
 
-    A node to which the lane comes back knows the one above it, so that they make a list of any length.
+    Each pending node holds the depth of the one above it, so that they make a list of any length.
 
-    Each number has an array of its own over the depth, so that all have the same index: the code then asks once whether
-    all lanes are at the same depth, and if they are, a number is one load or store for all of them.
+    Each variable has an array of its own over the depth, so that all have the same index: the code then asks once
+    whether all lanes are at the same depth, and if they are, a variable is one load or store for all of them.
 
     Parameters
     ----------
     max_events : int
         Most nodes of a path.
     needed : collection of str
-        Those of `OPTIONAL` that the scene needs.
+        Names of the variables in `OPTIONAL` that the scene needs.
     """
 
     def __init__(self, max_events: int, needed: Collection[str]) -> None:
-        numbers = ALWAYS | {name: kind for name, kind in OPTIONAL.items() if name in needed}
-        self._numbers = numbers
+        self._variables = ALWAYS | {name: kind for name, kind in OPTIONAL.items() if name in needed}
         self.memory = tuple(
-            dr.alloc_local(dtype, max_events) for dtype, count in numbers.values() for _ in range(count)
+            dr.alloc_local(dtype, max_events) for dtype, count in self._variables.values() for _ in range(count)
         )
 
     def keep(
@@ -74,19 +95,19 @@ class PendingNodes:
         Parameters
         ----------
         memory : tuple of dr.Local
-            As the loop hands it on.
+            Arrays of the loop.
         node : dict
-            Its numbers by their names in the state.
+            Variables of the node by their names in the state.
         depth : mi.UInt32
-            Where.
+            Index into the arrays.
         pending : mi.Bool
             Lanes that come back to the node.
         recorded : mi.Bool
-            Lanes whose first `recorded_floats` numbers somebody may ask for.
+            Lanes whose first `recorded_floats` variables a recorder may read.
         """
         values = [
             node[name] if count == 1 else node[name][j]
-            for name, (_, count) in self._numbers.items()
+            for name, (_, count) in self._variables.items()
             for j in range(count)
         ]
 
@@ -99,12 +120,12 @@ class PendingNodes:
         return dr.if_stmt(memory, needed, store, lambda *memory: memory, mode="symbolic", label="keep")
 
     def resume(self, state: dict[str, Any], child: int) -> dict[str, Any]:
-        """Let the lanes that wait at level 1 go on at their nodes with that child, unless the node knows another."""
-        waits = state["wait"] == 1
+        """Let the lanes that wait at level 1 go on at their nodes, with `child` unless the node holds another."""
+        waits = state["resume_level"] == 1
         values = iter([array.read(state["depth"], waits) for array in state["memory"][0]])
         unknown, width = mi.UInt32(0), dr.width(waits)
-        node: dict[str, Any] = {"medium": unknown, "child": dr.full(mi.UInt32, child, width), "wait": unknown}
-        for name, (_, count) in self._numbers.items():
+        node: dict[str, Any] = {"medium": unknown, "child": dr.full(mi.UInt32, child, width), "resume_level": unknown}
+        for name, (_, count) in self._variables.items():
             node[name] = next(values) if count == 1 else mi.Vector3f(*(next(values) for _ in range(count)))
         word = node.pop("word")
         node["s"] = word & SURFACE_MASK
@@ -112,23 +133,48 @@ class PendingNodes:
         return {**state, **{name: dr.select(waits, value, state[name]) for name, value in node.items()}}
 
 
+def needed_variables(scene: KernelScene, settings: Settings) -> set[str]:
+    """Return the names of the variables in `OPTIONAL` that a scene needs."""
+    table, scatters, bulk = scene.table, scene.scatters(settings), scene.table.optics.scatters
+    needed = set()
+    if settings.limits_consecutive:
+        needed |= {"run"}
+    if settings.stokes:
+        needed |= {"stokes"}
+    if table.mitsuba_scene is not None:
+        needed |= {"normal"}
+    if bulk:
+        needed |= {"length", "in_scattered"}
+    if scene.competing is not None:
+        needed |= {"pdf_ratio", "survival_ratio"}
+        if scene.competing.connects:
+            needed |= {"partial_ratio", "connection_ratio", "light_vertex"}
+    if scatters:
+        needed |= {"child", "medium", "scatters", "aimed_from", "reference", "scatter_factor"}
+        if bulk:
+            needed |= {"away", "shared"}
+            if table.optics.one_child:
+                needed |= {"medium_factor"}
+    return needed
+
+
 def node_word(surface: mi.UInt32, reflections: mi.UInt32) -> mi.UInt32:
-    """What a pending node keeps of itself in one word."""
+    """Return the word of a pending node: its surface and the reflections before it."""
     return surface | (reflections << REFLECTIONS_SHIFT)
 
 
-def wait_level(node: mi.UInt32, trunk: mi.UInt32, back: mi.Bool, levels: int) -> mi.UInt32:
-    """Level at which lanes wait that are back at a node; `trunk` is their deepest one before a reflection."""
-    level = dr.select(node <= trunk, mi.UInt32(2), 1) if levels > 1 else mi.UInt32(1)
+def resume_level(node: mi.UInt32, direct_depth: mi.UInt32, back: mi.Bool, levels: int) -> mi.UInt32:
+    """Return the level at which lanes wait that are back at a node; `direct_depth` is their last direct one."""
+    level = dr.select(node <= direct_depth, mi.UInt32(2), 1) if levels > 1 else mi.UInt32(1)
     return dr.select(back, level, 0)
 
 
-def at_once(
+def walk_independently(
     state: dict[str, Any],
     visit: Callable[[dict[str, Any]], dict[str, Any]],
     resume: Callable[[dict[str, Any]], dict[str, Any]],
 ) -> dict[str, Any]:
-    """Visit nodes until no lane has anything left, without waiting; parameters as for `in_step`."""
+    """Visit nodes until no lane has one left, without waiting; parameters as for `walk_in_lockstep`."""
     (state,) = dr.while_loop(
         (state,),
         lambda state: state["active"],
@@ -139,7 +185,7 @@ def at_once(
     return state
 
 
-def in_step(
+def walk_in_lockstep(
     state: dict[str, Any],
     visit: Callable[[dict[str, Any]], dict[str, Any]],
     resume: Callable[[dict[str, Any]], dict[str, Any]],
@@ -151,9 +197,9 @@ def in_step(
     Parameters
     ----------
     state : dict
-        Of the loop; "active" and "wait" say which lanes go on.
+        Variables of the loop; "active" and "resume_level" say which lanes go on.
     visit : callable
-        One visit of the lanes that are under way.
+        Makes one visit of the lanes that are under way.
     resume : callable
         Lets the lanes go on that wait at level 1.
     level : int
@@ -162,14 +208,18 @@ def in_step(
     def step(state: dict[str, Any]) -> dict[str, Any]:
         if level == 0:
             return visit(state)
-        state = resume(state) if level == 1 else {**state, "wait": dr.select(state["wait"] > 1, 1, state["wait"])}
-        return in_step(state, visit, resume, level - 1)
+        state = (
+            resume(state)
+            if level == 1
+            else {**state, "resume_level": dr.select(state["resume_level"] > 1, 1, state["resume_level"])}
+        )
+        return walk_in_lockstep(state, visit, resume, level - 1)
 
     # To find what a loop leaves as it is, Dr.Jit follows its body twice, which would double with each level
     with dr.scoped_set_flag(dr.JitFlag.OptimizeLoops, level == 0):
         (state,) = dr.while_loop(
             (state,),
-            lambda state: state["active"] & (state["wait"] <= level),
+            lambda state: state["active"] & (state["resume_level"] <= level),
             lambda state: (step(state),),
             mode="symbolic",
             label=f"ray tree, level {level}",

@@ -2,10 +2,11 @@
 
 A branch carries (q, u, v) = (Q, U, V)/I with respect to axes that follow from its direction d alone: the first is the
 projection of the world's x axis onto the plane normal to d (of the y axis where d is within 26° of x), the second
-d × first. Nothing but three numbers need be stored at a node. At a surface the Stokes vector is turned into the plane
-of incidence, with axes s = d × normal and d × s, then multiplied by the Mueller matrix of the coating, and turned back.
+d × first. A node stores only these three numbers. At a surface the Stokes vector is rotated into the plane of
+incidence, with axes s = d × normal and d × s. There it is multiplied by the Mueller matrix of the coating, and then
+rotated back.
 
-With Q = |E₁|² - |E₂|² and U + iV = 2 E₁ E₂*, a coating of amplitudes j_s, j_p does
+With Q = |E₁|² - |E₂|² and U + iV = 2 E₁ E₂*, the Mueller matrix of a coating of amplitudes j_s, j_p is
 
     I' = (S + P)/2 I + (S - P)/2 Q,   Q' = (S - P)/2 I + (S + P)/2 Q,   (U + iV)' = j_s j_p* (U + iV)
 
@@ -23,13 +24,13 @@ import mitsuba as mi
 
 from mistray.surfaces.extrema import larger
 
-# Below this squared sine of the angle of incidence the plane of incidence is lost in the rounding and does not matter
+# Below this squared sine of the angle of incidence the plane of incidence is lost in rounding, and s and p are alike
 NORMAL_INCIDENCE = 1e-8
 NEAR_X = 0.9  # cosine of the angle between d and x above which the y axis gives the axes
 
 
 def first_axis(d: Any) -> Any:
-    """First polarisation axis of a direction, a vector of its type."""
+    """Return the first polarisation axis of a direction, a vector of its type."""
     near = dr.abs(d.x) > NEAR_X
     axis = type(d)(dr.select(near, 0, 1), dr.select(near, 1, 0), 0)
     return dr.normalize(axis - dr.dot(axis, d) * d)
@@ -37,11 +38,11 @@ def first_axis(d: Any) -> Any:
 
 def carried(u: Any, axis: Any, d: Any) -> Any:
     """
-    An axis u across a source's own axis, carried to a direction d by the smallest rotation that takes the axis there.
+    Rotate a vector u normal to a source's axis by the smallest rotation that takes the axis to the direction d.
 
-    That is what an ideal lens does to polarised light which it spreads over a cone, see R. A. Chipman, W.-S. T. Lam and
-    G. Young, *Polarized Light and Optical Systems* (CRC Press, 2018), section 11.4 (double pole coordinates). Light
-    that goes straight back keeps u.
+    An ideal lens rotates polarised light so when it spreads it over a cone, see R. A. Chipman, W.-S. T. Lam and G.
+    Young, *Polarized Light and Optical Systems* (CRC Press, 2018), section 11.4 (double pole coordinates). Light that
+    goes straight back keeps u.
     """
     both = axis + d
     square = dr.squared_norm(both)  # 2 (1 + cosine)
@@ -50,7 +51,7 @@ def carried(u: Any, axis: Any, d: Any) -> Any:
 
 
 def plane_of_incidence(d: mi.Vector3f, normal: mi.Vector3f) -> mi.Vector3f:
-    """Unit vector s normal to d and to the surface normal."""
+    """Return the unit vector s normal to d and to the surface normal."""
     s = dr.cross(d, normal)
     square = dr.squared_norm(s)
     return dr.select(square > NORMAL_INCIDENCE, s * dr.rsqrt(square), first_axis(d))
@@ -59,46 +60,47 @@ def plane_of_incidence(d: mi.Vector3f, normal: mi.Vector3f) -> mi.Vector3f:
 def _turned(stokes: Any, d: Any, s: Any, sign: float) -> Any:
     axis = first_axis(d)
     c, n = dr.dot(axis, s), dr.dot(dr.cross(d, axis), s)
+    # Stokes vectors rotate by twice the angle between the axes
     cos2, sin2 = c * c - n * n, sign * 2 * c * n
     return type(d)(cos2 * stokes.x + sin2 * stokes.y, cos2 * stokes.y - sin2 * stokes.x, stokes.z)
 
 
 def to_plane(stokes: Any, d: Any, s: Any) -> Any:
-    """(q, u, v) with respect to s and d × s instead of the axes of d."""
+    """Return (q, u, v) with respect to s and d × s instead of the axes of d."""
     return _turned(stokes, d, s, 1.0)
 
 
 def from_plane(stokes: Any, d: Any, s: Any) -> Any:
-    """(q, u, v) with respect to the axes of d instead of s and d × s."""
+    """Return (q, u, v) with respect to the axes of d instead of s and d × s."""
     return _turned(stokes, d, s, -1.0)
 
 
 @dataclass
 class Mueller:
     """
-    What a coating does to one of the children.
+    Mueller matrix of a coating for one of the children.
 
     Attributes
     ----------
     coefficients : mi.Vector4f
-        Shares of the flux of s and of p, real and imaginary part of j_s j_p*.
+        Shares S and P of the flux of s and of p, real and imaginary part of j_s j_p*.
     """
 
     coefficients: mi.Vector4f
 
     def share(self, stokes: mi.Vector3f) -> mi.Float:
-        """Share of the flux that the child gets; `stokes` in the plane of incidence."""
+        """Return the share of the flux that the child has; `stokes` is in the plane of incidence."""
         s, p = self.coefficients.x, self.coefficients.y
         # Not as S + P + (S - P) q: where q is ±1 this leaves the rounding of the larger share on the smaller one
         return 0.5 * (s * larger(1 + stokes.x, 0) + p * larger(1 - stokes.x, 0))
 
     def apply(self, stokes: mi.Vector3f) -> mi.Vector3f:
-        """(q, u, v) of the child in the plane of incidence."""
+        """Return (q, u, v) of the child in the plane of incidence."""
         s, p, re, im = self.coefficients
         flux = self.share(stokes)
         scale = dr.select(flux > 0, 1 / flux, 0)  # not `dr.rcp`: polarised light must stay so by more than 1e-7
         q = 0.5 * (s * (1 + stokes.x) - p * (1 - stokes.x))
         out = mi.Vector3f(q, re * stokes.y - im * stokes.z, im * stokes.y + re * stokes.z) * scale
-        # Rounding must not make more than fully polarised light of it
+        # Rounding must not make the degree of polarisation larger than 1
         size = dr.norm(out)
         return dr.select(size > 1, out / size, out)

@@ -1,10 +1,15 @@
-"""Which way a surface is turned: the x axis of a sample at each point, for scatter that depends on it.
+"""
+Orientation of surfaces for anisotropic scatter: the x axis of the sample at each point.
 
-An interface says where the axis comes from. "x" is the local x axis of its shape, turned by `rotation_deg` about the
-local z axis, right-handed, and projected onto the tangent plane: a sample that was ground or brushed straight.
-"meridian" is the tangent in the plane through the local z axis, away from it on a plane, turned by `rotation_deg` about
-the normal from front to back, right-handed: a sample that was turned on a lathe. A row of four numbers holds either: x,
-y, z of a vector in the frame of the surface and 0, or cosine and sine of the turn, 0 and 1.
+An interface says where the axis comes from.
+
+- "x" is the local x axis of its shape, rotated by `rotation_deg` about the local z axis, right-handed, and projected
+  onto the tangent plane: a sample that was ground or brushed straight.
+- "meridian" is the tangent in the plane through the local z axis, away from it on a plane, rotated by `rotation_deg`
+  about the normal from front to back, right-handed: a sample that was turned on a lathe.
+
+A row of four numbers holds either: x, y, z of a vector in the frame of the surface and 0, or cosine and sine of the
+rotation, 0 and 1.
 """
 
 from __future__ import annotations
@@ -29,46 +34,48 @@ NO_TANGENT = 1e-12  # squared length of a tangential part: light at normal incid
 
 
 def axis_row(axis: str, rotation_deg: float) -> np.ndarray:
-    """The row of a surface, (4,), in the frame of its shape."""
+    """Return the row of a surface, (4,), in the frame of its shape."""
     turn = np.radians(rotation_deg)
     return np.array([np.cos(turn), np.sin(turn), 0.0, float(AXES.index(axis))])
 
 
 def tangent_axis(row: Any, normal: Any, q: Any, any_meridian: bool = True) -> Any:
     """
-    The x axis of the sample, a unit vector at right angles to the normal.
+    Return the x axis of the sample, a unit vector at right angles to the normal.
 
     Parameters
     ----------
     row : mi.Vector4f
-        From `axis_row`.
+        Row of the surface, see `axis_row`.
     normal : mi.Vector3f or mi.Vector3d
         Unit normal, from front to back, in the frame of the surface.
     q : mi.Vector3f or mi.Vector3d
-        The point in that frame, mm; only its direction from the z axis matters.
+        Point in that frame, mm; only its direction from the z axis matters.
     any_meridian : bool
-        Whether a row may ask for the meridian.
+        Whether a row may request the meridian.
     """
     kind = type(normal)
     axis = kind(row.x, row.y, row.z)
     if any_meridian:
+        # The tangent along the parallel, crossed with the normal
         meridian = dr.cross(kind(-q.y, q.x, 0), normal)
         meridian *= dr.rsqrt(dr.maximum(dr.squared_norm(meridian), TINY))
         turned = row.x * meridian + row.y * dr.cross(normal, meridian)
         axis = dr.select(row.w > 0.5, turned, axis)
+    # Project onto the tangent plane
     axis = axis - dr.dot(axis, normal) * normal
     return axis * dr.rsqrt(dr.maximum(dr.squared_norm(axis), TINY))
 
 
 class SurfaceFrames:
     """
-    The x axes of all surfaces.
+    Axes of the samples of all surfaces.
 
     Parameters
     ----------
     table : SurfaceTable
     turned : sequence of int
-        Surfaces whose scatter asks for the axis.
+        Surfaces whose scatter is anisotropic.
 
     Raises
     ------
@@ -90,21 +97,21 @@ class SurfaceFrames:
         self.rows = upload(mi.Float, rows)
 
     def row(self, s: mi.UInt32, active: mi.Bool | bool = True) -> mi.Vector4f:
-        """Of the surfaces s."""
+        """Return the rows of the surfaces s."""
         return dr.gather(mi.Vector4f, self.rows, s, active)
 
     def local(self, s: mi.UInt32, normal: Any, q: Any, active: mi.Bool | bool = True) -> Any:
-        """The axis in the frame of the surface, see `tangent_axis`."""
+        """Return the axis in the frame of the surface, see `tangent_axis`."""
         return tangent_axis(self.row(s, active), normal, q, self._any_meridian)
 
     def at(self, s: mi.UInt32, normal: mi.Vector3f, q: mi.Vector3f, active: mi.Bool) -> mi.Vector3f:
-        """The axis in the scene, for a normal in the scene and a point in the frame of the surface."""
+        """Return the axis in the scene, for a normal in the scene and a point in the frame of the surface."""
         frame = self._table.frame(s, active)
         return frame.outward(self.local(s, frame.inward(normal), q, active))
 
 
 def _row(table: SurfaceTable, s: int) -> np.ndarray:
-    """The row of a surface that scatters by its axis."""
+    """Return the row of a surface whose scatter is anisotropic."""
     sample, name = table.optics.bsdfs[s].sample_axis, table.ids[s]
     if sample is None:
         raise MistrayError(f"surface '{name}': its scatter is anisotropic, but its plugin sets no sample_axis")
@@ -122,6 +129,7 @@ def _row(table: SurfaceTable, s: int) -> np.ndarray:
             f"surface '{name}' scatters by the x axis of a sample, and a {str(shape).partition('[')[0]} has none of "
             "its own; use 'asphere', 'frustum', 'rectangle' with sample_axis 'x', or anisotropy 'mean'"
         )
+    # A rectangle of Mitsuba's own has no frame in the table: its axis goes to the frame of the scene
     matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)[:3, :3]
     return np.append(matrix / np.linalg.norm(matrix, axis=0) @ row[:3], 0.0)
 
@@ -130,29 +138,30 @@ def plane_of_sample(
     tangent: mi.Vector3f, lit: mi.Vector3f, x_axis: mi.Vector3f
 ) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float]:
     """
-    Axes of the plane of incidence on a surface, and how a sample is turned in them.
+    Return the axes of the plane of incidence on a surface, and the rotation of the sample in them.
 
     Parameters
     ----------
     tangent : mi.Vector3f
-        Tangential part of the light; where it has none the sample's x axis stands for it.
+        Tangential part of the direction of the light; where it is 0 the sample's x axis stands for it.
     lit : mi.Vector3f
         Unit normal on the side that the light comes from.
     x_axis : mi.Vector3f
-        Of the sample, a unit vector.
+        Unit vector of the sample's x axis.
 
     Returns
     -------
     tangent, beside : mi.Vector3f
-        As long as one another; the second counterclockwise from the first as seen from the side of the light.
+        Axes of equal length; the second counterclockwise from the first as seen from the side of the light.
     rotation : mi.Float
         Azimuth of the sample's x axis from the first, in turns, -0.5 … 0.5.
     """
+    # At normal incidence the azimuth is the sample's own
     tangent = dr.select(dr.squared_norm(tangent) > NO_TANGENT, tangent, x_axis)
     beside = dr.cross(lit, tangent)
     return tangent, beside, dr.atan2(dr.dot(x_axis, beside), dr.dot(x_axis, tangent)) * (0.5 / dr.pi)
 
 
 def fraction_of(turns: mi.Float) -> mi.Float:
-    """Of a number of turns what is more than whole ones, 0 … 1."""
+    """Return the fractional part of a number of turns, 0 … 1."""
     return turns - dr.floor(turns)

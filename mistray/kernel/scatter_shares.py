@@ -1,21 +1,33 @@
-"""What scatter takes from the light of a node and gives to it, and which of its rays is to be drawn."""
+"""
+Scattering shares of a node: the flux that it scatters, and which of its scattered rays is to be drawn.
+
+The shares come from tables of the total integrated scatter over the angle of incidence, see
+`mistray.kernel.scatter_tables`. With the coating's x = R or T, an event keeps the share x (1 - a₀) in its specular beam
+and scatters a₁ + a₂ x + a₃ x², with the columns a of the table.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
 
-# Rays that are connected to light remember the number of its point, plus one, and whether they have been there
-JOINED = 1 << 31
+from mistray.kernel.sample_axes import fraction_of, plane_of_sample
+from mistray.kernel.scatter_tables import ANGLES, RANDOM_RAYS_SHIFT, ScatterTables
+
+if TYPE_CHECKING:
+    from mistray.kernel.interaction import Interaction
+
+# Flag of the word of a connected ray, which holds the number of its light vertex plus one: it has been there
+CONNECTED = 1 << 31
 
 
 @dataclass
 class Shares:
     """
-    What scatter takes and gives at a node, for one event.
+    Scattering shares of one event at a node.
 
     Attributes
     ----------
@@ -35,21 +47,23 @@ class Shares:
 @dataclass
 class ScatterBudget:
     """
-    What scatter makes of the light of a node.
+    Scattering shares of a node.
 
     Attributes
     ----------
     transmission, reflection : Shares
     scattered : mi.Float
-        Both together.
+        Sum of both, share of the incident flux.
     absorbed : mi.Float
-        Share of the light that neither event takes; of light along the ray, also in a backward trace.
+        Share of the flux that is neither reflected, transmitted nor scattered; for light along the ray, also in a
+        backward trace.
     first_case : mi.UInt32
-        That of transmission; reflection is the next.
+        Number of the case of transmission in the tables; that of reflection is the next.
     aimed_t, aimed_r : mi.UInt32
-        Aimed rays of either.
+        Number of aimed rays in transmission and in reflection.
     random_rays : mi.UInt32
-        Random rays that the surface asks for; 0 for those of the settings.
+        Number of random rays that the surface demands; 0: as the settings say.
+
     """
 
     transmission: Shares
@@ -61,29 +75,33 @@ class ScatterBudget:
     aimed_r: mi.UInt32
     random_rays: mi.UInt32
 
-    def ray(self, number: mi.UInt32, random_rays: mi.UInt32, rng: mi.PCG32, joint: Joint | None = None) -> ScatteredRay:
+    def ray(
+        self, number: mi.UInt32, random_rays: mi.UInt32, rng: mi.PCG32, connection: Connection | None = None
+    ) -> ScatteredRay:
         """
-        The scattered ray of this number: first those at random, then the aimed ones of either event.
+        Return the scattered ray of a number.
 
-        With `joint` the rays behind those go to where it says.
+        The first `random_rays` are drawn at random, then come the aimed ones of transmission and of reflection, and
+        then those of `connection`, if there is one.
         """
         aim = number >= random_rays
         at_random = rng.next_float32() * self.scattered >= self.transmission.scattered
         reflect = dr.select(aim, number >= random_rays + self.aimed_t, at_random)
-        joins = mi.Bool(False)
-        if joint is not None:
-            joins = number >= random_rays + self.aimed_t + self.aimed_r
-            aim &= ~joins
-            reflect = dr.select(joins, joint.reflect, reflect)
+        connects = mi.Bool(False)
+        if connection is not None:
+            connects = number >= random_rays + self.aimed_t + self.aimed_r
+            aim &= ~connects
+            reflect = dr.select(connects, connection.reflect, reflect)
         event_share = dr.select(reflect, self.reflection.scattered, self.transmission.scattered) / self.scattered
         aimed = mi.Float(dr.select(reflect, self.aimed_r, self.aimed_t))
-        return ScatteredRay(reflect, aim, mi.Float(random_rays) * event_share, aimed, joins, joint)
+        return ScatteredRay(reflect, aim, mi.Float(random_rays) * event_share, aimed, connects, connection)
 
     def one_ray(self, probability: mi.Float, random_rays: mi.UInt32, rng: mi.PCG32) -> ScatteredRay:
         """
-        One ray for all, where the node scatters with this probability; it is aimed half of the time if it can be.
+        Return one scattered ray that stands for all, where the node scatters with this probability.
 
-        Without random rays it has no weight in an event that has no target.
+        It is aimed in half of the cases in which there is a target. Without random rays it has no weight in an event
+        without a target.
         """
         reflect = rng.next_float32() * self.scattered >= self.transmission.scattered
         event_share = dr.select(reflect, self.reflection.scattered, self.transmission.scattered) / self.scattered
@@ -98,14 +116,14 @@ class ScatterBudget:
 @dataclass
 class Turn:
     """
-    How a sample lies to the plane of incidence.
+    Rotation of a sample against the plane of incidence.
 
     Attributes
     ----------
     rotation : mi.Float
-        Azimuth of its x axis, in turns, see `plane_of_sample`.
+        Azimuth of the x axis of the sample, in turns, see `plane_of_sample`.
     count : mi.UInt32
-        Rotations in the totals of a case; 1 where they make no difference.
+        Number of rotations in the totals of a case; 1 where they make no difference.
     """
 
     rotation: mi.Float
@@ -113,19 +131,20 @@ class Turn:
 
 
 @dataclass
-class Joint:
+class Connection:
     """
-    Where a ray that is connected to light goes.
+    Connection of a ray to a light vertex.
 
     Attributes
     ----------
     direction : mi.Vector3f
+        Unit direction of the ray.
     reflect : mi.Bool
-        Whether that is on the side of incidence.
+        Whether the ray stays on the side of incidence.
     factor : mi.Float
-        By which the ray is stronger.
+        Factor of its throughput: the inverse of the probability that this vertex is picked.
     word : mi.UInt32
-        What the ray remembers, see `JOINED`.
+        Number of the vertex plus one, with the flag `CONNECTED`.
     """
 
     direction: mi.Vector3f
@@ -137,44 +156,160 @@ class Joint:
 @dataclass
 class ScatteredRay:
     """
-    Which of the scattered rays of a node is to be drawn.
+    Scattered ray of a node that is to be drawn.
 
     Attributes
     ----------
     reflect : mi.Bool
-        On the side of incidence.
+        Whether the ray stays on the side of incidence.
     aim : mi.Bool
-        Towards a target.
+        Whether the ray is aimed at a target.
     random_rays, aimed_rays : mi.Float
-        How many rays of either technique the node sends in this event on average.
-    joins : mi.Bool
-        Whether it is connected to light.
-    joint : Joint or None
-        Where it goes then; None: no ray is connected.
+        Mean number of rays that the node sends in this event by either technique.
+    connects : mi.Bool
+        Whether the ray is connected to a light vertex.
+    connection : Connection or None
+        The connection then; None: no ray is connected.
     """
 
     reflect: mi.Bool
     aim: mi.Bool
     random_rays: mi.Float
     aimed_rays: mi.Float
-    joins: mi.Bool
-    joint: Joint | None = None
+    connects: mi.Bool
+    connection: Connection | None = None
 
 
-class Rivalry(NamedTuple):
+class ScatterPdfs(NamedTuple):
     """
-    What a scattered ray knows of rays of the other direction.
+    Densities of a scattered direction that MIS weights need.
 
     Attributes
     ----------
-    odds : mi.Float
-        How many of them go this way for one of this direction, per étendue; 1 without them.
-    against : mi.Float
-        Rays per sr that go this way against the light, one at random and all that are aimed.
-    joint : mi.UInt32
-        See `JOINED`; 0 of rays that are not connected.
+    pdf_ratio : mi.Float
+        Density of the other direction over that of this one, per étendue; 1 where no trace competes.
+    pdf_rev : mi.Float
+        Backward rays per sr in this direction: one at random, and all that are aimed.
+    light_vertex : mi.UInt32
+        Number of the light vertex plus one, see `CONNECTED`; 0 for rays that are not connected.
     """
 
-    odds: mi.Float = 1.0
-    against: mi.Float = 0.0
-    joint: mi.UInt32 = 0
+    pdf_ratio: mi.Float = 1.0
+    pdf_rev: mi.Float = 0.0
+    light_vertex: mi.UInt32 = 0
+
+
+class ScatterShares:
+    """
+    Scattering shares of all surfaces at one wavelength.
+
+    Parameters
+    ----------
+    tables : ScatterTables
+    """
+
+    def __init__(self, tables: ScatterTables) -> None:
+        self.tables = tables
+        self.any, self.bulk = tables.any, tables.bulk
+
+    def budget(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> ScatterBudget:
+        """Return the scattering shares of the surfaces s."""
+        # Row of the side: first rows of its totals in transmission and reflection, and its numbers of aimed rays
+        side = 2 * s + dr.select(it.from_front, mi.UInt32(0), 1)
+        plan = dr.gather(mi.Vector4u, self.tables.sides, side, active)
+
+        # Shares of either event, for the light that rays stand for
+        rarer = dr.minimum(it.cos_i, it.cos_t)
+        turns = self._turns(it.reflected, it.axis, self._x_axis(s, it, active), side, active)
+        transmission = self._shares(plan.x, rarer, self._transmittance(it), active, turns["transmission"])
+        reflection = self._shares(plan.y, it.cos_i, it.R, active, turns["reflection"])
+
+        # Absorption is that of light along the ray, whose shares differ where rays go backward
+        along, back = transmission, reflection
+        if self.tables.backward:
+            row = dr.gather(mi.UInt32, self.tables.transmission_rows, side, active)
+            along = self._shares(row, rarer, it.T, active, turns["along"])
+            if turns["back"] is not None:
+                back = self._shares(plan.y, it.cos_i, it.R, active, turns["back"])
+        absorbed = 1 - it.R * back.kept - it.T * along.kept - back.scattered - along.scattered
+
+        # Numbers of rays
+        aimed_t = dr.select(transmission.scattered > 0, plan.z & ((1 << RANDOM_RAYS_SHIFT) - 1), 0)
+        aimed_r = dr.select(reflection.scattered > 0, plan.w, 0)
+        scattered = transmission.scattered + reflection.scattered
+        random_rays = plan.z >> RANDOM_RAYS_SHIFT
+        return ScatterBudget(transmission, reflection, scattered, absorbed, 2 * side, aimed_t, aimed_r, random_rays)
+
+    def _transmittance(self, it: Interaction) -> mi.Float:
+        """Return T; 1 for a backward ray in total reflection, since light can be scattered into its direction."""
+        return dr.select(it.tir, 1, it.T) if self.tables.backward else it.T
+
+    def _x_axis(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> mi.Vector3f | None:
+        """Return the x axis of the sample, if there is an anisotropic one."""
+        if self.tables.frames is None:
+            return None
+        return self.tables.frames.at(s, dr.select(it.from_front, it.axis, -it.axis), it.local, active)
+
+    def _turns(
+        self, heading: mi.Vector3f, axis: mi.Vector3f, x_axis: mi.Vector3f | None, side: mi.UInt32, active: mi.Bool
+    ) -> dict[str, Turn | None]:
+        """
+        Return the rotation of the sample, by the light that is scattered.
+
+        "transmission" and "reflection" are for the light that rays stand for, "along" and "back" for light that goes
+        along them.
+
+        Parameters
+        ----------
+        heading : mi.Vector3f
+            Direction of a ray before or after its reflection.
+        axis : mi.Vector3f
+            Normal on the side that the ray goes to.
+        x_axis : mi.Vector3f or None
+            The x axis of the sample; None: all are isotropic.
+        side : mi.UInt32
+            Number of the surface's side.
+        active : mi.Bool
+        """
+        if x_axis is None:
+            return dict.fromkeys(("transmission", "reflection", "along", "back"))
+        _, _, along = plane_of_sample(heading - dr.dot(heading, axis) * axis, -axis, x_axis)
+        counts = dr.gather(mi.Vector4u, self.tables.turns, side, active)
+        # The light of a backward ray comes from where that is reflected or refracted to: the axis seen from there
+        backward = self.tables.backward
+        return {
+            "transmission": Turn(0.5 - along if backward else along, counts.x),
+            "reflection": Turn(along + 0.5 if backward else along, counts.y),
+            "along": Turn(along, counts.z),
+            "back": Turn(along, counts.y),
+        }
+
+    def _shares(
+        self, first: mi.UInt32, cosine: mi.Float, x: mi.Float, active: mi.Bool, turn: Turn | None = None
+    ) -> Shares:
+        """Return the scattering shares of a case at a cosine; its table starts at row `first`, x is R or T."""
+        # Totals are linear in the cosine between nodes
+        here = active & (first != 0)
+        place = dr.select(here, cosine * ANGLES, 0)
+        node = dr.minimum(mi.UInt32(place), ANGLES - 1)
+
+        def at(start: mi.UInt32) -> mi.Vector4f:
+            low, high = (self.tables.total(start + node + k, here) for k in range(2))
+            return dr.lerp(low, high, place - mi.Float(node))
+
+        # And in the azimuth of an anisotropic sample
+        if turn is None:
+            row = at(first)
+        else:
+            block = fraction_of(turn.rotation) * mi.Float(turn.count - 1)
+            before = dr.minimum(mi.UInt32(block), dr.maximum(turn.count, 2) - 2)
+            after = dr.minimum(before + 1, turn.count - 1)
+            low, high = (at(first + number * (ANGLES + 1)) for number in (before, after))
+            row = dr.lerp(low, high, block - mi.Float(before))
+        # A share of the specular beam, a constant, and parts that go with R or T and its square
+        scattered = dr.fma(x, dr.fma(x, row.w, row.z), row.y)
+        return Shares(
+            1 - dr.select(here, dr.minimum(row.x, 1), 0),
+            dr.select(here, scattered, 0),
+            dr.select(here, dr.fma(2 * x, row.w, row.z), 0),
+        )

@@ -1,8 +1,9 @@
-"""Scatter of all surfaces, packed for the kernel: lobes, targets, and totals over the angle of incidence.
+"""
+Scatter of all surfaces, packed for the kernel: lobes, targets, and totals over the angle of incidence.
 
-Light of one side of a surface that leaves by one event (transmission or reflection) is one *case*, number
-4 s + 2 side + event. Each case has a list of lobes, a list of targets, and a table over the angle of incidence of what
-the specular beam loses and of what is scattered.
+A *case* is light from one side of a surface that is scattered in one event (transmission or reflection). Its number is
+4 s + 2 side + event. Each case has a list of lobes, a list of targets, and a table over the angle of incidence. The
+table holds the loss of the specular beam, and the scattered flux as the terms of a polynomial in R or T.
 """
 
 from __future__ import annotations
@@ -32,35 +33,35 @@ if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
 
 EVENT_NAMES = ("transmission", "reflection")  # in the order of the cases
-CASES = 4  # of a surface
+CASES = 4  # number of cases of a surface
 ANGLES = 256  # intervals of the tables of totals, uniform in the cosine
-# Flags of a lobe; the number of its radial table stands above them
+# Flags of a lobe; the number of its radial table is in the bits above them
 BY_ANGLE, RETRO, NORMAL, GHS, RAYLEIGH_RICE, EDGE, COSINE, RATIO, BY_COSINES, ANGULAR, TURNED, FROM_X = (
     1 << bit for bit in range(12)
 )
 TABLE_SHIFT = 12
 LOBE_FLOATS = 6
-# Numbers before those of a ratio table: nodes along its three axes, or along the first, the rotation and the last two;
-# 0 or the first rotation of the sample, in turns
+# Head of a ratio table: numbers of nodes along its three axes and 0, or along the first axis, the rotation and the last
+# two; then the first rotation of the sample, in turns
 RATIO_HEAD = 5
-NO_TOTALS = 2  # rows of zeros before the totals, for what has no scatter
-TURNED_ANGLES = 64  # intervals of the totals of anisotropic lobes, which are interpolated to the others
+NO_TOTALS = 2  # rows of zeros before the totals, for cases without scatter
+TURNED_ANGLES = 64  # intervals of the totals of anisotropic lobes, which are interpolated to `ANGLES`
 RANDOM_RAYS_SHIFT = 16
 
 
 @dataclass(frozen=True)
 class Side:
-    """What the models of a surface make of light of one side: lobes with their tables, and totals by angle."""
+    """Scatter of light from one side of a surface: lobes with their tables, and totals by angle."""
 
     lobes: tuple[Lobe, ...]
     tables: tuple[RadialTable, ...]
-    # Event → (turns, ANGLES + 1, 4): loss, and three terms of what is scattered, at uniform rotations of the sample,
-    # the last one the first again; 1 where it makes no difference
+    # Event → (turns, ANGLES + 1, 4): loss, and three terms of the scattered flux, at uniform rotations of the sample,
+    # the last of which is the first again; a single one for isotropic scatter
     rows: dict[str, np.ndarray]
-    models: tuple[int, ...] = ()  # by lobe, number of the model that it is of
+    models: tuple[int, ...] = ()  # number of the model of each lobe
 
     def without_transmission(self) -> Side:
-        """The same of an opaque surface."""
+        """Return the scatter of an opaque surface: reflection alone."""
         kept = [k for k, lobe in enumerate(self.lobes) if lobe.event == "reflection"]
         return Side(
             tuple(self.lobes[k] for k in kept),
@@ -71,7 +72,7 @@ class Side:
 
 
 def side_of(models: tuple[Scatter, ...], wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> Side:
-    """What models make of light of one side, computed once."""
+    """Return the scatter of light from one side by some models, computed once."""
     return _known_side(models, particle_indices(models, wavelength_nm), wavelength_nm, n_in, n_out, from_front)
 
 
@@ -89,10 +90,10 @@ def _known_side(
 
 def make_side(models: tuple[Scatter, ...], wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> Side:
     """
-    Lobes and totals.
+    Return the lobes and totals of some models.
 
-    Nodes are uniform in cos θi for reflection, in the cosine in the rarer medium for transmission, where the cosine of
-    incidence in the denser one is that of a direction refracted there.
+    Nodes are uniform in cos θi for reflection. For transmission they are uniform in the cosine in the rarer medium;
+    light in the denser one has the cosine of the direction that is refracted to it.
     """
     own = [model_lobes([model], wavelength_nm, n_in, n_out, from_front) for model in models]
     lobes = tuple(lobe for part in own for lobe in part)
@@ -100,6 +101,7 @@ def make_side(models: tuple[Scatter, ...], wavelength_nm: float, n_in: float, n_
     rows = {}
     for event in EVENT_NAMES:
         here = [k for k, lobe in enumerate(lobes) if lobe.event == event]
+        # Totals of isotropic lobes, on the full grid of angles
         still, turned = ([k for k in here if lobes[k].anisotropic == kind] for kind in (False, True))
 
         def block(numbers: list[int], nodes: int, rotation: float, event: str = event) -> np.ndarray:
@@ -118,7 +120,7 @@ def make_side(models: tuple[Scatter, ...], wavelength_nm: float, n_in: float, n_
 
 
 def _finer(rows: np.ndarray) -> np.ndarray:
-    """Rows at `TURNED_ANGLES` intervals of the cosine at `ANGLES`, linear between, (turns, ANGLES + 1, 4)."""
+    """Interpolate rows linearly from `TURNED_ANGLES` intervals of the cosine to `ANGLES`, (turns, ANGLES + 1, 4)."""
     places = np.linspace(0, TURNED_ANGLES, ANGLES + 1)
     low = np.minimum(places.astype(int), TURNED_ANGLES - 1)
     fraction = (places - low)[:, None]
@@ -128,14 +130,14 @@ def _finer(rows: np.ndarray) -> np.ndarray:
 @dataclass(frozen=True)
 class Member:
     """
-    A lobe of a case.
+    Lobe of a case.
 
     Attributes
     ----------
     plugin : Scatterer
-        That the lobe is of.
+        Plugin of the lobe.
     number : int
-        Its place among the lobes of the plugin's model for light of this side.
+        Place of the lobe among those of the plugin's model for light from this side.
     lobe : Lobe
     table : RadialTable
     """
@@ -149,19 +151,19 @@ class Member:
 @dataclass(frozen=True)
 class Case:
     """
-    Light of one side of a surface that is scattered in one event.
+    Light from one side of a surface that is scattered in one event.
 
     Attributes
     ----------
     surface : int
     from_front : bool
-        The side that the light comes from; in transmission, in a backward trace, not that of the ray.
+        Side that the light comes from; for transmission in a backward trace the ray comes from the other side.
     event : str
     rows : (turns, ANGLES + 1, 4) float64
         Totals over the rotation of the sample and the angle, see `Side`.
     members : tuple of Member
     first_row, first_lobe : int
-        Where its rows begin among those of all cases, and its members among all lobes.
+        Number of its first row among those of all cases, and of its first member among all lobes.
     """
 
     surface: int
@@ -174,14 +176,14 @@ class Case:
 
     @property
     def end_row(self) -> int:
-        """Row behind its last."""
+        """Number of the row after its last."""
         return self.first_row + self.rows.shape[0] * self.rows.shape[1]
 
 
 @dataclass(frozen=True)
 class PackedLobes:
     """
-    The lobes of all cases, one after the other, in float64.
+    Lobes of all cases, one after the other, in float64.
 
     Attributes
     ----------
@@ -192,11 +194,11 @@ class PackedLobes:
         Flags and number of the radial table; place of the ratio.
     tables : list of RadialTable
     table_numbers : list of int
-        By lobe.
+        Number of the table of each lobe.
     ratios : (m,) float64
-        Ratio tables, each behind `RATIO_HEAD` numbers; first those that change with the models' values.
+        Ratio tables, each after `RATIO_HEAD` numbers; first those that change with the models' values.
     moving : int
-        Numbers in these.
+        Length of these.
     """
 
     members: list[Member]
@@ -209,20 +211,21 @@ class PackedLobes:
 
     @property
     def flags(self) -> int:
-        """All flags that occur."""
+        """Union of the flags of all lobes."""
         return int(np.bitwise_or.reduce(self.words[:, 0] & ((1 << TABLE_SHIFT) - 1), initial=0))
 
 
 def pack(cases: Sequence[Case], by_plugin: bool = False) -> PackedLobes:
     """
-    Number the tables of the lobes of all cases.
+    Pack the lobes of all cases, and number their tables.
 
     Parameters
     ----------
     cases : sequence of Case
     by_plugin : bool
-        Equal tables of two plugins are then two tables, so that each has its own derivatives.
+        Whether equal tables of two plugins are two tables, so that each has its own derivatives.
     """
+    # Tables that lobes share are stored once
     members = [member for case in cases for member in case.members]
     owners = [id(member.plugin) if by_plugin else 0 for member in members]
     tables: dict[tuple[int, int], tuple[int, RadialTable]] = {}
@@ -231,6 +234,8 @@ def pack(cases: Sequence[Case], by_plugin: bool = False) -> PackedLobes:
         tables.setdefault((id(member.table), owner), (len(tables), member.table))
         if member.lobe.ratio is not None:
             ratios.setdefault((id(member.lobe.ratio), owner), member.lobe.ratio)
+
+    # Ratio tables, the fixed ones last: a gradient takes the first part alone
     places, parts, place, moving = {}, [np.zeros(0)], 0, 0
     for key, ratio in sorted(ratios.items(), key=lambda item: item[1].fixed):
         places[key] = place
@@ -238,6 +243,8 @@ def pack(cases: Sequence[Case], by_plugin: bool = False) -> PackedLobes:
         parts += [np.array([*sizes, ratio.first_rotation / (2 * np.pi)]), ratio.values.ravel()]
         place += RATIO_HEAD + ratio.values.size
         moving = moving if ratio.fixed else place
+
+    # Numbers of each lobe
     floats, words, numbers = np.zeros((len(members), LOBE_FLOATS)), np.zeros((len(members), 2), dtype=np.uint32), []
     for k, (member, owner) in enumerate(zip(members, owners, strict=True)):
         numbers.append(tables[id(member.table), owner][0])
@@ -249,13 +256,13 @@ def pack(cases: Sequence[Case], by_plugin: bool = False) -> PackedLobes:
 
 
 def lobe_floats(lobe: Lobe, table: RadialTable) -> np.ndarray:
-    """(LOBE_FLOATS,) numbers of a lobe, see `PackedLobes`."""
+    """Return the numbers of a lobe, (LOBE_FLOATS,), see `PackedLobes`."""
     r_min = lobe.ratio.r_min if lobe.ratio is not None else 1.0
     return np.array([*lobe.shares, table.total, min(lobe.oblique_limit, 1e30), np.log2(r_min)])
 
 
 def _flags(lobe: Lobe) -> int:
-    """Flags of a lobe."""
+    """Return the flags of a lobe."""
     flags = BY_ANGLE if lobe.measure == "angle" else 0
     flags |= {"specular": 0, "retro": RETRO, "normal": NORMAL}[lobe.centre]
     flags |= {"none": 0, "ghs": GHS, "rayleigh_rice": RAYLEIGH_RICE, "edge": EDGE, "cosine": COSINE}[lobe.factor]
@@ -274,23 +281,23 @@ class ScatterTables:
     Parameters
     ----------
     table : SurfaceTable
-        The surfaces with their coatings and materials at a wavelength.
+        Surfaces with their coatings and materials at a wavelength.
     aims : mapping
-        Where light is scattered → targets.
+        Place of scatter → targets.
     backward : bool
-        For rays that go backwards. A case is then that of the light which the ray goes against: a ray from the
-        front that is transmitted meets light from the back that is.
+        Whether rays are traced backward. The case of a ray is then that of the light, which propagates the other way: a
+        ray from the front that is transmitted stands for light from the back that is transmitted.
 
     Attributes
     ----------
     any : bool
         Whether a surface scatters.
     aims : mapping
-        As given.
+        Targets, see Parameters.
     bulk : BulkScattering or None
-        Scatter in media, if any scatters.
+        Scatter in media; None: no medium scatters.
     all_cases : list of Case
-        Those that scatter, in the order of their totals and lobes.
+        Cases that scatter, in the order of their totals and lobes.
     total_rows : int
         Number of rows of the totals.
     """
@@ -307,13 +314,15 @@ class ScatterTables:
         self.bulk = BulkScattering(table, aims) if optics.scatters else None
         self.all_cases: list[Case] = []
         count = len(bsdfs)
-        # By side: first row of the totals of transmission and reflection, aimed rays of either, the first of them with
-        # the random rays above; by case: first lobe, lobes, first target, targets
+        # By side: first row of the totals of transmission and of reflection, numbers of aimed rays of either, the first
+        # of which has the number of random rays in its upper bits; by case: first lobe, number of lobes, first target,
+        # number of targets
         sides = np.zeros((count * 2, 4), dtype=np.uint32)
         cases = np.zeros((count * CASES, 4), dtype=np.uint32)
-        # By side: rotations of the sample in the totals of transmission, reflection, and transmission of its own light
+        # By side: number of rotations of the sample in the totals of transmission, of reflection, and of transmission
+        # of light from this side
         turns = np.ones((count * 2, 4), dtype=np.uint32)
-        transmission_rows = np.zeros(count * 2, dtype=np.uint32)  # by side, that of its own light
+        transmission_rows = np.zeros(count * 2, dtype=np.uint32)  # by side, that of light from this side
         aim_sets: list[AimSet] = []
         targets = lobes = 0
         self.total_rows = NO_TOTALS
@@ -325,6 +334,7 @@ class ScatterTables:
             for side, from_front in enumerate((True, False)):
                 sides[2 * s + side, 2] = bsdf.scatter_rays << RANDOM_RAYS_SHIFT
                 for number, event in enumerate(EVENT_NAMES):
+                    # The side that the light comes from: a backward ray that is transmitted leaves towards it
                     lit = 1 - side if backward and event == "transmission" else side
                     first = self.total_rows
                     case = _case(bsdf.scatterers, s, lit == 0, event, found[lit], first, lobes)
@@ -341,6 +351,7 @@ class ScatterTables:
                     self.all_cases.append(case)
                     lobes += len(case.members)
                     self.most_lobes = max(self.most_lobes, len(case.members))
+                    # Targets are those of the side to which the ray leaves
                     aim = aims.get((s, from_front == (event == "transmission")))
                     if aim is not None:
                         row[2:] = targets, len(aim.targets)
@@ -350,6 +361,8 @@ class ScatterTables:
         self.any = bool(self.all_cases)
         if not self.any:
             return
+
+        # Upload
         self.aimed = bool(aim_sets)
         self.sides, self.cases = upload(mi.UInt32, sides), upload(mi.UInt32, cases)
         self.transmission_rows = upload(mi.UInt32, transmission_rows)
@@ -374,7 +387,7 @@ class ScatterTables:
 
     @staticmethod
     def _sides_of(ids: Sequence[str], optics: Optics, s: int) -> list[Side]:
-        """What a surface makes of light from the front and from the back, checked."""
+        """Return the scatter of light from the front and from the back of a surface, checked."""
         found = []
         for from_front in (True, False):
             n_in, n_out = light_indices(optics, s, from_front)
@@ -388,33 +401,33 @@ class ScatterTables:
         return found
 
     def total(self, row: mi.UInt32, active: mi.Bool) -> mi.Vector4f:
-        """A row of the totals."""
+        """Return rows of the totals."""
         return dr.gather(mi.Vector4f, self.totals, row, active)
 
     def lobe(self, row: mi.UInt32, active: mi.Bool) -> tuple[mi.Vector4f, mi.Float, mi.Float, mi.Vector2u]:
-        """Of a lobe: its shares and its profile's total; the limit of 1/cos θi; log2 of its ratio's r_min; words."""
+        """Return c0, c1, c2 and profile totals of lobes, limits of 1/cos θi, log2 of the ratios' r_min, and words."""
         numbers, more = (dr.gather(mi.Vector4u, self.lobes, 2 * row + k, active) for k in range(2))
         shares = mi.Vector4f(*(dr.reinterpret_array(mi.Float, v) for v in numbers))
         limit, log2_r_min = (dr.reinterpret_array(mi.Float, v) for v in more.xy)
         return shares, limit, log2_r_min, more.zw
 
     def ratio(self, place: mi.UInt32, places: Sequence[mi.Float], active: mi.Bool) -> mi.Float:
-        """The ratio table at a place, linear along each of its three or four axes."""
+        """Interpolate the ratio table at a place, linearly along each of its three or four axes."""
         sizes = self._ratio_sizes(place, len(places), active)
         return multilinear(self.ratios, place + RATIO_HEAD, sizes, places, active)
 
     def first_rotation(self, place: mi.UInt32, active: mi.Bool) -> mi.Float:
-        """The first rotation of the sample of an anisotropic ratio table, in turns."""
+        """Return the first rotation of the sample of an anisotropic ratio table, in turns."""
         return dr.gather(mi.Float, self.ratios, place + RATIO_HEAD - 1, active)
 
     def _ratio_sizes(self, place: mi.UInt32, axes: int, active: mi.Bool) -> list[mi.UInt32]:
-        """Nodes of a ratio table along its axes."""
+        """Return the numbers of nodes of a ratio table along its axes."""
         numbers = [dr.gather(mi.Float, self.ratios, place + k, active) for k in range(axes)]
         return [dr.maximum(mi.UInt32(number), 2) for number in numbers]
 
 
 def light_indices(optics: Optics, surface: int, from_front: bool) -> tuple[float, float]:
-    """Real indices on the side that light comes from and on the other."""
+    """Return the real indices on the side that light comes from and on the other."""
     front, back = (float(n) for n in optics.host_indices[surface, :2])
     return (front, back) if from_front else (back, front)
 
@@ -422,7 +435,7 @@ def light_indices(optics: Optics, surface: int, from_front: bool) -> tuple[float
 def _case(
     plugins: Sequence[Any], surface: int, from_front: bool, event: str, side: Side, first_row: int, first_lobe: int
 ) -> Case:
-    """One case of a surface with these scatter plugins."""
+    """Return one case of a surface with these scatter plugins."""
     members = []
     for k, (lobe, table, model) in enumerate(zip(side.lobes, side.tables, side.models, strict=True)):
         if lobe.event == event:
@@ -433,8 +446,9 @@ def _case(
 def check_side(
     title: str, side: Side, n_in: float, n_out: float, response: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 ) -> None:
-    """Raise if a surface gives away more light than it gets."""
+    """Raise if a surface reflects, transmits and scatters more flux than arrives."""
     cos_i = np.linspace(0.0, 1.0, ANGLES + 1)
+    # Rows of transmission are over the cosine in the rarer medium; here all are compared at the same cos θi
     rarer = np.minimum(cos_i, specular_cosine("transmission", cos_i, n_in, n_out))
     reflectance, transmittance = response(cos_i)
     for turn in range(max(len(rows) for rows in side.rows.values())):

@@ -1,10 +1,9 @@
-"""Start rays for lanes whose trees are complete.
+"""Supply of start rays for lanes whose trees are complete.
 
-A packet of lanes goes on until the last of them has nothing left. Trees of a PST differ in size by factors of 100,
-and most lanes would idle most of the time: two of three in a phone camera, four of five in a baffle. So a lane whose
-tree is complete takes the next start ray that no lane has taken yet, until there are none. Each lane keeps to one
-batch, so that its sums are those of a batch. A ray has its own random numbers: it does not matter which lane traces
-it.
+A packet of lanes runs until the last of them is finished. Trees of a PST differ in size by factors of 100, and most
+lanes would idle most of the time: two of three in a phone camera, four of five in a baffle. So a lane whose tree is
+complete takes the next start ray that no lane has taken yet, until there are none. Each lane keeps to one batch, so
+that its sums are those of a batch. A ray has its own random numbers, so that it does not matter which lane traces it.
 """
 
 from __future__ import annotations
@@ -22,25 +21,33 @@ from mistray.settings import BATCHES, Settings
 from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.upload import upload
 
-MANY_SURFACES = 4  # that transmit: trees are large then
+MANY_SURFACES = 4  # number of transmitting surfaces from which on trees are large
 
 
 class StartSupply:
     """
-    Start rays, and what a lane knows of each when it has come to the first surface.
+    Start rays, and the variables of the loop where they have met the first surface.
 
     Parameters
     ----------
     start : StartRays
-    known : dict
-        The variables of the loop there, evaluated; "active" are rays that have met a surface.
+    at_surface : dict
+        Variables of the loop there, evaluated; "active" are rays that have met a surface.
+
+    Attributes
+    ----------
+    any : bool
+        Whether a ray has met a surface.
+    lanes : int
+        Number of lanes.
     """
 
-    def __init__(self, start: StartRays, known: dict[str, Any]) -> None:
-        self._start, self._known = start, known
-        rays = np.flatnonzero(np.array(known["active"]))
+    def __init__(self, start: StartRays, at_surface: dict[str, Any]) -> None:
+        self._start, self._at_surface = start, at_surface
+        rays = np.flatnonzero(np.array(at_surface["active"]))
         batch = np.array(start.batch)
         batch = batch[rays] if len(batch) > 1 else np.broadcast_to(batch, len(rays))
+        # Rays by batch, and where each batch begins and ends: lanes of a batch share an atomic counter
         self._order = upload(mi.UInt32, rays[np.argsort(batch.astype(np.uint8), kind="stable")])
         ends = np.cumsum(np.bincount(batch, minlength=BATCHES))
         self._ends = upload(mi.UInt32, ends)
@@ -51,34 +58,44 @@ class StartSupply:
 
     @property
     def names(self) -> list[str]:
-        """Of the variables of the loop."""
-        return list(self._known)
+        """Names of the variables of the loop."""
+        return list(self._at_surface)
 
     @staticmethod
     def pays(scene: KernelScene, settings: Settings) -> bool:
         """
-        Whether lanes take several rays: where a PST has trees of many sizes.
+        Whether it is faster for lanes to take several rays: where a PST has trees of many sizes.
 
-        The rays of one source have neighbours with trees that are alike for the most part, and small trees are so, too:
-        these are faster side by side. A GPU has too many lanes for more than one ray each.
+        Neighbouring rays of one source have similar trees for the most part, as have rays with small trees: these are
+        faster side by side. A GPU has too many lanes for more than one ray each.
         """
-        if on_gpu() or not (scene.backward or scene.opposite is not None):
+        if on_gpu() or not (scene.backward or scene.competing is not None):
             return False
         transmitting = np.count_nonzero(np.asarray(scene.table.optics.host_words) & OPAQUE == 0)
         return bool(settings.max_scatters > 1 or transmitting >= MANY_SURFACES)
 
-    def next(self, wanted: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
-        """The numbers of the next rays for the lanes that want one, and whether there is one."""
-        place = dr.scatter_inc(self._next, self._batch, wanted)
-        found = wanted & (place < dr.gather(mi.UInt32, self._ends, self._batch, wanted))
+    def next(self, idle: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
+        """Return the numbers of the next rays for idle lanes, and whether there is one for each."""
+        # A lane that finds its batch used up stays idle; the counter may run past the end
+        place = dr.scatter_inc(self._next, self._batch, idle)
+        found = idle & (place < dr.gather(mi.UInt32, self._ends, self._batch, idle))
         return dr.gather(mi.UInt32, self._order, place, found), found
 
+    def renew(self, state: dict[str, Any]) -> dict[str, Any]:
+        """Return the variables of the loop after idle lanes have taken new rays; lanes that get none are finished."""
+        ray, found = self.next(state["idle"])
+        fresh = {name: self.at_surface(name, ray, found) for name in self.names if name in state}
+        fresh |= {"ray": ray, "active": mi.Bool(True)}
+        renewed = {name: dr.select(found, value, state[name]) for name, value in fresh.items()}
+        return {**state, **renewed, "active": state["active"] & (found | ~state["idle"])}
+
     def start(self, ray: mi.UInt32) -> StartRays:
-        """The start rays of the lanes."""
+        """Return the start rays of the lanes."""
+        # A lane keeps its batch before it has a ray
         found = self._start.picked(ray)
         found.batch = self._batch
         return found
 
-    def known(self, name: str, ray: mi.UInt32, active: mi.Bool | bool = True) -> Any:
-        """A variable of the loop at the first surface."""
-        return chosen(self._known[name], ray, active)
+    def at_surface(self, name: str, ray: mi.UInt32, active: mi.Bool | bool = True) -> Any:
+        """Return a variable of the loop at the first surface."""
+        return chosen(self._at_surface[name], ray, active)

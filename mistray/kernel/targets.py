@@ -1,4 +1,9 @@
-"""Where scattered rays are aimed at: flat targets, ellipsoids and cones, and the targets of one place of scatter."""
+"""
+Targets of scattered rays: flat regions, ellipsoids and cones, and the sets of targets of places of scatter.
+
+A flat target of area A has the pdf r²/(A |cos θ|) per sr, where r is the distance of the point of the target and θ the
+angle between the direction and the target's normal, see `mistray.kernel.device_targets`.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +20,7 @@ SHAPES = ("ellipse", "parallelogram", "triangle")
 @dataclass(frozen=True, eq=False)
 class Target:
     """
-    A flat region that rays are sent to, uniformly over its area.
+    Flat region that rays are sent to, uniformly over its area.
 
     Points of the region are centre + a u + b v, with
 
@@ -31,9 +36,9 @@ class Target:
     u, v : (3,) float64
         mm; they need not be at right angles.
     hole : float
-        Of an ellipse: share of the radius that is left out in the middle, 0 ≤ hole < 1.
+        Inner radius of an ellipse as a fraction of the outer one, 0 ≤ hole < 1.
     reverse : bool
-        The target is virtual: rays leave along the line from a point of the target to the surface, away from it.
+        Whether the target is virtual: rays leave along the line from one of its points to the surface, away from it.
     share : float
         Probability that an aimed ray of the surface goes to this target.
 
@@ -52,6 +57,7 @@ class Target:
     share: float = 1.0
 
     def __post_init__(self) -> None:
+        # Arrays in float64, whatever the caller gives
         for key in ("centre", "u", "v"):
             value = np.asarray(getattr(self, key), dtype=np.float64)
             if value.shape != (3,) or not np.all(np.isfinite(value)):
@@ -63,29 +69,31 @@ class Target:
             raise MistrayError(f"target: hole is {self.hole:g} of a {self.shape}; only an ellipse has one, below 1")
         if not 0 < self.share <= 1:
             raise MistrayError(f"target: share is {self.share:g}; it is a probability above 0 and at most 1")
+        # Parallel u and v have no area, and no pdf
         if not np.linalg.norm(np.cross(self.u, self.v)) > 0:
             raise MistrayError(f"target at {self.centre.tolist()} mm has no area; give it a size")
 
     @property
     def normal(self) -> np.ndarray:
-        """(3,) unit vector of u × v."""
+        """Unit vector of u × v, (3,)."""
         normal = np.cross(self.u, self.v)
         return np.asarray(normal / np.linalg.norm(normal))
 
     @property
     def area(self) -> float:
-        """mm²."""
+        """Area, mm²."""
+        # A parallelogram has half edges, so that it is four times u × v
         factor = {"ellipse": np.pi * (1 - self.hole**2), "parallelogram": 4.0, "triangle": 0.5}[self.shape]
         return float(factor * np.linalg.norm(np.cross(self.u, self.v)))
 
     def points(self, samples: np.ndarray) -> np.ndarray:
         """
-        Points of the target.
+        Return points of the target.
 
         Parameters
         ----------
         samples : (n, 2) float64
-            Of the unit square; uniform ones give points of uniform density.
+            Points of the unit square; uniform ones give points of uniform density.
 
         Returns
         -------
@@ -94,20 +102,24 @@ class Target:
         """
         first, second = samples[:, 0], samples[:, 1]
         if self.shape == "ellipse":
+            # Area grows with the square of the radius
             radius = np.sqrt(self.hole**2 + (1 - self.hole**2) * first)
             a, b = radius * np.cos(2 * np.pi * second), radius * np.sin(2 * np.pi * second)
         elif self.shape == "parallelogram":
             a, b = 2 * first - 1, 2 * second - 1
         else:
+            # The lines a + b = s are of length ∝ s: a root makes points uniform, as for a disc
             root = np.sqrt(first)
             a, b = root * (1 - second), root * second
         return np.asarray(self.centre + a[:, None] * self.u + b[:, None] * self.v)
 
     def holds(self, points: np.ndarray) -> np.ndarray:
-        """Whether points (n, 3) of the target's plane lie on the target; NaN do not."""
+        """Whether points (n, 3) of the target's plane lie on the target; points with NaN do not."""
+        # Coordinates a, b by the pseudoinverse, since u and v need not be at right angles
         a, b = np.linalg.pinv(np.stack([self.u, self.v], axis=1)) @ (points - self.centre).T
         with np.errstate(invalid="ignore"):
             if self.shape == "ellipse":
+                # A comparison with NaN is false
                 return (np.hypot(a, b) <= 1) & (np.hypot(a, b) >= self.hole)
             if self.shape == "parallelogram":
                 return (np.abs(a) <= 1) & (np.abs(b) <= 1)
@@ -126,9 +138,10 @@ class Target:
 @dataclass(frozen=True, eq=False)
 class Ellipsoid:
     """
-    A sphere or an ellipsoid that rays are sent to.
+    Sphere or ellipsoid that rays are sent to.
 
-    Where it is scaled to a sphere, rays are uniform in the solid angle that it fills; from within they go anywhere.
+    Space is scaled so that the ellipsoid is a sphere. There rays are uniform in the solid angle of the sphere; from
+    within they go anywhere.
 
     Attributes
     ----------
@@ -137,7 +150,7 @@ class Ellipsoid:
     axes : (3, 3) float64
         Half axes as rows, mm; at right angles to each other.
     reverse, share
-        As of `Target`.
+        See `Target`.
     """
 
     centre: np.ndarray
@@ -150,6 +163,7 @@ class Ellipsoid:
         centre, axes = np.asarray(self.centre, dtype=np.float64), np.asarray(self.axes, dtype=np.float64)
         if centre.shape != (3,) or axes.shape != (3, 3) or not (np.isfinite(centre).all() and np.isfinite(axes).all()):
             raise MistrayError("target: an ellipsoid has a centre and three half axes; give finite numbers (mm)")
+        # The Gram matrix is diagonal where the half axes are at right angles; 1e-5 allows for rounded input
         squares = axes @ axes.T
         lengths = np.sqrt(np.diag(squares))
         if not np.all(lengths > 0) or np.any(np.abs(squares - np.diag(lengths**2)) > 1e-5 * np.outer(lengths, lengths)):
@@ -161,14 +175,16 @@ class Ellipsoid:
         object.__setattr__(self, "axes", axes)
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """As `Target.sides`."""
+        """Whether rays from points (n, 3) go against their normals (n, 3), and along them; see `Target.sides`."""
+        # Normal deviates have no preferred direction: points of the unit sphere, scaled to the ellipsoid
         on = rng.normal(size=points.shape)
         on = self.centre + on / np.linalg.norm(on, axis=1, keepdims=True) @ self.axes
         return _sides(on - points, normals, self.reverse)
 
     @property
     def size(self) -> tuple[float, float]:
-        """The two longer half axes, mm."""
+        """Lengths of the two longer half axes, mm."""
+        # Half axes of the largest silhouette
         _, second, longest = np.sort(np.linalg.norm(self.axes, axis=1))
         return float(longest), float(second)
 
@@ -176,18 +192,18 @@ class Ellipsoid:
 @dataclass(frozen=True, eq=False)
 class Cone:
     """
-    A cone of directions, all as likely.
+    Cone of directions of uniform density per solid angle.
 
     Attributes
     ----------
     about : {"direction", "point", "specular"}
-        Its axis: a fixed direction, that to a point, or that of the light which is not scattered.
+        Axis: a fixed direction, the direction to a point, or that of the specular beam.
     axis : (3,) float64
-        The direction (of any length) or the point, mm; not used about "specular".
+        Direction (of any length) or point, mm; not used about "specular".
     half_angle : float
-        rad, above 0 and at most π.
+        Half-angle, rad, above 0 and at most π.
     reverse, share
-        As of `Target`.
+        See `Target`.
     """
 
     about: str
@@ -203,6 +219,7 @@ class Cone:
             raise MistrayError(f"target: a cone about '{self.about}'; use {', '.join(CONES[:-1])} or {CONES[-1]}")
         if axis.shape != (3,) or not np.isfinite(axis).all():
             raise MistrayError(f"target: the axis of a cone is {self.axis}; give three finite numbers")
+        # Only a direction has to be of unit length; a point is in mm
         if self.about == "direction":
             length = float(np.linalg.norm(axis))
             if not length > 0:
@@ -215,21 +232,24 @@ class Cone:
 
     @property
     def width(self) -> float:
-        """1 - cos of the half-angle."""
+        """Value of 1 - cos of the half-angle."""
+        # By the half of it, since 1 - cos of a small angle is lost in rounding
         return float(2 * np.sin(0.5 * self.half_angle) ** 2)
 
     @property
     def solid_angle(self) -> float:
-        """Of all its directions, sr."""
+        """Solid angle of all directions, sr."""
         return 2 * np.pi * self.width
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """As `Target.sides`; light goes to both sides about its specular direction."""
+        """See `Target.sides`; rays go to both sides about the specular direction."""
         if self.about == "specular":
             return True, True
         axes = self.axis - points if self.about == "point" else np.broadcast_to(self.axis, points.shape)
         axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+        # The cosine is uniform where directions are uniform in solid angle
         cosine = rng.uniform(1 - self.width, 1, len(points))
+        # A random direction across the axis
         aside = np.cross(axes, rng.normal(size=points.shape))
         aside *= np.sqrt(1 - cosine**2)[:, None] / np.linalg.norm(aside, axis=1, keepdims=True)
         return _sides(cosine[:, None] * axes + aside, normals, self.reverse)
@@ -248,7 +268,7 @@ def _sides(d: np.ndarray, normals: np.ndarray, reverse: bool) -> tuple[bool, boo
 @dataclass(frozen=True)
 class Inside:
     """
-    The medium on one side of a surface: what it scatters of the light on its way to the surface has targets, too.
+    Medium on one side of a surface: light that it scatters on the way to the surface has targets, too.
 
     Attributes
     ----------
@@ -271,14 +291,14 @@ Place = Side | Inside
 @dataclass(frozen=True, eq=False)
 class AimSet:
     """
-    The targets of the light that leaves a surface on one of its sides, or that a medium scatters.
+    Targets of the light that leaves a surface on one of its sides, or that a medium scatters.
 
     Attributes
     ----------
     targets : tuple of Target, Ellipsoid or Cone
-        Their shares add up to 1; they may overlap.
+        Targets, whose shares add up to 1; they may overlap.
     rays : int
-        Aimed rays at every hit, at least 1.
+        Number of aimed rays at every hit, at least 1.
     """
 
     targets: tuple[AnyTarget, ...]
@@ -286,7 +306,8 @@ class AimSet:
 
     @classmethod
     def of(cls, targets: Sequence[AnyTarget], rays: int, weights: Sequence[float] | None = None) -> AimSet:
-        """Targets with shares in proportion to weights, equal ones by default."""
+        """Return targets with shares in proportion to weights, equal ones by default."""
+        # By default each target gets as many rays as the others, whatever its size
         parts = np.ones(len(targets)) if weights is None else np.asarray(weights, dtype=np.float64)
         shares = (parts / parts.sum()).tolist()
         return cls(tuple(replace(target, share=share) for target, share in zip(targets, shares, strict=True)), rays)

@@ -68,7 +68,7 @@ class Curve:
 
 
 def constant(value: float) -> Curve:
-    """The same value everywhere."""
+    """Return a curve that has one value everywhere."""
     return Curve(lambda wavelength_nm: value)
 
 

@@ -1,4 +1,4 @@
-"""What the name of a material stands for."""
+"""Meaning of the name of a material."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 @dataclass(frozen=True)
 class Entry:
     """
-    What a name stands for.
+    Meaning of a name.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class Entry:
     k_reference : str
         Where `k_stated` comes from.
     beyond : Entry or None
-        What is asked for wavelengths that this page does not cover.
+        Entry that is asked for wavelengths that this page does not cover.
     """
 
     name: str

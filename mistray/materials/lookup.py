@@ -206,7 +206,7 @@ def source(material: str) -> Source:
 
 def resolved(material: str, resolve: Callable[[str], str]) -> str:
     """
-    The same material string with the path of its file, if it names one, replaced by ``resolve(path)``.
+    Return a material string with the path of its file, if it names one, replaced by ``resolve(path)``.
 
     For scenes, whose paths are relative to the scene file.
     """
@@ -249,7 +249,7 @@ def _known(spec: Spec) -> str:
 
 
 def _remedy(spec: Spec, wavelength_nm: float) -> str:
-    """What to do where the data of a material end: another page of it, or the material of the nearest index."""
+    """Say what to do where the data of a material end: another page of it, or the material of the nearest index."""
     inside = "use a wavelength inside"
     if not isinstance(spec.form, Name):
         return f"{inside}, or a material that is known there"
@@ -266,7 +266,7 @@ def _remedy(spec: Spec, wavelength_nm: float) -> str:
 
 
 def _nearest(spec: Spec, wavelength_nm: float, entries: Sequence[Entry]) -> tuple[str, float] | None:
-    """Of the transparent materials that are known at a wavelength the one whose n is nearest: its name and n there."""
+    """Return the transparent material known at a wavelength whose n is nearest: its name and n there."""
     wanted = _real(spec, _material(spec, at := nearest_known_nm(spec.text, wavelength_nm)), at)
     near: list[tuple[float, str, float]] = []
     for entry in entries:
@@ -287,7 +287,7 @@ def _has_n(entry: Entry) -> bool:
 
 
 def _material(spec: Spec, wavelength_nm: float) -> _Material:
-    """What a string means at a wavelength: the first page that covers it, else the one that comes nearest to it."""
+    """Return the material of a string at a wavelength: the first page that covers it, else the one nearest to it."""
     found = _materials(spec)
     for one in found:
         if one.n.covers(wavelength_nm):

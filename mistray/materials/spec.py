@@ -21,7 +21,7 @@ _SUFFIX = re.compile(r"\s+(?:(extrapolate)|(k|shift|scatter|g)\s*=\s*(\S*))$", r
 
 @dataclass(frozen=True)
 class Constant:
-    """The same n at every wavelength; k is None where the string does not state it, and then 0."""
+    """Constant n at every wavelength; k is None where the string does not state it, and then 0."""
 
     n: float
     k: float | None
@@ -134,7 +134,7 @@ def parse(material: str) -> Spec:
 
 
 def shifted(material: str, by: float) -> str:
-    """The same material with this much more of n at every wavelength: the suffix ``shift=VALUE``."""
+    """Return a material with `by` added to its n at every wavelength: the suffix ``shift=VALUE``."""
     if not by:
         return material
     spec = parse(material)

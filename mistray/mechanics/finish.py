@@ -1,4 +1,4 @@
-"""What the faces of a part are painted with, and how one says it in a word."""
+"""Paint of the faces of a part, and how one says it in a word."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Finish:
     scatter: tuple[Scatter, ...] = ()
 
     def turned(self) -> Finish:
-        """The same on a surface whose front is the outside of the body."""
+        """Return the finish for a surface whose front is the outside of the body."""
         coating = self.coating
         if coating is not None and coating.first in OTHER_SIDE:
             coating = replace(coating, first=OTHER_SIDE[coating.first], name=_turned_name(coating.name))

@@ -144,7 +144,7 @@ class Mechanics:
 
     def beside(self, scene: str | Path) -> tuple[tuple[Structure | MeshStructure, ...], dict[Path, bytes]]:
         """
-        What `write` returns, and the files that it writes, ``<scene>_<shape>.ply``, with their contents.
+        Return the structures of `write`, and the files that it writes, ``<scene>_<shape>.ply``, with their contents.
 
         Parameters
         ----------
@@ -222,7 +222,7 @@ class Mechanics:
     def _meshes(
         self, part: Part, looks: Mapping[int, tuple[Finish, int]], free: np.ndarray
     ) -> list[tuple[Structure | MeshStructure, bytes | None]]:
-        """What is left of a part, one mesh for each paint and space."""
+        """Mesh what is left of a part, one mesh for each paint and space."""
         groups: dict[tuple[Finish, int], list[int]] = {}
         for face in np.unique(part.faces[free]):
             groups.setdefault(looks[int(face)], []).append(int(face))

@@ -45,7 +45,7 @@ class Body:
 
     def about(self, pivot: Sequence[float] | np.ndarray) -> Body:
         """
-        The same body with another pivot.
+        Return this body with another pivot.
 
         Parameters
         ----------

@@ -56,7 +56,7 @@ About = tuple[str, str, float, float, float] | None  # kind, unit, tolerance, lo
 
 
 def about_scatter(owner: Any, name: str, value: np.ndarray) -> About:
-    """Of a value of a scatter model."""
+    """Describe a value of a scatter model."""
     if fixed(owner, name) is not None:
         return None
     param = owner.model.param(name)
@@ -64,7 +64,7 @@ def about_scatter(owner: Any, name: str, value: np.ndarray) -> About:
 
 
 def about_bsdf(owner: Any, name: str, value: np.ndarray) -> About:
-    """Of an index, a share, or the layers of a coating."""
+    """Describe an index, a share, or the layers of a coating."""
     if name in SHIFTS:
         if owner.opaque and not isinstance(owner.coating, Stack):
             return None
@@ -83,14 +83,14 @@ def about_bsdf(owner: Any, name: str, value: np.ndarray) -> About:
 
 
 def about_source(owner: Any, name: str, value: np.ndarray) -> About:
-    """Of a number of a source of light."""
+    """Describe a number of a source of light."""
     within = owner.ranges[name]
     tolerance = owner.tolerances.get(name, OF_SOURCE * abs(value[0]) or OF_SOURCE)
     return "source", within.unit, tolerance, within.low, within.high
 
 
 def about_shape(shape: Any, name: str, value: np.ndarray) -> About:
-    """Of a surface: its figure, its rims and its place."""
+    """Describe a number of a surface: of its figure, its rims or its place."""
     v, size = shape.values, shape.outer_radius
 
     def length(usual: float) -> float:
@@ -124,7 +124,7 @@ def about_shape(shape: Any, name: str, value: np.ndarray) -> About:
 
 
 def _about_own(name: str, size: float, rim_mm: float, within: Range) -> About:
-    """Of a number of a family's own: of a freeform's sag by its power of the length, else of a rim."""
+    """Describe a number of a family's own: of a freeform's sag by its power of the length, else of a rim."""
     power = length_power(name)
     if power is None:
         turned = name.endswith("angle_deg")

@@ -184,7 +184,7 @@ class Fit:
 
     @property
     def probability(self) -> float:
-        """That noise alone makes `chi_square` as large or larger; if tiny, the model is not that of the data."""
+        """Probability of a `chi_square` no smaller by noise alone; if tiny, the model is not that of the data."""
         return float(chi2.sf(self.chi_square, self.degrees))
 
     def distance(self, values: Mapping[str, float]) -> float:
@@ -286,7 +286,7 @@ class Fit:
 
     def _directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """
-        What the data tell of directions in the parameters.
+        Find how well the data determine directions in the parameters.
 
         Returns
         -------
@@ -448,7 +448,7 @@ def _checked_data(
 
 
 def _reach(room: np.ndarray, scale: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """What of the room to the bounds, (2, k), one step takes: not to a bound itself, and not too far."""
+    """Return the part of the room to the bounds, (2, k), for one step: not to a bound itself, and not too far."""
     error = 1 / np.sqrt(np.where(scale > 0, scale, np.inf))  # what no datum depends on does not move
     low, high = np.minimum(room[0] + OFF_BOUND * error, 0.0), np.maximum(room[1] - OFF_BOUND * error, 0.0)
     most = np.where(power == 0, LONGEST_LOG, np.where(np.isfinite(room[0]), LONGEST * -room[0], np.inf))

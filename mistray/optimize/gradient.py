@@ -353,7 +353,7 @@ def gradient_where_smooth(
 
 
 def _tables(observations: Sequence[Any], request: GradientRequest) -> list[TableGradient]:
-    """What the tracer knows of the derivatives of a metric; fields that share tables pass the chain rule at once."""
+    """Collect the tracer's part of a metric's derivatives; fields that share tables pass the chain rule at once."""
     raws: dict[tuple[Any, ...], TableGradient] = {}
     for observation in observations:
         for raw in observation.table_gradients(request):
@@ -395,7 +395,7 @@ def chosen_parameters(scene: Any, params: Mapping[str, Any], keys: Iterable[str]
 def gradient_request(
     chosen: Iterable[Parameter], edges: bool = True, edge_width: float | None = None
 ) -> GradientRequest:
-    """What the tracer must gather for some parameters; edges and edge_width as for `gradient`."""
+    """List what the tracer must gather for some parameters; edges and edge_width as for `gradient`."""
     if edge_width is not None:
         ZONE.check("edge_width", edge_width)
     chosen = list(chosen)

@@ -181,7 +181,7 @@ class PstBands:
         return Modelled(value, covariance, jacobian)
 
     def _weights(self, observation: PstObservation) -> np.ndarray:
-        """Of each cell in each number, (numbers, n, m): means over the solid angle."""
+        """Return the weight of each cell in each number, (numbers, n, m): means over the solid angle."""
         grid = observation.pst.grid
         n, m = grid.shape
         solid = np.zeros((self._band_of_cell[-1] + 1, n))

@@ -45,7 +45,7 @@ def arctan2(y: Any, x: Any) -> Any:
 @dataclass(frozen=True)
 class Arithmetic:
     """
-    What a formula with complex numbers needs of an array library. All of it works in float64.
+    Functions of an array library that a formula with complex numbers needs. All of them work in float64.
 
     Attributes
     ----------

@@ -263,7 +263,11 @@ def check_distribution(level: float, slope: float, min_um: float, max_um: float 
 def _cross_sections(
     min_um: float, max_um: float, wavelength_um: float, index: complex, immersion: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of the spheres of `_sizes`, µm²: per solid angle at the nodes (m, a), extinction and scattering (m,)."""
+    """
+    Return the cross-sections of the spheres of `_sizes`, µm².
+
+    They are per solid angle at the nodes (m, a), of extinction and of scattering (m,).
+    """
     d, _ = _sizes(min_um, max_um)
     k = 2 * np.pi * immersion / wavelength_um
     answer = spheres(k * d / 2, index / immersion, 2 * np.arctan(np.exp(_U)))

@@ -109,7 +109,7 @@ def band_derivative(temperature_K: npt.ArrayLike, low_um: float, high_um: float)
 
 def derivative_nodes(temperature_K: float, low_um: float, high_um: float) -> tuple[np.ndarray, np.ndarray]:
     """
-    The same quadrature as `band_nodes` for dL/dT instead of L, W/(mm² sr K); parameters as there; 0 at 0 K.
+    Return the quadrature of `band_nodes` for dL/dT instead of L, W/(mm² sr K); parameters as there; 0 at 0 K.
 
     Each wavelength has dL/dT = L x exp(x)/((exp(x) - 1) T) with x = hc/(λ k T).
     """

@@ -1,4 +1,4 @@
-"""What an optical system is: its dataclasses, the generators of its mechanical faces, its scene file."""
+"""Description of an optical system: its dataclasses, the generators of its mechanical faces, its scene file."""
 
 from typing import TYPE_CHECKING, Any
 

@@ -1,4 +1,4 @@
-"""What a surface of a prescription is coated with."""
+"""Coatings of the surfaces of a prescription."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mistray.ids import check_written_id
 
 @dataclass(frozen=True)
 class Coating:
-    """What an interface does to the flux; without one it is a bare Fresnel interface.
+    """Coating of an interface; without one it is a bare Fresnel interface.
 
     Exactly one of ``R``, ``table``, ``layers`` and ``preset`` says what the coating is; see the plugin `thinfilm` and
     docs/coatings.md.
@@ -95,7 +95,7 @@ class Coating:
         return self.R is not None and not self.T
 
     def moved(self, seen: Callable[[str], str]) -> Coating:
-        """The same with the paths of its files, such as a table or a glass, as `seen` gives them."""
+        """Return this coating with the paths of its files, such as a table or a glass, as `seen` gives them."""
         if self.table is not None:
             return replace(self, table=seen(self.table))
         return self if self.layers is None else replace(self, layers=moved_layers(self.layers, seen))

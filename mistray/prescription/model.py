@@ -1,4 +1,4 @@
-"""What an optical system is: surfaces, structure, stop, source, detector.
+"""Parts of an optical system: surfaces, structure, stop, source, detector.
 
 Lengths in mm, light travels +z, angles in degrees in names that end in ``_deg``. A surface's vertex is the origin of
 its frame and ``front`` is its -z side. All classes are immutable; edit one with `dataclasses.replace`.
@@ -271,7 +271,7 @@ class Detector(Surface):
             raise MistrayError(f"detector '{self.name}': pixels = {self.pixels}; both counts must be at least 1")
 
     def notes(self) -> list[str]:
-        """What one should know of a detector that comes from a lens file: one line where it absorbs all light."""
+        """Return notes on a detector that comes from a lens file: one line where it absorbs all light."""
         if self.coating != BLACK or self.scatter:
             return []
         return [

@@ -1,4 +1,4 @@
-"""What shapes of a prescription have by their names: coatings and scatter models that they share, and rules."""
+"""Properties that shapes of a prescription have by name: shared coatings and scatter models, and rules."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def scattering(prescription: Prescription, rules: Mapping[str, Sequence[Scatter]
 
 def each_shape(prescription: Prescription, change: Callable[[Any], Any]) -> Prescription:
     """
-    The same system with every shape changed; of the faces of a stop, the coating and the scatter.
+    Return the system with every shape changed; of the faces of a stop, the coating and the scatter.
 
     Raises
     ------

@@ -55,7 +55,7 @@ def _interface(shape: Shape) -> _Node:
 
 
 def _finish(coating: Coating | None, scatter: Iterable[Scatter]) -> tuple[dict[str, Value], tuple[_Node, ...]]:
-    """What an interface has of a coating and of scatter models: values and nested objects."""
+    """Return the parts of an interface for a coating and scatter models: values and nested objects."""
     properties: dict[str, Value] = {}
     children: tuple[_Node, ...] = ()
     if coating is not None and coating.name is not None:
@@ -348,13 +348,13 @@ def comment_text(text: str) -> str:
 
 
 def seen_from(folder: str | Path) -> Callable[[str], str]:
-    """What turns a path relative to the current folder into one that a scene file in `folder` can name."""
+    """Return a function that turns a path relative to the current folder into one for a scene file in `folder`."""
     return lambda path: path if os.path.isabs(path) else Path(os.path.relpath(path, folder)).as_posix()
 
 
 def beside(prescription: Prescription, folder: str | Path) -> Prescription:
     """
-    The same system with paths of coating, glass, scatter and grid files as seen from a folder, for a scene there.
+    Return the system with paths of coating, glass, scatter and grid files seen from a folder, for a scene there.
 
     Parameters
     ----------
@@ -381,7 +381,7 @@ def beside(prescription: Prescription, folder: str | Path) -> Prescription:
 
 
 def _with_grid_files(prescription: Prescription, path: Path) -> tuple[Prescription, dict[Path, bytes]]:
-    """The same with files beside the scene for grids that lie in none, and the content of these files."""
+    """Return the system with files beside the scene for grids that lie in none, and the content of these files."""
     files: dict[Path, bytes] = {}
 
     def stored(shape: Any) -> Any:

@@ -1,8 +1,9 @@
-"""What a trace writes down: sums of flux, images, the table of paths, branches, directions, derivatives."""
+"""Recorders of a trace: sums of flux, images, the table of paths, branches, directions, derivatives."""
 
 from mistray._variant import active_variant, ensure_variant
 
-if active_variant() is None:  # types of the variant are used while modules are imported
+# Types of the variant are used while modules are imported: one must be active before
+if active_variant() is None:
     ensure_variant()
 
 from mistray.recorders.passing.far_field import FarField

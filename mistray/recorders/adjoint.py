@@ -1,16 +1,20 @@
-"""The kernel run in reverse: derivatives of a metric by R and T of every surface, angle and side.
+"""
+Adjoint pass: derivatives of a metric by R and T of every surface, angle and side.
 
-The weight of a branch is the product of the R and T along it, and a metric is known to first order by its derivative
-by the flux of every hit of the detector. So a second walk with the same start rays, at each event, needs the sum of
-derivative × flux over the subtree that the event leads to; divided by the event's own R or T it is the derivative by
-that number. In depth-first order the sum over a subtree is the difference of a running total between entering and
-leaving it. It is added to the two rows of the coating's table between which R or T was interpolated, so that what comes
-out is the exact derivative of the traced metric by the rows. `mistray.gradients.coating_gradient` goes on from the rows
-to layers.
+The throughput of a branch is the product of the R and T along it. To first order a metric M follows from its derivative
+by the flux Φ of every hit of the detector. With x the R or T of an event,
 
-What it leaves out: children that the primal did not follow (R or T exactly 0, or below the flux threshold).
-Source: the subtree sums are reverse-mode differentiation of a product over a tree; compare D. Vicini et al., "Path
-replay backpropagation", ACM Trans. Graph. 40, 108 (2021).
+    ∂M/∂x = (1/x) Σ (∂M/∂Φ) Φ over the hits in the subtree of the event.
+
+A second pass over the same start rays computes these sums. In depth-first order the sum over a subtree is the
+difference of a running total between entering and leaving it. The total is `GAIN`; `Branch.slope` is 1/x, or
+d ln(throughput)/dx where the surface scatters. A sum is added to the two rows of the coating's table between which R or
+T was interpolated. So the result is the exact derivative of the traced metric by the rows.
+`mistray.gradients.coating_gradient` continues from the rows to layers.
+
+Children that the primal pass did not follow (R or T exactly 0, or below the flux threshold) are left out. The subtree
+sums are reverse-mode differentiation of a product over a tree; compare D. Vicini et al., "Path replay
+backpropagation", ACM Trans. Graph. 40, 108 (2021).
 """
 
 from __future__ import annotations
@@ -32,7 +36,7 @@ if TYPE_CHECKING:
     from mistray.recorders.arrivals import ArrivalRecorder
     from mistray.recorders.direction_recorder import DirectionRecorder
 
-GAIN, EVENTS = "gain", "events"  # of a lane, in the memory
+GAIN, EVENTS = "gain", "events"  # names of the per-lane state in the memory
 CHANNELS = 4  # R from the front, R from the back, T, R + T of an ideal coating beyond the critical angle
 
 
@@ -43,7 +47,7 @@ class Adjoint(Recorder):
     Parameters
     ----------
     rows : int
-        Rows of the tables of R and T; 0: no derivatives by rows, only what the metric gains from each lane.
+        Rows of the tables of R and T; 0: no derivatives by rows, only the gain of the metric from each lane.
     film : Film
     pixel : (maps · pixels,) mi.Float, optional
         Derivative of the metric by the flux in each pixel of the film, for one or more groups of paths.
@@ -51,22 +55,22 @@ class Adjoint(Recorder):
         For each path of the ledger the coefficients of 1, x, y, x², y², x y (mm, in the detector's frame) of the
         derivative of the metric by the flux of a hit at (x, y).
     map_of_slot : (capacity,) mi.UInt32, optional
-        Number of the map + 1 of each path of the ledger, 0 for none; None: all hits count in the first map.
+        Number of the map + 1 of each path of the ledger, 0 for none; None: all hits contribute to the first map.
     ledger : Ledger, optional
-        That knows the paths.
+        Ledger that holds the paths.
     directions : DirectionRecorder, optional
-        Says what the metric gains from rays that leave the scene.
+        Source of the gain from rays that leave the scene.
     arrivals : ArrivalRecorder, optional
-        Says what it gains from rays that meet the detector, in place of all that is said of these above.
+        Source of the gain from rays that meet the detector, in place of `pixel` and `path`.
 
     Attributes
     ----------
     gain : (n,) mi.Float64
-        What the metric gains from each lane of the latest trace: derivative × flux, summed over its hits.
+        Gain of the metric from each lane of the latest trace: derivative × flux, summed over its hits.
     sums : (BATCHES, rows, CHANNELS) mi.Float64
         Derivatives of the metric by the rows, by batch of start rays; in units of a start ray's flux.
     unknown : (1,) mi.Float64
-        Flux of hits by paths that the ledger does not know, whose derivative is taken to be 0.
+        Flux of hits by paths that are not in the ledger, whose derivative is taken to be 0.
     """
 
     def __init__(
@@ -82,7 +86,7 @@ class Adjoint(Recorder):
     ) -> None:
         self.rows, self.pixel, self.path, self.map_of_slot = rows, pixel, path, map_of_slot
         self.ledger, self.directions, self.arrivals, self._film = ledger, directions, arrivals, film
-        self.incident, self.by_way = film.incident or arrivals is not None, arrivals is not None
+        self.incident, self.merges_aimed = film.incident or arrivals is not None, arrivals is not None
         self.stride = dr.opaque(mi.UInt32, rows * CHANNELS)
         self.sums = dr.zeros(mi.Float64, BATCHES * rows * CHANNELS)
         self.unknown = dr.zeros(mi.Float64, 1)
@@ -101,26 +105,28 @@ class Adjoint(Recorder):
 
     @property
     def by_ray(self) -> bool:
-        """See `Recorder.by_ray`; derivatives go by differences of the gain, but `gain` is that of each ray."""
+        """See `Recorder.by_ray`; derivatives use differences of the gain only, but `gain` is that of one start ray."""
         return not self.rows
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
-        """No metric yet; local arrays by depth: cell of the table, fraction, slope, gain when the event was entered."""
+        """Start at gain 0, with local arrays by depth: table cell, fraction, slope, and gain on entering the event."""
         memory[GAIN] = dr.zeros(mi.Float64, dr.width(start.lane))
         if self.rows:
             types = (mi.UInt32, mi.Float, mi.Float, mi.Float64)
             memory[EVENTS] = tuple(dr.alloc_local(dtype, max_events) for dtype in types)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """The metric gains from hits of the detector."""
+        """Add the gain from hits of the detector."""
         if self.arrivals is not None:
             memory[GAIN] = memory[GAIN] + self.arrivals.gain(visit)
             return
+        # The primal pass has filled the ledger; it is only read here
         if self.ledger is not None:
             slot, found = self.ledger.known(visit.key, visit.counted)
             unknown = visit.counted & ~found
             dr.scatter_reduce(dr.ReduceOp.Add, self.unknown, mi.Float64(visit.absorbed), mi.UInt32(0), unknown)
             visit.slot, visit.counted = slot, found
+        # Gain: derivative × flux
         film, counted = self._film, visit.counted
         derivative = self._derivative(visit)
         gained = derivative * mi.Float64(visit.weight if film.incident else visit.absorbed)
@@ -129,7 +135,7 @@ class Adjoint(Recorder):
             self._detected(visit, mi.Float(derivative) * visit.weight)
 
     def branch(self, branch: Branch, memory: Memory) -> None:
-        """Note the event, before its child is followed."""
+        """Store the event and the gain so far, before its child is followed."""
         if not self.rows:
             return
         it, depth, active = branch.interaction, branch.depth, branch.active
@@ -140,12 +146,12 @@ class Adjoint(Recorder):
         gains.write(memory[GAIN], depth, active)
 
     def depart(self, departure: Departure, memory: Memory) -> None:
-        """The metric gains from rays that leave."""
+        """Add the gain from rays that leave."""
         if self.directions is not None:
             memory[GAIN] = memory[GAIN] + self.directions.gain(departure)
 
     def back(self, back: Return, memory: Memory) -> None:
-        """Close the events whose subtrees are complete."""
+        """Add the derivatives of the events whose subtrees are complete."""
         if not self.rows:
             return
         cells, fractions, slopes, gains = memory[EVENTS]
@@ -167,7 +173,7 @@ class Adjoint(Recorder):
         self.gain = memory[GAIN]
 
     def _derivative(self, visit: Visit) -> mi.Float64:
-        """Derivative of the metric by the flux of hits."""
+        """Return the derivative of the metric by the flux of hits."""
         (x, y), slot, active, film = visit.position, visit.slot, visit.counted, self._film
         total = dr.zeros(mi.Float64, dr.width(x))
         if self.pixel is not None:
@@ -181,7 +187,7 @@ class Adjoint(Recorder):
                 total += mi.Float64(value if share is None else value * share)
         if self.path is not None:
             assert slot is not None
-            # Of a small spot far from the axis the terms nearly cancel
+            # In double precision: for a small spot far from the axis the terms nearly cancel
             far_x, far_y = mi.Float64(x), mi.Float64(y)
             terms = (1, far_x, far_y, far_x * far_x, far_y * far_y, far_x * far_y)
             for k, term in enumerate(terms):
@@ -189,7 +195,8 @@ class Adjoint(Recorder):
         return total
 
     def _detected(self, visit: Visit, weighted: mi.Float) -> None:
-        """Hits of the detector, which absorbs the rest; `weighted` is the derivative times the incident flux."""
+        """Add the derivatives at the detector itself; `weighted` is the derivative times the incident flux."""
+        # It absorbs the flux that it does not reflect, transmit or scatter
         it, shares = visit.interaction, visit.shares
         active = visit.counted & (weighted != 0)
         for reflect in (True, False):

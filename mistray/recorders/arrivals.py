@@ -1,4 +1,4 @@
-"""Recorder of traces with the light from many cells of directions at once: what meets the detector, by cell."""
+"""Recorder of forward traces from many cells of directions at once: rays that meet the detector, by cell."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ import numpy as np
 from mistray.recorders.design_sequences import DesignKeys
 from mistray.recorders.direction_recorder import CLASS_COUNT, class_of_arrival
 from mistray.recorders.film import Film
+from mistray.recorders.mis_weights import MisWeighting
 from mistray.recorders.path_key import COUNT_MASK
 from mistray.recorders.path_sums import PathSums
 from mistray.recorders.recorder import Memory, Recorder, Visit
-from mistray.recorders.weighing import Weighing
 from mistray.settings import BATCHES
 from mistray.surfaces.upload import upload
 
 
 class ArrivalRecorder(Recorder):
     """
-    Sums of the weights of rays that meet the detector, by class of light and cell.
+    Sums of the contributions of rays that meet the detector, by class of light and cell.
 
     Parameters
     ----------
@@ -29,35 +29,35 @@ class ArrivalRecorder(Recorder):
         Number of cells.
     design : DesignKeys
         The sequences of the direct image.
-    weighing : Weighing
-        What rays against the light leave to those with it.
+    mis : MisWeighting
+        MIS weights of forward rays, which compete with backward rays.
     paths : PathSums, optional
     film : Film, optional
-        Of a map of the detector for each cell; None: no maps.
+        Pixel grid of a map of the detector for each cell; None: no maps.
     scattered_only : bool
         Leave out light that nothing has scattered.
     derivative : (CLASS_COUNT, cells) float64, optional
-        Derivative of a metric by the sums of the weights of each class in each cell, for `gain`.
+        Derivative of a metric by the sum of the contributions of each class in each cell, for `gain`.
     """
 
-    by_way, incident = True, True
+    merges_aimed, incident = True, True
 
     def __init__(
         self,
         cells: int,
         design: DesignKeys,
-        weighing: Weighing,
+        mis: MisWeighting,
         paths: PathSums | None = None,
         film: Film | None = None,
         scattered_only: bool = False,
         derivative: np.ndarray | None = None,
     ) -> None:
         self._derivative = None if derivative is None else upload(mi.Float64, np.asarray(derivative, dtype=np.float64))
-        self._cells, self._design, self._weighing = cells, design, weighing
+        self._cells, self._design, self._mis = cells, design, mis
         self.paths, self._film, self._scattered_only = paths, film, scattered_only
         self._pixels = pixels = 0 if film is None else film.width * film.height
         self._sums = dr.zeros(mi.Float64, CLASS_COUNT * cells * BATCHES)
-        self._largest = dr.zeros(mi.UInt32, cells)  # bits of the largest weight of a scattered ray
+        self._largest = dr.zeros(mi.UInt32, cells)  # bits of the largest contribution of a scattered ray
         self._maps = dr.zeros(mi.Float64, 2 * cells * pixels) if pixels else None
         dr.eval(self._sums, self._largest, self._maps)
 
@@ -73,7 +73,8 @@ class ArrivalRecorder(Recorder):
         assert cell is not None
         if self._scattered_only:
             met &= (state["scatters"] & COUNT_MASK) != 0
-        weight = visit.weight * self._weighing.along(visit).along
+        # Contribution: throughput times the MIS weight of forward rays
+        weight = visit.weight * self._mis.forward(visit).forward
         w = mi.Float64(weight)
         kind = class_of_arrival(visit, self._design)
         dr.scatter_reduce(
@@ -82,6 +83,7 @@ class ArrivalRecorder(Recorder):
         # The bits of positive floats are in the order of the floats
         bits = dr.reinterpret_array(mi.UInt32, weight)
         dr.scatter_reduce(dr.ReduceOp.Max, self._largest, bits, cell, met & (state["scatters"] != 0))
+        # Map of the cell: sum and sum of squares side by side in a pixel
         if self._maps is not None and self._film is not None:
             pixel = self._film.places(*visit.position)[0][0]
             place = 2 * (cell * self._pixels + pixel)
@@ -91,16 +93,16 @@ class ArrivalRecorder(Recorder):
             self.paths.record(visit.key, visit.depth + 1, visit.event, cell, weight, met)
 
     def gain(self, visit: Visit) -> mi.Float64:
-        """What the metric gains from rays that meet the detector; nothing is added to the sums."""
+        """Return the gain of the metric from rays that meet the detector; nothing is added to the sums."""
         cell, met = visit.start.cell, visit.detected
         assert cell is not None
         index = class_of_arrival(visit, self._design) * self._cells + cell
-        weight = mi.Float64(visit.weight * self._weighing.along(visit).along)
+        weight = mi.Float64(visit.weight * self._mis.forward(visit).forward)
         return dr.select(met, weight * dr.gather(mi.Float64, self._derivative, index, met), 0)
 
     def read(self) -> dict[str, np.ndarray]:
         """
-        The sums on the host.
+        Return the sums on the host.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Whole branches, node by node: everything on the way to the detector or out of the scene."""
+"""Whole branches, node by node, from the source to the detector or out of the scene."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from mistray.recorders.arrivals import ArrivalRecorder
     from mistray.recorders.direction_recorder import DirectionRecorder
 
-NODE_FLOATS = 7  # of a node: point, direction of arrival, weight
-POINT_FLOATS = 3  # of them the point
+NODE_FLOATS = 7  # floats of a node: point, direction of arrival, throughput
+POINT_FLOATS = 3  # the first of them, the point
 
 
 @dataclass
@@ -29,7 +29,7 @@ class PathChoice:
     Attributes
     ----------
     ledger : Ledger
-        That knows the paths.
+        Ledger that holds the paths.
     chosen : (capacity,) mi.UInt32
         1 for the slots of the chosen paths, 0 for the others.
     """
@@ -38,7 +38,7 @@ class PathChoice:
     chosen: mi.UInt32
 
     def holds(self, key: mi.UInt64, active: mi.Bool) -> mi.Bool:
-        """Whether the path of this key is one of them."""
+        """Whether the path of this key is a chosen one."""
         slot, known = self.ledger.known(key, active)
         return known & (dr.gather(mi.UInt32, self.chosen, slot, known) != 0)
 
@@ -46,41 +46,41 @@ class PathChoice:
 @dataclass
 class BranchRecorder(Recorder):
     """
-    Append buffer for whole branches: everything on the way to a leaf.
+    Append buffer for whole branches: all nodes on the path to a leaf of the ray tree.
 
     Attributes
     ----------
     capacity : int
         Most branches that are kept.
     max_events : int
-        Longest branch that is kept whole.
+        Most events of a branch that is kept whole.
     points_only : bool
         Keep the points of the nodes only.
     choice : PathChoice or None
-        Only branches of these paths are recorded; None: of every path that reaches the detector. Against the light
-        every ray is recorded that leaves the scene and counts.
+        Only branches of these paths are recorded; None: of every path that reaches the detector. A backward trace
+        records every ray that leaves the scene and contributes.
     directions : DirectionRecorder or None
-        Says what counts of rays that leave the scene; None: nothing.
+        Source of the gain of rays that leave the scene; None: such rays are not recorded.
     arrivals : ArrivalRecorder or None
-        Says what counts of rays that meet the detector, whether it absorbs them or not; None: all that it absorbs.
+        Source of the gain of rays that meet the detector, absorbed or not; None: all rays that it absorbs.
     count : (1,) mi.UInt32
-        Branches that there were.
+        Number of branches, also beyond the capacity.
     lane, length : (capacity,) mi.UInt32
         Start ray and number of events of each.
     codes : (capacity, max_events) mi.UInt32
         Events, surface << EVENT_BITS | what.
     nodes : (capacity, max_events, node_floats) mi.Float
-        Points (mm), and unless `points_only` directions of arrival and weights.
+        Points (mm), and unless `points_only` directions of arrival and throughputs.
     weight : (capacity,) mi.Float64
-        Flux that meets the detector in units of the start ray's; with `directions` or `arrivals` what the metric gains.
+        Flux that meets the detector in units of the start ray's; with `directions` or `arrivals` the metric's gain.
     heading : (capacity, 3) mi.Float
         Directions of rays that leave the scene.
     place : (capacity, 2) mi.Float
-        x and y of the hits in the detector's frame, mm.
+        Hits x, y in the detector's frame, mm.
     path : (capacity,) mi.UInt64
         Keys of the events, see `mistray.recorders.path_key.extend_key`.
     peak : (1,) mi.UInt32
-        The largest flux that one ray brought to the detector, recorded or not, as the bits of a float32.
+        Largest flux of one ray at the detector, recorded or not, as the bits of a float32.
     """
 
     capacity: int
@@ -113,7 +113,7 @@ class BranchRecorder(Recorder):
         return type(self).__name__, self.choice is None, *ends
 
     @property
-    def by_way(self) -> bool:  # type: ignore[override]
+    def merges_aimed(self) -> bool:  # type: ignore[override]
         """See `Recorder`."""
         return self.arrivals is not None
 
@@ -127,6 +127,7 @@ class BranchRecorder(Recorder):
         # The bits of positive floats are in the order of the floats
         bits = dr.reinterpret_array(mi.UInt32, visit.weight)
         dr.scatter_reduce(dr.ReduceOp.Max, self.peak, bits, mi.UInt32(0), visit.detected)
+        # A ray without gain says nothing of the metric, and takes no room
         chosen = visit.detected if self.choice is None else self.choice.holds(visit.key, visit.detected)
         weight = mi.Float64(visit.weight)
         if self.arrivals is not None:
@@ -135,7 +136,7 @@ class BranchRecorder(Recorder):
         self.write(visit, chosen & visit.counted, visit.node, weight, place=visit.position)
 
     def depart(self, departure: Departure, memory: Memory) -> None:
-        """Record rays that leave the scene from within."""
+        """Record rays that leave the scene after at least one event."""
         if self.directions is None or departure.node is None:
             return
         gained, lane = self.directions.gain(departure), departure.start.lane
@@ -153,14 +154,14 @@ class BranchRecorder(Recorder):
         place: tuple[mi.Float, mi.Float] | None = None,
     ) -> tuple[mi.UInt32, mi.Bool]:
         """
-        Write the paths of rays that meet surfaces.
+        Write the branches of rays that meet surfaces.
 
         Parameters
         ----------
         visit : Visit
         active : mi.Bool
         node : sequence of mi.Float
-            What the last node consists of.
+            Floats of the last node.
         weight : mi.Float64
         heading, place : optional
             See `BranchRecorder`.
@@ -168,7 +169,7 @@ class BranchRecorder(Recorder):
         Returns
         -------
         slot : mi.UInt32
-            Where each was written.
+            Slot of each branch.
         kept : mi.Bool
             Whether there was room for it.
         """
@@ -176,13 +177,13 @@ class BranchRecorder(Recorder):
         return self._write(visit.nodes, visit.event, active, node, visit.depth, branch)
 
     def clear(self) -> None:
-        """Forget all branches."""
+        """Discard all branches."""
         self.count = dr.zeros(mi.UInt32, 1)
         dr.eval(self.count)
 
     def events(self, slots: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
-        Events of some branches.
+        Return the events of some branches.
 
         Parameters
         ----------
@@ -191,16 +192,16 @@ class BranchRecorder(Recorder):
         Returns
         -------
         codes : (n, k) uint32
-            As many as the longest of them has, filled up with 0.
+            Event lists, padded with 0 to the longest of them.
         lengths : (n,) int64
-            How many each has.
+            Number of events of each.
         """
         lengths = self.length.numpy()[slots].astype(np.int64)
         codes = self.codes.numpy().reshape(self.capacity, -1)[slots, : int(lengths.max(initial=1))]
         return np.where(np.arange(codes.shape[1]) < lengths[:, None], codes, 0), lengths
 
     def nodes_of(self, slots: np.ndarray, longest: int) -> np.ndarray:
-        """The first `longest` nodes of some branches, (n, longest, node_floats) float64; see `nodes`."""
+        """Return the first `longest` nodes of some branches, (n, longest, node_floats) float64; see `nodes`."""
         nodes = self.nodes.numpy().reshape(self.capacity, -1, self.node_floats)
         return np.asarray(nodes[slots, :longest].astype(np.float64))
 
@@ -214,14 +215,16 @@ class BranchRecorder(Recorder):
         branch: tuple[Any, ...],
     ) -> tuple[mi.UInt32, mi.Bool]:
         """
-        Write paths, node by node.
+        Write branches, node by node.
 
-        `last` is what the nodes at `depth` consist of; a branch has a lane, a key that counts its last event, a weight,
-        and perhaps a heading and a place.
+        `last` holds the floats of the nodes at `depth`. A branch has a lane, a key that includes its last event, a
+        weight, and perhaps a heading and a place.
         """
+        # Claim a slot
         lane, key, weight, heading, place = branch
         slot = dr.scatter_inc(self.count, mi.UInt32(0), active)
         active = active & (slot < self.capacity)
+        # Columns of the branch
         dr.scatter(self.lane, lane, slot, active)
         dr.scatter(self.length, depth + 1, slot, active)
         dr.scatter(self.path, key, slot, active)
@@ -233,6 +236,7 @@ class BranchRecorder(Recorder):
             for j, component in enumerate(place):
                 dr.scatter(self.place, component, 2 * slot + j, active)
 
+        # Nodes: the last one is not in local memory yet
         def step(k):  # type: ignore[no-untyped-def]
             going = active & (k <= depth)
             here = k == depth
@@ -248,5 +252,5 @@ class BranchRecorder(Recorder):
 
 
 def as_many(capacity: int, max_events: int) -> int:
-    """Branches that take the memory of so many of 64 events."""
+    """Return the number of branches that take the memory of `capacity` branches of 64 events."""
     return max(1, capacity * 64 // max(max_events, 64))

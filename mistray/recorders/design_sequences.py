@@ -1,6 +1,7 @@
-"""The sequences of events by which light forms the direct image, and whether a path is one of them.
+"""
+Design sequences: the sequences of events by which light forms the direct image, and tests of paths against them.
 
-A path is told by the key of its events, see `mistray.recorders.path_key`, on the host and in the kernel alike.
+A path is identified by the key of its events, see `mistray.recorders.path_key`, on the host and in the kernel alike.
 """
 
 from __future__ import annotations
@@ -23,22 +24,23 @@ Sequences = tuple[tuple[int, ...], ...]
 @dataclass(frozen=True)
 class DesignSequences:
     """
-    The sequences of the design, by detector; all other light is stray light.
+    Sequences of the design, by detector; all other light is stray light.
 
     Attributes
     ----------
     lists : mapping of int to Sequences
-        Detector → its sequences; a detector without any has no direct image.
+        Sequences by the number of the detector; a detector without any has no direct image.
     """
 
     lists: Mapping[int, Sequences] = field(default_factory=dict)
 
     def keys(self, detector: int, backward: bool = False) -> np.ndarray:
-        """(n,) uint64, ascending: keys of the sequences of a detector, of rays along the light or against it."""
+        """Return the keys of the sequences of a detector, of forward or backward rays; (n,) uint64, ascending."""
+        # Backward rays meet the events in reverse order, and the key depends on the order
         return np.unique(_keys([one[::-1] if backward else one for one in self.lists.get(detector, ())]))
 
     def reflectors(self, detector: int) -> frozenset[int]:
-        """Surfaces where a sequence of a detector is reflected, totally or not."""
+        """Return the surfaces where a sequence of a detector is reflected, totally or not."""
         kinds = (REFLECTED, TOTAL)
         codes = {code for one in self.lists.get(detector, ()) for code in one}
         return frozenset(code >> EVENT_BITS for code in codes if code & EVENT_MASK in kinds)
@@ -50,7 +52,7 @@ class DesignSequences:
         Parameters
         ----------
         events : (p, k) uint32
-            Lists with the absorption in the detector at their ends, filled up.
+            Event lists with the absorption in the detector at their ends, padded.
         lengths : (p,) int
             Number of events of each, at least 1.
 
@@ -66,7 +68,7 @@ class DesignSequences:
         return found
 
     def reflects(self, events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-        """(p, k) whether an event is at a surface where a sequence of the detector of its path is reflected."""
+        """Whether an event is at a surface where a sequence of its path's detector is reflected; (p, k)."""
         found = np.zeros(events.shape, dtype=bool)
         ends = self.ends(events, lengths)
         for detector in self.lists:
@@ -76,7 +78,7 @@ class DesignSequences:
 
     @staticmethod
     def ends(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-        """(p,) the places of the last events."""
+        """Return the surfaces of the last events, (p,)."""
         return np.asarray(events[np.arange(len(events)), np.maximum(lengths - 1, 0)] >> EVENT_BITS)
 
 
@@ -95,7 +97,7 @@ class DesignKeys:
 
     @cached_property
     def _device(self) -> list[mi.UInt64]:
-        # Filled up to a power of two with the last key, so that few numbers of sequences make kernels of their own
+        # Padded to a power of two with the last key, so that numbers of sequences of one size class share a kernel
         return [upload(mi.UInt64, np.concatenate([k, np.full(self._room - len(k), k[-1])])) for k in self._host]
 
     @property
@@ -104,14 +106,16 @@ class DesignKeys:
 
     @property
     def code(self) -> Hashable:
-        """What a kernel that asks hangs on."""
+        """Key of a kernel that calls `hold`: the padded number of sequences."""
         return self._room
 
     def hold(self, key: mi.UInt64, backward: bool) -> mi.Bool:
-        """Whether unscattered light that has these events goes by one of the sequences."""
+        """Whether unscattered light with the events of a key follows one of the sequences."""
+        # Without sequences there is no array to search
         if not self._room:
             return dr.full(mi.Bool, False, dr.width(key))
         keys = self._device[backward]
+        # The keys ascend
         place = dr.binary_search(0, self._room - 1, lambda k: dr.gather(mi.UInt64, keys, k) < key)
         return dr.gather(mi.UInt64, keys, mi.UInt32(place)) == key
 

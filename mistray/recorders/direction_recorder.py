@@ -1,4 +1,4 @@
-"""Recorder of backward traces: rays that leave the scene, by the direction of the light that they go against."""
+"""Recorder of backward traces: rays that leave the scene, by the direction that the light on their paths comes from."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import numpy as np
 
 from mistray.recorders.design_sequences import DesignKeys
 from mistray.recorders.directions import DirectionGrid
+from mistray.recorders.mis_weights import MisWeighting
 from mistray.recorders.path_key import COUNT_MASK, NOT_DIFFRACTED
 from mistray.recorders.path_sums import PathSums
 from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
-from mistray.recorders.weighing import Weighing
 from mistray.settings import BATCHES
 from mistray.surfaces.upload import upload
 
@@ -22,19 +22,19 @@ from mistray.surfaces.upload import upload
 CLASSES = ("direct", "straight_shot", "ghost", "single_scatter", "multiple_scatter", "edge_diffraction")
 CLASS_COUNT = len(CLASSES)
 DIRECT, STRAIGHT, GHOST, SINGLE, MULTIPLE, DIFFRACTED = range(CLASS_COUNT)
-FAR_SIDE = 2.0  # more than any squared sine: a direction that comes from behind
+FAR_SIDE = 2.0  # more than any squared sine, so that the last cell includes 90°
 
 
 def class_of_light(design: mi.Bool, reflections: mi.UInt32, scatters: mi.UInt32) -> mi.UInt32:
     """
-    Number within `CLASSES` of light by its events.
+    Return the class of light by its events, a number within `CLASSES`.
 
     Parameters
     ----------
     design : mi.Bool
         Whether its events are a sequence of the design.
     reflections, scatters : mi.UInt32
-        Counted reflections, scatter events (see `mistray.recorders.ledger.COUNT_MASK`).
+        Counted reflections, and scatter events (see `mistray.recorders.path_key.COUNT_MASK`).
     """
     stray = dr.select(reflections > 0, mi.UInt32(GHOST), mi.UInt32(STRAIGHT))
     unscattered = dr.select(design, mi.UInt32(DIRECT), stray)
@@ -45,19 +45,19 @@ def class_of_light(design: mi.Bool, reflections: mi.UInt32, scatters: mi.UInt32)
 
 
 def class_of_departure(departure: Departure, design: DesignKeys) -> mi.UInt32:
-    """That of rays against the light that leave the scene."""
+    """Return the class of light of backward rays that leave the scene."""
     return class_of_light(design.hold(departure.key, True), departure.reflections, departure.scatters)
 
 
 def class_of_arrival(visit: Visit, design: DesignKeys) -> mi.UInt32:
-    """That of rays with the light that meet the detector."""
+    """Return the class of light of forward rays that meet the detector."""
     state = visit.state
     return class_of_light(design.hold(state["key"], False), state["reflections"], state["scatters"])
 
 
 class DirectionRecorder(Recorder):
     """
-    Sums of the weights of rays that leave the scene.
+    Sums of the contributions of backward rays that leave the scene, by class of light and cell.
 
     Parameters
     ----------
@@ -65,12 +65,12 @@ class DirectionRecorder(Recorder):
     design : DesignKeys
         The sequences of the direct image.
     pixels : int
-        Of a map of the detector for every cell; 0: no maps.
+        Pixels of a map of the detector for every cell; 0: no maps.
     paths : PathSums, optional
     derivative : (CLASS_COUNT, n, m) float64, optional
-        Derivative of a metric by the sums of the weights of each class in each cell, for `gain`.
-    weighing : Weighing, optional
-        What rays with the light leave to those against it; without it, all.
+        Derivative of a metric by the sum of the contributions of each class in each cell, for `gain`.
+    mis : MisWeighting, optional
+        MIS weights of backward rays, which compete with forward rays; without it, all weights are 1.
     """
 
     def __init__(
@@ -80,16 +80,16 @@ class DirectionRecorder(Recorder):
         pixels: int = 0,
         paths: PathSums | None = None,
         derivative: np.ndarray | None = None,
-        weighing: Weighing | None = None,
+        mis: MisWeighting | None = None,
     ) -> None:
-        self._weighing = weighing
+        self._mis = mis
         self._design = design
         self._derivative = None if derivative is None else upload(mi.Float64, np.asarray(derivative, dtype=np.float64))
         self.grid, self.pixels, self.paths = grid, pixels, paths
         self._angles, self._azimuths = grid.shape
         self.cells = self._angles * self._azimuths
         low, high = np.sin(np.radians(grid.edges_deg)).T ** 2
-        # The last angle of a cell at 90° belongs to it
+        # Upper borders are exclusive, but 90° belongs to the cell that ends there
         self._low = upload(mi.Float, low)
         self._high = upload(mi.Float, np.where(high >= 1, FAR_SIDE, high))
         self._azimuth = upload(mi.Float, grid.azimuths_deg)
@@ -97,20 +97,21 @@ class DirectionRecorder(Recorder):
         self._rows = [mi.Vector3f(*(dr.opaque(mi.Float, float(v)) for v in column)) for column in grid.rotation.T]
         self.sums = dr.zeros(mi.Float64, CLASS_COUNT * self.cells * BATCHES)
         self.elsewhere = dr.zeros(mi.Float64, BATCHES)
-        self.largest = dr.zeros(mi.UInt32, self.cells)  # bits of the largest weight of a scattered ray
+        self.largest = dr.zeros(mi.UInt32, self.cells)  # bits of the largest contribution of a scattered ray
         self.maps = dr.zeros(mi.Float64, 2 * self.cells * pixels) if pixels else None
         dr.eval(self.sums, self.elsewhere, self.largest, self.maps)
 
-    by_way = True
+    merges_aimed = True
 
     @property
     def code(self) -> Hashable:
         """See `Recorder.code`."""
-        parts = (self.maps, self.paths, self._weighing, self._derivative)
+        parts = (self.maps, self.paths, self._mis, self._derivative)
         return type(self).__name__, self._design.code, *(part is not None for part in parts)
 
     def cell(self, d: mi.Vector3f) -> tuple[mi.UInt32, mi.Bool]:
-        """Cell of the light that goes against rays along d, and whether there is one."""
+        """Return the cell of the light whose backward rays leave along d, and whether there is one."""
+        # Field angle: light travels along -d. sin² orders the angles of the front half space
         x, y, z = (-dr.dot(d, row) for row in self._rows)
         sine2 = dr.fma(x, x, y * y)
         index = mi.UInt32(dr.binary_search(0, self._angles - 1, lambda k: dr.gather(mi.Float, self._high, k) <= sine2))
@@ -118,8 +119,10 @@ class DirectionRecorder(Recorder):
         inside &= sine2 < dr.gather(mi.Float, self._high, index)
         if self.grid.azimuth_cell_deg == 360:
             return index, inside
+        # Azimuth: the cells need not be evenly spaced, so the nearest is searched for
         azimuth = dr.atan2(-x, y) * (180 / dr.pi)
 
+        # The number of azimuths is opaque, so that it makes no new kernel
         def nearer(k: mi.UInt32, best: mi.UInt32, least: mi.Float) -> tuple[mi.UInt32, mi.UInt32, mi.Float]:
             apart = azimuth - dr.gather(mi.Float, self._azimuth, k)
             apart = dr.abs(apart - 360 * dr.round(apart * (1 / 360)))
@@ -139,7 +142,8 @@ class DirectionRecorder(Recorder):
         """Add rays that leave the scene."""
         start, weight, active = departure.start, departure.weight, departure.active
         cell, inside = self.cell(departure.heading)
-        own = active if departure.joint is None else active & (departure.joint == 0)
+        # Connected rays stand for light that other rays carry as well
+        own = active if departure.light_vertex is None else active & (departure.light_vertex == 0)
         dr.scatter_reduce(dr.ReduceOp.Add, self.elsewhere, mi.Float64(weight), start.batch, own & ~inside)
         weight, inside = self._own(departure, cell, inside)
         w = mi.Float64(weight)
@@ -156,7 +160,7 @@ class DirectionRecorder(Recorder):
             self.paths.record(departure.key, departure.length, departure.event, cell, weight, inside)
 
     def gain(self, departure: Departure) -> mi.Float64:
-        """What the metric gains from rays that leave; nothing is added to the sums."""
+        """Return the gain of the metric from rays that leave; nothing is added to the sums."""
         cell, inside = self.cell(departure.heading)
         index = class_of_departure(departure, self._design) * self.cells + cell
         weight, inside = self._own(departure, cell, inside)
@@ -164,16 +168,16 @@ class DirectionRecorder(Recorder):
         return dr.select(inside, gained, 0)
 
     def _own(self, departure: Departure, cell: mi.UInt32, inside: mi.Bool) -> tuple[mi.Float, mi.Bool]:
-        """What counts of rays that leave within a cell, and whether anything does."""
+        """Return the contribution of rays that leave within a cell, and whether there is any."""
         inside = inside & departure.active
-        if self._weighing is None:
+        if self._mis is None:
             return departure.weight, inside
-        share = self._weighing.against(departure, cell, inside).against
+        share = self._mis.backward(departure, cell, inside).backward
         return departure.weight * share, inside & (share > 0)
 
     def read(self) -> dict[str, Any]:
         """
-        The sums on the host.
+        Return the sums on the host.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Cells of directions in which a point source transmittance is averaged."""
+"""Cells of directions over which a point source transmittance is averaged."""
 
 from __future__ import annotations
 
@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.known_arguments import known_arguments
 from mistray.ranges import AZIMUTH_DEG, AZIMUTH_WIDTH_DEG, CELL_WIDTH_DEG, PST_FIELD_DEG
-from mistray.renamed import renamed
 
-CELL_DEG = 2.0  # width of a cell where the angles say nothing
+CELL_DEG = 2.0  # width of a cell by default
 
 
-@renamed(angles_deg="field_deg")
 @dataclass(frozen=True, eq=False)
 class DirectionGrid:
     """
@@ -31,7 +30,7 @@ class DirectionGrid:
     edges_deg : (n, 2) float64
         Smallest and largest field angle of each cell; cells do not overlap.
     azimuths_deg : (m,) float64
-        Azimuths from +y towards -x, as of a `collimated` source.
+        Azimuths from +y towards -x, as for a `collimated` source.
     azimuth_cell_deg : float
         Width of a cell in azimuth; 360: all azimuths together.
     rotation : (3, 3) float64
@@ -50,7 +49,7 @@ class DirectionGrid:
     rotation: np.ndarray
 
     @classmethod
-    @renamed(angles_deg="field_deg")
+    @known_arguments
     def of(
         cls,
         field_deg: float | Sequence[float] | np.ndarray,
@@ -60,21 +59,23 @@ class DirectionGrid:
         rotation: np.ndarray | None = None,
     ) -> DirectionGrid:
         """
-        Cells around angles.
+        Create a grid of cells around angles.
 
         Parameters
         ----------
         field_deg : float or sequence of float
-            -90 … 90; a negative angle is the positive one at the opposite azimuth, as of a `collimated` source. Where
-            there are others too, all cells have both azimuths.
+            Field angles, -90 … 90; a negative angle is the positive one at the opposite azimuth, as for a `collimated`
+            source. If there are angles of both signs, all cells have both azimuths.
         azimuths_deg : float or sequence of float, optional
-            By default one cell holds all azimuths, and the sign does not matter.
+            Azimuths; by default one cell holds all azimuths, and the sign does not matter.
         cell_deg : float, optional
             Width of the cells in field angle; by default 2°, or the smallest distance of two angles if that is less.
         azimuth_cell_deg : float, optional
-            By default the smallest distance of two azimuths, at most 10° for a single one.
+            Width of the cells in azimuth; by default the smallest distance of two azimuths, at most 10° for a single
+            one.
         rotation : (3, 3) float64, optional
         """
+        # Field angles and the borders of their cells
         given = np.array(PST_FIELD_DEG.check_each("field_deg", field_deg))
         if np.min(np.diff(given), initial=np.inf) <= 0:
             raise MistrayError("field_deg must ascend; sort the field angles and give each once")
@@ -87,6 +88,7 @@ class DirectionGrid:
                 f"cell_deg is {width:g}; it must be at most the distance of two angles, {apart:g} degrees"
             )
         edges = np.clip(np.stack([angles - width / 2, angles + width / 2], axis=1), 0.0, 90.0)
+        # Azimuths, with the opposite ones of negative field angles, and the width of their cells
         if azimuths_deg is None:
             if azimuth_cell_deg is not None:
                 raise MistrayError("azimuth_cell_deg is given without azimuths_deg; give the azimuths too")
@@ -98,6 +100,7 @@ class DirectionGrid:
                 opposite = azimuths + np.where(azimuths > 0, -180, 180)
                 new = opposite[~np.isin(opposite % 360, azimuths % 360)]
                 azimuths = np.append(azimuths, new) if np.any(given >= 0) else opposite
+            # The opposite azimuths may lie closer than the given ones
             least = _least_gap(azimuths)
             span = min(span, least)
             if azimuth_cell_deg is not None:
@@ -119,7 +122,7 @@ class DirectionGrid:
 
     @property
     def solid_angle(self) -> np.ndarray:
-        """(n,) solid angle of a cell, sr; the same at all azimuths."""
+        """Solid angle of a cell, sr, (n,); the same at all azimuths."""
         low, high = np.radians(self.edges_deg).T
         # cos low - cos high, exact for narrow cells
         band = 2 * np.sin(0.5 * (high + low)) * np.sin(0.5 * (high - low))
@@ -127,19 +130,20 @@ class DirectionGrid:
 
     @property
     def mean_cosine(self) -> np.ndarray:
-        """(n,) mean of cos θ over the cell."""
+        """Mean of cos θ over the cell, (n,)."""
+        # ∫ cos θ sin θ dθ/∫ sin θ dθ
         low, high = np.cos(np.radians(self.edges_deg)).T
         return np.asarray(0.5 * (low + high))
 
-    @renamed(angle_deg="field_deg")
+    @known_arguments
     def nearest(self, field_deg: float, azimuth_deg: float = 0.0) -> tuple[int, int]:
         """
-        Cell of a direction.
+        Return the indices of the cell that holds a direction.
 
         Parameters
         ----------
         field_deg : float
-            A negative one is at the opposite azimuth.
+            Field angle; a negative one is at the opposite azimuth.
         azimuth_deg : float
 
         Raises
@@ -147,6 +151,7 @@ class DirectionGrid:
         MistrayError
             If no cell holds it.
         """
+        # Field angle, then azimuth; both allow for rounding at the borders
         if field_deg < 0:
             field_deg, azimuth_deg = -field_deg, azimuth_deg + 180
         i = int(np.argmin(np.abs(self.field_deg - field_deg)))
@@ -163,7 +168,7 @@ class DirectionGrid:
         return i, j
 
     def facts(self) -> dict[str, Any]:
-        """The grid as plain numbers, to be stored with a result."""
+        """Return the grid as plain numbers, to be stored with a result."""
         return {
             "angles_deg": self.field_deg.tolist(),
             "edges_deg": self.edges_deg.tolist(),
@@ -174,7 +179,7 @@ class DirectionGrid:
 
     @classmethod
     def from_facts(cls, facts: dict[str, Any]) -> DirectionGrid:
-        """The grid of stored numbers."""
+        """Create a grid from stored numbers."""
         angles, edges, azimuths = (
             np.asarray(facts[key], dtype=np.float64) for key in ("angles_deg", "edges_deg", "azimuths_deg")
         )
@@ -188,6 +193,7 @@ class DirectionGrid:
 
 
 def _least_gap(azimuths: np.ndarray) -> float:
-    """The smallest distance of two azimuths, degrees; 360 of a single one."""
+    """Return the smallest distance of two azimuths, degrees; 360 for a single one."""
+    # The first azimuth again, one turn on, closes the circle
     around = np.sort(azimuths % 360)
     return float(np.diff(np.append(around, around[0] + 360)).min())

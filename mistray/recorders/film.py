@@ -1,4 +1,4 @@
-"""The pixels of the detector, and the images that light makes on them."""
+"""Pixel grid of the detector, and the images that light forms on it, with their noise."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from mistray.recorders.recorder import Memory, Recorder, Visit
 from mistray.recorders.sampled import Numbers, Sampled, error_rays, few_rays
 from mistray.settings import BATCHES
 
-FILM_BYTES, LEAST_GROUPS = 1 << 24, 8  # of the images of the detector of a run, by groups of batches
-# Images behind those of the groups: number of rays, and sums of the squares and fourth powers of their flux
+# Memory of the images of a detector by groups of batches, and the fewest groups
+FILM_BYTES, LEAST_GROUPS = 1 << 24, 8
+# Images after those of the groups: number of rays, and sums of the squares and fourth powers of their flux
 WEIGHTS = 3
-NEIGHBOURS = 5  # pixels across of the square whose rays tell how uneven those of its middle are
+NEIGHBOURS = 5  # side in pixels of the square over which the moments of the weights are pooled, see `error_rays`
 
 
 @dataclass
@@ -32,13 +33,13 @@ class Film:
     x0, y0, per_mm_x, per_mm_y : mi.Float
         Corner (mm) and pixels per mm, opaque.
     incident : bool
-        Sum the flux that meets the detector instead of what it absorbs.
+        Sum the flux that meets the detector instead of the flux that it absorbs.
     tent : bool
-        Spread a hit over the four nearest pixels, in proportion to how near their centres are; else it counts in the
-        pixel that holds it.
+        Spread a hit over the four nearest pixels by a tent filter of radius 1 pixel (bilinear weights); otherwise it
+        contributes to the pixel that holds it.
     groups : int
-        Of batches, a power of two; the film has an image for each of them, whose spread is the error of their sum.
-        Where there are several, the film also has the `WEIGHTS`, which tell how far that error may be trusted.
+        Number of groups of batches, a power of two; the film has an image for each, whose spread is the error of their
+        sum. Where there are several, the film also has the `WEIGHTS`, from which the reliability of that error follows.
     image_of_slot : mi.UInt32 or None
         For maps of single paths: the `image_word` of the map of each ledger slot, 0 for none.
     """
@@ -61,14 +62,14 @@ class Film:
 
     def image(self, batch: mi.UInt32, slot: mi.UInt32 | None, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool, mi.Bool]:
         """
-        Where a hit counts.
+        Return the image that a hit contributes to.
 
         Returns
         -------
         first : mi.UInt32
             First pixel of the image of group 0.
         active : mi.Bool
-            Whether it counts.
+            Whether the hit contributes.
         by_group : mi.Bool
             Whether there are images for each group.
         """
@@ -78,21 +79,22 @@ class Film:
         return ((word >> 1) - 1) * (self.width * self.height), active & (word > 0), (word & 1) > 0
 
     def group(self, batch: mi.UInt32) -> mi.UInt32:
-        """Group of a batch."""
+        """Return the group of a batch."""
         return batch >> dr.opaque(mi.UInt32, (BATCHES // self.groups).bit_length() - 1)
 
     def places(self, x: mi.Float, y: mi.Float) -> list[tuple[mi.UInt32, mi.Float | None]]:
         """
-        Where a hit at a point of the detector counts.
+        Return the pixels that a hit at a point of the detector contributes to.
 
         Returns
         -------
         list of (mi.UInt32, mi.Float or None)
-            Numbers of pixels, row 0 at the smallest y, and the shares of the flux that they get; None: all of it.
+            Numbers of pixels, row 0 at the smallest y, and their filter weights; None: 1.
         """
         along_x, along_y = (x - self.x0) * self.per_mm_x, (y - self.y0) * self.per_mm_y
         if not self.tent:
             return [(self._number(mi.Int32(along_x), mi.Int32(along_y)), None)]
+        # Bilinear weights relative to the centres of the pixels
         low_x, low_y = dr.floor(along_x - 0.5), dr.floor(along_y - 0.5)
         part_x, part_y = along_x - 0.5 - low_x, along_y - 0.5 - low_y
         column, row = mi.Int32(low_x), mi.Int32(low_y)
@@ -103,14 +105,14 @@ class Film:
         ]
 
     def _number(self, column: mi.Int32, row: mi.Int32) -> mi.UInt32:
-        """Number of a pixel, or of the nearest one beyond the border."""
+        """Return the number of a pixel, or that of the nearest one for a place beyond the border."""
         column, row = dr.clip(column, 0, self.width - 1), dr.clip(row, 0, self.height - 1)
         return mi.UInt32(row * self.width + column)
 
 
 class Images(Recorder):
     """
-    Images of a detector, or of what meets it.
+    Images of the flux that a detector absorbs, or that meets it.
 
     Parameters
     ----------
@@ -135,6 +137,7 @@ class Images(Recorder):
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Add flux to pixels."""
         film = self._film
+        # Image of the hit: of all light or of its path, and of its group of batches
         here = visit.counted if self._only is None else visit.counted & (visit.surface == self._only)
         first, on_film, by_group = film.image(visit.start.batch, visit.slot, here)
         size = film.width * film.height
@@ -144,7 +147,7 @@ class Images(Recorder):
             if share is not None:
                 flux *= mi.Float64(share)
             dr.scatter_reduce(dr.ReduceOp.Add, self.sums, flux, image + pixel, on_film)
-            if film.groups > 1:  # how uneven the rays are
+            if film.groups > 1:  # moments of the weights, for `error_rays`
                 square = flux * flux
                 for number, weight in enumerate((mi.Float64(1), square, square * square), film.groups):
                     place = first + (number * size + pixel)
@@ -159,8 +162,8 @@ class Pixels(Sampled):
     Attributes
     ----------
     weights : (WEIGHTS, height, width) float64
-        Number of rays and sums of the squares and fourth powers of their flux in each pixel; NaN where the noise is not
-        known.
+        Number of rays and sums of the squares and fourth powers of their flux in each pixel; NaN where the noise is
+        unknown.
     """
 
     weights: Numbers
@@ -168,7 +171,7 @@ class Pixels(Sampled):
     @classmethod
     def of_film(cls, film: Numbers, started: Numbers, scale: float = 1.0) -> Pixels:
         """
-        From the images of a film; the noise is not known (NaN) where there is one image of all batches.
+        Create an image from those of a film; the noise is unknown (NaN) where there is one image of all batches.
 
         Parameters
         ----------
@@ -177,24 +180,24 @@ class Pixels(Sampled):
         started : (BATCHES,) float64
             Start rays of the batches.
         scale : float, optional
-            What a unit of the film is.
+            Flux of a unit of the film.
         """
         if len(film) == 1:
             noise = np.full((*film.shape[1:], 1), np.nan)
             return cls(scale * film[0], noise, np.full((WEIGHTS, *film.shape[1:]), np.nan))
         groups = len(film) - WEIGHTS
-        # Image by image, as the film lies in memory
+        # Batches go last as a view: the arithmetic runs image by image, as the film lies in memory
         found = Sampled.of(np.moveaxis(scale * film[:groups], 0, -1), started.reshape(groups, -1).sum(axis=1))
         powers = scale ** np.array([0.0, 2.0, 4.0])
         return cls(found.value, found.apart, powers[:, None, None] * film[groups:])
 
     @property
     def none(self) -> Pixels:
-        """A dark image of the same size."""
+        """Dark image of the same size."""
         return Pixels(*map(np.zeros_like, (self.value, self.apart, self.weights)))
 
     def __add__(self, other: Sampled) -> Pixels:
-        """Of other light, an image as well."""
+        """Return the sum with an image of other light."""
         assert isinstance(other, Pixels)
         both = super().__add__(other)
         return Pixels(both.value, both.apart, self.weights + other.weights)
@@ -209,9 +212,10 @@ class Pixels(Sampled):
         return self.few_in_squares(1)
 
     def few_in_squares(self, pixels: int) -> np.ndarray:
-        """The same for squares of so many pixels along a side."""
+        """Whether too few rays meet a square of `pixels` by `pixels` for its error to be known, see `in_squares`."""
 
         def pool(values: Numbers) -> Numbers:
+            # Sums over the neighbouring pixels, one axis after the other
             around = np.pad(values, NEIGHBOURS // 2)
             for axis in (0, 1):
                 around = np.lib.stride_tricks.sliding_window_view(around, NEIGHBOURS, axis).sum(axis=-1)
@@ -228,7 +232,7 @@ class Pixels(Sampled):
 
 class Box(Recorder):
     """
-    Leaves out hits of the detector beyond a rectangle, for the recorders after it.
+    Filter that hides hits of the detector outside a rectangle from the recorders after it.
 
     Parameters
     ----------
@@ -240,29 +244,29 @@ class Box(Recorder):
         self._corners = mi.Vector4f(*(dr.opaque(mi.Float, float(v)) for v in corners))
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Take lanes out."""
+        """Remove the lanes outside the rectangle."""
         (x, y), box = visit.position, self._corners
         visit.counted &= (x >= box.x) & (x <= box.y) & (y >= box.z) & (y <= box.w)
 
 
 def image_word(first: int, by_group: bool) -> int:
-    """The map of a path: number of its first image, and whether it has one for each group of batches or one in all."""
+    """Return the map of a path as a word: its first image, and whether it has one for each group of batches."""
     return 2 * (first + 1) + by_group
 
 
 def groups_of(pixels: int) -> int:
-    """Groups of batches that have an image of so many pixels each: fewer where the images would be large."""
+    """Return the number of groups of batches with an image of their own: fewer for images of many pixels."""
     most = FILM_BYTES // (8 * pixels)
     return int(np.clip(1 << max(most, 1).bit_length() - 1, LEAST_GROUPS, BATCHES))
 
 
 def images_of(pixels: int) -> int:
-    """Number of images of a map with its noise."""
+    """Return the number of images of a map with its noise."""
     return groups_of(pixels) + WEIGHTS
 
 
 def in_squares(image: Numbers, pixels: int) -> Numbers:
-    """Sums over squares of so many pixels along a side, fewer at the last row and column, (h, w)."""
+    """Return the sums over squares of `pixels` by `pixels`, smaller at the last row and column, (h, w)."""
     rows, columns = (np.arange(0, size, pixels) for size in image.shape)
     return np.asarray(np.add.reduceat(np.add.reduceat(image, rows, axis=0), columns, axis=1))
 
@@ -274,7 +278,7 @@ def spreads(film: mi.Film) -> bool:
     Parameters
     ----------
     film : mi.Film
-        Of the detector; spread where its reconstruction filter is a ``tent``.
+        Film of the detector; its hits are spread if its reconstruction filter is a ``tent``.
 
     Raises
     ------

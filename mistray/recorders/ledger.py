@@ -1,4 +1,5 @@
-"""The path ledger: an open-addressing hash table in device memory that the kernel fills.
+"""
+Path ledger: an open-addressing hash table in device memory that the kernel fills.
 
 The first ray that brings a new key, see `mistray.recorders.path_key`, claims a slot by compare-and-swap and writes the
 event list there. `Ledger.decode` hashes every recorded list again and compares.
@@ -38,13 +39,13 @@ class DecodedPaths:
     ----------
     keys : (p,) uint64
     slots : (p,) int
-        Where each path lives in the table.
+        Slot of each path in the table.
     events : (p, k) uint32
-        Event lists, surface << EVENT_BITS | what, filled up with 0; the last is the absorption in the detector.
+        Event lists, surface << EVENT_BITS | what, padded with 0; the last is the absorption in the detector.
     lengths : (p,) int
         Number of events of each path.
     sums : (p, BATCHES, SUMS or STOKES_SUMS) float64
-        In units of the flux of one start ray, see `SUMS`.
+        Sums in units of the flux of one start ray, see `SUMS`.
     """
 
     keys: np.ndarray
@@ -69,15 +70,15 @@ def claim(
     Parameters
     ----------
     keys : mi.UInt64 or mi.UInt32
-        The table, a power of two of slots; 0 is a free one.
+        Keys of the table, a power of two of slots; 0 marks a free one.
     key : same type
-        Not 0.
+        Key to find; not 0.
     start : mi.UInt32
         Slot that is tried first.
     mask : mi.UInt32
         Number of slots less 1.
     most_probes : int
-        Slots that are tried.
+        Most slots that are tried.
     active : mi.Bool
     flag : mi.UInt32, optional
         Entry of the table that is set once a key has found no slot. Searches end early from then on, since in a full
@@ -92,7 +93,8 @@ def claim(
 
     def probe(slot, going, found, new, tries):  # type: ignore[no-untyped-def]
         place, value, tried, full = slot, key, going, mi.Bool(False)
-        if flag is not None:  # by the same instruction, since a kernel cannot read what it writes by another one
+        # The flag is read and set by the same compare-and-swap: no other instruction may read what the kernel writes
+        if flag is not None:
             asks, gives_up = tries == USUAL_PROBES, tries == most_probes
             place = dr.select(asks | gives_up, flag, slot)
             value = dr.select(asks, type(key)(0), dr.select(gives_up, type(key)(1), key))
@@ -106,6 +108,7 @@ def claim(
         going = going & ~here & ~full & (tries + 1 < last)
         return dr.select(going & tried, (slot + 1) & mask, slot), going, found, new, tries + 1
 
+    # One probe more sets the flag
     last = most_probes if flag is None else most_probes + 1
     slot, _, found, new, _ = dr.while_loop(
         (start, mi.Bool(active), mi.Bool(False), mi.Bool(False), mi.UInt32(0)),
@@ -124,7 +127,7 @@ def write_list(
     read: Callable[[mi.UInt32, mi.Bool], mi.UInt32],
     active: mi.Bool,
 ) -> None:
-    """Store an event list from an index on; `read(k, mask)` gives event k."""
+    """Write an event list to memory from an index on; `read(k, mask)` returns event k."""
 
     def step(k):  # type: ignore[no-untyped-def]
         going = active & (k < length)
@@ -136,10 +139,10 @@ def write_list(
 
 def _zeros(dtype: Any, size: int) -> Any:
     """
-    Zeros in memory.
+    Return zeros in memory.
 
-    A large array takes seconds, since the system clears what it hands out: all threads share the work, and an interrupt
-    ends it.
+    A large array takes seconds, since the system clears the pages that it hands out. So it is written in parts: all
+    threads share the work, and an interrupt ends it.
     """
     if size <= LARGE:
         return dr.zeros(dtype, size)
@@ -179,12 +182,12 @@ class Ledger(Recorder):
         dr.eval(self.keys, self.lengths, self.events, self.sums)
 
     def clear_sums(self) -> None:
-        """Forget the sums and keep the paths, so that a second trace finds the same slots."""
+        """Clear the sums and keep the paths, so that a second trace finds the same slots."""
         self.sums = _zeros(mi.Float64, self.capacity * BATCHES * self.row)
         dr.eval(self.sums)
 
     def find(self, key: mi.UInt64, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool, mi.Bool]:
-        """Slot of a key, whether it was found or claimed, and whether it was claimed just now."""
+        """Return the slot of a key, whether it was found or claimed, and whether it was claimed just now."""
         start = mi.UInt32(key >> 32) & self.mask
         return claim(self.keys, key, start, self.mask, MOST_PROBES, active, self.mask + 1)
 
@@ -194,7 +197,7 @@ class Ledger(Recorder):
         return type(self).__name__, self.max_events, self.terms
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Find the paths of hits, or make room for them; only hits that have found it are counted further on."""
+        """Find the paths of hits, or claim slots for them; later recorders see only hits that have a slot."""
         slot, found, new = self.find(visit.key, visit.counted)
         visit.slot, visit.counted = slot, found
         self._add(visit, visit.state["stokes"] if self.terms == STOKES_SUMS else None)
@@ -202,7 +205,7 @@ class Ledger(Recorder):
         write_list(self.events, slot * self.max_events, visit.depth + 1, visit.event, new)
 
     def known(self, key: mi.UInt64, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
-        """Slot of a key, and whether it has one; the table stays as it is."""
+        """Return the slot of a key, and whether it has one; the table does not change."""
 
         def probe(slot, going, found, tries):  # type: ignore[no-untyped-def]
             there = dr.gather(mi.UInt64, self.keys, slot, going)
@@ -232,7 +235,7 @@ class Ledger(Recorder):
 
     @property
     def used(self) -> int:
-        """Paths in the table."""
+        """Number of paths in the table."""
         return int(dr.count(self.keys != 0)[0]) - self._lost
 
     @property

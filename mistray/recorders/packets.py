@@ -1,4 +1,4 @@
-"""Sums that lie side by side in memory, added to in one go."""
+"""Rows of sums in device memory that one packet scatter of Dr.Jit adds to."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import mitsuba as mi
 
 
 def packet_size(terms: int) -> int:
-    """Numbers that a row of so many terms takes in memory: Dr.Jit moves a power of two of them at once."""
+    """Return the numbers that a row of terms takes in memory: a power of two, which Dr.Jit moves as one packet."""
     return 1 << (terms - 1).bit_length()
 
 
 def add_packet(sums: mi.Float64, terms: Sequence[mi.Float64], row: mi.UInt32, active: mi.Bool) -> None:
     """
-    Add to a row of sums: one access to memory for all terms, a quarter of the time of one for each.
+    Add to a row of sums with one memory access, in a quarter of the time of one access for each term.
 
     Parameters
     ----------
@@ -26,5 +26,6 @@ def add_packet(sums: mi.Float64, terms: Sequence[mi.Float64], row: mi.UInt32, ac
         Number of the row.
     active : mi.Bool
     """
+    # Zeros fill the packet up to its power of two
     padding = [mi.Float64(0)] * (packet_size(len(terms)) - len(terms))
     dr.scatter_reduce(dr.ReduceOp.Add, sums, mi.ArrayXf64([*terms, *padding]), row, active)

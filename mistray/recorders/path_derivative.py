@@ -1,4 +1,4 @@
-"""Derivatives of a metric by the flux of hits, by their path and place."""
+"""Derivatives of a metric by the flux of hits of the detector, as functions of their path and position."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ MOMENTS = 6  # coefficients of a path: 1, x, y, x², y², x y
 @dataclass(frozen=True)
 class HitDerivative:
     """
-    Derivative of a metric by the flux of a hit of the detector, as a function of its path and place.
+    Derivative of a metric by the flux of a hit of the detector, as a function of its path and position.
 
     Attributes
     ----------
     pixel : (maps, height, width) float64 or None
-        By the flux in each pixel, 1/W, for one or more groups of paths.
+        Derivative by the flux in each pixel, 1/W, for one or more groups of paths.
     map_of_path : (paths,) int or None
-        Number of the map that a path counts in, -1: in none; None: all hits count in map 0.
+        Number of the map that a path contributes to, -1: none; None: all hits contribute to map 0.
     path : (paths, MOMENTS) float64 or None
         For each path, in the order of `Trace.paths`, the coefficients of 1, x, y, x², y², x y (mm, in the detector's
         frame) of the derivative by the flux of a hit at (x, y), 1/W.
@@ -38,12 +38,13 @@ class PathDerivative:
     Attributes
     ----------
     keys : (p,) uint64
-        Of the paths, ascending.
+        Keys of the paths, ascending.
     slots : (p,) int
-        Their slots in the ledger.
+        Slots of the paths in the ledger.
     coefficients : (p, MOMENTS) float64
-        By the flux in units of a start ray.
+        Coefficients as in `HitDerivative.path`, of the derivative by the flux in units of a start ray.
     maps : (p,) int
+        Map of each path, see `HitDerivative.map_of_path`.
     """
 
     keys: np.ndarray
@@ -55,14 +56,15 @@ class PathDerivative:
     def of_paths(
         cls, keys: np.ndarray, slots: np.ndarray, coefficients: np.ndarray, maps: np.ndarray
     ) -> PathDerivative:
-        """The same with the paths in any order."""
+        """Create one from paths in any order."""
         order = np.argsort(keys)
         return cls(keys[order], slots[order], coefficients[order], maps[order])
 
     def of(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients of some rays by their keys, (n, MOMENTS), and their maps, (n,); 0 and -1 of unknown keys."""
+        """Return coefficients of rays by their keys, (n, MOMENTS), and their maps, (n,); 0 and -1 for unknown keys."""
         found, maps = np.zeros((len(keys), MOMENTS)), np.full(len(keys), -1)
         if len(self.keys):
+            # Keys above the largest one would be found behind the end
             place = np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)
             same = self.keys[place] == keys
             found[same], maps[same] = self.coefficients[place[same]], self.maps[place[same]]

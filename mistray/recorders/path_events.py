@@ -1,4 +1,4 @@
-"""What the event lists of paths say: their text, their letters and the class of each path."""
+"""Text, letters and classification of the event lists of paths."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from mistray.recorders.path_key import (
 from mistray.recorders.path_names import PathNames
 from mistray.surfaces.optics import DETECTOR, DIFFRACTS, MIRROR, OPAQUE, WALL
 
-FIRST_SCATTERED = RANDOM_TRANSMITTED  # this event and those above it are scattered ones
+FIRST_SCATTERED = RANDOM_TRANSMITTED  # codes from this one on are scatter events
 INTERCEPTS = {
     ABSORBED: "Absorbed",
     TRANSMITTED: "SpecTran",
@@ -47,7 +47,7 @@ LETTERS = {
     AIMED_TRANSMITTED: "i",
     AIMED_REFLECTED: "j",
 }
-# Light that is scattered at random and light that is aimed takes one and the same way
+# Random and aimed directions are two sampling techniques for the same path
 _SAMPLED_ALIKE = {AIMED_TRANSMITTED: RANDOM_TRANSMITTED, AIMED_REFLECTED: RANDOM_REFLECTED}
 _WAY_LETTERS = {LETTERS[aimed]: LETTERS[random] for aimed, random in _SAMPLED_ALIKE.items()}
 _AIMED_LETTER = re.compile(f"(?<=:)[{''.join(_WAY_LETTERS)}](?= |$)")
@@ -67,7 +67,7 @@ STRAY_KINDS = (
 
 
 def way(events: np.ndarray) -> np.ndarray:
-    """Event lists with aimed events as random ones: two paths that differ in nothing else are one way of the light."""
+    """Return event lists with aimed events as random ones: paths that differ only in that are the same physically."""
     events = events.copy()
     for aimed, random in _SAMPLED_ALIKE.items():
         events[(events & EVENT_MASK) == aimed] -= np.uint32(aimed - random)
@@ -75,12 +75,12 @@ def way(events: np.ndarray) -> np.ndarray:
 
 
 def way_text(events: Iterable[str]) -> list[str]:
-    """Event lists as text with the letters of random events for aimed ones too."""
+    """Return event lists as text with the letters of random events in place of aimed ones."""
     return [_AIMED_LETTER.sub(lambda found: _WAY_LETTERS[found[0]], text) for text in events]
 
 
 def way_letters(paths: Iterable[str]) -> list[str]:
-    """The same for letters alone."""
+    """Return strings of letters with the letters of random events in place of aimed ones."""
     table = str.maketrans(_WAY_LETTERS)
     return [path.translate(table) for path in paths]
 
@@ -88,16 +88,16 @@ def way_letters(paths: Iterable[str]) -> list[str]:
 @dataclass(frozen=True)
 class Events:
     """
-    What happens along paths, as masks over their events.
+    Events of paths, with masks over them by kind and surface.
 
     Parameters
     ----------
     codes : (p, k) uint32
-        Surface << EVENT_BITS | what, filled up at the ends.
+        Event codes, surface << EVENT_BITS | what, padded at the ends.
     lengths : (p,) int
         Number of events of each, at least 1.
     words : (s,) uint32
-        Bits of the surfaces, see `mistray.surfaces.optics`, and zeros for the media.
+        Flags of the surfaces, see `mistray.surfaces.optics`, and zeros for the media.
     design : DesignSequences
         The sequences of the direct image.
     """
@@ -108,7 +108,7 @@ class Events:
     design: DesignSequences
 
     def __getitem__(self, rows: np.ndarray) -> Events:
-        """Those of some of the paths."""
+        """Return the events of some of the paths."""
         return Events(self.codes[rows], self.lengths[rows], self.words, self.design)
 
     def __len__(self) -> int:
@@ -116,66 +116,67 @@ class Events:
 
     @property
     def places(self) -> np.ndarray:
-        """(p, k) numbers of the surfaces and media."""
+        """Numbers of the surfaces and media, (p, k)."""
         return np.asarray(self.codes >> EVENT_BITS)
 
     @property
     def inside(self) -> np.ndarray:
-        """(p, k) whether a list is as long as that."""
+        """Whether an entry is within the length of its list, not padding, (p, k)."""
         return np.asarray(np.arange(self.codes.shape[1]) < self.lengths[:, None])
 
     def happens(self, *what: int) -> np.ndarray:
-        """(p, k) whether an event is one of these."""
+        """Whether an event is of one of these kinds, (p, k)."""
         return self.inside & np.isin(self.codes & EVENT_MASK, what)
 
     def at(self, bit: int) -> np.ndarray:
-        """(p, k) whether an event is at a surface that has this bit."""
+        """Whether an event is at a surface that has this flag, (p, k)."""
+        # Padding reads the flags of surface 0; callers mask it
         return (self.words[self.places] & np.uint32(bit)) != 0
 
     @property
     def direct(self) -> np.ndarray:
-        """(p,) whether a path is a sequence of the design."""
+        """Whether a path is a sequence of the design, (p,)."""
         return self.design.direct(self.codes, self.lengths)
 
     @cached_property
     def as_designed(self) -> np.ndarray:
-        """(p, k) whether an event is where a sequence of the design is reflected."""
+        """Whether an event is at a surface where a sequence of the design is reflected, (p, k)."""
         return self.inside & self.design.reflects(self.codes, self.lengths)
 
     @property
     def reflected(self) -> np.ndarray:
-        """Specular reflections, those at mirrors, where the design reflects and total ones apart."""
+        """Specular reflections, except at mirrors and where the design reflects, and except total ones, (p, k)."""
         return self.happens(REFLECTED) & ~self.at(MIRROR) & ~self.as_designed
 
     @property
     def on_structure(self) -> np.ndarray:
-        """Those of them at opaque surfaces other than the detector."""
+        """Reflections of `reflected` at opaque surfaces other than the detector, (p, k)."""
         return self.reflected & self.at(OPAQUE) & ~self.at(DETECTOR)
 
     @property
     def deflected(self) -> np.ndarray:
-        """Scattered and diffracted light."""
+        """Scatter and diffraction events, (p, k)."""
         return self.inside & ((self.codes & EVENT_MASK) >= FIRST_SCATTERED)
 
     @property
     def diffracted(self) -> np.ndarray:
-        """What the ring of an edge deflects."""
+        """Diffraction events at the ring of an edge, (p, k)."""
         return self.happens(RANDOM_TRANSMITTED, AIMED_TRANSMITTED) & self.at(DIFFRACTS)
 
     @property
     def before_the_end(self) -> np.ndarray:
-        """All but the last event, which is that at the detector."""
+        """All events but the last, which is that at the detector, (p, k)."""
         return np.asarray(np.arange(self.codes.shape[1]) < self.lengths[:, None] - 1)
 
 
 def event_text(events: np.ndarray, lengths: np.ndarray, ids: Sequence[str]) -> tuple[list[str], list[str]]:
     """
-    Event lists as text.
+    Return event lists as text.
 
     Parameters
     ----------
     events : (p, k) uint32
-        Surface << EVENT_BITS | what, filled up at the ends.
+        Event codes, surface << EVENT_BITS | what, padded at the ends.
     lengths : (p,) int
         Number of events of each.
     ids : sequence of str
@@ -186,6 +187,7 @@ def event_text(events: np.ndarray, lengths: np.ndarray, ids: Sequence[str]) -> t
     events, path : list of str
         "L1_front:T … detector:A" and the letters alone.
     """
+    # Few different codes make up many events: each is formatted once
     words = {code: f"{ids[code >> EVENT_BITS]}:{LETTERS[code & EVENT_MASK]}" for code in np.unique(events).tolist()}
     lists = [row[:length] for row, length in zip(events.tolist(), lengths.tolist(), strict=True)]
     return (
@@ -195,7 +197,7 @@ def event_text(events: np.ndarray, lengths: np.ndarray, ids: Sequence[str]) -> t
 
 
 def event_keys(events: Iterable[str]) -> list[str]:
-    """Ten hexadecimal digits for each event list, the same for light at random and aimed, in every table and scene."""
+    """Return ten hexadecimal digits for each event list, alike for random and aimed scatter, in any table or scene."""
     return [hashlib.blake2b(text.encode(), digest_size=5).hexdigest() for text in way_text(events)]
 
 
@@ -203,18 +205,18 @@ def describe_events(
     events: np.ndarray, lengths: np.ndarray, ids: Sequence[str], words: np.ndarray, design: DesignSequences
 ) -> dict[str, np.ndarray]:
     """
-    Text and classification of event lists.
+    Return text and classification of event lists.
 
     Parameters
     ----------
     events : (p, k) uint32
-        Surface << EVENT_BITS | what, filled up at the ends.
+        Event codes, surface << EVENT_BITS | what, padded at the ends.
     lengths : (p,) int
         Number of events of each, at least 1.
     ids : sequence of str
         Names of the surfaces.
     words : (s,) uint32
-        Bits of the surfaces, see `mistray.surfaces.optics`.
+        Flags of the surfaces, see `mistray.surfaces.optics`.
     design : DesignSequences
         The sequences of the direct image.
 
@@ -224,11 +226,13 @@ def describe_events(
         Columns key, label, events, path, order, kind, ghost_1, ghost_2, scatter_1, edges, scatters, diffractions,
         structure_bounces, tir, objects, unique_objects, last_object and critical of `PathRow`, (p,) each.
     """
+    # Masks over the events
     e = Events(events, lengths, words, design)
     surfaces, reflecting, scattering = e.places, e.reflected, e.deflected
 
     structure, scatters, diffractions = (mask.sum(axis=1) for mask in (e.on_structure, scattering, e.diffracted))
     order, total = reflecting.sum(axis=1) - structure, e.happens(TOTAL)
+    # Kind, by the first condition that holds: diffraction before scatter, scatter before reflections
     kind = np.select(
         [
             (diffractions > 0) & ((scatters > diffractions) | (order + structure > 0)),
@@ -246,9 +250,11 @@ def describe_events(
          "structure+ghost", "ghost", "structure", DIRECT, "TIR"],
         "straight shot",
     )  # fmt: skip
+    # Surface before the detector, and the texts
     last = np.where(lengths > 1, surfaces[np.arange(len(surfaces)), np.maximum(lengths - 2, 0)], len(ids))
     text, letters = event_text(events, lengths, ids)
     names = PathNames(ids, words, design, LETTERS)
+    # Columns of the table
     return {
         "key": np.array(event_keys(text), dtype=object),
         "label": np.array(
@@ -278,14 +284,15 @@ def describe_events(
 
 
 def distinct(values: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """(p,) number of different values of each row, of those inside."""
+    """Return the number of different values of each row, without its padding, (p,)."""
+    # Padding becomes -1, which sorts first and differs from nothing before it
     order = np.sort(np.where(inside, values.astype(np.int64), -1), axis=1)
     new = np.diff(order, axis=1, prepend=-1) != 0
     return np.asarray(new.sum(axis=1))
 
 
 def _names(chosen: np.ndarray, surfaces: np.ndarray, ids: Sequence[str]) -> np.ndarray:
-    """Names of the surfaces of the chosen events of each list, with blanks between, or "-"."""
+    """Return the names of the surfaces of the chosen events of each list, separated by blanks, or "-"."""
     names = np.full(len(chosen), "-", dtype=object)
     for row in np.flatnonzero(chosen.any(axis=1)):
         names[row] = " ".join(ids[k] for k in surfaces[row][chosen[row]])
@@ -293,7 +300,7 @@ def _names(chosen: np.ndarray, surfaces: np.ndarray, ids: Sequence[str]) -> np.n
 
 
 def _nth_name(chosen: np.ndarray, n: int, surfaces: np.ndarray, ids: Sequence[str]) -> np.ndarray:
-    """Name of the surface of the n-th chosen event of each list, or "-"."""
+    """Return the name of the surface of the n-th chosen event of each list, or "-"."""
     here = chosen & (np.cumsum(chosen, axis=1) == n)
     number = np.where(here.any(axis=1), np.where(here, surfaces, 0).sum(axis=1), len(ids))
     return np.array([*ids, "-"], dtype=object)[number]

@@ -1,4 +1,5 @@
-"""The key of a path: a rolling 64-bit hash of its events, each a surface and what happened there.
+"""
+Key of a path: a rolling 64-bit hash of its events, each a surface and the kind of interaction there.
 
 Two different paths share a key with a probability of about paths²/2^65, 3e-11 for 30 000 paths.
 """
@@ -21,41 +22,44 @@ RANDOM_TRANSMITTED, RANDOM_REFLECTED, AIMED_TRANSMITTED, AIMED_REFLECTED = range
 EVENT_BITS = 3
 EVENT_MASK = (1 << EVENT_BITS) - 1
 # Scatter events of a path are counted in one word: all of them, those at random, those at surfaces that transmit; bits
-# say whether one of them was not diffraction, and whether the last was at a surface that lets nothing through
+# say whether one of them was not diffraction, and whether the last was at an opaque surface
 COUNT_MASK, RANDOM_SHIFT, OPTICAL_SHIFT, NOT_DIFFRACTED, AT_WALL = 0x3FF, 10, 20, 1 << 30, 1 << 31
-FAMILIES = 1024
+PATH_CLASSES = 1024  # path classes
 NO_EVENT = 0xFFFFFFFF  # before the first one of a path
 FIRST_KEY = 0x9E3779B97F4A7C15
 MULTIPLIER = 0xFF51AFD7ED558CCD
 
 
 def extend_key(key: mi.UInt64, code: mi.UInt32) -> mi.UInt64:
-    """Key of the path that has one event more; multiply-xorshift steps as in SplitMix64 and MurmurHash3."""
+    """Return the key of the path with one more event; multiply-xorshift steps as in SplitMix64 and MurmurHash3."""
     key = (key ^ mi.UInt64(code + 1)) * mi.UInt64(MULTIPLIER)
     return key ^ (key >> 29)
 
 
 def mixed_word(word: mi.UInt32) -> mi.UInt32:
-    """A word whose bits all depend on those of another; steps as in MurmurHash3."""
+    """Return a hash of a word, all bits of which depend on all of its bits; steps as in MurmurHash3."""
     mixed = word * 0x85EBCA6B
     mixed = (mixed ^ (mixed >> 15)) * 0xC2B2AE35
     return mixed ^ (mixed >> 16)
 
 
 def mixed_events(event: EventReader, first: mi.UInt32, end: mi.UInt32, before: mi.UInt32, active: mi.Bool) -> mi.UInt32:
-    """What events from a first one to an end add to the number of a family."""
+    """Return `before` plus the hashes of the events `first` … `end` - 1: the sum that a path class follows from."""
 
+    # A sum, so that the order of the events does not matter
     def add(k: mi.UInt32, total: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
         going = active & (k < end)
         return k + 1, total + dr.select(going, mixed_word(event(k, going) + 1), 0)
 
     begin = mi.UInt32(first), mi.UInt32(before)
-    return dr.while_loop(begin, lambda k, _: active & (k < end), add, mode="symbolic", label="family")[1]
+    return dr.while_loop(begin, lambda k, _: active & (k < end), add, mode="symbolic", label="path class")[1]
 
 
-def family_of(event: EventReader, length: mi.UInt32, start: StartRays, active: mi.Bool) -> mi.UInt32:
+def path_class_of(event: EventReader, length: mi.UInt32, start: StartRays, active: mi.Bool) -> mi.UInt32:
     """
-    Family of paths, below `FAMILIES`: by their events, the same in whatever order, so against the light as with it.
+    Return the path class, a number below `PATH_CLASSES`.
+
+    It follows from the events of a path but not from their order, so that both directions come to the same class.
 
     Parameters
     ----------
@@ -64,29 +68,29 @@ def family_of(event: EventReader, length: mi.UInt32, start: StartRays, active: m
     length : mi.UInt32
         Number of events, without the absorption at the end.
     start : StartRays
-        Of the rays; those that go on from within a tree know what the events before have added.
+        Start rays; those that go on from within a tree hold the sum over the events before.
     active : mi.Bool
     """
     none = dr.zeros(mi.UInt32, dr.width(active))
-    total = mixed_events(event, start.given("depth", none), length, start.given("family", none), active)
-    return (total ^ (total >> 15)) % FAMILIES
+    total = mixed_events(event, start.given("depth", none), length, start.given("path_class", none), active)
+    return (total ^ (total >> 15)) % PATH_CLASSES
 
 
 def host_keys(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     """
-    The keys of event lists, computed on the host.
+    Return the keys of event lists, computed on the host.
 
     Parameters
     ----------
     events : (p, k) uint32
-        Lists, filled up at their ends.
+        Event lists, padded at their ends.
     lengths : (p,) int
         Number of events of each.
 
     Returns
     -------
     (p,) uint64
-        What `extend_key` makes of `FIRST_KEY` and the events one after the other.
+        Keys, as `extend_key` yields them from `FIRST_KEY` and the events in turn.
     """
     keys = np.full(len(events), FIRST_KEY, dtype=np.uint64)
     for k in range(events.shape[1]):
@@ -95,6 +99,6 @@ def host_keys(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
 
 
 def host_extend(keys: np.ndarray, codes: np.ndarray) -> np.ndarray:
-    """(p,) uint64: what `extend_key` makes of keys and codes, computed on the host."""
+    """Return `extend_key` of keys and codes, computed on the host; (p,) uint64."""
     longer = (keys ^ (codes.astype(np.uint64) + np.uint64(1))) * np.uint64(MULTIPLIER)
     return np.asarray(longer ^ (longer >> np.uint64(29)))

@@ -1,9 +1,11 @@
-"""Names of paths: what turns the light, and what it passes where it leaves the sequence of the design.
+"""
+Names of paths: the events that turn the light, and the surfaces it passes where it leaves the design sequence.
 
 A name follows from the events of its own path and from the scene, so that a path has one name in every table. Events
-that are not of the design are its turns: reflections, scatter, total reflection. From one turn to the next light goes
-by the surfaces that lie between them in the design sequence, forwards or backwards; then they are left out. Else the
-name has those that it passes, or the word `PAST` where it passes none. So different paths have different names.
+that are not of the design are its turns: reflections, scatter, total reflection. From one turn to the next light
+usually goes by the surfaces that lie between them in the design sequence, forward or backward; then they are left out.
+Otherwise the name lists the surfaces that it passes, or has the word `PAST` where it passes none. So different paths
+have different names.
 """
 
 from __future__ import annotations
@@ -38,11 +40,11 @@ class PathNames:
     ids : sequence of str
         Names of the surfaces.
     bits : (s,) uint32
-        Of the surfaces, see `mistray.surfaces.optics`.
+        Flags of the surfaces, see `mistray.surfaces.optics`.
     design : DesignSequences
-        Without a sequence to a detector its paths have all the surfaces in their names that they pass.
+        Sequences of the design. The names of paths to a detector without one list all the surfaces that they pass.
     letters : mapping of int to str
-        Of what happens at a surface.
+        Letters of the kinds of events.
     """
 
     def __init__(
@@ -54,12 +56,12 @@ class PathNames:
 
     def name(self, codes: Sequence[int], kind: str) -> str:
         """
-        Name of a path.
+        Return the name of a path.
 
         Parameters
         ----------
         codes : sequence of int
-            Its events, surface << EVENT_BITS | what, the absorption in the detector at the end.
+            Events of the path, surface << EVENT_BITS | what, the absorption in the detector at the end.
         kind : str
             See `mistray.trace.paths.PathRow`.
         """
@@ -68,11 +70,13 @@ class PathNames:
         turns: list[int] = []
         words: list[str] = []
         passed: list[int] = []
+        # Split the events at the turns; `regular` while the light follows the design sequence between them
         regular, before = True, SOURCE
         for code in codes:
             if code != end and (code in designed or code & EVENT_MASK == TRANSMITTED):
                 passed.append(code)
                 continue
+            # A turn, or the end: compare the surfaces passed since the last one with the design
             if passed != self._between(before, code >> EVENT_BITS, detector):
                 regular = False
                 words += [self._word(one) for one in passed] or [PAST]
@@ -80,6 +84,7 @@ class PathNames:
                 turns.append(code)
                 words.append(self._word(code))
             before, passed = code >> EVENT_BITS, []
+        # Short name where there is one; else the turns with the surfaces passed
         if turns:
             text = self._short(turns, kind, designed) if regular else ""
             text = text or " ".join(words)
@@ -91,10 +96,16 @@ class PathNames:
         return f"{text}, on {self._ids[detector]}" if self._several else text
 
     def _short(self, turns: Sequence[int], kind: str, designed: set[int]) -> str:
-        """What reflections alone, and scatter once where a surface sends most of it, are called; else nothing."""
+        """
+        Return the short name of a path; empty where it has none.
+
+        Paths with reflections alone have one, and those with a single scatter event on the side to which the surface
+        sends most of its scatter.
+        """
         names = [self._ids[code >> EVENT_BITS] for code in turns]
         if all(code & EVENT_MASK == REFLECTED for code in turns):
             return ARROW.join(names) + (f" ({kind})" if kind.startswith("structure") else "")
+        # A surface sends most of its scatter to the side of its specular beam
         surface, what = turns[0] >> EVENT_BITS, turns[0] & EVENT_MASK
         reflects = bool(self._bits[surface] & OPAQUE) or (surface << EVENT_BITS | REFLECTED) in designed
         if len(turns) == 1 and what == (RANDOM_REFLECTED if reflects else RANDOM_TRANSMITTED):
@@ -105,17 +116,18 @@ class PathNames:
         return f"{self._ids[code >> EVENT_BITS]}:{self._letters[code & EVENT_MASK]}"
 
     def _sequence(self, detector: int) -> Sequence[int]:
-        """The first sequence of the design to a detector, without the absorption there."""
+        """Return the first sequence of the design to a detector, without the absorption there."""
         return next(iter(self._design.lists.get(detector, ())), ())
 
     def _between(self, first: int, last: int, detector: int) -> list[int]:
-        """Events of the design sequence between two surfaces, the nearest places of which count."""
+        """Return the events of the design sequence between two surfaces, at their closest occurrences."""
         key = first, last, detector
         if key not in self._expected:
             sequence = self._sequence(detector)
             places: dict[int, list[int]] = {SOURCE: [-1], detector: [len(sequence)]} if sequence else {}
             for number, code in enumerate(sequence):
                 places.setdefault(code >> EVENT_BITS, []).append(number)
+            # A surface may occur several times in a sequence, as in a folded system
             pairs = list(product(places.get(first, []), places.get(last, [])))
             i, j = min(pairs, key=lambda pair: abs(pair[0] - pair[1]), default=(0, 0))
             between = sequence[min(i, j) + 1 : max(i, j)]

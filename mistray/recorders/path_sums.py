@@ -1,4 +1,4 @@
-"""Sums of backward traces by path and by cell of directions."""
+"""Sums of contributions by path and by cell of directions."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from mistray.errors import MistrayError
 from mistray.recorders.ledger import claim, write_list
 from mistray.recorders.path_key import MULTIPLIER, host_keys
 
-# Tables of paths: a path that finds no place within so many slots is not listed
+# Most slots that are probed: a path that finds none is not listed
 MOST_PROBES = 24
-HIT_SUMS = 3  # of a path in a cell: hits, weight, squared weight
+HIT_SUMS = 3  # sums of a path in a cell: hits, weight, squared weight
 
 
 class PathSums:
     """
-    Weights of rays by path and cell, in device memory of a fixed size.
+    Contributions of rays by path and cell, in device memory of a fixed size.
 
-    Paths that find no room are left out; they are in the sums of the cells all the same.
+    Paths that find no room are left out; the sums of the cells include them all the same.
 
     Parameters
     ----------
@@ -55,12 +55,14 @@ class PathSums:
         weight: mi.Float,
         active: mi.Bool,
     ) -> None:
-        """Add a ray that left after the events `read(k, mask)`, k < length."""
+        """Add a ray that ends after the events `read(k, mask)`, k < length."""
+        # Find or claim the slot of the path
         slot, found, new = claim(
             self.keys, key, mi.UInt32(key >> 32) & self._path_mask, self._path_mask, MOST_PROBES, active
         )
         dr.scatter(self.lengths, length, slot, new)
         write_list(self.events, slot * self.max_events, length, read, new)
+        # Find or claim the entry of the path in its cell; 0 marks a free entry
         number = slot * self.cells + cell + 1
         start = mi.UInt32((mi.UInt64(number) * mi.UInt64(MULTIPLIER)) >> 32) & self._entry_mask
         entry, found, _ = claim(self.entries, number, start, self._entry_mask, MOST_PROBES, found)
@@ -70,7 +72,7 @@ class PathSums:
 
     def read(self) -> dict[str, np.ndarray]:
         """
-        The sums on the host.
+        Return the sums on the host.
 
         Returns
         -------
@@ -83,6 +85,7 @@ class PathSums:
         MistrayError
             If an event list does not hash to its key.
         """
+        # Paths, checked against their keys as those of a ledger
         keys = np.array(self.keys)
         slots = np.flatnonzero(keys)
         lengths = np.array(self.lengths)[slots].astype(np.int64)
@@ -90,6 +93,7 @@ class PathSums:
         wrong = int(np.count_nonzero(host_keys(events, lengths) != keys[slots]))
         if wrong:
             raise MistrayError(f"paths: {wrong} of {len(slots)} event lists do not match their key; please report this")
+        # Entries: slots become indices of the paths
         entries = np.array(self.entries)
         used = np.flatnonzero(entries)
         number = entries[used].astype(np.int64) - 1
@@ -108,7 +112,8 @@ class PathSums:
 
 
 def join_sums(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Two path tables, see `PathSums.read`, as one."""
+    """Return two path tables, see `PathSums.read`, as one."""
+    # Paths are identified by their keys, and entries by path and cell
     longest = max(first["events"].shape[1], second["events"].shape[1])
     events = np.concatenate(
         [np.pad(one["events"], ((0, 0), (0, longest - one["events"].shape[1]))) for one in (first, second)]

@@ -1,9 +1,10 @@
-"""What the ray tree reports to: a recorder sums, lists or differentiates what happens to the rays.
+"""
+Interface of the recorders: objects that sum, list or differentiate the events that the ray tree reports.
 
-The tree knows no recorder. It calls the same few methods of each, in the order in which they are given, while its
-kernel is traced; a method that a recorder does not override costs nothing. A recorder keeps results in arrays of its
-own, which it adds to with `dr.scatter_reduce` and the like. What it must remember of a lane from one step to the next
-stands in `memory`, a dictionary of loop variables and local arrays that all recorders share.
+The tree depends on no particular recorder. It calls the same few methods of each, in the order in which they are given,
+while its kernel is traced. A method that a recorder does not override costs nothing. A recorder keeps results in arrays
+of its own, which it adds to with `dr.scatter_reduce` and the like. Its per-lane state between two steps lies in
+`memory`, a dictionary of loop variables and local arrays that all recorders share.
 """
 
 from __future__ import annotations
@@ -36,38 +37,40 @@ class Visit:
     Attributes
     ----------
     start : StartRays
-        That the lanes come from.
+        Start rays of the lanes.
     state : dict
         Variables of the loop, see `mistray.kernel.ray_tree`.
     interaction : Interaction
     shares : ScatterBudget or None
-        What the surfaces scatter.
+        Scattering shares of the surfaces; None: no surface scatters.
     visited : mi.Bool
         Lanes that visit a node for the first time.
     active : mi.Bool
-        Those of them whose hits count.
+        Lanes among `visited` whose hits contribute.
     detected : mi.Bool
-        Those of them that a detector takes.
+        Lanes among `active` whose surface is a detector.
     counted : mi.Bool
-        Those of them that later recorders count; a recorder may take lanes out.
+        Lanes that later recorders record; a recorder may remove lanes.
     weight, absorbed : mi.Float
-        Flux that arrives and that is absorbed, in units of a start ray.
+        Throughput on arrival, and the flux that is absorbed, in units of a start ray.
     position : tuple of mi.Float
-        In the detector's frame, mm.
+        Point in the detector's frame, mm.
     code, key : mi.UInt32, mi.UInt64
-        Of the absorption here, and of the path that ends with it.
+        Event code of the absorption here, and key of the path that ends with it.
     codes : dr.Local
-        Events before, by depth.
+        Earlier events of the path, by depth.
     nodes : tuple of dr.Local
-        Nodes before, see `mistray.kernel.pending_nodes`.
+        Earlier nodes of the path, see `mistray.kernel.pending_nodes`.
     scatters : bool
         Whether anything in the scene scatters.
     slot : mi.UInt32 or None
-        Of the path in the ledger, once a ledger has found it.
-    odds : mi.Float or None
-        Rays against the light for one of these that arrive, see `mistray.kernel.odds`; None: they are not weighed.
-    link : mi.Float or None
-        How many connections find their paths, see `mistray.kernel.odds.Odds.linked`; None: there are none.
+        Slot of the path in the ledger, once a ledger has found it.
+    pdf_ratio : mi.Float or None
+        pdf_rev/pdf_own of the path: backward rays that find it for each of these forward rays, see
+        `mistray.kernel.pdf_ratios`; None: there are no MIS weights.
+    connection_ratio : mi.Float or None
+        Connections that find the path, per ray and per light vertex, see
+        `mistray.kernel.pdf_ratios.PdfRatios.connection_ratios`; None: there are no connections.
     """
 
     start: StartRays
@@ -87,8 +90,8 @@ class Visit:
     nodes: Any
     scatters: bool
     slot: mi.UInt32 | None = None
-    odds: mi.Float | None = None
-    link: mi.Float | None = None
+    pdf_ratio: mi.Float | None = None
+    connection_ratio: mi.Float | None = None
 
     @property
     def surface(self) -> mi.UInt32:
@@ -97,22 +100,24 @@ class Visit:
 
     @property
     def depth(self) -> mi.UInt32:
-        """Events before."""
+        """Number of events before the hit."""
         return self.state["depth"]
 
     def event(self, k: mi.UInt32, mask: mi.Bool) -> mi.UInt32:
         """See `EventReader`; the last event is the absorption here."""
+        # The absorption is not in local memory, where this entry is for the event that sends a child on
         before = k < self.depth
         return dr.select(before, self.codes.read(k, mask & before), self.code)
 
     def before(self, mask: mi.Bool) -> mi.UInt32:
-        """The event before the hit, `NO_EVENT` straight after the start of a ray, which may be within a tree."""
+        """Return the event before the hit; `NO_EVENT` straight after the start of a ray, which may be within a tree."""
+        # Rays that go on from within a tree have a start depth above 0; earlier events are not in local memory
         there = self.depth > self.start.given("depth", dr.zeros(mi.UInt32, dr.width(mask)))
         return dr.select(there, self.codes.read(dr.select(there, self.depth - 1, 0), mask & there), mi.UInt32(NO_EVENT))
 
     @property
     def node(self) -> Sequence[mi.Float]:
-        """Point, direction of arrival and weight."""
+        """Point, direction of arrival and throughput."""
         return (*self.interaction.p, *self.state["d"], self.weight)
 
 
@@ -125,16 +130,16 @@ class Branch:
     ----------
     start : StartRays
     depth : mi.UInt32
-        Of the node.
+        Depth of the node.
     interaction : Interaction
     place : mi.UInt32
         Number of the surface, or of the medium that scatters.
     reflect : mi.Bool
-        Whether the ray goes back to where the light came from.
+        Whether the ray stays on the side of incidence.
     aimed : mi.Bool or None
-        Lanes that scattered towards a target, whether the ray has any weight or not; None: nothing scatters.
+        Lanes that scattered towards a target, whether the ray has any flux or not; None: nothing scatters.
     slope : mi.Float
-        d ln(its weight) / d(R or T).
+        d ln(throughput) / d(R or T).
     active : mi.Bool
     """
 
@@ -159,24 +164,27 @@ class Departure:
     heading : mi.Vector3f
         Unit direction.
     weight : mi.Float
-        In units of a start ray.
+        Throughput, in units of a start ray's flux.
     reflections, scatters : mi.UInt32
-        Counted reflections, and scatter events, see `mistray.recorders.ledger.COUNT_MASK`.
+        Counted reflections, and scatter events, see `mistray.recorders.path_key.COUNT_MASK`.
     key, length : mi.UInt64, mi.UInt32
-        Of the path, and the number of its events.
+        Key of the path, and the number of its events.
     event : callable
         See `EventReader`.
     active : mi.Bool
     nodes : tuple of dr.Local, optional
         Nodes before the last.
     node : sequence of mi.Float, optional
-        The last one: point, direction of arrival and weight; None: the rays come straight from their start.
-    odds : mi.Float or None
-        Rays with the light for one of these that leave, see `mistray.kernel.odds`; None: they are not weighed.
-    link : mi.Float or None
-        How many connections find their paths, see `mistray.kernel.odds.Odds.linked`; None: there are none.
-    joint : mi.UInt32 or None
-        What rays remember that were connected to light, see `mistray.kernel.scatter_shares.JOINED`; 0 of others.
+        The last node: point, direction of arrival and throughput; None: the rays come straight from their start.
+    pdf_ratio : mi.Float or None
+        pdf_rev/pdf_own of the path: forward rays that find it for each of these backward rays, see
+        `mistray.kernel.pdf_ratios`; None: there are no MIS weights.
+    connection_ratio : mi.Float or None
+        Connections that find the path, per ray and per light vertex, see
+        `mistray.kernel.pdf_ratios.PdfRatios.connection_ratios`; None: there are no connections.
+    light_vertex : mi.UInt32 or None
+        Number of the light vertex plus one that a ray was connected to, see
+        `mistray.kernel.scatter_shares.CONNECTED`; 0 of other rays.
     """
 
     start: StartRays
@@ -190,31 +198,31 @@ class Departure:
     active: mi.Bool
     nodes: Any = None
     node: Sequence[mi.Float] | None = None
-    odds: mi.Float | None = None
-    link: mi.Float | None = None
-    joint: mi.UInt32 | None = None
+    pdf_ratio: mi.Float | None = None
+    connection_ratio: mi.Float | None = None
+    light_vertex: mi.UInt32 | None = None
 
 
 @dataclass
 class Segment:
     """
-    Rays on their way from one point to the next.
+    Ray segments from one point to the next.
 
     Attributes
     ----------
     start : StartRays
     origin : mi.Vector3f
-        Of the device, see `mistray.surfaces.surfaces.SurfaceTable.centre`; mm.
+        Start of the segment in the device's frame, see `mistray.surfaces.surfaces.SurfaceTable.centre`; mm.
     heading : mi.Vector3f
         Unit direction.
     flux : mi.Float
-        At the origin, in units of a start ray.
+        Throughput at the origin, in units of a start ray's flux.
     medium : mi.UInt32
-        Number of the material; 0 is not known.
+        Number of the material; 0: unknown.
     length : mi.Float
-        To the next surface, mm; without meaning where it leaves.
+        Length to the next surface, mm; without meaning where the ray leaves.
     leaves : mi.Bool
-        Whether it leaves the scene.
+        Whether the ray leaves the scene.
     active : mi.Bool
     """
 
@@ -231,17 +239,17 @@ class Segment:
 @dataclass
 class Return:
     """
-    Branches that have ended, with all that followed from them.
+    Branches that have ended, with their whole subtrees.
 
     Attributes
     ----------
     start : StartRays
     depth : mi.UInt32
-        Of the deepest node.
+        Depth of the deepest node.
     last : mi.UInt32
-        Of the node to which the lane comes back; 0 where its tree is complete.
+        Depth of the node to which the lane comes back; 0 where its tree is complete.
     closed : mi.UInt32
-        Of the first node to which it does not come back.
+        Depth of the first node to which it does not come back.
     active : mi.Bool
     """
 
@@ -254,85 +262,99 @@ class Return:
 
 class Recorder:
     """
-    Does nothing; recorders override what they need.
+    Base class of recorders, which does nothing; recorders override the methods that they need.
 
     Attributes
     ----------
     node_floats : int
-        How many numbers of the nodes of a path it reads: 0, POINT_FLOATS or NODE_FLOATS.
-    by_way : bool
-        Whether paths that differ only in how a direction was found are one to it: at random or aimed.
+        Number of floats that it reads of each node of a path: 0, POINT_FLOATS or NODE_FLOATS.
+    merges_aimed : bool
+        Whether it treats paths as one that differ only in the sampling of a direction, at random or aimed.
     incident : bool
-        Whether hits of the detector count that it does not absorb.
+        Whether hits of the detector contribute that it does not absorb.
     departs : bool
-        Whether it is told of light that leaves the scene of a trace with the light, too.
+        Whether light that leaves the scene of a forward trace is reported to it, too.
     name : str
-        What a result calls it; empty: nothing.
+        Name in a result; empty: none.
     """
 
     name = ""
     departs = False
     node_floats = 0
-    by_way = False
+    merges_aimed = False
     incident = False
 
     @property
     def by_ray(self) -> bool:
-        """Whether the memory of a lane is of one start ray: then no lane takes a second one."""
+        """Whether the memory of a lane belongs to one start ray, so that no lane may take a second one."""
         return type(self).begin is not Recorder.begin
 
     @property
     def code(self) -> Hashable:
-        """What tells the kernels of the same scene apart that write to it."""
+        """Key that distinguishes the kernels of one scene by the recorders that they write to."""
         return type(self).__name__
 
+    # ---- a trace of one source and wavelength, called on the host
+
     def attach(self, scene: KernelScene) -> None:
-        """A trace of one source and wavelength begins, or begins again: what it has brought so far does not count."""
+        """Begin a trace of one source and wavelength, or begin it again: earlier results of it are discarded."""
 
     def collect(self, unit: float) -> None:
-        """It has ended; the flux of a start ray is so many W."""
+        """Collect the results of a trace that has ended; `unit` is the flux of a start ray in W."""
+
+    # ---- events of the rays, called while the kernel is traced: their arguments are symbolic
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
-        """Put what is remembered of a lane into the memory, before the first segment."""
+        """Put the per-lane state of the recorder into the memory, before the first segment."""
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Rays have met surfaces."""
+        """Record rays that meet surfaces."""
 
     def branch(self, branch: Branch, memory: Memory) -> None:
-        """Rays are sent on from a node."""
+        """Record rays that a node sends on."""
 
     def travel(self, segment: Segment, memory: Memory) -> None:
-        """Rays go from the source, or from a node, to the next surface or out of the scene."""
+        """Record ray segments from the source, or from a node, to the next surface or out of the scene."""
 
     def depart(self, departure: Departure, memory: Memory) -> None:
-        """Rays of a backward trace leave the scene, and those of other traces after a hit if the recorder `departs`."""
+        """
+        Record rays that leave the scene.
+
+        Those of a backward trace are all reported; those of other traces only after a hit, and if the recorder
+        `departs`.
+        """
 
     def back(self, back: Return, memory: Memory) -> None:
-        """Branches have ended."""
+        """Record branches that have ended."""
+
+    # ---- flux that no surface absorbs
 
     def lose(self, channel: int | mi.UInt32, flux: Any, active: mi.Bool, memory: Memory) -> None:
-        """Flux (or a count) goes to one of the first `LANE_REASONS` of `mistray.recorders.tallies`."""
+        """Record flux (or a count) in one of the first `LANE_REASONS` channels of `mistray.recorders.tallies`."""
 
     def cut(self, channel: int | mi.UInt32, batch: mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
-        """Flux goes to one of the other channels, which most traces have no light for."""
+        """Record flux in one of the other channels, which stay empty in most traces."""
 
     def take(self, medium: mi.UInt32, batch: mi.UInt32, flux: Any, active: mi.Bool) -> None:
-        """A medium absorbs flux."""
+        """Record flux that a medium absorbs."""
+
+    # ---- complete trees
 
     def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
-        """Trees are complete, of so many segments; those of the lanes `cut_off` were larger than they may be."""
+        """Record complete trees and their numbers of segments; trees of lanes in `cut_off` were over the limit."""
 
     def collect_lanes(self, start: StartRays, memory: Memory) -> None:
-        """All trees of the lanes are complete. The rays of a lane were of one batch."""
+        """Collect the per-lane sums when all trees are complete; the rays of a lane were of one batch."""
 
 
 class Recorders(Recorder):
-    """Several recorders, told one after the other."""
+    """Several recorders, which are called one after the other."""
 
     def __init__(self, recorders: Sequence[Recorder | None]) -> None:
         self._all = [recorder for recorder in recorders if recorder is not None]
+        # The tree does what any of them needs
         self.node_floats = max((recorder.node_floats for recorder in self._all), default=0)
-        self.by_way = any(recorder.by_way for recorder in self._all)
+        self.merges_aimed = any(recorder.merges_aimed for recorder in self._all)
         self.incident = any(recorder.incident for recorder in self._all)
         self.departs = any(recorder.departs for recorder in self._all)
 
@@ -345,6 +367,8 @@ class Recorders(Recorder):
     def code(self) -> Hashable:
         """See `Recorder.code`."""
         return tuple(recorder.code for recorder in self._all)
+
+    # ---- each call goes to all of them, in order: a recorder may change a visit for those after it
 
     def attach(self, scene: KernelScene) -> None:
         """See `Recorder.attach`."""

@@ -1,4 +1,4 @@
-"""Rays at the start of a trace, forwards from a source or backwards from the detector."""
+"""Rays at the start of a trace, forward from a source or backward from the detector."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import mitsuba as mi
 
 def generators(seed: int, lane: mi.UInt32) -> tuple[mi.PCG32, mi.UInt32]:
     """
-    One random number generator for each lane.
+    Return one random number generator for each lane.
 
     Returns
     -------
     rng : mi.PCG32
     scrambled : mi.UInt32
-        A random number of each lane that goes with its generator.
+        Stream number of each lane's generator, a hash of seed and lane.
     """
-    # Streams of PCG32 with neighbouring numbers are correlated: seed and ray number are scrambled first
+    # Streams of PCG32 with neighbouring numbers are correlated: seed and ray number are hashed first
     state, sequence = mi.sample_tea_32(dr.opaque(mi.UInt32, seed % 2**32), lane)
     return mi.PCG32(size=dr.width(lane), initstate=mi.UInt64(state), initseq=mi.UInt64(sequence)), sequence
 
@@ -36,38 +36,38 @@ class StartRays:
     batch : mi.UInt32
         Batch of each ray, for standard errors.
     rng : mi.PCG32
-        One generator a lane.
+        One generator for each lane.
     o, d : mi.Vector3f
         Origins (mm) and unit directions.
     w : mi.Float
-        Weights; 1 from a source.
+        Throughput at the start; 1 from a source.
     left : mi.UInt32, optional
         Surface that the rays start on.
     normal : mi.Vector3f, optional
-        Its normal at the origins.
+        Normal of that surface at the origins.
     pixel : mi.UInt32, optional
         Pixel of the detector that they start from.
     cell : mi.UInt32, optional
         Cell of directions that they come from.
     medium : mi.UInt32, optional
-        Number of the material that they start in; 0 is not known.
+        Number of the material that they start in; 0: unknown.
     depth, reflections, scatters : mi.UInt32, optional
-        Of rays that go on from within a tree: events before, counted reflections, scatter events (packed as in
-        `mistray.kernel.ray_tree`).
-    key, family : mi.UInt64, mi.UInt32, optional
-        Key of these events, and what they add to the number of a family, see `mistray.recorders.path_key`.
-    birth : mi.Float, optional
-        Weight with which such a ray left the source or was scattered last.
+        Events before, counted reflections and scatter events (packed as in `mistray.kernel.ray_tree`), for rays that
+        go on from within a tree.
+    key, path_class : mi.UInt64, mi.UInt32, optional
+        Key of these events, and their sum for the path class, see `mistray.recorders.path_key.mixed_events`.
+    reference : mi.Float, optional
+        Reference throughput: the throughput with which such a ray left the source or was scattered last.
     aimed_from : mi.UInt32, optional
         Surface that sent it to a target, `NO_SURFACE` if none did.
     run : mi.UInt32, optional
         Hits of one surface in a row before, see `mistray.kernel.branch_limits`.
     at : mi.UInt32, optional
-        Surface that a ray has just arrived at, with its origin on it; `NO_SURFACE`: it is on its way.
+        Surface that a ray has just arrived at, with its origin on it; `NO_SURFACE`: it is between surfaces.
     scale : mi.Float, optional
-        Weight with which the ray left the source, where that is not 1: what `Settings.flux_threshold` is relative to.
+        Throughput with which the ray left the source, if it is not 1: the unit of `Settings.flux_threshold`.
     place : list of mi.Float, optional
-        Where the start rays lie in the unit cube of their cell, see `mistray.sampling.plane_wave.wave_rays`.
+        Point of the start ray in the unit cube of its cell, see `mistray.sampling.plane_wave.wave_rays`.
     stokes : mi.Vector3f, optional
         (q, u, v) of polarised light with respect to the axes of `mistray.kernel.polarization`.
     """
@@ -88,8 +88,8 @@ class StartRays:
     reflections: mi.UInt32 | None = None
     scatters: mi.UInt32 | None = None
     key: mi.UInt64 | None = None
-    family: mi.UInt32 | None = None
-    birth: mi.Float | None = None
+    path_class: mi.UInt32 | None = None
+    reference: mi.Float | None = None
     aimed_from: mi.UInt32 | None = None
     run: mi.UInt32 | None = None
     at: mi.UInt32 | None = None
@@ -98,33 +98,35 @@ class StartRays:
     stokes: mi.Vector3f | None = None
 
     def given(self, name: str, otherwise: Any) -> Any:
-        """An optional field, or what holds where it is not given."""
+        """Return an optional field, or a default where it is None."""
         value = getattr(self, name)
         return otherwise if value is None else value
 
     def picked(self, index: mi.UInt32) -> StartRays:
-        """Some of the rays; what is one constant stays one, so that they take the same kernel as all of them."""
+        """Return some of the rays; literal constants stay literal, so that they take the same kernel as all rays."""
         return StartRays(**{f.name: chosen(getattr(self, f.name), index) for f in fields(self)})
 
     def take(self, index: mi.UInt32) -> StartRays:
-        """The same, in memory."""
+        """Return some of the rays, evaluated in memory."""
         taken = self.picked(index)
         dr.eval(*(getattr(taken, f.name) for f in fields(taken)))
         return taken
 
 
 def chosen(value: Any, index: mi.UInt32, active: mi.Bool | bool = True) -> Any:
-    """Entries of an array or of several; those of a constant are that constant."""
+    """Return entries of an array or of several; a literal constant stays literal."""
     if value is None:
         return None
     if isinstance(value, list):
         return [chosen(one, index, active) for one in value]
     if isinstance(value, mi.PCG32):
+        # A gather takes no generator: its two words are gathered one by one
         rng = mi.PCG32()
         rng.state, rng.inc = chosen(value.state, index, active), chosen(value.inc, index, active)
         return rng
     if dr.depth_v(value) > 1:
         return type(value)(*(chosen(one, index, active) for one in value))
+    # A gather would make a variable of a literal, and so another kernel
     if value.state == dr.VarState.Literal:
         return dr.full(type(value), value[0], dr.width(index))
     return dr.gather(type(value), value, index, active)

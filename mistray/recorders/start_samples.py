@@ -1,4 +1,8 @@
-"""Recorder of light that arrives, ray by ray: where it started with the light, and what it brings."""
+"""
+Samples of the light that arrives, ray by ray: the point where a forward ray starts on the path, and its contribution.
+
+Start maps are learned from these samples, and weight windows from the importance that is summed beside them.
+"""
 
 from __future__ import annotations
 
@@ -12,31 +16,31 @@ import numpy as np
 from mistray.recorders.design_sequences import DesignKeys
 from mistray.recorders.direction_recorder import DirectionRecorder, class_of_arrival, class_of_departure
 from mistray.recorders.directions import DirectionGrid
+from mistray.recorders.mis_weights import StartMisWeighting
 from mistray.recorders.path_key import (
     COUNT_MASK,
     EVENT_BITS,
     EVENT_MASK,
     NO_EVENT,
     RANDOM_TRANSMITTED,
-    family_of,
     mixed_word,
+    path_class_of,
 )
 from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
 from mistray.recorders.start_rays import StartRays
-from mistray.recorders.weighing import StartWeighing
 from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.upload import upload
 
-SAMPLES = 1 << 20  # that are kept; more are counted only
-WAYS = 256  # to a surface that are told apart; more share their numbers
+SAMPLES = 1 << 20  # most samples that are kept; more are counted only
+WAYS = 256  # approaches to a surface that are told apart by hashing; more of them share rows
 
 
-def worth_row(surface: mi.UInt32, before: mi.UInt32, scatters: mi.UInt32) -> mi.UInt32:
+def window_row(surface: mi.UInt32, before: mi.UInt32, scatters: mi.UInt32) -> mi.UInt32:
     """
-    Row of a surface in tables of (surfaces · `WAYS`,) numbers.
+    Return the row of a surface and the approach to it, in tables of (surfaces · `WAYS`,) numbers.
 
-    The way there is the event before, or `NO_EVENT`, and the number of scatter events: light that comes to either face
-    of a stop is told apart, and so is a reflection from light that goes through.
+    The approach is the event before, or `NO_EVENT`, and the number of scatter events. So light that comes to either
+    face of a stop is told apart, and so is a reflection from light that goes through.
     """
     return surface * WAYS + mixed_word(before + scatters * 0x9E3779B1) % WAYS
 
@@ -44,61 +48,63 @@ def worth_row(surface: mi.UInt32, before: mi.UInt32, scatters: mi.UInt32) -> mi.
 @dataclass(frozen=True, eq=False)
 class Samples:
     """
-    Light that arrives.
+    Samples of light that arrives.
 
     Attributes
     ----------
-    lane, cell, kind, family : (s,) int
-        Start ray, cell of directions, class of light and family of paths, see `mistray.recorders.path_key.family_of`.
+    lane, cell, kind, path_class : (s,) int
+        Start ray, cell of directions, class of light and path class, see
+        `mistray.recorders.path_key.path_class_of`.
     points : (s, 4) float64
-        Starts with the light in the unit cube of the cell, see `mistray.sampling.plane_wave.wave_rays`.
+        Start points of forward rays in the unit cube of the cell, see `mistray.sampling.plane_wave.wave_rays`.
     weight : (s,) float64
-        What counts of each, in units of a start ray.
-    along, connected : (s,) float64
-        Shares of its path, see `mistray.recorders.weighing.PathShares`.
+        Throughput times MIS weight of each sample, in units of a start ray.
+    forward, connected : (s,) float64
+        MIS weights of its path, see `mistray.recorders.mis_weights.MisWeights`.
     density : (s,) float64
-        Of start rays with the light at the point.
+        Density of forward start rays at the point.
     segments : (c,) float64
-        Ray segments by the cell of their start rays; all in one number where rays go to all cells.
-    worth : (4, n, WAYS) float64, optional
-        By surface and way there, see `worth_row`: weight that arrives, its squares, what follows from it, and the
-        squares of that; of a trace against the light.
+        Ray segments by the cell of their start rays; one number in all where rays go to all cells.
+    importance : (4, n, WAYS) float64, optional
+        Sums by surface and approach, see `window_row`, of a backward trace: throughput that arrives, its squares, the
+        contribution that follows from it, and the squares of that. Weight windows follow from them.
     """
 
     lane: np.ndarray
     cell: np.ndarray
     kind: np.ndarray
-    family: np.ndarray
+    path_class: np.ndarray
     points: np.ndarray
     weight: np.ndarray
-    along: np.ndarray
+    forward: np.ndarray
     connected: np.ndarray
     density: np.ndarray
     segments: np.ndarray
-    worth: np.ndarray | None = None
+    importance: np.ndarray | None = None
 
     def times(self, unit: np.ndarray) -> Samples:
-        """Those of weights in other units, by cell."""
+        """Return the samples with weights times a unit for each cell."""
         return replace(self, weight=self.weight * unit[self.cell])
 
     @classmethod
     def together(cls, parts: Sequence[Samples], lanes: int) -> Samples:
-        """Those of several passes of so many start rays, in units of one of them all."""
+        """Return the samples of several passes as one, of `lanes` start rays each; all weights have the same unit."""
         if len(parts) == 1:
             return parts[0]
         columns = {f.name: [getattr(one, f.name) for one in parts] for f in fields(cls)}
+        # Start rays are numbered through over the passes
         columns["lane"] = [lane + k * lanes for k, lane in enumerate(columns["lane"])]
         sums = {name: sum(columns.pop(name)[1:], start=getattr(parts[0], name)) for name in ("segments", "worth")}
         return cls(**{name: np.concatenate(values) for name, values in columns.items()}, **sums)
 
 
 class _StartSamples(Recorder):
-    """What both directions have in common."""
+    """Append buffer of samples, for rays of either direction."""
 
-    by_way = True
+    merges_aimed = True
 
-    def __init__(self, cells: int, design: DesignKeys, weighing: StartWeighing, capacity: int = SAMPLES) -> None:
-        self._design, self._weighing, self._capacity = design, weighing, capacity
+    def __init__(self, cells: int, design: DesignKeys, mis: StartMisWeighting, capacity: int = SAMPLES) -> None:
+        self._design, self._mis, self._capacity = design, mis, capacity
         self._count = dr.zeros(mi.UInt32, 1)
         self._words = [dr.empty(mi.UInt32, capacity) for _ in range(4)]
         self._floats = [dr.empty(mi.Float, capacity) for _ in range(8)]
@@ -117,91 +123,95 @@ class _StartSamples(Recorder):
             dr.scatter(array, value, place, active)
 
     def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
-        """Count segments."""
+        """Add up the segments."""
         cell = mi.UInt32(0) if start.cell is None else start.cell
         dr.scatter_reduce(dr.ReduceOp.Add, self._segments, mi.Float64(segments), cell, active)
 
     def read(self) -> Samples:
-        """The samples on the host; of more than there is room for, those that came first stand for all."""
+        """Return the samples on the host; if there were more than fit, the first ones stand for all."""
         total = int(self._count[0])
         count = min(total, self._capacity)
-        there = dr.arange(mi.UInt32, count)  # the rest has not been written
+        there = dr.arange(mi.UInt32, count)  # the rest of the buffer has not been written
         words, floats = (
             [np.array(dr.gather(type(array), array, there)) for array in arrays]
             for arrays in (self._words, self._floats)
         )
-        # Lanes come in any order; what follows from the samples shall be the same each time. Pairs of words sort fast
+        # Lanes append in any order; sorting makes all later steps reproducible. Pairs of words sort fast
         x, y, u, _, brought, *_ = (values.view(np.uint32) for values in floats)
         pairs = (y, u), (brought, x), words[:2]  # the last one matters most
         order = np.lexsort([high.astype(np.uint64) << 32 | low for high, low in pairs])
-        lane, cell, kind, family = (values[order].astype(np.int64) for values in words)
-        *points, weight, along, connected, density = (values[order].astype(np.float64) for values in floats)
+        lane, cell, kind, path_class = (values[order].astype(np.int64) for values in words)
+        *points, weight, forward, connected, density = (values[order].astype(np.float64) for values in floats)
         places, segments = np.stack(points, axis=1), np.array(self._segments)
         weight *= total / max(count, 1)
-        return Samples(lane, cell, kind, family, places, weight, along, connected, density, segments)
+        return Samples(lane, cell, kind, path_class, places, weight, forward, connected, density, segments)
 
 
 class DepartureSamples(_StartSamples):
     """
-    Of a trace against the light: rays that leave the scene.
+    Samples of a backward trace: rays that leave the scene.
 
     Parameters
     ----------
     grid : DirectionGrid
     design : DesignKeys
-    weighing : StartWeighing
+    mis : StartMisWeighting
     surfaces : int
+        Number of surfaces.
     values : (c,) float64
-        Of light of each cell, in what follows from the weight at a surface.
+        Value of a unit of contribution in each cell, for the importance of surfaces.
     capacity : int
-        Samples that are kept; more are counted only.
+        Most samples that are kept; more are counted only.
     """
 
     def __init__(
         self,
         grid: DirectionGrid,
         design: DesignKeys,
-        weighing: StartWeighing,
+        mis: StartMisWeighting,
         surfaces: int,
         values: np.ndarray,
         capacity: int = SAMPLES,
     ) -> None:
-        super().__init__(1, design, weighing, capacity)
+        super().__init__(1, design, mis, capacity)
         self._cells = DirectionRecorder(grid, design)
         self._values, self._surfaces = upload(mi.Float64, values), surfaces
-        self._worth = [dr.zeros(mi.Float64, surfaces * WAYS) for _ in range(4)]
-        dr.eval(self._worth)
+        self._importance = [dr.zeros(mi.Float64, surfaces * WAYS) for _ in range(4)]
+        dr.eval(self._importance)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add up what arrives where it may be scattered."""
+        """Add up the throughput that arrives at surfaces that scatter."""
         if visit.shares is None:
             return
         active = visit.active & (visit.shares.scattered > 0)
-        row = worth_row(visit.surface, visit.before(active), visit.state["scatters"] & COUNT_MASK)
+        row = window_row(visit.surface, visit.before(active), visit.state["scatters"] & COUNT_MASK)
         weight = mi.Float64(visit.weight)
-        dr.scatter_reduce(dr.ReduceOp.Add, self._worth[0], weight, row, active)
-        dr.scatter_reduce(dr.ReduceOp.Add, self._worth[1], weight * weight, row, active)
+        dr.scatter_reduce(dr.ReduceOp.Add, self._importance[0], weight, row, active)
+        dr.scatter_reduce(dr.ReduceOp.Add, self._importance[1], weight * weight, row, active)
 
-    def _add_worth(self, departure: Departure, worth: mi.Float64, active: mi.Bool) -> None:
-        """Add up what follows from the weights at the scatter events of paths, but for those at points of light."""
+    def _add_importance(self, departure: Departure, importance: mi.Float64, active: mi.Bool) -> None:
+        """Add the contribution of paths to the rows of their scatter events, but for those at light vertices."""
+        # The last scatter event of a connected ray is at its light vertex
         last = dr.full(mi.UInt32, NO_SURFACE, dr.width(active))
-        if departure.joint is not None:
-            last = dr.select(departure.joint != 0, (departure.scatters & COUNT_MASK) - 1, last)
+        if departure.light_vertex is not None:
+            last = dr.select(departure.light_vertex != 0, (departure.scatters & COUNT_MASK) - 1, last)
 
+        # Walk the events from the start: `order` is the number of scatter events so far, as at the visits
         def on(
             k: mi.UInt32, before: mi.UInt32, order: mi.UInt32, going: mi.Bool
         ) -> tuple[mi.UInt32, mi.UInt32, mi.UInt32, mi.Bool]:
             code = departure.event(k, going)
             scattered = going & ((code & EVENT_MASK) >= RANDOM_TRANSMITTED)
+            # Media scatter too, but have no rows
             surface = code >> EVENT_BITS
-            row = worth_row(surface, before, order)
+            row = window_row(surface, before, order)
             here = scattered & (order != last) & (surface < self._surfaces)
-            dr.scatter_reduce(dr.ReduceOp.Add, self._worth[2], worth, row, here)
-            dr.scatter_reduce(dr.ReduceOp.Add, self._worth[3], worth * worth, row, here)
+            dr.scatter_reduce(dr.ReduceOp.Add, self._importance[2], importance, row, here)
+            dr.scatter_reduce(dr.ReduceOp.Add, self._importance[3], importance * importance, row, here)
             return k + 1, code, order + dr.select(scattered, mi.UInt32(1), 0), going & (k + 1 < departure.length)
 
         width = dr.width(active)
-        going = active & (departure.length > 0) & (worth > 0)
+        going = active & (departure.length > 0) & (importance > 0)
         dr.while_loop(
             (dr.zeros(mi.UInt32, width), dr.full(mi.UInt32, NO_EVENT, width), dr.zeros(mi.UInt32, width), going),
             lambda k, before, order, going: going,
@@ -214,30 +224,31 @@ class DepartureSamples(_StartSamples):
         """Keep rays that leave within a cell."""
         cell, inside = self._cells.cell(departure.heading)
         inside &= departure.active
-        family = family_of(departure.event, departure.length, departure.start, inside)
-        words = departure.start.lane, cell, class_of_departure(departure, self._design), family
+        path_class = path_class_of(departure.event, departure.length, departure.start, inside)
+        words = departure.start.lane, cell, class_of_departure(departure, self._design), path_class
+        # Contribution: throughput times the MIS weight of backward rays
         weight = departure.weight
-        point = self._weighing.start_of(departure, cell, inside)
-        shares = self._weighing.against(departure, cell, inside)
-        density = self._weighing.density(cell, point, inside)
-        floats = (*point, weight * shares.against, shares.along, shares.connected, density)
-        self._keep(words, floats, inside & (shares.against > 0))
+        point = self._mis.start_of(departure, cell, inside)
+        shares = self._mis.backward(departure, cell, inside)
+        density = self._mis.density(cell, point, inside)
+        floats = (*point, weight * shares.backward, shares.forward, shares.connected, density)
+        self._keep(words, floats, inside & (shares.backward > 0))
         value = dr.gather(mi.Float64, self._values, cell, inside)
-        self._add_worth(departure, mi.Float64(weight * shares.against) * value, inside)
+        self._add_importance(departure, mi.Float64(weight * shares.backward) * value, inside)
 
     def read(self) -> Samples:
         """See `_StartSamples.read`."""
-        worth = np.array([np.array(one) for one in self._worth]).reshape(4, self._surfaces, WAYS)
-        return replace(super().read(), worth=worth)
+        importance = np.array([np.array(one) for one in self._importance]).reshape(4, self._surfaces, WAYS)
+        return replace(super().read(), importance=importance)
 
 
 class ArrivalSamples(_StartSamples):
     """
-    Of a trace with the light: rays that meet the detector.
+    Samples of a forward trace: rays that meet the detector.
 
     Parameters
     ----------
-    cells, design, weighing
+    cells, design, mis
         See `mistray.recorders.arrivals.ArrivalRecorder`.
     scattered_only : bool
         Leave out light that nothing has scattered.
@@ -245,8 +256,8 @@ class ArrivalSamples(_StartSamples):
 
     incident = True
 
-    def __init__(self, cells: int, design: DesignKeys, weighing: StartWeighing, scattered_only: bool = False) -> None:
-        super().__init__(cells, design, weighing)
+    def __init__(self, cells: int, design: DesignKeys, mis: StartMisWeighting, scattered_only: bool = False) -> None:
+        super().__init__(cells, design, mis)
         self._scattered_only = scattered_only
 
     @property
@@ -262,9 +273,10 @@ class ArrivalSamples(_StartSamples):
         assert start.scale is not None
         if self._scattered_only:
             met &= (visit.state["scatters"] & COUNT_MASK) != 0
-        family = family_of(visit.event, visit.depth, start, met)
-        words = start.lane, start.cell, class_of_arrival(visit, self._design), family
-        shares = self._weighing.along(visit)
+        path_class = path_class_of(visit.event, visit.depth, start, met)
+        words = start.lane, start.cell, class_of_arrival(visit, self._design), path_class
+        shares = self._mis.forward(visit)
+        # The start weight is the inverse of the density of the map
         density = dr.rcp(start.scale)
-        floats = (*start.place, visit.weight * shares.along, shares.along, shares.connected, density)
+        floats = (*start.place, visit.weight * shares.forward, shares.forward, shares.connected, density)
         self._keep(words, floats, met)

@@ -1,4 +1,4 @@
-"""Sums of flux: by surface, by medium, and by what becomes of light that is followed no further."""
+"""Sums of flux for the energy ledger: by surface, by medium, and by loss channel."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from mistray.settings import BATCHES, BRANCHES
 from mistray.surfaces.extrema import larger
 from mistray.surfaces.surface import NO_SURFACE
 
-# Rows of the tally: what is not tied to a surface. Those of any trace have sums in each lane
+# Loss channels: flux and counts that belong to no surface. Those that occur in any trace have sums in each lane
 ESCAPED, THRESHOLD, ROULETTE, REFLECTIONS, EVENTS, MEDIUM, SEGMENTS, FIRST_MISS, STARTED = range(9)
-# Scatter that a limit cuts, what was to be scattered less what the scattered rays carry, and the number, flux and
-# squared flux of the hits of the detector by scattered rays
+# Scatter that a limit cuts, flux to be scattered less the flux of the scattered rays, and the number, flux and squared
+# flux of the hits of the detector by scattered rays
 SCATTERS, SAMPLING, SCATTERED_HITS, SCATTERED_FLUX, SCATTERED_SQUARES = range(9, 14)
-TREE = 14  # what is left of trees that are larger than `max_segments`, and what EVENTS cuts of them
+TREE = 14  # flux left in trees that are larger than `max_segments`, and the flux that EVENTS cuts of them
 LANE_REASONS = 15
-EVENTS_OF_LANE = LANE_REASONS  # what EVENTS has cut in complete trees, in the memory of a lane
-# What `ray_control` keeps back, `max_generations`, `max_consecutive`, and `cut_below` in the order of its branches
+EVENTS_OF_LANE = LANE_REASONS  # flux that EVENTS has cut in complete trees, in the memory of a lane
+# Flux cut by `ray_control`, `max_generations`, `max_consecutive`, and by `cut_below` in the order of its branches
 CONTROL, GENERATIONS, CONSECUTIVE, CUT_BRANCHES = range(LANE_REASONS, LANE_REASONS + 4)
 CHANNEL_COUNT = CUT_BRANCHES + len(BRANCHES)
-# What cuts light off, by the names of `Energy.cut`
+# Channels of flux that limits cut, by the names of `Energy.cut`
 CUTS = {
     "flux_threshold": THRESHOLD,
     "roulette": ROULETTE,
@@ -42,16 +42,16 @@ CUTS = {
 # Columns of the tally of a surface; the last two count its aimed rays and those that reach the detector undeflected
 HITS, INCIDENT, ABSORBED_HERE, AIMED, LANDED = range(5)
 SURFACE_SUMS = 5
-MOST_LANE_SUMS = 256  # surfaces whose sums are kept by lane, 24 bytes for each surface and lane
-HIT_SUMS = 3  # the first of them, which every hit adds to
-SUMS = "sums"  # of a lane, in the memory
+MOST_LANE_SUMS = 256  # most surfaces whose sums are kept by lane, 24 bytes for each surface and lane
+HIT_SUMS = 3  # the first columns, to which every hit adds
+SUMS = "sums"  # name of the per-lane sums in the memory
 
 
 class Tallies(Recorder):
     """
     Float64 sums by batch: some for each surface, one for each medium and loss channel.
 
-    Media scatter as well: their aimed rays and those that land stand behind the sums of the surfaces.
+    Media scatter as well: the numbers of their aimed rays and of those that land follow the sums of the surfaces.
 
     `largest` is the largest flux of a scattered ray at the detector, as the bits of a float32.
     """
@@ -67,21 +67,21 @@ class Tallies(Recorder):
 
     @property
     def by_ray(self) -> bool:
-        """See `Recorder.by_ray`; the sums of a lane are those of its batch."""
+        """See `Recorder.by_ray`; the rays of a lane are of one batch, so that it may take several."""
         return False
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
         """
-        Sums of a lane of its own, in local memory: sums that lanes share would cost a fifth of the time.
+        Allocate the sums of each lane in local memory; sums that lanes share would cost a fifth of the time.
 
-        They are the first `HIT_SUMS` of `SURFACE_SUMS` of each surface, unless there are too many of them, and last
-        those of the first `LANE_REASONS`.
+        They are the first `HIT_SUMS` of the `SURFACE_SUMS` of each surface, unless there are too many surfaces, and
+        last those of the first `LANE_REASONS` channels.
         """
         sizes = (*(self.count,) * (HIT_SUMS if self._in_lanes else 0), LANE_REASONS + 1)
         memory[SUMS] = tuple(dr.alloc_local(mi.Float64, size, mi.Float64(0)) for size in sizes)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Count hits, and light of scattered rays at the detector."""
+        """Record hits, and flux of scattered rays at the detector."""
         sums, batch, state = memory[SUMS], visit.start.batch, visit.state
         self._add_hit(sums, visit.surface, batch, visit.weight, larger(visit.absorbed, 0), visit.active)
         if visit.scatters:
@@ -95,7 +95,7 @@ class Tallies(Recorder):
             self._add_surface(branch.place, AIMED, branch.start.batch, 1.0, branch.aimed)
 
     def lose(self, channel: int | mi.UInt32, flux: Any, active: mi.Bool, memory: Memory) -> None:
-        """Add flux (or a count) to one of the first `LANE_REASONS`."""
+        """Add flux (or a count) to one of the first `LANE_REASONS` channels."""
         sums = memory[SUMS][-1]
         sums.write(sums.read(channel, active) + mi.Float64(flux), channel, active)
 
@@ -108,7 +108,8 @@ class Tallies(Recorder):
         dr.scatter_reduce(dr.ReduceOp.Add, self.media, mi.Float64(flux), medium * BATCHES + batch, active)
 
     def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
-        """What `max_events` has cut of a tree stands in EVENTS until here; in a tree that is too large that is TREE."""
+        """Move the flux that `max_events` has cut of a tree out of EVENTS; in trees over the limit it goes to TREE."""
+        # Whether a tree is over the limit is known at its end only
         own = memory[SUMS][-1]
         value = own.read(EVENTS, active)
         place = dr.select(cut_off, mi.UInt32(TREE), EVENTS_OF_LANE)
@@ -123,7 +124,7 @@ class Tallies(Recorder):
         self._collect(memory[SUMS], start.batch)
 
     def _add_surface(self, s: mi.UInt32, what: int, batch: mi.UInt32, value: Any, active: mi.Bool) -> None:
-        """Book one of the sums of a surface."""
+        """Add to one of the sums of a surface."""
         index = (s * SURFACE_SUMS + what) * BATCHES + batch
         dr.scatter_reduce(dr.ReduceOp.Add, self.surfaces, mi.Float64(value), index, active)
 
@@ -136,7 +137,7 @@ class Tallies(Recorder):
         absorbed: mi.Float,
         active: mi.Bool,
     ) -> None:
-        """Book a hit of a surface."""
+        """Record a hit of a surface."""
         values = {HITS: 1.0, INCIDENT: incident, ABSORBED_HERE: absorbed}
         for what, value in values.items():
             if self._in_lanes:
@@ -147,6 +148,7 @@ class Tallies(Recorder):
     def _collect(self, sums: tuple[Any, ...], batch: mi.UInt32) -> None:
         """Add the sums of all lanes."""
 
+        # Zeros are left out, which saves atomic additions: most lanes have met few of the surfaces
         def step(k: mi.UInt32, sums: tuple[Any, ...]) -> tuple[mi.UInt32, tuple[Any, ...]]:
             for what in range(len(sums) - 1):
                 value = sums[what].read(k, k < self.count)
@@ -165,7 +167,7 @@ class Tallies(Recorder):
         )
 
     def _add_scattered(self, sums: tuple[Any, ...], flux: mi.Float, active: mi.Bool) -> None:
-        """Book a hit of the detector by a ray that has been scattered."""
+        """Record a hit of the detector by a ray that has been scattered."""
         for channel, value in (
             (SCATTERED_HITS, 1.0),
             (SCATTERED_FLUX, flux),

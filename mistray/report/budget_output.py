@@ -32,7 +32,7 @@ def requirements_table(result: Budget) -> Table:
 
 
 def budget_text(result: Budget) -> str:
-    """What `mistray budget` prints: the requirements before and after, the numbers, the costs."""
+    """Return the text that `mistray budget` prints: the requirements before and after, the numbers, the costs."""
     before, after = result.cost
     parts = [
         table_text(requirements_table(result)),
@@ -74,7 +74,7 @@ def numbers_text(result: Budget) -> str:
 
 
 def numbers_table(result: Budget) -> Table:
-    """The same for a page, with the range of each number."""
+    """Return the table of the chosen numbers for a page, with the range of each number."""
     rows = []
     for chosen in result.chosen:
         held = " at its bound" if chosen.at_bound else ""

@@ -22,7 +22,7 @@ CURVE_POINTS = 101
 
 
 def heading(found: ImageQuality) -> str:
-    """What was computed, in one line."""
+    """Describe in one line what was computed."""
     waves = ", ".join(f"{wave:g}" for wave in found.wavelengths_nm)
     scale = (
         f"magnification {found.magnification:.5g}"
@@ -87,7 +87,7 @@ def curve_frame(found: ImageQuality) -> pd.DataFrame:
 
 
 def quality_text(found: ImageQuality, frequencies: Sequence[float]) -> str:
-    """What `mistray image` prints."""
+    """Return the text that `mistray image` prints."""
     notes = [f"note: {note}" for note in found.notes]
     return "\n".join([heading(found), table_text(quality_table(found, frequencies)), *notes])
 

@@ -1,4 +1,4 @@
-"""What a report is made of: sections of tables, pictures, maps and texts. Renderers turn them into HTML, text and JSON.
+"""Elements of a report: sections of tables, pictures, maps and texts. Renderers turn them into HTML, text and JSON.
 
 A text is plain and escaped where a page shows it; `Markup` of markupsafe stands for text with tags of its own.
 """
@@ -129,7 +129,7 @@ class Table(Part):
     kind: ClassVar[str] = "table"
 
     def without(self, *heads: str) -> Table:
-        """The same without some columns."""
+        """Return the table without some columns."""
         kept = [k for k, column in enumerate(self.columns) if column.head not in heads]
         rows = [[row[k] for k in kept] for row in self.rows]
         rest = [self.rest[k] for k in kept] if self.rest else ()

@@ -95,7 +95,7 @@ def estimate_table(estimates: pd.DataFrame, count: int | None = None) -> Table:
 
 
 def heading(found: Objects) -> str:
-    """What was traced, in two lines."""
+    """Describe the trace in two lines."""
     facts = found.facts
     stop = f"aperture stop: {found.stop}" if found.stop else "aperture stop: not found"
     view = facts["view_half_angle_deg"]
@@ -111,7 +111,7 @@ def heading(found: Objects) -> str:
 
 def objects_text(found: Objects, estimates: pd.DataFrame, count: int = ROWS_SHOWN) -> str:
     """
-    What `mistray objects` prints.
+    Return the text that `mistray objects` prints.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def shot_frame(found: Objects) -> pd.DataFrame:
 
 
 def shot_table(found: Objects) -> Table:
-    """The same for a page."""
+    """Return the ways of `shot_frame` as a table for a page."""
     rows: list[list[Value]] = [
         [Fold(row.way, row.surfaces), row.rays, Estimate(row.share, row.share_se),
          f"{row.angle_from_deg:.3g} … {row.angle_to_deg:.3g}"]

@@ -124,7 +124,7 @@ def optimization_report(result: Optimization, command: str = "") -> Report:
 
 
 def _findings(result: Optimization) -> list[str]:
-    """What became of the terms, in a sentence for each."""
+    """Describe the outcome of the terms, in a sentence for each."""
     texts: list[str] = []
     for term in result.study.terms:
         row = result.comparison.of(term.name)

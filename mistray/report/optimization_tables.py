@@ -26,7 +26,7 @@ AT_BOUND = 1e-6  # of the way from bound to bound
 
 
 def goal_text(term: Term, start: float) -> str:
-    """What is to become of a term whose value at the start is known."""
+    """Return the goal of a term whose value at the start is known."""
     if term.goal == "keep":
         return f"keep ± {100 * term.tolerance:g} %"
     limit = limit_of(term, start)
@@ -81,7 +81,7 @@ def seeds_text(result: Optimization) -> str:
 
 
 def opened_lines(result: Optimization) -> list[str]:
-    """What the result does beside what it is meant to do: gaps, and light that enters by other surfaces."""
+    """Return the side effects of the result: gaps, and light that enters by other surfaces."""
     return [*([gaps_text(result.gaps)] if result.gaps else []), *entering_lines(result.comparison.entering)]
 
 
@@ -146,7 +146,7 @@ def variables_table(result: Optimization) -> str:
 
 
 def report_text(result: Optimization) -> str:
-    """What `mistray optimize` prints at the end."""
+    """Return the text that `mistray optimize` prints at the end."""
     lines = [seeds_text(result), terms_table(result), ""]
     if any(not row.whole for row in result.comparison.rows):
         lines += [comparison_table(result.comparison), ""]

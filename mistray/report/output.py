@@ -1,4 +1,4 @@
-"""What the reports write into a directory, complete or not at all."""
+"""Output of the reports into a directory, complete or not at all."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the reports of several commands have: definitions and settings."""
+"""Parts that the reports of several commands have: definitions and settings."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def settings_section(
 
 @functools.cache
 def terms(report: str) -> dict[str, str]:
-    """What the words of a report mean, in the order in which they are shown; see assets/terms.toml."""
+    """Return the meanings of the words of a report, in the order in which they are shown; see assets/terms.toml."""
     text = files("mistray.report.html").joinpath("assets", "terms.toml").read_text(encoding="utf-8")
     return dict(tomllib.loads(text)[report])
 

@@ -37,7 +37,7 @@ PERTURBED = "Metrics of perturbed systems, all traced with the same rays, and wh
 
 def sensitivity_text(result: Sensitivity, count: int = 20) -> str:
     """
-    What `mistray sensitivity` prints: the ranked table, the best three changes, the propagation, and what is left out.
+    Return the text that `mistray sensitivity` prints: ranked table, best three changes, propagation, what is left out.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def change_text(row: Row) -> str:
 
 
 def together_lines(result: Sensitivity) -> list[str]:
-    """What the best few changes do together."""
+    """Describe the effect of the best few changes together."""
     found = result.together
     if not found.changes:
         return ["no derivative is known well enough to propose a change; trace more rays"]
@@ -164,7 +164,7 @@ def draws_lines(draws: Draws) -> list[str]:
 
 
 def notes(result: Sensitivity) -> list[str]:
-    """What a reader must know before trusting the numbers."""
+    """Return the facts that a reader must know before trusting the numbers."""
     found = [f"not traced, for the time was up: {', '.join(result.not_traced)}"] if result.not_traced else []
     found += [f"not in the derivatives: {text}" for text in result.left_out]
     if result.without_derivative:

@@ -63,7 +63,7 @@ def fact_text(fact: Fact) -> str:
 
 
 def step_warnings(study: Study, step: StudyStep) -> list[str]:
-    """What a reader must know before trusting a step, also what the reports of its parts say."""
+    """Return the warnings that a reader must know before trusting a step, also those of the reports of its parts."""
     found = list(step.warnings)
     if step.key == "analysis":
         # That scatter is not followed is meant so in the ghost analysis
@@ -78,7 +78,7 @@ def study_warnings(study: Study) -> list[str]:
 
 
 def study_text(study: Study) -> str:
-    """What `mistray study` prints: the verdict, findings of every step, then warnings."""
+    """Return the text that `mistray study` prints: the verdict, findings of every step, then warnings."""
     lines = [f"Stray-light study of '{study.name}'", "", "Verdict"]
     for name, part in verdict_records(study).items():
         lines += [f"  {VERDICTS[name]}", *(f"    {text}" for text in part["sentences"])]
@@ -121,7 +121,7 @@ def study_record(study: Study) -> dict[str, Any]:
 
 
 def verdict_records(study: Study) -> dict[str, dict[str, Any]]:
-    """What the PST and the ghosts come to, and what to change first."""
+    """Return the verdicts on the PST and on the ghosts, and what to change first."""
     return {"pst": pst_verdict_record(study.pst), "ghosts": verdict_record(study.ghosts)}
 
 

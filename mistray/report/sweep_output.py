@@ -37,7 +37,7 @@ def rows_table(result: Sweep) -> Table:
 
 
 def sweep_text(result: Sweep) -> str:
-    """What `mistray sweep` prints: a line for each configuration, wavelength and field."""
+    """Return the text that `mistray sweep` prints: a line for each configuration, wavelength and field."""
     opened = [f"warning: {text}" for text in result.opened]
     return "\n".join([table_text(rows_table(result)), "", *polarization_lines(result), *opened, cache_line(result)])
 
@@ -54,14 +54,14 @@ def polarization_lines(result: Sweep) -> list[str]:
 
 
 def cache_line(result: Sweep) -> str:
-    """What the cache has saved."""
+    """Return the line on the rows that came from the cache."""
     if result.cache_folder is None:
         return f"{len(result)} rows, all traced"
     return f"{len(result)} rows, {result.reused} of them from the cache in {result.cache_folder}"
 
 
 def values_text(result: Sweep, configuration: str, most: int = 4) -> str:
-    """What a configuration sets, in one line; beyond `most` parameters only their number."""
+    """Return the values that a configuration sets, in one line; of those beyond `most` parameters only the number."""
     (one,) = (one for one in result.configurations if one.name == configuration)
     if not one.values:
         return "the scene as it is"

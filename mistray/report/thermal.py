@@ -26,7 +26,7 @@ WAVELENGTHS_SHOWN = 6  # in a line
 
 
 def heading(report: ThermalReport) -> str:
-    """What was computed, in one line."""
+    """Describe in one line what was computed."""
     waves = ", ".join(f"{wave:.4g}" for wave in report.wavelengths_um)
     if len(report.wavelengths_um) > WAVELENGTHS_SHOWN:
         low, high = report.wavelengths_um[0], report.wavelengths_um[-1]
@@ -79,7 +79,7 @@ def netd_table(report: ThermalReport) -> Table:
 
 
 def thermal_text(report: ThermalReport, shown: int = SHOWN) -> str:
-    """What `mistray thermal` prints: the strongest emitters, the sums, and what to mind."""
+    """Return the text that `mistray thermal` prints: the strongest emitters, the sums, and what to mind."""
     rows: list[list[Value]] = [
         [e.name, e.part or "(medium)", f"{e.temperature_K:g}", e.emission, e.irradiance_W_mm2,
          _percent(report, e.irradiance_W_mm2.value)]
@@ -104,7 +104,7 @@ def thermal_text(report: ThermalReport, shown: int = SHOWN) -> str:
 
 
 def _sums(report: ThermalReport, digits: int) -> list[list[Value]]:
-    """What is known of the whole: text, unit and number, with its error if that is known."""
+    """Return the sums over the whole: text, unit and number, with its error if that is known."""
     rows = [
         ("self-emission", "W/mm²", report.total_W_mm2),
         (f"image of a blackbody scene at {report.scene_K:g} K", "W/mm²", report.image_W_mm2),

@@ -1,6 +1,6 @@
-"""Where rays start and where scattered ones are sent: sources, start rays, importance targets."""
+"""Sources, start rays, and the importance targets of scattered rays."""
 
 from mistray._variant import active_variant, ensure_variant
 
-if active_variant() is None:  # types of the variant are used while modules are imported
+if active_variant() is None:  # modules use types of the variant while they are imported
     ensure_variant()

@@ -1,8 +1,9 @@
-"""Start rays of a near source that are aimed: cones to spheres that hold what matters, as seen from where a ray starts.
+"""
+Aimed start rays of a near source: cones to spheres that hold what matters, seen from the origin of a ray.
 
-A ray is drawn from the law of the source or uniformly from one of the cones, and its weight is what makes up for the
-mixture (the balance heuristic: E. Veach and L. Guibas, "Optimally combining sampling techniques for Monte Carlo
-rendering", SIGGRAPH 1995).
+A ray is drawn from the law of the source or uniformly from one of the cones, and weighted by the balance heuristic
+(E. Veach and L. Guibas, "Optimally combining sampling techniques for Monte Carlo rendering", SIGGRAPH 1995), see
+`mistray.sampling.source`. The density in a cone of half angle α is 1/(2π (1 - cos α)), with sin α = radius/distance.
 """
 
 from __future__ import annotations
@@ -30,13 +31,13 @@ class Sphere:
 
 class Cone:
     """
-    The directions from points to a sphere; all there are from points within it.
+    The directions from points to a sphere; all directions from points within it.
 
     Parameters
     ----------
     target : Sphere
     o : mi.Vector3d
-        The points, mm.
+        Points, mm.
     """
 
     def __init__(self, target: Sphere, o: mi.Vector3d) -> None:
@@ -49,14 +50,14 @@ class Cone:
         self._height = dr.select(within, 2, sine * sine / (1 + dr.safe_sqrt(1 - sine * sine)))
 
     def directions(self, sample: mi.Point2d) -> mi.Vector3d:
-        """Uniform in solid angle, for points of the unit square."""
+        """Return directions uniform in solid angle, for points of the unit square."""
         square, cosine, sine = polar(sample)
         local = direction(square * self._height, cosine, sine)
         u, v = across(self._axis)
         return local.x * u + local.y * v + local.z * self._axis
 
     def density(self, d: mi.Vector3d) -> mi.Float64:
-        """Of these directions, 1/sr."""
+        """Return the density of these directions, 1/sr."""
         # 1 - cos from the chord: exact in narrow cones
         apart = 0.5 * dr.squared_norm(d - self._axis)
         return dr.select(apart <= self._height * (1 + 1e-12), dr.rcp(2 * dr.pi * self._height), 0)
@@ -64,10 +65,11 @@ class Cone:
 
 def across(axis: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
     """
-    Two unit vectors at right angles to a unit vector and to each other.
+    Return two unit vectors at right angles to a unit vector and to each other.
 
     T. Duff et al., "Building an orthonormal basis, revisited", J. Computer Graphics Techniques 6(1), 1-8 (2017).
     """
+    # Without this sign the basis degenerates near axis.z = -1
     sign = dr.select(axis.z < 0, mi.Float64(-1), 1)
     a = -dr.rcp(sign + axis.z)
     b = axis.x * axis.y * a

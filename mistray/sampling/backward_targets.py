@@ -1,14 +1,15 @@
-"""Where rays that go backwards should be sent so that they leave the scene: targets for a backward trace.
+"""
+Importance targets of a backward trace: the directions in which rays should be sent so that they leave the scene.
 
-- The *opening* is where the light comes in: the disc, at the front of the scene, through which the first surface of the
+- The *opening* is where the light enters: the disc, at the front of the scene, through which the first surface of the
   design path (or the detector, where there is none) sees the outside.
-- Rays that leave a surface of the design backward path, and those that start on the detector, are aimed at the
-  image of the opening by the surfaces that follow; rays from any other surface at what they see of the opening and of
-  lenses and mirrors from behind. This is `automatic_targets` for the design path in reverse.
-- From a side that sees much of the sky itself, rays are aimed at the sky: at discs so far away and so large that all
-  field angles get their share.
+- Rays that leave a surface of the backward design path, and rays that start on the detector, are aimed at the image of
+  the opening by the surfaces that follow. Rays from any other surface are aimed at what they see of the opening and,
+  from behind, of lenses and mirrors. This is `automatic_targets` for the reversed design path.
+- From a side that sees much of the sky itself, rays are aimed at the sky. Its targets are discs so far away and so
+  large that all field angles get a share.
 
-Whatever the targets are, the result is the same but for its error.
+Targets change the variance of a result but not its expectation.
 """
 
 from __future__ import annotations
@@ -33,14 +34,14 @@ from mistray.surfaces.host_points import across, box_corners, lambertian_directi
 from mistray.surfaces.host_rays import first_hit, onward
 from mistray.surfaces.optics import MIRROR, OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable, solid_shapes
-from mistray.time_budget import share, thinned
+from mistray.time_budget import fewer_rays, share
 
-PROBES = 2048  # rays that look for the opening
-SKY_PROBES = 256  # that look for the sky
-VIEW_PROBES, MOST_STEPS = 128, 40  # that look for it through optics, and hits of each
+PROBES = 2048  # rays that search for the opening
+SKY_PROBES = 256  # rays that search for the sky
+VIEW_PROBES, MOST_STEPS = 128, 40  # rays that search for it through optics, and hits of each
 CONES_DEG = (80.0, 20.0, 5.0, 1.0)  # field angles up to which the opening is sought
 OPEN = 0.2  # share of a side's rays that must see the sky for the sky to be its target
-SKY_DEG = (10.0, 35.0, 80.0)  # field angles that the discs of the sky reach to
+SKY_DEG = (10.0, 35.0, 80.0)  # field angles up to which the discs of the sky reach
 LANDED = 0.02  # share of the rays to an image of the opening that must leave by it
 
 _known: dict[str, BackwardTargets] = {}
@@ -56,12 +57,12 @@ class BackwardTargets:
     aims : dict
         Where light is scattered → AimSet.
     start : AimSet or None
-        Of the rays that start on the detector, towards the light.
+        Targets of the rays that start on the detector, towards the light.
     light : (3,) float64 or None
         Direction of the design light at the detector.
     views : dict
         Surface that transmits or is a mirror → share of Lambertian rays from it that leave the scene by refraction and
-        at mirrors.
+        by reflection at mirrors.
     """
 
     aims: dict[Place, AimSet]
@@ -72,17 +73,18 @@ class BackwardTargets:
 
 def backward_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings, axis: np.ndarray) -> BackwardTargets:
     """
-    The targets of all surfaces that scatter, and of the detector.
+    Return the targets of all surfaces that scatter, and of the detector.
 
     Parameters
     ----------
     table : SurfaceTable
     scene : mi.Scene
     settings : Settings
-        `aim` (only "auto" has targets here) and `aimed_rays`.
+        Uses `aim` (only "auto" has targets here) and `aimed_rays`.
     axis : (3,) float64
         Direction of light at field angle 0.
     """
+    # A scene is traced many times; the cached targets have one ray each, as settings may differ
     scatterers = [i for i in range(table.count) if table.interfaces[i].scatter]
     key = signature(table, scene, scatterers) + repr(np.round(axis, 9).tolist())
     if key not in _known:
@@ -97,22 +99,26 @@ def backward_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings, a
 
 
 def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.ndarray) -> BackwardTargets:
-    """The targets with one aimed ray each."""
+    """Return the targets with one aimed ray each."""
+    # Opening of the system
     rng = np.random.default_rng(0)
     path = find_design_path(table, scene)
     opening = find_opening(table, scene, path, axis, rng)
     found: dict[Place, list[Target]] = {}
     start = back = None
     if opening is not None:
+        # Targets by the reversed design path, of surfaces and of the detector
         back = path.reversed(opening) if path is not None else _straight(table, opening, axis)
         found = automatic_targets(table, back, scatterers)
-        points, normals = surface_points(table, table.detector, thinned(PROBES), rng)
+        points, normals = surface_points(table, table.detector, fewer_rays(PROBES), rng)
         towards = normals * np.sign(normals @ back.steps[0].before)[:, None]
         fitted = DetectorImages(back).fitted(0, points, towards, rng)
         start = AimSet.of([fitted.target], 1) if fitted.landed > LANDED else None
+    # The sky replaces them on sides that are open to it
     far = sky_discs(scene, axis)
     found |= {side: far for side, share in _sky_shares(table, scatterers, axis, rng).items() if share > OPEN}
     found |= automatic_bulk_targets(table, back, far)
+    # Views of the sky by optics, from which the branch probabilities follow
     words = table.optics.host_words
     views = _views(table, [i for i in range(table.count) if not words[i] & OPAQUE or words[i] & MIRROR], axis, rng)
     light = path.steps[-1].before if path is not None else None
@@ -123,7 +129,7 @@ def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.
 def find_opening(
     table: SurfaceTable, scene: mi.Scene, path: DesignPath | None, axis: np.ndarray, rng: np.random.Generator
 ) -> Target | None:
-    """The disc through which the first surface of the design path, or the detector, sees the outside, if it does."""
+    """Return the disc through which the first surface of the design path, or the detector, sees the outside."""
     first = path.steps[0].surface if path is not None else table.detector
     points, _ = surface_points(table, first, PROBES, rng)
     frame, front = across(axis), _front(scene, axis)
@@ -136,6 +142,7 @@ def find_opening(
         free = first_hit(table, points, d, np.full(PROBES, first))[0] < 0
         t = np.maximum((points[free] @ axis - front) / cosine[free], 0.0)
         through.append(points[free] + t[:, None] * d[free])
+    # Circle around the points at which free rays cross the front plane
     p = np.concatenate(through)
     if not len(p):
         return None
@@ -149,7 +156,7 @@ def find_opening(
 
 
 def sky_discs(scene: mi.Scene, axis: np.ndarray) -> list[Target]:
-    """Discs so far before the scene that their directions are the same from everywhere."""
+    """Return discs so far before the scene that their directions are the same from everywhere in it."""
     corners = box_corners(shape.bbox() for shape in solid_shapes(scene))
     distance = FAR * float(np.linalg.norm(corners[-1] - corners[0]))
     frame = across(axis)
@@ -158,13 +165,13 @@ def sky_discs(scene: mi.Scene, axis: np.ndarray) -> list[Target]:
 
 
 def _front(scene: mi.Scene, axis: np.ndarray) -> float:
-    """Position along the axis of the front of the scene, mm."""
+    """Return the position along the axis of the front of the scene, mm."""
     along = box_corners(shape.bbox() for shape in solid_shapes(scene)) @ axis
     return float(along.min() - 1e-3 * np.ptp(along))
 
 
 def _straight(table: SurfaceTable, opening: Target, axis: np.ndarray) -> DesignPath:
-    """A backward path that meets no surface."""
+    """Return a backward path that meets no surface."""
     out = Step(OPENING, False, opening.centre, -axis, -axis, np.zeros(3))
     return DesignPath(table, (out,), opening)
 
@@ -172,7 +179,7 @@ def _straight(table: SurfaceTable, opening: Target, axis: np.ndarray) -> DesignP
 def _lambertian_rays(
     table: SurfaceTable, surfaces: list[int], count: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points and directions of so many rays of each surface, first to its front, then to its back: (s, 2, n, 3)."""
+    """Return origins and directions of `count` rays per side of each surface, front first: (s, 2, n, 3) each."""
     o, d = (np.zeros((len(surfaces), 2, count, 3)) for _ in range(2))
     for row, surface in enumerate(surfaces):
         o[row], normals = surface_points(table, surface, count, rng)
@@ -184,8 +191,8 @@ def _lambertian_rays(
 def _sky_shares(
     table: SurfaceTable, surfaces: list[int], axis: np.ndarray, rng: np.random.Generator
 ) -> dict[Side, float]:
-    """Shares of the rays of each side of surfaces that leave the scene backwards, at once."""
-    probes = thinned(SKY_PROBES)
+    """Return the shares of the rays of each side of surfaces that leave the scene backward without any hit."""
+    probes = fewer_rays(SKY_PROBES)
     o, d = _lambertian_rays(table, surfaces, probes, rng)
     last = np.repeat(surfaces, 2 * probes)
     hit, _, _ = first_hit(table, o.reshape(-1, 3), d.reshape(-1, 3), last)
@@ -195,8 +202,8 @@ def _sky_shares(
 
 
 def _views(table: SurfaceTable, surfaces: list[int], axis: np.ndarray, rng: np.random.Generator) -> dict[int, float]:
-    """Shares of the rays of surfaces, each to its better side, that leave the scene backwards specularly."""
-    probes = thinned(VIEW_PROBES)
+    """Return the shares of the rays of surfaces, from their better side, that leave the scene backward specularly."""
+    probes = fewer_rays(VIEW_PROBES)
     start, along = _lambertian_rays(table, surfaces, probes, rng)
     o, d, last = start.reshape(-1, 3), along.reshape(-1, 3), np.repeat(surfaces, 2 * probes)
     side, gone = np.repeat(np.arange(2 * len(surfaces)), probes), np.zeros(2 * len(surfaces))
@@ -204,6 +211,7 @@ def _views(table: SurfaceTable, surfaces: list[int], axis: np.ndarray, rng: np.r
         if not len(o):
             break
         hit, p, normal = first_hit(table, o, d, last)
+        # The light has a positive component along the axis, so that backward rays leave with a negative one
         gone += np.bincount(side[(hit < 0) & (d @ axis < 0)], minlength=len(gone))
         met = np.flatnonzero(hit >= 0)
         after, _ = onward(table, hit[met], d[met], normal[met])

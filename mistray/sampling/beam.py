@@ -1,4 +1,4 @@
-"""A parallel beam: start rays of the plugin `collimated`."""
+"""Start rays of a parallel beam, for the plugin `collimated`."""
 
 from __future__ import annotations
 
@@ -25,32 +25,34 @@ class Beam(SceneSource):
     Attributes
     ----------
     aperture : Sphere or None
-        Where its probes go, as far as it has light there.
+        Sphere that its probes go to, as far as the beam has light there.
     """
 
     aperture: Sphere | None = None
 
     @property
     def pattern(self) -> str:  # type: ignore[override]  # read-only
-        """Positions of the rays: "random" or "grid"."""
+        """Pattern of the positions of the rays: "random" or "grid"."""
         return str(self.emitter.pattern)
 
     @property
     def reach(self) -> float:
         """Radius about the middle ray that the light fills at the pivot, mm."""
+        # Of a rectangle the inscribed circle
         return float(min(self.emitter.size) if self.emitter.rectangular else self.emitter.size[0])
 
     def count(self, rays: int) -> int:
-        """Rays that a request for `rays` starts: a grid has a square number."""
+        """Return the number of rays that a request for `rays` starts: a grid has a square number."""
         return int(np.sqrt(rays)) ** 2 if self.pattern == "grid" else rays
 
     def exact(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The same lines from one plane normal to the exact direction: o, d (n, 3) float64 → (n, 3) float64 each."""
+        """Return the rays from one plane normal to the exact direction: o, d (n, 3) float64 → (n, 3) float64 each."""
         ahead = (o - self.pivot) @ self.direction + self.distance
         return o - ahead[:, None] * self.direction, np.broadcast_to(self.direction, d.shape).copy()
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
-        """Origins and directions, see `Source.start`; three numbers of each generator are drawn."""
+        """Return origins and directions, see `Source.start`; three numbers of each generator are drawn."""
+        # Positions in the cross-section
         if self.pattern == "grid":
             side = int(np.sqrt(rays))
             sample = mi.Point2f((mi.Float(lane % side) + 0.5) / side, (mi.Float(lane // side) + 0.5) / side)
@@ -66,7 +68,7 @@ class Beam(SceneSource):
         return Emission(origin, dr.zeros(mi.Vector3f, dr.width(lane)) + direction)
 
     def edges(self, count: int, within: float = EDGE) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Its outline, and that of its unlit centre."""
+        """Return the rays along its outline, and along that of its unlit centre."""
         sample = mi.Point2f(*(upload(mi.Float, v) for v in perimeter(count, within)))
         outer = np.array(self.emitter.positions(sample), dtype=np.float64)
         hole = 0.0 if self.emitter.rectangular else self.emitter.size[1] * (1 + within)
@@ -74,16 +76,16 @@ class Beam(SceneSource):
         return [self.through(*line) for line in lines]
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> Beam:
-        """The same light, whose probes go to an aperture; its start rays are what they were."""
+        """Return the same light, whose probes go to an aperture; its start rays do not change."""
         return replace(self, aperture=aperture)
 
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
-        """Its rays through points of the cross-section, or of an aperture, see `SceneSource.probes`."""
+        """Return its rays through points of the cross-section, or of an aperture, see `SceneSource.probes`."""
         x, y = self.emitter.positions(sample)
         if self.aperture is not None:
             axes = np.stack([self.u, self.v, self.direction], axis=1)
             a, b, _ = np.linalg.solve(axes, self.aperture.centre - self.pivot)
-            # Across a cross-section that is not normal to the beam the sphere is longer
+            # In a cross-section that is not normal to the beam the projection of the sphere is longer
             disk = mi.warp.square_to_uniform_disk_concentric(sample) * (self.aperture.radius / np.linalg.det(axes))
             lit = self.emitter.within(disk.x + float(a), disk.y + float(b))
             x, y = dr.select(lit, disk.x + float(a), x), dr.select(lit, disk.y + float(b), y)

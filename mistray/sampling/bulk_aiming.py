@@ -1,9 +1,10 @@
-"""Where light that a medium scatters should be sent so that it reaches the detector.
+"""
+Importance targets of media: the directions in which a medium should scatter light so that it reaches the detector.
 
 - A body on the design path is aimed at the image of the detector by the surfaces that follow.
 - Any other body is aimed at what can be seen from within: the detector, and the lenses and mirrors of the design path.
-  Backward rays from there, refracted where they enter the body, show where it seems to be. Surfaces that see it only
-  through others, such as one face of a window through the other, are aimed in the same way.
+  Backward rays from these, refracted where they enter the body, show where they appear to be. Surfaces that see them
+  only through others, such as one face of a window through the other, are aimed in the same way.
 """
 
 from __future__ import annotations
@@ -20,12 +21,12 @@ from mistray.sampling.scattering_bodies import Body
 from mistray.surfaces.host_points import across
 from mistray.surfaces.host_rays import first_hit, onward
 from mistray.surfaces.surfaces import SurfaceTable
-from mistray.time_budget import thinned
+from mistray.time_budget import fewer_rays
 
-PATH_RAYS = 4096  # from a body on the design path, that show how large the image must be
-SIGHT_RAYS = 4096  # backwards, from what a body may see
-MOST_SURFACES = 6  # between the two
-LEAST_SEEN = 16  # rays of a target through one surface
+PATH_RAYS = 4096  # rays from a body on the design path, by which the size of the image is fitted
+SIGHT_RAYS = 4096  # backward rays from each sight
+MOST_SURFACES = 6  # surfaces between a sight and the body
+LEAST_SEEN = 16  # rays by which a target is fitted
 LANDED = 0.02  # share of the rays to an image that must land on the detector
 MOST_TARGETS = 4
 PLANES = np.linspace(-2, 2, 33)  # vergences of planes, in units of that in which the rays are closest
@@ -33,13 +34,13 @@ PLANES = np.linspace(-2, 2, 33)  # vergences of planes, in units of that in whic
 
 class Sight(NamedTuple):
     """
-    What may be seen.
+    A surface, or an opening, that may be seen and then is a target.
 
     Attributes
     ----------
     target : Target
     surface : int
-        Its number; -1: none.
+        Number of the surface; -1: none.
     light : (3,) float64 or None
         Direction in which the design has its light there; None: any.
     """
@@ -51,17 +52,17 @@ class Sight(NamedTuple):
 
 class Appearance(NamedTuple):
     """
-    Where something is seen.
+    A sight as it appears from a body or a surface.
 
     Attributes
     ----------
     target : Target
     number : int
-        Of the sight.
+        Number of the sight.
     by : int
-        The last surface that its rays leave; its own where nothing stands between.
+        Last surface that its rays leave; its own where nothing stands between.
     share : float
-        Of the rays from it, those that arrive by that surface.
+        Share of the rays from it that arrive by that surface.
     """
 
     target: Target
@@ -74,18 +75,19 @@ def body_targets(
     table: SurfaceTable, body: Body, images: DetectorImages | None, sights: Sequence[Sight], rng: np.random.Generator
 ) -> list[Target]:
     """
-    Targets of the light that a body scatters.
+    Return the targets of the light that a body scatters.
 
     Parameters
     ----------
     table : SurfaceTable
     body : Body
     images : DetectorImages, optional
-        Of the design path.
+        Images by the design path.
     sights : sequence of Sight
-        For a body that is not on the path, what counts most first.
+        Sights of a body that is not on the path, the most important first.
     rng : np.random.Generator
     """
+    # On the path: the body lies before a step if the step, or the one before it, bounds it on that side
     found = []
     steps = images.path.steps if images else ()
     for number, step in enumerate(steps):
@@ -93,11 +95,12 @@ def body_targets(
         if number:
             ends.add(Inside(steps[number - 1].surface, steps[number - 1].to_back))
         if images is not None and not ends.isdisjoint(body.sides):
-            rays = thinned(PATH_RAYS)
+            rays = fewer_rays(PATH_RAYS)
             points = body.points[rng.integers(len(body.points), size=rays)]
             fitted = images.fitted(number, points, np.tile(step.before, (rays, 1)), rng)
             if fitted.landed > LANDED:
                 found.append(fitted.target)
+    # Off the path
     if not found:
         found = [one.target for one in apparent(table, body.points, body.faces, sights, rng)]
     return found[:MOST_TARGETS]
@@ -112,32 +115,34 @@ def arrivals(
     rng: np.random.Generator,
 ) -> dict[tuple[int, ...], tuple[np.ndarray, np.ndarray]]:
     """
-    Rays from what may be seen to points that lie within a body or on a surface, against the light.
+    Trace backward rays from sights to points that lie within a body or on a surface.
 
     Parameters
     ----------
     table : SurfaceTable
     within : (m, 3) float64
-        The points, mm.
+        Points, mm.
     faces : set of Inside
-        Sides of surfaces where a ray has arrived: those of the body, or that of the surface.
+        Sides of surfaces at which a ray arrives: those of the body, or that of the surface.
     sights : sequence of Sight
     rays : int
-        From each of them.
+        Number of rays from each of them.
     rng : np.random.Generator
 
     Returns
     -------
     dict
-        Number of the sight, and the surfaces on the way, its own first → where the rays leave the last of them (mm),
-        and unit directions back from the points, (n, 3) float64 each.
+        By number of the sight and the surfaces on the way, its own first. Each entry has the points where the rays
+        leave the last surface (mm), and unit directions back from the points `within`, (n, 3) float64 each.
     """
+    # Start rays on the sights
     o = np.concatenate([sight.target.points(rng.random((rays, 2))) for sight in sights])
     number = np.repeat(np.arange(len(sights)), rays)
     last = np.array([sight.surface for sight in sights])[number]
     ends = within[rng.integers(len(within), size=len(o))]
     first, _, _ = first_hit(table, o, _towards(o, ends), last)
-    # A lens leads rays to the points that would pass them by: every second one goes anywhere on what it meets
+    # A lens bends rays to the points that would miss them in a straight line: every second ray is sent to a random
+    # point of the surface that it meets first
     for surface in np.unique(first[(first >= 0) & (first < len(table.pieces))]):
         some = np.flatnonzero((first == surface) & (np.arange(len(o)) % 2 == 1))
         ends[some] = outline(table.shapes[surface]).points(rng.random((len(some), 2)))
@@ -145,6 +150,7 @@ def arrivals(
     lights = np.array([np.zeros(3) if sight.light is None else sight.light for sight in sights])[number]
     goes = (np.einsum("ij,ij->i", d, lights) < 0) | ~np.any(lights, axis=1)
     o, d, last, ways = o[goes], d[goes], last[goes], np.stack([number, last], axis=1)[goes]
+    # Follow the rays through surfaces, and group those that arrive by the surfaces on their way
     lines: dict[tuple[int, ...], tuple[np.ndarray, np.ndarray]] = {}
     for _ in range(MOST_SURFACES):
         hit, p, normal = first_hit(table, o, d, last)
@@ -169,14 +175,14 @@ def apparent(
     table: SurfaceTable, within: np.ndarray, faces: Set[Inside], sights: Sequence[Sight], rng: np.random.Generator
 ) -> list[Appearance]:
     """
-    What may be seen, as it appears from points that lie within a body or on a surface; arguments as of `arrivals`.
+    Return sights as they appear from points that lie within a body or on a surface; see `arrivals` for the arguments.
 
     Returns
     -------
     list of Appearance
-        One for each sight and way to it: the first sight first, of that the way of most rays.
+        One for each sight and way to it, in the order of the sights; of each sight, the way of most rays first.
     """
-    found, rays = [], thinned(SIGHT_RAYS)
+    found, rays = [], fewer_rays(SIGHT_RAYS)
     for (number, *way), (points, directions) in arrivals(table, within, faces, sights, rays, rng).items():
         if len(points) < LEAST_SEEN:
             continue
@@ -187,21 +193,22 @@ def apparent(
 
 
 def _towards(o: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """(n, 3) unit directions from points to others."""
+    """Return (n, 3) unit directions from points to others."""
     return np.asarray((ends - o) / np.linalg.norm(ends - o, axis=1, keepdims=True))
 
 
 def _holding(points: np.ndarray, directions: np.ndarray, within: np.ndarray) -> Target | None:
     """
-    The ellipse that all of some rays pass and that fills the least solid angle as seen from points of a body.
+    Return the ellipse that all of some rays cross and that fills the least solid angle seen from points of a body.
 
     Parameters
     ----------
     points, directions : (n, 3) float64
-        Where the rays leave the body (mm), and unit directions in which they leave it.
+        Points where the rays leave the body (mm), and unit directions in which they leave it.
     within : (m, 3) float64
         Points of the body, mm.
     """
+    # Rays as positions and slopes in a plane across their mean direction
     axis = directions.mean(axis=0)
     axis /= np.linalg.norm(axis)
     ahead = directions @ axis
@@ -211,12 +218,14 @@ def _holding(points: np.ndarray, directions: np.ndarray, within: np.ndarray) -> 
     height = (points - middle) @ axis
     slopes = directions @ frame / ahead[:, None]
     places = (points - middle) @ frame - height[:, None] * slopes  # in the plane through the middle
+    # Distance at which the rays are closest together, by least squares
     depth = (within - middle) @ axis
     size = float(np.linalg.norm(np.ptp(within, axis=0)))
     spread = float(np.sum(np.var(slopes, axis=0)))
     together = -float(np.sum((places - places.mean(axis=0)) * (slopes - slopes.mean(axis=0)))) / len(points)
     far = FAR * size
     closest = together / spread if spread > abs(together) / far else np.copysign(far, together)
+    # Planes about it, even in vergence; in each the ellipse along the principal axes of the crossings
     best: tuple[float, Target] | None = None
     for vergence in 1 / closest + max(abs(1 / closest), 1 / size) * PLANES if closest else 1 / size * PLANES:
         distance = 1 / vergence if abs(vergence) * far > 1 else far

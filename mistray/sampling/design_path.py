@@ -1,4 +1,4 @@
-"""The way of the light that a system is made for: from the source over lenses and mirrors to the detector, and back."""
+"""The design path: the surfaces from the source over lenses and mirrors to the detector, forward and backward."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from mistray.surfaces.optics import MIRROR, OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
-PROBES, MANY_PROBES = 256, 4096  # rays of a source that look for the design path
-MOST_AIMS = 8  # lenses and mirrors, the nearest first, that light from anywhere is aimed at to find it
-# Of the part of the first aperture that light comes through: fewest probes that find it, room around it, and up to what
-# share of the aperture's radius it is a target of its own
-LEAST_ARRIVALS, MARGIN, WORTH_IT = 64, 1.05, 0.8
-LARGE_FRONT = 1 / 3  # of the radius of a front, below which what stands behind it is aimed at
-STRAIGHT = 1e-6  # rad by which light may turn that goes straight on
-SAME_PLACE = 1e-9  # share of a distance by which two surfaces in one plane may differ
-OPENING = -1  # in place of the number of a surface: where a backward path leaves the system
+PROBES, MANY_PROBES = 256, 4096  # rays of a source that search for the design path
+MOST_AIMS = 8  # lenses and mirrors, the nearest first, at which a source is aimed to find the path
+# Lit part of the first aperture: fewest probes by which it is found, margin of its radius, and the largest radius, in
+# units of the aperture's, at which it is a target of its own
+LEAST_ARRIVALS, MARGIN, LARGEST_RATIO = 64, 1.05, 0.8
+LARGE_FRONT = 1 / 3  # radius, in units of that of a front, below which a surface behind the front is the aperture
+STRAIGHT = 1e-6  # rad by which light may turn that still counts as going straight on
+SAME_PLACE = 1e-9  # relative difference of the distances to two surfaces in one plane
+OPENING = -1  # stands for the number of a surface where a backward path leaves the system
 
 
 @dataclass(frozen=True)
@@ -43,12 +43,12 @@ class Step:
     Attributes
     ----------
     surface : int
-        Or `OPENING`.
+        Number of the surface, or `OPENING`.
     reflects : bool
     point : (3,) float64
-        Where the base ray meets it, mm; bounds of surfaces do not matter for the base ray.
+        Point where the base ray meets it, mm; the base ray ignores the bounds of surfaces.
     normal : (3,) float64
-        There, from front to back.
+        Normal there, from front to back.
     before, after : (3,) float64
         Directions of the base ray; `after` is zero at the end of a path.
     """
@@ -73,18 +73,18 @@ class Step:
 
 class Unobstructed(NamedTuple):
     """
-    Where rays that follow a design path end.
+    Ends of rays that follow a design path.
 
     Attributes
     ----------
     passes : (n,) bool
         Whether a ray reaches the detector by the design path.
     ends : (n,) int
-        First surface that is not that of the design path; -1: none.
+        First surface that differs from that of the design path; -1: none.
     place : (n,) int
         Number of the step that the ray was on its way to; -1 where it passes.
     missed : (n,) bool
-        Whether it passed by the surface of that step before it met something else.
+        Whether it missed the surface of that step before it met something else.
     """
 
     passes: np.ndarray
@@ -95,13 +95,13 @@ class Unobstructed(NamedTuple):
 
 class DesignPath:
     """
-    The surfaces that most of the light of a beam meets on its way to the detector, or the same backwards.
+    Surfaces that most of the light of a beam meets on its way to the detector, or the same backward.
 
     Parameters
     ----------
     table : SurfaceTable
     steps : tuple of Step
-        The last one is the detector, or the opening.
+        Steps, of which the last is the detector or the opening.
     end : Target
         Outline of the detector or of the opening.
     """
@@ -117,15 +117,17 @@ class DesignPath:
         return len(self.steps) > 1
 
     def at(self, wavelength_nm: float) -> DesignPath:
-        """The same surfaces at another wavelength; the base ray stays."""
+        """Return the path over the same surfaces at another wavelength; the base ray stays."""
         return DesignPath(self.table.at(wavelength_nm), self.steps, self.end)
 
     def reversed(self, opening: Target) -> DesignPath:
-        """The backward path, from the detector to an opening before its first surface."""
+        """Return the backward path, from the detector to an opening before its first surface."""
+        # All steps but the detector, in reverse order
         steps = [
             Step(step.surface, step.reflects, step.point, step.normal, -step.after, -step.before)
             for step in self.steps[-2::-1]
         ]
+        # The base ray leaves at the plane of the opening
         first = self.steps[0]
         normal = opening.normal if opening.normal @ first.before < 0 else -opening.normal
         t = ((opening.centre - first.point) @ normal) / (-first.before @ normal)
@@ -142,7 +144,7 @@ class DesignPath:
             Origins (mm) and unit directions before step `first`.
         first : int
         bounded : bool
-            End rays that pass by a surface of the path, meet it from its other side or would have to go backwards;
+            Whether rays end that miss a surface of the path, meet it from its other side or would have to go backwards;
             else surfaces have no bounds and rays go both ways.
 
         Returns
@@ -150,11 +152,13 @@ class DesignPath:
         (n, 3) float64
             Hits on the detector's surface or in the plane of the opening, mm; NaN where a ray ends.
         """
+        # Step by step, with the rays that are left
         hits = np.full(o.shape, np.nan)
         alive = np.arange(len(o))
         for step in self.steps[first:]:
             p, normal = self.meet(step, o, d)
             good = np.isfinite(p[:, 0])
+            # Forward along the ray, from the side of the base ray, and within the bounds
             if bounded:
                 with np.errstate(invalid="ignore"):
                     good &= np.einsum("ij,ij->i", p - o, d) > 0
@@ -169,22 +173,24 @@ class DesignPath:
 
     def unobstructed(self, o: np.ndarray, d: np.ndarray, beyond_end: bool = False) -> Unobstructed:
         """
-        Follow rays by what they meet first, all surfaces of the scene counted.
+        Follow rays along the path as long as they meet its surfaces first, among all surfaces of the scene.
 
         Parameters
         ----------
         o, d : (n, 3) float64
             Origins (mm) and unit directions before the first step.
         beyond_end : bool
-            The detector has no edge: rays pass where they come to its sheet before they meet something else.
+            Whether the detector has no edge: rays pass if they meet its sheet before they meet something else.
         """
         o, d = o.copy(), d.copy()
         passes, missed = (np.zeros(len(o), dtype=bool) for _ in range(2))
         last, ends, place = (np.full(len(o), -1) for _ in range(3))
         alive = np.arange(len(o))
         for number, step in enumerate(self.steps):
+            # Intersect with the whole scene
             surface, p, normal = first_hit(self.table, o[alive], d[alive], last[alive])
             good, final = surface == step.surface, step is self.steps[-1]
+            # Rays that meet something else: whether they crossed the unbounded surface of the step before it
             past = np.zeros(len(alive), dtype=bool)
             astray = np.flatnonzero(~good)
             away = self.meet(step, o[alive[astray]], d[alive[astray]])[0] - o[alive[astray]]
@@ -194,6 +200,7 @@ class DesignPath:
                 past[astray] = (to_sheet > 0) & (to_sheet <= to_hit * (1 + SAME_PLACE))
             if final and beyond_end:
                 good = good | past
+            # End those, and go on with the others if they are reflected or transmitted as the base ray is
             lost = alive[~good]
             ends[lost], place[lost], missed[lost] = surface[~good], number, past[~good]
             if final:
@@ -216,11 +223,13 @@ class DesignPath:
         return outline(self.table.shapes[step.surface]).holds(p)
 
     def meet(self, step: Step, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where lines meet the surface of a step, next to the step's point, and the normals there."""
-        if step.surface == OPENING or step.surface >= len(self.table.pieces):  # a stock shape: its tangent plane
+        """Return the intersections of lines with the surface of a step next to its point, and the normals there."""
+        # The opening is plane, and of one of Mitsuba's own shapes it is the tangent plane
+        if step.surface == OPENING or step.surface >= len(self.table.pieces):
             with np.errstate(all="ignore"):
                 t = ((step.point - o) @ step.normal) / (d @ step.normal)
             return o + t[:, None] * d, np.tile(step.normal, (len(o), 1))
+        # Of several intersections that next to the base ray
         t = crossings(self.table, step.surface, o, d)
         away = np.linalg.norm(o[:, None, :] + t[:, :, None] * d[:, None, :] - step.point, axis=2)
         pick = np.argmin(np.where(np.isfinite(away), away, np.inf), axis=1)
@@ -228,7 +237,7 @@ class DesignPath:
         return p, normals(self.table, step.surface, p)
 
     def leave(self, step: Step, d: np.ndarray, normal: np.ndarray) -> np.ndarray:
-        """Directions after a step; NaN beyond the critical angle."""
+        """Return directions after a step; NaN beyond the critical angle."""
         n_front, n_back = self.table.optics.host_indices[step.surface, :2]
         eta = n_front / n_back if step.from_front else n_back / n_front
         reflected, transmitted, total = specular(d, normal, eta)
@@ -237,18 +246,19 @@ class DesignPath:
 
 def find_design_path(table: SurfaceTable, scene: mi.Scene) -> DesignPath | None:
     """
-    The design path of a scene: the main order of its strongest arm, see `mistray.sampling.design.sequences`.
+    Return the design path of a scene: the main order of its strongest arm, see `mistray.sampling.design.sequences`.
 
-    Probe rays of each source on its axis (field angle 0), then at its own field angle, are followed: reflected where a
-    surface is declared ``mirror``, is opaque and reflects more than half, or in total reflection; transmitted
-    elsewhere. They are sought until some come to the detector over optics, whatever share of a wide beam that is. Only
-    where none do, it is the order that most of the first to come take.
+    Probe rays of each source are followed, on its axis (field angle 0) and then at its own field angle. They are
+    reflected where a surface is declared ``mirror``, is opaque and reflects more than half, or reflects totally, and
+    transmitted elsewhere. The search ends when some reach the detector over optics, however small a share of a wide
+    beam that is. Only if none do, the path is the most frequent order of the first probes that reach it.
 
     Returns
     -------
     DesignPath or None
         None where no probe reaches the detector, or there is no source.
     """
+    # An order without optics is kept until all sources and fields have been tried
     by_passing: DesignPath | None = None
     for source, probes in design_probes(table, scene):
         found = probes.orders(table.detector)
@@ -263,7 +273,7 @@ def find_design_path(table: SurfaceTable, scene: mi.Scene) -> DesignPath | None:
 
 
 def design_probes(table: SurfaceTable, scene: mi.Scene) -> Iterator[tuple[SceneSource, Probes]]:
-    """Probes of each source of a scene at its design fields: on its axis, then at its own field angle."""
+    """Yield the probes of each source of a scene at its design fields: on its axis, then at its own field angle."""
     if not source_emitters(scene):
         return
     for field in (0.0, None):
@@ -273,9 +283,11 @@ def design_probes(table: SurfaceTable, scene: mi.Scene) -> Iterator[tuple[SceneS
 
 
 def _attempts(table: SurfaceTable, source: SceneSource) -> Iterator[tuple[SceneSource, int]]:
-    """Light of a source that may find the detector, and with how many probes: all of it, then some of what is aimed."""
+    """Yield light of a source to try, and numbers of probes: all of its light, then its light aimed at optics."""
+    # All of it, with few probes and with many
     yield source, PROBES
     yield source, MANY_PROBES
+    # Aimed at optics and detectors, the nearest first
     words = table.optics.host_words
     optics = [k for k in range(table.count) if (words[k] & OPAQUE) == 0 or (words[k] & MIRROR) != 0]
     aims = [sphere_of(outline(table.shapes[k])) for k in (*optics, *table.detectors)]
@@ -293,10 +305,11 @@ def check_place(table: SurfaceTable, source: SceneSource) -> None:
     Raises
     ------
     MistrayError
-        If all its light comes to surfaces from sides where nothing travels.
+        If all its light meets surfaces from sides through which no light travels.
     """
     if source.middle is not None:
         return
+    # Sides of surfaces that its probes meet first
     sample = mi.Point2f(*(upload(mi.Float, v) for v in np.random.default_rng(0).random((2, PROBES))))
     o, d = source.probes(sample)
     start = table.ids.index(source.shape) if source.shape else -1
@@ -306,6 +319,7 @@ def check_place(table: SurfaceTable, source: SceneSource) -> None:
         (int(s), bool(front))
         for s, front in zip(surface[met], (np.einsum("ij,ij->i", d, normal) > 0)[met], strict=True)
     }
+    # One of them in a material that transmits is enough
     materials = []
     for s, front in sorted(sides):
         material = table.interfaces[s].front if front else table.interfaces[s].back
@@ -319,21 +333,23 @@ def check_place(table: SurfaceTable, source: SceneSource) -> None:
 
 
 def sphere_of(target: Target) -> Sphere:
-    """A sphere around an aperture."""
+    """Return a sphere around an aperture."""
     a, b = float(np.linalg.norm(target.u)), float(np.linalg.norm(target.v))
     return Sphere(target.centre, max(a, b) if target.shape == "ellipse" else float(np.hypot(a, b)))
 
 
 def first_aperture(table: SurfaceTable, scene: mi.Scene) -> Sphere | None:
     """
-    A sphere around the first surface of the design path; None where there is no such path.
+    Return a sphere around the first surface of the design path; None where there is no such path.
 
-    Light goes straight on through planes, and between equal indices. Behind a front of these that is far larger, it is
-    the smallest of them and the surface behind: a lens behind haze, or behind a large window, is what light must meet.
+    Light goes straight on through planes, and between equal indices. Where such surfaces form a far larger front, the
+    sphere is around the smallest of them and the surface behind. So light is aimed at a lens behind haze, or behind a
+    large window.
     """
     path = find_design_path(table.on(table.detectors[0]) if len(table.detectors) > 1 else table, scene)
     if path is None:
         return None
+    # Surfaces up to the first that bends the light
     spheres: list[Sphere] = []
     for step in path.steps:
         if spheres and (step is path.steps[-1] or np.linalg.norm(step.before - path.steps[0].before) > STRAIGHT):
@@ -346,20 +362,21 @@ def first_aperture(table: SurfaceTable, scene: mi.Scene) -> Sphere | None:
 
 
 def _passes_straight(table: SurfaceTable, surface: int) -> bool:
-    """Whether it is plane, or has equal indices on both sides."""
+    """Whether a surface is plane, or has equal indices on both sides."""
     n_front, n_back = table.optics.host_indices[surface, :2]
     return bool(n_front == n_back) or is_plane(table, surface)
 
 
 def footprint(table: SurfaceTable, source: SceneSource, aperture: Sphere) -> Sphere | None:
     """
-    A sphere around the part of the first aperture through which the light of a source comes to a detector.
+    Return a sphere around the part of the first aperture through which the light of a source reaches a detector.
 
     Returns
     -------
     Sphere or None
-        None where too few probes find out, or it is hardly smaller than the aperture.
+        None where too few probes arrive, or where the sphere is hardly smaller than the aperture.
     """
+    # Probes by the most frequent order
     first = table.on(table.detectors[0]) if len(table.detectors) > 1 else table
     detector = first.detector
     probes = Probes(first, source.aimed_at(aperture), MANY_PROBES)
@@ -370,16 +387,18 @@ def footprint(table: SurfaceTable, source: SceneSource, aperture: Sphere) -> Sph
     points = probes.first_points(taking)
     centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
     sphere = Sphere(centre, MARGIN * float(np.linalg.norm(points - centre, axis=1).max()))
-    return sphere if 0 < sphere.radius < WORTH_IT * aperture.radius else None
+    return sphere if 0 < sphere.radius < LARGEST_RATIO * aperture.radius else None
 
 
 def _with_base_ray(table: SurfaceTable, source: SceneSource, probes: Probes, order: Order) -> DesignPath | None:
-    """The path of an order by the ray in the middle of the light; None if that misses a surface altogether."""
+    """Return the path of an order by the ray in the middle of the light; None if that misses a surface altogether."""
+    # The probe nearest to the middle has the branch of each surface that is meant
     taking = probes.taking(order, table.detector)
     first = probes.first_points(taking)
     middle = int(taking[np.argmin(np.linalg.norm(first - first.mean(axis=0), axis=1))])
     probed = [Step(*step) for step in probes.steps(middle)]
     path = DesignPath(table, tuple(probed), outline(table.shapes[table.detector]))
+    # The middle ray of the source, if it has one, along the same steps
     o, d = source.middle or tuple(vectors[[probes.ray[middle]]] for vectors in probes.start)
     steps = []
     for step in probed:

@@ -1,18 +1,19 @@
-"""Images of the detector in the spaces of the design path, which are what scattered light should be aimed at.
+"""
+Images of the detector in the spaces of the design path: the importance targets of scattered light.
 
-Light that leaves a surface of the design path lands on the detector if it heads for the detector's image by all that
-follows, seen from the space that the light enters. Of a ray that starts at the small distance p from the base ray in a
-direction that differs by the small slope q, the hit on the detector is
+Light that leaves a surface of the design path lands on the detector if it heads for the image of the detector. The
+image is that by all surfaces that follow, in the space that the light enters. A ray starts at the small distance p from
+the base ray and differs from its direction by the small slope q. Its hit on the detector is
 
     x = x0 + P p + Q q
 
 with 2 × 2 matrices P and Q (for a coaxial system P = A and Q = B of the ABCD matrix). A plane at the distance L is
-imaged onto the detector where Q = L P, that is L = B/A, and a detector of half size h has an image of half size h/|A|:
-ISL and ISH of stray-light work (see `mistray.physics.geometry.paraxial.image_seen`).
+imaged onto the detector where Q = L P, that is L = B/A. A detector of half size h has an image of half size h/|A|. In
+stray-light work these are ISL and ISH (see `mistray.physics.geometry.paraxial.image_seen`).
 
-Against the light it is the images of the opening of the system instead, see `DesignPath.reversed`.
+Backward rays are aimed at images of the opening of the system instead, see `DesignPath.reversed`.
 
-A paraxial image knows neither aberrations nor the apertures on the way. Real rays show how large the target must be.
+A paraxial image includes neither aberrations nor the apertures on the way. Real rays show how large the target must be.
 """
 
 from __future__ import annotations
@@ -26,22 +27,22 @@ from mistray.sampling.design_path import DesignPath
 from mistray.surfaces.host_points import across, sphere_points
 
 NEAR = 1e-6  # least distance of a target, in units of the system's size
-FAR = 1e4  # distance of a target at infinity, in units of the system's size
+FAR = 1e4  # finite stand-in for infinity, in units of the system's size
 DIFFERENCE = 1e-5  # steps of the derivatives along a path, in units of the system's size and as slopes
-SEARCH = 3.0  # real rays are sought within the paraxial image, so many times enlarged, and everywhere
-MARGIN = 1.25  # then within the target that these need, so many times enlarged
-# Share of the light to the detector that a target may leave out; and in units of the share of diffuse light that goes
-# to the detector: the more of it does, the better rays find it that are not aimed
-LEFT_OUT, LEFT_TO_CHANCE = 1e-3, 0.05
-ENOUGH, PLENTY = 50, 400  # rays to the detector that it takes to shape a target in another plane, and any well
+SEARCH = 3.0  # enlargement of the paraxial image for the first half of the real rays; the others go everywhere
+MARGIN = 1.25  # enlargement of the target that these need, for a second search
+# Share of the light to the detector that a target may leave out; and the same in units of the share of diffuse light
+# that goes to the detector: the larger that share, the better rays without a target find the detector
+LEFT_OUT, LEFT_TO_RANDOM_RAYS = 1e-3, 0.05
+ENOUGH, PLENTY = 50, 400  # rays to the detector that suffice to shape a target in another plane, and any target well
 PLANES = np.linspace(-2, 2, 21)  # vergences of other planes, in units of that of the image
-BETTER = 2.0  # so many times more rays must land by a target in another plane than by one in the image's
+BETTER = 2.0  # least ratio of the rays that land by a target in another plane to those by one in the image's
 
 
 @dataclass(frozen=True)
 class Fitted:
     """
-    A target that real rays have shaped.
+    A target that was fitted to real rays.
 
     Attributes
     ----------
@@ -56,7 +57,7 @@ class Fitted:
 
 class DetectorImages:
     """
-    The images of the detector that a design path makes.
+    Images of the detector that a design path forms.
 
     Parameters
     ----------
@@ -65,8 +66,8 @@ class DetectorImages:
     Attributes
     ----------
     paraxial : list of Target
-        The paraxial image of the detector in the space before each step of the path; the first is the space of the
-        source. An image at infinity is a far target.
+        Paraxial image of the detector in the space before each step of the path; the first is the space of the source.
+        An image at infinity is a far target.
     """
 
     def __init__(self, path: DesignPath) -> None:
@@ -78,14 +79,16 @@ class DetectorImages:
         self.paraxial = [self._paraxial(number) for number in range(len(path.steps))]
 
     def _base(self, number: int) -> tuple[np.ndarray, np.ndarray]:
-        """Start and direction of the base ray in the space before a step."""
+        """Return the start and direction of the base ray in the space before a step."""
         return self.path.steps[max(number - 1, 0)].point, self.path.steps[number].before
 
     def _paraxial(self, number: int) -> Target:
+        """Return the paraxial image of the detector in the space before a step."""
         start, axis = self._base(number)
         frame = across(axis)
         P, Q, hit = self._derivatives(number, frame)
         square, far = float(np.sum(P * P)), FAR * self.size
+        # L = B/A; for astigmatic systems the least-squares solution of Q = L P
         distance = float(np.sum(P * Q)) / square if square > 0 else np.inf
         if abs(distance) > far:
             distance, P = far, Q / far
@@ -95,9 +98,10 @@ class DetectorImages:
         return Target(self.detector.shape, centre, u, v, hole=self.detector.hole, reverse=bool(distance < 0))
 
     def _derivatives(self, number: int, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """P, Q and the hit of the base ray, in half axes of the detector: per mm and per unit of slope."""
+        """Return P, Q and the hit of the base ray, in half axes of the detector: per mm and per unit of slope."""
         start, axis = self._base(number)
         step = DIFFERENCE * self.size
+        # Central differences: four shifted rays, four tilted ones, and the base ray
         shifts = np.concatenate([frame.T, -frame.T, np.zeros((5, 3))]) * step
         tilts = np.concatenate([np.zeros((4, 3)), frame.T, -frame.T, np.zeros((1, 3))]) * DIFFERENCE
         d = axis + tilts
@@ -108,16 +112,17 @@ class DetectorImages:
 
     def fitted(self, number: int, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> Fitted:
         """
-        Target for light that enters the space before a step of the path at given points.
+        Return the target of light that enters the space before a step of the path at given points.
 
         It is the paraxial image of the detector, enlarged until it holds nearly all of the light that reaches the
-        detector from there by the path: all but `LEFT_OUT`, or what is easily found at random. Where the image lies so
-        near that most rays aimed at it miss the detector, another plane is taken, if `BETTER` times more land by it.
+        detector from there by the path: all but `LEFT_OUT`, or but a share that random rays find easily. The image may
+        be so close that most rays aimed at it miss the detector. Then a target in another plane replaces it, if
+        `BETTER` times more rays land by that.
 
         Parameters
         ----------
         number : int
-            Of the step.
+            Number of the step.
         points, normals : (n, 3) float64
             Points of the scattering surface (mm), and normals to the side that the light leaves on.
         rng : np.random.Generator
@@ -128,8 +133,9 @@ class DetectorImages:
         if abs(distance) < NEAR * self.size:  # an image on the surface itself has no direction
             distance = NEAR * self.size
             image = replace(image, centre=start + distance * axis, reverse=False)
+        # Target in the plane of the image
         size = SEARCH
-        for _ in range(2):  # the second time nearer to what is needed, so that more rays land
+        for _ in range(2):  # the second target is close to the final size, so that more rays land
             wide = replace(image, u=size * image.u, v=size * image.v, hole=0.0)
             rays = self._landing_rays(number, wide, points, normals, rng)
             if not len(rays.o):
@@ -140,6 +146,7 @@ class DetectorImages:
             size = MARGIN * max(_ratio(at_image.target.u, image.u), _ratio(at_image.target.v, image.v))
         if len(rays.o) < ENOUGH or at_image.landed > 1 / BETTER:
             return at_image
+        # Targets in other planes, even in vergence
         vergences = 1 / distance + max(abs(1 / distance), 1 / self.size) * PLANES
         others = [1 / v if abs(v) * far > 1 else far for v in vergences]
         best = max((_held(image, rays, start, axis, other) for other in others), key=lambda fitted: fitted.landed)
@@ -148,7 +155,7 @@ class DetectorImages:
     def _landing_rays(
         self, number: int, wide: Target, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator
     ) -> _Rays:
-        """The rays that reach the detector, of those sent half to a target, half as from a Lambertian."""
+        """Return the rays that reach the detector: half are aimed at a target, half leave as from a Lambertian."""
         to_image = np.arange(len(points)) % 2 == 0
         aimed = (wide.points(rng.random((len(points), 2))) - points) * (-1 if wide.reverse else 1)
         d = np.where(to_image[:, None], aimed, normals + sphere_points(rng, len(points)))
@@ -160,13 +167,14 @@ class DetectorImages:
         o, d, cosine = points[landed], d[landed], cosine[landed]
         t = ((wide.centre - o) @ wide.normal) / (d @ wide.normal)
         hit = wide.holds(o + t[:, None] * d) & ((t < 0) == wide.reverse)
+        # Balance heuristic: Σ n_i pdf_i/n of both techniques, of which each has half of the rays
         density = 0.5 * cosine / np.pi + np.where(hit, 0.5 * t**2 / (wide.area * np.abs(d @ wide.normal)), 0.0)
         return _Rays(o, d, 1 / density, cosine / density, len(points))
 
 
 @dataclass(frozen=True)
 class _Rays:
-    """Rays that land: origins, directions, solid angle and projected solid angle of each; and how many were tried."""
+    """Rays that land: origins, directions, solid angle and projected solid angle of each; and the number of trials."""
 
     o: np.ndarray
     d: np.ndarray
@@ -177,13 +185,13 @@ class _Rays:
     @property
     def covered(self) -> float:
         """Share of the projected solid angle that a target must hold."""
-        return 1 - max(LEFT_OUT, LEFT_TO_CHANCE * float(self.projected.sum()) / (np.pi * self.tried))
+        return 1 - max(LEFT_OUT, LEFT_TO_RANDOM_RAYS * float(self.projected.sum()) / (np.pi * self.tried))
 
 
 def _held(
     image: Target, rays: _Rays, start: np.ndarray, axis: np.ndarray, distance: float, least: float = 0.0
 ) -> Fitted:
-    """The image moved along its line of sight, of such a size (at least, in units of the image) that it holds rays."""
+    """Return the image moved along its line of sight and sized (from `least` images on) to hold the rays."""
     centre = start + distance / float((image.centre - start) @ axis) * (image.centre - start)
     t = ((centre - rays.o) @ axis) / (rays.d @ axis)
     coordinates = np.linalg.pinv(np.stack([image.u, image.v], axis=1)) @ (rays.o + t[:, None] * rays.d - centre).T
@@ -210,7 +218,7 @@ def _ratio(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def _quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
-    """The value below which a share of the weight lies."""
+    """Return the value below which a share of the weight lies."""
     order = np.argsort(values)
     summed = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(summed, share * summed[-1])])

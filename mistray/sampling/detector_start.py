@@ -1,4 +1,14 @@
-"""Start rays of a backward trace: they leave the detector as light from a Lambertian surface would."""
+"""
+Start rays of a backward trace, which leave the detector like light from a Lambertian surface.
+
+A share c of the rays on the lit side is aimed at targets. All of them are weighted by the balance heuristic (E. Veach,
+Robust Monte Carlo methods for light transport simulation, 1997, section 9.2):
+
+    w = n² pdf_L/((1 - c) pdf_L + c pdf_T),
+
+where pdf_L = cos θ/π is the Lambertian density (`lambertian`), pdf_T that of the targets (`density`), c is `AIMED`, and
+n the index of the medium before the detector.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +32,10 @@ from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable
 
 FROM_BACK = 1 / 16  # share of the rays that start on the side away from the light of the design
-PROBES = 256  # rays that look what the detector is in
-BOUNCES = 8  # of these at walls that do not say
-LEAST_SAID = 1 / 16  # of them: what fewer meet does not contradict, such as a lens that is open at its side
-AIMED = 0.4  # share of the others that start towards the opening
+PROBES = 256  # rays that find the medium around the detector
+BOUNCES = 8  # their reflections at walls that declare no material
+LEAST_SAID = 1 / 16  # share of them below which a declaration is ignored, as of a lens that is open at its side
+AIMED = 0.4  # share of the rays on the lit side that are aimed at the opening
 
 
 class DetectorStart:
@@ -38,22 +48,22 @@ class DetectorStart:
     light : (3,) float64
         Direction of the light of the design at the detector.
     aim : AimSet, optional
-        Where a part of the rays towards the light starts to.
+        Targets of a part of the rays towards the light.
     both_sides : bool
-        Or only towards the light.
+        Whether rays leave to both sides, or only towards the light.
 
     Attributes
     ----------
     area : float
-        Of the detector, mm².
+        Area of the detector, mm².
     notes : list of Note
-        Where the material before the detector is known by walls alone.
+        Notes on a material before the detector that walls alone declare.
 
     Raises
     ------
     MistrayError
-        If the detector is a tube or a stock shape other than a rectangle, see `SurfaceTable.film`; or if it, and what
-        it sees, declare different materials before it.
+        If the detector is a tube or one of Mitsuba's own shapes other than a rectangle, see `SurfaceTable.film`; or if
+        the detector and the surfaces that it sees declare different materials before it.
     """
 
     def __init__(self, table: SurfaceTable, light: np.ndarray, aim: AimSet | None, both_sides: bool) -> None:
@@ -62,6 +72,7 @@ class DetectorStart:
         self._table = table
         self.width, self.height, (x0, x1, y0, y1) = table.film()
         self.extent = (x0, x1, y0, y1)
+        # Shape and frame of the detector; the third axis is its normal
         self._targets = (DeviceTargets([aim], table.centre), len(aim.targets)) if aim is not None else None
         self._half = [dr.opaque(mi.Float, 0.5 * (x1 - x0)), dr.opaque(mi.Float, 0.5 * (y1 - y0))]
         self._round = False
@@ -72,17 +83,19 @@ class DetectorStart:
         else:
             origin, x_axis, y_axis = table.detector_axes[table.detector]
             self._origin, self._axes = origin, [x_axis, y_axis, dr.cross(x_axis, y_axis)]
-            (normal,) = table.stock_normals(table.download_points(origin)[:1], np.array(self._axes[2]).reshape(1, 3))
+            (normal,) = table.mitsuba_normals(table.download_points(origin)[:1], np.array(self._axes[2]).reshape(1, 3))
             if normal @ np.array(self._axes[2]).ravel() < 0:
                 self._axes[2] = -self._axes[2]
         normal = np.array(self._axes[2]).ravel()
         towards = -1.0 if normal @ light > 0 else 1.0  # side of the normal that the light of the design comes from
         self._towards = dr.opaque(mi.Float, towards)
+        # Media of the lit side and of the other one
         media = [self._medium(side, side == towards) for side in (towards, -towards)]
         self._media = [dr.opaque(mi.UInt32, number) for number, _ in media]
         self._index2 = [dr.opaque(mi.Float, n * n) for _, n in media]
 
     def _analytic(self) -> None:
+        """Set frame, aperture and sag of an analytic detector."""
         table = self._table
         piece = table.pieces[table.detector]
         assert isinstance(piece, SagSurface)  # see `SurfaceTable.film`
@@ -96,17 +109,20 @@ class DetectorStart:
         c, k, w, *rest = (dr.opaque(mi.Float, v) for v in (piece.curvature, piece.conic, per_area, *coefficients))
         self._shape = c, k, rest, w
         x0, x1, y0, y1 = self.extent
+        # Mean stretch of the surface over its projection, by which weights are normalised
         flat = np.pi * (piece.outer**2 - piece.inner**2) if self._round else (x1 - x0) * (y1 - y0)
         self._stretch = dr.opaque(mi.Float, self.area / flat)
 
     def _medium(self, side: float, lit: bool) -> tuple[int, float]:
         """
-        Number and index of the material before the detector, on the side of its normal times `side`.
+        Return number and index of the material before the detector, on the side of its normal times `side`.
 
-        It is what the detector declares there, else what the surfaces that its rays meet first declare: those that
-        refract, of which most count, else opaque ones. It is vacuum where nothing is declared. Behind the
-        detector, what it declares may be its substrate, which contradicts nothing.
+        It is the material that the detector declares there, else the one that the surfaces declare which its rays meet
+        first. Of these, refracting surfaces decide by majority; opaque ones decide where there are no others. It is
+        vacuum where nothing is declared. Behind the detector, the declared material may be its substrate, so that no
+        contradiction is reported there.
         """
+        # Declarations of the surfaces that probes meet first
         table, optics = self._table, self._table.optics
         own = int(optics.declared[table.detector, int(side > 0)])
         hit, from_back = self._first_to_declare(side)
@@ -115,9 +131,10 @@ class DetectorStart:
         counts = np.bincount(said[~opaque], minlength=1)
         if counts.sum() >= (LEAST_SAID * PROBES if own else 1):
             others = [int(counts.argmax())]
-        else:  # walls count where nothing else does: behind a mirror may stand its glass, which no light is in
+        else:  # walls decide only here: a mirror may declare its glass, in which there is no light
             counts = np.bincount(said[opaque], minlength=1)
             others = np.argsort(-counts)[: max(1, np.count_nonzero(counts >= LEAST_SAID * PROBES))].tolist()
+        # The detector's own declaration first; on the lit side others must agree with it
         found = [(own, "")] if own else []
         found += [(number, table.ids[hit[said == number][0]]) for number in others if counts[number]]
         for other in found[1:]:
@@ -133,7 +150,7 @@ class DetectorStart:
         return number, float(optics.host_media_n[number])
 
     def _first_to_declare(self, side: float) -> tuple[np.ndarray, np.ndarray]:
-        """Surfaces that rays of the detector meet, and whether at the back; walls that declare nothing send them on."""
+        """Return surfaces with a declaration that detector rays meet, and whether at the back; other walls reflect."""
         table, rng = self._table, np.random.default_rng(0)
         o, outward = surface_points(table, table.detector, PROBES, rng)
         outward, left = side * outward, np.full(PROBES, table.detector)
@@ -143,7 +160,7 @@ class DetectorStart:
             left, o, normal = first_hit(table, o, d, left)
             from_back = np.einsum("ij,ij->i", d, normal) < 0
             declares = table.optics.declared[left, from_back.astype(int)] > 0
-            hit = (left >= 0) & ~np.isin(left, table.detectors)  # those stand on what is behind them
+            hit = (left >= 0) & ~np.isin(left, table.detectors)  # a detector declares the substrate behind it
             met.append(np.stack([left, from_back])[:, hit & declares])
             on = hit & ~declares
             outward = np.where(from_back, 1.0, -1.0)[on, None] * normal[on]
@@ -152,7 +169,7 @@ class DetectorStart:
         return surfaces, sides
 
     def _contradiction(self, first: tuple[int, str], second: tuple[int, str], side: float) -> str:
-        """Message: a number of a material and who declares it, "" the detector itself; and those of another one."""
+        """Return the message on two materials: the number of each, and the declaring surface ("": the detector)."""
         media, detector = self._table.optics.media, self._table.ids[self._table.detector]
         key = "back" if side > 0 else "front"
         by = f"surface '{first[1]}'" if first[1] else f"its {key}"
@@ -162,22 +179,22 @@ class DetectorStart:
         )
 
     def pixel(self, x: mi.Float, y: mi.Float, columns: int, rows: int) -> mi.UInt32:
-        """Pixel of a map of the detector, row 0 at the smallest y."""
+        """Return the pixel of a map of the detector, row 0 at the smallest y."""
         column = dr.clip(mi.Int32((0.5 + 0.5 * x / self._half[0]) * columns), 0, columns - 1)
         row = dr.clip(mi.Int32((0.5 + 0.5 * y / self._half[1]) * rows), 0, rows - 1)
         return mi.UInt32(row * columns + column)
 
     def pass_rays(self, seed: int, lanes: int, weight: float, pixels: tuple[int, int] = (0, 0)) -> StartRays:
         """
-        Start rays of a pass.
+        Return the start rays of a pass.
 
         Parameters
         ----------
         seed : int
         lanes : int
-            A multiple of the number of batches.
+            Number of rays, a multiple of the number of batches.
         weight : float
-            Of the rays on average.
+            Mean weight of the rays.
         pixels : tuple of int
             Columns and rows of the maps.
         """
@@ -196,19 +213,20 @@ class DetectorStart:
         pixels: tuple[int, int],
     ) -> StartRays:
         """
-        Start rays.
+        Return start rays.
 
         Parameters
         ----------
         lane, batch : mi.UInt32
         place : mi.Float64
-            0 … 1, stratified within each batch.
+            Random number, 0 … 1, stratified within each batch.
         rng : mi.PCG32
         weight : mi.Float
-            Of the rays on average.
+            Mean weight of the rays.
         pixels : tuple of int
             Columns and rows of the maps.
         """
+        # Stratum: away from the light, towards targets, or Lambertian; each is sorted along a curve of its own
         back = place < self._back
         aimed_share = AIMED if self._targets is not None else 0.0
         first_random = self._back + (1 - self._back) * aimed_share
@@ -219,6 +237,7 @@ class DetectorStart:
         # The two dimensions that change fastest are those of the direction, which most decides where a ray goes
         p, normal, stretch, x, y = self._position(u[2], u[3])
         outward = normal * dr.select(back, -self._towards, self._towards)
+        # Cosine-weighted hemisphere
         disk = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(u[0], u[1]))
         cosine = dr.sqrt(dr.maximum(1 - dr.squared_norm(disk), 0))
         across, along = mi.coordinate_system(outward)
@@ -227,6 +246,7 @@ class DetectorStart:
         if self._targets is not None:
             targets, count = self._targets
             plan = dr.zeros(mi.Vector2u, dr.width(lane)) + mi.Vector2u(0, count)
+            # MIS weight: pdf_L/Σ c_i pdf_i over the Lambertian and the targets
             spare = rng.next_float32()
             to_target, own = targets.sample(plan, [u[0], u[1], spare, spare], p, outward, aim)
             d = dr.select(aim, to_target, d)
@@ -234,6 +254,7 @@ class DetectorStart:
             density = targets.density(plan, p, d, outward, aim, own, ~back)
             w = dr.select(back, w, w * lambertian / dr.lerp(lambertian, density, aimed_share))
             w = dr.select(dr.isfinite(w), w, 0)
+        # Radiance over n² is invariant, so that n² of the detector's medium enters the weight
         w = w * dr.select(back, self._index2[1], self._index2[0])
         left = dr.full(mi.UInt32, self._table.detector, dr.width(lane))
         medium = dr.select(back, self._media[1], self._media[0])
@@ -242,15 +263,17 @@ class DetectorStart:
 
     def weight_at(self, p: mi.Vector3f, d: mi.Vector3f, outward: mi.Vector3f, active: mi.Bool) -> mi.Float:
         """
-        Weights of the rays that start at points of the detector along d, where the mean is 1.
+        Return the weights of the rays that start at points of the detector along d, for a mean weight of 1.
 
         Parameters
         ----------
         p, d : mi.Vector3f
+            Points and unit directions.
         outward : mi.Vector3f
             Unit normal on the side that the rays leave to.
         active : mi.Bool
         """
+        # The same factors as in `rays`, for rays that were drawn otherwise
         upright = dr.dot(outward, self._axes[2])
         back = upright * self._towards < 0
         w = dr.rcp(dr.select(back, self._back, 1 - self._back))
@@ -265,7 +288,8 @@ class DetectorStart:
         return w * dr.select(back, self._index2[1], self._index2[0])
 
     def _position(self, u: mi.Float, v: mi.Float) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float, mi.Float, mi.Float]:
-        """Point, normal, area of the surface there over the mean one, and the detector's own coordinates, mm."""
+        """Return point, normal, area element there over the mean one, and the detector's own coordinates, mm."""
+        # Position in the projection, uniform over the rectangle or the ring
         x, y, z = (2 * u - 1) * self._half[0], (2 * v - 1) * self._half[1], mi.Float(0)
         if self._round:
             disk = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(u, v))
@@ -274,6 +298,7 @@ class DetectorStart:
             scale = dr.sqrt((inner2 + r2 * (outer2 - inner2)) / dr.maximum(r2, 1e-12))
             x, y = disk.x * scale, disk.y * scale
         normal, stretch = mi.Vector3f(0, 0, 1), mi.Float(1)
+        # Sag and normal there
         if self._curved:
             r2 = dr.fma(x, x, y * y)
             z, slope = sag(r2, *self._shape), 2 * sag_derivative(r2, *self._shape)
@@ -287,14 +312,14 @@ class DetectorStart:
 
 def stratified_places(index: mi.UInt32, lanes: int, rng: mi.PCG32) -> tuple[mi.UInt32, mi.Float64]:
     """
-    Batches of lanes, and a place 0 … 1 for each lane that is uniform in its own stratum of the batch.
+    Return the batches of lanes, and a number 0 … 1 for each lane that is uniform in its own stratum of the batch.
 
     Parameters
     ----------
     index : mi.UInt32
-        0 … lanes - 1.
+        Numbers of the lanes, 0 … lanes - 1.
     lanes : int
-        A multiple of the number of batches.
+        Number of lanes, a multiple of the number of batches.
     rng : mi.PCG32
     """
     strata = lanes // BATCHES

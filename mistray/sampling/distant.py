@@ -1,4 +1,4 @@
-"""Start rays of light from far away, such as the sun's or the sky's: its directions, and a disc across each of them."""
+"""Start rays of distant light, such as the sun's or the sky's: its directions, and a disc across each of them."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from mistray.sampling.source import OPTICS, Emission, SceneSource, turned
 from mistray.sampling.space_filling import stratified_points
 from mistray.sampling.strata import Strata
 
-AIMED = (OPTICS, 1 - OPTICS)  # shares of the rays of what goes to the first aperture, and to the rest of the scene
-CLEARANCE = 1.01  # of the start of the rays from the middle of the scene, in radii
+AIMED = (OPTICS, 1 - OPTICS)  # shares of the rays that go to the first aperture, and to the rest of the scene
+CLEARANCE = 1.01  # distance of the start of the rays from the middle of the scene, in radii
 
 
 @dataclass(frozen=True, kw_only=True)
 class DistantRays(SceneSource):
     """
-    Light that has the same directions all over the scene.
+    Light that has the same directions everywhere in the scene.
 
-    The rays of a direction fill a disc across it, which holds the sphere around the scene. Those through a sphere
-    around the first aperture are a stratum of their own. That sphere may stand out of the one around the scene, as
-    that of a lens does at the end of a short system: what is drawn out there is no light of the disc.
+    The rays of a direction fill a disc across it, which covers the sphere around the scene. The rays through a sphere
+    around the first aperture are a stratum of their own. That sphere may stick out of the one around the scene, as
+    around a lens at the end of a short system. Rays that are drawn there carry no light.
 
     Attributes
     ----------
     scene : Sphere
-        Holds all surfaces.
+        Sphere around all surfaces.
     aperture : Sphere or None
-        Holds the first surface of the design path; its radius is below √½ of that of `scene`.
+        Sphere around the first surface of the design path; its radius is below √½ of that of `scene`.
     """
 
     scene: Sphere
@@ -41,19 +41,19 @@ class DistantRays(SceneSource):
     aims: ClassVar[bool] = True
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> DistantRays:
-        """The same light with more of its rays on an aperture, if that is small."""
+        """Return the same light with more of its rays on an aperture, if that is small."""
         return replace(self, aperture=aperture) if aperture.radius < np.sqrt(0.5) * self.scene.radius else self
 
     @property
     def moving(self) -> tuple[str, ...]:  # type: ignore[override]  # read-only
-        """Those of the plugin."""
+        """Differentiable parameters of the plugin."""
         return tuple(self.emitter.differentiable)
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
         """
-        Derivatives that the plugin knows.
+        Return the derivatives that the plugin provides.
 
-        Rays turn about the middle of the aperture: the light is the same everywhere, and there they move least.
+        Rays turn about the middle of the aperture: the light is the same everywhere, and rays move least there.
         """
         pivot = (self.aperture or self.scene).centre
         axes = [mi.Vector3d(*axis.tolist()) for axis in self._axes]
@@ -63,25 +63,25 @@ class DistantRays(SceneSource):
 
     @property
     def middle(self) -> tuple[np.ndarray, np.ndarray]:
-        """The ray along the axis through the pivot."""
+        """Ray along the axis through the pivot."""
         return self.through(np.zeros(1), np.zeros(1))
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
-        """Directions of the plugin and places across them, see `Source.start`."""
+        """Return directions of the plugin and positions across them, see `Source.start`."""
         if self.aperture is None:
             sample, within = stratified_points(batch, rng), None
         else:
             strata = Strata(batch, AIMED)
             sample, within = stratified_points(strata.group, rng), strata.number == 0
         o, d, light = self._rays(sample, mi.Point2f(rng.next_float32(), rng.next_float32()), rng, within)
-        # A part of a small batch may have no rays
+        # Weight of a stratum: its share of the light over its share of the rays; in a small batch one may have no rays
         share = dr.select(within, strata.parts[0], strata.parts[1]) if within is not None else None
         w = None if share is None else strata.closed(light / share, strata.number, len(AIMED))
         o -= mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in centre))
         return Emission(mi.Vector3f(o), dr.normalize(mi.Vector3f(d)), w)
 
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
-        """Rays to points of the aperture, or of the scene, see `SceneSource.probes`; their directions are random."""
+        """Return rays of random directions to points of the aperture, or of the scene, see `SceneSource.probes`."""
         rng = mi.PCG32(size=dr.width(sample))
         within = None if self.aperture is None else mi.Bool(True)
         o, d, _ = self._rays(sample, mi.Point2f(rng.next_float32(), rng.next_float32()), rng, within)
@@ -92,16 +92,19 @@ class DistantRays(SceneSource):
         self, sample: mi.Point2f, towards: mi.Point2f, rng: mi.PCG32, within: mi.Bool | None
     ) -> tuple[mi.Vector3d, mi.Vector3d, mi.Float64]:
         """
-        Rays in the world; those `within` go through the aperture, the others pass it by; None: both.
+        Return rays in the world, and the share of their stratum in the light of their direction.
 
-        Also the share of the light of the ray's direction that goes the same way; 0 where there is none.
+        Rays `within` pass through the aperture, the others miss it; None: there is one stratum. The share is 0 where a
+        point lies outside the disc.
         """
+        # Directions of the plugin
         numbers = {name: dr.opaque(mi.Float64, float(value)) for name, value in self.emitter.values.items()}
         axes = [mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in axis)) for axis in self._axes]
         d = dr.zeros(mi.Vector3d, dr.width(sample)) + turned(
             self.emitter.directions(mi.Point2d(towards), numbers), axes
         )
         u, v = across(d)
+        # Positions on the disc across the direction
         outer = dr.opaque(mi.Float64, self.scene.radius)
         point, light = self._on_disc(mi.Point2d(sample)) * outer, mi.Float64(1)
         if within is not None and self.aperture is not None:
@@ -109,7 +112,7 @@ class DistantRays(SceneSource):
             aside = mi.Point2d(dr.dot(offset, u), dr.dot(offset, v))
             inner = dr.opaque(mi.Float64, self.aperture.radius)
             aimed = aside + point * (inner / outer)
-            # Elsewhere: drawn again until it is there, which holds for one of two at least
+            # Rejection sampling: at least half of the disc lies outside the aperture, by the limit on its radius
             point, _ = dr.while_loop(
                 (point, rng),
                 lambda point, rng: ~within & (dr.squared_norm(point - aside) < inner * inner),
@@ -117,6 +120,7 @@ class DistantRays(SceneSource):
                 labels=("point", "rng"),
             )
             point = dr.select(within, aimed, point)
+            # Shares of both strata, by the areas of the discs and of their intersection
             whole = outer * outer
             passing = 1 - _common_area(dr.norm(aside), inner, outer) / (dr.pi * whole)
             light = dr.select(within, dr.select(dr.squared_norm(point) < whole, inner * inner / whole, 0), passing)
@@ -125,6 +129,7 @@ class DistantRays(SceneSource):
 
     @staticmethod
     def _on_disc(sample: mi.Point2d) -> mi.Point2d:
+        """Return uniform points of the unit disc."""
         square, cosine, sine = polar(sample)
         radius = dr.sqrt(square)
         return mi.Point2d(radius * cosine, radius * sine)
@@ -135,8 +140,8 @@ class DistantRays(SceneSource):
 
 
 def _common_area(apart: mi.Float64, small: mi.Float64, large: mi.Float64) -> mi.Float64:
-    """Area that two discs have in common, by the distance of their middles and their radii: two circular segments."""
-    d = dr.clip(apart, large - small, large + small)  # nearer together the small one lies within
+    """Return the area of the intersection of two discs at a distance `apart`: two circular segments."""
+    d = dr.clip(apart, large - small, large + small)  # below it the small disc lies within the large one
     sides = [(d * d + a * a - b * b) / (2 * d) for a, b in ((small, large), (large, small))]
     segments = zip((small, large), sides, strict=True)
     return sum(r * r * dr.safe_acos(x / r) - x * dr.safe_sqrt(r * r - x * x) for r, x in segments)

@@ -1,4 +1,8 @@
-"""Directions of equal flux for laws of emission about an axis: maps of the unit square, for Dr.Jit in any precision."""
+"""
+Directions of equal flux for laws of emission about an axis: maps of the unit square, for Dr.Jit in any precision.
+
+Heights h = 1 - cos θ replace the angle θ from the axis, since dΩ = dh dφ, and h keeps its digits near the axis.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +15,14 @@ import numpy as np
 
 from mistray.surfaces.upload import upload
 
-LEAST_LOG = -80.0  # exp of it is nothing beside 1, and a float32
-EDGE = 1e-6  # by which rays along the edge of a source lie within it, as a share of its size
-PROFILE_STEPS, LEAST_STEPS = 4096, 512
+LEAST_LOG = -80.0  # its exp is negligible beside 1, and still a normal float32
+EDGE = 1e-6  # distance of rays along the edge of a source from that edge, as a share of its size
+PROFILE_STEPS, LEAST_STEPS = 4096, 512  # steps in angle of a table, divided by its azimuths, and fewest
 
 
 def polar(sample: Any) -> tuple[Any, Any, Any]:
     """
-    The concentric map of the unit square to the unit disc, whose neighbours stay neighbours.
+    Map the unit square to the unit disc concentrically; neighbours stay neighbours.
 
     P. Shirley and K. Chiu, "A low distortion map between disk and square", J. Graphics Tools 2(3), 45-52 (1997).
 
@@ -31,6 +35,7 @@ def polar(sample: Any) -> tuple[Any, Any, Any]:
     square, cosine, sine
         Square of the radius, 0 … 1, which is uniform, and cosine and sine of the azimuth.
     """
+    # Triangles of the square become sectors of the disc: the larger coordinate is the radius
     a, b = 2 * sample.x - 1, 2 * sample.y - 1
     first = dr.abs(a) > dr.abs(b)
     radius = dr.select(first, a, b)
@@ -42,7 +47,7 @@ def polar(sample: Any) -> tuple[Any, Any, Any]:
 
 
 def perimeter(count: int, within: float = EDGE) -> np.ndarray:
-    """(2, count) float64: points in even steps along the perimeter of the unit square, inside by a share of it."""
+    """Return (2, count) float64 points in even steps along the perimeter of the unit square, a little inside it."""
     along = 4 * (np.arange(count) + 0.5) / count
     side, place = np.divmod(along, 1.0)
     edges = np.array([[place, 0 * place], [1 + 0 * place, place], [1 - place, 1 + 0 * place], [0 * place, 1 - place]])
@@ -51,30 +56,30 @@ def perimeter(count: int, within: float = EDGE) -> np.ndarray:
 
 
 def direction(height: Any, cosine: Any, sine: Any) -> Any:
-    """Unit vector with 1 - cos θ = `height`, exact near the axis, and the azimuth's cosine and sine."""
+    """Return the unit vector with 1 - cos θ = `height`, exact near the axis, and this azimuth."""
     across = dr.safe_sqrt(height * (2 - height))
     vector = mi.Vector3d if dr.type_v(height) == dr.VarType.Float64 else mi.Vector3f
     return vector(across * cosine, across * sine, 1 - height)
 
 
 def height_of(d: Any) -> Any:
-    """1 - cos θ of a direction, exact near the axis."""
+    """Return 1 - cos θ of a direction, exact near the axis."""
     across = d.x * d.x + d.y * d.y
     return dr.select(d.z > 0, across / (1 + d.z), 1 - d.z)
 
 
 def cone_height(half_angle: Any) -> Any:
-    """1 - cos α of a half angle in radians, exact for small ones."""
+    """Return 1 - cos α of a half angle in radians, exact for small ones."""
     sine = dr.sin(0.5 * half_angle)
     return 2 * sine * sine
 
 
 def log_cosine(height: Any) -> Any:
     """
-    Logarithm of cos θ for 1 - cos θ = `height`, exact near 0; where the cosine is not above 0, a large negative number.
+    Return ln cos θ for 1 - cos θ = `height`, exact near 0; where the cosine is not above 0, a large negative number.
 
-    The log of a rounded 1 - h is divided by what it was rounded to: D. Goldberg, "What every computer scientist should
-    know about floating-point arithmetic", ACM Computing Surveys 23(1), 5-48 (1991), theorem 4.
+    With x = 1 - h as rounded, ln(1 - h) = h ln x/(1 - x): D. Goldberg, "What every computer scientist should know about
+    floating-point arithmetic", ACM Computing Surveys 23(1), 5-48 (1991), theorem 4.
     """
     least = 1e-300 if dr.type_v(height) == dr.VarType.Float64 else 1e-37
     cosine = 1 - height
@@ -83,7 +88,7 @@ def log_cosine(height: Any) -> Any:
 
 
 def rest_of_power(log: Any) -> Any:
-    """1 - exp(log) for logarithms up to 0, exact near 0; the counterpart of `log_cosine`."""
+    """Return 1 - exp(log) for logarithms up to 0, exact near 0; the counterpart of `log_cosine`."""
     log = dr.maximum(log, LEAST_LOG)
     power = dr.exp(log)
     return dr.select(power == 1, -log, (1 - power) * log / dr.select(power == 1, 1, dr.log(power)))
@@ -91,12 +96,14 @@ def rest_of_power(log: Any) -> Any:
 
 def cosine_power(square: Any, exponent: Any, edge: Any) -> Any:
     """
-    1 - cos θ of an intensity in proportion to cosⁿ θ within a cone.
+    Return 1 - cos θ of an intensity in proportion to cosⁿ θ within a cone.
+
+    The share u of the flux within θ is u = (1 - cosⁿ⁺¹ θ)/(1 - cosⁿ⁺¹ α), with the half angle α of the cone.
 
     Parameters
     ----------
     square : array
-        Share of the flux within θ, 0 … 1.
+        Share u of the flux within θ, 0 … 1.
     exponent : array
         n ≥ 0; 0 is the same intensity in all directions, 1 a Lambertian surface.
     edge : array
@@ -108,7 +115,7 @@ def cosine_power(square: Any, exponent: Any, edge: Any) -> Any:
 
 
 def cosine_power_angle(exponent: float, half_angle: float) -> float:
-    """∫ cosⁿ θ dΩ over a cone of a half angle in radians, sr: 2π (1 - cosⁿ⁺¹ α) / (n + 1)."""
+    """Return ∫ cosⁿ θ dΩ over a cone of a half angle in radians, sr: 2π (1 - cosⁿ⁺¹ α) / (n + 1)."""
     edge = cone_height(half_angle)
     if exponent == 0 or edge >= 1:
         return float(2 * dr.pi * min(edge, 2.0 if exponent == 0 else 1.0) / (exponent + 1))
@@ -116,7 +123,7 @@ def cosine_power_angle(exponent: float, half_angle: float) -> float:
 
 
 def gaussian(square: Any) -> Any:
-    """Radius of a two-dimensional normal distribution with σ = 1 that holds a share `square` of it."""
+    """Return the radius that holds a share `square` of a two-dimensional normal distribution with σ = 1."""
     return dr.sqrt(-2 * dr.log(dr.maximum(1 - square, 1e-30)))
 
 
@@ -124,15 +131,15 @@ class IntensityTable:
     """
     An intensity that is linear in the angle from the axis and in the azimuth between given angles.
 
-    Within fine steps of the angle it is linear in 1 - cos θ instead, in which the solid angle is uniform: so samples
-    follow it exactly.
+    Within fine steps of the angle it is linear in 1 - cos θ instead. The solid angle is uniform in that, so that
+    samples follow the intensity exactly.
 
     Parameters
     ----------
     theta_deg : (t,) float
-        Angles from the axis, rising within 0 … 180; the intensity is 0 below the first and above the last.
+        Angles from the axis, ascending within 0 … 180; the intensity is 0 below the first and above the last.
     phi_deg : (p,) float
-        Azimuths from x towards y, rising from 0 to 360.
+        Azimuths from x towards y, ascending from 0 to 360.
     values : (t, p) float
         Intensities, in any unit; the first and last column are the same.
 
@@ -147,6 +154,7 @@ class IntensityTable:
     """
 
     def __init__(self, theta_deg: np.ndarray, phi_deg: np.ndarray, values: np.ndarray) -> None:
+        # Fine steps in angle, the given angles among them
         given, phi = np.radians(theta_deg), np.radians(phi_deg)
         steps = max(PROFILE_STEPS // (len(phi) - 1), LEAST_STEPS)
         theta = np.unique(np.concatenate([np.linspace(given[0], given[-1], steps), given]))
@@ -163,18 +171,20 @@ class IntensityTable:
         self._ends = np.concatenate([[0.0], np.cumsum(flux) / flux.sum()])
 
     def edge_samples(self, count: int, within: float = EDGE) -> np.ndarray | None:
-        """(2, count) points of the unit square with directions along the last angle; None if it is dark there."""
+        """Return (2, count) points of the unit square for directions at the last angle; None if it is dark there."""
         if not np.any(self._intensity[-1] > 0):
             return None
         return np.stack([np.full(count, 1 - within), (np.arange(count) + 0.5) / count])
 
     @cached_property
     def _tables(self) -> list[mi.Float64]:
+        """Tables on the device."""
         rows = (self._ends, self._height, self._around[:, -1], self._phi, self._intensity, self._around)
         return [upload(mi.Float64, row.ravel()) for row in rows]
 
     def directions(self, sample: mi.Point2d) -> mi.Vector3d:
-        """Directions in proportion to the intensity, for points of the unit square."""
+        """Return directions in proportion to the intensity, for points of the unit square."""
+        # Angle: the step by its share of the flux, and within it from the flux per azimuth, which is linear
         ends, heights, wholes, phis, intensities, around = self._tables
         k, part = _cell(ends, len(self._ends), sample.x)
         i0, i1 = (dr.gather(mi.Float64, wholes, k + j) for j in range(2))
@@ -186,6 +196,7 @@ class IntensityTable:
             low, high = (dr.gather(mi.Float64, table, (k + row) * width + j) for row in range(2))
             return dr.fma(high - low, t, low)
 
+        # Azimuth: the same at that angle, by ∫ I dφ
         share = sample.y * blend(around, mi.UInt32(width - 1))
         j = dr.binary_search(0, width - 2, lambda i: blend(around, i + 1) <= share)
         low, high = blend(around, j), blend(around, j + 1)
@@ -195,7 +206,8 @@ class IntensityTable:
         return direction(dr.fma(h1 - h0, t, h0), cosine, sine)
 
     def density(self, d: mi.Vector3d) -> mi.Float64:
-        """Of directions d, 1/sr."""
+        """Return the density of directions d, 1/sr."""
+        # Bilinear in height and azimuth, as `directions` draws
         _, heights, _, phis, intensities, _ = self._tables
         height = height_of(d)
         phi = dr.atan2(d.y, d.x)
@@ -213,13 +225,14 @@ class IntensityTable:
 
 
 def _cell(nodes: mi.Float64, count: int, value: mi.Float64) -> tuple[mi.UInt32, mi.Float64]:
-    """The step between rising nodes that a value lies in, and where in it, 0 … 1."""
+    """Return the step between rising nodes that a value lies in, and its position within it, 0 … 1."""
     k = dr.binary_search(0, count - 2, lambda i: dr.gather(mi.Float64, nodes, i + 1) <= value)
     low, high = (dr.gather(mi.Float64, nodes, k + j) for j in range(2))
     return k, dr.clip((value - low) / dr.maximum(high - low, 1e-300), 0, 1)
 
 
 def _linear(first: mi.Float64, last: mi.Float64, share: mi.Float64) -> mi.Float64:
-    """The x, 0 … 1, up to which a trapezoid from a to b has a share: (a x + (b - a) x²/2) / ((a + b)/2)."""
+    """Return the x, 0 … 1, up to which a trapezoid from a to b has a share: (a x + (b - a) x²/2) / ((a + b)/2)."""
+    # The form of the quadratic's root without cancellation
     root = dr.safe_sqrt(first * first + share * (last * last - first * first))
     return share * (first + last) / dr.maximum(first + root, 1e-300)

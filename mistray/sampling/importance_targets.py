@@ -1,17 +1,18 @@
-"""Where scattered light should be sent so that it reaches the detector: the targets of all surfaces that scatter.
+"""
+Importance targets: the directions in which surfaces should scatter light so that it reaches the detector.
 
 - Light that leaves a surface of the design path towards the detector is aimed at the image of the detector.
-- Light that leaves any other surface is aimed at what can be seen from there: at the detector, and at each lens and
-  mirror of the design path from the side on which the design has its light. It goes to the image of the detector by
-  that lens or mirror where rays from the surface reach the detector that way, else to its aperture.
+- Light that leaves any other surface is aimed at what can be seen from there. This is the detector, and each lens and
+  mirror of the design path from the side on which the design has its light. Where rays reach the detector by that lens
+  or mirror, they are aimed at the image of the detector by it, else at its aperture.
 - A side that sees none of these, but other surfaces that transmit, is aimed at what it sees through them: a window
   through its other faces, see `mistray.sampling.bulk_aiming`.
-- What a surface of the design path scatters backwards is not aimed.
+- Light that a surface of the design path scatters backwards is not aimed.
 - Light that a medium scatters is aimed likewise, see `mistray.sampling.bulk_aiming`.
-- A surface that a shape with a ``target`` names has those targets and no others, as have the media on its sides for
-  the light that they scatter on its way to the surface.
+- A surface that a shape with a ``target`` names has those targets and no others. So have the media on its sides, for
+  light that they scatter on its way to the surface.
 
-Rays that are not aimed are the rest: whatever the targets are, the result is the same but for its error.
+Random rays cover all other directions, so that targets change the variance of a result but not its expectation.
 """
 
 from __future__ import annotations
@@ -34,16 +35,16 @@ from mistray.settings import Settings
 from mistray.surfaces.host_points import lambertian_directions, surface_points
 from mistray.surfaces.host_rays import first_hit, onward
 from mistray.surfaces.surfaces import SurfaceTable
-from mistray.time_budget import share, thinned, time_is_up
+from mistray.time_budget import fewer_rays, share, time_is_up
 
 PATH_POINTS, SEEN_POINTS = 4096, 1024  # points of a surface from which rays to the image are tried
-PROBES, DETECTOR_PROBES = 16, 256  # rays from a surface that look whether a lens, or the detector, can be seen
-THROUGH_PROBES = 64  # rays that look whether something can be seen through other surfaces
+PROBES, DETECTOR_PROBES = 16, 256  # rays from a surface that test whether a lens, or the detector, can be seen
+THROUGH_PROBES = 64  # rays that test whether something can be seen through other surfaces
 SEEN, DETECTOR_SEEN = 0.04, 0.005  # share of them that must see it
-SECOND_WAY = 0.25  # of two ways by which something is seen, the one with so much less rays than the other is left out
+SECOND_WAY = 0.25  # of two ways to the same sight, one with less than this share of the rays of the other is dropped
 LANDED = 0.02  # share of the rays to an image that must land on the detector
 MOST_TARGETS = 4
-SEARCH_SHARE = 0.2  # of a time budget, after which images are sought no more
+SEARCH_SHARE = 0.2  # share of a time budget after which the search for images ends
 
 _OF_SOURCES = ("matrix", "size", "plane", "distance", "field_deg", "azimuth_deg", "values")
 MOST_KNOWN = 32  # scenes whose automatic targets are kept: a scene is traced at many fields
@@ -52,20 +53,21 @@ _known: dict[str, dict[Place, list[Target]]] = {}
 
 def importance_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings) -> dict[Place, AimSet]:
     """
-    The targets of all surfaces and media that scatter.
+    Return the targets of all surfaces and media that scatter.
 
     Parameters
     ----------
     table : SurfaceTable
     scene : mi.Scene
     settings : Settings
-        `aim` and `aimed_rays`.
+        Uses `aim` and `aimed_rays`.
 
     Returns
     -------
     dict
-        Where light is scattered → AimSet. Without an entry nothing is aimed.
+        Where light is scattered → AimSet. Without an entry no ray is aimed.
     """
+    # Targets that the scene defines
     scatterers = [i for i in range(table.count) if table.interfaces[i].scatter]
     if settings.aim == "none" or not (scatterers or table.optics.scatters):
         return {}
@@ -76,6 +78,7 @@ def importance_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings)
     rest = [surface for surface in scatterers if surface not in given]
     if settings.aim == "targets" or not settings.aimed_rays:
         return found
+    # Automatic targets of the other surfaces, from the cache if the scene has been traced before
     key = signature(table, scene, rest)
     if key not in _known:
         while len(_known) >= MOST_KNOWN:
@@ -89,7 +92,7 @@ def importance_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings)
 
 
 def signature(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> str:
-    """What automatic targets depend on, near enough: old targets would cost accuracy, not correctness."""
+    """Return a hash of nearly all that automatic targets depend on: outdated targets only raise the variance."""
     facts = [
         *((shape.id(), str(shape.bbox()), str(getattr(shape, "values", ""))) for shape in table.shapes),
         *(getattr(shape, "coefficients", "") for shape in table.shapes),
@@ -106,7 +109,7 @@ def signature(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> 
 
 
 def _of_detectors(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> dict[Place, list[Target]]:
-    """Targets of surfaces and media towards each of the detectors."""
+    """Return the targets of surfaces and media towards each of the detectors."""
     found: dict[Place, list[Target]] = {}
     for detector in table.detectors:
         view = table.on(detector)
@@ -121,20 +124,21 @@ def automatic_bulk_targets(
     table: SurfaceTable, path: DesignPath | None, sky: Sequence[Target] = ()
 ) -> dict[Place, list[Target]]:
     """
-    Targets of the media that scatter.
+    Return the targets of the media that scatter.
 
     Parameters
     ----------
     table : SurfaceTable
     path : DesignPath, optional
-        As of `automatic_targets`.
+        See `automatic_targets`.
     sky : sequence of Target
-        Against the light, what a body beside the path is aimed at.
+        In a backward trace, the targets of a body that is not on the path.
     """
     if not table.optics.scatters:
         return {}
     rng = np.random.default_rng(0)
     images = DetectorImages(path) if path else None
+    # For a body off the path, the end of the path is the most important sight
     *optics, end = _sights(table, path)
     sights = [Sight(target, -1) for target in sky] or [end, *optics]
     found: dict[Place, list[Target]] = {}
@@ -145,7 +149,7 @@ def automatic_bulk_targets(
 
 
 def _sights(table: SurfaceTable, path: DesignPath | None) -> list[Sight]:
-    """The surfaces of the design path and its end; without a path the detector."""
+    """Return the surfaces of the design path and its end; without a path the detector."""
     if path is None:
         return [Sight(outline(table.shapes[table.detector]), table.detector)]
     *steps, end = path.steps
@@ -157,34 +161,36 @@ def automatic_targets(
     table: SurfaceTable, path: DesignPath | None, surfaces: Sequence[int]
 ) -> dict[Place, list[Target]]:
     """
-    Targets of surfaces, on the sides that have some.
+    Return the targets of surfaces, by the sides that have any.
 
     Parameters
     ----------
     table : SurfaceTable
     path : DesignPath, optional
-        To the detector, or backwards to the opening. Without it only the detector itself is a target.
+        Path to the detector, or backward to the opening; None: only the detector itself is a target.
     surfaces : sequence of int
     """
+    # Surfaces on the path: images of its end, for each step at which they meet the light
     images = DetectorImages(path) if path else None
     on_path = {step.surface for step in path.steps} if path else {table.detector}
     found: dict[Place, list[Target]] = {}
     rng = np.random.default_rng(0)
     for surface in surfaces:
         if images and surface in on_path:
-            points, normals = surface_points(table, surface, thinned(PATH_POINTS), rng)
+            points, normals = surface_points(table, surface, fewer_rays(PATH_POINTS), rng)
             for number, step in enumerate(images.path.steps[:-1], start=1):
                 if step.surface == surface:
                     outward = normals if step.to_back else -normals
                     target = images.fitted(number, points, outward, rng).target
                     found.setdefault((surface, step.to_back), []).append(target)
+    # Surfaces off the path
     others = [surface for surface in surfaces if surface not in on_path]
     return found | _seen_targets(table, images, others, rng)
 
 
 @dataclass(frozen=True)
 class _View:
-    """What may be seen from one side of a surface: step `number` of the path, with so many rays."""
+    """A possible view from one side of a surface: of step `number` of the path, tested with `rays` rays."""
 
     side: Side
     number: int
@@ -194,13 +200,15 @@ class _View:
 def _seen_targets(
     table: SurfaceTable, images: DetectorImages | None, surfaces: Sequence[int], rng: np.random.Generator
 ) -> dict[Side, list[Target]]:
-    """The detector, lenses and mirrors that can be seen from either side of surfaces, as targets."""
+    """Return the detector, lenses and mirrors that can be seen from either side of surfaces, as targets."""
     if not surfaces:
         return {}
+    # Test all views at once
     sights = _sights(table, images.path if images else None)
     last, end = len(sights) - 1, sights[-1].surface
     sampled = {
-        surface: surface_points(table, surface, max(thinned(SEEN_POINTS), DETECTOR_PROBES), rng) for surface in surfaces
+        surface: surface_points(table, surface, max(fewer_rays(SEEN_POINTS), DETECTOR_PROBES), rng)
+        for surface in surfaces
     }
     views = [
         _View((surface, to_back), number, DETECTOR_PROBES if number == last else PROBES)
@@ -209,6 +217,7 @@ def _seen_targets(
         for number in range(len(sights))
     ]
     seen = _seen(table, images, views, sights, sampled, rng)
+    # Views that are open enough: the image by the lens or mirror if rays land by it, else its aperture
     found: dict[Side, list[tuple[float, int, Target]]] = {}
     for view, part in zip(views, seen, strict=True):
         target, direct = sights[view.number].target, view.number == last
@@ -221,8 +230,10 @@ def _seen_targets(
                 found.setdefault(view.side, []).append((part, view.number, image.target))
                 if end != OPENING:
                     continue
-                # Against the light, what is seen by that lens beside the opening counts as well
+                # Backward rays may also leave by that lens past the opening
+        # Adding 1 ranks the detector itself first
         found.setdefault(view.side, []).append((part + direct, view.number, target))
+    # Views through other surfaces; they replace a direct view with far fewer rays
     for row, shares in enumerate(seen.reshape(-1, len(sights))):
         if time_is_up():
             break
@@ -248,7 +259,7 @@ def _seen_through(
     rng: np.random.Generator,
 ) -> list[Appearance]:
     """
-    What one side of a surface sees through surfaces that are no sights, such as the other face of a window.
+    Return what one side of a surface sees through surfaces that are no sights, such as the other face of a window.
 
     Parameters
     ----------
@@ -256,11 +267,12 @@ def _seen_through(
     side : Side
     sights : sequence of Sight
     shares : (n,) float64
-        Share of the rays to each sight that arrive with nothing between; far fewer through others do not matter.
+        Share of the rays to each sight that arrive directly; much smaller shares through other surfaces are dropped.
     sampled : tuple
         Points of the surface, and normals.
     rng : np.random.Generator
     """
+    # Quick test: whether enough rays pass a surface that is no sight
     (surface, to_back), (points, normals) = side, sampled
     own = [sight.surface for sight in sights]
     d = lambertian_directions((normals if to_back else -normals)[:THROUGH_PROBES], rng)
@@ -269,6 +281,7 @@ def _seen_through(
     after, _ = onward(table, hit[other], d[other], normal[other])
     if np.isfinite(after[:, 0]).sum() < SEEN * len(d):
         return []
+    # Rays from the sights to the surface, by the surfaces on their way
     ends, least = {Inside(surface, to_back)}, np.maximum(SECOND_WAY * shares, SEEN)
     ways = arrivals(table, points, ends, sights, THROUGH_PROBES, rng)
     enough = [way for way, (o, _) in ways.items() if len(o) > THROUGH_PROBES * least[way[0]]]
@@ -287,7 +300,8 @@ def _seen(
     sampled: dict[int, tuple[np.ndarray, np.ndarray]],
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Share of the rays of each view that arrive, on the side of the design light."""
+    """Return the share of the rays of each view that arrive, on the side of the design light."""
+    # Rays of all views in one array
     rays = [view.rays for view in views]
     origins = np.concatenate([sampled[view.side[0]][0][: view.rays] for view in views])
     outward = np.concatenate([sampled[view.side[0]][1][: view.rays] * (1 if view.side[1] else -1) for view in views])
@@ -302,6 +316,7 @@ def _seen(
         wanted = np.array([step.surface for step in steps])[which]
         from_front = np.array([step.from_front for step in steps])[which]
         goes &= np.einsum("ij,ij->i", d, np.array([step.before for step in steps])[which]) > 0
+    # Those that head for the right side of the surface of a step
     some = np.flatnonzero(goes)
     hit, _, normal = first_hit(table, origins[some], d[some], surface[some])
     arrives = hit == wanted[some]

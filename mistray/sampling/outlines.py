@@ -11,22 +11,23 @@ from mistray.kernel.targets import Target
 from mistray.surfaces.host_points import across
 from mistray.surfaces.surfaces import SurfaceTable, is_analytic
 
-AREA_PARTS = 8  # of a curved detector, each way
+AREA_PARTS = 8  # patches of a curved detector along each coordinate
 
 
 def outline(shape: Any) -> Target:
     """
-    The clear aperture of a shape as a flat target.
+    Return the clear aperture of a shape as a flat target.
 
-    Of a stock shape that is
-    neither a rectangle nor a disk it is the circle around its bounding box, at right angles to the shortest edge of the
-    box.
+    For Mitsuba's own shapes, except rectangles and disks, it is the circle around the bounding box. The circle is
+    normal to the shortest edge of the box.
     """
+    # Analytic: the opening of the surface, which is curved, lies at the height of its rim
     if is_analytic(shape):
         opening, frame = shape.surface(shape.values).opening, shape.vertex_frame(shape.values, shape.matrix)
         x, y, z = frame[:3, :3].T
         (a, b), place = opening.half_size, frame[:3, 3] + opening.height * z
         return Target("parallelogram" if opening.rectangular else "ellipse", place, a * x, b * y, hole=opening.hole)
+    # Mitsuba's own flat shapes: x and y of their frames are the half axes
     for name, kind in (("Rectangle", "parallelogram"), ("Disk", "ellipse")):
         if str(shape).startswith(name):
             placed = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
@@ -37,7 +38,7 @@ def outline(shape: Any) -> Target:
 
 
 def detector_area(table: SurfaceTable) -> float:
-    """Area of the detector, mm²; of a curved one that of its surface."""
+    """Return the area of the detector, mm²; of a curved one that of its surface."""
     shape: Any = table.shapes[table.detector]
     if table.detector >= len(table.pieces):
         return outline(shape).area

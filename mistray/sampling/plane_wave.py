@@ -1,4 +1,9 @@
-"""A plane wave over the whole scene: the light of a distant source, as a point source transmittance has it."""
+"""
+Plane waves over the whole scene: the light of a distant source, as the point source transmittance (PST) assumes it.
+
+A wave stands for one cell of a direction grid. Its directions are uniform in solid angle: with h = sin²(θ/2) the solid
+angle is dΩ = 2 dh dφ, so that h and φ are uniform within the cell.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +30,9 @@ CLEARANCE = 1e-3  # of the start plane from the scene, in units of the scene's s
 @dataclass(frozen=True)
 class Entrance:
     """
-    A disc across the beam that holds all light that matters, where the user knows one smaller than the scene.
+    A disc across the beam through which all relevant light passes, where one is known that is smaller than the scene.
 
-    Light that passes it by is not traced: what would reach the detector from there is missing in the result.
+    Light that misses the disc is not traced: what would reach the detector from there is missing in the result.
 
     Attributes
     ----------
@@ -61,7 +66,7 @@ class PlaneWave(Source):
     name : str
     wavelength_nm : float
     share : float
-        Share of the flux that this wavelength has.
+        Share of this wavelength in the flux.
     rotation : (3, 3) float64
         Columns: the axes of the grid.
     half_sine2 : (2,) float64
@@ -73,9 +78,9 @@ class PlaneWave(Source):
     middle, half : (2,) float64
         Middle and half size of the cross-section along azimuth and field angle, mm.
     is_round : bool
-        A disc of radius ``half[0]`` instead of the rectangle.
+        Whether a disc of radius ``half[0]`` replaces the rectangle.
     distance : float
-        From the cross-section back to the start of the rays, mm.
+        Distance from the cross-section back to the start of the rays, mm.
     """
 
     name: str
@@ -92,7 +97,7 @@ class PlaneWave(Source):
 
     @property
     def area(self) -> float:
-        """Cross-section, mm²."""
+        """Area of the cross-section, mm²."""
         a, b = self.half
         return float(np.pi * a * a if self.is_round else 4 * a * b)
 
@@ -103,9 +108,9 @@ class PlaneWave(Source):
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
         """
-        Origins and directions of the start rays of one pass; see `Source.start`.
+        Return origins and directions of the start rays of one pass; see `Source.start`.
 
-        Five random numbers a lane. The positions of a batch are sorted along a curve.
+        Each lane draws five random numbers. The positions of a batch are sorted along a space-filling curve.
         """
         sample = stratified_points(batch, rng)
         numbers = [dr.opaque(mi.Float, value) for value in self.numbers]
@@ -114,7 +119,7 @@ class PlaneWave(Source):
 
     @property
     def numbers(self) -> list[float]:
-        """What differs from cell to cell, in the order in which `wave_rays` takes it."""
+        """Numbers that differ from cell to cell, in the order in which `wave_rays` takes them."""
         values = (*self.half_sine2, *self.azimuth, *self.middle, *self.half, self.is_round, self.distance)
         return [float(value) for value in values]
 
@@ -128,25 +133,25 @@ def wave_rays(
     v: mi.Float,
 ) -> tuple[mi.Vector3f, mi.Vector3f]:
     """
-    Origins and directions of the rays of plane waves.
+    Return origins and directions of the rays of plane waves.
 
     Parameters
     ----------
     numbers : sequence of mi.Float
         `PlaneWave.numbers` of each ray's wave.
     rotation, centre
-        Of all waves, see `PlaneWave`; the centre in the coordinates of the kernel.
+        Common to all waves, see `PlaneWave`; the centre in the coordinates of the kernel.
     sample : mi.Point2f
-        Places in the cross-section, in the unit square.
+        Positions in the cross-section, in the unit square.
     u, v : mi.Float
-        0 … 1: field angle and azimuth within the cell.
+        Random numbers, 0 … 1, for field angle and azimuth within the cell.
     """
     low, high, azimuth, half_azimuth, middle_x, middle_y, half_x, half_y, is_round, distance = numbers
 
     def vector(values: np.ndarray) -> mi.Vector3f:
         return mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in values))
 
-    # sin²(θ/2) is uniform where the solid angle is, and keeps its digits near the axis
+    # Direction: sin²(θ/2) is uniform where the solid angle is, and keeps its digits near the axis
     h = dr.lerp(low, high, u)
     cosine, sine = 1 - 2 * h, 2 * dr.sqrt(h * (1 - h))
     s, c = dr.sincos(azimuth + half_azimuth * (2 * v - 1))
@@ -155,6 +160,7 @@ def wave_rays(
     d = dr.normalize(sine * radial + cosine * z_axis)
     across, along = c * x_axis + s * y_axis, cosine * radial - sine * z_axis
 
+    # Position in the cross-section
     disk = mi.warp.square_to_uniform_disk_concentric(sample)
     x = dr.select(is_round > 0, disk.x, 2 * sample.x - 1) * half_x + middle_x
     y = dr.select(is_round > 0, disk.y, 2 * sample.y - 1) * half_y + middle_y
@@ -163,15 +169,15 @@ def wave_rays(
 
 class PlaneWaves:
     """
-    The plane waves of a grid that cover all surfaces of a scene, or of several scenes that are compared.
+    Plane waves of a grid that cover all surfaces of a scene, or of several scenes that are compared.
 
     Parameters
     ----------
     points : (p, 3) float64
-        From `hull_points`.
+        Points from `hull_points`.
     grid : DirectionGrid
     entrance : Entrance, optional
-        Cover this disc only.
+        Disc that the waves cover instead of the scene.
     """
 
     def __init__(self, points: np.ndarray, grid: DirectionGrid, entrance: Entrance | None = None) -> None:
@@ -180,7 +186,7 @@ class PlaneWaves:
         self._centre = 0.5 * (self._points.min(axis=0) + self._points.max(axis=0))
 
     def at(self, i: int, j: int, wavelength_nm: float, share: float) -> PlaneWave:
-        """The wave of cell (i, j) at a wavelength that has a share of the flux."""
+        """Return the wave of cell (i, j) at a wavelength with a share of the flux."""
         grid = self.grid
         theta = np.radians(grid.edges_deg[i])
         azimuth = np.radians([grid.azimuths_deg[j], grid.azimuth_cell_deg / 2])
@@ -203,11 +209,12 @@ class PlaneWaves:
         self, theta: np.ndarray, azimuth: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool, float]:
         """
-        Centre, middle, half size, whether it is a disc, and the distance of the start, for a cell of directions.
+        Return centre, middle, half size, whether it is a disc, and the distance of the start, for a cell of directions.
 
-        Coordinates of a point along a direction are sine waves over field angle and azimuth; between samples they rise
-        by at most (1 - cos(half a step)) of the point's distance above the higher one.
+        Coordinates of a point along a direction are sine waves over field angle and azimuth. Between two samples such a
+        wave exceeds the larger of them by at most (1 - cos(half a step)) of the point's distance.
         """
+        # Directions of the cell, and the bound for directions between them
         q = (self._points - self._centre) @ self.grid.rotation
         size = float(np.linalg.norm(q, axis=1).max())
         count = max(3, int(np.ceil(np.degrees(2 * azimuth[1]) / AZIMUTH_STEP_DEG)) + 1)
@@ -215,6 +222,7 @@ class PlaneWaves:
         field = np.linspace(theta[0], theta[1], FIELD_STEPS + 1)
         margin = size * (2 - np.cos(step / 2) - np.cos((field[1] - field[0]) / 2)) + 1e-6 * size
         s, c = np.sin(phi), np.cos(phi)
+        # Coordinates of the hull across and along each of them
         x = q[:, :1] * c + q[:, 1:2] * s
         radial, z = (q[:, 1:2] * c - q[:, :1] * s)[..., None], q[:, 2, None, None]
         y = radial * np.cos(field) - z * np.sin(field)
@@ -225,6 +233,7 @@ class PlaneWaves:
             # From the start plane of the whole scene, wherever the disc lies
             distance += float(np.linalg.norm(centre - self._centre))
             return centre, np.zeros(2), np.full(2, radius), True, distance
+        # The smaller of the rectangle and the disc
         low = np.array([x.min(), y.min()]) - margin
         high = np.array([x.max(), y.max()]) + margin
         radius = float(np.sqrt(np.max(x[..., None] ** 2 + y**2))) + margin
@@ -234,12 +243,12 @@ class PlaneWaves:
 
 
 def hull_points(*tables: SurfaceTable) -> np.ndarray:
-    """(p, 3) float64: points whose convex hull holds all surfaces of scenes, mm; rims are polygons around them."""
+    """Return (p, 3) float64 points whose convex hull holds all surfaces, mm; polygons are drawn around the rims."""
     return np.concatenate([part for table in tables for part in _hull_parts(table)])
 
 
 def _corners(points: np.ndarray) -> np.ndarray:
-    """The corners of the convex hull: what is largest along a direction is so at one of them."""
+    """Return the corners of the convex hull, at one of which every coordinate along a direction is largest."""
     try:
         return points[ConvexHull(points).vertices]
     except QhullError:  # all of them lie in a plane
@@ -247,7 +256,9 @@ def _corners(points: np.ndarray) -> np.ndarray:
 
 
 def _hull_parts(table: SurfaceTable) -> list[np.ndarray]:
+    """Return points around each surface, mm: analytic surfaces in their own frames first, then bounding boxes."""
     turn = 2 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
+    # Polygon around the unit circle, so that it holds the rim
     polygon = np.stack([np.cos(turn), np.sin(turn)], axis=1) / np.cos(np.pi / RIM_POINTS)
     points = []
     for number, piece in enumerate(table.pieces):

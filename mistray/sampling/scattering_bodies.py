@@ -1,4 +1,4 @@
-"""Bodies of media that scatter, on the host: the sides of surfaces that face them, and points within."""
+"""Bodies of scattering media, on the host: the sides of surfaces that bound them, and points within."""
 
 from __future__ import annotations
 
@@ -19,15 +19,16 @@ PROBES = 256  # rays into the medium from each side
 @dataclass(frozen=True)
 class Body:
     """
-    A region of one medium that scatters.
+    A region of one scattering medium.
 
     Attributes
     ----------
     medium : int
+        Number of the medium.
     faces : frozenset of Inside
-        The sides of surfaces that transmit which bound it.
+        Sides of transmitting surfaces that bound it.
     walls : frozenset of Inside
-        The sides of opaque surfaces that are seen from within.
+        Sides of opaque surfaces that are visible from within.
     points : (n, 3) float64
         Points within, mm.
     """
@@ -39,23 +40,24 @@ class Body:
 
     @property
     def sides(self) -> list[Inside]:
-        """All at which a segment within it may end."""
+        """Sides at which a segment within it may end."""
         return sorted(self.faces | self.walls, key=lambda side: (side.surface, side.at_back))
 
 
 def medium_of(table: SurfaceTable, side: Inside) -> int:
-    """Number of the medium on one side of a surface; 0 of an opaque one."""
+    """Return the number of the medium on one side of a surface; 0 of an opaque one."""
     shift = BACK_MEDIUM_SHIFT if side.at_back else FRONT_MEDIUM_SHIFT
     return int(table.optics.host_words[side.surface] >> shift) & MEDIUM_MASK
 
 
 def scattering_bodies(table: SurfaceTable) -> list[Body]:
     """
-    The bodies of the scene that scatter.
+    Return the bodies of scattering media in the scene.
 
-    Sides that see each other through one medium bound one body. A body that no ray from within meets again, such as
-    haze around everything, ends where the surfaces do.
+    Sides that see each other through one medium bound one body. A body whose boundary no ray from within meets again,
+    such as haze around everything, ends where the surfaces do.
     """
+    # Faces of scattering media, each a set of its own at first (union-find)
     rng = np.random.default_rng(0)
     faces = [
         side
@@ -70,6 +72,7 @@ def scattering_bodies(table: SurfaceTable) -> list[Body]:
             face = parent[face]
         return face
 
+    # Probes into the medium: faces that see each other are joined, opaque walls are noted
     within: dict[Inside, list[np.ndarray]] = {}
     seen: dict[Inside, Counter[Inside]] = {}
     for face in faces:
@@ -88,14 +91,17 @@ def scattering_bodies(table: SurfaceTable) -> list[Body]:
             elif table.optics.host_words[surface] & OPAQUE:
                 seen.setdefault(other, Counter())[face] += 1
                 arrives[number] = True
+        # Points within: at random along the segments that end on the boundary
         depth = rng.random((PROBES, 1))
         within[face] = [(o + depth * (p - o))[arrives]]
+    # A wall belongs to the body from which most probes meet it
     walls: dict[Inside, Inside] = {}
     for wall, counts in seen.items():
         together: Counter[Inside] = Counter()
         for face, count in counts.items():
             together[root(face)] += count
         walls[wall] = together.most_common(1)[0][0]
+    # One body for each set of faces
     found = []
     for first in dict.fromkeys(root(face) for face in faces):
         own = [face for face in faces if root(face) == first]

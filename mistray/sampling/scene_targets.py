@@ -1,4 +1,4 @@
-"""Targets that a scene brings along: shapes that carry a `target` instead of an `interface`."""
+"""Importance targets that a scene defines: shapes that carry a `target` instead of an `interface`."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from mistray.sampling.scattering_bodies import scattering_bodies
 from mistray.surfaces.host_points import surface_points
 from mistray.surfaces.surfaces import SurfaceTable, is_analytic
 
-MOST_TRIANGLES = 64
-PROBES = 256  # pairs of a point of the surface and one of the target that tell on which sides the target lies
+MOST_TRIANGLES = 64  # of a mesh, each of which is a target of its own
+PROBES = 256  # pairs of a point of the surface and one of the target, from which the sides of the target follow
 
 
 def scene_targets(table: SurfaceTable, scene: mi.Scene) -> dict[int, dict[Place, AimSet]]:
     """
-    The targets of the scene, by the surfaces that they name, and the sides on which they lie.
+    Return the targets of the scene, by the surfaces that they name, and the sides on which they lie.
 
-    Each target has a share of the aimed rays by its own number of rays.
+    The share of a target in the aimed rays is in proportion to its own number of rays.
 
     Returns
     -------
@@ -40,6 +40,7 @@ def scene_targets(table: SurfaceTable, scene: mi.Scene) -> dict[int, dict[Place,
     """
     found: dict[int, dict[Place, list[tuple[int, AnyTarget]]]] = {}
     rng = np.random.default_rng(0)
+    # Sides that bound scattering media: what a medium scatters is aimed whichever side the target lies on
     insides = [side for body in scattering_bodies(table) for side in body.sides] if table.optics.scatters else []
     for shape in scene.shapes():
         bsdf = shape.bsdf()
@@ -47,6 +48,7 @@ def scene_targets(table: SurfaceTable, scene: mi.Scene) -> dict[int, dict[Place,
             continue
         targets = shape_targets(shape, table)
         for surface in _named(table, shape.id(), bsdf.surfaces):
+            # Sides of the surface from which the target can be seen, by random pairs of points
             points, normals = surface_points(table, surface, PROBES, rng)
             places = found.setdefault(surface, {})
             for target in targets:
@@ -62,7 +64,8 @@ def scene_targets(table: SurfaceTable, scene: mi.Scene) -> dict[int, dict[Place,
 
 
 def _named(table: SurfaceTable, name: str, patterns: tuple[str, ...], one: bool = False) -> list[int]:
-    """Numbers of the surfaces whose ids fit the patterns of a target, or of the one surface that is its entity."""
+    """Return the numbers of the surfaces whose ids match the patterns of a target, or of the one that is its entity."""
+    # A dict keeps the order of the patterns, and each surface once
     numbers: dict[int, None] = {}
     for pattern in patterns:
         fitting = [i for i, surface in enumerate(table.ids) if fits(surface, pattern)]
@@ -76,7 +79,7 @@ def _named(table: SurfaceTable, name: str, patterns: tuple[str, ...], one: bool 
 
 
 def _aim_set(surface: str, entries: list[tuple[int, AnyTarget]]) -> AimSet:
-    """Targets of one side with their numbers of rays; the parts of one mesh share its rays by their `share`."""
+    """Return the targets of one side with their numbers of rays; parts of a mesh divide its rays by their `share`."""
     weights = [rays * target.share for rays, target in entries]
     total = round(sum(weights))
     if total > RAYS_PER_HIT.high:
@@ -88,23 +91,25 @@ def _aim_set(surface: str, entries: list[tuple[int, AnyTarget]]) -> AimSet:
 
 def shape_targets(shape: Any, table: SurfaceTable) -> list[AnyTarget]:
     """
-    The targets of a shape that carries a `target`.
+    Return the targets of a shape that carries a `target`.
 
-    A rectangle, a disk, an `asphere` (by its rim), a flat `frustum` and a sphere are one target; a mesh is one for each
-    triangle, with shares by area. `scale` is about the centre (of a mesh: the centroid of its area).
+    A rectangle, a disk, an `asphere` (by its rim), a flat `frustum` and a sphere are one target each. A mesh is one
+    target for each triangle, with shares by area. `scale` is about the centre (of a mesh: the centroid of its area).
 
     Raises
     ------
     MistrayError
-        For another shape, a mesh of too many triangles, a hole in a target without a round rim, an entity that is not
-        there.
+        For another shape, a mesh of too many triangles, a hole in a target without a round rim, or an entity that does
+        not exist.
     """
+    # Cones and entities, which do not use the outline of the shape
     name, bsdf = shape.id(), shape.bsdf()
     if bsdf.about:
         return [_cone(shape)]
     if bsdf.entity:
         (number,) = _named(table, name, (bsdf.entity,), one=True)
         return [replace(_around(table.shapes[number], bsdf.scale), reverse=bsdf.reverse)]
+    # Spheres
     own, kind = _kind(shape)
     found: list[Target]
     no_hole = f"target '{name}': hole is {bsdf.hole:g}; only a disk, a ring or a round asphere has one"
@@ -114,6 +119,7 @@ def shape_targets(shape: Any, table: SurfaceTable) -> list[AnyTarget]:
         return [replace(_sphere(shape, bsdf.scale, bsdf.half_axes), reverse=bsdf.reverse)]
     if bsdf.half_axes:
         raise MistrayError(f"target '{name}' is {own or kind}; half_axes are those of a sphere: use one or leave them")
+    # Flat shapes and meshes
     if _is_flat(shape):
         found = [_scaled(outline(shape), bsdf.scale)]
     elif shape.is_mesh() and not own:
@@ -129,48 +135,51 @@ def shape_targets(shape: Any, table: SurfaceTable) -> list[AnyTarget]:
 
 
 def _kind(shape: Any) -> tuple[str, str]:
-    """Name of the plugin of an analytic shape or "", and the class of the shape."""
+    """Return the name of the plugin of an analytic shape or "", and the class of the shape."""
     kind = str(shape).partition("[")[0].strip()
     return kind.lower() if is_analytic(shape) else "", kind
 
 
 def _is_flat(shape: Any) -> bool:
-    """Whether the outline of a shape is all there is to aim at."""
+    """Whether the outline of a shape is all of the target."""
     return shape.sheet if is_analytic(shape) else _kind(shape)[1] in ("Rectangle", "Disk")
 
 
 def _scaled(target: Target, scale: float) -> Target:
+    """Return a flat target scaled about its centre."""
     return replace(target, u=scale * target.u, v=scale * target.v)
 
 
 def _middle(shape: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Centre and half edges of the bounding box of a shape, mm."""
+    """Return centre and half edges of the bounding box of a shape, mm."""
     low, high = (np.array(corner, dtype=np.float64) for corner in (shape.bbox().min, shape.bbox().max))
     return 0.5 * (low + high), 0.5 * (high - low)
 
 
 def _sphere(shape: Any, scale: float, half_axes: tuple[float, ...]) -> Ellipsoid:
-    """A sphere, or an ellipsoid of these half axes (mm) along the axes of the sphere's own frame."""
+    """Return a sphere, or an ellipsoid of these half axes (mm) along the axes of the sphere's own frame."""
     matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
     centre, half = _middle(shape)
+    # Columns of the matrix without their lengths
     frame = matrix[:3, :3].T / np.linalg.norm(matrix[:3, :3], axis=0)[:, None]
     lengths = np.array(half_axes) if half_axes else half
     return Ellipsoid(centre, scale * lengths[:, None] * frame)
 
 
 def _around(shape: Any, scale: float) -> AnyTarget:
-    """A surface as a target: its outline if that is all there is to see of it, else the ellipsoid around its box."""
+    """Return a surface as a target: its outline if it is flat, else the ellipsoid around its bounding box."""
     if _is_flat(shape):
         return _scaled(outline(shape), scale)
     if _kind(shape)[1] == "Sphere":
         return _sphere(shape, scale, ())
     centre, half = _middle(shape)
+    # Flat boxes keep some thickness; √3 brings the corners onto the ellipsoid
     half = np.maximum(half, 1e-6 * half.max())
     return Ellipsoid(centre, scale * np.sqrt(3) * np.diag(half))
 
 
 def _cone(shape: Any) -> Cone:
-    """The cone of a `target` that says about what."""
+    """Return the cone of a `target` with `about`."""
     bsdf = shape.bsdf()
     if bsdf.about == "direction" and not _is_flat(shape):
         own, kind = _kind(shape)
@@ -183,6 +192,7 @@ def _cone(shape: Any) -> Cone:
 
 
 def _triangles(name: str, vertices: np.ndarray, faces: np.ndarray, scale: float) -> list[Target]:
+    """Return the triangles of a mesh as targets, scaled about the centroid of its area, with shares by area."""
     corners = vertices.astype(np.float64)[faces]
     if len(corners) > MOST_TRIANGLES:
         raise MistrayError(
@@ -193,6 +203,7 @@ def _triangles(name: str, vertices: np.ndarray, faces: np.ndarray, scale: float)
     if not np.all(area > 0):
         raise MistrayError(f"target '{name}': a triangle of its mesh has no area; remove it")
     middle = np.average(corners.mean(axis=1), axis=0, weights=area)
+    # Scaled about the centroid of the whole mesh, so that triangles stay together
     starts = middle + scale * (corners[:, 0] - middle)
     return [
         Target("triangle", start, scale * a, scale * b, share=float(part))

@@ -1,4 +1,8 @@
-"""A sky whose radiance differs from direction to direction, as cells of equal radiance each."""
+"""
+A sky whose radiance depends on the direction, as a table of cells that are uniform in themselves.
+
+Cells are drawn by inverting the cumulative flux; within a cell, directions are uniform in solid angle.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ import numpy as np
 
 from mistray.surfaces.upload import upload
 
-LEAST_ROWS, MOST_ROWS = 64, 1024
+LEAST_ROWS, MOST_ROWS = 64, 1024  # cells in polar angle
 
 
 class SkyMap:
@@ -20,9 +24,9 @@ class SkyMap:
     Parameters
     ----------
     radiance : callable
-        Of directions (n, 3) that the light travels along, unit vectors in the frame of the axis z: (n,), W/mm²/sr.
+        Radiance (n,), W/mm²/sr, of directions (n, 3) in which the light travels: unit vectors in the frame of the axis.
     rows : int
-        Of cells in polar angle; there are twice as many in azimuth.
+        Number of cells in polar angle; there are twice as many in azimuth.
 
     Attributes
     ----------
@@ -33,10 +37,12 @@ class SkyMap:
     def __init__(self, radiance: Callable[[np.ndarray], np.ndarray], rows: int) -> None:
         self._rows = rows = int(np.clip(rows, LEAST_ROWS, MOST_ROWS))
         self._columns = 2 * rows
+        # Radiance at the middle of each cell
         theta = (np.arange(rows) + 0.5) / rows * np.pi
         phi = (np.arange(self._columns) + 0.5) / self._columns * 2 * np.pi
         (s, c), (sp, cp) = (np.sin(theta), np.cos(theta)), (np.sin(phi), np.cos(phi))
         d = np.stack([np.outer(s, cp), np.outer(s, sp), np.outer(c, np.ones_like(phi))], axis=-1)
+        # Flux of each cell, and its running sum
         edges = np.cos(np.arange(rows + 1) / rows * np.pi)
         solid = (edges[:-1] - edges[1:]) * 2 * np.pi / self._columns
         flux = np.maximum(radiance(d.reshape(-1, 3)).reshape(rows, -1), 0.0) * solid[:, None]
@@ -47,11 +53,12 @@ class SkyMap:
         self._edges = upload(mi.Float64, edges)
 
     def directions(self, sample: mi.Point2d) -> mi.Vector3d:
-        """Directions that the light travels along, of equal flux, for points of the unit square."""
+        """Return directions in which the light travels, of equal flux, for points of the unit square."""
         last = self._rows * self._columns - 1
         cell = dr.binary_search(0, last, lambda k: dr.gather(mi.Float64, self._ends, k + 1) <= sample.x)
         low, high = (dr.gather(mi.Float64, self._ends, cell + step) for step in (0, 1))
         part = dr.clip((sample.x - low) / dr.maximum(high - low, 1e-300), 0, 1)
+        # Uniform in cos θ within the row; the part of the first random number that chose the cell is used again
         row = cell // self._columns
         first, second = (dr.gather(mi.Float64, self._edges, row + step) for step in (0, 1))
         z = dr.fma(part, second - first, first)
@@ -61,7 +68,7 @@ class SkyMap:
 
 
 def environment(emitter: mi.Emitter) -> Callable[[np.ndarray], np.ndarray]:
-    """The luminance of a stock ``envmap`` as the radiance of a `SkyMap` in the world."""
+    """Return the luminance of Mitsuba's own ``envmap`` as the radiance of a `SkyMap` in the world."""
 
     def radiance(d: np.ndarray) -> np.ndarray:
         si = dr.zeros(mi.SurfaceInteraction3f, len(d))

@@ -1,4 +1,14 @@
-"""What a trace asks of a source of light: start rays of one wavelength, with a total flux."""
+"""
+Sources of light as a trace uses them: start rays of one wavelength, with a total flux.
+
+Rays of a near source are drawn from its law and from cones to its targets, and weighted by the balance heuristic
+(E. Veach, Robust Monte Carlo methods for light transport simulation, 1997, section 9.2). The weight of a direction d is
+
+    w = pdf_law(d)/Σ_i c_i pdf_i(d),
+
+where c_i = n_i/n is the share of technique i in the rays (``strata.parts``) and pdf_i its density (`Cone.density`). The
+last technique is the law of the source itself.
+"""
 
 from __future__ import annotations
 
@@ -19,13 +29,13 @@ from mistray.sampling.space_filling import stratified_points
 from mistray.sampling.strata import Strata
 from mistray.surfaces.upload import upload
 
-NEAR = 20.0  # radii of the scene: rays that start farther away start anew at the scene, where float32 is fine enough
-# Half of the rays go to the first aperture, a tenth of them to all of it where a part of it is lit, and half elsewhere.
-# So neither light has more than twice the variance that it would have with all rays, and where a path takes both, the
-# weights of the one are not far above those of the other. Of the rays elsewhere a fifth follow the law of the source,
-# where the others are aimed at the scene.
+NEAR = 20.0  # radii of the scene: rays from farther away are moved to the scene, where float32 is fine enough
+# Half of the rays go to the first aperture, and a tenth of these to all of it where only a part of it is lit. The other
+# half goes elsewhere. So neither stratum has more than twice the variance that it would have with all rays, and where
+# rays of both follow the same path, their weights do not differ much. Of the rays elsewhere a fifth follow the law of
+# the source, if the others are aimed at the scene.
 OPTICS, UNLIT, BY_LAW = 0.5, 0.1, 0.2
-LOOKS, LEAST_LIT = 256, 0.3  # directions to a target that are looked at, and how many of them must have light
+LOOKS, LEAST_LIT = 256, 0.3  # directions to a target that are tested, and the share of them that must have light
 
 
 class Emission(NamedTuple):
@@ -37,10 +47,10 @@ class Emission(NamedTuple):
     o, d : mi.Vector3f
         Origins, mm, and unit directions.
     w : mi.Float or None
-        Their flux in units of the mean of all; 1 where it is None.
+        Their flux in units of the mean of all; None: 1.
     stokes : mi.Vector3f or None
-        Their polarisation with respect to the axes of `mistray.kernel.polarization`; None: what `Source.stokes_along`
-        says.
+        Their polarisation with respect to the axes of `mistray.kernel.polarization`; None: that of
+        `Source.stokes_along`.
     """
 
     o: mi.Vector3f
@@ -56,21 +66,21 @@ class Source(ABC):
     Attributes
     ----------
     name : str
-        For tables.
+        Name in tables.
     wavelength_nm : float
-        In vacuum.
+        Wavelength in vacuum.
     power : float
         Flux, W.
     pattern : str
-        Places of the start rays: "random", or "grid" where they are laid out evenly.
+        Pattern of the start positions: "random", or "grid" for an even one.
     towards : str
-        Where the light goes, for messages.
+        Direction of the light, for messages.
     shape : str
         Id of the shape that its rays start on, or "".
     medium : int
         Number of the material that they start in; 0: not known.
     moving : tuple of str
-        Parameters of the source that a trace has derivatives by, see `motion`.
+        Parameters of the source by which a trace can be differentiated, see `motion`.
     """
 
     name: str
@@ -85,32 +95,32 @@ class Source(ABC):
     @abstractmethod
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
         """
-        The start rays of one pass.
+        Return the start rays of one pass.
 
         Parameters
         ----------
         lane : mi.UInt32
-            Numbers of the rays within the whole trace of `rays` rays; consecutive.
+            Numbers of the rays within the whole trace of `rays` rays, consecutive.
         batch : mi.UInt32
             Batch of each ray, ascending.
         rays : int
             Number of rays of the whole trace, as from `count`.
         rng : mi.PCG32
-            One generator a lane.
+            One generator per lane.
         centre : (3,) float64
-            What the origins are relative to, mm.
+            Point that the origins are relative to, mm.
         """
 
     def count(self, rays: int) -> int:
-        """Rays that a request for `rays` starts."""
+        """Return the number of rays that a request for `rays` starts."""
         return rays
 
     def exact(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Start rays in the world, (n, 3) float64 each, without the rounding that the device has left on them."""
+        """Return start rays in the world, (n, 3) float64 each, without the rounding of the device."""
         return o, d
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Derivatives of the origins and directions of start rays by a parameter named in `moving`, in the world."""
+        """Return the derivatives, in the world, of start origins and directions by a parameter named in `moving`."""
         raise NotImplementedError
 
     @property
@@ -120,36 +130,36 @@ class Source(ABC):
 
     @property
     def stokes(self) -> tuple[float, float, float] | None:
-        """The state of all its light, s1, s2, s3 in its own axes; None where there is no such state."""
+        """State of all its light, s1, s2, s3 in its own axes; None where there is no such state."""
         return None
 
     @property
     def pupil_power(self) -> float:
-        """Flux that counts as launched where a result is relative to that, W."""
+        """Flux that counts as launched in results relative to it, W."""
         return self.power
 
     def stokes_along(self, d: mi.Vector3f) -> mi.Vector3f | None:
-        """The same for light along d with respect to the axes of `mistray.kernel.polarization`."""
+        """Return the state of light along d with respect to the axes of `mistray.kernel.polarization`."""
         return None
 
 
 @dataclass(frozen=True)
 class SourceRequest:
     """
-    What a trace asks of the plugin of a source, whose ``sources`` answers with a `SceneSource` for each wavelength.
+    Request of a trace to the plugin of a source, whose ``sources`` returns a `SceneSource` for each wavelength.
 
     Attributes
     ----------
     name : str
-        For tables: its id, or a number.
+        Name in tables: its id, or a number.
     system : mi.Scene
         The scene.
     bounds : mi.ScalarBoundingBox3f
-        Of all its shapes.
+        Bounds of all its shapes.
     field_deg, azimuth_deg : float or None
-        Instead of the plugin's own.
+        Field angle and azimuth that replace the plugin's own.
     wavelengths_nm, weights : (n,) float64
-        The shares of the flux add up to 1.
+        Wavelengths and their shares of the flux, which add up to 1.
     """
 
     name: str
@@ -162,7 +172,7 @@ class SourceRequest:
 
     @property
     def scene(self) -> Sphere:
-        """Holds all shapes."""
+        """Sphere around all shapes."""
         if not self.bounds.valid():
             raise MistrayError("the scene holds no shapes; add surfaces and a detector")
         low, high = (np.array(corner, dtype=np.float64) for corner in (self.bounds.min, self.bounds.max))
@@ -172,16 +182,16 @@ class SourceRequest:
 @dataclass(frozen=True, kw_only=True)
 class SceneSource(Source):
     """
-    A source that stands in a scene, at one field angle and wavelength.
+    A source in a scene, at one field angle and wavelength.
 
     Attributes
     ----------
     emitter : mi.Emitter
         The plugin.
     pivot, direction, u, v : (3,) float64
-        A point of the middle ray (mm), the way it goes, and the axes across it.
+        A point of the middle ray (mm), its direction, and the axes across it.
     distance : float
-        From the pivot back to the start of the middle ray, mm.
+        Distance from the pivot back to the start of the middle ray, mm.
     aims : bool
         Whether `aimed_at` changes where its rays start.
     """
@@ -200,21 +210,21 @@ class SceneSource(Source):
 
     @property
     def polarized(self) -> bool:
-        """Whether the plugin says so."""
+        """Whether the plugin emits polarised light."""
         return bool(getattr(self.emitter, "polarized", False))
 
     @property
     def pupil_power(self) -> float:
-        """The part of its flux that the plugin states."""
+        """Part of its flux that the plugin states."""
         return self.power * float(getattr(self.emitter, "pupil_share", 1.0))
 
     @property
     def stokes(self) -> tuple[float, float, float] | None:
-        """What the plugin states, see `mistray.physics.polarization.state`."""
+        """Polarisation state of the plugin, see `mistray.physics.polarization.state`."""
         return getattr(self.emitter, "stokes", None)
 
     def stokes_along(self, d: mi.Vector3f) -> mi.Vector3f | None:
-        """What the plugin states with respect to `u` and ``direction × u``, which are carried to d, see `carried`."""
+        """Return the plugin's state with respect to `u` and ``direction × u``, carried to d (see `carried`)."""
         if self.stokes is None:
             return None
         u, axis = (mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in one)) for one in (self.u, self.direction))
@@ -223,50 +233,51 @@ class SceneSource(Source):
 
     @property
     def towards(self) -> str:  # type: ignore[override]  # read-only
-        """The direction of the middle ray."""
+        """Direction of the middle ray."""
         return f"along ({', '.join(f'{c:.4g}' for c in self.direction)})"
 
     @property
     def middle(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """The middle ray, where there is one: origin (mm) and direction, (1, 3) float64 each."""
+        """Middle ray, if there is one: origin (mm) and direction, (1, 3) float64 each."""
         return self.pivot[None] - self.distance * self.direction, self.direction[None]
 
     def through(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
-        Rays of the middle of the source through places (n,) along `u` and `v`, mm: (n, 3) float64 each.
+        Return rays of the middle of the source through points (n,) along `u` and `v`, mm: (n, 3) float64 each.
 
-        The places lie in the plane of the pivot; of an object plane in that of the origin of the source's frame.
+        The points lie in the plane of the pivot; for an object plane, in that of the origin of the source's frame.
         """
+        # Back to the plane normal to the middle ray on which all rays start
         o = self.pivot + x[:, None] * self.u + y[:, None] * self.v
         o = o - (self.distance + (o - self.pivot) @ self.direction)[:, None] * self.direction
         return o, np.tile(self.direction, (len(o), 1))
 
     @property
     def reach(self) -> float:
-        """Radius about the middle ray that the light fills at the pivot, mm; inf where it has no edge there."""
+        """Radius about the middle ray that the light fills at the pivot, mm; inf if it has no edge there."""
         return float("inf")
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> SceneSource:
-        """The same light, of which more rays go to an aperture, or to a part of it; of a beam only those that probe."""
+        """Return the same light with more rays to an aperture, or to a part of it; of a beam only the probes change."""
         return self
 
     def unaimed(self) -> SceneSource:
-        """The same light, all its rays by the law of the source."""
+        """Return the same light, all its rays by the law of the source."""
         return self
 
     @abstractmethod
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
-        """Rays to what it is aimed at, for points of the unit square: origins and directions, (n, 3) float64 each."""
+        """Return rays to its target, for points of the unit square: origins and directions, (n, 3) float64 each."""
 
     def edges(self, count: int, within: float = EDGE) -> list[tuple[np.ndarray, np.ndarray]]:
         """
-        The rays along the edge of its light, beyond which there is none: `count` for each closed line of them.
+        Return the rays along the edge of its light, beyond which there is none: `count` for each closed line of them.
 
         Parameters
         ----------
         count : int
         within : float
-            How far inside of the edge, as a share of the size of the beam.
+            Distance inside of the edge, as a share of the size of the beam.
 
         Returns
         -------
@@ -279,16 +290,16 @@ class SceneSource(Source):
 @dataclass(frozen=True, kw_only=True)
 class EmittedRays(SceneSource):
     """
-    A source whose plugin says where its rays start and go, see `mistray.plugins.emitters.light_source`.
+    A source whose plugin draws origins and directions, see `mistray.plugins.emitters.light_source`.
 
     Attributes
     ----------
     scene : Sphere
-        Holds all surfaces.
+        Sphere around all surfaces.
     aperture : Sphere or None
-        Holds the first surface of the design path.
+        Sphere around the first surface of the design path.
     lit : Sphere or None
-        Holds the part of that surface through which light comes to the detector.
+        Sphere around the part of that surface through which light reaches the detector.
     aimed : bool
         Whether more rays go to the aperture and to the scene than the law of the source sends there.
     """
@@ -300,28 +311,28 @@ class EmittedRays(SceneSource):
 
     @property
     def moving(self) -> tuple[str, ...]:  # type: ignore[override]  # read-only
-        """Those of the plugin."""
+        """Differentiable parameters of the plugin."""
         return tuple(self.emitter.differentiable)
 
     @property
     def aims(self) -> bool:  # type: ignore[override]  # read-only
-        """Whether the plugin knows the density of its directions."""
+        """Whether the plugin provides the density of its directions."""
         return hasattr(self.emitter, "density")
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> EmittedRays:
-        """The same light with more of its rays on an aperture, or on a part of it."""
+        """Return the same light with more of its rays on an aperture, or on a part of it."""
         return replace(self, aperture=aperture, lit=lit)
 
     def unaimed(self) -> EmittedRays:
-        """The same light, all its rays by the law of the source."""
+        """Return the same light, all its rays by the law of the source."""
         return replace(self, aimed=False)
 
     @property
     def middle(self) -> None:
-        """There is none: the light goes many ways."""
+        """None, because the light has many directions."""
 
     def through(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rays from the middle of an object, see `SceneSource.through`; raises `MistrayError` where there is none."""
+        """Return rays from the middle of an object, see `SceneSource.through`; raises `MistrayError` without one."""
         if not getattr(self.emitter, "in_object_plane", False):
             raise MistrayError(
                 f"source '{self.name}': it is neither far away nor a point of an object plane, so that it has no "
@@ -333,7 +344,8 @@ class EmittedRays(SceneSource):
         return np.tile(o, (len(d), 1)), d / np.linalg.norm(d, axis=1, keepdims=True)
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
-        """The plugin's rays, see `Source.start`: those to the aperture and to the scene more often than the others."""
+        """Return the plugin's rays, see `Source.start`; those to the aperture and to the scene are more frequent."""
+        # Points and directions by the law of the source
         targets, w = self._targets, None
         if targets:
             strata = Strata(batch, self._shares)
@@ -343,9 +355,11 @@ class EmittedRays(SceneSource):
         place = mi.Point2d(rng.next_float32(), rng.next_float32()) if self.emitter.extended else mi.Point2d(0.5)
         o, d = self._rays(place, mi.Point2d(sample), rng)
         if targets:
+            # Directions to the targets, in the strata of these
             cones = [Cone(target, o) for target in targets]
             for number, cone in enumerate(cones):
                 d = dr.select(strata.number == number, cone.directions(mi.Point2d(sample)), d)
+            # MIS weight: pdf_law/Σ c_i pdf_i over the law and the cones
             law = self._density(place, d)
             mixed = strata.parts[-1] * law
             zone = dr.zeros(mi.UInt32, dr.width(lane))
@@ -353,12 +367,13 @@ class EmittedRays(SceneSource):
                 density = cone.density(d)
                 mixed += part * density
                 zone += dr.select(density > 0, 0, mi.UInt32(1))
+            # The number of cones that miss the direction is its zone: 0 is within all of them
             w = strata.closed(dr.select(law > 0, law / mixed, 0), zone, len(targets) + 1)
         o = self._near(o, d) - mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in centre))
         return Emission(mi.Vector3f(o), dr.normalize(mi.Vector3f(d)), w)
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Derivatives that the plugin knows, turned to the world."""
+        """Return the derivatives that the plugin provides, turned to the world."""
         axes = [mi.Vector3d(*axis.tolist()) for axis in self._axes]
         away = o - mi.Vector3d(*self.pivot.tolist())
         local = [mi.Vector3d(*(dr.dot(vector, axis) for axis in axes)) for vector in (away, d)]
@@ -366,7 +381,7 @@ class EmittedRays(SceneSource):
         return turned(by_o, axes), turned(by_d, axes)
 
     def edges(self, count: int, within: float = EDGE) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Those that the plugin names."""
+        """Return the rays along the edge that the plugin defines."""
         points = self.emitter.edge_samples(count, within)
         if points is None:
             return []
@@ -376,11 +391,12 @@ class EmittedRays(SceneSource):
         return [(origins, directions / np.linalg.norm(directions, axis=1, keepdims=True))]
 
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
-        """Rays of the plugin for given points of the unit square; where it aims, those of its first target."""
+        """Return rays of the plugin for points of the unit square; where it aims, those to its first target."""
         rng = mi.PCG32(size=dr.width(sample))
         place = mi.Point2d(rng.next_float32(), rng.next_float32()) if self.emitter.extended else mi.Point2d(0.5)
         o, d = self._rays(place, mi.Point2d(sample), rng)
         for target in self._targets[:1]:
+            # Where the source sends no light to the target, probes keep to its law
             aimed = Cone(target, o).directions(mi.Point2d(sample))
             d = dr.select(self._density(place, aimed) > 0, aimed, d)
         origins, directions = (np.array(vector, dtype=np.float64).T for vector in (self._near(o, d), d))
@@ -388,20 +404,22 @@ class EmittedRays(SceneSource):
 
     @cached_property
     def _targets(self) -> list[Sphere]:
-        """What is lit of the aperture, the aperture and the scene, those that the source is not in and shines at."""
+        """Lit part of the aperture, aperture and scene: those that the source is outside of and that it lights."""
         if not self.aims or not self.aimed:
             return []
         o, _ = self._rays(mi.Point2d(0.5), mi.Point2d(0.5), mi.PCG32(size=1))
         place = np.array(o, dtype=np.float64).ravel()
         found = [target for target in (self.lit, self.aperture, self.scene) if target is not None]
+        # A cone to the whole scene pays only where the law of the source misses most of it
         outside = [target for target in found if not target.contains(place)]
         return [target for target in outside if (self._misses if target is self.scene else self._lights)(target)]
 
     @property
     def _shares(self) -> list[float]:
-        """Shares of the rays: to the targets, and by the law of the source."""
+        """Shares of the rays that go to each target, and by the law of the source."""
         optics = [target for target in self._targets if target is not self.scene]
         to_optics = [OPTICS] if len(optics) == 1 else [OPTICS * (1 - UNLIT), OPTICS * UNLIT][: len(optics)]
+        # Without the scene as a target, all others follow the law
         elsewhere = 1 - sum(to_optics)
         if len(optics) == len(self._targets):
             return [*to_optics, elsewhere]
@@ -409,12 +427,13 @@ class EmittedRays(SceneSource):
 
     def _misses(self, target: Sphere) -> bool:
         """Whether the law of the source sends less than half of its light to a target."""
+        # At the middle of the source, which is enough to decide by
         sample = mi.Point2d(*(upload(mi.Float64, v) for v in np.random.default_rng(0).random((2, LOOKS))))
         o, d = self._rays(mi.Point2d(0.5), sample, mi.PCG32(size=LOOKS))
         return float(np.mean(np.array(Cone(target, o).density(d)) > 0)) < 0.5
 
     def _lights(self, target: Sphere) -> bool:
-        """Whether the source sends light to most of a target: else many rays to it would carry none."""
+        """Whether the source sends light to enough of a target; otherwise many rays to it would carry none."""
         sample = mi.Point2d(*(upload(mi.Float64, v) for v in np.random.default_rng(0).random((2, LOOKS))))
         place = mi.Point2d(0.5)
         o, _ = self._rays(place, sample, mi.PCG32(size=LOOKS))
@@ -422,7 +441,8 @@ class EmittedRays(SceneSource):
         return float(np.mean(np.array(self._density(place, d)) > 0)) > LEAST_LIT
 
     def _rays(self, place: mi.Point2d, sample: mi.Point2d, rng: mi.PCG32) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Rays of the plugin in the world."""
+        """Return rays of the plugin in the world."""
+        # Plugins whose directions need it compute in float64
         one, point = (mi.Float64, mi.Point2d) if self.emitter.precise else (mi.Float, mi.Point2f)
         o, d = self.emitter.rays_from(point(place), point(sample), rng, self._numbers(one))
         zero, axes = dr.zeros(mi.Vector3d, dr.width(sample)), self._device_axes
@@ -430,25 +450,27 @@ class EmittedRays(SceneSource):
         return zero + pivot + turned(mi.Vector3d(o), axes), zero + dr.normalize(turned(mi.Vector3d(d), axes))
 
     def _density(self, place: mi.Point2d, d: mi.Vector3d) -> mi.Float64:
-        """Of the plugin's directions, 1/sr; d in the world."""
+        """Return the density of the plugin's directions, 1/sr; d in the world."""
         one, point = (mi.Float64, mi.Point2d) if self.emitter.precise else (mi.Float, mi.Point2f)
         local = mi.Vector3d(*(dr.dot(d, axis) for axis in self._device_axes))
         return mi.Float64(self.emitter.density(point(place), local, self._numbers(one)))
 
     def _near(self, o: mi.Vector3d, d: mi.Vector3d) -> mi.Vector3d:
-        """Rays from far away start anew on their way, near the scene: there float32 is fine enough."""
+        """Return origins moved along rays from far away to the scene, where float32 is fine enough."""
         middle = mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in self.scene.centre))
         radius = dr.opaque(mi.Float64, self.scene.radius)
         ahead = dr.dot(middle - o, d) - 1.01 * radius
         return dr.fma(dr.select(ahead > NEAR * radius, ahead, 0), d, o)
 
     def _numbers(self, one: Any) -> dict[str, Any]:
-        """The plugin's own numbers, and what else it may need."""
+        """Return the plugin's own numbers and the wavelength."""
+        # Opaque, so that another value compiles no other kernel
         given = {**self.emitter.values, "wavelength_nm": self.wavelength_nm}
         return {name: dr.opaque(one, float(value)) for name, value in given.items()}
 
     @property
     def _device_axes(self) -> list[mi.Vector3d]:
+        """Axes of the source on the device."""
         return [mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in axis)) for axis in self._axes]
 
     @property
@@ -457,5 +479,5 @@ class EmittedRays(SceneSource):
 
 
 def turned(vector: Any, axes: list[Any]) -> Any:
-    """From the axes of a source to the world."""
+    """Return a vector along the axes of a source in the world."""
     return axes[0] * vector.x + axes[1] * vector.y + axes[2] * vector.z

@@ -10,8 +10,8 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, PLACE_MM
+from mistray.sampling.mitsuba_sources import mitsuba_source
 from mistray.sampling.source import SceneSource, SourceRequest
-from mistray.sampling.stock_sources import stock_source
 from mistray.spectra.spectrum import DEFAULT_NM, of_lines
 from mistray.surfaces.surfaces import solid_shapes
 
@@ -20,15 +20,15 @@ NO_SOURCE = "the scene has no source; add an emitter, such as 'collimated' or 'p
 
 def source_emitters(scene: mi.Scene) -> list[Any]:
     """
-    The emitters of a scene that a trace starts rays from: those of mistray, one's own, and stock ones as sources.
+    Return the emitters of a scene that a trace starts rays from: of mistray, of the user, and of Mitsuba, as sources.
 
     Raises
     ------
     MistrayError
-        If a stock emitter is none that can be traced.
+        If one of Mitsuba's own emitters cannot be traced.
     """
     emitters = enumerate(scene.emitters(), start=1)
-    return [emitter if hasattr(emitter, "sources") else stock_source(emitter, number) for number, emitter in emitters]
+    return [emitter if hasattr(emitter, "sources") else mitsuba_source(emitter, number) for number, emitter in emitters]
 
 
 def scene_sources(
@@ -39,14 +39,15 @@ def scene_sources(
     weights: Any = None,
 ) -> list[SceneSource]:
     """
-    The sources to trace: every one of a scene at every wavelength.
+    Return the sources to trace: every one of a scene at every wavelength.
 
     Parameters
     ----------
+    scene : mi.Scene
     field_deg, azimuth_deg : float, optional
-        Instead of the emitters' own.
+        Field angle and azimuth that replace the emitters' own.
     wavelength_nm : float or sequence of float, optional
-        Instead of the emitters' own wavelengths.
+        Wavelengths that replace the emitters' own.
     weights : sequence of float, optional
         Shares of the flux, one for each of `wavelength_nm`; normalised. By default all are equal.
 
@@ -55,6 +56,7 @@ def scene_sources(
     MistrayError
         If there is no source, or a field angle, a wavelength or a weight is out of range.
     """
+    # Check before any source is built
     emitters = source_emitters(scene)
     if not emitters:
         raise MistrayError(NO_SOURCE)
@@ -63,14 +65,17 @@ def scene_sources(
     if azimuth_deg is not None:
         AZIMUTH_DEG.check("azimuth_deg", azimuth_deg)
     given = None if wavelength_nm is None and weights is None else spectrum(wavelength_nm, weights)
+    # Bounds of what light can meet: targets are shapes too, but no surfaces
     bounds = mi.ScalarBoundingBox3f()
     for shape in solid_shapes(scene):
         bounds.expand(shape.bbox())
+    # One source for each emitter and wavelength
     result: list[SceneSource] = []
     for number, emitter in enumerate(emitters, start=1):
         name = emitter.name or f"source_{number}"
         lines = given or (emitter.wavelengths_nm, emitter.weights)
         found = emitter.sources(SourceRequest(name, scene, bounds, field_deg, azimuth_deg, *lines))
+        # A source without light, or with an infinite flux, leaves no finite shares of the rays
         power = sum(source.power for source in found)
         if not 0 < power < np.inf:
             remedy = "it sends no light, change its numbers" if power == 0 else "give a smaller irradiance or beam"
@@ -81,7 +86,7 @@ def scene_sources(
 
 def field_of(scene: mi.Scene, height_mm: float) -> float:
     """
-    Field angle, degrees, of an object height: the place of a near source along y of its object plane, mm.
+    Return the field angle, degrees, of an object height: the position of a near source along y of its object plane, mm.
 
     Raises
     ------
@@ -90,6 +95,7 @@ def field_of(scene: mi.Scene, height_mm: float) -> float:
         different planes.
     """
     PLACE_MM.check("field_mm", height_mm)
+    # Rounded, so that sources in one plane agree in spite of float64
     found = {round(emitter.field_of(height_mm), 9) for emitter in source_emitters(scene)}
     if not found:
         raise MistrayError(NO_SOURCE)
@@ -99,7 +105,7 @@ def field_of(scene: mi.Scene, height_mm: float) -> float:
 
 
 def field_axes(scene: mi.Scene) -> np.ndarray:
-    """(3, 3) float64: columns x, y, z of the frame of field angles: that of the first source, else the world's."""
+    """Return the axes x, y, z of field angles as columns, (3, 3) float64: of the first source, else of the world."""
     for emitter in source_emitters(scene):
         return np.asarray(emitter.matrix[:3, :3], dtype=np.float64)
     return np.eye(3)
@@ -108,7 +114,7 @@ def field_axes(scene: mi.Scene) -> np.ndarray:
 def spectrum_of(
     scene: mi.Scene, wavelength_nm: float | Sequence[float] | None, weights: Sequence[float] | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Wavelengths (nm) and their shares: what is given, else those of the scene's first source, else 550 nm."""
+    """Return wavelengths (nm) and their shares: the given ones, else those of the first source, else 550 nm."""
     if wavelength_nm is None and weights is None:
         for emitter in source_emitters(scene):
             return emitter.wavelengths_nm, emitter.weights
@@ -117,9 +123,10 @@ def spectrum_of(
 
 
 def spectrum(wavelength_nm: Any, weights: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Wavelengths and normalised weights of a call."""
+    """Return the wavelengths and normalised weights of a call."""
     if wavelength_nm is None:
         raise MistrayError("weights are given without wavelength_nm; give one wavelength for each weight")
+    # A single number is a sequence of one
     wavelengths = np.atleast_1d(np.asarray(wavelength_nm, dtype=np.float64))
     if len(np.unique(wavelengths)) < len(wavelengths):
         raise MistrayError(f"wavelength_nm is {wavelength_nm}; give every wavelength once")

@@ -1,4 +1,4 @@
-"""Start rays in strata: ways to draw them, each with a fixed number of the rays of every batch."""
+"""Strata of start rays: sampling techniques, each with a fixed number of the rays of every batch."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class Strata:
     Parameters
     ----------
     batch : mi.UInt32
-        Of each ray, ascending.
+        Batch of each ray, ascending.
     shares : sequence of float
-        Of the rays, for each stratum.
+        Share of the rays, for each stratum.
 
     Attributes
     ----------
@@ -30,16 +30,18 @@ class Strata:
     group : mi.UInt32
         batch · strata + stratum, ascending.
     parts : list of mi.Float64
-        Share that each stratum has of the rays of a ray's batch.
+        Share of each stratum in the rays of a ray's batch.
     """
 
     def __init__(self, batch: mi.UInt32, shares: Sequence[float]) -> None:
+        # Number of rays of each batch in each stratum
         count, self._batch = len(shares), batch
         first = np.searchsorted(np.array(batch), np.arange(BATCHES + 1))
         self._sizes = sizes = np.diff(first)
         # The last of them, which is the source's own, gets what rounding leaves: it has rays in the smallest batch
         numbers = np.floor(np.outer(sizes, shares) / np.sum(shares)).astype(np.int64)
         numbers[:, -1] = sizes - numbers[:, :-1].sum(axis=1)
+        # Stratum of each ray, by its place in the batch
         bounds = np.cumsum(numbers, axis=1)
         within = dr.arange(mi.UInt32, dr.width(batch)) - dr.gather(mi.UInt32, upload(mi.UInt32, first[:-1]), batch)
         self.number = dr.zeros(mi.UInt32, dr.width(batch))
@@ -52,21 +54,23 @@ class Strata:
 
     def closed(self, weight: mi.Float64, zone: mi.UInt32, zones: int) -> mi.Float:
         """
-        Weights, 1 on average, so scaled that those of each batch are 1 on average exactly.
+        Return weights of expectation 1, scaled so that their mean over each batch is exactly 1.
 
         Parameters
         ----------
         weight : mi.Float64
         zone : mi.UInt32
-            Of each ray: 0 is what matters most. The last zone is scaled alone; where it has too few rays for that, the
-            zone before it is too, and so on.
+            Zone of each ray; 0 matters most. The last zone is scaled alone. Where it has too few rays for that, the
+            zone before it is scaled as well, and so on.
         zones : int
+            Number of zones.
         """
         sums = dr.zeros(mi.Float64, BATCHES * zones)
         dr.scatter_reduce(dr.ReduceOp.Add, sums, weight, self._batch * zones + zone)
         flux = np.array(sums).reshape(BATCHES, zones)
         rays = self._sizes
         scale, done = np.ones_like(flux), np.zeros(BATCHES, dtype=bool)
+        # The outermost zones whose factor lies between 1/2 and 2 make up for all noise, so that zone 0 is rarely scaled
         for first in range(zones - 1, -1, -1):
             outside = flux[:, first:].sum(axis=1)
             factor = (rays - flux[:, :first].sum(axis=1)) / np.where(outside > 0, outside, np.inf)

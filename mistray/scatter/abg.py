@@ -83,7 +83,7 @@ class ABg(Placement):
 
     def advice(self) -> str | None:
         """
-        What is unusual about A, B, g and the total, in one line, or nothing.
+        Say what is unusual about A, B, g and the total, in one line, or nothing.
 
         Surfaces of optics have g of 1.5 … 3.5, mostly 2 … 3, and B of 1e-10 … 1e-6, paints B of 0.1 … 1 and g of 2 … 6;
         g = 0 is Lambertian (webinar on stray light with TracePro, "Typical BSDF"). Parameters fitted to a polished

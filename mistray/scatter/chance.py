@@ -22,7 +22,7 @@ class Chance:
     Attributes
     ----------
     of_scatter : float
-        BSDF · cos θs · ΔΩ, of a ray that meets the surface.
+        Chance for a ray that meets the surface, BSDF · cos θs · ΔΩ.
     before : float
         Chance that a ray which starts gets to the surface.
     """
@@ -32,7 +32,7 @@ class Chance:
 
     @property
     def total(self) -> float:
-        """Of a ray that starts."""
+        """Chance that a ray which starts is scattered into the small solid angle."""
         return self.before * self.of_scatter
 
     @property

@@ -44,6 +44,6 @@ class Gaussian(Placement):
         )
 
     def advice(self) -> str | None:
-        """What is unusual about the width and the total, in one line, or nothing."""
+        """Say what is unusual about the width and the total, in one line, or nothing."""
         text = f"width {self.width:g} is more than the half space holds; a Lambertian surface is ABg of g 0"
         return unusual(self.title, text if self.width > 1 else None, total=self.total)

@@ -99,7 +99,7 @@ class KCorrelation(RoughSurface):
         return self.rms_nm == 0
 
     def advice(self) -> str | None:
-        """What is unusual about the slope, in one line, or nothing: polished surfaces have 1.5 … 3.5."""
+        """Say what is unusual about the slope, in one line, or nothing: polished surfaces have 1.5 … 3.5."""
         if 1.5 <= self.slope <= 3.5:
             return None
         return f"{self.title}: slope {self.slope:g} is outside of what is usual, 1.5 … 3.5"

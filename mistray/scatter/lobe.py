@@ -1,4 +1,4 @@
-"""What a scatter model is made of: lobes, additive parts of a BSDF with one peak each."""
+"""Components of scatter models: lobes, additive parts of a BSDF with one peak each."""
 
 from __future__ import annotations
 
@@ -210,7 +210,7 @@ class Lobe:
 
 
 class Scatter(Protocol):
-    """What the kernel and the plugins ask of a scatter model."""
+    """Interface of a scatter model for the kernel and the plugins."""
 
     @property
     def name(self) -> str:
@@ -269,7 +269,7 @@ class Placement:
 
     @classmethod
     def param(cls, name: str) -> Param | None:
-        """What is known of a property; None if there is none of this name."""
+        """Return the parameter of this name; None if there is none."""
         return cls.params().get(name)
 
     @classmethod
@@ -306,7 +306,7 @@ class Placement:
         raise NotImplementedError
 
     def changed(self, **values: float) -> Self:
-        """The same model with other `values`."""
+        """Return the model with other `values`."""
         return replace(self, **values)  # type: ignore[arg-type]  # all of its fields are parameters
 
     @property
@@ -321,7 +321,7 @@ class Placement:
         return (0.0, 1.0, 0.0) if self.relative_to == "specular" else (1.0, 0.0, 0.0)
 
     def events(self, from_front: bool) -> tuple[str, ...]:
-        """What scatters for light of one side: "reflection", "transmission", both or nothing."""
+        """Return the events in which light of one side scatters: "reflection", "transmission", both or none."""
         if self.side not in ("both", "front" if from_front else "back"):
             return ()
         return EVENTS if self.event == "both" else (self.event,)

@@ -1,4 +1,4 @@
-"""What several scatter models have in common: parameters, and what is usual for their numbers."""
+"""Common ground of several scatter models: parameters, and what is usual for their numbers."""
 
 from __future__ import annotations
 

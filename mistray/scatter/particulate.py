@@ -107,7 +107,7 @@ class Particulate(Placement):
 
     def cloud(self, wavelength_nm: float) -> Cloud:
         """
-        What the particles do to light that passes them once, at a vacuum wavelength, nm.
+        Return the effect of the particles on light that passes them once, at a vacuum wavelength, nm.
 
         Raises
         ------

@@ -52,5 +52,5 @@ class Phong(Placement):
         )
 
     def advice(self) -> str | None:
-        """What is unusual about the total, in one line, or nothing."""
+        """Say what is unusual about the total, in one line, or nothing."""
         return unusual(self.title, total=phong.tis(self.b0, self.exponent))

@@ -60,7 +60,7 @@ def over_cosines(
 
 
 def over_radius(ratio: Callable[[Directions], np.ndarray], sine_ratio: float) -> RatioTable:
-    """The same over the cosine of the specular direction, log r and ψ, for what depends on r."""
+    """Tabulate a function that depends on r over the cosine of the specular direction, log r and ψ."""
     cosine = np.linspace(0, 1, RADIAL[0])[:, None, None]
     cos_i, refracted = _incidence(cosine, sine_ratio)
     r = np.geomspace(R_MIN, 2, RADIAL[1])[None, :, None]

@@ -50,7 +50,7 @@ class Light:
 
     @property
     def rotation(self) -> float:
-        """The same in radians."""
+        """Value of `rotation_deg` in radians."""
         return float(np.radians(self.rotation_deg))
 
     def share(self, event: str) -> float:

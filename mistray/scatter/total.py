@@ -130,7 +130,7 @@ def _rings(
     rotation: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    The same as `_by_cosines` with a factor or a ratio, as a sum over radii that holds for all profiles.
+    Return the integral of `_by_cosines` with a factor or a ratio, as a sum over radii that holds for all profiles.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ def factor_values(
 @dataclass(frozen=True)
 class Totals:
     """
-    What the scatter models of a surface do together to light of one side, by event, at (m,) angles of incidence.
+    Joint effect of the scatter models of a surface on light of one side, by event, at (m,) angles of incidence.
 
     Attributes
     ----------
@@ -303,12 +303,12 @@ def check_budget(
     title: str, sums: Totals, cos_i: np.ndarray, reflectance: np.ndarray, transmittance: np.ndarray
 ) -> np.ndarray:
     """
-    What a scattering surface absorbs, 1 - specular - scattered, (m,).
+    Return the share that a scattering surface absorbs, 1 - specular - scattered, (m,).
 
     Parameters
     ----------
     title : str
-        Of the surface and the side of incidence, for messages.
+        Name of the surface and the side of incidence, for messages.
     sums : Totals
     cos_i, reflectance, transmittance : (m,) float64
         Angles, and R and T of the coating before scatter.

@@ -1,4 +1,4 @@
-"""What makes no optical system although each of its parts is in order: no scene, no names, no numbers, overlaps."""
+"""Checks that sound parts make an optical system: that it has a scene, names, finite numbers and no overlaps."""
 
 from __future__ import annotations
 

@@ -42,16 +42,16 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class Coated:
     """
-    What became of a system.
+    Result of putting coatings, paint and scatter on a system.
 
     Attributes
     ----------
     changes : dict of str to Change
-        By the name of the surface.
+        Changes by the name of the surface.
     left : tuple of Left
         Surfaces that a pattern fits and that stay as they are.
     notes : tuple of str
-        What presets reach on the bodies that they are put on.
+        Reflectance of presets on the bodies that they are put on.
     """
 
     changes: Mapping[str, Change]

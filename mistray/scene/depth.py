@@ -1,5 +1,5 @@
 """
-What Mitsuba's reader of scene files does not survive, or does not notice, looked for before it reads.
+Checks for what Mitsuba's reader of scene files does not survive, or does not notice, before it reads.
 
 Elements that lie within each other some thousand levels deep end the process, an included pipe would be waited for, and
 a few files that include each other, or parameters of parameters, grow without end. Of a number that is not there
@@ -71,7 +71,7 @@ def check_source(path: Path, text: str | None = None) -> None:
 
 
 class _Look:
-    """What Mitsuba meets, in its order: included files in their places, and parameters of all files together."""
+    """Walk through what Mitsuba meets, in its order: included files in their places, and parameters of all files."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -182,7 +182,7 @@ def _twice(element: Element) -> str:
 
 
 def _mistake(element: Element, values: Mapping[str, str]) -> str:
-    """What is wrong with the numbers of an element; empty if nothing is."""
+    """Say what is wrong with the numbers of an element; empty if nothing is."""
     tag = element.tag
     for key in NUMBERS.get(tag, ()):
         name = printable(element.name) if tag == "float" else f"{key} of {_named(element)}"

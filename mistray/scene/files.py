@@ -99,7 +99,7 @@ def filled(text: str, defaults: Mapping[str, str]) -> str:
 
 
 def _names(text: str) -> Iterator[str]:
-    """What may be the name of a file in a value: all of it, or some words of a part of it, with or without an entry."""
+    """Yield possible file names in a value: all of it, or some words of a part of it, with or without an entry."""
     found = {text}
     for part in re.split(r"[,;\n]", text):
         words = part.split()

@@ -9,7 +9,7 @@ MOST_NAMED = 3  # surfaces of one model in a message
 
 def improbable(scene: mi.Scene) -> list[str]:
     """
-    What is unusual about the scatter models and the sources of a scene.
+    Say what is unusual about the scatter models and the sources of a scene.
 
     Each says for itself what it finds unusual, in `advice`; a model that several surfaces share speaks once.
 

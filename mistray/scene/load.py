@@ -104,7 +104,7 @@ def _loaded(given: Path | dict[str, Any], text: str | None, sources: Parts, sens
 
 
 def _read(given: Path | dict[str, Any], text: str | None, others: list[Any], more: list[Any]) -> mi.Scene:
-    """The same with sources and sensors of its own, checked."""
+    """Load a file, its text or a dict, put sources and sensors in, and check the scene."""
     if isinstance(given, Path):
         check_source(given, text)
         name = _utf8(given)
@@ -147,7 +147,7 @@ def _with_parts(scene: mi.Scene, sources: Sequence[Part], sensors: Sequence[Part
 
 
 def _from_file(name: str, text: str | None) -> Any:
-    """What a scene file, or a text in its place, describes; what it includes is looked for in its folder first."""
+    """Build what a scene file, or a text in its place, describes; included files are looked for in its folder first."""
     with _search(os.path.dirname(name)):
         state = mi.parser.parse_file(_config(), name) if text is None else mi.parser.parse_string(_config(), text)
         check_file(state)
@@ -155,7 +155,7 @@ def _from_file(name: str, text: str | None) -> Any:
 
 
 def _from_dict(given: dict[str, Any]) -> Any:
-    """What a scene dict describes; Mitsuba looks for a plugin of each type while it reads it."""
+    """Build what a scene dict describes; Mitsuba looks for a plugin of each type while it reads it."""
     folders = {
         key: str(item.get("path", ""))
         for key, item in given.items()

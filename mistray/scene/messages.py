@@ -114,7 +114,7 @@ def is_interrupt(error: Exception) -> bool:
 
 
 def _reason(text: str, element: Element, source: Path | dict[str, Any]) -> str:
-    """What is wrong and what to do about it."""
+    """Say what is wrong and what to do about it."""
     own = text.rpartition("MistrayError: ")[2].strip() if "MistrayError: " in text else ""
     unknown = dict(re.findall(r"- \w+ \"([^\"]+)\": (.*)", text)) if "unreferenced" in text else {}
     known = parameters(element.plugin)

@@ -141,7 +141,7 @@ class _Reader:
         return None
 
     def _recipe(self, where: str, values: Mapping[str, str]) -> dict[str, Any]:
-        """What says what a coating is."""
+        """Return the values that define a coating."""
         recipe: dict[str, Any] = {key: values[key] for key in ("preset", "layers", "table") if key in values}
         return recipe | {key: self._number(where, values, key) for key in ("R", "T") if key in values}
 

@@ -48,7 +48,7 @@ class SharedCoating:
     design_nm: float = DESIGN_NM
 
     def as_shared(self, name: str) -> Coating:
-        """The same as a scene file has it, under a name."""
+        """Return the coating in the form that a scene file has, under a name."""
         layers = layer_text(self.stack.layers)
         return Coating(layers=layers, first=self.stack.first, design_nm=self.design_nm, name=name)
 
@@ -56,7 +56,7 @@ class SharedCoating:
 @dataclass(frozen=True)
 class Refit:
     """
-    What happens to the interface of a surface.
+    Changes to the interface of a surface.
 
     Attributes
     ----------

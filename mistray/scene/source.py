@@ -111,7 +111,7 @@ class _Folder:
 
 @dataclass(frozen=True)
 class _Origin:
-    """What `load` was given: a file, absolute, with its text at that time, or a dict."""
+    """Arguments of `load`: a file, absolute, with its text at that time, or a dict; further sources and sensors."""
 
     path: Path | None
     text: bytes
@@ -144,7 +144,7 @@ def remember(
 
 def source_of(scene: mi.Scene) -> PackedScene | SceneDict:
     """
-    What a scene was loaded from, for another process: a file with its contents, or a dict.
+    Return the source of a scene, for another process: a file with its contents, or a dict.
 
     Raises
     ------

@@ -34,7 +34,7 @@ _NONE: Mapping[str, Any] = MappingProxyType({})
 @dataclass(frozen=True)
 class Rules:
     """
-    What a user wants, by patterns of names of surfaces or parts; see `mistray.scene.coat`.
+    Wishes of a user, by patterns of names of surfaces or parts; see `mistray.scene.coat`.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Rules:
 @dataclass(frozen=True)
 class Face:
     """
-    What the rules see of a surface.
+    Properties of a surface that the rules see.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class Face:
 @dataclass(frozen=True)
 class Change:
     """
-    What a surface gets.
+    Change of the coating and the scatter models of a surface.
 
     Attributes
     ----------
@@ -284,7 +284,7 @@ class Painter:
         return found
 
     def _named(self, item: Any) -> Any:
-        """The same under a name that nothing else has; what has none is not shared."""
+        """Return an item under a name that nothing else has; one without a name is not shared."""
         if item is None or item.name is None:
             return item
         name, number = item.name, 2
@@ -321,7 +321,7 @@ def _listed(given: str | Scatter | Sequence[str | Scatter]) -> Iterable[str | Sc
 
 
 def _shown(given: Any) -> str:
-    """What a rule gives, for messages."""
+    """Show what a rule gives, for messages."""
     if isinstance(given, str | float | int) or given is None:
         return str(given)
     if isinstance(given, Coating | Scatter | Finish):

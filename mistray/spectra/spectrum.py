@@ -1,5 +1,5 @@
 """
-What light a source sends at which wavelength, and the few wavelengths that stand for it in a trace.
+Spectra: the light that a source sends at each wavelength, and the few wavelengths that stand for it in a trace.
 
 A spectrum is named in words: spectral lines ("F d C"), a blackbody ("blackbody:3000"), sunlight outside of the
 atmosphere ("am0"), daylight ("d65") or a table in a file. Lines are traced as they are. Of a continuous spectrum a band

@@ -70,7 +70,7 @@ class Numbers:
 
     @classmethod
     def read(cls, rows: mi.Float, fours: tuple[int, ...], place: mi.UInt32) -> Numbers:
-        """What surfaces that are no aspheres need, out of the rows of several; the `fours` of their family."""
+        """Read what surfaces that are no aspheres need, out of the rows of several; the `fours` of their family."""
         values = dict.fromkeys((field.name for field in fields(cls)), mi.Float(0))
         for four in fours:
             found = dr.gather(mi.Vector4f, rows, len(ROW) // 4 * place + four)

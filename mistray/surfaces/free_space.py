@@ -50,7 +50,7 @@ class FreeSpace:
         frame, x, y = table.axes[common]
         rotation = table.frames[frame]
         low, high, radius = stock_extents(table.shapes[len(table.pieces) :], table.centre, rotation, (x, y))
-        slack = max(SLACK * float(max(np.ptp([low.min(), high.max()]), radius.max())), 4 * table.stock_epsilon)
+        slack = max(SLACK * float(max(np.ptp([low.min(), high.max()]), radius.max())), 4 * table.mitsuba_epsilon)
         self._first, last = low.min() - slack, high.max() + slack
         # Slice 0 is all that lies before the shapes, the last one all behind them
         per_mm = SLICES / (last - self._first)

@@ -93,7 +93,7 @@ def even_points(
 
 
 def area(table: SurfaceTable, surface: int) -> float:
-    """Of a surface, mm²."""
+    """Return the area of a surface, mm²."""
     if surface >= len(table.pieces):
         return float(np.array(table.shapes[surface].surface_area()).ravel()[0])
     return float(_shares(table, surface).mean())

@@ -102,7 +102,7 @@ def first_hit(
         own = own[np.argsort(-t[own], kind="stable")]  # of two crossings of a ray the nearer one is written last
         best[rays[some[own]]], surface[rays[some[own]]] = t[own], piece.index
     # Mitsuba aborts the process when it is asked for the hits of no rays
-    stock = _stock_hit(table, o, d, best) if table.stock_scene is not None and len(o) else None
+    stock = _stock_hit(table, o, d, best) if table.mitsuba_scene is not None and len(o) else None
     if stock is not None:
         nearer = stock[0] < best
         best, surface = np.where(nearer, stock[0], best), np.where(nearer, stock[1], surface)
@@ -155,14 +155,14 @@ def _stock_hit(
     table: SurfaceTable, o: np.ndarray, d: np.ndarray, before: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Distance, surface and normal of the nearest hit of the stock shapes; distance inf where there is none."""
-    start = o + table.stock_epsilon * d
-    assert table.stock_scene is not None
+    start = o + table.mitsuba_epsilon * d
+    assert table.mitsuba_scene is not None
     origin, direction = ([upload(mi.Float, column) for column in v.T] for v in (start, d))
     ray = mi.Ray3f(mi.Point3f(*origin), mi.Vector3f(*direction))
-    si = table.stock_scene.ray_intersect(ray)
+    si = table.mitsuba_scene.ray_intersect(ray)
     found = np.array(si.is_valid())
-    number = dr.gather(mi.UInt32, table.stock_lookup, dr.reinterpret_array(mi.UInt32, si.shape), si.is_valid())
-    t = np.where(found, np.array(si.t, dtype=np.float64) + table.stock_epsilon, np.inf)
+    number = dr.gather(mi.UInt32, table.mitsuba_lookup, dr.reinterpret_array(mi.UInt32, si.shape), si.is_valid())
+    t = np.where(found, np.array(si.t, dtype=np.float64) + table.mitsuba_epsilon, np.inf)
     normal = np.broadcast_to(np.array(si.n, dtype=np.float64).T, o.shape).copy()
     return t, np.where(found, np.array(number, dtype=np.int64), NO_SURFACE), normal
 

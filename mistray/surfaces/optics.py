@@ -1,4 +1,4 @@
-"""What the surfaces of a scene do to the flux, as the kernel wants it: words, indices, media and tables of R and T.
+"""Effect of the surfaces of a scene on the flux, as the kernel wants it: words, indices, media, tables of R and T.
 
 A coating is evaluated on the host in float64 and enters the kernel as a table over the angle of incidence, so that the
 cost of a hit does not depend on the number of its layers. A table has two parts:
@@ -525,7 +525,7 @@ class Optics:
     def attenuate(
         self, flux: mi.Float, medium: mi.UInt32, length: mi.Float, active: mi.Bool
     ) -> tuple[mi.Float, mi.Float, mi.Float]:
-        """What is left of light at the end of segments (mm), what their media scatter, and what they absorb."""
+        """Return the light that is left at the end of segments (mm), and what their media scatter and absorb."""
         coefficient = dr.gather(mi.Float, self.extinction, medium, active)
         left = flux * dr.exp(-coefficient * dr.select(active, length, 0))
         taken, clouded = flux - left, mi.Float(0)
@@ -535,7 +535,7 @@ class Optics:
         return left, clouded, taken
 
     def response(self, surface: int, from_front: bool, cosines: np.ndarray) -> Response:
-        """What the coating of a surface answers to light of one side at cosines of incidence, (m,), exact."""
+        """Return the exact response of the coating of a surface to light of one side at cosines of incidence, (m,)."""
         sides = self.complex_indices[surface]
         if self.host_words[surface] & OPAQUE and sides[0 if from_front else 1].imag > METAL_K:
             from_front = not from_front  # nothing travels in a metal

@@ -1,4 +1,4 @@
-"""What a trace asks of an analytic surface. Each family of surfaces answers in a file of its own.
+"""Interface of an analytic surface to a trace. Each family of surfaces answers in a file of its own.
 
 `mistray.surfaces.families.sag_surface` has planes, conics and aspheres, `cone` cones and tubes, `freeform` all other
 sags, and `mistray.surfaces.families.implicit_surface` what users define by a formula.
@@ -122,7 +122,7 @@ class Surface(ABC):
 
     @property
     def sort(self) -> tuple[object, ...]:
-        """What the kernel's code for it hangs on."""
+        """Properties that the kernel's code for the surface depends on."""
         return (type(self),)
 
     @property
@@ -252,7 +252,7 @@ class Surface(ABC):
     # ---- kernel
 
     def numbers(self) -> Any:
-        """What `crossing` takes, on the device."""
+        """Return the numbers that `crossing` takes, on the device."""
         return Numbers.of(self)
 
     @abstractmethod

@@ -19,7 +19,7 @@ MOST_ROWS = 14  # of a table that is copied to the lanes, 52 bytes for each row 
 @dataclass
 class SurfaceRow:
     """
-    What a surface is.
+    Shape, place and optics of a surface.
 
     Attributes
     ----------

@@ -139,17 +139,17 @@ class SurfaceTable:
         self.optics = Optics(self.ids, self.interfaces, self._flags(), self.bodies, wavelength_nm, stokes)
 
     def at(self, wavelength_nm: float) -> SurfaceTable:
-        """The same surfaces at another wavelength; the geometry is shared."""
+        """Return the surfaces at another wavelength; the geometry is shared."""
         return self._changed(wavelength_nm, self.detectors, self._design_mirrors)
 
     def on(self, detector: int) -> SurfaceTable:
-        """The same surfaces with one of the detectors alone; the others are surfaces like others."""
+        """Return the surfaces with one of the detectors alone; the others are surfaces like others."""
         if self.detectors == [detector]:
             return self
         return self._changed(self.wavelength_nm, [detector], self._design_mirrors)
 
     def with_mirrors(self, surfaces: frozenset[int]) -> SurfaceTable:
-        """The same surfaces with further mirrors: opaque ones where the design is reflected without a declaration."""
+        """Return the surfaces with further mirrors: opaque ones where the design is reflected without a declaration."""
         return self._changed(self.wavelength_nm, self.detectors, surfaces) if surfaces else self
 
     def _changed(self, wavelength_nm: float, detectors: list[int], mirrors: frozenset[int]) -> SurfaceTable:
@@ -292,10 +292,10 @@ class SurfaceTable:
 
     def _stock(self, shapes: list[Any]) -> None:
         """A Mitsuba scene of the shapes that are not ours, and the way from its shapes to surface numbers."""
-        self.stock_scene, self.free_space = None, None
+        self.mitsuba_scene, self.free_space = None, None
         if not shapes:
             return
-        self.stock_scene = mi.load_dict(
+        self.mitsuba_scene = mi.load_dict(
             {"type": "scene", **dict(zip(self.ids[len(self.pieces) :], shapes, strict=True))},
             optimize=False,  # the key becomes the id
         )
@@ -303,20 +303,20 @@ class SurfaceTable:
         registry = np.array(pointers)
         lookup = np.zeros(int(registry.max()) + 1, dtype=np.uint32)
         lookup[registry] = np.arange(len(shapes), dtype=np.uint32) + len(self.pieces)
-        self.stock_lookup = upload(mi.UInt32, lookup)
-        size = float(np.max(np.abs([*self.stock_scene.bbox().min, *self.stock_scene.bbox().max])))
-        self.stock_epsilon = 4e-6 * (1.0 + size)
-        self.stock_offset = mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in self.centre))
+        self.mitsuba_lookup = upload(mi.UInt32, lookup)
+        size = float(np.max(np.abs([*self.mitsuba_scene.bbox().min, *self.mitsuba_scene.bbox().max])))
+        self.mitsuba_epsilon = 4e-6 * (1.0 + size)
+        self.mitsuba_offset = mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in self.centre))
         free_space = FreeSpace(self) if self.pieces else None
         self.free_space = free_space if free_space is not None and free_space.some else None
 
-    def stock_normals(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    def mitsuba_normals(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Normals of the stock shapes that rays along `directions` meet at `points`, (n, 3) float64."""
-        assert self.stock_scene is not None
-        starts = points - 8 * self.stock_epsilon * directions
+        assert self.mitsuba_scene is not None
+        starts = points - 8 * self.mitsuba_epsilon * directions
         # From memory: with numbers of their own in the code, each ray would be a kernel to compile
         origin, along = (dr.unravel(mi.Vector3f, upload(mi.Float, rays)) for rays in (starts, directions))
-        found = self.stock_scene.ray_intersect(mi.Ray3f(mi.Point3f(origin), along))
+        found = self.mitsuba_scene.ray_intersect(mi.Ray3f(mi.Point3f(origin), along))
         return np.array(found.n, dtype=np.float64).T
 
     def _flags(self) -> np.ndarray:

@@ -18,7 +18,7 @@ SHARE = 0.02  # of it that may be thinner: where surfaces touch
 
 def thin_gaps(table: SurfaceTable) -> list[Note]:
     """
-    What float32 does not resolve, one line for each gap.
+    Return a note for each gap that float32 does not resolve.
 
     Parameters
     ----------

@@ -88,7 +88,7 @@ class KeptRows:
 
 class SceneContents:
     """
-    What the files of a scene hold.
+    Contents of the files of a scene.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ class SceneContents:
     Attributes
     ----------
     hashes : list of str
-        Of the contents of all files of the scene, in whatever place they are.
+        Hashes of the contents of all files of the scene, in whatever place they are.
     """
 
     def __init__(self, scene: Path) -> None:
@@ -121,15 +121,15 @@ def _stamps(files: Iterable[Path]) -> list[tuple[int, int, int]]:
 
 def traced_facts(contents: SceneContents, settings: Settings, azimuth_deg: float | None) -> dict[str, Any]:
     """
-    What all rows of a sweep depend on.
+    Return the facts that all rows of a sweep depend on.
 
     Parameters
     ----------
     contents : SceneContents
     settings : Settings
-        As they hold, those of the scene's own integrator included.
+        Settings as they hold, those of the scene's own integrator included.
     azimuth_deg : float, optional
-        Instead of the source's own.
+        Azimuth instead of the source's own.
 
     Returns
     -------

@@ -15,6 +15,7 @@ import numpy as np
 from mistray.analysis.changes.gaps import Contacts, Gap
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
+from mistray.known_arguments import known_arguments
 from mistray.optimize.bodies import bodies
 from mistray.optimize.gradient import gradient_request, gradient_seen
 from mistray.optimize.metrics.pst_metrics import pst_bin
@@ -33,7 +34,6 @@ from mistray.optimize.tolerances.rows import (
     whole_values,
 )
 from mistray.ranges import PST_FIELD_DEG
-from mistray.renamed import renamed
 from mistray.scene import find, load
 
 if TYPE_CHECKING:
@@ -88,7 +88,6 @@ class Edit(OfLine):
     gaps: tuple[Gap, ...] = ()
 
 
-@renamed(angles_deg="field_deg")
 @dataclass(frozen=True)
 class EditRanking:
     """
@@ -171,7 +170,7 @@ class EditRanking:
         return self.to_pandas().to_string(index=False)
 
 
-@renamed(angles_deg="field_deg")
+@known_arguments
 def rank_edits(
     scene: str | Path | mi.Scene,
     field_deg: float | Sequence[float],
@@ -277,12 +276,12 @@ def rank_edits(
 
 
 def _certain(change: Estimate) -> float:
-    """What is certain of a change."""
+    """Return the part of a change that is certain: its size less `CERTAIN` standard errors, at least 0."""
     return max(abs(change.value) - CERTAIN * change.se, 0.0)
 
 
 def _order(edit: Edit) -> tuple[bool, bool, float, float]:
-    """What is certain of the largest change first, but edits that open gaps; then the size of the change."""
+    """Return the sort key of an edit: certain ones first, without gaps before with; then by certain change and size."""
     certain = max(map(_certain, edit.change))
     return certain == 0, bool(edit.gaps), -certain, -max(abs(change.value) for change in edit.change)
 

@@ -21,14 +21,14 @@ from mistray.sweeps.configurations import Configuration, Resolved, resolve
 
 class Original:
     """
-    What configurations change.
+    Scene that configurations change.
 
     Parameters
     ----------
     given : str, Path or mi.Scene
         A scene file or its name, or a loaded scene, which stays as it is.
     folder : Path
-        For files of edited scenes, which may be read as long as these are traced.
+        Folder for files of edited scenes, which may be read as long as these are traced.
     """
 
     def __init__(self, given: str | Path | mi.Scene, folder: Path) -> None:

@@ -16,9 +16,9 @@ from mistray.analysis.changes.gaps import Contacts, Gap, gaps_text
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.transmittance import pst_of_each
 from mistray.errors import MistrayError
+from mistray.known_arguments import known_arguments
 from mistray.notes import warns
 from mistray.optimize.metrics.views import View, seen_unpolarized
-from mistray.renamed import renamed
 from mistray.sweeps.configurations import AS_IT_IS, Configuration, Given, as_configurations
 from mistray.sweeps.original import Original
 
@@ -31,7 +31,7 @@ Progress = Callable[[float, float], None]
 @dataclass(frozen=True)
 class Changed:
     """
-    What an edit does to the PST at one field angle.
+    Effect of an edit on the PST at one field angle.
 
     Attributes
     ----------
@@ -59,7 +59,6 @@ class Changed:
         return self.ratio < 1 and not spoils(self.entering)
 
 
-@renamed(angles_deg="field_deg")
 class PstSweep:
     """
     Result of `sweep_pst`.
@@ -91,10 +90,10 @@ class PstSweep:
         self.configurations = tuple(found)
         self.field_deg = next(iter(found.values())).field_deg
 
-    @renamed(angle_deg="field_deg")
+    @known_arguments
     def changed(self, configuration: str, field_deg: float, classes: str | Sequence[str] = "stray") -> Changed:
         """
-        What a configuration does at one field angle.
+        Return the effect of a configuration at one field angle.
 
         Parameters
         ----------
@@ -134,7 +133,7 @@ class PstSweep:
     @property
     def warnings(self) -> list[str]:
         """
-        What to know before trusting the numbers.
+        Warnings to know before trusting the numbers.
 
         Gaps that a configuration opens, light that gets in by them, angles at which no light was seen, and what Stokes
         vectors would change.
@@ -191,7 +190,7 @@ class PstSweep:
         return pd.DataFrame(rows)
 
 
-@renamed(angles_deg="field_deg")
+@known_arguments
 @warns
 def sweep_pst(
     scene: str | Path | mi.Scene,

@@ -1,4 +1,4 @@
-"""What a sweep gives back."""
+"""Result of a sweep."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport, ghosts
 from mistray.errors import MistrayError
 from mistray.optimize.scene_values import assign
-from mistray.renamed import renamed
 from mistray.scene import load
 from mistray.sweeps.configurations import Resolved
 from mistray.sweeps.numbers import FIRST_LIGHT, Numbers
@@ -33,7 +32,6 @@ UNITS = ("_W_mm2", "_W", "_mm")
 Source: TypeAlias = "Path | dict[str, Any] | mi.Scene"
 
 
-@renamed(fields_deg="field_deg")
 @dataclass(kw_only=True, eq=False, repr=False)
 class Sweep:
     """
@@ -157,7 +155,7 @@ class Sweep:
         return found
 
     def values(self) -> pd.DataFrame:
-        """What the configurations set: configuration, key, entry, unit (empty where it is not known), value."""
+        """Return the values that are set: configuration, key, entry, unit (empty where it is not known), value."""
         import pandas as pd
 
         rows = [

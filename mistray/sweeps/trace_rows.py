@@ -12,10 +12,10 @@ import mitsuba as mi
 from mistray.analysis.changes.gaps import Contacts, Gap
 from mistray.cache import Cache, open_cache
 from mistray.errors import MistrayError, UnfinishedError
+from mistray.known_arguments import known_arguments
 from mistray.notes import warns
 from mistray.optimize.scene_values import changed
 from mistray.ranges import FIELD_DEG
-from mistray.renamed import renamed
 from mistray.sampling.sources import scene_sources, source_emitters, spectrum, spectrum_of
 from mistray.scene import find, load
 from mistray.scene.check import check_overlaps
@@ -32,7 +32,7 @@ Progress = Callable[[float, float], None]
 LATER = 0.2  # what a row takes in tables and reports, as a part of what its trace takes beside the rays
 
 
-@renamed(fields_deg="field_deg")
+@known_arguments
 @warns
 def sweep(
     scene: str | Path | dict[str, Any] | mi.Scene,
@@ -217,7 +217,7 @@ def _cache_of(source: Source, scene: Any, wanted: bool | str | Path | None) -> t
 
 
 def _wavelengths(scene: Any, wavelength_nm: float | Sequence[float] | None) -> list[float]:
-    """Those given, each once, or those of the scene's source; nm."""
+    """Return the wavelengths that are given, each once, or those of the scene's source; nm."""
     found = spectrum_of(scene, None, None) if wavelength_nm is None else spectrum(wavelength_nm, None)
     return [float(value) for value in found[0]]
 
@@ -225,7 +225,7 @@ def _wavelengths(scene: Any, wavelength_nm: float | Sequence[float] | None) -> l
 def _angles(
     scene: Any, field_deg: float | Sequence[float] | None, azimuth_deg: float | None, wavelength_nm: float
 ) -> list[float]:
-    """Those given, each once, or the one of the scene's source; degrees."""
+    """Return the field angles that are given, each once, or the one of the scene's source; degrees."""
     if field_deg is None:
         own = {float(emitter.field_deg) for emitter in source_emitters(scene)}
         if len(own) > 1:

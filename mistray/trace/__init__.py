@@ -1,4 +1,4 @@
-"""From a scene to the paths of its light: forward traces, and what they have found."""
+"""Forward traces of a scene, from its sources to its detectors, and their results."""
 
 from mistray._variant import active_variant, ensure_variant
 

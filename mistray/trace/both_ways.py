@@ -1,8 +1,9 @@
-"""A short trace on the host, in float64, whose branches carry their flux in both modes: means of s and p, and Stokes.
+"""
+Short trace on the host, in float64, whose branches carry their flux in both modes: means of s and p, and Stokes.
 
-Both belong to the same rays, so that their ratio has next to no noise, and no kernel is compiled for it. The equations
-are those of `mistray.kernel.polarization`; the axis of a Stokes vector is carried along with it. Light that a surface
-scatters, once along a path and aimed at the targets of the trace, is unpolarised from there on. What media scatter, and
+Both modes share the rays, so that their ratio has next to no noise, and no kernel is compiled. The equations are those
+of `mistray.kernel.polarization`; the axis of a Stokes vector is carried along with it. Light that a surface scatters,
+once along a path and aimed at the targets of the trace, is unpolarised from there on. Light that media scatter, and
 light that scatters again, is not followed.
 """
 
@@ -34,11 +35,11 @@ from mistray.surfaces.host_rays import first_hit, specular
 from mistray.surfaces.optics import BACK_MEDIUM_SHIFT, FRONT_MEDIUM_SHIFT, MEDIUM_MASK, MIRROR, OPAQUE
 from mistray.surfaces.upload import upload
 
-SEED = 20  # of its own: the mode of a trace must not hang on its seed
-SCATTERED_RAYS = 256  # of all hits of surfaces that scatter
-MOST_BRANCHES, MOST_IN_ALL = 8_000, 100_000  # of a generation, and of a tree: those of deep limits have no end
+SEED = 20  # a fixed one: the mode of a trace must not depend on its seed
+SCATTERED_RAYS = 256  # rays that all hits of surfaces that scatter send together
+MOST_BRANCHES, MOST_IN_ALL = 8_000, 100_000  # in a generation, and in a tree: with deep limits trees hardly end
 _NODES = np.linspace(0, 1, ANGLES + 1)
-LEAST_OF_SCATTER = 1e-2  # of the flux of a scattered ray, below which its branches end
+LEAST_OF_SCATTER = 1e-2  # fraction of the flux of a scattered ray below which its branches end
 
 Floats = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
@@ -47,23 +48,24 @@ Whole = npt.NDArray[np.int64]
 @dataclass(frozen=True)
 class Branches:
     """
-    Rays on their way, n of them.
+    Branches of ray trees, n of them.
 
     Attributes
     ----------
     o, d, axis : (n, 3) float64
-        Where they are (mm), where they go, and the unit vector across that of their Stokes vectors.
+        Origins (mm), directions, and unit vectors across these to which the Stokes vectors refer.
     mean : (n,) float64
         Flux by the means of s and p, in units of a start ray.
     light : (n, 4) float64
-        I, Q, U, V in the same units.
+        Stokes vectors I, Q, U, V in the same units.
     floor : (n,) float64
-        Flux below which they end.
+        Flux below which branches end.
     last, medium, reflections, ray : (n,) int
-        Surface and material that they come from, reflections that count, and the number of the start ray.
+        Surface and material that they come from, number of reflections that count, and number of the start ray.
     scattered : (n,) bool
+        Whether a surface has scattered them.
     codes : (n, k) int
-        Their events, surface << EVENT_BITS | what.
+        Events, surface << EVENT_BITS | type.
     """
 
     o: Floats
@@ -80,16 +82,16 @@ class Branches:
     codes: Whole
 
     def take(self, chosen: np.ndarray) -> Branches:
-        """Some of them."""
+        """Return the chosen branches."""
         return Branches(*(getattr(self, f.name)[chosen] for f in fields(self)))
 
     @staticmethod
     def together(parts: list[Branches]) -> Branches:
-        """Those of all parts, of which there is at least one."""
+        """Return the branches of all parts, of which there is at least one."""
         return Branches(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Branches)))
 
     def after(self, code: Whole, d: Floats, axis: Floats, mean: Floats, light: Floats) -> Branches:
-        """The same with one event more."""
+        """Return the branches after one more event."""
         codes = np.concatenate([self.codes, code[:, None]], axis=1)
         return replace(self, d=d, axis=axis, mean=mean, light=light, last=code >> EVENT_BITS, codes=codes)
 
@@ -97,23 +99,24 @@ class Branches:
 @dataclass(frozen=True)
 class Arrivals:
     """
-    What arrived at the detectors of one run, path by path.
+    Light of one path that arrives at a detector.
 
     Attributes
     ----------
     path : tuple of int
-        Its events, see `Branches`.
+        Events, see `Branches`.
     mean, stokes : float
         Flux that the detector absorbs in either mode, W.
     hits : int
-        Branches that arrived.
+        Number of branches that arrived.
     spread : float
-        RMS distance of them from their centroid, mm, by flux.
+        RMS distance of the hits from their centroid, weighted by flux, mm.
     residual : float
-        Sum of the squares by which `stokes` of a branch is not in proportion to `mean`, W².
+        Sum of squared residuals of `stokes` of the branches in proportion to `mean`, W².
     scattered : bool
+        Whether a surface scatters the light.
     reflections : int
-        Those that count.
+        Number of reflections that count.
     """
 
     path: tuple[int, ...]
@@ -128,7 +131,7 @@ class Arrivals:
 
 @dataclass(frozen=True)
 class _Shares:
-    """What surfaces make of the light of branches that meet them, (n, …) each; s and p are the columns of R and T."""
+    """R and T of surfaces for the branches that meet them, (n, …) each; s and p are the columns of R and T."""
 
     R: Floats
     T: Floats
@@ -138,20 +141,21 @@ class _Shares:
 
 def follow(run: Run, rays: int) -> tuple[list[Arrivals], int]:
     """
-    Send some rays of a run through the scene.
+    Trace some rays of a run through the scene.
 
     Parameters
     ----------
     run : Run
-        Of unpolarised light.
+        Run of unpolarised light.
     rays : int
-        About so many start rays, spread over the beam.
+        Approximate number of start rays, spread over the beam.
 
     Returns
     -------
     arrivals : list of Arrivals
+        Light at the detectors, path by path.
     hits : int
-        Hits of surfaces that it took.
+        Number of hits of surfaces that were traced.
     """
     branches, unit = _started(run, rays)
     tree = _Tree(run, np.random.default_rng(SEED))
@@ -162,7 +166,7 @@ def follow(run: Run, rays: int) -> tuple[list[Arrivals], int]:
 
 
 def _started(run: Run, rays: int) -> tuple[Branches, float]:
-    """Start rays of a run as branches, and the flux of one, W."""
+    """Return start rays of a run as branches, and the flux of one, W."""
     pilot = replace(run, rays=run.source.count(rays), seed=SEED, parts=None)
     start = pilot.start_pass(0)
     if (given := dr.width(start.lane)) > 2 * rays:  # a source may have rays of its own
@@ -197,27 +201,29 @@ class _Lit:
 
     @property
     def flux(self) -> Floats:
-        """(n,) that is scattered of each."""
+        """Scattered flux of each branch, (n,)."""
+        # Mean over the rotations of the sample, and the terms of a polynomial in R or T
         _, *terms = (np.interp(self.cosine, _NODES, column) for column in self.case.rows.mean(axis=0).T)
         return np.asarray(self.branches.mean * sum(term * self.mean**power for power, term in enumerate(terms)))
 
     @property
     def cosine(self) -> Floats:
-        """(n,) of incidence; that of totals of transmission is in the rarer material, which is close enough."""
+        """Cosines of incidence, (n,), for totals of transmission, too: that in the rarer medium is close enough."""
         return np.abs(np.einsum("ij,ij->i", self.branches.d, self.outward))
 
 
 class _Tree:
     """
-    One generation of branches after the other.
+    Ray tree that is traced one generation of branches after the other.
 
     Attributes
     ----------
     ends : list
-        Branches that arrived at a detector, with what it absorbs of each in either mode.
+        Branches that arrived at a detector, with the flux that it absorbs of each in either mode.
     dim : list of _Lit
-        What scatters of the branches so far.
+        Hits of surfaces that scatter so far.
     hits : int
+        Number of hits of surfaces.
     """
 
     def __init__(self, run: Run, rng: np.random.Generator) -> None:
@@ -231,7 +237,7 @@ class _Tree:
         self.hits = 0
 
     def grow(self, branches: Branches) -> None:
-        """Follow branches to their ends; where there are too many, the brightest."""
+        """Trace branches to their ends; of too many the brightest."""
         last = self.hits + MOST_IN_ALL
         for _ in range(self._settings.max_events):
             if len(branches.o) > MOST_BRANCHES:
@@ -242,13 +248,13 @@ class _Tree:
                 break
 
     def scatter(self) -> Branches:
-        """Scattered rays of hits that are chosen by what they scatter."""
+        """Return scattered rays of hits that are sampled by their scattered flux."""
         flux = np.concatenate([lit.flux for lit in self.dim])
         lit, self.dim = self.dim, []
         edges = np.cumsum(np.maximum(flux, 0))
         if not edges[-1] > 0:
             return lit[0].branches.take(np.zeros(0, dtype=np.int64))
-        # Systematic sampling: each hit as often as its share says, but for rounding
+        # Systematic sampling: each hit in proportion to its flux, but for rounding
         places = (np.arange(SCATTERED_RAYS) + self._rng.random()) * edges[-1] / SCATTERED_RAYS
         chosen = np.minimum(np.searchsorted(edges, places, side="right"), len(edges) - 1)
         found, first = [], 0
@@ -262,21 +268,28 @@ class _Tree:
         return Branches.together(found)
 
     def _step(self, b: Branches) -> Branches:
-        """The children of branches."""
+        """Return the children of branches."""
         table, optics = self._table, self._table.optics
+        # Intersect
         surface, p, normal = first_hit(table, b.o, b.d, b.last)
         hit = np.flatnonzero(surface >= 0)
         b, surface, p, normal = b.take(hit), surface[hit], p[hit], normal[hit]
         if not len(hit):
             return b
+
+        # Side of incidence and media
         words, indices = optics.host_words[surface].astype(np.int64), optics.host_indices[surface]
         along = np.einsum("ij,ij->i", b.d, normal)
         from_front, cosine = along > 0, np.minimum(np.abs(along), 1)
         sides = [(words >> shift) & MEDIUM_MASK for shift in (FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT)]
         near, far = np.where(from_front, sides[0], sides[1]), np.where(from_front, sides[1], sides[0])
         medium = np.where(near > 0, near, b.medium)
+
+        # Attenuate
         left = np.exp(-self._extinction[medium] * np.linalg.norm(p - b.o, axis=1))
         b = replace(b, o=p, mean=b.mean * left, light=b.light * left[:, None], medium=medium)
+
+        # Snell's law, R and T, and the Stokes vectors in the plane of incidence
         eta = np.where(from_front, indices[:, 0] / indices[:, 1], indices[:, 1] / indices[:, 0])
         back, through, total = specular(b.d, normal, eta)
         opaque = (words & OPAQUE) != 0
@@ -288,6 +301,8 @@ class _Tree:
         reflected, transmitted = (_child(b.light, *one) for one in ((shares.R, shares.product_r),
                                                                     (shares.T, shares.product_t)))  # fmt: skip
         mean_r, mean_t = b.mean * shares.R.mean(axis=1), b.mean * shares.T.mean(axis=1)
+
+        # Record hits of detectors
         here = np.flatnonzero(np.isin(surface, table.detectors))
         if len(here):
             end = b.take(here)
@@ -295,6 +310,8 @@ class _Tree:
             end = end.after(code, end.d, end.axis, end.mean, end.light)
             stokes = b.light[:, 0] - reflected[:, 0] - transmitted[:, 0]
             self.ends.append((end, (b.mean - mean_r - mean_t)[here], stokes[here]))
+
+        # Specular children, after scatter has taken its part
         cos_t = np.sqrt(np.maximum(0, 1 - eta**2 * (1 - cosine**2)))
         kept_r = self._kept(surface, from_front, "reflection", cosine)
         kept_t = self._kept(surface, from_front, "transmission", np.minimum(cosine, cos_t))
@@ -310,16 +327,18 @@ class _Tree:
         onward = b.after(code, through, s, mean_t * kept_t, transmitted * kept_t[:, None])
         onward = replace(onward, medium=far)
         children = [echo.take(may), onward.take((~opaque & ~total) & ("T" in allowed))]
+
+        # Scatter waits until all specular branches are traced, so that its rays can be sampled by flux
         if self._cases and self._settings.max_scatters:
             self._light(b, surface, from_front, normal, (reflected, transmitted), shares)
         found = Branches.together(children)
-        # A branch that only one of the modes leaves dark is followed as well
+        # A branch that is dark in one mode only is followed, too
         return found.take(np.maximum(found.mean, found.light[:, 0]) > found.floor)
 
     def _shares(
         self, surface: Whole, from_front: np.ndarray, cosine: Floats, opaque: np.ndarray, total: np.ndarray
     ) -> _Shares:
-        """R and T of the coatings, exact."""
+        """Return exact R and T of the coatings."""
         optics, n = self._table.optics, len(surface)
         R, T = np.zeros((n, 2)), np.zeros((n, 2))
         phase_r, phase_t = np.zeros(n), np.zeros(n)
@@ -337,7 +356,7 @@ class _Tree:
         return _Shares(R, T, r, t)
 
     def _kept(self, surface: Whole, from_front: np.ndarray, event: str, cosine: Floats) -> Floats:
-        """Share of the coating's R or T that scatter leaves in the specular beam."""
+        """Return the share of the coating's R or T that scatter leaves in the specular beam."""
         kept = np.ones(len(surface))
         for (number, side, name), case in self._cases.items():
             here = np.flatnonzero((surface == number) & (from_front == side))
@@ -355,7 +374,7 @@ class _Tree:
         children: tuple[Floats, Floats],
         shares: _Shares,
     ) -> None:
-        """Note the hits of surfaces that scatter."""
+        """Record the hits of surfaces that scatter."""
         for (number, side, event), case in self._cases.items():
             here = np.flatnonzero((surface == number) & (from_front == side) & ~b.scattered)
             reflects = event == "reflection"
@@ -368,18 +387,20 @@ class _Tree:
             self.dim.append(_Lit(case, b.take(here), outward, X[here].mean(axis=1), own))
 
     def _rays(self, lit: _Lit, chosen: Whole, many: Floats) -> Branches:
-        """Rays that a case scatters: towards a target where it has one, else as a Lambertian surface does."""
+        """Return rays that a case scatters: towards a target where it has one, else as a Lambertian surface does."""
         case, b, outward = lit.case, lit.branches.take(chosen), lit.outward[chosen]
         to_back = case.from_front == (case.event == "transmission")
         d, per_sr = self._directions(b.o, outward, self._aims.get((case.surface, to_back)))
         cos_s = np.einsum("ij,ij->i", d, outward)
         tangent = b.d - np.einsum("ij,ij->i", b.d, outward)[:, None] * outward
         size = np.linalg.norm(tangent, axis=1, keepdims=True)
+        # Local shading frame: x along the tangential part of the incident direction
         x = np.where(size > 1e-9, tangent / np.maximum(size, 1e-9), _across(outward))
         y = np.cross(outward, x)
         local = np.stack([np.einsum("ij,ij->i", d, v) for v in (x, y)] + [np.maximum(cos_s, 0)], axis=1)
         lobes = [member.lobe for member in case.members]
         sides = light_indices(self._table.optics, case.surface, case.from_front)
+        # Estimator f cos θ/pdf
         many = many * np.maximum(cos_s, 0) / np.maximum(per_sr, 1e-30)
         mean, own = (
             many * bsdf(lobes, case.event, lit.cosine[chosen], local, *sides, X[chosen]) for X in (lit.mean, lit.own)
@@ -394,13 +415,13 @@ class _Tree:
         return replace(
             sent,
             floor=LEAST_OF_SCATTER * flux,
-            codes=sent.codes[:, -1:],  # what was before does not matter
+            codes=sent.codes[:, -1:],  # events before the scatter event do not tell paths apart here
             scattered=np.ones(len(d), dtype=bool),
             medium=np.full(len(d), medium),
         )
 
     def _directions(self, o: Floats, outward: Floats, aim: AimSet | None) -> tuple[Floats, Floats]:
-        """Where scattered rays go, and how many of them for each sr."""
+        """Sample directions of scattered rays; return them and their pdf, 1/sr."""
         flat = [target for target in aim.targets if isinstance(target, Target)] if aim is not None else []
         if not flat:
             d = lambertian_directions(outward, self._rng)
@@ -414,12 +435,13 @@ class _Tree:
             length = np.linalg.norm(way, axis=1)
             d[at] = way / length[:, None] * (-1 if target.reverse else 1)
             slope = np.abs(d[at] @ target.normal)
+            # From area to solid angle: r²/(A |cos θ|)
             per_sr[at] = length**2 / (target.area * np.maximum(slope, 1e-9)) * shares[k] / shares.sum()
         return d, per_sr
 
 
 def _by_path(end: Branches, mean: Floats, stokes: Floats, unit: float) -> list[Arrivals]:
-    """Branches that arrived after the same number of events, by their events."""
+    """Group branches that arrived after the same number of events by their events."""
     paths, number = np.unique(end.codes, axis=0, return_inverse=True)
     number = number.ravel()
     found = []
@@ -446,20 +468,20 @@ def _by_path(end: Branches, mean: Floats, stokes: Floats, unit: float) -> list[A
 
 
 def _across(d: Floats) -> Floats:
-    """Unit vectors across directions, (n, 3)."""
+    """Return unit vectors across directions, (n, 3)."""
     found = np.cross(d, np.eye(3)[np.argmin(np.abs(d), axis=1)])
     return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
 
 
 def _plane(b: Branches, normal: Floats) -> Floats:
-    """Unit vectors across the planes of incidence."""
+    """Return unit vectors across the planes of incidence."""
     s = np.cross(b.d, normal)
     size = np.linalg.norm(s, axis=1, keepdims=True)
     return np.asarray(np.where(size**2 > NORMAL_INCIDENCE, s / np.maximum(size, 1e-30), b.axis))
 
 
 def _turned(b: Branches, s: Floats) -> Floats:
-    """Stokes vectors with respect to other axes."""
+    """Return the Stokes vectors with respect to other axes."""
     c, n = np.einsum("ij,ij->i", b.axis, s), np.einsum("ij,ij->i", np.cross(b.d, b.axis), s)
     cos2, sin2 = c * c - n * n, 2 * c * n
     flux, q, u, v = b.light.T
@@ -467,7 +489,7 @@ def _turned(b: Branches, s: Floats) -> Floats:
 
 
 def _child(light: Floats, X: Floats, product: npt.NDArray[np.complex128]) -> Floats:
-    """Stokes vectors behind a coating, in the plane of incidence."""
+    """Return the Stokes vectors of a child in the plane of incidence."""
     flux, q, u, v = light.T
     half, difference = 0.5 * (X[:, 0] + X[:, 1]), 0.5 * (X[:, 0] - X[:, 1])
     re, im = product.real, product.imag

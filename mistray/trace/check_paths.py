@@ -1,4 +1,4 @@
-"""Looks whether a scene can have the paths that a text means, before anything is traced."""
+"""Check that a scene can have the paths that a filter selects, before anything is traced."""
 
 from __future__ import annotations
 
@@ -23,32 +23,35 @@ COLUMNS = {f.name: np.zeros(0, dtype=object if f.type == "str" else np.float64) 
 
 def check_paths(scene: mi.Scene | None, selections: Iterable[str], of_rays: bool = False) -> None:
     """
-    Refuse texts that can mean no path of a scene, see `mistray.trace.path_filter`.
+    Raise for filters that cannot select a path of a scene, see `mistray.trace.path_filter`.
 
     Parameters
     ----------
     scene : mi.Scene or None
-        None: only whether they can be read.
+        Scene of the paths; None: the filters are only parsed.
     selections : iterable of str
+        Filters.
     of_rays : bool
         Whether they may also compare columns that only a ray has.
 
     Raises
     ------
     MistrayError
-        For a text that cannot be read, and for surfaces, kinds, sources and columns that there are not.
+        For a filter that cannot be parsed, and for surfaces, kinds, sources and columns that do not exist.
     """
     wanted = [PathFilter(text) for text in selections]
     if wanted and scene is not None:
+        # A table without rows has all the names, which is enough to find those that do not exist
         rows = _no_rows(scene, BY_RAY if of_rays else frozenset())
         for one in wanted:
             one.bounds(rows)
 
 
 def _no_rows(scene: mi.Scene, by_ray: frozenset[str]) -> Rows:
-    """A path table of the scene without a path."""
+    """Return a path table of the scene without a path."""
     shapes = named_shapes(scene)
     bsdfs: list[Any] = [shape.bsdf() for shape in shapes.values()]
+    # As in `mistray.surfaces.surfaces.SurfaceTable`: surfaces first, then media, whose names are in brackets
     media = list(dict.fromkeys(getattr(bsdf, side, "").strip() for bsdf in bsdfs for side in ("front", "back")))
     emitters = enumerate(source_emitters(scene), start=1)
     return Rows(

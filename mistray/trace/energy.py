@@ -1,4 +1,4 @@
-"""Where the flux of a trace went: the energy ledger and the flux report of the surfaces."""
+"""Energy ledger of a trace, and flux report of its surfaces."""
 
 from __future__ import annotations
 
@@ -25,13 +25,14 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class Energy:
     """
-    Where the flux of a trace went; all in W, ``_se`` are standard errors.
+    Energy ledger of a trace: where its flux went; all in W, ``_se`` are standard errors.
 
     Attributes
     ----------
     launched_W, detected_W, escaped_W : float
-        `detected_W` is what the detectors absorb.
+        Flux of the sources, flux that the detectors absorb, and flux that leaves the scene.
     detected_se_W, escaped_se_W : float
+        Standard errors of these.
     detected : dict
         Detector id → (absorbed flux, its standard error).
     absorbed : dict
@@ -39,16 +40,19 @@ class Energy:
     absorbed_in : dict
         Material → (flux absorbed along the way through it, its standard error); absorbing materials only.
     cut : dict
-        Reason → flux of the branches that were not followed: "flux_threshold", "max_reflections", "max_scatters" (all
-        limits of scatter events), "max_generations", "max_events", "max_consecutive", "max_segments", "ray_control",
-        "roulette" (0 on average: what Russian roulette removed less what it added), "specular_reflection_below",
-        "specular_transmission_below", "scattered_reflection_below", "scattered_transmission_below", "absorption_below"
-        (what `cut_below` and `cut_below_W` cut), "scatter_sampling" (0 on average: what surfaces scatter less what the
-        scattered rays carry) and "medium" (a ray met a surface from a material that is not there: a gap or an overlap
-        in the geometry).
+        Reason → flux of the branches that were not followed:
 
-        Where `max_random_scatters` leaves a hit nothing but its aimed rays, "max_scatters" holds what it scatters less
-        what these carry: right on average, but with the noise of the aimed rays, so that it can be below 0.
+        - "flux_threshold", "max_reflections", "max_generations", "max_events", "max_consecutive", "max_segments",
+          "ray_control";
+        - "max_scatters": all limits of scatter events;
+        - "roulette": flux that Russian roulette removed less what it added, 0 on average;
+        - "specular_reflection_below", "specular_transmission_below", "scattered_reflection_below",
+          "scattered_transmission_below", "absorption_below": flux that `cut_below` and `cut_below_W` cut;
+        - "scatter_sampling": flux that surfaces scatter less that of the scattered rays, 0 on average;
+        - "medium": a ray met a surface from a material that is not there, a gap or an overlap in the geometry.
+
+        Where `max_random_scatters` leaves a hit only its aimed rays, "max_scatters" holds the scattered flux less that
+        of these rays. That is right on average, but has the noise of the aimed rays and can be below 0.
     """
 
     launched_W: float
@@ -63,7 +67,7 @@ class Energy:
 
     @property
     def closure(self) -> float:
-        """(detected + absorbed at surfaces and in media + escaped + cut - launched) / launched."""
+        """Relative closure: (detected + absorbed at surfaces and in media + escaped + cut - launched) / launched."""
         absorbed = sum(value for value, _ in (*self.absorbed.values(), *self.absorbed_in.values()))
         return (
             self.detected_W + absorbed + self.escaped_W + sum(self.cut.values()) - self.launched_W
@@ -71,7 +75,7 @@ class Energy:
 
     @property
     def greatest_loss(self) -> str:
-        """What takes most of the light that the detector does not get, with its share: ``'stop' takes 93 %``."""
+        """Largest loss of light that the detector does not get, with its share: ``'stop' takes 93 %``."""
         losses = {f"'{name}' takes": value for name, (value, _) in self.absorbed.items()}
         losses |= {f"{name} absorbs": value for name, (value, _) in self.absorbed_in.items()}
         losses |= {"the outside gets": self.escaped_W} | {f"{reason} cuts": value for reason, value in self.cut.items()}
@@ -86,6 +90,7 @@ class Energy:
         lines = [line("launched", self.launched_W), line("detected", self.detected_W, self.detected_se_W)]
         if len(self.detected) > 1:
             lines += [line(f"detected by {name}", *value) for name, value in self.detected.items()]
+        # Only losses that occur are listed, the strongest first
         strongest = sorted(self.absorbed.items(), key=lambda item: -item[1][0])
         lines += [line(f"absorbed by {name}", *value) for name, value in strongest if value[0] > 0]
         lines += [line(f"absorbed in {name}", *value) for name, value in self.absorbed_in.items()]
@@ -97,7 +102,7 @@ class Energy:
 
 @dataclass(frozen=True)
 class SurfaceFlux:
-    """One row of the flux report: hits, and incident and absorbed flux with standard errors, W."""
+    """Row of the flux report: number of hits, and incident and absorbed flux with standard errors, W."""
 
     id: str
     part: str
@@ -109,7 +114,7 @@ class SurfaceFlux:
     absorbed_se_W: float
 
     def __add__(self, other: SurfaceFlux) -> SurfaceFlux:
-        """Of two traces together; their errors add up at most so, for the traces may have start rays in common."""
+        """Return the sum of two traces; errors add linearly, an upper bound, since traces may share start rays."""
         sums = {f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)[3:]}
         return replace(self, **sums)
 
@@ -127,23 +132,25 @@ class FluxReport(Sequence[SurfaceFlux]):
         return len(self._rows)
 
     def to_pandas(self) -> pd.DataFrame:
-        """The report as a DataFrame, one column for each attribute of `SurfaceFlux`."""
+        """Return the report as a DataFrame, one column for each attribute of `SurfaceFlux`."""
         import pandas as pd
 
         return pd.DataFrame([asdict(row) for row in self._rows])
 
 
 def flux_report(runs: Sequence[Run]) -> FluxReport:
-    """Flux report of some runs together."""
+    """Return the flux report of some runs together."""
     rows = []
     table = runs[0].table
     for i in table.listed:
+        # Hits, incident and absorbed flux
         values = np.zeros(3)
         variances = np.zeros(3)
         for run in runs:
             scale = np.array([1.0, run.unit, run.unit])
             sums = run.surfaces[i, : len(scale)]
             values += scale * sums.sum(axis=-1)
+            # Runs have start rays of their own: variances add
             variances += (scale * batch_error(sums, run.started)) ** 2
         se = np.sqrt(variances)
         rows.append(
@@ -162,15 +169,20 @@ def flux_report(runs: Sequence[Run]) -> FluxReport:
 
 
 def energy_ledger(runs: Sequence[Run], surfaces: FluxReport) -> Energy:
-    """Energy ledger of some runs together, with their flux report."""
+    """Return the energy ledger of some runs together, with their flux report."""
     table = runs[0].table
+    # Detectors
     own = {table.ids[i] for i in table.detectors}
     detected = {row.id: (row.absorbed_W, row.absorbed_se_W) for row in surfaces if row.id in own}
     # Detectors share start rays: the error of their sum comes from that of the batches
     by_batch = [run.surfaces[table.detectors, ABSORBED_HERE].sum(axis=0) for run in runs]
     errors = [run.unit * batch_error(sums, run.started) for run, sums in zip(runs, by_batch, strict=True)]
+
+    # Light that leaves the scene
     escaped = sum(run.unit * run.channels[ESCAPED].sum() for run in runs)
     escaped_se = np.sqrt(sum((run.unit * batch_error(run.channels[ESCAPED], run.started)) ** 2 for run in runs))
+
+    # Media, by name, whatever their numbers in each run
     media: dict[str, tuple[float, float]] = {}
     for run in runs:
         for name, sums in zip(run.table.optics.media[1:], run.media[1:], strict=True):

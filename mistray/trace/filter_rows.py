@@ -1,4 +1,4 @@
-"""What a filter of paths and rays is asked about: their events, their columns, and the names that there are."""
+"""Rows that a filter of paths and rays is evaluated on: events, columns, and names that exist."""
 
 from __future__ import annotations
 
@@ -21,36 +21,36 @@ SURFACE_COLUMNS = ("ghost_1", "ghost_2", "scatter_1", "last_object", "critical")
 
 
 class Bounds(NamedTuple):
-    """Of each row whether a filter holds for certain, and whether it may; they differ where a ray is to decide."""
+    """Whether a filter holds for certain, and whether it may hold, by row; they differ where a ray is to decide."""
 
     certain: np.ndarray
     possible: np.ndarray
 
 
 def exactly(held: np.ndarray) -> Bounds:
-    """The bounds where nothing is left to a ray."""
+    """Return the bounds where nothing is left to a ray."""
     return Bounds(held, held)
 
 
 @dataclass(frozen=True)
 class Rows:
     """
-    What a filter is asked about.
+    Rows that a filter is evaluated on.
 
     Attributes
     ----------
     events : Events
-        Of each row.
+        Events of each row.
     ids, parts : sequence of str
         Names and parts of the places of events.
     columns : mapping of str to (n,) array
-        By their names.
+        Columns by name.
     by_ray : frozenset of str
-        Names of columns that a ray has and a path does not: a path may hold, and may not.
+        Names of columns that a ray has and a path does not: the filter may hold for rays of a path, and may not.
     surfaces : int
-        How many of the places are surfaces; the others are media.
+        Number of places that are surfaces; the others are media.
     sources : sequence of str
-        Ids of all sources, whatever the rows are of; empty: any text may be one.
+        Ids of all sources of the scene; empty: any text may be one.
     """
 
     events: Events
@@ -62,18 +62,19 @@ class Rows:
     sources: Sequence[str] = ()
 
     def texts_of(self, column: str) -> Sequence[str]:
-        """All texts that a column can have; empty where it can have any."""
+        """Return all texts that a column can have; empty where it can have any."""
         if column in SURFACE_COLUMNS:
             return [*self.ids, "-"]
         return {"kind": (DIRECT, *STRAY_KINDS), "source": self.sources, "detector": self.ids}.get(column, ())
 
 
 class UnknownError(Exception):
-    """A name that the scene or the table does not have."""
+    """Name that the scene or the table does not have."""
 
 
 def places(name: str, rows: Rows) -> np.ndarray:
-    """(s,) which places of events a name means."""
+    """Return which places of events a name means, (s,)."""
+    # A misspelt name is an error: that it selects nothing would go unnoticed
     found = named_like(name, rows.ids, rows.parts)
     if not found.any():
         raise UnknownError(unknown_name(name, rows.ids, rows.parts))
@@ -81,25 +82,28 @@ def places(name: str, rows: Rows) -> np.ndarray:
 
 
 def named_like(name: str, ids: Sequence[str], parts: Sequence[str]) -> np.ndarray:
-    """(s,) which surfaces or materials have this name or are of a part that has it; * and ? stand for any letters."""
+    """Return which surfaces or materials have this name or this part, (s,); * and ? stand for any letters."""
+    # A surface has both an id and a part, and either may be meant
     fits = like_pattern(name)
     return np.array([any(map(fits, pair)) for pair in zip(ids, parts, strict=True)], dtype=bool)
 
 
 def unknown_name(name: str, ids: Sequence[str], parts: Sequence[str]) -> str:
-    """What to say of a name that there is not."""
+    """Return the message for a name that does not exist."""
     return f"no surface, part or material is called '{name}'{like(name, [*ids, *parts])}"
 
 
 def like_pattern(name: str) -> Callable[[str], bool]:
-    """Whether a text is this name, in which * and ? stand for any letters and any one letter."""
+    """Return a predicate: whether a text is this name, in which * and ? stand for any letters and any one letter."""
+    # Not `fnmatch`, in which square brackets would be classes of letters
     pattern = re.compile(re.escape(name).replace(r"\*", ".*").replace(r"\?", "."), re.DOTALL)
     return lambda text: pattern.fullmatch(text) is not None
 
 
 def like(name: str, known: Iterable[str]) -> str:
-    """The nearest name that there is, or all of a few."""
+    """Return the end of a message: the nearest name that exists, or a list of the first few."""
     names = list(dict.fromkeys(known))
+    # A single suggestion where one is close, by difflib's ratio of at least 0.5
     near = difflib.get_close_matches(name, names, 1, 0.5)
     return f"; did you mean '{near[0]}'?" if near else f"; use one of {', '.join(names[:12])}"
 
@@ -122,7 +126,7 @@ def rows_of(
     by_ray: frozenset[str] = frozenset(),
     sources: Sequence[str] = (),
 ) -> Rows:
-    """What a filter is asked about: the paths at these places of the ledger of a run, with columns of as many rows."""
+    """Return the rows of a filter: the paths at these places of the ledger of a run, with columns of as many rows."""
     paths, table = run.paths, run.table
     events = Events(paths.events[place], paths.lengths[place], table.event_words, run.design)
     return Rows(events, table.event_ids, table.event_parts, columns, table.count, by_ray, sources)

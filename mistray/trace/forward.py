@@ -1,4 +1,4 @@
-"""`mistray.trace`: the ray tree of a scene, from its sources to its detector."""
+"""`mistray.trace`: forward traces of the ray tree of a scene, from its sources to its detector."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from mistray.execute.tracer import MOST_PATHS_KEPT, PASS_LANES, Run, prepare
 from mistray.execute.wavelength_choice import WavelengthChoice, chosen_wavelengths
 from mistray.execute.workers import current_workers, refuse_workers_in_time
 from mistray.interrupts import later, requested
+from mistray.known_arguments import known_arguments
 from mistray.notes import Code, Note, warns
 from mistray.recorders import Recorder
 from mistray.recorders.tallies import FIRST_MISS
-from mistray.renamed import renamed
 from mistray.sampling.sources import field_of, source_emitters
 from mistray.scene.check import require_scene
 from mistray.settings import Settings
@@ -33,12 +33,12 @@ from mistray.trace.result import Trace
 
 @lru_cache(maxsize=1)
 def versions() -> dict[str, str]:
-    """Versions of the packages that a result depends on."""
+    """Return the versions of the packages that a result depends on."""
     return {name: importlib.metadata.version(name) for name in ("mistray", "mitsuba", "drjit", "numpy")}
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
-@renamed()
+@known_arguments
 @warns
 def trace(
     scene: mi.Scene,
@@ -87,36 +87,37 @@ def trace(
     rays : int
         Start rays.
     field_deg, azimuth_deg : float
-        Direction of the light, degrees; a near source moves in its object plane to where its light comes to the origin
-        of its frame at that angle.
+        Direction of the light, degrees; a near source moves in its object plane to the point whose light comes to the
+        origin of its frame at that angle.
     field_mm : float
-        Of a near source instead of `field_deg`: its place along y in its object plane, mm.
+        Place of a near source along y in its object plane, mm, instead of `field_deg`.
     wavelength_nm : float or sequence of float
-        Vacuum wavelengths, nm; a `mistray.execute.wavelength_choice.WavelengthChoice` is one that was made before.
+        Vacuum wavelengths, nm; or a `mistray.execute.wavelength_choice.WavelengthChoice` that was made before.
     weights : sequence of float
         Shares of the flux, one for each wavelength; normalised, equal by default.
     max_reflections, max_scatters, max_optical_scatters, max_random_scatters
     max_generations, max_events, max_consecutive, max_segments
         Limits of a path and of a tree, see `mistray.trace.Settings`.
     scatter_rays, aimed_rays, aim
-        Scattered rays at every hit and where they are aimed at, see there.
+        Numbers of scattered rays at every hit, and their targets, see there.
     flux_threshold, cut_below, cut_below_W, scatter_threshold, below_threshold
-        Where branches end that are too weak, see there.
+        Thresholds below which branches end or play Russian roulette, see there.
     splitting, seed, ray_control, polarization
-        See there; a `mistray.trace.PolarizationChoice` is one that was made before.
+        See there; `polarization` may be a `mistray.trace.PolarizationChoice` that was made before.
     detector : str or sequence of str
-        Ids of the detectors, by default all of the scene; light on the others is absorbed. Of several detectors
-        `Trace.on` shows one.
+        Ids of the detectors, by default all of the scene; light on the others is absorbed. `Trace.on` returns the
+        result of one of several detectors.
     ledger : bool
-        Keep the path table; without it a trace is a little faster.
+        Whether to keep the path table; without it a trace is a little faster.
     progress : callable
         Called about every second with (rays done, rays in all).
     seconds : float
-        Time after which the trace ends with the rays that it has, which are a sample of all; `Trace.rays_traced` says
-        how many. The kernel's compilation counts, and the last launch may take a second longer. Of more wavelengths
-        than there is time for some are traced, spread over all, and stand for their neighbours; a note names the rest.
+        Time after which the trace ends with the rays that it has, which are a sample of all; `Trace.rays_traced` is
+        their number. The kernel's compilation is included, and the last launch may take a second longer. Where there is
+        not time for all wavelengths some are traced, spread over all, and stand for their neighbours; a note names the
+        rest.
     recorders : sequence of Recorder
-        Told of all that happens to the rays: probes and far fields, see docs/detectors.md, or others of your own, see
+        Recorders of all events of the rays: probes and far fields, see docs/detectors.md, or your own, see
         docs/extending.md; not where workers trace. The probes and far fields of the scene come before these.
 
     Returns
@@ -129,7 +130,7 @@ def trace(
         If the scene lacks a source, a detector or an ``interface``, an argument is out of range, two recorders have the
         same name, or the beam misses every surface.
     Interrupted
-        Ctrl-C, after rays of every source and wavelength were traced: ``partial`` is a `Trace` of them.
+        On Ctrl-C, after rays of every source and wavelength were traced: ``partial`` is a `Trace` of them.
     """
     require_scene(scene, "trace")
     made = polarization if isinstance(polarization, PolarizationChoice) else None
@@ -161,7 +162,7 @@ def trace(
     field = {"field_deg": field_deg, "azimuth_deg": azimuth_deg}
     beam: dict[str, Any] = {**field, "wavelength_nm": wavelength_nm, "weights": weights, "detector": detector}
     recorders = _with_own(scene, recorders)
-    with within(seconds):
+    with within(seconds):  # pilots of few rays choose wavelengths and polarisation, within the budget as well
         if is_limited():
             refuse_workers_in_time()
         lines, choice = _spectral_choices(scene, settings, beam, made, seconds is not None)
@@ -170,6 +171,7 @@ def trace(
         workers, task = current_workers(), None
         facts = asdict(settings) | choice.facts | (lines.facts if lines else {})
         _check_budget(runs)
+        # By either way, an interrupt keeps what is finished
         if workers is None:
             with later():
                 _execute(runs, ledger, progress, recorders)
@@ -193,10 +195,11 @@ def trace(
 def _spectral_choices(
     scene: mi.Scene, settings: Settings, beam: dict[str, Any], made: PolarizationChoice | None, limited: bool
 ) -> tuple[WavelengthChoice | None, PolarizationChoice]:
-    """Wavelengths, where not all are traced, and the polarisation; the beam gets the wavelengths."""
+    """Return the wavelengths, None: all are traced, and the polarisation; the wavelengths are added to the beam."""
     lines = beam["wavelength_nm"] if isinstance(beam["wavelength_nm"], WavelengthChoice) else None
     beam |= lines.arguments if lines else {}
     choice = made or chosen_polarization(scene, settings, [beam])
+    # The pilot has to trace in the mode of the trace, whose time it measures
     if limited and lines is None:
         settings = replace(settings, polarization=choice.mode)
         lines = chosen_wavelengths(scene, beam, partial(_timed, scene, settings, beam))
@@ -205,12 +208,12 @@ def _spectral_choices(
 
 
 def _timed(scene: mi.Scene, settings: Settings, beam: dict[str, Any], rays: int, **lines: Any) -> None:
-    """A trace of few rays, to see how long it takes."""
+    """Trace few rays, to measure the time."""
     _execute(prepare(scene, replace(settings, rays=rays), **(beam | lines)), True, None, ())
 
 
 def _field(scene: mi.Scene, field_deg: float | None, field_mm: float | None) -> float | None:
-    """The field angle of a call, degrees; None: as the sources say."""
+    """Return the field angle of a call, degrees; None: that of the sources."""
     if field_mm is None:
         return field_deg
     if field_deg is not None:
@@ -224,13 +227,13 @@ def _listed(recorders: Sequence[Recorder]) -> str:
 
 
 def _refuse_recorders(recorders: Sequence[Recorder]) -> None:
-    """Raise where workers trace and there are any."""
+    """Raise if workers trace and there are recorders."""
     if recorders:
         raise MistrayError(f"{_listed(recorders)} and workers trace, who know no recorders; leave out one of them")
 
 
 def _with_own(scene: mi.Scene, given: Sequence[Recorder]) -> list[Recorder]:
-    """Recorders of the sensors of a scene, then those of a call; raises `MistrayError` if two have the same name."""
+    """Return the recorders of the sensors of a scene, then those of a call; raise if two have the same name."""
     recorders = [*(sensor.recorder() for sensor in scene.sensors() if hasattr(sensor, "recorder")), *given]
     names = [recorder.name for recorder in recorders if recorder.name]
     for name in names:
@@ -246,9 +249,9 @@ def _execute(
     recorders: Sequence[Recorder],
 ) -> None:
     """
-    Trace runs here, one after the other, until one of them meets nothing, or an interrupt.
+    Trace runs here, one after the other, until one of them hits nothing, or an interrupt.
 
-    What is traced of a run when its share of the time is over, or at an interrupt, stands for all its light.
+    The rays of a run that are traced when its share of the time is over, or at an interrupt, stand for all its light.
     """
     planned = sum(run.rays for run in runs)
     forecast = Forecast(planned, not is_limited())
@@ -263,6 +266,7 @@ def _execute(
         with share(run.rays / (planned - before)):
             run.execute(ledger, report, requested, recorders)
         before += run.rays
+        # After the last run of an emitter: a single wavelength or side of it may well miss the scene
         if number + 1 == len(runs) or _emitter(runs[number + 1]) is not _emitter(run):
             _require_hits(runs[: number + 1])
         if requested():
@@ -270,10 +274,11 @@ def _execute(
 
 
 def _check_budget(runs: Sequence[Run]) -> None:
-    """Refuse a time budget where what is traced so far is no sample."""
+    """Raise for a time budget where the rays traced so far are no sample."""
     if not is_limited():
         return
     for run in runs:
+        # A grid comes row by row if it takes several passes
         if run.source.pattern == "grid" and run.passes > 1:
             raise MistrayError(
                 f"seconds is given and source '{run.source.name}' starts a grid of {run.rays} rays: "
@@ -282,7 +287,7 @@ def _check_budget(runs: Sequence[Run]) -> None:
 
 
 def _emitter(run: Run) -> Any:
-    """What in the scene sends the light of a run: the warm sides of surfaces have one in common."""
+    """Return the object of the scene that emits the light of a run; the warm sides of surfaces have one in common."""
     return getattr(run.source, "emitter", run.source)
 
 
@@ -299,10 +304,11 @@ def _require_hits(runs: Sequence[Run]) -> None:
 
 
 def _keep(runs: Sequence[Run], result: Callable[[], Trace]) -> NoReturn:
-    """End with what was traced before an interrupt, if that is a sample of all the light."""
+    """Raise with the result of the rays before an interrupt, if they are a sample of all the light."""
     planned = sum(run.rays for run in runs)
     if not all(run.channels.size and run.is_sample for run in runs):
         raise KeyboardInterrupt
+    # Reading the ledger would take too long after an interrupt: more than `MOST_PATHS_KEPT` paths are left out
     table = ""
     if any(run.ledger is not None and run.paths is None for run in runs):
         table = f", without a table of their more than {MOST_PATHS_KEPT} paths"
@@ -313,7 +319,7 @@ def _keep(runs: Sequence[Run], result: Callable[[], Trace]) -> NoReturn:
 
 
 def _explain(error: UnfinishedError, runs: Sequence[Run], result: Callable[[], Trace]) -> None:
-    """Give an error what was finished, and say so, if that is a sample of all the light of the source."""
+    """Add the finished rays to an error, and say so, if they are a sample of all the light of the source."""
     planned = sum(run.rays for run in runs)
     if not all(run.is_sample for run in runs):
         error.args = (f"{error}; too few of the {planned:.4g} rays are finished for a result",)
@@ -330,8 +336,9 @@ def _result(
     ledger: bool,
     task: TraceTask | None,
 ) -> Trace:
-    """The trace of some runs that have been traced, with everything that determines it."""
+    """Return the trace of some runs that have been traced, with everything that determines it."""
     emitter = source_emitters(scene)[0]
+    # Everything that determines the result, so that it can be repeated
     wavelengths = sorted({run.source.wavelength_nm for run in runs})
     power = sum(run.source.power for run in runs)
     states = {run.source.name: run.source.stokes for run in runs if run.source.polarized}
@@ -354,6 +361,8 @@ def _result(
         },
         task,
     )
+
+    # At a field of the user's own choice no light on the detector is a result like others
     if not any(value is not None for value in field.values()) and found.rays_traced and found.energy.detected_W == 0:
         text = f"no light reaches the detector: {found.energy.greatest_loss} of it"
         found.own_notes.append(Note(text, Code.NO_LIGHT))

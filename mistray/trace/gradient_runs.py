@@ -1,4 +1,4 @@
-"""Derivatives of a metric by all that a trace knows, run by run."""
+"""Derivatives of a metric by all parameters of a scene, run by run."""
 
 from __future__ import annotations
 
@@ -18,13 +18,14 @@ from mistray.trace.paths import PathTable
 def table_gradients(
     runs: Sequence[Run], path_table: Callable[[], PathTable], derivative: HitDerivative, request: GradientRequest
 ) -> Iterator[TableGradient]:
-    """What `mistray.trace.Trace.table_gradients` yields; `path_table` is asked where the metric is one of paths."""
+    """Yield the gradients of `mistray.trace.Trace.table_gradients`; metrics of paths call `path_table`."""
     traced, planned = round(sum(float(run.started.sum()) for run in runs)), sum(run.rays for run in runs)
     if traced != planned:
         raise MistrayError(f"only {traced} of {planned} rays were traced; gradients need all of them")
     path = derivative.path
     maps = derivative.map_of_path
     for number, run in enumerate(runs):
+        # Chain rule: from the metric's derivative by W to that by the flux of a start ray
         pixel = None if derivative.pixel is None else run.unit * np.asarray(derivative.pixel, dtype=np.float64)
         by_path = None
         if path is not None or maps is not None:
@@ -37,6 +38,7 @@ def table_gradients(
                 run.unit * np.asarray(path)[here] if path is not None else np.zeros((len(here), MOMENTS)),
                 np.asarray(maps)[here] if maps is not None else np.zeros(len(here), dtype=np.int64),
             )
+        # Runs that the metric does not depend on are not traced again
         if pixel is not None and not pixel.any():
             pixel = None
         if pixel is None and (by_path is None or not by_path.coefficients.any()):

@@ -22,22 +22,22 @@ if TYPE_CHECKING:
 @dataclass
 class Ray:
     """
-    One branch from the source to the detector.
+    Branch from the source to the detector.
 
     Attributes
     ----------
     start_ray : int
-        Number of its start ray.
+        Number of the start ray.
     points : (k + 1, 3) float64
-        Start and every hit, mm.
+        Start and all hits, mm.
     directions : (k + 1, 3) float64
         Direction in which the ray leaves each point; zero at the detector.
     flux_W : (k + 1,) float64
-        Flux with which it arrives at each point.
+        Flux with which the ray arrives at each point.
     opl_mm : (k + 1,) float64
         Optical path length from the start.
     codes : (k,) uint32
-        Events, surface << EVENT_BITS | what.
+        Events, surface << EVENT_BITS | type.
     """
 
     start_ray: int
@@ -58,7 +58,7 @@ class RayHistory:
         return len(self._rays)
 
     def __getitem__(self, numbers: Sequence[int]) -> RayHistory:
-        """Some of the rays."""
+        """Return the rays of these numbers."""
         return RayHistory(self._run, [self._rays[number] for number in numbers])
 
     @property
@@ -68,7 +68,7 @@ class RayHistory:
 
     def to_pandas(self) -> pd.DataFrame:
         """
-        The ray history table: one row for each node of each ray.
+        Return the ray history table: one row for each node of each ray.
 
         Columns: ray, node, start_ray, intercept (Emitted, SpecTran, SpecRefl, TIR, RandTran, RandRefl, ImpTran,
         ImpRefl, Absorbed), object, surface, wavelength_nm, x_mm, y_mm, z_mm, flux_W (arriving), opl_mm (from the
@@ -83,6 +83,7 @@ class RayHistory:
             for node, (point, direction, flux, opl) in enumerate(
                 zip(ray.points, ray.directions, ray.flux_W, ray.opl_mm, strict=True)
             ):
+                # A start ray has no event: its source stands for the object
                 if node == 0:
                     intercept, part, surface = "Emitted", source.name, "-"
                 else:
@@ -104,15 +105,16 @@ class RayHistory:
                         *direction,
                     )
                 )
+        # In the order of the rows above
         names = ["ray", "node", "start_ray", "intercept", "object", "surface", "wavelength_nm"]
         return pd.DataFrame(rows, columns=[*names, "x_mm", "y_mm", "z_mm", "flux_W", "opl_mm", "dx", "dy", "dz"])
 
 
 def read_rays(run: Run, recorder: BranchRecorder, most: int) -> RayHistory:
-    """Read at most `most` rays, spread over the recorded ones; positions are found again in float64."""
+    """Read at most `most` rays, spread over the recorded ones, with positions computed again in float64."""
     count = min(int(recorder.count[0]), recorder.capacity)
     lanes = np.array(recorder.lane)[:count]
-    # Start rays are numbered along a curve through the beam: every k-th is a fair picture of all
+    # Start rays are numbered along a curve through the beam: every k-th is a fair sample of all
     order = np.argsort(lanes, kind="stable")
     order = order[np.linspace(0, count - 1, min(most, count)).round().astype(int)] if count else order
     return RayHistory(run, rays_in_slots(run, recorder, order, *run.start_rays(lanes[order])))
@@ -122,18 +124,19 @@ def rays_in_slots(
     run: Run, recorder: BranchRecorder, slots: np.ndarray, origins: np.ndarray, directions: np.ndarray
 ) -> list[Ray]:
     """
-    Recorded rays with positions found again in float64.
+    Return recorded rays with positions computed again in float64.
 
     Parameters
     ----------
     run : Run
     recorder : BranchRecorder
     slots : (n,) int
-        Their places in the recorder.
+        Places of the rays in the recorder.
     origins, directions : (n, 3) float64
-        Their start rays, mm.
+        Start rays, mm.
     """
     lanes = np.array(recorder.lane)[slots]
+    # Bundles come in the order of their events; the rays go back to that of the slots
     rays: dict[int, Ray] = {}
     for bundle in bundles(run, recorder, slots, origins, directions):
         rays |= {k: bundle.ray(j, int(lanes[k])) for j, k in enumerate(bundle.numbers.tolist())}
@@ -141,7 +144,7 @@ def rays_in_slots(
 
 
 class Bundle(NamedTuple):
-    """Rays of the same events, with their numbers (n,); else as in `Ray`, with a row for each of them."""
+    """Rays of the same events, with their numbers (n,); other attributes as in `Ray`, with a row for each ray."""
 
     numbers: np.ndarray
     codes: np.ndarray
@@ -151,7 +154,7 @@ class Bundle(NamedTuple):
     flux_W: np.ndarray
 
     def ray(self, row: int, start_ray: int) -> Ray:
-        """One of them."""
+        """Return the ray of a row."""
         points, leaving, flux, opl = (v[row] for v in (self.points, self.directions, self.flux_W, self.opl_mm))
         return Ray(start_ray, points, leaving, flux, opl, self.codes)
 
@@ -159,12 +162,13 @@ class Bundle(NamedTuple):
 def bundles(
     run: Run, recorder: BranchRecorder, slots: np.ndarray, origins: np.ndarray, directions: np.ndarray
 ) -> Iterator[Bundle]:
-    """Recorded rays by their events, with positions found again in float64; parameters as in `rays_in_slots`."""
+    """Yield recorded rays by their events, with positions computed again in float64; see `rays_in_slots`."""
     codes, lengths = recorder.events(slots)
     nodes = recorder.nodes_of(slots, codes.shape[1])
+    # All rays at once, whatever their paths: `retrace` groups them by surface, step by step
     exact = retrace(run.table, origins, directions, codes, lengths, nodes[:, :, :3] + run.table.centre)
     flux = run.unit * np.concatenate([np.ones((len(slots), 1)), nodes[:, :, 6]], axis=1)
-    alike: dict[bytes, list[int]] = {}  # rays of the same events
+    alike: dict[bytes, list[int]] = {}  # numbers of the rays of the same events
     for number, length in enumerate(lengths.tolist()):
         alike.setdefault(codes[number, :length].tobytes(), []).append(number)
     for same in alike.values():

@@ -1,4 +1,4 @@
-"""How wide the cone is in which the light of a path comes to the detector, from a sample of its rays."""
+"""Numerical aperture of the light of paths at the detector, from a sample of their rays."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from mistray.trace.history import Bundle, bundles
 from mistray.trace.sampled_hits import at_most, spread_lanes
 
 CAPACITY = 1 << 14  # branches of 64 events that are recorded
-START_RAYS = 1 << 11  # of the sample, at most
-RAYS = 256  # of each path, at most
+START_RAYS = 1 << 11  # largest number of start rays of the sample
+RAYS = 256  # largest number of rays of each path
 
 
 class LightCone(NamedTuple):
     """
-    The light of a path at the detector.
+    Cone of directions of the light of a path at the detector.
 
     Attributes
     ----------
     aperture, aperture_se : float
-        Numerical aperture n sin u of a round cone of even light with the same RMS spread of directions, and its
-        standard error. For a round pupil that is NA; for one with a central obstruction of the relative radius ε it is
-        √(1 + ε²) as much.
+        Numerical aperture n sin u of a round, evenly filled cone with the same RMS spread of directions, and its
+        standard error. For a round pupil that is NA; a central obstruction of the relative radius ε makes it √(1 + ε²)
+        times as large.
     rays : int
-        That were found.
+        Number of rays that were found.
     """
 
     aperture: float
@@ -48,18 +48,18 @@ class LightCone(NamedTuple):
 
 def light_cones(run: Run, path_of_slot: Mapping[int, int]) -> dict[int, LightCone]:
     """
-    The light cones of some paths of a run, by tracing some of its rays again.
+    Return the light cones of some paths of a run, by tracing some of its rays again.
 
     Parameters
     ----------
     run : Run
     path_of_slot : mapping of int to int
-        By the slots of the paths in its ledger, what they are called.
+        Slot of a path in the ledger of the run → id of the path.
 
     Returns
     -------
     dict
-        By these names; none of a path that fewer than two rays of the sample take.
+        Light cones by these ids, without paths that fewer than two rays of the sample take.
     """
     capacity = as_many(CAPACITY, run.settings.max_events)
     lanes = spread_lanes(run, min(START_RAYS, max(capacity // len(path_of_slot), 1)))
@@ -84,13 +84,14 @@ def light_cones(run: Run, path_of_slot: Mapping[int, int]) -> dict[int, LightCon
 
 def _cone(table: SurfaceTable, bundle: Bundle) -> LightCone:
     """
-    The cone of rays of one path.
+    Return the cone of the rays of one path.
 
     A spot in the plane of the detector is the Fourier transform of the pupil over the direction cosines along that
-    plane, times n/λ. Those of a round cone of even light lie evenly in a disc of the radius sin u, whose mean square
-    distance from its middle is sin²u/2.
+    plane, times n/λ. The direction cosines of a round, evenly filled cone lie evenly in a disc of the radius sin u. Its
+    mean square distance from the centre is sin²u/2.
     """
     way = bundle.points[:, -1] - bundle.points[:, -2]
+    # Index of the last medium, from the optical and the geometric length of the last segment
     index = np.diff(bundle.opl_mm, axis=1)[:, -1] / np.linalg.norm(way, axis=1)
     cosines = index[:, None] * bundle.directions[:, -2] @ _axes(table).T
     weight = bundle.flux_W[:, -1] / bundle.flux_W[:, -1].sum()
@@ -102,7 +103,7 @@ def _cone(table: SurfaceTable, bundle: Bundle) -> LightCone:
 
 
 def _axes(table: SurfaceTable) -> npt.NDArray[np.float64]:
-    """Unit vectors along x and y of the detector, (2, 3)."""
+    """Return unit vectors along x and y of the detector, (2, 3)."""
     if table.detector in table.detector_frames:
         axes = table.detector_frames[table.detector][1:]
         return np.asarray(axes / np.linalg.norm(axes, axis=1, keepdims=True))

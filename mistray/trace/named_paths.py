@@ -1,9 +1,10 @@
-"""Paths by what a report calls them: their kind, their name, or all their events.
+"""
+Selection of paths by their kind, their name in a report, or all their events.
 
-What a table prints as `label` is a name, with ``->`` for the arrow if that is easier to type. ``*`` and ``?`` stand for
-any letters. In a scene of several detectors a name may leave out ``, on detector``, and a name of structure its
-``(structure)``; then it means all paths that it fits. A text of events up to a detector, ``… detector:A``, is one path.
-Light that was scattered at random and light that was aimed go the same way and count as one.
+A name is the `label` of a table, in which ``->`` may stand for the arrow. ``*`` and ``?`` stand for any letters. In a
+scene of several detectors a name may leave out ``, on detector``, and a name of structure its ``(structure)``; then it
+means all paths that it fits. A text of events up to a detector, ``… detector:A``, is one path. Light that was scattered
+at random and light that was aimed follow the same path.
 """
 
 from __future__ import annotations
@@ -27,11 +28,12 @@ from mistray.trace.filter_rows import Bounds, Rows, UnknownError, exactly, like,
 ALL, STRAY = "all", "stray"
 KINDS = (ALL, STRAY, DIRECT, *STRAY_KINDS)
 END = f":{LETTERS[ABSORBED]}"
-LISTED = 3  # of the paths that a name means
+LISTED = 3  # number of paths that a warning lists
 _ARROW = re.compile(r"\s*(?:->|→)\s*")
 _FLAGS = re.compile(r"\b[A-Z]\([^)]*\)")
 _QUOTED = re.compile(r"\"[^\"]*\"|'[^']*'")
 _STRUCTURE = re.compile(r" \(structure(?:\+ghost)?\)$")
+# Names that begin with the kind of the path, followed by the surfaces that it passes
 _UNTURNED = "|".join(map(re.escape, (DIRECT_IMAGE, *STRAY_KINDS)))
 _PASSED = re.compile(rf"^(?:{_UNTURNED})(?: through | {PAST} all surfaces|, on |$)")
 _EVENT = re.compile(rf"(?:.*:[{EVENT_LETTERS}]|{PAST})", re.DOTALL)
@@ -39,13 +41,13 @@ _EVENT = re.compile(rf"(?:.*:[{EVENT_LETTERS}]|{PAST})", re.DOTALL)
 
 @dataclass(frozen=True)
 class Kind:
-    """All light, all stray light, or the paths of one kind."""
+    """Selection of all light, all stray light, or the paths of one kind."""
 
     kind: str
     columns: ClassVar = frozenset({"kind"})
 
     def bounds(self, rows: Rows) -> Bounds:
-        """Which rows hold."""
+        """Return the rows that hold."""
         kinds = np.asarray(rows.columns["kind"])
         if self.kind == ALL:
             return exactly(np.full(len(kinds), True))
@@ -54,13 +56,13 @@ class Kind:
 
 @dataclass(frozen=True)
 class Whole:
-    """The paths that have these events and no others."""
+    """Selection of the paths that have these events and no others."""
 
     text: str
     columns: ClassVar = frozenset({"events"})
 
     def bounds(self, rows: Rows) -> Bounds:
-        """Which rows hold."""
+        """Return the rows that hold."""
         _check_events(event_words(self.text), rows)
         wanted = way_text([" ".join(event_words(self.text))])[0]
         return exactly(np.array([one == wanted for one in way_text(rows.columns["events"])], dtype=bool))
@@ -68,22 +70,23 @@ class Whole:
 
 @dataclass(frozen=True)
 class Named:
-    """The paths that have a name."""
+    """Selection of the paths that have a name."""
 
     text: str
     columns: ClassVar = frozenset({"label", "detector", "kind"})
 
     def bounds(self, rows: Rows) -> Bounds:
-        """Which rows hold."""
+        """Return the rows that hold."""
         self.check(rows)
         fits = like_pattern(_typed_alike(self.text))
         labels = _way_labels(rows)
         ends = np.asarray(rows.columns["detector"]).tolist()
+        # Few labels are of many rows, so that each is matched once
         known = {pair: any(map(fits, _forms(*pair))) for pair in set(zip(labels, ends, strict=True))}
         return exactly(np.array([known[pair] for pair in zip(labels, ends, strict=True)], dtype=bool))
 
     def check(self, rows: Rows) -> None:
-        """Raise for surfaces and detectors that there are not."""
+        """Raise for surfaces and detectors that do not exist."""
         text = _typed_alike(self.text)
         before, comma, detector = text.rpartition(", on ")
         if comma and not any(", on " in name for name in rows.ids):
@@ -91,6 +94,7 @@ class Named:
             text = before
         if _PASSED.match(text) and " through " not in text:
             return
+        # Surfaces that the name contains, by the form of the name
         text = _STRUCTURE.sub("", text)
         if text.startswith(SCATTER_AT):
             _check_pieces([text.removeprefix(SCATTER_AT)], "", rows)
@@ -106,7 +110,7 @@ class Named:
 
 
 def read_name(text: str) -> Kind | Whole | Named | None:
-    """What a text means that is a kind of paths or the name of one; None for other text, such as a filter."""
+    """Return the selection of a text that is a kind or a name of paths; None for other text, such as a filter."""
     text = text.strip()
     if text in KINDS:
         return Kind(text)
@@ -119,7 +123,7 @@ def read_name(text: str) -> Kind | Whole | Named | None:
 
 
 def read_events(text: str) -> Whole | Named | None:
-    """What a text of events means: up to the absorption in a detector one path, else what is called so."""
+    """Return the selection of a text of events: up to the absorption in a detector one path, else all of that name."""
     text = text.strip()
     if not (":" in text and all(_EVENT.fullmatch(word) for word in _name_words(text))):
         return None
@@ -127,7 +131,7 @@ def read_events(text: str) -> Whole | Named | None:
 
 
 def tell(name: str, rows: Sequence[Rows], held: Sequence[np.ndarray]) -> None:
-    """Warn where a name means several paths, or none of a trace; `rows` are all its paths, `held` those meant."""
+    """Warn if a name means several paths of a trace, or none; `rows` are all its paths, `held` those that are meant."""
     labels: dict[str, str] = {}
     meant: dict[str, str] = {}
     for one, here in zip(rows, held, strict=True):
@@ -135,6 +139,7 @@ def tell(name: str, rows: Sequence[Rows], held: Sequence[np.ndarray]) -> None:
         labels |= zip(events, names, strict=True)
         meant |= {events[k]: names[k] for k in np.flatnonzero(here).tolist()}
     if labels and not meant:
+        # A ghost between the same surfaces in the other order is the likely mistake
         backwards = ARROW.join(reversed(_typed_alike(name).split(ARROW)))
         near = f"; did you mean '{backwards}'?" if backwards in labels.values() else like(name, labels.values())
         text = f"no light of this trace goes by '{name}'{near}"
@@ -146,12 +151,12 @@ def tell(name: str, rows: Sequence[Rows], held: Sequence[np.ndarray]) -> None:
 
 
 def _typed_alike(text: str) -> str:
-    """A name with arrows as reports print them."""
+    """Return a name with arrows as reports print them."""
     return _ARROW.sub(ARROW, " ".join(text.split()))
 
 
 def _name_words(text: str) -> list[str]:
-    """Events of a name, in which the word `PAST` may stand before one."""
+    """Return the events of a name, in which the word `PAST` may stand before one."""
     found: list[str] = []
     for word in event_words(text):
         before, blank, event = word.partition(" ")
@@ -160,14 +165,14 @@ def _name_words(text: str) -> list[str]:
 
 
 def _forms(label: str, detector: str) -> set[str]:
-    """The name of a path, and what is left of it without what every path of a scene may have in common."""
+    """Return the name of a path, and its forms without the parts that every path of a scene may have in common."""
     label = _typed_alike(label)
     short = label.removesuffix(f", on {detector}")
     return {label, short, _STRUCTURE.sub("", short), label.replace(short, _STRUCTURE.sub("", short), 1)}
 
 
 def _way_labels(rows: Rows) -> list[str]:
-    """Names of the rows, those of aimed light as if it were scattered at random, as tables by ways have them."""
+    """Return the names of the rows as tables by ways have them: aimed light as if it were scattered at random."""
     labels, e = list(rows.columns["label"]), rows.events
     codes = way(e.codes)
     aimed = np.flatnonzero((e.inside & (codes != e.codes) & ((e.codes & EVENT_MASK) >= FIRST_SCATTERED)).any(axis=1))
@@ -183,8 +188,9 @@ def _all_known(pieces: Sequence[str], rows: Rows) -> bool:
 
 
 def _check_pieces(pieces: Sequence[str], between: str, rows: Rows) -> None:
-    """Raise if pieces of a text are no ids; an id may hold what stands between them."""
+    """Raise if pieces of a text are no ids; an id may contain the separator."""
     while pieces:
+        # The longest known id first
         for count in range(len(pieces), 0, -1):
             if _all_known([between.join(pieces[:count])], rows):
                 pieces = pieces[count:]
@@ -197,7 +203,7 @@ def _check_pieces(pieces: Sequence[str], between: str, rows: Rows) -> None:
 
 
 def _check_events(words: Sequence[str], rows: Rows) -> None:
-    """Raise for events that cannot be."""
+    """Raise for events that do not exist."""
     for event in words:
         surface, _, letter = event.rpartition(":")
         if event == PAST:

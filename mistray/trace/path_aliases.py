@@ -1,4 +1,4 @@
-"""Other names of the surfaces in a path table: of a lens for its faces, of a body for the faces of its CAD model."""
+"""Aliases of the surfaces in a path table: one name for all faces of a lens, or of a body of a CAD model."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ KEPT_APART = ("kind", "order", "scatters", "diffractions", "structure_bounces", 
 
 def alias_names(table: SurfaceTable, aliases: Mapping[str, str] | str) -> list[str]:
     """
-    The name under which each place of events is reported.
+    Return the name under which each place of events is reported.
 
     Parameters
     ----------
     table : SurfaceTable
     aliases : mapping of str to str, or "part" or "space"
-        Pattern of surfaces or parts, with * and ? for any letters, → name; the first that fits counts, and what none
-        fits keeps its own name. "part" stands for the part of each surface, "space" for the optical space that the
-        scene declares for it, as ``space_2``; surfaces without one keep their names.
+        Pattern of surfaces or parts, with * and ? for any letters, → name. The first pattern that fits is used; places
+        that no pattern fits keep their names. "part" stands for the part of each surface, "space" for the optical space
+        that the scene declares for it, as ``space_2``; surfaces without one keep their names.
 
     Raises
     ------
     MistrayError
-        For a pattern that fits nothing, a name that no id can be, or another word.
+        For a pattern that fits nothing, a name that cannot be an id, or another word.
     """
     ids, parts = table.event_ids, table.event_parts
     if aliases == PART:
@@ -49,6 +49,7 @@ def alias_names(table: SurfaceTable, aliases: Mapping[str, str] | str) -> list[s
     if isinstance(aliases, str):
         raise MistrayError(f"aliases is '{aliases}'; use 'part', 'space', or a mapping of patterns to names")
     names = list(ids)
+    # Of several patterns that fit a place the first is used
     free = np.full(len(ids), True)
     for pattern, name in aliases.items():
         if not name:
@@ -67,29 +68,31 @@ def aliased(
     codes: np.ndarray, lengths: np.ndarray, names: Sequence[str]
 ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
     """
-    Event lists under other names, scattered light being aimed or not.
+    Return event lists under other names, without the difference between aimed and random scatter.
 
-    What happens in a row at surfaces of one name is one visit: of its events transmissions are left out, unless there
-    is nothing else, so that light that passes a lens is ``lens:T`` and light that is reflected within it ``lens:R``.
+    Consecutive events at surfaces of one name are one visit. Its transmissions are left out unless there is nothing
+    else: light that passes a lens is ``lens:T``, and light that is reflected within it is ``lens:R``.
 
     Parameters
     ----------
     codes, lengths
-        As of `mistray.recorders.path_events.Events`.
+        See `mistray.recorders.path_events.Events`.
     names : sequence of str
-        Of each place.
+        Name of each place.
 
     Returns
     -------
     codes, lengths
-        The lists with the number of the name instead of that of the place.
+        Lists with the number of the name instead of that of the place.
     columns : dict
-        events, path, objects and unique_objects of `PathRow`, (p,) each.
+        Columns events, path, objects and unique_objects of `PathRow`, (p,) each.
     """
+    # Number the names, and write events with these instead of places
     numbers = {name: k for k, name in enumerate(dict.fromkeys(names))}
     number = np.array([numbers[name] for name in names], dtype=np.uint32)
     renamed = (number[codes >> EVENT_BITS] << EVENT_BITS) | (way(codes) & EVENT_MASK)
     lists = [_short(row[:length]) for row, length in zip(renamed.tolist(), lengths.tolist(), strict=True)]
+    # Pad the shortened lists
     short = np.array([len(row) for row in lists], dtype=np.int64)
     result = np.zeros((len(lists), int(short.max(initial=0))), dtype=np.uint32)
     for k, row in enumerate(lists):
@@ -109,7 +112,7 @@ def aliased(
 
 
 def _short(events: Sequence[int]) -> list[int]:
-    """Events without the transmissions beside another event of the same name; of transmissions alone one is kept."""
+    """Leave out the transmissions beside another event of the same name; of transmissions alone one is kept."""
     kept: list[int] = []
     for _, same in groupby(events, lambda code: code >> EVENT_BITS):
         run = list(same)

@@ -21,8 +21,8 @@ L(x)   meets x last before the detector
 ``H(barrel) >= 2`` counts events. ``name operator value`` compares a column of the table, with ``= != < <= > >=``; text
 needs quotation marks if it is more than a word, and may have ``*`` and ``?``: ``kind = "single scatter"``. A text in
 quotation marks alone is a path: these events in this order, others between: ``"detector:R window_rear:R"``. Or it is
-what a report calls a path or a kind of paths: ``"S22 -> S8" & power_W > 1e-9``. A filter that is nothing else needs no
-quotation marks, see `mistray.trace.named_paths`.
+the name of a path or of a kind of paths in a report: ``"S22 -> S8" & power_W > 1e-9``. A filter that is nothing else
+needs no quotation marks, see `mistray.trace.named_paths`.
 
 A name with brackets or commas needs quotation marks of either kind: ``H("lens (1)")``. In a path a name with blanks
 stands in marks of the other kind: ``"detector:R 'window rear':R"``. For a name that holds both kinds write ``?`` for
@@ -52,6 +52,7 @@ from mistray.trace.named_paths import KINDS, Kind, Named, Whole, read_events, re
 FLAGS = "HMTRIGSBDL"
 MOST_DEEP = 100  # brackets and ! within each other
 MOST_SHOWN = 200  # letters of a filter in a message
+# Operators of comparisons; a single = is as good as two
 COMPARISONS: dict[str, Callable[[np.ndarray, float], np.ndarray]] = {
     "=": operator.eq,
     "==": operator.eq,
@@ -69,19 +70,19 @@ _TOKEN = re.compile(
 
 class PathFilter:
     """
-    A filter of paths and rays; the language stands at the head of `mistray.trace.path_filter`.
+    Filter of paths and rays; `mistray.trace.path_filter` describes the language.
 
     Parameters
     ----------
     text : str
-        Empty: everything holds.
+        Text of the filter; empty: everything holds.
 
     Attributes
     ----------
     columns : frozenset of str
-        Names of the columns that it compares.
+        Names of the columns that the filter compares.
     name : str
-        The text, if all of it is the name of a path; else empty.
+        Text of the filter if all of it is the name of a path; else empty.
 
     Raises
     ------
@@ -92,26 +93,27 @@ class PathFilter:
     def __init__(self, text: str) -> None:
         self.text = text
         parser = _Parser(text)
+        # A name without quotation marks first: its arrows and brackets are no filter
         self._term: _Term = read_name(text) or parser.filter()
         self.columns = frozenset(parser.columns | _columns_of(self._term))
         self.name = text.strip() if isinstance(self._term, Named) else ""
 
     @classmethod
     def in_order(cls, words: Sequence[str]) -> PathFilter:
-        """What meets some surfaces in this order, each perhaps with a letter of what happens there."""
+        """Return a filter of light that meets some surfaces in this order, each with an optional letter of event."""
         found = cls("")
         found.text, found._term = " ".join(words), _Sequence(tuple(words))
         return found
 
     def bounds(self, rows: Rows) -> Bounds:
-        """Which rows hold; `MistrayError` for a name or a column that there is not."""
+        """Return the rows that hold; raise `MistrayError` for a name or a column that does not exist."""
         try:
             return self._term.bounds(rows)
         except UnknownError as error:
             raise MistrayError(f"filter '{self.text}': {error}") from None
 
     def holds(self, rows: Rows) -> np.ndarray:
-        """Which rows hold for certain, (n,) bool."""
+        """Return the rows that hold for certain, (n,) bool."""
         return self.bounds(rows).certain
 
     def __repr__(self) -> str:
@@ -130,6 +132,7 @@ class _Not:
 
     def bounds(self, rows: Rows) -> Bounds:
         certain, possible = self.term.bounds(rows)
+        # Negation exchanges the bounds
         return Bounds(~possible, ~certain)
 
 
@@ -152,13 +155,14 @@ def _any(a: Bounds, b: Bounds) -> Bounds:
 
 
 def _either(a: Bounds, b: Bounds) -> Bounds:
+    # Certain where one holds for certain and the other cannot; impossible where both hold, or neither can
     certain = (a.certain & ~b.possible) | (~a.possible & b.certain)
     return Bounds(certain, ~((a.certain & b.certain) | (~a.possible & ~b.possible)))
 
 
 @dataclass(frozen=True)
 class _Flag:
-    """A flag; without a comparison it is whether there is such an event."""
+    """Flag; without a comparison, whether there is such an event."""
 
     letter: str
     name: str
@@ -168,6 +172,7 @@ class _Flag:
     def bounds(self, rows: Rows) -> Bounds:
         events = rows.events
         here = places(self.name, rows)[events.places]
+        # M has no events to count
         if self.letter == "M":
             return exactly(~(events.inside & here).any(axis=1))
         count = (_HAPPENS[self.letter](events, rows.surfaces) & here).sum(axis=1)
@@ -198,11 +203,14 @@ class _Compare:
     value: float | str
 
     def bounds(self, rows: Rows) -> Bounds:
+        # A path cannot decide: its rays differ in this column
         if self.column in rows.by_ray:
             count = len(rows.events)
             return Bounds(np.full(count, False), np.full(count, True))
         if self.column not in rows.columns:
             raise UnknownError(f"there is no column '{self.column}'{like(self.column, [*rows.columns, *rows.by_ray])}")
+
+        # Text: equal or not, with patterns
         values = np.asarray(rows.columns[self.column])
         if values.dtype.kind in "OUT":
             if self.compare not in ("=", "==", "!="):
@@ -212,6 +220,8 @@ class _Compare:
                 raise UnknownError(f"'{self.column}' is never '{self.value}'{like(str(self.value), known)}")
             same = np.array([fits(str(value)) for value in values], dtype=bool)
             return exactly(~same if self.compare == "!=" else same)
+
+        # Numbers
         if isinstance(self.value, str):
             raise UnknownError(f"'{self.column}' is a number; compare it with one, not with '{self.value}'")
         return exactly(np.asarray(COMPARISONS[self.compare](values, self.value)))
@@ -226,12 +236,12 @@ class _Sequence:
 
 
 def _columns_of(term: _Term) -> frozenset[str]:
-    """Columns that a term reads which no comparison names."""
+    """Return the columns that a term reads without a comparison that names them."""
     return frozenset(term.columns) if isinstance(term, Kind | Whole | Named) else frozenset()
 
 
 def _in_order(words: Sequence[str], rows: Rows) -> np.ndarray:
-    """(n,) whether these surfaces, each perhaps with a letter of what happens there, come in this order."""
+    """Return whether these surfaces, each with an optional letter of the event there, come in this order, (n,)."""
     codes, inside = rows.events.codes, rows.events.inside
     after = np.zeros(len(codes), dtype=np.int64)  # events that are used up
     held = np.full(len(codes), True)
@@ -246,6 +256,7 @@ def _in_order(words: Sequence[str], rows: Rows) -> np.ndarray:
             here &= rows.events.happens(letters[letter])
         here &= np.arange(codes.shape[1]) >= after[:, None]
         held &= here.any(axis=1)
+        # Greedy: the first event that fits leaves most events for the words to come
         after = np.pad(here, ((0, 0), (0, 1))).argmax(axis=1) + 1  # a table without a path has no column
     return held
 
@@ -254,14 +265,14 @@ _Term = _All | _Not | _Join | _Flag | _Compare | _Sequence | Kind | Whole | Name
 
 
 class _Parser:
-    """Recursive descent over the tokens of a filter."""
+    """Recursive-descent parser of the tokens of a filter."""
 
     def __init__(self, text: str) -> None:
         self._text, self._at, self._depth = text, 0, 0
         self.columns: set[str] = set()
 
     def filter(self) -> _Term:
-        """The whole text; events of a path stand without quotation marks where they can be no filter."""
+        """Parse the whole text; events of a path need no quotation marks where they cannot be a filter."""
         if not self._text.strip():
             return _All()
         try:
@@ -272,6 +283,7 @@ class _Parser:
             return events
 
     def whole(self) -> _Term:
+        # Lowest precedence first: | then ^ then & then !
         term = self._join("|", lambda: self._join("^", lambda: self._join("&", self._not)))
         if self._look():
             self._fail(f"'{_short(self._text[self._at :].strip())}' is left over; join terms with & | or ^")
@@ -284,6 +296,7 @@ class _Parser:
         return terms[0] if len(terms) == 1 else _Join(sign, tuple(terms))
 
     def _not(self) -> _Term:
+        # Before Python's own recursion limit
         if self._depth > MOST_DEEP:
             self._fail(f"brackets and ! stand {self._depth} deep at character {self._at}; {MOST_DEEP} are the most")
         self._depth += 1
@@ -306,6 +319,7 @@ class _Parser:
             self._fail(f"a term is missing before '{found[0].strip()}'" if found else "a term is missing at the end")
         self._at = found.end()
         if found["text"]:
+            # Text in quotation marks: a name, a kind, or events in this order
             mark, path = found["text"][0], found["text"][1:-1]
             if named := read_name(path):
                 self.columns |= named.columns
@@ -314,6 +328,8 @@ class _Parser:
             pieces = re.findall(rf"{inner}[^{inner}]*{inner}\S*|\S+", path)
             words = tuple(piece.replace(inner, "") if piece.startswith(inner) else piece for piece in pieces)
             return _Sequence(words) if words else self._fail("a path in quotation marks is empty; name its surfaces")
+
+        # A flag, with an optional name and comparison
         word = found["word"]
         if word in FLAGS and len(word) == 1:
             name = self._name(word)
@@ -326,6 +342,8 @@ class _Parser:
             if word == "M" or isinstance(value, str):
                 self._fail(f"{word}({name or '*'}) {compare} {value} compares nothing; a count is a number of events")
             return _Flag(word, name or "*", compare, float(value))
+
+        # A comparison of a column, or a kind of paths
         compared = self._compared()
         if compared is None and word in KINDS:
             self.columns |= Kind.columns
@@ -336,7 +354,7 @@ class _Parser:
         return _Compare(word, *compared)
 
     def _name(self, letter: str) -> str | None:
-        """The name in brackets that follows a flag; None: there are no brackets."""
+        """Return the name in brackets after a flag; None: there are no brackets."""
         if not self._take("("):
             return None
         rest = self._text[self._at :].lstrip()
@@ -367,7 +385,7 @@ class _Parser:
         return found["compare"], value["word"] or value["text"][1:-1]
 
     def _look(self) -> re.Match[str] | None:
-        """The next token; None at the end."""
+        """Return the next token; None at the end."""
         if not self._text[self._at :].strip():
             return None
         found = _TOKEN.match(self._text, self._at)
@@ -391,5 +409,5 @@ class _Parser:
 
 
 def _short(text: str) -> str:
-    """A text for a message."""
+    """Shorten a text for a message."""
     return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}…"

@@ -1,4 +1,9 @@
-"""Power, centroid and radius of paths, with standard errors, from the sums of the ledger."""
+"""
+Power, centroid and radius of paths, with standard errors, from the sums of the ledger.
+
+Errors of ratios are those of a jackknife over n batches of start rays (B. Efron, The jackknife, the bootstrap and other
+resampling plans, 1982): se² = (n - 1)/n Σ_k (θ_k - mean θ)², where θ_k is the result without batch k.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +16,10 @@ import numpy as np
 from mistray.recorders.ledger import SUMS
 from mistray.recorders.sampled import Sampled, batch_error, error_rays, few_rays
 
-CHUNK = 1024  # paths that are worked out together
+CHUNK = 1024  # number of paths that are evaluated together
 # Columns of `RunSums.columns`; the last three are the sums of s1, s2, s3
 RAYS, INCIDENT, ABSORBED, BY_X, BY_Y, BY_SQUARE, S1, S2, S3 = range(9)
-SQUARES, FOURTHS = 6, 7  # of the ledger: absorbed², absorbed⁴
+SQUARES, FOURTHS = 6, 7  # columns of the ledger: absorbed², absorbed⁴
 
 
 def is_error(name: str) -> bool:
@@ -24,14 +29,14 @@ def is_error(name: str) -> bool:
 
 class RunSums(NamedTuple):
     """
-    What a run has found of some paths.
+    Sums of a run over the hits of some paths.
 
     Attributes
     ----------
     sums : (p, BATCHES, SUMS or STOKES_SUMS) float64
-        See `mistray.recorders.ledger`.
+        Sums by batch, see `mistray.recorders.ledger`.
     started : (BATCHES,) float64
-        Start rays of the batches.
+        Number of start rays of the batches.
     unit : float
         Flux of a start ray, W.
     """
@@ -56,7 +61,7 @@ class RunSums(NamedTuple):
 
     @property
     def weights(self) -> np.ndarray:
-        """Number of rays and the sums of their absorbed flux, of its square and of its fourth power, (p, 4), in Wᵏ."""
+        """Number of rays, and sums of their absorbed flux, of its square and of its fourth power, (p, 4), in Wᵏ."""
         powers = self.unit ** np.array([0.0, 1.0, 2.0, 4.0])
         return np.asarray(powers * self.sums[:, :, [RAYS, ABSORBED, SQUARES, FOURTHS]].sum(axis=1))
 
@@ -65,8 +70,8 @@ class RunSums(NamedTuple):
         """
         Squared standard error of the power, (p,), W².
 
-        It follows from the spread of the batches. What single rays bring says nothing of it: those of a batch are
-        spread evenly over the source, so that their sum has a smaller error than as many random ones.
+        It follows from the spread of the batches, not from that of single rays. The rays of a batch are stratified over
+        the source, so that their sum has a smaller error than as many independent ones.
         """
         return np.asarray(np.square(self.unit * batch_error(self.sums[:, :, 2], self.started)))
 
@@ -74,14 +79,14 @@ class RunSums(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class PathNumbers:
     """
-    Numbers of paths.
+    Power, centroid, radius and polarisation of paths, with standard errors.
 
     Attributes
     ----------
     columns : dict
         Columns of `PathRow` from ``rays`` to ``s3_se`` but for the percentages, (p,) each.
     light, density : Sampled
-        Power, W, and RMS irradiance, W/mm², with what they have in common with others of the same trace.
+        Power, W, and RMS irradiance, W/mm², with their correlation to other numbers of the same trace.
     weights : (p, 4) float64
         See `RunSums.weights`.
     """
@@ -97,7 +102,7 @@ class PathNumbers:
 
     def judged(self, kind: np.ndarray) -> dict[str, np.ndarray]:
         """
-        The columns, and how far their errors may be trusted, see `mistray.recorders.sampled.error_rays`.
+        Return the columns, and the reliability of their errors, see `mistray.recorders.sampled.error_rays`.
 
         Parameters
         ----------
@@ -124,7 +129,7 @@ class PathNumbers:
 
     @classmethod
     def joined(cls, parts: Sequence[PathNumbers]) -> PathNumbers:
-        """Some after the others."""
+        """Concatenate the numbers of some paths."""
         light, density = (
             Sampled(np.concatenate([one.value for one in each]), np.concatenate([one.apart for one in each]))
             for each in ([part.light for part in parts], [part.density for part in parts])
@@ -135,7 +140,7 @@ class PathNumbers:
 
 def path_numbers(runs: Sequence[RunSums]) -> PathNumbers:
     """
-    Power, centroid and radius of paths, each of the light of some runs together.
+    Return power, centroid and radius of paths, each of the light of some runs together.
 
     Centroid, radius and RMS irradiance are ratios of sums; their errors come from leaving out one batch at a time
     (jackknife).
@@ -143,7 +148,7 @@ def path_numbers(runs: Sequence[RunSums]) -> PathNumbers:
     Parameters
     ----------
     runs : sequence of RunSums
-        Of as many paths each; light of several runs (wavelengths, sources) adds up.
+        Sums of the runs, of as many paths each; light of several runs (wavelengths, sources) adds up.
     """
     count = len(runs[0].sums)
     parts = [
@@ -157,6 +162,7 @@ def _chunk(runs: Sequence[RunSums]) -> PathNumbers:
     total, without = (np.sum([columns[k] for columns in each], axis=0) for k in (0, 1))
     variances = np.array([run.variance for run in runs])
     power, incident = total[:, ABSORBED], total[:, INCIDENT]
+    # Jackknife
     values, left_out = _shape(total), _shape(without)
     n = left_out.shape[2]
     known = np.isfinite(left_out).all(axis=2, keepdims=True)  # not where a batch holds all rays, or all but one
@@ -164,7 +170,7 @@ def _chunk(runs: Sequence[RunSums]) -> PathNumbers:
         spread = np.sqrt((n - 1) / n) * (left_out.mean(axis=2, keepdims=True) - left_out)
         apart = np.where(known, spread, np.inf)
         se = np.sqrt(np.sum(np.square(apart), axis=2))
-        # What is absorbed of the light of a run is about the same share of all of it
+        # The detector absorbs about the same share of all hits of a run: relative errors are equal
         shares = [np.where(here[:, ABSORBED] > 0, here[:, INCIDENT] / here[:, ABSORBED], 0) for here, _ in each]
     for numbers in (values[3], se[3], apart[3]):
         numbers[total[:, RAYS] < 2] = np.nan  # one ray lies in a point, and says nothing of an area
@@ -193,7 +199,7 @@ def _chunk(runs: Sequence[RunSums]) -> PathNumbers:
 
 
 def _shape(sums: np.ndarray) -> np.ndarray:
-    """(8, …): x, y, RMS radius, RMS irradiance, degree of polarisation and s1, s2, s3 of sums (…, 9) in W."""
+    """Return x, y, RMS radius, RMS irradiance, degree of polarisation and s1, s2, s3 of sums (…, 9) in W, (8, …)."""
     power = sums[..., ABSORBED]
     with np.errstate(divide="ignore", invalid="ignore"):
         x, y = sums[..., BY_X] / power, sums[..., BY_Y] / power

@@ -1,4 +1,4 @@
-"""The path table: one row for each way from a source to the detector."""
+"""The path table: one row for each path from a source to the detector."""
 
 from __future__ import annotations
 
@@ -42,16 +42,16 @@ if TYPE_CHECKING:
     from mistray.recorders.ledger import DecodedPaths
 
 ROWS_PRINTED = 20
-# What paths have in common whose rays are weighted alike
+# Columns that paths have in common whose rays have similar weights
 SAME_KIND = ("source", "detector", "kind", "scatters", "scatter_1")
-IMAGE = 0.9  # share of the light of a detector by which one path may be an image that nobody has declared
-MOMENT_SUMS = [2, 3, 4, 5]  # of the ledger: absorbed, absorbed · x, absorbed · y, absorbed · (x² + y²)
+IMAGE = 0.9  # share of the light of a detector from which on a path may be an image that nobody has declared
+MOMENT_SUMS = [2, 3, 4, 5]  # sums of the ledger: absorbed, absorbed · x, absorbed · y, absorbed · (x² + y²)
 
 
 @dataclass(frozen=True)
 class PathRow:
     """
-    One path from a source to the detector. Every number with ``_se`` after it is that number's standard error.
+    Path from a source to the detector. Every number with ``_se`` after it is that number's standard error.
 
     Attributes
     ----------
@@ -60,67 +60,67 @@ class PathRow:
     source : str
         Id of the source.
     wavelength_nm : float
+        Vacuum wavelength, nm.
     detector : str
-        Id of the detector where it ends.
+        Id of the detector where the path ends.
     key : str
-        Ten hexadecimal digits that stand for the events, the same in every table, see
-        `mistray.recorders.path_events.event_keys`.
+        Hash of the events, ten hexadecimal digits, the same in every table: `mistray.recorders.path_events.event_keys`.
     label : str
         Name of the path by its events and the scene, the same in every table, see `mistray.recorders.path_names`. Light
         of another source or wavelength that meets the same events has the same name.
     events : str
-        Surfaces and what happened there, ``L1_front:T L1_rear:R … detector:A``; T transmitted, R reflected, I totally
-        internally reflected, A absorbed; scattered or diffracted at random: t in transmission, r in reflection;
-        towards a target: i in transmission, j in reflection. Light that was scattered at random and light that was
-        aimed goes the same way and shares its flux by weights: only both together are what a detector sees, see
-        `PathTable.by_way`.
+        Surfaces and events, ``L1_front:T L1_rear:R … detector:A``; T transmitted, R reflected, I totally internally
+        reflected, A absorbed; scattered or diffracted at random: t in transmission, r in reflection; towards a target:
+        i in transmission, j in reflection. Random and aimed scatter are techniques for the same light, with MIS
+        weights: only both together are the flux on a detector, see `PathTable.by_way`.
     path : str
-        The letters alone.
+        Letters of the events alone.
     order : int
-        Ghost reflections: at refracting surfaces and at the detector; mirrors and total internal reflection apart.
+        Number of ghost reflections: at refracting surfaces and at the detector, without mirrors and total reflection.
     kind : str
-        "direct" (a sequence of the design, see docs/design_path.md), "straight shot" (any other sequence that reflects
-        nowhere but where the design does), "ghost", "structure" (specular reflections at opaque surfaces that are no
-        mirror), "structure+ghost", "TIR" (total reflection where the design has none); of paths that scatter "single
-        scatter", "multiple scatter", or, with specular reflections counted in ``ghost_1``, "ghost + scatter"; of paths
-        that an edge diffracts "edge diffraction", or, where it also scatters or is reflected so, "diffraction +
-        others". Light that the instrument itself emits has no source and no path here, see `mistray.analysis.thermal`.
+        "direct": a sequence of the design, see docs/design_path.md. "straight shot": any other sequence that reflects
+        only where the design does. "ghost". "structure": specular reflections at opaque surfaces that are no mirror.
+        "structure+ghost". "TIR": total reflection where the design has none. Paths that scatter: "single scatter",
+        "multiple scatter", or, with specular reflections counted in ``ghost_1``, "ghost + scatter". Paths that an edge
+        diffracts: "edge diffraction", or, with scatter or such reflections, "diffraction + others". Light that the
+        instrument itself emits has no source and no path here, see `mistray.analysis.thermal`.
     ghost_1, ghost_2 : str
-        First and second surface that reflects specularly, mirrors and total internal reflection apart, or "-".
+        First and second surface that reflects specularly, without mirrors and total internal reflection, or "-".
     scatter_1 : str
         First surface that scatters or diffracts, or "-".
     edges : str
-        Edges, bevels and flanges of lenses that the light meets, in its order, with blanks between, or "-".
+        Edges, bevels and flanges of lenses that the light meets, in this order, separated by blanks, or "-".
     scatters : int
-        Scatter events, those of diffraction included.
+        Number of scatter events, including diffraction.
     diffractions : int
-        Those at rings that carry ``edge_diffraction``.
+        Number of scatter events at rings that carry ``edge_diffraction``.
     structure_bounces, tir : int
-        Specular reflections at structure, total internal reflections.
+        Number of specular reflections at structure, and of total internal reflections.
     objects, unique_objects : int
-        Surfaces that are met, the detector included, each time or each once. A body that scatters counts as a surface.
+        Number of surfaces that are met, including the detector: all hits, or each surface once. A body that scatters
+        counts as a surface.
     last_object : str
-        The last of them before the detector, or "-".
+        Last surface before the detector, or "-".
     critical : str
         Critical surface: the last that scatters or diffracts the light or is a ghost's or a structure's reflection, so
         that the detector sees it lit; "-" if there is none.
     rays : int
-        Hits of the detector.
+        Number of hits of the detector.
     effective_rays : float
-        (Σw)²/Σw² of the flux w of these: as many rays of equal flux would be as good.
+        (Σw)²/Σw² of the flux w of these hits: as many rays of equal flux would be as good.
     error_rays : float
-        (Σw²)²/Σw⁴, the number of rays that the standard error of the power stands on, or what it would be with the
-        weights of the paths of the same kind, where that is less: see `mistray.trace.path_numbers.PathNumbers.judged`.
+        (Σw²)²/Σw⁴, the number of rays that the standard error of the power stands on, or that number with the weights
+        of the paths of the same kind, where it is less: see `mistray.trace.path_numbers.PathNumbers.judged`.
     few_rays : bool
-        Whether that is less than `mistray.recorders.sampled.ERROR_RAYS`, so that no error can be given: the errors of
-        this row are NaN. The sum of several such rows has one, see `PathTable.power`.
+        Whether `error_rays` is less than `mistray.recorders.sampled.ERROR_RAYS`, so that there is no error: the errors
+        of this row are NaN. The sum of several such rows has one, see `PathTable.power`.
     power_W : float
         Flux that the detector absorbs.
     incident_W : float
         Flux that reaches the detector.
     percent : float
-        Of the power of all paths. Its error knows that the path is one of them: it comes from the spread of the batches
-        of start rays.
+        Percentage of the power of all paths. Its error includes the correlation with that power: it comes from the
+        spread of the batches of start rays.
     x_mm, y_mm : float
         Centroid in the detector's frame.
     rms_radius_mm : float
@@ -130,8 +130,9 @@ class PathRow:
     polarization : float
         Degree of polarisation of all light of the path together, 0 … 1; NaN if traced unpolarised.
     s1, s2, s3 : float
-        Its state, (S1, S2, S3)/S0: linear along the world's x as seen across the ray (along y where the ray is within
-        26° of x), linear at 45° from there, and circular, clockwise as the detector sees it; see docs/polarization.md.
+        Normalised Stokes vector (S1, S2, S3)/S0: linear along the world's x as seen across the ray (along y where the
+        ray is within 26° of x), linear at 45° from there, and circular, clockwise as the detector sees it; see
+        docs/polarization.md.
     """
 
     path_id: int
@@ -186,7 +187,7 @@ class PathRow:
     @property
     def event_list(self) -> list[tuple[str, str]]:
         """
-        (shape id, intercept type) of every event.
+        Pairs (shape id, intercept type) of all events.
 
         The types are SpecTran, SpecRefl, TIR, RandTran, RandRefl, ImpTran, ImpRefl and Absorbed.
         """
@@ -198,18 +199,18 @@ class PathTable(Sequence[PathRow]):
     """
     Paths to the detector, the strongest first.
 
-    A sequence of `PathRow`; `to_pandas`, `to_csv` and `to_parquet` give the whole table.
+    A sequence of `PathRow`; `to_pandas`, `to_csv` and `to_parquet` return or write the whole table.
 
     Parameters
     ----------
     columns : mapping of str to (p,) array
-        The attributes of `PathRow`; ``path_id`` counts from 0.
+        Attributes of `PathRow`; ``path_id`` starts at 0.
     of_runs : sequence of RunPaths
-        The ledgers of the runs.
+        Ledgers of the runs.
     run, place : (p,) int
-        For each path the number of its run and its place in that run's ledger.
+        Number of the run of each path, and its place in the ledger of that run.
     numbers : PathNumbers
-        Of the paths.
+        Numbers of the paths.
     """
 
     def __init__(
@@ -249,7 +250,7 @@ class PathTable(Sequence[PathRow]):
         return (PathRow(*values) for values in zip(*columns, strict=True))
 
     def locate(self, path_id: int) -> tuple[int, int, int]:
-        """Run, ledger slot and key of a path; raises `MistrayError` for an id that does not exist."""
+        """Return run, ledger slot and key of a path; raise `MistrayError` for an id that does not exist."""
         if not 0 <= path_id < len(self):
             raise MistrayError(f"path_id {path_id} does not exist; this trace has the paths 0 … {len(self) - 1}")
         run, place = int(self._run[path_id]), int(self._place[path_id])
@@ -258,36 +259,37 @@ class PathTable(Sequence[PathRow]):
 
     def find(self, *surfaces: str) -> list[PathRow]:
         """
-        Paths whose events match a sequence of words.
+        Return the paths whose events match a sequence of words.
 
         Parameters
         ----------
         *surfaces : str
-            Ids of surfaces, media or parts, each with an optional letter of what happened there, as in ``:T``; they
-            must occur in this order, other events may lie between. ``*`` and ``?`` stand for any letters.
+            Ids of surfaces, media or parts, each with an optional letter of the event there, as in ``:T``; they must
+            occur in this order, other events may lie between. ``*`` and ``?`` stand for any letters.
             ``find("detector:R", "window_rear:R")`` are the detector-window ghosts.
 
         Raises
         ------
         MistrayError
-            For a name or a letter that there is not.
+            For a name or a letter that does not exist.
         """
         return self._that_pass(PathFilter.in_order(surfaces))
 
     def select(self, selection: str) -> list[PathRow]:
         """
-        Paths that a filter lets through, the strongest first.
+        Return the paths that a filter selects, the strongest first.
 
         Parameters
         ----------
         selection : str
-            Such as ``"S(barrel*) & !G & power_W > 1e-9"``, see `mistray.trace.path_filter`; columns are the attributes
-            of `PathRow`. Or a kind, as "ghost" or "stray", all events of a path, or its `label`, with -> for the arrow.
+            Filter such as ``"S(barrel*) & !G & power_W > 1e-9"``, see `mistray.trace.path_filter`; columns are the
+            attributes of `PathRow`. Or a kind, as "ghost" or "stray", all events of a path, or its `label`, with -> for
+            the arrow.
 
         Raises
         ------
         MistrayError
-            For a filter that cannot be read or names what there is not.
+            For a filter that cannot be parsed or names something that does not exist.
         """
         return self._that_pass(PathFilter(selection))
 
@@ -296,18 +298,19 @@ class PathTable(Sequence[PathRow]):
 
     def chosen(self, wanted: PathFilter, by_ray: frozenset[str] = frozenset()) -> list[tuple[np.ndarray, np.ndarray]]:
         """
-        Paths that a filter may let through, run by run.
+        Return the paths that a filter may select, run by run.
 
         Parameters
         ----------
         wanted : PathFilter
+            Filter.
         by_ray : frozenset of str
-            Columns that are those of a ray, so that a path cannot decide.
+            Columns that belong to rays, so that a path cannot decide.
 
         Returns
         -------
         list of (ids, slots)
-            Of each run the `path_id` of the paths and their places in its ledger.
+            `path_id` of the paths and their places in the ledger, for each run.
         """
         of_runs = [np.flatnonzero(self._run == number) for number in range(len(self._of_runs))]
         sources = list(dict.fromkeys(one.source for one in self._of_runs))
@@ -316,29 +319,29 @@ class PathTable(Sequence[PathRow]):
             columns = {name: column[ids] for name, column in self._columns.items() if name not in by_ray}
             rows.append(rows_of(one, self._place[ids], columns, by_ray, sources))
         held = [wanted.bounds(own).possible for own in rows]
-        if wanted.name:
+        if wanted.name:  # a name may mean several paths, or none
             tell(wanted.name, rows, held)
         chosen = [own[here] for own, here in zip(of_runs, held, strict=True)]
         slots = [one.paths.slots[self._place[ids]] for one, ids in zip(self._of_runs, chosen, strict=True)]
         return list(zip(chosen, slots, strict=True))
 
     def ids_of_keys(self, run: int, keys: np.ndarray) -> np.ndarray:
-        """The `path_id` of paths of a run by their keys, (n,) uint64."""
+        """Return the `path_id` of paths of a run by their keys, (n,) uint64."""
         ids = np.flatnonzero(self._run == run)
         own = self._of_runs[run].paths.keys[self._place[ids]]
         order = np.argsort(own)
         return ids[order][np.searchsorted(own[order], keys)]
 
     def column(self, name: str) -> np.ndarray:
-        """One attribute of `PathRow` of all paths, (p,)."""
+        """Return one attribute of `PathRow` of all paths, (p,)."""
         return self._columns[name]
 
     def power(self, path_ids: Sequence[int] | np.ndarray) -> tuple[float, float]:
         """
-        Power of some paths together and its standard error, W.
+        Return the power of some paths together and its standard error, W.
 
-        The error of the sum over the paths of a run comes from the spread of its batches of start rays, so that what
-        paths have in common is in it.
+        The error of the sum over the paths of a run comes from the spread of its batches of start rays, and so it
+        includes the correlation of paths.
         """
         ids = np.asarray(path_ids, dtype=np.int64)
         variance = 0.0
@@ -346,23 +349,23 @@ class PathTable(Sequence[PathRow]):
             here = ids[self._run[ids] == number]
             if len(here):
                 by_batch = one.paths.sums[self._place[here], :, 2].sum(axis=0)
-                variance += float(one.unit * batch_error(by_batch, one.started)) ** 2
+                variance += float(one.unit * batch_error(by_batch, one.started)) ** 2  # runs share no start rays
         return float(self._columns["power_W"][ids].sum()), float(np.sqrt(variance))
 
     def ids(self, direct: bool, wavelength_nm: float | None = None) -> np.ndarray:
-        """Ids of the paths of the direct image, or of all others; of one wavelength or of all."""
+        """Return the ids of the paths of the direct image, or of all others; of one wavelength or of all."""
         chosen = (self._columns["kind"] == DIRECT) == direct
         if wavelength_nm is not None:
             chosen &= self._columns["wavelength_nm"] == wavelength_nm
         return np.flatnonzero(chosen)
 
     def light(self, path_ids: Sequence[int] | np.ndarray) -> Sampled:
-        """Power of some paths together, W, with what it has in common with other numbers of the trace."""
+        """Return the power of some paths together, W, with its correlation to other numbers of the trace."""
         return self._numbers.light[np.asarray(path_ids, dtype=np.int64)].total()
 
     def numbers(self, groups: Sequence[Sequence[int]]) -> PathNumbers:
         """
-        Numbers of groups of paths, each group as one path.
+        Return the numbers of groups of paths, each group as one path.
 
         Parameters
         ----------
@@ -371,6 +374,7 @@ class PathTable(Sequence[PathRow]):
         """
         counts = np.array([len(group) for group in groups], dtype=np.int64)
         heads = np.array([group[0] for group in groups], dtype=np.int64)
+        # Groups of one path have the numbers of that path; the others are summed in chunks, which bounds the memory
         alone = self._numbers[heads]
         if not len(groups) or counts.max() == 1:
             return alone
@@ -386,14 +390,14 @@ class PathTable(Sequence[PathRow]):
         return PathNumbers.joined([alone[counts == 1], *parts])[order]
 
     def _sums(self, run: int, ids: np.ndarray, group: np.ndarray) -> RunSums:
-        """What a run has found of groups of paths; `group` is ascending and has the number of that of each path."""
+        """Return the sums of a run over groups of paths; `group` is ascending and has the group of each path."""
         one, here = self._of_runs[run], self._run[ids] == run
         sums = np.zeros((int(group[-1]) + 1, *one.paths.sums.shape[1:]))
         np.add.at(sums, group[here], one.paths.sums[self._place[ids[here]]])
         return RunSums(sums, one.started, one.unit)
 
     def columns_of(self, groups: Sequence[Sequence[int]]) -> dict[str, np.ndarray]:
-        """Columns of `PathRow` from ``rays`` on of groups of paths that are all there is of some sources and kinds."""
+        """Return the columns of `PathRow` from ``rays`` on, for groups that are all paths of some sources and kinds."""
         numbers = self.numbers(groups)
         heads = np.array([group[0] for group in groups], dtype=np.int64)
         found = numbers.judged(_kinds({name: self._columns[name][heads] for name in SAME_KIND}))
@@ -401,7 +405,7 @@ class PathTable(Sequence[PathRow]):
 
     def moments(self) -> np.ndarray:
         """
-        Flux that the detector absorbs of each path, and its moments over the detector.
+        Return the flux of each path that the detector absorbs, and its moments over the detector.
 
         Returns
         -------
@@ -417,7 +421,7 @@ class PathTable(Sequence[PathRow]):
 
     def by_batch(self, coefficients: np.ndarray) -> np.ndarray:
         """
-        Sum over the paths of coefficients times their `moments`, by batch of start rays.
+        Return the sum over the paths of coefficients times their `moments`, by batch of start rays.
 
         Parameters
         ----------
@@ -436,31 +440,33 @@ class PathTable(Sequence[PathRow]):
 
     def by_way(self, aliases: Mapping[str, str] | str | None = None) -> pd.DataFrame:
         """
-        The table with one row for each way of the light, whether it was scattered at random or aimed.
+        Return the table with one row for each way of the light, whether it was scattered at random or aimed.
 
         Parameters
         ----------
         aliases : mapping of str to str, "part" or "space", optional
-            Report surfaces under other names: by their part, their optical space, or as a mapping of patterns to names
-            says, see `mistray.trace.path_aliases.alias_names`. What light does in a row within one name is one
-            visit, and paths that differ in nothing else are one row. A row has one `kind` still, and all its light the
-            same number of reflections and scatter events.
+            Other names of surfaces: their part, their optical space, or a mapping of patterns to names, see
+            `mistray.trace.path_aliases.alias_names`. Consecutive events within one name are one visit, and paths that
+            differ in nothing else are one row. A row still has one `kind`, and all its light the same number of
+            reflections and scatter events.
 
         Returns
         -------
         DataFrame
-            The columns of `to_pandas`, strongest first, with the letters t and r for all scattered light, and
-            ``path_ids``, the tuple of the `path_id` that a row stands for; its own ``path_id`` is the strongest of
-            them. The numbers of such a row come from the sums of its paths in the ledger.
+            Columns of `to_pandas`, strongest first, with the letters t and r for all scattered light, and ``path_ids``,
+            the tuple of the `path_id` of a row; its own ``path_id`` is the strongest of them. The numbers of a row come
+            from the sums of its paths in the ledger.
         """
         table = self.to_pandas()
         table["events"], table["path"] = way_text(table.events), way_letters(table.path)
+        # Facts that aliases must not merge: they enter the key of a way
         apart = np.zeros((len(self), 0), dtype=np.uint32)
         if aliases is not None:
             numbers = [np.unique(self._columns[name], return_inverse=True)[1] for name in KEPT_APART]
             apart = np.stack(numbers, axis=1).astype(np.uint32)
         head = np.arange(len(self))  # the strongest path of the same way
         for number, one in enumerate(self._of_runs):
+            # Without scatter and aliases a path is a way of its own
             ids = np.flatnonzero((self._run == number) & ((self._columns["scatters"] > 0) | (aliases is not None)))
             place = self._place[ids]
             codes, lengths = way(one.paths.events[place]), one.paths.lengths[place]
@@ -474,11 +480,13 @@ class PathTable(Sequence[PathRow]):
                     table.loc[ids, name] = values
                 known = list(dict.fromkeys(names))
                 called = PathNames(known, np.zeros(len(known), np.uint32), DesignSequences(), LETTERS)
+            # Group paths of equal events, and name each group
             keys = host_keys(np.hstack([apart[ids], codes]), lengths + apart.shape[1])
             _, first, group = np.unique(keys, return_index=True, return_inverse=True)
             head[ids] = ids[first][group]
             rows = zip(codes[first].tolist(), lengths[first].tolist(), self._columns["kind"][ids[first]], strict=True)
             table.loc[ids[first], "label"] = [called.name(row[:length], kind) for row, length, kind in rows]
+        # Numbers of the groups
         order = np.argsort(head, kind="stable")
         kept, starts = np.unique(head[order], return_index=True)
         ways = [tuple(ids.tolist()) for ids in np.split(order, starts[1:])] if len(kept) else []
@@ -487,7 +495,7 @@ class PathTable(Sequence[PathRow]):
         return table.sort_values("power_W", ascending=False, kind="stable", ignore_index=True)
 
     def to_pandas(self) -> pd.DataFrame:
-        """The table as a DataFrame, one column for each attribute of `PathRow`."""
+        """Return the table as a DataFrame, one column for each attribute of `PathRow`."""
         import pandas as pd
 
         text = {name: column.tolist() for name, column in self._columns.items() if column.dtype == object}
@@ -517,7 +525,7 @@ class PathTable(Sequence[PathRow]):
 
 
 def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTable:
-    """The table of all paths of all runs; paths without a hit are left out."""
+    """Return the table of all paths of all runs; paths without a hit are left out."""
     of_runs = [
         RunPaths(paths, run.started, run.unit, run.table, run.design, run.source.name)
         for run, paths in zip(runs, decoded, strict=True)
@@ -529,6 +537,7 @@ def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTabl
             one.paths.events[place], one.paths.lengths[place], run.table.event_ids, run.table.event_words, run.design
         )
         numbers.append(path_numbers([RunSums(one.paths.sums[place], one.started, one.unit)]))
+        # The last event of a path is at its detector
         ends = one.paths.events[place, one.paths.lengths[place] - 1] >> EVENT_BITS
         parts.append(
             {
@@ -540,6 +549,7 @@ def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTabl
         )
         places.append(place)
     found = PathNumbers.joined(numbers)
+    # Errors are judged by kind over all runs, so that a path of few rays has those of its kind beside it
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     columns |= found.judged(_kinds(columns))
     number = np.repeat(np.arange(len(places)), [len(place) for place in places])
@@ -553,7 +563,7 @@ def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTabl
 
 
 def undeclared_images(runs: Sequence[Run], paths: PathTable) -> list[Note]:
-    """Notes on detectors without a design path whose light comes by one path that nothing scatters, but for a tenth."""
+    """Return notes on detectors without a design path that get over `IMAGE` of their light by one unscattered path."""
     found = []
     table, design = runs[0].table, runs[0].design
     power, names = paths.column("power_W"), paths.column("detector")
@@ -562,7 +572,7 @@ def undeclared_images(runs: Sequence[Run], paths: PathTable) -> list[Note]:
         if design.lists.get(detector) or not len(own) or not power[own].sum() > 0:
             continue
         share, row = power[own[0]] / power[own].sum(), paths[int(own[0])]
-        words = event_words(row.events)[:-1]
+        words = event_words(row.events)[:-1]  # without the absorption at the detector
         if share > IMAGE and words and not row.scatters:
             text = (
                 f"detector '{row.detector}': no design path leads to it, and {percent_text(share)} of its light comes "
@@ -573,13 +583,13 @@ def undeclared_images(runs: Sequence[Run], paths: PathTable) -> list[Note]:
 
 
 def _percents(light: Sampled, of: Sampled, few: np.ndarray) -> dict[str, np.ndarray]:
-    """Columns ``percent`` and ``percent_se`` of the powers of paths, or of groups of them; no error of `few` rays."""
+    """Return the columns ``percent`` and ``percent_se`` of powers of paths or groups; no error where `few` rays."""
     found = light.over(of[None]).scaled(100.0)
     return {"percent": found.value, "percent_se": np.where(few, np.nan, found.se)}
 
 
 def _kinds(columns: Mapping[str, np.ndarray]) -> np.ndarray:
-    """(p,) numbers of the kinds of paths, which share all of `SAME_KIND`."""
+    """Return numbers of the kinds of paths, which share all of `SAME_KIND`, (p,)."""
     keys = [np.unique(columns[name], return_inverse=True)[1] for name in SAME_KIND]
     _, kind = np.unique(np.stack(keys, axis=1), axis=0, return_inverse=True)
     return np.asarray(kind).ravel()

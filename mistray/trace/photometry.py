@@ -1,4 +1,5 @@
-"""Light as the eye weighs it: lm, lx, by the luminous efficiency of each wavelength that is traced.
+"""
+Photometry: luminous flux (lm) and illuminance (lx), by the luminous efficiency of each wavelength that is traced.
 
 ``Φ_v = K_m Σ V(λ_i) Φ_i`` with K_m = 683.002 lm/W and V(λ) of the CIE 1924 observer for daylight vision, 2° (ISO
 23539:2023). A wavelength that stands for a band has the V of the wavelength.
@@ -21,18 +22,19 @@ from mistray.trace.energy import energy_ledger, flux_report
 
 def check_light(scene: mi.Scene, wavelength_nm: Sequence[float] | None) -> None:
     """
-    Refuse a scene whose light has no photometric units: nothing states its wavelengths, or none of them is visible.
+    Raise for a scene whose light has no photometric units: nothing states its wavelengths, or none of them is visible.
 
     Parameters
     ----------
     scene : mi.Scene
     wavelength_nm : sequence of float, optional
-        That are traced; by default those of the sources.
+        Wavelengths that are traced; by default those of the sources.
     """
     if wavelength_nm is not None:
         check_visible(wavelength_nm)
         return
     for emitter in source_emitters(scene):
+        # The default wavelength of a source is no statement about its light
         if not emitter.states_light:
             raise MistrayError(
                 f"source '{emitter.name}' states no wavelength or spectrum, so its light has no lm; give "
@@ -42,7 +44,7 @@ def check_light(scene: mi.Scene, wavelength_nm: Sequence[float] | None) -> None:
 
 
 def check_visible(wavelengths_nm: Sequence[float]) -> None:
-    """Refuse light that nobody sees."""
+    """Raise if no wavelength is visible."""
     low, high = VISIBLE_NM
     if not any(low <= nm <= high for nm in wavelengths_nm):
         listed = ", ".join(f"{nm:g}" for nm in wavelengths_nm)
@@ -52,21 +54,23 @@ def check_visible(wavelengths_nm: Sequence[float]) -> None:
 
 
 def luminous_flux(runs: Sequence[Run]) -> tuple[float, float]:
-    """What the detectors absorb and its standard error, lm; the runs have rays of their own."""
+    """Return the luminous flux that the detectors absorb and its standard error, lm; runs share no rays."""
     check_visible([run.source.wavelength_nm for run in runs])
     factors = [luminous_efficacy(run.source.wavelength_nm) for run in runs]
     each = [energy_ledger([run], flux_report([run])) for run in runs]
+    # Runs are independent: their variances add
     value = sum(factor * own.detected_W for factor, own in zip(factors, each, strict=True))
     return value, sum((factor * own.detected_se_W) ** 2 for factor, own in zip(factors, each, strict=True)) ** 0.5
 
 
 def illuminance(runs: Sequence[Run]) -> Pixels:
-    """Illuminance on the detector, by the light that it absorbs, with its noise, (height, width), lx."""
+    """Return the illuminance on the detector, by the light that it absorbs, with its noise, (height, width), lx."""
     check_visible([run.source.wavelength_nm for run in runs])
     pixel_m2 = runs[0].pixel_area / MM2_PER_M2
     first, *others = (
         Pixels.of_film(run.film, run.started, luminous_efficacy(run.source.wavelength_nm) * run.unit / pixel_m2)
         for run in runs
+        # Invisible light adds nothing to the sum
         if luminous_efficacy(run.source.wavelength_nm) > 0
     )
     return sum(others, start=first)

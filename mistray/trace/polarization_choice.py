@@ -1,9 +1,10 @@
-"""Which mode of polarisation a trace takes where it may choose: the one place that decides.
+"""
+Choice of the polarisation mode of a trace with `polarization` "auto".
 
 The mean of s and p at every hit is wrong to second order in the diattenuation D = (Rs - Rp)/(Rs + Rp): after two
 reflections the flux of unpolarised light is 1 + D₁ D₂ cos 2φ times that of the means, with φ between the planes of
-incidence. A pilot of few rays on the host, see `mistray.trace.both_ways`, finds how much that is for the paths that a
-table shows, whatever they meet. Stokes vectors are taken where that is more than `WORTH_IT`.
+incidence. A pilot of few rays on the host, see `mistray.trace.both_ways`, measures the change for the paths that a
+table shows. Stokes vectors are used where it is more than `LEAST_CHANGE`.
 """
 
 from __future__ import annotations
@@ -26,34 +27,35 @@ from mistray.surfaces.optics import MIRROR
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.trace.both_ways import Arrivals, follow
 
-BEAM = ("azimuth_deg", "wavelength_nm", "weights", "detector")  # what else than the field says which light starts
-WORTH_IT = 0.01  # change of a printed number that Stokes vectors are taken for
+BEAM = ("azimuth_deg", "wavelength_nm", "weights", "detector")  # arguments besides the field that define a beam
+LEAST_CHANGE = 0.01  # relative change of a printed number from which on Stokes vectors are used
 SURE = 2.0  # standard errors by which a change must exceed that, for the pilot to end early
-ROUNDS = (96, 640)  # start rays of a beam; the second in doubt
-MOST_HITS = 40_000  # that a beam may take
-NOTED = 3  # beams of a result that stays unpolarised
-MOST_RUNS = 8  # sources and wavelengths that it looks at, spread over all
-LISTED, LEAST_HITS = 8, 4  # stray paths by power and by RMS irradiance that count, and branches of each
+ROUNDS = (96, 640)  # start rays of a beam; the second number in doubt
+MOST_HITS = 40_000  # largest number of hits of surfaces in the pilot of a beam
+NOTED = 3  # beams of an unpolarised result that are tested for a note
+MOST_RUNS = 8  # sources and wavelengths that are tested, spread over all
+LISTED, LEAST_HITS = 8, 4  # stray paths by power and by RMS irradiance that are compared, and branches of each
 FEWEST = 4  # start rays of a run
-PROBED = np.linspace(0.0, 1.0, 17)[1:]  # cosines at which a coating must tell s from p to count
-SAME = 1e-9
-ROUNDED = 5e-4  # relative: of a number with three digits a smaller error does not show
-LEAST_SHARE = 0.01  # of the direct light, for a path of it to count
+PROBED = np.linspace(0.0, 1.0, 17)[1:]  # cosines at which a coating is tested for a difference between s and p
+SAME = 1e-9  # difference of R or T between s and p that is due to rounding
+ROUNDED = 5e-4  # relative error that is not visible in a number of three digits
+LEAST_SHARE = 0.01  # share of the direct light from which on a direct path is compared
 
 
 @dataclass(frozen=True)
 class PolarizationChoice:
     """
-    The mode of a trace, and why it has it.
+    Polarisation mode of a trace, and the reason for it.
 
     Attributes
     ----------
     mode : {"unpolarized", "stokes"}
+        Value of `polarization`.
     reason : str
-        In words.
+        Reason in words.
     change : float
-        Largest change of a listed path, or of the stray light, by Stokes vectors, as a share of the value by the means
-        of s and p; 0 where nothing polarises, NaN where nobody has looked.
+        Largest relative change of a listed path, or of the stray light, by Stokes vectors instead of the means of s and
+        p; 0 where nothing polarises, NaN where it was not measured.
     """
 
     mode: str
@@ -65,19 +67,19 @@ class PolarizationChoice:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """For the settings of a result."""
+        """Entries of the settings of a result."""
         change = {} if math.isnan(self.change) else {"polarization_change": self.change}
         return {"polarization": self.mode, "polarization_reason": self.reason, **change}
 
 
 def words_of(settings: Mapping[str, Any]) -> str:
-    """One line about the mode of a trace, from its settings."""
+    """Return a line about the mode of a trace, from its settings."""
     return f"polarization: {settings['polarization']} ({settings['polarization_reason']})"
 
 
 @dataclass(frozen=True)
 class _Row:
-    """Flux of a path or of several in either mode, W, with the squares that the error of their ratio comes from."""
+    """Flux of one or several paths in either mode, W, with the squared residuals that give the error of the ratio."""
 
     name: str
     stray: bool = True
@@ -89,7 +91,7 @@ class _Row:
     spread: float = 0.0
 
     def plus(self, other: Arrivals | _Row) -> _Row:
-        """Both together; the larger spread is close enough to tell bright paths from dim ones."""
+        """Return the sum of both; the larger spread is close enough to tell bright paths from dim ones."""
         return replace(
             self,
             mean=self.mean + other.mean,
@@ -101,7 +103,7 @@ class _Row:
 
     @property
     def change(self) -> float:
-        """Of the flux, relative."""
+        """Relative change of the flux by Stokes vectors."""
         return self.stokes / self.mean - 1 if self.mean > 0 else 0.0
 
     @property
@@ -111,12 +113,12 @@ class _Row:
 
     @property
     def least(self) -> float:
-        """How much it changes at least."""
+        """Lower bound of the absolute change, `SURE` standard errors below it."""
         return abs(self.change) - SURE * self.error
 
     @property
     def words(self) -> str:
-        """What changes, and by how much."""
+        """Name and change in words."""
         shown = self.error > ROUNDED * abs(self.change)
         return f"{self.name} by {100 * self.change:+.3g}{f' ± {100 * self.error:.1g}' if shown else ''} %"
 
@@ -125,24 +127,27 @@ def chosen_polarization(
     scene: Any, settings: Settings, beams: Sequence[Mapping[str, Any]] = ({},)
 ) -> PolarizationChoice:
     """
-    The mode of the traces of some beams, one for all.
+    Return the polarisation mode of the traces of some beams, one mode for all.
 
     Parameters
     ----------
     scene : mi.Scene
     settings : Settings
-        With `polarization` "auto", else it is that.
+        Settings with `polarization` "auto"; any other mode is returned as it is.
     beams : sequence of mapping
-        Of each trace, as for `mistray.execute.tracer.prepare`: field_deg, azimuth_deg, wavelength_nm, weights and
-        detector. `MOST_RUNS` of their sources and wavelengths are looked at, spread over all.
+        Arguments of `mistray.execute.tracer.prepare` for each trace: field_deg, azimuth_deg, wavelength_nm, weights and
+        detector. `MOST_RUNS` of their sources and wavelengths are tested, spread over all.
     """
+    # Cases that need no trace
     if settings.polarization != "auto":
         return PolarizationChoice(settings.polarization, "as given")
     if names := polarized_sources(scene):
         return PolarizationChoice("stokes", f"source '{names[0]}' is polarised")
     coatings = (getattr(shape.bsdf(), "coating", None) for shape in scene.shapes())
-    if all(coating is None or isinstance(coating, Ideal) for coating in coatings):  # asks no table, nor for targets
+    if all(coating is None or isinstance(coating, Ideal) for coating in coatings):  # needs neither tables nor targets
         return PolarizationChoice("unpolarized", "no surface tells s from p", 0.0)
+
+    # Coatings of the surfaces that a run holds
     settings = replace(settings, polarization="unpolarized")
     runs: list[tuple[str, Run]] = []
     for beam in _spread(beams, MOST_RUNS):
@@ -151,9 +156,11 @@ def chosen_polarization(
     tables = {id(run.table): run.table for _, run in runs}
     if not any(_polarizes(table) for table in tables.values()):
         return PolarizationChoice("unpolarized", "no surface tells s from p", 0.0)
+
+    # Pilot
     rows = _pilot(_spread(runs, MOST_RUNS))
     largest = max(rows, key=lambda row: abs(row.change), default=_Row("no path"))
-    if abs(largest.change) > WORTH_IT:
+    if abs(largest.change) > LEAST_CHANGE:
         return PolarizationChoice("stokes", f"Stokes vectors change {largest.words}", largest.change)
     return PolarizationChoice(
         "unpolarized", f"Stokes vectors change {largest.words}, and a pilot finds no more", largest.change
@@ -164,38 +171,38 @@ def unpolarized_notes(
     scene: Any, beams: Sequence[Mapping[str, Any]] = ({},), polarization: str | None = None, **settings: Any
 ) -> list[Note]:
     """
-    What a reader must know of a result of unpolarised light, where Stokes vectors would change a trace.
+    Return a note on a result of unpolarised light if Stokes vectors would change a trace.
 
     Parameters
     ----------
     scene : mi.Scene
     beams : sequence of mapping
-        As for `chosen_polarization`; the first, the last and one between are looked at.
+        Beams as for `chosen_polarization`; the first, the last and one between are tested.
     polarization : str, optional
-        As it was requested; what was given needs no note.
+        Mode that was requested; a mode other than "auto" needs no note.
     **settings
-        The others of `mistray.trace.Settings`.
+        Other attributes of `mistray.trace.Settings`.
 
     Returns
     -------
     list of Note
-        One sentence, or none: also where the sources of the scene cannot send such light.
+        One note, or none: also where the sources of the scene cannot send such light.
     """
     chosen = Settings.unresolved(scene, polarization=polarization, **settings)
     if chosen.polarization != "auto" or not source_emitters(scene):
         return []
     try:
         found = chosen_polarization(scene, chosen, _spread(beams, NOTED))
-    except MistrayError:  # the result needs no light of the sources, and may start at angles that they do not know
+    except MistrayError:  # the result needs no light of the sources, and its angles may be out of their range
         return []
-    if not abs(found.change) > WORTH_IT or found.mode != "stokes":
+    if not abs(found.change) > LEAST_CHANGE or found.mode != "stokes":
         return []
     text = f"polarization: {found.reason}; this is of light that is unpolarised at every hit"
     return [Note(text, Code.POLARIZATION)]
 
 
 def _pilot(runs: Sequence[tuple[str, Run]]) -> list[_Row]:
-    """What a table would show of some runs, each with the words for its beam."""
+    """Return the rows that a table would show of some runs, each with the words for its beam."""
     found: dict[tuple[Any, ...], _Row] = {}
     listed: list[_Row] = []
     own = [sum(1 for where, _ in runs if where == field) for field, _ in runs]
@@ -208,13 +215,15 @@ def _pilot(runs: Sequence[tuple[str, Run]]) -> list[_Row]:
             for one in arrivals:
                 key = field, run.source.name, one.path
                 stray = one.scattered or one.reflections > 0
+                # Light of all wavelengths of a source is one path
                 row = found.get(key) or _Row(_name(one, run.table) + field, stray, not one.scattered)
                 found[key] = row.plus(one)
         listed = []
         for field in dict.fromkeys(field for field, _ in runs):
             listed += _listed(field, [row for (where, *_), row in found.items() if where == field])
-        sure = any(row.least > WORTH_IT for row in listed)
-        doubtful = any(abs(row.change) > WORTH_IT for row in listed)
+        # End early if the answer is certain, or if the next round would take too long
+        sure = any(row.least > LEAST_CHANGE for row in listed)
+        doubtful = any(abs(row.change) > LEAST_CHANGE for row in listed)
         if sure or not doubtful or number == len(ROUNDS):
             break
         if hits + (hits - before) * ROUNDS[number] / count > MOST_HITS * beams:
@@ -223,7 +232,7 @@ def _pilot(runs: Sequence[tuple[str, Run]]) -> list[_Row]:
 
 
 def _listed(field: str, rows: Sequence[_Row]) -> list[_Row]:
-    """The direct light, the stray paths that a table lists, and all stray light together."""
+    """Return the direct light, the stray paths that a table lists, and all stray light together."""
     direct = [row for row in rows if not row.stray]
     whole = sum(row.mean for row in direct)
     ghosts = [row for row in rows if row.stray and row.listed and row.hits >= LEAST_HITS]
@@ -236,7 +245,7 @@ def _listed(field: str, rows: Sequence[_Row]) -> list[_Row]:
 
 
 def _name(found: Arrivals, table: SurfaceTable) -> str:
-    """What a path is in words."""
+    """Return the name of a path in words."""
     if not found.reflections:
         return "the direct light"
     words = table.optics.host_words
@@ -245,7 +254,7 @@ def _name(found: Arrivals, table: SurfaceTable) -> str:
 
 
 def _polarizes(table: SurfaceTable) -> bool:
-    """Whether a coating tells s from p at any angle."""
+    """Whether R or T of a coating differs between s and p at any angle."""
     for surface, interface in enumerate(table.interfaces):
         for side in (True, False) if not isinstance(interface.coating, Ideal) else ():
             found = table.optics.response(surface, side, PROBED)
@@ -255,7 +264,7 @@ def _polarizes(table: SurfaceTable) -> bool:
 
 
 def _few_wavelengths(beam: Mapping[str, Any]) -> dict[str, Any]:
-    """Wavelengths and weights of a beam in place of its own, where these are more than are looked at."""
+    """Return fewer wavelengths and weights in place of those of a beam, if these are more than are tested."""
     if beam.get("wavelength_nm") is None:
         return {}
     nm, shares = spectrum(beam["wavelength_nm"], beam.get("weights"))
@@ -266,7 +275,7 @@ def _few_wavelengths(beam: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _spread(given: Sequence[Any], most: int) -> list[Any]:
-    """At most so many of a list, the first and the last among them."""
+    """Return at most `most` of a list, the first and the last among them."""
     if len(given) <= most:
         return list(given)
     return [given[k] for k in np.unique(np.linspace(0, len(given) - 1, most).round().astype(int))]

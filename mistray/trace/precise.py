@@ -1,8 +1,9 @@
-"""Recorded rays again in float64: the kernel says which surfaces, this says exactly where.
+"""
+Positions of recorded rays in float64, along the surfaces that the kernel has found.
 
-The kernel's hits are float32 and good to a few 1e-7 of the system's size. Starting from the same start ray and
-following the recorded events, each hit is found again by Newton's method from the recorded one. No law gives the
-direction after a scatter event: there the ray goes from the exact hit towards the next recorded one.
+The kernel's hits are float32 and good to a few 1e-7 of the system's size. From the same start ray, along the recorded
+events, each hit is computed again by Newton's method from the recorded one. No law gives the direction after a scatter
+event: there the ray goes from the exact hit towards the next recorded one.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ def retrace(
     hits: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Follow rays through recorded events.
+    Trace rays through recorded events.
 
     Parameters
     ----------
@@ -42,16 +43,16 @@ def retrace(
     origin, direction : (n, 3) float64
         Start rays, mm.
     codes : (n, k) uint32
-        Events, surface << EVENT_BITS | what.
+        Events, surface << EVENT_BITS | type.
     lengths : (n,) int
-        How many of them each ray has; what follows them means nothing.
+        Number of events of each ray; entries after them are not used.
     hits : (n, k, 3) float64
         Recorded hits, mm.
 
     Returns
     -------
     points : (n, k + 1, 3) float64
-        Start and hits.
+        Start and hits, mm.
     directions : (n, k + 1, 3) float64
         Direction in which a ray leaves each point; zero at the last.
     opl_mm : (n, k + 1) float64
@@ -65,7 +66,7 @@ def retrace(
     points[:, 0] = origin
     directions[:, 0] = _unit(direction)
     for k in range(longest):
-        # Rays of different paths that meet the same surface now go together
+        # Rays of different paths that meet the same surface at this step go together
         here = np.where(lengths > k, np.minimum(surfaces[:, k], table.count), -1)
         for surface in np.unique(here[here >= 0]).tolist():
             rays = np.flatnonzero(here == surface)
@@ -105,9 +106,9 @@ def _unit(v: np.ndarray) -> np.ndarray:
 def _hit(
     table: SurfaceTable, surface: int, origin: np.ndarray, d: np.ndarray, recorded: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Exact hits next to recorded ones, and the normals there, (n, 3) each."""
+    """Return exact hits next to recorded ones, and the normals there, (n, 3) each."""
     if surface >= len(table.pieces):  # a mesh: Mitsuba's hit is all there is
-        return recorded, table.stock_normals(recorded, d)
+        return recorded, table.mitsuba_normals(recorded, d)
     piece = table.pieces[surface]
     rotation = table.rotations[surface]
     o, dl = (origin - table.vertices[surface]) @ rotation, d @ rotation
@@ -115,6 +116,7 @@ def _hit(
     for _ in range(8):
         q = o + t[:, None] * dl
         gradient = piece.gradient(q)
+        # Newton's method; the gradient of a piece is half that of its residual
         step = piece.residual(q) / (2 * np.einsum("ij,ij->i", gradient, dl))
         t = t - step
         if np.all(np.abs(step) < 1e-14 * (1 + np.abs(t))):

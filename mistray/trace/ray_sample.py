@@ -13,28 +13,28 @@ from mistray.surfaces.upload import upload
 from mistray.time_budget import time_is_up
 from mistray.trace.history import Ray, rays_in_slots
 
-START_RAYS = 640  # of the sample
-FIRST = 32  # of them; each time as many again as before, until all paths have enough
+START_RAYS = 640  # number of start rays of the sample
+FIRST = 32  # number of the first of them; it doubles until all paths have enough
 GOLDEN = (5**0.5 - 1) / 2
-CAPACITY = 1 << 17  # branches that these may have at a time; what there are more of is not in the sample
+CAPACITY = 1 << 17  # branches that are recorded at a time; others are not in the sample
 
 
 def sample_rays(run: Run, keys: Sequence[int], most: int) -> dict[int, list[Ray]]:
     """
-    Rays of paths, spread over the beam.
+    Return rays of paths, spread over the beam.
 
     Parameters
     ----------
     run : Run
     keys : sequence of int
-        Of the paths, see `mistray.recorders.path_key.extend_key`.
+        Keys of the paths, see `mistray.recorders.path_key.extend_key`.
     most : int
-        Rays of each path after which no more are looked for.
+        Number of rays of each path that is enough.
 
     Returns
     -------
     dict
-        Rays by key; none of a path to which no ray of the sample belongs. When the time is up the sample is of few.
+        Rays by key; none of a path that no ray of the sample follows. When the time is up the sample is smaller.
     """
     found: dict[int, list[Ray]] = {key: [] for key in keys}
     # Start rays are numbered along a curve through the beam, once for each batch: equal steps would meet the same place
@@ -64,7 +64,7 @@ def sample_rays(run: Run, keys: Sequence[int], most: int) -> dict[int, list[Ray]
 
 
 def _wanted(recorder: BranchRecorder, keys: Sequence[int], most: int) -> np.ndarray:
-    """Places of at most so many recorded branches of each of these paths."""
+    """Return the places of at most `most` recorded branches of each of these paths."""
     count = min(int(recorder.count[0]), recorder.capacity)
     paths = np.array(recorder.path)[:count]
     order = np.argsort(paths, kind="stable")

@@ -1,4 +1,4 @@
-"""Tables of rays at the detector, chosen by a filter and by where they land."""
+"""Tables of rays at the detector, chosen by a filter and by their position there."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from mistray.recorders.start_rays import StartRays
 
 CAPACITY = 1 << 14  # branches that are recorded at a time
-FIRST = 1 << 12  # start rays of the first run; each time twice as many
+FIRST = 1 << 12  # number of start rays of the first portion; it doubles from portion to portion
 GOLDEN = (5**0.5 - 1) / 2
 ALONG = ("x_mm", "y_mm", "z_mm"), ("dx", "dy", "dz")
 PEAK = "relative_flux"
@@ -53,7 +53,7 @@ Columns = dict[str, np.ndarray]
 
 
 def check_box(box: Sequence[float]) -> None:
-    """Refuse a rectangle that is empty; x0, x1, y0, y1 in mm."""
+    """Raise for a rectangle that is empty; x0, x1, y0, y1 in mm."""
     x0, x1, y0, y1 = box
     if not (x0 < x1 and y0 < y1):
         raise MistrayError(f"box is x {x0:g} … {x1:g}, y {y0:g} … {y1:g} mm; it needs x0 < x1 and y0 < y1")
@@ -68,7 +68,7 @@ def ray_table(
     pixels: Sequence[int] | None,
     events: bool,
 ) -> pd.DataFrame:
-    """The table of `mistray.trace.Trace.rays`, which says what the parameters are."""
+    """Return the table of `mistray.trace.Trace.rays`; see there for the parameters."""
     import pandas as pd
 
     if n is not None and n < 1:
@@ -77,7 +77,10 @@ def ray_table(
         check_box(box)
     if pixels is not None:
         _check_pixels(pixels, runs[0])
+    # Only a filter that needs the strongest ray pays for the run that finds it
     peak = max(run.peak_W() for run in runs) if PEAK in wanted.columns else math.nan
+
+    # Rays of each run
     parts: list[Columns] = []
     rays: list[tuple[int, Ray]] = []
     for number, (run, (_, slots)) in enumerate(zip(runs, paths.chosen(wanted, BY_RAY), strict=True)):
@@ -85,6 +88,8 @@ def ray_table(
         found, lines = search.rays(slots, n)
         parts.append(found)
         rays += [(number, ray) for ray in lines]
+
+    # Choose n of them, spread over the runs
     whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     count = len(whole["start_ray"])
     kept = np.arange(count)
@@ -95,6 +100,8 @@ def ray_table(
         table = pd.DataFrame({name: values[kept] for name, values in whole.items()} | texts)
         table.insert(0, "ray", np.arange(len(table)))
         return table
+
+    # With events: one row for each node
     tables, done = [], 0
     for number, run in enumerate(runs):
         own = [k for k in kept.tolist() if rays[k][0] == number]
@@ -118,7 +125,7 @@ def _check_pixels(pixels: Sequence[int], run: Run) -> None:
 
 
 class _Search:
-    """Rays of one run."""
+    """Search for rays of one run."""
 
     def __init__(
         self,
@@ -136,7 +143,7 @@ class _Search:
         self._box = _corners(run, box, pixels)
 
     def rays(self, slots: np.ndarray, n: int | None) -> tuple[Columns, list[Ray]]:
-        """At most so many of the rays of paths in these slots of the ledger; with `events` the rays themselves too."""
+        """Return at most n rays of paths in these slots of the ledger; with `events` the rays themselves, too."""
         parts, rays, found = [self._facts(np.zeros((0, 1), dtype=np.uint32), {})], [], 0
         if len(slots):
             recorder = self._run.recorder(CAPACITY, slots)
@@ -154,16 +161,17 @@ class _Search:
         return {name: values[order] for name, values in whole.items()}, [rays[k] for k in order] if rays else []
 
     def _walk(self, start: StartRays, recorder: BranchRecorder) -> Iterator[tuple[Columns, list[Ray]]]:
-        """Rays of some start rays."""
+        """Yield the rays of some start rays."""
         for count in recorded(self._run, start, recorder, None if self._box is None else Box(self._box)):
             if count:
                 yield self._read(recorder, count)
 
     def _read(self, recorder: BranchRecorder, count: int) -> tuple[Columns, list[Ray]]:
-        """What is recorded, and lets itself through the filter."""
+        """Return the recorded rays that the filter lets through."""
         slots = np.arange(count)
         lanes = np.array(recorder.lane)[:count]
         origins, directions = self._run.start_rays(lanes)
+        # The kernel's hits are float32: positions are computed again in float64
         codes, lengths = recorder.events(slots)
         numbers = {name: np.zeros(count) for name in ("flux_W", *ALONG[0], *ALONG[1], "opl_mm")}
         rays: dict[int, Ray] = {}
@@ -174,6 +182,8 @@ class _Search:
             numbers["flux_W"][bundle.numbers] = bundle.flux_W[:, -1]
             if self._events:
                 rays |= {k: bundle.ray(j, int(lanes[k])) for j, k in enumerate(bundle.numbers.tolist())}
+
+        # Columns
         place = np.array(recorder.place).reshape(-1, 2)[:count]
         keys = np.array(recorder.path)[:count]
         columns = self._facts(
@@ -187,13 +197,15 @@ class _Search:
         return {name: values[kept] for name, values in columns.items()}, [rays[int(k)] for k in kept] if rays else []
 
     def _facts(self, codes: np.ndarray, given: Columns) -> Columns:
-        """All columns of rays, in their order; none given: of no rays."""
+        """Return all columns of rays, in their order; without `given` those of no rays."""
         empty = {name: np.zeros(0, dtype=np.int64 if name in ("start_ray", "node") else float) for name in FACTS}
         given = empty | {"path_id": np.zeros(0, dtype=np.int64)} | given
+        # Words of the events
         source, count = self._run.source, len(codes)
         lists = [row[:length] for row, length in zip(codes.tolist(), given["node"].tolist(), strict=True)]
         words = [[INTERCEPTS[code & EVENT_MASK] for code in row] for row in lists]
         width, height, (x0, x1, y0, y1) = self._run.table.film()
+        # In float32, as the film does: a ray at a border is in the same pixel as in the map
         along = [given[name].astype(np.float32) for name in ("detector_x_mm", "detector_y_mm")]
         steps = [np.float32(width / (x1 - x0)), np.float32(height / (y1 - y0))]
         pixel = [
@@ -217,12 +229,13 @@ class _Search:
         }
 
     def _held(self, columns: Columns, events: Events) -> np.ndarray:
-        """Which of these rays are chosen."""
+        """Return which of these rays are chosen."""
         held = np.full(len(events), True)
         if self._pixels is not None:
             c0, c1, r0, r1 = self._pixels
             held &= (columns["column"] >= c0) & (columns["column"] < c1)
             held &= (columns["row"] >= r0) & (columns["row"] < r1)
+        # Columns of the ray's path, where the filter has any
         more = {
             name: self._paths.column(name)[columns["path_id"]] for name in self._wanted.columns if name in PATH_COLUMNS
         }
@@ -232,7 +245,7 @@ class _Search:
 
 
 def _corners(run: Run, box: Sequence[float] | None, pixels: Sequence[int] | None) -> tuple[float, ...] | None:
-    """Where to record: the box, and of pixels a box that surely holds them."""
+    """Return the box within which to record: the box, and for pixels a box that surely contains them."""
     if box is None and pixels is None:
         return None
     corners = [-math.inf, math.inf, -math.inf, math.inf] if box is None else [float(v) for v in box]
@@ -241,7 +254,7 @@ def _corners(run: Run, box: Sequence[float] | None, pixels: Sequence[int] | None
         for k, (size, low, high) in enumerate(((width, x0, x1), (height, y0, y1))):
             first, last = pixels[2 * k : 2 * k + 2]
             step = (high - low) / size
-            if first > 0:  # what lands beyond the border counts in the pixels there
+            if first > 0:  # rays that land beyond the border are in the pixels at the border
                 corners[2 * k] = max(corners[2 * k], low + (first - 1) * step)
             if last < size:
                 corners[2 * k + 1] = min(corners[2 * k + 1], low + (last + 1) * step)
@@ -250,12 +263,12 @@ def _corners(run: Run, box: Sequence[float] | None, pixels: Sequence[int] | None
 
 def recorded(run: Run, start: StartRays, recorder: BranchRecorder, *before: Recorder | None) -> Iterator[int]:
     """
-    Trace some start rays; where they have more branches than the recorder holds, in halves.
+    Trace some start rays; if they have more branches than the recorder holds, trace them in halves.
 
     Yields
     ------
     int
-        How many branches the recorder has now.
+        Number of branches that the recorder holds now.
     """
     recorder.clear()
     run.trace_trees(start, *before, recorder)
@@ -273,9 +286,10 @@ def recorded(run: Run, start: StartRays, recorder: BranchRecorder, *before: Reco
 
 
 def portions(run: Run, grow: Callable[[int], int] = lambda size: 2 * size) -> Iterator[StartRays]:
-    """The start rays of a run in portions that grow; each is spread over the beam as all of its part are."""
+    """Yield the start rays of a run in portions that grow, each of which is spread over the beam."""
     for _, start in run.starts():
         count = dr.width(start.lane)
+        # A stride of the golden ratio, coprime to the count, visits all rays, and any prefix is spread over all
         stride = max(1, round(GOLDEN * count))
         while math.gcd(stride, count) > 1:
             stride += 1

@@ -1,4 +1,4 @@
-"""What a trace gives back."""
+"""Result of a trace."""
 
 from __future__ import annotations
 
@@ -52,10 +52,11 @@ class Trace:
     Attributes
     ----------
     settings : dict
-        Everything that determines the result: arguments, scene, variant, versions. "polarization" is the mode that was
-        taken, "polarization_reason" says why, and "polarization_change" is what Stokes vectors change most, relative.
+        Everything that determines the result: arguments, scene, variant, versions. "polarization" is the mode of the
+        trace, "polarization_reason" the reason for it, "polarization_change" the largest relative change by Stokes
+        vectors.
     rays_traced, rays_planned : int
-        Start rays that were traced and that were to be; fewer where workers were lost, see `mistray.distribute`.
+        Number of start rays that were traced and planned; fewer where workers were lost, see `mistray.distribute`.
     paths : PathTable
         Paths from the sources to the detectors, the strongest first; None if traced with ``ledger=False``.
     energy : Energy
@@ -64,33 +65,32 @@ class Trace:
     irradiance, irradiance_se : (height, width) float64
         Absorbed flux density of the detector and its standard error, W/mm²; row 0 is at the smallest y. The error comes
         from the spread of 32 batches of start rays, or of 16 or 8 groups of them where the detector has more than
-        65 536 or 131 072 pixels, so that light of one start ray that lands in one pixel several times counts as one.
-        From 32 batches an error is known to 13 %, from 8 to 27 %. It is NaN where too few rays meet a pixel, see
+        65 536 or 131 072 pixels. So several hits of a pixel by light of one start ray are one sample. From 32 batches
+        an error is known to 13 %, from 8 to 27 %. It is NaN where too few rays meet a pixel, see
         `mistray.recorders.film.Pixels.few_rays`.
     coating_error : float
-        Bound of the error of R and T by interpolation over the angle of incidence, of the worst coating.
+        Bound of the error of R and T by interpolation over the angle of incidence, for the worst coating.
     scattered_rays_per_start : float
-        Hits of the detector by rays that have been scattered, per start ray.
+        Number of hits of the detector by scattered rays, per start ray.
     largest_ray_share : float
         Largest share that one of those hits has of their flux; NaN if there are none.
     effective_scattered_rays : float
         (Σ flux)²/Σ flux² of those hits: as many hits of equal flux would be as good.
     own_notes : list of Note
-        What a reader must know of the scene, its sources and the rays: gaps too thin for float32, see
-        `mistray.surfaces.thin_gaps`, media that were taken as opaque because no light gets through their bodies, that
-        only a part of the rays was traced, that a detector has no design path and gets nearly all of its light by one
-        path, and that the detector gets no light of the sources at the field of their own, for which a scene is made.
+        Notes on the scene, its sources and the rays: gaps too thin for float32, see `mistray.surfaces.thin_gaps`; media
+        treated as opaque because no light gets through their bodies; an unfinished trace; a detector that has no design
+        path and gets nearly all of its light by one path; a detector without light at the sources' own field.
     aiming : list of AimedSurface
         Surfaces and media that aimed rays at targets.
     silent : list of SilentPlace
         Surfaces and media that scatter and got light, but sent nothing to the detector in this trace, each with its
         share of the launched flux; the one with most light first. Empty if traced with ``ledger=False``.
     recorders : dict
-        Recorders that the trace was given and that have a name, such as probes, by their names.
+        Named recorders of the trace, such as probes, by name.
     segments : int
-        Ray segments that were traced.
+        Number of ray segments that were traced.
     seconds : float
-        Time in the kernel, its compilation included.
+        Time in the kernel, compilation included.
     """
 
     def __init__(self, runs: list[Run], settings: dict[str, Any], task: TraceTask | None = None) -> None:
@@ -100,18 +100,18 @@ class Trace:
         self.rays_traced = round(sum(float(run.started.sum()) for run in runs))
         self.rays_planned = sum(run.rays for run in runs)
         decoded = [run.paths for run in runs if run.paths is not None]
-        self._paths = path_table(runs, decoded) if decoded else None
+        self._paths = path_table(runs, decoded) if decoded else None  # None: no ledger, or an interrupt
         self.surfaces = flux_report(runs)
         self.energy = energy_ledger(runs, self.surfaces)
         self.coating_error = max(run.table.optics.error for run in runs)
         hits, flux, squares = (
             sum(run.unit**power * float(run.channels[channel].sum()) for run in runs)
-            for power, channel in enumerate((SCATTERED_HITS, SCATTERED_FLUX, SCATTERED_SQUARES))
+            for power, channel in enumerate((SCATTERED_HITS, SCATTERED_FLUX, SCATTERED_SQUARES))  # Σ wᵏ, k = 0, 1, 2
         )
         self.scattered_rays_per_start = hits / self.rays_traced
         self.largest_ray_share = max(run.unit * run.largest for run in runs) / flux if flux > 0 else float("nan")
         self.effective_scattered_rays = flux**2 / squares if squares > 0 else 0.0
-        self.own_notes = thin_gaps(runs[0].table)
+        self.own_notes = thin_gaps(runs[0].table)  # the geometry is the same at all wavelengths
         self.own_notes += dict.fromkeys(note for run in runs for note in run.table.optics.notes)
         if self.rays_traced != self.rays_planned:
             self.own_notes.append(unfinished(self.rays_traced, self.rays_planned))
@@ -122,7 +122,7 @@ class Trace:
 
     @property
     def notes(self) -> list[Note]:
-        """What a reader must know of the numbers; `trace` raises them as warnings, see docs/warnings.md."""
+        """Notes on the reliability of the numbers; `trace` raises them as warnings, see docs/warnings.md."""
         return [note for _, note in trace_notes([self])]
 
     @property
@@ -144,16 +144,16 @@ class Trace:
     @property
     def pupil_W(self) -> float:
         """
-        Flux that counts as launched where a result is relative to that, W.
+        Launched flux to which relative results refer, W.
 
-        Of a beam whose ``pupil_area`` is stated that part of it alone, as of an imported lens, whose beam is wider than
-        its aperture; else all that the sources launch.
+        For a beam whose ``pupil_area`` is stated it is the flux through that area: the beam of an imported lens is
+        wider than its aperture. Else it is all flux of the sources.
         """
         return float(sum(run.source.pupil_power for run in self._runs))
 
     @property
     def has_paths(self) -> bool:
-        """Whether there are `paths`."""
+        """Whether there is a path table, see `paths`."""
         return self._paths is not None
 
     @property
@@ -164,10 +164,10 @@ class Trace:
 
     def on(self, detector: str) -> Trace:
         """
-        The same trace on one of its detectors: its map, its paths, its share of the energy.
+        Return the trace on one of its detectors: its map, its paths, its share of the energy.
 
-        Nothing is traced again, but for what asks for that (`maps`, `box`, `history`, `rays`, gradients); light that
-        the other detectors take is then absorbed by surfaces like others.
+        Only methods that always trace again do so (`maps`, `box`, `history`, `rays`, gradients). Light that the other
+        detectors absorb then counts as absorbed by surfaces.
 
         Parameters
         ----------
@@ -185,14 +185,14 @@ class Trace:
         number = table.ids.index(detector)
         if len(table.detectors) == 1:
             return self
-        tables = {id(run.table): run.table.on(number) for run in self._runs}
+        tables = {id(run.table): run.table.on(number) for run in self._runs}  # sources of one wavelength share a table
         runs = [run.on(number, tables[id(run.table)]) for run in self._runs]
-        task = None if self._task is None else replace(self._task, only=number)
+        task = None if self._task is None else replace(self._task, only=number)  # for workers that trace again
         return Trace(runs, self.settings | {"detector": detector}, task)
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
-        """The region of the irradiance map in the detector's frame: x0, x1, y0, y1, mm."""
+        """Region of the irradiance map in the detector's frame: x0, x1, y0, y1, mm."""
         return self._runs[0].table.film()[2]
 
     @property
@@ -216,7 +216,7 @@ class Trace:
 
     @property
     def wavelengths_nm(self) -> list[float]:
-        """The wavelengths of the trace, ascending, nm."""
+        """Wavelengths of the trace, ascending, nm."""
         return sorted({run.source.wavelength_nm for run in self._runs})
 
     def _runs_at(self, wavelength_nm: float) -> list[Run]:
@@ -230,7 +230,7 @@ class Trace:
         """
         Write `irradiance` and `irradiance_se` as .fits, .exr (both extra ``images``) or .npy, as the name ends.
 
-        See `mistray.files.irradiance_files` for what is in the files.
+        See `mistray.files.irradiance_files` for the contents of the files.
         """
         from mistray.files.irradiance_files import IrradianceMap, write_irradiance
 
@@ -238,14 +238,14 @@ class Trace:
 
     def to_xarray(self) -> xarray.Dataset:
         """
-        Irradiance as arrays with named axes, with standard errors and units; needs the extra ``xarray``.
+        Return the irradiance as arrays with named axes, standard errors and units; needs the extra ``xarray``.
 
         Returns
         -------
         xarray.Dataset
             ``irradiance`` over y and x, and ``irradiance_by_wavelength`` over wavelength, y and x, each with its
-            standard error under the name with ``_se``; W/mm². Coordinates: the middles of the pixels in the frame of
-            the detector, mm, and the wavelengths, nm. Of several detectors it is the one of `irradiance`, see `on`.
+            standard error under the name with ``_se``; W/mm². Coordinates: the centres of the pixels in the frame of
+            the detector, mm, and the wavelengths, nm. The detector is that of `irradiance`, see `on`.
 
         Raises
         ------
@@ -263,12 +263,12 @@ class Trace:
 
     @property
     def luminous_flux(self) -> tuple[float, float]:
-        """What the detectors absorb and its standard error, lm."""
+        """Luminous flux that the detectors absorb and its standard error, lm."""
         return luminous_flux(self._runs)
 
     def irradiance_at(self, wavelength_nm: float) -> tuple[np.ndarray, np.ndarray]:
         """
-        Irradiance of one of the wavelengths of the trace; those of all wavelengths add up to `irradiance`.
+        Return the irradiance at one of the wavelengths of the trace; those of all wavelengths add up to `irradiance`.
 
         Returns
         -------
@@ -279,13 +279,13 @@ class Trace:
         return _with_error(irradiance_of_runs(runs, [run.film for run in runs]))
 
     def energy_at(self, wavelength_nm: float) -> Energy:
-        """The energy ledger of one of the wavelengths of the trace."""
+        """Return the energy ledger of one of the wavelengths of the trace."""
         runs = self._runs_at(wavelength_nm)
         return energy_ledger(runs, flux_report(runs))
 
     def energy_of(self, source: str) -> Energy:
         """
-        The energy ledger of one of the sources of the trace, by its name in the path table.
+        Return the energy ledger of one of the sources of the trace, by its name in the path table.
 
         Raises
         ------
@@ -294,12 +294,12 @@ class Trace:
         """
         runs = [run for run in self._runs if run.source.name == source]
         if not runs:
-            names = ", ".join(dict.fromkeys(run.source.name for run in self._runs))
+            names = ", ".join(dict.fromkeys(run.source.name for run in self._runs))  # a run for each wavelength
             raise MistrayError(f"source '{source}' is none of the trace; it has {names}")
         return energy_ledger(runs, flux_report(runs))
 
     def surfaces_at(self, wavelength_nm: float) -> FluxReport:
-        """Flux at every surface at one of the wavelengths of the trace."""
+        """Return the flux at every surface at one of the wavelengths of the trace."""
         return flux_report(self._runs_at(wavelength_nm))
 
     def irradiance_of(self, path_ids: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
@@ -331,22 +331,22 @@ class Trace:
         Parameters
         ----------
         surfaces, azimuths, lengths
-            As of `mistray.recorders.SurfaceMaps`.
+            See `mistray.recorders.SurfaceMaps`.
         selections : str or sequence of str
-            Kinds, names or filters, see `mistray.trace.path_filter`; of columns they know what `rays_at` does. Light
+            Kinds, names or filters, see `mistray.trace.path_filter`; they may compare the columns of `rays_at`. Light
             may be in several of them.
 
         Returns
         -------
         list of dict
-            Of each selection the maps by the ids of their surfaces.
+            Maps by the ids of their surfaces, for each selection.
         """
         filters = [PathFilter(text) for text in ([selections] if isinstance(selections, str) else selections)]
         return light_maps(self._runs, SurfaceMaps("maps", surfaces, azimuths, lengths), filters)
 
     def maps(self, groups: Sequence[Sequence[int]]) -> list[tuple[np.ndarray, np.ndarray]]:
         """
-        Irradiance maps of several disjoint groups of paths from one run of the kernel.
+        Return irradiance maps of several disjoint groups of paths from one run of the kernel.
 
         Parameters
         ----------
@@ -362,37 +362,37 @@ class Trace:
 
     def each_map(self, groups: Sequence[Sequence[int]], with_noise: Sequence[bool]) -> Iterator[Pixels]:
         """
-        The maps of `maps` one by one.
+        Yield the maps of `maps` one by one.
 
         Parameters
         ----------
         groups : sequence of sequences of int
             Path ids; a path may be in one group only.
         with_noise : sequence of bool
-            Which maps are to know their noise; that of the others is NaN. While they are summed a pixel of a map takes
-            8 bytes, with its noise 8 bytes for each group of batches (`mistray.recorders.film.groups_of`).
+            Which maps have their noise computed; that of the others is NaN. During the sum a pixel of a map takes
+            8 bytes, with noise 8 bytes for each group of batches (`mistray.recorders.film.groups_of`).
 
         Yields
         ------
         Pixels
             (height, width), W/mm².
         """
-        counts = [len(self._runs[0].film) if noise else 1 for noise in with_noise]
+        counts = [len(self._runs[0].film) if noise else 1 for noise in with_noise]  # images of each map
         first = np.concatenate([[0], np.cumsum(counts)]).tolist()
-        words: list[dict[int, int]] = [{} for _ in self._runs]
+        words: list[dict[int, int]] = [{} for _ in self._runs]  # ledger slot → images of the path's map
         for number, group in enumerate(groups):
             word = image_word(first[number], with_noise[number])
             for path_id in group:
                 run, slot, _ = self.paths.locate(int(path_id))
                 if words[run].setdefault(slot, word) != word:
                     raise MistrayError(f"path_id {path_id} is in two groups; a path belongs to one map")
-        size = (first[-1], *self.irradiance.shape)
+        size = (first[-1], *self.irradiance.shape)  # images, rows, columns
         workers = current_workers()
         if workers is not None and self._task is not None:
             stacks = images_by_parts(workers, self._task, self._runs, words, first[-1])
         else:
             stacks = [
-                run.images(wanted, first[-1]) if wanted else np.zeros(size)
+                run.images(wanted, first[-1]) if wanted else np.zeros(size)  # a run without such paths is not traced
                 for run, wanted in zip(self._runs, words, strict=True)
             ]
         for low, high in itertools.pairwise(first):
@@ -405,7 +405,7 @@ class Trace:
         Parameters
         ----------
         x0, x1, y0, y1 : float
-            In the detector's frame, mm; x0 < x1 and y0 < y1.
+            Rectangle in the detector's frame, mm; x0 < x1 and y0 < y1.
 
         Returns
         -------
@@ -413,18 +413,18 @@ class Trace:
             Powers, centroids and radii within the rectangle. The `path_id` are ranks within it.
         """
         check_box((x0, x1, y0, y1))
-        _ = self.paths
+        _ = self.paths  # raises if there is no path table
         return path_table(self._runs, [run.paths_in_box((x0, x1, y0, y1)) for run in self._runs])
 
     def history(self, path_id: int, n: int = 8) -> RayHistory:
         """
-        Trace rays again for those of a path, point by point, with optical path lengths.
+        Trace rays of a path again, point by point, with optical path lengths.
 
         Parameters
         ----------
         path_id : int
         n : int
-            Most rays.
+            Largest number of rays.
         """
         if n < 1:
             raise MistrayError(f"n is {n}; ask for at least one ray")
@@ -441,7 +441,7 @@ class Trace:
         ----------
         path_ids : sequence of int
         n : int
-            Most rays of each path.
+            Largest number of rays of each path.
 
         Returns
         -------
@@ -451,7 +451,7 @@ class Trace:
         located = {int(path_id): self.paths.locate(int(path_id)) for path_id in path_ids}
         found: dict[int, list[Ray]] = {}
         for number, run in enumerate(self._runs):
-            here = {key: path_id for path_id, (where, _, key) in located.items() if where == number}
+            here = {key: path_id for path_id, (where, _, key) in located.items() if where == number}  # keys are by run
             if here:
                 found |= {here[key]: rays for key, rays in sample_rays(run, list(here), n).items()}
         return found
@@ -467,10 +467,10 @@ class Trace:
         Returns
         -------
         dict
-            By path; none of a path that is too rare to occur twice in the sample.
+            Light cones by path; none of a path that is too rare to occur twice in the sample.
         """
         located = {int(path_id): self.paths.locate(int(path_id)) for path_id in path_ids}
-        found: dict[int, LightCone] = {}
+        found: dict[int, LightCone] = {}  # by path_id
         for number, run in enumerate(self._runs):
             if here := {slot: path_id for path_id, (where, slot, _) in located.items() if where == number}:
                 found |= light_cones(run, here)
@@ -478,14 +478,14 @@ class Trace:
 
     def sampled_hits(self, start_rays: int = 640, n: int = 16) -> list[PathHits]:
         """
-        Trace a sample of the rays again for where and at which angles all paths meet their surfaces.
+        Trace a sample of the rays again for the points and angles at which all paths meet their surfaces.
 
         Parameters
         ----------
         start_rays : int
-            Of each source and wavelength, at most.
+            Largest number of start rays of each source and wavelength.
         n : int
-            Most rays of each path; a path that is rare has few or none.
+            Largest number of rays of each path; a path that is rare has few or none.
 
         Returns
         -------
@@ -501,7 +501,7 @@ class Trace:
 
     @property
     def tables(self) -> list[SurfaceTable]:
-        """The surfaces as the kernel has them, at each wavelength, ascending."""
+        """Tables of the surfaces in the kernel, at each wavelength, ascending."""
         tables = {run.source.wavelength_nm: run.table for run in self._runs}
         return [tables[wavelength] for wavelength in sorted(tables)]
 
@@ -515,10 +515,10 @@ class Trace:
         events: bool = False,
     ) -> pd.DataFrame:
         """
-        Rays that reach the detector, chosen by what they met, what they carry and where they land.
+        Return rays that reach the detector, selected by their events, flux and position.
 
         The same rays are traced again until there are enough. They are spread over the beams of all sources and
-        wavelengths; positions are found again in float64.
+        wavelengths; positions are computed again in float64.
 
         Parameters
         ----------
@@ -527,13 +527,13 @@ class Trace:
             columns are those of this table, ``relative_flux`` (`flux_W` over that of the strongest ray of the trace;
             takes one more run) and the attributes of `PathRow` for the ray's path.
         n : int or None
-            Most rays; None: all of them.
+            Largest number of rays; None: all of them.
         box : x0, x1, y0, y1, optional
             Only rays that hit this rectangle of the detector, mm in its own frame; as in `box`.
         pixels : c0, c1, r0, r1, optional
             Only rays that hit these pixels, ``irradiance[r0:r1, c0:c1]``.
         events : bool
-            One row for each node of each ray instead of one for each ray.
+            Whether there is one row for each node of each ray instead of one for each ray.
 
         Returns
         -------
@@ -547,7 +547,7 @@ class Trace:
         Raises
         ------
         MistrayError
-            For a filter that cannot be read or names what there is not, an empty box, and n below 1.
+            For a filter that cannot be parsed or names something that does not exist, an empty box, and n below 1.
         """
         return ray_table(self._runs, self.paths, PathFilter(selection), n, box, pixels, events)
 
@@ -563,26 +563,26 @@ class Trace:
         ----------
         where : str or sequence of str
             Surfaces or parts, with * and ? for any letters; or "blocked" (all opaque ones but detectors), "escaped", or
-            "returned" (escaped backwards). What misses all surfaces is left out.
+            "returned" (escaped backwards). Light that misses all surfaces is left out.
         selection, n, events
-            As in `rays`; of columns a filter knows kind, order and the like, wavelength_nm, source, surface.
+            See `rays`; a filter may compare kind, order and the like, wavelength_nm, source, surface.
         """
         return rays_elsewhere(self._runs, where, PathFilter(selection), n, events)
 
     def table_gradients(self, derivative: HitDerivative, request: GradientRequest) -> Iterator[TableGradient]:
         """
-        Derivatives of a metric by all that the trace knows, by tracing the same rays again.
+        Yield derivatives of a metric by all parameters of the scene, by tracing the same rays again.
 
         Parameters
         ----------
         derivative : HitDerivative
-            Of the metric by the flux of the hits of the detector.
+            Derivative of the metric by the flux of the hits of the detector.
         request : GradientRequest
 
         Yields
         ------
         TableGradient
-            For each source and wavelength that matters.
+            Derivatives for each source and wavelength on which the metric depends.
         """
         yield from table_gradients(self._runs, lambda: self.paths, derivative, request)
 

@@ -1,7 +1,8 @@
-"""Hits of a sample of rays, as arrays: where each path meets its surfaces, from which side and at which angle.
+"""
+Hits of a sample of rays, as arrays: positions, sides and angles at which each path meets its surfaces.
 
-`mistray.trace.history` finds the points of a few rays again in float64, one path after the other. Here all paths come
-at once with the kernel's own points, which are good to 1e-7 of the system's size: enough for angles and for drawings.
+`mistray.trace.history` computes the points of a few rays again in float64, one path after the other. Here all paths
+come at once with the kernel's own points. These are good to 1e-7 of the system's size: enough for angles and drawings.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from mistray.surfaces.host_rays import normals
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
-CAPACITY = 1 << 16  # branches that are recorded; what there are more of is not in the sample
+CAPACITY = 1 << 16  # branches that are recorded; others are not in the sample
 GOLDEN = (5**0.5 - 1) / 2
 
 Floats = npt.NDArray[np.float64]
@@ -29,20 +30,20 @@ Whole = npt.NDArray[np.int64]
 @dataclass(frozen=True)
 class SampledHits:
     """
-    Rays of a sample, the shorter ones filled up.
+    Rays of a sample, padded to the longest.
 
     Attributes
     ----------
     keys : (r,) uint64
-        Their paths, see `mistray.recorders.path_key`.
+        Keys of their paths, see `mistray.recorders.path_key`.
     weight : (r,) float64
-        Flux with which each meets the detector, in units of a start ray.
+        Flux with which each ray meets the detector, in units of a start ray.
     length : (r,) int
-        Hits of each.
+        Number of hits of each ray.
     surface, event : (r, k) int
-        Numbers of the surfaces, and what happens there; -1 behind the last hit.
+        Numbers of the surfaces, and events there; -1 after the last hit.
     start : (r, 3) float64
-        Where it starts, mm.
+        Start points, mm.
     points, arrival, normal : (r, k, 3) float64
         Hits (mm), directions of arrival, and normals from front to back; the last are 0 within a medium.
     """
@@ -58,14 +59,14 @@ class SampledHits:
     normal: Floats
 
     def polyline(self, ray: int) -> Floats:
-        """One ray from its start to the detector, (k + 1, 3), mm."""
+        """Return the points of a ray from its start to the detector, (k + 1, 3), mm."""
         return np.concatenate([self.start[ray][None], self.points[ray, : self.length[ray]]])
 
 
 @dataclass(frozen=True)
 class PathHits:
     """
-    The sample of one source and wavelength.
+    Sample of one source and wavelength.
 
     Attributes
     ----------
@@ -90,9 +91,9 @@ def sampled_hits(run: Run, start_rays: int, most: int) -> SampledHits:
     ----------
     run : Run
     start_rays : int
-        At most so many; all are of the first pass.
+        Largest number of start rays; all are of the first pass.
     most : int
-        Rays of each path that are kept.
+        Largest number of rays of each path.
     """
     lanes = spread_lanes(run, start_rays)
     sample = run.start_pass(0).take(upload(mi.UInt32, lanes))
@@ -102,11 +103,13 @@ def sampled_hits(run: Run, start_rays: int, most: int) -> SampledHits:
     run.trace_trees(sample, recorder)
     found = min(int(recorder.count[0]), recorder.capacity)
     kept = at_most(np.array(recorder.path)[:found], np.array(recorder.lane)[:found], most)
+    # Events and nodes, padded
     codes, length = recorder.events(kept)
     nodes = recorder.nodes_of(kept, codes.shape[1])
     there = np.arange(codes.shape[1]) < length[:, None]
     surface = np.where(there, (codes >> EVENT_BITS).astype(np.int64), -1)
     points, arrival = nodes[..., :3] + run.table.centre, nodes[..., 3:6]
+    # Start points by the numbers of the start rays
     order = np.argsort(place)
     start = origins[order[np.searchsorted(place[order], np.array(recorder.lane)[kept])]]
     return SampledHits(
@@ -124,16 +127,16 @@ def sampled_hits(run: Run, start_rays: int, most: int) -> SampledHits:
 
 def spread_lanes(run: Run, start_rays: int) -> Whole:
     """
-    Numbers of start rays of the first pass of a run, at most so many.
+    Return the numbers of at most `start_rays` start rays of the first pass of a run.
 
-    As in `mistray.trace.ray_sample`: multiples of the golden ratio are spread over the batches and over the beam.
+    Multiples of the golden ratio are spread over the batches and over the beam, as in `mistray.trace.ray_sample`.
     """
     count = min(run.rays, PASS_LANES)
     return np.unique((np.arange(start_rays) * GOLDEN % 1 * count).astype(np.int64))
 
 
 def at_most(paths: npt.NDArray[np.uint64], lanes: npt.NDArray[np.uint32], most: int) -> Whole:
-    """Places of branches of each path, at most so many; start rays are numbered along a curve through the beam."""
+    """Return the places of at most `most` branches of each path; start rays are numbered along a curve in the beam."""
     order = np.lexsort((lanes, paths))
     _, first, counts = np.unique(paths[order], return_index=True, return_counts=True)
     number = np.arange(len(order)) - np.repeat(first, counts)
@@ -149,5 +152,5 @@ def _normals(run: Run, surface: Whole, points: Floats, arrival: Floats) -> Float
         if number < len(table.pieces):
             found[here] = normals(table, int(number), points[here])
         elif number < table.count:
-            found[here] = table.stock_normals(points[here], arrival[here])
+            found[here] = table.mitsuba_normals(points[here], arrival[here])
     return found

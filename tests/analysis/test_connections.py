@@ -14,7 +14,7 @@ from vane_tube_scene import TUBE, vane_tube
 
 import mistray
 from mistray.execute.backward import BackwardTrace
-from mistray.kernel.odds import Odds
+from mistray.kernel.pdf_ratios import PdfRatios
 from mistray.recorders.direction_recorder import MULTIPLE
 from mistray.recorders.directions import DirectionGrid
 from mistray.settings import Settings
@@ -65,13 +65,13 @@ def test_any_weight_of_connections_has_the_same_mean(linked: float) -> None:
 def test_densities_that_are_wrong_by_a_tenth_show(monkeypatch: pytest.MonkeyPatch, wrong: bool) -> None:
     """``wrong``: rays take connections for a tenth more than there are; beyond 5 errors then."""
     if wrong:
-        linked = Odds.linked
+        ratios = PdfRatios.connection_ratios
 
-        def more(self: Odds, *arguments: Any) -> dict[str, Any]:
-            found = linked(self, *arguments)
-            return {**found, "near": found["near"] / 1.1}
+        def more(self: PdfRatios, *arguments: Any) -> dict[str, Any]:
+            found = ratios(self, *arguments)
+            return {**found, "partial_ratio": found["partial_ratio"] / 1.1}
 
-        monkeypatch.setattr(Odds, "linked", more)
+        monkeypatch.setattr(PdfRatios, "connection_ratios", more)
     exact, exact_se = TUBE.pst(59.0, 61.0, 3_200_000, seed=2)
     value, se = against_alone(vane_tube(), 60.0, 2.0, 1 << 22, 1.0)[MULTIPLE]
     z = (value - exact) / np.hypot(se, exact_se)

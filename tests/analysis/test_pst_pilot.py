@@ -30,7 +30,7 @@ from mistray.analysis.pst.state import PstProgress
 from mistray.errors import MistrayWarning
 from mistray.execute.all_cells import AllCells
 from mistray.execute.backward import BackwardTrace
-from mistray.kernel.odds import Odds
+from mistray.kernel.pdf_ratios import PdfRatios
 from mistray.recorders.direction_recorder import SINGLE
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.start_samples import Samples
@@ -117,7 +117,7 @@ def test_a_wanted_error_is_reached_by_budget_and_holds() -> None:
     rows = found.paths(45.0)
     assert rows.rays[rows.events == "part_0:T part_1:T tube:r detector:A"].sum() > 100
     budget = found.budget(45.0)
-    assert list(budget.technique) == ["against the light", "with the light"]
+    assert list(budget.technique) == ["backward", "forward"]
     assert budget.pst.sum() == pytest.approx(found.value[0], rel=1e-12)
 
 
@@ -233,13 +233,13 @@ def view_of_disc(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def test_odds_that_are_wrong_by_a_tenth_show(monkeypatch: pytest.MonkeyPatch, wrong: bool) -> None:
     """ρ <cos θ> F of the disc, within 4 errors (false alarm 6e-5); beyond 5 if one direction has wrong odds."""
     if wrong:
-        after = Odds.after
+        after = PdfRatios.after
 
-        def more(self: Odds, *arguments: Any) -> dict[str, Any]:
-            *given, odds = arguments
-            return after(self, *given, odds * 1.1 if self._backward else odds)
+        def more(self: PdfRatios, *arguments: Any) -> dict[str, Any]:
+            *given, ratio = arguments
+            return after(self, *given, ratio * 1.1 if self._backward else ratio)
 
-        monkeypatch.setattr(Odds, "after", more)
+        monkeypatch.setattr(PdfRatios, "after", more)
     scene = lit_disc()
     grid = DirectionGrid.of([65.0], cell_deg=50.0)
     trace = BackwardTrace(scene, grid, Settings.of(scene))
@@ -348,7 +348,7 @@ def test_a_long_round_of_a_pilot_is_traced_in_passes(monkeypatch: pytest.MonkeyP
     def light() -> tuple[float, float]:
         (found,) = trace.samples(rays, 3)
         assert found.lane.max() > 0.9 * rays
-        assert found.worth is not None
+        assert found.importance is not None
         assert found.segments.sum() > rays
         return float(found.weight.sum()), float(np.sqrt(np.sum(found.weight**2)))
 

@@ -20,7 +20,7 @@ from vane_tube_scene import TUBE, vane_tube
 import mistray
 from mistray.analysis.pst.plan import Plan, shared
 from mistray.execute.backward import BackwardTrace
-from mistray.kernel.kernel_scene import LEAST_CHANCE, MOST_RAYS, WeightWindows
+from mistray.kernel.kernel_scene import LEAST_PROBABILITY, MOST_RAYS, WeightWindows
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.start_samples import WAYS, Samples
 from mistray.sampling.plane_wave import hull_points
@@ -38,9 +38,9 @@ CELLS = [(49.0, 51.0), (64.0, 66.0)]
 def test_rays_of_a_weight() -> None:
     windows = WeightWindows(mi.Float([0.0, 40.0, 1e9, 0.0]), mi.Float([0.5, np.inf, np.inf, 1e-6]))
     row, weight = mi.UInt32([0, 1, 1, 2, 3]), mi.Float([1.0, 0.1, 1e-3, 1.0, 1.0])
-    rays, chances = windows.split(row, weight, mi.Bool(True)), windows.chance(row, weight, mi.Bool(True))
+    rays, chances = windows.split(row, weight, mi.Bool(True)), windows.survival(row, weight, mi.Bool(True))
     assert np.array(rays).tolist() == [1, 4, 1, MOST_RAYS, 1]
-    assert np.array(chances).tolist() == [0.5, 1, 1, 1, LEAST_CHANCE]
+    assert np.array(chances).tolist() == [0.5, 1, 1, 1, LEAST_PROBABILITY]
     assert dr.width(rays) == 5
 
 
@@ -66,8 +66,8 @@ def test_the_kernel_reads_what_the_pilot_has_written() -> None:
         return found
 
     free = samples(None)
-    assert free.worth is not None
-    met = free.worth[0] > 0
+    assert free.importance is not None
+    met = free.importance[0] > 0
     assert 10 < np.count_nonzero(met) < 0.2 * met.size
     here, everywhere = (samples(np.where(where, 1e-9, 0.0)) for where in (met, np.full_like(met, True)))
     assert len(here.weight) < 0.5 * len(free.weight)

@@ -14,10 +14,10 @@ from mistray.execute.backward import BackwardTrace
 from mistray.optimize import gradient, pst_bin
 from mistray.recorders.direction_recorder import CLASS_COUNT
 from mistray.recorders.directions import DirectionGrid
-from mistray.recorders.path_key import FAMILIES
+from mistray.recorders.path_key import PATH_CLASSES
 from mistray.sampling.plane_wave import hull_points
 from mistray.sampling.sharing.balance import Sharing
-from mistray.sampling.sharing.families import PRIOR, UNKNOWN, FamilyVariances
+from mistray.sampling.sharing.path_classes import PRIOR, UNKNOWN, PathClassVariances
 from mistray.sampling.sharing.start_map import StartMap
 from mistray.settings import BATCHES, Settings
 
@@ -128,8 +128,8 @@ def test_families_are_the_same_both_ways(scene) -> None:
     sums, squares = [], []
     for one, unit, share in ((against, trace.unit[0, 0], 1 - against.along), (along, cells.unit[0], along.along)):
         alone = unit / rays * one.weight / share
-        sums.append(np.bincount(one.family, alone, FAMILIES))
-        squares.append(np.bincount(one.family, alone**2, FAMILIES))
+        sums.append(np.bincount(one.path_class, alone, PATH_CLASSES))
+        squares.append(np.bincount(one.path_class, alone**2, PATH_CLASSES))
     strong = np.sum(sums, axis=0) > 0.002 * np.sum(sums)
     assert np.count_nonzero(strong) >= 5
     assert np.all(np.abs(sums[0] - sums[1])[strong] < 5 * np.sqrt(np.sum(squares, axis=0))[strong])
@@ -143,11 +143,11 @@ def test_families_are_the_same_both_ways(scene) -> None:
 def test_any_shares_have_the_same_mean(scene, share: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """What a share leaves to one direction the other has: within 5 errors, by chance once in 10⁶ times."""
 
-    def constant(self: FamilyVariances) -> np.ndarray:
-        return np.full((CLASS_COUNT, FAMILIES, self.cells), share, dtype=np.float32)
+    def constant(self: PathClassVariances) -> np.ndarray:
+        return np.full((CLASS_COUNT, PATH_CLASSES, self.cells), share, dtype=np.float32)
 
     with monkeypatch.context() as patch:
-        patch.setattr(FamilyVariances, "shares", constant)
+        patch.setattr(PathClassVariances, "shares", constant)
         found, own = derivative(scene, ["vane.r0"], rays=1 << 18)["vane.r0"]
     other, error = derivative(scene, ["vane.r0"], rays=1 << 18, seed=4)["vane.r0"]
     assert abs(found - other) < 5 * np.hypot(own, error)
@@ -157,13 +157,13 @@ def test_shares_of_families() -> None:
     """Least variance of both parts together, by a search; where nothing is known, half of it."""
     rng = np.random.default_rng(5)
     count = 4000
-    cell, kind, family = rng.integers(0, 2, count), np.full(count, 3), rng.integers(0, 3, count)
-    weight, along = rng.exponential(size=count), rng.beta(1 + family, 2.0)
-    found = FamilyVariances.of(2, (cell, kind, family), weight, along).shares()
-    assert found.shape == (CLASS_COUNT, FAMILIES, 2)
+    cell, kind, path_class = rng.integers(0, 2, count), np.full(count, 3), rng.integers(0, 3, count)
+    weight, along = rng.exponential(size=count), rng.beta(1 + path_class, 2.0)
+    found = PathClassVariances.of(2, (cell, kind, path_class), weight, along).shares()
+    assert found.shape == (CLASS_COUNT, PATH_CLASSES, 2)
     tried = np.linspace(0, 1, 2001)
     for c, f in np.ndindex(2, 3):
-        here = (cell == c) & (family == f)
+        here = (cell == c) & (path_class == f)
         w2, s = weight[here, None] ** 2, along[here, None]
         variance = np.sum(w2 * (tried**2 / s + (1 - tried) ** 2 / (1 - s)), axis=0)
         best = tried[np.argmin(variance)]

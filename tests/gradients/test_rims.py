@@ -88,7 +88,7 @@ def going_on(found: dict[str, np.ndarray], rng: mi.PCG32) -> StartRays:
         d=d,
         w=mi.Float(found["w"].astype(np.float32)),
         key=mi.UInt64(found["key"]),
-        birth=mi.Float(found["birth"]),
+        reference=mi.Float(found["reference"]),
         at=mi.UInt32(found["surface"].astype(np.uint32)),
         **{name: mi.UInt32(values.astype(np.uint32)) for name, values in before.items()},
     )

@@ -32,7 +32,7 @@ def glass(front: str, back: str, **coating: Any) -> dict[str, Any]:
     return {"type": "interface", "front": front, "back": back, **coating}
 
 
-def stock_scene(**parts: Any) -> mi.Scene:
+def mitsuba_scene(**parts: Any) -> mi.Scene:
     return mi.load_dict({"type": "scene", **parts}, optimize=False, parallel=False)
 
 
@@ -43,7 +43,7 @@ def camera(eye: list[float], target: list[float], fov: float = 30.0, film: Any =
 def render(eye: list[float], target: list[float], integrator: Any = PATH, **shapes: Any) -> np.ndarray:
     """Radiance under an even sky."""
     view = camera(eye, target, film=scene_dicts.film(24, **GREY))
-    return np.array(mi.render(stock_scene(integrator=integrator, sky=SKY, camera=view, **shapes), spp=128))[:, :, 0]
+    return np.array(mi.render(mitsuba_scene(integrator=integrator, sky=SKY, camera=view, **shapes), spp=128))[:, :, 0]
 
 
 def wide(bsdf: dict[str, Any], **more: Any) -> dict[str, Any]:
@@ -117,7 +117,7 @@ def test_a_coated_window_under_path_and_straylight(film: dict[str, Any]) -> None
     unpolarized = {"polarization": "unpolarized", "max_reflections": 20, "flux_threshold": 1e-9}
     energy = mistray.trace(beam, rays=500, **unpolarized).energy
     along = np.array([0.0, np.sin(np.radians(INCIDENCE_DEG)), np.cos(np.radians(INCIDENCE_DEG))])
-    scene = stock_scene(
+    scene = mitsuba_scene(
         integrator=PATH,
         camera={
             "type": "orthographic",
@@ -143,7 +143,7 @@ def test_a_coated_window_under_path_and_straylight(film: dict[str, Any]) -> None
 def lit_plate(integrator: dict[str, Any], film: Any) -> mi.Scene:
     """A scattering mirror beside a lamp."""
     lamp = {"type": "area", "radiance": 10.0}
-    return stock_scene(
+    return mitsuba_scene(
         integrator=integrator,
         lamp={"type": "rectangle", "to_world": T().look_at([4, 0, -4], [0, 0, 0], [0, 1, 0]), "light": lamp},
         plate={"type": "rectangle", "to_world": T().rotate([1, 0, 0], 180), "bsdf": glass("air", "air", **SMALL)},
@@ -194,7 +194,7 @@ def detector(**size: Any) -> dict[str, Any]:
 
 def irradiance(spp: int, **parts: Any) -> tuple[float, float]:
     """Mean over the detector by `path`, and its standard error from the pixels, which are independent."""
-    pixels = np.array(mi.render(stock_scene(**parts), integrator=mi.load_dict(PATH), spp=spp, seed=7), float).ravel()
+    pixels = np.array(mi.render(mitsuba_scene(**parts), integrator=mi.load_dict(PATH), spp=spp, seed=7), float).ravel()
     return float(pixels.mean()), float(pixels.std(ddof=1) / np.sqrt(pixels.size))
 
 
@@ -234,7 +234,7 @@ class TestStockSensor:
     def test_a_shared_interface(self) -> None:
         shared = mi.load_dict(glass("air", "1.5"))
         with pytest.raises(Exception, match="shared by a detector and another shape"):
-            stock_scene(d={**detector(semi_diameter=1.0), "bsdf": shared}, e=wide(shared))
+            mitsuba_scene(d={**detector(semi_diameter=1.0), "bsdf": shared}, e=wide(shared))
 
 
 class TestCollimated:
@@ -244,7 +244,7 @@ class TestCollimated:
     @pytest.mark.parametrize("kind", ["path", "direct"])
     def test_a_white_screen(self, kind: str, field_deg: float) -> None:
         """Radiance ρ E cos θ / π where the beam lands, and nothing beside it."""
-        scene = stock_scene(
+        scene = mitsuba_scene(
             beam={"type": "collimated", "radius": 2.0, "field_deg": field_deg, "irradiance": 3.0},
             screen=SCREEN,
             camera={
@@ -265,7 +265,7 @@ class TestCollimated:
     def test_particles(self) -> None:
         """`ptracer` follows the same beam; the screen is seen from aside. One of a thousand such tests fails."""
         beam = {"type": "collimated", "half_width": 2.0, "half_height": 1.0, "field_deg": 20.0, "plane": "axis"}
-        scene = stock_scene(beam=beam, screen=SCREEN, camera=camera([6, 0, -12], [0, 0, 0], 40.0))
+        scene = mitsuba_scene(beam=beam, screen=SCREEN, camera=camera([6, 0, -12], [0, 0, 0], 40.0))
 
         def seen(kind: str) -> np.ndarray:
             integrator = mi.load_dict({"type": kind})

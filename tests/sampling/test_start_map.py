@@ -88,12 +88,12 @@ def test_cells_lend_what_they_have_met() -> None:
     ] * 3
 
 
-def test_thinned_samples_stand_for_all() -> None:
+def test_samples_after_roulette_stand_for_all() -> None:
     """Strong ones are kept; sums stay the same within 5 errors (false alarm 6e-7)."""
     rng = np.random.default_rng(5)
     brings = rng.lognormal(0, 2, 20_000)
     samples = even(rng.random((len(brings), 4)), brings=brings)
-    few = samples.thinned(1000, rng)
+    few = samples.after_roulette(1000, rng)
     assert 800 < len(few.cell) < 1200
     assert few.weights.sum() == pytest.approx(samples.weights.sum(), rel=0.1)
     assert few.squares.sum() == pytest.approx(samples.squares.sum(), rel=0.05)

@@ -190,9 +190,9 @@ def test_no_segment_meets_a_shape(tmp_path, shift: float) -> None:
     length = np.linalg.norm(end - o, axis=1)
     origin, d, t = table.upload_points(o), mi.Vector3f(((end - o) / length[:, None]).T), mi.Float(length)
     clear = np.array(table.free_space.holds(origin, d, t))
-    ray = mi.Ray3f(mi.Point3f(origin + table.stock_offset), d)
+    ray = mi.Ray3f(mi.Point3f(origin + table.mitsuba_offset), d)
     ray.maxt = t
-    met = np.array(table.stock_scene.ray_test(ray))
+    met = np.array(table.mitsuba_scene.ray_test(ray))
     assert 0.05 < clear.mean() < 0.95
     assert not np.any(clear & met)
     # Most of what meets nothing near the axis is known to be clear

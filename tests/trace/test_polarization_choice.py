@@ -15,7 +15,7 @@ from mistray.execute.tracer import prepare
 from mistray.recorders.path_key import EVENT_BITS, REFLECTED, TOTAL, TRANSMITTED
 from mistray.settings import Settings
 from mistray.trace.both_ways import Arrivals, follow
-from mistray.trace.polarization_choice import WORTH_IT, PolarizationChoice, chosen_polarization
+from mistray.trace.polarization_choice import LEAST_CHANGE, PolarizationChoice, chosen_polarization
 
 GLASS = 1.5
 ABG = '<bsdf type="abg"><float name="A" value="0.01"/><float name="B" value="0.1"/><float name="g" value="2"/></bsdf>'
@@ -127,7 +127,7 @@ class TestChoice:
         """Below 1 %, of the direct light alone, of surfaces that do not polarise and of no stray light at all."""
         scene = load_text(plates_text(1))[0]
         weak = choice(scene, [{"field_deg": 10.0}])
-        assert 0 < weak.change < WORTH_IT
+        assert 0 < weak.change < LEAST_CHANGE
         assert weak.change == pytest.approx(ghost_factor(10.0) - 1, rel=1e-3)
         direct = choice(scene, [{"field_deg": 45.0}], max_reflections=0)
         coated = choice(load_text(plates_text(1, R=0.1, T=0.9))[0], [{"field_deg": 55.0}])

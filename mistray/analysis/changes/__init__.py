@@ -1,1 +1,1 @@
-"""What a change of a scene does beside what it is meant to do: gaps that open, light that enters by other surfaces."""
+"""Side effects of a change of a scene: gaps that open, light that enters by other surfaces."""

@@ -72,7 +72,7 @@ class FirstLight:
 
     @classmethod
     def of_trace(cls, t: Trace) -> FirstLight:
-        """Of a trace: flux that the detector absorbs, W."""
+        """Sum the light of a trace by its first surfaces: flux that the detector absorbs, W."""
         events, kinds, power = t.paths.column("events"), t.paths.column("kind"), t.paths.column("power_W")
         first = _first(events)
         errors = {name: t.paths.power(np.flatnonzero(first == name))[1] ** 2 for name in dict.fromkeys(first)}
@@ -80,7 +80,7 @@ class FirstLight:
 
     @classmethod
     def of_pst(cls, pst: Pst, field: int) -> FirstLight:
-        """Of a field angle of a PST, by its number, the mean over the azimuths; nothing of a PST without paths."""
+        """Average a field angle of a PST, given by its number, over the azimuths; empty for a PST without paths."""
         if pst.path_rows is None:
             return cls({}, {}, {}, {})
         rows = pst.path_rows[pst.path_rows.cell == field]
@@ -112,7 +112,7 @@ class FirstLight:
         )
 
     def plus(self, other: FirstLight) -> FirstLight:
-        """That of independent traces together."""
+        """Add the light of another, independent trace."""
         strongest = {
             name: max(one.strongest.get(name, 0.0) for one in (self, other)) for name in (*self.power, *other.power)
         }

@@ -54,7 +54,7 @@ class _Contact:
 
 class Contacts:
     """
-    What touches what in a scene.
+    Pairs of surfaces that touch each other in a scene.
 
     Parameters
     ----------

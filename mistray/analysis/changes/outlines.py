@@ -186,7 +186,7 @@ def outlines(scene: mi.Scene, names: Collection[str] | None = None) -> list[Outl
 
 
 def _fewer(ways: np.ndarray) -> np.ndarray:
-    """The same ways, (n, k, 3), by fewer points."""
+    """Thin out the points of some lines, (n, k, 3)."""
     return ways if ways.shape[1] <= INWARD else ways[:, ::INWARD]
 
 

@@ -19,9 +19,9 @@ from mistray.analysis.image_quality.result import FieldImage, ImageQuality, Line
 from mistray.analysis.image_quality.stop import Region, Stop, find_stop, lit_region
 from mistray.errors import MistrayError
 from mistray.interrupts import check
+from mistray.known_arguments import known_arguments
 from mistray.notes import warns
 from mistray.ranges import FIELD_DEG, PLACE_MM, PUPIL_CELLS
-from mistray.renamed import renamed
 from mistray.sampling.aimed_cones import Sphere
 from mistray.sampling.design_path import DesignPath, find_design_path, sphere_of
 from mistray.sampling.outlines import outline
@@ -59,7 +59,7 @@ class _System:
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
-@renamed()
+@known_arguments
 @warns
 def image_quality(
     scene: mi.Scene,
@@ -197,7 +197,7 @@ def image_quality(
 
 @dataclass(frozen=True)
 class _Field:
-    """What is found of one field, before it is compared with the others."""
+    """Results of one field, before it is compared with the others."""
 
     angle: float
     bundle: Bundle

@@ -1,4 +1,4 @@
-"""What image quality is: arrays of the light of each field and wavelength, and the numbers that follow from them."""
+"""Results of image quality: arrays of the light of each field and wavelength, and the numbers that follow from them."""
 
 from __future__ import annotations
 

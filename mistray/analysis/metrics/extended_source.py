@@ -17,8 +17,8 @@ from mistray.analysis.metrics.metric import Metric
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.sums import Light, weighted_sum
 from mistray.errors import MistrayError
+from mistray.known_arguments import known_arguments
 from mistray.recorders.directions import DirectionGrid
-from mistray.renamed import renamed
 
 SUN_DEG = 0.53
 """Angular diameter of the sun from the Earth, degrees (0.524 … 0.542 over the year)."""
@@ -34,7 +34,7 @@ Radiance = float | Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 class ExtendedSource(Protocol):
-    """What the integral needs of a source. Angles in radians."""
+    """Properties of a source that the integral needs. Angles in radians."""
 
     def breaks(self) -> tuple[float, ...]:
         """Field angles where it begins, changes its shape and ends, ascending within 0 … π."""
@@ -88,7 +88,7 @@ class Sky:
         return np.broadcast_to(value, grid[0].shape).sum(axis=1) * (2 * half / count)
 
 
-@renamed(angle_deg="field_deg")
+@known_arguments
 @dataclass(frozen=True)
 class Disc:
     """
@@ -142,7 +142,7 @@ class Disc:
         return self.radiance * arc
 
 
-@renamed(angle_deg="field_deg")
+@known_arguments
 def sun(
     field_deg: float, azimuth_deg: float = 0.0, irradiance_W_mm2: float = SUN_W_MM2, diameter_deg: float = SUN_DEG
 ) -> Disc:

@@ -15,7 +15,7 @@ from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.sums import quotient, weighted_sum
 from mistray.analysis.ranking import direct_image, stray_to_direct
 from mistray.errors import MistrayError
-from mistray.renamed import renamed
+from mistray.known_arguments import known_arguments
 from mistray.trace import Trace
 
 PLACES = {
@@ -25,7 +25,7 @@ PLACES = {
 }
 
 
-@renamed(angle_deg="field_deg")
+@known_arguments
 def veiling_glare_index(
     pst: Pst,
     patch_deg: float,
@@ -113,7 +113,7 @@ def glare_cells(
     interpolation: str = "cells",
 ) -> tuple[np.ndarray, Cover, str]:
     """
-    What E_black and E_white of the veiling glare index take of each cell of a PST.
+    Return the factors of the cells of a PST in E_black and E_white of the veiling glare index.
 
     Parameters
     ----------
@@ -125,9 +125,9 @@ def glare_cells(
     Returns
     -------
     black : (n, m) float64
-        What the PST of each cell is multiplied by in E_black.
+        Factor of the PST of each cell in E_black.
     white : Cover
-        The same for E_white, of all light.
+        Cover with the factors in E_white, of all light.
     light : str
         Light that counts in E_black.
     """
@@ -215,7 +215,7 @@ class GlareSpread:
     definition: str
 
 
-@renamed(angle_deg="field_deg")
+@known_arguments
 def glare_spread(
     light: Pst | Trace, field_deg: float = 0.0, azimuth_deg: float = 0.0, *, reference_deg: float | None = None
 ) -> GlareSpread:

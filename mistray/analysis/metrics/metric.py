@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mistray.analysis.estimate import Estimate
-from mistray.renamed import renamed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -106,7 +105,6 @@ class Metric:
         return text
 
 
-@renamed(angles_deg="field_deg")
 @dataclass(frozen=True, eq=False)
 class MetricCurve:
     """

@@ -205,7 +205,7 @@ def flare_attenuation(pst: Pst, diameter_deg: float, decibels: bool = False) -> 
 
 def contrast_factor(stray_to_signal_ratio: Estimate) -> Metric:
     """
-    What stray light spread evenly leaves of the contrast of the image: 1 / (1 + E_stray / E_signal).
+    Return the share of the contrast of the image that stray light spread evenly leaves: 1 / (1 + E_stray / E_signal).
 
     Parameters
     ----------

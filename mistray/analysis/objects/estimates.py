@@ -66,7 +66,7 @@ class Seen:
 
     @classmethod
     def of(cls, hits: Samples) -> Seen:
-        """Of these hits."""
+        """Build the search tree of these hits."""
         return cls(hits, cKDTree(hits.point))
 
 

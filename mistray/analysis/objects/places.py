@@ -25,7 +25,7 @@ BEFORE, AT_STOP, AFTER = "before", "stop", "after"
 @dataclass(frozen=True, eq=False)
 class ApertureStop:
     """
-    What limits the beam on axis.
+    Aperture that limits the beam on axis.
 
     Attributes
     ----------

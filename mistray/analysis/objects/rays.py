@@ -156,7 +156,7 @@ class ChainTracer:
         medium = dr.full(mi.UInt32, start.medium, n)
         lane = np.arange(n)
         behind = None
-        if start.normal is not None and table.stock_scene is not None:
+        if start.normal is not None and table.mitsuba_scene is not None:
             behind = mi.Vector3f(*(upload(mi.Float, column) for column in start.normal.T))
         for number in range(self.max_events):
             t, s, normal = next_hit(table, self.intersector, o, d, last, mi.Bool(True), normal=behind)
@@ -164,10 +164,10 @@ class ChainTracer:
             if table.optics.absorbs:
                 extinction = dr.gather(mi.Float, table.optics.extinction, medium, hit)
                 w = dr.select(hit, w * dr.exp(-extinction * dr.select(hit, t, 0)), w)
-            it = interact(table, dr.fma(t, d, o), d, s, normal if table.stock_scene is not None else None, None, hit)
+            it = interact(table, dr.fma(t, d, o), d, s, normal if table.mitsuba_scene is not None else None, None, hit)
             R, T = it.R, it.T
             if self.scattering.any:
-                given = self.scattering.give(s, it, hit)
+                given = self.scattering.budget(s, it, hit)
                 R, T = R * given.reflection.kept, T * given.transmission.kept
             strayed = (medium != 0) & (it.medium_in != 0) & (it.medium_in != medium)
             hit_here = hit & ~strayed
@@ -225,7 +225,7 @@ class ChainTracer:
             o, d = (dr.gather(mi.Vector3f, v, kept) for v in (it.p, heading))
             w, index = dr.gather(mi.Float, after, kept), dr.gather(mi.Float, n_after, kept)
             last, medium = dr.gather(mi.UInt32, s, kept), dr.gather(mi.UInt32, medium, kept)
-            behind = dr.gather(mi.Vector3f, normal, kept) if table.stock_scene is not None else None
+            behind = dr.gather(mi.Vector3f, normal, kept) if table.mitsuba_scene is not None else None
             lane = lane[np.array(kept)]
             dr.eval(o, d, w, index, last, medium, behind)
 

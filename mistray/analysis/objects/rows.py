@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-from mistray.renamed import renamed
-
 
 @dataclass(frozen=True, kw_only=True)
 class _Placed:
@@ -76,7 +74,6 @@ LISTS = {
 }
 
 
-@renamed(angles_deg="field_deg")
 @dataclass(frozen=True)
 class StraightShot:
     """

@@ -25,9 +25,9 @@ from mistray.analysis.objects.view import SIDES, View
 from mistray.errors import MistrayError
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
+from mistray.known_arguments import known_arguments
 from mistray.notes import Code, Note, unfinished, warns
 from mistray.ranges import FIELD_DEG, PART
-from mistray.renamed import renamed
 from mistray.sampling.sources import field_axes, spectrum_of
 from mistray.scene.check import require_scene
 from mistray.settings import RAY_CONTROLS, Settings
@@ -51,7 +51,7 @@ Progress = Callable[[float, float], None]
 
 @dataclass(frozen=True, eq=False)
 class _Traced:
-    """What the views were made with."""
+    """Views of a search, with the table and the places that they were made with."""
 
     table: SurfaceTable
     places: Places
@@ -61,7 +61,6 @@ class _Traced:
     unpolarized: list[Note]  # what Stokes vectors would change
 
 
-@renamed(angles_deg="field_deg", warnings="notes")
 class Objects:
     """
     Result of `objects`.
@@ -180,7 +179,7 @@ class Objects:
 
     @property
     def notes(self) -> list[Note]:
-        """What a reader must know before trusting the lists; empty if all is well."""
+        """Notes on what a reader must know before trusting the lists; empty if all is well."""
         found: list[Note] = []
         if self._traced.places.path is None:
             text = (
@@ -257,7 +256,7 @@ def _gap(number: int, views: Sequence[View]) -> int:
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
-@renamed(angles_deg="field_deg")
+@known_arguments
 @warns
 def objects(
     scene: mi.Scene,

@@ -23,11 +23,11 @@ from mistray.surfaces.surfaces import SurfaceTable
 
 
 class RaySource(Protocol):
-    """What a trace of rays with one child asks of its source."""
+    """Source as a trace of rays with one child asks for it."""
 
     @property
     def name(self) -> str:
-        """For tables."""
+        """Name for tables."""
 
     def sample(self, n: int, rng: np.random.Generator) -> StartPoints:
         """Start points of n rays."""
@@ -75,7 +75,7 @@ class DetectorView:
 
     @property
     def area(self) -> float:
-        """Of the detector, mm²."""
+        """Area of the detector, mm²."""
         return detector_area(self.table)
 
 

@@ -1,4 +1,4 @@
-"""What rays with one child meet: flux at every side of every surface, samples of the hits, and where rays get out."""
+"""Results of rays with one child: flux at every side of every surface, samples of the hits, and where rays get out."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Samples:
     rays: int
 
     def only(self, here: np.ndarray) -> Samples:
-        """Those of the hits where `here`, (m,) bool, is true."""
+        """Select the hits where `here`, (m,) bool, is true."""
         parts = {f.name: getattr(self, f.name) for f in fields(self)}
         return Samples(**{name: value if name == "rays" else value[here] for name, value in parts.items()})
 
@@ -283,7 +283,7 @@ class View:
         return self._share(self.flux[number])
 
     def area(self, number: int) -> tuple[float, float]:
-        """The same for 1 W/mm² of the source, W; see `mistray.analysis.objects.sources`."""
+        """Return `power` for 1 W/mm² of the source, W; see `mistray.analysis.objects.sources`."""
         value, se = self.power(number)
         scale = self.started / float(self.rays.sum())
         return value * scale, se * scale

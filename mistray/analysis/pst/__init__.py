@@ -1,1 +1,1 @@
-"""Point source transmittance: at all angles from one backward trace, or angle by angle with it."""
+"""Point source transmittance: at all angles from one backward trace, or angle by angle from forward traces."""

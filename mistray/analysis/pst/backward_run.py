@@ -1,4 +1,4 @@
-"""A PST from rays against the light, by themselves or beside rays with it: pass after pass; saved and continued."""
+"""A PST from backward rays, alone or with forward rays beside them: traced by passes, saved and continued."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mistray.analysis.pst.forward_part import SUMS, ForwardPart
 from mistray.analysis.pst.found_paths import FoundPaths
 from mistray.analysis.pst.pilot import Pilot
 from mistray.analysis.pst.plan import Plan
-from mistray.analysis.pst.result import AGAINST, WITH, Pst, notes
+from mistray.analysis.pst.result import BACKWARD, FORWARD, Pst, notes
 from mistray.analysis.pst.state import PstProgress, load_state, require_same, save_state
 from mistray.errors import MistrayWarning, UnfinishedError
 from mistray.execute.backward import FIRST_PASS, BackwardTrace
@@ -29,32 +29,34 @@ from mistray.recorders.direction_recorder import DIFFRACTED, MULTIPLE, SINGLE
 from mistray.recorders.path_sums import join_sums
 from mistray.time_budget import is_limited, left, share, time_is_up
 
-PILOT_SHARE = 6  # a run to an error takes about so many times the rays of its pilot,
-SHORT_OF_IT = 1.5  # or so many times more: each further round of a pilot is as long as all before
-DARK_AFTER = 4_000_000  # rays without light in a cell after which it is taken for dark
-SAVING = 0.1  # share of the time that saving the state may take
-LONG_PASS = 0.5  # s, from which an interrupt may not wait for the end of the next pass
-LEAST_PASS = 1 << 11  # rays of a pass, however short the time is
-PLAN, PATH = "plan_", "path_"  # names of arrays that are saved
+PILOT_SHARE = 6  # rays of a run to an error over those of its pilot, about;
+SHORT_OF_IT = 1.5  # up to this factor the pilot may fall short: each further round is as long as all before
+DARK_AFTER = 4_000_000  # rays without light in a cell after which it counts as dark
+SAVING = 0.1  # fraction of the time that saving the state may take
+LONG_PASS = 0.5  # s; a longer pass is saved at once, for an interrupt may not wait for the next
+LEAST_PASS = 1 << 11  # least rays of a pass, however short the time is
+PLAN, PATH = "plan_", "path_"  # prefixes of the names of saved arrays
 
 Progress = Callable[[PstProgress], None]
 
 
 class BackwardRun:
     """
-    Passes of a backward trace, with rays of the other direction beside them if there is a plan of them.
+    Passes of a backward trace, with forward rays beside them if there is a plan.
 
-    What is finished can be saved and continued.
+    The finished part can be saved and continued.
 
     Parameters
     ----------
     trace : BackwardTrace
     points : (p, 3) float64
-        What the light covers.
+        Hull of the illuminated volume.
     joined : bool
-        Whether the two directions share the light, see `mistray.sampling.sharing.balance`.
+        Whether forward and backward rays share the light by MIS, see `mistray.sampling.sharing.balance`.
     state : Path, optional
+        File of the state.
     resume : bool
+        Whether to continue the run of `state`.
     """
 
     def __init__(
@@ -64,10 +66,10 @@ class BackwardRun:
         self._light: ForwardPart | None = None
         self._plan: Plan | None = None
         self._pilot_seconds, self._seconds_left = 0.0, math.nan
-        self._first_pass = FIRST_PASS  # its rays; fewer where a time budget is shorter than that
+        self._first_pass = FIRST_PASS  # rays of the first pass; fewer if a time budget is shorter than that
         self._wanted: tuple[float | None, float | None] = (None, None)
-        self._before: dict[str, np.ndarray] = {}  # path table of the run that this one goes on from
-        self._table: dict[str, np.ndarray] | None = None  # the path table of both, once it is read
+        self._before: dict[str, np.ndarray] = {}  # path table of the run that this one continues
+        self._table: dict[str, np.ndarray] | None = None  # path table of both runs, once it is read
         settings = asdict(trace.settings)
         del settings["rays"]
         self._signature = {
@@ -81,6 +83,7 @@ class BackwardRun:
             "paths": trace.lists_paths,
             "settings": settings,
         }
+        # Continue a saved run: plan, forward sums, backward sums
         if resume and state is not None:
             arrays, facts = load_state(state)
             require_same(state, facts, self._signature)
@@ -97,20 +100,21 @@ class BackwardRun:
         return "joined" if self._joined else "adjoint"
 
     def _take(self, plan: Plan, saved: dict[str, np.ndarray] | None = None) -> None:
-        """Share the light as a plan says."""
+        """Share the light between both directions by a plan."""
         self._plan = plan
         self._trace.share_paths(plan.sharing)
         self._light = ForwardPart(self._trace, saved)
 
     def plan(self, wanted: float | None, up_to_deg: float | None) -> Plan | None:
-        """What a pilot finds for a relative error up to a field angle; that of the run which this one continues."""
+        """Return the plan for a relative error up to a field angle, by a pilot or from the continued run."""
         self._wanted = wanted, up_to_deg
         if self._plan is not None or not self._joined:
             return self._plan
         started = time.perf_counter()
         counts = self._counts(up_to_deg).ravel()
         pilot = Pilot(self._trace, self._points, counts, wanted is not None)
-        # Of a fixed number of rays it has one size, so that the run may be continued; its first variances know little
+        # For a fixed number of rays the pilot has a fixed size, so that the run may be continued. For an error it
+        # grows, because its first variances are unreliable
         with share(1 / (1 + PILOT_SHARE)):
             plan = pilot.search(0)
             while wanted is not None and not time_is_up():
@@ -121,6 +125,7 @@ class BackwardRun:
         if wanted is not None:
             plan = plan.beside(max(plan.rays_for(wanted, counts), int(plan.pilot_rays[1])), self._budget(plan, wanted))
         self._pilot_seconds = time.perf_counter() - started
+        # Forecast; a time budget may shorten the first pass
         budget = self._budget(plan, wanted)
         self._seconds_left = pilot.seconds_for(plan, budget)
         if (takes := pilot.seconds_for(plan, FIRST_PASS)) > left():
@@ -143,7 +148,7 @@ class BackwardRun:
         Parameters
         ----------
         plan : Plan, optional
-            Of the rays with the light; None: there are none.
+            Plan of the forward rays; None: there are none.
         progress : callable, optional
         """
         wanted, up_to_deg = self._wanted
@@ -159,6 +164,7 @@ class BackwardRun:
             progress(PstProgress(done, max(most, done), math.inf, wanted, spent, self._seconds_left))
         with later(), trace.shared(most):
             while trace.rays.sum() < most and not requested() and not (trace.passes and left() < took):
+                # Pass: backward rays, then the forward rays beside them
                 began = time.perf_counter()
                 try:
                     trace.advance(self._own_size(most))
@@ -170,6 +176,7 @@ class BackwardRun:
                 self._table, all_saved = None, False
                 now = time.perf_counter()
                 took = now - began
+                # Save, within a fraction of the time
                 if self._state is not None and (saving <= SAVING * (now - saved) or now - began > LONG_PASS):
                     self._save()
                     saved, all_saved = time.perf_counter(), True
@@ -184,9 +191,10 @@ class BackwardRun:
 
     def _own_size(self, most: int) -> int | None:
         """
-        Rays of the next pass where it has a size of its own, of a run of so many in all; None: that of its number.
+        Return the rays of the next pass if its size is special, in a run of so many rays; None: the size by its number.
 
-        Only a first pass has one, and those of a run that is shorter, so that a run may be continued at any time.
+        Only a first pass has a special size, and the passes of a run shorter than that, so that a run may be continued
+        at any time.
         """
         missing = math.ceil(most - float(self._trace.rays.sum()))  # at least 1
         size = min(missing, FIRST_PASS if self._trace.passes else self._first_pass)
@@ -194,10 +202,10 @@ class BackwardRun:
 
     def _budget(self, plan: Plan, wanted: float | None) -> int:
         """
-        Rays against the light that there will be.
+        Return the number of backward rays of the run.
 
-        They are as many as the pilot has at least, since fewer would not meet what made its variance. Cells in which
-        it finds no light get `DARK_AFTER` of them, and are taken for dark after that.
+        They are at least as many as those of the pilot, since fewer might miss the paths that made its variance. If it
+        finds no light in a cell, they are at least `DARK_AFTER`, after which the cell counts as dark.
         """
         most = self._trace.settings.rays
         if wanted is None:
@@ -207,12 +215,12 @@ class BackwardRun:
         return min(max(plan.rays_for(wanted, counts), least), most)
 
     def _counts(self, up_to_deg: float | None) -> np.ndarray:
-        """(n, m) bool: the cells whose error counts."""
+        """Return a mask of the cells whose error is required, (n, m) bool."""
         grid = self._trace.grid
         return np.broadcast_to(grid.field_deg[:, None] <= (90.0 if up_to_deg is None else up_to_deg), grid.shape)
 
     def _keep(self, error: UnfinishedError, unsaved: bool) -> None:
-        """Save what was finished, and tell with an error that the workers are gone where it is."""
+        """Save the finished passes, and add their place and their PST to the error of lost workers."""
         where = ""
         if self._state is not None and self._trace.passes:
             if unsaved:
@@ -223,7 +231,7 @@ class BackwardRun:
         error.partial = self.result() if self._trace.passes else None
 
     def _worst(self, up_to_deg: float | None) -> float:
-        """Largest relative standard error of the cells that count and have light; infinite where none has light yet."""
+        """Return the largest relative standard error of required cells with light; infinite if none has light yet."""
         value, se = (part[self._counts(up_to_deg)] for part in self._pst().map())
         lit = value > 0
         return float(np.max(se[lit] / value[lit], initial=0.0)) if lit.any() else np.inf
@@ -242,7 +250,7 @@ class BackwardRun:
         save_state(self._state, arrays, facts)
 
     def _paths(self) -> dict[str, np.ndarray]:
-        """The path table of this run and of the one before."""
+        """Return the path table of this run and of the one that it continues."""
         if self._table is None:
             here = self._trace.paths() or {}
             self._table = join_sums(self._before, here) if self._before and here else here
@@ -251,16 +259,17 @@ class BackwardRun:
     def _pst(self) -> Pst:
         trace = self._trace
         rays = trace.rays
-        techniques = {AGAINST: trace.unit[None, :, :, None] * trace.sums["cells"] / rays}
+        techniques = {BACKWARD: trace.unit[None, :, :, None] * trace.sums["cells"] / rays}
         if self._light is not None:
-            techniques[WITH] = self._light.by_batch
+            techniques[FORWARD] = self._light.by_batch
         return Pst(trace.grid, sum(techniques.values()), rays / rays.sum(), techniques=techniques)
 
     def result(self) -> Pst:
-        """The PST of all that has been traced."""
+        """Return the PST of all passes so far."""
         trace, bare, light = self._trace, self._pst(), self._light
         rays = float(trace.rays.sum())
         unit = trace.unit / rays
+        # Strongest single ray over all scattered light
         scattered = np.mean(bare.by_batch[[SINGLE, MULTIPLE, DIFFRACTED]].sum(axis=0), axis=-1)
         largest = unit * trace.sums["largest"]
         if light is not None:
@@ -268,6 +277,7 @@ class BackwardRun:
         largest = np.divide(largest, scattered, out=np.zeros_like(largest), where=scattered > 0)
         table = self._paths()
         found = FoundPaths.of(trace, table, light) if table else None
+        # Notes and facts
         lines = [*notes(bare, largest, rays), *trace.notes]
         wanted, up_to_deg = self._wanted
         if wanted is None and rays < trace.settings.rays:

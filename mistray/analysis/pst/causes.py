@@ -1,4 +1,4 @@
-"""What causes the stray light of a PST: its paths by angle, by cause, and where the curve breaks."""
+"""Causes of the stray light of a PST: paths by angle, shares by cause, and breaks of the curve."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ import pandas as pd
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.pst.result import Pst
+from mistray.known_arguments import known_arguments
 from mistray.recorders.path_events import DIRECT
-from mistray.renamed import renamed
 
 GHOSTS = "ghosts"
 STRAIGHT_SHOTS = "straight shots"
-REFLECTS = " (reflects)"  # behind the name of structure
-CAUSES_NAMED = 2  # surfaces that a break names on either side
+REFLECTS = " (reflects)"  # suffix of the name of structure
+CAUSES_NAMED = 2  # causes that a break names on either side
 LEAST_CHANGE = 0.05  # decades per degree: a change of the slope below that is no break
 SURE = 4.0  # standard errors that a change of the slope must have
-LARGEST_ERROR = 0.25  # relative: beyond that a point of the curve says nothing about its slope
+LARGEST_ERROR = 0.25  # relative: points of the curve with larger errors are not used for slopes
 MOST_BREAKS = 8
 
-_cause_frames: WeakKeyDictionary[Pst, pd.DataFrame] = WeakKeyDictionary()  # pictures, tables and verdicts ask for it
+_cause_frames: WeakKeyDictionary[Pst, pd.DataFrame] = WeakKeyDictionary()  # pictures, tables, verdicts share it
 
 
-@renamed(angle_deg="field_deg")
+@known_arguments
 def stray_paths(pst: Pst, field_deg: float, n: int | None = None) -> pd.DataFrame:
     """
-    Stray paths at a field angle, the strongest first; of several azimuths the mean.
+    Return the stray paths at a field angle, the strongest first; with several azimuths their mean.
 
     Returns
     -------
     DataFrame
-        The columns of `Pst.paths`. The errors of several azimuths are added in quadrature, as if their rays were
-        different ones.
+        Columns of `Pst.paths`. The errors of several azimuths are added in quadrature, as if their rays were
+        independent.
     """
     azimuths = pst.grid.azimuths_deg
     parts = [pst.paths(field_deg, azimuth) for azimuth in azimuths]
@@ -48,7 +48,7 @@ def stray_paths(pst: Pst, field_deg: float, n: int | None = None) -> pd.DataFram
 
 
 def _mean_of(rows: pd.DataFrame, azimuths: int, stray: float, total: float) -> pd.DataFrame:
-    """The same paths at several azimuths as one row each."""
+    """Merge the rows of a path at several azimuths into one."""
     was_stray = rows.percent_of_stray.notna()
     rows = rows.assign(pst_se=rows.pst_se**2, percent_of_stray=was_stray.astype(float))
     sums = {"pst", "pst_se", "rays"}
@@ -64,10 +64,10 @@ def _mean_of(rows: pd.DataFrame, azimuths: int, stray: float, total: float) -> p
 
 def with_cause(rows: pd.DataFrame) -> pd.DataFrame:
     """
-    Rows of `stray_paths` with the column ``cause``.
+    Add the column ``cause`` to rows of `stray_paths`.
 
-    The cause of scattered light is the surface that scatters it first; light that is only reflected counts as "ghosts"
-    or, where structure alone reflects it, under the name of the first surface that does so; light that is neither
+    The cause of scattered light is the surface that scatters it first. That of light which is only reflected is
+    "ghosts" or, where structure alone reflects it, the name of the first surface that does so. Light that is neither
     scattered nor reflected is a straight shot.
     """
     by_structure = (rows.structure_bounces > 0) & (rows.order == 0)
@@ -77,7 +77,7 @@ def with_cause(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def cause_frame(pst: Pst) -> pd.DataFrame:
-    """Stray light by its cause, % of the stray light at each angle (index); the strongest cause first."""
+    """Return stray light by cause, in % of the stray light at each angle (index); the strongest cause first."""
     if pst not in _cause_frames:
         _cause_frames[pst] = _cause_frame(pst)
     return _cause_frames[pst].copy()
@@ -88,7 +88,7 @@ def _cause_frame(pst: Pst) -> pd.DataFrame:
     if listed is None or (listed.kind == DIRECT).all():
         return pd.DataFrame(index=pst.field_deg)
     rows = with_cause(listed[listed.kind != DIRECT])
-    # Of the mean over the azimuths; as a share it is the same in any convention
+    # Shares of the mean over the azimuths, which are the same in any convention
     stray = pst.to("normal").stray[rows.cell] * pst.grid.shape[1]
     with np.errstate(divide="ignore", invalid="ignore"):
         shares = (100 * rows.pst_normal / stray).groupby([rows.cell, rows.cause]).sum()
@@ -98,10 +98,10 @@ def _cause_frame(pst: Pst) -> pd.DataFrame:
 
 def first_level_scatter(pst: Pst) -> pd.DataFrame:
     """
-    First-level scatter by angle and surface: paths with one scatter event and no reflection besides.
+    Return first-level scatter by angle and surface: paths with one scatter event and no reflection besides.
 
     Columns angle_deg, surface, paths, rays, pst, pst_se, percent_of_first_level, percent_of_stray; at each angle the
-    surface that scatters most first. Errors of the paths of a surface are added in quadrature.
+    surface that scatters most comes first. Errors of the paths of a surface are added in quadrature.
     """
     parts = []
     for angle in pst.field_deg:
@@ -123,7 +123,6 @@ def first_level_scatter(pst: Pst) -> pd.DataFrame:
     return pd.concat(filled, ignore_index=True)[columns] if filled else pd.DataFrame(columns=columns)
 
 
-@renamed(angle_deg="field_deg")
 @dataclass(frozen=True)
 class Break:
     """
@@ -133,7 +132,7 @@ class Break:
     ----------
     field_deg : float
     slope_before, slope_after : float
-        Decades per degree, between this angle and its neighbours.
+        Slopes between this angle and its neighbours, decades per degree.
     change_se : float
         Standard error of their difference.
     before, after : tuple of (str, float)
@@ -155,7 +154,7 @@ class Break:
 
 def breaks(pst: Pst, most: int = MOST_BREAKS, light: str = "stray") -> list[Break]:
     """
-    Where the curve of log10 PST over the field angle bends abruptly, in the order of the angles.
+    Find the angles at which the curve of log10 PST over the field angle bends abruptly, in ascending order.
 
     A break is an angle at which the slope changes by at least `LEAST_CHANGE` and `SURE` standard errors, and by no less
     than at the angles next to it. Its error is that of the combination of the three points, from the batches.
@@ -164,7 +163,7 @@ def breaks(pst: Pst, most: int = MOST_BREAKS, light: str = "stray") -> list[Brea
     ----------
     pst : Pst
     most : int
-        How many: those with the largest change of slope.
+        Largest number of breaks; those with the largest change of slope are kept.
     light : str
         "stray", or another group of `Pst.curve`.
     """
@@ -172,6 +171,7 @@ def breaks(pst: Pst, most: int = MOST_BREAKS, light: str = "stray") -> list[Brea
     value, se = pst.curve(light)
     with np.errstate(divide="ignore", invalid="ignore"):
         level = np.where(se < LARGEST_ERROR * value, np.log10(value), np.nan)
+    # Second differences, and their errors
     slope = np.diff(level) / np.diff(angle)
     change = np.concatenate([[np.nan], np.diff(slope), [np.nan]])
     change_se = _change_errors(pst, value, light)
@@ -179,6 +179,7 @@ def breaks(pst: Pst, most: int = MOST_BREAKS, light: str = "stray") -> list[Brea
     next_to = np.maximum(np.append(0.0, size[:-1]), np.append(size[1:], 0.0))
     with np.errstate(invalid="ignore"):
         sure = (size >= LEAST_CHANGE) & (size >= SURE * change_se) & (size >= next_to)
+    # The largest of them, by angle
     found = np.flatnonzero(sure)
     found = np.sort(found[np.argsort(-size[found])][:most])
     return [
@@ -195,14 +196,14 @@ def breaks(pst: Pst, most: int = MOST_BREAKS, light: str = "stray") -> list[Brea
 
 
 def _change_errors(pst: Pst, value: np.ndarray, light: str) -> np.ndarray:
-    """(n,) standard errors of the change of the slope of log10 PST at each angle; NaN at both ends."""
+    """Return standard errors of the change of the slope of log10 PST at each angle, (n,); NaN at both ends."""
     step = np.diff(pst.field_deg)
-    # Slope after less slope before as a sum over three neighbouring points
+    # Coefficients of three neighbouring points: slope after less slope before
     factors = np.zeros((len(value), 3))
     factors[1:-1] = np.stack([1 / step[:-1], -1 / step[:-1] - 1 / step[1:], 1 / step[1:]], axis=1)
     samples, weight = pst.samples(light), pst.weight
     with np.errstate(divide="ignore", invalid="ignore"):
-        if weight.ndim == 1:  # the angles share their start rays
+        if weight.ndim == 1:  # the angles share their start rays: the combination is formed batch by batch
             off = weight * (samples.mean(axis=1) - value[:, None]) / (value[:, None] * math.log(10))
             off = np.pad(off, ((1, 1), (0, 0)))
             together = sum(factors[:, k, None] * off[k : k + len(value)] for k in range(3))
@@ -215,10 +216,10 @@ def _change_errors(pst: Pst, value: np.ndarray, light: str) -> np.ndarray:
     return np.asarray(errors)
 
 
-@renamed(angle_deg="field_deg")
+@known_arguments
 def strongest(pst: Pst, field_deg: float, n: int = CAUSES_NAMED) -> tuple[tuple[str, float], ...]:
     """
-    The strongest causes of the stray light at an angle with their shares, %; () without a table of paths.
+    Return the strongest causes of the stray light at an angle and their shares, %; () without a table of paths.
 
     Ghosts are named by their strongest path, "ghosts such as detector → filter_rear".
     """
@@ -235,16 +236,16 @@ def strongest(pst: Pst, field_deg: float, n: int = CAUSES_NAMED) -> tuple[tuple[
 @dataclass(frozen=True)
 class MainCause:
     """
-    The cause of most of the stray light that a uniform sky sends to the detector from the angles of a PST.
+    Cause of most of the stray light that a uniform sky sends to the detector from the angles of a PST.
 
     Attributes
     ----------
     cause : str
-        The surface that scatters the light first, or else as in `with_cause`.
+        Surface that scatters the light first, or another cause of `with_cause`.
     percent : Estimate
-        Its share of that light. The errors of its paths are added as if their rays were different ones.
+        Percentage of that light. The errors of its paths are added in quadrature, as if their rays were independent.
     field_deg : float
-        The angle from which this cause brings most of its light, degrees.
+        Angle from which this cause brings most of its light, degrees.
     stray, left : Estimate
         PST of the stray light at this angle, and without this cause.
     """
@@ -257,10 +258,11 @@ class MainCause:
 
 
 def main_cause(pst: Pst) -> MainCause | None:
-    """The cause of most of the stray light of a uniform sky; None without stray light or a table of paths."""
+    """Return the cause of most of the stray light of a uniform sky; None without stray light or paths."""
     if pst.path_rows is None:
         return None
     parts = []
+    # Light of each cause from each angle: PST times the solid angle of the ring of the sky
     lit = set(pst.path_rows.cell)
     for cell, (angle, (first, last)) in enumerate(zip(pst.field_deg, np.radians(pst.grid.edges_deg), strict=True)):
         if cell not in lit:
@@ -275,10 +277,12 @@ def main_cause(pst: Pst) -> MainCause | None:
     sums = every.groupby("cause")[["light", "light_square"]].sum()
     if sums.empty or not sums.light.max() > 0:
         return None
+    # Strongest cause, and the error of its share own/(own + rest)
     name, total = str(sums.light.idxmax()), sums.sum()
     own = sums.loc[name]
     rest, rest_square = total.light - own.light, total.light_square - own.light_square
     se = math.sqrt(rest**2 * own.light_square + own.light**2 * rest_square) / total.light**2
+    # Angle at which it is strongest
     at = float(every[every.cause == name].sort_values("light").angle.iloc[-1])
     there = every[every.angle == at]
     others = there[there.cause != name]
@@ -293,7 +297,7 @@ def main_cause(pst: Pst) -> MainCause | None:
 
 def reigns(causes: pd.DataFrame) -> list[tuple[float, float, str, float, float]]:
     """
-    Ranges of angles over which one cause brings the most stray light.
+    Return ranges of angles over which one cause brings the most stray light.
 
     Returns
     -------
@@ -315,9 +319,9 @@ def reigns(causes: pd.DataFrame) -> list[tuple[float, float, str, float, float]]
 
 def field_edge(pst: Pst) -> float | None:
     """
-    Field angle at which the direct image has half of its PST at the smallest angle, degrees.
+    Return the field angle at which the direct image has half of its PST at the smallest angle, degrees.
 
-    None where there is no direct light at the smallest angle, or where it does not fall so far.
+    It is None if there is no direct light at the smallest angle, or if it never falls to half.
     """
     direct, angles = pst.curve("direct")[0], pst.field_deg
     traced = np.isfinite(direct)

@@ -1,7 +1,8 @@
-"""First-level analysis: light that is scattered once, ghosts alone, and all of it, beside each other.
+"""
+First-level analysis: light that is scattered once, ghosts alone, and all light, beside each other.
 
-The scene is not changed; the limits of the trace are. In the words of other programs they are the levels of scatter and
-of specular ancestry that a ray may have.
+The scene is not changed; the limits of the trace are. Other programs call these limits the levels of scatter and of
+specular ancestry that a ray may have.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ import numpy as np
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.transmittance import pst
 from mistray.errors import MistrayError
+from mistray.known_arguments import known_arguments
 from mistray.notes import warns
-from mistray.renamed import renamed
 from mistray.scene.check import require_scene
 from mistray.settings import Settings
 
@@ -41,9 +42,9 @@ class FirstLevel:
     Attributes
     ----------
     curves : dict
-        Name of the set → Pst. Sets that come to the same limits share one.
+        Name of the set → Pst. Sets that result in the same limits share one.
     limits : dict
-        Name of the set → the limits that it changes.
+        Name of the set → limits that it changes.
     """
 
     curves: dict[str, Pst]
@@ -51,17 +52,17 @@ class FirstLevel:
 
     def to_pandas(self, classes: str = "stray") -> pd.DataFrame:
         """
-        The curves beside each other, one row for each field angle.
+        Return the curves beside each other, one row for each field angle.
 
         Parameters
         ----------
         classes : str
-            As of `Pst.curve`: "stray", "total" or a class of the light.
+            "stray", "total" or a class of the light, see `Pst.curve`.
 
         Returns
         -------
         DataFrame
-            angle_deg, and for each set its PST and standard error (``…_se``).
+            Columns angle_deg, and for each set its PST and standard error (``…_se``).
         """
         import pandas as pd
 
@@ -72,7 +73,7 @@ class FirstLevel:
         return pd.DataFrame(columns)
 
 
-@renamed(angles_deg="field_deg")
+@known_arguments
 @warns
 def first_level(
     scene: mi.Scene,
@@ -83,7 +84,7 @@ def first_level(
     **arguments: Any,
 ) -> FirstLevel:
     """
-    Point source transmittance with light scattered once and no ghosts, with ghosts off, with scatter off, and with all.
+    Compute the PST with light scattered once and no ghosts, with ghosts off, with scatter off, and with all light.
 
     Parameters
     ----------
@@ -93,23 +94,26 @@ def first_level(
     limits : mapping, optional
         Other sets: name → limits of `mistray.trace.Settings` that it changes. Default: `LIMITS`.
     progress : callable, optional
-        Called with the name of a set and what `mistray.pst` reports.
+        Called with the name of a set and the progress that `mistray.pst` reports.
     **arguments
-        What `mistray.pst` takes, the same for all sets; a limit given here holds where a set does not change it.
+        Arguments of `mistray.pst`, the same for all sets; a limit given here holds where a set does not change it.
 
     Raises
     ------
     MistrayError
-        For an empty or unknown limit, and what `mistray.pst` raises.
+        For an empty or unknown limit, and where `mistray.pst` raises.
     """
     require_scene(scene, "first_level")
+    # Sets of limits
     chosen = {name: dict(change) for name, change in (LIMITS if limits is None else limits).items()}
     if not chosen:
         raise MistrayError("first_level: limits is empty; give at least one set of limits")
+    # Limits among the arguments hold for every set
     known = set(Settings.__dataclass_fields__)
     own = {key: value for key, value in arguments.items() if key in known}
     done: dict[Settings, Pst] = {}
     curves = {}
+    # One PST for all sets of equal settings
     for name, change in chosen.items():
         unknown = set(change) - known
         if unknown:
@@ -118,6 +122,7 @@ def first_level(
             )
         settings = Settings.without_sources(scene, "a PST", **(own | change))
         if settings not in done:
+            # The name is bound now: the loop variable changes
             report = (lambda state, name=name: progress(name, state)) if progress else None
             done[settings] = pst(scene, field_deg, progress=report, **(arguments | change))
         curves[name] = done[settings]

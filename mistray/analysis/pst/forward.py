@@ -41,7 +41,7 @@ def forward_pst(
     settings: Settings | None = None,
 ) -> Pst:
     """
-    Point source transmittance from one forward run for each cell of directions.
+    Compute the point source transmittance by one forward run for each cell of directions.
 
     A run lights the whole scene with a plane wave of 1 W/mm² from directions that are uniform within the cell. Errors
     of cells are independent.
@@ -49,39 +49,41 @@ def forward_pst(
     Parameters
     ----------
     scene : mi.Scene
-        From `mistray.load`; its sources give the wavelengths alone.
+        Scene of `mistray.load`; its sources only determine the wavelengths.
     grid : DirectionGrid
     request : PstRequest, optional
-        Light, detector, paths and maps, and the error that is wanted: with `relative_error` the rays of a cell are
-        doubled until the standard error of all light together over its value is at most this; a cell that no light is
-        found in gets `DARK_RAYS` at most, and cells of field angles beyond `error_up_to_deg` end with the first
+        Light, detector, paths and maps, and the requested error. With `relative_error` the rays of a cell are doubled
+        until the standard error of all light together over its value is at most this. A cell in which no light is
+        found has `DARK_RAYS` at most, and cells of field angles beyond `error_up_to_deg` end with the first
         `FIRST_RAYS` rays. The angles are those of `grid`.
     entrance : Entrance, optional
-        Trace the light through this disc only.
+        Disc through which alone light is traced.
     points : (p, 3) float64, optional
-        What the light covers, mm, see `mistray.sampling.plane_wave.hull_points`. Default: the scene.
+        Hull of the illuminated volume, mm, see `mistray.sampling.plane_wave.hull_points`. Default: that of the scene.
     progress : callable, optional
         Called after each pass of a cell.
     settings : Settings, optional
-        With the start rays of a cell, the most of them where an error is wanted. Default: those of the scene.
+        Settings with the start rays of a cell, or their largest number if an error is requested. Default: those of the
+        scene.
 
     Returns
     -------
     Pst
-        In the convention "normal". ``facts`` hold detector, detector_area_mm2, wavelength_nm, weights, rays (of all
+        PST in the convention "normal". ``facts`` hold detector, detector_area_mm2, wavelength_nm, weights, rays (of all
         cells together), seconds, segments, settings, seed, relative_error, error_up_to_deg, entrance, rays_of_cell and
-        beam_area_mm2 (n, m); ``unseen``: cells (angle, azimuth) that no light was found in, whose PST of 0 is an upper
-        limit only by the number of their rays; ``unfinished``: those whose error is larger than what was requested;
-        ``not_traced``: those for which a time budget was too short, whose numbers are NaN;
-        ``notes``: the same in words, and what else a reader should know.
+        beam_area_mm2 (n, m); ``unseen``: cells (angle, azimuth) in which no light was found, whose PST of 0 is an upper
+        limit only by the number of their rays; ``unfinished``: cells whose error is larger than requested;
+        ``not_traced``: cells for which a time budget was too short, whose numbers are NaN;
+        ``notes``: these facts in words, and other notes on the reliability.
 
     Raises
     ------
     MistrayError
-        If an argument is out of range, the scene has no detector, or what `mistray.trace` raises.
+        If an argument is out of range, the scene has no detector, or where `mistray.trace` raises.
     UnfinishedError
-        If workers of `mistray.distribute` are gone; ``partial`` has the finished cells by their numbers.
+        If workers of `mistray.distribute` are lost; ``partial`` has the finished cells by their numbers.
     """
+    # Arguments and defaults
     require_scene(scene, "forward_pst")
     request = PstRequest(method="forward") if request is None else request
     settings = Settings.without_sources(scene, "a PST") if settings is None else settings
@@ -90,6 +92,7 @@ def forward_pst(
     limited = _angles_that_count(grid, relative_error, request.error_up_to_deg)
     wavelengths, shares = spectrum_of(scene, request.wavelength_nm, request.weights)
     spectrum = wavelengths[shares > 0], shares[shares > 0]
+    # Tasks: all cells, each with its own largest number of rays
     started = time.perf_counter()
     arguments = (grid, settings, spectrum, request.detector, entrance, int(request.map_pixels), points)
     cells = ForwardCells(scene, *arguments)
@@ -103,10 +106,11 @@ def forward_pst(
     cells.progress = report.after_pass
 
     def done(part: CellPass, cell: Cell) -> None:
-        if current_workers() is not None:  # here the cell has told by itself
+        if current_workers() is not None:  # without workers the cell has reported by itself
             report.after_pass(part, cell.rays, cell.error)
         report.close_cell(part.rays, cell, bool(limited[part.i]))
 
+    # Trace the cells, here or by workers
     task = CellsTask(scene, arguments, cells.kernel_arrays())
     found = execute_passes(task, passes, cells, "cells", done)
     seconds = time.perf_counter() - started
@@ -114,7 +118,7 @@ def forward_pst(
 
 
 def _angles_that_count(grid: DirectionGrid, relative_error: float | None, error_up_to_deg: float | None) -> np.ndarray:
-    """(n,) bool: the field angles whose error is to fall below `relative_error`."""
+    """Return a mask of the field angles whose error is to fall below `relative_error`, (n,) bool."""
     if relative_error is None:
         if error_up_to_deg is not None:
             raise MistrayError(
@@ -133,42 +137,44 @@ def _angles_that_count(grid: DirectionGrid, relative_error: float | None, error_
 
 class _Report:
     """
-    Tells how far the cells are.
+    Report of the progress of the cells.
 
     Parameters
     ----------
     planned : int
-        Rays of all cells at most.
+        Largest number of rays of all cells.
     wanted : float or None
-        Relative error.
+        Requested relative error.
     progress : callable or None
+        Called with a `PstProgress`.
     """
 
     def __init__(self, planned: int, wanted: float | None, progress: Progress | None) -> None:
         self._planned, self._wanted, self._progress = planned, wanted, progress
         self._started = time.perf_counter()
-        self._rays = 0  # of the cells that are done
+        self._rays = 0  # of finished cells
         self._spared = 0  # rays that they did not need
         self._worst = 0.0
 
     def after_pass(self, part: CellPass, rays: int, error: float) -> None:
-        """A cell has so many of its rays and this error."""
+        """Report progress: a cell has so many of its rays and this error."""
         if self._progress is None:
             return
         most, wanted = part.rays, part.wanted_error
         seconds = time.perf_counter() - self._started
         done = self._rays + rays
+        # Fraction of the cell that is done: by rays, or by the error, which falls as 1/√rays
         share = rays / most
         if wanted is not None and np.isfinite(error):
             share = max(share, min(1.0, (wanted / error) ** 2))
-        # What is left will spare its share of rays as this cell and those before it did
+        # The remaining cells are expected to save the same fraction of rays as this cell and those before it
         needed = (self._rays + min(rays / share, most)) / (self._rays + self._spared + most) * self._planned
         worst = self._worst if wanted is None else max(self._worst, error)
         left = seconds * max(needed - done, 0.0) / done
         self._progress(PstProgress(done, self._planned, worst, self._wanted, seconds, left))
 
     def close_cell(self, most: int, cell: Cell, counts: bool) -> None:
-        """A cell is done."""
+        """Close a finished cell."""
         self._rays += cell.rays
         self._spared += most - cell.rays
         if counts and np.isfinite(cell.error):
@@ -182,24 +188,26 @@ def _result(
     request: PstRequest,
     seconds: float,
 ) -> Pst:
-    """The cells together."""
+    """Form the PST of all cells."""
     import pandas as pd
 
     relative_error = request.relative_error
 
     grid = cells.grid
     n, m = grid.shape
+    # Cells for which the time was too short are NaN
     missing = [name for name in np.ndindex(n, m) if name not in found]
     if missing:
         found = found | dict.fromkeys(missing, Cell.not_traced(next(iter(found.values()))))
 
     def stack(name: str) -> np.ndarray:
-        """(n, m, …): an attribute of the cells."""
+        """Return an attribute of the cells, (n, m, …)."""
         return np.array([[getattr(found[i, j], name) for j in range(m)] for i in range(n)])
 
     def named(chosen: np.ndarray) -> list[list[float]]:
         return [[float(grid.field_deg[i]), float(grid.azimuths_deg[j])] for i, j in np.argwhere(chosen)]
 
+    # Arrays over the grid, and lists of cells for the facts
     errors = stack("error")
     tables = [rows.assign(cell=i, azimuth_cell=j) for (i, j), cell in found.items() if (rows := cell.rows) is not None]
     late = limited[:, None] & (errors > (relative_error or np.inf))
@@ -234,6 +242,7 @@ def _result(
         maps=np.moveaxis(stack("map"), 2, 0) if cells.has_maps else None,
         extent_mm=cells.extent,
     )
+    # Notes
     fewest = min(cell.rays for cell in found.values() if cell.rays)
     lines = [*thin_gaps(cells.table), *notes(result, largest, float(fewest))]
     if late[np.isfinite(errors)].any():

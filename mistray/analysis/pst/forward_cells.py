@@ -1,4 +1,4 @@
-"""Forward runs of the cells of a point source transmittance: a plane wave each, as many rays as it takes."""
+"""Forward runs of the cells of a point source transmittance: a plane wave each, with as many rays as required."""
 
 from __future__ import annotations
 
@@ -34,25 +34,25 @@ from mistray.time_budget import time_is_up
 if TYPE_CHECKING:
     import pandas as pd
 
-FIRST_RAYS = 1 << 15  # of a cell whose error is requested
-DARK_RAYS = 1 << 22  # after which a cell that no light was found in is given up
+FIRST_RAYS = 1 << 15  # rays of the first pass of a cell whose error is requested
+DARK_RAYS = 1 << 22  # rays without light after which a cell is given up
 
 
 @dataclass(kw_only=True)
 class CellRun(Run):
     """
-    A run whose film is of the light that meets the detector.
+    Forward run whose film records the light that meets the detector, absorbed or not.
 
     Attributes
     ----------
     map_size : tuple of int
-        Columns and rows of pixels.
+        Numbers of columns and rows of pixels.
     """
 
     map_size: tuple[int, int] = (1, 1)
 
     def make_film(self, detector: int | None = None) -> Film:
-        """The pixel grid of the map."""
+        """Return the pixel grid of the map."""
         x0, x1, y0, y1 = self.table.film(detector)[2]
         columns, rows = self.map_size
         corner_x, corner_y, per_mm_x, per_mm_y = (
@@ -63,27 +63,27 @@ class CellRun(Run):
 
 class Ways:
     """
-    The ways of light that have been met so far: paths, scattered light being aimed or not.
+    Distinct paths of the light found so far; aimed and random scatter are not told apart.
 
     Parameters
     ----------
     ids : sequence of str
         Names of the places of events.
     words : (s,) uint32
-        Their bits, see `mistray.recorders.path_events.describe_events`.
+        Bits of these places, see `mistray.recorders.path_events.describe_events`.
     design : DesignSequences
-        The sequences of the direct image.
+        Sequences of the direct image.
 
     Attributes
     ----------
     classes : (w,) int
-        Number of each way's class within `CLASSES`.
+        Number of the class of each path within `CLASSES`.
     """
 
     def __init__(self, ids: Sequence[str], words: np.ndarray, design: DesignSequences) -> None:
         self._ids, self._words, self._design = ids, words, design
         self._numbers: dict[int, int] = {}
-        # Of no way first: a scene may be dark
+        # Columns of no paths first: a scene may be dark
         self._facts = [describe_events(np.zeros((0, 1), np.uint32), np.zeros(0, np.int64), ids, words, design)]
         self.classes = np.zeros(0, dtype=np.int64)
 
@@ -91,21 +91,22 @@ class Ways:
         return len(self._numbers)
 
     def number(self, events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-        """(p,) numbers of the ways of event lists, see `DecodedPaths`."""
+        """Return the numbers of the paths of event lists, (p,), see `DecodedPaths`."""
         ways = way(events)
         keys, first, place = np.unique(host_keys(ways, lengths), return_index=True, return_inverse=True)
+        # Classify the paths that are new
         new = [k for k, key in enumerate(keys.tolist()) if key not in self._numbers]
         if new:
             facts = describe_events(ways[first[new]], lengths[first[new]], self._ids, self._words, self._design)
             self._numbers |= {int(keys[k]): len(self._numbers) + n for n, k in enumerate(new)}
             self._facts.append(facts)
-            # The kernel counts a reflection at a beam splitter even where a design sequence has one
+            # The kernel counts a reflection at a beam splitter even if a design sequence has one
             counted = Events(ways[first[new]], lengths[first[new]], self._words, DesignSequences()).reflected
             self.classes = np.concatenate([self.classes, _classes(facts, np.asarray(counted.any(axis=1)))])
         return np.array([self._numbers[key] for key in keys.tolist()], dtype=np.int64)[place]
 
     def table(self, chosen: np.ndarray) -> pd.DataFrame:
-        """The columns of `describe_events` of some ways."""
+        """Return the columns of `describe_events` of some paths."""
         import pandas as pd
 
         whole = {name: np.concatenate([facts[name] for facts in self._facts]) for name in self._facts[0]}
@@ -113,8 +114,9 @@ class Ways:
 
 
 def _classes(facts: dict[str, np.ndarray], reflected: np.ndarray) -> np.ndarray:
-    """(w,) numbers within `CLASSES` of ways, from the columns of `describe_events` and whether a reflection counts."""
+    """Return numbers of the classes of paths, (w,), from `describe_events` and whether a reflection counts."""
     scatters = facts["scatters"]
+    # The first condition that holds decides
     names = np.select(
         [
             (scatters > 0) & (scatters == facts["diffractions"]),
@@ -132,21 +134,22 @@ def _classes(facts: dict[str, np.ndarray], reflected: np.ndarray) -> np.ndarray:
 @dataclass
 class Sums:
     """
-    What the runs of one wavelength in one cell have found so far, in units of the flux of a start ray.
+    Sums of the runs of one wavelength in one cell, in units of the flux of a start ray.
 
     Attributes
     ----------
     ways : (w, BATCHES) float64
-        Flux of each way that meets the detector.
+        Flux that meets the detector by each path.
     hits : (w,) float64
-        Number of hits of each.
+        Number of hits by each path.
     started : (BATCHES,) float64
-        Start rays.
+        Number of start rays.
     film : (g, h, w) float64
         Flux in each pixel by group of batches.
     largest, scattered : float
-        Largest flux of a scattered ray at the detector and the flux of all of them, of what it absorbs.
+        Largest absorbed flux of a scattered ray at the detector, and the absorbed flux of all scattered rays.
     segments : float
+        Number of ray segments.
     """
 
     ways: np.ndarray = field(default_factory=lambda: np.zeros((0, BATCHES)))
@@ -158,8 +161,9 @@ class Sums:
     segments: float = 0.0
 
     def add(self, run: Run, ways: Ways) -> None:
-        """Add what a run has found."""
+        """Add the results of a run."""
         assert run.paths is not None
+        # A run may find new paths
         number = ways.number(run.paths.events, run.paths.lengths)
         self.widen(len(ways))
         np.add.at(self.ways, number, run.paths.sums[:, :, 1])
@@ -171,7 +175,7 @@ class Sums:
         self.segments += float(run.channels[SEGMENTS].sum())
 
     def widen(self, count: int) -> None:
-        """Make room for as many ways."""
+        """Extend the arrays to so many paths."""
         more = count - len(self.hits)
         self.ways = np.concatenate([self.ways, np.zeros((more, BATCHES))])
         self.hits = np.concatenate([self.hits, np.zeros(more)])
@@ -185,16 +189,17 @@ class Cell:
     Attributes
     ----------
     parts : (c, BATCHES) float64
-        What each batch of start rays adds to each class of light.
+        Part of each batch of start rays in each class of light.
     weight : (BATCHES,) float64
-        Share of the start rays of each batch.
+        Fraction of the start rays in each batch.
     largest_share : float
         See `Pst`; NaN without scattered light.
     rays, segments : int
+        Numbers of start rays and of ray segments.
     beam_area : float
         Cross-section of the beam, mm².
     rows : DataFrame, optional
-        Ways of the light: the columns of `Pst.path_rows` but for those of the cell.
+        Paths of the light: the columns of `Pst.path_rows` except for those of the cell.
     map : (2, h, w) float64, optional
         PST_normal of each pixel and its standard error.
     """
@@ -210,7 +215,7 @@ class Cell:
 
     @classmethod
     def not_traced(cls, like: Cell) -> Cell:
-        """A cell for which there was no time, beside one that was traced: its numbers are NaN."""
+        """Make a cell that was not traced for lack of time, shaped like a traced one: its numbers are NaN."""
         return cls(
             parts=np.full_like(like.parts, np.nan),
             weight=np.full_like(like.weight, 1 / len(like.weight)),
@@ -223,7 +228,7 @@ class Cell:
 
     @property
     def error(self) -> float:
-        """Relative standard error of all light together; infinite where there is none, NaN if not traced."""
+        """Relative standard error of all light together; infinite if there is none, NaN if not traced."""
         if not self.rays:
             return np.nan
         total = self.parts.sum(axis=0)
@@ -232,25 +237,25 @@ class Cell:
 
     @property
     def by_batch(self) -> np.ndarray:
-        """(c, BATCHES): each class from each batch alone."""
+        """PST_normal of each class from each batch alone, (c, BATCHES)."""
         return np.divide(self.parts, self.weight, out=np.zeros_like(self.parts), where=self.weight > 0)
 
 
 class CellPass(NamedTuple):
     """
-    What is to be traced of a cell.
+    Task of tracing a cell.
 
     Attributes
     ----------
     i, j : int
         Numbers of its field angle and azimuth.
     rays : int
-        Start rays at most.
+        Largest number of start rays.
     wanted_error : float or None
-        Relative standard error of all light at which it is enough; each pass doubles the rays. None: one pass of all
-        rays.
+        Relative standard error of all light at which the cell is done; each pass doubles the rays. None: one pass of
+        all rays.
     paths : bool
-        List the ways of the light.
+        Whether to list the paths of the light.
     """
 
     i: int
@@ -262,22 +267,22 @@ class CellPass(NamedTuple):
 
 class ForwardCells:
     """
-    Forward runs of the cells of a grid; the kernel is compiled once, every other cell costs its rays.
+    Forward runs of the cells of a grid; the kernel is compiled once, so that further cells cost only their rays.
 
     Parameters
     ----------
     scene : mi.Scene
     grid : DirectionGrid
     settings : Settings
-        But for the number of rays.
+        Settings, except for the number of rays.
     spectrum : two (k,) float64
-        Wavelengths and their shares of the flux.
+        Wavelengths and their fractions of the flux.
     detector : str, optional
     entrance : Entrance, optional
     map_pixels : int
         Longer side of the maps; 0: none.
     points : (p, 3) float64, optional
-        What the light covers, from `hull_points`; by default the scene.
+        Hull of the illuminated volume, from `hull_points`; by default that of the scene.
 
     Attributes
     ----------
@@ -300,6 +305,7 @@ class ForwardCells:
         self.wavelengths_nm, self.shares = spectrum
         self.table = traced_table(scene, float(self.wavelengths_nm[0]), detector, settings.stokes)
         self.area = detector_area(self.table)
+        # Maps with square pixels
         width, height, self.extent = self.table.film()
         pixels = max(map_pixels, 1) / max(width, height)
         self._map_size = max(1, round(pixels * width)), max(1, round(pixels * height))
@@ -307,6 +313,7 @@ class ForwardCells:
         self._waves = PlaneWaves(hull_points(self.table) if points is None else points, grid, entrance)
         intersector, targets = Intersector(self.table), importance_targets(self.table, scene, settings)
         self._runs = []
+        # A run for each wavelength; source, rays and seed are set for each pass of a cell
         for wavelength, share in zip(self.wavelengths_nm.tolist(), self.shares.tolist(), strict=True):
             table = self.table if wavelength == self.table.wavelength_nm else self.table.at(wavelength)
             scattering = Scattering(ScatterTables(table, targets))
@@ -330,15 +337,15 @@ class ForwardCells:
 
     @property
     def notes(self) -> list[Note]:
-        """What was assumed of the media, see `Optics.notes`."""
+        """Assumptions about the media, see `Optics.notes`."""
         return list(dict.fromkeys(text for run in self._runs for text in run.table.optics.notes))
 
     def kernel_arrays(self) -> list[list[np.ndarray]]:
-        """What the kernel reads, for each wavelength."""
+        """Return the arrays that the kernel reads, for each wavelength."""
         return tables_of(self._runs)
 
     def cell(self, part: CellPass) -> Cell:
-        """Trace a cell, and tell `progress` after each of its passes."""
+        """Trace a cell, and report to `progress` after each of its passes."""
         i, j, rays, wanted_error, paths = part
         sums = [Sums() for _ in self._runs]
         passes = done = 0
@@ -350,6 +357,7 @@ class ForwardCells:
             found = self._cell(sums)
             if self.progress:
                 self.progress(part, done, found.error)
+            # Done by error, time or rays; a cell without light so far ends earlier
             enough = time_is_up() or (wanted_error is not None and found.error <= wanted_error)
             if enough or done >= (rays if np.isfinite(found.error) else min(rays, DARK_RAYS)):
                 return self._with_details(found, sums, paths)
@@ -359,26 +367,28 @@ class ForwardCells:
         i, j, _, k = stream
         run.source = self._waves.at(i, j, run.table.wavelength_nm, float(self.shares[k]))
         run.rays = max(1, round(rays * self.shares[k]))
+        # Angle, azimuth, pass and wavelength make the seed: every cell has its own rays
         run.seed = int(np.random.SeedSequence((self.settings.seed, *stream)).generate_state(1)[0])
         run.unit = run.source.power / run.rays
         run.execute(True, None)
         sums.add(run, self._ways)
 
     def _scales(self, sums: Sequence[Sums]) -> list[float]:
-        """PST_normal of a start ray that lands with all its flux, by wavelength."""
+        """Return the PST_normal of a start ray that arrives with all its flux, by wavelength."""
         return [run.source.power / (self.area * part.started.sum()) for run, part in zip(self._runs, sums, strict=True)]
 
     def _parts(self, sums: Sequence[Sums]) -> np.ndarray:
-        """(w, BATCHES): what each batch adds to the PST_normal of each way."""
+        """Return the part of each batch in the PST_normal of each path, (w, BATCHES)."""
         for part in sums:
             part.widen(len(self._ways))
         return np.asarray(sum(scale * part.ways for scale, part in zip(self._scales(sums), sums, strict=True)))
 
     def _cell(self, sums: Sequence[Sums]) -> Cell:
-        """What the sums of the wavelengths say, without details."""
+        """Return the cell from the sums of the wavelengths, without paths and map."""
         parts = np.zeros((len(CLASSES), BATCHES))
         np.add.at(parts, self._ways.classes, self._parts(sums))
         weight = sum(share * part.started / part.started.sum() for share, part in zip(self.shares, sums, strict=True))
+        # Strongest scattered ray over all scattered light
         scales = self._scales(sums)
         scattered = sum(scale * part.scattered for scale, part in zip(scales, sums, strict=True))
         largest = max(scale * part.largest for scale, part in zip(scales, sums, strict=True))
@@ -388,11 +398,11 @@ class ForwardCells:
             largest_share=largest / scattered if scattered > 0 else np.nan,
             rays=round(sum(part.started.sum() for part in sums)),
             segments=round(sum(part.segments for part in sums)),
-            beam_area=sum(run.source.power for run in self._runs),  # of 1 W/mm² together
+            beam_area=sum(run.source.power for run in self._runs),  # the power of all wavelengths together at 1 W/mm²
         )
 
     def _with_details(self, cell: Cell, sums: Sequence[Sums], paths: bool) -> Cell:
-        """The cell with its paths and its map, where they are wanted."""
+        """Return the cell with its paths and its map, if requested."""
         rows = self._rows(cell, sums) if paths else None
         return replace(cell, rows=rows, map=self._map(sums) if self.has_maps else None)
 
@@ -422,7 +432,7 @@ class CellsTask(SceneTask):
     """Cells of a grid, for `mistray.execute.passes`."""
 
     def make(self) -> ForwardCells:
-        """The cells at a worker."""
+        """Make the cells at a worker."""
         cells: ForwardCells = self.build(ForwardCells)
         return cells
 

@@ -1,4 +1,4 @@
-"""The paths that a run of a PST has found, from rays of both directions."""
+"""Paths that a run of a PST has found, from forward and backward rays."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from mistray.recorders.path_key import ABSORBED, EVENT_BITS, host_keys
 if TYPE_CHECKING:
     import pandas as pd
 
-PATHS_LISTED = 200  # of a cell, the strongest
-ONE_SIDED_LISTED = 40  # paths that one direction alone has seen
-TOLD = 1e-3  # share of a cell's light that such a path must have to be listed
-FEWEST_HITS = 8  # of such a path
+PATHS_LISTED = 200  # strongest paths of a cell
+ONE_SIDED_LISTED = 40  # paths that one direction alone has found
+LEAST_REPORTED = 1e-3  # share of a cell's light that such a path must have to be listed
+FEWEST_HITS = 8  # least number of hits of such a path
 
 
 def forward_events(events: np.ndarray, lengths: np.ndarray, detector: int) -> tuple[np.ndarray, np.ndarray]:
-    """Event lists of backward rays as those of the light, the absorption in the detector at their ends."""
+    """Return event lists of backward rays in forward order, ending with the absorption in the detector."""
     order = lengths[:, None] - 1 - np.arange(events.shape[1] + 1)
     turned = np.take_along_axis(np.pad(events, ((0, 0), (0, 1))), np.maximum(order, 0), axis=1)
     turned = np.where(order >= 0, turned, 0).astype(np.uint32)
@@ -39,10 +39,11 @@ class FoundPaths:
     ----------
     events : (w, k) uint32
     lengths : (w,) int
-        Paths, in the order of the light.
+        Events of the paths, in forward order.
     path, cell : (p,) int
+        Pairs of a path and a cell of directions.
     hits : (2, p) float64
-        Rays with the light, and against it.
+        Forward and backward rays that found them.
     value, variance : (p,) float64
         PST_normal and its variance.
     """
@@ -57,7 +58,17 @@ class FoundPaths:
 
     @classmethod
     def of(cls, trace: BackwardTrace, against: dict[str, np.ndarray], light: ForwardPart | None) -> FoundPaths:
-        """What a run has found; `against` is the path table of all its rays against the light, not empty."""
+        """
+        Merge the path tables of both directions.
+
+        Parameters
+        ----------
+        trace : BackwardTrace
+        against : dict
+            Path table of all backward rays, not empty.
+        light : ForwardPart or None
+            Forward rays; None: there are none.
+        """
         events, lengths = forward_events(against["events"], against["lengths"], trace.table.detector)
         unit = trace.unit.ravel()
         rays = np.full(len(unit), float(trace.rays.sum()))
@@ -65,6 +76,7 @@ class FoundPaths:
         if light is not None:
             tables.insert(0, (light.paths(), light.unit, light.rays))
         tables = [table for table in tables if table[0]]
+        # Unique paths, and unique pairs of a path and a cell
         longest = max(table["events"].shape[1] for table, *_ in tables)
         events = np.concatenate(
             [np.pad(one["events"], ((0, 0), (0, longest - one["events"].shape[1]))) for one, *_ in tables]
@@ -79,6 +91,7 @@ class FoundPaths:
         ]
         known, number = np.unique(np.concatenate(pairs), return_inverse=True)
         numbers = np.split(number, np.cumsum([len(one) for one in pairs])[:-1])
+        # Values of both directions add up: they are weighted by MIS
         hits, value, variance = np.zeros((2, len(known))), np.zeros(len(known)), np.zeros(len(known))
         for k, ((table, one, count), at) in enumerate(zip(tables, numbers, strict=True)):
             scale, many = one[table["cell"]], np.maximum(count[table["cell"]], 1)
@@ -88,15 +101,15 @@ class FoundPaths:
         return cls(events[chosen], lengths[chosen], known // cells, known % cells, hits, value, variance)
 
     def _describe(self, trace: BackwardTrace, paths: np.ndarray) -> dict[str, np.ndarray]:
-        """The columns of `describe_events` of some paths."""
+        """Return the columns of `describe_events` of some paths."""
         table, lengths = trace.table, self.lengths[paths]
         return describe_events(self.events[paths], lengths, table.event_ids, table.event_words, trace.design)
 
     def one_sided(self, trace: BackwardTrace) -> list[dict[str, Any]]:
-        """The strongest paths that rays of one direction alone have met."""
+        """Return the strongest paths that rays of one direction alone have found."""
         light = np.bincount(self.cell, self.value, int(np.prod(trace.grid.shape)))
         alone = (self.hits.min(axis=0) == 0) & (self.hits.max(axis=0) >= FEWEST_HITS)
-        listed = np.flatnonzero(alone & (self.value > TOLD * light[self.cell]))
+        listed = np.flatnonzero(alone & (self.value > LEAST_REPORTED * light[self.cell]))
         listed = listed[np.argsort(-(self.value / light[self.cell])[listed], kind="stable")][:ONE_SIDED_LISTED]
         facts = self._describe(trace, self.path[listed])
         angle, azimuth = np.divmod(self.cell[listed], trace.grid.shape[1])
@@ -104,7 +117,7 @@ class FoundPaths:
             "angle_deg": trace.grid.field_deg[angle],
             "azimuth_deg": trace.grid.azimuths_deg[azimuth],
             "events": facts["events"],
-            "seen": np.where(self.hits[0][listed] > 0, "with the light", "against the light"),
+            "seen": np.where(self.hits[0][listed] > 0, "forward", "backward"),
             "rays": self.hits.max(axis=0)[listed].astype(np.int64),
             "pst_normal": self.value[listed],
         }
@@ -112,7 +125,7 @@ class FoundPaths:
         return [dict(zip(columns, row, strict=True)) for row in rows]
 
     def rows(self, trace: BackwardTrace) -> pd.DataFrame:
-        """The strongest paths of each cell, see `Pst.path_rows`."""
+        """Return the strongest paths of each cell, see `Pst.path_rows`."""
         import pandas as pd
 
         m = trace.grid.shape[1]
@@ -127,7 +140,7 @@ class FoundPaths:
 
 
 def _strongest(group: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    """Numbers of the largest values of each group, at most `count` of each."""
+    """Return the numbers of the largest values of each group, at most `count` of each."""
     order = np.lexsort((-values, group))
     sizes = np.bincount(group) if len(group) else np.zeros(0, dtype=np.int64)
     rank = np.arange(len(order)) - np.repeat(np.cumsum(sizes) - sizes, sizes)

@@ -1,4 +1,4 @@
-"""How many rays of each direction a PST takes, and where those with the light start."""
+"""Plan of a PST: numbers of forward and backward rays, and starts of the forward ones."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from mistray.sampling.sharing.cell_starts import whole_batches
 from mistray.sampling.sharing.map_samples import MapSamples
 from mistray.sampling.sharing.start_map import StartMap
 
-RESERVE = 1.4  # rays above what the pilot's variances ask for
-MOST_UNEVEN = 4.0  # cost of one direction over that of the other
-LEVELS = 200  # of the relative variance that are tried
+RESERVE = 1.4  # number of rays over that which the pilot's variances require
+MOST_UNEVEN = 4.0  # largest cost of one direction over that of the other
+LEVELS = 200  # number of levels of the relative variance that are compared
 ARRAYS = ("light", "variance", "pilot_rays")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
     """
-    What a pilot has found.
+    Result of a pilot.
 
     Attributes
     ----------
     sharing : Sharing
-        Of the run.
+        Forward rays of the run, and their starts.
     light : (c,) float64
         PST_normal of each cell.
     variance : (c,) float64
-        Of PST_normal, times the rays against the light, with those of the other direction beside them.
+        Variance of PST_normal, times the number of backward rays, with the forward ones beside them.
     pilot_rays : (2,) float64
-        Of the pilot, with the light and against it.
+        Forward and backward rays of the pilot.
     samples : MapSamples
-        Where light that arrives would start.
+        Points from which forward rays would start on the paths that were found.
     """
 
     sharing: Sharing
@@ -46,13 +46,13 @@ class Plan:
 
     def rays_for(self, relative_error: float, counts: np.ndarray) -> int:
         """
-        Rays against the light that a relative error takes, with those of the other direction beside them.
+        Return the number of backward rays that a relative error takes, with the forward rays beside them.
 
         Parameters
         ----------
         relative_error : float
         counts : (c,) bool
-            Cells whose error counts; those without light are left out.
+            Cells in which the error is required; those without light are left out.
         """
         counts = counts & (self.light > 0)
         if not counts.any():
@@ -61,36 +61,36 @@ class Plan:
         return int(np.ceil(np.max(self.variance[counts] / wanted)))
 
     def beside(self, needed: int, rays: int) -> Plan:
-        """Of a run with more rays against the light than it needs: no more with it than beside those it needs."""
+        """Return the plan of a run with more backward rays than needed, with the forward rays of the needed ones."""
         sharing = self.sharing
         return replace(self, sharing=replace(sharing, rays=sharing.rays * min(1.0, needed / rays)))
 
     def forward_rays(self, rays: float) -> np.ndarray:
-        """(c,) rays with the light beside so many against it."""
+        """Return the number of forward rays of each cell, (c,), beside so many backward rays."""
         return whole_batches(self.sharing.rays * rays)
 
     def again(self) -> Plan:
-        """For another run, which spends no rays on a pilot."""
+        """Return the plan for another run, which spends no rays on a pilot."""
         return replace(self, pilot_rays=np.zeros(2))
 
     def fits(self, cells: int, surfaces: int) -> bool:
-        """Whether it is one for a scene of so many surfaces that is lit from so many cells."""
+        """Whether the plan fits a scene with so many surfaces that is lit from so many cells."""
         windows = self.sharing.windows
         return len(self.sharing.rays) == cells and (windows is None or windows.shape[1] == surfaces)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """All of it as arrays."""
+        """Return the plan as arrays."""
         own = {name: np.asarray(getattr(self, name)) for name in ARRAYS}
         found = {f"samples_{name}": values for name, values in self.samples._asdict().items()}
         starts = {f"starts_{f.name}": getattr(self.sharing.starts, f.name) for f in fields(StartMap)}
         sharing = self.sharing
-        shared = {"points_lit": sharing.points, "rays": sharing.rays, "linked": sharing.linked}
+        shared = {"points_lit": sharing.points, "rays": sharing.rays, "linked": sharing.starts_per_connection}
         optional = {name: getattr(sharing, name) for name in ("windows", "unscattered")}
         return own | found | starts | shared | {name: values for name, values in optional.items() if values is not None}
 
     @classmethod
     def of_arrays(cls, arrays: dict[str, np.ndarray]) -> Plan:
-        """What `arrays` gave."""
+        """Make a plan from the arrays of `arrays`."""
         starts = StartMap(**{f.name: arrays[f"starts_{f.name}"] for f in fields(StartMap)})
         own: dict[str, Any] = {name: arrays[name] for name in ARRAYS}
         samples = MapSamples(*(arrays[f"samples_{name}"] for name in MapSamples._fields))
@@ -100,14 +100,15 @@ class Plan:
 
 
 def shared(plans: Sequence[Plan]) -> list[Plan]:
-    """Plans of scenes that are compared: the same rays with the light, which are those that each of them needs."""
+    """Return plans of scenes to be compared, with the same forward rays: as many as any of them needs."""
     if len(plans) == 1:
         return list(plans)
     rays = np.max([plan.sharing.rays for plan in plans], axis=0)
-    # Each scene counts as much in the map
+    # Each scene has the same weight in the map
     parts = [plan.samples.times(1 / np.maximum(plan.light[plan.samples.cell], np.finfo(float).tiny)) for plan in plans]
     starts = StartMap.of(len(rays), MapSamples.of(parts))
-    # Those of one for all, so that scenes which differ little are traced alike; they go by the numbers of the surfaces
+    # Weight windows of the first for all, so that scenes which differ little are traced alike; their rows go by the
+    # numbers of surfaces, which must agree
     windows = [plan.sharing.windows for plan in plans if plan.sharing.windows is not None]
     alike = len(windows) == len(plans) and len({one.shape for one in windows}) == 1
     ratios = [plan.sharing.unscattered for plan in plans if plan.sharing.unscattered is not None]
@@ -122,29 +123,29 @@ def shared(plans: Sequence[Plan]) -> list[Plan]:
 
 def variances_together(rounds: Sequence[tuple[float, np.ndarray, np.ndarray]], factors: np.ndarray) -> np.ndarray:
     """
-    Relative variances of several rounds of a pilot, as if all had had as many rays as the last one.
+    Average the relative variances of several rounds of a pilot, as if all had as many rays as the last one.
 
-    What is rare is met in few rounds.
+    Rare light is found in few rounds.
 
     Parameters
     ----------
     rounds : sequence of tuple
-        Of each round its rays against the light, the rays with it of each cell for one of those, (c,), and the relative
-        variance of each cell by the factor of its rays with the light, (k, c); 0 where no light was found.
+        Backward rays of each round, forward rays of each cell per backward ray, (c,), and relative variance of each
+        cell by the factor of its forward rays, (k, c); 0: no light was found.
     factors : (k,) float64
-        Rising.
+        Ascending factors of the forward rays.
 
     Returns
     -------
     (k, c) float64
-        By the factor of the rays of the last round.
+        Relative variance by the factor of the forward rays of the last round.
     """
     rays, now, last = rounds[-1]
     total, weight = np.zeros_like(last), np.zeros(len(now))
     steps = np.log(factors)
     for count, then, relative in rounds:
         for c in np.flatnonzero(relative[0] > 0):
-            # Variances fall as rays grow: that of a round with so many rays, in units of one of them
+            # Variance times backward rays, at as many forward rays per backward ray as the last round has
             found = np.interp(steps + np.log(now[c] / then[c]), steps, np.log(count * relative[:, c]))
             total[:, c] += count * np.exp(found)
             weight[c] += count
@@ -152,97 +153,102 @@ def variances_together(rounds: Sequence[tuple[float, np.ndarray, np.ndarray]], f
 
 
 def factors_of_equal_errors(
-    relative: np.ndarray, factors: np.ndarray, cost_against: float, cost_along: np.ndarray
+    relative: np.ndarray, factors: np.ndarray, cost_backward: float, cost_forward: np.ndarray
 ) -> np.ndarray:
     """
-    By which factor each cell's rays with the light change, so that all cells get the same relative error at least cost.
+    Return the factors of the forward rays at which all cells have the same relative error at least cost.
 
-    Rays against the light serve all cells. At a level v of the relative variance each cell takes the least factor
-    that brings it there; a run to a given error then takes v times as many rays of all kinds, and v is that of the
-    least cost.
+    Backward rays serve all cells. At a level v of the relative variance each cell has the least factor that reaches
+    this level. A run to a given error then takes v times as many rays of all kinds, and v is that of the least cost.
 
     Parameters
     ----------
     relative : (k, c) float64
-        Relative variance of each cell by the factor of its rays with the light, falling; 0: the cell does not count.
+        Relative variance of each cell by the factor of its forward rays, descending; 0: the cell is left out.
     factors : (k,) float64
-        Rising.
-    cost_against : float
-        Of the rays against the light.
-    cost_along : (c,) float64
-        Of the rays with the light of each cell, at a factor of 1.
+        Ascending factors of the forward rays.
+    cost_backward : float
+        Cost of the backward rays.
+    cost_forward : (c,) float64
+        Cost of the forward rays of each cell, at a factor of 1.
 
     Returns
     -------
     (c,) float64
+        Factor of each cell.
     """
     lit = np.flatnonzero(relative[0] > 0)
     found = np.full(relative.shape[1], factors[0])
     if not len(lit):
         return found
+    # Factor of each cell by the level of the relative variance
     rates = np.maximum.accumulate(np.log(relative[::-1, lit]), axis=0)
     least = float(rates[0].max())
     levels = np.linspace(least, max(float(rates[-1].max()), least), LEVELS)
     of_factor = np.log(factors[::-1])
     chosen = np.exp(np.stack([np.interp(levels, column, of_factor) for column in rates.T], axis=1))
-    along = chosen @ cost_along[lit]
-    total = levels + np.log(cost_against + along)
-    # A pilot knows variances badly where one direction sees little
-    uneven = np.abs(np.log(np.maximum(along, 1e-300) / cost_against))
+    # Cost of a run by level
+    forward = chosen @ cost_forward[lit]
+    total = levels + np.log(cost_backward + forward)
+    # A pilot's variances are unreliable where one direction finds little light
+    uneven = np.abs(np.log(np.maximum(forward, 1e-300) / cost_backward))
     total[uneven > max(np.log(MOST_UNEVEN), float(uneven.min()))] = np.inf
     found[lit] = chosen[int(np.argmin(total))]
     return found
 
 
 def factors_of_equal_cost(
-    relative: np.ndarray, factors: np.ndarray, cost_against: float, cost_along: np.ndarray
+    relative: np.ndarray, factors: np.ndarray, cost_backward: float, cost_forward: np.ndarray
 ) -> np.ndarray:
     """
-    Factors at which both directions cost the same and the product of all cells' variances is least.
+    Return the factors at which both directions cost the same and the product of all cells' variances is least.
 
-    Parameters and result are those of `factors_of_equal_errors`. A cell that gains nothing takes no rays from others.
+    Parameters and result are those of `factors_of_equal_errors`. A cell whose variance does not fall takes no rays from
+    others.
     """
-    return _factors_by_worth(relative, factors, cost_against, cost_along, lambda _, along: abs(np.log(along)))
+    return _factors_by_importance(
+        relative, factors, cost_backward, cost_forward, lambda _, forward: abs(np.log(forward))
+    )
 
 
 def factors_of_least_variance(
-    relative: np.ndarray, factors: np.ndarray, cost_against: float, cost_along: np.ndarray
+    relative: np.ndarray, factors: np.ndarray, cost_backward: float, cost_forward: np.ndarray
 ) -> np.ndarray:
     """
-    Factors at which the mean variance of all cells, times the cost of all rays together, is least.
+    Return the factors at which the mean variance of all cells, times the cost of all rays together, is least.
 
-    Parameters and result are those of `factors_of_equal_errors`. The mean is a geometric one. Rays with the light cost
-    as much as those against it at least, for a pilot knows variances badly where one direction sees little.
+    Parameters and result are those of `factors_of_equal_errors`. The mean is a geometric one. The forward rays count
+    as no cheaper than the backward ones, because a pilot's variances are unreliable where one direction finds little.
     """
 
-    def score(variance: float, along: float) -> float:
-        return variance + np.log1p(max(along, 1.0)) if along <= MOST_UNEVEN else np.inf
+    def score(variance: float, forward: float) -> float:
+        return variance + np.log1p(max(forward, 1.0)) if forward <= MOST_UNEVEN else np.inf
 
-    return _factors_by_worth(relative, factors, cost_against, cost_along, score)
+    return _factors_by_importance(relative, factors, cost_backward, cost_forward, score)
 
 
-def _factors_by_worth(
+def _factors_by_importance(
     relative: np.ndarray,
     factors: np.ndarray,
-    cost_against: float,
-    cost_along: np.ndarray,
+    cost_backward: float,
+    cost_forward: np.ndarray,
     score: Callable[[float, float], float],
 ) -> np.ndarray:
     """
-    Factors for the worth of the time at which a score is least.
+    Return the factors for the value of time at which a score is least.
 
-    The worth decides how much is spent: each cell takes the factor of the least sum of the logarithm of its variance
-    and its cost in units of that. `score` has the mean of the logarithms, and the cost of the rays with the light
-    over that of those against it.
+    The value λ of time decides how much is spent: each cell has the factor of the least ln(variance) + λ · cost, with
+    costs in units of that of the backward rays. `score` takes the mean of the logarithms, and the cost of the forward
+    rays in these units.
     """
     lit = np.flatnonzero(relative[0] > 0)
     found = np.full(relative.shape[1], factors[0])
     if not len(lit):
         return found
-    rates, price = np.log(relative[:, lit]), factors[:, None] * cost_along[lit] / cost_against
+    rates, price = np.log(relative[:, lit]), factors[:, None] * cost_forward[lit] / cost_backward
     best = np.inf
-    for worth in np.exp(np.linspace(12.0, -12.0, LEVELS)):
-        chosen = np.argmin(rates + worth * price, axis=0)
+    for importance in np.exp(np.linspace(12.0, -12.0, LEVELS)):
+        chosen = np.argmin(rates + importance * price, axis=0)
         columns = np.arange(len(lit))
         value = score(float(rates[chosen, columns].mean()), max(float(price[chosen, columns].sum()), 1e-300))
         if value < best:

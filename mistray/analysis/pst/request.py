@@ -1,4 +1,4 @@
-"""What is asked of a PST, in one piece from the call to the run."""
+"""Arguments of a PST as one checked object, passed from the call to the run."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ RAYS = {
     "joined": 4_000_000,
     "adjoint": 4_000_000,
     "forward": 200_000,
-}  # where a call says nothing; forward: at each angle
-MOST_RAYS = 2_000_000_000  # where a call wants an error and does not say how many rays it may take
+}  # default; forward: at each angle
+MOST_RAYS = 2_000_000_000  # limit of a call that requests an error and sets no limit of rays
 
 Numbers = float | Sequence[float] | np.ndarray
 
@@ -29,12 +29,12 @@ Numbers = float | Sequence[float] | np.ndarray
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PstRequest:
     """
-    What is asked of a PST; `mistray.pst` says what each value means.
+    Requested properties of a PST; `mistray.pst` documents each value.
 
     Attributes
     ----------
     settings : mapping
-        Fields of `mistray.trace.Settings` that are given, but for the rays.
+        Fields of `mistray.trace.Settings` that are given, except for the rays.
 
     Raises
     ------
@@ -62,7 +62,7 @@ class PstRequest:
 
     @classmethod
     def of(cls, **arguments: Any) -> PstRequest:
-        """From the arguments of `mistray.pst`: what is no field here is one of the settings."""
+        """Make a request from the arguments of `mistray.pst`: those that are no field here are settings."""
         own = {f.name for f in fields(cls)} - {"settings"}
         settings = {key: value for key, value in arguments.items() if key not in own}
         return cls(settings=settings, **{key: value for key, value in arguments.items() if key in own})
@@ -72,6 +72,7 @@ class PstRequest:
             raise MistrayError(f"method is '{self.method}'; use 'joined', 'adjoint' or 'forward'")
         if self.relative_error is not None:
             RELATIVE_ERROR.check("relative_error", self.relative_error)
+            # The pilot needs both directions
             if self.method == "adjoint":
                 raise MistrayError(
                     "relative_error is given with method 'adjoint', which has no pilot that says how many rays "
@@ -80,11 +81,12 @@ class PstRequest:
         PIXELS_OR_NONE.check("map_pixels", self.map_pixels)
         if self.resume and self.state is None:
             raise MistrayError("resume needs the file of the state; give state=…")
+        # A state holds the sums of a trace from the detector
         if self.method == "forward" and self.state is not None:
             raise MistrayError("state is given with method 'forward'; only a run from the detector can be continued")
 
     def grid(self, axes: np.ndarray) -> DirectionGrid:
-        """The cells of directions, measured in a frame whose columns are `axes`."""
+        """Return the cells of directions, measured in a frame whose columns are `axes`."""
         grid = DirectionGrid.of(self.field_deg, self.azimuths_deg, self.cell_deg, self.azimuth_cell_deg, axes)
         last = self.error_up_to_deg
         if last is not None and not np.any(grid.field_deg <= last):
@@ -92,6 +94,6 @@ class PstRequest:
         return grid
 
     def settings_for(self, scene: mi.Scene) -> Settings:
-        """The settings of a trace of a scene."""
+        """Return the settings of a trace of a scene."""
         usual = RAYS[self.method] if self.relative_error is None else MOST_RAYS
         return Settings.without_sources(scene, "a PST", rays=usual if self.rays is None else self.rays, **self.settings)

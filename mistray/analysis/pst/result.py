@@ -1,4 +1,4 @@
-"""A point source transmittance over field angle and azimuth, by class of the light, with standard errors."""
+"""Point source transmittance over field angle and azimuth, by class of the light, with standard errors."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from mistray.analysis.next_order import NextOrder
 from mistray.errors import MistrayError
 from mistray.gradients.pst_gradient import PstRays
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
+from mistray.known_arguments import known_arguments
 from mistray.notes import Code, Note
 from mistray.percent import percent_text
 from mistray.recorders.direction_recorder import CLASSES
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.path_events import DIRECT
-from mistray.renamed import renamed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -28,12 +28,11 @@ if TYPE_CHECKING:
     from mistray.analysis.pst.plan import Plan
 
 STRAY = CLASSES[1:]
-LARGE_ERROR = 0.1  # relative, of the PST at an angle
+LARGE_ERROR = 0.1  # relative standard error of the PST at an angle that merits a note
 CONVENTIONS = ("normal", "projected")
-AGAINST, WITH = "against the light", "with the light"  # techniques
+BACKWARD, FORWARD = "backward", "forward"  # techniques of sampling
 
 
-@renamed(angles_deg="field_deg")
 @dataclass(frozen=True, eq=False)
 class Pst:
     """
@@ -41,32 +40,32 @@ class Pst:
 
     PST_normal = E_det / E_⊥ with the irradiance E_⊥ on a plane across the beam; PST_projected = E_det / (E_⊥ cos θ),
     where the plane is that of the aperture (R. Breault in Handbook of Optics; E. Fest, Stray Light Analysis and
-    Control, 2013). E_det is the flux that *meets* the detector, averaged over its area; what it absorbs of it does not
-    matter. Values are means over the cells of `grid`.
+    Control, 2013). E_det is the flux that *meets* the detector, averaged over its area, whether absorbed or not. Values
+    are means over the cells of `grid`.
 
     Light is "direct" (by the design path, see docs/design_path.md), "straight_shot" (neither scattered nor reflected
-    where that counts, but by another way: past a mirror or a lens, or through an edge or bevel), "ghost" (reflections,
+    where that counts, but by another path: past a mirror or a lens, or through an edge or bevel), "ghost" (reflections,
     no scatter), "single_scatter" or "multiple_scatter" (one or more scatter events, with or without reflections), or
-    "edge_diffraction" (deflected at rings of `edge_diffraction` alone; where light is scattered as well it counts by
-    the number of all these events).
+    "edge_diffraction" (deflected at rings of `edge_diffraction` alone; if light is scattered as well, the number of all
+    these events decides).
 
     Attributes
     ----------
     grid : DirectionGrid
-        (n, m) cells.
+        Grid of (n, m) cells.
     by_batch : (c, n, m, b) float64
         PST_normal of each class in `mistray.recorders.direction_recorder.CLASSES` from each batch of start rays
         alone. Batches are independent of each other; the cells of one batch are not.
     weight : (b,) or (n, m, b) float64
-        Share of the start rays that each batch has, of each cell where cells have their own start rays.
+        Fraction of the start rays in each batch, of each cell if cells have their own start rays.
     convention : {"normal", "projected"}
-        What `value` and all that is derived from it follow.
+        Convention of `value` and all that is derived from it.
     method : {"joined", "adjoint", "forward"}
     facts : dict
-        How it was computed, plain values: scene, detector, detector_area_mm2, wavelength_nm, weights, rays, seed,
+        Facts of the computation, plain values: scene, detector, detector_area_mm2, wavelength_nm, weights, rays, seed,
         seconds, segments, settings …
     largest_share : (n, m) float64
-        Share of the scattered light of a cell that its strongest single ray carries; where it is large, so are the
+        Fraction of the scattered light of a cell that its strongest single ray carries; if it is large, so are the
         errors of the errors.
     path_rows : DataFrame, optional
         Paths by cell: columns cell (number of the field angle), azimuth_cell, events, path, order, kind, ghost_1,
@@ -74,15 +73,15 @@ class Pst:
     maps : (2, n, m, h, w) float64, optional
         PST_normal of each pixel of the detector and its standard error.
     extent_mm : tuple of float
-        x0, x1, y0, y1 of the detector, in its own frame.
+        Bounds x0, x1, y0, y1 of the detector, in its own frame.
     source : PstRays, optional
-        What it comes from, for derivatives.
+        Rays of the computation, for derivatives.
     plan : Plan, optional
-        What its pilot has found, where rays of both directions share the light.
+        Plan of its pilot, if forward and backward rays share the light by MIS.
     techniques : dict of str to (c, n, m, b) float64
-        The part of `by_batch` that rays of each direction have counted, see `budget`.
+        Part of `by_batch` that rays of each direction contribute, see `budget`.
     next_orders : tuple of NextOrder
-        The stray light by field angle beside that with one more event on each path, where it was measured.
+        Stray light by field angle compared with that of one more event on each path, if it was measured.
     """
 
     grid: DirectionGrid
@@ -103,7 +102,7 @@ class Pst:
 
     @property
     def notes(self) -> list[Note]:
-        """What a reader must know of the numbers; `pst` raises them as warnings, see docs/warnings.md."""
+        """Notes on the reliability of the numbers; `pst` raises them as warnings, see docs/warnings.md."""
         found = list(self.facts.get("notes", ()))
         value, se = self.curve()
         doubtful = (value > 0) & (se > LARGE_ERROR * value)
@@ -117,12 +116,12 @@ class Pst:
         self, derivative: np.ndarray, request: GradientRequest, groups: np.ndarray | None = None
     ) -> Iterator[TableGradient]:
         """
-        Derivatives of a metric by all that the trace knows, by tracing the same rays again.
+        Yield derivatives of a metric by all numbers of the trace, by tracing the same rays again.
 
         Parameters
         ----------
         derivative : (c, n, m) float64
-            Of the metric by PST_normal of each class in each cell.
+            Derivative of the metric by PST_normal of each class in each cell.
         request : GradientRequest
         groups : (n, m) int, optional
             Numbers of groups of cells, see `mistray.gradients.pst_gradient.PstRays.gradient`.
@@ -130,7 +129,7 @@ class Pst:
         Yields
         ------
         TableGradient
-            For each wavelength and direction; they add up.
+            Gradients for each wavelength and direction, to be added.
 
         Raises
         ------
@@ -149,80 +148,82 @@ class Pst:
 
     @property
     def field_deg(self) -> np.ndarray:
-        """(n,) field angles."""
+        """Field angles, (n,) degrees."""
         return self.grid.field_deg
 
     @property
     def _factor(self) -> np.ndarray:
-        """(n,) what PST_normal is multiplied by."""
+        """Factor from PST_normal to the convention, (n,)."""
         cosine = np.maximum(self.grid.mean_cosine, np.finfo(float).tiny)
         return np.asarray(1 / cosine if self.convention == "projected" else np.ones_like(cosine))
 
     def samples(self, classes: str | Sequence[str] = "total") -> np.ndarray:
-        """The PST from each batch, (n, m, b): "total", "stray" (all but "direct"), a class, or several together."""
+        """Return the PST from each batch, (n, m, b): "total", "stray" (all but "direct"), a class, or several."""
         return np.asarray(self.by_batch[_numbers(classes)].sum(axis=0) * self._factor[:, None, None])
 
     def map(self, classes: str | Sequence[str] = "total") -> tuple[np.ndarray, np.ndarray]:
-        """PST of the cells and its standard error, (n, m) each."""
+        """Return the PST of the cells and its standard error, (n, m) each."""
         return self.estimate(self.samples(classes), self.weight)
 
     def curve(self, classes: str | Sequence[str] = "total") -> tuple[np.ndarray, np.ndarray]:
-        """PST over field angle, the mean over azimuths, and its standard error, (n,) each."""
+        """Return the PST over field angle, the mean over azimuths, and its standard error, (n,) each."""
         samples, weight = self.samples(classes), self.weight
         if weight.ndim == 1:
+            # Cells share their start rays: the mean is formed in every batch
             return self.estimate(samples.mean(axis=1), weight)
         value, se = self.estimate(samples, weight)  # every cell has its own start rays
         return value.mean(axis=1), np.sqrt(np.sum(se**2, axis=1)) / value.shape[1]
 
     @staticmethod
     def estimate(samples: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Weighted mean over the batches (last axis) and its standard error from their spread."""
+        """Return the weighted mean over the batches (last axis) and its standard error from their spread."""
         value = np.sum(weight * samples, axis=-1)
+        # Empty batches have no weight
         used = np.maximum(np.count_nonzero(weight, axis=-1), 2)
         spread = np.sum(np.square(weight * (samples - value[..., None])), axis=-1)
         return value, np.sqrt(used / (used - 1) * spread)
 
     @property
     def value(self) -> np.ndarray:
-        """(n,) PST of all light."""
+        """PST of all light, (n,)."""
         return self.curve()[0]
 
     @property
     def standard_error(self) -> np.ndarray:
-        """(n,) standard error of `value`."""
+        """Standard error of `value`, (n,)."""
         return self.curve()[1]
 
     @property
     def stray(self) -> np.ndarray:
-        """(n,) PST of all light but the direct image."""
+        """PST of all light but the direct image, (n,)."""
         return self.curve("stray")[0]
 
     @property
     def stray_se(self) -> np.ndarray:
-        """(n,) standard error of `stray`."""
+        """Standard error of `stray`, (n,)."""
         return self.curve("stray")[1]
 
     @property
     def is_dark(self) -> bool:
-        """Whether no ray has seen any light."""
+        """Whether no ray has found any light."""
         return not np.any(np.nan_to_num(self.by_batch))
 
     def to(self, convention: str) -> Pst:
-        """The same PST in another convention."""
+        """Convert the PST to another convention."""
         return replace(self, convention=convention)
 
     # ---- details
 
-    @renamed(angle_deg="field_deg")
+    @known_arguments
     def paths(self, field_deg: float, azimuth_deg: float = 0.0, n: int | None = None) -> pd.DataFrame:
         """
-        Paths of the light at a field angle, the strongest first.
+        Return the paths of the light at a field angle, the strongest first.
 
         Parameters
         ----------
         field_deg, azimuth_deg : float
         n : int, optional
-            The first n of them.
+            Number of paths; by default all.
 
         Returns
         -------
@@ -241,14 +242,14 @@ class Pst:
 
     @cached_property
     def _path_tables(self) -> dict[tuple[int, int], pd.DataFrame]:
-        """What `paths` has made, by cell: a report asks for each of them ten times."""
+        """Tables of `paths` by cell, kept because a report uses each of them ten times."""
         return {}
 
     @cached_property
     def _listed(self) -> tuple[pd.DataFrame, dict[tuple[int, int], np.ndarray]]:
-        """The tables of `paths` of all cells in one, and the numbers of the rows of each cell."""
+        """Tables of `paths` of all cells in one, and the numbers of the rows of each cell."""
         rows = self.path_rows
-        assert rows is not None  # `paths` asks for it
+        assert rows is not None  # `paths` has checked it
         rows = rows.sort_values("pst_normal", ascending=False, kind="stable", ignore_index=True)
         i, j = (rows[name].to_numpy(dtype=np.intp) for name in ("cell", "azimuth_cell"))
         stray, total = self.map("stray")[0][i, j], self.map()[0][i, j]
@@ -257,11 +258,12 @@ class Pst:
         with np.errstate(divide="ignore", invalid="ignore"):
             rows["percent_of_stray"] = np.where(rows.kind != DIRECT, 100 * rows.pst / stray, np.nan)
             rows["percent_of_all"] = 100 * rows.pst / total
+        # One sort and one grouping for all cells
         cells = dict(rows.groupby(["cell", "azimuth_cell"]).indices)
         return rows.drop(columns=["cell", "azimuth_cell", "pst_normal", "pst_normal_se"]), cells
 
     def _paths_of(self, i: int, j: int) -> pd.DataFrame:
-        """The table of `paths` of a cell."""
+        """Return the table of `paths` of a cell."""
         rows, cells = self._listed
         return rows.iloc[cells.get((i, j), np.empty(0, dtype=np.intp))].reset_index(drop=True)
 
@@ -269,7 +271,7 @@ class Pst:
         self, field_deg: float, azimuth_deg: float = 0.0, classes: str | Sequence[str] = "total"
     ) -> pd.DataFrame:
         """
-        Which rays have found the light of a field angle.
+        Return the contributions of forward and of backward rays to the light of a field angle.
 
         Parameters
         ----------
@@ -287,7 +289,7 @@ class Pst:
 
         i, j = self.grid.nearest(field_deg, azimuth_deg)
         numbers, weight = _numbers(classes), self.weight if self.weight.ndim == 1 else self.weight[i, j]
-        techniques = self.techniques or {WITH if self.method == "forward" else AGAINST: self.by_batch}
+        techniques = self.techniques or {FORWARD if self.method == "forward" else BACKWARD: self.by_batch}
         rows = []
         for name, part in techniques.items():
             value, se = self.estimate(part[numbers, i, j].sum(axis=0) * self._factor[i], weight)
@@ -297,15 +299,15 @@ class Pst:
             found["percent"] = 100 * found.pst / found.pst.sum()
         return found
 
-    @renamed(angle_deg="field_deg")
+    @known_arguments
     def irradiance(self, field_deg: float, azimuth_deg: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """
-        Irradiance on the detector from a source of 1 W/mm² (across the beam) and its standard error.
+        Return the irradiance on the detector from a source of 1 W/mm² (across the beam), and its standard error.
 
         Returns
         -------
         value, se : (h, w) float64
-            W/mm², row 0 at the smallest y.
+            Irradiance and its standard error, W/mm², row 0 at the smallest y.
         """
         if self.maps is None:
             raise MistrayError("this PST was computed without maps; ask for them with map_pixels=64, say")
@@ -314,7 +316,7 @@ class Pst:
 
     def to_pandas(self) -> pd.DataFrame:
         """
-        The curve as a DataFrame, one row for each cell.
+        Return the curve as a DataFrame, one row for each cell.
 
         Columns angle_deg, angle_from_deg, angle_to_deg, azimuth_deg, convention, method; for total, stray and each
         class the PST and its standard error (``…_se``).
@@ -337,13 +339,13 @@ class Pst:
 
     def to_xarray(self) -> xarray.Dataset:
         """
-        The PST as arrays with named axes, with standard errors and units; needs the extra ``xarray``.
+        Return the PST as arrays with named axes, with standard errors and units; needs the extra ``xarray``.
 
         Returns
         -------
         xarray.Dataset
             ``pst`` over light (total, stray and each class), field and azimuth, and ``pst_mean``, its mean over the
-            azimuths, each with its standard error under the name with ``_se``. Of a PST with maps also
+            azimuths, each with its standard error under the name with ``_se``. A PST with maps also has
             ``irradiance`` over field, azimuth, y and x, W/mm² for 1 W/mm² across the beam. Coordinates: field angle
             with the ends of its cells, ``field_from`` and ``field_to``, and azimuth, degrees; pixels, mm.
 
@@ -358,6 +360,7 @@ class Pst:
         cells, means = ([found(name) for name in light] for found in (self.map, self.curve))
         (pst, pst_se), (mean, mean_se) = ([np.stack(part) for part in zip(*x, strict=True)] for x in (cells, means))
         what = f"point source transmittance, {self.convention}"
+        # Arrays, then their coordinates
         arrays = {
             "pst": Labelled(("light", "field", "azimuth"), pst, "1", what, pst_se),
             "pst_mean": Labelled(("light", "field"), mean, "1", f"mean over azimuth of {what}", mean_se),
@@ -369,6 +372,7 @@ class Pst:
             "field_to": Labelled(("field",), self.grid.edges_deg[:, 1], "degree", "largest field angle of a cell"),
             "azimuth": Labelled(("azimuth",), self.grid.azimuths_deg, "degree", "azimuth from +y towards -x"),
         }
+        # Maps of the detector
         if self.maps is not None:
             rows, columns = self.maps.shape[-2:]
             coordinates |= pixel_coordinates(self.extent_mm, (rows, columns))
@@ -383,7 +387,7 @@ class Pst:
 
 
 def members(classes: str | Sequence[str]) -> tuple[str, ...]:
-    """The classes of light of a group ("total", "stray"), a class, or several."""
+    """Return the classes of light of a group ("total", "stray"), a class, or several."""
     groups = {"total": CLASSES, "stray": STRAY}
     names = groups.get(classes, (classes,)) if isinstance(classes, str) else tuple(classes)
     unknown = [name for name in names if name not in CLASSES]
@@ -393,13 +397,13 @@ def members(classes: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def _numbers(classes: str | Sequence[str]) -> list[int]:
-    """Numbers of the classes within `CLASSES`."""
+    """Return the numbers of the classes within `CLASSES`."""
     return [CLASSES.index(name) for name in members(classes)]
 
 
 def notes(found: Pst, largest: np.ndarray, rays: float) -> list[Note]:
     """
-    What a reader of a PST should know, one line each.
+    Return notes on the reliability of a PST, one line each.
 
     Parameters
     ----------
@@ -407,10 +411,11 @@ def notes(found: Pst, largest: np.ndarray, rays: float) -> list[Note]:
     largest : (n, m) float64
         See `Pst.largest_share`.
     rays : float
-        Rays that have looked for the light of each cell.
+        Number of rays that searched for the light of each cell.
     """
     lines: list[Note] = []
     value, _ = found.map()
+    # Cells without light
     dark = found.grid.field_deg[np.any(value == 0, axis=1)]
     if dark.size:
         text = (
@@ -419,6 +424,7 @@ def notes(found: Pst, largest: np.ndarray, rays: float) -> list[Note]:
             "all paths"
         )
         lines.append(Note(text, Code.NO_LIGHT))
+    # Cells in which single rays dominate
     heavy = found.grid.field_deg[np.any(largest > 0.1, axis=1)]
     if heavy.size:
         text = (
@@ -430,7 +436,7 @@ def notes(found: Pst, largest: np.ndarray, rays: float) -> list[Note]:
 
 
 def _angles(angles: np.ndarray) -> str:
-    """Angles as text, many of them by the first and the last."""
+    """Return angles as text, more than four by the first and the last."""
     if len(angles) <= 4:
         return f"{', '.join(f'{angle:g}' for angle in angles)}°"
     return f"{len(angles)} angles from {angles[0]:g} to {angles[-1]:g}°"

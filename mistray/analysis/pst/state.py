@@ -1,4 +1,4 @@
-"""The state of a run in a file, written whole after every pass, so that the run can go on; and how far it is."""
+"""State of a run in a file, replaced as a whole after passes so that the run can be continued; and its progress."""
 
 from __future__ import annotations
 
@@ -20,36 +20,36 @@ from mistray.files.arrays import check_arrays
 from mistray.read_file import open_input
 from mistray.replace_file import replace_file
 
-FORM = 5  # changes when the content does
-_FACTS, _ARRAY = "facts", "array_"  # entries of the file; the prefix keeps names of arrays apart from all others
+FORM = 5  # version of the content
+_FACTS, _ARRAY = "facts", "array_"  # entries of the file; the prefix separates names of arrays from all others
 _DAMAGES = (
     *(ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, MemoryError, RecursionError),
     *(zipfile.BadZipFile, zlib.error),
 )
 _HASH = re.compile("[0-9a-f]{16,}")
 _ABSENT = "absent"
-MOST_BYTES = 4 << 30  # that a state may unpack to
+MOST_BYTES = 4 << 30  # largest size of an unpacked state
 _MOST_LISTED = 6  # values of a list that a message quotes
 
 
 @dataclass(frozen=True)
 class PstProgress:
     """
-    How far a run is.
+    Progress of a run.
 
     Attributes
     ----------
     rays_done, rays_planned : int
-        Start rays so far, those of the saved run that it went on from included, and the most there will be. 0: the
-        pilot is done, and knows how long the run takes.
+        Start rays so far, including those of the saved run that it continues, and their largest number. 0 rays done:
+        the pilot is done, and `seconds_left` is its estimate.
     worst_error : float
-        Largest relative standard error of the angles that count; infinite where an angle has no light yet.
+        Largest relative standard error of the relevant angles; infinite if an angle has no light yet.
     wanted_error : float or None
-        The run ends when the worst error is below it; None: it takes all rays planned.
+        Requested error: the run ends when the worst error is below it. None: it traces all planned rays.
     seconds : float
-        Since this run began or went on.
+        Time since this run began or was continued.
     seconds_left : float
-        Estimate; NaN before the first pass.
+        Estimate of the remaining time; NaN before the first pass.
     """
 
     rays_done: int
@@ -70,10 +70,10 @@ class PstProgress:
         rays_before: int = 0,
     ) -> PstProgress:
         """
-        Progress with the estimate of the time left.
+        Make a progress with an estimate of the remaining time.
 
         The error falls as 1/√rays, so that rays_done · (worst_error/wanted_error)² rays are needed in all, but never
-        more than `rays_planned`; each takes as long as those since `rays_before`, with which this run went on.
+        more than `rays_planned`. Each takes as long as those since `rays_before`, the rays of the continued run.
         """
         here = rays_done - rays_before
         left = max(_rays_needed(rays_done, rays_planned, worst_error, wanted_error) - rays_done, 0.0)
@@ -82,7 +82,7 @@ class PstProgress:
 
     @property
     def share_done(self) -> float:
-        """Share of the rays needed that are done, 0 … 1."""
+        """Fraction of the needed rays that are done, 0 … 1."""
         needed = _rays_needed(self.rays_done, self.rays_planned, self.worst_error, self.wanted_error)
         return min(self.rays_done / needed, 1.0) if needed > 0 else 1.0
 
@@ -95,7 +95,7 @@ def _rays_needed(done: int, planned: int, worst_error: float, wanted_error: floa
 
 def save_state(path: str | Path, arrays: Mapping[str, np.ndarray], facts: Mapping[str, Any]) -> Path:
     """
-    Save what a run needs to go on; the file is replaced whole, so that a process that is killed leaves the old one.
+    Save the state of a run, replacing the file as a whole, so that a killed process leaves the old one.
 
     Parameters
     ----------
@@ -104,17 +104,18 @@ def save_state(path: str | Path, arrays: Mapping[str, np.ndarray], facts: Mappin
     arrays : mapping of str to array
         Numbers or text; no objects.
     facts : mapping
-        Plain values; "signature" holds all that must agree when the run goes on, see `require_same`.
+        Plain values; "signature" holds all that must agree when the run is continued, see `require_same`.
 
     Returns
     -------
     Path
-        The file.
+        Saved file.
     """
     entries = {_ARRAY + name: np.asarray(values) for name, values in arrays.items()}
     objects = [name for name, values in arrays.items() if np.asarray(values).dtype.hasobject]
     if objects:
         raise MistrayError(f"state '{path}': array '{objects[0]}' holds objects; give numbers or text")
+    # NumPy archive in memory: facts as JSON, arrays under their prefix
     text = json.dumps({"form": FORM, "facts": dict(facts)}, default=_plain)
     buffer = io.BytesIO()
     np.savez(buffer, **{_FACTS: np.array(text)}, **entries)  # type: ignore[arg-type]
@@ -128,7 +129,7 @@ def save_state(path: str | Path, arrays: Mapping[str, np.ndarray], facts: Mappin
 
 def load_state(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """
-    Read a saved state back.
+    Load a saved state.
 
     Returns
     -------
@@ -137,7 +138,7 @@ def load_state(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]
     Raises
     ------
     MistrayError
-        If there is no such file, it is no state or damaged, or another version of mistray wrote it.
+        If there is no such file, it is no state or damaged, or it was written by another version of mistray.
     """
     try:
         with open_input(path) as file:
@@ -161,22 +162,22 @@ def load_state(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]
 
 def require_same(path: str | Path, facts: Mapping[str, Any], signature: Mapping[str, Any]) -> None:
     """
-    Check that a saved state belongs to the run that is to go on.
+    Check that a saved state belongs to the run that is to be continued.
 
     Parameters
     ----------
     path : str or Path
-        For the message.
+        File, for the message.
     facts : mapping
-        From `load_state`.
+        Result of `load_state`.
     signature : mapping
-        What ``facts["signature"]`` must hold: plain values, mappings of such and lists. Values of 16 and more
-        hexadecimal digits are taken for hashes, which a message does not quote.
+        Required content of ``facts["signature"]``: plain values, mappings of such and lists. Values of 16 and more
+        hexadecimal digits count as hashes, which a message does not quote.
 
     Raises
     ------
     MistrayError
-        Names the first thing that differs, as it was and as it is; hashes come last.
+        If anything differs; the message names the first difference with both values, hashes last.
     """
     saved = _flat(facts.get("signature", {}))
     here = _flat(json.loads(json.dumps(dict(signature), default=_plain)))
@@ -185,7 +186,7 @@ def require_same(path: str | Path, facts: Mapping[str, Any], signature: Mapping[
         old, new = saved.get(name, _ABSENT), here.get(name, _ABSENT)
         if old != new and not _both_nan(old, new):
             differing.append((_are_hashes(old, new), name, old, new))
-    if differing:  # a hash changes with settings that are named themselves
+    if differing:  # hashes last: one often differs because of a setting that is listed by itself
         _, name, old, new = min(differing, key=lambda item: item[0])
         raise MistrayError(
             f"state '{path}' belongs to another run: {_difference(name, old, new)}; use another file, or run without "
@@ -194,7 +195,7 @@ def require_same(path: str | Path, facts: Mapping[str, Any], signature: Mapping[
 
 
 def _flat(values: Any, name: str = "") -> dict[str, Any]:
-    """Values of nested mappings under names such as "settings.seed"."""
+    """Return the values of nested mappings under names such as "settings.seed"."""
     if not isinstance(values, dict):
         return {name: values}
     flat: dict[str, Any] = {}
@@ -232,7 +233,7 @@ def _text(value: Any) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """NumPy's numbers and arrays as those of Python, for JSON."""
+    """Convert NumPy's numbers and arrays to those of Python, for JSON."""
     if hasattr(value, "tolist"):
         return value.tolist()
     return str(value)

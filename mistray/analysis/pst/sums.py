@@ -1,7 +1,8 @@
-"""Sums over the cells of a PST and their quotients, with standard errors from the batches.
+"""
+Sums over the cells of a PST and their quotients, with standard errors from the batches.
 
 The cells of a backward trace share their start rays: a sum over cells is formed in every batch, and only then is the
-spread of the batches taken. Where every cell has start rays of its own (forward), the errors of the cells are
+spread of the batches computed. Where every cell has start rays of its own (forward), the errors of the cells are
 independent.
 """
 
@@ -19,12 +20,12 @@ Light = str | Sequence[str]
 
 def weighted_sum(pst: Pst, coefficients: np.ndarray, classes: Light = "total") -> Estimate:
     """
-    Sum of coefficients times PST over the cells.
+    Sum coefficients times PST over the cells.
 
     Parameters
     ----------
     pst : Pst
-        In its own convention.
+        PST in its own convention.
     coefficients : (n, m) float
     classes : str or sequence of str
         See `Pst.samples`.
@@ -36,9 +37,9 @@ def quotient(
     pst: Pst, above: tuple[np.ndarray, Light], below: tuple[np.ndarray, Light], floor: float = 0.0
 ) -> Estimate:
     """
-    Quotient of two sums over the cells of one PST.
+    Compute the quotient q of two sums over the cells of one PST.
 
-    Its error is that of the residual `above` - q `below`, to first order, and so knows how far both vary together.
+    Its error is that of the residual `above` - q `below`, to first order, and so includes their covariance.
 
     Parameters
     ----------
@@ -46,7 +47,7 @@ def quotient(
     above, below : tuple of (n, m) float and str
         Coefficients and light of the two sums.
     floor : float
-        The quotient is unknown unless the lower sum is greater than this.
+        Lower limit of the lower sum, at or below which the quotient is unknown.
     """
     upper, lower = (k[..., None] * pst.samples(light) for k, light in (above, below))
     base = _summed(lower, pst.weight).value
@@ -57,10 +58,12 @@ def quotient(
 
 
 def _summed(parts: np.ndarray, weight: np.ndarray) -> Estimate:
-    """Sum of the cells' parts, (n, m, b), over cells and batches."""
+    """Sum the parts of the cells, (n, m, b), over cells and batches."""
+    # Cells that share their start rays are correlated: they are summed before the spread is computed
     if weight.ndim == 1:
         parts = parts.sum(axis=(0, 1))
     value = np.sum(weight * parts, axis=-1)
+    # Empty batches have no weight
     used = np.maximum(np.count_nonzero(weight, axis=-1), 2)
     spread = np.sum(np.square(weight * (parts - value[..., None])), axis=-1) * used / (used - 1)
     return Estimate(float(np.sum(value)), float(np.sqrt(np.sum(spread))))

@@ -1,4 +1,4 @@
-"""The point source transmittance of a system: for all angles at once by rays of both directions, or angle by angle."""
+"""Point source transmittance of a system: for all angles together by forward and backward rays, or angle by angle."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from mistray.analysis.pst.state import PstProgress
 from mistray.errors import UnfinishedError
 from mistray.execute.backward import BackwardTrace
 from mistray.execute.workers import refuse_workers_in_time
+from mistray.known_arguments import known_arguments
 from mistray.notes import warns
 from mistray.recorders.directions import DirectionGrid
-from mistray.renamed import renamed
 from mistray.sampling.plane_wave import hull_points
 from mistray.sampling.sources import field_axes, spectrum_of
 from mistray.scene.check import require_scene
@@ -33,11 +33,11 @@ from mistray.trace.polarization_choice import unpolarized_notes
 
 Progress = Callable[[PstProgress], None]
 
-FIRST_SHARE = 0.5  # of the time, where further measurements follow
+FIRST_SHARE = 0.5  # fraction of the time for the first measurement, if further ones follow
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
-@renamed(angles_deg="field_deg")
+@known_arguments
 @warns
 def pst(
     scene: mi.Scene,
@@ -64,19 +64,20 @@ def pst(
     **settings: Any,
 ) -> Pst:
     """
-    Point source transmittance over field angle, by class of the light, with standard errors and paths.
+    Compute the point source transmittance over field angle, by class of the light, with standard errors and paths.
 
-    The adjoint method sends rays from the detector backwards. Where they leave the scene is where light comes from, so
-    that one trace gives all angles and azimuths. The forward method sends a plane wave over the whole scene from one
-    cell of directions after the other. The joined method, the default, does both at once: rays start from the detector
-    and from all cells, and each path counts by the share that the balance heuristic gives to the direction that found
-    it. A pilot learns where light gets in and how many rays each direction needs. All three have the same mean.
+    The adjoint method traces rays from the detector backwards. They leave the scene in directions from which light
+    arrives, so that one trace covers all angles and azimuths. The forward method traces a plane wave over the whole
+    scene from one cell of directions after the other. The joined method, the default, does both: rays start from the
+    detector and from all cells, and each path is weighted by the balance heuristic (E. Veach, Robust Monte Carlo
+    methods for light transport simulation, 1997, section 9.2). A pilot learns where light gets in and how many rays
+    each direction needs. All three have the same mean.
 
     Parameters
     ----------
     scene : mi.Scene
         Angles are measured from the axis of its first `collimated` source, or from +z if it has none; the size of the
-        source does not matter, the light fills everything.
+        source does not matter, the light covers the whole scene.
     field_deg : float or sequence of float
         Field angles, -90 … 90, ascending; each is the middle of a cell over which the PST is averaged. A negative one
         is the positive one at the opposite azimuth, see `DirectionGrid.of`.
@@ -84,43 +85,43 @@ def pst(
     convention : {"normal", "projected"}
         See `Pst`.
     azimuths_deg : float or sequence of float, optional
-        Azimuths of a two-dimensional map, from +y towards -x; by default the mean over all azimuths, of which the
-        sign of an angle says nothing.
+        Azimuths of a two-dimensional map, from +y towards -x. By default the mean over all azimuths, which does not
+        depend on the sign of an angle.
     cell_deg, azimuth_cell_deg : float, optional
         Widths of the cells, see `DirectionGrid.of`.
     wavelength_nm : float or sequence of float, optional
-        By default those of the scene's first source, else 550 nm.
+        Wavelengths; by default those of the scene's first source, else 550 nm.
     weights : sequence of float, optional
-        Shares of the flux at the wavelengths; equal by default.
+        Fractions of the flux at the wavelengths; equal by default.
     detector : str, optional
-        Shape id, where the scene has several.
+        Shape id, if the scene has several detectors.
     rays : int, optional
         Start rays: from the detector (4e6; the joined method adds forward rays), or at each angle (forward,
-        2e5). With `relative_error` the most there may be.
+        2e5). With `relative_error` their largest number.
     relative_error : float, optional
-        Take as many rays as this relative standard error of the PST needs at all angles, as a pilot says.
+        Relative standard error of the PST at all angles; a pilot estimates the number of rays that it needs.
     error_up_to_deg : float, optional
-        Only angles up to this one count for `relative_error`.
+        Largest angle at which `relative_error` is required.
     paths : bool
-        Keep the strongest paths of each angle.
+        Whether to keep the strongest paths of each angle.
     map_pixels : int
         Longer side of maps of the detector for each angle; 0: none.
     state : str or Path, optional
-        File that holds all that is finished, renewed as the run goes on (not forward).
+        File with the finished part of the run, updated during the run (not forward).
     resume : bool
-        Go on from `state`.
+        Whether to continue the run of `state`.
     progress : callable, optional
-        Gets a `PstProgress` after every pass.
+        Called with a `PstProgress` after every pass.
     seconds : float, optional
-        Time after which the run ends with the rays that it has; forward it is shared by the cells. A note says how many
-        there are. The pass that is under way ends first.
+        Time after which the run ends with the rays traced so far; forward the cells share it. A note reports their
+        number. The current pass is completed first.
     next_order : bool
-        Measure the PST again with one more scatter event and, apart from that, with one more reflection, see
-        `Pst.next_orders`; they share as many rays as the first had, within `seconds`. Where the stray light at some
+        Whether to measure the PST again with one more scatter event and, apart from that, with one more reflection, see
+        `Pst.next_orders`. These have together as many rays as the first, within `seconds`. If the stray light at some
         angle changes by more than 5 % and two errors, the result is the PST with that limit.
     **settings
-        Fields of `mistray.trace.Settings`, such as ``max_reflections`` and ``max_scatters``; the others are those of
-        the scene's integrator.
+        Fields of `mistray.trace.Settings`, such as ``max_reflections`` and ``max_scatters``; by default those of the
+        scene's integrator.
 
     Returns
     -------
@@ -131,7 +132,7 @@ def pst(
     MistrayError
         For arguments out of range, or a state that belongs to another run.
     UnfinishedError
-        If workers of `mistray.distribute` are gone; ``partial`` is the PST of the passes before, or, forward, the
+        If workers of `mistray.distribute` are lost; ``partial`` is the PST of the passes before, or, forward, the
         finished cells by their numbers of angle and azimuth.
     """
     require_scene(scene, "pst")
@@ -156,6 +157,7 @@ def pst(
         progress=progress,
         **settings,
     )
+    # Measure, and measure again with one more event of either kind; a saved state belongs to the first
     began = time.perf_counter()
     with within(seconds):
         with share(FIRST_SHARE if next_order else 1.0):
@@ -166,13 +168,14 @@ def pst(
             result = with_next_orders(
                 scene, result, spent, lambda **limit: next(pst_of_each([scene], field_deg, **{**again, **limit}))
             )
+    # Notes on polarisation that is neglected
     light = {"wavelength_nm": wavelength_nm, "weights": weights, "detector": detector}
     beams = [{**light, "field_deg": float(angle)} for angle in result.field_deg]
     result.facts["notes"] = [*result.facts["notes"], *unpolarized_notes(scene, beams, **settings)]
     return result
 
 
-@renamed(angles_deg="field_deg")
+@known_arguments
 def pst_of_each(
     scenes: Iterable[mi.Scene],
     field_deg: Numbers = range(0, 81, 2),
@@ -182,27 +185,27 @@ def pst_of_each(
     **arguments: Any,
 ) -> Iterator[Pst]:
     """
-    The PST of scenes that are compared, by runs of the same random numbers.
+    Compute the PSTs of scenes to be compared, by runs with common random numbers.
 
-    Light covers the surfaces of all scenes and starts from the same places: what two scenes have in common is equal in
-    both, ray by ray.
+    Light covers the surfaces of all scenes and starts from the same points: the common part of two scenes is traced
+    with the same rays in both.
 
     Parameters
     ----------
     scenes : iterable of mi.Scene
-        All are taken before the first run. Angles are measured from the axis of each scene's own source.
+        Scenes, all read before the first run. Angles are measured from the axis of each scene's own source.
     field_deg, progress
         See `pst`.
     plan : Plan, optional
-        `Pst.plan` of a PST before, of a scene much like these: there is no pilot then, and rays start as they did. One
-        that does not fit is not used.
+        `Pst.plan` of an earlier PST, of a scene much like these: it replaces the pilot, and rays start as they did. A
+        plan that does not fit is not used.
     **arguments
-        The others of `pst`. With `relative_error`, `state` or `resume` one scene only.
+        Other arguments of `pst`. With `relative_error`, `state` or `resume` one scene only.
 
     Yields
     ------
     Pst
-        Of each scene.
+        PST of each scene, in their order.
 
     Raises
     ------
@@ -210,6 +213,7 @@ def pst_of_each(
         See `pst`.
     """
     request = PstRequest.of(field_deg=field_deg, **arguments)
+    # All scenes first: their light has to cover the surfaces of all of them
     prepared: list[tuple[mi.Scene, DirectionGrid, Settings]] = []
     traces: list[BackwardTrace] = []
     for scene in scenes:
@@ -223,6 +227,7 @@ def pst_of_each(
             )  # fmt: skip
         prepared.append((scene, grid, chosen))
     if request.method == "forward":
+        # One scene after the other, cell by cell
         points = _hull([scene for scene, *_ in prepared], request)
         for scene, grid, chosen in prepared:
             found = forward_pst(scene, grid, request, settings=chosen, points=points, progress=progress)
@@ -231,6 +236,7 @@ def pst_of_each(
     lit = hull_points(*(trace.table for trace in traces))
     place = Path(request.state) if request.state is not None else None
     runs = [BackwardRun(trace, lit, request.method == "joined", place, request.resume) for trace in traces]
+    # A given plan, or that of a pilot of each scene, with common forward rays
     plans: list[Plan | None]
     if plan is not None and all(plan.fits(trace.unit.size, trace.table.count) for trace in traces):
         plans = [plan.again() for _ in runs]
@@ -249,7 +255,7 @@ def pst_of_each(
 
 
 def _hull(scenes: Sequence[mi.Scene], request: PstRequest) -> np.ndarray | None:
-    """What light covers in all scenes, see `hull_points`; None for a single one, which knows itself."""
+    """Return the hull of all scenes, see `hull_points`; None for a single one, which computes its own."""
     if len(scenes) == 1:
         return None
     first = [float(spectrum_of(scene, request.wavelength_nm, request.weights)[0][0]) for scene in scenes]

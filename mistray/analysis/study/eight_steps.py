@@ -25,10 +25,10 @@ from mistray.analysis.study.surfaces import coatings_and_scatter, importance_sam
 from mistray.analysis.study.transfer import images_with_stray_light
 from mistray.analysis.transfer.result import Transfer
 from mistray.errors import MistrayError, UnknownKeyError
+from mistray.known_arguments import known_arguments
 from mistray.notes import warns
 from mistray.ranges import FIELD_DEG, RELATIVE_ERROR
 from mistray.recorders.directions import DirectionGrid
-from mistray.renamed import renamed
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.sources import scene_sources
@@ -117,12 +117,12 @@ class Study(Mapping[str, StudyStep]):
 
     @property
     def findings(self) -> list[str]:
-        """What the study found, one sentence each, in the order of the steps."""
+        """Findings of the study, one sentence each, in the order of the steps."""
         return [text for step in self.steps for text in step.findings]
 
     @property
     def warnings(self) -> list[str]:
-        """What a reader must know before trusting it, one line each; empty if all is well."""
+        """Warnings to heed before trusting the study, one line each; empty if all is well."""
         return [f"step {step.number}: {text}" for step in self.steps for text in step.warnings]
 
     def write(self, directory: str | Path, command: str = "") -> list[Path]:
@@ -152,7 +152,7 @@ class Study(Mapping[str, StudyStep]):
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
-@renamed(angles_deg="pst_field_deg", fields_deg="field_deg")
+@known_arguments
 @warns
 def study(
     scene: mi.Scene,

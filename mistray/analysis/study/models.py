@@ -21,7 +21,7 @@ OPTIC, BEVEL, OTHER_OPTIC, STRUCTURE, DETECTOR = "optic", "bevel or edge", "othe
 
 
 def role(table: SurfaceTable, path: DesignPath | None, surface: int) -> str:
-    """What a surface is: optic (of the design path), bevel or edge, other optic, structure or detector."""
+    """Return the role of a surface: optic (of the design path), bevel or edge, other optic, structure or detector."""
     word = int(table.optics.host_words[surface])
     if surface == table.detector:
         return DETECTOR

@@ -1,4 +1,4 @@
-"""What a step of a stray-light study gives back."""
+"""Result of a step of a stray-light study."""
 
 from __future__ import annotations
 
@@ -49,17 +49,17 @@ class StudyStep:
     key : str
         Its name in `STEPS`, also that of its CSV files.
     text : str
-        What was done, in a sentence or two.
+        Account of what was done, in a sentence or two.
     facts : tuple of Fact
     tables : dict
         DataFrames by name; the first is the main one. Columns end in their unit, standard errors in ``_se`` and the
         unit of their value.
     findings : tuple of str
-        What the step says about the system, one sentence each.
+        Statements of the step about the system, one sentence each.
     warnings : tuple of str
-        What a reader must know before trusting it; empty if all is well.
+        Warnings to heed before trusting it; empty if all is well.
     result : object
-        What the tables were made from: a `FirstOrder`, a `GhostReport`, a `Pst` …; None if there is no more than the
+        Source of the tables: a `FirstOrder`, a `GhostReport`, a `Pst` …; None if there is no more than the
         tables.
     seconds : float
     """

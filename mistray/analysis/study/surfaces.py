@@ -115,7 +115,7 @@ def _sides(table: SurfaceTable, surface: int, from_front: bool) -> tuple[float, 
 def _totals(
     table: SurfaceTable, surface: int, models: Sequence[Scatter], from_front: bool, cosine: float = 1.0
 ) -> Totals:
-    """What some models of a surface do to light at one angle of incidence; opaque surfaces transmit nothing."""
+    """Compute how some models of a surface divide light at one angle of incidence; opaque surfaces transmit nothing."""
     opaque = bool(table.optics.host_words[surface] & OPAQUE)
     sides = _sides(table, surface, from_front)
     particles = particle_indices(models, table.wavelength_nm)

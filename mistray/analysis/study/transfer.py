@@ -1,4 +1,4 @@
-"""What step 8 of a study says about contrast: images of points at the fields of the ghosts, with all stray light."""
+"""Step 8 of a study, about contrast: images of points at the fields of the ghosts, with all stray light."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def transfer_facts(found: Transfer) -> list[Fact]:
 
 
 def transfer_findings(found: Transfer) -> list[str]:
-    """What stray light takes of the contrast, at the field where it takes most."""
+    """Say how much of the contrast stray light takes, at the field where it takes most."""
     worst = min(found, key=lambda one: one.veiling_floor.value)
     floor = worst.veiling_floor
     lost, se = 100 * (1 - floor.value), 100 * floor.se

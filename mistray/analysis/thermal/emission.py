@@ -90,23 +90,23 @@ class Emitter:
 @dataclass(frozen=True, kw_only=True)
 class ThermalReport:
     """
-    What warms the detector; irradiances are in W/mm² in the band and do not depend on what the detector absorbs.
+    Thermal light on the detector; irradiances are in W/mm² in the band and do not depend on what the detector absorbs.
 
     Attributes
     ----------
     emitters : list of Emitter
         All that emit, the strongest first; the detector itself where it sees itself.
     total_W_mm2 : Estimate
-        By all of them.
+        Irradiance by all of them.
     scene_W_mm2 : Estimate
-        Of a blackbody around the system at `scene_K`, by all paths.
+        Irradiance by a blackbody around the system at `scene_K`, by all paths.
     image_W_mm2 : Estimate
         The part of it that makes the image: by the sequences of the design, or, where there are none, all light that is
         neither scattered nor reflected but at mirrors.
     to_image : Estimate
         Self-emission over the irradiance of the imaged scene; NaN where none is seen.
     lost_W_mm2 : float
-        What a blackbody at `temperature_K` would add by the paths that were not followed.
+        Irradiance that a blackbody at `temperature_K` would add by the paths that were not followed.
     self_view : Estimate
         Emission of the detector in its own view (narcissus).
     nitd_K : Estimate
@@ -116,7 +116,7 @@ class ThermalReport:
     temperature_K, detector_K, scene_K : float
     band_um : (float, float)
     wavelengths_um : tuple of float
-        At which the optics were traced.
+        Wavelengths at which the optics were traced.
     band_error : float
         Bound of the relative error of integrals over the band by these wavelengths; over √3 it is a part of the errors
         of means and integrals over the band. NaN where the optics are not known all over the band.
@@ -131,7 +131,7 @@ class ThermalReport:
     facts : dict
         Plain values: rays, seconds, settings.
     notes : list of Note
-        What a reader must know.
+        Notes on what a reader must know.
     """
 
     emitters: list[Emitter]
@@ -360,7 +360,7 @@ def _temperatures(seen: Sequence[Seen], default_K: float, rules: Mapping[str, fl
 
 
 def _emitter(key: Key, kelvin: float, weights: np.ndarray, seen: Sequence[Seen]) -> Emitter:
-    """What a surface or a medium gives; `weights` are those of its temperature, times π."""
+    """Sum the emission of a surface or a medium; `weights` are those of its temperature, times π."""
     kind, name = key
     by_batch = [emission(one, key) for one in seen]
     # Of what is at 0 K the emission is the plain mean over the wavelengths
@@ -458,7 +458,7 @@ def _nitd(
 
 
 def _returned(report: ThermalReport, found: Sequence[Returned], runs: tuple[list[Seen], list[Seen]]) -> list[Return]:
-    """What each surface sends back to the detector, the strongest first."""
+    """List the light that each surface sends back to the detector, the strongest first."""
     emitted, nothing = [one.emission for one in found], np.zeros_like(found[0].scene)
     housing, own = (
         np.pi * band_weights(kelvin, report.band_um, report.wavelengths_um)
@@ -481,7 +481,7 @@ def _returned(report: ThermalReport, found: Sequence[Returned], runs: tuple[list
 
 
 def _notes(seen: Sequence[Seen], image: Estimate, traced: TracedBand, band: tuple[float, float]) -> list[Note]:
-    """What a reader must know."""
+    """List the notes on what a reader must know."""
     waves = traced.wavelengths_um
     notes = list(dict.fromkeys(note for one in seen for note in one.notes))
     if traced.error > BAND_ERROR:

@@ -69,14 +69,15 @@ class Return:
 @dataclass(frozen=True)
 class Returned:
     """
-    What comes back to the detector at one wavelength.
+    Light that comes back to the detector at one wavelength.
 
     Attributes
     ----------
     emission : dict of str to Estimate
         Surface id or `TOTAL` → emission, as in `Return`; only what sends light back.
     cold : dict of str to (ZONES, BATCHES) float64
-        The same → irradiance that is missing because cold objects are seen by it, W/mm², by zone and batch of rays.
+        Surface id or `TOTAL` → irradiance that is missing because cold objects are seen by it, W/mm², by zone and batch
+        of rays.
     scene : (ZONES, BATCHES) float64
         Change of the irradiance of the imaged scene by its temperature, W/(mm² K).
     zones_mm : (ZONES + 1,) float64
@@ -100,7 +101,7 @@ def returns(
     per_kelvin: float,
 ) -> Returned:
     """
-    What the detector sees by the one surface that reflects, over its field.
+    Trace what the detector sees by the one surface that reflects, over its field.
 
     Parameters
     ----------
@@ -108,7 +109,7 @@ def returns(
     detector : str
     wavelength_um : float
     rays, seed : int
-        Of the start rays.
+        Number and seed of the start rays.
     settings : Settings
         `max_events` is used.
     missing : mapping of str to float
@@ -179,23 +180,23 @@ def _follow(
     width = ZONES * BATCHES
     intersector = Intersector(table)
     scattering = Scattering(ScatterTables(table, {}, backward=True))
-    has_stock = table.stock_scene is not None
+    has_mitsuba_shapes = table.mitsuba_scene is not None
     lanes = dr.width(cell)
     full = dr.zeros(mi.Float, lanes)
     o, d, w, last = start.o, start.d, start.w + full, start.left
     by = dr.full(mi.UInt32, NO_SURFACE, lanes)  # surface of the reflection
     medium = dr.zeros(mi.UInt32, lanes) + (start.medium if start.medium is not None else 0)
-    behind = start.normal if has_stock else None
+    behind = start.normal if has_mitsuba_shapes else None
     for _ in range(max_events):
         t, s, normal = next_hit(table, intersector, o, d, last, mi.Bool(True), normal=behind)
         hit = s != NO_SURFACE
         if table.optics.absorbs:
             w *= dr.exp(-dr.gather(mi.Float, table.optics.extinction, medium, hit) * dr.select(hit, t, 0))
-        it = interact(table, dr.fma(t, d, o), d, s, normal if has_stock else None, None, hit)
+        it = interact(table, dr.fma(t, d, o), d, s, normal if has_mitsuba_shapes else None, None, hit)
         R, T = it.R, it.T
         loss = 1 - R - T
         if scattering.any:
-            given = scattering.give(s, it, hit)
+            given = scattering.budget(s, it, hit)
             R, T, loss = R * given.reflection.kept, T * given.transmission.kept, given.absorbed
         hit &= (medium == 0) | (it.medium_in == 0) | (it.medium_in == medium)
         row = dr.minimum(by, table.count)
@@ -224,7 +225,7 @@ def _follow(
         o, last, cell = (dr.gather(type(v), v, lane) for v in (it.p, s, cell))
         d, medium = child(it.transmitted, it.reflected), child(it.medium_out, inside)
         w, by = child(w * T, w * R), child(by, dr.select(free, by, s))
-        behind = dr.gather(mi.Vector3f, normal, lane) if has_stock else None
+        behind = dr.gather(mi.Vector3f, normal, lane) if has_mitsuba_shapes else None
         dr.eval(o, d, w, by, medium, cell, last)
 
 

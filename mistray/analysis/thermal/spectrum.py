@@ -195,19 +195,19 @@ def _lengths(scene: mi.Scene, wavelength_nm: float) -> dict[str, np.ndarray]:
 
 def _shares(numbers: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    What a surface and the bodies at it do with light, and the least of each to which errors are relative.
+    Compute the shares of light at a surface and the bodies at it, and the least of each to which errors are relative.
 
     Parameters
     ----------
     numbers : (nodes, n) float64
         See `_optics`.
     lengths : (2, m) float64
-        In the body before it and behind it, mm.
+        Lengths of rays in the body before it and in the one behind it, mm.
 
     Returns
     -------
     (nodes, shares) float64
-        Absorbed and passed by the bodies; reflected, transmitted and absorbed by the surface.
+        Shares absorbed and passed by the bodies; reflected, transmitted and absorbed by the surface.
     (shares,) float64
     """
     depths = 4e6 * np.pi * numbers[:, 2:4, None] * lengths  # k/λ of both sides, 1/nm

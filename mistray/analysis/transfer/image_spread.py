@@ -29,7 +29,7 @@ PER_OCTAVE = 16  # rings: the mean radius of the light of a ring of a falling pr
 
 class ImageSpread(PassingLight):
     """
-    What a detector absorbs about a point, by class of light: flux on rings, and sums of exp(-2πi ν·r) over the rays.
+    Light that a detector absorbs about a point, by class: flux on rings, and sums of exp(-2πi ν·r) over the rays.
 
     The Fourier sums are those of the rays themselves, without rings or pixels, so that they have no error but that of
     their number.
@@ -37,9 +37,9 @@ class ImageSpread(PassingLight):
     Parameters
     ----------
     name : str
-        What the trace calls it.
+        Name that the trace calls it by.
     point_mm : (2,) float
-        In the frame of the detector, mm.
+        Point in the frame of the detector, mm.
     first_mm, last_mm : float
         Radius of the innermost disc, and one that no light is farther away than, mm; `PER_OCTAVE` rings an octave lie
         between them.

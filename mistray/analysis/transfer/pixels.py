@@ -1,4 +1,4 @@
-"""What a detector does to contrast: the aperture of its pixels, diffusion of charge, a measured table."""
+"""Effects of a detector on contrast: the aperture of its pixels, diffusion of charge, a measured table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stray light does to the image of each field point: books, transfer functions, point spread functions."""
+"""Effects of stray light on the image of each field point: books, transfer functions, point spread functions."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class FieldTransfer:
 
     @property
     def name(self) -> str:
-        """Of the field."""
+        """Name of the field."""
         return self.image.name
 
     # Powers

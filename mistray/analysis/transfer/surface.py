@@ -31,7 +31,7 @@ LEAST_COSINE = 0.05  # of scattered light: a BSDF that counts solid angles grows
 @dataclass(frozen=True)
 class SurfaceTransfer:
     """
-    What a rough surface multiplies the optical transfer function with.
+    Factor that a rough surface multiplies the optical transfer function with.
 
     Attributes
     ----------

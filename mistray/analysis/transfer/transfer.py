@@ -226,7 +226,7 @@ def _books(spread: ImageSpread, t: Trace) -> dict[str, Estimate]:
 
 
 def _notes(image: FieldImage, spread: ImageSpread, resolution: float, finest: float) -> tuple[str, ...]:
-    """What to mind about a field."""
+    """List what to mind about a field."""
     notes = []
     direct = spread.rings(DIRECT)
     if resolution * finest > COARSE:

@@ -144,7 +144,7 @@ def _record(
     light: Light,
     unaimed: Chance | None,
 ) -> dict[str, Any]:
-    """What --json prints: notes, the way to A, B and g from a roughness, totals of all events, curves of one."""
+    """Return the record that --json prints: notes, A, B and g from a roughness, totals of all events, curves of one."""
     from mistray.files.json_values import plain
 
     sheet = bsdf_models.roughness_sheet(options)
@@ -177,7 +177,7 @@ def _record(
 
 
 def _chance(options: Options, model: Scatter, event: str, light: Light) -> Chance | None:
-    """Of a hit by rays that nobody aims, if it is requested."""
+    """Return the chance of a hit by rays that nobody aims, if it is requested."""
     from mistray.scatter.chance import chance
 
     if options.hit_deg is None and options.hit_sr is None:
@@ -194,7 +194,7 @@ def _chance(options: Options, model: Scatter, event: str, light: Light) -> Chanc
 
 
 def _hit_rows(unaimed: Chance) -> tuple[tuple[str, str, float], ...]:
-    """What `_chance` found: name in JSON, text and value."""
+    """Return the rows of a result of `_chance`: name in JSON, text and value."""
     return (
         ("of_scatter", "chance of this scatter", unaimed.of_scatter),
         ("total", "and of getting there", unaimed.total),
@@ -204,7 +204,7 @@ def _hit_rows(unaimed: Chance) -> tuple[tuple[str, str, float], ...]:
 
 
 def _hits(unaimed: Chance | None) -> list[str]:
-    """The same as text."""
+    """Return the rows of `_hit_rows` as text; empty without a chance."""
     lines = [f"{text:<31} {value:.5g}" for _, text, value in _hit_rows(unaimed)] if unaimed else []
     return ["\n".join(["without importance sampling", *lines])] if lines else []
 
@@ -212,7 +212,7 @@ def _hits(unaimed: Chance | None) -> list[str]:
 def _total_rows(
     model: Scatter, angles_deg: list[float], events: list[str], light: Light, turned: bool
 ) -> list[dict[str, Any]]:
-    """What is scattered and what the specular beam loses, by event and angle; None where nothing is transmitted."""
+    """Return scattered shares and losses of the specular beam by event and angle; None where nothing is transmitted."""
     from mistray.scatter.scan import scan
 
     rows = []
@@ -257,7 +257,7 @@ def _knee(model: Scatter, event: str, light: Light) -> float | None:
 
 
 def _notes(model: Scatter) -> list[str]:
-    """What is unusual about the parameters."""
+    """Return notes on unusual parameters."""
     advice = getattr(model, "advice", lambda: None)()
     return [f"note: {advice}"] if advice else []
 

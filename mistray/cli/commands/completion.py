@@ -43,7 +43,7 @@ def run(options: Options) -> int:
 @dataclass(frozen=True)
 class Value:
     """
-    What an argument takes.
+    Value or values that an argument takes.
 
     Attributes
     ----------
@@ -53,11 +53,11 @@ class Value:
     flags : tuple of str
         Empty for a positional argument.
     names : tuple of str
-        What is proposed.
+        Names that are proposed.
     files : bool
-        Files are proposed as well.
+        Whether files are proposed as well.
     many : bool
-        It takes several values.
+        Whether it takes several values.
     """
 
     label: str
@@ -82,7 +82,7 @@ HELP = Value("", "show this help message and exit", ("-h", "--help"))
 
 
 def described(commands: Iterable[Command]) -> list[Described]:
-    """What the commands take."""
+    """Describe the options and arguments of the commands."""
     names = _names()
     found = []
     for command in commands:
@@ -139,13 +139,13 @@ def script(shell: str, commands: list[Described]) -> str:
 
 
 def _bash_values(values: Sequence[Value]) -> str:
-    """What is proposed for some arguments, as variables of bash."""
+    """Return the proposals for some arguments as variables of bash."""
     names = shlex.quote(" ".join(name for value in values for name in value.names))
     return f"names={names} files={'yes' if any(value.files for value in values) else 'no'}"
 
 
 def _zsh_specs(command: Described) -> list[str]:
-    """What `_arguments` of zsh takes, one text for each option and argument."""
+    """Return the specifications that `_arguments` of zsh takes, one text for each option and argument."""
     specs = [_zsh_option(value, flag) for value in command.options for flag in value.flags]
     return specs + [_zsh_value(value, f"{number}:") for number, value in enumerate(command.positional, start=1)]
 

@@ -282,7 +282,7 @@ def _check_rays(scene: Any, options: Options) -> None:
 
 
 def _seconds_of_trace(options: Options) -> float | None:
-    """What of --seconds the trace has, so that the report of its rays is written in time, too."""
+    """Return the part of --seconds that the trace has, so that the report of its rays is written in time, too."""
     left = options.seconds_left(PAGE_S + FIELD_S * len(options.field_deg or [None]))
     if left is None or options.out is None:
         return left
@@ -330,7 +330,7 @@ class _Extra:
             self.tables["path_analysis"] = analysis_frame(report, options.path_analysis, options.least_share or 0.0)
 
     def texts(self) -> list[str]:
-        """What is printed."""
+        """Return the texts that are printed."""
         from mistray.report.tables.levels import alias_text, analysis_text, filter_text, level_text
 
         options = self._options
@@ -373,7 +373,7 @@ class _Extra:
 
 
 def _aliases(words: list[str | tuple[str, str]] | None) -> dict[str, str] | str | None:
-    """What `mistray.trace.PathTable.by_way` takes."""
+    """Return the aliases as `mistray.trace.PathTable.by_way` takes them."""
     if words is None:
         return None
     alone = [word for word in words if isinstance(word, str)]

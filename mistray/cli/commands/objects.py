@@ -37,8 +37,7 @@ COMMAND = Command(
         Group("light from outside (one of the first three)", (
             Option("--half-angle-deg", f"from everywhere within this angle of the axis ({HALF_ANGLE_DEG:g})",
                    CONE_DEG, "DEG"),
-            angles("--field-deg", "a distant source at field angles: numbers, and ranges first:last:step", FIELD_DEG,
-                   old="--angles-deg"),
+            angles("--field-deg", "a distant source at field angles: numbers, and ranges first:last:step", FIELD_DEG),
             Option("--disc", "a Lambertian disc across the z axis, mm; its cone is --half-angle-deg",
                    PLACE_MM, ("Z", "RADIUS"), 2),
             Option("--azimuth-deg", "azimuth of --field-deg, from +y to -x (0)", AZIMUTH_DEG, "DEG"),

@@ -73,7 +73,7 @@ COMMAND = Command(
         SCENE,
         Group("directions (angles: numbers, and ranges first:last:step)", (
             angles("--field-deg", "field angles, ascending; negative ones are at the opposite azimuth (0:80:2)",
-                   PST_FIELD_DEG, old="--angles-deg"),
+                   PST_FIELD_DEG),
             angles("--azimuths-deg", "azimuths of a map, from +y towards -x (the mean over all)", AZIMUTH_DEG),
             Option("--cell-deg", "width of the cells of field angle that the PST is averaged over (2)",
                    CELL_WIDTH_DEG, "DEG"),
@@ -97,8 +97,7 @@ COMMAND = Command(
         saved_run(STATE, " (not with --method forward)"),
         output("report.html, CSV, JSON and PNG files", FILES,
                Option("--paths-shown", "strongest stray paths of each angle; 0: no paths (4)", ROWS, "N", default=4),
-               angles("--map-field-deg", "field angles of irradiance maps of the detector (need --out)", PST_FIELD_DEG,
-                      old="--map-angles-deg"),
+               angles("--map-field-deg", "field angles of irradiance maps of the detector (need --out)", PST_FIELD_DEG),
                Option("--map-azimuth-deg", "their azimuth (the first one)", AZIMUTH_DEG, "DEG"),
                Option("--map-pixels", f"pixels along their longer side ({MAP_PIXELS})", PIXELS, "N"),
                formats=(*TABLE_FORMATS, *MAP_FORMATS)),

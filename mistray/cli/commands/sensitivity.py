@@ -67,7 +67,7 @@ COMMAND = Command(
             Option("--paths", "of path_power and the like: ghost, stray …, a name as 'L2_rear -> L1_front', all "
                    "events of a path, or a filter (docs/rays.md) (ghost)", metavar="PATHS"),
             Option("--field-deg", "field angles, averaged (the source's own); of pst_bin one, that of the PST",
-                   FIELD_DEG, "DEG", "+", old="--angle-deg"),
+                   FIELD_DEG, "DEG", "+"),
             Option("--band-deg", "of pst_band: its ends, degrees", POLAR_DEG, ("LOW", "HIGH"), 2),
             Option("--patch-deg", "of veiling_glare: half-width of the black patch", CONE_DEG, "DEG"),
             Option("--light", "of a PST: stray, ghost, single_scatter, total … (stray)", metavar="CLASS"),

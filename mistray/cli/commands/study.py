@@ -52,7 +52,7 @@ COMMAND = Command(
         SCENE,
         Group("what is traced", (
             angles("--pst-field-deg", "field angles of the PST, numbers and ranges first:last:step (0:80:2)",
-                   PST_FIELD_DEG, old="--angles-deg"),
+                   PST_FIELD_DEG),
             Option("--field-deg", "field angles of the ghosts (0, 1/2, 1 and 5/4 of the half field)",
                    FIELD_DEG, "DEG", "+"),
             Option("--azimuth-deg", "azimuth of these fields (as the scene says)", AZIMUTH_DEG, "DEG"),

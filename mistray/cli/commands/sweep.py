@@ -49,7 +49,7 @@ COMMAND = Command(
             Option("--field-deg", "field angles, degrees", FIELD_DEG, "DEG", "+"),
             Option("--azimuth-deg", "azimuth of the fields about z, degrees", AZIMUTH_DEG, "DEG"),
             angles("--pst-field-deg", "instead of fields: the PST at these field angles before and after what each "
-                   "configuration moves, paints, coats or blocks", PST_FIELD_DEG, old="--pst-deg"),
+                   "configuration moves, paints, coats or blocks", PST_FIELD_DEG),
             Option("--rank", "with --pst-field-deg: rank what can be moved, blocked, painted and coated by the "
                    "derivatives of the stray PST; STUDY may be left out", bool),
             Option("--step", "of --rank: steps by kind (position, tilt, rim, scatter, share, coating), key or pattern, "
@@ -125,7 +125,7 @@ def run(options: Options) -> int:
 
 
 def _run_pst(options: Options) -> int:
-    """What the configurations do to the PST."""
+    """Compute and show the effect of the configurations on the PST."""
     options.refuse(OF_FIELDS, " is for traces of fields; leave it out with --pst-field-deg")
     if options.study is None and not (_edited(options) or options.rank):
         raise MistrayError(
@@ -182,7 +182,7 @@ def _edited(options: Options) -> bool:
 
 
 def _configurations(options: Options) -> list[Configuration]:
-    """Those of the file, and that of the command line, which is named by what it changes."""
+    """Return the configurations of the file, and that of the command line, which is named by what it changes."""
     from mistray.sweeps import Configuration, read_configurations
 
     found = [] if options.study is None else read_configurations(options.study)

@@ -88,7 +88,7 @@ def run(options: Options) -> int:
 
 
 def _noise(options: Options) -> DetectorNoise | None:
-    """What the options say of a pixel; None without any."""
+    """Return the pixel and its noise as the options give them; None without any."""
     from mistray.analysis.thermal.netd import DetectorNoise
 
     given = options.given(*PIXEL, *NOISE)

@@ -193,7 +193,7 @@ def _view(scene: Any, traced: Sequence[Trace], chosen: RayChoice, options: Optio
 
 
 def _record(traced: Sequence[Trace], chosen: RayChoice) -> dict[str, Any]:
-    """What --json prints: the rows that are drawn."""
+    """Return the record that --json prints: the rows that are drawn."""
     if not traced:
         return {"paths": []}
     from mistray.files.json_values import plain

@@ -1,1 +1,1 @@
-"""Rims that a beam just fills: found by the rays along its edge, for they have no derivative there."""
+"""Rims that a beam just fills, at which a metric has no derivative: found by the rays along the beam's edge."""

@@ -1,13 +1,14 @@
-"""Rims along which the edge of a beam runs, so that the flux density jumps where a derivative asks for it.
+"""
+Rims along which the edge of a beam runs, so that the flux density jumps where a derivative needs it.
 
-Where a beam just fills a rim, to move the rim into the beam takes light away, and to move it out does nothing: there is
-no derivative, but one on either side. The estimator of `mistray.gradients.edges` would see no hit, and say 0. The rays
-along the edge of a source find such rims: those that they pass by within a small part of the zone in which hits are
-looked at, and along which they run. Where the edge of the beam crosses a rim at an angle, the density on the rim is as
-smooth as anywhere, for the boundary kernel knows slopes. Where it runs along a rim farther away, but within the zone,
-the zone is narrowed to what lies before it.
+Where a beam just fills a rim, a move of the rim into the beam removes light, and a move out of it has no effect: there
+is no derivative, but one on either side. The estimator of `mistray.gradients.edges` would find no hit, and return 0.
+The rays along the edge of a source find such rims: these rays pass by the rim within a small part of the zone in which
+hits are recorded, and run along it. Where the edge of the beam crosses a rim at an angle, the density on the rim is as
+smooth as anywhere, and the boundary kernel is exact for slopes. Where it runs along a rim farther away, but within the
+zone, the zone is narrowed so that it ends before the edge of the beam.
 
-Not seen are rims that the shadow of another rim just fills.
+Not found are rims that the shadow of another rim just fills.
 """
 
 from __future__ import annotations
@@ -29,14 +30,14 @@ from mistray.sampling.source import SceneSource
 from mistray.surfaces.gradient_columns import HALF_HEIGHT, HALF_WIDTH, HIGH, INNER, LOW, OUTER, POSE
 from mistray.surfaces.surfaces import SurfaceTable
 
-RAYS = 64  # along the edge of a beam
-CLOSE = 0.1  # of the zone: a rim that is nearer to the edge of the beam is just filled
-INSIDE = 2.0  # of that part of the radius: how far inside of the edge light must go on for the rim to matter
-ARC = 3  # rays in a row that run along a rim: an edge that touches it in a point takes nothing to first order
-ALONG = 0.1  # change of the distance by the way along the edge, below which it runs along the rim
-EXACT = 0.03  # of the zone: an edge that keeps this near to a rim all along it is as good as on it
-BEFORE = 0.9  # of the distance of the edge, to which a zone is narrowed
-SAME = 1e-9  # of the size of a rim by which it may move and does not
+RAYS = 64  # number of rays along the edge of a beam
+CLOSE = 0.1  # distance of the edge of a beam, in units of the zone, within which it just fills a rim
+INSIDE = 2.0  # distance inside of the edge, in units of `CLOSE` times the width, at which light must continue
+ARC = 3  # rays in a row that must run along a rim: an edge that touches it in a point has no first-order effect
+ALONG = 0.1  # change of the distance per length along the edge, below which the edge runs along the rim
+EXACT = 0.03  # in units of the zone: an edge that stays this near to a rim counts as lying on it
+BEFORE = 0.9  # width of a narrowed zone, in units of the distance of the edge
+SAME = 1e-9  # move in units of the size of a rim that counts as none
 WORDS = {
     OUTER: "outer rim",
     INNER: "inner rim",
@@ -50,14 +51,14 @@ WORDS = {
 @dataclass(frozen=True, eq=False)
 class FullRims:
     """
-    The rims of a scene that a source at one wavelength just fills.
+    Rims of a scene that a source at one wavelength just fills.
 
     Attributes
     ----------
     source : SceneSource
     table : SurfaceTable
     width : float
-        Of the zones along the rims, in units of their radius or half side.
+        Width of the zones along the rims, in units of their radius or half side.
     """
 
     source: SceneSource
@@ -71,7 +72,7 @@ class FullRims:
 
     @cached_property
     def full(self) -> list[tuple[int, Key, np.ndarray]]:
-        """Which rays of which passages (line, key, (n,) bool) run along a rim that they just fill."""
+        """Rays that run along a rim that they just fill: line, key of the passage, and mask of its rays, (n,) bool."""
         found = []
         for line, key, passage in self._along():
             here = passage.counts & (passage.slope < ALONG)
@@ -87,10 +88,10 @@ class FullRims:
     @property
     def reach(self) -> float:
         """
-        How far a rim may move relative to the beam until a derivative on one side is none any more, in units of zones.
+        Largest move of a rim relative to the beam for which a one-sided derivative holds, in units of zones.
 
-        Half a zone where the edge of the beam lies on the rim; where it is a little off, along a part of the rim or all
-        of it, that little.
+        It is half a zone where the edge of the beam lies on the rim. Where the edge is a little off, along a part of
+        the rim or all of it, it is half of the zone's part `CLOSE`.
         """
         off = 0.0
         for line, key, _ in self.full:
@@ -101,16 +102,16 @@ class FullRims:
 
     @property
     def names(self) -> list[str]:
-        """The rims in words."""
+        """Names of the rims, in words."""
         return list(dict.fromkeys(self.name(key) for _, key, _ in self.full))
 
     def name(self, key: Key) -> str:
-        """A rim in words."""
+        """Return the name of a rim, in words."""
         return f"the {WORDS[key[3]]} of '{self.table.ids[key[2]]}'"
 
     @cached_property
     def limits(self) -> dict[Rim, float]:
-        """Widths of narrower zones, mm, that end before the edge of a beam beside them."""
+        """Widths of narrowed zones, mm, which end before the edge of a beam beside them."""
         found: dict[Rim, float] = {}
         for _, key, passage in self._along():
             rim = key[2], key[3]
@@ -123,25 +124,26 @@ class FullRims:
 
     def moved_by(self, owner: Any, name: str, step: float) -> tuple[float, str]:
         """
-        How far a step of a parameter moves the rims relative to the beam that fills them.
+        Compute how far a step of a parameter moves the rims relative to the beam that fills them.
 
         Parameters
         ----------
         owner : plugin
         name : str
         step : float
-            In the unit of the parameter.
+            Step in the unit of the parameter.
 
         Returns
         -------
         share : float
-            The largest move, in units of the zone of the rim; 0 where none moves.
+            Largest move, in units of the zone of the rim; 0 if no rim moves.
         rim : str
-            That rim in words.
+            Name of the rim that moves most.
         """
         largest, rim = 0.0, ""
         if not any(owner is one for one in self._owners):
             return largest, rim
+        # Follow the rays along each rim again, with the parameter changed
         table = self._with(owner, name, step)
         for line, key, here in self.full:
             passage, place = self._passages[line].passages[key], np.flatnonzero(here)
@@ -172,7 +174,7 @@ class FullRims:
 
     @cached_property
     def _passages(self) -> list[MarginalRays]:
-        """The lines of the edge of the beam, followed."""
+        """Followed rays of each closed line of the edge of the beam."""
         found = []
         last = self.table.ids.index(self.source.shape) if self.source.shape else -1
         for edge, within in zip(self._edges, self.source.edges(RAYS, INSIDE * CLOSE * self.width), strict=True):
@@ -184,7 +186,7 @@ class FullRims:
         return found
 
     def _moved(self, rays: Bundle, owner: Any, name: str, step: float) -> Bundle:
-        """Rays as they start with another value of a parameter, if it is one of the source."""
+        """Return the start of rays with another value of a parameter, if it is one of the source."""
         if owner is not self.source.emitter:
             return rays
         by_o, by_d = self.source.motion(name, mi.Vector3d(*rays.o.T), mi.Vector3d(*rays.d.T))
@@ -193,7 +195,7 @@ class FullRims:
         return rays._replace(o=o, d=d / np.linalg.norm(d, axis=1, keepdims=True))
 
     def _with(self, owner: Any, name: str, step: float) -> SurfaceTable:
-        """The surfaces with another value of a parameter, as far as rays on the host see them."""
+        """Return the surfaces with another value of a parameter, changed in the numbers that host rays use."""
         table = copy(self.table)
         table.pieces, table.vertices, table.rotations = (
             list(table.pieces),

@@ -1,6 +1,7 @@
-"""Rays along the edge of a beam, followed on the host by what they meet first, and how far from rims they pass.
+"""
+Marginal rays: rays along the edge of a beam, followed on the host, with their distances from the rims that they pass.
 
-Where such a ray comes very close to a rim, both of its fates are followed: it hits the surface, and it goes past.
+Where such a ray comes very close to a rim, both branches are followed: it hits the surface, and it goes past.
 """
 
 from __future__ import annotations
@@ -16,24 +17,24 @@ from mistray.surfaces.optics import DETECTOR, IDEAL, OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable
 
 MOST_STEPS, MOST_FATES = 64, 2
-BESIDE = 1e-9  # share of the way to a hit by which a surface in the same place may lie behind it
+BESIDE = 1e-9  # relative distance by which a surface in the place of a hit may lie behind it
 
 Rim = tuple[int, int]
 """Number of the surface, place in `RIM_COLUMNS`."""
-# What tells passages by a rim apart: the fates before it, the hits since, the rim, which of the crossings of its sheet
+# Key of a passage by a rim: branches before it, hits since, the rim's two numbers, number of the sheet's crossing
 Key = tuple[tuple[int, ...], int, int, int, int]
 
 
 class Meeting(NamedTuple):
     """
-    What the rays of a line meet at a step.
+    Hits of the rays of a line at a step.
 
     Attributes
     ----------
     surface : (n,) int
-        -1: nothing.
+        Surfaces; -1: none.
     point : (n, 3) float64
-        Where, mm.
+        Points of the hits, mm.
     """
 
     surface: np.ndarray
@@ -41,7 +42,7 @@ class Meeting(NamedTuple):
 
     @classmethod
     def of(cls, count: int, place: np.ndarray, surface: np.ndarray, point: np.ndarray) -> Meeting:
-        """Of some rays of a line of `count`."""
+        """Return the hits of some rays of a line of `count`."""
         found = cls(np.full(count, -1), np.full((count, 3), np.nan))
         found.surface[place], found.point[place] = surface, point
         return found
@@ -50,18 +51,18 @@ class Meeting(NamedTuple):
 @dataclass
 class Passage:
     """
-    How the rays of a closed line pass by a rim.
+    Passage of the rays of a closed line by a rim.
 
     Attributes
     ----------
     depth : (n,) float64
-        How far within the rim they cross the surface, mm, less than 0 beyond it; NaN of those that are not near it.
+        Distance within the rim at which they cross the surface, mm, negative beyond it; NaN if not near it.
     point : (n, 3) float64
-        Where, mm.
+        Points of the crossings, mm.
     counts : (n,) bool
-        Whether light goes on from there by one of both fates; known of those very near.
+        Whether light continues from there by at least one of both branches; true of very near rays only.
     way : tuple of Meeting
-        What the rays have met before.
+        Hits of the rays before.
     """
 
     depth: np.ndarray
@@ -71,7 +72,7 @@ class Passage:
 
     @property
     def slope(self) -> np.ndarray:
-        """Change of the depth by the way along the line, (n,); infinite of a ray that is near without neighbours."""
+        """Change of the depth per length along the line, (n,); infinite for a near ray without near neighbours."""
         change = []
         for back, ahead in ((1, -1), (1, 0), (0, -1)):
             step = np.linalg.norm(np.roll(self.point, ahead, axis=0) - np.roll(self.point, back, axis=0), axis=1)
@@ -83,7 +84,7 @@ class Passage:
 
 class Bundle(NamedTuple):
     """
-    Some rays of a line on their way.
+    Rays of a line on their way.
 
     Attributes
     ----------
@@ -92,11 +93,11 @@ class Bundle(NamedTuple):
     last : (n,) int
         Surface that each ray comes from; -1: none.
     place : (n,) int
-        Where they are in the line.
+        Numbers of the rays in the line.
     fates : tuple of int
-        Surfaces that they have met, or passed, otherwise than they would.
+        Surfaces at which they took the other branch: they hit one that they would have passed, or the reverse.
     way : tuple of Meeting
-        What they have met.
+        Hits so far.
     """
 
     o: np.ndarray
@@ -107,7 +108,7 @@ class Bundle(NamedTuple):
     way: tuple[Meeting, ...] = ()
 
     def take(self, some: np.ndarray) -> Bundle:
-        """Those of some places."""
+        """Return some of the rays."""
         return self._replace(o=self.o[some], d=self.d[some], last=self.last[some], place=self.place[some])
 
 
@@ -119,14 +120,14 @@ class _Near(NamedTuple):
     point: np.ndarray
 
     def take(self, some: np.ndarray) -> _Near:
-        """Some of them."""
+        """Return some of the legs."""
         return _Near(self.legs[some], self.depth[some], self.point[some])
 
 
 @dataclass
 class MarginalRays:
     """
-    The rays of one closed line, and the rims that they pass by.
+    Rays of one closed line, and the rims that they pass by.
 
     Attributes
     ----------
@@ -134,13 +135,14 @@ class MarginalRays:
     zones : dict
         Widths of the zones within which a ray is near a rim, mm.
     close : float
-        Share of a zone within which both fates are followed.
+        Fraction of a zone within which both branches are followed.
     inside : (n,) bool
-        Whether light goes on from the end of the ray next to each, a little inside of the edge: what moves a rim may
-        let the light at the edge go that way.
+        Whether light continues from the end of the ray beside each, a little inside of the edge: a move of a rim may
+        let the light at the edge take the same path.
     passages : dict
+        Key → `Passage`.
     met : set of int
-        Surfaces that they have met.
+        Surfaces that the rays have hit.
     """
 
     table: SurfaceTable
@@ -157,15 +159,16 @@ class MarginalRays:
 
     def follow(self, rays: Bundle) -> np.ndarray:
         """
-        Follow rays to their end, and note which rims they pass by.
+        Follow rays to their end, and record the rims that they pass by.
 
         Returns
         -------
         (n,) bool
-            Whether light goes on from the end of each: it is no black surface, and not the open.
+            Whether light continues from the end of each ray: not from a black surface, nor outside of the scene.
         """
         alive, lit, here = np.arange(len(rays.o)), np.zeros(len(rays.o), dtype=bool), rays
         legs, lengths, numbers, origins, way = [], [], [], [], rays.way
+        # Trace all rays step by step, and keep their legs
         for number in range(MOST_STEPS):
             surface, p, normal = first_hit(self.table, here.o, here.d, here.last)
             met = surface >= 0
@@ -182,7 +185,8 @@ class MarginalRays:
             if not len(alive):
                 break
         else:
-            lit[alive] = True  # round and round
+            lit[alive] = True  # trapped light counts as light that continues
+        # Rims near the legs, all legs together
         o, d, last, place = (np.concatenate(column) for column in zip(*(leg[:4] for leg in legs), strict=True))
         whole = Bundle(o, d, last, place, rays.fates, way)
         length, step, origin = (np.concatenate(parts) for parts in (lengths, numbers, origins))
@@ -194,13 +198,13 @@ class MarginalRays:
         return lit
 
     def _after(self, rays: Bundle, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Directions behind the surface that rays are at, and whether they end there."""
+        """Return directions after the surface that rays are at, and whether they end there."""
         after, _ = onward(self.table, rays.last, rays.d, normal)
         detects = (self.table.optics.host_words[rays.last] & DETECTOR) != 0
         return after, detects | ~np.isfinite(after[:, 0])
 
     def _black(self, surface: np.ndarray) -> np.ndarray:
-        """Whether surfaces that end light send none on, and record none."""
+        """Whether surfaces at which rays end neither scatter nor reflect nor record light."""
         optics = self.table.optics
         words, bsdfs = optics.host_words[surface], optics.bsdfs
         scatters = np.array([bool(bsdfs[k].scatter) for k in surface], dtype=bool)
@@ -208,29 +212,30 @@ class MarginalRays:
         return np.asarray(dark & ~scatters & ((words & DETECTOR) == 0))
 
     def _passing(self, legs: Bundle, length: np.ndarray) -> Iterator[tuple[tuple[int, int, int], _Near]]:
-        """Rims, with the number of the crossing of their sheet, and the legs that pass near them."""
+        """Yield rims, with the number of the crossing of their sheet, and the legs that pass near them."""
         for piece in self.table.pieces:
             rims = [rim for rim in piece.rim_sizes if (piece.index, rim) in self.zones]
             least = np.where(legs.last == piece.index, piece.self_hit, 0.0)
             for k, way in enumerate(crossings(self.table, piece.index, legs.o, legs.d).T if rims else ()):
                 with np.errstate(invalid="ignore"):
                     some = np.flatnonzero((way > least) & (way <= length * (1 + BESIDE)))
-                if not len(some):  # Dr.Jit, which knows some rims, has no empty arrays
+                if not len(some):  # Dr.Jit, which computes the depths of some rims, has no empty arrays
                     continue
                 points = legs.o[some] + way[some, None] * legs.d[some]
                 depths = piece.rim_depths(local(self.table, piece.index, points, points)[0])
                 for rim in rims:
                     zone = self.zones[piece.index, rim]
-                    # Beside a side of a rectangle only where the other one is not far
+                    # Near a side of a rectangle only if the crossing is not far beyond the other sides
                     others = [depth > -zone for other, depth in depths.items() if other != rim]
                     near = np.all([np.abs(depths[rim]) < zone, *others], axis=0)
                     if np.any(near):
                         yield (piece.index, rim, k), _Near(some[near], depths[rim][near], points[near])
 
     def _note(self, key: Key, near: _Near, legs: Bundle, lit: np.ndarray) -> None:
-        """Keep how legs pass a rim, and send those that are very near to their other fate."""
+        """Record how legs pass a rim, and follow the other branch of those that are very near."""
         very = np.abs(near.depth) < self.close * self.zones[key[2:4]]
         counts = very & (lit[near.legs] | self.inside[legs.place[near.legs]])
+        # Other branch
         if np.any(very) and len(legs.fates) < MOST_FATES:
             at = legs.take(near.legs[very])._replace(o=near.point[very], last=np.full(int(very.sum()), key[2]))
             counts[very] |= self._otherwise(at, near.depth[very] < 0)
@@ -241,7 +246,7 @@ class MarginalRays:
         passage.depth[place], passage.point[place], passage.counts[place] = near.depth, near.point, counts
 
     def _otherwise(self, rays: Bundle, hits: np.ndarray) -> np.ndarray:
-        """Whether light goes on from the end of rays that now hit the surface they have passed, or the other way."""
+        """Whether light continues from the end of the other branch: rays hit what they have passed, or the reverse."""
         after, ends = self._after(rays, normals(self.table, int(rays.last[0]), rays.o))
         ends &= hits
         lit = ends & ~self._black(rays.last)
@@ -256,22 +261,22 @@ class MarginalRays:
 
 def depth_again(table: SurfaceTable, rim: Rim, passage: Passage, rays: Bundle) -> np.ndarray:
     """
-    Depths of rays within a rim where surfaces stand otherwise, mm.
+    Return the depths of rays within a rim after surfaces have moved, mm.
 
     Parameters
     ----------
     table : SurfaceTable
-        As it is now.
+        Moved surfaces.
     rim : (int, int)
     passage : Passage
-        As it was.
+        Passage before the move.
     rays : Bundle
         Some of its rays at their start.
 
     Returns
     -------
     (n,) float64
-        NaN of those that miss a surface of their way.
+        Depths; NaN for rays that miss a surface of their path.
     """
     o, d = rays.o.copy(), rays.d.copy()
     for meeting in passage.way:
@@ -286,9 +291,14 @@ def depth_again(table: SurfaceTable, rim: Rim, passage: Passage, rays: Bundle) -
 
 
 def _nearest(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray, then: np.ndarray) -> np.ndarray:
-    """Where rays cross a surface, nearest to where they did; of stock shapes, which do not move, where they did."""
+    """
+    Return the crossings of rays with a surface, nearest to those before its move.
+
+    Mitsuba's own shapes do not move: their crossings are returned as they are.
+    """
     if surface >= len(table.pieces):
         return then
+    # A ray may cross a quadric twice
     way = crossings(table, surface, o, d)
     points = o[:, None] + way[..., None] * d[:, None]
     away = np.linalg.norm(points - then[:, None], axis=2)

@@ -206,7 +206,7 @@ def interfaces(optic: Any) -> Iterator[Any]:
 
 
 def without(rings: Iterable[tuple[float, float]], holes: Rings) -> Rings:
-    """What is left of rings (inner, outer) after cutting other rings out of them."""
+    """Return the rings (inner, outer) that are left after cutting other rings out of them."""
     left = list(rings)
     for low, high in holes:
         cut: Rings = []

@@ -104,7 +104,7 @@ def _place(item: dict[str, Any]) -> str:
 
 
 def _reason(item: dict[str, Any], error: Exception) -> str:
-    """What is wrong with an optic of a file, by what Python says of it."""
+    """Describe what is wrong with an optic of a file, from Python's error."""
     if isinstance(error, KeyError):
         return f"has no '{shown([str(error.args[0])])}'"
     if word := _UNKNOWN.search(str(error)):

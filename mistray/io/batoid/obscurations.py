@@ -14,13 +14,13 @@ M_TO_MM = 1e3
 
 def clear_outline(obscuration: Any, radius: float, owner: str) -> Outline:
     """
-    What an obscuration on a surface leaves clear.
+    Return the outline that an obscuration on a surface leaves clear.
 
     Parameters
     ----------
     obscuration : batoid.obscuration.Obscuration or None
     radius : float
-        Of the surface where the obscuration gives it no end, m.
+        Radius of the surface where the obscuration gives it no end, m.
     owner : str
         For messages.
     """
@@ -32,13 +32,13 @@ def clear_outline(obscuration: Any, radius: float, owner: str) -> Outline:
 
 def opaque_outlines(obscuration: Any, radius: float, owner: str) -> list[Outline]:
     """
-    What an obscuration covers, one outline for each of its parts; they may overlap.
+    Return the outlines that an obscuration covers, one for each of its parts; they may overlap.
 
     Parameters
     ----------
     obscuration : batoid.obscuration.Obscuration or None
     radius : float
-        Where it ends if it has no end of its own, m.
+        Radius where it ends if it has no end of its own, m.
     owner : str
         For messages.
     """

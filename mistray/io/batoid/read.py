@@ -439,7 +439,7 @@ class _Reader:
 
 
 def _without_ring(outline: Outline, inner: float, outer: float) -> list[Outline]:
-    """What is left of an outline (mm) without a centred ring (m), in two parts."""
+    """Return an outline (mm) without a centred ring (m), in two parts."""
     parts = [Outline((*outline.figures, Figure("circle", "-", sizes=(outer * M_TO_MM,))))]
     if inner > 0:
         parts.append(Outline((*outline.figures, Figure("circle", "&", sizes=(inner * M_TO_MM,)))))

@@ -80,7 +80,7 @@ class Glb:
             yield from self._below(nodes, child, names, frame)
 
     def mesh_name(self, number: int) -> str:
-        """What a mesh is called: the product."""
+        """Return the name of a mesh: that of the product."""
         return str(self.tree["meshes"][number].get("name", ""))
 
     def mesh(self, number: int) -> tuple[Part, int]:

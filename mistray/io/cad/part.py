@@ -1,4 +1,4 @@
-"""What a CAD or mesh file holds: parts, made of triangles that know their face and, from STEP, its surface."""
+"""Contents of a CAD or mesh file: parts, made of triangles that know their face and, from STEP, its surface."""
 
 from __future__ import annotations
 

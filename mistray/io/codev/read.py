@@ -107,7 +107,7 @@ def read_codev(
 
 
 class _Reader:
-    """What has been read so far; `take` reads the next command, `lens` puts the lens together."""
+    """State of the reading so far; `take` reads the next command, `lens` puts the lens together."""
 
     def __init__(
         self,
@@ -501,7 +501,7 @@ class _Reader:
         return [*rows, replace(last[0], number=len(self.surfaces) + 1)]
 
     def _unread_of_ends(self) -> None:
-        """What the object's surface says beside its distance."""
+        """Report as unread what the object's surface says beside its distance."""
         if self.object.curvature or self.object.kind or self.object.moves or self.object.apertures:
             self.unread.append(
                 Unread(self.object.line, "SO", "the object is taken for plane, unmoved and without an aperture")

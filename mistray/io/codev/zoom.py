@@ -58,7 +58,7 @@ class ZoomPosition:
                 yield replace(command, words=(*command.words[:place], *command.words[place + 1 :]))
 
     def note(self) -> str:
-        """What has been left out; "" where there is one position."""
+        """Return a note on the zoom positions that are left out; "" where there is one position."""
         if self.count == 1:
             return ""
         named = ", ".join(f"{k} '{name}'" for k, name in sorted(self.names.items()))

@@ -101,7 +101,7 @@ def _whole(line: Line, place: int) -> int:
 
 
 def _name(line: Line) -> str:
-    """What stands between the first two quotes."""
+    """Return the text between the first two quotes; without quotes, the third word."""
     parts = line.text.split('"')
     return parts[1].strip() if len(parts) > 2 else line.words[2]
 

@@ -225,7 +225,7 @@ class _Reader:
         return Row(number, kind="coordinate_break", material=before, decentre=decentre)
 
     def _decentre(self, values: Sequence[float]) -> Decentre:
-        """Of x, y, the three tilts and the order."""
+        """Return the decentre of x, y, the three tilts and the order."""
         x, y, *tilt, order = values
         return Decentre(x=x * self.unit, y=y * self.unit, tilt_deg=(tilt[0], tilt[1], tilt[2]), tilt_first=order != 0)
 
@@ -253,7 +253,7 @@ class _Reader:
         )
 
     def _semi_diameter(self, section: Section) -> float:
-        """That which the file draws, in lens units; the line stays."""
+        """Return the semi-diameter that the file draws, in lens units, or 0; the line stays."""
         lines = section.take_all("DIAM")
         for line in lines:
             section.add(line)
@@ -302,7 +302,7 @@ class _Reader:
         return {"semi_diameter": reach, "semi_diameter_fixed": fixed, "aperture": stated}
 
     def _stated(self, line: Line, x: float, y: float, drawn: float) -> Outline | None:
-        """What a line of an aperture or an obscuration describes."""
+        """Return the outline that a line of an aperture or an obscuration describes."""
         if line.key not in _FIGURES and line.key != "SPID":
             self.unread.append(
                 line.unread("aperture of a user's file: it stops no light here, the surface keeps its semi-diameter")
@@ -380,7 +380,7 @@ class _Reader:
         self.unread += [line.unread(f"not known to mistray, on {section.name}") for line in section.left()]
 
     def _after(self) -> None:
-        """What follows the surfaces has no effect."""
+        """Report the lines that follow the surfaces as unread; they have no effect."""
         if not self.sections.indented:
             self.unread += [
                 line.unread("not known to mistray, behind the surfaces") for line in self.sections.after.left()

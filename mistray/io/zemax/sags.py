@@ -63,7 +63,7 @@ class Numbers:
 
     @classmethod
     def of(cls, section: Section, unit: float, semi_diameter: float = 0.0) -> Numbers:
-        """Those of a section, whose lines are taken."""
+        """Return the numbers of a section, whose lines are taken."""
         found = cls(section.name, unit, semi_diameter)
         for key, values, most in (("PARM", found.parameters, MOST_PARAMETERS), ("XDAT", found.extra, MOST_EXTRA)):
             for line in section.take_all(key):

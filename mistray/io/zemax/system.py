@@ -1,4 +1,4 @@
-"""What a .zmx file says about the system as a whole: units, aperture, fields, wavelengths.
+"""Data of a .zmx file about the system as a whole: units, aperture, fields, wavelengths.
 
 ======================  ==========================================================================================
 ``UNIT MM …``           lens units: MM, CM, IN, METER

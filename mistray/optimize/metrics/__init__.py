@@ -1,1 +1,1 @@
-"""What is to be small or large: metrics of traces and of point source transmittances, and what they look at."""
+"""Metrics that are to be small or large, of traces and of point source transmittances, and what they look at."""

@@ -1,4 +1,4 @@
-"""What is to be small or large: numbers computed from traces, and their derivatives by every detected flux."""
+"""Metrics that are to be small or large: numbers computed from traces, and their derivatives by every detected flux."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError, nearest
+from mistray.known_arguments import known_arguments
 from mistray.notes import quiet
 from mistray.optimize.metrics.observation import NORM, Observation, Selection, smooth_maximum, smooth_minimum, texts_of
 from mistray.optimize.metrics.views import View
 from mistray.ranges import FIELD_DEG, POSITIVE, Range
 from mistray.recorders.path_events import DIRECT
-from mistray.renamed import renamed
 from mistray.trace import trace
 from mistray.trace.check_paths import check_paths
 
@@ -27,10 +27,7 @@ STEP_DEG = Range(0.0, 45.0, above=True, below=True, unit="degrees", remedy="give
 SMALLEST_STEP_DEG, LARGEST_STEP_DEG = 0.02, 0.5  # between the fields of a slope
 
 
-_FIELDS = renamed(fields_deg="field_deg")
-
-
-@_FIELDS
+@known_arguments
 @dataclass(frozen=True)
 class Metric:
     """
@@ -71,7 +68,7 @@ class Metric:
 
     @property
     def views(self) -> list[View]:
-        """What is traced, in the order of the observations."""
+        """Views that are traced, in the order of the observations."""
         light = {"wavelength_nm": self.wavelength_nm, "weights": self.weights}
         fields: Sequence[float | None] = (None,) if self.field_deg is None else self.field_deg
         return [View({**(self.settings or {}), **light, "field_deg": angle}) for angle in fields]
@@ -96,7 +93,7 @@ class Metric:
             return [view.observe(self.scene, times * self.times, changes) for view in self.views]
 
     def thinned(self, times: float) -> Metric:
-        """The same from so many times the rays of the settings; what a pilot of this one has found is not used."""
+        """Return the metric from so many times the rays of the settings; what a pilot of this one found is not used."""
         return replace(self, times=times)
 
     def evaluate(self, observations: list[Any]) -> Any:
@@ -153,7 +150,7 @@ class CombinedMetric(Metric):
 
     @property
     def views(self) -> list[View]:
-        """What the parts look at, each view once."""
+        """Views that the parts look at, each once."""
         return list({view.key: view for part in (self.parts or {}).values() for view in part.views}.values())
 
     def values(self, observations: list[Any]) -> dict[str, Any]:
@@ -216,7 +213,7 @@ def log(metric: Metric) -> Metric:
     return replace(metric, function=function, unit="1", name=f"logarithm of the {metric.name}")
 
 
-@_FIELDS
+@known_arguments
 def path_power(scene: Any, selection: Selection = "ghost", **traced: Any) -> Metric:
     """
     Detected power of some paths over the launched power, mean over the fields, W/W.
@@ -235,7 +232,7 @@ def path_power(scene: Any, selection: Selection = "ghost", **traced: Any) -> Met
     return _of_paths(scene, selection, lambda o: o.power(selection) / o.pupil_W, traced, "W/W", "path power")
 
 
-@_FIELDS
+@known_arguments
 def ghost_to_signal(scene: Any, selection: Selection = "ghost", **traced: Any) -> Metric:
     """
     Power of the ghosts (or of another selection) over that of the direct image, mean over the fields, 1.
@@ -246,7 +243,7 @@ def ghost_to_signal(scene: Any, selection: Selection = "ghost", **traced: Any) -
     return _of_paths(scene, selection, lambda o: o.power(selection) / _signal(o, name), traced, "1", name)
 
 
-@_FIELDS
+@known_arguments
 def image_metric(scene: Any, function: Callable[[Any], Any], **traced: Any) -> Metric:
     """
     A smooth function of the detector's irradiance, mean over the fields.
@@ -262,7 +259,7 @@ def image_metric(scene: Any, function: Callable[[Any], Any], **traced: Any) -> M
     return _mean(scene, lambda o: function(o.irradiance), traced, "", "image metric")
 
 
-@_FIELDS
+@known_arguments
 def peak_irradiance(scene: Any, selection: Selection = "ghost", *, norm: float = NORM, **traced: Any) -> Metric:
     """
     Smooth maximum of the irradiance of some paths over the pixels of the detector, mean over the fields, W/mm².
@@ -283,7 +280,7 @@ def peak_irradiance(scene: Any, selection: Selection = "ghost", *, norm: float =
     return _of_paths(scene, selection, lambda o: o.peak(selection, norm), traced, "W/mm2", "peak irradiance")
 
 
-@_FIELDS
+@known_arguments
 def ghost_rms_irradiance(scene: Any, selection: Selection = "ghost", *, norm: float = NORM, **traced: Any) -> Metric:
     """
     RMS irradiance P / (π r²) of the brightest ghost, mean over the fields, W/mm²; r is its RMS radius.
@@ -312,7 +309,7 @@ def ghost_rms_irradiance(scene: Any, selection: Selection = "ghost", *, norm: fl
     )
 
 
-@_FIELDS
+@known_arguments
 def ghost_focus(scene: Any, selection: Selection = "ghost", *, norm: float = NORM, **traced: Any) -> Metric:
     """
     RMS radius of the ghost that is best in focus, mean over the fields, mm; large is good.
@@ -330,7 +327,7 @@ def ghost_focus(scene: Any, selection: Selection = "ghost", *, norm: float = NOR
     )
 
 
-@_FIELDS
+@known_arguments
 def rms_spot(scene: Any, **traced: Any) -> Metric:
     """
     RMS radius of the direct image about its centroid, all wavelengths together, mean over the fields, mm.
@@ -340,7 +337,7 @@ def rms_spot(scene: Any, **traced: Any) -> Metric:
     return _mean(scene, lambda o: o.moments(DIRECT).rms_radius, traced, "mm", "RMS spot")
 
 
-@_FIELDS
+@known_arguments
 def transmission(scene: Any, **traced: Any) -> Metric:
     """
     Power of the direct image over the launched power, mean over the fields, W/W.
@@ -353,7 +350,7 @@ def transmission(scene: Any, **traced: Any) -> Metric:
     return _mean(scene, lambda o: o.power(DIRECT) / o.pupil_W, traced, "W/W", "transmission")
 
 
-@_FIELDS
+@known_arguments
 def relative_illumination(scene: Any, *, step_deg: float | None = None, **traced: Any) -> Metric:
     """
     Relative illumination of the image of an even scene, mean over the fields, 1.

@@ -255,7 +255,7 @@ class Observation:
         return HitDerivative(pixel[~dark], path, map_of_path=map_of_class[place.ravel()])
 
     def table_gradients(self, request: GradientRequest) -> Iterator[TableGradient]:
-        """What the tracer knows of the derivatives of the value, for each source and wavelength that matters."""
+        """Return the tracer's part of the derivatives of the value, for each source and wavelength that matters."""
         derivative = self.hit_derivative()
         if derivative.pixel is None and derivative.path is None:
             return iter(())

@@ -1,4 +1,4 @@
-"""What is to be small of a point source transmittance: one angle, a band, a mask, veiling glare."""
+"""Metrics of a point source transmittance that are to be small: one angle, a band, a mask, veiling glare."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import numpy as np
 
 from mistray.analysis.pst.transmittance import pst
 from mistray.errors import MistrayError
+from mistray.known_arguments import known_arguments
 from mistray.optimize.metrics.metric import Metric, require_known
 from mistray.optimize.metrics.observation import NORM, smooth_maximum
 from mistray.optimize.metrics.pst_observation import CONVENTION, QUANTITY, Light, PstObservation, named_classes
 from mistray.optimize.metrics.views import PstView, View
 from mistray.ranges import POLAR_DEG, POSITIVE, PST_FIELD_DEG
 from mistray.recorders.directions import CELL_DEG
-from mistray.renamed import renamed
 from mistray.surfaces.upload import upload
 from mistray.trace import Settings
 
@@ -55,7 +55,7 @@ class PstMetric(Metric):
         return [PstView(self.settings or {}, self.plans)]
 
 
-@renamed(angle_deg="field_deg", angles_deg="pst_field_deg")
+@known_arguments
 def pst_bin(
     scene: Any,
     field_deg: float,
@@ -97,7 +97,7 @@ def pst_bin(
     )
 
 
-@renamed(angles_deg="pst_field_deg")
+@known_arguments
 def pst_band(
     scene: Any,
     low_deg: float,
@@ -143,7 +143,7 @@ def pst_band(
     )
 
 
-@renamed(angles_deg="field_deg")
+@known_arguments
 def pst_mask(
     scene: Any,
     field_deg: float | Sequence[float],
@@ -188,7 +188,7 @@ def pst_mask(
     return _metric(scene, number, light, settings, "1", "PST over its mask")
 
 
-@renamed(angle_deg="field_deg", angles_deg="pst_field_deg")
+@known_arguments
 def veiling_glare(
     scene: Any,
     patch_deg: float,

@@ -13,11 +13,11 @@ from mistray.analysis.metrics.glare import glare_cells
 from mistray.analysis.pst.result import CONVENTIONS, STRAY, Pst
 from mistray.errors import MistrayError, nearest
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
+from mistray.known_arguments import known_arguments
 from mistray.optimize.metrics.observation import leaf
 from mistray.ranges import Words
 from mistray.recorders.direction_recorder import CLASSES
 from mistray.recorders.sampled import Sampled
-from mistray.renamed import renamed
 from mistray.surfaces.upload import upload
 
 Light = str | Sequence[str]
@@ -82,7 +82,7 @@ class PstObservation:
         """Sum over the cells of coefficients, (n, m), times PST_normal."""
         return dr.sum(self.cells(light) * upload(mi.Float64, np.asarray(coefficients, dtype=np.float64)))
 
-    @renamed(angle_deg="field_deg")
+    @known_arguments
     def value_at(
         self, field_deg: float, light: Light = "stray", azimuth_deg: float | None = None, convention: str = "normal"
     ) -> mi.Float64:
@@ -173,7 +173,7 @@ class PstObservation:
             curve = self._values[[CLASSES.index(name) for name in named_classes(light)]].sum(axis=0)
         return cover(self.pst.grid, source, interpolation, curve).coefficients
 
-    @renamed(angle_deg="field_deg")
+    @known_arguments
     def veiling_glare_index(
         self,
         patch_deg: float,
@@ -225,7 +225,7 @@ class PstObservation:
         return total
 
     def table_gradients(self, request: GradientRequest) -> Iterator[TableGradient]:
-        """What the tracer knows of the derivatives of the value, for each wavelength that matters."""
+        """Return the tracer's part of the derivatives of the value, for each wavelength that matters."""
         derivative = self.derivative
         if not np.any(derivative):
             return iter(())

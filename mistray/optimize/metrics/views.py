@@ -1,4 +1,4 @@
-"""What a metric looks at: traces at field angles and point source transmittances, each made once."""
+"""Views that a metric looks at: traces at field angles and point source transmittances, each made once."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ class PstView(View):
 
 
 def seen_unpolarized(scene: Any, views: Sequence[View]) -> list[Note]:
-    """What Stokes vectors would change of what some views show, see `unpolarized_notes`."""
+    """Note what Stokes vectors would change of what some views show, see `unpolarized_notes`."""
     names = {one.name for one in fields(Settings)}
     beams: list[dict[str, Any]] = []
     settings: dict[str, Any] = {}
@@ -127,7 +127,7 @@ def added_light(one: Mapping[str, FirstLight], other: Mapping[str, FirstLight]) 
 
 
 def light_since(before: Mapping[str, FirstLight], after: Mapping[str, FirstLight]) -> dict[str, tuple[Entering, ...]]:
-    """What enters by new first surfaces, by field angle in words; those where nothing does are left out."""
+    """Find the light that enters by new first surfaces, by field angle in words; angles without any are left out."""
     found = {place: light.since(before[place]) for place, light in after.items() if place in before}
     return {place: entering for place, entering in found.items() if entering}
 

@@ -1,4 +1,4 @@
-"""What a search learns of the merit at one point."""
+"""Knowledge that a search has of the merit at one point."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Pieces:
     one_sided: np.ndarray
 
     def penalty(self, residuals: np.ndarray) -> float:
-        """What penalties with other residuals add up to."""
+        """Sum the penalties with other residuals."""
         counted = np.where(self.one_sided, np.maximum(residuals, 0.0), residuals)
         return float(np.sum(self.weights * counted**2))
 

@@ -31,7 +31,7 @@ WORTH_TELLING = 0.01  # relative growth
 @dataclass(frozen=True)
 class Cell:
     """
-    What a number is about.
+    Term, field and wavelength that a number is about.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Levels:
         return self.values[Cell(term)]
 
     def including(self, numbers: Mapping[str, float], units: Mapping[str, str]) -> Levels:
-        """The same with terms that are known exactly."""
+        """Return these levels and terms that are known exactly."""
         exact = {Cell(name): np.full(len(self.seeds), value) for name, value in numbers.items()}
         return dataclasses.replace(self, values={**self.values, **exact}, units={**self.units, **units})
 
@@ -223,7 +223,7 @@ def try_terms(study: Study, scene: Any) -> None:
 
 
 def of_search(study: Study, before: Step, after: Step) -> Comparison:
-    """What the search itself knows of two of its steps: its own seeds, so that there are no errors."""
+    """Compare two steps of a search by what it knows of them itself: its own seeds, so that there are no errors."""
     rows = []
     for term in study.terms:
         b, a = before.terms[term.name], after.terms[term.name]

@@ -1,5 +1,5 @@
 """
-What the terms of a study add to its merit.
+Contributions of the terms of a study to its merit.
 
 With v the value of a term, v₀ that of the first start, w its weight, t its tolerance, b its limit and f its floor as a
 share of v₀, the merit is the sum of
@@ -53,13 +53,13 @@ def residual(term: Term, start: float) -> tuple[float, float]:
 
 def contribution(term: Term, value: Any, start: float) -> Any:
     """
-    What a term adds to the merit.
+    Return the contribution of a term to the merit.
 
     Parameters
     ----------
     term : Term
     value : mi.Float64
-        In the unit of the term.
+        Value in the unit of the term.
     start : float
         Its value at the start.
 

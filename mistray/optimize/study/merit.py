@@ -68,7 +68,7 @@ class Merit:
 
     @property
     def least(self) -> float:
-        """What the merit cannot fall below; 0 if there are limits only."""
+        """Value that the merit cannot fall below; 0 if there are limits only."""
         return least_merit(self.study.terms)
 
     def evaluate(self, y: np.ndarray, number: int) -> dict[str, Any]:

@@ -25,14 +25,14 @@ Progress = Callable[[Step, Start], None]
 
 
 class Problem(Protocol):
-    """What is searched: see `mistray.optimize.study.merit.Merit`."""
+    """Problem that is searched: see `mistray.optimize.study.merit.Merit`."""
 
     start: dict[str, float] | None
     edge_widths: dict[str, float]
 
     @property
     def least(self) -> float:
-        """What the merit cannot fall below."""
+        """Value that the merit cannot fall below."""
 
     def evaluate(self, y: np.ndarray, number: int) -> dict[str, Any]:
         """The merit at a point of the unit cube."""

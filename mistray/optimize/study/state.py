@@ -1,4 +1,4 @@
-"""What an optimisation has done so far: start points, all evaluations of the merit, and the steps made of them."""
+"""State of an optimisation so far: start points, all evaluations of the merit, and the steps made of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a term of a merit can be: metrics of traces and of point source transmittances, and numbers of layers."""
+"""Terms that a merit can have: metrics of traces and of point source transmittances, and numbers of layers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from mistray.optimize.metrics.by_name import FACTORIES, OF_PST
 from mistray.optimize.metrics.metric import Metric, combine
 from mistray.optimize.metrics.observation import smooth_maximum, smooth_minimum
 from mistray.optimize.study.model import CoatingGroup, Term
-from mistray.renamed import old_names
 from mistray.trace import Settings, trace
 
 SOFT_NM = 0.2  # of the smooth minimum of thicknesses
@@ -115,13 +114,8 @@ def traced_arguments(kind: Any) -> tuple[str, ...]:
     return tuple(dict.fromkeys(["pst_field_deg" if kind in OF_PST else "field_deg", *named, *settings]))
 
 
-def old_arguments(kind: Any) -> dict[str, str]:
-    """Old → new names of arguments of a kind of term."""
-    return {} if kind in OF_LAYERS else old_names(kind if callable(kind) else FACTORIES[kind])
-
-
 def cell_settings(traced: Mapping[str, Any], field_deg: float | None, line: int | None) -> dict[str, Any]:
-    """What settings of traces become at one field, or at one wavelength, which has its share of the rays."""
+    """Return the settings of traces that change at one field, or at one wavelength, which has its share of the rays."""
     changes: dict[str, Any] = {} if field_deg is None else {"field_deg": (field_deg,)}
     if line is not None:
         lines = traced["wavelength_nm"]

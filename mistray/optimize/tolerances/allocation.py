@@ -22,7 +22,7 @@ STEP = 1e-4  # of ln(level), for the slope of its law
 
 def relative_scatter(name: str, value: np.ndarray, slope: float = CLEANED_SLOPE) -> np.ndarray:
     """
-    What a surface scatters, up to a factor.
+    Compute how much a surface scatters, up to a factor.
 
     Smooth surfaces scatter in proportion to σ² (Rayleigh-Rice, Harvey-Shack), other models in proportion to their
     factors A, b0 and reflectance. Particles scatter about in proportion to the area that they cover, which follows from
@@ -34,7 +34,7 @@ def relative_scatter(name: str, value: np.ndarray, slope: float = CLEANED_SLOPE)
     value : array
         Greater than 0; a level at least 1.
     slope : float
-        Of the size distribution of particles.
+        Slope of the size distribution of particles.
     """
     if name == "level":
         return np.array([coverage_percent(float(v), slope) for v in np.ravel(value)]).reshape(np.shape(value))

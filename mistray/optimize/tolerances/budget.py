@@ -209,7 +209,7 @@ class _Search:
         self.numbers = self.start
 
     def choices(self, numbers: np.ndarray) -> list[Choice]:
-        """What can be chosen, with the numbers at which the metrics are known."""
+        """List the choices, with the numbers at which the metrics are known."""
         result = []
         for parameter, grades, number in zip(self.known, self.grades, numbers, strict=True):
             slope_key = f"{parameter.key.rpartition('.')[0]}.slope"

@@ -39,14 +39,14 @@ class Change:
 @dataclass(frozen=True)
 class Ranges:
     """
-    What the model knows of the parameters, (n,) float64 each.
+    Ranges of the parameters, and slopes of the metric, as the model knows them, (n,) float64 each.
 
     Attributes
     ----------
     value, low, high : float64
         Values and physical ranges, which may be infinite.
     tolerance : float64
-        Greater than 0: what a change is measured by.
+        Measure of a change, greater than 0.
     slope, slope_se : float64
         d ln(metric) / d value.
     """

@@ -1,4 +1,4 @@
-"""What a sensitivity analysis has finished, in a file that a later one goes on with."""
+"""Finished part of a sensitivity analysis, in a file that a later one goes on with."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def numbers_hash(params: Any) -> str:
 
 
 def signature_of(metric: Metric, params: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
-    """What must agree with a saved run: metric, numbers of its scene, and the arguments in `facts`."""
+    """Return all that must agree with a saved run: metric, numbers of its scene, and the arguments in `facts`."""
     about = {name: getattr(metric, name) for name in ("name", "field_deg", "wavelength_nm", "weights")}
     return {"metric": about, "settings": dict(metric.settings or {}), **facts, "scene": numbers_hash(params)}
 

@@ -15,7 +15,7 @@ from mistray.recorders.sampled import batch_error
 @dataclass(frozen=True)
 class Contribution:
     """
-    What one parameter, or several that vary together, contribute to the variance.
+    Contribution of one parameter, or of several that vary together, to the variance.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class Contribution:
     change : Estimate
         Change of ln(metric) when all members change by one tolerance in the same sense.
     share : Estimate
-        Of the variance, 0 … 1; NaN where the variance is 0.
+        Share of the variance, 0 … 1; NaN where the variance is 0.
     """
 
     name: str

@@ -66,7 +66,7 @@ def free_keys(scene: Any, known: Mapping[str, Parameter]) -> list[str]:
 @dataclass(frozen=True)
 class TracedChange:
     """
-    What new values of parameters do by traces.
+    Effect of new values of parameters by traces.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class TracedChange:
     entering : mapping of str to tuple of Entering
         By field angle in words: first surfaces of light that were none before.
     seeds : int
-        From which that comes, at most `SEEDS`.
+        Number of seeds from which that comes, at most `SEEDS`.
     """
 
     traced: Estimate
@@ -93,13 +93,13 @@ def traced_change(
     metric: Metric, params: Mapping[str, Any], values: Mapping[str, np.ndarray], advance: Steps
 ) -> TracedChange | None:
     """
-    What new values of parameters do, traced before and after with the same rays, on seeds of their own.
+    Trace the effect of new values of parameters, before and after with the same rays, on seeds of their own.
 
     Parameters
     ----------
     metric : Metric
     params : mi.SceneParameters
-        Of its scene, which is as it was afterwards.
+        Parameters of the metric's scene, which is as it was afterwards.
     values : mapping of str to (entries,) float
     advance : Steps
         Called 2 `SEEDS` times, after each of the traces of the metric; fewer times where the time ends, and at least

@@ -29,7 +29,7 @@ SHARES = (1.0, 0.999, 0.9, 0.5, 0.1)  # of the way to a bound that its model may
 @dataclass(frozen=True)
 class Line:
     """
-    What one row is about.
+    Parameter, or several that change together, that one row is about.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Line:
     silent : tuple of str
         Keys that change along and have no derivative: indices beside opaque surfaces.
     slopes : mapping of str to float
-        Of a body that is displaced or tilted: how far each number of its surfaces changes, to first order. Without it
+        For a body that is displaced or tilted: how far each number of its surfaces changes, to first order. Without it
         all of `keys` change by the same amount.
     """
 
@@ -62,7 +62,7 @@ class Line:
 
 
 class OfLine:
-    """What is known of a line: its names."""
+    """Names of a line, for classes whose objects are about one."""
 
     line: Line
 
@@ -78,7 +78,7 @@ class OfLine:
 
     @property
     def unit(self) -> str:
-        """Of the value."""
+        """Unit of the value."""
         return self.line.parameter.unit
 
 
@@ -213,7 +213,7 @@ def whole_values(params: Any, lines: Sequence[Line]) -> dict[str, np.ndarray]:
 def shifted_values(
     values: Mapping[str, np.ndarray], lines: Sequence[Line], numbers: Sequence[float]
 ) -> dict[str, np.ndarray]:
-    """The same values, from `whole_values`, at new numbers of the lines."""
+    """Shift the values of `whole_values` to new numbers of the lines."""
     result = {key: value.copy() for key, value in values.items()}
     for line, number in zip(lines, numbers, strict=True):
         change = number - float(np.ravel(line.parameter.value)[line.entry])

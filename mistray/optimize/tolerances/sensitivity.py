@@ -17,6 +17,7 @@ from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
 from mistray.execute.workers import refuse_workers_in_time
 from mistray.kernel.scatter_tables import ScatterTables
+from mistray.known_arguments import known_arguments
 from mistray.notes import warns
 from mistray.optimize.gradient import Gradient, gradient_request
 from mistray.optimize.metrics.metric import Metric
@@ -31,7 +32,6 @@ from mistray.optimize.tolerances.proposals import SEEDS, free_keys, traced_chang
 from mistray.optimize.tolerances.rows import Line, Row, Table, lines_of, shifted_values, whole_values
 from mistray.optimize.tolerances.steps import Progress, Steps
 from mistray.ranges import FACTOR, POSITIVE
-from mistray.renamed import renamed
 from mistray.sampling.sources import spectrum_of
 from mistray.surfaces.surfaces import SurfaceTable
 
@@ -189,7 +189,7 @@ class Sensitivity:
 
 # The arguments are the options of `mistray sensitivity`, all but the metric by keyword
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
-@renamed()
+@known_arguments
 @warns
 def sensitivity(
     metric: Metric,

@@ -14,7 +14,6 @@ from mistray.optimize.study.terms import own_arguments
 from mistray.optimize.tolerances.allocation import SCATTER, PowerCost, StepCost
 from mistray.optimize.toml.section import Section
 from mistray.ranges import FLAG, LEVEL, POSITIVE, Range, Words, check_fields
-from mistray.renamed import old_names
 
 FORM = 'ids of shapes or patterns, such as ["L*_front"]'
 
@@ -80,7 +79,7 @@ class Grades:
 @dataclass(frozen=True)
 class BudgetStudy:
     """
-    What a budget shall meet, and by which means.
+    Requirements that a budget shall meet, and the means to do so.
 
     Attributes
     ----------
@@ -93,7 +92,7 @@ class BudgetStudy:
     sigmas : float
         Standard errors of the metric that are left to its limit, 0 … 10.
     seeds : int
-        Of the verification, 2 … 100.
+        Number of seeds of the verification, 2 … 100.
     shared : bool
         Surfaces that share a model keep doing so and get one number.
     """
@@ -146,9 +145,8 @@ def read_budget(source: str | Path | Mapping[str, Any] | BudgetStudy) -> BudgetS
 
 def _requirement(section: Section, traced: Section) -> Requirement:
     factory = FACTORIES[section.value("metric", Words(tuple(FACTORIES)))]
-    names = old_names(factory)
-    own = {key: value for key, value in section.renamed(names).content.items() if key not in ("metric", "limit")}
-    arguments = {**traced.renamed(names).content, **own}
+    own = {key: value for key, value in section.content.items() if key not in ("metric", "limit")}
+    arguments = {**traced.content, **own}
     needed = [key for key, is_needed in own_arguments(factory).items() if is_needed]
     for name in needed:
         if name not in arguments:

@@ -9,7 +9,7 @@ from typing import Any
 from mistray.errors import MistrayError
 from mistray.optimize.search.nlopt import installed
 from mistray.optimize.study.model import Optimizer, Study
-from mistray.optimize.study.terms import of_layers, old_arguments
+from mistray.optimize.study.terms import of_layers
 from mistray.optimize.toml.read_coating import read_coating
 from mistray.optimize.toml.read_term import TRACE_KEYS, check_coatings, read_term, read_traced
 from mistray.optimize.toml.read_variable import read_variable
@@ -38,7 +38,7 @@ def read_study(source: str | Path | Mapping[str, Any]) -> Study:
     """
     whole = Section.of(source, "study")
     whole.known(SECTIONS)
-    trace = whole.table("trace").renamed(old_arguments("path_power"))
+    trace = whole.table("trace")
     trace.known(TRACE_KEYS)
     shared = read_traced(trace, trace.content)
     terms = tuple(read_term(section, shared) for section in whole.tables("term"))

@@ -15,7 +15,6 @@ from mistray.optimize.study.terms import (
     check_term,
     check_worst,
     of_layers,
-    old_arguments,
     own_arguments,
     traced_arguments,
 )
@@ -71,7 +70,6 @@ def read_term(section: Section, trace: Mapping[str, Any]) -> Term:
         raise section.fail("kind", f"is {kind!r}; {nearest(str(kind), KINDS)}")
     called = kind if isinstance(kind, str) else getattr(kind, "__name__", "term")
     own, settings = own_arguments(kind), traced_arguments(kind)
-    section = section.renamed(old_arguments(kind))
     section.known((*TERM_KEYS, *own, *(key for key in settings if key not in own)))
     for key, needed in own.items():
         if needed and key not in section.content:

@@ -14,7 +14,6 @@ import numpy as np
 from mistray.errors import MistrayError, nearest
 from mistray.ranges import POSITIVE, Demand, Range, demand_of
 from mistray.read_file import read_text
-from mistray.renamed import by_new_names
 
 T = TypeVar("T")
 
@@ -74,11 +73,6 @@ class Section:
     def fail(self, key: str, text: str) -> MistrayError:
         """An error about a key; an empty key means the table itself."""
         return MistrayError(f"{self.title}: {f'{self.place}{key}'.rstrip('.')} {text}")
-
-    def renamed(self, names: Mapping[str, str]) -> Section:
-        """The table with new names (old → new) in the place of old ones; each warns."""
-        content = by_new_names(self.content, names, f"{self.title}: {self.place}")
-        return Section(self.title, self.place, content, self.folder)
 
     def known(self, keys: Iterable[str]) -> None:
         """Refuse keys that are not among these."""

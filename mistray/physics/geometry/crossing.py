@@ -30,7 +30,7 @@ class Meeting:
     r: float
 
     def between(self, first: str, second: str) -> str:
-        """What is wrong between two named surfaces, and the remedy."""
+        """Say what is wrong between two named surfaces, and the remedy."""
         if self.coincide:
             return f"surfaces '{first}' and '{second}' coincide; remove one of them or move them apart"
         return f"surfaces '{first}' and '{second}' cross at r = {self.r:.4g} mm; move them apart or make one smaller"

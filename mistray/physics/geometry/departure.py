@@ -26,7 +26,7 @@ Sag = Callable[[np.ndarray, np.ndarray], np.ndarray]
 @dataclass(frozen=True)
 class Form:
     """
-    What the code that evaluates a departure hangs on.
+    Properties of a departure that the code which evaluates it depends on.
 
     Attributes
     ----------

@@ -210,13 +210,13 @@ class Outline:
         return (first.sizes[0], first.sizes[1]) if not first.angle_deg else None
 
     def within(self, radius: float) -> Outline:
-        """What of it lies within a circle about the origin, mm."""
+        """Return the part of the outline within a circle about the origin, its radius in mm."""
         first, *more = self.figures
         own = first if first.sign == "-" else replace(first, sign="&")
         return Outline((Figure("circle", sizes=(radius,)), own, *more))
 
     def around(self, radius: float) -> Outline | None:
-        """What lies outside of it and within a circle about the origin; None where that is no list of figures."""
+        """Return the part of a circle about the origin outside of it; None where that is no list of figures."""
         if self.figures[0].sign != "+" or any(f.sign == "&" for f in self.figures):
             return None
         signs = {"+": "-", "-": "+"}
@@ -224,7 +224,7 @@ class Outline:
         return Outline((Figure("circle", sizes=(radius,)), *rest))
 
     def grown(self, margin: float) -> Outline:
-        """The same with circles, ellipses and rectangles whose edges lie farther out by `margin`, mm; holes shrink."""
+        """Return it with the edges of circles, ellipses and rectangles farther out by `margin`, mm; holes shrink."""
 
         def grown(f: Figure) -> Figure:
             if f.kind == "polygon":
@@ -235,7 +235,7 @@ class Outline:
         return Outline(tuple(map(grown, self.figures)))
 
     def half_turned(self) -> Outline:
-        """The same after half a turn of its frame about y, which reverses x."""
+        """Return the outline after half a turn of its frame about y, which reverses x."""
 
         def turned(f: Figure) -> Figure:
             sizes = f.sizes if f.kind != "polygon" else tuple(v * (-1) ** (k + 1) for k, v in enumerate(f.sizes))
@@ -244,7 +244,7 @@ class Outline:
         return Outline(tuple(map(turned, self.figures)))
 
     def turned(self, angle_deg: float) -> Outline:
-        """The same, turned about the origin from x to y."""
+        """Return the outline turned about the origin from x to y."""
         c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
         return Outline(
             tuple(
@@ -288,7 +288,7 @@ class Outline:
         return found
 
     def with_numbers(self, numbers: Mapping[str, float]) -> Outline:
-        """The same figures with other numbers."""
+        """Return an outline of the same figures with other numbers."""
         figures = []
         for k, figure in enumerate(self.figures, start=1):
             x, y, angle, *sizes = (numbers[f"clip_{k}_{name}"] for name in figure.names)
@@ -297,7 +297,7 @@ class Outline:
 
     @property
     def form(self) -> tuple[tuple[str, str, int, bool], ...]:
-        """What the code that asks for it hangs on."""
+        """Form of the outline: the properties that the code which asks for it depends on."""
         return tuple((f.kind, f.sign, len(f.sizes), bool(f.angle_deg)) for f in self.figures)
 
     def contains(self, x: Any, y: Any, numbers: Mapping[str, Any] | None = None) -> Any:

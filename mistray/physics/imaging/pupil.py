@@ -1,4 +1,4 @@
-"""What diffraction makes of the light in a pupil: point spread function, transfer function, encircled energy.
+"""Diffraction of the light in a pupil: point spread function, transfer function, encircled energy.
 
 The pupil is described on the reference sphere about an image point C, where κ = 1/R is the sphere's curvature (R > 0
 where the pupil lies before the image; κ = 0: the pupil lies at infinity). A point P of the sphere sends a wavelet to C
@@ -158,11 +158,11 @@ class Pupil:
         return float(self.removed("focus")[3]) / self.scale
 
     def moved(self, dz: float) -> Pupil:
-        """The same light for an image point further on by dz along the normal, mm."""
+        """Return the light for an image point further on by dz along the normal, mm."""
         return replace(self, opd_waves=np.where(self.lit, self.opd_waves - self.scale * dz * self.gamma, 0.0))
 
     def ideal(self) -> Pupil:
-        """The same light without aberration."""
+        """Return the light without aberration."""
         return replace(self, opd_waves=np.zeros_like(self.opd_waves))
 
     # ---- point spread function
@@ -238,7 +238,7 @@ class Pupil:
 
     @property
     def frequency_step(self) -> float:
-        """Of the lattice on which the transfer function is known, 1/mm; its inverse is the period of the PSF."""
+        """Step of the lattice on which the transfer function is known, 1/mm; its inverse is the period of the PSF."""
         return self.step * self.scale
 
     def otf(self, fx: npt.ArrayLike, fy: npt.ArrayLike) -> Complex:

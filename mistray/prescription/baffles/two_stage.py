@@ -54,7 +54,7 @@ class TwoStageBaffle:
 
     @property
     def length(self) -> float:
-        """Of both stages, mm."""
+        """Length of both stages, mm."""
         return self.inner.z_rear - self.outer.z_front
 
     def structures(

@@ -14,17 +14,17 @@ ARC_FACETS = 6  # cones that stand for a rounded edge
 @dataclass(frozen=True, kw_only=True)
 class VaneEdge:
     """
-    What a vane looks like at its inner edge.
+    Shape of a vane at its inner edge.
 
     Attributes
     ----------
     thickness : float
-        Of the plate, mm.
+        Thickness of the plate, mm.
     bevel_deg : float or None
         Angle β between the bevel and the plane of the vane; small is sharp. ``None``: a square edge.
     radius : float
-        Of the rounded edge, mm; 0: perfectly sharp. Real knife edges have 0.01 to 0.1 mm. A rounded edge is lit and
-        seen: its first-order path is what is left of a good baffle.
+        Radius of the rounded edge, mm; 0: perfectly sharp. Real knife edges have 0.01 to 0.1 mm. A rounded edge is
+        lit and seen: its first-order path is what is left of a good baffle.
 
     Raises
     ------

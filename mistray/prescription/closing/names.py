@@ -1,4 +1,4 @@
-"""What the surfaces and bodies of a lens file are called in its scene, and how the notes tell it."""
+"""Names of the surfaces and bodies of a lens file in its scene, and how the notes tell them."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def names_of(lens: Sequential, has_effect: Callable[[int], bool]) -> Names:
 
 
 def renamed_in(text: str) -> Mapping[str, str]:
-    """What `Names.note` says in the notes of a lens: name of the file → name here, the first of several."""
+    """Read back what `Names.note` says in the notes of a lens: name of the file → name here, the first of several."""
     return {
         old: new
         for line in text.splitlines()

@@ -133,7 +133,7 @@ def build(
     beam: Beam = "pupil",
     detector_half_mm: tuple[float, float] | None = None,
 ) -> Built:
-    """The same as `to_prescription`, with first-order data and notes."""
+    """Make a closed optical system as `to_prescription` does, with first-order data and notes."""
     if edges not in EDGES:
         raise MistrayError(f"edges = '{edges}'; they are {', '.join(EDGES[:-1])} or {EDGES[-1]}")
     check_beam(beam, ("pupil", "front", "exact"))

@@ -207,5 +207,5 @@ class Sequential:
         return self.wavelengths_nm[self.primary]
 
     def with_rows(self, rows: Sequence[Row]) -> Sequential:
-        """The same lens with other rows."""
+        """Return the lens with other rows."""
         return replace(self, rows=tuple(rows))

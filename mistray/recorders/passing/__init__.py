@@ -1,1 +1,1 @@
-"""Light that is recorded in passing: by place and direction on a rectangle in space, or by direction far away."""
+"""Recorders that leave the light as it is: on a rectangle in space, on surfaces, or by direction far away."""

@@ -1,4 +1,4 @@
-"""Light that recorders sum by cell without touching it, over all sources and wavelengths of a trace."""
+"""Base class of recorders that sum flux by cell, over all sources and wavelengths of a trace."""
 
 from __future__ import annotations
 
@@ -27,7 +27,14 @@ MM2_PER_M2 = 1e6
 
 
 def chosen_surfaces(table: SurfaceTable, patterns: Sequence[str], owner: str) -> list[int]:
-    """Numbers of the surfaces whose ids or parts patterns name, in the order of the scene; refused: one without any."""
+    """
+    Return the numbers of the surfaces whose ids or parts match patterns, in the order of the scene.
+
+    Raises
+    ------
+    MistrayError
+        For a pattern that matches nothing.
+    """
     known = {*table.ids, *table.parts}
     for pattern in patterns:
         if not any(fits(name, pattern) for name in known):
@@ -46,13 +53,14 @@ class PassingLight(Recorder):
     Parameters
     ----------
     name : str
-        What the result calls it.
+        Name in the result.
     cells : int
+        Number of cells.
 
     Attributes
     ----------
     kind, unit : str
-        What it is, and the unit of `image`.
+        Kind of recorder, and the unit of `image`.
     """
 
     kind: ClassVar[str] = ""
@@ -64,11 +72,11 @@ class PassingLight(Recorder):
         self.name, self.cells = name, cells
         self._groups = groups_of(cells)
         self._flux: Sampled | None = None
-        self._lumens: Sampled | None = None  # once it has light of several wavelengths
+        self._lumens: Sampled | None = None  # luminous flux, once there is light of several wavelengths
         self._of_nm = math.nan
 
     def attach(self, scene: KernelScene) -> None:
-        """Begin at zero."""
+        """Reset the sums."""
         self._nm = scene.table.wavelength_nm
         self._sums = dr.zeros(mi.Float64, self._groups * self.cells)
         self._started = dr.zeros(mi.Float64, BATCHES)
@@ -76,6 +84,7 @@ class PassingLight(Recorder):
 
     def add(self, start: StartRays, cell: mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
         """Add flux to cells."""
+        # Groups and batches are powers of two: a shift divides
         group = start.batch >> dr.opaque(mi.UInt32, (BATCHES // self._groups).bit_length() - 1)
         dr.scatter_reduce(dr.ReduceOp.Add, self._sums, mi.Float64(flux), group * self.cells + cell, active)
 
@@ -84,10 +93,11 @@ class PassingLight(Recorder):
         dr.scatter_reduce(dr.ReduceOp.Add, self._started, mi.Float64(1), start.batch, active)
 
     def collect(self, unit: float) -> None:
-        """Add what one source has brought at one wavelength."""
+        """Add the flux of one source at one wavelength."""
         sums = np.array(self._sums).reshape(self._groups, self.cells).T
         started = np.array(self._started).reshape(self._groups, -1).sum(axis=1)
         found = Sampled.of(sums, started).scaled(unit)
+        # Luminous flux is summed apart only once the wavelengths differ
         if self._flux is None:
             self._of_nm = self._nm
         elif self._lumens is not None or self._nm != self._of_nm:
@@ -97,7 +107,7 @@ class PassingLight(Recorder):
 
     @property
     def groups(self) -> int:
-        """Groups of batches by which the cells are summed."""
+        """Number of groups of batches by which the cells are summed."""
         return self._groups
 
     @property
@@ -108,7 +118,8 @@ class PassingLight(Recorder):
 
     @property
     def image(self) -> tuple[np.ndarray, np.ndarray]:
-        """What its pixels show and its standard error, (rows, columns) each, in `unit`."""
+        """Values of the pixels and their standard errors, (rows, columns) each, in `unit`."""
+        # Subclasses divide the flux by areas or solid angles
         raise NotImplementedError
 
     @property
@@ -119,7 +130,7 @@ class PassingLight(Recorder):
         Raises
         ------
         MistrayError
-            Before it was in a trace.
+            Before its first trace.
         """
         if self._flux is None:
             raise MistrayError(f"'{self.name}' has recorded nothing yet; give it to trace(…, recorders=[…])")
@@ -127,6 +138,6 @@ class PassingLight(Recorder):
 
     @property
     def luminous_flux(self) -> Sampled:
-        """The same as the eye weighs it, (cells,), lm: 683.002 lm/W times V(λ) of each wavelength."""
+        """Luminous flux of the cells with its noise, (cells,), lm: 683.002 lm/W times V(λ) at each wavelength."""
         flux = self.flux
         return flux.scaled(luminous_efficacy(self._of_nm)) if self._lumens is None else self._lumens

@@ -23,9 +23,9 @@ class ElsewhereRecorder(BranchRecorder):
     Attributes
     ----------
     surfaces : (s,) bool
-        Those whose hits are recorded, whether they take light or not.
+        Surfaces whose hits are recorded, whether they absorb light or not.
     departs : bool
-        Record what leaves the scene instead; what misses all surfaces has no event and is left out.
+        Record rays that leave the scene instead; rays that miss all surfaces have no event and are left out.
     """
 
     surfaces: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
@@ -47,9 +47,10 @@ class ElsewhereRecorder(BranchRecorder):
             self.write(visit, here, visit.node, mi.Float64(visit.weight))
 
     def depart(self, departure: Departure, memory: Memory) -> None:
-        """Record rays that leave the scene from within."""
+        """Record rays that leave the scene after at least one event."""
         if self.departs and departure.node is not None:
             branch = (departure.start.lane, departure.key, mi.Float64(departure.weight), departure.heading, None)
+            # The last event is that of the node from which the ray leaves
             last = departure.length - 1
             self._write(departure.nodes, departure.event, departure.active, departure.node, last, branch)
 
@@ -57,22 +58,23 @@ class ElsewhereRecorder(BranchRecorder):
 @dataclass
 class CellRecorder(ElsewhereRecorder):
     """
-    Append buffer for the branches up to every hit of surfaces that are mapped.
+    Append buffer for the branches up to every hit of mapped surfaces.
 
     Attributes
     ----------
     maps : SurfaceMaps
-        Attached to the scene.
+        Maps, attached to the scene.
     cell, batch : (capacity,) mi.UInt32
-        Where a hit is summed, and the batch of its start ray.
+        Cell in which a hit is summed, and the batch of its start ray.
     absorbed : (capacity,) mi.Float64
-        What stays at the surface, in units of the start ray's.
+        Flux that the surface absorbs, in units of the start ray's.
     """
 
     maps: SurfaceMaps = field(kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        # Columns beside those of the branches
         self.cell = dr.zeros(mi.UInt32, self.capacity)
         self.batch = dr.zeros(mi.UInt32, self.capacity)
         self.absorbed = dr.zeros(mi.Float64, self.capacity)
@@ -85,6 +87,7 @@ class CellRecorder(ElsewhereRecorder):
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Record hits of the surfaces."""
+        # The cell is that of the incident flux; what is absorbed has its own
         cell, here = self.maps.cell(visit)
         slot, kept = self.write(visit, here, visit.node, mi.Float64(visit.weight))
         dr.scatter(self.cell, cell, slot, kept)

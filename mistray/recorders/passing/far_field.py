@@ -1,4 +1,4 @@
-"""The far field: light that leaves the scene, by direction."""
+"""Far field: radiant intensity of the light that leaves the scene, by direction."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ class FarField(PassingLight):
     Parameters
     ----------
     name : str
-        What the trace calls it, see `mistray.trace.Trace.recorders`.
+        Name in the trace, see `mistray.trace.Trace.recorders`.
     edges_deg : sequence of float
         Borders of the cells in the angle from the axis, ascending, 0 … 180.
     azimuths : int
-        Cells around the axis, each as wide; the first begins at `up` and they go towards -x of the frame whose y is
-        `up` and whose z is the axis.
+        Number of cells around the axis, of equal width; the first begins at `up`, and they go towards -x of the frame
+        whose y is `up` and whose z is the axis.
     axis, up : (3,) float
         Directions in the world.
 
     Raises
     ------
     MistrayError
-        For borders that do not ascend, and directions that are 0 or along each other.
+        If borders do not ascend, or directions are 0 or parallel.
     """
 
     kind, unit = "far field", "W/sr"
@@ -67,7 +67,7 @@ class FarField(PassingLight):
         super().__init__(name, (len(edges) - 1) * self._azimuths)
 
     def attach(self, scene: KernelScene) -> None:
-        """Begin at zero."""
+        """Reset the sums, and upload the borders and axes."""
         super().attach(scene)
         # Borders in the sine of half the angle, which float32 resolves at 0° and, nearly as well, at 180°
         self._borders = mi.Float(np.sin(np.radians(self.edges_deg) / 2).astype(np.float32))
@@ -75,6 +75,7 @@ class FarField(PassingLight):
 
     def travel(self, segment: Segment, memory: Memory) -> None:
         """Add the flux of rays that leave."""
+        # Row, by the angle from the axis
         right, up, axis = self._on_device
         half_sine = 0.5 * dr.norm(segment.heading - axis)
         count = len(self.edges_deg)
@@ -82,10 +83,11 @@ class FarField(PassingLight):
             0, count, lambda k: dr.gather(mi.Float, self._borders, dr.minimum(k, count - 1)) <= half_sine
         )
         inside = segment.active & segment.leaves & (row > 0)
-        # Straight back belongs to the last cell
+        # A direction straight back, at 180°, belongs to the last cell
         last = dr.opaque(mi.Bool, bool(self.edges_deg[-1] == EDGE_DEG.high))
         inside &= (row < count) | last
         row = dr.minimum(row, count - 1) - 1
+        # Column, by the azimuth from `up`
         turn = dr.atan2(-dr.dot(segment.heading, right), dr.dot(segment.heading, up)) / (2 * dr.pi)
         turn = dr.select(turn < 0, turn + 1, turn)
         column = mi.UInt32(dr.clip(mi.Int32(turn * self._azimuths), 0, self._azimuths - 1))
@@ -93,7 +95,7 @@ class FarField(PassingLight):
 
     @property
     def azimuths(self) -> int:
-        """Cells around the axis."""
+        """Number of cells around the axis."""
         return self._azimuths
 
     @property
@@ -117,7 +119,7 @@ class FarField(PassingLight):
 
     @property
     def luminous_intensity(self) -> tuple[np.ndarray, np.ndarray]:
-        """The same of luminous flux, cd."""
+        """Mean luminous intensity of the cells and its standard error, (rows, azimuths) each, cd."""
         return self._by_solid_angle(self.luminous_flux)
 
     def _by_solid_angle(self, flux: Sampled) -> tuple[np.ndarray, np.ndarray]:
@@ -127,5 +129,5 @@ class FarField(PassingLight):
 
     @property
     def image(self) -> tuple[np.ndarray, np.ndarray]:
-        """The intensity."""
+        """Radiant intensity and its standard error, see `intensity`."""
         return self.intensity

@@ -1,4 +1,4 @@
-"""What surfaces do with the light that meets them: absorbed, specular and scattered, reflected and transmitted."""
+"""Split of the light that meets surfaces: absorbed, specular and scattered, reflected and transmitted."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ SHARES = (
 @dataclass(frozen=True)
 class SplitRow:
     """
-    What one surface does with the light that meets it; each with its standard error, W.
+    Split of the light that meets one surface; each flux with its standard error, W.
 
     Attributes
     ----------
     surface, part : str
     incident : (float, float)
-        Light that comes back counts again, and both sides count.
+        Incident flux on both sides; light that comes back contributes again.
     absorbed, specular_reflection, specular_transmission, scattered_reflection, scattered_transmission : (float, float)
-        They add up to `incident`. Totally reflected light is a specular reflection.
+        Fluxes that add up to `incident`. Totally reflected light is a specular reflection.
     """
 
     surface: str
@@ -52,30 +52,31 @@ class SplitRow:
 
     @property
     def closure(self) -> float:
-        """(sum of the shares - incident) / incident; 0 where there is no light."""
+        """Relative closure error, (sum of the fluxes - incident)/incident; 0 where there is no light."""
         parts = sum(getattr(self, name)[0] for name in SHARES[1:])
         return (parts - self.incident[0]) / self.incident[0] if self.incident[0] else 0.0
 
 
 class FluxSplit(PassingLight):
     """
-    How surfaces share out the light that meets them.
+    Split of the light that meets surfaces.
 
-    It is given to `mistray.trace` among ``recorders``. The shares are those of the surface, R, T and TIS at the angle,
-    side and polarisation of each ray, whether the trace follows the light further or a limit cuts it. So they have no
-    noise of their own. Lenses, mirrors, walls, meshes and shapes of Mitsuba's own count alike.
+    It is given to `mistray.trace` among ``recorders``. The split fractions are those of the surface: R, T and TIS at
+    the angle, side and polarisation of each ray. They do not depend on whether the trace follows the light further or a
+    limit cuts it, and have no noise of their own. Lenses, mirrors, walls, meshes and Mitsuba's own shapes are treated
+    alike.
 
     Parameters
     ----------
     name : str
-        What the trace calls it, see `mistray.trace.Trace.recorders`.
+        Name in the trace, see `mistray.trace.Trace.recorders`.
     surfaces : str or sequence of str
         Patterns of ids of surfaces or of parts, with ``*``, ``?`` and ``[…]``; none: all surfaces.
 
     Raises
     ------
     MistrayError
-        In the trace, for a pattern that names no surface.
+        During the trace, if a pattern names no surface.
     """
 
     kind, unit = "flux split", "W"
@@ -92,7 +93,7 @@ class FluxSplit(PassingLight):
         return type(self).__name__, self.cells
 
     def attach(self, scene: KernelScene) -> None:
-        """Begin at zero."""
+        """Reset the sums, and number the surfaces by the patterns."""
         table = scene.table
         numbers = chosen_surfaces(table, self.patterns, self._owner) if self.patterns else list(table.listed)
         names = [(table.ids[k], table.parts[k]) for k in numbers]
@@ -102,21 +103,24 @@ class FluxSplit(PassingLight):
         self.cells = len(SHARES) * len(names)
         self._groups = groups_of(self.cells)
         super().attach(scene)
+        # Number of each chosen surface plus one; 0 for the others
         place = np.zeros(table.count, dtype=np.uint32)
         place[numbers] = np.arange(1, len(numbers) + 1)
         self._place, self._rims = upload(mi.UInt32, place), table.wall_rims
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add the shares of hits."""
+        """Add the split of hits."""
         it, given = visit.interaction, visit.shares
         place = dr.gather(mi.UInt32, self._place, visit.surface, visit.active)
         active = visit.active & (place > 0)
         on = active
-        if self._rims.some:  # there walls take all light
+        if self._rims.some:  # there walls absorb all light
             on = active & ~self._rims.at_rim(visit.surface, it.local, active)
+        # Split fractions of the specular beams: R and T, without the scattered flux
         reflected, transmitted = it.R, it.T
         if given is not None:
             reflected, transmitted = it.R * given.reflection.kept, it.T * given.transmission.kept
+        # Cells in the order of `SHARES`
         cell = (place - 1) * len(SHARES)
         self.add(visit.start, cell, visit.weight, active)
         self.add(visit.start, cell + 1, dr.maximum(visit.absorbed, 0), active)
@@ -129,12 +133,12 @@ class FluxSplit(PassingLight):
     @property
     def rows(self) -> list[SplitRow]:
         """
-        The surfaces in the order of the scene.
+        Rows of the surfaces, in the order of the scene.
 
         Raises
         ------
         MistrayError
-            Before it was in a trace.
+            Before its first trace.
         """
         value, se = self.image
         return [
@@ -143,7 +147,7 @@ class FluxSplit(PassingLight):
         ]
 
     def to_pandas(self) -> pd.DataFrame:
-        """The rows as a table: surface, part, and of each share its flux ``_W`` and standard error ``_se_W``."""
+        """Return the rows as a table: surface, part, and for each share its flux ``_W`` and error ``_se_W``."""
         import pandas as pd
 
         value, se = self.image
@@ -155,6 +159,7 @@ class FluxSplit(PassingLight):
     @property
     def power(self) -> tuple[float, float]:
         """Flux that meets all of its surfaces and its standard error, W."""
+        # `incident` is the first share of each surface
         total = self.flux[:: len(SHARES)].total()
         return float(total.value), float(total.se)
 

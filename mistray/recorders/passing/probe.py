@@ -1,4 +1,4 @@
-"""A probe: what crosses a rectangle in space, without touching the light."""
+"""Probe: light that crosses a rectangle in space, recorded without an effect on the rays."""
 
 from __future__ import annotations
 
@@ -18,43 +18,44 @@ from mistray.recorders.sampled import Sampled
 if TYPE_CHECKING:
     from mistray.kernel.kernel_scene import KernelScene
 
-PARALLEL = 1e-6  # sine of the angle below which two directions are one
+PARALLEL = 1e-6  # sine of the angle below which two directions are parallel
 
 
 class Probe(PassingLight):
     """
-    Light that crosses a rectangle along its normal: irradiance by place, radiance by direction.
+    Light that crosses a rectangle along its normal: irradiance by position, radiance by direction.
 
-    It is given to `mistray.trace` among ``recorders``. It may stand anywhere, also within glass, and light goes on as
-    if it were not there, so that a ray that comes back counts again. Where absorption or scatter in a medium takes
-    light on the way, the flux is that at the rectangle.
+    It is given to `mistray.trace` among ``recorders``. It may be placed anywhere, also within glass, and does not
+    affect the light, so that a ray that comes back contributes again. Where a medium absorbs or scatters light on the
+    way, the flux is that at the rectangle.
 
     Parameters
     ----------
     name : str
-        What the trace calls it, see `mistray.trace.Trace.recorders`.
+        Name in the trace, see `mistray.trace.Trace.recorders`.
     centre : (3,) float
-        Middle of the rectangle in the world, mm.
+        Centre of the rectangle in the world, mm.
     normal : (3,) float
-        Light counts that goes to this side; its length does not matter. Turn it round for the light that comes back.
+        Side towards which light must go to contribute; its length does not matter. Reverse it for light that comes
+        back.
     half_width, half_height : float
         Half sides, mm.
     pixels : (2,) int
-        Across and down.
+        Number of pixels across and down.
     directions : int
-        Cells of direction along each of x and y, for `radiance`; 1: none.
+        Number of cells of direction along each of x and y, for `radiance`; 1: none.
     up : (3,) float
-        The y axis of the rectangle is as near to it as its plane allows.
+        Direction whose projection into the plane of the rectangle is its y axis.
 
     Raises
     ------
     MistrayError
-        For a number out of range, or a normal that is 0 or along `up`.
+        For a number out of range, or a normal that is 0 or parallel to `up`.
     """
 
     kind, unit = "probe", "W/mm²"
 
-    # More than 8 parameters: what a rectangle in space and its cells are
+    # More than 8 parameters, because a rectangle in space and its cells have as many
     def __init__(
         self,
         name: str,
@@ -85,7 +86,7 @@ class Probe(PassingLight):
         return type(self).__name__, self._directions > 1
 
     def attach(self, scene: KernelScene) -> None:
-        """Begin at zero."""
+        """Reset the sums, and upload the rectangle."""
         super().attach(scene)
         self._optics = scene.table.optics
         self._origin = scene.table.upload_point(self._centre)
@@ -97,6 +98,7 @@ class Probe(PassingLight):
 
     def travel(self, segment: Segment, memory: Memory) -> None:
         """Add the flux of segments that cross the rectangle."""
+        # Intersect with the plane, and test the rectangle
         right, up, normal = self._on_device
         away = self._origin - segment.origin
         along = dr.dot(segment.heading, normal)
@@ -105,9 +107,11 @@ class Probe(PassingLight):
         offset = dr.fma(distance, segment.heading, -away)
         x, y = dr.dot(offset, right), dr.dot(offset, up)
         crosses &= (dr.abs(x) <= self._halves[0]) & (dr.abs(y) <= self._halves[1])
+        # Attenuate as far as the rectangle
         flux = segment.flux
         if self._optics.absorbs:
             flux, _, _ = self._optics.attenuate(flux, segment.medium, distance, crosses)
+        # Cell, by pixel and by direction cosines
         columns, rows = self._pixels
         cell = _cell(y + self._halves[1], self._scale[1], rows) * columns
         cell += _cell(x + self._halves[0], self._scale[0], columns)
@@ -119,7 +123,7 @@ class Probe(PassingLight):
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
-        """x0, x1, y0, y1 of the rectangle in its own frame, mm."""
+        """Extent x0, x1, y0, y1 of the rectangle in its own frame, mm."""
         return -self._half[0], self._half[0], -self._half[1], self._half[1]
 
     @property
@@ -133,6 +137,7 @@ class Probe(PassingLight):
         return self._by_pixel(self.luminous_flux.scaled(MM2_PER_M2))
 
     def _by_pixel(self, flux: Sampled) -> tuple[np.ndarray, np.ndarray]:
+        # Directions go first, to be summed; batches stay apart for the error
         columns, rows = self._pixels
         area = 4 * self._half[0] * self._half[1] / (columns * rows)
         by_direction = Sampled(
@@ -144,12 +149,12 @@ class Probe(PassingLight):
 
     @property
     def image(self) -> tuple[np.ndarray, np.ndarray]:
-        """The irradiance."""
+        """Irradiance and its standard error, see `irradiance`."""
         return self.irradiance
 
     @property
     def directions(self) -> int:
-        """Cells of direction along each of x and y; 1: none."""
+        """Number of cells of direction along each of x and y; 1: none."""
         return self._directions
 
     @property
@@ -157,18 +162,20 @@ class Probe(PassingLight):
         """
         Radiance by pixel and direction and its standard error, (height, width, directions, directions), W/(mm² sr).
 
-        The last two axes are uniform cells of the direction cosines along y and x, -1 … 1. A cell of cosines du dv is
-        the projected solid angle cos θ dΩ, so that the flux over area and du dv is the mean radiance of the cell.
+        The last two axes are uniform cells of the direction cosines along y and x, -1 … 1. The area du dv of a cell is
+        its projected solid angle cos θ dΩ. So the flux, divided by the area of the pixel and by du dv, is the mean
+        radiance.
         """
         return self._by_direction(self.flux)
 
     @property
     def luminance(self) -> tuple[np.ndarray, np.ndarray]:
-        """The same of luminous flux, cd/m²."""
+        """Luminance by pixel and direction and its standard error, axes as those of `radiance`, cd/m²."""
         return self._by_direction(self.luminous_flux.scaled(MM2_PER_M2))
 
     def _by_direction(self, flux: Sampled) -> tuple[np.ndarray, np.ndarray]:
         columns, rows = self._pixels
+        # du dv = (2/n)²
         n = self._directions
         area = 4 * self._half[0] * self._half[1] / (columns * rows)
         found = flux.scaled(1 / (area * (2 / n) ** 2))
@@ -177,12 +184,12 @@ class Probe(PassingLight):
 
 
 def _cell(place: mi.Float, per_mm: mi.Float, count: int) -> mi.UInt32:
-    """Number of a cell; what lies on the last border belongs to the last."""
+    """Return the number of a cell; a place on the last border belongs to the last cell."""
     return mi.UInt32(dr.clip(mi.Int32(place * per_mm), 0, count - 1))
 
 
 def vector_of(what: str, given: Sequence[float], owner: str) -> np.ndarray:
-    """Three numbers, (3,); raises `MistrayError` for others."""
+    """Return three numbers as an array, (3,); raise `MistrayError` for any other count."""
     numbers = PLACE_MM.check_each(what, given, owner)
     if len(numbers) != 3:
         raise MistrayError(f"{owner}: {what} has {len(numbers)} numbers; give its x, y and z")
@@ -191,19 +198,19 @@ def vector_of(what: str, given: Sequence[float], owner: str) -> np.ndarray:
 
 def frame_of(normal: np.ndarray, up: np.ndarray, owner: str) -> np.ndarray:
     """
-    Unit vectors along x and y of a plane and along its normal, (3, 3).
+    Return unit vectors along x and y of a plane and along its normal, (3, 3).
 
     Parameters
     ----------
     normal, up : (3,) float64
-        `up` lies in the plane of y and the normal.
+        Directions; `up` lies in the plane of y and the normal.
     owner : str
-        For messages.
+        Name in error messages.
 
     Raises
     ------
     MistrayError
-        If one is 0, or both are along each other.
+        If one is 0, or both are parallel.
     """
     for what, vector in (("normal", normal), ("up", up)):
         if not np.linalg.norm(vector) > 0:

@@ -1,4 +1,4 @@
-"""Maps of the light that meets walls and other surfaces, unrolled: azimuth or x across, length, radius or y along."""
+"""Maps of the light on walls and other surfaces, unrolled: azimuth or x across; length, radius or y along."""
 
 from __future__ import annotations
 
@@ -29,28 +29,28 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 
 AZIMUTHS, LENGTHS = 36, 24
-KINDS = 2  # sums of a cell: what arrives and what is absorbed
+KINDS = 2  # sums of a cell: incident and absorbed flux
 
 
 @dataclass(frozen=True)
 class Unrolled:
     """
-    A surface and its cells.
+    Unrolled surface with its cells.
 
     Attributes
     ----------
     number : int
-        Of the surface.
+        Number of the surface.
     round : bool
-        Azimuth is across; else x.
+        Whether the columns are azimuths; otherwise they are x.
     along : str
-        What grows from row to row: "z" of a tube or a cone, "radius" of a ring or a lens, "y" of a rectangle.
+        Coordinate of the rows: "z" of a tube or a cone, "radius" of a ring or a lens, "y" of a rectangle.
     low, high : float
-        Ends of it, mm; of z from the vertex.
+        Range of that coordinate, mm; z is measured from the vertex.
     half_width : float
-        Of a rectangle, mm.
+        Half width of a rectangle, mm.
     areas : (rows,) float64
-        Of the cells of each row, mm².
+        Areas of the cells of each row, mm².
     """
 
     number: int
@@ -65,27 +65,27 @@ class Unrolled:
 @dataclass(frozen=True, eq=False)
 class SurfaceMap:
     """
-    Light on one surface.
+    Map of the light on one surface.
 
     Attributes
     ----------
     surface, part : str
     along : str
-        What grows from row to row: "z" of a tube or a cone, "radius" of a ring, a lens or a mirror, "y" of a rectangle.
+        Coordinate of the rows: "z" of a tube or a cone, "radius" of a ring, a lens or a mirror, "y" of a rectangle.
     along_mm : (rows + 1,) float64
         Borders of the rows, mm; z is that of the frame of the shape.
     across : str
-        What grows from column to column: "azimuth", counted from x of the frame of the shape towards y, or "x".
+        Coordinate of the columns: "azimuth", measured from x of the frame of the shape towards y, or "x".
     across_borders : (columns + 1,) float64
         Borders of the columns, degrees or mm.
     areas : (rows,) float64
-        Of the cells of each row, on the surface, mm².
+        Areas of the cells of each row, on the surface, mm².
     places : (rows, columns, 3) float64
-        Middles of the cells in the world, mm.
+        Centres of the cells in the world, mm.
     corners : (rows + 1, columns + 1, 3) float64
-        Where their borders meet, mm.
+        Corners of the cells in the world, mm.
     incident, absorbed : Sampled
-        Flux that meets the cells and what stays there, with their noise, (rows, columns), W.
+        Incident and absorbed flux of the cells, with their noise, (rows, columns), W.
     """
 
     surface: str
@@ -102,12 +102,12 @@ class SurfaceMap:
 
     @property
     def irradiance(self) -> tuple[Array, Array]:
-        """Incident flux by area and its standard error, (rows, columns) each, W/mm²; both sides count."""
+        """Incident flux of both sides per area and its standard error, (rows, columns) each, W/mm²."""
         return self.incident.value / self.areas[:, None], self.incident.se / self.areas[:, None]
 
     @property
     def absorbed_irradiance(self) -> tuple[Array, Array]:
-        """Absorbed flux by area and its standard error, (rows, columns) each, W/mm²."""
+        """Absorbed flux per area and its standard error, (rows, columns) each, W/mm²."""
         return self.absorbed.value / self.areas[:, None], self.absorbed.se / self.areas[:, None]
 
     @property
@@ -117,7 +117,7 @@ class SurfaceMap:
 
     @property
     def absorbed_power(self) -> tuple[float, float]:
-        """Flux that the surface absorbs, and its standard error, W: that of the ledger."""
+        """Flux that the surface absorbs, and its standard error, W, as in the energy ledger."""
         return _whole(self.absorbed)
 
     @property
@@ -128,10 +128,11 @@ class SurfaceMap:
 
     @property
     def unrolled_mm(self) -> tuple[float, float, float, float]:
-        """x0, x1, y0, y1 of a flat map, mm; an azimuth is the length of arc at the mean radius."""
+        """Extent x0, x1, y0, y1 of the unrolled map, mm; an azimuth is the arc length at the mean radius."""
         low, high = float(self.along_mm[0]), float(self.along_mm[-1])
         if self.across == "x":
             return float(self.across_borders[0]), float(self.across_borders[-1]), low, high
+        # Mean circumference: area over the length along the rows
         slant = high - low
         round_it = float(self.areas.sum()) * (len(self.across_borders) - 1)
         return 0.0, round_it / slant, low, high
@@ -144,26 +145,26 @@ def _whole(cells: Sampled) -> tuple[float, float]:
 
 class SurfaceMaps(PassingLight):
     """
-    What meets surfaces, by place on them: a hot spot on a wall is seen.
+    Maps of the light that meets surfaces, by position on them; they show hot spots on walls.
 
     It is given to `mistray.trace` among ``recorders``. Tubes and cones are unrolled over azimuth and z, rings, lenses
-    and mirrors over azimuth and radius, flat rectangles over x and y. Light that comes back to a surface counts again;
-    both sides count.
+    and mirrors over azimuth and radius, flat rectangles over x and y. Both sides contribute, and light that comes back
+    to a surface contributes again.
 
     Parameters
     ----------
     name : str
-        What the trace calls it, see `mistray.trace.Trace.recorders`.
+        Name in the trace, see `mistray.trace.Trace.recorders`.
     surfaces : str or sequence of str
         Patterns of ids of surfaces or of parts, with ``*``, ``?`` and ``[…]``; none: all opaque surfaces that are
         neither mirrors nor detectors.
     azimuths, lengths : int
-        Cells across and along each surface.
+        Number of cells across and along each surface.
 
     Raises
     ------
     MistrayError
-        For numbers out of range; in the trace, for a pattern that names no surface, or if none can be unrolled.
+        For numbers out of range; during the trace, if a pattern names no surface, or if no surface can be unrolled.
     """
 
     kind, unit = "surface maps", "W/mm²"
@@ -191,18 +192,21 @@ class SurfaceMaps(PassingLight):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Cells along and across each surface."""
+        """Number of cells along and across each surface."""
         return self._shape
 
     def attach(self, scene: KernelScene) -> None:
-        """Begin at zero."""
+        """Reset the sums, and upload the coordinates of the surfaces."""
         table = scene.table
         names = [table.ids[k] for k in self._chosen(table)]
         if self._flux is not None and names != self._names:
             raise MistrayError(f"{self._owner} has recorded another scene; give each scene a recorder of its own")
+        # Cells and borders are those of the first trace: later ones add to them
         if not self._names:
             self._find(table, names)
         super().attach(scene)
+        # Row of a hit: a linear function of z, radius and y whose coefficients belong to the surface, so that the
+        # kernel does not branch
         rows, columns = self._shape
         place = np.zeros(table.count, dtype=np.uint32)
         weights, across = np.zeros((table.count, 4)), np.zeros(table.count)
@@ -223,14 +227,16 @@ class SurfaceMaps(PassingLight):
         self.add(visit.start, cell + self._shape[0] * self._shape[1], dr.maximum(visit.absorbed, 0), active)
 
     def cell(self, visit: Visit) -> tuple[mi.UInt32, mi.Bool]:
-        """Where what arrives at hits is summed, and whether they count; what is absorbed stands a map behind."""
+        """Return the cell of the incident flux of hits, and whether they contribute; absorbed flux is one map later."""
         rows, columns = self._shape
         s, q = visit.surface, visit.interaction.local
         place = dr.gather(mi.UInt32, self._place, s, visit.active)
         active = visit.active & (place > 0)
+        # Row, by z, radius or y
         weights = dr.gather(mi.Vector4f, self._weights, s, active)
         radius = dr.sqrt(q.x * q.x + q.y * q.y)
         row = dr.fma(weights.x, q.z, dr.fma(weights.y, radius, dr.fma(weights.z, q.y, weights.w)))
+        # Column, by azimuth or x
         turn = dr.atan2(q.y, q.x) / (2 * dr.pi)
         turn = dr.select(turn < 0, turn + 1, turn) * columns
         per_mm = dr.gather(mi.Float, self._across, s, active)
@@ -238,14 +244,14 @@ class SurfaceMaps(PassingLight):
         return (KINDS * (place - 1) * rows + _inside(row, rows)) * columns + _inside(column, columns), active
 
     def _chosen(self, table: SurfaceTable) -> list[int]:
-        """Numbers of the surfaces that the patterns name, in the order of the scene."""
+        """Return the numbers of the surfaces that match the patterns, in the order of the scene."""
         if not self.patterns:
             words = table.optics.host_words
             return [k for k in table.listed if (words[k] & (OPAQUE | MIRROR | DETECTOR)) == OPAQUE]
         return chosen_surfaces(table, self.patterns, self._owner)
 
     def _find(self, table: SurfaceTable, names: list[str]) -> None:
-        """Unroll the surfaces that the patterns name."""
+        """Unroll the surfaces that match the patterns."""
         self._names = names
         self._unrolled = []
         self.left_out = {}
@@ -255,6 +261,7 @@ class SurfaceMaps(PassingLight):
                 self.left_out[table.ids[k]] = one
             else:
                 self._unrolled.append(one)
+        # A scene without any map is an error; single surfaces are only left out
         if not self._unrolled:
             why = next(iter(self.left_out.items()), ("the scene", "it has no opaque surface that is no mirror"))
             raise MistrayError(f"{self._owner}: no surface can be unrolled; {why[0]}: {why[1]}")
@@ -266,7 +273,7 @@ class SurfaceMaps(PassingLight):
         self._borders = [self._world(table, one) for one in self._unrolled]
 
     def _world(self, table: SurfaceTable, one: Unrolled) -> tuple[Array, Array, Array, Array]:
-        """Borders of the rows and of the columns, the middles of the cells and their corners in the world."""
+        """Return the borders of rows and columns, and the centres and corners of the cells in the world."""
         rows, columns = self._shape
         shape = table.shapes[one.number]
         along = np.linspace(one.low, one.high, rows + 1)
@@ -275,7 +282,7 @@ class SurfaceMaps(PassingLight):
             across = np.linspace(-one.half_width, one.half_width, columns + 1)
         middles = [0.5 * (borders[:-1] + borders[1:]) for borders in (along, across)]
         places, corners = _points(table, one, *middles), _points(table, one, along, across)
-        if one.along == "z":  # of the frame of the shape
+        if one.along == "z":  # from the vertex to the frame of the shape
             frame = np.asarray(shape.matrix, dtype=np.float64)
             along = along + float((table.vertices[one.number] - frame[:3, 3]) @ frame[:3, 2])
         return along, across, places, corners
@@ -283,12 +290,12 @@ class SurfaceMaps(PassingLight):
     @property
     def maps(self) -> dict[str, SurfaceMap]:
         """
-        The maps by the ids of their surfaces.
+        Maps by the ids of their surfaces.
 
         Raises
         ------
         MistrayError
-            Before it was in a trace.
+            Before its first trace.
         """
         return self.maps_of(self.flux)
 
@@ -299,9 +306,10 @@ class SurfaceMaps(PassingLight):
         return {name: one.irradiance for name, one in found.items()}
 
     def maps_of(self, flux: Sampled) -> dict[str, SurfaceMap]:
-        """The maps of flux by cell, (cells,), W, such as that of a part of the light."""
+        """Return the maps of flux by cell, (cells,), W, such as the flux of a part of the light."""
         shape = (len(self._unrolled), KINDS, *self._shape)
         value, apart = flux.value.reshape(shape), flux.apart.reshape(*shape, -1)
+        # One map a surface: incident and absorbed flux lie one after the other
         found = {}
         for k, (one, (surface, part)) in enumerate(zip(self._unrolled, self._labels, strict=True)):
             along, across, places, corners = self._borders[k]
@@ -334,9 +342,10 @@ class SurfaceMaps(PassingLight):
 
 
 def _points(table: SurfaceTable, one: Unrolled, along: Array, across: Array) -> Array:
-    """Points of a surface at all pairs of its coordinates, (m, n, 3) in the world, mm."""
+    """Return the points of a surface at all pairs of its coordinates, (m, n, 3) in the world, mm."""
     piece = table.pieces[one.number]
     u, v = np.meshgrid(along, across, indexing="ij")
+    # Radius and z of the surface in its own frame
     turn = np.radians(v)
     if isinstance(piece, Cone):
         radius, z = np.asarray(piece.radius(u)), u
@@ -348,12 +357,12 @@ def _points(table: SurfaceTable, one: Unrolled, along: Array, across: Array) -> 
 
 
 def _inside(place: mi.Float, count: int) -> mi.UInt32:
-    """Number of a cell; what rounding puts beyond the ends belongs to the last ones."""
+    """Return the number of a cell; places beyond the ends by rounding belong to the outermost cells."""
     return mi.UInt32(dr.clip(mi.Int32(place), 0, count - 1))
 
 
 def _unroll(table: SurfaceTable, number: int, rows: int, columns: int) -> Unrolled | str:
-    """A surface as cells, or why it cannot be."""
+    """Return a surface as cells, or the reason why it cannot be unrolled."""
     if number >= len(table.pieces):
         return "it is a mesh or a shape of Mitsuba's own; give it as frustum or asphere"
     piece = table.pieces[number]
@@ -361,6 +370,7 @@ def _unroll(table: SurfaceTable, number: int, rows: int, columns: int) -> Unroll
         low, high = piece.z_range
         z = np.linspace(low, high, rows + 1)
         radius = np.abs(piece.radius(z))
+        # Lateral area of a truncated cone: π (r_0 + r_1) times its slant height
         slant = np.hypot(1.0, piece.slope) * (high - low) / rows
         return Unrolled(number, True, "z", low, high, 0.0, np.pi * (radius[:-1] + radius[1:]) * slant / columns)
     if isinstance(piece, SagSurface) and piece.outer:
@@ -372,11 +382,11 @@ def _unroll(table: SurfaceTable, number: int, rows: int, columns: int) -> Unroll
 
 
 def _rings(piece: SagSurface, rows: int) -> Array:
-    """Areas of rings of equal width in radius, (rows,), mm²: exact of planes, by quadrature of curved surfaces."""
+    """Return the areas of rings of equal width in radius, (rows,), mm²: exact for planes, by quadrature otherwise."""
     r = np.linspace(piece.inner, piece.outer, rows + 1)
     if piece.flat:
         return np.asarray(np.pi * (r[1:] ** 2 - r[:-1] ** 2))
-    # Steps that shrink towards the outer border: at the rim of a hemisphere the slope grows without bounds
+    # ∫ 2π r √(1 + sag'²) dr, with nodes that are dense at the outer border: at the rim of a hemisphere sag' diverges
     width = (r[1:] - r[:-1])[:, None]
     radius = r[1:, None] - width * NODES**2
     slope = 2 * radius * piece.sag_derivative(radius**2)

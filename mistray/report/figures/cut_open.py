@@ -59,7 +59,7 @@ class CutPlane:
 @dataclass(frozen=True)
 class OpenSurface:
     """
-    What is left of one surface.
+    Remaining part of one surface.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ def surface_names(scene: Any) -> list[tuple[str, Any]]:
 
 
 def role_of(shape: Any) -> str:
-    """What a shape is to the light: "detector", "mirror", "structure" (opaque) or "glass" (refracts)."""
+    """Return the role of a shape for the light: "detector", "mirror", "structure" (opaque) or "glass" (refracts)."""
     if shape.is_sensor():
         return "detector"
     bsdf = shape.bsdf()

@@ -48,7 +48,7 @@ FORMATS = (".svg", ".pdf", ".eps", ".png")
 
 
 class Drawn(NamedTuple):
-    """What is drawn of a path: its rays, its colour, its label, and at which of their points they turn."""
+    """Drawing of a path: its rays, its colour, its label, and at which of their points they turn."""
 
     rays: list[Polyline]
     colour: str

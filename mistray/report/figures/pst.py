@@ -15,8 +15,8 @@ from mistray.analysis.irradiance import log_range
 from mistray.analysis.pst.causes import cause_frame, field_edge
 from mistray.analysis.pst.result import Pst
 from mistray.errors import MistrayError
+from mistray.known_arguments import known_arguments
 from mistray.percent import percent_text
-from mistray.renamed import renamed
 from mistray.report.figures.figure import Figure, legend_label, plain_axes
 from mistray.report.figures.palette import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW
 from mistray.report.figures.plots import HOW_TO_READ, Range, draw_map, image_colours
@@ -154,7 +154,7 @@ def pst_map(pst: Pst, title: str = "") -> Figure:
     return figure
 
 
-@renamed(angle_deg="field_deg")
+@known_arguments
 def pst_irradiance(pst: Pst, field_deg: float, azimuth_deg: float = 0.0) -> Figure:
     """
     Irradiance on the detector from a distant source of 1 W/mm² on a log10 scale.

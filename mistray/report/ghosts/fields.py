@@ -125,7 +125,7 @@ def field_section(report: GhostReport, s: FieldSummary, pictures: Mapping[str, b
 
 
 def _headline(report: GhostReport, s: FieldSummary) -> str:
-    """What stands on the line that opens a field."""
+    """Return the line that opens a field: direct light, stray light and the worst path."""
     power = s.direct.power_W
     direct = f"{with_error(power)} W direct light absorbed" if power.value > 0 else "no direct light"
     text = f"Field {s.field_deg:g}°: {direct}"

@@ -87,7 +87,7 @@ def _surfaces(name: str, report: GhostReport, per_wavelength: bool) -> Table:
 
 
 def coatings(report: GhostReport) -> list[Part]:
-    """What the surfaces do to light at each wavelength, surfaces alike together; each of them folded below."""
+    """Return the effect of surfaces on light at each wavelength, surfaces alike together; each of them folded below."""
     parts: list[Part] = [Note(COATINGS)]
     for k, table in enumerate(report.nominal_trace.tables):
         step = coatings_and_scatter(table, find_design_path(table, report.scene))

@@ -31,7 +31,7 @@ Kind = TypeVar("Kind", bound=PassingLight)
 
 
 def passing_section(report: GhostReport) -> Section | None:
-    """What the probes and far fields of a scene have recorded at each field; None where there are none."""
+    """Return the records of the probes and far fields of a scene at each field; None where there are none."""
     parts: list[Part] = []
     probes, fields = list(_recorded(report, Probe)), list(_recorded(report, FarField))
     if not probes and not fields:

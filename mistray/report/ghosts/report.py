@@ -133,7 +133,7 @@ def ghosts_report(
 
 
 def _traced(report: GhostReport) -> str:
-    """What was traced, in one sentence."""
+    """Describe the trace in one sentence."""
     settings = report.settings
     fields = ", ".join(f"{field:g}" for field in report)
     lines = f"{', '.join(f'{wavelength:g}' for wavelength in report.wavelengths_nm)} nm"
@@ -228,7 +228,7 @@ def _levels(report: GhostReport) -> Figure:
 
 
 def polarization_words(settings: Mapping[str, Any]) -> str:
-    """What the settings of a trace say of the polarisation of its light."""
+    """Describe the polarisation of a trace's light, from its settings."""
     if settings["polarization"] != "stokes":
         return f"{UNPOLARIZED}: {settings['polarization_reason']}"
     states = settings.get("source_stokes") or {}

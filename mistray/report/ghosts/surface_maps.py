@@ -26,7 +26,7 @@ NOTE = (
 
 
 def surface_maps_section(report: GhostReport) -> Section | None:
-    """What surfaces have received at each field, the brightest first; None where nothing records it."""
+    """Return the light that surfaces received at each field, the brightest first; None where nothing records it."""
     found = [(field, own) for field in report if (own := brightest(report, field))]
     if not found:
         return None
@@ -67,7 +67,7 @@ def brightest(report: GhostReport, field: float) -> list[SurfaceMap]:
 
 
 def _axes(one: SurfaceMap) -> dict[str, object]:
-    """What the axes of a map are."""
+    """Return the axes of a map: their names and ranges, and the areas of its cells."""
     return {
         "across": one.across,
         f"across_{'deg' if one.across == 'azimuth' else 'mm'}": [one.across_borders[0], one.across_borders[-1]],

@@ -86,7 +86,7 @@ def colour_table() -> npt.NDArray[np.uint8]:
 
 
 def colour_text() -> str:
-    """The same as base64 of 768 bytes."""
+    """Return the colours of `colour_table` as base64 of 768 bytes."""
     return base64.b64encode(colour_table().tobytes()).decode("ascii")
 
 

@@ -35,7 +35,7 @@ BOX_HEADER = Column("in the box", "W", "inbox")
 
 
 def page_data(report: GhostReport) -> Html:
-    """What the panels of all fields share: the section of the system, colours, words and scales of the maps."""
+    """Return the data that the panels of all fields share: section of the system, colours, words, scales of maps."""
     scene = report.scene
     lines = section(scene)
     points = np.concatenate([line for surface in lines for line in surface.lines] or [np.zeros((1, 2))])

@@ -274,7 +274,7 @@ class RayChoice:
         return found
 
     def _of_trace(self, trace: Trace, size_mm: float, with_field: bool) -> list[RayGroup]:
-        """Those of one field."""
+        """Return the groups of rays of one field."""
         field = f"{trace.settings['field_deg']:g}°: " if with_field else ""
         if self.classes is None:
             rows, several = self.rows(trace), len(trace.wavelengths_nm) > 1

@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 GASES = ("air", "vacuum")
 # A transform in single precision turns and moves an axis by this: a distance in units of the size, and 1 - cosine
 SAME_AXIS, PARALLEL = 2e-7, 1e-13
-JOINED_MM, JOINED = 1e-7, 1e-6  # ends nearer than this are one point: mm, and of the size
+JOINED_MM, CONNECTED = 1e-7, 1e-6  # ends nearer than this are one point: mm, and of the size
 OPTICS, MECHANICS, DETECTORS = "optics", "mechanics", "detectors"
 GROUPS = {"glass": OPTICS, "mirror": OPTICS, "structure": MECHANICS, "detector": DETECTORS}
 
@@ -53,7 +53,7 @@ class Axis:
 @dataclass(frozen=True, eq=False)
 class Body:
     """
-    What becomes one product.
+    Body that becomes one product.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class Body:
     turned : list of (matrix, list of Profile)
         Profiles about an axis; of a solid one closed chain.
     patches : list of Patch
-        Of a solid, its flat polygons.
+        Patches; of a solid, its flat polygons.
     ring : bool
         Whether a closed chain does not touch the axis.
     """
@@ -364,7 +364,7 @@ def _in_turn(
 
 
 def _near(profiles: Sequence[Profile]) -> float:
-    return min(JOINED_MM, JOINED * max(float(np.abs(profile.poles).max()) for profile in profiles))
+    return min(JOINED_MM, CONNECTED * max(float(np.abs(profile.poles).max()) for profile in profiles))
 
 
 def _tidy(loop: Sequence[Profile]) -> list[Profile] | None:

@@ -35,7 +35,7 @@ FREEFORM_TOLERANCE_MM = 1e-5
 @dataclass(frozen=True)
 class StepExport:
     """
-    What `export_step` has written.
+    Result of `export_step`: the file that it has written, and what is in it.
 
     Attributes
     ----------

@@ -71,13 +71,13 @@ class Profile:
         return np.asarray(self.poles[-1])
 
     def reversed(self) -> Profile:
-        """The same from its last end to its first."""
+        """Return the profile from its last end to its first."""
         knots = None if self.knots is None else (self.knots[0] + self.knots[-1] - self.knots)[::-1]
         weights = None if self.weights is None else self.weights[::-1]
         return replace(self, poles=self.poles[::-1], knots=knots, weights=weights)
 
     def moved(self, along: float, shift: float) -> Profile:
-        """The same in another frame on the axis: z becomes `along` z + `shift`, `along` 1 or -1."""
+        """Return the profile in another frame on the axis: z becomes `along` z + `shift`, `along` 1 or -1."""
         poles = self.poles * [1.0, along] + [0.0, shift]
         return replace(self, poles=poles, centre=along * self.centre + shift)
 

@@ -1,4 +1,4 @@
-"""What edits do to the PST, before and after or by its derivatives: as tables, as text and as values for JSON."""
+"""Effect of edits on the PST, before and after or by its derivatives: as tables, as text and as values for JSON."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def ranked_light(found: EditRanking) -> str:
 
 
 def ranking_notes(found: EditRanking, count: int = 20) -> list[str]:
-    """What a table of `count` lines does not show, and what the derivatives do not contain."""
+    """Describe what a table of `count` lines does not show, and what the derivatives do not contain."""
     matter, notes = _that_matter(found), []
     if len(matter) > count:
         notes.append(f"… and {len(matter) - count} with less")

@@ -151,7 +151,7 @@ def ledger_table(report: GhostReport) -> str:
 
 def main_table(report: GhostReport, count: int = 4, per_wavelength: bool = False) -> str:
     """
-    What `mistray ghosts` prints: the main table, the worst ghosts of each field and the energy closure.
+    Return the text that `mistray ghosts` prints: the main table, the worst ghosts of each field and the energy closure.
 
     Parameters
     ----------

@@ -179,7 +179,7 @@ def top_causes_text(pst: Pst, count: int) -> str:
 
 def pst_text(pst: Pst, paths_shown: int = 4) -> str:
     """
-    What `mistray pst` prints: the curve, the strongest stray paths and causes of each angle, its breaks, and warnings.
+    Return the text that `mistray pst` prints: curve, strongest stray paths and causes of each angle, breaks, warnings.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def pst_text(pst: Pst, paths_shown: int = 4) -> str:
 
 
 def heading(pst: Pst) -> str:
-    """What the numbers are, in two lines: the convention; method, rays, wavelengths, cells."""
+    """Describe the numbers in two lines: the convention; method, rays, wavelengths, cells."""
     facts = pst.facts
     lines = facts.get("wavelength_nm")
     parts = [METHODS[pst.method]]

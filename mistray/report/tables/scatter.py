@@ -1,4 +1,4 @@
-"""What scatters light to the detector and how well that was sampled, as printed tables."""
+"""Printed tables of what scatters light to the detector, and of how well that was sampled."""
 
 from __future__ import annotations
 

@@ -206,7 +206,7 @@ def add_buttons(
     meshes = list(range(len(shown)))
 
     def seen(key: str) -> list[bool]:
-        """Of the meshes of surfaces, then of those of cells, which stand in their place."""
+        """Return whether meshes are seen: first those of surfaces, then those of cells, which stand in their place."""
         cells = key == IRRADIANCE
         return [not (cells and surface.name in walls) for surface in shown] + [cells] * len(walls)
 

@@ -1,4 +1,4 @@
-"""What the 3-D view is made of: meshes of surfaces, their outlines, cut faces of glass, rays of paths."""
+"""Elements of the 3-D view: meshes of surfaces, their outlines, cut faces of glass, rays of paths."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.renamed import renamed
+from mistray.known_arguments import known_arguments
 from mistray.replace_file import replace_file
 from mistray.report.figures.cut_open import CutPlane, OpenSurface, open_surfaces
 from mistray.report.parts import thousands
@@ -92,7 +92,7 @@ class View:
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
-@renamed()
+@known_arguments
 def view(
     scene: Any,
     trace: Trace | Sequence[Trace] | None = None,
@@ -227,7 +227,7 @@ def _check(
 
 
 def _maps_of(traces: Sequence[Trace]) -> list[SurfaceMap]:
-    """What a trace has recorded of its surfaces by place, each surface once."""
+    """Return the maps that a trace has recorded of its surfaces, each surface once."""
     from mistray.recorders.passing.surface_maps import SurfaceMaps
 
     recorders = [one for trace in traces for one in trace.recorders.values() if isinstance(one, SurfaceMaps)]

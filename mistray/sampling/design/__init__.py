@@ -1,1 +1,1 @@
-"""The sequences of surfaces by which a scene is made to form its images."""
+"""Design sequences: the orders of surfaces by which the direct image of a scene is formed."""

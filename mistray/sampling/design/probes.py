@@ -1,6 +1,7 @@
-"""Probe rays of a source that follow the design: reflected at mirrors and totally, transmitted elsewhere.
+"""
+Probe rays of a source that follow the design: mirrors and total reflection reflect them, other surfaces transmit them.
 
-At a beam splitter, a coated surface of which both shares are at least `SPLITS`, a probe goes both ways.
+At a beam splitter, a coated surface whose R and T are both at least `SPLITS`, a probe continues both ways.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from mistray.surfaces.optics import MIRROR, OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
-MOST_STEPS = 64
+MOST_STEPS = 64  # hits of a probe
 SPLITS = 0.1  # least R and least T of a beam splitter
-MOST_SPLIT = 4  # probes for one that starts, by beam splitters
+MOST_SPLIT = 4  # probes per start ray, by beam splitters
 
 Order = tuple[int, ...]
 """Codes (surface << EVENT_BITS | what) of the events of a probe before the detector."""
@@ -29,7 +30,7 @@ Order = tuple[int, ...]
 
 @dataclass(frozen=True)
 class _Hits:
-    """Hits of one step: lanes, surfaces, what happened, points, normals, directions before and after."""
+    """Hits of one step: lanes, surfaces, whether they reflect, points, normals, directions before and after."""
 
     lane: np.ndarray
     surface: np.ndarray
@@ -42,18 +43,19 @@ class _Hits:
 
 class Probes:
     """
-    Probes of a source, from their starts to where they end.
+    Probes of a source, from their starts to their ends.
 
     Parameters
     ----------
     table : SurfaceTable
-        Probes end at its detectors.
+        Surfaces of the scene; probes end at its detectors.
     source : SceneSource
     count : int
-        Probes that start.
+        Number of start rays.
     """
 
     def __init__(self, table: SurfaceTable, source: SceneSource, count: int) -> None:
+        # Start rays, and room for those that beam splitters add
         sample = mi.Point2f(*(upload(mi.Float, v) for v in np.random.default_rng(0).random((2, count))))
         self.start = source.probes(sample)
         most = MOST_SPLIT * count
@@ -63,8 +65,10 @@ class Probes:
         self._codes = np.zeros((most, MOST_STEPS), dtype=np.uint32)
         self._lengths, self.end = np.zeros(most, dtype=np.int64), np.full(most, -1)
         self._steps: list[_Hits] = []
+        # All probes together, hit by hit
         alive, lanes = np.arange(count), count
         for number in range(MOST_STEPS):
+            # Intersect, and follow the event of the design
             surface, p, normal = first_hit(table, o[alive], d[alive], last[alive])
             alive, p, normal, surface = (values[surface >= 0] for values in (alive, p, normal, surface))
             before = d[alive]
@@ -72,6 +76,7 @@ class Probes:
             ends = np.isin(surface, table.detectors)
             after[ends] = 0.0
             hits = _Hits(alive, surface, what != TRANSMITTED, p, normal, before, after)
+            # Beam splitters: a new lane takes over the history of the old one, and the other event
             split = np.flatnonzero(~ends & _splits(table, surface, before, normal))[: most - lanes]
             if len(split):
                 new = lanes + np.arange(len(split))
@@ -81,6 +86,7 @@ class Probes:
                 self._parent[new] = alive[split]
                 hits, what = _with_others(table, hits, what, split, new)
                 alive, ends = hits.lane, np.concatenate([ends, np.zeros(len(split), dtype=bool)])
+            # Record, and go on with those that neither end at a detector nor are absorbed
             self._steps.append(hits)
             self._codes[alive, number] = (hits.surface << EVENT_BITS) | what
             self._lengths[alive] = number
@@ -91,18 +97,19 @@ class Probes:
                 break
 
     def orders(self, detector: int) -> Counter[Order]:
-        """The orders of events by which probes come to a detector, and how many of them."""
+        """Return the orders of events by which probes reach a detector, with the number of probes of each."""
         arrived = np.flatnonzero(self.end == detector)
         return Counter(tuple(self._codes[k, : self._lengths[k]].tolist()) for k in arrived)
 
     def taking(self, order: Order, detector: int) -> np.ndarray:
-        """Lanes of the probes that come to a detector in that order."""
+        """Return the lanes of the probes that reach a detector in that order."""
         codes = np.array(order, dtype=np.uint32)
         same = (self.end == detector) & (self._lengths == len(codes))
         return np.flatnonzero(same & np.all(self._codes[:, : len(codes)] == codes, axis=1))
 
     def steps(self, lane: int) -> list[tuple[int, bool, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-        """Surface, whether it reflects, point, normal and the directions before and after, of each hit of a probe."""
+        """Return surface, whether it reflects, point, normal, and directions before and after, of a probe's hits."""
+        # From the end back to the start: before the split a lane has the hits of its parent
         found = []
         for hits in self._steps[int(self._lengths[lane]) :: -1]:
             if lane not in hits.lane:
@@ -121,7 +128,8 @@ class Probes:
         return found[::-1]
 
     def first_points(self, lanes: np.ndarray) -> np.ndarray:
-        """(n, 3) first hits of probes, mm."""
+        """Return the (n, 3) first hits of probes, mm."""
+        # Lanes that split off at the first hit have that of their start ray
         first = self._steps[0]
         points = np.full((len(self.start[0]), 3), np.nan)
         own = first.lane < len(points)
@@ -130,7 +138,7 @@ class Probes:
 
 
 def _next(table: SurfaceTable, surface: np.ndarray, d: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Directions after hits, NaN where a ray ends, and what happens there."""
+    """Return directions after hits, NaN where a ray ends, and the event of each hit."""
     after, reflects = onward(table, surface, d, normal)
     words = table.optics.host_words[surface]
     total = reflects & ((words & (OPAQUE | MIRROR)) == 0)
@@ -145,6 +153,7 @@ def _splits(table: SurfaceTable, surface: np.ndarray, d: np.ndarray, normal: np.
     for number in np.unique(surface).tolist():
         if optics.host_words[number] & OPAQUE or isinstance(optics.bsdfs[number].coating, Bare):
             continue
+        # R and T of a coating may differ from side to side
         for from_front in (True, False):
             here = np.flatnonzero((surface == number) & ((along > 0) == from_front))
             if len(here):
@@ -156,7 +165,7 @@ def _splits(table: SurfaceTable, surface: np.ndarray, d: np.ndarray, normal: np.
 def _with_others(
     table: SurfaceTable, hits: _Hits, what: np.ndarray, split: np.ndarray, new: np.ndarray
 ) -> tuple[_Hits, np.ndarray]:
-    """Hits of a step with those of the probes that go the other way at beam splitters."""
+    """Return the hits of a step together with those of the probes that go the other way at beam splitters."""
     n = table.optics.host_indices[hits.surface[split], :2]
     before, normal = hits.before[split], hits.normal[split]
     from_front = np.einsum("ij,ij->i", before, normal) > 0

@@ -1,4 +1,4 @@
-"""The design sequences of a scene as a trace uses them, and its surfaces with the mirrors that they show."""
+"""Design sequences of a scene as a trace uses them, and its surfaces with the mirrors that they reveal."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ _known: dict[str, dict[int, Sequences]] = {}
 
 def design_sequences(scene: mi.Scene, *tables: SurfaceTable, free: bool = False) -> DesignSequences:
     """
-    The sequences of the design for each detector of a scene.
+    Return the design sequences of each detector of a scene.
 
-    A detector has those that its interface declares; else those of the first source, at the first design field, of
-    which probes come to it over optics, see `mistray.sampling.design.sequences`. The field of a trace does not matter.
+    A detector has the sequences that its interface declares. Without a declaration it has those of the first source, at
+    the first design field, whose probes reach it over optics; see `mistray.sampling.design.sequences`. They do not
+    depend on the field of a trace.
 
     Parameters
     ----------
@@ -32,13 +33,14 @@ def design_sequences(scene: mi.Scene, *tables: SurfaceTable, free: bool = False)
     *tables : SurfaceTable
         Its surfaces at each wavelength; a sequence of any wavelength is one of all.
     free : bool
-        In a scene without lenses and mirrors, light that meets nothing forms the image, as a PST has it.
+        Whether light that meets nothing forms the image of a scene without lenses and mirrors, as a PST assumes.
 
     Raises
     ------
     MistrayError
-        If a declared sequence names what the scene does not have.
+        If a declared sequence names a surface that the scene does not have.
     """
+    # Union over the wavelengths, at which R and T, and with them the ways of the probes, may differ
     lists: dict[int, set[tuple[int, ...]]] = {}
     for table in tables:
         for detector, sequences in _found(scene, table).items():
@@ -52,7 +54,7 @@ def traced_table(
     scene: mi.Scene, wavelength_nm: float, detector: str | Sequence[str] | None = None, stokes: bool = False
 ) -> SurfaceTable:
     """
-    The surfaces of a scene, with the opaque ones where a design sequence is reflected as mirrors, declared or not.
+    Return the surfaces of a scene; opaque surfaces at which a design sequence reflects are mirrors, declared or not.
 
     Parameters
     ----------
@@ -60,6 +62,7 @@ def traced_table(
         See `SurfaceTable`.
     """
     table = SurfaceTable(scene, wavelength_nm, detector, stokes)
+    # The search is skipped where no surface could become a mirror by it
     bare = (table.optics.host_words & np.uint32(MIRROR | DETECTOR)) == 0
     undeclared = np.flatnonzero(table.optics.mostly_reflects & bare)
     if not len(undeclared):
@@ -70,7 +73,8 @@ def traced_table(
 
 
 def _found(scene: mi.Scene, table: SurfaceTable) -> dict[int, Sequences]:
-    """The sequences of each detector of a table that has any."""
+    """Return the sequences of each detector of a table that has any, from the cache if they were found before."""
+    # Coatings decide what beam splitters and undeclared mirrors are; the signature leaves them out
     coatings = [hash(one.coating) for one in table.interfaces if not isinstance(one.coating, Bare)]
     declarations = [getattr(table.interfaces[k], "design_path", "") for k in table.detectors]
     key = signature(table, scene, table.detectors) + repr((coatings, declarations))
@@ -82,8 +86,9 @@ def _found(scene: mi.Scene, table: SurfaceTable) -> dict[int, Sequences]:
 
 
 def _search(scene: mi.Scene, table: SurfaceTable) -> dict[int, Sequences]:
-    """What is declared, and what probes find."""
+    """Return the declared sequences, and for the other detectors those that probes find."""
     lists = {detector: declared(table, detector) for detector in table.detectors}
+    # Sources and fields in their order, until every detector has some
     missing = [detector for detector, found in lists.items() if not found]
     for _, probes in design_probes(table, scene) if missing else ():
         for detector in missing:

@@ -1,18 +1,19 @@
-"""The design sequences of a scene: declared at its detectors, or else found by probes of the design field.
+"""
+The design sequences of a scene: declared at its detectors, or else found by probes of the design field.
 
-Of the orders by which probes come to a detector (see `mistray.sampling.design.probes`) these are sequences of the
-design:
+An *order* is the list of surfaces and events by which a probe reaches a detector (see
+`mistray.sampling.design.probes`). Of these, the following are design sequences:
 
-- Only orders over optics count: at least one lens face or declared mirror, and no wall, which is what edges and bevels
-  are. An opaque surface that reflects more than half of the light is a mirror in such an order.
-- Orders that go the same ways at beam splitters are one *arm*. Its main order is that of most probes; one over more
-  lens faces and declared mirrors takes its place if at least `SEEN` of the probes go by it, because then the others
-  by-pass something. An order in which two partial reflections follow each other, or one beam splitter reflects twice,
-  is a ghost and makes no arm, and neither does one that by-passes the beam splitters of other arms.
-- Orders of an arm are alternatives of its main one if the same happens in them, step by step, at surfaces between the
+- Orders over optics: at least one lens face or declared mirror, and no wall (edges and bevels are walls). An opaque
+  surface that reflects more than half of the light is a mirror in such an order.
+- Orders that go the same ways at beam splitters are one *arm*. Its main order is that of most probes. An order over
+  more lens faces and declared mirrors replaces it if at least `SEEN` of the probes follow it, because then the others
+  bypass something. An order in which two partial reflections follow each other, or one beam splitter reflects twice, is
+  a ghost and forms no arm. An order that bypasses the beam splitters of other arms forms none either.
+- Orders of an arm are alternatives of its main one if they have the same events, step by step, at surfaces between the
   same materials: segments of a mirror, facets, strips of filters, the faces of a roof. The rings of edges may be passed
-  or missed, and so may plane-parallel plates that at least `PLATED` of the probes pass or miss: a filter over half of
-  the beam, not the gap between two. Every combination of such alternatives is a sequence.
+  or missed. So may plane-parallel plates that at least `PLATED` of the probes pass or miss: a filter over half of the
+  beam, not the gap between two. Every combination of such alternatives is a sequence.
 """
 
 from __future__ import annotations
@@ -36,13 +37,13 @@ from mistray.surfaces.surfaces import SurfaceTable
 SEEN = 0.05  # share of the probes of an arm that an order over more optics needs to be its main one
 ARM = 0.02  # share of all probes of a detector that an arm needs
 PLATED = 0.2  # share of the probes of an arm that pass, or miss, a plate that is no step of its design
-MOST_COMBINED = 4096  # sequences of a detector; of more combinations those that probes have found are taken
-MOST_RINGS = 8  # passages by rings of an order whose subsets are all sequences
+MOST_COMBINED = 4096  # sequences of a detector; beyond it, only those that probes have found are used
+MOST_RINGS = 8  # rings along an order up to which all subsets of them are sequences
 FLAT, PARALLEL = 1e-5, 1e-3  # sag in units of the size, and rad, that the sides of a plane-parallel plate may have
 
 
 def is_plane(table: SurfaceTable, surface: int) -> bool:
-    """Whether a surface is a plane; of a stock shape that is not known."""
+    """Whether a surface is a plane; False for Mitsuba's own shapes, of which this is not known."""
     if surface >= len(table.pieces):
         return False
     piece = table.pieces[surface]
@@ -51,13 +52,13 @@ def is_plane(table: SurfaceTable, surface: int) -> bool:
 
 def chosen_orders(table: SurfaceTable, found: Counter[Order]) -> list[tuple[Order, list[Order]]]:
     """
-    The arms by which probes come to a detector.
+    Return the arms by which probes reach a detector.
 
     Parameters
     ----------
     table : SurfaceTable
     found : Counter
-        Orders, and how many probes take them.
+        Orders, and the number of probes of each.
 
     Returns
     -------
@@ -65,6 +66,7 @@ def chosen_orders(table: SurfaceTable, found: Counter[Order]) -> list[tuple[Orde
         Main order of each arm, and all orders that are design sequences, the main one among them; the arm of most
         probes first. Empty if no order passes any optics.
     """
+    # Imaging orders, grouped by what they do at beam splitters
     rules = _Rules(table)
     imaging = {order: count for order, count in found.items() if rules.images(order)}
     splitters = {code >> EVENT_BITS for order in imaging for code in order if rules.splits(code)}
@@ -72,6 +74,7 @@ def chosen_orders(table: SurfaceTable, found: Counter[Order]) -> list[tuple[Orde
     for order, count in imaging.items():
         arm = tuple(code for code in order if code >> EVENT_BITS in splitters)
         arms.setdefault(arm, Counter())[order] = count
+    # Strong arms; the empty key is the order past the beam splitters of the others
     least = ARM * sum(found.values())
     kept = {arm: orders for arm, orders in arms.items() if orders.total() >= least}
     if len(kept) > 1:
@@ -81,13 +84,14 @@ def chosen_orders(table: SurfaceTable, found: Counter[Order]) -> list[tuple[Orde
 
 
 def combined(table: SurfaceTable, arms: Iterable[tuple[Order, list[Order]]]) -> Sequences:
-    """All sequences that alternatives of the arms make, step by step."""
+    """Return all sequences that the alternatives of the arms form, step by step."""
     rules, lists = _Rules(table), set()
     for _, orders in arms:
         shapes: dict[Hashable, list[Order]] = {}
         for order in orders:
             for one in rules.without_some_rings(order):
                 shapes.setdefault(rules.pattern(one), []).append(one)
+        # The surfaces that stand for each other at a step combine freely
         for members in shapes.values():
             steps = [sorted(set(column)) for column in zip(*members, strict=True)]
             lists |= set(members if prod(map(len, steps)) > MOST_COMBINED else product(*steps))
@@ -96,18 +100,19 @@ def combined(table: SurfaceTable, arms: Iterable[tuple[Order, list[Order]]]) -> 
 
 def declared(table: SurfaceTable, detector: int) -> Sequences:
     """
-    The sequences that the interface of a detector declares, see ``design_path`` of `interface`.
+    Return the sequences that the interface of a detector declares, see ``design_path`` of `interface`.
 
     Raises
     ------
     MistrayError
-        For a surface that the scene does not have, or a letter that is none of T, R and I.
+        For a surface that the scene does not have, or a letter other than T, R and I.
     """
     text = getattr(table.interfaces[detector], "design_path", "")
     numbers = {name: k for k, name in enumerate(table.ids)}
     whats = {LETTERS[what]: what for what in (TRANSMITTED, REFLECTED, TOTAL)}
     lists: set[Order] = set()
     for sequence in filter(str.strip, text.split(";")):
+        # "a|b:T" is a step with two alternatives
         steps = []
         for word in event_words(sequence.strip()):
             names, _, letter = word.rpartition(":")
@@ -138,7 +143,8 @@ def has_optics(table: SurfaceTable) -> bool:
 
 
 def _alternatives(rules: _Rules, orders: Counter[Order]) -> tuple[Order, list[Order]]:
-    """The main order of an arm, and all that are alternatives of it."""
+    """Return the main order of an arm, and all orders that are alternatives of it."""
+    # Orders with the same powered surfaces; of the frequent ones those over most optics
     kinds: dict[tuple[Hashable, ...], Counter[Order]] = {}
     for order, count in orders.items():
         kinds.setdefault(rules.pattern(rules.powered(order)), Counter())[order] = count
@@ -146,6 +152,7 @@ def _alternatives(rules: _Rules, orders: Counter[Order]) -> tuple[Order, list[Or
     most = max(kinds, key=lambda kind: kinds[kind].total())
     candidates = [most, *(kind for kind, members in kinds.items() if members.total() >= SEEN * total)]
     alike = kinds[max(candidates, key=lambda kind: (rules.optics_of(max(kinds[kind])), kinds[kind].total()))]
+    # Among these, plates may be passed or missed if enough probes do
     shapes: dict[tuple[Hashable, ...], Counter[Order]] = {}
     for order, count in alike.items():
         shapes.setdefault(rules.pattern(rules.without_rings(order)), Counter())[order] = count
@@ -155,7 +162,7 @@ def _alternatives(rules: _Rules, orders: Counter[Order]) -> tuple[Order, list[Or
 
 
 class _Rules:
-    """What the surfaces of a table mean for orders of events."""
+    """Rules by which orders of events over the surfaces of a table are design sequences."""
 
     def __init__(self, table: SurfaceTable) -> None:
         words = table.optics.host_words
@@ -164,15 +171,17 @@ class _Rules:
         self._wall = ((words & WALL) != 0) & ~mirror & ~ring
         sensors = np.isin(np.arange(table.count), table.detectors)
         self.optical = (~self._opaque | mirror) & ~self._wall & ~ring & ~sensors
+        # Sorted, so that a face matches its alternatives whichever way round it is declared
         self._media = np.sort(
             np.stack([(words >> FRONT_MEDIUM_SHIFT) & MEDIUM_MASK, (words >> BACK_MEDIUM_SHIFT) & MEDIUM_MASK]), axis=0
         )
 
     def images(self, order: Order) -> bool:
-        """Whether light in this order may form an image: over optics, past no wall, and as no ghost."""
+        """Whether light in this order may form an image: over optics, at no wall, and not as a ghost."""
         places = [code >> EVENT_BITS for code in order]
         if not any(self.optical[k] for k in places) or any(self._wall[k] for k in places):
             return False
+        # Ghosts: a surface met again without a full reflection since, or a second reflection at a beam splitter
         split: set[int] = set()
         since: dict[int, bool] = {}  # surface → whether the light was wholly reflected since it met it
         for code in order:
@@ -186,26 +195,26 @@ class _Rules:
         return True
 
     def _turns(self, code: int) -> bool:
-        """Whether an event is a reflection of all light, and none at a beam splitter."""
+        """Whether an event reflects all light, rather than a part of it at a beam splitter."""
         what, place = code & EVENT_MASK, code >> EVENT_BITS
         return what == TOTAL or (what == REFLECTED and bool(self._opaque[place] or self._mirror[place]))
 
     def splits(self, code: int) -> bool:
-        """Whether an event is a reflection at a beam splitter, or its passage if it is declared as a mirror."""
+        """Whether an event is a reflection at a beam splitter, or the transmission of one that is declared a mirror."""
         what, place = code & EVENT_MASK, code >> EVENT_BITS
         return not self._opaque[place] and what == (TRANSMITTED if self._mirror[place] else REFLECTED)
 
     def optics_of(self, order: Order) -> int:
-        """How many powered faces and declared mirrors it goes over."""
+        """Return the number of powered faces and declared mirrors of an order."""
         steps = self.powered(order)
         return sum(code & EVENT_MASK == TRANSMITTED or bool(self._mirror[code >> EVENT_BITS]) for code in steps)
 
     def without_rings(self, order: Order) -> Order:
-        """An order without the rings of edges."""
+        """Return an order without the rings of edges."""
         return tuple(code for code in order if not self._ring[code >> EVENT_BITS])
 
     def powered(self, order: Order) -> Order:
-        """An order without rings and plane-parallel plates."""
+        """Return an order without rings and plane-parallel plates."""
         kept: list[int] = []
         for code in self.without_rings(order):
             if kept and self._plate(kept[-1], code):
@@ -221,22 +230,24 @@ class _Rules:
         return passes and a != b and is_plane(self._table, a) and is_plane(self._table, b) and self._parallel(a, b)
 
     def _parallel(self, a: int, b: int) -> bool:
+        """Whether the axes of two surfaces are parallel."""
         axes = self._table.rotations[[a, b], :, 2]
         return bool(np.linalg.norm(np.cross(*axes)) < PARALLEL)
 
     def pattern(self, order: Order) -> tuple[Hashable, ...]:
-        """What happens step by step: an order with the same pattern is an alternative."""
+        """Return the events of an order step by step: orders with the same pattern are alternatives."""
         return tuple(self._step(code) for code in order)
 
     def _step(self, code: int) -> Hashable:
+        """Return the event of a step and the materials, or the coating, by which alternatives are recognised."""
         what, place = code & EVENT_MASK, code >> EVENT_BITS
         if what == REFLECTED and self._opaque[place]:
-            # Of mirrors that are not declared only those with the same coating stand in one another's place
+            # Undeclared mirrors are alternatives only where they have the same coating
             return what, True if self._mirror[place] else self._table.interfaces[place].coating
         return what, *self._media[:, place].tolist()
 
     def without_some_rings(self, order: Order) -> Iterator[Order]:
-        """An order, and the same past each choice of the rings that it passes."""
+        """Yield an order without each subset of the rings that it passes, the empty subset included."""
         rings = [k for k, code in enumerate(order) if self._ring[code >> EVENT_BITS]]
         if len(rings) > MOST_RINGS:
             yield order

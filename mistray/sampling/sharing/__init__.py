@@ -1,1 +1,1 @@
-"""How rays with the light and rays against it share paths: where the first start, and who counts what."""
+"""Bidirectional sampling: start maps of forward rays, light vertices, and the MIS weights of both directions."""

@@ -1,4 +1,4 @@
-"""Start rays with the light from all cells of directions, where a map of them says."""
+"""Forward start rays from all cells of directions, with the densities of a start map."""
 
 from __future__ import annotations
 
@@ -15,28 +15,31 @@ from mistray.surfaces.upload import upload
 
 def cell_starts(balance: Balance, seed: tuple[int, ...], lanes: np.ndarray, weight: np.ndarray) -> StartRays:
     """
-    Start rays of a pass, the rays of a cell side by side; they are stratified in each batch.
+    Return the start rays of a pass, the rays of a cell side by side; they are stratified in each batch.
 
     Parameters
     ----------
     balance : Balance
-        Knows the cells and the map.
+        Cells and their start map.
     seed : tuple of int
     lanes : (c,) int
         Rays of each cell, multiples of `BATCHES`.
     weight : (c,) float64
-        Of a ray that starts at the mean density.
+        Throughput of a ray that starts at density 1, the mean.
     """
+    # Cell of each ray, and its index there
     cell = upload(mi.UInt32, np.repeat(np.arange(len(lanes)), lanes))
     index = upload(mi.UInt32, np.arange(lanes.sum()) - np.repeat(np.cumsum(lanes) - lanes, lanes))
     strata = dr.gather(mi.UInt32, upload(mi.UInt32, lanes // BATCHES), cell)
     lane = dr.arange(mi.UInt32, int(lanes.sum()))
     rng, _ = generators(int(np.random.SeedSequence(seed).generate_state(1)[0]), lane)
+    # One stratum of 0 … 1 for each ray of a batch
     batch = index // strata
     within = mi.Float64(index - batch * strata) + mi.Float64(rng.next_float32())
     place, density = balance.starts.sample(cell, dr.minimum(within / mi.Float64(strata), 1 - 1e-12), rng)
     numbers = [dr.gather(mi.Float, column, cell) for column in balance.numbers]
     o, d = wave_rays(numbers, balance.rotation, balance.centre, mi.Point2f(*place[:2]), *place[2:])
+    # A ray carries the inverse of the density with which it was drawn
     scale = dr.rcp(density)
     w = scale * dr.gather(mi.Float, upload(mi.Float, weight), cell)
     dr.eval(lane, batch, rng, o, d, w, cell, scale, place)
@@ -44,5 +47,5 @@ def cell_starts(balance: Balance, seed: tuple[int, ...], lanes: np.ndarray, weig
 
 
 def whole_batches(rays: np.ndarray) -> np.ndarray:
-    """Numbers of rays, rounded up to multiples of `BATCHES`."""
+    """Return numbers of rays, rounded up to multiples of `BATCHES`."""
     return np.asarray(-(-np.asarray(rays, dtype=np.int64) // BATCHES) * BATCHES)

@@ -1,9 +1,10 @@
-"""Points where the light of distant sources is first scattered, to which rays against the light are connected.
+"""
+Light vertex cache: points where light of distant sources is first scattered, to which backward rays are connected.
 
-Rays from all cells of directions go as far as mirrors and lenses take them. Wherever one of them meets a surface that
-scatters, that is a point of light. A ray against the light that is sent there, and on against the light from there,
-finds paths that neither direction finds by itself: light that is scattered twice and must go through a gap between (E.
-Veach, Robust Monte Carlo methods for light transport simulation, 1997, chapter 10; T. Davidovič et al., Progressive
+Forward rays from all cells of directions follow specular paths through mirrors and lenses. Each hit of a surface that
+scatters is a light vertex. A backward ray that is sent there, and from there back along the incident light, finds paths
+that neither direction finds by itself. On these paths light is scattered twice and must go through a gap between
+(E. Veach, Robust Monte Carlo methods for light transport simulation, 1997, chapter 10; T. Davidovič et al., Progressive
 light transport simulation on the GPU, ACM Trans. Graph. 33, 29 (2014)).
 """
 
@@ -20,17 +21,17 @@ from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
 from mistray.settings import BATCHES
 from mistray.surfaces.upload import upload
 
-ROUNDING = 2e-5  # of what the scene measures: how far from a point its connection may meet the surface
+ROUNDING = 2e-5  # of the scene's extent: largest distance of a light vertex from the hit of its connection
 
 
 class LightVertexRecorder(Recorder):
     """
-    The points of a trace with the light in which nothing is scattered.
+    Light vertices of a forward trace in which nothing is scattered.
 
     Parameters
     ----------
     room : int
-        Points that there is room for; `count` goes on beyond them.
+        Most light vertices that are kept; `count` goes on beyond them.
     """
 
     def __init__(self, room: int) -> None:
@@ -48,16 +49,17 @@ class LightVertexRecorder(Recorder):
 
     @property
     def count(self) -> int:
-        """Points that were met."""
+        """Number of light vertices that were found."""
         return int(self._count[0])
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Keep hits of what scatters."""
+        """Keep hits of surfaces that scatter."""
         if visit.shares is None:
             return
         start = visit.start
         assert start.cell is not None
         active = visit.active & (visit.shares.scattered > 0) & (visit.weight > 0)
+        # Append; what finds no room is counted only
         place = dr.scatter_inc(self._count, mi.UInt32(0), active)
         active &= place < self.room
         words = (start.batch, start.lane, start.cell, visit.surface)
@@ -68,40 +70,41 @@ class LightVertexRecorder(Recorder):
 
     def read(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """
-        The points on the host, in an order that is the same each time.
+        Return the light vertices on the host, in a reproducible order.
 
         Returns
         -------
         words : (4, n) int64
             Batch, start ray, cell of directions, surface.
         numbers : (6, n) float32
-            Place (mm, on the device), direction.
+            Position (mm, in the device's frame), direction of the light.
         keys : (n,) uint64
-            Of the ways from the starts to the points, see `mistray.recorders.path_key.extend_key`.
+            Keys of the paths from the starts to the light vertices, see `mistray.recorders.path_key.extend_key`.
         """
         count = self.count
         assert count <= self.room
         words = np.array([np.array(array)[:count] for array in self._words]).astype(np.int64)
         numbers = np.array([np.array(array)[:count] for array in self._floats])
         keys = np.array(self._keys)[:count]
+        # Lanes append in any order: sort by batch, start ray, cell, surface and position
         order = np.lexsort((*numbers, *words[:0:-1], words[0]))
         return words[:, order], numbers[:, order], keys[order]
 
 
 class LightVertices:
     """
-    Points of light on the device, by batch.
+    Light vertices on the device, by batch.
 
     Parameters
     ----------
     words, numbers, keys : np.ndarray
         See `LightVertexRecorder.read`.
-    linked : (c,) float64
+    starts_per_connection : (c,) float64
         See `mistray.sampling.sharing.balance.Sharing`.
     lanes : (c,) int
         Start rays of each cell.
     extent : float
-        What the scene measures, mm.
+        Extent of the scene, mm.
     """
 
     def __init__(
@@ -109,16 +112,18 @@ class LightVertices:
         words: np.ndarray,
         numbers: np.ndarray,
         keys: np.ndarray,
-        linked: np.ndarray,
+        starts_per_connection: np.ndarray,
         lanes: np.ndarray,
         extent: float,
     ) -> None:
+        # Range of the light vertices of each batch
         batch, _, cell, surface = words
         of_batch = np.bincount(batch, minlength=BATCHES)
         self._first = upload(mi.UInt32, np.cumsum(of_batch) - of_batch)
         self._of_batch = upload(mi.UInt32, of_batch)
-        # What a ray to one of so many points stands for, beside what the weights suppose
-        factor = linked[cell] * of_batch[batch] / np.maximum(lanes[cell] / BATCHES, 1)
+        # Each of the m light vertices of a batch is picked with the probability 1/m. MIS weights assume the density of
+        # `starts_per_connection` start rays for each connection, and the cell has lanes/BATCHES start rays in the batch
+        factor = starts_per_connection[cell] * of_batch[batch] / np.maximum(lanes[cell] / BATCHES, 1)
 
         def rows(*columns: np.ndarray) -> mi.Float:
             table = np.zeros((len(batch) + 1, 4))  # never empty
@@ -132,7 +137,8 @@ class LightVertices:
         self._slack = dr.opaque(mi.Float, ROUNDING * extent)
 
     def pick(self, batch: mi.UInt32, u: mi.Float) -> tuple[mi.UInt32, mi.Float]:
-        """See `mistray.kernel.kernel_scene.Connections`."""
+        """See `mistray.kernel.kernel_scene.VertexCache`."""
+        # Uniform among the light vertices of the batch
         first, count = (dr.gather(mi.UInt32, array, batch) for array in (self._first, self._of_batch))
         there = count > 0
         number = first + dr.minimum(mi.UInt32(u * mi.Float(count)), dr.maximum(count, 1) - 1)
@@ -140,22 +146,23 @@ class LightVertices:
         return number, dr.select(there, dr.gather(mi.Float, self._points, 4 * number + 3, there), 0)
 
     def point(self, number: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
-        """See `mistray.kernel.kernel_scene.Connections`."""
+        """See `mistray.kernel.kernel_scene.VertexCache`."""
         return dr.gather(mi.Vector4f, self._points, number, active).xyz
 
     def heading(self, number: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
-        """See `mistray.kernel.kernel_scene.Connections`."""
+        """See `mistray.kernel.kernel_scene.VertexCache`."""
         return dr.gather(mi.Vector4f, self._headings, number, active).xyz
 
     def meets(self, number: mi.UInt32, s: mi.UInt32, p: mi.Vector3f, active: mi.Bool) -> mi.Bool:
-        """See `mistray.kernel.kernel_scene.Connections`."""
+        """See `mistray.kernel.kernel_scene.VertexCache`."""
         row = dr.gather(mi.Vector4f, self._headings, number, active)
         apart = dr.norm(p - self.point(number, active))
         return active & (mi.UInt32(row.w) == s) & (apart < self._slack)
 
     def comes_from(self, number: mi.UInt32, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> mi.Bool:
-        """Whether rays that were sent to points, and leave against the light of a cell, go the way of its light."""
+        """Whether connected rays that leave within a cell do so on the path of their light vertex."""
 
+        # The key of the path from the start to the light vertex: from the last event back to the first scatter event
         def back(k: mi.UInt32, key: mi.UInt64, going: mi.Bool) -> tuple[mi.UInt32, mi.UInt64, mi.Bool]:
             code = departure.event(k - 1, going)
             going = going & ((code & EVENT_MASK) < RANDOM_TRANSMITTED)
@@ -170,5 +177,6 @@ class LightVertices:
             mode="symbolic",
             label="way of the light",
         )
+        # Light of one cell may reach a surface by several paths, and by the same path from several cells
         same = dr.gather(mi.UInt32, self._cell, number, active) == cell
         return active & same & (dr.gather(mi.UInt64, self._keys, number, active) == key)

@@ -1,10 +1,16 @@
-"""Where the light of distant sources gets in: densities of start rays, learned from rays that have arrived.
+"""
+Start maps: densities of the start rays of distant sources, learned from rays that have arrived.
 
 The start rays of each cell of directions are points of the unit cube of four dimensions, see
-`mistray.sampling.plane_wave.wave_rays`: two of the place in the cross-section, two of the direction in the cell. Few of
-them carry the light that reaches the detector. A binary tree for each cell halves the cube where that light lies, so
-that rays start there more often and carry less each. This is the density tree of Müller, Gross and Novák (Practical
-path guiding for efficient light-transport simulation, 2017) in primary sample space.
+`mistray.sampling.plane_wave.wave_rays`. Two are for the position in the cross-section, two for the direction.
+Few of them carry light that reaches the detector. A binary tree for each cell halves the cube where that light lies, so
+that rays start there more often with a lower throughput each. This is the density tree of Müller, Gross and Novák
+(Practical path guiding for efficient light-transport simulation, 2017) in primary sample space. The density is a
+mixture,
+
+    p(x) = UNIFORM + (1 - UNIFORM) ∏ 2 s over the halvings that lead to the leaf of x,
+
+where s is the share of rays in the half that holds x: `StartMap.low`, or 1 minus it.
 """
 
 from __future__ import annotations
@@ -22,15 +28,16 @@ from mistray.surfaces.upload import upload
 
 DIMENSIONS = 4
 CORNERS = 1 << DIMENSIONS
-WORD = 32  # bits of a place in the cube, the highest first
-# By corner of a node and dimension: 1 where that is in the low half
+WORD = 32  # bits of a coordinate in the cube, the highest first
+# By corner of a node and dimension: 1 where the corner is in the low half
 IN_LOW = np.array([[float(not corner >> k & 1) for k in range(DIMENSIONS)] for corner in range(CORNERS)])
 LEAF, MOST_DEPTH = -1, 36
-MOST_HALVINGS = 20  # of one dimension
-FEWEST = 5.0  # effective samples of a node that is halved
-PRIOR = 1.0  # samples that each half has beside its own
-LEAST_SHARE = 0.04  # of a node's rays in either half
-UNIFORM = 0.4  # share of rays anywhere in a cell, so that light which the samples have missed is rarely strong
+MOST_HALVINGS = 20  # most halvings of one dimension
+FEWEST = 5.0  # fewest effective samples of a node that is halved
+PRIOR = 1.0  # prior of each half, in samples
+LEAST_SHARE = 0.04  # least share of a node's rays in either half
+# Share of rays that start uniformly in a cell: it bounds the throughput of light that the samples have missed
+UNIFORM = 0.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,11 +50,11 @@ class StartMap:
     axis : (n,) int32
         Dimension that a node halves, `LEAF` where none.
     child : (n,) int32
-        Number of its low half; the high one follows.
+        Number of the node's low half; the high one follows.
     low : (n,) float64
-        Share of its rays in the low half.
+        Share of the node's rays in the low half.
     root : (c,) int32
-        Node of each cell.
+        Root node of each cell.
     """
 
     axis: np.ndarray
@@ -57,28 +64,29 @@ class StartMap:
 
     @classmethod
     def uniform(cls, cells: int) -> StartMap:
-        """Even densities."""
+        """Return uniform densities."""
         return cls(np.full(1, LEAF, np.int32), np.zeros(1, np.int32), np.zeros(1), np.zeros(cells, np.int32))
 
     @classmethod
     def of(cls, cells: int, samples: MapSamples) -> StartMap:
-        """The densities that samples of the light suggest."""
+        """Learn the densities from samples of the light."""
         numbers, at = np.unique(samples.cell, return_inverse=True)
         root = np.zeros(cells, np.int32)
         root[numbers] = 1 + np.arange(len(numbers))
-        # The first node is an even density
+        # The first node is a leaf of uniform density, for cells without samples
         axis, child, low = [np.full(1, LEAF)], [np.zeros(1, np.int64)], [np.zeros(1)]
         made, halvings = 1 + len(numbers), np.zeros((len(numbers), DIMENSIONS), np.int64)
-        # All nodes of a depth at once; `at` is the node of each sample, `inside` its place there
+        # All nodes of a depth at once; `at` is the node of each sample, `inside` its position there
         top = 2.0**WORD
         inside = np.minimum(samples.points.T * top, top - 1).astype(np.uint32)
         brought = np.array([samples.weights, np.square(samples.weights), samples.squares])
         while len(halvings):
             k, share = _halved(at, inside, brought, halvings)
-            number = np.cumsum(k != LEAF) - 1  # among those that are halved
+            number = np.cumsum(k != LEAF) - 1  # index among the nodes that are halved
             axis.append(k)
             child.append(np.where(k != LEAF, made + 2 * number, 0))
             low.append(share)
+            # Samples go on to the halves: the highest bit of the coordinate says to which
             there = np.flatnonzero(k[at] != LEAF)
             at, inside, brought = at[there], inside.take(there, axis=1), brought.take(there, axis=1)
             place = inside.ravel()
@@ -99,24 +107,25 @@ def _halved(
     at: np.ndarray, inside: np.ndarray, brought: np.ndarray, halvings: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """
-    How nodes of one depth are halved: by the light of each half, and so that the variance is least, half by half.
+    Halve the nodes of one depth, by the mean of two shares: that of the light, and that of least variance.
 
-    Were rays even in either half, the variance would be least at densities like the root of the mean of E[F²] there (A.
-    Rath et al., Variance-aware path guiding, ACM Trans. Graph. 39, 151 (2020)). Halves in which light is not yet
-    resolved get more rays by this than by their light.
+    With uniform density in either half, the variance is least at densities proportional to √⟨E[F²]⟩, the mean over the
+    half (A. Rath et al., Variance-aware path guiding, ACM Trans. Graph. 39, 151 (2020)). Halves in which light is not
+    yet resolved get more rays by this than by their light.
 
     Parameters
     ----------
     at, inside, brought : (s,) int, (4, s) uint32, (3, s) float64
-        Node of each sample, its place in there (0 … 2^32), its weight, the square of that, and `MapSamples.squares`.
+        Node of each sample, its position there (0 … 2^32), its weight, the squared weight, and `MapSamples.squares`.
     halvings : (n, 4) int
-        Of each dimension, that have led to a node.
+        Halvings of each dimension that have led to a node.
 
     Returns
     -------
     (n,) int, (n,) float64
-        Dimension, `LEAF` where a node stays whole, and the share of its low half.
+        Dimension that is halved, `LEAF` where a node stays whole, and the share of its low half.
     """
+    # Sums over the low and the high half, for each dimension
     count = len(halvings)
     high = inside >> (WORD - 1)
     corner = CORNERS * at + (high[0] | high[1] << 1 | high[2] << 2 | high[3] << 3)
@@ -124,18 +133,21 @@ def _halved(
     (low, high), (low_squares, high_squares), (low_moment, high_moment) = (
         (sums @ IN_LOW, sums @ (1 - IN_LOW)) for sums in of_corners
     )
+    # Effective number of samples, (Σw)²/Σw², and shares of the low half
     squares = low_squares[:, 0] + high_squares[:, 0]
     effective = (low[:, 0] + high[:, 0]) ** 2 / np.maximum(squares, 1e-300)
     root_low, root_high = np.sqrt(low_moment), np.sqrt(high_moment)
     shares = 0.5 * (low / np.maximum(low + high, 1e-300) + root_low / np.maximum(root_low + root_high, 1e-300))
+    # Choose the dimension whose halves differ most
     lean = np.where(halvings > MOST_HALVINGS, -1.0, np.abs(shares - 0.5))
     nodes = np.arange(count)
     k = np.argmax(lean, axis=1)
     most = lean[nodes, k]
+    # Halves that differ by less than their noise are no reason to halve, unless there are many samples
     noise = 1 / np.sqrt(np.maximum(effective, 1e-300))
     whole = (effective < FEWEST) | (halvings.sum(axis=1) >= MOST_DEPTH)
     whole |= (most < 0.5 * noise) & (effective < 16 * FEWEST)
-    # What leans to no side is halved where it is longest
+    # A node whose halves hardly differ is halved along its longest side
     k = np.where(most < noise, np.argmin(halvings, axis=1), k)
     share = (shares[nodes, k] * effective + PRIOR) / (effective + 2 * PRIOR)
     share = np.clip(share, LEAST_SHARE, 1 - LEAST_SHARE)
@@ -143,15 +155,17 @@ def _halved(
 
 
 class DeviceMap:
-    """A `StartMap` that the kernel reads."""
+    """A `StartMap` on the device."""
 
     def __init__(self, given: StartMap) -> None:
+        # One word a node: axis + 1 in three bits, 0 for a leaf, and the number of the low child
         self._word = upload(mi.UInt32, (given.axis + 1).astype(np.uint32) | (given.child.astype(np.uint32) << 3))
         self._low = upload(mi.Float64, given.low)
         self._root = upload(mi.UInt32, given.root.astype(np.uint32))
 
     def sample(self, cell: mi.UInt32, place: mi.Float64, rng: mi.PCG32) -> tuple[list[mi.Float], mi.Float]:
-        """Points of the unit cube for places 0 … 1, and their density."""
+        """Return points of the unit cube for numbers `place` in 0 … 1, and their density."""
+        # Choose the uniform part of the mixture or the tree, and rescale the number
         width = dr.width(cell)
         anywhere = place < UNIFORM
         t = dr.select(anywhere, place / UNIFORM, (place - UNIFORM) / (1 - UNIFORM))
@@ -176,6 +190,7 @@ class DeviceMap:
             node = dr.select(going, first + dr.select(high, mi.UInt32(1), 0), node)
             return node, t, corner, size, going
 
+        # Descend to a leaf; t is rescaled to 0 … 1 within each half, which uses up its bits: hence double precision
         node, t, corner, size, _ = dr.while_loop(
             (node, mi.Float64(t), zero, one, dr.full(mi.Bool, True, width)),
             lambda *v: v[-1],
@@ -183,12 +198,13 @@ class DeviceMap:
             mode="symbolic",
             labels=("node", "t", "corner", "size", "going"),
         )
+        # Position in the leaf: along a space-filling curve, so that stratified numbers stay stratified
         inner = curve_points(dr.clip(t, 0, 1 - 1e-12), DIMENSIONS, rng)
         point = [dr.minimum(corner[j] + size[j] * inner[j], 1 - 2.0**-24) for j in range(DIMENSIONS)]
         return point, self.density(cell, point, dr.full(mi.Bool, True, width))
 
     def density(self, cell: mi.UInt32, point: list[mi.Float], active: mi.Bool) -> mi.Float:
-        """Density at points of the unit cube."""
+        """Return the density at points of the unit cube."""
         width = dr.width(point[0])
         node = dr.gather(mi.UInt32, self._root, cell, active)
 
@@ -207,6 +223,7 @@ class DeviceMap:
             node = dr.select(going, first + dr.select(high, mi.UInt32(1), 0), node)
             return node, *x, density, going
 
+        # Descend by position: each halving doubles the density of a half times its share
         *_, density, _ = dr.while_loop(
             (node, *(mi.Float(v) for v in point), dr.full(mi.Float, 1, width), mi.Bool(active)),
             lambda *v: v[-1],

@@ -1,1 +1,1 @@
-"""Light that warm surfaces emit, as sources of a forward trace."""
+"""Thermal emission of warm surfaces, as sources of a forward trace."""

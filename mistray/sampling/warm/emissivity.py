@@ -1,4 +1,8 @@
-"""How much of a blackbody's radiance surfaces emit: what they absorb of light from there (G. Kirchhoff)."""
+"""
+Emissivity of surfaces, which by Kirchhoff's law is their absorptance for light from the same direction.
+
+The absorptance is ε(θ) = 1 - R - T - scatter, with the shares of the coating and of the scatter at the angle θ.
+"""
 
 from __future__ import annotations
 
@@ -15,24 +19,25 @@ from mistray.surfaces.upload import upload
 
 FRONT, BACK = range(2)
 TURNS = 4  # azimuths of incidence that are averaged, for surfaces whose scatter depends on it
-LEAST = 2e-6  # what is less is the rounding of 1 - R - T
+LEAST = 2e-6  # smaller values are rounding of 1 - R - T
 
 
 def emissivities(table: SurfaceTable, cosines: np.ndarray) -> np.ndarray:
     """
-    Share that surfaces absorb of unpolarised light, coatings and scatter included.
+    Return the share of unpolarised light that surfaces absorb, coatings and scatter included.
 
     Parameters
     ----------
     table : SurfaceTable
     cosines : (m,) float64
-        Of the angles of incidence, above 0.
+        Cosines of the angles of incidence, above 0.
 
     Returns
     -------
     (surfaces, 2, m) float64
-        For light that comes to the front and to the back, 0 … 1; less than `LEAST` counts as nothing.
+        Absorptance of light that comes to the front and to the back, 0 … 1; less than `LEAST` is returned as 0.
     """
+    # Incident directions: each cosine at `TURNS` azimuths, at one point of each surface
     count, m = table.count, len(cosines)
     rng = np.random.default_rng(0)
     points, normals = (
@@ -48,29 +53,31 @@ def emissivities(table: SurfaceTable, cosines: np.ndarray) -> np.ndarray:
         sides[None, :, None, None, None] * cosines[None, None, :, None, None] * normals[:, None, None, None, :]
         + sine[None, None, :, None, None] * around.transpose(1, 0, 2)[:, None, None, :, :]
     ).reshape(-1, 3)
+    # Interactions on the device, all in one launch
     number = np.repeat(np.arange(count), 2 * m * TURNS)
     p, normal = table.upload_points(points[number]), None
-    if table.stock_scene is not None:
+    if table.mitsuba_scene is not None:
         normal = mi.Vector3f(*(upload(mi.Float, column) for column in normals[number].T))
     s, along = upload(mi.UInt32, number), mi.Vector3f(*(upload(mi.Float, column) for column in d.T))
     it = interact(table, p, along, s, normal, None, mi.Bool(True))
+    # Absorbed shares, averaged over azimuth
     scattering = Scattering(ScatterTables(table, {}))
-    absorbed = scattering.give(s, it, mi.Bool(True)).absorbed if scattering.any else 1 - it.R - it.T
+    absorbed = scattering.budget(s, it, mi.Bool(True)).absorbed if scattering.any else 1 - it.R - it.T
     shares = np.array(absorbed + dr.zeros(mi.Float, len(number)), dtype=np.float64)
     found = np.clip(shares.reshape(count, 2, m, TURNS).mean(axis=3), 0.0, 1.0)
     return np.where(found < LEAST, 0.0, found)
 
 
 def medium_of(table: SurfaceTable, surface: int, side: int) -> int:
-    """Number of the material on a side of a surface; 0: one that no surface lets light into."""
+    """Return the number of the material on a side of a surface; 0: no surface transmits into that material."""
     optics = table.optics
     if number := int(optics.declared[surface, side]):
         return number
-    material = material_of(table, surface, side)  # an opaque one that does not say is in air
+    material = material_of(table, surface, side)  # an opaque one without a declared material is in air
     return optics.media.index(material) if material in optics.media else 0
 
 
 def material_of(table: SurfaceTable, surface: int, side: int) -> str:
-    """Name of the material on a side of a surface."""
+    """Return the name of the material on a side of a surface."""
     interface = table.interfaces[surface]
     return str(interface.front if side == FRONT else interface.back).strip()

@@ -1,4 +1,4 @@
-"""Start rays of a warm surface: uniform over its area, with its emissivity by angle."""
+"""Start rays of a warm surface: uniform over its area, with directions in proportion to ε(θ) cos θ."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from mistray.surfaces.upload import upload
 @dataclass(frozen=True, kw_only=True)
 class WarmRays(SceneSource):
     """
-    What one side of a surface emits at one wavelength.
+    Emission of one side of a surface at one wavelength.
 
     Attributes
     ----------
     table : SurfaceTable
-        Of the scene.
+        Surfaces of the scene.
     surface : int
         Number of the surface.
     to_back : bool
@@ -45,30 +45,33 @@ class WarmRays(SceneSource):
 
     @property
     def middle(self) -> None:
-        """There is none: the light goes many ways."""
+        """None, because the light has many directions."""
 
     @property
     def moving(self) -> tuple[str, ...]:  # type: ignore[override]  # read-only
-        """Nothing: temperatures are no parameters."""
+        """Empty, because temperatures are no parameters."""
         return ()
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
-        """Origins and directions, see `Source.start`."""
+        """Return origins and directions, see `Source.start`."""
         sample = stratified_points(batch, rng)
         o, d = self._rays(sample, lambda: np.array(rng.next_float32(), dtype=np.float64), dr.width(lane))
         return Emission(mi.Vector3f(*(upload(mi.Float, column) for column in (o - centre).T)), mi.Vector3f(d))
 
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
-        """Rays from random points, see `SceneSource.probes`."""
+        """Return rays from random points, see `SceneSource.probes`."""
         count = dr.width(sample)
         rng = np.random.default_rng(0)
         o, d = self._rays(sample, lambda: rng.random(count), count)
+        # Unit length in float64, which float32 keeps only to its own rounding
         directions = np.array(d, dtype=np.float64).T
         return o, directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
     def _rays(self, sample: mi.Point2f, draw: Callable[[], np.ndarray], count: int) -> tuple[np.ndarray, Any]:
-        """Origins in the world, (n, 3) float64, and directions on the device."""
+        """Return origins in the world, (n, 3) float64, and directions on the device."""
+        # Points on the host, which knows every family of surfaces; normals point from front to back
         o, normals = even_points(self.table, self.surface, draw, count)
         outward = mi.Vector3d(*(upload(mi.Float64, column) for column in (normals if self.to_back else -normals).T))
+        # Directions of equal flux in the local frame
         local = self.law.directions(mi.Point2d(sample))
         return o, dr.normalize(mi.Frame3f(mi.Vector3f(outward)).to_world(mi.Vector3f(local)))

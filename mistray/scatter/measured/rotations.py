@@ -79,7 +79,7 @@ class RotatedSamples:
 
     @property
     def event(self) -> str | None:
-        """What was measured, if the file says it."""
+        """Event that was measured, if the file says it."""
         return self.tables[0].event
 
 

@@ -89,7 +89,7 @@ class Freeform(Surface):
 
     @cached_property
     def family(self) -> FreeformFamily:
-        """What the code of its sag and its outline hangs on."""
+        """Family of the surface: the properties that the code of its sag and its outline depends on."""
         return FreeformFamily.of(self.local.sag, self.outline)
 
     @property

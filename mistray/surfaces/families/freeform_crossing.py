@@ -97,7 +97,7 @@ def first_crossing(ray: AxisRay, piece: Freeform, n: Mapping[str, mi.Float], own
 
 
 def _of_quadric(ray: AxisRay, piece: Freeform, n: Mapping[str, mi.Float], own: mi.Bool) -> mi.Float:
-    """The same of a quadric, where an equation of the second degree has its roots."""
+    """Return the distance to a quadric, where an equation of the second degree has its roots."""
     sag, outline = piece.local.sag, piece.outline
     oz = ray.oz - n["z"]
     # From the point that is closest to the middle, which keeps the digits of rays that come from afar

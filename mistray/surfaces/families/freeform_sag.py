@@ -39,18 +39,18 @@ TOO_MUCH = 1e-6  # error that is reported, the same
 @dataclass(frozen=True)
 class FreeformSag:
     """
-    What the code of a freeform hangs on; F = z - sag(x, y).
+    Properties of a freeform that its code depends on; F = z - sag(x, y).
 
     Attributes
     ----------
     curved : bool
         Its quadric is no plane.
     form : Form
-        Of its departure.
+        Form of its departure.
     odd : tuple of int
         Its odd powers of the distance from the vertex.
     grid : GridPatches, optional
-        One that is added.
+        Grid that is added.
     """
 
     curved: bool
@@ -188,7 +188,7 @@ class LocalSag:
     def moved(
         self, n: Mapping[str, Any], middle: tuple[float, float], half: tuple[float, float], x: Any, y: Any
     ) -> LocalSag:
-        """The same with other numbers and code of the same form."""
+        """Return the sag with other numbers and code of the same form."""
         return self._at(n, middle, half, x, y, self.sag)
 
     @classmethod

@@ -25,7 +25,7 @@ DIFFERENCE = 0.01  # of places for the direction out of an outline, in units of 
 @dataclass(frozen=True)
 class FreeformFamily:
     """
-    What the code of a surface of any sag within any outline hangs on.
+    Properties that the code of a surface of any sag within any outline depends on.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class FreeformFamily:
     outline : tuple
         `Outline.form`: kind, sign, number of sizes and whether it is turned, of each figure.
     names : tuple of str
-        Of the outline's numbers, such as "clip_1_radius".
+        Names of the outline's numbers, such as "clip_1_radius".
     """
 
     sag: FreeformSag

@@ -1,1 +1,1 @@
-"""Light anywhere but on the detector: its rays, its maps, and which of it a filter lets through."""
+"""Light on any surface other than the detector: its rays, its maps, and filters of it."""

@@ -1,4 +1,4 @@
-"""What a filter knows of branches that arrive anywhere or leave the scene, and which of them it lets through."""
+"""Filters of branches that arrive at any surface or leave the scene."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.trace.filter_rows import Rows
 from mistray.trace.path_filter import PathFilter
 
-# What `describe_events` says of a path; the others say where it ends, and where its light comes from
+# Columns of `describe_events`; the others are the end of a path and the source of its light
 OF_EVENTS = (
     "key", "label", "events", "path", "order", "kind", "ghost_1", "ghost_2", "scatter_1", "edges", "scatters",
     "diffractions", "structure_bounces", "tir", "objects", "unique_objects", "last_object", "critical",
@@ -23,7 +23,7 @@ COLUMNS = ("wavelength_nm", "source", "type", "surface", "detector", *OF_EVENTS)
 
 
 def check_columns(wanted: PathFilter) -> None:
-    """Refuse a filter that compares what only light on a detector has, such as its power."""
+    """Raise for a filter that compares columns that only light on a detector has, such as its power."""
     missing = wanted.columns - set(COLUMNS)
     if missing:
         raise MistrayError(
@@ -33,7 +33,8 @@ def check_columns(wanted: PathFilter) -> None:
 
 
 def passing(run: Run, filters: Sequence[PathFilter], recorder: BranchRecorder, count: int) -> np.ndarray:
-    """Which branches of a recorder filters let through, (filters, n) bool; branches of one path are asked once."""
+    """Return which branches of a recorder the filters select, (filters, n) bool."""
+    # Branches of one path have the same answer
     for wanted in filters:
         check_columns(wanted)
     codes, lengths = recorder.events(np.arange(count))
@@ -44,11 +45,12 @@ def passing(run: Run, filters: Sequence[PathFilter], recorder: BranchRecorder, c
 
 
 def kinds_and_keys(run: Run, events: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Class and key of event lists, as path tables have them, (n,) each."""
+    """Return kind and key of event lists, as path tables have them, (n,) each."""
     lengths = np.array([len(one) for one in events], dtype=np.int64)
     codes = np.zeros((len(events), int(lengths.max(initial=1))), dtype=np.uint32)
     for row, one in zip(codes, events, strict=True):
         row[: len(one)] = one
+    # Rays of one path are described once
     unique, path = np.unique(np.column_stack([codes, lengths]), axis=0, return_inverse=True)
     table = run.table
     facts = describe_events(
@@ -68,6 +70,7 @@ def _rows(run: Run, codes: np.ndarray, lengths: np.ndarray, columns: frozenset[s
         "surface": ends,
         "detector": ends,
     }
+    # Describing events takes longer than all else: only where a filter compares them
     if columns & set(OF_EVENTS):
         found |= describe_events(codes, lengths, table.event_ids, table.event_words, run.design)
     events = Events(codes, lengths, table.event_words, run.design)

@@ -1,4 +1,4 @@
-"""Maps of parts of the light on any surface: kinds of paths, or what filters let through."""
+"""Maps of parts of the light on any surface: kinds of paths, or the light that filters select."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mistray.trace.path_filter import PathFilter
 from mistray.trace.ray_table import portions, recorded
 
 CAPACITY = 1 << 15  # branches that are recorded at a time
-FULL = 0.8  # of the recorder, that a portion of the start rays is to fill
+FULL = 0.8  # fraction of the recorder that a portion of the start rays should fill
 
 
 def light_maps(runs: Sequence[Run], maps: SurfaceMaps, filters: Sequence[PathFilter]) -> list[dict[str, SurfaceMap]]:
@@ -30,14 +30,14 @@ def light_maps(runs: Sequence[Run], maps: SurfaceMaps, filters: Sequence[PathFil
     ----------
     runs : sequence of Run
     maps : SurfaceMaps
-        The surfaces and their cells; what it has recorded stays as it is.
+        Surfaces and their cells; the flux that it has recorded stays as it is.
     filters : sequence of PathFilter
-        A map of each surface for each of them; they may overlap.
+        Filters, each of which gets a map of each surface; they may overlap.
 
     Returns
     -------
     list of dict
-        Of each filter the maps by the ids of their surfaces.
+        Maps by the ids of their surfaces, for each filter.
     """
     for wanted in filters:
         check_columns(wanted)
@@ -49,12 +49,12 @@ def light_maps(runs: Sequence[Run], maps: SurfaceMaps, filters: Sequence[PathFil
 
 
 def _of_run(run: Run, maps: SurfaceMaps, filters: Sequence[PathFilter]) -> list[Sampled]:
-    """Flux by cell that filters let through, with its noise, (cells,) each, W."""
+    """Return the flux that filters select by cell, with its noise, (cells,) each, W."""
     maps.attach(run.scene)
     sums = np.zeros((len(filters), maps.groups, maps.cells))
     recorder = CellRecorder(CAPACITY, run.settings.max_events, points_only=True, maps=maps)
     behind = maps.shape[0] * maps.shape[1]
-    branches = 0.0  # of a start ray, at most
+    branches = 0.0  # largest number of branches per start ray so far
 
     def grow(size: int) -> int:
         return max(1, min(int(FULL * CAPACITY / max(branches, 1e-6)), 8 * size))
@@ -67,6 +67,7 @@ def _of_run(run: Run, maps: SurfaceMaps, filters: Sequence[PathFilter]) -> list[
             many += count
             held = passing(run, filters, recorder, count)
             cell, batch = np.array(recorder.cell)[:count], np.array(recorder.batch)[:count]
+            # Incident and absorbed flux of a cell, one after the other
             group = batch // (BATCHES // maps.groups)
             flux = [np.array(values)[:count] for values in (recorder.weight, recorder.absorbed)]
             for own, here in zip(sums, held, strict=True):

@@ -1,4 +1,4 @@
-"""Tables of rays that arrive at any surface, or leave the scene, whether the detector sees their light or not."""
+"""Tables of rays that arrive at any surface or leave the scene, whether or not the detector sees their light."""
 
 from __future__ import annotations
 
@@ -30,12 +30,13 @@ CAPACITY = 1 << 14  # branches that are recorded at a time
 def rays_elsewhere(
     runs: Sequence[Run], where: str | Sequence[str], wanted: PathFilter, n: int | None, events: bool
 ) -> pd.DataFrame:
-    """The table of `mistray.trace.Trace.rays_at`, which says what the parameters are."""
+    """Return the table of `mistray.trace.Trace.rays_at`; see there for the parameters."""
     import pandas as pd
 
     if n is not None and n < 1:
         raise MistrayError(f"n is {n}; ask for at least one ray, or None for all")
     words = [where] if isinstance(where, str) else list(where)
+    # Rays of each run
     tables, done = [], 0
     for run in runs:
         rays = list(_rays(run, words, wanted, n))
@@ -52,6 +53,7 @@ def rays_elsewhere(
         done += len(rays)
         tables.append(history)
     table = pd.concat([one for one in tables if len(one)] or tables[:1], ignore_index=True)
+    # Every run has found up to n rays: choose n of all
     if n is not None and done > n:
         kept = np.linspace(0, done - 1, n).round().astype(int)
         table = table[table.ray.isin(kept)].reset_index(drop=True)
@@ -60,9 +62,10 @@ def rays_elsewhere(
 
 
 def _ends(table: pd.DataFrame) -> pd.DataFrame:
-    """One row for each ray of a table of nodes: its last node, with the direction in which it arrives there."""
+    """Return one row for each ray of a table of nodes: its last node, with the direction in which it arrives there."""
     last = table.groupby("ray").tail(1).reset_index(drop=True)
     before = table[table.node == table.groupby("ray").node.transform("max") - 1].reset_index(drop=True)
+    # A ray that ends on a surface has no direction after its last node
     gone = np.abs(last[["dx", "dy", "dz"]]).sum(axis=1) > 0
     for name in ("dx", "dy", "dz"):
         last[name] = np.where(gone, last[name], before[name])
@@ -72,7 +75,7 @@ def _ends(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _rays(run: Run, words: Sequence[str], wanted: PathFilter, n: int | None) -> Iterator[Ray]:
-    """Rays of one run: enough, from growing portions of its start rays, each spread over the beam."""
+    """Yield enough rays of one run, from growing portions of its start rays, each spread over the beam."""
     check_where(words)
     departs = any(word in (ESCAPED, RETURNED) for word in words)
     chosen = np.zeros(run.table.count, dtype=bool) if departs else _chosen(run, words)
@@ -89,14 +92,14 @@ def _rays(run: Run, words: Sequence[str], wanted: PathFilter, n: int | None) -> 
 
 
 def check_where(words: Sequence[str]) -> list[str]:
-    """Refuse light that leaves together with light that arrives; gives the names of surfaces."""
+    """Raise for light that leaves together with light that arrives; return the names of surfaces."""
     if len(words) > 1 and any(word in (ESCAPED, RETURNED) for word in words):
         raise MistrayError(f"where is {', '.join(words)}; give {ESCAPED} or {RETURNED} alone, or names of surfaces")
     return [word for word in words if word not in ELSEWHERE]
 
 
 def _chosen(run: Run, words: Sequence[str]) -> np.ndarray:
-    """Which surfaces are meant."""
+    """Return which surfaces are meant."""
     ids, parts = run.table.ids, run.table.parts
     chosen = np.zeros(len(ids), dtype=bool)
     for word in words:
@@ -110,7 +113,7 @@ def _chosen(run: Run, words: Sequence[str]) -> np.ndarray:
 
 
 def _walk(run: Run, start: StartRays, recorder: ElsewhereRecorder, wanted: PathFilter) -> Iterator[Ray]:
-    """Rays of some start rays that pass."""
+    """Yield the rays of some start rays that the filter selects."""
     for count in recorded(run, start, recorder):
         slots = np.flatnonzero(passing(run, [wanted], recorder, count)[0])
         slots = slots[np.argsort(np.array(recorder.lane)[slots], kind="stable")]
@@ -118,6 +121,7 @@ def _walk(run: Run, start: StartRays, recorder: ElsewhereRecorder, wanted: PathF
         rays = rays_in_slots(run, recorder, slots, *run.start_rays(np.array(recorder.lane)[slots]))
         leaving = run.unit * np.array(recorder.weight)[slots]
         for ray, heading, flux in zip(rays, headings, leaving, strict=True):
+            # The last node of a ray that leaves is the last surface: direction and flux are those after it
             if recorder.departs:
                 ray.directions[-1], ray.flux_W[-1] = heading, flux
             yield ray

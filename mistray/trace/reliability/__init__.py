@@ -1,1 +1,1 @@
-"""Whether the numbers of a trace can be trusted: what was cut, and how scattered light was sampled."""
+"""Reliability of the numbers of a trace: light that was cut, and the sampling of scattered light."""

@@ -1,4 +1,4 @@
-"""What became of the rays that places of scatter sent: how many landed of those aimed, and which sent nothing."""
+"""Aimed rays by place of scatter: how many of them reach the detector, and places of which nothing does."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from mistray.sampling.outlines import outline
 from mistray.sampling.scattering_bodies import medium_of
 from mistray.surfaces.surfaces import SurfaceTable
 
-FEWEST_HITS = 100.0  # of a place below which it says little that none of its rays arrives
-SAME = 1e-6  # of the size of the detector
+FEWEST_HITS = 100.0  # hits of a place below which it may be chance that none of its rays arrives
+SAME = 1e-6  # relative to the size of the detector: lengths that differ by rounding
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,11 @@ class AimedSurface:
     ----------
     id : str
     aimed : float
-        Rays that it sent to targets.
+        Number of rays that were sent to targets.
     landed : float
-        Those of them that reached the detector without a further reflection.
+        Number of these that reached the detector without a further reflection.
     at_detector : bool
-        Whether each of its targets is the detector itself, or a part of its plane that holds it.
+        Whether each target is the detector itself, or a part of its plane that contains it.
     """
 
     id: str
@@ -43,11 +43,12 @@ class AimedSurface:
 
 
 def aimed_surfaces(runs: Sequence[Run]) -> list[AimedSurface]:
-    """Aimed rays of the surfaces and media of some runs together, in the scene's order."""
+    """Return the aimed rays of the surfaces and media of some runs together, in the scene's order."""
     sums: dict[str, np.ndarray] = {}
     for run in runs:
         table, found = run.table, run.surfaces[:, [AIMED, LANDED]].sum(axis=-1)
         for i in (*table.listed, *range(table.count, len(found))):
+            # By name, whatever the number of a medium in each run
             name = table.event_ids[i]
             sums[name] = sums.get(name, np.zeros(2)) + found[i]
     elsewhere = _aims_elsewhere(runs)
@@ -59,7 +60,7 @@ def aimed_surfaces(runs: Sequence[Run]) -> list[AimedSurface]:
 
 
 def _aims_elsewhere(runs: Sequence[Run]) -> set[str]:
-    """Names of the places that have a target which holds no detector."""
+    """Return the names of the places that have a target which contains no detector."""
     names = set()
     for run in runs:
         table = run.table
@@ -94,14 +95,14 @@ def _covers(target: Target, detector: Target) -> bool:
 @dataclass(frozen=True)
 class SilentPlace:
     """
-    A place that scatters and got light, of which nothing arrived.
+    Place that scatters and got light, none of which reached the detector.
 
     Attributes
     ----------
     id : str
         Name of a surface, or of a medium in brackets.
     share : float
-        Flux on it, at each visit, over the launched flux; of a medium that on the surface of it that gets most.
+        Flux of all visits over the launched flux; for a medium that of its surface with most flux.
     """
 
     id: str
@@ -110,9 +111,9 @@ class SilentPlace:
 
 def silent_places(runs: Sequence[Run]) -> list[SilentPlace]:
     """
-    The surfaces and media that scatter and got light, but sent nothing that arrived, the one with most light first.
+    Return the surfaces and media that scatter and got light of which none arrived, the one with most light first.
 
-    Empty where paths were not kept, or nothing may scatter.
+    The list is empty where paths were not kept, or nothing may scatter.
     """
     lit: dict[str, np.ndarray] = {}
     heard: set[str] = set()
@@ -125,9 +126,11 @@ def silent_places(runs: Sequence[Run]) -> list[SilentPlace]:
         for place, found in _lit_places(table, sums).items():
             name = table.event_ids[place]
             lit[name] = lit.get(name, np.zeros(2)) + found
+        # Places of the scatter events of all paths to the detector
         places = np.unique(events[(events & EVENT_MASK) >= FIRST_SCATTERED] >> EVENT_BITS)
         heard |= {table.event_ids[place] for place in places.tolist()}
     launched = sum(run.source.power for run in runs)
+    # Lit often enough, and in no path
     quiet = [
         SilentPlace(name, float(flux) / launched)
         for name, (hits, flux) in lit.items()
@@ -137,7 +140,7 @@ def silent_places(runs: Sequence[Run]) -> list[SilentPlace]:
 
 
 def _lit_places(table: SurfaceTable, sums: np.ndarray) -> dict[int, np.ndarray]:
-    """Hits and flux of the places that scatter; of a medium those of the surface on it that gets most flux."""
+    """Return hits and flux of the places that scatter; for a medium those of its surface with most flux."""
     lit = {i: sums[i] for i in table.listed if table.interfaces[i].scatter and i not in table.detectors}
     if table.optics.scatters:
         for i in table.listed:

@@ -1,4 +1,4 @@
-"""Whether scattered light was sampled well: how many rays reach the detector, and how many of those aimed at it."""
+"""Sampling of scattered light: numbers of rays that reach the detector, and of those aimed at it."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 LEAST_LANDED = 0.2  # share of the aimed rays of a surface that should reach the detector
 LEAST_HITS, MOST_HITS = 0.1, 10.0  # hits of the detector by scattered rays, per start ray; about 1 is right
-LARGEST_SHARE = 0.05  # of the scattered light, by one ray
+LARGEST_SHARE = 0.05  # share of the scattered light that one ray may carry
 FEWEST_AIMED = 100  # aimed rays of a surface below which the share that lands says little
 NAMES_SHOWN = 3
-LEAST_LIT = 1e-3  # of the launched flux: a place with less of it that sends nothing is not worth a warning
+LEAST_LIT = 1e-3  # share of the launched flux below which a place that sends nothing is not worth a warning
 
 
 @dataclass(frozen=True)
@@ -29,14 +29,14 @@ class AimedRow:
     ----------
     surface : str
     aimed : int
-        Rays sent to targets.
+        Number of rays sent to targets.
     share_landed : float
         Share of them that reached the detector without a further reflection.
     low : bool
-        The share is below `LEAST_LANDED`, and enough rays were aimed to say so.
+        Whether the share is below `LEAST_LANDED`, and enough rays were aimed to say so.
     tight : bool
-        All of them did, and enough rays were aimed to say so, at something else than the detector itself: the target
-        may be smaller than what leads to the detector.
+        Whether all of them reached the detector, enough rays were aimed to say so, and the target is not the detector
+        itself: it may be smaller than the region through which light reaches the detector.
     """
 
     surface: str
@@ -49,20 +49,20 @@ class AimedRow:
 @dataclass(frozen=True)
 class SamplingCheck:
     """
-    How well the scattered light of a trace was sampled.
+    Quality of the sampling of the scattered light of a trace.
 
     Attributes
     ----------
     rows : tuple of AimedRow
         Surfaces that aimed rays, in the order of the trace.
     hits_per_start : float
-        Hits of the detector by scattered rays, per start ray.
+        Number of hits of the detector by scattered rays, per start ray.
     largest_share : float
-        Largest share of the scattered light that came with one ray; NaN without such light.
+        Largest share of the scattered light that one ray carried; NaN without such light.
     effective_hits : float
-        Hits of equal flux that would be as good as those there were.
+        Number of hits of equal flux that would be as good as the actual ones.
     notes : tuple of Note
-        What to change, one line each; empty if nothing.
+        Advice on settings, one line each; empty if there is none.
     """
 
     rows: tuple[AimedRow, ...]
@@ -73,7 +73,7 @@ class SamplingCheck:
 
 
 def _names(found: Sequence[str]) -> str:
-    """The first of some names, and how many more there are."""
+    """Return the first of some names, and the number of others."""
     more = f" and {len(found) - NAMES_SHOWN} more" if len(found) > NAMES_SHOWN else ""
     return ", ".join(found[:NAMES_SHOWN]) + more
 
@@ -98,12 +98,12 @@ def sampling_check(trace: Trace) -> SamplingCheck:
 
 def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     """
-    What to change, each line once for all traces that it is about.
+    Return advice on settings, each line once for all traces that it is about.
 
     Parameters
     ----------
     traces : sequence of Trace
-        Of one scene, at several fields say.
+        Traces of one scene, at several fields for instance.
 
     Returns
     -------
@@ -114,7 +114,7 @@ def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     rows = [_rows(t) for t in traces]
 
     def named(code: Code, values: Sequence[Mapping[str, float]], worst: Callable[..., float], text: str) -> None:
-        """A line about places that have a figure each, the worst place first."""
+        """Add a line about places that have a figure each, the worst place first."""
         at = [k for k, each in enumerate(values) if each]
         if not at:
             return
@@ -127,11 +127,12 @@ def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     def numbers(
         code: Code, values: Sequence[float], wrong: Callable[[float], bool], worst: Callable[..., float], text: str
     ) -> None:
-        """A line about one figure of each trace."""
+        """Add a line about one figure of each trace."""
         at = [k for k, value in enumerate(values) if wrong(value)]
         if at:
             found.append((at, Note(text.format(worst(values[k] for k in at)), code)))
 
+    # Aimed rays that miss the detector
     named(
         Code.AIMED,
         [{row.surface: row.share_landed for row in each if row.low} for each in rows],
@@ -139,6 +140,8 @@ def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
         f"few aimed rays reach the detector (less than {100 * LEAST_LANDED:g} %): {{names}}. Give these surfaces a "
         "smaller target or several; where only a lens is in view, more is not possible",
     )
+
+    # Targets that may cut off light
     tight = [[row.surface for row in each if row.tight] for each in rows]
     if any(tight):
         names = _names(list(dict.fromkeys(name for each in tight for name in each)))
@@ -147,6 +150,8 @@ def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
             "rays miss"
         )
         found.append(([k for k, each in enumerate(tight) if each], Note(text, Code.TARGET)))
+
+    # Lit places of which nothing arrives
     named(
         Code.SILENT,
         [{place.id: place.share for place in t.silent if place.share >= LEAST_LIT} for t in traces],
@@ -154,6 +159,8 @@ def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
         "{count} light, but none of it reaches the detector: {names} (share of the launched flux). If the detector "
         "sees such a place, give it a target or raise rays",
     )
+
+    # Numbers of scattered rays at the detector; a trace without scattered light passes as if it had just enough
     hits = [t.scattered_rays_per_start for t in traces]
     scatters = [bool(each or t.scattered_rays_per_start > 0 or t.silent) for each, t in zip(rows, traces, strict=True)]
     judged = [n if any_light else LEAST_HITS for n, any_light in zip(hits, scatters, strict=True)]
@@ -185,7 +192,7 @@ def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
 
 
 def _rows(trace: Trace) -> tuple[AimedRow, ...]:
-    """What became of the aimed rays of each surface."""
+    """Return the aimed rays of each surface that reached the detector."""
     return tuple(
         AimedRow(
             entry.id,

@@ -1,4 +1,4 @@
-"""What a reader of traces must know: light that limits cut, open energy, coarse tables, poor sampling of scatter."""
+"""Notes on the reliability of traces: light that limits cut, open energy, coarse tables, poor sampling of scatter."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from mistray.trace.reliability.sampling_check import sampling_notes
 if TYPE_CHECKING:
     from mistray.trace.result import Trace
 
-LEAST_CUT = 1e-6  # of the launched flux: less is not worth a note
-MUCH_CUT = 0.01  # of the launched flux: more is a warning
-COARSE = 1e-4  # of R and T, by interpolation over the angle
-OPEN = 1e-5  # of the launched flux, by which the energy does not close
+LEAST_CUT = 1e-6  # share of the launched flux below which cut flux is not worth a note
+MUCH_CUT = 0.01  # share of the launched flux above which cut flux is a warning
+COARSE = 1e-4  # largest error of R and T by interpolation over the angle
+OPEN = 1e-5  # largest relative error of the energy balance
 ZERO_ON_AVERAGE = ("roulette", "scatter_sampling")
 MEDIUM = "medium"
 CUT_TEXTS = {
@@ -42,12 +42,12 @@ CUT_TEXTS = {
 
 def trace_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     """
-    What a reader must know before trusting the numbers, each line once for all traces that it is about.
+    Return all that limits the reliability of the numbers, each line once for all traces that it is about.
 
     Parameters
     ----------
     traces : sequence of Trace
-        Of one scene and equal settings, at several fields say.
+        Traces of one scene and equal settings, at several fields for instance.
 
     Returns
     -------
@@ -58,7 +58,7 @@ def trace_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
 
 
 def _cut(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
-    """Light that was not followed, by the reasons of the energy ledger."""
+    """Return notes on light that was not followed, by the reasons of the energy ledger."""
     found = []
     for reason in dict.fromkeys(reason for t in traces for reason in t.energy.cut if reason not in ZERO_ON_AVERAGE):
         shares = [abs(t.energy.cut.get(reason, 0.0)) / t.energy.launched_W for t in traces]
@@ -70,7 +70,7 @@ def _cut(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
 
 
 def _cut_text(reason: str, settings: dict[str, Any]) -> str:
-    """How a reason of the energy ledger reads in a note."""
+    """Return the text of a note for a reason of the energy ledger."""
     text = CUT_TEXTS.get(reason, f"lost to '{reason}'").format(**settings)
     if reason == "max_events":
         longest = settings["max_events"] >= EVENTS.high
@@ -79,14 +79,14 @@ def _cut_text(reason: str, settings: dict[str, Any]) -> str:
 
 
 def _open(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
-    """Traces whose energy does not close."""
+    """Return a note on traces whose energy does not close."""
     at = [k for k, t in enumerate(traces) if abs(t.energy.closure) > OPEN]
     worst = max((abs(traces[k].energy.closure) for k in at), default=0.0)
     return [(at, Note(f"the energy closes to {worst:.1e} only, not to {OPEN:g}", Code.CLOSURE))] if at else []
 
 
 def _coarse(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
-    """Traces with a coating that its table does not resolve."""
+    """Return a note on traces with a coating that its table does not resolve."""
     at = [k for k, t in enumerate(traces) if t.coating_error > COARSE]
     worst = max((traces[k].coating_error for k in at), default=0.0)
     text = (
@@ -97,6 +97,6 @@ def _coarse(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
 
 
 def _own(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
-    """What traces say of their scene, sources and rays."""
+    """Return the notes of traces on their scene, sources and rays."""
     lines = dict.fromkeys(note for t in traces for note in t.own_notes)
     return [([k for k, t in enumerate(traces) if note in t.own_notes], note) for note in lines]

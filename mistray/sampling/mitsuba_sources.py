@@ -1,7 +1,8 @@
-"""Mitsuba's own emitters as sources of a trace: the same light, as the plugins of mistray describe it.
+"""
+Mitsuba's own emitters as sources of a trace: they become the plugins of mistray that emit the same light.
 
-A value of colour stands for its luminance, which for a plain number is that number: W/sr of a ``point`` and on the axis
-of a ``spot``, W/mm²/sr of an ``area`` or ``constant``, W/mm² across a ``directional``.
+A colour stands for its luminance, which for a plain number is that number. It is in W/sr of a ``point`` and on the axis
+of a ``spot``, in W/mm²/sr of an ``area`` or ``constant``, and in W/mm² across a ``directional``.
 """
 
 from __future__ import annotations
@@ -20,14 +21,14 @@ from mistray.sampling.source import EmittedRays, SceneSource, SourceRequest
 from mistray.spectra.spectrum import DEFAULT_NM
 
 LUMINANCE = np.array([0.212671, 0.715160, 0.072169])  # of linear sRGB, as `mi.luminance`
-DISTANT_DEG = 1e-9  # diameter of what has none
+DISTANT_DEG = 1e-9  # angular diameter that stands for that of a single direction
 
 
 class AreaLight:
     """
     A shape that carries Mitsuba's ``area`` emitter: Lambertian, of the same radiance everywhere on its outside.
 
-    It has the attributes and methods that a trace asks of `mistray.plugins.emitters.light_source.LightSource`.
+    It has the attributes and methods of `mistray.plugins.emitters.light_source.LightSource` that a trace uses.
     """
 
     extended: ClassVar[bool] = True
@@ -44,11 +45,12 @@ class AreaLight:
         self.wavelengths_nm, self.weights = np.array([DEFAULT_NM]), np.ones(1)
 
     def power(self, field_deg: float | None = None) -> float:
-        """Flux, W: π · radiance · area."""
+        """Return the flux, W: π · radiance · area."""
         return float(np.pi * self.radiance * float(np.array(self.shape.surface_area()).ravel()[0]))
 
     def sources(self, request: SourceRequest) -> Sequence[SceneSource]:
-        """What a trace starts, one for each wavelength."""
+        """Return the sources of a trace, one for each wavelength."""
+        # The rays are in the world already, so that the axes are those of the world
         axes = np.eye(3)
         return [
             EmittedRays(
@@ -69,7 +71,7 @@ class AreaLight:
     def rays_from(
         self, place: mi.Point2f, sample: mi.Point2f, rng: mi.PCG32, n: Mapping[str, mi.Float]
     ) -> tuple[mi.Vector3f, mi.Vector3f]:
-        """Rays in the world from points of the shape."""
+        """Return rays in the world from points of the shape, uniform over it and Lambertian."""
         found = self.shape.sample_position(0.0, place)
         square, cosine, sine = polar(sample)
         return mi.Vector3f(found.p), mi.Frame3f(found.n).to_world(
@@ -77,13 +79,14 @@ class AreaLight:
         )
 
     def density(self, place: mi.Point2f, d: mi.Vector3d, n: Mapping[str, mi.Float]) -> mi.Float64:
-        """Of directions from points of the shape, 1/sr."""
+        """Return the density of directions from points of the shape, 1/sr."""
+        # Lambertian: cos θ/π; the same place gives the point that `rays_from` starts at
         normal = mi.Vector3d(self.shape.sample_position(0.0, place).n)
         return dr.maximum(dr.dot(d, normal), 0) / dr.pi
 
 
 def _value(params: Any, key: str, owner: str) -> float:
-    """A number of a stock emitter."""
+    """Return a number of one of Mitsuba's own emitters; the luminance of a colour."""
     found = np.array(params.get(f"{key}.value", np.nan), dtype=np.float64).ravel()
     value = float(LUMINANCE @ found) if len(found) == len(LUMINANCE) else float(found[0])
     if len(found) not in (1, len(LUMINANCE)) or not np.isfinite(value):
@@ -92,18 +95,22 @@ def _value(params: Any, key: str, owner: str) -> float:
 
 
 def _position(params: Any, owner: str) -> dict[str, Any]:
+    """Return the coordinates of an emitter, as parameters of a plugin of mistray."""
     return dict(zip("xyz", np.array(params["position"], dtype=np.float64).ravel().tolist(), strict=True))
 
 
 def _point(params: Any, owner: str) -> dict[str, Any]:
+    """Return a ``point_source`` that emits the same to all sides."""
     place = _position(params, owner)
     return {"type": "point_source", **place, "intensity": _value(params, "intensity", owner)}
 
 
 def _spot(params: Any, owner: str) -> dict[str, Any]:
+    """Return a ``point_source`` with the profile of a ``spot``."""
     cutoff, beam = (float(np.array(params[key]).ravel()[0]) for key in ("cutoff_angle", "beam_width"))
     if not np.allclose(np.array(params["texture.value"]), 1.0):
         raise MistrayError(f"{owner}: it has a texture; leave it out")
+    # Mitsuba's falloff is linear in the angle from the beam width to the cutoff
     return {
         "type": "point_source",
         "to_world": params["to_world"],
@@ -113,10 +120,12 @@ def _spot(params: Any, owner: str) -> dict[str, Any]:
 
 
 def _constant(params: Any, owner: str) -> dict[str, Any]:
+    """Return a ``sky`` of the same radiance."""
     return {"type": "sky", "radiance": _value(params, "radiance", owner)}
 
 
 def _directional(params: Any, owner: str) -> dict[str, Any]:
+    """Return a ``distant_disc`` that is too small to tell from a single direction."""
     irradiance = _value(params, "irradiance", owner)
     return {
         "type": "distant_disc",
@@ -127,7 +136,8 @@ def _directional(params: Any, owner: str) -> dict[str, Any]:
 
 
 def _environment(emitter: mi.Emitter, owner: str) -> Any:
-    """A ``sky`` with the radiance of an ``envmap``, which stands in the world."""
+    """Return a ``sky`` with the radiance of an ``envmap``, in the frame of the world."""
+    # One row of cells for each row of the image
     sky = mi.load_dict({"type": "sky"})
     sky.owner = owner
     sky.lay(environment(emitter), mi.traverse(emitter)["data"].shape[0])
@@ -143,15 +153,16 @@ KNOWN: Mapping[str, Callable[[Any, str], dict[str, Any]]] = {
 }
 
 
-def stock_source(emitter: mi.Emitter, number: int) -> Any:
+def mitsuba_source(emitter: mi.Emitter, number: int) -> Any:
     """
-    A stock emitter as a source.
+    Return the source that emits the light of one of Mitsuba's own emitters.
 
     Raises
     ------
     MistrayError
         If there is no such source, or the emitter has a texture.
     """
+    # Kinds that need the emitter itself. Its class, or the name that it prints where Python sees the base class only
     kind = type(emitter).__name__ if type(emitter).__name__ in KNOWN else str(emitter).split("[")[0].strip()
     if kind == "AreaLight":
         return AreaLight(emitter)
@@ -165,12 +176,14 @@ def stock_source(emitter: mi.Emitter, number: int) -> Any:
             f"{owner}: a trace knows no {kind} of Mitsuba; use point, spot, area, constant, envmap or directional, or "
             "a source of mistray (docs/sources.md)"
         )
+    # Others by their parameters; `load_dict` takes scalar transforms only
     given = KNOWN[kind](mi.traverse(emitter), owner)
     matrix = given.get("to_world")
     if matrix is not None:
         given["to_world"] = mi.ScalarTransform4f(np.array(matrix.matrix, dtype=np.float64).reshape(4, 4))
     if emitter.id():
         given["id"] = emitter.id()
+    # An emitter without an id keeps an empty name, so that tables number it
     source = mi.load_dict(given)
     source.name = emitter.id()
     return source

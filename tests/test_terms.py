@@ -1,0 +1,68 @@
+"""Terms of the field in the engine and the PST: private words for them do not come back."""
+
+from __future__ import annotations
+
+import io
+import re
+import tokenize
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1] / "mistray"
+ENGINE = ("kernel", "recorders", "sampling", "execute", "gradients", "trace", "analysis/pst")
+# Words of identifiers, between underscores or capitals, and the term of the field that stands in their place
+PRIVATE = {
+    "odds": "pdf ratio",
+    "rival": "competing technique",
+    "rivals": "competing technique",
+    "rivalry": "MIS densities",
+    "opposite": "competing trace",
+    "linked": "connected",
+    "joint": "light vertex, connection",
+    "birth": "reference throughput",
+    "cloud": "medium",
+    "clouds": "medium rays",
+    "clouded": "in-scattered",
+    "books": "contributes",
+    "booked": "recorded",
+    "thins": "plays roulette",
+    "thinned": "after roulette",
+    "trunk": "direct path",
+    "stock": "Mitsuba's own",
+    "worth": "importance",
+    "told": "reported",
+}
+# Ordinary uses
+ALLOWED = {
+    ("analysis/pst/pilot.py", "odds"),  # p/(1 - p)
+    ("recorders/directions.py", "opposite"),  # azimuth
+}
+PHRASES = ("with the light", "against the light", "points of light", "point of light")
+
+
+@pytest.mark.parametrize("folder", ENGINE)
+def test_identifiers(folder: str) -> None:
+    found = []
+    for file in sorted((ROOT / folder).rglob("*.py")):
+        place = file.relative_to(ROOT).as_posix()
+        text = file.read_text(encoding="utf-8")
+        names = {t.string for t in tokenize.generate_tokens(io.StringIO(text).readline) if t.type == tokenize.NAME}
+        for name in sorted(names):
+            words = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower().split("_")
+            found += [
+                f"{place}: {name}; write {PRIVATE[word]}"
+                for word in words
+                if word in PRIVATE and (place, word) not in ALLOWED
+            ]
+    assert found == []
+
+
+@pytest.mark.parametrize("folder", ENGINE)
+def test_sentences(folder: str) -> None:
+    """Rays are forward or backward; where light is said to arrive, it does so at a light vertex."""
+    found = []
+    for file in sorted((ROOT / folder).rglob("*.py")):
+        text = re.sub(r"\s+#?\s*", " ", file.read_text(encoding="utf-8"))
+        found += [f"{file.relative_to(ROOT)}: {phrase}" for phrase in PHRASES if phrase in text]
+    assert found == []
