@@ -107,7 +107,7 @@ FAULTS = {
         "sampling analysis test_every_command.py",
     ),
     "emissivity of a scattering surface": Fault(
-        "mistray/kernel/scattering.py",
+        "mistray/kernel/scatter_shares.py",
         "absorbed = 1 - it.R * back.kept - it.T * along.kept - back.scattered - along.scattered",
         "absorbed = 1 - it.R * back.kept - it.T * along.kept",
         "analysis/test_thermal.py",
