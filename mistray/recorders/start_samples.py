@@ -94,7 +94,7 @@ class Samples:
         columns = {f.name: [getattr(one, f.name) for one in parts] for f in fields(cls)}
         # Start rays are numbered through over the passes
         columns["lane"] = [lane + k * lanes for k, lane in enumerate(columns["lane"])]
-        sums = {name: sum(columns.pop(name)[1:], start=getattr(parts[0], name)) for name in ("segments", "worth")}
+        sums = {name: sum(columns.pop(name)[1:], start=getattr(parts[0], name)) for name in ("segments", "importance")}
         return cls(**{name: np.concatenate(values) for name, values in columns.items()}, **sums)
 
 
@@ -217,7 +217,7 @@ class DepartureSamples(_StartSamples):
             lambda k, before, order, going: going,
             on,
             mode="symbolic",
-            label="worth",
+            label="importance",
         )
 
     def depart(self, departure: Departure, memory: Memory) -> None:

@@ -103,6 +103,16 @@ def test_table():
     assert found[0].shares == pytest.approx([1 / 3, 2 / 3])
 
 
+def test_wavelengths_count_by_the_light_that_arrives():
+    """Through 5 mm of k = 2e-6, there and back: exp(-8πkt/λ), within 7° of the axis."""
+    scene, glass = paraboloid(), "1.0+2e-6i"
+    for name, z, media in (("front", -20.0, {"back": glass}), ("rear", -15.0, {"front": glass})):
+        scene[name] = shape(z=z, semi_diameter=30.0, bsdf={"R": 0.0, "T": 1.0, **media})
+    (found,) = mistray.image_quality(mistray.load(scene), 0.0, wavelength_nm=[500, 1000], weights=[1, 2])
+    light = np.array([1, 2]) * np.exp(-8 * np.pi * 2e-6 * 5.0 / np.array([5e-4, 1e-3]))
+    assert found.shares == pytest.approx(light / light.sum(), rel=2e-3)
+
+
 def test_light_that_is_not_resolved_has_no_psf():
     """A point at 300 mm before a lens that is focused at infinity: the spot is there, a note says why MTF is not."""
     found = mistray.image_quality(mistray.load("cooke_triplet", "point:0,0,-300"), field_mm=5.0)
