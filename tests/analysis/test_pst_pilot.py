@@ -189,8 +189,8 @@ def test_both_directions_come_to_the_same_odds(found: tuple[BackwardTrace, Plan]
 
         def part(one: Samples, unit: np.ndarray, cell: int = cell, scattered: bool = scattered) -> Any:
             # Paths that rays with the light hardly find are left out: one in a million would make up for all
-            here = (one.cell == cell) & (one.along > 0.05) & ((one.kind >= SINGLE) == scattered)
-            return one.weight[here] * unit[cell], one.along[here]
+            here = (one.cell == cell) & (one.forward > 0.05) & ((one.kind >= SINGLE) == scattered)
+            return one.weight[here] * unit[cell], one.forward[here]
 
         ours, shares = (np.concatenate(column) for column in zip(*(part(one, unit[0]) for one in along), strict=True))
         shared, alone = np.append(ours, part(against[0], unit[1])[0]), ours / shares

@@ -126,7 +126,7 @@ def test_families_are_the_same_both_ways(scene) -> None:
     (against,) = trace.samples(rays, 0)
     (along,) = cells.samples(np.array([rays]), 0)
     sums, squares = [], []
-    for one, unit, share in ((against, trace.unit[0, 0], 1 - against.along), (along, cells.unit[0], along.along)):
+    for one, unit, share in ((against, trace.unit[0, 0], 1 - against.forward), (along, cells.unit[0], along.forward)):
         alone = unit / rays * one.weight / share
         sums.append(np.bincount(one.path_class, alone, PATH_CLASSES))
         squares.append(np.bincount(one.path_class, alone**2, PATH_CLASSES))
