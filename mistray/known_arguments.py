@@ -16,7 +16,8 @@ def known_arguments(target: T) -> T:
     """
     Decorate a function, or a class for its constructor, so that wrong keyword arguments raise `MistrayError`.
 
-    Without it Python raises a `TypeError`, which names no other argument.
+    Without it Python raises a `TypeError`, which names no other argument. A function that hands further keywords on
+    to a trace calls `mistray.settings.refuse_unknown` instead.
     """
     if not isinstance(target, type):
         return _checked(target, target.__name__)
@@ -26,8 +27,6 @@ def known_arguments(target: T) -> T:
 
 def _checked(function: Any, owner: str) -> Any:
     parameters = inspect.signature(function).parameters
-    if any(one.kind is one.VAR_KEYWORD for one in parameters.values()):
-        return function
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:

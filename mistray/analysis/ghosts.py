@@ -37,7 +37,6 @@ from mistray.analysis.scatter_surfaces import scatter_surfaces
 from mistray.analysis.stray_levels import stray_levels
 from mistray.errors import Interrupted, MistrayError, UnfinishedError, UnknownKeyError
 from mistray.files.irradiance_files import Map
-from mistray.known_arguments import known_arguments
 from mistray.notes import Note, warns
 from mistray.ranges import CONTESTED_RAYS, FIELD_DEG, RAYS
 from mistray.recorders.film import Pixels
@@ -462,7 +461,6 @@ class GhostReport(Mapping[float, Trace]):
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
-@known_arguments
 @warns
 def ghosts(
     scene: Any,

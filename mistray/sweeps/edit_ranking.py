@@ -15,7 +15,6 @@ import numpy as np
 from mistray.analysis.changes.gaps import Contacts, Gap
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
-from mistray.known_arguments import known_arguments
 from mistray.optimize.bodies import bodies
 from mistray.optimize.gradient import gradient_request, gradient_seen
 from mistray.optimize.metrics.pst_metrics import pst_bin
@@ -170,7 +169,6 @@ class EditRanking:
         return self.to_pandas().to_string(index=False)
 
 
-@known_arguments
 def rank_edits(
     scene: str | Path | mi.Scene,
     field_deg: float | Sequence[float],

@@ -190,7 +190,6 @@ class PstSweep:
         return pd.DataFrame(rows)
 
 
-@known_arguments
 @warns
 def sweep_pst(
     scene: str | Path | mi.Scene,

@@ -12,7 +12,6 @@ import mitsuba as mi
 from mistray.analysis.changes.gaps import Contacts, Gap
 from mistray.cache import Cache, open_cache
 from mistray.errors import MistrayError, UnfinishedError
-from mistray.known_arguments import known_arguments
 from mistray.notes import warns
 from mistray.optimize.scene_values import changed
 from mistray.ranges import FIELD_DEG
@@ -32,7 +31,6 @@ Progress = Callable[[float, float], None]
 LATER = 0.2  # what a row takes in tables and reports, as a part of what its trace takes beside the rays
 
 
-@known_arguments
 @warns
 def sweep(
     scene: str | Path | dict[str, Any] | mi.Scene,

@@ -25,7 +25,6 @@ from mistray.analysis.objects.view import SIDES, View
 from mistray.errors import MistrayError
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
-from mistray.known_arguments import known_arguments
 from mistray.notes import Code, Note, unfinished, warns
 from mistray.ranges import FIELD_DEG, PART
 from mistray.sampling.sources import field_axes, spectrum_of
@@ -256,7 +255,6 @@ def _gap(number: int, views: Sequence[View]) -> int:
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
-@known_arguments
 @warns
 def objects(
     scene: mi.Scene,

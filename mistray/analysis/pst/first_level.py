@@ -17,7 +17,6 @@ import numpy as np
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.transmittance import pst
 from mistray.errors import MistrayError
-from mistray.known_arguments import known_arguments
 from mistray.notes import warns
 from mistray.scene.check import require_scene
 from mistray.settings import Settings
@@ -73,7 +72,6 @@ class FirstLevel:
         return pd.DataFrame(columns)
 
 
-@known_arguments
 @warns
 def first_level(
     scene: mi.Scene,

@@ -20,7 +20,6 @@ from mistray.analysis.pst.state import PstProgress
 from mistray.errors import UnfinishedError
 from mistray.execute.backward import BackwardTrace
 from mistray.execute.workers import refuse_workers_in_time
-from mistray.known_arguments import known_arguments
 from mistray.notes import warns
 from mistray.recorders.directions import DirectionGrid
 from mistray.sampling.plane_wave import hull_points
@@ -37,7 +36,6 @@ FIRST_SHARE = 0.5  # fraction of the time for the first measurement, if further 
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
-@known_arguments
 @warns
 def pst(
     scene: mi.Scene,
@@ -175,7 +173,6 @@ def pst(
     return result
 
 
-@known_arguments
 def pst_of_each(
     scenes: Iterable[mi.Scene],
     field_deg: Numbers = range(0, 81, 2),

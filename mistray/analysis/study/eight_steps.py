@@ -25,7 +25,6 @@ from mistray.analysis.study.surfaces import coatings_and_scatter, importance_sam
 from mistray.analysis.study.transfer import images_with_stray_light
 from mistray.analysis.transfer.result import Transfer
 from mistray.errors import MistrayError, UnknownKeyError
-from mistray.known_arguments import known_arguments
 from mistray.notes import warns
 from mistray.ranges import FIELD_DEG, RELATIVE_ERROR
 from mistray.recorders.directions import DirectionGrid
@@ -152,7 +151,6 @@ class Study(Mapping[str, StudyStep]):
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
-@known_arguments
 @warns
 def study(
     scene: mi.Scene,

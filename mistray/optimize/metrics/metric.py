@@ -213,7 +213,6 @@ def log(metric: Metric) -> Metric:
     return replace(metric, function=function, unit="1", name=f"logarithm of the {metric.name}")
 
 
-@known_arguments
 def path_power(scene: Any, selection: Selection = "ghost", **traced: Any) -> Metric:
     """
     Detected power of some paths over the launched power, mean over the fields, W/W.
@@ -232,7 +231,6 @@ def path_power(scene: Any, selection: Selection = "ghost", **traced: Any) -> Met
     return _of_paths(scene, selection, lambda o: o.power(selection) / o.pupil_W, traced, "W/W", "path power")
 
 
-@known_arguments
 def ghost_to_signal(scene: Any, selection: Selection = "ghost", **traced: Any) -> Metric:
     """
     Power of the ghosts (or of another selection) over that of the direct image, mean over the fields, 1.
@@ -243,7 +241,6 @@ def ghost_to_signal(scene: Any, selection: Selection = "ghost", **traced: Any) -
     return _of_paths(scene, selection, lambda o: o.power(selection) / _signal(o, name), traced, "1", name)
 
 
-@known_arguments
 def image_metric(scene: Any, function: Callable[[Any], Any], **traced: Any) -> Metric:
     """
     A smooth function of the detector's irradiance, mean over the fields.
@@ -259,7 +256,6 @@ def image_metric(scene: Any, function: Callable[[Any], Any], **traced: Any) -> M
     return _mean(scene, lambda o: function(o.irradiance), traced, "", "image metric")
 
 
-@known_arguments
 def peak_irradiance(scene: Any, selection: Selection = "ghost", *, norm: float = NORM, **traced: Any) -> Metric:
     """
     Smooth maximum of the irradiance of some paths over the pixels of the detector, mean over the fields, W/mm².
@@ -280,7 +276,6 @@ def peak_irradiance(scene: Any, selection: Selection = "ghost", *, norm: float =
     return _of_paths(scene, selection, lambda o: o.peak(selection, norm), traced, "W/mm2", "peak irradiance")
 
 
-@known_arguments
 def ghost_rms_irradiance(scene: Any, selection: Selection = "ghost", *, norm: float = NORM, **traced: Any) -> Metric:
     """
     RMS irradiance P / (π r²) of the brightest ghost, mean over the fields, W/mm²; r is its RMS radius.
@@ -309,7 +304,6 @@ def ghost_rms_irradiance(scene: Any, selection: Selection = "ghost", *, norm: fl
     )
 
 
-@known_arguments
 def ghost_focus(scene: Any, selection: Selection = "ghost", *, norm: float = NORM, **traced: Any) -> Metric:
     """
     RMS radius of the ghost that is best in focus, mean over the fields, mm; large is good.
@@ -327,7 +321,6 @@ def ghost_focus(scene: Any, selection: Selection = "ghost", *, norm: float = NOR
     )
 
 
-@known_arguments
 def rms_spot(scene: Any, **traced: Any) -> Metric:
     """
     RMS radius of the direct image about its centroid, all wavelengths together, mean over the fields, mm.
@@ -337,7 +330,6 @@ def rms_spot(scene: Any, **traced: Any) -> Metric:
     return _mean(scene, lambda o: o.moments(DIRECT).rms_radius, traced, "mm", "RMS spot")
 
 
-@known_arguments
 def transmission(scene: Any, **traced: Any) -> Metric:
     """
     Power of the direct image over the launched power, mean over the fields, W/W.
@@ -350,7 +342,6 @@ def transmission(scene: Any, **traced: Any) -> Metric:
     return _mean(scene, lambda o: o.power(DIRECT) / o.pupil_W, traced, "W/W", "transmission")
 
 
-@known_arguments
 def relative_illumination(scene: Any, *, step_deg: float | None = None, **traced: Any) -> Metric:
     """
     Relative illumination of the image of an even scene, mean over the fields, 1.

@@ -12,7 +12,6 @@ import numpy as np
 
 from mistray.analysis.pst.transmittance import pst
 from mistray.errors import MistrayError
-from mistray.known_arguments import known_arguments
 from mistray.optimize.metrics.metric import Metric, require_known
 from mistray.optimize.metrics.observation import NORM, smooth_maximum
 from mistray.optimize.metrics.pst_observation import CONVENTION, QUANTITY, Light, PstObservation, named_classes
@@ -55,7 +54,6 @@ class PstMetric(Metric):
         return [PstView(self.settings or {}, self.plans)]
 
 
-@known_arguments
 def pst_bin(
     scene: Any,
     field_deg: float,
@@ -97,7 +95,6 @@ def pst_bin(
     )
 
 
-@known_arguments
 def pst_band(
     scene: Any,
     low_deg: float,
@@ -143,7 +140,6 @@ def pst_band(
     )
 
 
-@known_arguments
 def pst_mask(
     scene: Any,
     field_deg: float | Sequence[float],
@@ -188,7 +184,6 @@ def pst_mask(
     return _metric(scene, number, light, settings, "1", "PST over its mask")
 
 
-@known_arguments
 def veiling_glare(
     scene: Any,
     patch_deg: float,
