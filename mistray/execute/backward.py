@@ -226,8 +226,8 @@ class BackwardTrace:
         self._arguments = (*self._arguments[:-1], sharing)
         # Weight windows: inverse bounds, of which 0 and inf have no effect
         windows = np.zeros((2, self.table.count, WAYS)) if sharing.windows is None else sharing.windows
-        many, few = windows[0], np.where(windows[1] > 0, windows[1], np.inf)
-        self._windows = WeightWindows(upload(mi.Float, many.ravel()), upload(mi.Float, few.ravel()))
+        inverse_upper, inverse_lower = windows[0], np.where(windows[1] > 0, windows[1], np.inf)
+        self._windows = WeightWindows(upload(mi.Float, inverse_upper.ravel()), upload(mi.Float, inverse_lower.ravel()))
         if self.forward:
             self.forward = [replace(one, balance=one.balance.at(sharing)) for one in self.forward]
             return

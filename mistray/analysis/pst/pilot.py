@@ -233,8 +233,8 @@ class Pilot:
         # Confidence bounds of E[F]/E[F₀]
         error = np.sqrt(squares)
         least, most = (of_weight(follows + errors * error, weight) / mean for errors in (-1, BOUND))
-        many = np.maximum(np.sqrt(of_weight(squares, weight_squares) / moment), least)
-        return _rounded(np.stack([many, np.where(squares > 0, np.maximum(most, many), 0)]))
+        inverse_upper = np.maximum(np.sqrt(of_weight(squares, weight_squares) / moment), least)
+        return _rounded(np.stack([inverse_upper, np.where(squares > 0, np.maximum(most, inverse_upper), 0)]))
 
     def _note_families(self, samples: Sequence[Samples]) -> None:
         """Keep the samples of the latest rounds from which the MIS weights of path classes follow."""
