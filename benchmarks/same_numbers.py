@@ -1,4 +1,4 @@
-"""Whether a change of the program keeps its numbers: energy, paths, PST and a gradient of twelve shipped scenes.
+"""Whether a change of the program keeps its numbers: energy, paths, PST, emission and gradients of shipped scenes.
 
     python benchmarks/same_numbers.py before.json
     python benchmarks/same_numbers.py after.json --against before.json
@@ -15,6 +15,7 @@ import json
 import math
 import sys
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ import numpy as np
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.optimize import ghost_to_signal
+from mistray.optimize import Metric, ghost_to_signal, path_power
 from mistray.replace_file import replace_file
 
 EXACT, CLOSE, ERRORS = 1e-12, 1e-5, 3.0  # relative, relative, in standard errors
@@ -49,9 +50,23 @@ TRACES: dict[str, dict[str, Any]] = {
 }
 PSTS: dict[str, dict[str, Any]] = {
     "two_stage_baffle": {"rays": 8000, "field_deg": (20, 40, 60)},
+    "newtonian_scatter": {"rays": 32768, "field_deg": (5, 30), "relative_error": 0.2},
     "plate_and_wall": {"rays": 8000, "field_deg": (10, 30), "method": "forward"},
 }
-GRADIENTS = {"phone_camera": ("window_rear.bsdf.R", "L1_front.curvature", "stop_front.r0")}
+THERMAL: dict[str, dict[str, Any]] = {"cassegrain": {"temperature_K": 290.0, "rays": 8000}}
+# Metric, its scene, and parameters: of a coating and a curvature, and of a scatter lobe and a rim
+GRADIENTS: dict[str, tuple[Callable[..., Metric], dict[str, Any], tuple[str, ...]]] = {
+    "phone_camera": (
+        ghost_to_signal,
+        {"field_deg": (10.0,), "rays": 500},
+        ("window_rear.bsdf.R", "L1_front.curvature"),
+    ),
+    "newtonian_scatter": (
+        partial(path_power, selection="single scatter"),
+        {"field_deg": (2.0,), "rays": 4000},
+        ("black_paint.reflectance", "primary.bsdf.R", "mirror_cell.r1"),
+    ),
+}
 
 Numbers = dict[str, tuple[float, float]]  # name → number, its standard error
 Part = dict[str, Any]
@@ -83,9 +98,19 @@ def pst_numbers(scene: mi.Scene, **arguments: Any) -> Part:
     return {"numbers": {f"cell {cell}": (float(value), float(se)) for cell, (value, se) in enumerate(pairs)}}
 
 
-def gradient_numbers(scene: mi.Scene, keys: tuple[str, ...]) -> Part:
-    """A metric and its derivatives, those by rims among them."""
-    metric = ghost_to_signal(scene, rays=500, field_deg=(10.0,), seed=SEED)
+def thermal_numbers(scene: mi.Scene, **arguments: Any) -> Part:
+    """Irradiance on the detector by each emitter."""
+    report = mistray.thermal(scene, seed=SEED, **arguments)
+    estimates = {emitter.name: emitter.irradiance_W_mm2 for emitter in report.emitters}
+    estimates |= {"all": report.total_W_mm2, "scene": report.scene_W_mm2, "narcissus": report.nitd_K}
+    return {"numbers": {name: (float(estimate.value), float(estimate.se)) for name, estimate in estimates.items()}}
+
+
+def gradient_numbers(
+    scene: mi.Scene, metric_of: Callable[..., Metric], keys: tuple[str, ...], **arguments: Any
+) -> Part:
+    """A metric and its derivatives."""
+    metric = metric_of(scene, seed=SEED, **arguments)
     found = mistray.gradient(metric, mi.traverse(scene), keys=list(keys))
     numbers: Numbers = {"metric": (found.value, found.value_se)}
     for key, values in found.gradient.items():
@@ -108,14 +133,17 @@ def measure(scenes: frozenset[str] | None = None) -> dict[str, Part]:
     """All numbers, or those of some scenes, by what was computed."""
     mistray.set_threads(1)  # the order of sums is that of the rays
     parts: dict[str, Part] = {}
-    for kind, function, cases in (("trace", trace_numbers, TRACES), ("pst", pst_numbers, PSTS)):
+    gradients = {name: {"metric_of": of, "keys": keys, **more} for name, (of, more, keys) in GRADIENTS.items()}
+    for kind, function, cases in (
+        ("trace", trace_numbers, TRACES),
+        ("pst", pst_numbers, PSTS),
+        ("thermal", thermal_numbers, THERMAL),
+        ("gradient", gradient_numbers, gradients),
+    ):
         for name, arguments in cases.items():
             if scenes is None or name in scenes:
                 scene = mistray.load(name)
-                parts[f"{kind} {name}"] = kernels_of(lambda f=function, s=scene, a=arguments: f(s, **a))
-    for name, keys in GRADIENTS.items():
-        if scenes is None or name in scenes:
-            parts[f"gradient {name}"] = kernels_of(lambda n=name, k=keys: gradient_numbers(mistray.load(n), k))
+                parts[f"{kind} {name}"] = kernels_of(partial(function, scene, **arguments))
     return parts
 
 
