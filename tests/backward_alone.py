@@ -5,6 +5,7 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 
+from mistray.execute.all_cells import AllCells
 from mistray.execute.backward import BackwardTrace
 from mistray.recorders.direction_recorder import MULTIPLE, SINGLE
 from mistray.recorders.directions import DirectionGrid
@@ -18,9 +19,34 @@ def against_alone(
     scene: mi.Scene, angle: float, width: float, rays: int, linked: float = 0.0, windows: np.ndarray | None = None
 ) -> dict[int, tuple[float, float]]:
     """PST of light that is scattered once, and several times, of a cell of that width, and its error; by class."""
+    trace = _shared(scene, angle, width, 1e-12, linked, windows)
+    return _backward(trace, rays)
+
+
+def both_directions(
+    scene: mi.Scene, angle: float, width: float, rays: int, linked: float
+) -> dict[int, tuple[float, float]]:
+    """The same by as many forward rays as backward rays, and connections; the MIS weights of all must add up to 1."""
+    trace = _shared(scene, angle, width, 1.0, linked)
+    backward, forward = _backward(trace, rays), AllCells(trace)
+    sums = forward.sums(np.array([rays]), 0)["cells"][:, 0] * forward.unit.item() / rays
+    by_class = {}
+    for kind, (value, se) in backward.items():
+        batches = sums[kind]
+        by_class[kind] = value + batches.sum(), np.hypot(se, batches.std(ddof=1) * np.sqrt(len(batches)))
+    return by_class
+
+
+def _shared(
+    scene: mi.Scene, angle: float, width: float, forward: float, linked: float, windows: np.ndarray | None = None
+) -> BackwardTrace:
     trace = BackwardTrace(scene, DirectionGrid.of([angle], cell_deg=width), Settings.of(scene, max_scatters=3))
     one = np.ones(1)
-    trace.share_paths(Sharing(hull_points(trace.table), StartMap.uniform(1), 1e-12 * one, linked * one, windows))
+    trace.share_paths(Sharing(hull_points(trace.table), StartMap.uniform(1), forward * one, linked * one, windows))
+    return trace
+
+
+def _backward(trace: BackwardTrace, rays: int) -> dict[int, tuple[float, float]]:
     found = trace.samples(rays, 0)[0]
     unit = trace.unit.item() / rays
     by_class = {}

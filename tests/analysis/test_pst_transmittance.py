@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from lit_detector import lit
 from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene, scattering_xml
 from oracles.small_scenes import interface_xml
 
@@ -47,6 +48,18 @@ def test_the_largest_share_is_of_the_scattered_light_alone(window: Any) -> None:
     np.testing.assert_allclose(found.largest_share * scattered, strongest, rtol=1e-6)
     assert np.all(strongest > 0)
     assert np.all(found.map("ghost")[0] > 0.5 * scattered)  # else ghosts would hardly show
+
+
+@pytest.mark.core
+def test_a_bare_detector_from_the_detector() -> None:
+    """PST = cos θ where nothing is in the way; within 4 errors (false alarm 6e-5 each)."""
+    scene = lit({"type": "collimated", "radius": 5.0, "distance": 1.0})
+    found = mistray.pst(scene, [30.0, 60.0], method="adjoint", rays=1 << 16, seed=1, cell_deg=4.0)
+    half = np.radians(2.0)
+    for angle, value, se in zip(np.radians([30.0, 60.0]), found.value, found.standard_error, strict=True):
+        exact = (np.cos(angle - half) + np.cos(angle + half)) / 2  # the mean over the solid angle of the cell
+        assert se < 0.03 * exact
+        assert abs(value - exact) < 4 * se
 
 
 def test_what_has_been_saved_is_not_saved_again(window: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

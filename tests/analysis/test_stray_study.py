@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from oracles.rough_paraboloid import paraboloid_text
 from oracles.scatter_scenes import bsdf_xml
 
 import mistray
+from mistray.analysis.study.analysis import stray_light_analysis
 from mistray.analysis.study.eight_steps import Study, study
 from mistray.analysis.study.models import mechanical_model, optical_model, role
 from mistray.analysis.study.objects import source_angles
@@ -110,6 +112,23 @@ def test_budget_of_every_surface_is_whole(camera):
     expected = np.prod([frame.T_percent[table.ids[s.surface]] / 100 for s in path.steps[:-1]])
     assert step.fact("transmittance of the design path") == pytest.approx(expected, rel=1e-9)
     assert 0.95 < expected / (0.99**4 * 0.98**10) < 1
+
+
+@pytest.mark.core
+def test_direct_light_on_axis_is_the_transmittance_times_the_areas() -> None:
+    """PST(0) = T A/A_det: a pupil of 12.5 mm, a detector of 38 mm by 38 mm, and six surfaces."""
+    scene, table, path = prepared("cooke_triplet")
+    curve = mistray.pst(scene, [0.0, 5.0], method="forward", rays=4096, seed=1)
+    report = mistray.ghosts(scene, rays=500, field_deg=[0.0])
+    n = table.optics.host_indices[[step.surface for step in path.steps[:-1]]]
+    transmittance = float(np.prod(1 - ((n[:, 0] - n[:, 1]) / (n[:, 0] + n[:, 1])) ** 2))
+    first = optical_model(scene, table, path).result
+    step = stray_light_analysis(report, curve, first, transmittance)
+    (told,) = re.findall(r"T A/A_det = ([0-9.]+) ", " ".join(step.findings))
+    exact = transmittance * math.pi * 6.25**2 / 38.0**2
+    assert float(told) == pytest.approx(exact, rel=2e-3)
+    direct, error = (float(values[0]) for values in curve.curve("direct"))
+    assert abs(direct - exact) < 4 * error + 2e-3 * exact
 
 
 # ---- step 7
