@@ -2,8 +2,8 @@
 A time budget that holds for all that is called in a block: every trace in it ends in time with the rays that it has.
 
 It is asked where interrupts are asked, between two launches of the kernel or two passes. What has begun to count always
-goes on to its first launch, so that there is a result. Of many things that are done one after the other, see `Shares`,
-those come to nothing for which there is no time: they are not begun, and the result names them.
+goes on to its first launch, so that there is a result. Of many things that are done one after the other, see
+`TimeShares`, those come to nothing for which there is no time: they are not begun, and the result names them.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def fewer_rays(rays: int) -> int:
     return math.ceil(searched() * rays)
 
 
-class Shares:
+class TimeShares:
     """
     Equal shares of the time that is left, for things that are done one after the other.
 

@@ -12,7 +12,7 @@ from mistray.surfaces.host_rays import first_hit, onward
 from mistray.surfaces.surfaces import SurfaceTable
 
 
-class Step(NamedTuple):
+class BackwardStep(NamedTuple):
     """
     The way of some rays from one surface to the next.
 
@@ -39,7 +39,7 @@ class Step(NamedTuple):
     stops: np.ndarray
 
 
-def steps_back(table: SurfaceTable, o: np.ndarray, d: np.ndarray) -> Iterator[Step]:
+def steps_back(table: SurfaceTable, o: np.ndarray, d: np.ndarray) -> Iterator[BackwardStep]:
     """
     Follow rays from the detector: reflected at mirrors, else transmitted, see `mistray.surfaces.host_rays.onward`.
 
@@ -58,6 +58,6 @@ def steps_back(table: SurfaceTable, o: np.ndarray, d: np.ndarray) -> Iterator[St
         inside = met >= 0
         after[inside], reflects[inside] = onward(table, met[inside], d[inside], normal[inside])
         stops[inside] = ~np.isfinite(after[inside]).all(axis=1) | (met[inside] == table.detector)
-        yield Step(ray, last, met, d, p, reflects & ~stops, stops)
+        yield BackwardStep(ray, last, met, d, p, reflects & ~stops, stops)
         going = inside & ~stops
         o, d, last, ray = p[going], after[going], met[going], ray[going]

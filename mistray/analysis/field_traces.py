@@ -10,7 +10,7 @@ import mitsuba as mi
 
 from mistray.execute.wavelength_choice import chosen_wavelengths
 from mistray.surfaces.surfaces import require_one, solid_shapes
-from mistray.time_budget import Shares, coarse_first, is_limited
+from mistray.time_budget import TimeShares, coarse_first, is_limited
 from mistray.trace import PolarizationChoice, Settings, Trace, trace
 from mistray.trace.polarization_choice import BEAM, chosen_polarization
 
@@ -78,9 +78,9 @@ class FieldTraces:
         count = len(wanted)
         ordered = coarse_first(wanted) if is_limited() else wanted
         order = sorted(ordered, key=lambda angle: angle != NOMINAL_FIELD_DEG)
-        shares = Shares(count)
+        shares = TimeShares(count)
         if None not in wanted and NOMINAL_FIELD_DEG not in wanted:
-            shares = Shares(count + 1)
+            shares = TimeShares(count + 1)
             with shares.one():
                 self._trace_yardstick()
         for done, field in enumerate(order):

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from mistray.coatings import Coating, Spectrum
+    from mistray.coatings import CoatingModel, CoatingSpectrum
 
 SHARES = ("R", "T", "A")
 
 
-def as_json(coating: Coating, values: Spectrum, design_nm: float) -> dict[str, Any]:
+def as_json(coating: CoatingModel, values: CoatingSpectrum, design_nm: float) -> dict[str, Any]:
     """A coating: its layers, R, T and A over the band, and all of the spectrum, as values that JSON knows."""
     from mistray.files.json_values import plain
 
@@ -18,7 +18,7 @@ def as_json(coating: Coating, values: Spectrum, design_nm: float) -> dict[str, A
     return dict(plain({"design_nm": design_nm, "layers": layers, "band": band, "spectrum": _spectrum(values)}))
 
 
-def layer_rows(coating: Coating, design_nm: float) -> list[dict[str, Any]]:
+def layer_rows(coating: CoatingModel, design_nm: float) -> list[dict[str, Any]]:
     """The layers of a stack; none of other coatings."""
     from mistray.coatings import Stack
 
@@ -31,7 +31,7 @@ def layer_rows(coating: Coating, design_nm: float) -> list[dict[str, Any]]:
     ]
 
 
-def band_rows(values: Spectrum) -> list[dict[str, Any]]:
+def band_rows(values: CoatingSpectrum) -> list[dict[str, Any]]:
     """For each angle the means over the wavelengths, and where R is least and greatest, of unpolarised light."""
     rows = []
     for k, angle in enumerate(values.angle_deg):
@@ -50,7 +50,7 @@ def band_rows(values: Spectrum) -> list[dict[str, Any]]:
     return rows
 
 
-def _spectrum(values: Spectrum) -> list[dict[str, Any]]:
+def _spectrum(values: CoatingSpectrum) -> list[dict[str, Any]]:
     """A row for each angle and wavelength."""
     return [
         {

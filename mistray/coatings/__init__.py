@@ -10,19 +10,23 @@
 `read_coating`, `read_coating_file` and `write_table` read and write files, `spectrum` evaluates on a
 grid of wavelengths and angles.
 
-All answer `Coating.response` with a `Response`: shares of the flux for s and p and the phases between them, in float64.
+All answer `CoatingModel.response` with a `Response`: shares of the flux for s and p and the phases between them, in
+float64.
 Wavelengths are those in vacuum, nm; N = n + ik with k > 0 absorbing.
 """
 
 from mistray.coatings.files import coating_from_text, read_coating, write_table
-from mistray.coatings.fitted import Fitted, fitted_preset
+from mistray.coatings.fitted import FittedPreset, fitted_preset
 from mistray.coatings.presets import PRESETS, preset
-from mistray.coatings.response import Coating, Response
+from mistray.coatings.response import CoatingModel, Response
 from mistray.coatings.simple import Bare, Ideal
-from mistray.coatings.spectrum import Spectrum, spectrum
+from mistray.coatings.spectrum import CoatingSpectrum, spectrum
 from mistray.coatings.stack import LAYER_PARAMETERS, METAL_K, Layer, Stack, layer_text, parse_layers
 from mistray.coatings.table import CoatingTable
 from mistray.coatings.zemax import CoatingFile, read_coating_file
+
+# Their names before version 0.3
+Coating, Fitted, Spectrum = CoatingModel, FittedPreset, CoatingSpectrum
 
 __all__ = [
     "LAYER_PARAMETERS",
@@ -31,8 +35,11 @@ __all__ = [
     "Bare",
     "Coating",
     "CoatingFile",
+    "CoatingModel",
+    "CoatingSpectrum",
     "CoatingTable",
     "Fitted",
+    "FittedPreset",
     "Ideal",
     "Layer",
     "Response",

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from mistray.coatings.presets import PRESETS, preset
-from mistray.coatings.response import Coating
+from mistray.coatings.response import CoatingModel
 from mistray.coatings.simple import Bare
 from mistray.coatings.spectrum import spectrum
 from mistray.coatings.stack import METAL_K, Stack, parse_layers
@@ -26,7 +26,7 @@ _ZEMAX = re.compile(r"(.*\.dat):(.+)", re.IGNORECASE)
 
 def read_coating(
     spec: str, design_nm: float = 550.0, mirror: bool = False, resolve: Callable[[str], str] = str
-) -> Coating:
+) -> CoatingModel:
     """
     A coating from a file.
 
@@ -58,7 +58,7 @@ def read_coating(
     return CoatingTable.read(resolve(spec))
 
 
-def coating_from_text(text: str, design_nm: float = 550.0) -> Coating:
+def coating_from_text(text: str, design_nm: float = 550.0) -> CoatingModel:
     """
     A coating from whatever names one: ``bare``, a preset, a file as in `read_coating`, or layers as in `parse_layers`.
 
@@ -85,7 +85,7 @@ def coating_from_text(text: str, design_nm: float = 550.0) -> Coating:
 
 
 def write_table(
-    coating: Coating,
+    coating: CoatingModel,
     path: str | Path,
     wavelengths_nm: Sequence[float],
     angles_deg: Sequence[float],
@@ -97,7 +97,7 @@ def write_table(
 
     Parameters
     ----------
-    coating : Coating
+    coating : CoatingModel
     path : str or Path
         Replaced if it is there; on an error the old file stays.
     wavelengths_nm : sequence of float

@@ -33,7 +33,7 @@ OF_USE = 0.5  # of the reflectance of the bare surface: a coating that leaves mo
 
 
 @dataclass(frozen=True)
-class Fitted:
+class FittedPreset:
     """
     A preset on a body.
 
@@ -64,7 +64,7 @@ class Fitted:
 
 
 @lru_cache(maxsize=256)
-def fitted_preset(name: str, body: str, design_nm: float = 550.0) -> Fitted:
+def fitted_preset(name: str, body: str, design_nm: float = 550.0) -> FittedPreset:
     """
     A preset for a body in air.
 
@@ -101,13 +101,13 @@ def fitted_preset(name: str, body: str, design_nm: float = 550.0) -> Fitted:
     reached = float(_mean_r(d[None], index, substrate, lam)[0])
     if changed and reached >= as_designed:  # nothing better was found
         d, reached, changed = designed, as_designed, False
-    found = Fitted(stack, changed, float(lam[0]), float(lam[-1]), reached, as_designed, bare)
+    found = FittedPreset(stack, changed, float(lam[0]), float(lam[-1]), reached, as_designed, bare)
     if reached > OF_USE * bare:
         raise MistrayError(f"coating preset '{name}' does not suit '{body}': {found}; choose another one, or layers")
     if not changed:
         return found
     layers = (Layer(layer.material, float(t)) for layer, t in zip(stack.layers, d, strict=True) if t)
-    return Fitted(Stack(tuple(layers), name=name), True, found.low_nm, found.high_nm, reached, as_designed, bare)
+    return FittedPreset(Stack(tuple(layers), name=name), True, found.low_nm, found.high_nm, reached, as_designed, bare)
 
 
 @lru_cache(maxsize=256)

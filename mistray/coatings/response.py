@@ -37,7 +37,7 @@ class Response:
         return 1 - self.R - self.T
 
 
-class Coating(Protocol):
+class CoatingModel(Protocol):
     """
     Interface of every coating; the kernel, the plots and the export know no more of it.
 
@@ -97,8 +97,8 @@ def layered_response(
     n_layers, d_nm : sequence
         n + ik and thickness in nm, from the front to the back.
     wavelength_nm, n_front, n_back, cos_incident, from_front
-        As in `Coating.response`. Of the medium that the light comes from only the real part of the index counts: its
-        absorption is booked along the ray, and R and T of waves that decay along their way do not add up.
+        As in `CoatingModel.response`. Of the medium that the light comes from only the real part of the index counts:
+        its absorption is booked along the ray, and R and T of waves that decay along their way do not add up.
     """
     if not from_front:
         n_layers, d_nm, n_front, n_back = n_layers[::-1], d_nm[::-1], n_back, n_front

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mistray.coatings.response import Coating
+from mistray.coatings.response import CoatingModel
 from mistray.coatings.stack import METAL_K
 from mistray.errors import MistrayError
 from mistray.materials import complex_index
 
 
 @dataclass(frozen=True, eq=False)
-class Spectrum:
+class CoatingSpectrum:
     """
     R and T on a grid of wavelengths and angles.
 
@@ -46,20 +46,20 @@ class Spectrum:
 
 
 def spectrum(
-    coating: Coating,
+    coating: CoatingModel,
     wavelengths_nm: Sequence[float] | np.ndarray,
     angles_deg: Sequence[float] | np.ndarray,
     front: str = "air",
     back: str = "N-BK7",
     from_front: bool = True,
     rarer: bool = False,
-) -> Spectrum:
+) -> CoatingSpectrum:
     """
     Evaluate a coating.
 
     Parameters
     ----------
-    coating : Coating
+    coating : CoatingModel
     wavelengths_nm, angles_deg : sequence of float
     front, back : str
         Materials, see `mistray.materials`; k must be known.
@@ -92,4 +92,4 @@ def spectrum(
             own = np.sqrt(1 - (n_2.real / n_1.real) ** 2 * (1 - cosine**2))
         one = coating.response(wavelength, *sides, own, from_front)
         answers.append((one.R, 0 * one.T if metal else one.T, one.phase_r, one.phase_t))
-    return Spectrum(lam, angle, *(np.array(values) for values in zip(*answers, strict=True)))
+    return CoatingSpectrum(lam, angle, *(np.array(values) for values in zip(*answers, strict=True)))

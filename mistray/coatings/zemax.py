@@ -30,7 +30,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mistray.coatings.response import Coating
+from mistray.coatings.response import CoatingModel
 from mistray.coatings.simple import Ideal
 from mistray.coatings.stack import Layer, Stack, waves
 from mistray.coatings.table import CoatingTable
@@ -54,7 +54,7 @@ class _Section:
     lines: list[tuple[int, list[str]]] = field(default_factory=list)
 
 
-class CoatingFile(Mapping[str, Coating]):
+class CoatingFile(Mapping[str, CoatingModel]):
     """
     Coatings of a Zemax file by name; names ignore case.
 
@@ -66,7 +66,7 @@ class CoatingFile(Mapping[str, Coating]):
         self.path, self.design_nm = path, design_nm
         self._sections = sections
 
-    def __getitem__(self, name: str) -> Coating:
+    def __getitem__(self, name: str) -> CoatingModel:
         """
         A coating.
 
@@ -110,7 +110,7 @@ class CoatingFile(Mapping[str, Coating]):
     def _where(self, section: _Section, line: int | None = None) -> str:
         return f"coating file '{self.path}', line {line or section.line}"
 
-    def _make(self, section: _Section, mirror: bool) -> Coating:
+    def _make(self, section: _Section, mirror: bool) -> CoatingModel:
         if section.kind == "ENCRYPTED":
             raise MistrayError(
                 f"{self._where(section)}: coating {section.name} is encrypted; ask its vendor for a table of R and T"

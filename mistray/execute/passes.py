@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from mistray.errors import UnfinishedError
 from mistray.execute.workers import Task, Workers, current_workers, do_parts
-from mistray.time_budget import Shares, coarse_first, is_limited
+from mistray.time_budget import TimeShares, coarse_first, is_limited
 
 Name = TypeVar("Name")
 Pass = TypeVar("Pass")
@@ -42,7 +42,7 @@ def execute_passes(
         return passes_by_workers(workers, task, passes, what, done)
     # With a time budget coarse steps over all passes come first, so that those that are done are spread evenly
     found: dict[Name, Any] = {}
-    shares = Shares(len(passes))
+    shares = TimeShares(len(passes))
     for name in coarse_first(list(passes)) if is_limited() else passes:
         if not shares.enough():
             break

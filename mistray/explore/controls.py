@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mistray.coatings import PRESETS, Coating, coating_from_text, fitted_preset
+from mistray.coatings import PRESETS, CoatingModel, coating_from_text, fitted_preset
 from mistray.errors import MistrayError, nearest
 from mistray.optimize.parameters import Parameter, match, parameters
 from mistray.prescription.by_text import BARE
@@ -78,7 +78,7 @@ class Control:
     parameter: Parameter | None = None
     keys: tuple[str, ...] = ()
 
-    def coatings(self, choice: str) -> dict[str, Coating]:
+    def coatings(self, choice: str) -> dict[str, CoatingModel]:
         """Its surfaces with the coating of a choice, on each as it is fitted to the body."""
         on = {body: _coating(choice, body) for body in set(self.bodies)}
         return {surface: on[body] for surface, body in zip(self.surfaces, self.bodies, strict=True)}
@@ -222,7 +222,7 @@ def _choices(bodies: Iterable[str], light: Sequence[float]) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _coating(choice: str, body: str) -> Coating:
+def _coating(choice: str, body: str) -> CoatingModel:
     """The coating of a choice on a body in air, as `mistray coat` puts it on."""
     if choice in PRESETS and not is_gas(body):
         return fitted_preset(choice, body).stack

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from mistray.coatings import Coating, Ideal, Stack
+from mistray.coatings import CoatingModel, Ideal, Stack
 from mistray.explore.controls import AS_IT_IS, COATING, LAYERS, NUMBER, VALUES, Control
 from mistray.physics.contamination import coverage_percent
 from mistray.recorders.path_events import FIRST_SCATTERED
@@ -38,18 +38,18 @@ THROUGH = (RANDOM_TRANSMITTED, AIMED_TRANSMITTED)  # scattered to the other side
 
 
 @dataclass(frozen=True)
-class Look:
+class SurfaceLook:
     """
     One surface in one state.
 
     Attributes
     ----------
-    coating : Coating
+    coating : CoatingModel
     models : tuple of (model, float)
         Its scatter models, and by what the BSDF of each is multiplied.
     """
 
-    coating: Coating
+    coating: CoatingModel
     models: tuple[tuple[Any, float], ...]
 
 
@@ -68,12 +68,12 @@ class Looks:
         self._shapes = {str(shape.id()): shape for shape in solid_shapes(scene)}
         self._bsdfs = {name: shape.bsdf() for name, shape in self._shapes.items()}
         self._as_it_is = {
-            name: Look(bsdf.coating, tuple((model, 1.0) for model in bsdf.scatter))
+            name: SurfaceLook(bsdf.coating, tuple((model, 1.0) for model in bsdf.scatter))
             for name, bsdf in self._bsdfs.items()
         }
         self._controls = controls
 
-    def of(self, state: Mapping[str, VALUES]) -> dict[str, Look]:
+    def of(self, state: Mapping[str, VALUES]) -> dict[str, SurfaceLook]:
         """The surfaces by name."""
         found = dict(self._as_it_is)
         for name, control in self._controls.items():
@@ -91,7 +91,7 @@ class Looks:
                     found[surface] = self._changed(found[surface], surface, control, float(state[name]))
         return found
 
-    def _changed(self, look: Look, surface: str, control: Control, value: float) -> Look:
+    def _changed(self, look: SurfaceLook, surface: str, control: Control, value: float) -> SurfaceLook:
         """A surface with another value of a number, if an estimate can follow that without a trace."""
         one = control.parameter
         assert one is not None
@@ -106,15 +106,15 @@ class Looks:
             return dataclasses.replace(look, models=models)
         return look
 
-    def factor(self, surface: str, look: Look, hits: Hits) -> Floats:
+    def factor(self, surface: str, look: SurfaceLook, hits: SurfaceHits) -> Floats:
         """
         Return the factor of a surface on the flux of rays: the share that goes on, or for scattered light its BSDF.
 
         Parameters
         ----------
         surface : str
-        look : Look
-        hits : Hits
+        look : SurfaceLook
+        hits : SurfaceHits
             Hits of this surface, all with the same event.
         """
         plugin, nm = self._bsdfs[surface], hits.wavelength_nm
@@ -138,7 +138,7 @@ class Looks:
 
 
 @dataclass(frozen=True)
-class Hits:
+class SurfaceHits:
     """
     Hits of one surface with one event at one wavelength.
 
@@ -207,7 +207,7 @@ def _interpolated(values: Floats, x: Floats) -> Floats:
 
 
 def _scattered(
-    look: Look,
+    look: SurfaceLook,
     wavelength_nm: float,
     indices: tuple[float, float],
     from_front: bool,

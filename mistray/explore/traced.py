@@ -14,7 +14,7 @@ from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.verdict import Remedy, remedy
 from mistray.explore.controls import VALUES
-from mistray.explore.looks import Hits
+from mistray.explore.looks import SurfaceHits
 from mistray.recorders.path_events import DIRECT, FIRST_SCATTERED
 from mistray.recorders.path_key import AIMED_TRANSMITTED, RANDOM_TRANSMITTED
 from mistray.trace import Trace
@@ -38,12 +38,12 @@ class HitGroup:
     surface : str
     rays : (n,) int
         Numbers of their rays in the sample.
-    hits : Hits
+    hits : SurfaceHits
     """
 
     surface: str
     rays: Whole
-    hits: Hits
+    hits: SurfaceHits
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ def _groups(found: PathHits, before: int) -> list[HitGroup]:
             scattered = np.zeros((len(ray), 3))
             if event >= FIRST_SCATTERED:
                 scattered = _scattered(found, int(event), ray, place)
-            own = Hits(
+            own = SurfaceHits(
                 int(event),
                 found.wavelength_nm,
                 np.abs(cosine[ray, place]),

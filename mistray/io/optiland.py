@@ -14,7 +14,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.io.conventions import figure, turns_deg
-from mistray.physics.geometry.outline import Figure, Outline, circle, polygon, rectangle
+from mistray.physics.geometry.outline import Outline, OutlineFigure, circle, polygon, rectangle
 from mistray.physics.sags.terms import sag
 from mistray.physics.sags.zernike import LAST_STANDARD, noll_orders, standard
 from mistray.prescription.coating import Coating
@@ -314,7 +314,7 @@ def _outline(aperture: Any) -> Outline | None:
         x0, x1, y0, y1 = (_float(getattr(aperture, key)) for key in ("x_min", "x_max", "y_min", "y_max"))
         return rectangle((x1 - x0) / 2, (y1 - y0) / 2, (x0 + x1) / 2, (y0 + y1) / 2)
     if kind == "EllipticalAperture":
-        return Outline((Figure("ellipse", "+", x, y, sizes=(_float(aperture.a), _float(aperture.b))),))
+        return Outline((OutlineFigure("ellipse", "+", x, y, sizes=(_float(aperture.a), _float(aperture.b))),))
     if kind == "PolygonAperture":
         corners = zip(np.asarray(aperture.x, float).ravel(), np.asarray(aperture.y, float).ravel(), strict=True)
         return polygon([(float(u), float(v)) for u, v in corners])

@@ -16,7 +16,7 @@ from mistray.errors import MistrayError
 from mistray.io.codev.rows import CodevSurface, rows_of
 from mistray.io.conventions import figure, object_na, squeezed
 from mistray.materials.mate import shown
-from mistray.physics.geometry.outline import Figure, Outline, circle
+from mistray.physics.geometry.outline import Outline, OutlineFigure, circle
 from mistray.prescription.sequential.materials import same_material
 from mistray.prescription.sequential.table import ApertureKind, FieldKind, Row, Sequential, Unread
 from mistray.read_file import require_file
@@ -228,7 +228,7 @@ def _apertures(number: int, interface: Any, unit: float, unread: list[Unread]) -
             outline = circle(float(aperture.radius) * unit, x=x, y=y)
         elif kind in _FIGURES:
             sizes = (float(aperture.x_half_width) * unit, float(aperture.y_half_width) * unit)
-            outline = Outline((Figure(_FIGURES[kind], "+", x, y, angle, sizes),))
+            outline = Outline((OutlineFigure(_FIGURES[kind], "+", x, y, angle, sizes),))
         else:
             reason = "it has no counterpart: nothing is clipped by it"
             unread.append(Unread(0, f"interface {number}: aperture {kind}", reason))

@@ -32,7 +32,7 @@ the names, their pages and their sources.
 from mistray.materials.catalogue import names
 from mistray.materials.formulas import CAUCHY_RANGE_NM, LINE_C_NM, LINE_D_NM, LINE_F_NM, cauchy_index
 from mistray.materials.lookup import (
-    Source,
+    MaterialSource,
     bulk_scatter,
     complex_index,
     nearest_known_nm,
@@ -43,12 +43,15 @@ from mistray.materials.lookup import (
 )
 from mistray.materials.spec import BulkScatter, shifted
 
+Source = MaterialSource  # its name before version 0.3
+
 __all__ = [
     "CAUCHY_RANGE_NM",
     "LINE_C_NM",
     "LINE_D_NM",
     "LINE_F_NM",
     "BulkScatter",
+    "MaterialSource",
     "Source",
     "bulk_scatter",
     "cauchy_index",

@@ -17,13 +17,13 @@ from mistray.materials.formulas import CAUCHY_RANGE_NM, cauchy_index
 from mistray.materials.infrared import MAKERS
 from mistray.materials.mate import read_mate
 from mistray.materials.pages import book, read_page
-from mistray.materials.spec import AbbeNumber, BulkScatter, Constant, Name, Samples, Spec, UserFile, parse
+from mistray.materials.spec import AbbeNumber, BulkScatter, Constant, IndexSamples, Name, Spec, UserFile, parse
 
 CLEAR_K = 1e-3  # of what may stand for a material that light passes
 
 
 @dataclass(frozen=True)
-class Source:
+class MaterialSource:
     """
     Where the numbers of a material come from.
 
@@ -45,7 +45,7 @@ class Source:
         Whether there is a k at all.
     k_page, k_reference : str or None
         Where k comes from, if not from the same source as n.
-    beyond : Source or None
+    beyond : MaterialSource or None
         The page that is asked for wavelengths outside of `n_range_nm`, where the name stands for several.
     """
 
@@ -58,7 +58,7 @@ class Source:
     k_known: bool
     k_page: str | None = None
     k_reference: str | None = None
-    beyond: Source | None = None
+    beyond: MaterialSource | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +177,7 @@ def table_nodes_nm(material: str) -> tuple[float, ...]:
     return tuple(dict.fromkeys(node for curve in curves for node in curve.nodes_nm))
 
 
-def source(material: str) -> Source:
+def source(material: str) -> MaterialSource:
     """
     Page and literature reference of a material string.
 
@@ -186,9 +186,9 @@ def source(material: str) -> Source:
     MistrayError
         If the string is not understood.
     """
-    known: Source | None = None
+    known: MaterialSource | None = None
     for found in reversed(_materials(parse(material))):
-        known = Source(
+        known = MaterialSource(
             name=found.name,
             page=found.page,
             reference=found.reference,
@@ -304,7 +304,7 @@ def _materials(spec: Spec) -> tuple[_Material, ...]:
     found: tuple[_Material, ...]
     if isinstance(form, AbbeNumber):
         found = (_abbe(form),)
-    elif isinstance(form, Samples):
+    elif isinstance(form, IndexSamples):
         found = (
             _Material(table(*zip(*form.points, strict=True)), None, spec.text, None, "a table of n in the string"),
         )

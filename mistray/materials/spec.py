@@ -36,7 +36,7 @@ class AbbeNumber:
 
 
 @dataclass(frozen=True)
-class Samples:
+class IndexSamples:
     """A table of n in the string itself: pairs of wavelength (nm) and n, by rising wavelength."""
 
     points: tuple[tuple[float, float], ...]
@@ -83,7 +83,7 @@ class Spec:
     ----------
     text : str
         The string without outer blanks.
-    form : Constant, AbbeNumber, Samples, UserFile or Name
+    form : Constant, AbbeNumber, IndexSamples, UserFile or Name
         What it names.
     suffix : str
         The suffixes as they were written, with the blank before them.
@@ -98,7 +98,7 @@ class Spec:
     """
 
     text: str
-    form: Constant | AbbeNumber | Samples | UserFile | Name
+    form: Constant | AbbeNumber | IndexSamples | UserFile | Name
     suffix: str
     k: float | None
     shift: float
@@ -143,7 +143,7 @@ def shifted(material: str, by: float) -> str:
     return f"{spec.text[: len(spec.text) - len(spec.suffix)]}{others}{f' shift={total!r}' if total else ''}"
 
 
-def _form(text: str, body: str) -> Constant | AbbeNumber | Samples | UserFile | Name:
+def _form(text: str, body: str) -> Constant | AbbeNumber | IndexSamples | UserFile | Name:
     if body.lower() in ("air", "vacuum"):
         return Constant(1.0, None)
     if _REAL.fullmatch(body):
@@ -169,13 +169,13 @@ def _form(text: str, body: str) -> Constant | AbbeNumber | Samples | UserFile | 
     return Name(body)
 
 
-def _samples(text: str, body: str) -> Samples:
+def _samples(text: str, body: str) -> IndexSamples:
     points = {float(wavelength): _at_least_one(text, float(n)) for wavelength, n in re.findall(_SAMPLE, body)}
     if min(points) <= 0:
         raise MistrayError(f"material '{text}': wavelength {min(points):g} nm; it must be greater than 0")
     if len(points) < len(re.findall(_SAMPLE, body)):
         raise MistrayError(f"material '{text}': a wavelength is there twice; give it once")
-    return Samples(tuple(sorted(points.items())))
+    return IndexSamples(tuple(sorted(points.items())))
 
 
 def _at_least_one(text: str, index: float) -> float:

@@ -14,11 +14,11 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.ids import fits
 from mistray.io.cad.mesh import GLTF_SUFFIXES, read_mesh
-from mistray.io.cad.part import UNITS_MM, Part, unique_names
+from mistray.io.cad.part import UNITS_MM, CadPart, unique_names
 from mistray.io.cad.step import read_step
 from mistray.mechanics.finish import ABSORBER, Finish, finish
 from mistray.mechanics.ply import ply_bytes
-from mistray.mechanics.recognise import Band, bands
+from mistray.mechanics.recognise import RevolvedBand, bands
 from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.model import Placed, Structure
 from mistray.prescription.scene_file import comment_text, structure_text
@@ -40,7 +40,7 @@ class Mechanics:
     Attributes
     ----------
     source : Path
-    parts : tuple of Part
+    parts : tuple of CadPart
     unread : tuple of Unread
         What the file holds and the parts do not.
     paint : tuple of (str, Finish)
@@ -52,7 +52,7 @@ class Mechanics:
     """
 
     source: Path
-    parts: tuple[Part, ...]
+    parts: tuple[CadPart, ...]
     unread: tuple[Unread, ...] = ()
     paint: tuple[tuple[str, Finish], ...] = ()
     space: tuple[tuple[str, int], ...] = ()
@@ -181,7 +181,7 @@ class Mechanics:
         return max(sum(map(len, self._bands.values())) - max(self.most_analytic, 0), 0)
 
     @cached_property
-    def _bands(self) -> dict[str, list[Band]]:
+    def _bands(self) -> dict[str, list[RevolvedBand]]:
         return {part.name: bands(part) for part in self.parts}
 
     def _built(self) -> list[tuple[Structure | MeshStructure, bytes | None]]:
@@ -206,7 +206,7 @@ class Mechanics:
         names = unique_names(shape.name for shape, _ in result)
         return [(_renamed(shape, name), mesh) for name, (shape, mesh) in zip(names, result, strict=True)]
 
-    def _look(self, part: Part, face: int) -> tuple[Finish, int]:
+    def _look(self, part: CadPart, face: int) -> tuple[Finish, int]:
         """Paint and space of a face."""
         names = (*_titles(part), part.face_name(face))
 
@@ -220,7 +220,7 @@ class Mechanics:
         return paint, space
 
     def _meshes(
-        self, part: Part, looks: Mapping[int, tuple[Finish, int]], free: np.ndarray
+        self, part: CadPart, looks: Mapping[int, tuple[Finish, int]], free: np.ndarray
     ) -> list[tuple[Structure | MeshStructure, bytes | None]]:
         """Mesh what is left of a part, one mesh for each paint and space."""
         groups: dict[tuple[Finish, int], list[int]] = {}
@@ -294,11 +294,11 @@ def read_mechanics(
     return Mechanics(path, tuple(parts), tuple(unread), most_analytic=most_analytic)
 
 
-def _titles(part: Part) -> tuple[str, ...]:
+def _titles(part: CadPart) -> tuple[str, ...]:
     return part.name, part.title, part.product, part.path
 
 
-def _structure(part: Part, band: Band, paint: Finish, space: int) -> Structure:
+def _structure(part: CadPart, band: RevolvedBand, paint: Finish, space: int) -> Structure:
     x, y, z = (float(value) for value in band.foot)
     ax, ay, az = (float(value) for value in band.axis)
     tilt = (-math.degrees(math.asin(max(-1.0, min(1.0, ay)))), math.degrees(math.atan2(ax, az)), 0.0)

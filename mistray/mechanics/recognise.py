@@ -16,7 +16,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from mistray.io.cad.part import Part, RoundSurface
+from mistray.io.cad.part import CadPart, RoundSurface
 
 LENGTH_DIGITS = 5  # mm: 10 nm, the single precision of a transform in metres
 LARGEST_STEP_RAD = 0.11  # between corners of a circle; a polygon of fewer than 58 sides is no circle
@@ -24,7 +24,7 @@ AREA_RANGE = (0.99, 1.001)  # triangles inscribed in a band, over its area
 
 
 @dataclass(frozen=True, eq=False)
-class Band:
+class RevolvedBand:
     """
     A complete band of revolution.
 
@@ -60,17 +60,17 @@ class Band:
         return float(np.pi * (self.r0 + self.r1) * np.hypot(self.r1 - self.r0, self.z1 - self.z0))
 
 
-def bands(part: Part) -> list[Band]:
+def bands(part: CadPart) -> list[RevolvedBand]:
     """
     The complete bands of a part, in the order of their first faces.
 
     Parameters
     ----------
-    part : Part
+    part : CadPart
 
     Returns
     -------
-    list of Band
+    list of RevolvedBand
     """
     if not part.surfaces:
         return []
@@ -108,7 +108,7 @@ def _key(surface: RoundSurface) -> tuple[object, ...]:
     return (surface.kind, *(float(value) + 0.0 for value in rounded))
 
 
-def _connected(part: Part, chosen: np.ndarray, tolerance: float) -> Iterator[np.ndarray]:
+def _connected(part: CadPart, chosen: np.ndarray, tolerance: float) -> Iterator[np.ndarray]:
     """Triangles that hang together, with their corners: (m, 4) of place, and three numbers of welded vertices."""
     corners = part.triangles[chosen]
     used, inverse = np.unique(corners, return_inverse=True)
@@ -125,7 +125,7 @@ def _connected(part: Part, chosen: np.ndarray, tolerance: float) -> Iterator[np.
         yield np.column_stack([chosen[mine], corners[mine]])
 
 
-def _band(part: Part, surface: RoundSurface, piece: np.ndarray, tolerance: float) -> Band | None:
+def _band(part: CadPart, surface: RoundSurface, piece: np.ndarray, tolerance: float) -> RevolvedBand | None:
     """The band that connected triangles of one surface make, None if they make none."""
     places, welded = piece[:, 0], piece[:, 1:]
     points = np.zeros((int(welded.max()) + 1, 3))
@@ -171,7 +171,7 @@ def _band(part: Part, surface: RoundSurface, piece: np.ndarray, tolerance: float
         return None
     faces = tuple(sorted({int(face) for face in part.faces[places]}))
     foot = np.round(foot, LENGTH_DIGITS) + 0.0
-    band = Band(faces, places, foot, axis, r0, z0, r1, z0 if flat else z1, outward)
+    band = RevolvedBand(faces, places, foot, axis, r0, z0, r1, z0 if flat else z1, outward)
     share = 0.5 * float(np.linalg.norm(cross, axis=1).sum()) / band.area
     return band if AREA_RANGE[0] <= share <= AREA_RANGE[1] else None
 

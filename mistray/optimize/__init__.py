@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from mistray.optimize.parameters import Parameter, groups, match, parameters
     from mistray.optimize.pst_bands import Modelled, PstBands
     from mistray.optimize.study.comparison import Comparison, Levels, compare, measure
-    from mistray.optimize.study.model import CoatingGroup, Moved, Optimizer, Study, Term, VariableGroup
+    from mistray.optimize.study.model import CoatingGroup, DesignStudy, Moved, Optimizer, Study, Term, VariableGroup
     from mistray.optimize.study.optimization import Optimization, optimize
     from mistray.optimize.study.state import Start, Step
     from mistray.optimize.tolerances.budget import Budget, budget
@@ -65,7 +65,7 @@ __all__ = lazy_package(
         "study.optimization": ("Optimization", "optimize"),
         "tolerances.sensitivity": ("Sensitivity", "sensitivity"),
         "study.state": ("Start", "Step"),
-        "study.model": ("CoatingGroup", "Moved", "Optimizer", "Study", "Term", "VariableGroup"),
+        "study.model": ("CoatingGroup", "DesignStudy", "Moved", "Optimizer", "Study", "Term", "VariableGroup"),
         "study.comparison": ("Comparison", "Levels", "compare", "measure"),
     },
 )

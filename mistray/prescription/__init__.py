@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
-from mistray.physics.geometry.outline import Figure, Outline, circle, polygon, rectangle
+from mistray.physics.geometry.outline import Outline, OutlineFigure, circle, polygon, rectangle
 from mistray.physics.sags.grid import Grid
 from mistray.prescription.baffles.cassegrain import CassegrainBaffles, cassegrain_baffles
 from mistray.prescription.baffles.spider import spider
@@ -21,7 +21,7 @@ from mistray.prescription.grid_file import read_grid, save_grid
 from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.model import Detector, ObjectPoint, Prescription, Source, Stop, Structure, Surface
 from mistray.prescription.scatter import Scatter
-from mistray.prescription.sequential.first_order import FirstOrder
+from mistray.prescription.sequential.first_order import SequentialFirstOrder
 from mistray.prescription.sequential.table import Decentre, Row, Sequential, Unread
 
 if TYPE_CHECKING:
@@ -43,6 +43,9 @@ if TYPE_CHECKING:
         write_zemax,
     )
 
+# Their names before version 0.3
+Figure, FirstOrder = OutlineFigure, SequentialFirstOrder
+
 __all__ = [
     "BaffleTube",
     "Built",
@@ -56,10 +59,12 @@ __all__ = [
     "MeshStructure",
     "ObjectPoint",
     "Outline",
+    "OutlineFigure",
     "Prescription",
     "Row",
     "Scatter",
     "Sequential",
+    "SequentialFirstOrder",
     "Source",
     "Stop",
     "Structure",

@@ -26,7 +26,7 @@ from mistray.physics.sags.terms import sag as freeform_sag
 from mistray.prescription.coating import BLACK, Coating, check_name
 from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.naming import scattering, shared_coatings, shared_scatter
-from mistray.prescription.polarized import Polarized
+from mistray.prescription.polarized import PolarizedFields
 from mistray.prescription.scatter import Scatter
 from mistray.prescription.spectral import Spectral
 
@@ -338,7 +338,7 @@ class Stop:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Source(Placed, Spectral, Polarized):
+class Source(Placed, Spectral, PolarizedFields):
     """A collimated beam whose axis passes through the pivot (x, y, z); the parameters of the `collimated` emitter.
 
     Attributes
@@ -362,7 +362,7 @@ class Source(Placed, Spectral, Polarized):
     pupil_area : float or None
         Part of the cross-section whose light counts as launched in transmissions, mm²; None: all of it.
     stokes, jones, polarization_deg
-        Its polarisation, see `Polarized`.
+        Its polarisation, see `PolarizedFields`.
     """
 
     radius: float | None = None
@@ -401,7 +401,7 @@ class Source(Placed, Spectral, Polarized):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObjectPoint(Placed, Spectral, Polarized):
+class ObjectPoint(Placed, Spectral, PolarizedFields):
     """A point of a near object instead of a collimated beam; the parameters of the `point_source` emitter.
 
     It lies on the z axis of its frame, whose origin is the middle of the entrance pupil.

@@ -9,7 +9,7 @@ from mistray.physics.polarization.state import polarization_state
 
 
 @dataclass(frozen=True, kw_only=True)
-class Polarized:
+class PolarizedFields:
     """
     Light that may be polarised: one of these numbers says how, none of them that it is not; see docs/polarization.md.
 

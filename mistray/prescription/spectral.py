@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mistray.errors import MistrayError
-from mistray.spectra.spectrum import Light, light_of, of_lines
+from mistray.spectra.spectrum import SpectrumSamples, light_of, of_lines
 
 DEFAULT_NM = (550.0,)
 
@@ -37,7 +37,7 @@ class Spectral:
     bands: int | None = None
 
     @property
-    def light(self) -> Light:
+    def light(self) -> SpectrumSamples:
         """The wavelengths that are traced; raises `MistrayError` if there is no such light."""
         if self.spectrum is None:
             if self.band_nm is not None or self.bands is not None:

@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from mistray.files.json_values import plain
 from mistray.optimize.tolerances.budget import Budget, Met
-from mistray.report.model import Column, Figure, Items, Note, Report, Section, Table, Value, columns
+from mistray.report.model import Column, FigurePart, Items, Note, Report, Section, Table, Value, columns
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section
 from mistray.report.tables.frames import row_of
@@ -150,7 +150,7 @@ def budget_report(result: Budget, title: str = "scene", command: str = "") -> Re
         title,
         [
             Section("requirements", "Requirements", [Note(seeds), requirements_table(result)]),
-            Section("numbers", "Numbers", [Figure(picture, CAPTION), numbers_table(result)]),
+            Section("numbers", "Numbers", [FigurePart(picture, CAPTION), numbers_table(result)]),
             Section("settings", "How, and settings", how.parts),
         ],
         lead=[Items(found), Note(f"Cost {number(before, 4)} before, {number(after, 4)} after.")],

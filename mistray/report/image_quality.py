@@ -12,7 +12,7 @@ import pandas as pd
 
 from mistray.analysis.image_quality.result import ImageQuality
 from mistray.files.json_values import plain
-from mistray.report.model import Figure, Note, Report, Section, Table, Value, columns
+from mistray.report.model import FigurePart, Note, Report, Section, Table, Value, columns
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section, terms
 from mistray.report.tables.text import ABSENT, table_text
@@ -131,7 +131,9 @@ def quality_report(
         pictures["fields"] = (drawn.field_figure, "Relative illumination, distortion and foci over the field.")
     sections = [Section("quality", "Image quality", [quality_table(found, frequencies)], "Numbers")]
     for name, (figure, text) in pictures.items():
-        sections.append(Section(name, text.rstrip("."), [Figure(functools.partial(figure, found), text)], name.upper()))
+        sections.append(
+            Section(name, text.rstrip("."), [FigurePart(functools.partial(figure, found), text)], name.upper())
+        )
     record = quality_record(found, frequencies)
     return Report(
         "Image quality",

@@ -39,7 +39,7 @@ class Noted:
 
 
 @dataclass(frozen=True)
-class Cell:
+class StyledCell:
     """Text with a CSS class that differs from that of its column."""
 
     text: str
@@ -55,13 +55,13 @@ class Link:
 
 
 @dataclass(frozen=True)
-class Finished:
+class HtmlCell:
     """A whole cell as HTML, for what only a page shows."""
 
     html: str
 
 
-Value = str | int | Estimate | Fold | Noted | Cell | Link | Finished
+Value = str | int | Estimate | Fold | Noted | StyledCell | Link | HtmlCell
 """Of a cell. Text and whole numbers stand as they are, an `Estimate` with its standard error."""
 
 
@@ -86,14 +86,14 @@ def columns(*given: str | Column) -> list[Column]:
     return [Column.of(one) if isinstance(one, str) else one for one in given]
 
 
-class Part:
+class PagePart:
     """A part of a section; `kind` says which."""
 
     kind: ClassVar[str]
 
 
 @dataclass(frozen=True)
-class Table(Part):
+class Table(PagePart):
     """
     A table with a heading and a unit for each column.
 
@@ -137,7 +137,7 @@ class Table(Part):
 
 
 @dataclass(frozen=True)
-class Filter(Part):
+class Filter(PagePart):
     """A field on a page that leaves the rows of a table that hold some words; `label` is for screen readers."""
 
     table: str
@@ -147,7 +147,7 @@ class Filter(Part):
 
 
 @dataclass(frozen=True)
-class Note(Part):
+class Note(PagePart):
     """
     A text of its own; `style` "note" is small print, "h3" a heading, "pre" a command, "sub" what was computed.
 
@@ -161,7 +161,7 @@ class Note(Part):
 
 
 @dataclass(frozen=True)
-class Items(Part):
+class Items(PagePart):
     """Short texts as a list; `style` "warnings" is a box, "verdict" the result of all in a few sentences."""
 
     texts: Sequence[str]
@@ -170,7 +170,7 @@ class Items(Part):
 
 
 @dataclass(frozen=True)
-class Terms(Part):
+class Terms(PagePart):
     """Words and what they mean, or names and values."""
 
     pairs: Sequence[tuple[str, str]]
@@ -188,7 +188,7 @@ class Hover:
 
 
 @dataclass(frozen=True)
-class Figure(Part):
+class FigurePart(PagePart):
     """
     A picture.
 
@@ -210,7 +210,7 @@ class Figure(Part):
 
 
 @dataclass(frozen=True)
-class Map(Part):
+class Map(PagePart):
     """
     A quantity over the detector, which a page shows on a log10 scale.
 
@@ -234,7 +234,7 @@ class Map(Part):
 
 
 @dataclass(frozen=True)
-class Html(Part):
+class Html(PagePart):
     """Finished HTML, for what only a page can do."""
 
     html: str
@@ -242,22 +242,22 @@ class Html(Part):
 
 
 @dataclass(frozen=True)
-class Folded(Part):
+class Folded(PagePart):
     """Parts of a page behind a line that opens them, which can be linked to if it has an `anchor`."""
 
     summary: str
-    parts: Sequence[Part]
+    parts: Sequence[PagePart]
     style: str = ""
     anchor: str = ""
     kind: ClassVar[str] = "folded"
 
 
 @dataclass(frozen=True)
-class Group(Part):
+class PartGroup(PagePart):
     """Parts of a page that belong together, with a CSS class."""
 
     style: str
-    parts: Sequence[Part]
+    parts: Sequence[PagePart]
     kind: ClassVar[str] = "group"
 
 
@@ -271,7 +271,7 @@ class Section:
     anchor : str
         Id on a page.
     title : str
-    parts : sequence of Part
+    parts : sequence of PagePart
     link : str
         Its name among the links at the top of a page; empty: it has none.
     folded : {"", "screen", "always"}
@@ -280,7 +280,7 @@ class Section:
 
     anchor: str
     title: str
-    parts: Sequence[Part]
+    parts: Sequence[PagePart]
     link: str = ""
     folded: str = ""
 
@@ -295,7 +295,7 @@ class Report:
     heading, title : str
         What was computed, and the name of the optical system.
     sections : sequence of Section
-    lead : sequence of Part
+    lead : sequence of PagePart
         Below the title: the result in a few sentences.
     warnings : sequence of str
         What a reader must know before trusting the numbers.
@@ -318,7 +318,7 @@ class Report:
     heading: str
     title: str
     sections: Sequence[Section]
-    lead: Sequence[Part] = ()
+    lead: Sequence[PagePart] = ()
     warnings: Sequence[str] = ()
     tab: str = ""
     contents: bool = False

@@ -13,7 +13,7 @@ from mistray.analysis.estimate import Estimate
 from mistray.analysis.objects.rows import LISTS, CommonObject, SceneObject, describe
 from mistray.analysis.objects.search import Objects
 from mistray.files.json_values import plain
-from mistray.report.model import Figure, Fold, Folded, Note, Part, Report, Section, Table, Value, columns
+from mistray.report.model import FigurePart, Fold, Folded, Note, PagePart, Report, Section, Table, Value, columns
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section, terms, version_settings
 from mistray.report.tables.text import ABSENT, number, table_text
@@ -207,7 +207,7 @@ def objects_report(found: Objects, estimates: pd.DataFrame, title: str = "scene"
     first, second = heading(found).splitlines()
     estimated, shots = estimate_table(estimates), shot_table(found)
     sections = [
-        Section("layout", "Layout", [Figure(png, CAPTION, "objects in the section of the system")], "Layout"),
+        Section("layout", "Layout", [FigurePart(png, CAPTION, "objects in the section of the system")], "Layout"),
         Section("common", "Common objects", _common(found), "Common"),
         Section("estimates", "Light by one scatter event",
                 [Note(ESTIMATE), estimated] if estimated.rows else [Note(NO_SCATTER)], "Estimate"),
@@ -264,8 +264,8 @@ def _finding(found: Objects, estimates: pd.DataFrame) -> str:
     return Markup(text).format(counts, row.id, angle, number(row.pst, 2), number(row.percent, 3))
 
 
-def _common(found: Objects) -> list[Part]:
-    parts: list[Part] = [Note("None but the optics.")]
+def _common(found: Objects) -> list[PagePart]:
+    parts: list[PagePart] = [Note("None but the optics.")]
     if found.common:
         parts = [Note(COMMON), common_table(found.common, name="t-common")]
     if found.apart:

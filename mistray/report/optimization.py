@@ -14,7 +14,7 @@ from mistray.optimize.study.goals import holds
 from mistray.optimize.study.terms import of_layers
 from mistray.report.figures.optimization import reflectance_figure, search_figure, variables_figure
 from mistray.report.figures.plots import as_png
-from mistray.report.model import Figure, Items, Note, Part, Report, Section
+from mistray.report.model import FigurePart, Items, Note, PagePart, Report, Section
 from mistray.report.optimization_tables import (
     all_terms_table,
     before_after,
@@ -141,7 +141,7 @@ def _findings(result: Optimization) -> list[str]:
     return texts
 
 
-def _search(result: Optimization) -> list[Part]:
+def _search(result: Optimization) -> list[PagePart]:
     best = result.best
     text = (
         f"Result: start {best.start + 1} of {len(result.starts)} ({result.starts[best.start].name}), step "
@@ -153,5 +153,5 @@ def _search(result: Optimization) -> list[Part]:
     return [Note(text), ends, *zones, *(Note(f"Not in the gradient: {what}.") for what in result.left_out)]
 
 
-def _picture(pictures: Mapping[str, bytes], name: str) -> Figure:
-    return Figure(pictures[name], CAPTIONS[name], name)
+def _picture(pictures: Mapping[str, bytes], name: str) -> FigurePart:
+    return FigurePart(pictures[name], CAPTIONS[name], name)

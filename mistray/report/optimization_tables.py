@@ -12,7 +12,7 @@ from mistray.analysis.changes.gaps import gaps_text
 from mistray.analysis.estimate import Estimate
 from mistray.files.json_values import plain
 from mistray.optimize import Comparison, Optimization, Term
-from mistray.optimize.study.comparison import Row, worse
+from mistray.optimize.study.comparison import ComparisonRow, worse
 from mistray.optimize.study.goals import holds, limit_of
 from mistray.report.model import Table, Value, columns
 from mistray.report.tables.frames import row_of
@@ -35,14 +35,14 @@ def goal_text(term: Term, start: float) -> str:
     return f"{'≥' if term.goal == 'at_least' else '≤'} {number(limit, 4)}"
 
 
-def kept_text(term: Term, row: Row) -> str:
+def kept_text(term: Term, row: ComparisonRow) -> str:
     """Whether the result keeps to the goal of a term; "–" if it is only to be small."""
     if term.goal == "minimise":
         return "–"
     return "yes" if holds(term, row.after, row.before) else "no"
 
 
-def before_after(row: Row) -> tuple[Estimate, Estimate, Estimate]:
+def before_after(row: ComparisonRow) -> tuple[Estimate, Estimate, Estimate]:
     """The value before and after, and how many times it was larger before."""
     return Estimate(row.before, row.before_se), Estimate(row.after, row.after_se), Estimate(row.ratio, row.ratio_se)
 

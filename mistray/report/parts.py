@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
-from mistray.report.model import Items, Note, Part, Section, Terms
+from mistray.report.model import Items, Note, PagePart, Section, Terms
 from mistray.report.tables.text import ABSENT
 from mistray.trace.forward import versions
 
@@ -18,8 +18,8 @@ def settings_section(
     command: str,
     definitions: Mapping[str, str] | None = None,
     assumptions: Sequence[str] = (),
-    before: Sequence[Part] = (),
-    after: Sequence[Part] = (),
+    before: Sequence[PagePart] = (),
+    after: Sequence[PagePart] = (),
     link: str = "",
     folded: str = "",
 ) -> Section:
@@ -35,12 +35,12 @@ def settings_section(
     definitions : mapping of str to str, optional
         See `terms`.
     assumptions : sequence of str
-    before, after : sequence of Part
+    before, after : sequence of PagePart
         Above all of it, and between the settings and the command.
     link, folded
         See `Section`.
     """
-    parts: list[Part] = list(before)
+    parts: list[PagePart] = list(before)
     if assumptions:
         parts += [Note("Assumptions", "h3"), Items(assumptions)]
     if definitions:

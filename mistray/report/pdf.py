@@ -63,7 +63,7 @@ def _write(report: model.Report, writer: _Writer) -> None:
         writer.parts([model.Items(report.warnings, "warnings")])
     for section in report.sections:
         if section.folded != "always":
-            drawn = any(isinstance(part, model.Figure | model.Map) for part in section.parts[:2])
+            drawn = any(isinstance(part, model.FigurePart | model.Map) for part in section.parts[:2])
             writer.heading(section.title, HEAD, 1, PICTURE_ROOM if drawn else ROOM)
             writer.parts(section.parts)
     folded = [section.title for section in report.sections if section.folded == "always"]
@@ -102,7 +102,7 @@ class _Writer:
         for font in self.pdf.fonts.values():
             font.ttfont.close()
 
-    def parts(self, parts: Sequence[model.Part], most: float = MOST_HEIGHT) -> None:
+    def parts(self, parts: Sequence[model.PagePart], most: float = MOST_HEIGHT) -> None:
         """Write parts; pictures are at most so high, mm."""
         for part in parts:
             if isinstance(part, model.Table):
@@ -113,11 +113,11 @@ class _Writer:
                 self.items(part)
             elif isinstance(part, model.Terms):
                 self.terms(part)
-            elif isinstance(part, model.Figure):
+            elif isinstance(part, model.FigurePart):
                 self.figure(part, most)
             elif isinstance(part, model.Map):
                 self.figure(drawn_map(part), most)
-            elif isinstance(part, model.Group):
+            elif isinstance(part, model.PartGroup):
                 self.parts(part.parts, most)
             elif isinstance(part, model.Folded):
                 self.text(f"▸ {part.summary}", SMALL, SOFT)
@@ -172,7 +172,7 @@ class _Writer:
                     row.cell(text)
         self.pdf.ln(1.5)
 
-    def figure(self, figure: model.Figure, most: float) -> None:
+    def figure(self, figure: model.FigurePart, most: float) -> None:
         """A picture, in its natural size where there is room for it, and its caption."""
         if callable(figure.picture):
             drawn = figure.picture()
@@ -275,7 +275,7 @@ class _Writer:
 def _cell(value: model.Value) -> str:
     if isinstance(value, model.Noted):
         return f"{_cell(value.number)}\n{value.note}"
-    if isinstance(value, model.Finished):
+    if isinstance(value, model.HtmlCell):
         return _plain(Markup(value.html))
     text = cell_text(value)
     return text.replace(" ± ", "\n± ") if isinstance(value, Estimate) else text

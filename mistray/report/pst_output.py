@@ -25,7 +25,7 @@ from mistray.analysis.pst.result import Pst
 from mistray.report.figures.figure import Figure as Drawing
 from mistray.report.figures.plots import as_png
 from mistray.report.figures.pst import pst_causes, pst_curve, pst_irradiance, pst_map
-from mistray.report.model import Figure, Hover, Items, Note, Report, Section
+from mistray.report.model import FigurePart, Hover, Items, Note, Report, Section
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section, terms, thousands, version_settings
 from mistray.report.tables.pst import (
@@ -142,7 +142,7 @@ def pst_report(
 ) -> Report:
     """The report; see `write_pst`."""
     pictures = draw(pst, title, maps_at)
-    detector = [Figure(png, "", name[:-4]) for name, png in pictures.items() if name.startswith("irradiance_")]
+    detector = [FigurePart(png, "", name[:-4]) for name, png in pictures.items() if name.startswith("irradiance_")]
     has_paths = pst.path_rows is not None and paths_shown > 0
     sections = [Section("curve", "Curve", [curve_figure(pst, title)], "Curve")]
     if has_paths:
@@ -150,7 +150,7 @@ def pst_report(
         bends = [Note("Breaks of the curve of stray light", "h3"), breaks_table(found)] if found else []
         sections.append(Section("causes", "Causes", [*parts, *bends], "Causes"))
     if "pst_map.png" in pictures:
-        drawn = Figure(pictures["pst_map.png"], MAP, "PST over field angle and azimuth")
+        drawn = FigurePart(pictures["pst_map.png"], MAP, "PST over field angle and azimuth")
         sections.append(Section("map", "Map", [drawn], "Map"))
     if detector:
         sections.append(Section("detector", "Detector", [Note(DETECTOR), *detector], "Detector"))
@@ -245,7 +245,7 @@ def _finding(pst: Pst) -> str:
     return first + f". Stray light {where}: {' to '.join(dict.fromkeys(values))}."
 
 
-def curve_figure(pst: Pst, title: str = "") -> Figure:
+def curve_figure(pst: Pst, title: str = "") -> FigurePart:
     """The curve of a PST, with its values for the pointer."""
     curves = {"all light": pst.curve(), "stray light": pst.curve("stray")}
     curves |= {name_of(group): pst.curve(group) for group in shown_classes(pst)}
@@ -257,10 +257,10 @@ def curve_figure(pst: Pst, title: str = "") -> Figure:
         for i in range(len(pst.field_deg))
     ]
     hover = Hover("data-curve", list(pst.field_deg), [f"PST at {angle:g}°" for angle in pst.field_deg], values)
-    return Figure(functools.partial(pst_curve, pst, title), CURVE, hover=hover)
+    return FigurePart(functools.partial(pst_curve, pst, title), CURVE, hover=hover)
 
 
-def causes_figure(pst: Pst, title: str = "") -> Figure:
+def causes_figure(pst: Pst, title: str = "") -> FigurePart:
     """The shares of the causes of stray light, with their values for the pointer."""
     values = [
         [(str(name), f"{number(float(share), 3)} %") for name, share in row.items() if share > 0]
@@ -268,4 +268,4 @@ def causes_figure(pst: Pst, title: str = "") -> Figure:
     ]
     titles = [f"stray light at {angle:g}°" for angle in pst.field_deg]
     hover = Hover("data-causes", list(pst.field_deg), titles, values)
-    return Figure(functools.partial(pst_causes, pst, title), CAUSES, hover=hover)
+    return FigurePart(functools.partial(pst_causes, pst, title), CAUSES, hover=hover)

@@ -15,10 +15,10 @@ from mistray.analysis.changes.gaps import gaps_text
 from mistray.analysis.estimate import Estimate
 from mistray.files.json_values import plain
 from mistray.optimize.tolerances.draws import PERCENTILES, Draws
-from mistray.optimize.tolerances.rows import Row
+from mistray.optimize.tolerances.rows import SensitivityRow
 from mistray.optimize.tolerances.sensitivity import Sensitivity
 from mistray.percent import percent_text
-from mistray.report.model import Figure, Folded, Note, Report, Section, Table, columns
+from mistray.report.model import FigurePart, Folded, Note, Report, Section, Table, columns
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section, terms
 from mistray.report.tables.frames import flat, frame_table
@@ -93,7 +93,7 @@ def ranking_table(result: Sensitivity) -> Table:
     return Table(heads, rows, "t-ranking", filter=("filter parameters", "filter parameters"))
 
 
-def change_text(row: Row) -> str:
+def change_text(row: SensitivityRow) -> str:
     """The value that lowers the metric by the factor requested, or what the bound gives."""
     if not row.free:
         return "held"
@@ -266,7 +266,7 @@ def sensitivity_report(result: Sensitivity, title: str = "scene", command: str =
     spread = spread_lines(result)
     sections = [
         Section("ranking", "Parameters by their change per tolerance",
-                [Figure(pictures["ranking.png"], RANKING), ranking_table(result)]),
+                [FigurePart(pictures["ranking.png"], RANKING), ranking_table(result)]),
         Section("changes", f"What would lower it {result.factor:g} times",
                 [Note(before), *map(Note, after), *([changes_table(result)] if result.together.changes else [])]),
         Section("propagation", "Tolerances together", [*map(Note, spread), frame_table("t-kinds", _kinds(result))]),
@@ -276,7 +276,7 @@ def sensitivity_report(result: Sensitivity, title: str = "scene", command: str =
         columns = {"ratio": result.draws.ratios, "predicted_log_ratio": result.draws.predicted}
         csv["draws.csv"] = pd.DataFrame(columns)
         lines = map(Note, draws_lines(result.draws))
-        drawn = Figure(pictures["monte_carlo.png"], PERTURBED)
+        drawn = FigurePart(pictures["monte_carlo.png"], PERTURBED)
         sections.append(Section("monte-carlo", "Perturbed systems", [*lines, drawn]))
     missing = result.without_derivative
     left = [Folded(f"{len(missing)} numbers without a derivative", [Note(", ".join(missing))])]

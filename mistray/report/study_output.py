@@ -21,7 +21,7 @@ from mistray.report.ghosts.fields import explored_paths
 from mistray.report.ghosts.ledgers import energy_ledger
 from mistray.report.ghosts.report import ASSUMPTIONS, SCATTERED, polarization_words
 from mistray.report.html.explorer import page_data
-from mistray.report.model import Figure, Folded, Items, Note, Part, Report, Section, Terms
+from mistray.report.model import FigurePart, Folded, Items, Note, PagePart, Report, Section, Terms
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section, terms, thousands
 from mistray.report.pst_output import causes_figure, curve_figure, pst_verdict, pst_verdict_record
@@ -184,7 +184,7 @@ def study_report(study: Study, command: str = "") -> Report:
         f"{', '.join(f'{field:g}' for field in fields)}°, {lines} nm, {thousands(settings['rays'])} start rays."
     )
     pictures = draw_study(study)
-    findings: list[Part] = []
+    findings: list[PagePart] = []
     for step in study.steps:
         if step.findings:
             heading = Markup('<a href="#{}">{} {}</a>').format(step.key, step.number, step.title)
@@ -214,13 +214,13 @@ def study_report(study: Study, command: str = "") -> Report:
 
 def _step(study: Study, step: StudyStep, pictures: Mapping[str, bytes]) -> Section:
     warnings = step_warnings(study, step)
-    parts: list[Part] = [Note(step.text)]
+    parts: list[PagePart] = [Note(step.text)]
     parts += [Items(warnings, "warnings")] if warnings else []
     parts += [Terms([(fact.name, fact_text(fact)) for fact in step.facts])] if step.facts else []
     if step.key == "analysis":
         parts.append(curve_figure(study.pst, study.name))
         parts += [] if study.pst.is_dark else [causes_figure(study.pst, study.name)]
-    parts += [Figure(pictures[name], CAPTIONS[name]) for name in FIGURES.get(step.key, ()) if name in pictures]
+    parts += [FigurePart(pictures[name], CAPTIONS[name]) for name in FIGURES.get(step.key, ()) if name in pictures]
     for name, frame in step.tables.items():
         parts += _table(name, frame)
     if step.key == "analysis":
@@ -230,9 +230,9 @@ def _step(study: Study, step: StudyStep, pictures: Mapping[str, bytes]) -> Secti
     return Section(step.key, title, [*parts, Note(f"{step.seconds:.1f} s", "note")], title)
 
 
-def _ghosts(report: GhostReport) -> list[Part]:
+def _ghosts(report: GhostReport) -> list[PagePart]:
     """The paths of every field to explore, and the energy ledger of the fields."""
-    parts: list[Part] = [page_data(report)]
+    parts: list[PagePart] = [page_data(report)]
     for number, field in enumerate(report):
         parts.append(Note(f"Paths of the ghosts, field {field:g}°", "h3", field_anchor(field)))
         if can_draw():
@@ -242,7 +242,7 @@ def _ghosts(report: GhostReport) -> list[Part]:
     return [*parts, Note("Energy ledger of the ghosts", "h3"), *energy_ledger(report, False)]
 
 
-def _table(name: str, frame: pd.DataFrame) -> list[Part]:
+def _table(name: str, frame: pd.DataFrame) -> list[PagePart]:
     title = Note(terms("study_tables").get(name, name), "h3")
     if frame.empty:
         return [title, Note("none", "note")]

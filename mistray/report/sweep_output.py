@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from mistray.files.json_values import plain
-from mistray.report.model import Figure, Note, Report, Section, Table, columns
+from mistray.report.model import FigurePart, Note, Report, Section, Table, columns
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section, terms, version_settings
 from mistray.report.tables.text import ABSENT, number, table_text
@@ -119,7 +119,9 @@ def sweep_report(result: Sweep, title: str = "scene", command: str = "") -> Repo
         "Sweep",
         title,
         [
-            Section("rows", "Fields, wavelengths and configurations", [Figure(picture, CAPTION), rows_table(result)]),
+            Section(
+                "rows", "Fields, wavelengths and configurations", [FigurePart(picture, CAPTION), rows_table(result)]
+            ),
             Section("configurations", "Configurations", [configurations]),
             settings_section({**result.arguments, **version_settings()}, command, terms("sweep")),
         ],

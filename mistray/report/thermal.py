@@ -15,7 +15,7 @@ from markupsafe import Markup
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.thermal.emission import ThermalReport
 from mistray.files.json_values import plain
-from mistray.report.model import Figure, Note, Report, Section, Table, Value, columns
+from mistray.report.model import FigurePart, Note, Report, Section, Table, Value, columns
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section, terms, thousands
 from mistray.report.tables.frames import row_of
@@ -173,7 +173,7 @@ def thermal_report(report: ThermalReport, title: str = "scene", command: str = "
     finding = Markup("Self-emission on the detector: <b>{} W/mm²</b>").format(with_error(report.total_W_mm2))
     if math.isfinite(report.to_image.value):
         finding += f", {with_error(report.to_image)} of the image of a blackbody scene at {report.scene_K:g} K"
-    drawn = Figure(functools.partial(thermal_figure, report), "Irradiance by surface and medium.")
+    drawn = FigurePart(functools.partial(thermal_figure, report), "Irradiance by surface and medium.")
     sums = Table(columns("<", "unit", "value"), _sums(report, 4), "t-sums", sortable=False)
     returns = (
         "Where light of the detector turns back to it: one reflection, transmitted everywhere else. With the shield: "
@@ -189,7 +189,7 @@ def thermal_report(report: ThermalReport, title: str = "scene", command: str = "
         Section("surfaces", "By surface", [emitter_table(report)], "By surface"),
     ]
     if report.returned:
-        over = Figure(functools.partial(narcissus_figure, report), "NITD by surface over the detector.")
+        over = FigurePart(functools.partial(narcissus_figure, report), "NITD by surface over the detector.")
         shown = [Note(returns), return_table(report), *([over] if report.zones_mm else [])]
         sections.append(Section("narcissus", "Narcissus", shown, "Narcissus"))
     if report.netd is not None:

@@ -8,7 +8,7 @@ from mistray.analysis.transfer.result import FieldTransfer, Transfer
 from mistray.report.figures.figure import Figure as Drawing
 from mistray.report.figures.plots import as_png
 from mistray.report.figures.transfer import image_figure, mtf_figure, spread_figure
-from mistray.report.model import Figure, Items, Note, Part, Terms
+from mistray.report.model import FigurePart, Items, Note, PagePart, Terms
 from mistray.report.parts import terms
 from mistray.time_budget import can_draw
 
@@ -24,7 +24,7 @@ CAPTIONS: tuple[tuple[str, Callable[[FieldTransfer, str], Drawing], str], ...] =
 """Name, figure and caption of the pictures of a field."""
 
 
-def transfer_parts(found: Transfer, title: str = "") -> list[Part]:
+def transfer_parts(found: Transfer, title: str = "") -> list[PagePart]:
     """
     Pictures of all fields, what to mind, and what the words mean.
 
@@ -34,13 +34,13 @@ def transfer_parts(found: Transfer, title: str = "") -> list[Part]:
     title : str
         Name of the optical system.
     """
-    parts: list[Part] = []
+    parts: list[PagePart] = []
     for one in found:
         parts.append(Note(f"Image of a point with stray light, field {one.name}", "h3"))
         if one.image.resolved and not can_draw():
             parts.append(Note("Its pictures are not drawn, for the time was up."))
         elif one.image.resolved:
-            parts += [Figure(as_png(draw(one, title)), caption) for _, draw, caption in CAPTIONS]
+            parts += [FigurePart(as_png(draw(one, title)), caption) for _, draw, caption in CAPTIONS]
         else:
             parts.append(Note("Its wavefront is too steep for the grid: it has no PSF and no MTF; see below."))
     if found.notes:

@@ -11,7 +11,7 @@ from mistray.errors import MistrayError
 from mistray.ranges import CHANCE, FIELD_DEG, SOLID_ANGLE_SR
 from mistray.scatter.evaluate import bsdf
 from mistray.scatter.lobe import Scatter
-from mistray.scatter.scan import Light
+from mistray.scatter.scan import IncidentLight
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def chance(
     *,
     incidence_deg: float = 0.0,
     event: str = "reflection",
-    light: Light | None = None,
+    light: IncidentLight | None = None,
     before: float = 1.0,
 ) -> Chance:
     """
@@ -79,7 +79,7 @@ def chance(
     incidence_deg : float
         Angle of incidence, 0 … 90.
     event : {"reflection", "transmission"}
-    light : Light, optional
+    light : IncidentLight, optional
     before : float
         Chance of getting to the surface, 0 … 1.
 
@@ -98,7 +98,7 @@ def chance(
     scatters at 30° to a detector of (2 mrad)², which a ray meets with 1/8. Its 3e10 rays for "a 50 % chance of one ray"
     are those that give one hit in the mean; for 50 % 2.0e10 do.
     """
-    light = light or Light()
+    light = light or IncidentLight()
     FIELD_DEG.check("angle of the scattered direction", towards_deg)
     SOLID_ANGLE_SR.check("solid angle", solid_angle_sr)
     CHANCE.check("chance of getting to the surface", before)

@@ -22,7 +22,7 @@ NORMAL_STEP_DEG, PEAK_NODES = 2.0, 16  # of a table about the normal
 
 
 @dataclass(frozen=True)
-class Light:
+class IncidentLight:
     """
     Light that meets a scattering surface.
 
@@ -119,7 +119,7 @@ class Scan:
 
 
 def scan(
-    model: Scatter, angles_deg: Sequence[float], event: str = "reflection", light: Light | None = None
+    model: Scatter, angles_deg: Sequence[float], event: str = "reflection", light: IncidentLight | None = None
 ) -> list[Scan]:
     """
     Evaluate a model in the plane of incidence.
@@ -130,14 +130,14 @@ def scan(
     angles_deg : sequence of float
         Of incidence, in the medium that the light comes from.
     event : {"reflection", "transmission"}
-    light : Light, optional
+    light : IncidentLight, optional
 
     Raises
     ------
     MistrayError
         If the model has no such scatter, an angle is out of range, or the specular beam would lose more than it has.
     """
-    light = light or Light()
+    light = light or IncidentLight()
     lobes = model.lobes(light.wavelength_nm, light.n_in, light.n_out, light.from_front)
     if not any(lobe.event == event for lobe in lobes):
         raise MistrayError(f"the model scatters nothing in {event}; choose the other event")
@@ -169,7 +169,11 @@ def scan(
 
 
 def table(
-    model: Scatter, angles_deg: Sequence[float], frame: str, event: str = "reflection", light: Light | None = None
+    model: Scatter,
+    angles_deg: Sequence[float],
+    frame: str,
+    event: str = "reflection",
+    light: IncidentLight | None = None,
 ) -> Samples | RotatedSamples:
     """
     Sample a model over the hemisphere, for a file; an anisotropic one at rotations of the sample all round.
@@ -186,7 +190,7 @@ def table(
     MistrayError
         As `scan`.
     """
-    light = light or Light()
+    light = light or IncidentLight()
     lobes = model.lobes(light.wavelength_nm, light.n_in, light.n_out, light.from_front)
     angles = np.unique(np.asarray(angles_deg, dtype=np.float64))
     specular = np.degrees(np.arcsin([light.sin_specular(event, angle) for angle in angles]))

@@ -19,7 +19,7 @@ from mistray.errors import MistrayError, printable
 from mistray.read_file import read_file, require_file
 from mistray.scene.check import LAST_ROW
 from mistray.scene.files import MOST_TEXT, filled
-from mistray.scene.messages import FILE, VALUE_TAGS, Element
+from mistray.scene.messages import FILE, VALUE_TAGS, SceneElement
 from mistray.scene.xml_file import DEEPEST, too_deep
 
 DEEPEST_FILE = 15  # files within each other, the scene's own counted, as Mitsuba has it
@@ -84,13 +84,13 @@ class _Look:
         data = self._content(path) if text is None else text.encode()
         self._grow(len(data), f"scene '{self.path}'")
         folders = [path.parent, *folders]
-        stack: list[Element] = []
+        stack: list[SceneElement] = []
         parser = expat.ParserCreate()
 
         def start(tag: str, given: dict[str, str]) -> None:
             if len(stack) >= DEEPEST:
                 raise too_deep(path, parser.CurrentLineNumber, tag)
-            element = Element(tag, given.get("type", ""), given.get("id", ""), given.get("name", ""))
+            element = SceneElement(tag, given.get("type", ""), given.get("id", ""), given.get("name", ""))
             element.parent = stack[-1] if len(stack) > 1 else None
             stack.append(element)
             line = f"scene '{path}', line {parser.CurrentLineNumber}"
@@ -160,7 +160,7 @@ class _Look:
             )
 
 
-def _where(element: Element) -> str:
+def _where(element: SceneElement) -> str:
     """The object that an element belongs to, for a message; empty where there is none."""
     operation = element.parent is not None and element.parent.tag == "transform"
     owner = element.parent.parent if operation and element.parent is not None else element.owner
@@ -171,7 +171,7 @@ def _where(element: Element) -> str:
     return f"{printable(str(owner))}: "
 
 
-def _twice(element: Element) -> str:
+def _twice(element: SceneElement) -> str:
     """Whether a value is given twice, in words; the object that it belongs to remembers it."""
     if element.tag not in VALUE_TAGS or element.parent is None or not element.name:
         return ""
@@ -181,7 +181,7 @@ def _twice(element: Element) -> str:
     return ""
 
 
-def _mistake(element: Element, values: Mapping[str, str]) -> str:
+def _mistake(element: SceneElement, values: Mapping[str, str]) -> str:
     """Say what is wrong with the numbers of an element; empty if nothing is."""
     tag = element.tag
     for key in NUMBERS.get(tag, ()):
@@ -204,7 +204,7 @@ def _mistake(element: Element, values: Mapping[str, str]) -> str:
     return ""
 
 
-def _named(element: Element) -> str:
+def _named(element: SceneElement) -> str:
     return f"<{element.tag}> '{printable(element.name)}'" if element.name else f"<{element.tag}>"
 
 

@@ -38,7 +38,7 @@ _LOADING = re.compile(r"(Error while loading|While loading|At) (XML file )?\S+( 
 
 
 @dataclass
-class Element:
+class SceneElement:
     """
     One object or value of a scene description.
 
@@ -50,7 +50,7 @@ class Element:
         Of a value.
     values : dict
         Its own named values, as written.
-    parent : Element or None
+    parent : SceneElement or None
     """
 
     tag: str = ""
@@ -58,10 +58,10 @@ class Element:
     id: str = ""
     name: str = ""
     values: dict[str, Any] = field(default_factory=dict)
-    parent: Element | None = None
+    parent: SceneElement | None = None
 
     @property
-    def owner(self) -> Element:
+    def owner(self) -> SceneElement:
         """The object that a value belongs to, or the object itself."""
         return self.parent if self.parent is not None and self.tag in VALUE_TAGS else self
 
@@ -90,7 +90,7 @@ def explain(error: Exception, source: Path | dict[str, Any], content: str | None
     str
     """
     text = str(error) or type(error).__name__
-    where, element = "scene", Element()
+    where, element = "scene", SceneElement()
     place = _SYNTAX.search(text) or next(reversed(list(_PLACE.finditer(text))), None)  # the innermost of included files
     if isinstance(source, dict):
         node = _NODE.search(text)
@@ -113,7 +113,7 @@ def is_interrupt(error: Exception) -> bool:
     return _TRACEBACK in text and _INTERRUPT.search(text) is not None
 
 
-def _reason(text: str, element: Element, source: Path | dict[str, Any]) -> str:
+def _reason(text: str, element: SceneElement, source: Path | dict[str, Any]) -> str:
     """Say what is wrong and what to do about it."""
     own = text.rpartition("MistrayError: ")[2].strip() if "MistrayError: " in text else ""
     unknown = dict(re.findall(r"- \w+ \"([^\"]+)\": (.*)", text)) if "unreferenced" in text else {}
@@ -154,16 +154,16 @@ def _is_model(name: str, plugin: str) -> bool:
     return plugin.replace("_", "").startswith(name.lower().replace("_", ""))
 
 
-def _syntax(match: re.Match[str], element: Element) -> str:
+def _syntax(match: re.Match[str], element: SceneElement) -> str:
     return f"broken XML, {match['what'].lower()} in column {match['column']}; close or correct the tag there"
 
 
-def _number(match: re.Match[str], element: Element) -> str:
+def _number(match: re.Match[str], element: SceneElement) -> str:
     subject = f"{element.owner}: {element.name}" if element.name else "a value"
     return f"{subject} is '{match[2]}'; it must be {NUMBERS.get(match[1], 'a ' + match[1])}"
 
 
-def _plugin(match: re.Match[str], element: Element) -> str:
+def _plugin(match: re.Match[str], element: SceneElement) -> str:
     # Base classes have no table of parameters; in a file the tag says the kind
     known = [
         name
@@ -173,7 +173,7 @@ def _plugin(match: re.Match[str], element: Element) -> str:
     return f"{element}: there is no plugin '{match[1]}'; {_choose(match[1], known, 'correct the type')}"
 
 
-_REASONS: list[tuple[str | re.Pattern[str], Callable[[re.Match[str], Element], str]]] = [
+_REASONS: list[tuple[str | re.Pattern[str], Callable[[re.Match[str], SceneElement], str]]] = [
     (_SYNTAX, _syntax),
     (r"could not parse ([\w ]+?)(?: value)? \"(.*?)\"", _number),
     (r"Plugin \"(\w+)\" not found", _plugin),
@@ -271,16 +271,16 @@ def _short(text: str, most: int) -> str:
     return text if len(text) <= most else f"{text[: most * 2 // 3]} … {text[-most // 3 :]}"
 
 
-def _in_file(path: Path, line: int, column: int, data: bytes | None) -> Element | None:
+def _in_file(path: Path, line: int, column: int, data: bytes | None) -> SceneElement | None:
     """The element that starts at a place of an XML file; Mitsuba counts columns from the name of the tag."""
-    found: list[Element] = []
-    stack = [Element()]
+    found: list[SceneElement] = []
+    stack = [SceneElement()]
     parser = expat.ParserCreate()
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         get = attributes.get
         parent = stack[-1] if len(stack) > 1 else None
-        element = Element(tag, get("type", ""), get("id", ""), get("name", ""), {}, parent)
+        element = SceneElement(tag, get("type", ""), get("id", ""), get("name", ""), {}, parent)
         if tag in VALUE_TAGS and "name" in attributes:
             stack[-1].values.setdefault(element.name, get("value", ""))
         if (parser.CurrentLineNumber, parser.CurrentColumnNumber + 2) == (line, column):
@@ -296,13 +296,13 @@ def _in_file(path: Path, line: int, column: int, data: bytes | None) -> Element 
     return found[0] if found else None
 
 
-def _in_dict(scene: dict[str, Any], path: list[str]) -> Element:
+def _in_dict(scene: dict[str, Any], path: list[str]) -> SceneElement:
     """The element at a path of keys."""
-    element, here = Element(tag="scene", plugin="scene"), scene
+    element, here = SceneElement(tag="scene", plugin="scene"), scene
     for key in path if path != ["root"] else []:
         here = here.get(key, {})
         values = {name: value for name, value in here.items() if name not in ("type", "id")}
         plain = {name: value for name, value in values.items() if isinstance(value, int | float | str)}
         id_ = key if element.tag == "scene" else ""
-        element = Element("", str(here.get("type", "")), id_, key, plain, element)
+        element = SceneElement("", str(here.get("type", "")), id_, key, plain, element)
     return element

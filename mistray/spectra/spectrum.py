@@ -37,7 +37,7 @@ _POINTS, _SHARES = np.polynomial.legendre.leggauss(3)  # exact for a straight li
 
 
 @dataclass(frozen=True)
-class Light:
+class SpectrumSamples:
     """
     The wavelengths of a trace that stand for a spectrum.
 
@@ -96,7 +96,7 @@ class Spectrum:
         self._check(low_nm, high_nm)
         return float(self.nodes(low_nm, high_nm)[1].sum())
 
-    def light(self, band_nm: Sequence[float] | None = None, bands: int = DEFAULT_BANDS) -> Light:
+    def light(self, band_nm: Sequence[float] | None = None, bands: int = DEFAULT_BANDS) -> SpectrumSamples:
         """
         The wavelengths and weights of a band in parts of equal width; parts without light are left out.
 
@@ -120,7 +120,7 @@ class Spectrum:
             raise MistrayError(f"spectrum '{self.name}' has no light from {low:g} to {high:g} nm; give another band_nm")
         means = [float(where @ values) / values.sum() for where, values in parts if values.sum() > 0]
         weights = energy[energy > 0] / energy.sum()
-        return Light(np.array(means), weights, (self, float(energy.sum())))
+        return SpectrumSamples(np.array(means), weights, (self, float(energy.sum())))
 
     @property
     def lumens(self) -> float:
@@ -197,7 +197,7 @@ def light_of(
     band_nm: Sequence[float] | None = None,
     bands: int | None = None,
     weights: Sequence[float] | None = None,
-) -> Light:
+) -> SpectrumSamples:
     """
     The wavelengths that stand for a spectrum, continuous or of lines.
 
@@ -228,7 +228,7 @@ def light_of(
     return of_lines(wavelengths, weights)
 
 
-def of_lines(wavelengths_nm: Sequence[float], weights: Sequence[float] | None = None) -> Light:
+def of_lines(wavelengths_nm: Sequence[float], weights: Sequence[float] | None = None) -> SpectrumSamples:
     """
     Lines with their shares of the flux, equal ones by default.
 
@@ -248,7 +248,7 @@ def of_lines(wavelengths_nm: Sequence[float], weights: Sequence[float] | None = 
     if not shares.sum() > 0:
         raise MistrayError(f"weights are {', '.join(f'{share:g}' for share in shares)}; give one above 0")
     shares /= shares.sum()
-    return Light(lines, shares)
+    return SpectrumSamples(lines, shares)
 
 
 def read_table(path: str | Path) -> tuple[Array, Array]:

@@ -25,8 +25,8 @@ from mistray.optimize.scene_values import changed
 from mistray.optimize.tolerances.proposals import structure
 from mistray.optimize.tolerances.rows import (
     Line,
+    LineNumbers,
     OfLine,
-    Table,
     lines_of,
     motion_lines,
     shifted_values,
@@ -246,7 +246,7 @@ def rank_edits(
                 f"rank_edits: the PST at {angle:g}° is {found.value:g}, which has no relative change; give other "
                 "angles or more rays"
             )
-        tables.append(Table.of(found, lines, step_of))
+        tables.append(LineNumbers.of(found, lines, step_of))
         values.append(Estimate(found.value, found.value_se))
         widths.append(found.edge_width)
         left_out |= dict.fromkeys(found.left_out)

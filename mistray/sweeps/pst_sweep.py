@@ -18,7 +18,7 @@ from mistray.analysis.pst.transmittance import pst_of_each
 from mistray.errors import MistrayError
 from mistray.known_arguments import known_arguments
 from mistray.notes import warns
-from mistray.optimize.metrics.views import View, seen_unpolarized
+from mistray.optimize.metrics.views import TraceView, seen_unpolarized
 from mistray.sweeps.configurations import AS_IT_IS, Configuration, Given, as_configurations
 from mistray.sweeps.original import Original
 
@@ -242,7 +242,7 @@ def sweep_pst(
     at: list[str] = []  # the configuration that is being made, for messages
     gaps: dict[str, tuple[Gap, ...]] = {}
     unpolarized: dict[str, Sequence[str]] = {}
-    view = View({"field_deg": field_deg, **arguments})
+    view = TraceView({"field_deg": field_deg, **arguments})
 
     def scenes(original: Original) -> Iterator[mi.Scene]:
         contacts = None

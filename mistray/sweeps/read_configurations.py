@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mistray.optimize.toml.section import Section
+from mistray.optimize.toml.section import TomlSection
 from mistray.prescription import Structure
 from mistray.ranges import FINITE, SHARE, TEXT
 from mistray.sweeps.configurations import Configuration
@@ -26,7 +26,7 @@ def read_configurations(source: str | Path) -> list[Configuration]:
         If the file is missing or no TOML, a key is unknown or missing, a value is no number, or two configurations have
         one name.
     """
-    whole = Section.of(source, "configurations")
+    whole = TomlSection.of(source, "configurations")
     whole.known(("configuration",))
     found = [_configuration(section) for section in whole.tables("configuration")]
     if not found:
@@ -34,7 +34,7 @@ def read_configurations(source: str | Path) -> list[Configuration]:
     return found
 
 
-def _configuration(section: Section) -> Configuration:
+def _configuration(section: TomlSection) -> Configuration:
     section.known(("name", "values", "paint", "coat", "block"))
     values, paint, coat = (section.table(key) for key in ("values", "paint", "coat"))
     return Configuration(
@@ -46,7 +46,7 @@ def _configuration(section: Section) -> Configuration:
     )
 
 
-def _structure(section: Section) -> Structure:
+def _structure(section: TomlSection) -> Structure:
     """A frustum that absorbs all light; of a flat ring one z is enough, of a tube one radius."""
     section.known(("name", "r0", "z0", "r1", "z1"))
     r0, z0, r1, z1 = (section.value(key, FINITE, None) for key in ("r0", "z0", "r1", "z1"))

@@ -23,7 +23,7 @@ from mistray.sweeps.cells import Cell, KeptRows, SceneContents, foreign_plugins,
 from mistray.sweeps.configurations import Configuration, Resolved, as_configurations, resolve
 from mistray.sweeps.numbers import Numbers, numbers_of
 from mistray.sweeps.result import CELL, Source, Sweep
-from mistray.time_budget import Shares, coarse_first, is_limited, not_traced, time_is_up, within
+from mistray.time_budget import TimeShares, coarse_first, is_limited, not_traced, time_is_up, within
 from mistray.trace import Settings, trace
 
 Progress = Callable[[float, float], None]
@@ -137,7 +137,7 @@ def sweep(
             not_traced=tuple(cell.name for cell in missing) if over else (),
         )
 
-    def trace_row(cell: Cell, shares: Shares) -> None:
+    def trace_row(cell: Cell, shares: TimeShares) -> None:
         part = _part(progress, len(found), len(cells))
         try:
             with shares.one():
@@ -158,14 +158,14 @@ def sweep(
         for cell in cells:
             if cell not in found:
                 left[cell.configuration.name].append(cell)
-        states = Shares(len(chosen), LATER)
+        states = TimeShares(len(chosen), LATER)
         for one in order(chosen):
             if not states.enough():
                 break
             with states.one(), _state(loaded, one):
                 if contacts is not None:
                     gaps[one.name] = contacts.opened(loaded)
-                shares = Shares(len(left[one.name]), LATER)
+                shares = TimeShares(len(left[one.name]), LATER)
                 for cell in order(left[one.name]):
                     if shares.enough():
                         trace_row(cell, shares)

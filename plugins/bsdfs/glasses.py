@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.coatings import Coating, CoatingTable, Stack
+from mistray.coatings import CoatingModel, CoatingTable, Stack
 from mistray.errors import MistrayError
 from mistray.materials import complex_index, nearest_known_nm, refractive_index, resolved, shifted
 from mistray.ranges import INDEX_SHIFT
@@ -86,7 +86,7 @@ class Glasses:
         front, back = (refractive_index(name, nearest_known_nm(name, wavelength_nm)) for name in self._names)
         return front, back
 
-    def nearest_nm(self, wavelength_nm: float, coating: Coating) -> float:
+    def nearest_nm(self, wavelength_nm: float, coating: CoatingModel) -> float:
         """
         The wavelength nearest to another one at which the materials and a coating between them are known.
 

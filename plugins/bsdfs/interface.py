@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.coatings import Bare, Coating, CoatingTable, Ideal
+from mistray.coatings import Bare, CoatingModel, CoatingTable, Ideal
 from mistray.coatings.simple import check_shares
 from mistray.errors import MistrayError
 from mistray.materials import complex_index, refractive_index
@@ -139,9 +139,9 @@ class Interface(mi.BSDF):
         self._turned: bool | None = None
         self._own_ideal = False
         self._R, self._T = mi.Float(0), mi.Float(0)
-        self._own: Coating = Bare()
+        self._own: CoatingModel = Bare()
         self._held: tuple[np.ndarray, ...] = ()
-        self._stock: tuple[Coating, dict[str, Any]] | None = None
+        self._stock: tuple[CoatingModel, dict[str, Any]] | None = None
         self._lobes: tuple[dict[str, Any], LobeSum] | None = None
         self.scatterers: tuple[Any, ...] = ()
         # Only objects are looked at: what is never requested is reported as unknown
@@ -202,7 +202,7 @@ class Interface(mi.BSDF):
             self._R, self._T = (mi.Float(SHARE.check(key, props.get(key, 0.0), self.title)) for key in ("R", "T"))
             self._rebuild()
 
-    def _read_table(self, spec: str) -> Coating:
+    def _read_table(self, spec: str) -> CoatingModel:
         if not spec.lower().endswith(".csv"):
             raise MistrayError(f"{self.title}: table '{spec}' is no CSV file; nest a 'thinfilm' for other files")
         return CoatingTable.read(_resolve(spec))
@@ -225,7 +225,7 @@ class Interface(mi.BSDF):
         self._own = self._build(*values)
         self._held = values
 
-    def _build(self, *values: np.ndarray) -> Coating:
+    def _build(self, *values: np.ndarray) -> CoatingModel:
         r, t = (float(value[0]) for value in values)
         check_shares(r, t, self.title)
         return Ideal(r, t, self.name)
@@ -236,7 +236,7 @@ class Interface(mi.BSDF):
         return self if self._nested is None else self._nested
 
     @property
-    def coating(self) -> Coating:
+    def coating(self) -> CoatingModel:
         """The coating with the current values of its parameters."""
         return self._owner._own
 

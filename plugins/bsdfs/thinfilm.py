@@ -8,7 +8,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from mistray.coatings import LAYER_PARAMETERS, Coating, Layer, Stack, parse_layers, preset
+from mistray.coatings import LAYER_PARAMETERS, CoatingModel, Layer, Stack, parse_layers, preset
 from mistray.coatings.files import read_coating
 from mistray.errors import MistrayError
 from mistray.plugins.bsdfs.interface import SIDES, Interface, _resolve
@@ -108,7 +108,7 @@ class ThinFilm(Interface):
     def _nested_film(self, props: mi.Properties, nested: list[Any]) -> Any:
         raise MistrayError(f"{self.title}: a BSDF is nested in it; nest the thinfilm in an 'interface' instead")
 
-    def _recipe_coating(self, recipe: str) -> Coating:
+    def _recipe_coating(self, recipe: str) -> CoatingModel:
         if recipe == "layers":
             return Stack(parse_layers(self._recipe, self.design_nm, self.name, _resolve), name=self.name)
         if recipe == "preset":
@@ -143,7 +143,7 @@ class ThinFilm(Interface):
             return super()._parameters()
         return {"thickness_nm": self.thickness_nm, "n_shift": self.n_shift, "k_shift": self.k_shift}
 
-    def _build(self, *values: np.ndarray) -> Coating:
+    def _build(self, *values: np.ndarray) -> CoatingModel:
         if self._layers is None:
             return super()._build(*values)
         layers = tuple(

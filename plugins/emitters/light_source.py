@@ -14,7 +14,7 @@ from mistray.physics.geometry.pose import pointing_error, rigid_motion
 from mistray.physics.polarization.state import WAYS, polarization_state
 from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, WAVELENGTH_NM, WEIGHT, Range
 from mistray.sampling.source import EmittedRays, SceneSource, SourceRequest
-from mistray.spectra.spectrum import BANDS, DEFAULT_NM, Light, light_of, of_lines
+from mistray.spectra.spectrum import BANDS, DEFAULT_NM, SpectrumSamples, light_of, of_lines
 
 
 class LightSource(mi.Emitter):
@@ -42,7 +42,7 @@ class LightSource(mi.Emitter):
         Whether `rays_from` takes points and numbers of float64, so that a narrow cone can be aimed at from afar.
     values : dict of str to float
         Its own numbers.
-    light : Light
+    light : SpectrumSamples
         Its wavelengths and their weights.
     matrix : (4, 4) float64
         From the frame of ``to_world`` to the world, exactly rigid.
@@ -78,7 +78,7 @@ class LightSource(mi.Emitter):
         self.parameters = {key: mi.Float(self.values[key]) for key in self.differentiable}
         self.stokes = polarization_state(self.owner, **{key: props[key] for key in WAYS if key in props})
 
-    def _light(self, props: mi.Properties) -> Light:
+    def _light(self, props: mi.Properties) -> SpectrumSamples:
         """The wavelengths of its spectrum, or of ``wavelength_nm`` and ``weights``."""
         within = {"wavelength_nm": WAVELENGTH_NM, "weights": WEIGHT}
         given = {key: self._numbers(key, props[key], allowed) for key, allowed in within.items() if key in props}

@@ -22,7 +22,7 @@ from mistray.sampling.emission_laws import IntensityTable
 from mistray.sampling.source import SceneSource, SourceRequest
 from mistray.sampling.warm.emissivity import BACK, FRONT, emissivities, material_of, medium_of
 from mistray.sampling.warm.surface_rays import WarmRays
-from mistray.spectra.spectrum import DEFAULT_BANDS, Light, spectrum
+from mistray.spectra.spectrum import DEFAULT_BANDS, SpectrumSamples, spectrum
 from mistray.surfaces.host_points import area
 from mistray.surfaces.surfaces import SurfaceTable
 
@@ -90,7 +90,7 @@ class Thermal(LightSource):
                 self._fail(f"parts is '{text}'; give names and temperatures in K, 'detector=77; shield_*=80'")
         return found
 
-    def _light(self, props: mi.Properties) -> Light:
+    def _light(self, props: mi.Properties) -> SpectrumSamples:
         """The parts of the band, by the spectrum of the warmest; each surface has its own shares of the power."""
         if given := [key for key in OTHERS if key in props]:
             self._fail(

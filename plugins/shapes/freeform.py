@@ -11,7 +11,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.files.sag_grid import read_sag_grid
-from mistray.physics.geometry.outline import KINDS, MOST_FIGURES, SIGNS, SIZES, Figure, Outline
+from mistray.physics.geometry.outline import KINDS, MOST_FIGURES, SIGNS, SIZES, Outline, OutlineFigure
 from mistray.physics.sags.grid import Grid
 from mistray.physics.sags.terms import FIXED, GRID, LENGTHS, check_names, length_power, sag
 from mistray.plugins.shapes.formula_shape import POSE, RELATIVE, FormulaShape, float_property
@@ -197,13 +197,13 @@ class FreeformShape(FormulaShape):
 
     def _outline(self, v: Mapping[str, float]) -> Outline:
         if "semi_diameter" in v:
-            figures = [Figure("circle", sizes=(v["semi_diameter"],))]
+            figures = [OutlineFigure("circle", sizes=(v["semi_diameter"],))]
             if v.get("inner_semi_diameter"):
-                figures.append(Figure("circle", "-", sizes=(v["inner_semi_diameter"],)))
+                figures.append(OutlineFigure("circle", "-", sizes=(v["inner_semi_diameter"],)))
             return Outline(tuple(figures))
         if "half_width" in v:
-            return Outline((Figure("rectangle", sizes=(v["half_width"], v["half_height"])),))
-        forms = [Figure(kind, sign, sizes=(0.0,) * sizes) for sign, kind, sizes in self._forms]
+            return Outline((OutlineFigure("rectangle", sizes=(v["half_width"], v["half_height"])),))
+        forms = [OutlineFigure(kind, sign, sizes=(0.0,) * sizes) for sign, kind, sizes in self._forms]
         return Outline(tuple(forms)).with_numbers(v)
 
     @property
@@ -263,7 +263,8 @@ class FreeformShape(FormulaShape):
         ox, oy = self._middle
         outline = Outline(
             tuple(
-                Figure(f.kind, f.sign, f.x - ox, f.y - oy, f.angle_deg, f.sizes) for f in self._outline(values).figures
+                OutlineFigure(f.kind, f.sign, f.x - ox, f.y - oy, f.angle_deg, f.sizes)
+                for f in self._outline(values).figures
             )
         )
         return Freeform.of(local, outline, self._half, self.mechanics, self._way)

@@ -13,7 +13,7 @@ from vectors import analytic
 
 import mistray
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.metrics.extended_source import Disc, Sky, cover, source_irradiance, sun
+from mistray.analysis.metrics.extended_source import Disc, SkyRadiance, cover, source_irradiance, sun
 from mistray.analysis.metrics.glare import ghost_to_signal, glare_spread, veiling_glare_index
 from mistray.analysis.metrics.metric import DEFINITIONS
 from mistray.analysis.metrics.ratios import (
@@ -79,7 +79,7 @@ class TestSky:
     @pytest.mark.parametrize("convention", ["normal", "projected"])
     def test_cosine(self, convention: str) -> None:
         """A flat plate that transmits everything: E = pi L, whatever the convention of the result."""
-        e = source_irradiance(pst_of(WHOLE, np.cos, convention=convention), Sky())
+        e = source_irradiance(pst_of(WHOLE, np.cos, convention=convention), SkyRadiance())
         assert (e.value, e.covered) == (pytest.approx(np.pi, rel=1e-12), pytest.approx(1, abs=1e-12))
         assert (e.se, e.interpolated) == (0, 0)
         assert e.definition == DEFINITIONS["irradiance"].format(light="stray")
@@ -90,17 +90,17 @@ class TestSky:
         pst = pst_of(angles, (lambda t: lorentz(t) * np.cos(t)) if projected else lorentz)
         case = "same, if PST_projected" if projected else "uniform L=1 sky 20..90deg"
         quantity = f"E_stray = int L PST_{'p cos' if projected else 'n'} dOmega"
-        e = source_irradiance(pst, Sky(from_deg=20))
+        e = source_irradiance(pst, SkyRadiance(from_deg=20))
         assert e.value == pytest.approx(analytic(case, quantity), rel=1e-9)
         assert e.covered == pytest.approx(1, abs=1e-9)
 
     def test_what_no_cell_covers_is_dark_and_said(self) -> None:
         pst = pst_of([0, 10, 20, 30, 40, 50, 60, 70, 80], np.cos)
-        e = source_irradiance(pst, Sky())
+        e = source_irradiance(pst, SkyRadiance())
         solid = pst.grid.solid_angle.sum()
         assert e.covered == pytest.approx(solid / (2 * np.pi), rel=1e-12)
         assert e.value == pytest.approx(float(np.sum(pst.grid.solid_angle * pst.grid.mean_cosine)), rel=1e-12)
-        linear = source_irradiance(pst, Sky(), interpolation="linear")
+        linear = source_irradiance(pst, SkyRadiance(), interpolation="linear")
         assert linear.covered == e.covered
         assert linear.covered + linear.interpolated == pytest.approx(1 - np.cos(np.radians(81)), rel=1e-12)
 
@@ -108,11 +108,11 @@ class TestSky:
         def radiance(theta_deg: np.ndarray, phi_deg: np.ndarray) -> np.ndarray:
             return np.cos(np.radians(theta_deg)) * (1 + 0.5 * np.cos(np.radians(phi_deg)))
 
-        whole = source_irradiance(pst_of(WHOLE, np.ones_like), Sky(radiance))
+        whole = source_irradiance(pst_of(WHOLE, np.ones_like), SkyRadiance(radiance))
         assert whole.value == pytest.approx(np.pi, rel=1e-9)
         azimuths = np.arange(0, 360, 20)
         front = np.where(np.abs((azimuths + 180) % 360 - 180) < 90, 1.0, 0.0)
-        part = source_irradiance(pst_of(WHOLE, front[None, :], azimuths_deg=azimuths), Sky(radiance))
+        part = source_irradiance(pst_of(WHOLE, front[None, :], azimuths_deg=azimuths), SkyRadiance(radiance))
         half = np.radians(90)  # cells of 20° from -90 to 90°
         assert part.value == pytest.approx(0.5 * (2 * half + 0.5 * 2 * np.sin(half)), rel=1e-4)
         assert part.covered == pytest.approx(1, abs=1e-4)
@@ -245,12 +245,12 @@ class TestCurves:
     def test_radiances(self) -> None:
         """Direct light within ±10°, 0.05 sr in all, and stray light of 1e-6 everywhere."""
         pst, stray = pst_of(WHOLE, flat(1e-6), flat(0.05 / solid(0, 10), 10.0)), 2 * np.pi * 1e-6 * 3.0
-        own = equivalent_stray_radiance(pst, Sky(3.0))
+        own = equivalent_stray_radiance(pst, SkyRadiance(3.0))
         assert (own.value, own.unit) == (pytest.approx(stray / 0.05, rel=1e-12), "W/(mm2 sr)")
-        ideal = equivalent_stray_radiance(pst, Sky(3.0), f_number=2.2, transmittance=0.9)
+        ideal = equivalent_stray_radiance(pst, SkyRadiance(3.0), f_number=2.2, transmittance=0.9)
         assert ideal.value == pytest.approx(stray / (0.9 * 0.1543021932018562), rel=1e-12)
         assert "pi / (4 F^2 + 1)" in ideal.definition
-        ratio = stray_to_signal(pst, Sky(3.0), scene_radiance=1e-4)
+        ratio = stray_to_signal(pst, SkyRadiance(3.0), scene_radiance=1e-4)
         assert ratio.value == pytest.approx(stray / (1e-4 * 0.05), rel=1e-12)
         factor = contrast_factor(Estimate(0.25, 0.01))
         assert factor.estimate == (pytest.approx(0.8), pytest.approx(0.01 / 1.25**2))
@@ -305,8 +305,8 @@ class TestVeilingGlare:
             self.angles, flat(self.g), flat(self.d, float(np.degrees(0.1))), azimuths_deg=np.arange(0, 360, 10)
         )
         glare = veiling_glare_index(pst, self.patch, 3.0, 77.0, place="point", source_deg=40.0)
-        black = cover(pst.grid, Sky(to_deg=40)).coefficients - cover(pst.grid, Disc(2, 1, 3, 77)).coefficients
-        expected = weighted_sum(pst, black).value / source_irradiance(pst, Sky(to_deg=40), "total").value
+        black = cover(pst.grid, SkyRadiance(to_deg=40)).coefficients - cover(pst.grid, Disc(2, 1, 3, 77)).coefficients
+        expected = weighted_sum(pst, black).value / source_irradiance(pst, SkyRadiance(to_deg=40), "total").value
         assert glare.value == pytest.approx(100 * expected, rel=1e-9)
 
 
@@ -348,20 +348,20 @@ def test_bad_input() -> None:
     calls: tuple[tuple[Callable[[], object], str], ...] = (
         (lambda: source_irradiance(pst, Disc(1.0, 1.0, 60.0)), "between 59 and 61°"),
         (lambda: source_irradiance(pst, Disc(1.0, 0.0)), "dark"),
-        (lambda: source_irradiance(pst, Sky(), interpolation="cubic"), "'cubic'"),
-        (lambda: source_irradiance(pst, Sky(), "ghosts"), "'ghosts'"),
-        (lambda: source_irradiance(pst, Sky(lambda t, p: t[:, 0])), "radiance of the sky"),
-        (lambda: Sky(-1.0), "not negative"),
-        (lambda: Sky(from_deg=40, to_deg=30), "from 40 to 30°"),
+        (lambda: source_irradiance(pst, SkyRadiance(), interpolation="cubic"), "'cubic'"),
+        (lambda: source_irradiance(pst, SkyRadiance(), "ghosts"), "'ghosts'"),
+        (lambda: source_irradiance(pst, SkyRadiance(lambda t, p: t[:, 0])), "radiance of the sky"),
+        (lambda: SkyRadiance(-1.0), "not negative"),
+        (lambda: SkyRadiance(from_deg=40, to_deg=30), "from 40 to 30°"),
         (lambda: Disc(100.0, 1.0), "radius_deg is 100"),
         (lambda: sun(10, diameter_deg=0), "diameter_deg is 0"),
         (lambda: rejection_ratio(dark, reference_deg=10), "10°"),
         (lambda: normalised_irradiance(pst, "nis"), "'nis'"),
         (lambda: normalised_irradiance(pst, plane="beam"), "'beam'"),
         (lambda: normalised_stray_light(dark, 1.0), "no direct light"),
-        (lambda: equivalent_stray_radiance(dark, Sky(from_deg=9)), "f_number"),
+        (lambda: equivalent_stray_radiance(dark, SkyRadiance(from_deg=9)), "f_number"),
         (lambda: ideal_throughput(0), "f_number is 0"),
-        (lambda: stray_to_signal(pst, Sky(), 0.0), "scene_radiance is 0"),
+        (lambda: stray_to_signal(pst, SkyRadiance(), 0.0), "scene_radiance is 0"),
         (lambda: surface_magnitude(Estimate(1, 0), 0), "zero_point_W_mm2 is 0"),
         (lambda: ab_zero_point(500, 600), "600 nm"),
         (lambda: veiling_glare_index(pst, 50, 45), "45°"),

@@ -11,7 +11,7 @@ import pytest
 
 import mistray
 from mistray.optimize import path_power
-from mistray.physics.geometry.outline import Figure, Outline
+from mistray.physics.geometry.outline import Outline, OutlineFigure
 from mistray.surfaces.families.outline_edge import FreeformFamily
 
 BEAM = 20.0
@@ -178,7 +178,7 @@ def test_corners_and_seams(name: str) -> None:
 
 def test_distances_from_a_polygon() -> None:
     """Of points about a concave polygon, against those from its sides as stretches, inside by a ray that crosses."""
-    outline = Outline((Figure("polygon", sizes=tuple(v for corner in ANGLE for v in corner)),))
+    outline = Outline((OutlineFigure("polygon", sizes=tuple(v for corner in ANGLE for v in corner)),))
     family = FreeformFamily(None, outline.form, tuple(outline.numbers()))  # type: ignore[arg-type]
     x, y = np.random.default_rng(0).uniform(-12, 12, (2, 4000))
     numbers = {name: mi.Float64(value) for name, value in outline.numbers().items()}

@@ -14,7 +14,7 @@ import pytest
 
 from mistray import MistrayError
 from mistray.io.cad import step
-from mistray.io.cad.part import Part, RoundSurface
+from mistray.io.cad.part import CadPart, RoundSurface
 from mistray.mechanics import Mechanics, read_mechanics
 from mistray.mechanics.recognise import bands
 from mistray.prescription import MeshStructure, Structure
@@ -24,7 +24,7 @@ DATA = Path(__file__).parents[1] / "data"
 LIMITS = str(Path(step.__file__).with_name("step_process.py"))
 
 
-def volume(part: Part) -> float:
+def volume(part: CadPart) -> float:
     """mm³ inside of a closed part, by the divergence theorem; negative where normals point inwards."""
     a, b, c = (part.vertices[part.triangles[:, k]] for k in range(3))
     return float(np.sum(np.cross(a, b) * c)) / 6
@@ -198,7 +198,7 @@ class TestTrimmedFaces:
     """A part of a ring of triangles that is cut out: what is left is no band."""
 
     @staticmethod
-    def faces_of(part: Part, keep: np.ndarray) -> list[tuple[int, ...]]:
+    def faces_of(part: CadPart, keep: np.ndarray) -> list[tuple[int, ...]]:
         left = replace(part, triangles=part.triangles[keep], faces=part.faces[keep])
         return [band.faces for band in bands(left)]
 
@@ -223,9 +223,9 @@ class TestTrimmedFaces:
             angle = 2 * np.pi * np.arange(sides) / sides
             return np.column_stack([3 * np.cos(angle), 3 * np.sin(angle), np.full(sides, 2.0)])
 
-        def part(vertices: np.ndarray, triangles: list[list[int]], surface: RoundSurface) -> Part:
+        def part(vertices: np.ndarray, triangles: list[list[int]], surface: RoundSurface) -> CadPart:
             faces = np.zeros(len(triangles), dtype=np.int64)
-            return Part("p", "p", "p", "p", vertices, np.array(triangles), faces, {0: surface})
+            return CadPart("p", "p", "p", "p", vertices, np.array(triangles), faces, {0: surface})
 
         plane = RoundSurface("plane", np.array([0.0, 0.0, 2.0]), np.array([0.0, 0.0, 1.0]))
         few, many = (part(rim(n), [[0, k, k + 1] for k in range(1, n - 1)], plane) for n in (24, 64))

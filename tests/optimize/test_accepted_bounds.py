@@ -9,7 +9,7 @@ import pytest
 import mistray
 from mistray.optimize.parameters import parameters
 from mistray.optimize.tolerances.changes import Ranges
-from mistray.optimize.tolerances.rows import Table, lines_of
+from mistray.optimize.tolerances.rows import LineNumbers, lines_of
 
 
 @pytest.mark.quick
@@ -36,7 +36,7 @@ def test_a_range_ends_before_what_its_model_refuses() -> None:
     value = np.array([float(np.ravel(line.parameter.value)[line.entry]) for line in lines])
     ones = np.ones(len(lines))
     ranges = Ranges(value, 0 * ones, ones, ones, ones, ones)
-    table = Table(lines, ranges, ones, ones, ones, ones, ones[None])
+    table = LineNumbers(lines, ranges, ones, ones, ones, ones, ones[None])
     found = table.accepted(params, ranges, lambda: None)
     ends = {line.parameter.key: (found.low[k], found.high[k]) for k, line in enumerate(lines)}
     assert len(ends) == 2

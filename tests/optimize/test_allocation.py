@@ -9,10 +9,10 @@ import pytest
 
 from mistray.errors import MistrayError
 from mistray.optimize.tolerances.allocation import (
-    Choice,
     Model,
     PowerCost,
     StepCost,
+    ToleranceChoice,
     allocate,
     elasticity,
     excess,
@@ -22,8 +22,8 @@ from mistray.optimize.tolerances.allocation import (
 AS_GIVEN = 4.0  # σ of all surfaces before, nm
 
 
-def polish(weight: float = 1.0, low: float = 0.01, high: float = 100.0, exponent: float = 1.0) -> Choice:
-    return Choice("rms_nm", AS_GIVEN, low, high, PowerCost(weight, 1.0, exponent))
+def polish(weight: float = 1.0, low: float = 0.01, high: float = 100.0, exponent: float = 1.0) -> ToleranceChoice:
+    return ToleranceChoice("rms_nm", AS_GIVEN, low, high, PowerCost(weight, 1.0, exponent))
 
 
 class TestByHand:
@@ -94,8 +94,8 @@ class TestGrades:
     levels = (100.0, 200.0, 300.0, 400.0, 500.0)
     costs = (9.0, 5.0, 3.0, 2.0, 1.0)
 
-    def variables(self) -> list[Choice]:
-        return [Choice("level", 300.0, 100.0, 500.0, StepCost(self.levels, self.costs)) for _ in range(3)]
+    def variables(self) -> list[ToleranceChoice]:
+        return [ToleranceChoice("level", 300.0, 100.0, 500.0, StepCost(self.levels, self.costs)) for _ in range(3)]
 
     def test_against_all_choices(self) -> None:
         variables, parts = self.variables(), np.array([[1.0, 3.0, 0.5]])
@@ -114,7 +114,7 @@ class TestGrades:
 
     def test_beside_a_continuous_one(self) -> None:
         """Against all grades, each with the σ that the rest of the limit allows."""
-        grade = Choice("level", 300.0, 100.0, 500.0, StepCost(self.levels, self.costs))
+        grade = ToleranceChoice("level", 300.0, 100.0, 500.0, StepCost(self.levels, self.costs))
         variables, model = [grade, polish(12.0)], Model(np.array([0.1]), np.array([[1.0, 1.0]]))
         found = allocate(variables, model, np.array([1.5]))
         best = []

@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 from example_scripts import EXAMPLES, script
 
-from mistray.optimize import Optimization, Study, Term, optimize, read_study
+from mistray.optimize import DesignStudy, Optimization, Term, optimize, read_study
 
 RAYS = {"stray 20-80": 10_000, "in field": 8_000}
 STEPS, STEP_SIZE = 5, 0.09
@@ -16,7 +16,7 @@ STOP_LOW_MM = 9.95  # a stop that has closed further would not be open again aft
 SIGMAS = 4.5
 
 
-def reduced() -> Study:
+def reduced() -> DesignStudy:
     """The study of the example with few rays and steps."""
     full = read_study(EXAMPLES / "baffle_vanes.toml")
 

@@ -8,11 +8,11 @@ import pytest
 import mistray
 from mistray.optimize import read_study
 from mistray.optimize.study.starts import Proxy, minima, starts
-from mistray.optimize.study.study_scene import Placed, place
-from mistray.optimize.study.variables import Place, Variable, Variables
+from mistray.optimize.study.study_scene import PlacedDesign, place
+from mistray.optimize.study.variables import Variable, VariablePlace, Variables
 
 
-def placed_coating(layers: str, surfaces: list[str], bounds: list[float]) -> Placed:
+def placed_coating(layers: str, surfaces: list[str], bounds: list[float]) -> PlacedDesign:
     coating = {"name": "AR", "surfaces": surfaces, "layers": layers, "thickness_nm": bounds}
     study = {"term": [{"kind": "path_power", "goal": "minimise"}], "coating": [coating]}
     (placed,) = place(mistray.load("cooke_triplet"), read_study(study))
@@ -47,10 +47,14 @@ class TestStarts:
     def variables(self, layers: int = 0) -> Variables:
         params = {"AR.thickness_nm": [90.0] * max(layers, 1), "vane.r0": [12.0]}
         found = [
-            Variable(f"AR.thickness_nm[{k}]", "nm", 10.0, 200.0, "linear", (Place("AR.thickness_nm", k, 1.0, 90.0),))
+            Variable(
+                f"AR.thickness_nm[{k}]", "nm", 10.0, 200.0, "linear", (VariablePlace("AR.thickness_nm", k, 1.0, 90.0),)
+            )
             for k in range(layers)
         ]
-        return Variables(params, [*found, Variable("r", "mm", 1.0, 100.0, "log", (Place("vane.r0", 0, 1.0, 12.0),))])
+        return Variables(
+            params, [*found, Variable("r", "mm", 1.0, 100.0, "log", (VariablePlace("vane.r0", 0, 1.0, 12.0),))]
+        )
 
     def test_given(self) -> None:
         (start,) = starts(self.variables(), (), (), (), 1, 0)

@@ -11,15 +11,15 @@ from oracles.small_scenes import plates_text, write
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.optimize import Comparison, Study, compare, measure, read_study
-from mistray.optimize.study.comparison import Cell, Levels
+from mistray.optimize import Comparison, DesignStudy, compare, measure, read_study
+from mistray.optimize.study.comparison import ComparisonCell, Levels
 from mistray.scene.load import find
 
 TRIPLET = find("cooke_triplet")
 VARIABLE = {"parameters": "x", "low": 0, "high": 1}
 
 
-def study(*terms: dict[str, Any], seed: int = 0, **trace: Any) -> Study:
+def study(*terms: dict[str, Any], seed: int = 0, **trace: Any) -> DesignStudy:
     return read_study({"trace": trace, "term": list(terms), "variable": [VARIABLE], "optimizer": {"seed": seed}})
 
 
@@ -62,7 +62,7 @@ class TestRows:
         levels = measure(mistray.load("cooke_triplet"), read, seeds=2)
 
         def mean(field: float | None, nm: float | None) -> float:
-            return float(levels.values[Cell("ghosts", field, nm)].mean())
+            return float(levels.values[ComparisonCell("ghosts", field, nm)].mean())
 
         assert mean(None, None) == pytest.approx((mean(0, None) + mean(10, None)) / 2, rel=1e-12)
         for field in (None, 0, 10):
@@ -86,7 +86,7 @@ class TestRows:
         assert np.isnan(compare(beside, beside).of("rms_spot").ratio)
 
     def test_exact_terms(self) -> None:
-        levels = Levels((1, 2), {Cell("a"): np.array([1.0, 3.0])}, {"a": "mm"})
+        levels = Levels((1, 2), {ComparisonCell("a"): np.array([1.0, 3.0])}, {"a": "mm"})
         row = compare(levels.including({"b": 7.0}, {"b": "nm"}), levels.including({"b": 14.0}, {"b": "nm"})).of("b")
         assert (row.before, row.before_se, row.after, row.ratio, row.ratio_se) == (7.0, 0.0, 14.0, 0.5, 0.0)
         assert row.unit == "nm"
@@ -94,7 +94,7 @@ class TestRows:
     def test_standard_errors(self) -> None:
         """Against the formulas: the error of a ratio of means knows that both see the same rays."""
         b, a = np.array([1.0, 1.2, 0.9, 1.1]), np.array([0.5, 0.62, 0.44, 0.56])
-        levels = [Levels((1, 2, 3, 4), {Cell("t"): v}) for v in (b, a)]
+        levels = [Levels((1, 2, 3, 4), {ComparisonCell("t"): v}) for v in (b, a)]
         row = compare(*levels).of("t")
         ratio = b.mean() / a.mean()
         assert (row.before, row.after, row.ratio) == pytest.approx((b.mean(), a.mean(), ratio))

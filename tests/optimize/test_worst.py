@@ -13,7 +13,7 @@ import mistray
 from mistray.errors import MistrayError
 from mistray.optimize import gradient, optimize, read_study
 from mistray.optimize.scene_values import changed
-from mistray.optimize.study.comparison import Cell, Levels, compare, worse
+from mistray.optimize.study.comparison import ComparisonCell, Levels, compare, worse
 from mistray.optimize.study.model import Term
 from mistray.optimize.study.terms import traced_metric
 from mistray.report.optimization_tables import optimization_record, report_text
@@ -72,20 +72,24 @@ def test_gradient(scene: Any) -> None:
     assert found == pytest.approx(expected, abs=TOLERANCE * np.abs(found).max())
 
 
-def levels(values: dict[Cell, np.ndarray]) -> Levels:
+def levels(values: dict[ComparisonCell, np.ndarray]) -> Levels:
     return Levels(tuple(range(8)), values, {"ghosts": "W/W"})
 
 
 @pytest.mark.quick
 class TestWorse:
-    cells = [Cell("ghosts"), *(Cell("ghosts", None, line) for line in LINES), *(Cell("ghosts", f) for f in FIELDS)]
+    cells = [
+        ComparisonCell("ghosts"),
+        *(ComparisonCell("ghosts", None, line) for line in LINES),
+        *(ComparisonCell("ghosts", f) for f in FIELDS),
+    ]
 
     def test_the_wavelength_that_got_worse(self) -> None:
         rng = np.random.default_rng(1)
         before = {cell: rng.normal(1, 0.03, 8) for cell in self.cells}
         after = {cell: 0.3 * values for cell, values in before.items()}
-        after[Cell("ghosts", None, 450.0)] = 1.7 * before[Cell("ghosts", None, 450.0)]
-        after[Cell("ghosts", 12.0)] = 1.2 * before[Cell("ghosts", 12.0)]
+        after[ComparisonCell("ghosts", None, 450.0)] = 1.7 * before[ComparisonCell("ghosts", None, 450.0)]
+        after[ComparisonCell("ghosts", 12.0)] = 1.2 * before[ComparisonCell("ghosts", 12.0)]
         comparison = compare(levels(before), levels(after))
         found = worse(comparison, [term("none")])
         assert [(row.field_deg, row.wavelength_nm) for row in found] == [(None, 450.0), (12.0, None)]
@@ -108,7 +112,7 @@ class TestWorse:
     )
     def test_goals(self, goal: str, more: dict[str, float], factor: float, told: bool) -> None:
         before = {cell: np.random.default_rng(2).normal(1, 0.01, 8) for cell in self.cells}
-        after = before | {Cell("ghosts", 12.0): factor * before[Cell("ghosts", 12.0)]}
+        after = before | {ComparisonCell("ghosts", 12.0): factor * before[ComparisonCell("ghosts", 12.0)]}
         found = worse(compare(levels(before), levels(after)), [term("none", goal, **more)])
         assert [row.field_deg for row in found] == ([12.0] if told else [])
 

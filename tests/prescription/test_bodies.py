@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mistray
-from mistray.physics.geometry.outline import Figure, Outline
+from mistray.physics.geometry.outline import Outline, OutlineFigure
 from mistray.prescription import (
     Coating,
     Detector,
@@ -32,7 +32,7 @@ from mistray.trace import Trace
 pytestmark = pytest.mark.quick
 FAR = Detector("far", z=500.0, half_width=1.0, half_height=1.0)
 BEAM = Source(radius=1.0, z=-50.0)
-CIRCLE = Figure("circle", sizes=(5.0,))
+CIRCLE = OutlineFigure("circle", sizes=(5.0,))
 
 
 def traced(*faces, detectors=(FAR,), source=BEAM, recorders=(), **settings):
@@ -164,9 +164,9 @@ class TestPlate:
         """Light passes through its holes alone; aslant their walls shade a part of it."""
         outline = Outline((
             *rectangle(20.0, 15.0).figures,
-            Figure("circle", "-", 8.0, 0.0, sizes=(3.0,)),
-            Figure("rectangle", "-", -8.0, 2.0, 30.0, (4.0, 1.0)),
-            Figure("polygon", "-", 0.0, -8.0, sizes=(-2.0, 0.0, 2.0, 0.0, 0.0, 3.0)),
+            OutlineFigure("circle", "-", 8.0, 0.0, sizes=(3.0,)),
+            OutlineFigure("rectangle", "-", -8.0, 2.0, 30.0, (4.0, 1.0)),
+            OutlineFigure("polygon", "-", 0.0, -8.0, sizes=(-2.0, 0.0, 2.0, 0.0, 0.0, 3.0)),
         ))  # fmt: skip
         assert len(plate("plate", outline, 2.0)) == 2 + 4 + 1 + 4 + 3
         t = self.behind(outline, (18.0, 13.0), 0.0, 0.0, 0.0, rays=200_000)
@@ -204,7 +204,7 @@ class TestPlate:
         Drawn out to unit circles the move is s = 2 tan 20° · |(sin φ/a, cos φ/b)|, and two circles share
         2 acos(s/2) - s √(1 - s²/4), times a b.
         """
-        hole = Figure("ellipse", "-", 2.0, 1.0, turn_deg, (a, b))
+        hole = OutlineFigure("ellipse", "-", 2.0, 1.0, turn_deg, (a, b))
         t = self.behind(Outline((*rectangle(30.0, 30.0).figures, hole)), (11.0, 11.0), 2.0, 1.0, field_deg)
         phi, cosine = math.radians(turn_deg), math.cos(math.radians(field_deg))
         s = 2 * math.tan(math.radians(field_deg)) * math.hypot(math.sin(phi) / a, math.cos(phi) / b)
@@ -216,7 +216,7 @@ class TestPlate:
     def test_an_elliptical_rim(self) -> None:
         """Aslant an ellipse shades π a b and, by its thickness, 2 tan 20° times its width across that way."""
         a, b, phi, angle = 7.0, 2.0, math.radians(35.0), math.radians(20.0)
-        t = self.behind(Outline((Figure("ellipse", "+", 1.0, 2.0, 35.0, (a, b)),)), (11.0, 11.0), 1.0, 2.0, 20.0)
+        t = self.behind(Outline((OutlineFigure("ellipse", "+", 1.0, 2.0, 35.0, (a, b)),)), (11.0, 11.0), 1.0, 2.0, 20.0)
         width = 2 * math.hypot(a * math.cos(phi), b * math.sin(phi))
         shaded = (np.pi * a * b + 2 * math.tan(angle) * width) * math.cos(angle)
         assert abs(t.energy.launched_W - t.energy.detected_W - shaded) < 4 * t.energy.detected_se_W  # 1 in 16,000
@@ -224,15 +224,24 @@ class TestPlate:
     @pytest.mark.parametrize(
         ("figures", "words"),
         [
-            ([Figure("ellipse", sizes=(2.0, 1.0)), Figure("ellipse", "+", sizes=(1.0, 3.0))], "'\\+ellipse'"),
-            ([Figure("ellipse", sizes=(2.0, 1.0)), Figure("ellipse", "-", sizes=(1.0, 1.5))], "over its rim"),
-            ([CIRCLE, Figure("circle", "+", 2.0, sizes=(5.0,))], "figure 2"),
-            ([CIRCLE, Figure("circle", "-", 3.0, sizes=(3.0,))], "over its rim"),
-            ([CIRCLE, Figure("circle", "-", sizes=(3.0,)), Figure("circle", "-", sizes=(1.0,))], "overlap"),
+            (
+                [OutlineFigure("ellipse", sizes=(2.0, 1.0)), OutlineFigure("ellipse", "+", sizes=(1.0, 3.0))],
+                "'\\+ellipse'",
+            ),
+            (
+                [OutlineFigure("ellipse", sizes=(2.0, 1.0)), OutlineFigure("ellipse", "-", sizes=(1.0, 1.5))],
+                "over its rim",
+            ),
+            ([CIRCLE, OutlineFigure("circle", "+", 2.0, sizes=(5.0,))], "figure 2"),
+            ([CIRCLE, OutlineFigure("circle", "-", 3.0, sizes=(3.0,))], "over its rim"),
+            (
+                [CIRCLE, OutlineFigure("circle", "-", sizes=(3.0,)), OutlineFigure("circle", "-", sizes=(1.0,))],
+                "overlap",
+            ),
             (polygon([(0, 0), (1, 1), (1, 0), (0, 1)]).figures, "crosses itself"),
         ],
     )
-    def test_outlines(self, figures: list[Figure], words: str) -> None:
+    def test_outlines(self, figures: list[OutlineFigure], words: str) -> None:
         with pytest.raises(mistray.MistrayError, match=words):
             plate("p", Outline(tuple(figures)), 1.0)
         with pytest.raises(mistray.MistrayError, match="thickness"):

@@ -11,7 +11,7 @@ from sequential_lenses import by_name, lens, newtonian, triplet
 
 import mistray
 from mistray import MistrayError
-from mistray.physics.geometry.outline import Figure, Outline, circle, rectangle
+from mistray.physics.geometry.outline import Outline, OutlineFigure, circle, rectangle
 from mistray.prescription import Coating, Decentre, Prescription, Row, Sequential, Structure, Surface, Unread
 from mistray.prescription.closing.system import build, to_prescription
 from mistray.prescription.scene_file import beside
@@ -345,6 +345,6 @@ def test_a_freeform_lens_has_an_edge_that_reaches_both_rims():
     assert light.energy.cut["medium"] == 0.0
     assert abs(light.energy.closure) < 1e-5
     # Of an outline that is no circle there is no edge, and a note says so
-    cut = [replace(rows[0], aperture=Outline((Figure("ellipse", sizes=(9.0, 8.0)),))), *rows[1:]]
+    cut = [replace(rows[0], aperture=Outline((OutlineFigure("ellipse", sizes=(9.0, 8.0)),))), *rows[1:]]
     notes = build(Sequential("toroid", tuple(cut), aperture=12.0)).notes
     assert any("its outline is no centred circle" in note for note in notes)

@@ -14,7 +14,7 @@ from mistray.io.codev.commands import commands
 from mistray.io.codev.glasses import table_material
 from mistray.io.codev.read import read_codev
 from mistray.materials import refractive_index
-from mistray.physics.geometry.outline import ALL, Figure, Outline, circle, rectangle
+from mistray.physics.geometry.outline import ALL, Outline, OutlineFigure, circle, rectangle
 from mistray.physics.sags.terms import sag
 from mistray.prescription.sequential.first_order import first_order, paraxial_system
 from mistray.prescription.sequential.rays import motion, to_world, trace
@@ -164,7 +164,7 @@ def test_signs_of_the_angles(lens):
     assert placed[3] == pytest.approx(points + placed[1][0] - placed[0][0] - [0, 0, 10], abs=1e-12)
 
 
-BOTH = Outline((*circle(3).figures, Figure("rectangle", "&", sizes=(2, 9))))
+BOTH = Outline((*circle(3).figures, OutlineFigure("rectangle", "&", sizes=(2, 9))))
 
 
 @pytest.mark.parametrize(
@@ -179,10 +179,10 @@ BOTH = Outline((*circle(3).figures, Figure("rectangle", "&", sizes=(2, 9))))
         ("CIR 3; REX 2; REY 9", None, False, BOTH, None, 0),
         ("CIR 3; CIR OBS 1; ADY OBS 2", 3, True, None, circle(1, y=2), 0),
         ("ELX 2; ELY 2", 2, True, None, None, 0),
-        ("ELX 2; ELY 1", None, False, Outline((Figure("ellipse", sizes=(2, 1)),)), None, 0),
+        ("ELX 2; ELY 1", None, False, Outline((OutlineFigure("ellipse", sizes=(2, 1)),)), None, 0),
         ("CIR 3; CIR HOL 1", 3, True, circle(3, 1), None, 0),
         ("CIR 3; CIR OBS L'A' 1", 3, True, None, circle(1), 0),
-        ("CIR HOL 1; CIR OBS 2", None, False, Outline((Figure("circle", "-", sizes=(1,)),)), circle(2), 0),
+        ("CIR HOL 1; CIR OBS 2", None, False, Outline((OutlineFigure("circle", "-", sizes=(1,)),)), circle(2), 0),
         ("REX EDG 3; REY EDG 2", None, False, None, None, 2),
     ],
 )

@@ -10,7 +10,7 @@ import pytest
 from mistray.errors import MistrayError
 from mistray.io.zemax.read import read_zemax
 from mistray.materials import refractive_index
-from mistray.physics.geometry.outline import Figure, Outline, circle, rectangle
+from mistray.physics.geometry.outline import Outline, OutlineFigure, circle, rectangle
 from mistray.physics.sags.terms import sag
 from mistray.prescription.sequential.first_order import first_order
 from mistray.prescription.sequential.rays import frames, to_world, trace
@@ -204,11 +204,11 @@ def test_agf_file_and_replacements_go_first(read, tmp_path):
          (None, rectangle(1.0, 2.0, y=1.0))),
         (["ELAP 3 3"], 3.0, True, circle(3.0)),
         (["ELAP 3 4", "OBDC 1 0"], math.hypot(4.0, 4.0), False,
-         Outline((Figure("ellipse", "+", 1.0, 0.0, sizes=(3.0, 4.0)),))),
-        (["DIAM 4 0", "ELOB 1 2"], 4.0, False, (None, Outline((Figure("ellipse", sizes=(1.0, 2.0)),)))),
+         Outline((OutlineFigure("ellipse", "+", 1.0, 0.0, sizes=(3.0, 4.0)),))),
+        (["DIAM 4 0", "ELOB 1 2"], 4.0, False, (None, Outline((OutlineFigure("ellipse", sizes=(1.0, 2.0)),)))),
         (["DIAM 4 0", "SPID 0.5 2 0", "OBDC 0 1"], 4.0, False,
-         (None, Outline((Figure("rectangle", "+", 8.0, 1.0, 0.0, (8.0, 0.25)),
-                         Figure("rectangle", "+", -8.0, 1.0 + 8.0 * math.sin(math.pi), 180.0, (8.0, 0.25)))))),
+         (None, Outline((OutlineFigure("rectangle", "+", 8.0, 1.0, 0.0, (8.0, 0.25)),
+                         OutlineFigure("rectangle", "+", -8.0, 1.0 + 8.0 * math.sin(math.pi), 180.0, (8.0, 0.25)))))),
     ],
 )  # fmt: skip
 def test_apertures(lines, semi_diameter, fixed, aperture, read):

@@ -15,7 +15,7 @@ from mistray.errors import MistrayError
 from mistray.io.to_sequential import to_sequential
 from mistray.io.zemax.read import read_zemax
 from mistray.io.zemax.write import write_zemax
-from mistray.physics.geometry.outline import ALL, Figure, Outline, circle, rectangle
+from mistray.physics.geometry.outline import ALL, Outline, OutlineFigure, circle, rectangle
 from mistray.physics.sags.terms import sag
 from mistray.prescription import Coating, Detector, Prescription, Source, Stop, Surface
 from mistray.prescription.sequential.rays import frames, to_world, trace
@@ -120,7 +120,7 @@ def test_apertures_come_back(tmp_path):
 
 def test_what_a_file_cannot_say_is_told(tmp_path):
     slit = rectangle(ALL, 1.0)
-    hole = Outline((Figure("circle", "-", sizes=(1.0,)),))
+    hole = Outline((OutlineFigure("circle", "-", sizes=(1.0,)),))
     spot = circle(1.0)
     cases = (
         (Row(1, aperture=slit), "surface 1: its slit, as it has no rim", None),

@@ -13,9 +13,9 @@ import pytest
 
 import mistray
 from mistray.report import write_all
-from mistray.report.figures.figure import Figure as Drawing
+from mistray.report.figures.figure import FigurePart as Drawing
 from mistray.report.html.render import html_page
-from mistray.report.model import Figure, Report, Section
+from mistray.report.model import FigurePart, Report, Section
 from mistray.time_budget import FIGURE, within
 
 ghosts_output = importlib.import_module("mistray.report.ghosts_output")
@@ -48,7 +48,7 @@ def drawing() -> Drawing:
 
 
 def test_a_figure_is_drawn_or_named() -> None:
-    report = Report("Page", "scene", [Section("a", "Curve", [Figure(drawing, "A <curve>.")], "Curve")])
+    report = Report("Page", "scene", [Section("a", "Curve", [FigurePart(drawing, "A <curve>.")], "Curve")])
     whole = html_page(report)
     assert whole.count("<figcaption>A &lt;curve&gt;.</figcaption>") == 1
     with within(FIGURE / 2):

@@ -16,8 +16,8 @@ from mistray.analysis import GhostReport
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
 from mistray.report import main_table, remove_section, report_section, write_all
-from mistray.report.figures.figure import Figure as Drawing
-from mistray.report.model import Figure, Map, Note, Section, Table, columns
+from mistray.report.figures.figure import FigurePart as Drawing
+from mistray.report.model import FigurePart, Map, Note, Section, Table, columns
 
 BRIGHTEST = 3  # ghosts of each field
 
@@ -51,7 +51,7 @@ def brightest_ghosts(report: GhostReport) -> Section:
         [
             Note(f"The {BRIGHTEST} brightest ghosts of each field <by power>."),
             Table(columns("field [deg]", "<surface", "power [W]"), rows, "ghost_surfaces"),
-            Figure(bars, "Power by the surface that reflects first."),
+            FigurePart(bars, "Power by the surface that reflects first."),
             Map(first.irradiance, first.extent, "all light of the first field", name="light"),
         ],
         link="Brightest",

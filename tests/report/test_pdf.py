@@ -10,10 +10,10 @@ import pytest
 from markupsafe import Markup
 
 from mistray.analysis.estimate import Estimate
-from mistray.report.figures.figure import Figure as Drawing
+from mistray.report.figures.figure import FigurePart as Drawing
 from mistray.report.formats import write_formats
 from mistray.report.html.embedded import palette_png
-from mistray.report.model import Figure, Folded, Html, Items, Map, Note, Report, Section, Table, Terms, columns
+from mistray.report.model import FigurePart, Folded, Html, Items, Map, Note, Report, Section, Table, Terms, columns
 from mistray.report.pdf import _cell, _Writer, pdf_bytes
 
 
@@ -50,7 +50,7 @@ def test_every_part_of_the_model():
         Note("$x_{1}$ **no** markdown & <tags> ± → λ"), Note("a heading", "h3"), Note("mistray --help", "pre"),
         Items([Markup("a <b>bold &amp; true</b> word")], "verdict"), Items(["one", "two"]), Note("word " * 4000),
         Terms([("name", "value")]),
-        Figure(dot, "a dot", "a black dot"), Figure(draw, "a line"),
+        FigurePart(dot, "a dot", "a black dot"), FigurePart(draw, "a line"),
         Map(np.ones((3, 4)), (0.0, 4.0, 0.0, 3.0), "a map"),
         wide_table(70), Table(columns("none"), []), Html("<script>1</script>"), Folded("behind", [Note("hidden")]),
     ]  # fmt: skip

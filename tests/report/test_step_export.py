@@ -14,7 +14,7 @@ from scipy.interpolate import BSpline
 import mistray
 from mistray import MistrayError
 from mistray.cli import main
-from mistray.io.cad.part import Part
+from mistray.io.cad.part import CadPart
 from mistray.io.cad.step import read_step
 from mistray.mechanics import read_mechanics
 from mistray.report import rays_of_paths
@@ -66,18 +66,18 @@ class Text:
         return BSpline(knots, poles * weights[:, None], degree)(u) / BSpline(knots, weights, degree)(u)[:, None]
 
 
-def volume(part: Part) -> float:
+def volume(part: CadPart) -> float:
     """mm³ by the divergence theorem; negative where normals point inwards."""
     a, b, c = (part.vertices[part.triangles[:, k]] for k in range(3))
     return float(np.sum(np.cross(a, b) * c)) / 6
 
 
-def area(part: Part) -> float:
+def area(part: CadPart) -> float:
     a, b, c = (part.vertices[part.triangles[:, k]] for k in range(3))
     return 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
 
 
-def closed(part: Part) -> bool:
+def closed(part: CadPart) -> bool:
     """Whether every side of a triangle belongs to two, corners of faces that lie in one place taken as one."""
     size = np.ptp(part.vertices, axis=0).max()
     _, welded = np.unique(np.round(part.vertices / (1e-5 * size)).astype(int), axis=0, return_inverse=True)
@@ -87,7 +87,7 @@ def closed(part: Part) -> bool:
     return bool(np.all(counts == 2))
 
 
-def parts_of(path: Path, tolerance_mm: float) -> dict[str, Part]:
+def parts_of(path: Path, tolerance_mm: float) -> dict[str, CadPart]:
     return {part.title: part for part in read_step(path, tolerance_mm=tolerance_mm)[0]}
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.thermal.emission import Emitter, ThermalReport
-from mistray.analysis.thermal.narcissus import Return
+from mistray.analysis.thermal.narcissus import NarcissusReturn
 from mistray.report.figures.thermal import narcissus_figure, thermal_figure
 from mistray.report.html.render import html_page
 from mistray.report.thermal import thermal_record, thermal_report, thermal_text, write_thermal
@@ -46,11 +46,11 @@ REPORT = ThermalReport(
     band_error=0.004,
     detector="detector",
     returned=[
-        Return(
+        NarcissusReturn(
             "lens_<rear>", "lens", Estimate(0.0015, 1e-4), Estimate(0.25, 0.02), Estimate(0.4, 0.03),
             (Estimate(0.5, 0.03), Estimate(0.3, 0.04)),
         ),
-        Return(
+        NarcissusReturn(
             "(total reflection)", "", Estimate(0.0004, 1e-4), Estimate(0.06, 0.02), Estimate(0.06, 0.02),
             (Estimate(0.06, 0.03), Estimate(0.06, 0.04)),
         ),

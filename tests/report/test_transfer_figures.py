@@ -13,7 +13,7 @@ from PIL import Image
 import mistray
 from mistray.report.figures.plots import as_png
 from mistray.report.figures.transfer import image_figure, mtf_figure, spread_figure
-from mistray.report.model import Figure
+from mistray.report.model import FigurePart
 from mistray.report.transfer import transfer_parts
 
 HALO = bsdf_xml("abg", A=1e-3, B=1e-6, g=2.0, event="reflection")
@@ -69,5 +69,5 @@ def test_an_image_far_out_of_focus_has_words_instead_of_pictures():
     """Of a point 500 mm before a lens for distant objects the wavefront is steeper than any grid of the default."""
     found = mistray.transfer(mistray.load("cooke_triplet", "point:0,0,-500"), rays=1000)
     parts = transfer_parts(found, "triplet")
-    assert not any(isinstance(part, Figure) for part in parts)
+    assert not any(isinstance(part, FigurePart) for part in parts)
     assert any("wavefront" in str(part) and "focus" in str(part) for part in parts)

@@ -17,7 +17,7 @@ from mistray.scatter.evaluate import bsdf
 from mistray.scatter.harvey_shack import HarveyShack
 from mistray.scatter.measured.tabulated import Tabulated
 from mistray.scatter.paint import Paint
-from mistray.scatter.scan import Light, scan, table
+from mistray.scatter.scan import IncidentLight, scan, table
 
 
 def unit(theta_deg: float, phi_deg: float) -> np.ndarray:
@@ -76,10 +76,10 @@ class TestScan:
         assert [s.scattered for s in scans] == pytest.approx([0.0413437, 0.0393575, 0.0263319], rel=1e-4)
 
     def test_transmission_has_its_own_angle_and_step(self) -> None:
-        (found,) = scan(HarveyShack(rms_nm=4), [30.0], "transmission", Light(n_out=1.5333))
+        (found,) = scan(HarveyShack(rms_nm=4), [30.0], "transmission", IncidentLight(n_out=1.5333))
         assert np.sin(np.radians(found.specular_deg)) * 1.5333 == pytest.approx(0.5, rel=1e-12)
         assert found.theta_s_deg[found.values.argmax()] == pytest.approx(found.specular_deg, abs=1e-6)
-        (normal,) = scan(HarveyShack(rms_nm=4), [0.0], "transmission", Light(n_out=1.5333))
+        (normal,) = scan(HarveyShack(rms_nm=4), [0.0], "transmission", IncidentLight(n_out=1.5333))
         assert normal.scattered == pytest.approx((2 * np.pi * 0.5333 * 4 / 550) ** 2, rel=1e-4)
 
     def test_refused(self) -> None:
@@ -87,7 +87,7 @@ class TestScan:
         with pytest.raises(MistrayError, match="angle of incidence 90°"):
             scan(model, [90.0])
         with pytest.raises(MistrayError, match="is totally reflected, nothing is transmitted; give smaller angles"):
-            scan(model, [60.0], "transmission", Light(n_in=1.5, n_out=1.0))
+            scan(model, [60.0], "transmission", IncidentLight(n_in=1.5, n_out=1.0))
         with pytest.raises(MistrayError, match="scatters nothing in transmission"):
             scan(Paint(0.2), [0.0], "transmission")
 
@@ -105,7 +105,7 @@ class TestTable:
         Tabulated(samples)
 
     def test_refracted(self) -> None:
-        samples = table(ABg(0.0025, 0.001, 1.8), [0, 40], "specular", "transmission", Light(n_out=1.5))
+        samples = table(ABg(0.0025, 0.001, 1.8), [0, 40], "specular", "transmission", IncidentLight(n_out=1.5))
         assert samples.event == "transmission"
         assert np.sin(np.radians(samples.specular_deg[1])) * 1.5 == pytest.approx(np.sin(np.radians(40)), rel=1e-12)
 

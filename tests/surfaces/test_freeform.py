@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 
 import mistray
 from mistray import MistrayError
-from mistray.physics.geometry.outline import Figure, Outline
+from mistray.physics.geometry.outline import Outline, OutlineFigure
 from mistray.physics.sags.terms import sag
 from mistray.prescription import read_grid
 from mistray.surfaces import mosaic_search
@@ -119,11 +119,11 @@ def test_an_off_axis_piece_keeps_its_digits() -> None:
 
 OUTLINE = Outline(
     (
-        Figure("circle", "+", sizes=(10.0,)),
-        Figure("circle", "-", 1.0, 0.5, sizes=(3.0,)),
-        Figure("rectangle", "-", 0.0, 4.0, 30.0, (8.0, 0.5)),
-        Figure("ellipse", "&", 0.0, 0.0, 20.0, (11.0, 8.0)),
-        Figure("polygon", "+", sizes=(8.0, 8.0, 14.0, 8.0, 11.0, 12.0, 11.0, 9.5)),
+        OutlineFigure("circle", "+", sizes=(10.0,)),
+        OutlineFigure("circle", "-", 1.0, 0.5, sizes=(3.0,)),
+        OutlineFigure("rectangle", "-", 0.0, 4.0, 30.0, (8.0, 0.5)),
+        OutlineFigure("ellipse", "&", 0.0, 0.0, 20.0, (11.0, 8.0)),
+        OutlineFigure("polygon", "+", sizes=(8.0, 8.0, 14.0, 8.0, 11.0, 12.0, 11.0, 9.5)),
     )
 )
 

@@ -22,7 +22,7 @@ import scene_dicts
 
 import mistray
 from mistray.analysis.metrics import glare, ratios
-from mistray.analysis.metrics.extended_source import Disc, Sky, source_irradiance
+from mistray.analysis.metrics.extended_source import Disc, SkyRadiance, source_irradiance
 from mistray.optimize.metrics import metric as metrics
 from mistray.recorders.direction_recorder import CLASSES
 
@@ -132,7 +132,7 @@ def of_pst(scene: mi.Scene, seed: int, angles: list[float], maps: int = 0, **set
         for angle, value, se in zip(p.field_deg, *p.curve(name), strict=True):
             if value > 0:
                 yield "PST by class", f"{name} {angle:g}", value, se
-    sky = Sky(to_deg=float(angles[-1]))
+    sky = SkyRadiance(to_deg=float(angles[-1]))
     for name, found in {
         "sky": source_irradiance(p, sky),
         "disc": source_irradiance(p, Disc(4.0, 1.0, angles[len(angles) // 2])),

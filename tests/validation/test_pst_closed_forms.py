@@ -21,7 +21,7 @@ from oracles.small_scenes import interface_xml
 from oracles.statistics import assert_z
 
 import mistray
-from mistray.analysis.metrics.extended_source import Sky, source_irradiance
+from mistray.analysis.metrics.extended_source import SkyRadiance, source_irradiance
 from mistray.analysis.metrics.glare import veiling_glare_index
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.transmittance import pst
@@ -54,7 +54,7 @@ def of(scene: Any, method: str, rays: tuple[int, int], angles: Any = WHOLE, cell
 
 def check_sky(what: str, found: Pst, expected: float, relative: float) -> None:
     """Irradiance by a sky of radiance 1 over π."""
-    e = source_irradiance(found, Sky(), "total")
+    e = source_irradiance(found, SkyRadiance(), "total")
     assert e.covered == pytest.approx(1, abs=1e-9)
     check(what, e.value / np.pi, e.se / np.pi, expected, relative)
 
@@ -225,7 +225,7 @@ class TestCavities:
         found = of(load_scene(text), method, (500_000, 100_000), max_scatters=60, aim="none", **EVERYTHING)
         expected = vectors.analytic(f"tube L/r={length:g} rho={rho:g} ", "T (Lambertian entrance)")
         check_sky("tube", found, expected, 0.01)
-        direct = source_irradiance(found, Sky(), "direct")
+        direct = source_irradiance(found, SkyRadiance(), "direct")
         f12 = integrals.disc_to_disc(1.0, 1.0, length)
         check("direct", direct.value / np.pi, direct.se / np.pi, f12, 0.02)
 
@@ -304,7 +304,7 @@ class TestWhiteFurnace:
     def test_cavity(self, load_scene: Load, text: str, squared_index: float, method: str) -> None:
         """Nothing absorbs, so that what 64 events cut would have come out; they cut less than 1e-3 here."""
         found = of(load_scene(text), method, (240_000, 200_000), **ONE_BRANCH)
-        e = source_irradiance(found, Sky(), "total")
+        e = source_irradiance(found, SkyRadiance(), "total")
         check("furnace", e.value / np.pi, np.hypot(e.se / np.pi, 3e-4), squared_index, 0.01)
 
     @pytest.mark.slow
@@ -316,7 +316,7 @@ class TestWhiteFurnace:
         must be 1 like all others: a black one would be a cold spot that the rest sees.
         """
         scene = white_camera().to_scene()
-        e = source_irradiance(of(scene, "adjoint", (100_000, 0), **ONE_BRANCH), Sky(), "total")
+        e = source_irradiance(of(scene, "adjoint", (100_000, 0), **ONE_BRANCH), SkyRadiance(), "total")
         seen = see(scene, rays=100_000, **ONE_BRANCH)
         assert sum(row.emission for row in seen.rows) == pytest.approx(0, abs=1e-6)  # Kirchhoff: nothing absorbs
         assert not seen.media
@@ -325,7 +325,7 @@ class TestWhiteFurnace:
         # The rays of both runs are the same or not: the sum of their errors is enough
         check("furnace", e.value / np.pi + cut, e.se / np.pi + cut_se, 1.0, 0.01)
         # What comes out within 64 events light finds as well that goes the other way
-        forward = source_irradiance(of(scene, "forward", (0, 120_000), **ONE_BRANCH), Sky(), "total")
+        forward = source_irradiance(of(scene, "forward", (0, 120_000), **ONE_BRANCH), SkyRadiance(), "total")
         check("forward", forward.value, np.hypot(forward.se, e.se), e.value, 0.02)
 
 

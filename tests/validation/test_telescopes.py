@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mistray
-from mistray.io.batoid.design_light import DesignLight
+from mistray.io.batoid.design_light import BatoidLight
 from mistray.prescription import from_batoid
 
 batoid = pytest.importorskip("batoid")
@@ -74,7 +74,7 @@ def test_every_telescope_images_as_in_batoid(name: str) -> None:
     optic = batoid.Optic.fromYaml(str(file))
     read = from_batoid(file, wavelength_nm=620.0, reflectance=0.02, beam="exact")
     scene = mistray.load("rubin") if name == "rubin" else read.to_scene()
-    edge = math.degrees(DesignLight(batoid, optic, 620.0)._edge_of_field())
+    edge = math.degrees(BatoidLight(batoid, optic, 620.0)._edge_of_field())
     for field_deg in {0.0, *(share * edge for share in SHARES.get(name, (0.5, 0.9)))}:
         t = mistray.trace(scene, rays=5000, field_deg=field_deg, max_reflections=0, flux_threshold=1e-3)
         run = t._runs[0]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import mitsuba as mi
 import numpy as np
 
-from mistray.analysis.changes.outlines import TOUCH, Outline, Rim, outlines
+from mistray.analysis.changes.outlines import TOUCH, Rim, SpaceOutline, outlines
 
 TOLD = 3  # gaps that a sentence names
 
@@ -96,7 +96,7 @@ def gaps_text(gaps: Sequence[Gap]) -> str:
     return told + (f"; and {len(gaps) - TOLD} more" if len(gaps) > TOLD else "")
 
 
-def _contacts(found: Sequence[Outline]) -> list[_Contact]:
+def _contacts(found: Sequence[SpaceOutline]) -> list[_Contact]:
     """Every rim that lies on another surface with all its points."""
     low, high = np.array([one.low for one in found]), np.array([one.high for one in found])
     contacts = []
@@ -119,7 +119,9 @@ def _place(rim: Rim) -> np.ndarray:
     return np.append(middle, np.linalg.norm(rim.points - middle, axis=1).max())
 
 
-def _opened(before: Sequence[Outline], contacts: Sequence[_Contact], after: Sequence[Outline]) -> tuple[Gap, ...]:
+def _opened(
+    before: Sequence[SpaceOutline], contacts: Sequence[_Contact], after: Sequence[SpaceOutline]
+) -> tuple[Gap, ...]:
     at = {one.name: k for k, one in enumerate(after)}
     here = {number: at[one.name] for number, one in enumerate(before) if one.name in at}
     scene = _Touching(after)
@@ -161,7 +163,7 @@ def _same_gap(scene: _Touching, here: dict[int, int], one: _Contact, other: _Con
 class _Touching:
     """Which surfaces of a scene touch, found as it is asked."""
 
-    def __init__(self, found: Sequence[Outline]) -> None:
+    def __init__(self, found: Sequence[SpaceOutline]) -> None:
         self._found = found
         self._known: dict[tuple[int, int], bool] = {}
         self._low, self._high = np.array([one.low for one in found]), np.array([one.high for one in found])

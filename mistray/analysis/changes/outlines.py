@@ -39,7 +39,7 @@ class Rim:
     inward: np.ndarray
 
 
-class Outline(ABC):
+class SpaceOutline(ABC):
     """
     A surface of a scene as a figure in space.
 
@@ -75,7 +75,7 @@ class Outline(ABC):
         return float(far.max())
 
 
-class Turned(Outline):
+class Turned(SpaceOutline):
     """A surface of revolution: its generatrix in the plane of the distance from the axis and the place along it."""
 
     def __init__(self, shape: Any) -> None:
@@ -101,11 +101,11 @@ class Turned(Outline):
         return np.stack([np.hypot(local[..., 0], local[..., 1]), local[..., 2]], axis=-1)
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """See `Outline.distance`."""
+        """See `SpaceOutline.distance`."""
         return _to_segments(self._meridian(points), self._profile[:-1], self._profile[1:])
 
     def cuts(self, ways: np.ndarray) -> np.ndarray:
-        """See `Outline.cuts`."""
+        """See `SpaceOutline.cuts`."""
         flat = self._meridian(ways)
         a, b = flat[:, :-1, None], flat[:, 1:, None]
         c, d = self._profile[:-1], self._profile[1:]
@@ -113,7 +113,7 @@ class Turned(Outline):
         return np.asarray(across.any(axis=(1, 2)))
 
 
-class Faces(Outline):
+class Faces(SpaceOutline):
     """A surface of triangles: a rectangle, a polygon, a mesh. Its rims are the sides that only one triangle has."""
 
     def __init__(self, shape: Any, vertices: np.ndarray, faces: np.ndarray) -> None:
@@ -127,7 +127,7 @@ class Faces(Outline):
         super().__init__(shape, rims, vertices[np.unique(faces)])
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """See `Outline.distance`."""
+        """See `SpaceOutline.distance`."""
         a, b, c = (self._corners[:, k] for k in range(3))
         found = np.minimum.reduce([_to_segments(points, p, q) for p, q in ((a, b), (b, c), (c, a))])
         normal = np.cross(b - a, c - a)
@@ -141,7 +141,7 @@ class Faces(Outline):
         return found
 
     def cuts(self, ways: np.ndarray) -> np.ndarray:
-        """See `Outline.cuts`."""
+        """See `SpaceOutline.cuts`."""
         a, b, c = (self._corners[:, k] for k in range(3))
         normal = np.cross(b - a, c - a)
         found = np.zeros(len(ways), dtype=bool)
@@ -161,7 +161,7 @@ class Faces(Outline):
         return found
 
 
-def outlines(scene: mi.Scene, names: Collection[str] | None = None) -> list[Outline]:
+def outlines(scene: mi.Scene, names: Collection[str] | None = None) -> list[SpaceOutline]:
     """
     The surfaces of a scene that can take part in contacts.
 
@@ -172,7 +172,7 @@ def outlines(scene: mi.Scene, names: Collection[str] | None = None) -> list[Outl
     names : collection of str, optional
         Of those that are wanted; by default all.
     """
-    found: list[Outline] = []
+    found: list[SpaceOutline] = []
     for shape in scene.shapes():
         if getattr(shape.bsdf(), "is_target", False) or (names is not None and shape.id() not in names):
             continue

@@ -19,7 +19,7 @@ WIDEST = 20.0  # tangent of the angle to the middle of the aperture at which lig
 
 
 @dataclass(frozen=True)
-class Bundle:
+class PointBundle:
     """
     The rays of an object point.
 
@@ -57,7 +57,7 @@ class Bundle:
             return np.ones(len(x))
         return np.asarray((1 + (x**2).sum(axis=1)) ** -1.5)
 
-    def shifted(self, shift: Array) -> Bundle:
+    def shifted(self, shift: Array) -> PointBundle:
         """The light of a neighbouring object point: moved by (3,) mm, or turned by the tangent (3,) of an angle."""
         if self.near:
             return replace(self, origin=self.origin + shift)
@@ -77,7 +77,7 @@ class Bundle:
         return across / ahead, min(sphere.radius / max(ahead - sphere.radius, sphere.radius / WIDEST), WIDEST)
 
 
-def field_bundle(scene: Any, field_deg: float, azimuth_deg: float | None, aperture: Sphere) -> Bundle:
+def field_bundle(scene: Any, field_deg: float, azimuth_deg: float | None, aperture: Sphere) -> PointBundle:
     """
     The light of a field point of the first source of a scene.
 
@@ -100,7 +100,7 @@ def field_bundle(scene: Any, field_deg: float, azimuth_deg: float | None, apertu
     if source.middle is not None:
         start, d = source.middle
         v = np.cross(d[0], source.u)  # that of the source may lie in the plane of an aperture, aslant to the light
-        return Bundle(start[0], d[0], source.u, v, False, v)
+        return PointBundle(start[0], d[0], source.u, v, False, v)
     if not getattr(source.emitter, "in_object_plane", False):
         raise MistrayError(
             f"source '{source.name}': it is neither far away nor a point of an object plane, so that it has no image; "
@@ -112,7 +112,7 @@ def field_bundle(scene: Any, field_deg: float, azimuth_deg: float | None, apertu
     u = source.u - (source.u @ axis) * axis
     u = u / np.linalg.norm(u)
     along = np.cos(azimuth) * source.v - np.sin(azimuth) * source.u
-    return Bundle(place, axis, u, np.cross(axis, u), True, along)
+    return PointBundle(place, axis, u, np.cross(axis, u), True, along)
 
 
 def object_point(source: SceneSource) -> Array:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from mistray.analysis.image_quality.bundle import Bundle
+from mistray.analysis.image_quality.bundle import PointBundle
 from mistray.analysis.image_quality.design_light import design_light
-from mistray.analysis.image_quality.stop import Region, Stop
+from mistray.analysis.image_quality.stop import PupilStop, Region
 from mistray.errors import MistrayError
 from mistray.sampling.design_path import DesignPath
 from mistray.sampling.outlines import outline
@@ -29,7 +29,7 @@ class ChiefRay:
     Attributes
     ----------
     coordinates : (1, 2) float64
-        See `Bundle`.
+        See `PointBundle`.
     point, direction, normal : (3,) float64
         Where it meets the detector, mm, its direction there, and the detector's normal along it.
     by_field : (2, 3) float64
@@ -59,7 +59,7 @@ class ChiefRay:
         return float(np.copysign(np.linalg.norm(away), away @ self.direction))
 
 
-def chief_ray(path: DesignPath, bundle: Bundle, region: Region, stop: Stop, field: str) -> ChiefRay:
+def chief_ray(path: DesignPath, bundle: PointBundle, region: Region, stop: PupilStop, field: str) -> ChiefRay:
     """
     The chief ray of a field, and where chief rays of neighbouring fields cross it: the exit pupil.
 
@@ -124,7 +124,9 @@ def image_axes(path: DesignPath, chief: ChiefRay) -> Array:
     return np.stack([c * frame[0] - s * frame[1], s * frame[0] + c * frame[1], z], axis=1)
 
 
-def foci_beside(path: DesignPath, bundle: Bundle, chief: ChiefRay, axes: Array, size: float) -> tuple[float, float]:
+def foci_beside(
+    path: DesignPath, bundle: PointBundle, chief: ChiefRay, axes: Array, size: float
+) -> tuple[float, float]:
     """
     Tangential and sagittal foci of rays close to the chief ray, from the detector along its normal, mm; NaN if afocal.
 

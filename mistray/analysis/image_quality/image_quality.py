@@ -11,12 +11,12 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from mistray.analysis.image_quality.bundle import Bundle, field_bundle
+from mistray.analysis.image_quality.bundle import PointBundle, field_bundle
 from mistray.analysis.image_quality.design_light import check_sheets
 from mistray.analysis.image_quality.field_geometry import ChiefRay, chief_ray, foci_beside, image_axes
-from mistray.analysis.image_quality.pupil_grid import ImageFrame, Sampled, sample_pupil
+from mistray.analysis.image_quality.pupil_grid import ImageFrame, PupilSamples, sample_pupil
 from mistray.analysis.image_quality.result import FieldImage, ImageQuality, LineImage
-from mistray.analysis.image_quality.stop import Region, Stop, find_stop, lit_region
+from mistray.analysis.image_quality.stop import PupilStop, Region, find_stop, lit_region
 from mistray.errors import MistrayError
 from mistray.interrupts import check
 from mistray.known_arguments import known_arguments
@@ -47,14 +47,14 @@ class _System:
     aperture: Sphere
     reference: int
     azimuth_deg: float | None
-    stop: Stop
+    stop: PupilStop
     pupil: np.ndarray | None
 
     @property
     def path(self) -> DesignPath:
         return self.paths[self.reference]
 
-    def bundle(self, field_deg: float) -> Bundle:
+    def bundle(self, field_deg: float) -> PointBundle:
         return field_bundle(self.scene, field_deg, self.azimuth_deg, self.aperture)
 
 
@@ -200,10 +200,10 @@ class _Field:
     """Results of one field, before it is compared with the others."""
 
     angle: float
-    bundle: Bundle
+    bundle: PointBundle
     chief: ChiefRay
     frame: ImageFrame
-    samples: list[Sampled]
+    samples: list[PupilSamples]
     lines: tuple[LineImage, ...]
     foci: tuple[float, float]
 
@@ -247,9 +247,9 @@ def _field(
 
 # More than 8 parameters: what a field is, and how it shall be sampled
 def _sampled(
-    system: _System, path: DesignPath, bundle: Bundle, region: Region, frame: ImageFrame, chief: ChiefRay,
+    system: _System, path: DesignPath, bundle: PointBundle, region: Region, frame: ImageFrame, chief: ChiefRay,
     grid: int | None, radius: float | None, name: str, notes: list[str],
-) -> Sampled:  # fmt: skip
+) -> PupilSamples:  # fmt: skip
     """The light of a field at one wavelength, on a grid that is fine enough."""
     count = grid or FIRST_GRID
     while True:
@@ -277,7 +277,7 @@ def _sampled(
         return sampled
 
 
-def _pupil_is_far(sampled: Sampled, curvature: float) -> bool:
+def _pupil_is_far(sampled: PupilSamples, curvature: float) -> bool:
     """Whether a reference sphere about the image point can pass through the exit pupil."""
     pupil = sampled.pupil
     half = 0.5 * float(np.hypot(np.ptp(pupil.alpha), np.ptp(pupil.beta)))
@@ -314,7 +314,7 @@ def _image(
     )
 
 
-def _height(f: _Field, axis: Bundle, bundle: Bundle) -> float:
+def _height(f: _Field, axis: PointBundle, bundle: PointBundle) -> float:
     """Tan θ of a field, or the height of a near object point along the field, mm."""
     if bundle.near:
         return float((bundle.origin - axis.origin) @ axis.along)

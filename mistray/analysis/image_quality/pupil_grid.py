@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from mistray.analysis.image_quality.bundle import Bundle
+from mistray.analysis.image_quality.bundle import PointBundle
 from mistray.analysis.image_quality.design_light import DesignLight, design_light
-from mistray.analysis.image_quality.stop import Region, Stop
+from mistray.analysis.image_quality.stop import PupilStop, Region
 from mistray.physics.imaging.pupil import Pupil
 from mistray.sampling.design_path import DesignPath
 
@@ -67,7 +67,7 @@ class ImageFrame:
 
 
 @dataclass(frozen=True)
-class Sampled:
+class PupilSamples:
     """
     The light of a field at one wavelength.
 
@@ -92,8 +92,8 @@ class Sampled:
 
 
 def sample_pupil(
-    path: DesignPath, bundle: Bundle, region: Region, frame: ImageFrame, stop: Stop, chief: Array, grid: int
-) -> Sampled | None:
+    path: DesignPath, bundle: PointBundle, region: Region, frame: ImageFrame, stop: PupilStop, chief: Array, grid: int
+) -> PupilSamples | None:
     """
     Sample the light of a field.
 
@@ -103,7 +103,7 @@ def sample_pupil(
     bundle, region
         Its rays, and where they get through at this wavelength.
     frame : ImageFrame
-    stop : Stop
+    stop : PupilStop
     chief : (1, 2) float64
         Coordinates of the chief ray, whose path the OPD counts from.
     grid : int
@@ -167,7 +167,7 @@ def sample_pupil(
     spot = spread((hit - frame.point) @ frame.axes[:, :2], np.nan)
     total = float((light.throughput[fine] * share[used]).sum()) * step**2 * light.index**2
     stopped = everything.reshape(grid, grid, 3)
-    return Sampled(pupil, spot, stopped[..., :2], stopped[..., 2], total)
+    return PupilSamples(pupil, spot, stopped[..., :2], stopped[..., 2], total)
 
 
 def _near(wanted: Array, known: Array, margin: float) -> npt.NDArray[np.bool_]:
@@ -183,7 +183,7 @@ def _near(wanted: Array, known: Array, margin: float) -> npt.NDArray[np.bool_]:
 
 def _rays_to(
     path: DesignPath,
-    bundle: Bundle,
+    bundle: PointBundle,
     frame: ImageFrame,
     wanted: Array,
     known: tuple[Array, Array],
@@ -240,7 +240,7 @@ def _guess(wanted: Array, points: Array, known: Array) -> Array:
 
 
 def _shares(
-    path: DesignPath, bundle: Bundle, x: Array, slopes: Array, lit: npt.NDArray[np.bool_], step: float
+    path: DesignPath, bundle: PointBundle, x: Array, slopes: Array, lit: npt.NDArray[np.bool_], step: float
 ) -> tuple[Array, Array]:
     """
     Share of each cell that light gets through, (n,), and the middle of that part from the cell's, (n, 2) coordinates.
@@ -290,7 +290,9 @@ def _net(count: int) -> Array:
     return np.asarray((np.stack([k, reversed_k], axis=1) + 0.5) / count)
 
 
-def _at_stop(path: DesignPath, bundle: Bundle, stop: Stop, x: Array, slopes: Array, h: float) -> tuple[Array, Array]:
+def _at_stop(
+    path: DesignPath, bundle: PointBundle, stop: PupilStop, x: Array, slopes: Array, h: float
+) -> tuple[Array, Array]:
     """Where rays cross the stop, (n, 2), and the area there for an area of direction cosines, (n,)."""
     shifts = np.concatenate([np.zeros((1, 2)), h * np.eye(2), -h * np.eye(2)])
     found = stop.coordinates(path, bundle, (x[:, None] + shifts).reshape(-1, 2)).reshape(len(x), 5, 2)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from mistray.analysis.image_quality.bundle import Bundle
+from mistray.analysis.image_quality.bundle import PointBundle
 from mistray.analysis.image_quality.design_light import stop_crossing
 from mistray.errors import MistrayError, nearest
 from mistray.sampling.aimed_cones import Sphere
@@ -34,7 +34,7 @@ class Region:
     Attributes
     ----------
     points : (n, 2) float64
-        Coordinates of rays that do, see `Bundle`.
+        Coordinates of rays that do, see `PointBundle`.
     cell : float
         Distance of neighbours.
     """
@@ -53,7 +53,7 @@ class Region:
         return float(np.ptp(self.points, axis=0).max()) + self.cell
 
 
-def lit_region(path: DesignPath, bundle: Bundle, aperture: Sphere) -> Region | None:
+def lit_region(path: DesignPath, bundle: PointBundle, aperture: Sphere) -> Region | None:
     """Where light gets through the first aperture to the detector; None where none does."""
     middle, radius = bundle.coordinates(aperture)
     for count in LOOKS:
@@ -77,7 +77,7 @@ def _cells(middle: Array, half: float, count: int) -> tuple[Array, float]:
 
 
 @dataclass(frozen=True)
-class Stop:
+class PupilStop:
     """
     An aperture stop.
 
@@ -103,20 +103,20 @@ class Stop:
     v: Array
     radius: float
 
-    def coordinates(self, path: DesignPath, bundle: Bundle, x: Array) -> Array:
+    def coordinates(self, path: DesignPath, bundle: PointBundle, x: Array) -> Array:
         """Where rays of coordinates (n, 2) cross the stop, (n, 2) in units of its radius."""
         normal = np.cross(self.u, self.v)
         p = stop_crossing(path, *bundle.rays(x), self.place, self.at_surface, self.centre, normal) - self.centre
         return np.stack([p @ self.u, p @ self.v], axis=1) / self.radius
 
-    def chief(self, path: DesignPath, bundle: Bundle, start: Array, size: float) -> Array:
+    def chief(self, path: DesignPath, bundle: PointBundle, start: Array, size: float) -> Array:
         """
         Coordinates (1, 2) of the ray through the middle of the stop by Newton's method; NaN if it finds none.
 
         Parameters
         ----------
         path : DesignPath
-        bundle : Bundle
+        bundle : PointBundle
         start : (1, 2) float64
             A ray that gets through.
         size : float
@@ -138,14 +138,14 @@ class Stop:
         return np.full((1, 2), np.nan)
 
 
-def find_stop(path: DesignPath, bundle: Bundle, region: Region, name: str | None) -> Stop:
+def find_stop(path: DesignPath, bundle: PointBundle, region: Region, name: str | None) -> PupilStop:
     """
     The stop: what most of the rays end at that just do not get through on the axis.
 
     Parameters
     ----------
     path : DesignPath
-    bundle : Bundle
+    bundle : PointBundle
         On the axis.
     region : Region
         Of this light.
@@ -192,7 +192,7 @@ def find_stop(path: DesignPath, bundle: Bundle, region: Region, name: str | None
         at_surface = surface == surfaces[place]
     opening = outline(path.table.shapes[surface])
     u = opening.u / np.linalg.norm(opening.u)
-    rough = Stop(ids[surface], place, at_surface, opening.centre, u, np.cross(opening.normal, u), 1.0)
+    rough = PupilStop(ids[surface], place, at_surface, opening.centre, u, np.cross(opening.normal, u), 1.0)
     return _sized(_turned(rough, path, bundle, region), path, bundle, region)
 
 
@@ -210,7 +210,7 @@ def _within_rim(path: DesignPath, surface: int, place: int) -> tuple[int, int]:
     return surface, place
 
 
-def _turned(stop: Stop, path: DesignPath, bundle: Bundle, region: Region) -> Stop:
+def _turned(stop: PupilStop, path: DesignPath, bundle: PointBundle, region: Region) -> PupilStop:
     """The stop with the axes that are nearest to the images of x and y of the light that enters."""
     h = 1e-3 * region.size
     x = region.points[np.argmin(np.linalg.norm(region.points - region.middle, axis=1))]
@@ -221,10 +221,10 @@ def _turned(stop: Stop, path: DesignPath, bundle: Bundle, region: Region) -> Sto
         return stop
     left, _, right = np.linalg.svd(slopes)
     axes = np.stack([stop.u, stop.v], axis=1) @ (left @ right)
-    return Stop(stop.name, stop.place, stop.at_surface, stop.centre, axes[:, 0], axes[:, 1], stop.radius)
+    return PupilStop(stop.name, stop.place, stop.at_surface, stop.centre, axes[:, 0], axes[:, 1], stop.radius)
 
 
-def _sized(stop: Stop, path: DesignPath, bundle: Bundle, region: Region) -> Stop:
+def _sized(stop: PupilStop, path: DesignPath, bundle: PointBundle, region: Region) -> PupilStop:
     """The stop with its radius: the rim of the light on the axis, found in some directions."""
     at = stop.coordinates(path, bundle, region.points)
     sector = np.floor((np.arctan2(at[:, 1], at[:, 0]) / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
@@ -244,4 +244,4 @@ def _sized(stop: Stop, path: DesignPath, bundle: Bundle, region: Region) -> Stop
         step = (outside - inside) / SECTIONS
         inside, outside = inside + last[:, None] * step, inside + (last + 1)[:, None] * step
     radius = float(np.linalg.norm(stop.coordinates(path, bundle, inside), axis=1).max())
-    return Stop(stop.name, stop.place, stop.at_surface, stop.centre, stop.u, stop.v, radius)
+    return PupilStop(stop.name, stop.place, stop.at_surface, stop.centre, stop.u, stop.v, radius)

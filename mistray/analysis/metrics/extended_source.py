@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from mistray.analysis.metrics.metric import Metric
+from mistray.analysis.metrics.metric import StrayMetric
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.sums import Light, weighted_sum
 from mistray.errors import MistrayError
@@ -44,7 +44,7 @@ class ExtendedSource(Protocol):
 
 
 @dataclass(frozen=True)
-class Sky:
+class SkyRadiance:
     """
     A sky, or any scene, that is known by its radiance.
 
@@ -289,7 +289,7 @@ def _quadrature(breaks: tuple[float, ...], more: np.ndarray) -> tuple[np.ndarray
 
 def source_irradiance(
     pst: Pst, source: ExtendedSource, classes: Light = "stray", interpolation: str = "cells"
-) -> Metric:
+) -> StrayMetric:
     """
     Irradiance on the detector from an extended source.
 
@@ -298,7 +298,7 @@ def source_irradiance(
     pst : Pst
         In either convention.
     source : ExtendedSource
-        `Sky`, `Disc`, `sun` …
+        `SkyRadiance`, `Disc`, `sun` …
     classes : str or sequence of str
         Light that counts, see `Pst.samples`.
     interpolation : {"cells", "linear", "log"}
@@ -307,7 +307,7 @@ def source_irradiance(
 
     Returns
     -------
-    Metric
+    StrayMetric
         W/mm², with the shares of the source that were in cells and between them.
 
     Raises
@@ -320,7 +320,7 @@ def source_irradiance(
     seen = cover(pst.grid, source, interpolation, curve)
     light = classes if isinstance(classes, str) else "+".join(classes)
     facts = {"light": light, "interpolation": interpolation, "source_W_mm2_sr": str(source)}
-    return Metric.of(
+    return StrayMetric.of(
         "irradiance",
         weighted_sum(normal, seen.coefficients, classes),
         "W/mm2",

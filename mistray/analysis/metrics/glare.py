@@ -9,8 +9,8 @@ import numpy as np
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.irradiance import brightest
-from mistray.analysis.metrics.extended_source import Cover, Disc, ExtendedSource, Sky, cover
-from mistray.analysis.metrics.metric import DEFINITIONS, Metric
+from mistray.analysis.metrics.extended_source import Cover, Disc, ExtendedSource, SkyRadiance, cover
+from mistray.analysis.metrics.metric import DEFINITIONS, StrayMetric
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.sums import quotient, weighted_sum
 from mistray.analysis.ranking import direct_image, stray_to_direct
@@ -36,7 +36,7 @@ def veiling_glare_index(
     place: str | None = None,
     at_mm: tuple[float, float] | None = None,
     interpolation: str = "cells",
-) -> Metric:
+) -> StrayMetric:
     """
     Veiling glare index of an extended white source with a black patch, per cent: 100 E_black / E_white (ISO 9358).
 
@@ -61,7 +61,7 @@ def veiling_glare_index(
 
     Returns
     -------
-    Metric
+    StrayMetric
         Unit "%"; `covered` is the share of the white source in cells of the PST. The maps of a PST have no batches: of
         "map" the errors of the cells are taken for independent.
 
@@ -91,7 +91,7 @@ def veiling_glare_index(
         "source_deg": source_deg,
         "interpolation": interpolation,
     }
-    return Metric.of(
+    return StrayMetric.of(
         "vgi",
         Estimate(100 * glare.value, 100 * glare.se),
         "%",
@@ -148,7 +148,7 @@ def glare_cells(
     def seen(source: ExtendedSource, light: str) -> Cover:
         return cover(normal.grid, source, interpolation, normal.map(light)[0] if interpolation == "log" else None)
 
-    sky, patch = Sky(to_deg=source_deg), Disc(patch_deg, 1.0, field_deg, azimuth_deg, "patch")
+    sky, patch = SkyRadiance(to_deg=source_deg), Disc(patch_deg, 1.0, field_deg, azimuth_deg, "patch")
     black = seen(sky, black_light).coefficients - seen(patch, black_light).coefficients
     return black, seen(sky, "total"), black_light
 
@@ -264,7 +264,7 @@ def glare_spread(
     return GlareSpread(spread, se, extent, DEFINITIONS["gsf"].format(light=words))
 
 
-def ghost_to_signal(t: Trace, nominal: Trace | None = None) -> tuple[Metric, Metric]:
+def ghost_to_signal(t: Trace, nominal: Trace | None = None) -> tuple[StrayMetric, StrayMetric]:
     """
     Ghost-to-signal ratio of a trace: all light but the direct image over the direct image.
 
@@ -278,7 +278,7 @@ def ghost_to_signal(t: Trace, nominal: Trace | None = None) -> tuple[Metric, Met
 
     Returns
     -------
-    integrated, peak : Metric
+    integrated, peak : StrayMetric
         Φ_stray / Φ_direct, of what the detector absorbs, and the quotient of the brightest pixels. The brightest of
         noisy pixels is too bright by about its standard error.
 
@@ -301,8 +301,8 @@ def ghost_to_signal(t: Trace, nominal: Trace | None = None) -> tuple[Metric, Met
     peak = brightest(glare).over(brightest(image))
     facts = {"field_deg": t.settings["field_deg"], "signal_field_deg": signal.settings["field_deg"]}
     return (
-        Metric.of("gsr", integrated, facts=facts),
-        Metric.of(
+        StrayMetric.of("gsr", integrated, facts=facts),
+        StrayMetric.of(
             "gsr_peak",
             Estimate(float(peak.value), float(peak.se)),
             facts=facts | {"pixels": f"{t.irradiance.shape[1]} x {t.irradiance.shape[0]}"},

@@ -46,7 +46,7 @@ DEFINITIONS = {
 
 
 @dataclass(frozen=True)
-class Metric:
+class StrayMetric:
     """
     A number and what it is.
 
@@ -81,7 +81,7 @@ class Metric:
     @classmethod
     def of(
         cls, quantity: str, estimate: Estimate, unit: str = "1", words: dict[str, Any] | None = None, **more: Any
-    ) -> Metric:
+    ) -> StrayMetric:
         """A number with its definition; `words` fill the latter in, and `more` are the other attributes."""
         value, se = estimate
         return cls(quantity, float(value), float(se), unit, DEFINITIONS[quantity].format(**(words or {})), **more)
@@ -113,7 +113,7 @@ class MetricCurve:
     Attributes
     ----------
     quantity, unit, definition, facts
-        As in `Metric`.
+        As in `StrayMetric`.
     field_deg, value, se : (n,) float64
     """
 

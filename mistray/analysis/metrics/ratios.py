@@ -12,7 +12,7 @@ import numpy as np
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.metrics.extended_source import ExtendedSource, cover
-from mistray.analysis.metrics.metric import DEFINITIONS, Metric, MetricCurve
+from mistray.analysis.metrics.metric import DEFINITIONS, MetricCurve, StrayMetric
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.sums import Light, quotient, weighted_sum
 from mistray.errors import MistrayError
@@ -79,13 +79,13 @@ def normalised_irradiance(pst: Pst, name: str = "ndi", plane: str = "normal", cl
     return _curve(pst, name, values, {"plane": PLANES[plane]}, {"light": _named(classes), "convention": plane})
 
 
-def image_throughput(pst: Pst) -> Metric:
+def image_throughput(pst: Pst) -> StrayMetric:
     """
     Irradiance of the direct image per radiance of a uniform scene, sr: the integral of the direct PST_n.
 
     For an ideal system it is T π / (4 F² + 1). It is the mean over the detector, so that vignetting is in it.
     """
-    return Metric.of("throughput", weighted_sum(pst.to("normal"), _solid_angles(pst), "direct"), "sr")
+    return StrayMetric.of("throughput", weighted_sum(pst.to("normal"), _solid_angles(pst), "direct"), "sr")
 
 
 def ideal_throughput(f_number: float, transmittance: float = 1.0) -> float:
@@ -105,7 +105,7 @@ def equivalent_stray_radiance(
     f_number: float | None = None,
     transmittance: float = 1.0,
     interpolation: str = "cells",
-) -> Metric:
+) -> StrayMetric:
     """
     Equivalent stray radiance (ESR): radiance of a uniform scene whose direct image is as bright as the stray light.
 
@@ -122,7 +122,7 @@ def equivalent_stray_radiance(
 
     Returns
     -------
-    Metric
+    StrayMetric
         W/(mm² sr).
 
     Raises
@@ -146,7 +146,9 @@ def equivalent_stray_radiance(
     return _of_source(pst, "stray_radiance", source, interpolation, over, "W/(mm2 sr)", {"throughput": words}, facts)
 
 
-def stray_to_signal(pst: Pst, source: ExtendedSource, scene_radiance: float, *, interpolation: str = "cells") -> Metric:
+def stray_to_signal(
+    pst: Pst, source: ExtendedSource, scene_radiance: float, *, interpolation: str = "cells"
+) -> StrayMetric:
     """
     Stray light over signal: irradiance from a source of stray light over that of the image of a uniform scene.
 
@@ -203,7 +205,7 @@ def flare_attenuation(pst: Pst, diameter_deg: float, decibels: bool = False) -> 
     return _curve(pst, "flare_attenuation", values, facts=facts, unit="dB" if decibels else "1")
 
 
-def contrast_factor(stray_to_signal_ratio: Estimate) -> Metric:
+def contrast_factor(stray_to_signal_ratio: Estimate) -> StrayMetric:
     """
     Return the share of the contrast of the image that stray light spread evenly leaves: 1 / (1 + E_stray / E_signal).
 
@@ -213,7 +215,7 @@ def contrast_factor(stray_to_signal_ratio: Estimate) -> Metric:
         ``stray_to_signal(…).estimate``; the signal is the mean of bright and dark.
     """
     ratio, se = stray_to_signal_ratio
-    return Metric.of("contrast_factor", Estimate(1 / (1 + ratio), se / (1 + ratio) ** 2))
+    return StrayMetric.of("contrast_factor", Estimate(1 / (1 + ratio), se / (1 + ratio) ** 2))
 
 
 def ab_zero_point(wavelength_nm: float, bandwidth_nm: float) -> float:
@@ -226,7 +228,7 @@ def ab_zero_point(wavelength_nm: float, bandwidth_nm: float) -> float:
     return AB_W_M2_HZ * LIGHT_M_S * bandwidth_nm * 1e-9 / (wavelength_nm * 1e-9) ** 2 * 1e-6
 
 
-def surface_magnitude(radiance: Estimate, zero_point_W_mm2: float) -> Metric:
+def surface_magnitude(radiance: Estimate, zero_point_W_mm2: float) -> StrayMetric:
     """
     Surface brightness of a radiance in magnitudes per square arcsecond: -2.5 log10(L · arcsec² / E_0).
 
@@ -244,7 +246,7 @@ def surface_magnitude(radiance: Estimate, zero_point_W_mm2: float) -> Metric:
     else:
         value = -2.5 * np.log10(radiance.value * ARCSEC2_SR / zero_point_W_mm2)
         estimate = Estimate(float(value), 2.5 / np.log(10) * radiance.se / radiance.value)
-    return Metric.of("magnitude", estimate, "mag/arcsec2", {"zero": zero_point_W_mm2})
+    return StrayMetric.of("magnitude", estimate, "mag/arcsec2", {"zero": zero_point_W_mm2})
 
 
 def _of_source(
@@ -256,7 +258,7 @@ def _of_source(
     unit: str,
     words: dict[str, str],
     facts: Mapping[str, float],
-) -> Metric:
+) -> StrayMetric:
     """A number of the stray light of an extended source."""
     normal = pst.to("normal")
     curve = normal.map("stray")[0] if interpolation == "log" else None
@@ -267,7 +269,7 @@ def _of_source(
             "no direct light is in the cells of this PST; give angles that cover the field of view, or an f_number "
             "where that is possible"
         )
-    return Metric.of(
+    return StrayMetric.of(
         quantity,
         estimate,
         unit,

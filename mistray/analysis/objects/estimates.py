@@ -26,7 +26,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mistray.analysis.objects.patches import Patches
-from mistray.analysis.objects.view import SIDES, Samples, View
+from mistray.analysis.objects.view import SIDES, HitSamples, RayView
 from mistray.kernel.scatter_tables import side_of
 from mistray.scatter.evaluate import bsdf
 from mistray.settings import BATCHES
@@ -58,14 +58,14 @@ class Product:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class SeenObject:
     """Backward rays that meet an object, and their places as a search tree."""
 
-    hits: Samples
+    hits: HitSamples
     tree: cKDTree
 
     @classmethod
-    def of(cls, hits: Samples) -> Seen:
+    def of(cls, hits: HitSamples) -> SeenObject:
         """Build the search tree of these hits."""
         return cls(hits, cKDTree(hits.point))
 
@@ -73,8 +73,8 @@ class Seen:
 def product_estimates(
     table: SurfaceTable,
     detector_area: float,
-    critical: View,
-    illuminated: Sequence[View],
+    critical: RayView,
+    illuminated: Sequence[RayView],
     field_deg: Sequence[float],
     numbers: Sequence[int],
     rows: Sequence[Any],
@@ -87,8 +87,8 @@ def product_estimates(
     table : SurfaceTable
     detector_area : float
         mm².
-    critical : View
-    illuminated : sequence of View
+    critical : RayView
+    illuminated : sequence of RayView
         One for each of `field_deg`.
     field_deg : sequence of float
     numbers : sequence of int
@@ -109,7 +109,7 @@ def product_estimates(
 
     found = []
     seen_objects = [
-        (number, row, side, Seen.of(hits))
+        (number, row, side, SeenObject.of(hits))
         for number, row in zip(numbers, rows, strict=True)
         for side, hits in by_side(critical.samples(number), row.side)
     ]
@@ -144,13 +144,13 @@ def product_estimates(
     return frame.sort_values(["angle_deg", "detector_W"], ascending=[True, False], kind="stable", ignore_index=True)
 
 
-def by_side(hits: Samples, side: str) -> list[tuple[str, Samples]]:
+def by_side(hits: HitSamples, side: str) -> list[tuple[str, HitSamples]]:
     """
     The rays that see an object, by the side on which they do: the projected solid angle of one side is at most π.
 
     Parameters
     ----------
-    hits : Samples
+    hits : HitSamples
     side : {"front", "back", "both"}
         Of the object.
     """
@@ -160,7 +160,7 @@ def by_side(hits: Samples, side: str) -> list[tuple[str, Samples]]:
     return [(name, hits.only(here)) for name, here in parts if here.any()]
 
 
-def estimate(table: SurfaceTable, detector_area: float, view: Seen, illuminated: View, number: int) -> Product:
+def estimate(table: SurfaceTable, detector_area: float, view: SeenObject, illuminated: RayView, number: int) -> Product:
     """The product estimate of one object."""
     flux, flux_se = illuminated.area(number)
     lit, seen = illuminated.samples(number), view.hits
@@ -238,7 +238,7 @@ class _Pairs:
         return np.asarray(np.nan_to_num(found))
 
 
-def _pairs(table: SurfaceTable, surface: int, lit: Samples, view: Seen, chance: np.ndarray) -> _Pairs:
+def _pairs(table: SurfaceTable, surface: int, lit: HitSamples, view: SeenObject, chance: np.ndarray) -> _Pairs:
     """Rays that light a surface, chosen by `chance`, with those that see it near each."""
     rng, seen = np.random.default_rng(surface), view.hits
     sums = np.cumsum(chance)

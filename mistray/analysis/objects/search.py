@@ -21,7 +21,7 @@ from mistray.analysis.objects.places import Places
 from mistray.analysis.objects.rays import ChainTracer
 from mistray.analysis.objects.rows import LISTS, SceneObject, StraightShot, both_views, describe, strongest
 from mistray.analysis.objects.sources import DetectorView, DiskSource, RaySource, Surroundings
-from mistray.analysis.objects.view import SIDES, View
+from mistray.analysis.objects.view import SIDES, RayView
 from mistray.errors import MistrayError
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
@@ -55,8 +55,8 @@ class _Traced:
     table: SurfaceTable
     places: Places
     detector: DetectorView
-    critical: View
-    illuminated: list[View]
+    critical: RayView
+    illuminated: list[RayView]
     unpolarized: list[Note]  # what Stokes vectors would change
 
 
@@ -113,7 +113,7 @@ class Objects:
         opaque = bool(self._traced.table.optics.host_words[surface] & OPAQUE)
         return SIDES * surface + (opaque and not from_front)
 
-    def _row(self, number: int, views: Sequence[View]) -> SceneObject:
+    def _row(self, number: int, views: Sequence[RayView]) -> SceneObject:
         table, places = self._traced.table, self._traced.places
         surface, back = divmod(number, SIDES)
         opaque = bool(table.optics.host_words[surface] & OPAQUE)
@@ -136,7 +136,7 @@ class Objects:
             power_se=float(np.sqrt(sum(se**2 for _, se in powers)) / len(views)),
         )
 
-    def _meet(self, number: int, view: View) -> bool:
+    def _meet(self, number: int, view: RayView) -> bool:
         """Whether places of an object that are lit and places that are seen overlap."""
         lit, seen = view.samples(number), self._traced.critical.samples(number)
         return meet(self._traced.table, number // SIDES, lit.point, seen.point)
@@ -249,7 +249,7 @@ class Objects:
         return pd.DataFrame(rows, columns=[f.name for f in fields(LISTS[which])])
 
 
-def _gap(number: int, views: Sequence[View]) -> int:
+def _gap(number: int, views: Sequence[RayView]) -> int:
     """Gap of the design path in which most rays meet an object."""
     return int(np.argmax(np.sum([view.in_gap[number] for view in views], axis=0)))
 
@@ -367,10 +367,10 @@ def objects(
     def part(number: int) -> Callable[[int, int], None] | None:
         return (lambda done, of: progress(number + done / of, parts)) if progress else None
 
-    def followed(k: int, start: RaySource, backward: bool = False) -> View:
+    def followed(k: int, start: RaySource, backward: bool = False) -> RayView:
         with share(1 / (parts + ESTIMATED - k)):
             follow = tracer(places.mirrors, backward)
-            return View(follow, places, start, chosen.rays, chosen.seed + k, backward, axes[:, 2], part(k))
+            return RayView(follow, places, start, chosen.rays, chosen.seed + k, backward, axes[:, 2], part(k))
 
     with within(seconds, began):
         critical = followed(0, view, backward=True)

@@ -24,7 +24,7 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class HitSamples:
     """
     Hits of one object, a sample of those of `rays` start rays.
 
@@ -49,10 +49,10 @@ class Samples:
     batch: np.ndarray
     rays: int
 
-    def only(self, here: np.ndarray) -> Samples:
+    def only(self, here: np.ndarray) -> HitSamples:
         """Select the hits where `here`, (m,) bool, is true."""
         parts = {f.name: getattr(self, f.name) for f in fields(self)}
-        return Samples(**{name: value if name == "rays" else value[here] for name, value in parts.items()})
+        return HitSamples(**{name: value if name == "rays" else value[here] for name, value in parts.items()})
 
 
 @dataclass
@@ -123,7 +123,7 @@ class Trails:
         return tuple(reversed(found))
 
 
-class View:
+class RayView:
     """
     Follows rays from a source and records what they meet.
 
@@ -288,7 +288,7 @@ class View:
         scale = self.started / float(self.rays.sum())
         return value * scale, se * scale
 
-    def samples(self, number: int) -> Samples:
+    def samples(self, number: int) -> HitSamples:
         """Hits of an object."""
         kept = self._kept[number]
         names = ("point", "direction", "normal", "weight", "index", "from_front", "batch")
@@ -297,7 +297,7 @@ class View:
             empty = np.zeros(0)
             joined = {name: np.zeros((0, 3)) for name in names[:3]} | {"weight": empty, "index": empty}
             joined |= {"from_front": empty.astype(bool), "batch": empty.astype(int)}
-        return Samples(**joined, rays=kept.rays)
+        return HitSamples(**joined, rays=kept.rays)
 
     def ways_out(self) -> list[WayOut]:
         """Ways by which backward rays leave the scene, the strongest first."""

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
-from mistray.analysis.thermal.narcissus import ZONES, Return, Returned, mean_returns, returns
+from mistray.analysis.thermal.narcissus import ZONES, NarcissusReturn, Returned, mean_returns, returns
 from mistray.analysis.thermal.netd import DetectorNoise, Netd, netd_budget
 from mistray.analysis.thermal.spectrum import BAND_ERROR, DISPERSIVE, TracedBand, band_weights, traced_wavelengths
 from mistray.analysis.thermal.sums import (
@@ -121,11 +121,12 @@ class ThermalReport:
         Bound of the relative error of integrals over the band by these wavelengths; over √3 it is a part of the errors
         of means and integrals over the band. NaN where the optics are not known all over the band.
     detector : str
-    returned : list of Return
+    returned : list of NarcissusReturn
         Surfaces by which the cold detector sees itself and its shield, the strongest first; empty if it does not see
         itself or is not colder than the rest.
     zones_mm : tuple of float
-        Distances from the middle of the detector that bound the zones of `Return.by_zone_K`; empty like `returned`.
+        Distances from the middle of the detector that bound the zones of `NarcissusReturn.by_zone_K`; empty like
+        `returned`.
     netd : Netd or None
         Noise-equivalent temperature difference, if the noise of the detector is given.
     facts : dict
@@ -149,7 +150,7 @@ class ThermalReport:
     wavelengths_um: tuple[float, ...]
     band_error: float
     detector: str
-    returned: list[Return] = field(default_factory=list)
+    returned: list[NarcissusReturn] = field(default_factory=list)
     zones_mm: tuple[float, ...] = ()
     netd: Netd | None = None
     facts: dict[str, Any] = field(default_factory=dict)
@@ -457,7 +458,9 @@ def _nitd(
     return ratio(returned, rise)
 
 
-def _returned(report: ThermalReport, found: Sequence[Returned], runs: tuple[list[Seen], list[Seen]]) -> list[Return]:
+def _returned(
+    report: ThermalReport, found: Sequence[Returned], runs: tuple[list[Seen], list[Seen]]
+) -> list[NarcissusReturn]:
     """List the light that each surface sends back to the detector, the strongest first."""
     emitted, nothing = [one.emission for one in found], np.zeros_like(found[0].scene)
     housing, own = (
@@ -475,7 +478,9 @@ def _returned(report: ThermalReport, found: Sequence[Returned], runs: tuple[list
         whole = known(ratio([one.mean(axis=0) for one in back], [one.scene.mean(axis=0) for one in found]))
         own_share, own_part = (sums.get(name, Estimate(0.0, 0.0)) for sums in (emissions, missing))
         rows.append(
-            Return(name, parts.get(name, ""), known(own_share), known(own_part.over(rise)), whole, tuple(zones))
+            NarcissusReturn(
+                name, parts.get(name, ""), known(own_share), known(own_part.over(rise)), whole, tuple(zones)
+            )
         )
     return sorted(rows, key=lambda row: -row.with_shield_K.value)
 

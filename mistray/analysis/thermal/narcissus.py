@@ -31,7 +31,7 @@ FAINTEST = 1e-9  # weight below which a ray ends
 
 
 @dataclass(frozen=True)
-class Return:
+class NarcissusReturn:
     """
     Light of the detector that comes back to it by one reflection.
 
@@ -74,7 +74,7 @@ class Returned:
     Attributes
     ----------
     emission : dict of str to Estimate
-        Surface id or `TOTAL` → emission, as in `Return`; only what sends light back.
+        Surface id or `TOTAL` → emission, as in `NarcissusReturn`; only what sends light back.
     cold : dict of str to (ZONES, BATCHES) float64
         Surface id or `TOTAL` → irradiance that is missing because cold objects are seen by it, W/mm², by zone and batch
         of rays.

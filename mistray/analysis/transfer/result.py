@@ -13,7 +13,7 @@ import pandas as pd
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.image_quality.result import FieldImage, PointSpread, direction_of
-from mistray.analysis.metrics.metric import Metric
+from mistray.analysis.metrics.metric import StrayMetric
 from mistray.analysis.transfer.image_spread import CLASSES, DIFFRACTION, DIRECT, GHOSTS, SCATTER, ImageSpread
 from mistray.analysis.transfer.pixels import PixelResponse
 from mistray.errors import MistrayError
@@ -31,7 +31,7 @@ PARTS = ("direct", "ghosts", "scatter")
 it already."""
 
 
-class Curve(NamedTuple):
+class TransferCurve(NamedTuple):
     """Values over frequency or radius and their standard errors, (m,) each."""
 
     value: Array
@@ -58,7 +58,7 @@ class FieldTransfer:
         Of all curves.
     pixels : PixelResponse or None
         Of the detector; None: it resolves everything.
-    glare : Metric
+    glare : StrayMetric
         Flux of all stray light over that of the direct image: "gsr" of `mistray.analysis.metrics`.
     axes : (2, 2) float64
         Rows: directions of `AZIMUTHS` in the frame of the detector.
@@ -75,7 +75,7 @@ class FieldTransfer:
     books: dict[str, Estimate]
     frequencies_per_mm: Array
     pixels: PixelResponse | None
-    glare: Metric
+    glare: StrayMetric
     axes: Array
     origin_mm: Array
     resolution_mm: float = 0.0
@@ -111,10 +111,10 @@ class FieldTransfer:
         return _estimate(direct.over(self._detected))
 
     @property
-    def contrast_factor(self) -> Metric:
+    def contrast_factor(self) -> StrayMetric:
         """Contrast with stray light over contrast without it in an even scene: 1/(1 + `glare`)."""
         inverse = 1 / (1 + self.glare.value)
-        return Metric.of("contrast_factor", Estimate(inverse, inverse**2 * self.glare.se), facts=self.glare.facts)
+        return StrayMetric.of("contrast_factor", Estimate(inverse, inverse**2 * self.glare.se), facts=self.glare.facts)
 
     # Transfer functions
 
@@ -149,7 +149,7 @@ class FieldTransfer:
         nu = self.frequencies_per_mm[:, None] * self.axes[self._number(azimuth)]
         return self.pixels.at(nu[:, 0], nu[:, 1])
 
-    def stf(self, azimuth: str = "tangential") -> Curve:
+    def stf(self, azimuth: str = "tangential") -> TransferCurve:
         """
         Scatter transfer function |STF|: direct and scattered light of a point about its image, over their sum.
 
@@ -158,12 +158,12 @@ class FieldTransfer:
         light = self._power(DIRECT) + self._power(DIFFRACTION)
         return (self._waves(SCATTER, azimuth) + light).over(light + self._power(SCATTER)).modulus()
 
-    def ghosts(self, azimuth: str = "tangential") -> Curve:
+    def ghosts(self, azimuth: str = "tangential") -> TransferCurve:
         """Ghost transfer function, the same with ghosts for scatter: 1 at zero frequency, then their floor."""
         light = self._power(DIRECT) + self._power(DIFFRACTION)
         return (self._waves(GHOSTS, azimuth) + light).over(light + self._power(GHOSTS)).modulus()
 
-    def composite(self, azimuth: str = "tangential") -> Curve:
+    def composite(self, azimuth: str = "tangential") -> TransferCurve:
         """
         MTF with all stray light and the detector: |Σ_λ lens · (direct + scatter) + ghosts| · |detector|.
 
@@ -176,7 +176,7 @@ class FieldTransfer:
             total = total + (self._waves(SCATTER, azimuth, wave) + light).times(otf)
         found = total.over(self._detected).modulus()
         factor = np.abs(self.detector(azimuth))
-        return Curve(found.value * factor, found.se * factor)
+        return TransferCurve(found.value * factor, found.se * factor)
 
     def without_stray(self, azimuth: str = "tangential") -> Array:
         """MTF of lens and detector, (m,)."""
@@ -222,7 +222,7 @@ class FieldTransfer:
         return _continued(self.image, self.edges_mm)
 
     @cached_property
-    def ring_shares(self) -> dict[str, Curve]:
+    def ring_shares(self) -> dict[str, TransferCurve]:
         """
         Part of `PARTS` → share of the light on the detector in the rings, (n,).
 
@@ -231,10 +231,10 @@ class FieldTransfer:
         """
         floor = self.veiling_floor
         inside = np.diff(self._direct_within)
-        found = {"direct": Curve(floor.value * inside, floor.se * inside)}
+        found = {"direct": TransferCurve(floor.value * inside, floor.se * inside)}
         for name, kind in (("ghosts", GHOSTS), ("scatter", SCATTER)):
             part = self.spread.rings(kind).over(self._detected[None])
-            found[name] = Curve(part.value, part.se)
+            found[name] = TransferCurve(part.value, part.se)
         return found
 
     @property
@@ -242,10 +242,10 @@ class FieldTransfer:
         """Share of the light beyond the last ring: what diffraction of the direct image sends there."""
         return self.veiling_floor.value * float(1 - self._direct_within[-1])
 
-    def psf_rings(self) -> dict[str, Curve]:
+    def psf_rings(self) -> dict[str, TransferCurve]:
         """Part of `PARTS` → mean irradiance of the rings for a flux of 1 on the detector, (n,), 1/mm²."""
         area = np.pi * np.diff(self.edges_mm**2)
-        return {name: Curve(part.value / area, part.se / area) for name, part in self.ring_shares.items()}
+        return {name: TransferCurve(part.value / area, part.se / area) for name, part in self.ring_shares.items()}
 
     def psf(self, pixels: int = 128, pixel_mm: float | None = None) -> tuple[PointSpread, Array]:
         """
@@ -271,7 +271,7 @@ class FieldTransfer:
         stray = (rings["ghosts"].value + rings["scatter"].value)[ring]
         return direct._replace(values=direct.values * self.veiling_floor.value + stray), stray
 
-    def encircled_energy(self, radii_mm: npt.ArrayLike, stray: bool = True) -> Curve:
+    def encircled_energy(self, radii_mm: npt.ArrayLike, stray: bool = True) -> TransferCurve:
         """
         Share of the light on the detector within circles about the origin; without stray light, of the direct image.
 
@@ -287,9 +287,9 @@ class FieldTransfer:
                 f"{self.edges_mm[-1]:.4g} mm"
             )
         direct = _continued(self.image, radii)
-        return self._encircled(radii, direct) if stray else Curve(direct, np.zeros(len(direct)))
+        return self._encircled(radii, direct) if stray else TransferCurve(direct, np.zeros(len(direct)))
 
-    def _encircled(self, radii: Array, direct: Array) -> Curve:
+    def _encircled(self, radii: Array, direct: Array) -> TransferCurve:
         """Share of all light within circles, given that of the direct image."""
         light = self._power(DIRECT) + self._power(DIFFRACTION)
         inner, outer = self.edges_mm[:-1] ** 2, self.edges_mm[1:] ** 2
@@ -297,7 +297,7 @@ class FieldTransfer:
         rings = self.spread.rings(GHOSTS) + self.spread.rings(SCATTER)
         within = Sampled(part @ rings.value + direct * light.value, part @ rings.apart + np.outer(direct, light.apart))
         found = within.over(self._detected[None])
-        return Curve(found.value, found.se)
+        return TransferCurve(found.value, found.se)
 
     # Tables
 
@@ -399,10 +399,10 @@ class _Complex(NamedTuple):
         value = self.value / other.value
         return _Complex(value, (self.apart - value[:, None] * other.apart) / other.value)
 
-    def modulus(self) -> Curve:
+    def modulus(self) -> TransferCurve:
         size = np.abs(self.value)
         turn = np.where(size > 0, self.value.conj() / np.where(size > 0, size, 1), 1)
-        return Curve(size, np.sqrt(np.sum(np.real(turn[:, None] * self.apart) ** 2, axis=1)))
+        return TransferCurve(size, np.sqrt(np.sum(np.real(turn[:, None] * self.apart) ** 2, axis=1)))
 
 
 def _stacked(parts: Sequence[Sampled]) -> Sampled:

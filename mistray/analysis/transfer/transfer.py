@@ -12,7 +12,7 @@ import numpy as np
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.image_quality.image_quality import image_quality
 from mistray.analysis.image_quality.result import FieldImage, ImageQuality, direction_of
-from mistray.analysis.metrics.metric import Metric
+from mistray.analysis.metrics.metric import StrayMetric
 from mistray.analysis.ranking import direct_image, stray_to_direct
 from mistray.analysis.transfer.image_spread import CLASSES, DIRECT, ImageSpread
 from mistray.analysis.transfer.pixels import PixelResponse, pixel_response
@@ -198,7 +198,7 @@ def _field(
             f"{image.name}: no direct light meets the detector; its image lies at ({x:.4g}, {y:.4g}) mm, the detector "
             f"at x {x0:.4g} … {x1:.4g}, y {y0:.4g} … {y1:.4g} mm; choose a field within it"
         )
-    glare = Metric.of(
+    glare = StrayMetric.of(
         "gsr", stray_to_direct(t.paths, direct_image(t.paths)), facts={"field_deg": t.settings["field_deg"]}
     )
     resolution = SMEARED * 2 * float(np.linalg.norm(image.point_mm - table.centre))

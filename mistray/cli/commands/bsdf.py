@@ -17,7 +17,7 @@ from mistray.ranges import AZIMUTH_DEG, CHANCE, FIELD_DEG, POLAR_DEG, SHARE, SOL
 if TYPE_CHECKING:
     from mistray.scatter import Scatter
     from mistray.scatter.chance import Chance
-    from mistray.scatter.scan import Light, Scan
+    from mistray.scatter.scan import IncidentLight, Scan
 
 DEFAULT_ROTATIONS = (0.0, 90.0)
 DEFAULT_ANGLES = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)
@@ -141,7 +141,7 @@ def _record(
     model: Scatter,
     totals: list[dict[str, Any]],
     curves: list[Scan],
-    light: Light,
+    light: IncidentLight,
     unaimed: Chance | None,
 ) -> dict[str, Any]:
     """Return the record that --json prints: notes, A, B and g from a roughness, totals of all events, curves of one."""
@@ -176,7 +176,7 @@ def _record(
     return dict(plain(record))
 
 
-def _chance(options: Options, model: Scatter, event: str, light: Light) -> Chance | None:
+def _chance(options: Options, model: Scatter, event: str, light: IncidentLight) -> Chance | None:
     """Return the chance of a hit by rays that nobody aims, if it is requested."""
     from mistray.scatter.chance import chance
 
@@ -210,7 +210,7 @@ def _hits(unaimed: Chance | None) -> list[str]:
 
 
 def _total_rows(
-    model: Scatter, angles_deg: list[float], events: list[str], light: Light, turned: bool
+    model: Scatter, angles_deg: list[float], events: list[str], light: IncidentLight, turned: bool
 ) -> list[dict[str, Any]]:
     """Return scattered shares and losses of the specular beam by event and angle; None where nothing is transmitted."""
     from mistray.scatter.scan import scan
@@ -227,13 +227,13 @@ def _total_rows(
     return rows
 
 
-def _light(options: Options) -> Light:
+def _light(options: Options) -> IncidentLight:
     from mistray.materials import refractive_index
-    from mistray.scatter.scan import Light
+    from mistray.scatter.scan import IncidentLight
 
     sides = [refractive_index(material, options.wavelength_nm) for material in (options.front, options.back)]
     n_in, n_out = sides[::-1] if options.from_back else sides
-    return Light(options.wavelength_nm, n_in, n_out, not options.from_back, options.R, options.T)
+    return IncidentLight(options.wavelength_nm, n_in, n_out, not options.from_back, options.R, options.T)
 
 
 def _title(options: Options, model: Scatter) -> str:
@@ -244,7 +244,7 @@ def _title(options: Options, model: Scatter) -> str:
     return ", ".join([f"{name} {parts[0]}" if parts else name, *parts[1:]])
 
 
-def _knee(model: Scatter, event: str, light: Light) -> float | None:
+def _knee(model: Scatter, event: str, light: IncidentLight) -> float | None:
     """|β - β0| at which the BSDF of a polished surface bends."""
     from mistray.scatter.abg import ABg
     from mistray.scatter.harvey_shack import HarveyShack
@@ -302,7 +302,7 @@ def _write_curves(scans: list[Scan], path: Path, command: str, turned: bool) -> 
     replace_file(path, "\n".join(lines) + "\n", "curves")
 
 
-def _write_table(model: Scatter, options: Options, event: str, light: Light) -> None:
+def _write_table(model: Scatter, options: Options, event: str, light: IncidentLight) -> None:
     from mistray.scatter.measured.bsdf_csv import write_bsdf_csv
     from mistray.scatter.measured.zemax_bsdf import write_zemax_bsdf
     from mistray.scatter.scan import table

@@ -17,7 +17,7 @@ from mistray.ranges import POLAR_DEG, POSITIVE, WAVELENGTH_NM
 if TYPE_CHECKING:
     import numpy as np
 
-    from mistray.coatings import Coating, Spectrum
+    from mistray.coatings import CoatingModel, CoatingSpectrum
 
 DEFAULT_WAVELENGTHS = "400:700:5"
 DEFAULT_ANGLES = (0.0, 15.0, 30.0, 45.0)
@@ -196,7 +196,7 @@ def _scene(options: Options, given: list[float] | None, files: list[Path]) -> in
     )
 
 
-def _layers(coating: Coating, design_nm: float) -> list[str]:
+def _layers(coating: CoatingModel, design_nm: float) -> list[str]:
     """Table of the layers of a stack; nothing for others."""
     from mistray.report.model import Table, columns
     from mistray.report.tables.text import table_text
@@ -215,7 +215,7 @@ def _layers(coating: Coating, design_nm: float) -> list[str]:
     return [table_text(Table(heads, rows))]
 
 
-def _over_band(values: Spectrum) -> str:
+def _over_band(values: CoatingSpectrum) -> str:
     """Table of the mean and the extremes of R over the wavelengths."""
     from mistray.report.model import Table, columns
     from mistray.report.tables.text import table_text
@@ -232,7 +232,7 @@ def _over_band(values: Spectrum) -> str:
     return table_text(Table(heads, rows))
 
 
-def _sample(values: Spectrum) -> str:
+def _sample(values: CoatingSpectrum) -> str:
     """Table of R at some of the wavelengths: unpolarised, and s and p off normal incidence."""
     import numpy as np
 

@@ -26,7 +26,7 @@ MARGIN = 1e-3  # by which holes are wider than the rays that were traced, and pl
 Rings = list[tuple[float, float]]
 
 
-class DesignLight:
+class BatoidLight:
     """
     Rays from the centre and the edge of batoid's field through an optic, segment by segment.
 

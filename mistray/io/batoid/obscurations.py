@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from mistray.errors import MistrayError
-from mistray.physics.geometry.outline import Figure, Outline
+from mistray.physics.geometry.outline import Outline, OutlineFigure
 
 M_TO_MM = 1e3
 
@@ -26,7 +26,7 @@ def clear_outline(obscuration: Any, radius: float, owner: str) -> Outline:
     """
     figures = _figures(obscuration, radius, owner, clear=True)
     if figures[0].sign == "-":
-        figures = [Figure("circle", sizes=(radius * M_TO_MM,)), *figures]
+        figures = [OutlineFigure("circle", sizes=(radius * M_TO_MM,)), *figures]
     return Outline(tuple(figures))
 
 
@@ -46,7 +46,7 @@ def opaque_outlines(obscuration: Any, radius: float, owner: str) -> list[Outline
     for part in _parts(obscuration):
         figures = _figures(part, radius, owner, clear=False)
         if figures[0].sign == "-":
-            figures = [Figure("circle", sizes=(radius * M_TO_MM,)), *figures]
+            figures = [OutlineFigure("circle", sizes=(radius * M_TO_MM,)), *figures]
         found.append(Outline(tuple(figures)))
     return found
 
@@ -67,15 +67,15 @@ def _parts(obscuration: Any) -> Iterator[Any]:
         yield obscuration
 
 
-def _figures(obscuration: Any, radius: float, owner: str, clear: bool) -> list[Figure]:
+def _figures(obscuration: Any, radius: float, owner: str, clear: bool) -> list[OutlineFigure]:
     """Figures of what is clear, or of what is covered."""
     kind = type(obscuration).__name__
     if obscuration is None:
-        return [Figure("circle", "+" if clear else "-", sizes=(radius * M_TO_MM,))]
+        return [OutlineFigure("circle", "+" if clear else "-", sizes=(radius * M_TO_MM,))]
     if kind == "ObscNegation":
         return _figures(obscuration.original, radius, owner, not clear)
     if kind == "ObscUnion" and clear:  # clear where none of them covers
-        figures: list[Figure] = []
+        figures: list[OutlineFigure] = []
         for item in sorted(obscuration.items, key=lambda item: not is_open(item)):
             figures += _within(_figures(item, radius, owner, clear=True), figures, owner)
         return figures
@@ -93,7 +93,7 @@ def _figures(obscuration: Any, radius: float, owner: str, clear: bool) -> list[F
     return [_signed(figure, "-" if clear else "+")]
 
 
-def _within(parts: list[Figure], before: list[Figure], owner: str) -> list[Figure]:
+def _within(parts: list[OutlineFigure], before: list[OutlineFigure], owner: str) -> list[OutlineFigure]:
     """Figures that cut away from others: what the first of them adds becomes what stays."""
     if not before:
         return parts
@@ -102,30 +102,30 @@ def _within(parts: list[Figure], before: list[Figure], owner: str) -> list[Figur
     return [_signed(figure, "&") if figure.sign == "+" else figure for figure in parts]
 
 
-def _single(obscuration: Any, kind: str, radius: float, owner: str) -> Figure:
+def _single(obscuration: Any, kind: str, radius: float, owner: str) -> OutlineFigure:
     if kind == "ObscCircle":
         return _circle(obscuration, obscuration.radius)
     if kind == "ObscRectangle":
         sizes = (0.5 * obscuration.width * M_TO_MM, 0.5 * obscuration.height * M_TO_MM)
         angle = math.degrees(obscuration.theta)
-        return Figure("rectangle", "+", obscuration.x * M_TO_MM, obscuration.y * M_TO_MM, angle, sizes)
+        return OutlineFigure("rectangle", "+", obscuration.x * M_TO_MM, obscuration.y * M_TO_MM, angle, sizes)
     if kind == "ObscPolygon":
         corners = [float(v) * M_TO_MM for corner in zip(obscuration.xs, obscuration.ys, strict=True) for v in corner]
         if corners[:2] == corners[-2:]:
             corners = corners[:-2]
-        return Figure("polygon", sizes=tuple(corners))
+        return OutlineFigure("polygon", sizes=tuple(corners))
     if kind == "ObscRay":  # half a strip, as long as the surface needs
         x, y, theta = obscuration.x, obscuration.y, obscuration.theta
         half = 0.5 * (radius + math.hypot(x, y))
         middle = x + half * math.cos(theta), y + half * math.sin(theta)
         sizes = (half * M_TO_MM, 0.5 * obscuration.width * M_TO_MM)
-        return Figure("rectangle", "+", middle[0] * M_TO_MM, middle[1] * M_TO_MM, math.degrees(theta), sizes)
+        return OutlineFigure("rectangle", "+", middle[0] * M_TO_MM, middle[1] * M_TO_MM, math.degrees(theta), sizes)
     raise MistrayError(f"{owner}: obscuration {kind} has no counterpart; use circles, rectangles, polygons and rays")
 
 
-def _circle(obscuration: Any, radius: float) -> Figure:
-    return Figure("circle", "+", obscuration.x * M_TO_MM, obscuration.y * M_TO_MM, sizes=(radius * M_TO_MM,))
+def _circle(obscuration: Any, radius: float) -> OutlineFigure:
+    return OutlineFigure("circle", "+", obscuration.x * M_TO_MM, obscuration.y * M_TO_MM, sizes=(radius * M_TO_MM,))
 
 
-def _signed(figure: Figure, sign: str) -> Figure:
-    return Figure(figure.kind, sign, figure.x, figure.y, figure.angle_deg, figure.sizes)
+def _signed(figure: OutlineFigure, sign: str) -> OutlineFigure:
+    return OutlineFigure(figure.kind, sign, figure.x, figure.y, figure.angle_deg, figure.sizes)

@@ -23,10 +23,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.io.batoid.design_light import MARGIN, DesignLight, pupil, without
+from mistray.io.batoid.design_light import MARGIN, BatoidLight, pupil, without
 from mistray.io.batoid.file import read_optic
 from mistray.io.batoid.obscurations import clear_outline, is_open, opaque_outlines
-from mistray.physics.geometry.outline import Figure, Outline
+from mistray.physics.geometry.outline import Outline, OutlineFigure
 from mistray.physics.geometry.pose import fixed_angles_deg
 from mistray.physics.sags.grid import Grid
 from mistray.prescription.coating import BLACK, Coating
@@ -161,10 +161,10 @@ class _Reader:
     notes: list[str] = field(default_factory=list)
 
     @cached_property
-    def light(self) -> DesignLight:
+    def light(self) -> BatoidLight:
         """The light of the design, for the baffles."""
         edge = None if self.field_deg is None else math.radians(self.field_deg)
-        return DesignLight(self.batoid, self.optic, self.wavelength_nm, edge)
+        return BatoidLight(self.batoid, self.optic, self.wavelength_nm, edge)
 
     def add(self, element: tuple[str, Any]) -> None:
         """Convert one interface."""
@@ -440,9 +440,9 @@ class _Reader:
 
 def _without_ring(outline: Outline, inner: float, outer: float) -> list[Outline]:
     """Return an outline (mm) without a centred ring (m), in two parts."""
-    parts = [Outline((*outline.figures, Figure("circle", "-", sizes=(outer * M_TO_MM,))))]
+    parts = [Outline((*outline.figures, OutlineFigure("circle", "-", sizes=(outer * M_TO_MM,))))]
     if inner > 0:
-        parts.append(Outline((*outline.figures, Figure("circle", "&", sizes=(inner * M_TO_MM,)))))
+        parts.append(Outline((*outline.figures, OutlineFigure("circle", "&", sizes=(inner * M_TO_MM,)))))
     return parts
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from mistray.io.cad.part import Part, RoundSurface
+from mistray.io.cad.part import CadPart, RoundSurface
 from mistray.read_file import read_file
 
 MM = 1000.0  # per metre
@@ -83,7 +83,7 @@ class Glb:
         """Return the name of a mesh: that of the product."""
         return str(self.tree["meshes"][number].get("name", ""))
 
-    def mesh(self, number: int) -> tuple[Part, int]:
+    def mesh(self, number: int) -> tuple[CadPart, int]:
         """A mesh in its own frame, as a part without names, and the count of its faces."""
         vertices: list[np.ndarray] = []
         triangles: list[np.ndarray] = []
@@ -110,8 +110,8 @@ class Glb:
             vertex_count += len(corners)
             face_count += max(len(known), 1)
         if not vertices:
-            return Part("", "", "", "", np.empty((0, 3)), np.empty((0, 3), int), np.empty(0, int), {}), 0
-        part = Part(
+            return CadPart("", "", "", "", np.empty((0, 3)), np.empty((0, 3), int), np.empty(0, int), {}), 0
+        part = CadPart(
             "", "", "", "", np.concatenate(vertices), np.concatenate(triangles), np.concatenate(faces), surfaces
         )
         return part, face_count

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.io.cad.part import Part, checked, unique_names
+from mistray.io.cad.part import CadPart, checked, unique_names
 from mistray.materials.mate import shown
 from mistray.prescription.sequential.table import Unread
 from mistray.read_file import read_file
@@ -23,7 +23,7 @@ Found = tuple[dict[str, Any], list[Unread]]  # vertices and triangles by title, 
 LOOKS = ("vt", "vn", "s", "mtllib", "usemtl")  # lines of an OBJ file that say nothing about shape
 
 
-def read_mesh(path: Path, *, unit_mm: float) -> tuple[list[Part], list[Unread]]:
+def read_mesh(path: Path, *, unit_mm: float) -> tuple[list[CadPart], list[Unread]]:
     """
     Parts of an STL, PLY, OBJ or glTF file.
 
@@ -40,7 +40,7 @@ def read_mesh(path: Path, *, unit_mm: float) -> tuple[list[Part], list[Unread]]:
 
     Returns
     -------
-    parts : list of Part
+    parts : list of CadPart
     unread : list of Unread
         Lines and elements that hold no polygons, triangles of no area.
 
@@ -65,7 +65,7 @@ def read_mesh(path: Path, *, unit_mm: float) -> tuple[list[Part], list[Unread]]:
     for name, (title, (vertices, triangles)) in zip(unique_names(found), found.items(), strict=True):
         vertices = unit_mm * np.asarray(vertices, dtype=np.float64).reshape(-1, 3)
         triangles = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
-        part = Part(name, title, title, title, vertices, triangles, np.zeros(len(triangles), dtype=np.int64))
+        part = CadPart(name, title, title, title, vertices, triangles, np.zeros(len(triangles), dtype=np.int64))
         part, empty = checked(part)
         if empty:
             unread.append(

@@ -43,7 +43,7 @@ class RoundSurface:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class CadPart:
     """
     A part in the frame of the scene.
 
@@ -77,7 +77,7 @@ class Part:
         """Name of a face, ``<part>_face_<number>``."""
         return f"{self.name}_face_{face}"
 
-    def moved(self, matrix: np.ndarray) -> Part:
+    def moved(self, matrix: np.ndarray) -> CadPart:
         """
         The part in another frame.
 
@@ -108,7 +108,7 @@ class Part:
         )
 
 
-def checked(part: Part) -> tuple[Part, int]:
+def checked(part: CadPart) -> tuple[CadPart, int]:
     """
     A part without triangles of no area, and how many they were.
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from mistray.errors import MistrayError
 from mistray.io.cad.glb import Glb, Instance
-from mistray.io.cad.part import Part, checked, unique_names
+from mistray.io.cad.part import CadPart, checked, unique_names
 from mistray.materials.mate import shown
 from mistray.prescription.sequential.table import Unread
 from mistray.read_file import read_file
@@ -33,7 +33,9 @@ STATUS = {
 }
 
 
-def read_step(path: Path, *, tolerance_mm: float, time_limit_s: float | None = None) -> tuple[list[Part], list[Unread]]:
+def read_step(
+    path: Path, *, tolerance_mm: float, time_limit_s: float | None = None
+) -> tuple[list[CadPart], list[Unread]]:
     """
     Parts of a STEP file, in mm whatever its unit, each instance of an assembly at its place.
 
@@ -47,7 +49,7 @@ def read_step(path: Path, *, tolerance_mm: float, time_limit_s: float | None = N
 
     Returns
     -------
-    parts : list of Part
+    parts : list of CadPart
     unread : list of Unread
         What is in the file and not in the parts.
 
@@ -118,9 +120,9 @@ def _convert(path: Path, target: Path, tolerance_mm: float, time_limit_s: float)
         raise MistrayError(f"STEP file '{path}': {STATUS.get(done.returncode, CRASHED)}")
 
 
-def _parts(file: Glb) -> tuple[list[Part], int, list[Unread]]:
+def _parts(file: Glb) -> tuple[list[CadPart], int, list[Unread]]:
     """Parts, faces of the file that they are made of, and what is missing."""
-    found: list[tuple[Instance, Part, str, str]] = []
+    found: list[tuple[Instance, CadPart, str, str]] = []
     unread: list[Unread] = []
     faces: dict[tuple[str, int], int] = {}  # a product that stands in several places is in the file once
     for instance in file.instances():

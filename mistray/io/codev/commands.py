@@ -53,7 +53,7 @@ _WORD = re.compile(r"""'[^']*'|"[^"]*"|[A-Za-z]+'[^']*'|\S+""")
 
 
 @dataclass(frozen=True)
-class Command:
+class SeqCommand:
     """
     One command.
 
@@ -102,7 +102,7 @@ class Command:
         return value
 
 
-def commands(text: str) -> Iterator[Command]:
+def commands(text: str) -> Iterator[SeqCommand]:
     """The commands of a file in their order."""
     start, parts = 0, list[str]()
     lines = text.splitlines()
@@ -115,7 +115,7 @@ def commands(text: str) -> Iterator[Command]:
         for piece in _pieces(" ".join(parts), ";"):
             words = tuple(_bare(word) for word in _WORD.findall(piece))
             if words:
-                yield Command(start, words, shown(piece.split()))
+                yield SeqCommand(start, words, shown(piece.split()))
         start, parts = 0, []
 
 

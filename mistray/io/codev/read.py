@@ -25,7 +25,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from mistray.errors import MistrayError
-from mistray.io.codev.commands import CHANGES_THE_LENS, HAS_NO_EFFECT, ORDERS, Command, commands
+from mistray.io.codev.commands import CHANGES_THE_LENS, HAS_NO_EFFECT, ORDERS, SeqCommand, commands
 from mistray.io.codev.glasses import CodevGlasses, table_material
 from mistray.io.codev.rows import CodevSurface, rows_of
 from mistray.io.codev.sags import ANAMORPHIC, SPECIAL
@@ -121,7 +121,7 @@ class _Reader:
         self.asked_radius = radius_mode
         self.radius: bool | None = None
         self.first_value: tuple[int, float] | None = None
-        self.telecentric: Command | None = None
+        self.telecentric: SeqCommand | None = None
         self.title = ""
         self.unit_mm = 1.0
         self.pupil: tuple[str, float] | None = None
@@ -146,7 +146,7 @@ class _Reader:
 
     # Commands
 
-    def take(self, command: Command) -> None:
+    def take(self, command: SeqCommand) -> None:
         """Read one command."""
         name = command.name
         if self.ended:
@@ -169,10 +169,10 @@ class _Reader:
         elif not (self._system(command) or self._of_surface(command)):
             self._skip(command, "an unknown command; if it changes the lens, this is another one")
 
-    def _skip(self, command: Command, reason: str) -> None:
+    def _skip(self, command: SeqCommand, reason: str) -> None:
         self.unread.append(Unread(command.line, command.text, reason))
 
-    def _system(self, command: Command) -> bool:
+    def _system(self, command: SeqCommand) -> bool:
         """Take a command about the whole system, if it is one."""
         name, words = command.name, command.words[1:]
         if name == "LEN":
@@ -217,7 +217,7 @@ class _Reader:
         return True
 
     @staticmethod
-    def _listed(command: Command, known: list[float]) -> list[float]:
+    def _listed(command: SeqCommand, known: list[float]) -> list[float]:
         """Values of all fields, or with one of them replaced, as in ``YAN F2 10``."""
         words = command.words[1:]
         if not words or not re.fullmatch(r"[Ff]\d{1,3}", words[0]):
@@ -229,7 +229,7 @@ class _Reader:
         found[place - 1] = command.number(1)
         return found
 
-    def _catalogue(self, command: Command) -> None:
+    def _catalogue(self, command: SeqCommand) -> None:
         """A line between PRV and END."""
         if command.name == "PWL":
             self.table_nm = command.numbers()
@@ -242,7 +242,7 @@ class _Reader:
             raise MistrayError(f"'{command.text}': {len(indices)} indices for {len(self.table_nm)} wavelengths of PWL")
         self.tables[command.words[0].upper()] = self.table_nm, indices
 
-    def _surface(self, command: Command, which: str) -> None:
+    def _surface(self, command: SeqCommand, which: str) -> None:
         """``S``, ``S3``, ``SO`` or ``SI``, with curvature or radius, thickness and glass."""
         if which == "O":
             surface = self.object
@@ -279,7 +279,7 @@ class _Reader:
         else:
             self.glass_words.append((surface, word, line))
 
-    def _of_surface(self, command: Command) -> bool:
+    def _of_surface(self, command: SeqCommand) -> bool:
         """Take a command about surfaces, if it is one."""
         name = command.name
         takers = {
@@ -339,45 +339,45 @@ class _Reader:
 
     # Commands about one surface
 
-    def _take_radius(self, surface: CodevSurface, command: Command) -> None:
+    def _take_radius(self, surface: CodevSurface, command: SeqCommand) -> None:
         surface.curvature = _inverse(command.number())
 
-    def _take_curvature(self, surface: CodevSurface, command: Command) -> None:
+    def _take_curvature(self, surface: CodevSurface, command: SeqCommand) -> None:
         surface.curvature = command.number()
 
-    def _take_thickness(self, surface: CodevSurface, command: Command) -> None:
+    def _take_thickness(self, surface: CodevSurface, command: SeqCommand) -> None:
         surface.thickness = command.number()
 
-    def _take_glass(self, surface: CodevSurface, command: Command) -> None:
+    def _take_glass(self, surface: CodevSurface, command: SeqCommand) -> None:
         if len(command.words) < 2:
             raise MistrayError(f"'{command.text}': no glass; name one, AIR or REFL")
         self._glass(surface, command.words[1], command.line)
 
-    def _take_stop(self, surface: CodevSurface, command: Command) -> None:
+    def _take_stop(self, surface: CodevSurface, command: SeqCommand) -> None:
         if self.stop not in (None, surface):
             self._note(f"line {command.line}: the stop moves here from the surface of line {self.stop.line}")
         self.stop = surface
 
-    def _take_label(self, surface: CodevSurface, command: Command) -> None:
+    def _take_label(self, surface: CodevSurface, command: SeqCommand) -> None:
         surface.label = " ".join(command.words[1:])
 
-    def _take_conic(self, surface: CodevSurface, command: Command) -> None:
+    def _take_conic(self, surface: CodevSurface, command: SeqCommand) -> None:
         surface.conic = command.number()
 
-    def _take_coefficient(self, surface: CodevSurface, command: Command) -> None:
+    def _take_coefficient(self, surface: CodevSurface, command: SeqCommand) -> None:
         surface.coefficients[ORDERS.index(command.name)] = command.number()
 
-    def _take_across(self, surface: CodevSurface, command: Command) -> None:
+    def _take_across(self, surface: CodevSurface, command: SeqCommand) -> None:
         value = command.number()
         surface.curvature_x = _inverse(value) if command.name == "RDX" else value
 
-    def _take_extra(self, surface: CodevSurface, command: Command) -> None:
+    def _take_extra(self, surface: CodevSurface, command: SeqCommand) -> None:
         surface.extra[command.name] = command.number()
 
-    def _take_kind(self, surface: CodevSurface, command: Command) -> None:
+    def _take_kind(self, surface: CodevSurface, command: SeqCommand) -> None:
         surface.kind = command.name
 
-    def _take_special(self, surface: CodevSurface, command: Command) -> None:
+    def _take_special(self, surface: CodevSurface, command: SeqCommand) -> None:
         kind = command.words[1].upper() if len(command.words) > 1 else ""
         if kind not in SPECIAL:
             raise MistrayError(
@@ -387,7 +387,7 @@ class _Reader:
         if len(command.words) > 2:
             surface.extra["NRADIUS"] = command.number(1)
 
-    def _take_special_number(self, surface: CodevSurface, command: Command) -> None:
+    def _take_special_number(self, surface: CodevSurface, command: SeqCommand) -> None:
         if len(command.words) < 3:
             raise MistrayError(f"'{command.text}': it needs a coefficient and a value, as in SCO C4 1e-3")
         name, value = command.words[1].upper(), command.number(1)
@@ -396,13 +396,13 @@ class _Reader:
         else:
             surface.extra[name] = value
 
-    def _take_move(self, surface: CodevSurface, command: Command) -> None:
+    def _take_move(self, surface: CodevSurface, command: SeqCommand) -> None:
         surface.moves[command.name[0]] = command.number()
 
-    def _take_mode(self, surface: CodevSurface, command: Command) -> None:
+    def _take_mode(self, surface: CodevSurface, command: SeqCommand) -> None:
         surface.mode = command.name
 
-    def _take_aperture(self, surface: CodevSurface, command: Command) -> None:
+    def _take_aperture(self, surface: CodevSurface, command: SeqCommand) -> None:
         words = [word for word in command.words[1:] if not re.match(r"L'", word, re.IGNORECASE)]
         kind = "CLR"
         if words and words[0].upper() in _APERTURES:
@@ -413,7 +413,7 @@ class _Reader:
             self._skip(known[command.name][1], f"line {command.line} replaces it; one aperture of a kind is read")
         known[command.name] = value, command
 
-    def _take_offset(self, surface: CodevSurface, command: Command) -> None:
+    def _take_offset(self, surface: CodevSurface, command: SeqCommand) -> None:
         words = list(command.words[1:])
         kind = words.pop(0).upper() if words and words[0].upper() in _APERTURES else ""
         surface.offset[kind + command.name[-1]] = replace(command, words=(command.name, *words)).number()

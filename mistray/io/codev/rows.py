@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from mistray.errors import MistrayError
-from mistray.io.codev.commands import Command
+from mistray.io.codev.commands import SeqCommand
 from mistray.io.codev.sags import sag_of
-from mistray.physics.geometry.outline import ALL, Figure, Outline
+from mistray.physics.geometry.outline import ALL, Outline, OutlineFigure
 from mistray.prescription.sequential.table import Decentre, Row, Unread
 
 
@@ -56,7 +56,7 @@ class CodevSurface:
     extra: dict[str, float] = field(default_factory=dict)
     moves: dict[str, float] = field(default_factory=dict)
     mode: str = ""
-    apertures: dict[str, dict[str, tuple[float, Command]]] = field(default_factory=dict)
+    apertures: dict[str, dict[str, tuple[float, SeqCommand]]] = field(default_factory=dict)
     offset: dict[str, float] = field(default_factory=dict)
 
 
@@ -146,7 +146,7 @@ def _apertures(surface: CodevSurface, unit_mm: float, unread: list[Unread]) -> d
         for _, command in surface.apertures.get(kind, {}).values():
             unread.append(Unread(command.line, command.text, reason))
 
-    def figures(kind: str) -> list[Figure]:
+    def figures(kind: str) -> list[OutlineFigure]:
         x, y, angle = (surface.offset.get(kind + axis, surface.offset.get(axis, 0.0)) for axis in "XYO")
         return [
             replace(f, x=x * unit_mm, y=y * unit_mm, angle_deg=0.0 if f.kind == "circle" else angle)
@@ -174,14 +174,14 @@ def _apertures(surface: CodevSurface, unit_mm: float, unread: list[Unread]) -> d
     return result
 
 
-def _figures(sizes: dict[str, float]) -> list[Figure]:
+def _figures(sizes: dict[str, float]) -> list[OutlineFigure]:
     """Figures of the sizes of one kind of aperture, about the origin."""
     found = []
     if "CIR" in sizes:
-        found.append(Figure("circle", sizes=(sizes["CIR"],)))
+        found.append(OutlineFigure("circle", sizes=(sizes["CIR"],)))
     if "REX" in sizes or "REY" in sizes:
-        found.append(Figure("rectangle", sizes=(sizes.get("REX", ALL), sizes.get("REY", ALL))))
+        found.append(OutlineFigure("rectangle", sizes=(sizes.get("REX", ALL), sizes.get("REY", ALL))))
     if "ELX" in sizes or "ELY" in sizes:
         a, b = (sizes.get(key, sizes.get(other, 0.0)) for key, other in (("ELX", "ELY"), ("ELY", "ELX")))
-        found.append(Figure("ellipse", sizes=(a, b)) if a != b else Figure("circle", sizes=(a,)))
+        found.append(OutlineFigure("ellipse", sizes=(a, b)) if a != b else OutlineFigure("circle", sizes=(a,)))
     return found

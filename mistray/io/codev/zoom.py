@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from mistray.errors import MistrayError
-from mistray.io.codev.commands import HAS_NO_EFFECT, Command
+from mistray.io.codev.commands import HAS_NO_EFFECT, SeqCommand
 
 _POSITION = re.compile(r"Z(\d{1,3})")
 _PLACE = re.compile(r"(?:[SFWR]\d{1,6}|S[OIS])(?:\.\.\d{1,6})?")
@@ -34,7 +34,7 @@ class ZoomPosition:
         self.names: dict[int, str] = {}
         self._by_name = wanted if isinstance(wanted, str) else None
 
-    def commands(self, found: Iterable[Command]) -> Iterator[Command]:
+    def commands(self, found: Iterable[SeqCommand]) -> Iterator[SeqCommand]:
         """
         The commands that hold at the position, without what says so.
 
@@ -65,7 +65,7 @@ class ZoomPosition:
         of = f"{self.count} ({named})" if named else f"{self.count}"
         return f"zoom position {self.number} of {of}; configuration chooses another"
 
-    def _look(self, command: Command) -> None:
+    def _look(self, command: SeqCommand) -> None:
         """Take the number of positions and their names."""
         words = command.words[1:]
         if command.name == "ZOO" and len(words) == 1 and words[0].isdigit():
@@ -85,7 +85,7 @@ class ZoomPosition:
         if not 1 <= self.number <= self.count:
             raise MistrayError(f"zoom position {self.number} of {self.count}; give one from 1 to {self.count}")
 
-    def _of_all(self, command: Command) -> Iterator[Command]:
+    def _of_all(self, command: SeqCommand) -> Iterator[SeqCommand]:
         words = command.words[1:]
         if not words or words[0].isdigit() or words[0].upper() == "TIT":
             return
@@ -102,7 +102,7 @@ class ZoomPosition:
         yield plain
 
     @staticmethod
-    def _position(command: Command) -> int | None:
+    def _position(command: SeqCommand) -> int | None:
         if command.name in HAS_NO_EFFECT:
             return None
         words = [word.upper() for word in command.words[1:3]]

@@ -21,7 +21,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from mistray.errors import MistrayError
-from mistray.io.zemax.lines import Line, Section, Sections
+from mistray.io.zemax.lines import Sections, ZemaxLine, ZemaxSection
 
 _OF_SURFACE = {"THIC": "DISZ", "CRVT": "CURV", "CONN": "CONI", "SDIA": "DIAM"}
 _OF_FIELD = {
@@ -69,7 +69,7 @@ def at_configuration(sections: Sections, wanted: int | str | None) -> str:
     return f"configuration {number} of {of}; configuration chooses another"
 
 
-def _rows(after: Section, head: Line | None) -> list[Line]:
+def _rows(after: ZemaxSection, head: ZemaxLine | None) -> list[ZemaxLine]:
     """The operands, which follow MNUM; what else stands there is put back."""
     found = []
     for line in after.take_rest():
@@ -80,7 +80,7 @@ def _rows(after: Section, head: Line | None) -> list[Line]:
     return found
 
 
-def _number(wanted: int | str | None, saved: int, names: dict[int, str], head: Line | None) -> int:
+def _number(wanted: int | str | None, saved: int, names: dict[int, str], head: ZemaxLine | None) -> int:
     if wanted is None:
         return saved
     if isinstance(wanted, int):
@@ -92,21 +92,21 @@ def _number(wanted: int | str | None, saved: int, names: dict[int, str], head: L
     raise _error(head, f"configuration '{wanted}' is not there; the file has {named}")
 
 
-def _error(head: Line | None, message: str) -> MistrayError:
+def _error(head: ZemaxLine | None, message: str) -> MistrayError:
     return MistrayError(f"lens: {message}") if head is None else head.error(message)
 
 
-def _whole(line: Line, place: int) -> int:
+def _whole(line: ZemaxLine, place: int) -> int:
     return line.whole(place, "a whole number")
 
 
-def _name(line: Line) -> str:
+def _name(line: ZemaxLine) -> str:
     """Return the text between the first two quotes; without quotes, the third word."""
     parts = line.text.split('"')
     return parts[1].strip() if len(parts) > 2 else line.words[2]
 
 
-def _set(sections: Sections, line: Line) -> None:
+def _set(sections: Sections, line: ZemaxLine) -> None:
     """Put the value of an operand into the line that it replaces."""
     place = _whole(line, 0)
     if line.key in _OF_SURFACE:
@@ -130,7 +130,7 @@ def _set(sections: Sections, line: Line) -> None:
         )
 
 
-def _replace(section: Section, key: str, place: int, word: str, line: Line) -> None:
+def _replace(section: ZemaxSection, key: str, place: int, word: str, line: ZemaxLine) -> None:
     """Replace a word of the line of a keyword, which may be missing or too short."""
     old = section.take(key)
     words = list(old.words) if old else []

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from mistray.errors import MistrayError
 from mistray.io.glasses import FileGlasses, remedy
-from mistray.io.zemax.lines import Line
+from mistray.io.zemax.lines import ZemaxLine
 from mistray.materials.agf import glass_names
 from mistray.materials.catalogue import MAKERS, PINNED, glasses
 from mistray.materials.infrared import OTHER_NAMES, plain, without_page
@@ -53,7 +53,7 @@ SYNONYMS = {
 """Names of Zemax's catalogues MISC, INFRARED, CORNING and of the obsolete Schott glasses, and what they are here."""
 
 
-class Glasses(FileGlasses):
+class ZemaxGlasses(FileGlasses):
     """
     Finds the material of a glass.
 
@@ -85,13 +85,13 @@ class Glasses(FileGlasses):
         self._listed = [maker for word in catalogues for maker in MAKERS if word.lower().startswith(maker)]
         self._found: dict[tuple[str, ...], str] = {}
 
-    def material(self, line: Line, picked_up: Mapping[int, str]) -> str:
+    def material(self, line: ZemaxLine, picked_up: Mapping[int, str]) -> str:
         """
         Material string of a GLAS line that is not MIRROR.
 
         Parameters
         ----------
-        line : Line
+        line : ZemaxLine
         picked_up : mapping of int to str
             Materials of the surfaces before, by number.
 
@@ -121,7 +121,7 @@ class Glasses(FileGlasses):
             self._found[key] = self._checked_at(line, self._named(line, name), name)
         return self._found[key]
 
-    def _model(self, line: Line) -> str:
+    def _model(self, line: ZemaxLine) -> str:
         nd, vd = line.value(3, "nd of the model glass"), line.value(4, "Vd of the model glass")
         offset = line.value(5, "dPgF") if len(line.words) > 5 else 0.0
         key = (repr(nd), repr(vd))
@@ -137,7 +137,7 @@ class Glasses(FileGlasses):
                 )
         return self._found[key]
 
-    def _named(self, line: Line, name: str) -> str:
+    def _named(self, line: ZemaxLine, name: str) -> str:
         if (asked := self._asked_for(name)) is not None:
             return asked
         for file, names in self._agf:
@@ -175,7 +175,7 @@ class Glasses(FileGlasses):
         nearest = f"like it: {', '.join(known[key] for key in close[:3])}; " if close else ""
         return nearest + remedy(name)
 
-    def _checked_at(self, line: Line, material: str, name: str) -> str:
+    def _checked_at(self, line: ZemaxLine, material: str, name: str) -> str:
         try:
             return self._checked(material, name)
         except MistrayError as error:

@@ -2,7 +2,7 @@
 
 Lines of a surface are indented below their ``SURF n``; what follows the last surface without indentation is the merit
 function, tolerances and configurations. Every line is taken by the reader, known to have no effect on rays, or left
-over; `Section.left` lists the last kind, so that none gets lost.
+over; `ZemaxSection.left` lists the last kind, so that none gets lost.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ _AFTER = {"TOL", "MNUM", "MOFF", "BLNK"}
 
 
 @dataclass(frozen=True)
-class Line:
+class ZemaxLine:
     """
     One line.
 
@@ -151,14 +151,14 @@ class Line:
         return Unread(self.number, self.text, reason)
 
 
-class Section:
+class ZemaxSection:
     """Lines that belong together; each is taken once."""
 
-    def __init__(self, name: str, head: Line | None = None) -> None:
+    def __init__(self, name: str, head: ZemaxLine | None = None) -> None:
         self.name, self.head = name, head
-        self._lines: list[Line] = []
+        self._lines: list[ZemaxLine] = []
 
-    def add(self, line: Line) -> None:
+    def add(self, line: ZemaxLine) -> None:
         """Append a line."""
         self._lines.append(line)
 
@@ -166,7 +166,7 @@ class Section:
         """Whether a line of a keyword is left."""
         return any(line.key == key for line in self._lines)
 
-    def take(self, key: str) -> Line | None:
+    def take(self, key: str) -> ZemaxLine | None:
         """
         The line of a keyword; None without one.
 
@@ -180,18 +180,18 @@ class Section:
             raise found[1].error(f"{key} of {self.name} is there already, on line {found[0].number}; remove one")
         return found[0] if found else None
 
-    def take_all(self, *keys: str) -> list[Line]:
+    def take_all(self, *keys: str) -> list[ZemaxLine]:
         """The lines of some keywords, in the order of the file."""
         found = [line for line in self._lines if line.key in keys]
         self._lines = [line for line in self._lines if line.key not in keys]
         return found
 
-    def take_rest(self) -> list[Line]:
+    def take_rest(self) -> list[ZemaxLine]:
         """All lines that are left."""
         found, self._lines = self._lines, []
         return found
 
-    def left(self) -> Iterator[Line]:
+    def left(self) -> Iterator[ZemaxLine]:
         """Lines that nobody took and that are not known to have no effect."""
         known = NO_EFFECT if self.head is None else NO_EFFECT_ON_SURFACE
         return (line for line in self._lines if line.key not in known)
@@ -204,18 +204,18 @@ class Sections:
 
     Attributes
     ----------
-    system : Section
-    surfaces : list of Section
+    system : ZemaxSection
+    surfaces : list of ZemaxSection
         In their order, the object first.
-    after : Section
+    after : ZemaxSection
         Merit function, tolerances and configurations.
     indented : bool
         Lines of surfaces are, so that those of `after` are known to be what they are.
     """
 
-    system: Section
-    surfaces: list[Section]
-    after: Section
+    system: ZemaxSection
+    surfaces: list[ZemaxSection]
+    after: ZemaxSection
     indented: bool
 
 
@@ -229,13 +229,13 @@ def read_sections(path: Path) -> Sections:
         If it cannot be read, has no surfaces, or they are not numbered from 0 on.
     """
     text = decode(read_file(path, "lens"))
-    system, after, surfaces = Section("the system"), Section("the end of the file"), list[Section]()
+    system, after, surfaces = ZemaxSection("the system"), ZemaxSection("the end of the file"), list[ZemaxSection]()
     place, over, indented = system, False, False
     for number, raw in enumerate(text.splitlines(), 1):
         words = raw.split()
         if not words:
             continue
-        line = Line(path, number, raw.strip(), words[0].upper(), tuple(words[1:]))
+        line = ZemaxLine(path, number, raw.strip(), words[0].upper(), tuple(words[1:]))
         flush = not raw[0].isspace()
         if line.key == "SURF":
             if line.whole(0, "the number of the surface") != len(surfaces):
@@ -243,7 +243,7 @@ def read_sections(path: Path) -> Sections:
                     f"'{line.shown}' where surface {len(surfaces)} should stand; they are numbered from 0 on"
                 )
             _move(after, place)
-            place, over = Section(f"surface {len(surfaces)}", line), False
+            place, over = ZemaxSection(f"surface {len(surfaces)}", line), False
             surfaces.append(place)
         elif not surfaces:
             system.add(line)
@@ -261,7 +261,7 @@ def read_sections(path: Path) -> Sections:
     return Sections(system, surfaces, after, indented)
 
 
-def _move(after: Section, place: Section) -> None:
+def _move(after: ZemaxSection, place: ZemaxSection) -> None:
     """Put lines that seemed to follow the surfaces where they stand: another line of the table came behind them."""
     for line in after.take_rest():
         place.add(line)

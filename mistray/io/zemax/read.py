@@ -43,12 +43,12 @@ from mistray.coatings.zemax import CoatingFile
 from mistray.errors import MistrayError
 from mistray.io.conventions import object_na
 from mistray.io.zemax.configurations import at_configuration
-from mistray.io.zemax.glasses import Glasses
-from mistray.io.zemax.lines import Line, Section, Sections, read_sections
-from mistray.io.zemax.sags import KINDS, Numbers, figure_of
+from mistray.io.zemax.glasses import ZemaxGlasses
+from mistray.io.zemax.lines import Sections, ZemaxLine, ZemaxSection, read_sections
+from mistray.io.zemax.sags import KINDS, SagNumbers, figure_of
 from mistray.io.zemax.system import System, read_system
 from mistray.materials import refractive_index
-from mistray.physics.geometry.outline import MOST_FIGURES, Figure, Outline, circle
+from mistray.physics.geometry.outline import MOST_FIGURES, Outline, OutlineFigure, circle
 from mistray.prescription.sequential.table import Decentre, Row, Sequential, Unread
 
 _REMEDIES = {
@@ -123,7 +123,7 @@ class _Reader:
         self.unread: list[Unread] = list(self.system.unread)
         self.notes: list[str] = list(self.system.notes)
         wavelengths = self.system.wavelengths_nm
-        self.glasses = Glasses(self.system.catalogues, agf, replaced, wavelengths)
+        self.glasses = ZemaxGlasses(self.system.catalogues, agf, replaced, wavelengths)
         self.coating_file: CoatingFile | None = None
         if coatings is not None:
             self.coating_file = read_coating_file(coatings, wavelengths[self.system.primary])
@@ -169,7 +169,7 @@ class _Reader:
         note = f"paraxial working F-number {aperture:g} is the paraxial cone of object-space NA {cone:.6g}"
         return replace(lens, aperture_kind="object_na", aperture=cone, notes=(*lens.notes, note))
 
-    def _object(self, section: Section) -> tuple[float, str]:
+    def _object(self, section: ZemaxSection) -> tuple[float, str]:
         """Distance and material of the object."""
         kind = section.take("TYPE")
         if kind is not None and kind.word(0).upper() != "STANDARD":
@@ -187,7 +187,7 @@ class _Reader:
             return math.inf, material
         return thickness.value(0, "a thickness or INFINITY") * self.unit, material
 
-    def _row(self, number: int, section: Section, before: str, image: bool) -> Row:
+    def _row(self, number: int, section: ZemaxSection, before: str, image: bool) -> Row:
         head = section.head
         assert head is not None
         kind = section.take("TYPE")
@@ -211,15 +211,15 @@ class _Reader:
         self.materials[number] = row.material
         return row
 
-    def _thickness(self, section: Section) -> float:
+    def _thickness(self, section: ZemaxSection) -> float:
         line = section.take("DISZ")
         return (
             0.0 if line is None else line.value(0, "a thickness; only that of the object may be infinite") * self.unit
         )
 
-    def _break(self, number: int, section: Section, before: str) -> Row:
+    def _break(self, number: int, section: ZemaxSection, before: str) -> Row:
         section.take_all("CURV", "CONI", "DIAM")
-        n = Numbers.of(section, self.unit)
+        n = SagNumbers.of(section, self.unit)
         decentre = self._decentre([n.take(place) for place in range(1, 7)])
         self._rest(n, "COORDBRK")
         return Row(number, kind="coordinate_break", material=before, decentre=decentre)
@@ -229,14 +229,14 @@ class _Reader:
         x, y, *tilt, order = values
         return Decentre(x=x * self.unit, y=y * self.unit, tilt_deg=(tilt[0], tilt[1], tilt[2]), tilt_first=order != 0)
 
-    def _rest(self, n: Numbers, kind: str) -> None:
+    def _rest(self, n: SagNumbers, kind: str) -> None:
         """List the numbers that a type does not know."""
         self.unread += [line.unread(f"{n.owner}: {kind} has no {what}") for what, line in n.left()]
 
-    def _surface(self, number: int, section: Section, before: str, image: bool, name: str) -> Row:
+    def _surface(self, number: int, section: ZemaxSection, before: str, image: bool, name: str) -> Row:
         head = section.head
         assert head is not None
-        n = Numbers.of(section, self.unit, self._semi_diameter(section))
+        n = SagNumbers.of(section, self.unit, self._semi_diameter(section))
         figure = figure_of(name, n, self._first(section, "CURV"), self._first(section, "CONI"), head)
         self._rest(n, name)
         material, mirror = self._glass(section, before, image)
@@ -252,18 +252,18 @@ class _Reader:
             **self._aperture(section),
         )
 
-    def _semi_diameter(self, section: Section) -> float:
+    def _semi_diameter(self, section: ZemaxSection) -> float:
         """Return the semi-diameter that the file draws, in lens units, or 0; the line stays."""
         lines = section.take_all("DIAM")
         for line in lines:
             section.add(line)
         return abs(lines[0].value(0, "a semi-diameter")) if lines and lines[0].words else 0.0
 
-    def _first(self, section: Section, key: str) -> float:
+    def _first(self, section: ZemaxSection, key: str) -> float:
         line = section.take(key)
         return 0.0 if line is None else line.value(0)
 
-    def _glass(self, section: Section, before: str, image: bool) -> tuple[str, bool]:
+    def _glass(self, section: ZemaxSection, before: str, image: bool) -> tuple[str, bool]:
         line = section.take("GLAS")
         if line is None:
             return "air", False
@@ -274,7 +274,7 @@ class _Reader:
             return before, True
         return self.glasses.material(line, self.materials), False
 
-    def _aperture(self, section: Section) -> dict[str, Any]:
+    def _aperture(self, section: ZemaxSection) -> dict[str, Any]:
         """Clear semi-diameter of a row, whether it stops light, and the apertures that the file states."""
         diameter = section.take("DIAM")
         drawn = abs(diameter.value(0, "a semi-diameter")) * self.unit if diameter else 0.0
@@ -301,7 +301,7 @@ class _Reader:
         fixed = stated.annulus is not None and not more
         return {"semi_diameter": reach, "semi_diameter_fixed": fixed, "aperture": stated}
 
-    def _stated(self, line: Line, x: float, y: float, drawn: float) -> Outline | None:
+    def _stated(self, line: ZemaxLine, x: float, y: float, drawn: float) -> Outline | None:
         """Return the outline that a line of an aperture or an obscuration describes."""
         if line.key not in _FIGURES and line.key != "SPID":
             self.unread.append(
@@ -321,9 +321,9 @@ class _Reader:
             raise line.error(f"half widths {first:g} and {second:g} mm; both must be greater than 0")
         if kind == "ellipse" and first == second:
             return circle(first, 0.0, x, y)
-        return Outline((Figure(kind, "+", x, y, sizes=(first, second)),))
+        return Outline((OutlineFigure(kind, "+", x, y, sizes=(first, second)),))
 
-    def _spider(self, line: Line, width: float, x: float, y: float, drawn: float) -> Outline | None:
+    def _spider(self, line: ZemaxLine, width: float, x: float, y: float, drawn: float) -> Outline | None:
         arms = line.whole(1, "the number of arms")
         if not (width > 0 and 1 <= arms <= MOST_FIGURES - 2):
             raise line.error(f"{arms} arms of {width:g} mm; give 1 to {MOST_FIGURES - 2} of a width above 0")
@@ -331,7 +331,7 @@ class _Reader:
         angles = [360.0 * k / arms for k in range(arms)]
         return Outline(
             tuple(
-                Figure(
+                OutlineFigure(
                     "rectangle", "+", x + half * math.cos(math.radians(a)), y + half * math.sin(math.radians(a)), a,
                     (half, 0.5 * width),
                 )
@@ -339,7 +339,7 @@ class _Reader:
             )
         )  # fmt: skip
 
-    def _coating(self, section: Section) -> str:
+    def _coating(self, section: ZemaxSection) -> str:
         line = section.take("COAT")
         if line is None or not line.words:
             return ""
@@ -353,7 +353,7 @@ class _Reader:
             raise line.error(str(error)) from None
         return f"{self.coating_file.path}:{name}"
 
-    def _before(self, section: Section) -> Decentre | None:
+    def _before(self, section: ZemaxSection) -> Decentre | None:
         found = None
         for line in section.take_all("SCBD"):
             values = line.values("numbers")
@@ -376,7 +376,7 @@ class _Reader:
             )
         return stops[0].semi_diameter
 
-    def _list_rest(self, section: Section) -> None:
+    def _list_rest(self, section: ZemaxSection) -> None:
         self.unread += [line.unread(f"not known to mistray, on {section.name}") for line in section.left()]
 
     def _after(self) -> None:

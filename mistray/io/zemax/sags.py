@@ -26,7 +26,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mistray.errors import MistrayError
-from mistray.io.zemax.lines import Line, Section
+from mistray.io.zemax.lines import ZemaxLine, ZemaxSection
 from mistray.physics.sags.terms import XY_ORDERS, length_power
 from mistray.prescription.sequential.table import Row
 
@@ -36,7 +36,7 @@ _HIGHEST_EVEN = 20  # order that a surface of revolution takes
 
 
 @dataclass
-class Numbers:
+class SagNumbers:
     """
     The numbers of a surface, in lens units.
 
@@ -46,7 +46,7 @@ class Numbers:
         For messages.
     parameters, extra : dict of int to float
         PARM and XDAT by their numbers; a type takes what it knows, so that the rest can be reported.
-    lines : dict of (str, int) to Line
+    lines : dict of (str, int) to ZemaxLine
         Where they stand.
     unit : float
         mm.
@@ -59,10 +59,10 @@ class Numbers:
     semi_diameter: float = 0.0
     parameters: dict[int, float] = field(default_factory=dict)
     extra: dict[int, float] = field(default_factory=dict)
-    lines: dict[tuple[str, int], Line] = field(default_factory=dict)
+    lines: dict[tuple[str, int], ZemaxLine] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, section: Section, unit: float, semi_diameter: float = 0.0) -> Numbers:
+    def of(cls, section: ZemaxSection, unit: float, semi_diameter: float = 0.0) -> SagNumbers:
         """Return the numbers of a section, whose lines are taken."""
         found = cls(section.name, unit, semi_diameter)
         for key, values, most in (("PARM", found.parameters, MOST_PARAMETERS), ("XDAT", found.extra, MOST_EXTRA)):
@@ -93,32 +93,32 @@ class Numbers:
             raise line.error(f"{self.owner} has {len(terms)} terms over a radius of {radius:g}; give one above 0")
         return radius or 1.0, terms
 
-    def left(self) -> list[tuple[str, Line]]:
+    def left(self) -> list[tuple[str, ZemaxLine]]:
         """Numbers that are not 0 and that nobody took, as "parameter 3", with their lines."""
         rest = [("PARM", place) for place, value in self.parameters.items() if value]
         rest += [("XDAT", place) for place, value in self.extra.items() if value]
         return [(f"{'parameter' if key == 'PARM' else 'extra datum'} {n}", self.lines[key, n]) for key, n in rest]
 
 
-def _even(n: Numbers) -> dict[str, float]:
+def _even(n: SagNumbers) -> dict[str, float]:
     return {f"a{2 * i}": n.take(i) for i in range(1, _EVEN_TERMS + 1)}
 
 
-def _odd(n: Numbers) -> dict[str, float]:
+def _odd(n: SagNumbers) -> dict[str, float]:
     return {f"{'r' if i % 2 else 'a'}{i}": n.take(i) for i in range(1, _ODD_TERMS + 1)}
 
 
-def _extended(n: Numbers) -> dict[str, float]:
+def _extended(n: SagNumbers) -> dict[str, float]:
     radius, terms = n.series()
     return {f"a{2 * i}": _scaled(term, radius, 2 * i) for i, term in enumerate(terms, 1)}
 
 
-def _extended_odd(n: Numbers) -> dict[str, float]:
+def _extended_odd(n: SagNumbers) -> dict[str, float]:
     radius, terms = n.series()
     return {f"{'r' if i % 2 else 'a'}{i}": _scaled(term, radius, i) for i, term in enumerate(terms, 1)}
 
 
-def _irregular(n: Numbers) -> dict[str, float]:
+def _irregular(n: SagNumbers) -> dict[str, float]:
     for place, what in ((1, "decentre"), (2, "decentre"), (3, "tilt"), (4, "tilt"), (8, "angle")):
         if n.take(place):
             raise n.lines["PARM", place].error(
@@ -140,29 +140,29 @@ def _irregular(n: Numbers) -> dict[str, float]:
     }
 
 
-def _toroid(n: Numbers) -> dict[str, float]:
+def _toroid(n: SagNumbers) -> dict[str, float]:
     radius = n.take(1)
     profile = {f"a{2 * i}": n.take(i + 1) for i in range(1, _TOROID_TERMS + 1)}
     return {"toroid_curvature": 1 / radius if radius else 0.0, **profile, **_zernikes(n, "zernike")}
 
 
-def _biconic(n: Numbers) -> dict[str, float]:
+def _biconic(n: SagNumbers) -> dict[str, float]:
     radius, conic = n.take(1), n.take(2)
     return {"curvature_x": 1 / radius if radius else 0.0, "conic_x": conic}
 
 
-def _zernikes(n: Numbers, kind: str) -> dict[str, float]:
+def _zernikes(n: SagNumbers, kind: str) -> dict[str, float]:
     radius, terms = n.series()
     found = {f"{kind}_{j}": term for j, term in enumerate(terms, 1) if term}
     return found | ({f"{kind}_radius": radius} if found else {})
 
 
-def _polynomial(n: Numbers) -> dict[str, float]:
+def _polynomial(n: SagNumbers) -> dict[str, float]:
     radius, terms = n.series()
     return {f"xy_{i}_{j}": _scaled(t, radius, i + j) for (i, j), t in zip(XY_ORDERS[1:], terms, strict=False) if t}
 
 
-def _forbes(n: Numbers) -> dict[str, float]:
+def _forbes(n: SagNumbers) -> dict[str, float]:
     kind = n.extra.pop(1, 0.0)
     if kind:
         raise n.lines["XDAT", 1].error(f"{n.owner} is a Q asphere of type {kind:g}; type 0, Qbfs, is read")
@@ -193,7 +193,7 @@ KINDS: dict[str, Any] = {
 }
 
 
-def figure_of(kind: str, n: Numbers, curvature: float, conic: float, head: Line) -> dict[str, Any]:
+def figure_of(kind: str, n: SagNumbers, curvature: float, conic: float, head: ZemaxLine) -> dict[str, Any]:
     """
     Radius, conic, coefficients and sag of a `Row`, in mm.
 
@@ -201,11 +201,11 @@ def figure_of(kind: str, n: Numbers, curvature: float, conic: float, head: Line)
     ----------
     kind : str
         One of `KINDS`.
-    n : Numbers
+    n : SagNumbers
         What the type does not know is left in it.
     curvature, conic : float
         1/lens unit and 1.
-    head : Line
+    head : ZemaxLine
         Of the surface, for messages.
     """
     curved = 0.0 if kind == "TILTSURF" else curvature / n.unit

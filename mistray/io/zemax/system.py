@@ -24,7 +24,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from mistray.io.zemax.lines import Line, Section
+from mistray.io.zemax.lines import ZemaxLine, ZemaxSection
 from mistray.prescription.sequential.table import ApertureKind, FieldKind, Unread
 
 _UNIT_MM = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "INCH": 25.4, "M": 1000.0, "METER": 1000.0, "METERS": 1000.0}
@@ -46,7 +46,7 @@ class System:
         The stop's semi-diameter decides; `aperture` is still 0.
     working : bool
         `aperture` is the paraxial F-number at the image of the file's object, not at infinite conjugates.
-    telecentric : Line or None
+    telecentric : ZemaxLine or None
         The line that makes object space telecentric.
     catalogues : tuple of str
         Names of glass catalogues.
@@ -58,7 +58,7 @@ class System:
     aperture: float
     floating: bool
     working: bool
-    telecentric: Line | None
+    telecentric: ZemaxLine | None
     field_kind: FieldKind
     fields: tuple[tuple[float, float], ...]
     vignetting: tuple[tuple[float, float, float, float], ...]
@@ -70,7 +70,7 @@ class System:
     notes: tuple[str, ...]
 
 
-def read_system(section: Section, path: Path) -> System:
+def read_system(section: ZemaxSection, path: Path) -> System:
     """
     Take the lines of the system.
 
@@ -83,7 +83,7 @@ def read_system(section: Section, path: Path) -> System:
 
 
 class _Reader:
-    def __init__(self, section: Section, path: Path) -> None:
+    def __init__(self, section: ZemaxSection, path: Path) -> None:
         self.section, self.path = section, path
         self.unread: list[Unread] = []
         self.notes: list[str] = []
@@ -157,7 +157,7 @@ class _Reader:
         return "object_na", math.sin(math.radians(value)) if special else value, False
 
     def _fields(
-        self, head: Line | None, unit: float
+        self, head: ZemaxLine | None, unit: float
     ) -> tuple[FieldKind, tuple[tuple[float, float], ...], tuple[tuple[float, float, float, float], ...]]:
         kind = head.whole(0, "a field type", default=0) if head else 0
         if head is not None and not 0 <= kind < len(_FIELD_KINDS):
@@ -190,7 +190,7 @@ class _Reader:
         line = self.section.take(key)
         return line.values("numbers") if line else ()
 
-    def _wavelengths(self, head: Line | None) -> tuple[tuple[float, ...], tuple[float, ...], int]:
+    def _wavelengths(self, head: ZemaxLine | None) -> tuple[tuple[float, ...], tuple[float, ...], int]:
         found = self._single_wavelengths() or self._listed_wavelengths()
         count = head.whole(3, "the number of wavelengths", default=0) if head else 0
         if not 0 < count <= len(found):
@@ -249,13 +249,13 @@ def _at(column: tuple[float, ...], place: int) -> float:
     return column[place] if place < len(column) else 0.0
 
 
-def _nm(line: Line, um: float) -> float:
+def _nm(line: ZemaxLine, um: float) -> float:
     if not um > 0:
         raise line.error(f"wavelength {um:g} µm; it must be greater than 0")
     return round(um * 1e3, 9)
 
 
-def _field_angles(head: Line, azimuth: float, elevation: float) -> tuple[float, float]:
+def _field_angles(head: ZemaxLine, azimuth: float, elevation: float) -> tuple[float, float]:
     """Field angles (of the tangents of a direction) of theodolite angles, degrees."""
     if max(abs(azimuth), abs(elevation)) >= 90:
         raise head.error(f"field of theodolite angles {azimuth:g}, {elevation:g} degrees; both must be within ±90")

@@ -16,7 +16,7 @@ from mistray.errors import MistrayError, nearest
 from mistray.known_arguments import known_arguments
 from mistray.notes import quiet
 from mistray.optimize.metrics.observation import NORM, Observation, Selection, smooth_maximum, smooth_minimum, texts_of
-from mistray.optimize.metrics.views import View
+from mistray.optimize.metrics.views import TraceView
 from mistray.ranges import FIELD_DEG, POSITIVE, Range
 from mistray.recorders.path_events import DIRECT
 from mistray.trace import trace
@@ -67,11 +67,11 @@ class Metric:
         object.__setattr__(self, "field_deg", _angles(self.field_deg))
 
     @property
-    def views(self) -> list[View]:
+    def views(self) -> list[TraceView]:
         """Views that are traced, in the order of the observations."""
         light = {"wavelength_nm": self.wavelength_nm, "weights": self.weights}
         fields: Sequence[float | None] = (None,) if self.field_deg is None else self.field_deg
-        return [View({**(self.settings or {}), **light, "field_deg": angle}) for angle in fields]
+        return [TraceView({**(self.settings or {}), **light, "field_deg": angle}) for angle in fields]
 
     def observe(self, times: float = 1.0, **changes: Any) -> list[Any]:
         """
@@ -149,7 +149,7 @@ class CombinedMetric(Metric):
         return replace(self, times=times, parts=parts)
 
     @property
-    def views(self) -> list[View]:
+    def views(self) -> list[TraceView]:
         """Views that the parts look at, each once."""
         return list({view.key: view for part in (self.parts or {}).values() for view in part.views}.values())
 

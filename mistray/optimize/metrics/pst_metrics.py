@@ -15,7 +15,7 @@ from mistray.errors import MistrayError
 from mistray.optimize.metrics.metric import Metric, require_known
 from mistray.optimize.metrics.observation import NORM, smooth_maximum
 from mistray.optimize.metrics.pst_observation import CONVENTION, QUANTITY, Light, PstObservation, named_classes
-from mistray.optimize.metrics.views import PstView, View
+from mistray.optimize.metrics.views import PstView, TraceView
 from mistray.ranges import POLAR_DEG, POSITIVE, PST_FIELD_DEG
 from mistray.recorders.directions import CELL_DEG
 from mistray.surfaces.upload import upload
@@ -49,7 +49,7 @@ class PstMetric(Metric):
         return replace(self, times=times, plans={})
 
     @property
-    def views(self) -> list[View]:
+    def views(self) -> list[TraceView]:
         """The PST."""
         return [PstView(self.settings or {}, self.plans)]
 

@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.analysis.metrics.extended_source import ExtendedSource, Sky, cover
+from mistray.analysis.metrics.extended_source import ExtendedSource, SkyRadiance, cover
 from mistray.analysis.metrics.glare import glare_cells
 from mistray.analysis.pst.result import CONVENTIONS, STRAY, Pst
 from mistray.errors import MistrayError, nearest
@@ -150,7 +150,7 @@ class PstObservation:
         """
         QUANTITY.check("quantity", quantity)
         CONVENTION.check("convention", convention)
-        value = self.weighted(self.seen(Sky(1.0, low_deg, high_deg), light, interpolation), light)
+        value = self.weighted(self.seen(SkyRadiance(1.0, low_deg, high_deg), light, interpolation), light)
         if quantity == "integral":
             return value
         grid = self.pst.grid

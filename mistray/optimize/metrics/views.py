@@ -22,7 +22,7 @@ METHODS = ("joined", "adjoint")  # of a PST metric, the usual one first
 
 
 @dataclass(frozen=True)
-class View:
+class TraceView:
     """
     One trace of a scene.
 
@@ -64,7 +64,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class PstView(View):
+class PstView(TraceView):
     """
     One point source transmittance of a scene.
 
@@ -99,7 +99,7 @@ class PstView(View):
         return RAYS[METHODS[0]]
 
 
-def seen_unpolarized(scene: Any, views: Sequence[View]) -> list[Note]:
+def seen_unpolarized(scene: Any, views: Sequence[TraceView]) -> list[Note]:
     """Note what Stokes vectors would change of what some views show, see `unpolarized_notes`."""
     names = {one.name for one in fields(Settings)}
     beams: list[dict[str, Any]] = []

@@ -18,7 +18,7 @@ from mistray.errors import MistrayError, in_words
 from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.metrics.views import added_light, first_light, light_since
 from mistray.optimize.study.goals import holds, limit_of
-from mistray.optimize.study.model import Study, Term
+from mistray.optimize.study.model import DesignStudy, Term
 from mistray.optimize.study.state import Step
 from mistray.optimize.study.terms import cell_settings, of_layers, of_pst, traced_metric
 from mistray.ranges import SEEDS as SEED_COUNT
@@ -29,7 +29,7 @@ WORTH_TELLING = 0.01  # relative growth
 
 
 @dataclass(frozen=True)
-class Cell:
+class ComparisonCell:
     """
     Term, field and wavelength that a number is about.
 
@@ -61,7 +61,7 @@ class Levels:
     Attributes
     ----------
     seeds : tuple of int
-    values : dict of Cell to (seeds,) float64
+    values : dict of ComparisonCell to (seeds,) float64
         NaN where a term has no value, as an RMS spot without light.
     units : dict of str to str
         By name of the term.
@@ -70,22 +70,22 @@ class Levels:
     """
 
     seeds: tuple[int, ...]
-    values: dict[Cell, np.ndarray]
+    values: dict[ComparisonCell, np.ndarray]
     units: dict[str, str] = field(default_factory=dict)
     light: dict[str, FirstLight] = field(default_factory=dict)
 
     def of(self, term: str) -> np.ndarray:
         """The values of a term by seed, (seeds,)."""
-        return self.values[Cell(term)]
+        return self.values[ComparisonCell(term)]
 
     def including(self, numbers: Mapping[str, float], units: Mapping[str, str]) -> Levels:
         """Return these levels and terms that are known exactly."""
-        exact = {Cell(name): np.full(len(self.seeds), value) for name, value in numbers.items()}
+        exact = {ComparisonCell(name): np.full(len(self.seeds), value) for name, value in numbers.items()}
         return dataclasses.replace(self, values={**self.values, **exact}, units={**self.units, **units})
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row(Cell):
+class ComparisonRow(ComparisonCell):
     """
     One number before and after.
 
@@ -115,14 +115,14 @@ class Comparison:
     Attributes
     ----------
     seeds : tuple of int
-    rows : tuple of Row
+    rows : tuple of ComparisonRow
         Of each term the whole, each field, each wavelength, each field at each wavelength.
     entering : mapping of str to tuple of Entering
         By field angle in words: first surfaces of light in the second design that are none in the first.
     """
 
     seeds: tuple[int, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[ComparisonRow, ...]
     entering: Mapping[str, tuple[Entering, ...]] = field(default_factory=dict)
 
     @property
@@ -131,22 +131,22 @@ class Comparison:
         return any(spoils(entering) for entering in self.entering.values())
 
     @property
-    def total(self) -> Row:
+    def total(self) -> ComparisonRow:
         """The first term."""
         return self.rows[0]
 
-    def of(self, term: str) -> Row:
+    def of(self, term: str) -> ComparisonRow:
         """A term."""
         return next(row for row in self.rows if row.term == term and row.whole)
 
-    def marginals(self) -> Iterator[Row]:
+    def marginals(self) -> Iterator[ComparisonRow]:
         """The terms, each field and each wavelength of them."""
         return (row for row in self.rows if row.field_deg is None or row.wavelength_nm is None)
 
 
 def measure(
     scene: Any,
-    study: Study,
+    study: DesignStudy,
     seeds: int = SEEDS,
     times: float = 1.0,
     paths: bool = False,
@@ -160,7 +160,7 @@ def measure(
     Parameters
     ----------
     scene : mi.Scene
-    study : Study
+    study : DesignStudy
     seeds : int
         Number of seeds, at least 2.
     times : float
@@ -174,7 +174,7 @@ def measure(
     """
     SEED_COUNT.check("seeds", seeds)
     numbers = tuple(study.optimizer.seed + 1 + k for k in range(seeds))
-    metrics: dict[Cell, Metric] = {}
+    metrics: dict[ComparisonCell, Metric] = {}
     for term in study.terms:
         if not of_layers(term):
             metrics |= _cells(term, scene)
@@ -200,7 +200,7 @@ def measure(
     return Levels(numbers[:done], values, {cell.term: metric.unit for cell, metric in metrics.items()}, light)
 
 
-def try_terms(study: Study, scene: Any) -> None:
+def try_terms(study: DesignStudy, scene: Any) -> None:
     """
     Trace one cell of each term whose kind is a function, its last field and wavelength, as a comparison will.
 
@@ -222,19 +222,21 @@ def try_terms(study: Study, scene: Any) -> None:
             ) from error
 
 
-def of_search(study: Study, before: Step, after: Step) -> Comparison:
+def of_search(study: DesignStudy, before: Step, after: Step) -> Comparison:
     """Compare two steps of a search by what it knows of them itself: its own seeds, so that there are no errors."""
     rows = []
     for term in study.terms:
         b, a = before.terms[term.name], after.terms[term.name]
         ratio = b / a if a else np.nan
         rows.append(
-            Row(term.name, unit="", before=b, before_se=np.nan, after=a, after_se=np.nan, ratio=ratio, ratio_se=np.nan)
+            ComparisonRow(
+                term.name, unit="", before=b, before_se=np.nan, after=a, after_se=np.nan, ratio=ratio, ratio_se=np.nan
+            )
         )
     return Comparison((), tuple(rows))
 
 
-def worse(comparison: Comparison, terms: Sequence[Term]) -> list[Row]:
+def worse(comparison: Comparison, terms: Sequence[Term]) -> list[ComparisonRow]:
     """
     Single fields, wavelengths and pairs of both at which a term has become worse, the worst first.
 
@@ -259,7 +261,7 @@ def worse(comparison: Comparison, terms: Sequence[Term]) -> list[Row]:
     return sorted(found, key=lambda row: row.ratio if row.after > row.before else 1 / row.ratio)
 
 
-def _suffers(term: Term, row: Row, far: float) -> bool:
+def _suffers(term: Term, row: ComparisonRow, far: float) -> bool:
     """Whether a goal is missed at a field or wavelength, by more than so many standard errors."""
     margin = far * row.ratio_se
     if term.goal == "minimise":
@@ -275,7 +277,7 @@ def _suffers(term: Term, row: Row, far: float) -> bool:
     return holds(term, row.before, row.before) and missing > far * error
 
 
-def _cells(term: Term, scene: Any) -> dict[Cell, Metric]:
+def _cells(term: Term, scene: Any) -> dict[ComparisonCell, Metric]:
     """A term as a whole, at each field, at each wavelength and at each of both."""
     fields = list(term.traced.get("field_deg") or ())
     lines = list(term.traced.get("wavelength_nm") or ())
@@ -285,7 +287,7 @@ def _cells(term: Term, scene: Any) -> dict[Cell, Metric]:
     result = {}
     for angle, k in cells:
         metric = traced_metric(term, scene, 0, **cell_settings(term.traced, angle, k))  # each measurement has its seed
-        result[Cell(term.name, angle, None if k is None else lines[k])] = metric
+        result[ComparisonCell(term.name, angle, None if k is None else lines[k])] = metric
     return result
 
 
@@ -304,7 +306,7 @@ def compare(before: Levels, after: Levels) -> Comparison:
             ratio = b.mean() / a.mean()
             ratio_se = (b - ratio * a).std(ddof=1) / abs(a.mean()) / root  # of a ratio of means
         rows.append(
-            Row(
+            ComparisonRow(
                 **vars(cell),
                 unit=before.units.get(cell.term, ""),
                 before=float(b.mean()),

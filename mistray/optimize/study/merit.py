@@ -15,7 +15,7 @@ from mistray.optimize.gradient import Gradient, chosen_parameters, gradient_requ
 from mistray.optimize.metrics.metric import Metric, combine
 from mistray.optimize.search.point import Pieces
 from mistray.optimize.study.goals import by_value, check, contribution, holds, least_merit, pieces
-from mistray.optimize.study.model import Optimizer, Study
+from mistray.optimize.study.model import DesignStudy, Optimizer
 from mistray.optimize.study.state import Evaluation
 from mistray.optimize.study.terms import layer_value, of_layers, traced_metric
 from mistray.optimize.study.variables import Variables
@@ -36,7 +36,7 @@ class Merit:
 
     Parameters
     ----------
-    study : Study
+    study : DesignStudy
     scene : mi.Scene
     params : mi.SceneParameters
     variables : Variables
@@ -55,7 +55,7 @@ class Merit:
 
     def __init__(
         self,
-        study: Study,
+        study: DesignStudy,
         scene: Any,
         params: Any,
         variables: Variables,

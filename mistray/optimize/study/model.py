@@ -220,7 +220,7 @@ class Optimizer:
 
 
 @dataclass(frozen=True)
-class Study:
+class DesignStudy:
     """
     A study.
 
@@ -246,6 +246,9 @@ class Study:
         optimizer = replace(self.optimizer, steps=0, searches=1, tolerance=0.0, patience=1)
         content = asdict(replace(self, name="", optimizer=optimizer))
         return hashlib.sha256(json.dumps(content, sort_keys=True, default=_named).encode()).hexdigest()
+
+
+Study = DesignStudy  # its name before version 0.3
 
 
 def _named(kind: Any) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from mistray.analysis.next_order import LIMITS, NextOrder, decided, next_limits
 from mistray.optimize.study.comparison import Comparison, Levels, compare
-from mistray.optimize.study.model import Study, Term
+from mistray.optimize.study.model import DesignStudy, Term
 from mistray.optimize.study.terms import of_layers
 from mistray.sampling.sources import spectrum_of
 from mistray.settings import Settings
@@ -19,19 +19,19 @@ from mistray.surfaces.surfaces import SurfaceTable
 
 LEAST_SEEDS = 3
 
-Measure = Callable[[Study, int, float], tuple[Levels, ...]]
+Measure = Callable[[DesignStudy, int, float], tuple[Levels, ...]]
 """The terms of a study in some designs, on so many seeds, or on fewer, `LEAST_SEEDS` at least, after a time in s."""
 
 
 def with_next_orders(
-    study: Study, scene: Any, first: tuple[Levels, Levels], seconds: float, measure: Measure
+    study: DesignStudy, scene: Any, first: tuple[Levels, Levels], seconds: float, measure: Measure
 ) -> tuple[Comparison, tuple[NextOrder, ...]]:
     """
     Compare two designs with one more scatter event and, apart from that, with one more reflection on each path.
 
     Parameters
     ----------
-    study : Study
+    study : DesignStudy
     scene : mi.Scene
     first : (Levels, Levels)
         The given design and the result, by the study as it is.
@@ -61,7 +61,7 @@ def with_next_orders(
     return compare(*chosen), orders
 
 
-def _raised(study: Study, scene: Any, limit: str) -> dict[str, int]:
+def _raised(study: DesignStudy, scene: Any, limit: str) -> dict[str, int]:
     """The limit by name of a term, one higher than it is, of the terms for which it can be raised."""
     found: dict[str, int] = {}
     names = {f.name for f in fields(Settings)}

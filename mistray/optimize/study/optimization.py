@@ -29,12 +29,12 @@ from mistray.optimize.study.comparison import (
     try_terms,
 )
 from mistray.optimize.study.merit import Merit
-from mistray.optimize.study.model import Study
+from mistray.optimize.study.model import DesignStudy
 from mistray.optimize.study.next_orders import LEAST_SEEDS, with_next_orders
 from mistray.optimize.study.searches import Progress, Searches
 from mistray.optimize.study.starts import starts
 from mistray.optimize.study.state import Start, State, Step
-from mistray.optimize.study.study_scene import Placed, StudyScene, band, open_scene, place
+from mistray.optimize.study.study_scene import PlacedDesign, StudyScene, band, open_scene, place
 from mistray.optimize.study.terms import UNITS_OF_LAYERS, layer_value, of_layers, traced_metric
 from mistray.optimize.study.variables import Variables, find_variables
 from mistray.optimize.tolerances.proposals import SHAPE_KINDS
@@ -55,10 +55,10 @@ class Optimization:
 
     Attributes
     ----------
-    study : Study
+    study : DesignStudy
     source : Path
         The scene file.
-    placed : tuple of Placed
+    placed : tuple of PlacedDesign
         The coatings of the study and their surfaces.
     band_nm : tuple of float
         Wavelengths for which the coatings are made, ascending, nm; empty without coatings.
@@ -91,9 +91,9 @@ class Optimization:
         Time of the searches, of the traces and derivatives in them, and of the comparison.
     """
 
-    study: Study
+    study: DesignStudy
     source: Path
-    placed: tuple[Placed, ...]
+    placed: tuple[PlacedDesign, ...]
     band_nm: tuple[float, ...]
     variables: Variables
     thickness_keys: dict[str, str]
@@ -153,7 +153,7 @@ class Optimization:
 @warns
 def optimize(
     scene: str | Path,
-    study: str | Path | Mapping[str, Any] | Study,
+    study: str | Path | Mapping[str, Any] | DesignStudy,
     *,
     steps: int | None = None,
     checkpoint: str | Path | None = None,
@@ -173,7 +173,7 @@ def optimize(
     ----------
     scene : str or Path
         Scene XML file or name of a shipped scene.
-    study : str, Path, mapping or Study
+    study : str, Path, mapping or DesignStudy
         See docs/optimization.md.
     steps : int, optional
         Most steps of each search, instead of the study's.
@@ -206,7 +206,7 @@ def optimize(
         else. A search that comes to a point without a merit ends there and keeps its steps. An error after the search
         is told in the result.
     """
-    read = study if isinstance(study, Study) else read_study(study)
+    read = study if isinstance(study, DesignStudy) else read_study(study)
     if steps is not None:
         read = dataclasses.replace(read, optimizer=dataclasses.replace(read.optimizer, steps=steps))
     SEED_COUNT.check("verification_seeds", verification_seeds)
@@ -242,7 +242,7 @@ def optimize(
         unpolarized: tuple[str, ...] = ()
         unverified = ""
 
-        def both(asked: Study, seeds: int, seconds: float, least: int = LEAST_SEEDS) -> tuple[Levels, Levels]:
+        def both(asked: DesignStudy, seeds: int, seconds: float, least: int = LEAST_SEEDS) -> tuple[Levels, Levels]:
             before = _levels(asked, opened, variables, designs[0], seeds, least, seconds / 2)
             return before, _levels(asked, opened, variables, designs[1], len(before.seeds), len(before.seeds))
 
@@ -286,7 +286,7 @@ def optimize(
 
 
 def _levels(
-    study: Study,
+    study: DesignStudy,
     opened: StudyScene,
     variables: Variables,
     x: np.ndarray,

@@ -14,7 +14,7 @@ from scipy.stats import qmc
 
 from mistray.materials import complex_index
 from mistray.optimize.study.state import Start
-from mistray.optimize.study.study_scene import Placed
+from mistray.optimize.study.study_scene import PlacedDesign
 from mistray.optimize.study.variables import Variables
 from mistray.optimize.thickness_minima import thickness_minima
 from mistray.physics.thinfilm import reflectance_transmittance
@@ -48,7 +48,7 @@ class Proxy:
     weights: np.ndarray
 
     @classmethod
-    def of(cls, placed: Placed, wavelength_nm: Sequence[float], weights: Sequence[float]) -> Proxy:
+    def of(cls, placed: PlacedDesign, wavelength_nm: Sequence[float], weights: Sequence[float]) -> Proxy:
         """The proxy of one coating of a study."""
         start = placed.group.start
         layers, media, orders = [], [], []
@@ -105,7 +105,7 @@ def minima(proxy: Proxy, bounds_nm: Sequence[tuple[float, float]], given: np.nda
 
 def starts(
     variables: Variables,
-    placed: Sequence[Placed],
+    placed: Sequence[PlacedDesign],
     wavelength_nm: Sequence[float],
     weights: Sequence[float],
     count: int,
@@ -122,7 +122,7 @@ def starts(
     ----------
     variables : Variables
         Those of the layers of the coatings come first.
-    placed : sequence of Placed
+    placed : sequence of PlacedDesign
     wavelength_nm, weights : sequence of float
         The band; not used without coatings.
     count : int

@@ -16,7 +16,7 @@ import numpy as np
 from mistray.coatings import METAL_K, Stack
 from mistray.errors import MistrayError
 from mistray.optimize.parameters import Parameter, parameters
-from mistray.optimize.study.model import CoatingGroup, Study
+from mistray.optimize.study.model import CoatingGroup, DesignStudy
 from mistray.optimize.study.terms import of_layers
 from mistray.sampling.sources import scene_sources
 from mistray.scene import load
@@ -26,7 +26,7 @@ THIN = 1.01  # index of the medium that counts as air
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedDesign:
     """
     A design and the surfaces of a scene that have it.
 
@@ -57,7 +57,7 @@ class Placed:
         return SharedCoating(self.group.name, self.stack(thickness_nm), self.surfaces, self.group.design_nm)
 
 
-def band(scene: Any, study: Study) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def band(scene: Any, study: DesignStudy) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """
     Wavelengths (nm, ascending) and their shares of the flux, for which coatings are made.
 
@@ -72,7 +72,7 @@ def band(scene: Any, study: Study) -> tuple[tuple[float, ...], tuple[float, ...]
     return tuple(float(nm) for nm in wavelengths), tuple(float(share) for share in powers / powers.sum())
 
 
-def place(scene: Any, study: Study) -> tuple[Placed, ...]:
+def place(scene: Any, study: DesignStudy) -> tuple[PlacedDesign, ...]:
     """
     Find the surfaces of each coating of a study.
 
@@ -113,7 +113,7 @@ def place(scene: Any, study: Study) -> tuple[Placed, ...]:
                 )
             owner[name] = group.name
         sides = (shapes[name].bsdf() for name in surfaces)
-        placed.append(Placed(group, surfaces, tuple(dict.fromkeys((bsdf.front, bsdf.back) for bsdf in sides))))
+        placed.append(PlacedDesign(group, surfaces, tuple(dict.fromkeys((bsdf.front, bsdf.back) for bsdf in sides))))
     return tuple(placed)
 
 
@@ -152,7 +152,7 @@ class StudyScene:
 
 
 @contextlib.contextmanager
-def open_scene(source: Path, placed: Sequence[Placed]) -> Iterator[StudyScene]:
+def open_scene(source: Path, placed: Sequence[PlacedDesign]) -> Iterator[StudyScene]:
     """
     Load a scene file and put the start designs of coatings on it.
 

@@ -13,7 +13,7 @@ from mistray.errors import MistrayError
 from mistray.optimize.bodies import Body, bodies
 from mistray.optimize.parameters import Parameter, groups, match
 from mistray.optimize.scene_values import assign
-from mistray.optimize.study.model import Moved, Study, VariableGroup
+from mistray.optimize.study.model import DesignStudy, Moved, VariableGroup
 from mistray.surfaces.gradient_columns import POSE, ROTATION
 
 MOTION_STEP = 1e-3  # mm or degrees, of central differences of what bodies do to their surfaces
@@ -21,7 +21,7 @@ ROUNDING = 1e-6  # of the range, by which a start may lie outside of the bounds:
 
 
 @dataclass(frozen=True)
-class Place:
+class VariablePlace:
     """
     One number of the scene that a variable moves.
 
@@ -84,7 +84,7 @@ class Variable:
     low, high : float
         Bounds of x, in `unit`.
     scale : {"linear", "log"}
-    places : tuple of Place
+    places : tuple of VariablePlace
     motions : tuple of Motion
         Of bodies.
     """
@@ -94,7 +94,7 @@ class Variable:
     low: float
     high: float
     scale: str
-    places: tuple[Place, ...]
+    places: tuple[VariablePlace, ...]
     motions: tuple[Motion, ...] = ()
 
     @property
@@ -103,7 +103,7 @@ class Variable:
         return self.places[0].start / self.places[0].factor if self.places else 0.0
 
     @property
-    def targets(self) -> tuple[Place | Motion, ...]:
+    def targets(self) -> tuple[VariablePlace | Motion, ...]:
         """All that it moves."""
         return (*self.places, *self.motions)
 
@@ -125,7 +125,7 @@ class Variable:
         """dx/dy."""
         return x * math.log(self.high / self.low) if self.scale == "log" else self.high - self.low
 
-    def moved(self, x: float) -> Iterator[tuple[Place, float, float]]:
+    def moved(self, x: float) -> Iterator[tuple[VariablePlace, float, float]]:
         """Places with their values and d value/dx."""
         for place in self.places:
             if self.scale == "log":
@@ -238,13 +238,15 @@ class Variables:
         return np.array([v.stretch(float(value)) for v, value in zip(self.variables, x, strict=True)])
 
 
-def find_variables(study: Study, params: Any, known: Mapping[str, Parameter], coatings: Mapping[str, str]) -> Variables:
+def find_variables(
+    study: DesignStudy, params: Any, known: Mapping[str, Parameter], coatings: Mapping[str, str]
+) -> Variables:
     """
     The variables of a study: every layer of its coatings, and what the sections ``[[variable]]`` name.
 
     Parameters
     ----------
-    study : Study
+    study : DesignStudy
     params : mi.SceneParameters
     known : mapping of str to Parameter
         The parameters of the scene that have a derivative.
@@ -261,7 +263,7 @@ def find_variables(study: Study, params: Any, known: Mapping[str, Parameter], co
     for group in study.coatings:
         key = coatings[group.name]
         for k, (layer, (low, high)) in enumerate(zip(group.start.layers, group.bounds_nm, strict=True)):
-            place = Place(key, k, 1.0, layer.thickness_nm)
+            place = VariablePlace(key, k, 1.0, layer.thickness_nm)
             found.append(Variable(f"{group.name}.thickness_nm[{k}]", "nm", low, high, "linear", (place,)))
     together, rigid = (groups(known), bodies(known)) if study.variables else ({}, {})
     for number, section in enumerate(study.variables, start=1):
@@ -317,7 +319,7 @@ def _of_group(
     where: str,
 ) -> list[Variable]:
     """The variables of one section."""
-    places: dict[tuple[str, int], tuple[Place, Parameter]] = {}
+    places: dict[tuple[str, int], tuple[VariablePlace, Parameter]] = {}
     motions: list[Motion] = []
     for moved in group.parameters:
         motion = None if moved.key in together or moved.key in known else _motion(moved, rigid, where)
@@ -336,11 +338,13 @@ def _of_group(
         )
     if motions and group.scale == "log":
         raise MistrayError(f'{where}: {motions[0].label} starts with 0; scale = "log" takes numbers above 0')
-    items: list[tuple[Place, Parameter] | Motion] = [*places.values(), *motions]
+    items: list[tuple[VariablePlace, Parameter] | Motion] = [*places.values(), *motions]
     return [_variable(members, group, where) for members in ([[item] for item in items] if group.each else [items])]
 
 
-def _variable(members: Sequence[tuple[Place, Parameter] | Motion], group: VariableGroup, where: str) -> Variable:
+def _variable(
+    members: Sequence[tuple[VariablePlace, Parameter] | Motion], group: VariableGroup, where: str
+) -> Variable:
     """The variable that moves some places and bodies."""
     places = [item for item in members if not isinstance(item, Motion)]
     motions = tuple(item for item in members if isinstance(item, Motion))
@@ -373,7 +377,7 @@ def _motion(moved: Moved, rigid: Mapping[str, Body], where: str) -> Motion | Non
 
 def _places(
     moved: Moved, known: Mapping[str, Parameter], together: Mapping[str, list[str]], where: str
-) -> Iterator[tuple[Place, Parameter]]:
+) -> Iterator[tuple[VariablePlace, Parameter]]:
     try:
         keys = together.get(moved.key) or match(known, [moved.key])
     except MistrayError as error:
@@ -385,10 +389,12 @@ def _places(
                 f"{where}.parameters: '{key}' has no entry {moved.entry}; its entries are 0 to {len(values) - 1}"
             )
         for entry in range(len(values)) if moved.entry is None else [moved.entry]:
-            yield Place(key, entry, moved.factor, float(values[entry])), known[key]
+            yield VariablePlace(key, entry, moved.factor, float(values[entry])), known[key]
 
 
-def _bounds(members: Sequence[tuple[Place, Parameter]], group: VariableGroup, where: str) -> tuple[float, float]:
+def _bounds(
+    members: Sequence[tuple[VariablePlace, Parameter]], group: VariableGroup, where: str
+) -> tuple[float, float]:
     """Bounds of x that keep every parameter over its factor between those of the group."""
     slack = ROUNDING * (group.high - group.low)
     for place, parameter in members:

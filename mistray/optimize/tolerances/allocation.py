@@ -109,7 +109,7 @@ class StepCost:
 
 
 @dataclass(frozen=True)
-class Choice:
+class ToleranceChoice:
     """
     One number to choose.
 
@@ -167,7 +167,7 @@ class Model:
     parts: np.ndarray
 
     @classmethod
-    def of(cls, variables: Sequence[Choice], values: np.ndarray, derivatives: np.ndarray) -> Model:
+    def of(cls, variables: Sequence[ToleranceChoice], values: np.ndarray, derivatives: np.ndarray) -> Model:
         """
         The model from metrics and their derivatives.
 
@@ -175,7 +175,7 @@ class Model:
 
         Parameters
         ----------
-        variables : sequence of Choice
+        variables : sequence of ToleranceChoice
         values : (metrics,) float64
         derivatives : (metrics, variables) float64
             By the numbers themselves.
@@ -184,13 +184,13 @@ class Model:
         parts = np.maximum(derivatives * lever, 0.0)
         return cls(values - parts.sum(axis=1), parts)
 
-    def metrics(self, variables: Sequence[Choice], numbers: np.ndarray) -> np.ndarray:
+    def metrics(self, variables: Sequence[ToleranceChoice], numbers: np.ndarray) -> np.ndarray:
         """(metrics,) at other numbers."""
         ratios = np.array([float(v.ratio(np.array(p))) for v, p in zip(variables, numbers, strict=True)])
         return np.asarray(self.fixed + self.parts @ ratios)
 
 
-def allocate(variables: Sequence[Choice], model: Model, limits: np.ndarray) -> np.ndarray:
+def allocate(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarray) -> np.ndarray:
     """
     The numbers that meet all limits at the least total cost.
 
@@ -200,7 +200,7 @@ def allocate(variables: Sequence[Choice], model: Model, limits: np.ndarray) -> n
 
     Parameters
     ----------
-    variables : sequence of Choice
+    variables : sequence of ToleranceChoice
     model : Model
     limits : (metrics,) float64
 
@@ -224,13 +224,13 @@ def allocate(variables: Sequence[Choice], model: Model, limits: np.ndarray) -> n
     return _descend(variables, model, limits, numbers, free) if free else numbers
 
 
-def excess(variables: Sequence[Choice], model: Model, limits: np.ndarray) -> float:
+def excess(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarray) -> float:
     """The worst metric over its limit with every number at its best."""
     best = np.array([v.grades().min() for v in variables])
     return float(np.max(model.metrics(variables, best) / limits))
 
 
-def _choose(variables: Sequence[Choice], model: Model, limits: np.ndarray) -> np.ndarray:
+def _choose(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarray) -> np.ndarray:
     """The exact choice of one grade for every variable."""
     lists = [v.grades() for v in variables]
     costs = np.concatenate([v.cost(grades) for v, grades in zip(variables, lists, strict=True)])
@@ -256,7 +256,7 @@ def _choose(variables: Sequence[Choice], model: Model, limits: np.ndarray) -> np
 
 
 def _descend(
-    variables: Sequence[Choice], model: Model, limits: np.ndarray, start: np.ndarray, free: Sequence[int]
+    variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarray, start: np.ndarray, free: Sequence[int]
 ) -> np.ndarray:
     """The best continuous numbers, with the others held."""
     chosen = [variables[k] for k in free]

@@ -20,7 +20,7 @@ from mistray.optimize.gradient import gradient
 from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.parameters import Parameter, parameters
 from mistray.optimize.scene_values import assign
-from mistray.optimize.tolerances.allocation import Choice, Model, allocate, excess
+from mistray.optimize.tolerances.allocation import Model, ToleranceChoice, allocate, excess
 from mistray.optimize.tolerances.proposals import APART
 from mistray.optimize.tolerances.steps import Progress, Steps
 from mistray.optimize.toml.read_budget import BudgetStudy, Grades, read_budget
@@ -208,13 +208,15 @@ class _Search:
         self.advance = Steps(progress, len(self.metrics) * (study.iterations + 2 * study.seeds))
         self.numbers = self.start
 
-    def choices(self, numbers: np.ndarray) -> list[Choice]:
+    def choices(self, numbers: np.ndarray) -> list[ToleranceChoice]:
         """List the choices, with the numbers at which the metrics are known."""
         result = []
         for parameter, grades, number in zip(self.known, self.grades, numbers, strict=True):
             slope_key = f"{parameter.key.rpartition('.')[0]}.slope"
             slope = float(self.params[slope_key][0]) if grades.parameter == "level" else CLEANED_SLOPE
-            result.append(Choice(grades.parameter, float(number), grades.best, grades.worst, grades.cost, slope))
+            result.append(
+                ToleranceChoice(grades.parameter, float(number), grades.best, grades.worst, grades.cost, slope)
+            )
         return result
 
     def derive(self, numbers: np.ndarray) -> tuple[Model, np.ndarray, np.ndarray]:

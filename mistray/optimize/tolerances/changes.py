@@ -14,7 +14,7 @@ ROUNDING = 1e-9  # relative
 
 
 @dataclass(frozen=True)
-class Change:
+class ParameterChange:
     """
     A new value of one parameter.
 
@@ -74,17 +74,17 @@ class Ranges:
             return np.where(known, -np.abs(self.slope) * np.maximum(room, 0.0), 0.0)
 
 
-def single_changes(ranges: Ranges, factor: float) -> tuple[Change, ...]:
+def single_changes(ranges: Ranges, factor: float) -> tuple[ParameterChange, ...]:
     """For each parameter alone the value at which the metric is `factor` times smaller, or else the better bound."""
     goal = math.log(factor)
     found = []
     for number, gain in enumerate(ranges.gain):
         value = ranges.after(number, min(-gain, goal)) if gain < 0 else float(ranges.value[number])
-        found.append(Change(number, value, math.exp(min(-gain, goal)), bool(-gain >= goal)))
+        found.append(ParameterChange(number, value, math.exp(min(-gain, goal)), bool(-gain >= goal)))
     return tuple(found)
 
 
-def best_together(ranges: Ranges, factor: float, count: int = 3) -> tuple[Change, ...]:
+def best_together(ranges: Ranges, factor: float, count: int = 3) -> tuple[ParameterChange, ...]:
     """
     The few parameters that lower the metric by `factor` together with the least effort, and their new values.
 
@@ -102,7 +102,7 @@ def best_together(ranges: Ranges, factor: float, count: int = 3) -> tuple[Change
 
     Returns
     -------
-    tuple of Change
+    tuple of ParameterChange
         The largest first; `factor` of each is its own part, the product is that of all.
     """
     goal = math.log(factor)
@@ -127,7 +127,7 @@ def best_together(ranges: Ranges, factor: float, count: int = 3) -> tuple[Change
     found = []
     for number, part in sorted(zip(members, parts, strict=True), key=lambda item: -item[1]):
         if part > 0:
-            found.append(Change(number, ranges.after(number, part), math.exp(part), missing == 0))
+            found.append(ParameterChange(number, ranges.after(number, part), math.exp(part), missing == 0))
     return tuple(found)
 
 

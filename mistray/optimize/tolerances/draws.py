@@ -19,7 +19,7 @@ from mistray.execute.workers import current_workers
 from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.scene_values import assign
 from mistray.optimize.tolerances.finished import Finished
-from mistray.optimize.tolerances.rows import Row, shifted_values, whole_values
+from mistray.optimize.tolerances.rows import SensitivityRow, shifted_values, whole_values
 from mistray.optimize.tolerances.steps import Steps
 from mistray.scene.check import check_overlaps
 
@@ -97,7 +97,7 @@ class Draws:
 def draw_systems(
     metric: Metric,
     params: Mapping[str, Any],
-    rows: Sequence[Row],
+    rows: Sequence[SensitivityRow],
     groups: Sequence[tuple[str, Sequence[int]]],
     count: int,
     seed: int,
@@ -116,7 +116,7 @@ def draw_systems(
     metric : Metric
     params : mi.SceneParameters
         Of its scene, which is as it was afterwards.
-    rows : sequence of Row
+    rows : sequence of SensitivityRow
         The parameters, with their derivatives.
     groups : sequence of (str, sequence of int)
         Numbers of the rows that are drawn together.
@@ -253,7 +253,7 @@ def _put(scene: Any, params: Any, values: Mapping[str, np.ndarray]) -> bool:
     return True
 
 
-def _possible(rows: Sequence[Row], drawn: np.ndarray, params: Mapping[str, Any]) -> np.ndarray:
+def _possible(rows: Sequence[SensitivityRow], drawn: np.ndarray, params: Mapping[str, Any]) -> np.ndarray:
     """The draws with R + T ≤ 1 of every ideal coating."""
     found = drawn.copy()
     numbers = {row.line.keys[0]: k for k, row in enumerate(rows) if row.kind == "share"}

@@ -36,7 +36,7 @@ class Contribution:
 
 
 @dataclass(frozen=True)
-class Spread:
+class MetricSpread:
     """
     Standard deviation of ln(metric) over manufactured systems, to first order in the tolerances.
 
@@ -65,7 +65,7 @@ def propagate(
     labels: Sequence[str],
     changes: np.ndarray,
     groups: Sequence[tuple[str, Sequence[int]]] = (),
-) -> Spread:
+) -> MetricSpread:
     """
     Variance of ln(metric) = Σ (s_i tol_i)² over independent parameters, and the share of each.
 
@@ -84,7 +84,7 @@ def propagate(
 
     Returns
     -------
-    Spread
+    MetricSpread
     """
     grouped = {number for _, members in groups for number in members}
     parts = [(name, tuple(members)) for name, members in groups]
@@ -106,4 +106,4 @@ def propagate(
         change = Estimate(float(c), float(own))
         found.append(Contribution(name, tuple(labels[number] for number in members), change, share))
     found.sort(key=lambda item: -abs(item.change.value))
-    return Spread(tuple(found), Estimate(variance, se), float(np.sum(noise**2)))
+    return MetricSpread(tuple(found), Estimate(variance, se), float(np.sum(noise**2)))

@@ -16,7 +16,7 @@ from mistray.optimize.bodies import Body, bodies
 from mistray.optimize.gradient import Gradient
 from mistray.optimize.parameters import Parameter
 from mistray.optimize.scene_values import accepts
-from mistray.optimize.tolerances.changes import Change, Ranges, single_changes
+from mistray.optimize.tolerances.changes import ParameterChange, Ranges, single_changes
 from mistray.optimize.tolerances.proposals import SHAPE_KINDS, structure
 from mistray.recorders.sampled import Sampled
 from mistray.settings import BATCHES
@@ -83,7 +83,7 @@ class OfLine:
 
 
 @dataclass(frozen=True)
-class Row(OfLine):
+class SensitivityRow(OfLine):
     """
     One number of the scene, and what it does to the metric.
 
@@ -101,7 +101,7 @@ class Row(OfLine):
         d ln(metric) per tolerance, with the error of the metric in it.
     edge_check : Estimate
         By how much `change` would differ with half the width of the zone at rims; NaN where rims do not count.
-    alone : Change
+    alone : ParameterChange
         The value that would lower the metric by the factor requested, see `mistray.optimize.tolerances.changes`.
     free : bool
         Whether it may be changed for that; where not, `alone` is the value that it has.
@@ -115,7 +115,7 @@ class Row(OfLine):
     derivative: Estimate
     change: Estimate
     edge_check: Estimate
-    alone: Change
+    alone: ParameterChange
     free: bool
 
 
@@ -223,7 +223,7 @@ def shifted_values(
 
 
 @dataclass(frozen=True)
-class Table:
+class LineNumbers:
     """
     Numbers of the lines, (n,) float64 each.
 
@@ -250,7 +250,7 @@ class Table:
     change_batches: np.ndarray
 
     @classmethod
-    def of(cls, found: Gradient, lines: list[Line], tolerances: Mapping[str, float]) -> Table:
+    def of(cls, found: Gradient, lines: list[Line], tolerances: Mapping[str, float]) -> LineNumbers:
         """
         Collect a gradient.
 
@@ -333,13 +333,13 @@ class Table:
                 ends[k] = next(good, here)
         return replace(ranges, low=low, high=high)
 
-    def rows(self, free: set[str], reachable: Ranges, factor: float) -> list[Row]:
+    def rows(self, free: set[str], reachable: Ranges, factor: float) -> list[SensitivityRow]:
         """The rows in the order of the lines, with what each alone would have to become within what is reachable."""
         r = self.ranges
         change, change_se = r.slope * r.tolerance, r.slope_se * r.tolerance
         alone = single_changes(reachable, factor)
         return [
-            Row(
+            SensitivityRow(
                 line=line,
                 low=float(r.low[k]),
                 high=float(r.high[k]),

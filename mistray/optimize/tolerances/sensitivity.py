@@ -23,13 +23,13 @@ from mistray.optimize.gradient import Gradient, gradient_request
 from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.metrics.views import seen_unpolarized
 from mistray.optimize.parameters import Parameter, match, parameters
-from mistray.optimize.tolerances.changes import Change, best_together
+from mistray.optimize.tolerances.changes import ParameterChange, best_together
 from mistray.optimize.tolerances.draws import LEAST_SYSTEMS, Draws, draw_systems
 from mistray.optimize.tolerances.finished import Finished, signature_of
 from mistray.optimize.tolerances.in_time import gradient_in_time
-from mistray.optimize.tolerances.propagation import Spread, propagate
+from mistray.optimize.tolerances.propagation import MetricSpread, propagate
 from mistray.optimize.tolerances.proposals import SEEDS, free_keys, traced_change
-from mistray.optimize.tolerances.rows import Line, Row, Table, lines_of, shifted_values, whole_values
+from mistray.optimize.tolerances.rows import Line, LineNumbers, SensitivityRow, lines_of, shifted_values, whole_values
 from mistray.optimize.tolerances.steps import Progress, Steps
 from mistray.ranges import FACTOR, POSITIVE
 from mistray.sampling.sources import spectrum_of
@@ -50,7 +50,7 @@ class Together:
 
     Attributes
     ----------
-    changes : tuple of (Row, Change)
+    changes : tuple of (SensitivityRow, ParameterChange)
         The largest part first; none where no derivative is known well enough.
     factor : float
         Times that the metric is smaller, by the model.
@@ -67,7 +67,7 @@ class Together:
         By field angle in words: first surfaces of light after the changes that were none before.
     """
 
-    changes: tuple[tuple[Row, Change], ...]
+    changes: tuple[tuple[SensitivityRow, ParameterChange], ...]
     factor: float
     reached: bool
     traced: Estimate | None = None
@@ -92,9 +92,9 @@ class Sensitivity:
         Of the metric.
     value : Estimate
         The metric.
-    rows : tuple of Row
+    rows : tuple of SensitivityRow
         The largest change per tolerance first.
-    spread : Spread
+    spread : MetricSpread
         Linear propagation of all tolerances.
     factor : float
         What the changes shall lower the metric by.
@@ -119,8 +119,8 @@ class Sensitivity:
     name: str
     unit: str
     value: Estimate
-    rows: tuple[Row, ...]
-    spread: Spread
+    rows: tuple[SensitivityRow, ...]
+    spread: MetricSpread
     factor: float
     together: Together
     draws: Draws | None = None
@@ -131,7 +131,7 @@ class Sensitivity:
     seconds: tuple[float, float] = (0.0, 0.0)
     facts: dict[str, Any] = field(default_factory=dict)
 
-    def __getitem__(self, label: str) -> Row:
+    def __getitem__(self, label: str) -> SensitivityRow:
         """The row of a label."""
         for row in self.rows:
             if row.label == label:
@@ -147,8 +147,8 @@ class Sensitivity:
         DataFrame
             Columns label, keys (several of a material), entry, kind, unit, value, low, high, derivative,
             derivative_se, tolerance, change_percent, change_percent_se (of the metric per tolerance),
-            edge_check_percent, edge_check_percent_se, free, to_value, to_factor, reached (see `Change`), share,
-            share_se (of the variance; NaN for members of a group).
+            edge_check_percent, edge_check_percent_se, free, to_value, to_factor, reached (see `ParameterChange`),
+            share, share_se (of the variance; NaN for members of a group).
         """
         import pandas as pd
 
@@ -295,7 +295,7 @@ def sensitivity(
     lines, without = _with_derivative(found, lines)
     groups = _groups(known, lines, together)
     not_traced = [] if taken.times == 1 else [f"{1 - taken.times:.3%} of the rays".replace("%", " %")]
-    table = Table.of(found, lines, limits)
+    table = LineNumbers.of(found, lines, limits)
     wavelengths, _ = spectrum_of(metric.scene, metric.wavelength_nm, metric.weights)
 
     def scatters() -> None:

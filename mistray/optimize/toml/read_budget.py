@@ -12,7 +12,7 @@ from mistray.optimize.metrics.by_name import FACTORIES
 from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.study.terms import own_arguments
 from mistray.optimize.tolerances.allocation import SCATTER, PowerCost, StepCost
-from mistray.optimize.toml.section import Section
+from mistray.optimize.toml.section import TomlSection
 from mistray.ranges import FLAG, LEVEL, POSITIVE, Range, Words, check_fields
 
 FORM = 'ids of shapes or patterns, such as ["L*_front"]'
@@ -125,7 +125,7 @@ def read_budget(source: str | Path | Mapping[str, Any] | BudgetStudy) -> BudgetS
     """
     if isinstance(source, BudgetStudy):
         return source
-    section = Section.of(source, "budget")
+    section = TomlSection.of(source, "budget")
     section.known(("require", "choose", "traced", "solver"))
     traced = section.table("traced")
     requirements = tuple(_requirement(item, traced) for item in section.tables("require"))
@@ -143,7 +143,7 @@ def read_budget(source: str | Path | Mapping[str, Any] | BudgetStudy) -> BudgetS
     )
 
 
-def _requirement(section: Section, traced: Section) -> Requirement:
+def _requirement(section: TomlSection, traced: TomlSection) -> Requirement:
     factory = FACTORIES[section.value("metric", Words(tuple(FACTORIES)))]
     own = {key: value for key, value in section.content.items() if key not in ("metric", "limit")}
     arguments = {**traced.content, **own}
@@ -156,7 +156,7 @@ def _requirement(section: Section, traced: Section) -> Requirement:
     )
 
 
-def _choice(section: Section) -> Grades:
+def _choice(section: TomlSection) -> Grades:
     section.known(("surfaces", "parameter", "best", "worst", "cost", "values", "costs"))
     section.value("parameter", Words(SCATTER))  # before what depends on it
     surfaces = section.content.get("surfaces")

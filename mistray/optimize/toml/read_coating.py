@@ -8,7 +8,7 @@ from mistray.coatings import Stack, parse_layers, preset
 from mistray.errors import MistrayError
 from mistray.ids import check_written_id
 from mistray.optimize.study.model import DESIGN_NM, CoatingGroup
-from mistray.optimize.toml.section import Section
+from mistray.optimize.toml.section import TomlSection
 from mistray.ranges import TEXT
 
 ALL = "all"
@@ -16,7 +16,7 @@ FORM = f'a list of shape ids, or "{ALL}"'
 COATING_KEYS = ("name", "surfaces", "layers", "preset", "design_nm", "first", "thickness_nm")
 
 
-def read_coating(section: Section, number: int) -> CoatingGroup:
+def read_coating(section: TomlSection, number: int) -> CoatingGroup:
     """One coating of a study; `number` makes a name if it has none."""
     section.known(COATING_KEYS)
     name = section.value("name", TEXT, f"coating_{number}")
@@ -37,7 +37,7 @@ def read_coating(section: Section, number: int) -> CoatingGroup:
     return CoatingGroup(name, surfaces, start, bounds, design_nm)
 
 
-def _start(section: Section, name: str, design_nm: float) -> Stack:
+def _start(section: TomlSection, name: str, design_nm: float) -> Stack:
     given = [key for key in ("layers", "preset") if key in section.content]
     if len(given) != 1:
         raise section.fail("", f"has {' and '.join(given) or 'no start design'}; give layers or preset")
@@ -61,7 +61,7 @@ def _start(section: Section, name: str, design_nm: float) -> Stack:
     return Stack(stack.layers, stack.first, name)
 
 
-def _bounds(section: Section, layers: int) -> tuple[tuple[float, float], ...]:
+def _bounds(section: TomlSection, layers: int) -> tuple[tuple[float, float], ...]:
     value = section.content.get("thickness_nm")
     pairs = value if isinstance(value, list) and value and isinstance(value[0], list) else [value] * layers
     form = "give [low, high] in nm, or one such pair for each layer"

@@ -8,19 +8,19 @@ from typing import Any
 
 from mistray.errors import MistrayError
 from mistray.optimize.search.nlopt import installed
-from mistray.optimize.study.model import Optimizer, Study
+from mistray.optimize.study.model import DesignStudy, Optimizer
 from mistray.optimize.study.terms import of_layers
 from mistray.optimize.toml.read_coating import read_coating
 from mistray.optimize.toml.read_term import TRACE_KEYS, check_coatings, read_term, read_traced
 from mistray.optimize.toml.read_variable import read_variable
-from mistray.optimize.toml.section import Section
+from mistray.optimize.toml.section import TomlSection
 
 PATIENCE = {"sqp": 3, "lbfgsb": 2, "adam": 10, "nlopt": 10}  # steps
 STARTS = 4  # with coatings
 SECTIONS = ("trace", "term", "variable", "coating", "optimizer")
 
 
-def read_study(source: str | Path | Mapping[str, Any]) -> Study:
+def read_study(source: str | Path | Mapping[str, Any]) -> DesignStudy:
     """
     Read a study.
 
@@ -36,7 +36,7 @@ def read_study(source: str | Path | Mapping[str, Any]) -> Study:
         If the file is missing or no TOML, a key is unknown or missing, or a value is impossible; one line with the
         file, the key and the remedy.
     """
-    whole = Section.of(source, "study")
+    whole = TomlSection.of(source, "study")
     whole.known(SECTIONS)
     trace = whole.table("trace")
     trace.known(TRACE_KEYS)
@@ -55,16 +55,18 @@ def read_study(source: str | Path | Mapping[str, Any]) -> Study:
     check_coatings(terms, [coating.name for coating in coatings], whole)
     limits = any(term.goal != "minimise" for term in terms)
     optimizer = read_optimizer(whole.table("optimizer"), limits, bool(coatings))
-    return Study("study" if isinstance(source, Mapping) else str(Path(source)), terms, variables, coatings, optimizer)
+    return DesignStudy(
+        "study" if isinstance(source, Mapping) else str(Path(source)), terms, variables, coatings, optimizer
+    )
 
 
-def read_optimizer(section: Section, limits: bool, coatings: bool) -> Optimizer:
+def read_optimizer(section: TomlSection, limits: bool, coatings: bool) -> Optimizer:
     """
     Section ``[optimizer]``.
 
     Parameters
     ----------
-    section : Section
+    section : TomlSection
     limits : bool
         Whether a term has a limit or is kept: the method is then "sqp" unless the section says otherwise.
     coatings : bool

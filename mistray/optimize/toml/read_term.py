@@ -18,14 +18,14 @@ from mistray.optimize.study.terms import (
     own_arguments,
     traced_arguments,
 )
-from mistray.optimize.toml.section import Section
+from mistray.optimize.toml.section import TomlSection
 from mistray.ranges import TEXT
 
 TERM_KEYS = ("name", "kind", "goal", "weight", "limit", "limit_of_start", "tolerance", "floor_of_start", "worst")
 TRACE_KEYS = traced_arguments("path_power")
 
 
-def read_traced(section: Section, keys: Iterable[str]) -> dict[str, Any]:
+def read_traced(section: TomlSection, keys: Iterable[str]) -> dict[str, Any]:
     """Settings of traces at keys of a section, checked as far as that goes without knowing what they are for."""
     found: dict[str, Any] = {}
     for key in keys:
@@ -53,13 +53,13 @@ def read_traced(section: Section, keys: Iterable[str]) -> dict[str, Any]:
     return found
 
 
-def read_term(section: Section, trace: Mapping[str, Any]) -> Term:
+def read_term(section: TomlSection, trace: Mapping[str, Any]) -> Term:
     """
     One term of a study.
 
     Parameters
     ----------
-    section : Section
+    section : TomlSection
     trace : mapping
         Settings of traces that the term has unless it says otherwise.
     """
@@ -101,7 +101,7 @@ def read_term(section: Section, trace: Mapping[str, Any]) -> Term:
     return term
 
 
-def check_coatings(terms: tuple[Term, ...], names: list[str], section: Section) -> None:
+def check_coatings(terms: tuple[Term, ...], names: list[str], section: TomlSection) -> None:
     """Raise if a term of layers names a coating that the study lacks, or has none to count."""
     for number, term in enumerate(terms, start=1):
         if not of_layers(term):

@@ -7,13 +7,13 @@ from dataclasses import replace
 from typing import Any
 
 from mistray.optimize.study.model import Moved, VariableGroup
-from mistray.optimize.toml.section import Section
+from mistray.optimize.toml.section import TomlSection
 from mistray.ranges import TEXT
 
 ENTRY = re.compile(r"(?P<key>.*)\[(?P<entry>\d+)\]")
 
 
-def read_variable(section: Section) -> VariableGroup:
+def read_variable(section: TomlSection) -> VariableGroup:
     """One variable of a study, or a family of them."""
     section.known(VariableGroup.__dataclass_fields__)
     given = section.content.get("parameters")
@@ -26,7 +26,7 @@ def read_variable(section: Section) -> VariableGroup:
     return section.make(VariableGroup, name=section.value("name", TEXT, None), parameters=moved)
 
 
-def _moved(section: Section, item: Any) -> Moved:
+def _moved(section: TomlSection, item: Any) -> Moved:
     """One entry of `parameters`: text, or a table with a factor."""
     if not isinstance(item, dict | str) or not item:
         raise section.fail("parameters", f'has the entry {item!r}; give text, or {{key = "…", factor = -1}}')

@@ -18,7 +18,7 @@ from mistray.read_file import read_text
 T = TypeVar("T")
 
 
-class Section:
+class TomlSection:
     """
     A table and where it stands.
 
@@ -37,7 +37,7 @@ class Section:
         self.title, self.place, self.content, self.folder = title, place, content, folder
 
     @classmethod
-    def of(cls, source: str | Path | Mapping[str, Any], kind: str) -> Section:
+    def of(cls, source: str | Path | Mapping[str, Any], kind: str) -> TomlSection:
         """
         The whole of a TOML file.
 
@@ -66,9 +66,9 @@ class Section:
     def __contains__(self, key: str) -> bool:
         return key in self.content
 
-    def inner(self, place: str, content: Mapping[str, Any]) -> Section:
+    def inner(self, place: str, content: Mapping[str, Any]) -> TomlSection:
         """A table within this one."""
-        return Section(self.title, f"{self.place}{place}.", content, self.folder)
+        return TomlSection(self.title, f"{self.place}{place}.", content, self.folder)
 
     def fail(self, key: str, text: str) -> MistrayError:
         """An error about a key; an empty key means the table itself."""
@@ -81,14 +81,14 @@ class Section:
             if key not in choice:
                 raise self.fail(key, f"is unknown; {nearest(str(key), choice)}")
 
-    def table(self, key: str) -> Section:
+    def table(self, key: str) -> TomlSection:
         """A table within this one; an empty one if it is missing."""
         value = self.content.get(key, {})
         if not isinstance(value, Mapping):
             raise self.fail(key, f"is {value!r}; write a section [{key}]")
         return self.inner(key, value)
 
-    def tables(self, key: str) -> list[Section]:
+    def tables(self, key: str) -> list[TomlSection]:
         """All tables of a list of them."""
         value = self.content.get(key, [])
         if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):

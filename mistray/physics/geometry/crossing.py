@@ -14,7 +14,7 @@ Profile = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
-class Meeting:
+class SurfaceCrossing:
     """
     How two surfaces meet where they must not.
 
@@ -62,7 +62,7 @@ def near(profiles: Sequence[tuple[Profile, float]]) -> Iterator[tuple[int, int]]
 
 def meeting(
     z_first: Profile, z_second: Profile, inner: float, outer: float, tolerance: float = TOLERANCE_MM
-) -> Meeting | None:
+) -> SurfaceCrossing | None:
     """
     Compare two profiles over the ring of radii that both surfaces cover.
 
@@ -86,9 +86,9 @@ def meeting(
     r = np.linspace(inner, outer, SAMPLES)
     gap = z_second(r) - z_first(r)
     if np.all(np.abs(gap) <= tolerance):
-        return Meeting(True, float(inner))
+        return SurfaceCrossing(True, float(inner))
     if gap.min() < -tolerance and gap.max() > tolerance:
         # the first radius on the other side of where the surfaces first differ
         start = np.sign(gap[np.argmax(np.abs(gap) > tolerance)])
-        return Meeting(False, float(r[np.argmax(start * gap < -tolerance)]))
+        return SurfaceCrossing(False, float(r[np.argmax(start * gap < -tolerance)]))
     return None

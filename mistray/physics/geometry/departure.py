@@ -85,7 +85,7 @@ class Form:
 
 
 @dataclass(frozen=True)
-class Departure:
+class BoxDeparture:
     """
     A departure over a box.
 
@@ -109,7 +109,7 @@ class Departure:
     @classmethod
     def of(
         cls, sag: Sag, half: tuple[float, float], x: np.ndarray, y: np.ndarray, enough: float, form: Form | None = None
-    ) -> Departure:
+    ) -> BoxDeparture:
         """
         The departure that a function gives.
 
@@ -130,7 +130,7 @@ class Departure:
         exact = sag(x, y)
         if (form is None and not np.any(np.abs(exact) > 1e-3 * enough)) or (form is not None and form.degree < 0):
             return cls(Form(), half, np.zeros(0), float(np.max(np.abs(exact), initial=0.0)), 0.0)
-        best: Departure | None = None
+        best: BoxDeparture | None = None
         for degree in DEGREES if form is None else (form.degree,):
             table = _table(sag, half, degree, x, y)
             found = _compact(table, half, form or _form(table))
@@ -204,5 +204,5 @@ def _form(table: np.ndarray) -> Form:
     return Form(len(table) - 1, not np.any(there[:, 0] % 2), not np.any(there[:, 1] % 2))
 
 
-def _compact(table: np.ndarray, half: tuple[float, float], form: Form) -> Departure:
-    return Departure(form, half, np.array([table[place] for place in form.terms]), np.inf, np.inf)
+def _compact(table: np.ndarray, half: tuple[float, float], form: Form) -> BoxDeparture:
+    return BoxDeparture(form, half, np.array([table[place] for place in form.terms]), np.inf, np.inf)

@@ -28,7 +28,7 @@ ALL = 1e30  # half size, mm, of what has no bounds
 
 
 @dataclass(frozen=True)
-class Figure:
+class OutlineFigure:
     """
     One figure of an outline.
 
@@ -150,10 +150,10 @@ class Outline:
 
     Attributes
     ----------
-    figures : tuple of Figure
+    figures : tuple of OutlineFigure
     """
 
-    figures: tuple[Figure, ...]
+    figures: tuple[OutlineFigure, ...]
 
     def check(self, owner: str) -> None:
         """
@@ -213,7 +213,7 @@ class Outline:
         """Return the part of the outline within a circle about the origin, its radius in mm."""
         first, *more = self.figures
         own = first if first.sign == "-" else replace(first, sign="&")
-        return Outline((Figure("circle", sizes=(radius,)), own, *more))
+        return Outline((OutlineFigure("circle", sizes=(radius,)), own, *more))
 
     def around(self, radius: float) -> Outline | None:
         """Return the part of a circle about the origin outside of it; None where that is no list of figures."""
@@ -221,12 +221,12 @@ class Outline:
             return None
         signs = {"+": "-", "-": "+"}
         rest = [replace(f, sign=signs[f.sign]) for f in self.figures]
-        return Outline((Figure("circle", sizes=(radius,)), *rest))
+        return Outline((OutlineFigure("circle", sizes=(radius,)), *rest))
 
     def grown(self, margin: float) -> Outline:
         """Return it with the edges of circles, ellipses and rectangles farther out by `margin`, mm; holes shrink."""
 
-        def grown(f: Figure) -> Figure:
+        def grown(f: OutlineFigure) -> OutlineFigure:
             if f.kind == "polygon":
                 return f
             more = -margin if f.sign == "-" else margin
@@ -237,9 +237,9 @@ class Outline:
     def half_turned(self) -> Outline:
         """Return the outline after half a turn of its frame about y, which reverses x."""
 
-        def turned(f: Figure) -> Figure:
+        def turned(f: OutlineFigure) -> OutlineFigure:
             sizes = f.sizes if f.kind != "polygon" else tuple(v * (-1) ** (k + 1) for k, v in enumerate(f.sizes))
-            return Figure(f.kind, f.sign, -f.x, f.y, -f.angle_deg, sizes)
+            return OutlineFigure(f.kind, f.sign, -f.x, f.y, -f.angle_deg, sizes)
 
         return Outline(tuple(map(turned, self.figures)))
 
@@ -248,7 +248,7 @@ class Outline:
         c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
         return Outline(
             tuple(
-                Figure(f.kind, f.sign, c * f.x - s * f.y, s * f.x + c * f.y, f.angle_deg + angle_deg, f.sizes)
+                OutlineFigure(f.kind, f.sign, c * f.x - s * f.y, s * f.x + c * f.y, f.angle_deg + angle_deg, f.sizes)
                 for f in self.figures
             )
         )
@@ -292,7 +292,7 @@ class Outline:
         figures = []
         for k, figure in enumerate(self.figures, start=1):
             x, y, angle, *sizes = (numbers[f"clip_{k}_{name}"] for name in figure.names)
-            figures.append(Figure(figure.kind, figure.sign, x, y, angle, tuple(sizes)))
+            figures.append(OutlineFigure(figure.kind, figure.sign, x, y, angle, tuple(sizes)))
         return Outline(tuple(figures))
 
     @property
@@ -328,18 +328,18 @@ class Outline:
 
 def circle(radius: float, inner: float = 0.0, x: float = 0.0, y: float = 0.0) -> Outline:
     """A circle or an annulus; mm."""
-    hole = (Figure("circle", "-", x, y, sizes=(inner,)),) if inner > 0 else ()
-    return Outline((Figure("circle", "+", x, y, sizes=(radius,)), *hole))
+    hole = (OutlineFigure("circle", "-", x, y, sizes=(inner,)),) if inner > 0 else ()
+    return Outline((OutlineFigure("circle", "+", x, y, sizes=(radius,)), *hole))
 
 
 def rectangle(half_width: float, half_height: float, x: float = 0.0, y: float = 0.0, angle_deg: float = 0.0) -> Outline:
     """A rectangle; mm."""
-    return Outline((Figure("rectangle", "+", x, y, angle_deg, (half_width, half_height)),))
+    return Outline((OutlineFigure("rectangle", "+", x, y, angle_deg, (half_width, half_height)),))
 
 
 def polygon(corners: Sequence[Sequence[float]]) -> Outline:
     """A polygon by its corners (x, y), mm."""
-    return Outline((Figure("polygon", sizes=tuple(float(v) for corner in corners for v in corner)),))
+    return Outline((OutlineFigure("polygon", sizes=tuple(float(v) for corner in corners for v in corner)),))
 
 
 def _around(a: tuple[float, ...], b: tuple[float, ...]) -> tuple[float, float, float, float]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.physics.geometry.outline import Figure, Outline, rectangle
+from mistray.physics.geometry.outline import Outline, OutlineFigure, rectangle
 from mistray.prescription.bodies.placing import face_place
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.model import Structure, Surface
@@ -78,7 +78,9 @@ def plate(
     return tuple(found)
 
 
-def _elliptic_walls(name: str, figure: Figure, thickness: float, z: float, common: dict[str, Any]) -> list[Surface]:
+def _elliptic_walls(
+    name: str, figure: OutlineFigure, thickness: float, z: float, common: dict[str, Any]
+) -> list[Surface]:
     """
     Four pieces of a cylinder across an ellipse, each a conic about the end of a half axis.
 
@@ -99,7 +101,7 @@ def _elliptic_walls(name: str, figure: Figure, thickness: float, z: float, commo
     return walls
 
 
-def _flat_walls(name: str, figure: Figure, thickness: float, z: float, common: dict[str, Any]) -> list[Surface]:
+def _flat_walls(name: str, figure: OutlineFigure, thickness: float, z: float, common: dict[str, Any]) -> list[Surface]:
     corners = _placed(figure, figure.corners)
     walls = []
     for k, (a, b) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True), start=1):
@@ -130,14 +132,14 @@ def _check_holes(outline: Outline, owner: str) -> None:
                 raise MistrayError(f"{owner}: holes {j} and {k} overlap; make one hole of them or move one")
 
 
-def _placed(figure: Figure, points: np.ndarray) -> np.ndarray:
+def _placed(figure: OutlineFigure, points: np.ndarray) -> np.ndarray:
     """Points of the frame of a figure in the plane of the plate, (n, 2), mm."""
     c, s = math.cos(math.radians(figure.angle_deg)), math.sin(math.radians(figure.angle_deg))
     turned: np.ndarray = points @ np.array([[c, s], [-s, c]]) + (figure.x, figure.y)
     return turned
 
 
-def _rim(figure: Figure, count: int = 64) -> np.ndarray:
+def _rim(figure: OutlineFigure, count: int = 64) -> np.ndarray:
     """Points of the rim of a figure, (n, 2), mm."""
     if figure.kind in ("circle", "ellipse"):
         a, b = figure.sizes if len(figure.sizes) == 2 else 2 * figure.sizes

@@ -29,7 +29,7 @@ from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import is_gas
 from mistray.prescription.imported_beam import Beam, check_beam
 from mistray.prescription.model import Detector, Prescription, Structure, Surface
-from mistray.prescription.sequential.first_order import FirstOrder
+from mistray.prescription.sequential.first_order import SequentialFirstOrder
 from mistray.prescription.sequential.rays import curvature
 from mistray.prescription.sequential.table import Sequential
 from mistray.ranges import MARGIN as MARGIN_RANGE
@@ -54,14 +54,14 @@ class Built:
     prescription : Prescription
     lens : Sequential
         What it was made of; ``lens.unread`` lists what had no effect.
-    first_order : FirstOrder
+    first_order : SequentialFirstOrder
     notes : tuple of str
         Assumptions of the file's reader and of this step.
     """
 
     prescription: Prescription
     lens: Sequential
-    first_order: FirstOrder
+    first_order: SequentialFirstOrder
     notes: tuple[str, ...]
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mistray.errors import MistrayError
-from mistray.prescription.sequential.first_order import FirstOrder, field_tangents, first_order, stop_place
+from mistray.prescription.sequential.first_order import SequentialFirstOrder, field_tangents, first_order, stop_place
 from mistray.prescription.sequential.rays import passes, to_world, trace
 from mistray.prescription.sequential.table import Row, Sequential
 
@@ -39,7 +39,7 @@ class EdgeRays:
 
     Attributes
     ----------
-    data : FirstOrder
+    data : SequentialFirstOrder
     stop_radius : float
         Of the stop as the marginal ray on the axis really meets it, mm; as far as rays reach there if the lens is
         `telecentric`.
@@ -66,7 +66,7 @@ class EdgeRays:
         Fields whose rays do not all arrive, and where they are lost.
     """
 
-    data: FirstOrder
+    data: SequentialFirstOrder
     stop_radius: float
     positions: Array
     directions: Array
@@ -81,7 +81,7 @@ class EdgeRays:
 
 
 def launch(
-    lens: Sequential, data: FirstOrder, field: tuple[float, float] | int, pupil: npt.ArrayLike
+    lens: Sequential, data: SequentialFirstOrder, field: tuple[float, float] | int, pupil: npt.ArrayLike
 ) -> tuple[Array, Array]:
     """
     Rays of a field aimed at the paraxial entrance pupil.
@@ -89,7 +89,7 @@ def launch(
     Parameters
     ----------
     lens : Sequential
-    data : FirstOrder
+    data : SequentialFirstOrder
     field : int or tuple of two float
         Place of a field of the lens, whose vignetting factors then apply, or (x, y) of the lens' field kind.
     pupil : (n, 2) array_like
@@ -197,7 +197,7 @@ def edge_rays(lens: Sequential) -> EdgeRays:
 
 def _pupils(
     lens: Sequential,
-    data: FirstOrder,
+    data: SequentialFirstOrder,
     radius: float,
     numbers: list[int],
     rim: Array,
@@ -242,7 +242,9 @@ def _vignetted(lens: Sequential, field: int, pupil: Array) -> Array:
     return pupil * (1 - np.array([squeeze_x, squeeze_y])) + np.array([shift_x, shift_y])
 
 
-def _aimed_at(lens: Sequential, data: FirstOrder, field: tuple[float, float], point: Array) -> tuple[Array, Array]:
+def _aimed_at(
+    lens: Sequential, data: SequentialFirstOrder, field: tuple[float, float], point: Array
+) -> tuple[Array, Array]:
     """Rays of a field to points (n, 2) of the plane of the paraxial entrance pupil, in mm from its centre."""
     z = data.entrance_pupil_z  # at infinity, points lie in the plane of the first row, from the chief ray
     if math.isinf(lens.object_distance):
@@ -267,7 +269,7 @@ def _aimed_at(lens: Sequential, data: FirstOrder, field: tuple[float, float], po
     return start, heading / np.linalg.norm(heading, axis=1, keepdims=True)
 
 
-def _object_point(lens: Sequential, data: FirstOrder, field: tuple[float, float]) -> Array:
+def _object_point(lens: Sequential, data: SequentialFirstOrder, field: tuple[float, float]) -> Array:
     """(x, y) of a field on an object at a finite distance, mm."""
     if lens.field_kind == "object_height":
         return np.array(field)
@@ -281,7 +283,7 @@ def _object_point(lens: Sequential, data: FirstOrder, field: tuple[float, float]
     return -slopes * (lens.object_distance + data.entrance_pupil_z)
 
 
-def _stop_radius(lens: Sequential, data: FirstOrder) -> float:
+def _stop_radius(lens: Sequential, data: SequentialFirstOrder) -> float:
     """Where the marginal ray on the axis really meets the stop; its paraxial radius where that ray is lost."""
     stop = stop_place(lens)
     row = lens.rows[stop]
@@ -298,7 +300,7 @@ def _stop_radius(lens: Sequential, data: FirstOrder) -> float:
 
 
 def _through_stop(
-    lens: Sequential, data: FirstOrder, radius: float, field: tuple[float, float], pupil: Array
+    lens: Sequential, data: SequentialFirstOrder, radius: float, field: tuple[float, float], pupil: Array
 ) -> tuple[Array, Array]:
     """
     Rays of a field that meet the stop at the pupil coordinates times its radius.
@@ -318,7 +320,7 @@ def _through_stop(
 
 
 def _aimed_at_stop(
-    lens: Sequential, data: FirstOrder, field: tuple[float, float], target: Array, start: Array
+    lens: Sequential, data: SequentialFirstOrder, field: tuple[float, float], target: Array, start: Array
 ) -> tuple[Array, bool]:
     """Newton's method: points of the entrance pupil from which rays meet the stop at a target, NaN where none does."""
     stop, unit = stop_place(lens), data.epd / 2

@@ -23,7 +23,7 @@ _NONE = 1e-12  # slope per mm of height below which light is taken for collimate
 
 
 @dataclass(frozen=True)
-class FirstOrder:
+class SequentialFirstOrder:
     """
     First-order data at one wavelength.
 
@@ -62,7 +62,7 @@ class FirstOrder:
 
 
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")
-def first_order(lens: Sequential, wavelength_nm: float | None = None) -> FirstOrder:
+def first_order(lens: Sequential, wavelength_nm: float | None = None) -> SequentialFirstOrder:
     """
     First-order data.
 
@@ -74,7 +74,7 @@ def first_order(lens: Sequential, wavelength_nm: float | None = None) -> FirstOr
 
     Returns
     -------
-    FirstOrder
+    SequentialFirstOrder
 
     Raises
     ------
@@ -98,7 +98,7 @@ def first_order(lens: Sequential, wavelength_nm: float | None = None) -> FirstOr
     if any(math.isnan(value) for value in (efl, bfl, pupil_z)):
         raise MistrayError(f"lens '{lens.name}': its first-order data are no numbers; look for huge values in it")
     epd, stop_radius = _beam(lens, efl, (from_height, from_slope), pupil_z)
-    return FirstOrder(
+    return SequentialFirstOrder(
         efl=float(efl),
         bfl=float(bfl),
         f_number=math.inf if math.isinf(pupil_z) else float(abs(efl) / epd),
@@ -145,14 +145,14 @@ def stop_place(lens: Sequential) -> int:
     return next(k for k, row in enumerate(lens.rows) if row.kind != "coordinate_break")
 
 
-def field_tangents(lens: Sequential, data: FirstOrder) -> np.ndarray:
+def field_tangents(lens: Sequential, data: SequentialFirstOrder) -> np.ndarray:
     """
     Slopes of the chief rays of all fields before the first surface, for an object at infinity.
 
     Parameters
     ----------
     lens : Sequential
-    data : FirstOrder
+    data : SequentialFirstOrder
         Image heights are those of first order.
 
     Returns
@@ -185,7 +185,7 @@ def _last_surface(lens: Sequential) -> int:
 
 def _beam(lens: Sequential, efl: float, to_stop: tuple[float, float], pupil_z: float) -> tuple[float, float]:
     """
-    Diameter of the entrance pupil, as in `FirstOrder`, and paraxial radius of the stop, mm.
+    Diameter of the entrance pupil, as in `SequentialFirstOrder`, and paraxial radius of the stop, mm.
 
     Parameters
     ----------

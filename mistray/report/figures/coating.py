@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator
 
-from mistray.coatings import Bare, Coating, Spectrum, spectrum
+from mistray.coatings import Bare, CoatingModel, CoatingSpectrum, spectrum
 from mistray.coatings.stack import outside_first
 from mistray.errors import MistrayError
 from mistray.materials import complex_index
@@ -38,13 +38,13 @@ class CoatedSurfaces:
     ----------
     names : tuple of str
         Shape ids.
-    coating : Coating
+    coating : CoatingModel
     front, back : str
         Materials.
     """
 
     names: tuple[str, ...]
-    coating: Coating
+    coating: CoatingModel
     front: str
     back: str
 
@@ -73,7 +73,7 @@ def coated_surfaces(scene: Any) -> list[CoatedSurfaces]:
 
 
 def coating_figure(
-    coating: Coating,
+    coating: CoatingModel,
     wavelengths_nm: Sequence[float],
     angles_deg: Sequence[float],
     front: str = "air",
@@ -85,7 +85,7 @@ def coating_figure(
 
     Parameters
     ----------
-    coating : Coating
+    coating : CoatingModel
     wavelengths_nm : sequence of float
         Two or more; the right side takes the first, the middle and the last.
     angles_deg : sequence of float
@@ -178,7 +178,7 @@ def surfaces_figure(
     return figure
 
 
-def _lines(axes: Axes, x: np.ndarray, values: Spectrum, part: Any, colour: str, label: str) -> None:
+def _lines(axes: Axes, x: np.ndarray, values: CoatingSpectrum, part: Any, colour: str, label: str) -> None:
     """Mean, s and p of R in percent; s and p only where they differ."""
     axes.plot(x, 100 * values.mean()[part], color=colour, lw=1.4, label=label)
     s, p = values.R[..., 0][part], values.R[..., 1][part]
@@ -200,7 +200,7 @@ def _reflectance_axis(axes: Axes, mirror: bool, logarithmic: bool) -> None:
         axes.set_ylim(bottom=0)
 
 
-def _title(coating: Coating) -> str:
+def _title(coating: CoatingModel) -> str:
     return coating.name if len(coating.name) <= 60 else coating.name[:57] + "…"
 
 

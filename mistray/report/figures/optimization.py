@@ -14,7 +14,7 @@ from mistray.coatings.stack import outside_first
 from mistray.errors import MistrayError
 from mistray.materials import complex_index
 from mistray.optimize import Optimization, Step
-from mistray.optimize.study.study_scene import Placed
+from mistray.optimize.study.study_scene import PlacedDesign
 from mistray.report.figures.figure import Figure, legend_label, plain_axes
 from mistray.report.figures.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
@@ -146,7 +146,7 @@ def _frame(axes: Axes, below: str) -> None:
     plain_axes(axes)
 
 
-def _glasses(item: Placed) -> list[tuple[str, str]]:
+def _glasses(item: PlacedDesign) -> list[tuple[str, str]]:
     """Materials on both sides; a pair and its reverse look the same from outside if the first layer is outside."""
     if item.group.start.first != "outside":
         return list(item.glasses)

@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 
 from mistray.optimize.tolerances.draws import PERCENTILES
 from mistray.optimize.tolerances.propagation import Contribution
-from mistray.optimize.tolerances.rows import Row
+from mistray.optimize.tolerances.rows import SensitivityRow
 from mistray.optimize.tolerances.sensitivity import Sensitivity
 from mistray.report.figures.figure import Figure, plain_axes
 from mistray.report.figures.palette import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW
@@ -114,7 +114,7 @@ def draws_figure(result: Sensitivity, title: str = "") -> Figure:
     return figure
 
 
-def _label(item: Contribution, row: Row) -> str:
+def _label(item: Contribution, row: SensitivityRow) -> str:
     if len(item.members) > 1:
         return f"{item.name}  ({len(item.members)} together)"
     return f"{row.label}  ±{row.tolerance:.3g}{f' {row.unit}' if row.unit not in ('', '1') else ''}"

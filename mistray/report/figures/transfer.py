@@ -12,7 +12,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 
-from mistray.analysis.transfer.result import AZIMUTHS, Curve, FieldTransfer
+from mistray.analysis.transfer.result import AZIMUTHS, FieldTransfer, TransferCurve
 from mistray.report.figures.figure import Figure, plain_axes
 from mistray.report.figures.palette import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
 
@@ -49,10 +49,10 @@ def mtf_figure(found: FieldTransfer, title: str = "") -> Figure:
     direct = found.without_stray(azimuth)
     seen = (nu > 0) & (direct > LEAST_MTF)
     with np.errstate(divide="ignore", invalid="ignore"):
-        whole = Curve(*(part / direct for part in found.composite(azimuth)))
+        whole = TransferCurve(*(part / direct for part in found.composite(azimuth)))
     curves = ((found.stf(azimuth), GREEN, "scatter"), (found.ghosts(azimuth), ORANGE, "ghosts"), (whole, BLACK, "both"))
     for curve, colour, label in curves:
-        _band(right, nu[seen], Curve(100 * (1 - curve.value[seen]), 100 * curve.se[seen]), colour, label)
+        _band(right, nu[seen], TransferCurve(100 * (1 - curve.value[seen]), 100 * curve.se[seen]), colour, label)
     lost = 100 * (1 - floor.value)
     right.axhline(lost, color=GREY, lw=0.8, ls=(0, (5, 3)), zorder=1)
     right.annotate(f"veiling floor: MTF times {floor.value:.4g}", (0, lost), xycoords=("axes fraction", "data"),
@@ -84,7 +84,7 @@ def spread_figure(found: FieldTransfer, title: str = "") -> Figure:
     for stray, colour, label in ((False, BLUE, "direct image alone"), (True, BLACK, "with stray light")):
         curve = found.encircled_energy(edges[1:], stray)
         _band(middle, edges[1:], curve, colour, label)
-        _band(right, edges[1:], Curve(1 - curve.value, curve.se), colour, label)
+        _band(right, edges[1:], TransferCurve(1 - curve.value, curve.se), colour, label)
     middle.set_ylim(0, 1.02)
     middle.set_ylabel("encircled energy")
     lowest = float(1 - found.encircled_energy(edges[-2:-1], stray=False).value[0])
@@ -140,7 +140,7 @@ def _middle(edges: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(edges[:-1], edges[1:] / 4) * edges[1:]))
 
 
-def _sure(edges: Array, part: Curve) -> tuple[Array, Curve]:
+def _sure(edges: Array, part: TransferCurve) -> tuple[Array, TransferCurve]:
     """Rings joined from the inside until each has a value of `SURE` standard errors; their radii and irradiance."""
     ends, value, square = [0], 0.0, 0.0
     values, errors = [], []
@@ -153,10 +153,10 @@ def _sure(edges: Array, part: Curve) -> tuple[Array, Curve]:
             value, square = 0.0, 0.0
     joined = edges[ends]
     area = np.pi * np.diff(joined**2)
-    return _middle(joined), Curve(np.array(values) / area, np.array(errors) / area)
+    return _middle(joined), TransferCurve(np.array(values) / area, np.array(errors) / area)
 
 
-def _band(axes: Axes, x: Array, curve: Curve, colour: str, label: str) -> None:
+def _band(axes: Axes, x: Array, curve: TransferCurve, colour: str, label: str) -> None:
     """A curve with its standard errors."""
     axes.plot(x, curve.value, color=colour, lw=1.4, label=label)
     axes.fill_between(x, curve.value - curve.se, curve.value + curve.se, color=colour, alpha=0.25, lw=0)

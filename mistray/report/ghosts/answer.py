@@ -19,7 +19,7 @@ from mistray.analysis.verdict import (
     shares_of_kinds,
     worst_of_all_fields,
 )
-from mistray.report.model import Figure, Group, Items, Link, Note, Part, Table, Value, columns
+from mistray.report.model import FigurePart, Items, Link, Note, PagePart, PartGroup, Table, Value, columns
 from mistray.report.tables.ghosts import mark_of
 from mistray.report.tables.text import number, plain_sentences, with_error
 
@@ -41,13 +41,13 @@ DEEDS = {"reflects": "is reflected there", "scatters": "is scattered there", "pa
 Sentence = str | Markup
 
 
-def answer(report: GhostReport, shown: GhostReport) -> list[Part]:
+def answer(report: GhostReport, shown: GhostReport) -> list[PagePart]:
     """The verdict beside the picture of the worst paths of the fields that are shown."""
     worst = worst_of_all_fields(shown, PATHS_DRAWN) if shown else []
-    parts: list[Part] = [Items(verdict(report), "verdict")]
+    parts: list[PagePart] = [Items(verdict(report), "verdict")]
     if worst:
-        parts.append(Figure(functools.partial(draw_answer, report, worst), DRAWN, _told(worst)))
-    return [Group("answer", parts)]
+        parts.append(FigurePart(functools.partial(draw_answer, report, worst), DRAWN, _told(worst)))
+    return [PartGroup("answer", parts)]
 
 
 def draw_answer(report: GhostReport, worst: Sequence[WorstPath]) -> Drawing:
@@ -59,7 +59,7 @@ def draw_answer(report: GhostReport, worst: Sequence[WorstPath]) -> Drawing:
     )
 
 
-def worst_table(report: GhostReport, shown: GhostReport) -> list[Part]:
+def worst_table(report: GhostReport, shown: GhostReport) -> list[PagePart]:
     """The worst paths of all fields, with links to those that are shown."""
     worst = worst_of_all_fields(report)
     if not worst:

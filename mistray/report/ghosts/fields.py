@@ -21,7 +21,7 @@ from mistray.report.ghosts.answer import field_anchor
 from mistray.report.html.explorer import BOX_HEADER, explorer, picture_cell
 from mistray.report.html.markup import image
 from mistray.report.html.thumbnails import DECADES, thumbnail
-from mistray.report.model import Column, Figure, Filter, Fold, Folded, Note, Part, Table, Value, columns
+from mistray.report.model import Column, FigurePart, Filter, Fold, Folded, Note, PagePart, Table, Value, columns
 from mistray.report.parts import thousands
 from mistray.report.tables.ghosts import (
     AIRY_TEXT,
@@ -107,10 +107,10 @@ def field_section(report: GhostReport, s: FieldSummary, pictures: Mapping[str, b
     colour = pictures.get(f"colour_{s.field_deg:g}deg.png")
     anchor = field_anchor(s.field_deg)
     told = f"section of the system with rays of the direct image and of the worst stray paths, field {s.field_deg:g}°"
-    parts: list[Part] = [
+    parts: list[PagePart] = [
         Note(text),
-        Figure(functools.partial(layout, report, s.field_deg), text=told),
-        *([Figure(colour, text=f"the detector in colour, field {s.field_deg:g}°")] if colour else []),
+        FigurePart(functools.partial(layout, report, s.field_deg), text=told),
+        *([FigurePart(colour, text=f"the detector in colour, field {s.field_deg:g}°")] if colour else []),
         *explored_paths(report, s.field_deg, f"t-{anchor}"),
         Note("Irradiance and levels", "h3"),
         Table(heads, block, f"t-map-{anchor}", sortable=False),
@@ -140,7 +140,7 @@ def mapped_paths(report: GhostReport, field_deg: float) -> FieldMaps:
     return report.path_maps(field_deg, list(shown_paths(report, field_deg).path_id))
 
 
-def explored_paths(report: GhostReport, field_deg: float, name: str) -> list[Part]:
+def explored_paths(report: GhostReport, field_deg: float, name: str) -> list[PagePart]:
     """
     The table of the paths of one field with a picture of each, and the panel that shows what is chosen in it.
 

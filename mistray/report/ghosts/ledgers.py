@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.study.surfaces import coatings_and_scatter
-from mistray.report.model import Folded, Note, Part, Table, Value, columns
+from mistray.report.model import Folded, Note, PagePart, Table, Value, columns
 from mistray.report.tables.frames import frame_table
 from mistray.report.tables.ghosts_csv import surface_table
 from mistray.report.tables.text import ABSENT, number
@@ -29,10 +29,13 @@ COATINGS = (
 )
 
 
-def energy_ledger(report: GhostReport, per_wavelength: bool) -> list[Part]:
+def energy_ledger(report: GhostReport, per_wavelength: bool) -> list[PagePart]:
     """Energy ledger of all fields; on request one more for each wavelength."""
     fields = list(report)
-    parts: list[Part] = [Note(ENERGY), _energy_table("t-energy", fields, [report[field].energy for field in fields])]
+    parts: list[PagePart] = [
+        Note(ENERGY),
+        _energy_table("t-energy", fields, [report[field].energy for field in fields]),
+    ]
     for wavelength in report.wavelengths_nm if per_wavelength else ():
         energies = [report[field].energy_at(wavelength) for field in fields]
         share = f"{wavelength:g} nm, {100 * report.weight(wavelength):.4g} % of the launched flux"
@@ -62,9 +65,9 @@ def _energy_table(name: str, fields: Sequence[float], energies: Sequence[Energy]
     return Table(columns("<entry", "<where", *(f"{field:g}° [W]" for field in fields)), rows, name, sortable=False)
 
 
-def surface_ledger(report: GhostReport, per_wavelength: bool) -> list[Part]:
+def surface_ledger(report: GhostReport, per_wavelength: bool) -> list[PagePart]:
     """Flux at every surface; on request at each wavelength too."""
-    parts: list[Part] = [Note(SURFACES), _surfaces("t-surfaces", report, False)]
+    parts: list[PagePart] = [Note(SURFACES), _surfaces("t-surfaces", report, False)]
     if per_wavelength:
         parts += [Note("At each wavelength", "h3"), _surfaces("t-surfaces-wavelengths", report, True)]
     return parts
@@ -86,9 +89,9 @@ def _surfaces(name: str, report: GhostReport, per_wavelength: bool) -> Table:
     return Table(heads, rows, name, filter=("filter rows", "filter the surfaces"), fold=f"{len(rows)} rows")
 
 
-def coatings(report: GhostReport) -> list[Part]:
+def coatings(report: GhostReport) -> list[PagePart]:
     """Return the effect of surfaces on light at each wavelength, surfaces alike together; each of them folded below."""
-    parts: list[Part] = [Note(COATINGS)]
+    parts: list[PagePart] = [Note(COATINGS)]
     for k, table in enumerate(report.nominal_trace.tables):
         step = coatings_and_scatter(table, find_design_path(table, report.scene))
         every = frame_table(f"t-surface-budget-{k}", step.tables["surface_budget"])

@@ -11,7 +11,7 @@ from mistray.analysis.maps.light_maps import LightMap
 from mistray.files.irradiance_files import IrradianceMap
 from mistray.files.json_values import plain
 from mistray.ids import plain_name
-from mistray.report.model import Figure, Note, Part, Section, Table, Value, columns
+from mistray.report.model import FigurePart, Note, PagePart, Section, Table, Value, columns
 
 if TYPE_CHECKING:
     from mistray.report.figures.figure import Figure as Drawing
@@ -30,12 +30,12 @@ def light_maps_section(report: GhostReport) -> Section | None:
     found = {field: report.light_maps[field] for field in report if field in report.light_maps}
     if not found:
         return None
-    parts: list[Part] = [Note(NOTE), _table(found)]
+    parts: list[PagePart] = [Note(NOTE), _table(found)]
     for field, maps in found.items():
         lit = _drawn(maps)
         if lit:
             drawn = f"{len(lit)} of {len(maps)} maps" if len(lit) < len(maps) else "all maps"
-            parts.append(Figure(functools.partial(_draw, lit), f"Field {field:g}°: {drawn}."))
+            parts.append(FigurePart(functools.partial(_draw, lit), f"Field {field:g}°: {drawn}."))
     return Section("light", "Parts of the light", parts, "Parts")
 
 

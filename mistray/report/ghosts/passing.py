@@ -16,7 +16,7 @@ from mistray.ids import plain_name
 from mistray.recorders.passing.cells import PassingLight
 from mistray.recorders.passing.far_field import FarField
 from mistray.recorders.passing.probe import Probe
-from mistray.report.model import Figure, Map, Note, Part, Section, Table, Value, columns
+from mistray.report.model import FigurePart, Map, Note, PagePart, Section, Table, Value, columns
 
 if TYPE_CHECKING:
     from mistray.report.figures.figure import Figure as Drawing
@@ -32,7 +32,7 @@ Kind = TypeVar("Kind", bound=PassingLight)
 
 def passing_section(report: GhostReport) -> Section | None:
     """Return the records of the probes and far fields of a scene at each field; None where there are none."""
-    parts: list[Part] = []
+    parts: list[PagePart] = []
     probes, fields = list(_recorded(report, Probe)), list(_recorded(report, FarField))
     if not probes and not fields:
         return None
@@ -42,7 +42,7 @@ def passing_section(report: GhostReport) -> Section | None:
         parts += [_rings(fields)]
         for name in dict.fromkeys(one.name for _, one in fields):
             of_name = [(field, one) for field, one in fields if one.name == name]
-            parts.append(Figure(functools.partial(_draw, name, of_name), f"Far field '{name}'."))
+            parts.append(FigurePart(functools.partial(_draw, name, of_name), f"Far field '{name}'."))
     return Section("probes", "Probes and far fields", [Note(NOTE), *parts], "Probes")
 
 

@@ -19,7 +19,19 @@ from mistray.report.ghosts.ledgers import coatings, energy_ledger, surface_ledge
 from mistray.report.ghosts.scatter import scatter_ledger
 from mistray.report.html.explorer import page_data
 from mistray.report.html.render import html_page
-from mistray.report.model import Column, Figure, Folded, Hover, Note, Part, Report, Section, Table, Value, columns
+from mistray.report.model import (
+    Column,
+    FigurePart,
+    Folded,
+    Hover,
+    Note,
+    PagePart,
+    Report,
+    Section,
+    Table,
+    Value,
+    columns,
+)
 from mistray.report.own_sections import own_sections
 from mistray.report.parts import setting_text, settings_section, terms, thousands
 from mistray.report.tables.ghosts import more_rays, summary_powers, summary_values
@@ -159,7 +171,7 @@ def _undrawn(report: GhostReport, shown: GhostReport) -> list[str]:
 
 def _summary(
     report: GhostReport, shown: GhostReport, summaries: Sequence[FieldSummary], per_wavelength: bool
-) -> list[Part]:
+) -> list[PagePart]:
     """Statistics of every field; on request at each wavelength too."""
     nominal = report.nominal
     text = (
@@ -168,7 +180,7 @@ def _summary(
         f"RMS irradiance {with_error(nominal.rms_irradiance_W_mm2)} W/mm²."
     )
     kinds = [kind for kind in STRAY_KINDS if any(s.paths_of_kind[kind] for s in summaries)]
-    parts: list[Part] = [Note(text), _summary_table(shown, summaries, kinds, "t-summary")]
+    parts: list[PagePart] = [Note(text), _summary_table(shown, summaries, kinds, "t-summary")]
     if per_wavelength:
         lines = [report.summary(s.field_deg, line) for s in summaries for line in report.wavelengths_nm]
         table = _summary_table(shown, lines, kinds, "t-summary-waves").without("peak stray/peak nominal")
@@ -199,20 +211,20 @@ def _summary_table(shown: GhostReport, summaries: Sequence[FieldSummary], kinds:
     return table.without("λ") if all(s.wavelength_nm is None for s in summaries) else table
 
 
-def _pictures(report: GhostReport, shown: GhostReport, pictures: Mapping[str, bytes]) -> list[Part]:
+def _pictures(report: GhostReport, shown: GhostReport, pictures: Mapping[str, bytes]) -> list[PagePart]:
     """The stray light of all fields, and levels against the field."""
     if not shown:
         return [_levels(report)]
     own = pictures.get("overview.png") or as_png(montage(shown), of_maps=True)
-    drawn: list[Part] = [Figure(own, OVERVIEW, "stray light on the detector at every field")]
+    drawn: list[PagePart] = [FigurePart(own, OVERVIEW, "stray light on the detector at every field")]
     if len(shown) > 1:
         common = pictures.get("overview_common.png") or as_png(montage(shown, common=True), of_maps=True)
         told = "stray light on the detector at every field, on one scale"
-        drawn.append(Folded(ON_ONE_SCALE, [Figure(common, text=told)]))
+        drawn.append(Folded(ON_ONE_SCALE, [FigurePart(common, text=told)]))
     return [*drawn, _levels(report)]
 
 
-def _levels(report: GhostReport) -> Figure:
+def _levels(report: GhostReport) -> FigurePart:
     """Power against field angle, with its values for the pointer."""
     fields = sorted(report)
     values = []
@@ -224,7 +236,7 @@ def _levels(report: GhostReport) -> Figure:
         ]
         values.append([*shown, ("worst path, normalised", with_error(s.brightest_normalised))])
     hover = Hover("data-levels", fields, [f"field {field:g}°" for field in fields], values)
-    return Figure(functools.partial(levels_against_field, report), LEVELS, hover=hover)
+    return FigurePart(functools.partial(levels_against_field, report), LEVELS, hover=hover)
 
 
 def polarization_words(settings: Mapping[str, Any]) -> str:

@@ -12,7 +12,7 @@ from mistray.files.irradiance_files import LUX, IrradianceMap
 from mistray.files.json_values import plain
 from mistray.ids import plain_name
 from mistray.recorders.passing.surface_maps import SurfaceMap, SurfaceMaps
-from mistray.report.model import Figure, Note, Part, Section, Table, Value, columns
+from mistray.report.model import FigurePart, Note, PagePart, Section, Table, Value, columns
 
 if TYPE_CHECKING:
     from mistray.report.figures.figure import Figure as Drawing
@@ -30,12 +30,12 @@ def surface_maps_section(report: GhostReport) -> Section | None:
     found = [(field, own) for field in report if (own := brightest(report, field))]
     if not found:
         return None
-    parts: list[Part] = [Note(NOTE), _table(found)]
+    parts: list[PagePart] = [Note(NOTE), _table(found)]
     for field, own in found:
         lit = [one for one in own[:DRAWN] if one.power[0] > 0]
         if lit:
             drawn = f"the {len(lit)} brightest of {len(own)} surfaces" if len(lit) < len(own) else "all surfaces"
-            parts.append(Figure(functools.partial(_draw, lit), f"Field {field:g}°: {drawn}, unrolled."))
+            parts.append(FigurePart(functools.partial(_draw, lit), f"Field {field:g}°: {drawn}, unrolled."))
     return Section("walls", "Light on walls", parts, "Walls")
 
 

@@ -18,7 +18,7 @@ from mistray.report.figures.layout import RAYS_DRAWN, glass_bodies, meridional, 
 from mistray.report.figures.plots import common_range
 from mistray.report.html.embedded import MapStore, colour_text, json_script, packed, rounded
 from mistray.report.html.render import template
-from mistray.report.model import Column, Finished, Html
+from mistray.report.model import Column, Html, HtmlCell
 
 DIGITS = 4  # of the size of the system, that coordinates are rounded to
 EVENT_WORDS = {
@@ -95,9 +95,9 @@ def explorer(report: GhostReport, field_deg: float, maps: FieldMaps, table: str)
     return Html(panel + json_script(source, {"packed": packed(data), "codes": store.text()}))
 
 
-def picture_cell(path_id: int, content: str, below: Sequence[str]) -> Finished:
+def picture_cell(path_id: int, content: str, below: Sequence[str]) -> HtmlCell:
     """Cell with the button that chooses a path; lines of text stand below its picture."""
-    return Finished(template("picture_cell.html", path_id=path_id, content=content, below=below))
+    return HtmlCell(template("picture_cell.html", path_id=path_id, content=content, below=below))
 
 
 def _bounds(lines: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -34,7 +34,7 @@ def template(name: str, **values: Any) -> str:
     return _environment().get_template(name).render(values).strip()
 
 
-def html_parts(parts: Sequence[model.Part]) -> str:
+def html_parts(parts: Sequence[model.PagePart]) -> str:
     """Parts of a report as HTML."""
     part = _environment().get_template("parts.html").module.part  # type: ignore[attr-defined]
     return "".join(part(one) for one in parts)
@@ -50,12 +50,12 @@ def _cell(value: model.Value, column: model.Column) -> str:
         return number_cell(value)
     if isinstance(value, model.Noted):
         return number_cell(value.number, value.note)
-    if isinstance(value, model.Cell):
+    if isinstance(value, model.StyledCell):
         return cell(value.text, value.style)
     if isinstance(value, model.Link):
         link = f'<a href="#{escape(value.anchor)}">{escape(value.text)}</a>'
         return f'<td class="{column.style}">{link}</td>' if column.style else f"<td>{link}</td>"
-    if isinstance(value, model.Finished):
+    if isinstance(value, model.HtmlCell):
         return value.html
     if isinstance(value, model.Fold):
         below = f"<details><summary>{escape(value.summary)}</summary>{escape(value.text)}</details>"
@@ -63,7 +63,7 @@ def _cell(value: model.Value, column: model.Column) -> str:
     return cell(str(value), column.style)
 
 
-def _hovering(figure: model.Figure) -> Markup:
+def _hovering(figure: model.FigurePart) -> Markup:
     assert callable(figure.picture)
     assert figure.hover is not None
     drawn, hover = figure.picture(), figure.hover
@@ -71,9 +71,9 @@ def _hovering(figure: model.Figure) -> Markup:
     return Markup(hover_figure(hover.name, drawn, drawn.axes[0], *places, figure.caption, figure.text))
 
 
-def drawn_map(given: model.Map) -> model.Figure:
+def drawn_map(given: model.Map) -> model.FigurePart:
     """A map as a picture."""
-    return model.Figure(functools.partial(_map_figure, given), given.title)
+    return model.FigurePart(functools.partial(_map_figure, given), given.title)
 
 
 def _map_figure(given: model.Map) -> Figure:

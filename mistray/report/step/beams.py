@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 from scipy.spatial import ConvexHull
 
-from mistray.analysis.image_quality.bundle import Bundle, field_bundle
+from mistray.analysis.image_quality.bundle import PointBundle, field_bundle
 from mistray.analysis.image_quality.stop import Region, lit_region
 from mistray.errors import MistrayError
 from mistray.io.cad.write_step import StepFile
@@ -39,7 +39,7 @@ CAP = 5  # rings of a cap, from its middle to its rim
 
 
 @dataclass(frozen=True, eq=False)
-class Beam:
+class FieldBeam:
     """
     The light of a field.
 
@@ -205,7 +205,7 @@ class BeamFinder:
         ids = self.path.table.ids
         return {ids[step.surface]: -1 if step.from_front else 1 for step in self.path.steps if step.reflects}
 
-    def beam(self, field_deg: float, azimuth_deg: float | None = None) -> Beam:
+    def beam(self, field_deg: float, azimuth_deg: float | None = None) -> FieldBeam:
         """
         The light of a field that reaches the detector's surface.
 
@@ -232,16 +232,16 @@ class BeamFinder:
         ids = self.path.table.ids
         places = ["start", *(ids[step.surface] for step in self.path.steps)]
         caps = [self._cap(k, points[k, 0], points[k, 1:]) for k in range(len(places))]
-        return Beam(field_deg, *_with_foci(places, points[:, 0], caps), smooth, error)
+        return FieldBeam(field_deg, *_with_foci(places, points[:, 0], caps), smooth, error)
 
-    def _at_rim(self, outermost: _Rim, bundle: Bundle, turns: Array, between: Array) -> tuple[Array, Array]:
+    def _at_rim(self, outermost: _Rim, bundle: PointBundle, turns: Array, between: Array) -> tuple[Array, Array]:
         """Points of the ray in the middle and of those at the rim, (p, 1 + n, 3), and of rays between them, mm."""
         others = outermost.at(between)
         rim = outermost.at(turns)
         points = self._follow(bundle, np.concatenate([rim.mean(axis=0)[None], rim, others]))
         return points[:, : len(rim) + 1], points[:, len(rim) + 1 :]
 
-    def _follow(self, bundle: Bundle, x: Array) -> Array:
+    def _follow(self, bundle: PointBundle, x: Array) -> Array:
         """Points of rays at the start and at all surfaces, (p, n, 3) mm."""
         o, d = bundle.rays(x)
         points = [o]
@@ -299,7 +299,7 @@ def _with_foci(places: list[str], middle: Array, caps: list[Array]) -> tuple[lis
 class _Rim:
     """The rim of the light in the entrance, as the hull of the outermost rays that pass in some directions."""
 
-    def __init__(self, path: DesignPath, bundle: Bundle, region: Region) -> None:
+    def __init__(self, path: DesignPath, bundle: PointBundle, region: Region) -> None:
         self._path, self._bundle = path, bundle
         self._middle = region.points.mean(axis=0)
         self._limit = float(np.linalg.norm(region.points - self._middle, axis=1).max()) + 2 * region.cell

@@ -51,7 +51,7 @@ class Axis:
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class StepBody:
     """
     Body that becomes one product.
 
@@ -101,7 +101,7 @@ class Body:
 class Found:
     """Bodies of a scene, and what to know of them."""
 
-    bodies: list[Body] = field(default_factory=list)
+    bodies: list[StepBody] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     left_out: dict[str, str] = field(default_factory=dict)
 
@@ -140,7 +140,7 @@ def bodies_of(
             found.left_out[name] = patch
         else:
             patches.append((part, role, patch))
-    left: dict[str, Body] = {}
+    left: dict[str, StepBody] = {}
     for axis in axes:
         used = _lenses(axis, found)
         rest = [ring for ring in axis.rings if ring.name not in used]
@@ -163,7 +163,7 @@ def bodies_of(
         flat = [polygon for polygon in polygons if polygon is not None]
         if len(flat) == len(polygons) > 3 and polyhedron(flat) is not None:
             role = Counter(role for role, _ in own_patches).most_common(1)[0][0]
-            found.bodies.append(Body(part, GROUPS[role], role, True, patches=[patch for _, patch in own_patches]))
+            found.bodies.append(StepBody(part, GROUPS[role], role, True, patches=[patch for _, patch in own_patches]))
             continue
         for role, patch in own_patches:
             _sheets(left, part, role).patches.append(patch)
@@ -171,12 +171,12 @@ def bodies_of(
     return found
 
 
-def _sheets(left: dict[str, Body], part: str, role: str) -> Body:
-    return left.setdefault(f"{part} {GROUPS[role]}", Body(part, GROUPS[role], role, False))
+def _sheets(left: dict[str, StepBody], part: str, role: str) -> StepBody:
+    return left.setdefault(f"{part} {GROUPS[role]}", StepBody(part, GROUPS[role], role, False))
 
 
-def _solid(name: str, role: str, axis: Axis, loop: list[Profile]) -> Body:
-    return Body(name, GROUPS[role], role, True, [(axis.matrix, loop)], ring=loop[0].start[0] > 0)
+def _solid(name: str, role: str, axis: Axis, loop: list[Profile]) -> StepBody:
+    return StepBody(name, GROUPS[role], role, True, [(axis.matrix, loop)], ring=loop[0].start[0] > 0)
 
 
 # ---- shapes
@@ -287,7 +287,7 @@ def _lenses(axis: Axis, found: Found) -> set[str]:
     return used
 
 
-def _mirror(axis: Axis, ring: Ring, thickness: float, found: Found) -> Body | None:
+def _mirror(axis: Axis, ring: Ring, thickness: float, found: Found) -> StepBody | None:
     """A mirror with a substrate behind it; None if there can be none."""
     if not ring.mirror_side:
         found.notes.append(f"{ring.name}: the light to the detector does not meet it; it stays a sheet")

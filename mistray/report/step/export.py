@@ -14,7 +14,7 @@ from mistray.notes import warns
 from mistray.ranges import FIELD_DEG, RAYS_DRAWN, ROWS, SIZE_MM
 from mistray.recorders.path_events import DIRECT
 from mistray.report.rays.path_rays import one_of_each, rays_of_paths
-from mistray.report.step.beams import Beam, BeamFinder
+from mistray.report.step.beams import BeamFinder, FieldBeam
 from mistray.report.step.bodies import DETECTORS, MECHANICS, OPTICS, bodies_of
 from mistray.scene.check import require_scene
 from mistray.trace import trace
@@ -168,7 +168,7 @@ def export_step(
     )
 
 
-def _beam(file: StepFile, beam: Beam) -> tuple[int, int]:
+def _beam(file: StepFile, beam: FieldBeam) -> tuple[int, int]:
     """The product of a beam."""
     solids, sides = beam.write(file)
     items = solids + ([file.sheets(beam.name, sides)] if sides else [])

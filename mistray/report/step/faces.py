@@ -12,7 +12,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 
 from mistray.errors import MistrayError
 from mistray.io.cad.write_step import StepFile
-from mistray.physics.geometry.outline import Figure, Outline
+from mistray.physics.geometry.outline import Outline, OutlineFigure
 from mistray.report.step.profiles import Profile
 
 Array = npt.NDArray[np.float64]
@@ -218,7 +218,7 @@ class Patch:
     name : str
     height : callable
         Sag at points x, y of the frame, mm.
-    figures : tuple of Figure
+    figures : tuple of OutlineFigure
         The border, then holes in it that neither meet it nor each other, see `loops_of`.
     matrix : (4, 4) float64
         From its frame to the world.
@@ -226,7 +226,9 @@ class Patch:
         mm.
     """
 
-    def __init__(self, name: str, height: Height, figures: tuple[Figure, ...], matrix: Array, tolerance: float) -> None:
+    def __init__(
+        self, name: str, height: Height, figures: tuple[OutlineFigure, ...], matrix: Array, tolerance: float
+    ) -> None:
         self.name, self.height, self.figures, self.matrix, self.tolerance = name, height, figures, matrix, tolerance
         self.error_mm = 0.0
         x, y = Outline(figures).sample(17)
@@ -301,7 +303,7 @@ class Patch:
             f"{self.tolerance:.2g} mm; give a larger freeform_tolerance_mm"
         )
 
-    def _loop(self, file: StepFile, figure: Figure, outer: bool) -> int:
+    def _loop(self, file: StepFile, figure: OutlineFigure, outer: bool) -> int:
         """The border of a figure, counter-clockwise about the normal where it is the outer one."""
         pieces: list[Callable[[Array], Array]] = []
         if figure.kind in ("circle", "ellipse"):
@@ -344,7 +346,7 @@ def _side(a: Array, b: Array, u: Array) -> Array:
     return np.asarray(a + u[:, None] * (b - a))
 
 
-def corners_of(figure: Figure) -> Array:
+def corners_of(figure: OutlineFigure) -> Array:
     """Corners (n, 2) of a polygon or rectangle in the frame of its outline, counter-clockwise, mm."""
     corners = figure.corners
     x, y = corners.T
@@ -355,7 +357,7 @@ def corners_of(figure: Figure) -> Array:
     return np.asarray(corners @ np.array([[c, s], [-s, c]]) + [figure.x, figure.y])
 
 
-def round_border(figure: Figure, u: Array) -> Array:
+def round_border(figure: OutlineFigure, u: Array) -> Array:
     """Points (n, 2) of a circle or ellipse, counter-clockwise for u of 0 … 1, mm."""
     a, b = figure.sizes if len(figure.sizes) == 2 else 2 * figure.sizes
     turn, angle = np.radians(figure.angle_deg), 2 * np.pi * u
@@ -364,7 +366,7 @@ def round_border(figure: Figure, u: Array) -> Array:
     return np.column_stack([figure.x + c * p - s * q, figure.y + s * p + c * q])
 
 
-def loops_of(outline: Outline) -> tuple[Figure, ...] | None:
+def loops_of(outline: Outline) -> tuple[OutlineFigure, ...] | None:
     """
     An outline as a border and holes, each of one figure; None where its figures meet each other.
 
@@ -382,11 +384,11 @@ def loops_of(outline: Outline) -> tuple[Figure, ...] | None:
     return outline.figures
 
 
-def _added(figure: Figure) -> Figure:
-    return Figure(figure.kind, "+", figure.x, figure.y, figure.angle_deg, figure.sizes)
+def _added(figure: OutlineFigure) -> OutlineFigure:
+    return OutlineFigure(figure.kind, "+", figure.x, figure.y, figure.angle_deg, figure.sizes)
 
 
-def _border_points(figure: Figure) -> Array:
+def _border_points(figure: OutlineFigure) -> Array:
     u = np.linspace(0.0, 1.0, 257)[:-1]
     if figure.kind in ("circle", "ellipse"):
         return round_border(figure, u)

@@ -10,7 +10,7 @@ import pandas as pd
 
 from mistray.report.figures.edits import pst_sweep_figure
 from mistray.report.figures.plots import as_png
-from mistray.report.model import Figure, Note, Report, Section
+from mistray.report.model import FigurePart, Note, Report, Section
 from mistray.report.parts import settings_section, terms, version_settings
 from mistray.report.pst_output import pst_facts
 from mistray.report.tables.edits import (
@@ -59,7 +59,7 @@ def edits_report(
     warnings: list[str] = []
     if found is not None:
         files["pst_sweep.png"] = as_png(pst_sweep_figure(found, title))
-        drawn = Figure(files["pst_sweep.png"], CAPTION, "stray PST by configuration")
+        drawn = FigurePart(files["pst_sweep.png"], CAPTION, "stray PST by configuration")
         first = found.pst[found.configurations[0]]
         table = pst_sweep_table(found)
         curves = [

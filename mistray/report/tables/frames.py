@@ -14,7 +14,7 @@ import pandas as pd
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.files.units import UNITS, unit_of
-from mistray.report.model import Cell, Column, Table, Value
+from mistray.report.model import Column, StyledCell, Table, Value
 from mistray.report.parts import thousands
 from mistray.report.tables.text import ABSENT, cell_text, number, with_error
 
@@ -67,10 +67,10 @@ def _value(value: Any, column: str, error: Any) -> Value:
     if error is not None:
         return Estimate(float(value), float(error))
     if isinstance(value, str):
-        return Cell(value, "t long" if len(value) > LONG_TEXT else "t")
+        return StyledCell(value, "t long" if len(value) > LONG_TEXT else "t")
     if isinstance(value, bool):
-        return Cell(value_text(value), "t")
-    return Cell(value_text(math.nan if column in ABSENT_BELOW_0 and value < 0 else value), "")
+        return StyledCell(value_text(value), "t")
+    return StyledCell(value_text(math.nan if column in ABSENT_BELOW_0 and value < 0 else value), "")
 
 
 def value_text(value: Any) -> str:

@@ -8,7 +8,20 @@ from collections.abc import Sequence
 from markupsafe import Markup
 
 from mistray.analysis.estimate import Estimate
-from mistray.report.model import Cell, Figure, Fold, Items, Link, Map, Note, Noted, Part, Table, Terms, Value
+from mistray.report.model import (
+    FigurePart,
+    Fold,
+    Items,
+    Link,
+    Map,
+    Note,
+    Noted,
+    PagePart,
+    StyledCell,
+    Table,
+    Terms,
+    Value,
+)
 
 MOST_DECIMALS = 6
 ROUNDING = 1e-13  # relative; what sums of float64 leave of an error that is 0
@@ -79,12 +92,12 @@ def cell_text(value: Value) -> str:
         value = value.number
     if isinstance(value, Estimate):
         return with_error(value)
-    if isinstance(value, Cell | Link):
+    if isinstance(value, StyledCell | Link):
         return value.text
     return value.summary if isinstance(value, Fold) else str(value)
 
 
-def parts_text(parts: Sequence[Part]) -> str:
+def parts_text(parts: Sequence[PagePart]) -> str:
     """Tables, notes and lists as text, and of a picture what its caption says."""
     texts = []
     for part in parts:
@@ -96,7 +109,7 @@ def parts_text(parts: Sequence[Part]) -> str:
             texts += part.texts
         elif isinstance(part, Terms):
             texts += [f"{term}: {text}" for term, text in part.pairs]
-        elif isinstance(part, Figure):
+        elif isinstance(part, FigurePart):
             texts.append(f"(picture: {part.caption or part.text})")
         elif isinstance(part, Map):
             texts.append(f"(map: {part.title}, {part.values.min():.3g} to {part.values.max():.3g} {part.unit})")

@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.physics.geometry.outline import Figure, Outline
+from mistray.physics.geometry.outline import Outline, OutlineFigure
 from mistray.surfaces.families.freeform_crossing import first_crossing
 from mistray.surfaces.families.freeform_sag import LocalSag
 from mistray.surfaces.families.outline_edge import FreeformFamily
@@ -273,7 +273,7 @@ class Freeform(Surface):
         return first_crossing(ray, self, numbers, own)
 
 
-def _least_half(figure: Figure) -> float:
+def _least_half(figure: OutlineFigure) -> float:
     """Half of the least width of a figure, mm."""
     if figure.kind == "polygon":
         return 0.25 * float(np.ptp(figure.corners, axis=0).min())
@@ -288,7 +288,7 @@ def _reach(outline: Outline, half: tuple[float, float]) -> float:
     return min(box, max(_farthest(figure) for figure in outline.figures if figure.sign == "+"))
 
 
-def _farthest(figure: Figure) -> float:
+def _farthest(figure: OutlineFigure) -> float:
     """Greatest distance of a point of a figure from the middle, mm."""
     away = float(np.hypot(figure.x, figure.y))
     if figure.kind in ("circle", "ellipse"):

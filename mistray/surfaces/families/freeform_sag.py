@@ -20,7 +20,7 @@ import drjit as dr
 import numpy as np
 
 from mistray.physics._arrays import sqrt
-from mistray.physics.geometry.departure import Departure, Form
+from mistray.physics.geometry.departure import BoxDeparture, Form
 from mistray.physics.sags.terms import FIXED, GRID, LENGTHS, MOST_RADIAL, length_power, sag
 from mistray.surfaces.extrema import larger
 from mistray.surfaces.families.grid_patches import GridPatches
@@ -221,7 +221,7 @@ class LocalSag:
         def departure(x: np.ndarray, y: np.ndarray) -> np.ndarray:
             return np.asarray(sag(x + ox, y + oy, smooth) - smooth_middle - own.evaluate(x, y, base)[0])
 
-        found = Departure.of(departure, half, x - ox, y - oy, ENOUGH * size, form.form if form else None)
+        found = BoxDeparture.of(departure, half, x - ox, y - oy, ENOUGH * size, form.form if form else None)
         if form is None:
             whole = FreeformSag(own.curved, found.form, own.odd, GridPatches(n[GRID]) if GRID in n else None)
         else:
