@@ -13,7 +13,7 @@ import pytest
 
 import mistray
 from mistray.report import write_all
-from mistray.report.figures.figure import FigurePart as Drawing
+from mistray.report.figures.figure import Figure as Drawing
 from mistray.report.html.render import html_page
 from mistray.report.model import FigurePart, Report, Section
 from mistray.time_budget import FIGURE, within
