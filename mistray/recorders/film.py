@@ -78,10 +78,6 @@ class Film:
         word = dr.gather(mi.UInt32, self.image_of_slot, slot, active)
         return ((word >> 1) - 1) * (self.width * self.height), active & (word > 0), (word & 1) > 0
 
-    def group(self, batch: mi.UInt32) -> mi.UInt32:
-        """Return the group of a batch."""
-        return batch >> dr.opaque(mi.UInt32, (BATCHES // self.groups).bit_length() - 1)
-
     def places(self, x: mi.Float, y: mi.Float) -> list[tuple[mi.UInt32, mi.Float | None]]:
         """
         Return the pixels that a hit at a point of the detector contributes to.
@@ -141,7 +137,7 @@ class Images(Recorder):
         here = visit.counted if self._only is None else visit.counted & (visit.surface == self._only)
         first, on_film, by_group = film.image(visit.start.batch, visit.slot, here)
         size = film.width * film.height
-        image = first + dr.select(by_group, film.group(visit.start.batch) * size, 0)
+        image = first + dr.select(by_group, group_of(visit.start.batch, film.groups) * size, 0)
         for pixel, share in film.places(*visit.position):
             flux = mi.Float64(visit.weight if film.incident else visit.absorbed)
             if share is not None:
@@ -258,6 +254,11 @@ def groups_of(pixels: int) -> int:
     """Return the number of groups of batches with an image of their own: fewer for images of many pixels."""
     most = FILM_BYTES // (8 * pixels)
     return int(np.clip(1 << max(most, 1).bit_length() - 1, LEAST_GROUPS, BATCHES))
+
+
+def group_of(batch: mi.UInt32, groups: int) -> mi.UInt32:
+    """Return the group of a batch; both numbers are powers of two, so that a shift divides."""
+    return batch >> dr.opaque(mi.UInt32, (BATCHES // groups).bit_length() - 1)
 
 
 def images_of(pixels: int) -> int:

@@ -200,7 +200,13 @@ class Ledger(Recorder):
         """Find the paths of hits, or claim slots for them; later recorders see only hits that have a slot."""
         slot, found, new = self.find(visit.key, visit.counted)
         visit.slot, visit.counted = slot, found
-        self._add(visit, visit.state["stokes"] if self.terms == STOKES_SUMS else None)
+        x, y = (mi.Float64(coordinate) for coordinate in visit.position)
+        a = mi.Float64(visit.absorbed)
+        terms = [mi.Float64(1), mi.Float64(visit.weight), a, a * x, a * y, a * (x * x + y * y)]
+        terms += [a * a, a * a * a * a]
+        if self.terms == STOKES_SUMS:
+            terms += [a * mi.Float64(component) for component in visit.state["stokes"]]
+        add_packet(self.sums, terms, slot * BATCHES + visit.start.batch, found)
         dr.scatter(self.lengths, visit.depth + 1, slot, new)
         write_list(self.events, slot * self.max_events, visit.depth + 1, visit.event, new)
 
@@ -221,17 +227,6 @@ class Ledger(Recorder):
             mode="symbolic",
         )
         return slot, active & found
-
-    def _add(self, visit: Visit, stokes: mi.Vector3f | None) -> None:
-        """Add hits of the detector to their slots."""
-        x, y = (mi.Float64(coordinate) for coordinate in visit.position)
-        a = mi.Float64(visit.absorbed)
-        terms = [mi.Float64(1), mi.Float64(visit.weight), a, a * x, a * y, a * (x * x + y * y)]
-        terms += [a * a, a * a * a * a]
-        if stokes is not None:
-            terms += [a * mi.Float64(component) for component in stokes]
-        assert visit.slot is not None
-        add_packet(self.sums, terms, visit.slot * BATCHES + visit.start.batch, visit.counted)
 
     @property
     def used(self) -> int:

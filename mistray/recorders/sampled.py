@@ -100,9 +100,24 @@ class Sampled:
             value = np.asarray(a.value / below)
             return Sampled(value, (a.apart - value[..., None] * b.apart) / below[..., None])
 
-    def total(self) -> Sampled:
-        """Return the sum over the first axis."""
-        return Sampled(self.value.sum(axis=0), self.apart.sum(axis=0))
+    def reshaped(self, *shape: int) -> Sampled:
+        """Return the numbers in another shape; one length may be -1."""
+        return Sampled(self.value.reshape(shape), self.apart.reshape(*shape, self.apart.shape[-1]))
+
+    def total(self, axis: int = 0) -> Sampled:
+        """Return the sum over an axis, counted from the first."""
+        return Sampled(self.value.sum(axis=axis), self.apart.sum(axis=axis))
+
+    @property
+    def with_se(self) -> tuple[Numbers, Numbers]:
+        """Values and their standard errors, (…) each."""
+        return self.value, self.se
+
+    @property
+    def whole(self) -> tuple[float, float]:
+        """Sum of all numbers, and its standard error."""
+        total = self.reshaped(-1).total()
+        return float(total.value), float(total.se)
 
 
 def _alike(*numbers: Sampled) -> list[Sampled]:

@@ -44,15 +44,12 @@ class ElsewhereRecorder(BranchRecorder):
         """Record hits of the surfaces."""
         if not self.departs:
             here = visit.active & (dr.gather(mi.UInt32, self._chosen, visit.surface, visit.active) != 0)
-            self.write(visit, here, visit.node, mi.Float64(visit.weight))
+            self.write(visit, here, mi.Float64(visit.weight))
 
     def depart(self, departure: Departure, memory: Memory) -> None:
         """Record rays that leave the scene after at least one event."""
         if self.departs and departure.node is not None:
-            branch = (departure.start.lane, departure.key, mi.Float64(departure.weight), departure.heading, None)
-            # The last event is that of the node from which the ray leaves
-            last = departure.length - 1
-            self._write(departure.nodes, departure.event, departure.active, departure.node, last, branch)
+            self.write(departure, departure.active, mi.Float64(departure.weight), departure.heading)
 
 
 @dataclass
@@ -89,7 +86,7 @@ class CellRecorder(ElsewhereRecorder):
         """Record hits of the surfaces."""
         # The cell is that of the incident flux; what is absorbed has its own
         cell, here = self.maps.cell(visit)
-        slot, kept = self.write(visit, here, visit.node, mi.Float64(visit.weight))
+        slot, kept = self.write(visit, here, mi.Float64(visit.weight))
         dr.scatter(self.cell, cell, slot, kept)
         dr.scatter(self.batch, visit.start.batch, slot, kept)
         dr.scatter(self.absorbed, mi.Float64(dr.maximum(visit.absorbed, 0)), slot, kept)

@@ -101,10 +101,7 @@ class FarField(PassingLight):
     @property
     def flux_of_rings(self) -> Sampled:
         """Flux of the cells of each row together, with its noise, (rows,), W."""
-        flux, shape = self.flux, (-1, self._azimuths)
-        return Sampled(
-            flux.value.reshape(shape).T, np.moveaxis(flux.apart.reshape(*shape, flux.apart.shape[-1]), 1, 0)
-        ).total()
+        return self.flux.reshaped(-1, self._azimuths).total(1)
 
     @property
     def solid_angle_sr(self) -> np.ndarray:
@@ -123,9 +120,8 @@ class FarField(PassingLight):
         return self._by_solid_angle(self.luminous_flux)
 
     def _by_solid_angle(self, flux: Sampled) -> tuple[np.ndarray, np.ndarray]:
-        size = self.solid_angle_sr[:, None]
-        shape = len(size), self._azimuths
-        return flux.value.reshape(shape) / size, flux.se.reshape(shape) / size
+        rows, size = flux.reshaped(-1, self._azimuths), self.solid_angle_sr[:, None]
+        return rows.value / size, rows.se / size
 
     @property
     def image(self) -> tuple[np.ndarray, np.ndarray]:

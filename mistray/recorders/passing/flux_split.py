@@ -10,9 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.errors import MistrayError
-from mistray.recorders.film import groups_of
-from mistray.recorders.passing.cells import PassingLight, chosen_surfaces
+from mistray.recorders.passing.cells import SurfaceLight
 from mistray.recorders.recorder import Memory, Visit
 from mistray.surfaces.upload import upload
 
@@ -57,7 +55,7 @@ class SplitRow:
         return (parts - self.incident[0]) / self.incident[0] if self.incident[0] else 0.0
 
 
-class FluxSplit(PassingLight):
+class FluxSplit(SurfaceLight):
     """
     Split of the light that meets surfaces.
 
@@ -82,10 +80,7 @@ class FluxSplit(PassingLight):
     kind, unit = "flux split", "W"
 
     def __init__(self, name: str, surfaces: str | Sequence[str] = ()) -> None:
-        self.patterns = (surfaces,) if isinstance(surfaces, str) else tuple(surfaces)
-        self._owner = f"flux split '{name}'"
-        self._names: list[tuple[str, str]] = []
-        super().__init__(name, len(SHARES))
+        super().__init__(name, surfaces, len(SHARES))
 
     @property
     def code(self) -> Hashable:
@@ -95,13 +90,8 @@ class FluxSplit(PassingLight):
     def attach(self, scene: KernelScene) -> None:
         """Reset the sums, and number the surfaces by the patterns."""
         table = scene.table
-        numbers = chosen_surfaces(table, self.patterns, self._owner) if self.patterns else list(table.listed)
-        names = [(table.ids[k], table.parts[k]) for k in numbers]
-        if self._flux is not None and names != self._names:
-            raise MistrayError(f"{self._owner} has recorded another scene; give each scene a recorder of its own")
-        self._names = names
-        self.cells = len(SHARES) * len(names)
-        self._groups = groups_of(self.cells)
+        numbers = self.chosen(table)
+        self.resize(len(SHARES) * len(numbers))
         super().attach(scene)
         # Number of each chosen surface plus one; 0 for the others
         place = np.zeros(table.count, dtype=np.uint32)
@@ -160,11 +150,9 @@ class FluxSplit(PassingLight):
     def power(self) -> tuple[float, float]:
         """Flux that meets all of its surfaces and its standard error, W."""
         # `incident` is the first share of each surface
-        total = self.flux[:: len(SHARES)].total()
-        return float(total.value), float(total.se)
+        return self.flux[:: len(SHARES)].whole
 
     @property
     def image(self) -> tuple[np.ndarray, np.ndarray]:
         """Flux of each surface and share, in the order of `SHARES`, and its standard error, (surfaces, 6) each, W."""
-        flux = self.flux
-        return flux.value.reshape(-1, len(SHARES)), flux.se.reshape(-1, len(SHARES))
+        return self.flux.reshaped(-1, len(SHARES)).with_se

@@ -137,15 +137,15 @@ class Probe(PassingLight):
         return self._by_pixel(self.luminous_flux.scaled(MM2_PER_M2))
 
     def _by_pixel(self, flux: Sampled) -> tuple[np.ndarray, np.ndarray]:
-        # Directions go first, to be summed; batches stay apart for the error
         columns, rows = self._pixels
-        area = 4 * self._half[0] * self._half[1] / (columns * rows)
-        by_direction = Sampled(
-            flux.value.reshape(-1, self._directions**2).T,
-            np.moveaxis(flux.apart.reshape(rows * columns, self._directions**2, -1), 1, 0),
-        )
-        found = by_direction.total().scaled(1 / area)
-        return found.value.reshape(rows, columns), found.se.reshape(rows, columns)
+        by_direction = flux.reshaped(rows, columns, self._directions**2)
+        return by_direction.total(2).scaled(1 / self._pixel_area).with_se
+
+    @property
+    def _pixel_area(self) -> float:
+        """Area of a pixel, mm²."""
+        columns, rows = self._pixels
+        return 4 * self._half[0] * self._half[1] / (columns * rows)
 
     @property
     def image(self) -> tuple[np.ndarray, np.ndarray]:
@@ -177,10 +177,7 @@ class Probe(PassingLight):
         columns, rows = self._pixels
         # du dv = (2/n)²
         n = self._directions
-        area = 4 * self._half[0] * self._half[1] / (columns * rows)
-        found = flux.scaled(1 / (area * (2 / n) ** 2))
-        shape = rows, columns, n, n
-        return found.value.reshape(shape), found.se.reshape(shape)
+        return flux.scaled(1 / (self._pixel_area * (2 / n) ** 2)).reshaped(rows, columns, n, n).with_se
 
 
 def _cell(place: mi.Float, per_mm: mi.Float, count: int) -> mi.UInt32:
