@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, REFLECTED, TOTAL, host_keys
+from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, REFLECTED, TOTAL, host_keys, padded
 from mistray.surfaces.upload import upload
 
 Sequences = tuple[tuple[int, ...], ...]
@@ -37,7 +37,7 @@ class DesignSequences:
     def keys(self, detector: int, backward: bool = False) -> np.ndarray:
         """Return the keys of the sequences of a detector, of forward or backward rays; (n,) uint64, ascending."""
         # Backward rays meet the events in reverse order, and the key depends on the order
-        return np.unique(_keys([one[::-1] if backward else one for one in self.lists.get(detector, ())]))
+        return np.unique(host_keys(*padded([one[::-1] if backward else one for one in self.lists.get(detector, ())])))
 
     def reflectors(self, detector: int) -> frozenset[int]:
         """Return the surfaces where a sequence of a detector is reflected, totally or not."""
@@ -118,11 +118,3 @@ class DesignKeys:
         # The keys ascend
         place = dr.binary_search(0, self._room - 1, lambda k: dr.gather(mi.UInt64, keys, k) < key)
         return dr.gather(mi.UInt64, keys, mi.UInt32(place)) == key
-
-
-def _keys(lists: list[tuple[int, ...]]) -> np.ndarray:
-    lengths = np.array([len(one) for one in lists], dtype=np.int64)
-    events = np.zeros((len(lists), max(int(lengths.max(initial=0)), 1)), dtype=np.uint32)
-    for row, one in enumerate(lists):
-        events[row, : len(one)] = one
-    return host_keys(events, lengths)

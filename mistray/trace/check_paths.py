@@ -11,6 +11,7 @@ import numpy as np
 
 from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.path_events import Events
+from mistray.recorders.path_key import padded
 from mistray.sampling.sources import source_emitters
 from mistray.surfaces.surfaces import medium_id, named_shapes, part_of
 from mistray.trace.filter_rows import Rows
@@ -55,8 +56,7 @@ def _no_rows(scene: mi.Scene, by_ray: frozenset[str]) -> Rows:
     media = list(dict.fromkeys(getattr(bsdf, side, "").strip() for bsdf in bsdfs for side in ("front", "back")))
     emitters = enumerate(source_emitters(scene), start=1)
     return Rows(
-        Events(np.zeros((0, 1), np.uint32), np.zeros(0, np.int64), np.zeros(0, np.uint32), DesignSequences()),
-        [*shapes, *map(medium_id, media)],
+        Events(*padded([]), [*shapes, *map(medium_id, media)], np.zeros(0, np.uint32), DesignSequences()),
         [*(part_of(*pair) for pair in shapes.items()), *media],
         {name: column for name, column in COLUMNS.items() if name not in by_ray},
         len(shapes),

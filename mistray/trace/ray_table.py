@@ -15,8 +15,8 @@ from mistray.errors import MistrayError
 from mistray.execute.tracer import Run
 from mistray.recorders.branch_recorder import BranchRecorder
 from mistray.recorders.film import Box
-from mistray.recorders.path_events import INTERCEPTS, Events
-from mistray.recorders.path_key import EVENT_MASK
+from mistray.recorders.path_events import Events
+from mistray.recorders.path_key import padded
 from mistray.recorders.recorder import Recorder
 from mistray.surfaces.upload import upload
 from mistray.trace.filter_rows import Rows
@@ -144,7 +144,7 @@ class _Search:
 
     def rays(self, slots: np.ndarray, n: int | None) -> tuple[Columns, list[Ray]]:
         """Return at most n rays of paths in these slots of the ledger; with `events` the rays themselves, too."""
-        parts, rays, found = [self._facts(np.zeros((0, 1), dtype=np.uint32), {})], [], 0
+        parts, rays, found = [self._facts(Events.of(self._run.table, self._run.design, *padded([])), {})], [], 0
         if len(slots):
             recorder = self._run.recorder(CAPACITY, slots)
             for start in portions(self._run):
@@ -172,7 +172,7 @@ class _Search:
         lanes = np.array(recorder.lane)[:count]
         origins, directions = self._run.start_rays(lanes)
         # The kernel's hits are float32: positions are computed again in float64
-        codes, lengths = recorder.events(slots)
+        events = Events.of(self._run.table, self._run.design, *recorder.events(slots))
         numbers = {name: np.zeros(count) for name in ("flux_W", *ALONG[0], *ALONG[1], "opl_mm")}
         rays: dict[int, Ray] = {}
         for bundle in bundles(self._run, recorder, slots, origins, directions):
@@ -187,23 +187,21 @@ class _Search:
         place = np.array(recorder.place).reshape(-1, 2)[:count]
         keys = np.array(recorder.path)[:count]
         columns = self._facts(
-            codes,
+            events,
             {"path_id": self._paths.ids_of_keys(self._number, keys), "start_ray": lanes.astype(np.int64)}
-            | {"node": lengths, "detector_x_mm": place[:, 0], "detector_y_mm": place[:, 1]}
+            | {"node": events.lengths, "detector_x_mm": place[:, 0], "detector_y_mm": place[:, 1]}
             | numbers,
         )
-        held = self._held(columns, Events(codes, lengths, self._run.table.event_words, self._run.design))
+        held = self._held(columns, events)
         kept = np.flatnonzero(held)
         return {name: values[kept] for name, values in columns.items()}, [rays[int(k)] for k in kept] if rays else []
 
-    def _facts(self, codes: np.ndarray, given: Columns) -> Columns:
+    def _facts(self, events: Events, given: Columns) -> Columns:
         """Return all columns of rays, in their order; without `given` those of no rays."""
         empty = {name: np.zeros(0, dtype=np.int64 if name in ("start_ray", "node") else float) for name in FACTS}
         given = empty | {"path_id": np.zeros(0, dtype=np.int64)} | given
         # Words of the events
-        source, count = self._run.source, len(codes)
-        lists = [row[:length] for row, length in zip(codes.tolist(), given["node"].tolist(), strict=True)]
-        words = [[INTERCEPTS[code & EVENT_MASK] for code in row] for row in lists]
+        source, count, words = self._run.source, len(events), events.intercepts
         width, height, (x0, x1, y0, y1) = self._run.table.film()
         # In float32, as the film does: a ray at a border is in the same pixel as in the map
         along = [given[name].astype(np.float32) for name in ("detector_x_mm", "detector_y_mm")]
@@ -241,7 +239,7 @@ class _Search:
         }
         table = self._run.table
         known = more | columns | {PEAK: columns["flux_W"] / self._peak}
-        return held & self._wanted.holds(Rows(events, table.event_ids, table.event_parts, known, table.count))
+        return held & self._wanted.holds(Rows(events, table.event_parts, known, table.count))
 
 
 def _corners(run: Run, box: Sequence[float] | None, pixels: Sequence[int] | None) -> tuple[float, ...] | None:
