@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -90,6 +89,8 @@ class BranchRecorder(Recorder):
     directions: DirectionRecorder | None = None
     arrivals: ArrivalRecorder | None = None
 
+    kernel_by: ClassVar[tuple[str, ...]] = ("choice", "directions", "arrivals")
+
     def __post_init__(self) -> None:
         # Incident light contributes where its arrivals have a gain
         self.merges_aimed = self.incident = self.arrivals is not None
@@ -107,12 +108,6 @@ class BranchRecorder(Recorder):
         self.peak = dr.zeros(mi.UInt32, 1)
         dr.eval(self.count, self.lane, self.length, self.codes, self.nodes, self.weight, self.heading, self.place)
         dr.eval(self.path, self.peak)
-
-    @property
-    def code(self) -> Hashable:
-        """See `Recorder.code`."""
-        ends = (None if one is None else one.code for one in (self.directions, self.arrivals))
-        return type(self).__name__, self.choice is None, *ends
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Record hits of the detector."""

@@ -6,7 +6,7 @@ A path is identified by the key of its events, see `mistray.recorders.path_key`,
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -61,20 +61,21 @@ class DesignSequences:
         (p,) bool
         """
         found = np.zeros(len(events), dtype=bool)
-        ends = self.ends(events, lengths)
-        for detector in self.lists:
-            here = np.flatnonzero(ends == detector)
+        for detector, here in self._by_detector(events, lengths):
             found[here] = np.isin(host_keys(events[here], lengths[here] - 1), self.keys(detector))
         return found
 
     def reflects(self, events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
         """Whether an event is at a surface where a sequence of its path's detector is reflected; (p, k)."""
         found = np.zeros(events.shape, dtype=bool)
-        ends = self.ends(events, lengths)
-        for detector in self.lists:
-            here = np.flatnonzero(ends == detector)
+        for detector, here in self._by_detector(events, lengths):
             found[here] = np.isin(events[here] >> EVENT_BITS, list(self.reflectors(detector)))
         return found
+
+    def _by_detector(self, events: np.ndarray, lengths: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+        """Yield each detector, and the rows of the paths that end there."""
+        ends = self.ends(events, lengths)
+        return ((detector, np.flatnonzero(ends == detector)) for detector in self.lists)
 
     @staticmethod
     def ends(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:

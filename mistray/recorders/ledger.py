@@ -7,7 +7,7 @@ event list there. `Ledger.decode` hashes every recorded list again and compares.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -170,6 +170,8 @@ class Ledger(Recorder):
         Sum the Stokes vectors as well.
     """
 
+    kernel_by = ("max_events", "terms")
+
     def __init__(self, capacity: int, max_events: int, stokes: bool = False) -> None:
         self.capacity, self.max_events = capacity, max_events
         self.terms = STOKES_SUMS if stokes else SUMS
@@ -190,11 +192,6 @@ class Ledger(Recorder):
         """Return the slot of a key, whether it was found or claimed, and whether it was claimed just now."""
         start = mi.UInt32(key >> 32) & self.mask
         return claim(self.keys, key, start, self.mask, MOST_PROBES, active, self.mask + 1)
-
-    @property
-    def code(self) -> Hashable:
-        """See `Recorder.code`."""
-        return type(self).__name__, self.max_events, self.terms
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Find the paths of hits, or claim slots for them; later recorders see only hits that have a slot."""

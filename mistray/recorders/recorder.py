@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from inspect import isfunction
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -282,9 +282,12 @@ class Recorder:
         Whether light that leaves the scene of a forward trace is reported to it, too.
     name : str
         Name in a result; empty: none.
+    kernel_by : tuple of str
+        Attributes that the kernel depends on.
     """
 
     name = ""
+    kernel_by: ClassVar[tuple[str, ...]] = ()
     departs = False
     node_floats = 0
     merges_aimed = False
@@ -298,7 +301,7 @@ class Recorder:
     @property
     def code(self) -> Hashable:
         """Key that distinguishes the kernels of one scene by the recorders that they write to."""
-        return type(self).__name__
+        return type(self).__name__, *(_key_of(getattr(self, name)) for name in self.kernel_by)
 
     # ---- a trace of one source and wavelength, called on the host
 
@@ -351,6 +354,11 @@ class Recorder:
 
     def collect_lanes(self, start: StartRays, memory: Memory) -> None:
         """Collect the per-lane sums when all trees are complete; the rays of a lane were of one batch."""
+
+
+def _key_of(part: Any) -> Hashable:
+    """Return a number as it is, the key of a recorder, and of other things whether they are there."""
+    return part if isinstance(part, int | tuple) else getattr(part, "code", part is not None)
 
 
 class Recorders(Recorder):

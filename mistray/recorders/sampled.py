@@ -9,7 +9,7 @@ correlation, so that the error of a quotient of two of them is right.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -129,6 +129,21 @@ def _alike(*numbers: Sampled) -> list[Sampled]:
 def batch_error(by_batch: np.ndarray, rays: np.ndarray) -> np.ndarray:
     """Return the standard error of a sum over batches (last axis) of `rays` start rays each, from their spread."""
     return Sampled.of(by_batch, rays).se
+
+
+def sum_of_runs(by_batch: Sequence[Numbers], runs: Sequence[Any]) -> tuple[Numbers, Numbers]:
+    """
+    Return sums over several runs together and their standard errors, (…) each, W.
+
+    Parameters
+    ----------
+    by_batch : sequence of (…, b) float64
+        Sums of the batches of each run, in units of a start ray's flux.
+    runs : sequence of Run or RunPaths
+        The runs, which have start rays of their own, so that their variances add.
+    """
+    parts = [Sampled.of(own, run.started).scaled(run.unit) for own, run in zip(by_batch, runs, strict=True)]
+    return np.sum([one.value for one in parts], axis=0), np.sqrt(np.sum([np.square(one.se) for one in parts], axis=0))
 
 
 def error_rays(

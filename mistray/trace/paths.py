@@ -25,7 +25,7 @@ from mistray.recorders.path_events import (
     way_text,
 )
 from mistray.recorders.path_key import host_keys
-from mistray.recorders.sampled import Sampled, batch_error
+from mistray.recorders.sampled import Sampled, sum_of_runs
 from mistray.settings import BATCHES
 from mistray.trace.filter_rows import Rows, RunPaths
 from mistray.trace.named_paths import tell
@@ -343,13 +343,10 @@ class PathTable(Sequence[PathRow]):
         includes the correlation of paths.
         """
         ids = np.asarray(path_ids, dtype=np.int64)
-        variance = 0.0
-        for number, one in enumerate(self._of_runs):
-            here = ids[self._run[ids] == number]
-            if len(here):
-                by_batch = one.paths.sums[self._place[here], :, 2].sum(axis=0)
-                variance += float(one.unit * batch_error(by_batch, one.started)) ** 2  # runs share no start rays
-        return float(self._columns["power_W"][ids].sum()), float(np.sqrt(variance))
+        places = [self._place[ids[self._run[ids] == number]] for number in range(len(self._of_runs))]
+        by_batch = [one.paths.sums[here, :, 2].sum(axis=0) for one, here in zip(self._of_runs, places, strict=True)]
+        _, se = sum_of_runs(by_batch, self._of_runs)
+        return float(self._columns["power_W"][ids].sum()), float(se)
 
     def ids(self, direct: bool, wavelength_nm: float | None = None) -> np.ndarray:
         """Return the ids of the paths of the direct image, or of all others; of one wavelength or of all."""

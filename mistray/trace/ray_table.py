@@ -20,9 +20,10 @@ from mistray.recorders.path_key import padded
 from mistray.recorders.recorder import Recorder
 from mistray.surfaces.upload import upload
 from mistray.trace.filter_rows import Rows
-from mistray.trace.history import Ray, RayHistory, bundles
+from mistray.trace.history import Ray, RayHistory, bundles, spread
 from mistray.trace.path_filter import PathFilter
 from mistray.trace.paths import PathRow, PathTable
+from mistray.trace.sampled_hits import GOLDEN
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,21 +32,9 @@ if TYPE_CHECKING:
 
 CAPACITY = 1 << 14  # branches that are recorded at a time
 FIRST = 1 << 12  # number of start rays of the first portion; it doubles from portion to portion
-GOLDEN = (5**0.5 - 1) / 2
-ALONG = ("x_mm", "y_mm", "z_mm"), ("dx", "dy", "dz")
+ALONG = ("x_mm", "y_mm", "z_mm", "dx", "dy", "dz")
 PEAK = "relative_flux"
-FACTS = (
-    "start_ray",
-    "node",
-    "flux_W",
-    *ALONG[0],
-    *ALONG[1],
-    "opl_mm",
-    "detector_x_mm",
-    "detector_y_mm",
-    "column",
-    "row",
-)
+FACTS = ("start_ray", "node", "flux_W", *ALONG, "opl_mm", "detector_x_mm", "detector_y_mm", "column", "row")
 BY_RAY = frozenset({*FACTS, "type", "history", PEAK})
 PATH_COLUMNS = frozenset(f.name for f in fields(PathRow))
 
@@ -92,9 +81,7 @@ def ray_table(
     # Choose n of them, spread over the runs
     whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     count = len(whole["start_ray"])
-    kept = np.arange(count)
-    if n is not None and count > n:  # every run has found as many as were requested, or all that it has
-        kept = np.linspace(0, count - 1, n).round().astype(int)
+    kept = spread(count, n)  # every run has found as many as were requested, or all that it has
     if not events:
         texts = {name: pd.Series(v[kept].tolist(), dtype="str") for name, v in whole.items() if v.dtype == object}
         table = pd.DataFrame({name: values[kept] for name, values in whole.items()} | texts)
@@ -155,9 +142,7 @@ class _Search:
                 if n is not None and found >= n:
                     break
         whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-        order = np.argsort(whole["start_ray"], kind="stable")
-        if n is not None and found > n:
-            order = order[np.linspace(0, found - 1, n).round().astype(int)]
+        order = np.argsort(whole["start_ray"], kind="stable")[spread(found, n)]
         return {name: values[order] for name, values in whole.items()}, [rays[k] for k in order] if rays else []
 
     def _walk(self, start: StartRays, recorder: BranchRecorder) -> Iterator[tuple[Columns, list[Ray]]]:
@@ -173,11 +158,11 @@ class _Search:
         origins, directions = self._run.start_rays(lanes)
         # The kernel's hits are float32: positions are computed again in float64
         events = Events.of(self._run.table, self._run.design, *recorder.events(slots))
-        numbers = {name: np.zeros(count) for name in ("flux_W", *ALONG[0], *ALONG[1], "opl_mm")}
+        numbers = {name: np.zeros(count) for name in ("flux_W", *ALONG, "opl_mm")}
         rays: dict[int, Ray] = {}
         for bundle in bundles(self._run, recorder, slots, origins, directions):
             ends = [*bundle.points[:, -1].T, *bundle.directions[:, -2].T, bundle.opl_mm[:, -1]]
-            for name, values in zip((*ALONG[0], *ALONG[1], "opl_mm"), ends, strict=True):
+            for name, values in zip((*ALONG, "opl_mm"), ends, strict=True):
                 numbers[name][bundle.numbers] = values
             numbers["flux_W"][bundle.numbers] = bundle.flux_W[:, -1]
             if self._events:
@@ -219,7 +204,7 @@ class _Search:
             "node": given["node"],
             "type": np.array([row[-2] if len(row) > 1 else "Emitted" for row in words], dtype=object),
             "history": np.array([" ".join(row) for row in words], dtype=object),
-            **{name: given[name] for name in ("flux_W", *ALONG[0], *ALONG[1], "opl_mm")},
+            **{name: given[name] for name in ("flux_W", *ALONG, "opl_mm")},
             "detector_x_mm": given["detector_x_mm"],
             "detector_y_mm": given["detector_y_mm"],
             "column": pixel[0],

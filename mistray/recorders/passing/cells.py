@@ -26,6 +26,11 @@ if TYPE_CHECKING:
 MM2_PER_M2 = 1e6
 
 
+def cell_of(place: mi.Float, count: int) -> mi.UInt32:
+    """Return the number of a cell; places beyond the ends, by rounding, belong to the outermost cells."""
+    return mi.UInt32(dr.clip(mi.Int32(place), 0, count - 1))
+
+
 class PassingLight(Recorder):
     """
     Flux by cell, by group of batches of start rays.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
 from dataclasses import dataclass, field
 
 import drjit as dr
@@ -31,14 +30,11 @@ class ElsewhereRecorder(BranchRecorder):
     surfaces: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     departs: bool = False
 
+    kernel_by = ("departs",)
+
     def __post_init__(self) -> None:
         super().__post_init__()
         self._chosen = upload(mi.UInt32, self.surfaces.astype(np.uint32))
-
-    @property
-    def code(self) -> Hashable:
-        """See `Recorder.code`."""
-        return type(self).__name__, self.departs
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Record hits of the surfaces."""
@@ -69,6 +65,8 @@ class CellRecorder(ElsewhereRecorder):
 
     maps: SurfaceMaps = field(kw_only=True)
 
+    kernel_by = ("maps",)
+
     def __post_init__(self) -> None:
         super().__post_init__()
         # Columns beside those of the branches
@@ -76,11 +74,6 @@ class CellRecorder(ElsewhereRecorder):
         self.batch = dr.zeros(mi.UInt32, self.capacity)
         self.absorbed = dr.zeros(mi.Float64, self.capacity)
         dr.eval(self.cell, self.batch, self.absorbed)
-
-    @property
-    def code(self) -> Hashable:
-        """See `Recorder.code`."""
-        return type(self).__name__, self.maps.code
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Record hits of the surfaces."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -79,13 +79,10 @@ class FluxSplit(SurfaceLight):
 
     kind, unit = "flux split", "W"
 
+    kernel_by = ("cells",)
+
     def __init__(self, name: str, surfaces: str | Sequence[str] = ()) -> None:
         super().__init__(name, surfaces, len(SHARES))
-
-    @property
-    def code(self) -> Hashable:
-        """See `Recorder.code`."""
-        return type(self).__name__, self.cells
 
     def attach(self, scene: KernelScene) -> None:
         """Reset the sums, and number the surfaces by the patterns."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from mistray.errors import MistrayError
 from mistray.ranges import FILM_PIXELS, FILM_SIDE
-from mistray.recorders.passing.cells import MM2_PER_M2, SurfaceLight
+from mistray.recorders.passing.cells import MM2_PER_M2, SurfaceLight, cell_of
 from mistray.recorders.recorder import Memory, Visit
 from mistray.recorders.sampled import Sampled
 from mistray.surfaces.families.cone import Cone
@@ -163,6 +163,8 @@ class SurfaceMaps(SurfaceLight):
 
     kind, unit = "surface maps", "W/mm²"
 
+    kernel_by = ("_shape", "cells")
+
     def __init__(
         self, name: str, surfaces: str | Sequence[str] = (), azimuths: int = AZIMUTHS, lengths: int = LENGTHS
     ) -> None:
@@ -175,11 +177,6 @@ class SurfaceMaps(SurfaceLight):
         self._unrolled: list[Unrolled] = []
         self.left_out: dict[str, str] = {}
         super().__init__(name, surfaces, KINDS * azimuths * lengths)
-
-    @property
-    def code(self) -> Hashable:
-        """See `Recorder.code`."""
-        return type(self).__name__, self._shape, self.cells
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -230,7 +227,7 @@ class SurfaceMaps(SurfaceLight):
         turn = dr.select(turn < 0, turn + 1, turn) * columns
         per_mm = dr.gather(mi.Float, self._across, s, active)
         column = dr.select(per_mm > 0, dr.fma(q.x, per_mm, 0.5 * columns), turn)
-        return (KINDS * (place - 1) * rows + _inside(row, rows)) * columns + _inside(column, columns), active
+        return (KINDS * (place - 1) * rows + cell_of(row, rows)) * columns + cell_of(column, columns), active
 
     def surfaces_by_default(self, table: SurfaceTable) -> list[int]:
         """Return the numbers of the opaque surfaces that are neither mirrors nor detectors."""
@@ -326,11 +323,6 @@ def _points(table: SurfaceTable, one: Unrolled, along: Array, across: Array) -> 
         radius, z = u, np.zeros_like(u) if piece.flat else piece.sag(u * u)
     x, y = (radius * np.cos(turn), radius * np.sin(turn)) if one.round else (v, u)
     return np.asarray(np.stack([x, y, z], axis=-1) @ table.rotations[one.number].T + table.vertices[one.number])
-
-
-def _inside(place: mi.Float, count: int) -> mi.UInt32:
-    """Return the number of a cell; places beyond the ends by rounding belong to the outermost cells."""
-    return mi.UInt32(dr.clip(mi.Int32(place), 0, count - 1))
 
 
 def _unroll(table: SurfaceTable, number: int, rows: int, columns: int) -> Unrolled | str:

@@ -29,6 +29,42 @@ Order = tuple[int, ...]
 
 
 @dataclass(frozen=True)
+class Step:
+    """
+    One surface of the design path.
+
+    Attributes
+    ----------
+    surface : int
+        Number of the surface, or `mistray.sampling.design_path.OPENING`.
+    reflects : bool
+    point : (3,) float64
+        Point where the base ray meets it, mm; the base ray ignores the bounds of surfaces.
+    normal : (3,) float64
+        Normal there, from front to back.
+    before, after : (3,) float64
+        Directions of the base ray; `after` is zero at the end of a path.
+    """
+
+    surface: int
+    reflects: bool
+    point: np.ndarray
+    normal: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+
+    @property
+    def from_front(self) -> bool:
+        """Whether the light comes from the front."""
+        return bool(self.before @ self.normal > 0)
+
+    @property
+    def to_back(self) -> bool:
+        """Whether the light leaves to the back."""
+        return bool(self.after @ self.normal > 0)
+
+
+@dataclass(frozen=True)
 class _Hits:
     """Hits of one step: lanes, surfaces, whether they reflect, points, normals, directions before and after."""
 
@@ -107,24 +143,16 @@ class Probes:
         same = (self.end == detector) & (self._lengths == len(codes))
         return np.flatnonzero(same & np.all(self._codes[:, : len(codes)] == codes, axis=1))
 
-    def steps(self, lane: int) -> list[tuple[int, bool, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-        """Return surface, whether it reflects, point, normal, and directions before and after, of a probe's hits."""
+    def steps(self, lane: int) -> list[Step]:
+        """Return the hits of a probe."""
         # From the end back to the start: before the split a lane has the hits of its parent
         found = []
         for hits in self._steps[int(self._lengths[lane]) :: -1]:
             if lane not in hits.lane:
                 lane = int(self._parent[lane])
             k = int(np.argmax(hits.lane == lane))
-            found.append(
-                (
-                    int(hits.surface[k]),
-                    bool(hits.reflects[k]),
-                    hits.point[k],
-                    hits.normal[k],
-                    hits.before[k],
-                    hits.after[k],
-                )
-            )
+            surface, reflects = int(hits.surface[k]), bool(hits.reflects[k])
+            found.append(Step(surface, reflects, hits.point[k], hits.normal[k], hits.before[k], hits.after[k]))
         return found[::-1]
 
     def first_points(self, lanes: np.ndarray) -> np.ndarray:

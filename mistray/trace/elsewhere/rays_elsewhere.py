@@ -13,7 +13,7 @@ from mistray.recorders.passing.elsewhere import ElsewhereRecorder
 from mistray.surfaces.optics import DETECTOR, OPAQUE
 from mistray.trace.elsewhere.arriving import kinds_and_keys, passing
 from mistray.trace.filter_rows import named_like, unknown_name
-from mistray.trace.history import Ray, RayHistory, rays_in_slots
+from mistray.trace.history import Ray, RayHistory, rays_in_slots, spread
 from mistray.trace.path_filter import PathFilter
 from mistray.trace.ray_table import portions, recorded
 
@@ -40,8 +40,7 @@ def rays_elsewhere(
     tables, done = [], 0
     for run in runs:
         rays = list(_rays(run, words, wanted, n))
-        if n is not None and len(rays) > n:
-            rays = [rays[k] for k in np.linspace(0, len(rays) - 1, n).round().astype(int)]
+        rays = [rays[k] for k in spread(len(rays), n)]
         history = RayHistory(run, rays).to_pandas()
         if rays:
             kinds, keys = kinds_and_keys(run, [ray.codes for ray in rays])
@@ -55,7 +54,7 @@ def rays_elsewhere(
     table = pd.concat([one for one in tables if len(one)] or tables[:1], ignore_index=True)
     # Every run has found up to n rays: choose n of all
     if n is not None and done > n:
-        kept = np.linspace(0, done - 1, n).round().astype(int)
+        kept = spread(done, n)
         table = table[table.ray.isin(kept)].reset_index(drop=True)
         table["ray"] = np.searchsorted(kept, table.ray)
     return table if events else _ends(table)
