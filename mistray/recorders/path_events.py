@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mistray.ids import EVENT_LETTERS
 from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.path_key import (
     ABSORBED,
@@ -41,16 +42,7 @@ INTERCEPTS = {
     AIMED_TRANSMITTED: "ImpTran",
     AIMED_REFLECTED: "ImpRefl",
 }
-LETTERS = {
-    ABSORBED: "A",
-    TRANSMITTED: "T",
-    REFLECTED: "R",
-    TOTAL: "I",
-    RANDOM_TRANSMITTED: "t",
-    RANDOM_REFLECTED: "r",
-    AIMED_TRANSMITTED: "i",
-    AIMED_REFLECTED: "j",
-}
+LETTERS = dict(enumerate(EVENT_LETTERS))  # by the codes
 # Random and aimed directions are two sampling techniques for the same path
 _SAMPLED_ALIKE = {AIMED_TRANSMITTED: RANDOM_TRANSMITTED, AIMED_REFLECTED: RANDOM_REFLECTED}
 _WAY_LETTERS = {LETTERS[aimed]: LETTERS[random] for aimed, random in _SAMPLED_ALIKE.items()}

@@ -105,7 +105,11 @@ def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.
     start = back = None
     if opening is not None:
         # Targets by the reversed design path, of surfaces and of the detector
-        back = path.reversed(opening) if path is not None else _straight(table, opening, axis)
+        if path is not None:
+            back = path.reversed(opening)
+        else:  # straight from the detector to the opening
+            out = Step(OPENING, False, opening.centre, -axis, -axis, np.zeros(3))
+            back = DesignPath(table, (out,), opening)
         found = automatic_targets(table, back, scatterers)
         points, normals = surface_points(table, table.detector, fewer_rays(PROBES), rng)
         towards = normals * np.sign(normals @ back.steps[0].before)[:, None]
@@ -165,12 +169,6 @@ def _front(scene: mi.Scene, axis: np.ndarray) -> float:
     """Return the position along the axis of the front of the scene, mm."""
     along = box_corners(shape.bbox() for shape in solid_shapes(scene)) @ axis
     return float(along.min() - 1e-3 * np.ptp(along))
-
-
-def _straight(table: SurfaceTable, opening: Target, axis: np.ndarray) -> DesignPath:
-    """Return a backward path that meets no surface."""
-    out = Step(OPENING, False, opening.centre, -axis, -axis, np.zeros(3))
-    return DesignPath(table, (out,), opening)
 
 
 def _lambertian_rays(

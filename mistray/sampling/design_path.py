@@ -318,16 +318,11 @@ def first_aperture(table: SurfaceTable, scene: mi.Scene) -> Sphere | None:
         if spheres and (step is path.steps[-1] or np.linalg.norm(step.before - path.steps[0].before) > STRAIGHT):
             break
         spheres.append(sphere_of(outline(table.shapes[step.surface])))
-        if step.reflects or not _passes_straight(path.table, step.surface):
+        n_front, n_back = path.table.optics.host_indices[step.surface, :2]
+        if step.reflects or not (n_front == n_back or is_plane(path.table, step.surface)):
             break
     least = min(spheres, key=lambda sphere: sphere.radius)
     return least if least.radius < LARGE_FRONT * spheres[0].radius else spheres[0]
-
-
-def _passes_straight(table: SurfaceTable, surface: int) -> bool:
-    """Whether a surface is plane, or has equal indices on both sides."""
-    n_front, n_back = table.optics.host_indices[surface, :2]
-    return bool(n_front == n_back) or is_plane(table, surface)
 
 
 def footprint(table: SurfaceTable, source: SceneSource, aperture: Sphere) -> Sphere | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -101,7 +101,7 @@ class DistantRays(PluginRays):
             point, _ = dr.while_loop(
                 (point, rng),
                 lambda point, rng: ~within & (dr.squared_norm(point - aside) < inner * inner),
-                lambda point, rng: (self._on_disc(_next(rng)) * outer, rng),
+                lambda point, rng: (self._on_disc(mi.Point2d(rng.next_float32(), rng.next_float32())) * outer, rng),
                 labels=("point", "rng"),
             )
             point = dr.select(within, aimed, point)
@@ -126,7 +126,3 @@ def _common_area(apart: mi.Float64, small: mi.Float64, large: mi.Float64) -> mi.
     sides = [(d * d + a * a - b * b) / (2 * d) for a, b in ((small, large), (large, small))]
     segments = zip((small, large), sides, strict=True)
     return sum(r * r * dr.safe_acos(x / r) - x * dr.safe_sqrt(r * r - x * x) for r, x in segments)
-
-
-def _next(rng: Any) -> mi.Point2d:
-    return mi.Point2d(mi.Float64(rng.next_float32()), mi.Float64(rng.next_float32()))

@@ -236,7 +236,16 @@ class PlaneWaves:
 
 def hull_points(*tables: SurfaceTable) -> np.ndarray:
     """Return (p, 3) float64 points whose convex hull holds all surfaces, mm; polygons are drawn around the rims."""
-    return np.concatenate([part for table in tables for part in _hull_parts(table)])
+    turn = 2 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
+    # Polygon around the unit circle, so that it holds the rim
+    polygon = np.stack([np.cos(turn), np.sin(turn)], axis=1) / np.cos(np.pi / RIM_POINTS)
+    points = []
+    for table in tables:
+        # Analytic surfaces in their own frames first, then bounding boxes
+        for piece, rotation, vertex in zip(table.pieces, table.rotations, table.vertices, strict=False):
+            points.append(piece.hull(polygon) @ rotation.T + vertex)
+        points += [box_corners([shape.bbox()]) for shape in table.shapes[len(table.pieces) :]]
+    return np.concatenate(points)
 
 
 def _corners(points: np.ndarray) -> np.ndarray:
@@ -245,16 +254,3 @@ def _corners(points: np.ndarray) -> np.ndarray:
         return points[ConvexHull(points).vertices]
     except QhullError:  # all of them lie in a plane
         return points
-
-
-def _hull_parts(table: SurfaceTable) -> list[np.ndarray]:
-    """Return points around each surface, mm: analytic surfaces in their own frames first, then bounding boxes."""
-    turn = 2 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
-    # Polygon around the unit circle, so that it holds the rim
-    polygon = np.stack([np.cos(turn), np.sin(turn)], axis=1) / np.cos(np.pi / RIM_POINTS)
-    points = []
-    for number, piece in enumerate(table.pieces):
-        points.append(piece.hull(polygon) @ table.rotations[number].T + table.vertices[number])
-    for shape in table.shapes[len(table.pieces) :]:
-        points.append(box_corners([shape.bbox()]))
-    return points

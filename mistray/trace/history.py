@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -66,6 +66,13 @@ class RayHistory:
         """Polylines (k + 1, 3), mm."""
         return [ray.points for ray in self._rays]
 
+    def with_facts(self, facts: Mapping[str, np.ndarray]) -> pd.DataFrame:
+        """Return the ray history table with more columns after the node, from one value for each ray."""
+        table = self.to_pandas()
+        for place, (name, values) in enumerate(facts.items(), start=2):
+            table.insert(place, name, values[table.ray.to_numpy(np.int64)].tolist())
+        return table
+
     def to_pandas(self) -> pd.DataFrame:
         """
         Return the ray history table: one row for each node of each ray.
@@ -90,6 +97,18 @@ class RayHistory:
         # In the order of the rows above
         names = ["ray", "node", "start_ray", "intercept", "object", "surface", "wavelength_nm"]
         return pd.DataFrame(rows, columns=[*names, "x_mm", "y_mm", "z_mm", "flux_W", "opl_mm", "dx", "dy", "dz"])
+
+
+def joined_histories(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Return the ray history tables of several runs as one, with the rays numbered through."""
+    import pandas as pd
+
+    done = 0
+    for table in tables:
+        rays = table.ray.nunique()
+        table["ray"] += done
+        done += rays
+    return pd.concat([table for table in tables if len(table)] or tables[:1], ignore_index=True)
 
 
 def spread(count: int, most: int | None) -> np.ndarray:

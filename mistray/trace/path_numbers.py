@@ -26,11 +26,6 @@ SHAPE = {"x": "_mm", "y": "_mm", "rms_radius": "_mm", "rms_irradiance": "_W_mm2"
 SQUARES, FOURTHS = 6, 7  # columns of the ledger: absorbed², absorbed⁴
 
 
-def is_error(name: str) -> bool:
-    """Whether a column holds standard errors, "x_se_mm" of "x_mm"."""
-    return "_se_" in f"{name}_"
-
-
 class RunSums(NamedTuple):
     """
     Sums of a run over the hits of some paths.
@@ -114,10 +109,9 @@ class PathNumbers:
             effective = light**2 / squares
         found = error_rays(rays, light, squares, fourths, lambda values: np.bincount(kind, values)[kind])
         few = few_rays(found)
-        columns = {
-            name: np.where(few, np.nan, values) if is_error(name) else values for name, values in self.columns.items()
-        }
-        return columns | {
+        # Columns of standard errors, as "x_se_mm" of "x_mm"
+        errors = {name: np.where(few, np.nan, own) for name, own in self.columns.items() if "_se_" in f"{name}_"}
+        return self.columns | errors | {
             "effective_rays": np.nan_to_num(effective, nan=0.0), "error_rays": found, "few_rays": few,
         }  # fmt: skip
 

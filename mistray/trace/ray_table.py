@@ -20,7 +20,7 @@ from mistray.recorders.path_key import padded
 from mistray.recorders.recorder import Recorder
 from mistray.surfaces.upload import upload
 from mistray.trace.filter_rows import Rows
-from mistray.trace.history import Ray, RayHistory, bundles, spread
+from mistray.trace.history import Ray, RayHistory, bundles, joined_histories, spread
 from mistray.trace.path_filter import PathFilter
 from mistray.trace.paths import PathRow, PathTable
 from mistray.trace.sampled_hits import GOLDEN
@@ -34,8 +34,10 @@ CAPACITY = 1 << 14  # branches that are recorded at a time
 FIRST = 1 << 12  # number of start rays of the first portion; it doubles from portion to portion
 ALONG = ("x_mm", "y_mm", "z_mm", "dx", "dy", "dz")
 PEAK = "relative_flux"
-FACTS = ("start_ray", "node", "flux_W", *ALONG, "opl_mm", "detector_x_mm", "detector_y_mm", "column", "row")
-BY_RAY = frozenset({*FACTS, "type", "history", PEAK})
+AT_DETECTOR = ("detector_x_mm", "detector_y_mm")
+FACTS = ("start_ray", "node", "type", "history", "flux_W", *ALONG, "opl_mm", *AT_DETECTOR, "column", "row")
+COLUMNS = ("path_id", "kind", "wavelength_nm", "source", *FACTS)
+BY_RAY = frozenset({*FACTS, PEAK})
 PATH_COLUMNS = frozenset(f.name for f in fields(PathRow))
 
 Columns = dict[str, np.ndarray]
@@ -89,16 +91,12 @@ def ray_table(
         return table
 
     # With events: one row for each node
-    tables, done = [], 0
+    histories = []
     for number, run in enumerate(runs):
-        own = [k for k in kept.tolist() if rays[k][0] == number]
-        table = RayHistory(run, [rays[k][1] for k in own]).to_pandas()
-        for name in ("kind", "path_id"):
-            table.insert(2, name, whole[name][np.array(own, dtype=np.int64)][table.ray.to_numpy(np.int64)].tolist())
-        table["ray"] += done
-        done += len(own)
-        tables.append(table)
-    return pd.concat([table for table in tables if len(table)] or tables[:1], ignore_index=True)
+        own = kept[[rays[k][0] == number for k in kept.tolist()]]
+        facts = {name: whole[name][own] for name in ("path_id", "kind")}
+        histories.append(RayHistory(run, [rays[k][1] for k in own.tolist()]).with_facts(facts))
+    return joined_histories(histories)
 
 
 def _check_pixels(pixels: Sequence[int], run: Run) -> None:
@@ -183,33 +181,27 @@ class _Search:
 
     def _facts(self, events: Events, given: Columns) -> Columns:
         """Return all columns of rays, in their order; without `given` those of no rays."""
-        empty = {name: np.zeros(0, dtype=np.int64 if name in ("start_ray", "node") else float) for name in FACTS}
-        given = empty | {"path_id": np.zeros(0, dtype=np.int64)} | given
-        # Words of the events
+        whole = ("path_id", "start_ray", "node")
+        given = {name: np.zeros(0, dtype=np.int64 if name in whole else float) for name in COLUMNS} | given
         source, count, words = self._run.source, len(events), events.intercepts
         width, height, (x0, x1, y0, y1) = self._run.table.film()
         # In float32, as the film does: a ray at a border is in the same pixel as in the map
-        along = [given[name].astype(np.float32) for name in ("detector_x_mm", "detector_y_mm")]
+        along = [given[name].astype(np.float32) for name in AT_DETECTOR]
         steps = [np.float32(width / (x1 - x0)), np.float32(height / (y1 - y0))]
         pixel = [
             np.clip(((v - np.float32(first)) * step).astype(np.int64), 0, size - 1)
             for v, first, step, size in zip(along, (x0, y0), steps, (width, height), strict=True)
         ]
-        return {
-            "path_id": given["path_id"],
+        found = given | {
             "kind": self._paths.column("kind")[given["path_id"]],
             "wavelength_nm": np.full(count, source.wavelength_nm),
             "source": np.full(count, source.name, dtype=object),
-            "start_ray": given["start_ray"],
-            "node": given["node"],
             "type": np.array([row[-2] if len(row) > 1 else "Emitted" for row in words], dtype=object),
             "history": np.array([" ".join(row) for row in words], dtype=object),
-            **{name: given[name] for name in ("flux_W", *ALONG, "opl_mm")},
-            "detector_x_mm": given["detector_x_mm"],
-            "detector_y_mm": given["detector_y_mm"],
             "column": pixel[0],
             "row": pixel[1],
         }
+        return {name: found[name] for name in COLUMNS}
 
     def _held(self, columns: Columns, events: Events) -> np.ndarray:
         """Return which of these rays are chosen."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -18,11 +18,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from mistray.kernel.kernel_scene import KernelScene
-
-SHARES = (
-    "incident", "absorbed", "specular_reflection", "specular_transmission", "scattered_reflection",
-    "scattered_transmission",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -53,6 +48,9 @@ class SplitRow:
         """Relative closure error, (sum of the fluxes - incident)/incident; 0 where there is no light."""
         parts = sum(getattr(self, name)[0] for name in SHARES[1:])
         return (parts - self.incident[0]) / self.incident[0] if self.incident[0] else 0.0
+
+
+SHARES = tuple(f.name for f in fields(SplitRow))[2:]
 
 
 class FluxSplit(SurfaceLight):

@@ -108,7 +108,9 @@ class Probes:
             surface, p, normal = first_hit(table, o[alive], d[alive], last[alive])
             alive, p, normal, surface = (values[surface >= 0] for values in (alive, p, normal, surface))
             before = d[alive]
-            after, what = _next(table, surface, before, normal)
+            after, reflects = onward(table, surface, before, normal)
+            total = reflects & ((table.optics.host_words[surface] & (OPAQUE | MIRROR)) == 0)
+            what = np.select([total, reflects], [TOTAL, REFLECTED], TRANSMITTED).astype(np.uint32)
             ends = np.isin(surface, table.detectors)
             after[ends] = 0.0
             hits = _Hits(alive, surface, what != TRANSMITTED, p, normal, before, after)
@@ -163,14 +165,6 @@ class Probes:
         own = first.lane < len(points)
         points[first.lane[own]] = first.point[own]
         return points[self.ray[lanes]]
-
-
-def _next(table: SurfaceTable, surface: np.ndarray, d: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return directions after hits, NaN where a ray ends, and the event of each hit."""
-    after, reflects = onward(table, surface, d, normal)
-    words = table.optics.host_words[surface]
-    total = reflects & ((words & (OPAQUE | MIRROR)) == 0)
-    return after, np.select([total, reflects], [TOTAL, REFLECTED], TRANSMITTED).astype(np.uint32)
 
 
 def _splits(table: SurfaceTable, surface: np.ndarray, d: np.ndarray, normal: np.ndarray) -> np.ndarray:

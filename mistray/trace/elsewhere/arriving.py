@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 
 import numpy as np
 
@@ -13,12 +14,11 @@ from mistray.recorders.path_events import Events, describe_events
 from mistray.recorders.path_key import padded
 from mistray.trace.filter_rows import Rows
 from mistray.trace.path_filter import PathFilter
+from mistray.trace.paths import PathRow
 
 # Columns of `describe_events`; the others are the end of a path and the source of its light
-OF_EVENTS = (
-    "key", "label", "events", "path", "order", "kind", "ghost_1", "ghost_2", "scatter_1", "edges", "scatters",
-    "diffractions", "structure_bounces", "tir", "objects", "unique_objects", "last_object", "critical",
-)  # fmt: skip
+NAMES = [f.name for f in fields(PathRow)]
+OF_EVENTS = tuple(NAMES[NAMES.index("key") : NAMES.index("critical") + 1])
 COLUMNS = ("wavelength_nm", "source", "type", "surface", "detector", *OF_EVENTS)
 
 
