@@ -157,7 +157,7 @@ class RimRecorder(Recorder):
 
         def write(near: mi.Bool) -> mi.UInt32:
             weight = mi.Float64(state["w"])
-            slot, kept = self.paths.write(visit, near, it.p, weight, heading=state["d"])
+            slot, kept = self.paths.write(visit, near, weight, heading=state["d"])
             numbers = (self.rim, rim), (self.delta, delta), (self.copies, copies), (self.scale, jump.scale)
             for values, value in numbers:
                 dr.scatter(values, value, slot, kept)

@@ -19,7 +19,6 @@ backpropagation", ACM Trans. Graph. 40, 108 (2021).
 
 from __future__ import annotations
 
-from collections.abc import Hashable
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -73,6 +72,8 @@ class Adjoint(Recorder):
         Flux of hits by paths that are not in the ledger, whose derivative is taken to be 0.
     """
 
+    kernel_by = ("_by_rows", "pixel", "path", "map_of_slot", "ledger", "directions", "arrivals")
+
     def __init__(
         self,
         rows: int,
@@ -87,21 +88,11 @@ class Adjoint(Recorder):
         self.rows, self.pixel, self.path, self.map_of_slot = rows, pixel, path, map_of_slot
         self.ledger, self.directions, self.arrivals, self._film = ledger, directions, arrivals, film
         self.incident, self.merges_aimed = film.incident or arrivals is not None, arrivals is not None
+        self._by_rows = rows > 0
         self.stride = dr.opaque(mi.UInt32, rows * CHANNELS)
         self.sums = dr.zeros(mi.Float64, BATCHES * rows * CHANNELS)
         self.unknown = dr.zeros(mi.Float64, 1)
         dr.eval(self.sums, self.unknown)
-
-    @property
-    def code(self) -> Hashable:
-        """See `Recorder.code`."""
-        parts = (self.pixel, self.path, self.map_of_slot, self.ledger)
-        return (
-            type(self).__name__,
-            self.rows > 0,
-            *(part is not None for part in parts),
-            *(one and one.code for one in (self.directions, self.arrivals)),
-        )
 
     @property
     def by_ray(self) -> bool:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, ClassVar
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from mistray.recorders.ledger import Ledger
-from mistray.recorders.recorder import Departure, EventReader, Memory, Recorder, Visit
+from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
 
 if TYPE_CHECKING:
     from mistray.recorders.arrivals import ArrivalRecorder
@@ -90,7 +89,11 @@ class BranchRecorder(Recorder):
     directions: DirectionRecorder | None = None
     arrivals: ArrivalRecorder | None = None
 
+    kernel_by: ClassVar[tuple[str, ...]] = ("choice", "directions", "arrivals")
+
     def __post_init__(self) -> None:
+        # Incident light contributes where its arrivals have a gain
+        self.merges_aimed = self.incident = self.arrivals is not None
         size = self.capacity * self.max_events
         self.node_floats = POINT_FLOATS if self.points_only else NODE_FLOATS
         self.count = dr.zeros(mi.UInt32, 1)
@@ -106,22 +109,6 @@ class BranchRecorder(Recorder):
         dr.eval(self.count, self.lane, self.length, self.codes, self.nodes, self.weight, self.heading, self.place)
         dr.eval(self.path, self.peak)
 
-    @property
-    def code(self) -> Hashable:
-        """See `Recorder.code`."""
-        ends = (None if one is None else one.code for one in (self.directions, self.arrivals))
-        return type(self).__name__, self.choice is None, *ends
-
-    @property
-    def merges_aimed(self) -> bool:  # type: ignore[override]
-        """See `Recorder`."""
-        return self.arrivals is not None
-
-    @property
-    def incident(self) -> bool:  # type: ignore[override]
-        """See `Recorder`."""
-        return self.arrivals is not None
-
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Record hits of the detector."""
         # The bits of positive floats are in the order of the floats
@@ -133,35 +120,30 @@ class BranchRecorder(Recorder):
         if self.arrivals is not None:
             weight = self.arrivals.gain(visit)
             chosen &= weight != 0
-        self.write(visit, chosen & visit.counted, visit.node, weight, place=visit.position)
+        self.write(visit, chosen & visit.counted, weight, place=visit.position)
 
     def depart(self, departure: Departure, memory: Memory) -> None:
         """Record rays that leave the scene after at least one event."""
-        if self.directions is None or departure.node is None:
-            return
-        gained, lane = self.directions.gain(departure), departure.start.lane
-        depth, counts = departure.length - 1, departure.active & (gained != 0)
-        branch = (lane, departure.key, gained, departure.heading, None)
-        self._write(departure.nodes, departure.event, counts, departure.node, depth, branch)
+        if self.directions is not None and departure.node is not None:
+            gained = self.directions.gain(departure)
+            self.write(departure, departure.active & (gained != 0), gained, departure.heading)
 
     def write(
         self,
-        visit: Visit,
+        end: Visit | Departure,
         active: mi.Bool,
-        node: Sequence[mi.Float],
         weight: mi.Float64,
         heading: mi.Vector3f | None = None,
         place: tuple[mi.Float, mi.Float] | None = None,
     ) -> tuple[mi.UInt32, mi.Bool]:
         """
-        Write the branches of rays that meet surfaces.
+        Write branches, node by node.
 
         Parameters
         ----------
-        visit : Visit
+        end : Visit or Departure
+            Rays that meet surfaces, or that leave after at least one event; the last node is theirs.
         active : mi.Bool
-        node : sequence of mi.Float
-            Floats of the last node.
         weight : mi.Float64
         heading, place : optional
             See `BranchRecorder`.
@@ -173,8 +155,32 @@ class BranchRecorder(Recorder):
         kept : mi.Bool
             Whether there was room for it.
         """
-        branch = (visit.start.lane, visit.key, weight, heading, place)
-        return self._write(visit.nodes, visit.event, active, node, visit.depth, branch)
+        # Claim a slot
+        depth, last = end.depth, end.node
+        assert last is not None
+        slot = dr.scatter_inc(self.count, mi.UInt32(0), active)
+        active = active & (slot < self.capacity)
+        # Columns of the branch
+        columns = (self.lane, end.start.lane), (self.length, depth + 1), (self.path, end.key), (self.weight, weight)
+        for column, value in columns:
+            dr.scatter(column, value, slot, active)
+        for array, vector, size in ((self.heading, heading, 3), (self.place, place, 2)):
+            for j, component in enumerate(vector if vector is not None else ()):
+                dr.scatter(array, component, size * slot + j, active)
+
+        # Nodes: the last one is not in local memory yet
+        def step(k):  # type: ignore[no-untyped-def]
+            going = active & (k <= depth)
+            here = k == depth
+            row = slot * self.max_events + k
+            dr.scatter(self.codes, end.event(k, going), row, going)
+            for j in range(self.node_floats):
+                value = dr.select(here, last[j], end.nodes[j].read(k, going & ~here))
+                dr.scatter(self.nodes, value, row * self.node_floats + j, going)
+            return (k + 1,)
+
+        dr.while_loop((dr.zeros(mi.UInt32, dr.width(depth)),), lambda k: active & (k <= depth), step, mode="symbolic")
+        return slot, active
 
     def clear(self) -> None:
         """Discard all branches."""
@@ -204,51 +210,6 @@ class BranchRecorder(Recorder):
         """Return the first `longest` nodes of some branches, (n, longest, node_floats) float64; see `nodes`."""
         nodes = self.nodes.numpy().reshape(self.capacity, -1, self.node_floats)
         return np.asarray(nodes[slots, :longest].astype(np.float64))
-
-    def _write(
-        self,
-        nodes: Any,
-        event: EventReader,
-        active: mi.Bool,
-        last: Sequence[mi.Float],
-        depth: mi.UInt32,
-        branch: tuple[Any, ...],
-    ) -> tuple[mi.UInt32, mi.Bool]:
-        """
-        Write branches, node by node.
-
-        `last` holds the floats of the nodes at `depth`. A branch has a lane, a key that includes its last event, a
-        weight, and perhaps a heading and a place.
-        """
-        # Claim a slot
-        lane, key, weight, heading, place = branch
-        slot = dr.scatter_inc(self.count, mi.UInt32(0), active)
-        active = active & (slot < self.capacity)
-        # Columns of the branch
-        dr.scatter(self.lane, lane, slot, active)
-        dr.scatter(self.length, depth + 1, slot, active)
-        dr.scatter(self.path, key, slot, active)
-        dr.scatter(self.weight, weight, slot, active)
-        if heading is not None:
-            for j, component in enumerate(heading):
-                dr.scatter(self.heading, component, 3 * slot + j, active)
-        if place is not None:
-            for j, component in enumerate(place):
-                dr.scatter(self.place, component, 2 * slot + j, active)
-
-        # Nodes: the last one is not in local memory yet
-        def step(k):  # type: ignore[no-untyped-def]
-            going = active & (k <= depth)
-            here = k == depth
-            row = slot * self.max_events + k
-            dr.scatter(self.codes, event(k, going), row, going)
-            for j in range(self.node_floats):
-                value = dr.select(here, last[j], nodes[j].read(k, going & ~here))
-                dr.scatter(self.nodes, value, row * self.node_floats + j, going)
-            return (k + 1,)
-
-        dr.while_loop((dr.zeros(mi.UInt32, dr.width(depth)),), lambda k: active & (k <= depth), step, mode="symbolic")
-        return slot, active
 
 
 def as_many(capacity: int, max_events: int) -> int:

@@ -6,7 +6,7 @@ A path is identified by the key of its events, see `mistray.recorders.path_key`,
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, REFLECTED, TOTAL, host_keys
+from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, REFLECTED, TOTAL, host_keys, padded
 from mistray.surfaces.upload import upload
 
 Sequences = tuple[tuple[int, ...], ...]
@@ -37,7 +37,7 @@ class DesignSequences:
     def keys(self, detector: int, backward: bool = False) -> np.ndarray:
         """Return the keys of the sequences of a detector, of forward or backward rays; (n,) uint64, ascending."""
         # Backward rays meet the events in reverse order, and the key depends on the order
-        return np.unique(_keys([one[::-1] if backward else one for one in self.lists.get(detector, ())]))
+        return np.unique(host_keys(*padded([one[::-1] if backward else one for one in self.lists.get(detector, ())])))
 
     def reflectors(self, detector: int) -> frozenset[int]:
         """Return the surfaces where a sequence of a detector is reflected, totally or not."""
@@ -61,20 +61,21 @@ class DesignSequences:
         (p,) bool
         """
         found = np.zeros(len(events), dtype=bool)
-        ends = self.ends(events, lengths)
-        for detector in self.lists:
-            here = np.flatnonzero(ends == detector)
+        for detector, here in self._by_detector(events, lengths):
             found[here] = np.isin(host_keys(events[here], lengths[here] - 1), self.keys(detector))
         return found
 
     def reflects(self, events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
         """Whether an event is at a surface where a sequence of its path's detector is reflected; (p, k)."""
         found = np.zeros(events.shape, dtype=bool)
-        ends = self.ends(events, lengths)
-        for detector in self.lists:
-            here = np.flatnonzero(ends == detector)
+        for detector, here in self._by_detector(events, lengths):
             found[here] = np.isin(events[here] >> EVENT_BITS, list(self.reflectors(detector)))
         return found
+
+    def _by_detector(self, events: np.ndarray, lengths: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+        """Yield each detector, and the rows of the paths that end there."""
+        ends = self.ends(events, lengths)
+        return ((detector, np.flatnonzero(ends == detector)) for detector in self.lists)
 
     @staticmethod
     def ends(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
@@ -118,11 +119,3 @@ class DesignKeys:
         # The keys ascend
         place = dr.binary_search(0, self._room - 1, lambda k: dr.gather(mi.UInt64, keys, k) < key)
         return dr.gather(mi.UInt64, keys, mi.UInt32(place)) == key
-
-
-def _keys(lists: list[tuple[int, ...]]) -> np.ndarray:
-    lengths = np.array([len(one) for one in lists], dtype=np.int64)
-    events = np.zeros((len(lists), max(int(lengths.max(initial=0)), 1)), dtype=np.uint32)
-    for row, one in enumerate(lists):
-        events[row, : len(one)] = one
-    return host_keys(events, lengths)

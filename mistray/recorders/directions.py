@@ -180,16 +180,9 @@ class DirectionGrid:
     @classmethod
     def from_facts(cls, facts: dict[str, Any]) -> DirectionGrid:
         """Create a grid from stored numbers."""
-        angles, edges, azimuths = (
-            np.asarray(facts[key], dtype=np.float64) for key in ("angles_deg", "edges_deg", "azimuths_deg")
-        )
-        return cls(
-            angles,
-            edges,
-            azimuths,
-            azimuth_cell_deg=float(facts["azimuth_cell_deg"]),
-            rotation=np.array(facts["rotation"]),
-        )
+        keys = ("angles_deg", "edges_deg", "azimuths_deg", "rotation")
+        angles, edges, azimuths, rotation = (np.asarray(facts[key], dtype=np.float64) for key in keys)
+        return cls(angles, edges, azimuths, float(facts["azimuth_cell_deg"]), rotation)
 
 
 def _least_gap(azimuths: np.ndarray) -> float:

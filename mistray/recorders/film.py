@@ -14,6 +14,7 @@ from mistray.errors import MistrayError
 from mistray.recorders.recorder import Memory, Recorder, Visit
 from mistray.recorders.sampled import Numbers, Sampled, error_rays, few_rays
 from mistray.settings import BATCHES
+from mistray.surfaces.upload import opaque
 
 # Memory of the images of a detector by groups of batches, and the fewest groups
 FILM_BYTES, LEAST_GROUPS = 1 << 24, 8
@@ -59,28 +60,6 @@ class Film:
     def images(self) -> int:
         """Number of images."""
         return self.groups + (WEIGHTS if self.groups > 1 else 0)
-
-    def image(self, batch: mi.UInt32, slot: mi.UInt32 | None, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool, mi.Bool]:
-        """
-        Return the image that a hit contributes to.
-
-        Returns
-        -------
-        first : mi.UInt32
-            First pixel of the image of group 0.
-        active : mi.Bool
-            Whether the hit contributes.
-        by_group : mi.Bool
-            Whether there are images for each group.
-        """
-        if self.image_of_slot is None:
-            return mi.UInt32(0), active, mi.Bool(self.groups > 1)
-        word = dr.gather(mi.UInt32, self.image_of_slot, slot, active)
-        return ((word >> 1) - 1) * (self.width * self.height), active & (word > 0), (word & 1) > 0
-
-    def group(self, batch: mi.UInt32) -> mi.UInt32:
-        """Return the group of a batch."""
-        return batch >> dr.opaque(mi.UInt32, (BATCHES // self.groups).bit_length() - 1)
 
     def places(self, x: mi.Float, y: mi.Float) -> list[tuple[mi.UInt32, mi.Float | None]]:
         """
@@ -139,9 +118,12 @@ class Images(Recorder):
         film = self._film
         # Image of the hit: of all light or of its path, and of its group of batches
         here = visit.counted if self._only is None else visit.counted & (visit.surface == self._only)
-        first, on_film, by_group = film.image(visit.start.batch, visit.slot, here)
-        size = film.width * film.height
-        image = first + dr.select(by_group, film.group(visit.start.batch) * size, 0)
+        size, first = film.width * film.height, mi.UInt32(0)
+        on_film, by_group = here, mi.Bool(film.groups > 1)
+        if film.image_of_slot is not None:
+            word = dr.gather(mi.UInt32, film.image_of_slot, visit.slot, here)
+            first, on_film, by_group = ((word >> 1) - 1) * size, here & (word > 0), (word & 1) > 0
+        image = first + dr.select(by_group, group_of(visit.start.batch, film.groups) * size, 0)
         for pixel, share in film.places(*visit.position):
             flux = mi.Float64(visit.weight if film.incident else visit.absorbed)
             if share is not None:
@@ -241,7 +223,7 @@ class Box(Recorder):
     """
 
     def __init__(self, corners: Sequence[float]) -> None:
-        self._corners = mi.Vector4f(*(dr.opaque(mi.Float, float(v)) for v in corners))
+        self._corners = opaque(mi.Vector4f, corners)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Remove the lanes outside the rectangle."""
@@ -258,6 +240,11 @@ def groups_of(pixels: int) -> int:
     """Return the number of groups of batches with an image of their own: fewer for images of many pixels."""
     most = FILM_BYTES // (8 * pixels)
     return int(np.clip(1 << max(most, 1).bit_length() - 1, LEAST_GROUPS, BATCHES))
+
+
+def group_of(batch: mi.UInt32, groups: int) -> mi.UInt32:
+    """Return the group of a batch; both numbers are powers of two, so that a shift divides."""
+    return batch >> dr.opaque(mi.UInt32, (BATCHES // groups).bit_length() - 1)
 
 
 def images_of(pixels: int) -> int:

@@ -7,7 +7,7 @@ event list there. `Ledger.decode` hashes every recorded list again and compares.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -170,6 +170,8 @@ class Ledger(Recorder):
         Sum the Stokes vectors as well.
     """
 
+    kernel_by = ("max_events", "terms")
+
     def __init__(self, capacity: int, max_events: int, stokes: bool = False) -> None:
         self.capacity, self.max_events = capacity, max_events
         self.terms = STOKES_SUMS if stokes else SUMS
@@ -191,16 +193,17 @@ class Ledger(Recorder):
         start = mi.UInt32(key >> 32) & self.mask
         return claim(self.keys, key, start, self.mask, MOST_PROBES, active, self.mask + 1)
 
-    @property
-    def code(self) -> Hashable:
-        """See `Recorder.code`."""
-        return type(self).__name__, self.max_events, self.terms
-
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Find the paths of hits, or claim slots for them; later recorders see only hits that have a slot."""
         slot, found, new = self.find(visit.key, visit.counted)
         visit.slot, visit.counted = slot, found
-        self._add(visit, visit.state["stokes"] if self.terms == STOKES_SUMS else None)
+        x, y = (mi.Float64(coordinate) for coordinate in visit.position)
+        a = mi.Float64(visit.absorbed)
+        terms = [mi.Float64(1), mi.Float64(visit.weight), a, a * x, a * y, a * (x * x + y * y)]
+        terms += [a * a, a * a * a * a]
+        if self.terms == STOKES_SUMS:
+            terms += [a * mi.Float64(component) for component in visit.state["stokes"]]
+        add_packet(self.sums, terms, slot * BATCHES + visit.start.batch, found)
         dr.scatter(self.lengths, visit.depth + 1, slot, new)
         write_list(self.events, slot * self.max_events, visit.depth + 1, visit.event, new)
 
@@ -221,17 +224,6 @@ class Ledger(Recorder):
             mode="symbolic",
         )
         return slot, active & found
-
-    def _add(self, visit: Visit, stokes: mi.Vector3f | None) -> None:
-        """Add hits of the detector to their slots."""
-        x, y = (mi.Float64(coordinate) for coordinate in visit.position)
-        a = mi.Float64(visit.absorbed)
-        terms = [mi.Float64(1), mi.Float64(visit.weight), a, a * x, a * y, a * (x * x + y * y)]
-        terms += [a * a, a * a * a * a]
-        if stokes is not None:
-            terms += [a * mi.Float64(component) for component in stokes]
-        assert visit.slot is not None
-        add_packet(self.sums, terms, visit.slot * BATCHES + visit.start.batch, visit.counted)
 
     @property
     def used(self) -> int:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mistray.ids import EVENT_LETTERS
 from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.path_key import (
     ABSORBED,
@@ -26,6 +28,9 @@ from mistray.recorders.path_key import (
 from mistray.recorders.path_names import PathNames
 from mistray.surfaces.optics import DETECTOR, DIFFRACTS, MIRROR, OPAQUE, WALL
 
+if TYPE_CHECKING:
+    from mistray.surfaces.surfaces import SurfaceTable
+
 FIRST_SCATTERED = RANDOM_TRANSMITTED  # codes from this one on are scatter events
 INTERCEPTS = {
     ABSORBED: "Absorbed",
@@ -37,16 +42,7 @@ INTERCEPTS = {
     AIMED_TRANSMITTED: "ImpTran",
     AIMED_REFLECTED: "ImpRefl",
 }
-LETTERS = {
-    ABSORBED: "A",
-    TRANSMITTED: "T",
-    REFLECTED: "R",
-    TOTAL: "I",
-    RANDOM_TRANSMITTED: "t",
-    RANDOM_REFLECTED: "r",
-    AIMED_TRANSMITTED: "i",
-    AIMED_REFLECTED: "j",
-}
+LETTERS = dict(enumerate(EVENT_LETTERS))  # by the codes
 # Random and aimed directions are two sampling techniques for the same path
 _SAMPLED_ALIKE = {AIMED_TRANSMITTED: RANDOM_TRANSMITTED, AIMED_REFLECTED: RANDOM_REFLECTED}
 _WAY_LETTERS = {LETTERS[aimed]: LETTERS[random] for aimed, random in _SAMPLED_ALIKE.items()}
@@ -96,6 +92,8 @@ class Events:
         Event codes, surface << EVENT_BITS | what, padded at the ends.
     lengths : (p,) int
         Number of events of each, at least 1.
+    ids : sequence of str
+        Names of the surfaces and media.
     words : (s,) uint32
         Flags of the surfaces, see `mistray.surfaces.optics`, and zeros for the media.
     design : DesignSequences
@@ -104,15 +102,49 @@ class Events:
 
     codes: np.ndarray
     lengths: np.ndarray
+    ids: Sequence[str]
     words: np.ndarray
     design: DesignSequences
 
+    @classmethod
+    def of(cls, table: SurfaceTable, design: DesignSequences, codes: np.ndarray, lengths: np.ndarray) -> Events:
+        """Create the events of paths over the surfaces of a table."""
+        return cls(codes, lengths, table.event_ids, table.event_words, design)
+
     def __getitem__(self, rows: np.ndarray) -> Events:
         """Return the events of some of the paths."""
-        return Events(self.codes[rows], self.lengths[rows], self.words, self.design)
+        return replace(self, codes=self.codes[rows], lengths=self.lengths[rows])
 
     def __len__(self) -> int:
         return len(self.lengths)
+
+    @property
+    def lists(self) -> list[list[int]]:
+        """Codes of each path, without the padding."""
+        return [row[:length] for row, length in zip(self.codes.tolist(), self.lengths.tolist(), strict=True)]
+
+    @property
+    def text(self) -> list[str]:
+        """Event lists as text, "L1_front:T … detector:A"."""
+        # Few different codes make up many events: each is formatted once
+        codes = np.unique(self.codes).tolist()
+        words = {code: f"{self.ids[code >> EVENT_BITS]}:{LETTERS[code & EVENT_MASK]}" for code in codes}
+        return [" ".join([words[code] for code in row]) for row in self.lists]
+
+    @property
+    def letters(self) -> list[str]:
+        """Letters of the events alone."""
+        return ["".join([LETTERS[code & EVENT_MASK] for code in row]) for row in self.lists]
+
+    @property
+    def intercepts(self) -> list[list[str]]:
+        """Types of the events of each path, see `INTERCEPTS`."""
+        return [[INTERCEPTS[code & EVENT_MASK] for code in row] for row in self.lists]
+
+    def labels(self, kinds: Iterable[str]) -> list[str]:
+        """Return the names of the paths, by their kinds; see `mistray.recorders.path_names`."""
+        names = PathNames(self.ids, self.words, self.design, LETTERS)
+        return [names.name(row, kind) for row, kind in zip(self.lists, kinds, strict=True)]
 
     @property
     def places(self) -> np.ndarray:
@@ -168,32 +200,13 @@ class Events:
         """All events but the last, which is that at the detector, (p, k)."""
         return np.asarray(np.arange(self.codes.shape[1]) < self.lengths[:, None] - 1)
 
-
-def event_text(events: np.ndarray, lengths: np.ndarray, ids: Sequence[str]) -> tuple[list[str], list[str]]:
-    """
-    Return event lists as text.
-
-    Parameters
-    ----------
-    events : (p, k) uint32
-        Event codes, surface << EVENT_BITS | what, padded at the ends.
-    lengths : (p,) int
-        Number of events of each.
-    ids : sequence of str
-        Names of the surfaces.
-
-    Returns
-    -------
-    events, path : list of str
-        "L1_front:T … detector:A" and the letters alone.
-    """
-    # Few different codes make up many events: each is formatted once
-    words = {code: f"{ids[code >> EVENT_BITS]}:{LETTERS[code & EVENT_MASK]}" for code in np.unique(events).tolist()}
-    lists = [row[:length] for row, length in zip(events.tolist(), lengths.tolist(), strict=True)]
-    return (
-        [" ".join([words[code] for code in row]) for row in lists],
-        ["".join([LETTERS[code & EVENT_MASK] for code in row]) for row in lists],
-    )
+    @property
+    def distinct_places(self) -> np.ndarray:
+        """Number of different places of each path, (p,)."""
+        # Padding becomes -1, which sorts first and differs from nothing before it
+        order = np.sort(np.where(self.inside, self.places.astype(np.int64), -1), axis=1)
+        new = np.diff(order, axis=1, prepend=-1) != 0
+        return np.asarray(new.sum(axis=1))
 
 
 def event_keys(events: Iterable[str]) -> list[str]:
@@ -201,24 +214,9 @@ def event_keys(events: Iterable[str]) -> list[str]:
     return [hashlib.blake2b(text.encode(), digest_size=5).hexdigest() for text in way_text(events)]
 
 
-def describe_events(
-    events: np.ndarray, lengths: np.ndarray, ids: Sequence[str], words: np.ndarray, design: DesignSequences
-) -> dict[str, np.ndarray]:
+def describe_events(e: Events) -> dict[str, np.ndarray]:
     """
     Return text and classification of event lists.
-
-    Parameters
-    ----------
-    events : (p, k) uint32
-        Event codes, surface << EVENT_BITS | what, padded at the ends.
-    lengths : (p,) int
-        Number of events of each, at least 1.
-    ids : sequence of str
-        Names of the surfaces.
-    words : (s,) uint32
-        Flags of the surfaces, see `mistray.surfaces.optics`.
-    design : DesignSequences
-        The sequences of the direct image.
 
     Returns
     -------
@@ -227,7 +225,6 @@ def describe_events(
         structure_bounces, tir, objects, unique_objects, last_object and critical of `PathRow`, (p,) each.
     """
     # Masks over the events
-    e = Events(events, lengths, words, design)
     surfaces, reflecting, scattering = e.places, e.reflected, e.deflected
 
     structure, scatters, diffractions = (mask.sum(axis=1) for mask in (e.on_structure, scattering, e.diffracted))
@@ -250,45 +247,35 @@ def describe_events(
          "structure+ghost", "ghost", "structure", DIRECT, "TIR"],
         "straight shot",
     )  # fmt: skip
-    # Surface before the detector, and the texts
-    last = np.where(lengths > 1, surfaces[np.arange(len(surfaces)), np.maximum(lengths - 2, 0)], len(ids))
-    text, letters = event_text(events, lengths, ids)
-    names = PathNames(ids, words, design, LETTERS)
+    known = np.array([*e.ids, "-"], dtype=object)
+
+    def surface(chosen: np.ndarray, n: int = 1, step: int = 1) -> np.ndarray:
+        """Return the name of the surface of the n-th chosen event of each list, or "-"; step -1 counts from the end."""
+        here = chosen & (np.cumsum(chosen[:, ::step], axis=1)[:, ::step] == n)
+        return known[np.where(here.any(axis=1), np.where(here, surfaces, 0).sum(axis=1), len(e.ids))]
+
     # Columns of the table
+    text = e.text
     return {
         "key": np.array(event_keys(text), dtype=object),
-        "label": np.array(
-            [
-                names.name(row[:length], one)
-                for row, length, one in zip(events.tolist(), lengths.tolist(), kind.tolist(), strict=True)
-            ],
-            dtype=object,
-        ),
+        "label": np.array(e.labels(kind.tolist()), dtype=object),
         "events": np.array(text, dtype=object),
-        "path": np.array(letters, dtype=object),
+        "path": np.array(e.letters, dtype=object),
         "order": order,
         "kind": kind.astype(object),
-        "ghost_1": _nth_name(reflecting, 1, surfaces, ids),
-        "ghost_2": _nth_name(reflecting, 2, surfaces, ids),
-        "scatter_1": _nth_name(scattering, 1, surfaces, ids),
-        "edges": _names(e.before_the_end & e.at(WALL) & ~e.at(OPAQUE) & ~e.at(DIFFRACTS), surfaces, ids),
+        "ghost_1": surface(reflecting),
+        "ghost_2": surface(reflecting, 2),
+        "scatter_1": surface(scattering),
+        "edges": _names(e.before_the_end & e.at(WALL) & ~e.at(OPAQUE) & ~e.at(DIFFRACTS), surfaces, e.ids),
         "scatters": scatters,
         "diffractions": diffractions,
         "structure_bounces": structure,
         "tir": total.sum(axis=1),
-        "objects": lengths,
-        "unique_objects": distinct(surfaces, e.inside),
-        "last_object": np.array([*ids, "-"], dtype=object)[last],
-        "critical": _nth_name((reflecting | scattering)[:, ::-1], 1, surfaces[:, ::-1], ids),
+        "objects": e.lengths,
+        "unique_objects": e.distinct_places,
+        "last_object": surface(e.before_the_end, step=-1),
+        "critical": surface(reflecting | scattering, step=-1),
     }
-
-
-def distinct(values: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """Return the number of different values of each row, without its padding, (p,)."""
-    # Padding becomes -1, which sorts first and differs from nothing before it
-    order = np.sort(np.where(inside, values.astype(np.int64), -1), axis=1)
-    new = np.diff(order, axis=1, prepend=-1) != 0
-    return np.asarray(new.sum(axis=1))
 
 
 def _names(chosen: np.ndarray, surfaces: np.ndarray, ids: Sequence[str]) -> np.ndarray:
@@ -297,10 +284,3 @@ def _names(chosen: np.ndarray, surfaces: np.ndarray, ids: Sequence[str]) -> np.n
     for row in np.flatnonzero(chosen.any(axis=1)):
         names[row] = " ".join(ids[k] for k in surfaces[row][chosen[row]])
     return names
-
-
-def _nth_name(chosen: np.ndarray, n: int, surfaces: np.ndarray, ids: Sequence[str]) -> np.ndarray:
-    """Return the name of the surface of the n-th chosen event of each list, or "-"."""
-    here = chosen & (np.cumsum(chosen, axis=1) == n)
-    number = np.where(here.any(axis=1), np.where(here, surfaces, 0).sum(axis=1), len(ids))
-    return np.array([*ids, "-"], dtype=object)[number]

@@ -6,6 +6,7 @@ Two different paths share a key with a probability of about paths²/2^65, 3e-11 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -76,6 +77,15 @@ def path_class_of(event: EventReader, length: mi.UInt32, start: StartRays, activ
     return (total ^ (total >> 15)) % PATH_CLASSES
 
 
+def padded(lists: Sequence[Sequence[int] | np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return event lists, padded with 0 at their ends, (p, k) uint32, and the number of events of each, (p,)."""
+    lengths = np.array([len(one) for one in lists], dtype=np.int64)
+    events = np.zeros((len(lists), int(lengths.max(initial=1))), dtype=np.uint32)
+    for row, one in zip(events, lists, strict=True):
+        row[: len(one)] = one
+    return events, lengths
+
+
 def host_keys(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     """
     Return the keys of event lists, computed on the host.
@@ -94,11 +104,6 @@ def host_keys(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     """
     keys = np.full(len(events), FIRST_KEY, dtype=np.uint64)
     for k in range(events.shape[1]):
-        keys = np.where(k < lengths, host_extend(keys, events[:, k]), keys)
+        longer = (keys ^ (events[:, k].astype(np.uint64) + np.uint64(1))) * np.uint64(MULTIPLIER)
+        keys = np.where(k < lengths, longer ^ (longer >> np.uint64(29)), keys)
     return keys
-
-
-def host_extend(keys: np.ndarray, codes: np.ndarray) -> np.ndarray:
-    """Return `extend_key` of keys and codes, computed on the host; (p,) uint64."""
-    longer = (keys ^ (codes.astype(np.uint64) + np.uint64(1))) * np.uint64(MULTIPLIER)
-    return np.asarray(longer ^ (longer >> np.uint64(29)))

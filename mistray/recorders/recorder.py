@@ -11,7 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from inspect import isfunction
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -202,6 +203,11 @@ class Departure:
     connection_ratio: mi.Float | None = None
     light_vertex: mi.UInt32 | None = None
 
+    @property
+    def depth(self) -> mi.UInt32:
+        """Number of events before that of the last node."""
+        return self.length - 1
+
 
 @dataclass
 class Segment:
@@ -276,9 +282,12 @@ class Recorder:
         Whether light that leaves the scene of a forward trace is reported to it, too.
     name : str
         Name in a result; empty: none.
+    kernel_by : tuple of str
+        Attributes that the kernel depends on.
     """
 
     name = ""
+    kernel_by: ClassVar[tuple[str, ...]] = ()
     departs = False
     node_floats = 0
     merges_aimed = False
@@ -292,7 +301,7 @@ class Recorder:
     @property
     def code(self) -> Hashable:
         """Key that distinguishes the kernels of one scene by the recorders that they write to."""
-        return type(self).__name__
+        return type(self).__name__, *(_key_of(getattr(self, name)) for name in self.kernel_by)
 
     # ---- a trace of one source and wavelength, called on the host
 
@@ -347,8 +356,13 @@ class Recorder:
         """Collect the per-lane sums when all trees are complete; the rays of a lane were of one batch."""
 
 
+def _key_of(part: Any) -> Hashable:
+    """Return a number as it is, the key of a recorder, and of other things whether they are there."""
+    return part if isinstance(part, int | tuple) else getattr(part, "code", part is not None)
+
+
 class Recorders(Recorder):
-    """Several recorders, which are called one after the other."""
+    """Several recorders, which are called one after the other by every method of `Recorder`."""
 
     def __init__(self, recorders: Sequence[Recorder | None]) -> None:
         self._all = [recorder for recorder in recorders if recorder is not None]
@@ -368,69 +382,17 @@ class Recorders(Recorder):
         """See `Recorder.code`."""
         return tuple(recorder.code for recorder in self._all)
 
-    # ---- each call goes to all of them, in order: a recorder may change a visit for those after it
 
-    def attach(self, scene: KernelScene) -> None:
-        """See `Recorder.attach`."""
-        for recorder in self._all:
-            recorder.attach(scene)
+def _in_turn(name: str) -> Callable[..., None]:
+    """Return the method of `Recorders` that calls this one of all recorders, in the order in which they are given."""
 
-    def collect(self, unit: float) -> None:
-        """See `Recorder.collect`."""
+    # In order, since a recorder may change a visit for those after it
+    def call(self: Recorders, *arguments: Any) -> None:
         for recorder in self._all:
-            recorder.collect(unit)
+            getattr(recorder, name)(*arguments)
 
-    def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
-        """See `Recorder.begin`."""
-        for recorder in self._all:
-            recorder.begin(start, max_events, memory)
+    return call
 
-    def visit(self, visit: Visit, memory: Memory) -> None:
-        """See `Recorder.visit`."""
-        for recorder in self._all:
-            recorder.visit(visit, memory)
 
-    def branch(self, branch: Branch, memory: Memory) -> None:
-        """See `Recorder.branch`."""
-        for recorder in self._all:
-            recorder.branch(branch, memory)
-
-    def travel(self, segment: Segment, memory: Memory) -> None:
-        """See `Recorder.travel`."""
-        for recorder in self._all:
-            recorder.travel(segment, memory)
-
-    def depart(self, departure: Departure, memory: Memory) -> None:
-        """See `Recorder.depart`."""
-        for recorder in self._all:
-            recorder.depart(departure, memory)
-
-    def back(self, back: Return, memory: Memory) -> None:
-        """See `Recorder.back`."""
-        for recorder in self._all:
-            recorder.back(back, memory)
-
-    def lose(self, channel: int | mi.UInt32, flux: Any, active: mi.Bool, memory: Memory) -> None:
-        """See `Recorder.lose`."""
-        for recorder in self._all:
-            recorder.lose(channel, flux, active, memory)
-
-    def cut(self, channel: int | mi.UInt32, batch: mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
-        """See `Recorder.cut`."""
-        for recorder in self._all:
-            recorder.cut(channel, batch, flux, active)
-
-    def take(self, medium: mi.UInt32, batch: mi.UInt32, flux: Any, active: mi.Bool) -> None:
-        """See `Recorder.take`."""
-        for recorder in self._all:
-            recorder.take(medium, batch, flux, active)
-
-    def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
-        """See `Recorder.end`."""
-        for recorder in self._all:
-            recorder.end(start, segments, cut_off, active, memory)
-
-    def collect_lanes(self, start: StartRays, memory: Memory) -> None:
-        """See `Recorder.collect_lanes`."""
-        for recorder in self._all:
-            recorder.collect_lanes(start, memory)
+for _name in [name for name, method in vars(Recorder).items() if isfunction(method)]:
+    setattr(Recorders, _name, _in_turn(_name))

@@ -9,7 +9,7 @@ correlation, so that the error of a quotient of two of them is right.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -100,9 +100,24 @@ class Sampled:
             value = np.asarray(a.value / below)
             return Sampled(value, (a.apart - value[..., None] * b.apart) / below[..., None])
 
-    def total(self) -> Sampled:
-        """Return the sum over the first axis."""
-        return Sampled(self.value.sum(axis=0), self.apart.sum(axis=0))
+    def reshaped(self, *shape: int) -> Sampled:
+        """Return the numbers in another shape; one length may be -1."""
+        return Sampled(self.value.reshape(shape), self.apart.reshape(*shape, self.apart.shape[-1]))
+
+    def total(self, axis: int = 0) -> Sampled:
+        """Return the sum over an axis, counted from the first."""
+        return Sampled(self.value.sum(axis=axis), self.apart.sum(axis=axis))
+
+    @property
+    def with_se(self) -> tuple[Numbers, Numbers]:
+        """Values and their standard errors, (…) each."""
+        return self.value, self.se
+
+    @property
+    def whole(self) -> tuple[float, float]:
+        """Sum of all numbers, and its standard error."""
+        total = self.reshaped(-1).total()
+        return float(total.value), float(total.se)
 
 
 def _alike(*numbers: Sampled) -> list[Sampled]:
@@ -114,6 +129,21 @@ def _alike(*numbers: Sampled) -> list[Sampled]:
 def batch_error(by_batch: np.ndarray, rays: np.ndarray) -> np.ndarray:
     """Return the standard error of a sum over batches (last axis) of `rays` start rays each, from their spread."""
     return Sampled.of(by_batch, rays).se
+
+
+def sum_of_runs(by_batch: Sequence[Numbers], runs: Sequence[Any]) -> tuple[Numbers, Numbers]:
+    """
+    Return sums over several runs together and their standard errors, (…) each, W.
+
+    Parameters
+    ----------
+    by_batch : sequence of (…, b) float64
+        Sums of the batches of each run, in units of a start ray's flux.
+    runs : sequence of Run or RunPaths
+        The runs, which have start rays of their own, so that their variances add.
+    """
+    parts = [Sampled.of(own, run.started).scaled(run.unit) for own, run in zip(by_batch, runs, strict=True)]
+    return np.sum([one.value for one in parts], axis=0), np.sqrt(np.sum([np.square(one.se) for one in parts], axis=0))
 
 
 def error_rays(

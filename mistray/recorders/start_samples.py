@@ -6,8 +6,9 @@ Start maps are learned from these samples, and weight windows from the importanc
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -103,6 +104,8 @@ class _StartSamples(Recorder):
 
     merges_aimed = True
 
+    kernel_by: ClassVar[tuple[str, ...]] = ("_design",)
+
     def __init__(self, cells: int, design: DesignKeys, mis: StartMisWeighting, capacity: int = SAMPLES) -> None:
         self._design, self._mis, self._capacity = design, mis, capacity
         self._count = dr.zeros(mi.UInt32, 1)
@@ -110,11 +113,6 @@ class _StartSamples(Recorder):
         self._floats = [dr.empty(mi.Float, capacity) for _ in range(8)]
         self._segments = dr.zeros(mi.Float64, cells)
         dr.eval(self._count, self._words, self._floats, self._segments)
-
-    @property
-    def code(self) -> Hashable:
-        """See `Recorder.code`."""
-        return type(self).__name__, self._design.code
 
     def _keep(self, words: tuple[mi.UInt32, ...], floats: tuple[mi.Float, ...], active: mi.Bool) -> None:
         place = dr.scatter_inc(self._count, mi.UInt32(0), active)
@@ -256,14 +254,11 @@ class ArrivalSamples(_StartSamples):
 
     incident = True
 
+    kernel_by = ("_design", "_scattered_only")
+
     def __init__(self, cells: int, design: DesignKeys, mis: StartMisWeighting, scattered_only: bool = False) -> None:
         super().__init__(cells, design, mis)
         self._scattered_only = scattered_only
-
-    @property
-    def code(self) -> Hashable:
-        """See `Recorder.code`."""
-        return super().code, self._scattered_only
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Keep rays that have met the detector."""

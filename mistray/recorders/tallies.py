@@ -83,9 +83,22 @@ class Tallies(Recorder):
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Record hits, and flux of scattered rays at the detector."""
         sums, batch, state = memory[SUMS], visit.start.batch, visit.state
-        self._add_hit(sums, visit.surface, batch, visit.weight, larger(visit.absorbed, 0), visit.active)
+        s, active = visit.surface, visit.active
+        values = {HITS: 1.0, INCIDENT: visit.weight, ABSORBED_HERE: larger(visit.absorbed, 0)}
+        for what, value in values.items():
+            if self._in_lanes:
+                sums[what].write(sums[what].read(s, active) + mi.Float64(value), s, active)
+            else:
+                self._add_surface(s, what, batch, value, active)
         if visit.scatters:
-            self._add_scattered(sums, visit.absorbed, visit.detected & (state["scatters"] != 0))
+            # Hits of the detector by rays that have been scattered
+            flux, scattered = visit.absorbed, visit.detected & (state["scatters"] != 0)
+            values = {SCATTERED_HITS: 1.0, SCATTERED_FLUX: flux, SCATTERED_SQUARES: dr.square(mi.Float64(flux))}
+            for channel, value in values.items():
+                self.lose(channel, value, scattered, memory)
+            # The bits of positive floats are in the order of the floats
+            bits = dr.reinterpret_array(mi.UInt32, flux)
+            dr.scatter_reduce(dr.ReduceOp.Max, self.largest, bits, mi.UInt32(0), scattered)
             landed = visit.detected & (state["aimed_from"] != NO_SURFACE)
             self._add_surface(state["aimed_from"], LANDED, batch, 1.0, landed)
 
@@ -99,7 +112,7 @@ class Tallies(Recorder):
         sums = memory[SUMS][-1]
         sums.write(sums.read(channel, active) + mi.Float64(flux), channel, active)
 
-    def cut(self, channel: int | mi.UInt32, batch: mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
+    def cut(self, channel: int | mi.UInt32, batch: mi.UInt32, flux: Any, active: mi.Bool) -> None:
         """Add flux to one of the other channels."""
         dr.scatter_reduce(dr.ReduceOp.Add, self.channels, mi.Float64(flux), channel * BATCHES + batch, active)
 
@@ -113,40 +126,14 @@ class Tallies(Recorder):
         own = memory[SUMS][-1]
         value = own.read(EVENTS, active)
         place = dr.select(cut_off, mi.UInt32(TREE), EVENTS_OF_LANE)
-        own.write(own.read(place, active) + value, place, active)
+        self.lose(place, value, active, memory)
         own.write(mi.Float64(0), EVENTS, active)
         self.lose(SEGMENTS, segments, active, memory)
 
     def collect_lanes(self, start: StartRays, memory: Memory) -> None:
         """Add the sums of all lanes."""
-        own = memory[SUMS][-1]
-        own.write(own.read(EVENTS_OF_LANE), EVENTS)
-        self._collect(memory[SUMS], start.batch)
-
-    def _add_surface(self, s: mi.UInt32, what: int, batch: mi.UInt32, value: Any, active: mi.Bool) -> None:
-        """Add to one of the sums of a surface."""
-        index = (s * SURFACE_SUMS + what) * BATCHES + batch
-        dr.scatter_reduce(dr.ReduceOp.Add, self.surfaces, mi.Float64(value), index, active)
-
-    def _add_hit(
-        self,
-        sums: tuple[Any, ...],
-        s: mi.UInt32,
-        batch: mi.UInt32,
-        incident: mi.Float,
-        absorbed: mi.Float,
-        active: mi.Bool,
-    ) -> None:
-        """Record a hit of a surface."""
-        values = {HITS: 1.0, INCIDENT: incident, ABSORBED_HERE: absorbed}
-        for what, value in values.items():
-            if self._in_lanes:
-                sums[what].write(sums[what].read(s, active) + mi.Float64(value), s, active)
-            else:
-                self._add_surface(s, what, batch, value, active)
-
-    def _collect(self, sums: tuple[Any, ...], batch: mi.UInt32) -> None:
-        """Add the sums of all lanes."""
+        sums, batch = memory[SUMS], start.batch
+        sums[-1].write(sums[-1].read(EVENTS_OF_LANE), EVENTS)
 
         # Zeros are left out, which saves atomic additions: most lanes have met few of the surfaces
         def step(k: mi.UInt32, sums: tuple[Any, ...]) -> tuple[mi.UInt32, tuple[Any, ...]]:
@@ -154,7 +141,7 @@ class Tallies(Recorder):
                 value = sums[what].read(k, k < self.count)
                 self._add_surface(k, what, batch, value, value != 0)
             value = sums[-1].read(k, k < LANE_REASONS)
-            dr.scatter_reduce(dr.ReduceOp.Add, self.channels, value, k * BATCHES + batch, value != 0)
+            self.cut(k, batch, value, value != 0)
             return k + 1, sums
 
         count = dr.opaque(mi.UInt32, max(self.count, LANE_REASONS) if self._in_lanes else LANE_REASONS)
@@ -166,14 +153,7 @@ class Tallies(Recorder):
             label="collect",
         )
 
-    def _add_scattered(self, sums: tuple[Any, ...], flux: mi.Float, active: mi.Bool) -> None:
-        """Record a hit of the detector by a ray that has been scattered."""
-        for channel, value in (
-            (SCATTERED_HITS, 1.0),
-            (SCATTERED_FLUX, flux),
-            (SCATTERED_SQUARES, dr.square(mi.Float64(flux))),
-        ):
-            sums[-1].write(sums[-1].read(channel, active) + mi.Float64(value), channel, active)
-        # The bits of positive floats are in the order of the floats
-        bits = dr.reinterpret_array(mi.UInt32, flux)
-        dr.scatter_reduce(dr.ReduceOp.Max, self.largest, bits, mi.UInt32(0), active)
+    def _add_surface(self, s: mi.UInt32, what: int, batch: mi.UInt32, value: Any, active: mi.Bool) -> None:
+        """Add to one of the sums of a surface."""
+        index = (s * SURFACE_SUMS + what) * BATCHES + batch
+        dr.scatter_reduce(dr.ReduceOp.Add, self.surfaces, mi.Float64(value), index, active)

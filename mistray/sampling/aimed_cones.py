@@ -15,6 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.sampling.emission_laws import direction, polar
+from mistray.surfaces.upload import opaque
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +42,7 @@ class Cone:
     """
 
     def __init__(self, target: Sphere, o: mi.Vector3d) -> None:
-        away = mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in target.centre)) - o
+        away = opaque(mi.Vector3d, target.centre) - o
         distance = dr.norm(away)
         self._axis = away / dr.maximum(distance, 1e-300)
         sine = dr.minimum(dr.opaque(mi.Float64, target.radius) / dr.maximum(distance, 1e-300), 1)

@@ -20,13 +20,14 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.kernel.targets import AimSet, Place, Side, Target
-from mistray.sampling.design_path import OPENING, DesignPath, Step, find_design_path
+from mistray.sampling.design.probes import Step
+from mistray.sampling.design_path import OPENING, DesignPath, find_design_path
 from mistray.sampling.detector_images import FAR, DetectorImages
 from mistray.sampling.importance_targets import (
-    MOST_KNOWN,
     SEARCH_SHARE,
     automatic_bulk_targets,
     automatic_targets,
+    remembered,
     signature,
 )
 from mistray.settings import Settings
@@ -87,17 +88,13 @@ def backward_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings, a
     # A scene is traced many times; the cached targets have one ray each, as settings may differ
     scatterers = [i for i in range(table.count) if table.interfaces[i].scatter]
     key = signature(table, scene, scatterers) + repr(np.round(axis, 9).tolist())
-    if key not in _known:
-        while len(_known) >= MOST_KNOWN:
-            _known.pop(next(iter(_known)))
-        with share(SEARCH_SHARE):
-            _known[key] = _find(table, scene, scatterers, axis)
-    found = _known[key]
+    found = remembered(_known, key, lambda: _find(table, scene, scatterers, axis))
     if settings.aim != "auto" or not settings.aimed_rays:
         return replace(found, aims={}, start=None)
     return replace(found, aims={place: replace(aim, rays=settings.aimed_rays) for place, aim in found.aims.items()})
 
 
+@share(SEARCH_SHARE)
 def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.ndarray) -> BackwardTargets:
     """Return the targets with one aimed ray each."""
     # Opening of the system
@@ -108,7 +105,11 @@ def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.
     start = back = None
     if opening is not None:
         # Targets by the reversed design path, of surfaces and of the detector
-        back = path.reversed(opening) if path is not None else _straight(table, opening, axis)
+        if path is not None:
+            back = path.reversed(opening)
+        else:  # straight from the detector to the opening
+            out = Step(OPENING, False, opening.centre, -axis, -axis, np.zeros(3))
+            back = DesignPath(table, (out,), opening)
         found = automatic_targets(table, back, scatterers)
         points, normals = surface_points(table, table.detector, fewer_rays(PROBES), rng)
         towards = normals * np.sign(normals @ back.steps[0].before)[:, None]
@@ -168,12 +169,6 @@ def _front(scene: mi.Scene, axis: np.ndarray) -> float:
     """Return the position along the axis of the front of the scene, mm."""
     along = box_corners(shape.bbox() for shape in solid_shapes(scene)) @ axis
     return float(along.min() - 1e-3 * np.ptp(along))
-
-
-def _straight(table: SurfaceTable, opening: Target, axis: np.ndarray) -> DesignPath:
-    """Return a backward path that meets no surface."""
-    out = Step(OPENING, False, opening.centre, -axis, -axis, np.zeros(3))
-    return DesignPath(table, (out,), opening)
 
 
 def _lambertian_rays(

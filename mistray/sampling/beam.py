@@ -12,7 +12,7 @@ from mistray.sampling.aimed_cones import Sphere
 from mistray.sampling.emission_laws import EDGE, perimeter
 from mistray.sampling.source import Emission, SceneSource
 from mistray.sampling.space_filling import stratified_points
-from mistray.surfaces.upload import upload
+from mistray.surfaces.upload import opaque, upload
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +60,7 @@ class Beam(SceneSource):
             sample = stratified_points(batch, rng)
         x, y = self.emitter.positions(sample)
         vectors = (self.pivot - centre, self.direction, self.u, self.v)
-        pivot, direction, u, v = (mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in vector)) for vector in vectors)
+        pivot, direction, u, v = (opaque(mi.Vector3f, vector) for vector in vectors)
         offset = u * x + v * y
         # All rays start on one plane normal to the beam, also where the cross-section is not
         back = dr.opaque(mi.Float, self.distance) + dr.dot(offset, direction)

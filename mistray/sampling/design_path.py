@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import mitsuba as mi
@@ -14,7 +13,7 @@ from mistray.errors import MistrayError
 from mistray.kernel.targets import Target
 from mistray.materials import complex_index
 from mistray.sampling.aimed_cones import Sphere
-from mistray.sampling.design.probes import Order, Probes
+from mistray.sampling.design.probes import Order, Probes, Step
 from mistray.sampling.design.sequences import chosen_orders, has_optics, is_plane
 from mistray.sampling.outlines import outline
 from mistray.sampling.source import SceneSource
@@ -33,42 +32,6 @@ LARGE_FRONT = 1 / 3  # radius, in units of that of a front, below which a surfac
 STRAIGHT = 1e-6  # rad by which light may turn that still counts as going straight on
 SAME_PLACE = 1e-9  # relative difference of the distances to two surfaces in one plane
 OPENING = -1  # stands for the number of a surface where a backward path leaves the system
-
-
-@dataclass(frozen=True)
-class Step:
-    """
-    One surface of the design path.
-
-    Attributes
-    ----------
-    surface : int
-        Number of the surface, or `OPENING`.
-    reflects : bool
-    point : (3,) float64
-        Point where the base ray meets it, mm; the base ray ignores the bounds of surfaces.
-    normal : (3,) float64
-        Normal there, from front to back.
-    before, after : (3,) float64
-        Directions of the base ray; `after` is zero at the end of a path.
-    """
-
-    surface: int
-    reflects: bool
-    point: np.ndarray
-    normal: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-
-    @property
-    def from_front(self) -> bool:
-        """Whether the light comes from the front."""
-        return bool(self.before @ self.normal > 0)
-
-    @property
-    def to_back(self) -> bool:
-        """Whether the light leaves to the back."""
-        return bool(self.after @ self.normal > 0)
 
 
 class Unobstructed(NamedTuple):
@@ -355,16 +318,11 @@ def first_aperture(table: SurfaceTable, scene: mi.Scene) -> Sphere | None:
         if spheres and (step is path.steps[-1] or np.linalg.norm(step.before - path.steps[0].before) > STRAIGHT):
             break
         spheres.append(sphere_of(outline(table.shapes[step.surface])))
-        if step.reflects or not _passes_straight(path.table, step.surface):
+        n_front, n_back = path.table.optics.host_indices[step.surface, :2]
+        if step.reflects or not (n_front == n_back or is_plane(path.table, step.surface)):
             break
     least = min(spheres, key=lambda sphere: sphere.radius)
     return least if least.radius < LARGE_FRONT * spheres[0].radius else spheres[0]
-
-
-def _passes_straight(table: SurfaceTable, surface: int) -> bool:
-    """Whether a surface is plane, or has equal indices on both sides."""
-    n_front, n_back = table.optics.host_indices[surface, :2]
-    return bool(n_front == n_back) or is_plane(table, surface)
 
 
 def footprint(table: SurfaceTable, source: SceneSource, aperture: Sphere) -> Sphere | None:
@@ -396,7 +354,7 @@ def _with_base_ray(table: SurfaceTable, source: SceneSource, probes: Probes, ord
     taking = probes.taking(order, table.detector)
     first = probes.first_points(taking)
     middle = int(taking[np.argmin(np.linalg.norm(first - first.mean(axis=0), axis=1))])
-    probed = [Step(*step) for step in probes.steps(middle)]
+    probed = probes.steps(middle)
     path = DesignPath(table, tuple(probed), outline(table.shapes[table.detector]))
     # The middle ray of the source, if it has one, along the same steps
     o, d = source.middle or tuple(vectors[[probes.ray[middle]]] for vectors in probes.start)

@@ -30,6 +30,7 @@ from mistray.surfaces.host_points import lambertian_directions, surface_points
 from mistray.surfaces.host_rays import first_hit
 from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.upload import opaque
 
 FROM_BACK = 1 / 16  # share of the rays that start on the side away from the light of the design
 PROBES = 256  # rays that find the medium around the detector
@@ -101,7 +102,7 @@ class DetectorStart:
         assert isinstance(piece, SagSurface)  # see `SurfaceTable.film`
         self._origin = table.upload_point(table.vertices[table.detector])
         axes = table.rotations[table.detector].T
-        self._axes = [mi.Vector3f(*(dr.opaque(mi.Float, float(v)) for v in axis)) for axis in axes]
+        self._axes = [opaque(mi.Vector3f, axis) for axis in axes]
         self._round = piece.outer > 0
         self._radii2 = [dr.opaque(mi.Float, r * r) for r in (piece.inner, piece.outer)]
         self._curved = not piece.flat

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -11,16 +11,17 @@ import numpy as np
 
 from mistray.sampling.aimed_cones import Sphere, across
 from mistray.sampling.emission_laws import polar
-from mistray.sampling.source import OPTICS, Emission, SceneSource, turned
+from mistray.sampling.source import OPTICS, Emission, PluginRays, on_host, turned
 from mistray.sampling.space_filling import stratified_points
 from mistray.sampling.strata import Strata
+from mistray.surfaces.upload import opaque
 
 AIMED = (OPTICS, 1 - OPTICS)  # shares of the rays that go to the first aperture, and to the rest of the scene
 CLEARANCE = 1.01  # distance of the start of the rays from the middle of the scene, in radii
 
 
 @dataclass(frozen=True, kw_only=True)
-class DistantRays(SceneSource):
+class DistantRays(PluginRays):
     """
     Light that has the same directions everywhere in the scene.
 
@@ -28,26 +29,14 @@ class DistantRays(SceneSource):
     around the first aperture are a stratum of their own. That sphere may stick out of the one around the scene, as
     around a lens at the end of a short system. Rays that are drawn there carry no light.
 
-    Attributes
-    ----------
-    scene : Sphere
-        Sphere around all surfaces.
-    aperture : Sphere or None
-        Sphere around the first surface of the design path; its radius is below √½ of that of `scene`.
+    The radius of its aperture is below √½ of that of the scene.
     """
 
-    scene: Sphere
-    aperture: Sphere | None = None
     aims: ClassVar[bool] = True
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> DistantRays:
         """Return the same light with more of its rays on an aperture, if that is small."""
         return replace(self, aperture=aperture) if aperture.radius < np.sqrt(0.5) * self.scene.radius else self
-
-    @property
-    def moving(self) -> tuple[str, ...]:  # type: ignore[override]  # read-only
-        """Differentiable parameters of the plugin."""
-        return tuple(self.emitter.differentiable)
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
         """
@@ -77,7 +66,7 @@ class DistantRays(SceneSource):
         # Weight of a stratum: its share of the light over its share of the rays; in a small batch one may have no rays
         share = dr.select(within, strata.parts[0], strata.parts[1]) if within is not None else None
         w = None if share is None else strata.closed(light / share, strata.number, len(AIMED))
-        o -= mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in centre))
+        o -= opaque(mi.Vector3d, centre)
         return Emission(mi.Vector3f(o), dr.normalize(mi.Vector3f(d)), w)
 
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
@@ -85,8 +74,7 @@ class DistantRays(SceneSource):
         rng = mi.PCG32(size=dr.width(sample))
         within = None if self.aperture is None else mi.Bool(True)
         o, d, _ = self._rays(sample, mi.Point2f(rng.next_float32(), rng.next_float32()), rng, within)
-        origins, directions = (np.array(vector, dtype=np.float64).T for vector in (o, d))
-        return origins, directions / np.linalg.norm(directions, axis=1, keepdims=True)
+        return on_host(o, d)
 
     def _rays(
         self, sample: mi.Point2f, towards: mi.Point2f, rng: mi.PCG32, within: mi.Bool | None
@@ -98,17 +86,14 @@ class DistantRays(SceneSource):
         point lies outside the disc.
         """
         # Directions of the plugin
-        numbers = {name: dr.opaque(mi.Float64, float(value)) for name, value in self.emitter.values.items()}
-        axes = [mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in axis)) for axis in self._axes]
-        d = dr.zeros(mi.Vector3d, dr.width(sample)) + turned(
-            self.emitter.directions(mi.Point2d(towards), numbers), axes
-        )
+        local = self.emitter.directions(mi.Point2d(towards), self._numbers(mi.Float64))
+        d = dr.zeros(mi.Vector3d, dr.width(sample)) + turned(local, self._device_axes)
         u, v = across(d)
         # Positions on the disc across the direction
         outer = dr.opaque(mi.Float64, self.scene.radius)
         point, light = self._on_disc(mi.Point2d(sample)) * outer, mi.Float64(1)
         if within is not None and self.aperture is not None:
-            offset = mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in self.aperture.centre - self.scene.centre))
+            offset = opaque(mi.Vector3d, self.aperture.centre - self.scene.centre)
             aside = mi.Point2d(dr.dot(offset, u), dr.dot(offset, v))
             inner = dr.opaque(mi.Float64, self.aperture.radius)
             aimed = aside + point * (inner / outer)
@@ -116,7 +101,7 @@ class DistantRays(SceneSource):
             point, _ = dr.while_loop(
                 (point, rng),
                 lambda point, rng: ~within & (dr.squared_norm(point - aside) < inner * inner),
-                lambda point, rng: (self._on_disc(_next(rng)) * outer, rng),
+                lambda point, rng: (self._on_disc(mi.Point2d(rng.next_float32(), rng.next_float32())) * outer, rng),
                 labels=("point", "rng"),
             )
             point = dr.select(within, aimed, point)
@@ -124,7 +109,7 @@ class DistantRays(SceneSource):
             whole = outer * outer
             passing = 1 - _common_area(dr.norm(aside), inner, outer) / (dr.pi * whole)
             light = dr.select(within, dr.select(dr.squared_norm(point) < whole, inner * inner / whole, 0), passing)
-        middle = mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in self.scene.centre))
+        middle = opaque(mi.Vector3d, self.scene.centre)
         return middle + point.x * u + point.y * v - CLEARANCE * outer * d, d, light
 
     @staticmethod
@@ -134,10 +119,6 @@ class DistantRays(SceneSource):
         radius = dr.sqrt(square)
         return mi.Point2d(radius * cosine, radius * sine)
 
-    @property
-    def _axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return self.u, self.v, self.direction
-
 
 def _common_area(apart: mi.Float64, small: mi.Float64, large: mi.Float64) -> mi.Float64:
     """Return the area of the intersection of two discs at a distance `apart`: two circular segments."""
@@ -145,7 +126,3 @@ def _common_area(apart: mi.Float64, small: mi.Float64, large: mi.Float64) -> mi.
     sides = [(d * d + a * a - b * b) / (2 * d) for a, b in ((small, large), (large, small))]
     segments = zip((small, large), sides, strict=True)
     return sum(r * r * dr.safe_acos(x / r) - x * dr.safe_sqrt(r * r - x * x) for r, x in segments)
-
-
-def _next(rng: Any) -> mi.Point2d:
-    return mi.Point2d(mi.Float64(rng.next_float32()), mi.Float64(rng.next_float32()))

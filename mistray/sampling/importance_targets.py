@@ -18,8 +18,9 @@ Random rays cover all other directions, so that targets change the variance of a
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import mitsuba as mi
 import numpy as np
@@ -47,7 +48,8 @@ MOST_TARGETS = 4
 SEARCH_SHARE = 0.2  # share of a time budget after which the search for images ends
 
 _OF_SOURCES = ("matrix", "size", "plane", "distance", "field_deg", "azimuth_deg", "values")
-MOST_KNOWN = 32  # scenes whose automatic targets are kept: a scene is traced at many fields
+MOST_KNOWN = 64  # scenes whose targets or design sequences are kept: a scene is traced at many fields
+Found = TypeVar("Found")
 _known: dict[str, dict[Place, list[Target]]] = {}
 
 
@@ -79,13 +81,8 @@ def importance_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings)
     if settings.aim == "targets" or not settings.aimed_rays:
         return found
     # Automatic targets of the other surfaces, from the cache if the scene has been traced before
-    key = signature(table, scene, rest)
-    if key not in _known:
-        while len(_known) >= MOST_KNOWN:
-            _known.pop(next(iter(_known)))
-        with share(SEARCH_SHARE):
-            _known[key] = _of_detectors(table, scene, rest)
-    for place, targets in _known[key].items():
+    automatic = remembered(_known, signature(table, scene, rest), lambda: _of_detectors(table, scene, rest))
+    for place, targets in automatic.items():
         if (place.surface if isinstance(place, Inside) else place[0]) not in given:
             found[place] = AimSet.of(targets, settings.aimed_rays)
     return found
@@ -108,6 +105,16 @@ def signature(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> 
     return hashlib.sha256(repr(facts).encode()).hexdigest()
 
 
+def remembered(known: dict[str, Found], key: str, search: Callable[[], Found]) -> Found:
+    """Return what was found for the `signature` of a scene, or search for it now; the latest `MOST_KNOWN` are kept."""
+    if key not in known:
+        while len(known) >= MOST_KNOWN:
+            known.pop(next(iter(known)))
+        known[key] = search()
+    return known[key]
+
+
+@share(SEARCH_SHARE)
 def _of_detectors(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> dict[Place, list[Target]]:
     """Return the targets of surfaces and media towards each of the detectors."""
     found: dict[Place, list[Target]] = {}

@@ -94,14 +94,9 @@ def _value(params: Any, key: str, owner: str) -> float:
     return value
 
 
-def _position(params: Any, owner: str) -> dict[str, Any]:
-    """Return the coordinates of an emitter, as parameters of a plugin of mistray."""
-    return dict(zip("xyz", np.array(params["position"], dtype=np.float64).ravel().tolist(), strict=True))
-
-
 def _point(params: Any, owner: str) -> dict[str, Any]:
     """Return a ``point_source`` that emits the same to all sides."""
-    place = _position(params, owner)
+    place = dict(zip("xyz", np.array(params["position"], dtype=np.float64).ravel().tolist(), strict=True))
     return {"type": "point_source", **place, "intensity": _value(params, "intensity", owner)}
 
 

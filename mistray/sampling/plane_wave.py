@@ -21,6 +21,7 @@ from mistray.sampling.source import Emission, Source
 from mistray.sampling.space_filling import stratified_points
 from mistray.surfaces.host_points import box_corners
 from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.upload import opaque
 
 RIM_POINTS = 24  # corners of the polygon around a rim
 FIELD_STEPS, AZIMUTH_STEP_DEG = 8, 5.0  # directions of a cell for which the size of the beam is worked out
@@ -147,15 +148,11 @@ def wave_rays(
         Random numbers, 0 … 1, for field angle and azimuth within the cell.
     """
     low, high, azimuth, half_azimuth, middle_x, middle_y, half_x, half_y, is_round, distance = numbers
-
-    def vector(values: np.ndarray) -> mi.Vector3f:
-        return mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in values))
-
     # Direction: sin²(θ/2) is uniform where the solid angle is, and keeps its digits near the axis
     h = dr.lerp(low, high, u)
     cosine, sine = 1 - 2 * h, 2 * dr.sqrt(h * (1 - h))
     s, c = dr.sincos(azimuth + half_azimuth * (2 * v - 1))
-    x_axis, y_axis, z_axis = (vector(column) for column in rotation.T)
+    x_axis, y_axis, z_axis = (opaque(mi.Vector3f, column) for column in rotation.T)
     radial = c * y_axis - s * x_axis
     d = dr.normalize(sine * radial + cosine * z_axis)
     across, along = c * x_axis + s * y_axis, cosine * radial - sine * z_axis
@@ -164,7 +161,7 @@ def wave_rays(
     disk = mi.warp.square_to_uniform_disk_concentric(sample)
     x = dr.select(is_round > 0, disk.x, 2 * sample.x - 1) * half_x + middle_x
     y = dr.select(is_round > 0, disk.y, 2 * sample.y - 1) * half_y + middle_y
-    return vector(centre) + across * x + along * y - distance * d, d
+    return opaque(mi.Vector3f, centre) + across * x + along * y - distance * d, d
 
 
 class PlaneWaves:
@@ -190,19 +187,14 @@ class PlaneWaves:
         grid = self.grid
         theta = np.radians(grid.edges_deg[i])
         azimuth = np.radians([grid.azimuths_deg[j], grid.azimuth_cell_deg / 2])
-        centre, middle, half, is_round, distance = self._cross_section(theta, azimuth)
         return PlaneWave(
-            name=f"light at {grid.field_deg[i]:g} deg",
-            wavelength_nm=wavelength_nm,
-            share=share,
-            rotation=np.asarray(grid.rotation, dtype=np.float64),
-            half_sine2=np.sin(theta / 2) ** 2,
-            azimuth=azimuth,
-            centre=centre,
-            middle=middle,
-            half=half,
-            is_round=is_round,
-            distance=distance,
+            f"light at {grid.field_deg[i]:g} deg",
+            wavelength_nm,
+            share,
+            np.asarray(grid.rotation, dtype=np.float64),
+            np.sin(theta / 2) ** 2,
+            azimuth,
+            *self._cross_section(theta, azimuth),
         )
 
     def _cross_section(
@@ -244,7 +236,16 @@ class PlaneWaves:
 
 def hull_points(*tables: SurfaceTable) -> np.ndarray:
     """Return (p, 3) float64 points whose convex hull holds all surfaces, mm; polygons are drawn around the rims."""
-    return np.concatenate([part for table in tables for part in _hull_parts(table)])
+    turn = 2 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
+    # Polygon around the unit circle, so that it holds the rim
+    polygon = np.stack([np.cos(turn), np.sin(turn)], axis=1) / np.cos(np.pi / RIM_POINTS)
+    points = []
+    for table in tables:
+        # Analytic surfaces in their own frames first, then bounding boxes
+        for piece, rotation, vertex in zip(table.pieces, table.rotations, table.vertices, strict=False):
+            points.append(piece.hull(polygon) @ rotation.T + vertex)
+        points += [box_corners([shape.bbox()]) for shape in table.shapes[len(table.pieces) :]]
+    return np.concatenate(points)
 
 
 def _corners(points: np.ndarray) -> np.ndarray:
@@ -253,16 +254,3 @@ def _corners(points: np.ndarray) -> np.ndarray:
         return points[ConvexHull(points).vertices]
     except QhullError:  # all of them lie in a plane
         return points
-
-
-def _hull_parts(table: SurfaceTable) -> list[np.ndarray]:
-    """Return points around each surface, mm: analytic surfaces in their own frames first, then bounding boxes."""
-    turn = 2 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
-    # Polygon around the unit circle, so that it holds the rim
-    polygon = np.stack([np.cos(turn), np.sin(turn)], axis=1) / np.cos(np.pi / RIM_POINTS)
-    points = []
-    for number, piece in enumerate(table.pieces):
-        points.append(piece.hull(polygon) @ table.rotations[number].T + table.vertices[number])
-    for shape in table.shapes[len(table.pieces) :]:
-        points.append(box_corners([shape.bbox()]))
-    return points

@@ -27,7 +27,7 @@ from mistray.sampling.aimed_cones import Cone, Sphere
 from mistray.sampling.emission_laws import EDGE
 from mistray.sampling.space_filling import stratified_points
 from mistray.sampling.strata import Strata
-from mistray.surfaces.upload import upload
+from mistray.surfaces.upload import opaque, upload
 
 NEAR = 20.0  # radii of the scene: rays from farther away are moved to the scene, where float32 is fine enough
 # Half of the rays go to the first aperture, and a tenth of these to all of it where only a part of it is lit. The other
@@ -227,8 +227,8 @@ class SceneSource(Source):
         """Return the plugin's state with respect to `u` and ``direction × u``, carried to d (see `carried`)."""
         if self.stokes is None:
             return None
-        u, axis = (mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in one)) for one in (self.u, self.direction))
-        stokes, along = mi.Vector3d(*(dr.opaque(mi.Float64, s) for s in self.stokes)), mi.Vector3d(d)
+        u, axis = (opaque(mi.Vector3d, one) for one in (self.u, self.direction))
+        stokes, along = opaque(mi.Vector3d, self.stokes), mi.Vector3d(d)
         return mi.Vector3f(from_plane(stokes, along, carried(u, axis, along)))
 
     @property
@@ -288,9 +288,9 @@ class SceneSource(Source):
 
 
 @dataclass(frozen=True, kw_only=True)
-class EmittedRays(SceneSource):
+class PluginRays(SceneSource):
     """
-    A source whose plugin draws origins and directions, see `mistray.plugins.emitters.light_source`.
+    A source whose plugin draws its rays in the frame of the source.
 
     Attributes
     ----------
@@ -298,21 +298,47 @@ class EmittedRays(SceneSource):
         Sphere around all surfaces.
     aperture : Sphere or None
         Sphere around the first surface of the design path.
+    """
+
+    scene: Sphere
+    aperture: Sphere | None = None
+
+    @property
+    def moving(self) -> tuple[str, ...]:  # type: ignore[override]  # read-only
+        """Differentiable parameters of the plugin."""
+        return tuple(self.emitter.differentiable)
+
+    @property
+    def _axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return self.u, self.v, self.direction
+
+    @property
+    def _device_axes(self) -> list[mi.Vector3d]:
+        """Axes of the source on the device."""
+        return [opaque(mi.Vector3d, axis) for axis in self._axes]
+
+    def _numbers(self, one: Any) -> dict[str, Any]:
+        """Return the plugin's own numbers and the wavelength."""
+        # Opaque, so that another value compiles no other kernel
+        given = {**self.emitter.values, "wavelength_nm": self.wavelength_nm}
+        return {name: dr.opaque(one, float(value)) for name, value in given.items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class EmittedRays(PluginRays):
+    """
+    A source whose plugin draws origins and directions, see `mistray.plugins.emitters.light_source`.
+
+    Attributes
+    ----------
     lit : Sphere or None
         Sphere around the part of that surface through which light reaches the detector.
     aimed : bool
         Whether more rays go to the aperture and to the scene than the law of the source sends there.
     """
 
-    scene: Sphere
-    aperture: Sphere | None = None
     lit: Sphere | None = None
     aimed: bool = True
-
-    @property
-    def moving(self) -> tuple[str, ...]:  # type: ignore[override]  # read-only
-        """Differentiable parameters of the plugin."""
-        return tuple(self.emitter.differentiable)
 
     @property
     def aims(self) -> bool:  # type: ignore[override]  # read-only
@@ -369,7 +395,7 @@ class EmittedRays(SceneSource):
                 zone += dr.select(density > 0, 0, mi.UInt32(1))
             # The number of cones that miss the direction is its zone: 0 is within all of them
             w = strata.closed(dr.select(law > 0, law / mixed, 0), zone, len(targets) + 1)
-        o = self._near(o, d) - mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in centre))
+        o = self._near(o, d) - opaque(mi.Vector3d, centre)
         return Emission(mi.Vector3f(o), dr.normalize(mi.Vector3f(d)), w)
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
@@ -387,8 +413,7 @@ class EmittedRays(SceneSource):
             return []
         sample = mi.Point2d(*(upload(mi.Float64, v) for v in points))
         o, d = self._rays(mi.Point2d(0.5), sample, mi.PCG32(size=count))
-        origins, directions = (np.array(vector, dtype=np.float64).T for vector in (self._near(o, d), d))
-        return [(origins, directions / np.linalg.norm(directions, axis=1, keepdims=True))]
+        return [on_host(self._near(o, d), d)]
 
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
         """Return rays of the plugin for points of the unit square; where it aims, those to its first target."""
@@ -399,8 +424,7 @@ class EmittedRays(SceneSource):
             # Where the source sends no light to the target, probes keep to its law
             aimed = Cone(target, o).directions(mi.Point2d(sample))
             d = dr.select(self._density(place, aimed) > 0, aimed, d)
-        origins, directions = (np.array(vector, dtype=np.float64).T for vector in (self._near(o, d), d))
-        return origins, directions / np.linalg.norm(directions, axis=1, keepdims=True)
+        return on_host(self._near(o, d), d)
 
     @cached_property
     def _targets(self) -> list[Sphere]:
@@ -411,8 +435,7 @@ class EmittedRays(SceneSource):
         place = np.array(o, dtype=np.float64).ravel()
         found = [target for target in (self.lit, self.aperture, self.scene) if target is not None]
         # A cone to the whole scene pays only where the law of the source misses most of it
-        outside = [target for target in found if not target.contains(place)]
-        return [target for target in outside if (self._misses if target is self.scene else self._lights)(target)]
+        return [target for target in found if not target.contains(place) and self._pays(target)]
 
     @property
     def _shares(self) -> list[float]:
@@ -425,20 +448,16 @@ class EmittedRays(SceneSource):
             return [*to_optics, elsewhere]
         return [*to_optics, elsewhere * (1 - BY_LAW), elsewhere * BY_LAW]
 
-    def _misses(self, target: Sphere) -> bool:
-        """Whether the law of the source sends less than half of its light to a target."""
+    def _pays(self, target: Sphere) -> bool:
+        """Whether rays to a target pay: a part of which enough is lit, or a scene that most light misses by the law."""
         # At the middle of the source, which is enough to decide by
         sample = mi.Point2d(*(upload(mi.Float64, v) for v in np.random.default_rng(0).random((2, LOOKS))))
-        o, d = self._rays(mi.Point2d(0.5), sample, mi.PCG32(size=LOOKS))
-        return float(np.mean(np.array(Cone(target, o).density(d)) > 0)) < 0.5
-
-    def _lights(self, target: Sphere) -> bool:
-        """Whether the source sends light to enough of a target; otherwise many rays to it would carry none."""
-        sample = mi.Point2d(*(upload(mi.Float64, v) for v in np.random.default_rng(0).random((2, LOOKS))))
         place = mi.Point2d(0.5)
-        o, _ = self._rays(place, sample, mi.PCG32(size=LOOKS))
-        d = Cone(target, o).directions(sample)
-        return float(np.mean(np.array(self._density(place, d)) > 0)) > LEAST_LIT
+        o, d = self._rays(place, sample, mi.PCG32(size=LOOKS))
+        cone = Cone(target, o)
+        if target is self.scene:
+            return float(np.mean(np.array(cone.density(d)) > 0)) < 0.5
+        return float(np.mean(np.array(self._density(place, cone.directions(sample))) > 0)) > LEAST_LIT
 
     def _rays(self, place: mi.Point2d, sample: mi.Point2d, rng: mi.PCG32) -> tuple[mi.Vector3d, mi.Vector3d]:
         """Return rays of the plugin in the world."""
@@ -446,7 +465,7 @@ class EmittedRays(SceneSource):
         one, point = (mi.Float64, mi.Point2d) if self.emitter.precise else (mi.Float, mi.Point2f)
         o, d = self.emitter.rays_from(point(place), point(sample), rng, self._numbers(one))
         zero, axes = dr.zeros(mi.Vector3d, dr.width(sample)), self._device_axes
-        pivot = mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in self.pivot))
+        pivot = opaque(mi.Vector3d, self.pivot)
         return zero + pivot + turned(mi.Vector3d(o), axes), zero + dr.normalize(turned(mi.Vector3d(d), axes))
 
     def _density(self, place: mi.Point2d, d: mi.Vector3d) -> mi.Float64:
@@ -457,25 +476,16 @@ class EmittedRays(SceneSource):
 
     def _near(self, o: mi.Vector3d, d: mi.Vector3d) -> mi.Vector3d:
         """Return origins moved along rays from far away to the scene, where float32 is fine enough."""
-        middle = mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in self.scene.centre))
+        middle = opaque(mi.Vector3d, self.scene.centre)
         radius = dr.opaque(mi.Float64, self.scene.radius)
         ahead = dr.dot(middle - o, d) - 1.01 * radius
         return dr.fma(dr.select(ahead > NEAR * radius, ahead, 0), d, o)
 
-    def _numbers(self, one: Any) -> dict[str, Any]:
-        """Return the plugin's own numbers and the wavelength."""
-        # Opaque, so that another value compiles no other kernel
-        given = {**self.emitter.values, "wavelength_nm": self.wavelength_nm}
-        return {name: dr.opaque(one, float(value)) for name, value in given.items()}
 
-    @property
-    def _device_axes(self) -> list[mi.Vector3d]:
-        """Axes of the source on the device."""
-        return [mi.Vector3d(*(dr.opaque(mi.Float64, float(c)) for c in axis)) for axis in self._axes]
-
-    @property
-    def _axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return self.u, self.v, self.direction
+def on_host(o: mi.Vector3d, d: mi.Vector3d) -> tuple[np.ndarray, np.ndarray]:
+    """Return rays as (n, 3) float64 each, with directions of unit length also where the device has rounded them."""
+    origins, directions = (np.array(vector, dtype=np.float64).T for vector in (o, d))
+    return origins, directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
 def turned(vector: Any, axes: list[Any]) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import drjit as dr
 import numpy as np
 
 ALIGNMENT = 128  # bytes
@@ -14,6 +15,11 @@ DTYPES = {
     "UInt64": np.uint64,
     "Bool": np.bool_,
 }
+
+
+def opaque(kind: Any, values: Any) -> Any:
+    """Return numbers as a vector of opaque variables of a type, ``mi.Vector3f`` or another: none enters the kernel."""
+    return kind(*(dr.opaque(dr.value_t(kind), float(value)) for value in values))
 
 
 def upload(kind: Any, values: np.ndarray) -> Any:

@@ -11,6 +11,7 @@ import numpy as np
 
 from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.path_events import Events
+from mistray.recorders.path_key import padded
 from mistray.sampling.sources import source_emitters
 from mistray.surfaces.surfaces import medium_id, named_shapes, part_of
 from mistray.trace.filter_rows import Rows
@@ -42,24 +43,18 @@ def check_paths(scene: mi.Scene | None, selections: Iterable[str], of_rays: bool
     wanted = [PathFilter(text) for text in selections]
     if wanted and scene is not None:
         # A table without rows has all the names, which is enough to find those that do not exist
-        rows = _no_rows(scene, BY_RAY if of_rays else frozenset())
+        by_ray, shapes = BY_RAY if of_rays else frozenset(), named_shapes(scene)
+        # As in `mistray.surfaces.surfaces.SurfaceTable`: surfaces first, then media, whose names are in brackets
+        bsdfs: list[Any] = [shape.bsdf() for shape in shapes.values()]
+        media = list(dict.fromkeys(getattr(bsdf, side, "").strip() for bsdf in bsdfs for side in ("front", "back")))
+        emitters = enumerate(source_emitters(scene), start=1)
+        rows = Rows(
+            Events(*padded([]), [*shapes, *map(medium_id, media)], np.zeros(0, np.uint32), DesignSequences()),
+            [*(part_of(*pair) for pair in shapes.items()), *media],
+            {name: column for name, column in COLUMNS.items() if name not in by_ray},
+            len(shapes),
+            by_ray,
+            [emitter.name or f"source_{number}" for number, emitter in emitters],
+        )
         for one in wanted:
             one.bounds(rows)
-
-
-def _no_rows(scene: mi.Scene, by_ray: frozenset[str]) -> Rows:
-    """Return a path table of the scene without a path."""
-    shapes = named_shapes(scene)
-    bsdfs: list[Any] = [shape.bsdf() for shape in shapes.values()]
-    # As in `mistray.surfaces.surfaces.SurfaceTable`: surfaces first, then media, whose names are in brackets
-    media = list(dict.fromkeys(getattr(bsdf, side, "").strip() for bsdf in bsdfs for side in ("front", "back")))
-    emitters = enumerate(source_emitters(scene), start=1)
-    return Rows(
-        Events(np.zeros((0, 1), np.uint32), np.zeros(0, np.int64), np.zeros(0, np.uint32), DesignSequences()),
-        [*shapes, *map(medium_id, media)],
-        [*(part_of(*pair) for pair in shapes.items()), *media],
-        {name: column for name, column in COLUMNS.items() if name not in by_ray},
-        len(shapes),
-        by_ray,
-        [emitter.name or f"source_{number}" for number, emitter in emitters],
-    )

@@ -9,14 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mistray.execute.tracer import Run
-from mistray.recorders.sampled import batch_error
-from mistray.recorders.tallies import (
-    ABSORBED_HERE,
-    CUTS,
-    ESCAPED,
-    HITS,
-    INCIDENT,
-)
+from mistray.recorders.sampled import sum_of_runs
+from mistray.recorders.tallies import ABSORBED_HERE, CUTS, ESCAPED, HITS, INCIDENT
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -140,32 +134,13 @@ class FluxReport(Sequence[SurfaceFlux]):
 
 def flux_report(runs: Sequence[Run]) -> FluxReport:
     """Return the flux report of some runs together."""
-    rows = []
     table = runs[0].table
-    for i in table.listed:
-        # Hits, incident and absorbed flux
-        values = np.zeros(3)
-        variances = np.zeros(3)
-        for run in runs:
-            scale = np.array([1.0, run.unit, run.unit])
-            sums = run.surfaces[i, : len(scale)]
-            values += scale * sums.sum(axis=-1)
-            # Runs have start rays of their own: variances add
-            variances += (scale * batch_error(sums, run.started)) ** 2
-        se = np.sqrt(variances)
-        rows.append(
-            SurfaceFlux(
-                table.ids[i],
-                table.parts[i],
-                table.spaces[i],
-                round(values[HITS]),
-                values[INCIDENT],
-                se[INCIDENT],
-                values[ABSORBED_HERE],
-                se[ABSORBED_HERE],
-            )
-        )
-    return FluxReport(rows)
+    listed = list(table.listed)
+    hits = np.sum([run.surfaces[listed, HITS].sum(axis=-1) for run in runs], axis=0)
+    fluxes = [sum_of_runs([run.surfaces[listed, kind] for run in runs], runs) for kind in (INCIDENT, ABSORBED_HERE)]
+    columns = [hits.round().astype(int), *(values for pair in fluxes for values in pair)]
+    rows = zip(listed, *(column.tolist() for column in columns), strict=True)
+    return FluxReport([SurfaceFlux(table.ids[i], table.parts[i], table.spaces[i], *numbers) for i, *numbers in rows])
 
 
 def energy_ledger(runs: Sequence[Run], surfaces: FluxReport) -> Energy:
@@ -175,28 +150,23 @@ def energy_ledger(runs: Sequence[Run], surfaces: FluxReport) -> Energy:
     own = {table.ids[i] for i in table.detectors}
     detected = {row.id: (row.absorbed_W, row.absorbed_se_W) for row in surfaces if row.id in own}
     # Detectors share start rays: the error of their sum comes from that of the batches
-    by_batch = [run.surfaces[table.detectors, ABSORBED_HERE].sum(axis=0) for run in runs]
-    errors = [run.unit * batch_error(sums, run.started) for run, sums in zip(runs, by_batch, strict=True)]
-
+    _, detected_se = sum_of_runs([run.surfaces[table.detectors, ABSORBED_HERE].sum(axis=0) for run in runs], runs)
     # Light that leaves the scene
-    escaped = sum(run.unit * run.channels[ESCAPED].sum() for run in runs)
-    escaped_se = np.sqrt(sum((run.unit * batch_error(run.channels[ESCAPED], run.started)) ** 2 for run in runs))
-
+    escaped, escaped_se = sum_of_runs([run.channels[ESCAPED] for run in runs], runs)
     # Media, by name, whatever their numbers in each run
-    media: dict[str, tuple[float, float]] = {}
+    media: dict[str, list[tuple[np.ndarray, Run]]] = {}
     for run in runs:
         for name, sums in zip(run.table.optics.media[1:], run.media[1:], strict=True):
             if sums.any():
-                before, se = media.get(name, (0.0, 0.0))
-                error = float(run.unit * batch_error(sums, run.started))
-                media[name] = before + float(run.unit * sums.sum()), float(np.hypot(se, error))
+                media.setdefault(name, []).append((sums, run))
+    absorbed_in = {name: sum_of_runs(*zip(*found, strict=True)) for name, found in media.items()}
     return Energy(
         launched_W=sum(run.source.power for run in runs),
         detected_W=sum(value for value, _ in detected.values()),
-        detected_se_W=float(np.sqrt(sum(error**2 for error in errors))),
+        detected_se_W=float(detected_se),
         detected=detected,
         absorbed={row.id: (row.absorbed_W, row.absorbed_se_W) for row in surfaces if row.id not in own},
-        absorbed_in=media,
+        absorbed_in={name: (float(value), float(se)) for name, (value, se) in absorbed_in.items()},
         escaped_W=float(escaped),
         escaped_se_W=float(escaped_se),
         cut={reason: float(sum(run.unit * run.channels[row].sum() for run in runs)) for reason, row in CUTS.items()},

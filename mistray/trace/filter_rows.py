@@ -41,8 +41,8 @@ class Rows:
     ----------
     events : Events
         Events of each row.
-    ids, parts : sequence of str
-        Names and parts of the places of events.
+    parts : sequence of str
+        Parts of the places of events.
     columns : mapping of str to (n,) array
         Columns by name.
     by_ray : frozenset of str
@@ -54,12 +54,16 @@ class Rows:
     """
 
     events: Events
-    ids: Sequence[str]
     parts: Sequence[str]
     columns: Mapping[str, np.ndarray]
     surfaces: int
     by_ray: frozenset[str] = field(default_factory=frozenset)
     sources: Sequence[str] = ()
+
+    @property
+    def ids(self) -> Sequence[str]:
+        """Names of the places of events."""
+        return self.events.ids
 
     def texts_of(self, column: str) -> Sequence[str]:
         """Return all texts that a column can have; empty where it can have any."""
@@ -118,15 +122,6 @@ class RunPaths(NamedTuple):
     design: DesignSequences
     source: str
 
-
-def rows_of(
-    run: RunPaths,
-    place: np.ndarray,
-    columns: Mapping[str, np.ndarray],
-    by_ray: frozenset[str] = frozenset(),
-    sources: Sequence[str] = (),
-) -> Rows:
-    """Return the rows of a filter: the paths at these places of the ledger of a run, with columns of as many rows."""
-    paths, table = run.paths, run.table
-    events = Events(paths.events[place], paths.lengths[place], table.event_words, run.design)
-    return Rows(events, table.event_ids, table.event_parts, columns, table.count, by_ray, sources)
+    def events(self, place: np.ndarray) -> Events:
+        """Return the events of the paths at these places of the ledger."""
+        return Events.of(self.table, self.design, self.paths.events[place], self.paths.lengths[place])

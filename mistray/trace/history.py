@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -66,6 +66,13 @@ class RayHistory:
         """Polylines (k + 1, 3), mm."""
         return [ray.points for ray in self._rays]
 
+    def with_facts(self, facts: Mapping[str, np.ndarray]) -> pd.DataFrame:
+        """Return the ray history table with more columns after the node, from one value for each ray."""
+        table = self.to_pandas()
+        for place, (name, values) in enumerate(facts.items(), start=2):
+            table.insert(place, name, values[table.ray.to_numpy(np.int64)].tolist())
+        return table
+
     def to_pandas(self) -> pd.DataFrame:
         """
         Return the ray history table: one row for each node of each ray.
@@ -80,34 +87,35 @@ class RayHistory:
         ids, parts = table.event_ids, table.event_parts
         rows = []
         for number, ray in enumerate(self._rays):
-            for node, (point, direction, flux, opl) in enumerate(
-                zip(ray.points, ray.directions, ray.flux_W, ray.opl_mm, strict=True)
-            ):
-                # A start ray has no event: its source stands for the object
-                if node == 0:
-                    intercept, part, surface = "Emitted", source.name, "-"
-                else:
-                    code = int(ray.codes[node - 1])
-                    intercept = INTERCEPTS[code & EVENT_MASK]
-                    part, surface = parts[code >> EVENT_BITS], ids[code >> EVENT_BITS]
-                rows.append(
-                    (
-                        number,
-                        node,
-                        ray.start_ray,
-                        intercept,
-                        part,
-                        surface,
-                        source.wavelength_nm,
-                        *point,
-                        flux,
-                        opl,
-                        *direction,
-                    )
-                )
+            # A start ray has no event: its source stands for the object
+            met = [(INTERCEPTS[code & EVENT_MASK], code >> EVENT_BITS) for code in ray.codes.tolist()]
+            events = [("Emitted", source.name, "-"), *((what, parts[place], ids[place]) for what, place in met)]
+            nodes = zip(events, ray.points, ray.flux_W, ray.opl_mm, ray.directions, strict=True)
+            for node, (event, point, flux, opl, direction) in enumerate(nodes):
+                facts = number, node, ray.start_ray, *event, source.wavelength_nm
+                rows.append((*facts, *point, flux, opl, *direction))
         # In the order of the rows above
         names = ["ray", "node", "start_ray", "intercept", "object", "surface", "wavelength_nm"]
         return pd.DataFrame(rows, columns=[*names, "x_mm", "y_mm", "z_mm", "flux_W", "opl_mm", "dx", "dy", "dz"])
+
+
+def joined_histories(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Return the ray history tables of several runs as one, with the rays numbered through."""
+    import pandas as pd
+
+    done = 0
+    for table in tables:
+        rays = table.ray.nunique()
+        table["ray"] += done
+        done += rays
+    return pd.concat([table for table in tables if len(table)] or tables[:1], ignore_index=True)
+
+
+def spread(count: int, most: int | None) -> np.ndarray:
+    """Return at most `most` of the numbers 0 … count - 1, the first and the last among them; None: all of them."""
+    if most is None or count <= most:
+        return np.arange(count)
+    return np.linspace(0, count - 1, most).round().astype(int)
 
 
 def read_rays(run: Run, recorder: BranchRecorder, most: int) -> RayHistory:
@@ -116,7 +124,7 @@ def read_rays(run: Run, recorder: BranchRecorder, most: int) -> RayHistory:
     lanes = np.array(recorder.lane)[:count]
     # Start rays are numbered along a curve through the beam: every k-th is a fair sample of all
     order = np.argsort(lanes, kind="stable")
-    order = order[np.linspace(0, count - 1, min(most, count)).round().astype(int)] if count else order
+    order = order[spread(count, most)]
     return RayHistory(run, rays_in_slots(run, recorder, order, *run.start_rays(lanes[order])))
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -22,7 +22,7 @@ from mistray.ids import EVENT_LETTERS, event_words
 from mistray.notes import Code
 from mistray.recorders.path_events import DIRECT, FIRST_SCATTERED, LETTERS, STRAY_KINDS, way, way_text
 from mistray.recorders.path_key import ABSORBED, EVENT_MASK
-from mistray.recorders.path_names import ARROW, DIRECT_IMAGE, PAST, SCATTER_AT, PathNames
+from mistray.recorders.path_names import ARROW, DIRECT_IMAGE, PAST, SCATTER_AT
 from mistray.trace.filter_rows import Bounds, Rows, UnknownError, exactly, like, like_pattern, named_like, unknown_name
 
 ALL, STRAY = "all", "stray"
@@ -176,10 +176,9 @@ def _way_labels(rows: Rows) -> list[str]:
     labels, e = list(rows.columns["label"]), rows.events
     codes = way(e.codes)
     aimed = np.flatnonzero((e.inside & (codes != e.codes) & ((e.codes & EVENT_MASK) >= FIRST_SCATTERED)).any(axis=1))
-    if len(aimed):
-        names = PathNames(rows.ids, e.words, e.design, LETTERS)
-        for k in aimed.tolist():
-            labels[k] = names.name(codes[k, : e.lengths[k]].tolist(), rows.columns["kind"][k])
+    named = replace(e, codes=codes)[aimed].labels(np.asarray(rows.columns["kind"])[aimed])
+    for k, label in zip(aimed.tolist(), named, strict=True):
+        labels[k] = label
     return labels
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import groupby
 from typing import TYPE_CHECKING
 
@@ -11,8 +12,8 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.ids import check_id
 from mistray.recorders.design_sequences import DesignSequences
-from mistray.recorders.path_events import Events, distinct, event_text, way
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, TRANSMITTED
+from mistray.recorders.path_events import Events, way
+from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, TRANSMITTED, padded
 from mistray.trace.filter_rows import named_like, unknown_name
 
 if TYPE_CHECKING:
@@ -64,9 +65,7 @@ def alias_names(table: SurfaceTable, aliases: Mapping[str, str] | str) -> list[s
     return names
 
 
-def aliased(
-    codes: np.ndarray, lengths: np.ndarray, names: Sequence[str]
-) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+def aliased(events: Events, names: Sequence[str]) -> tuple[Events, dict[str, np.ndarray]]:
     """
     Return event lists under other names, without the difference between aimed and random scatter.
 
@@ -75,40 +74,29 @@ def aliased(
 
     Parameters
     ----------
-    codes, lengths
-        See `mistray.recorders.path_events.Events`.
+    events : Events
     names : sequence of str
         Name of each place.
 
     Returns
     -------
-    codes, lengths
-        Lists with the number of the name instead of that of the place.
+    events : Events
+        Events with the names as places.
     columns : dict
         Columns events, path, objects and unique_objects of `PathRow`, (p,) each.
     """
     # Number the names, and write events with these instead of places
     numbers = {name: k for k, name in enumerate(dict.fromkeys(names))}
     number = np.array([numbers[name] for name in names], dtype=np.uint32)
-    renamed = (number[codes >> EVENT_BITS] << EVENT_BITS) | (way(codes) & EVENT_MASK)
-    lists = [_short(row[:length]) for row, length in zip(renamed.tolist(), lengths.tolist(), strict=True)]
-    # Pad the shortened lists
-    short = np.array([len(row) for row in lists], dtype=np.int64)
-    result = np.zeros((len(lists), int(short.max(initial=0))), dtype=np.uint32)
-    for k, row in enumerate(lists):
-        result[k, : len(row)] = row
-    events = Events(result, short, np.zeros(len(numbers), dtype=np.uint32), DesignSequences())
-    text, letters = event_text(result, short, list(numbers))
-    return (
-        result,
-        short,
-        {
-            "events": np.array(text, dtype=object),
-            "path": np.array(letters, dtype=object),
-            "objects": short,
-            "unique_objects": distinct(events.places, events.inside),
-        },
-    )
+    renamed = replace(events, codes=(number[events.places] << EVENT_BITS) | (way(events.codes) & EVENT_MASK))
+    lists, words = map(_short, renamed.lists), np.zeros(len(numbers), dtype=np.uint32)
+    short = Events(*padded(list(lists)), list(numbers), words, DesignSequences())
+    return short, {
+        "events": np.array(short.text, dtype=object),
+        "path": np.array(short.letters, dtype=object),
+        "objects": short.lengths,
+        "unique_objects": short.distinct_places,
+    }
 
 
 def _short(events: Sequence[int]) -> list[int]:

@@ -95,7 +95,8 @@ class PathFilter:
         parser = _Parser(text)
         # A name without quotation marks first: its arrows and brackets are no filter
         self._term: _Term = read_name(text) or parser.filter()
-        self.columns = frozenset(parser.columns | _columns_of(self._term))
+        # Columns that are compared by name, and those that a name of paths reads
+        self.columns = frozenset(parser.columns | getattr(self._term, "columns", frozenset()))
         self.name = text.strip() if isinstance(self._term, Named) else ""
 
     @classmethod
@@ -229,36 +230,28 @@ class _Compare:
 
 @dataclass(frozen=True)
 class _Sequence:
+    """Surfaces, each with an optional letter of the event there, that come in this order."""
+
     words: tuple[str, ...]
 
     def bounds(self, rows: Rows) -> Bounds:
-        return exactly(_in_order(self.words, rows))
-
-
-def _columns_of(term: _Term) -> frozenset[str]:
-    """Return the columns that a term reads without a comparison that names them."""
-    return frozenset(term.columns) if isinstance(term, Kind | Whole | Named) else frozenset()
-
-
-def _in_order(words: Sequence[str], rows: Rows) -> np.ndarray:
-    """Return whether these surfaces, each with an optional letter of the event there, come in this order, (n,)."""
-    codes, inside = rows.events.codes, rows.events.inside
-    after = np.zeros(len(codes), dtype=np.int64)  # events that are used up
-    held = np.full(len(codes), True)
-    letters = {letter: what for what, letter in LETTERS.items()}
-    for word in words:
-        ends = word[-2:-1] == ":" and word not in rows.ids  # an id may end like an event
-        name, _, letter = word.rpartition(":") if ends else (word, "", "")
-        if letter and letter not in letters:
-            raise UnknownError(f"'{word}' ends in '{letter}'; a letter is one of {', '.join(letters)}")
-        here = inside & places(name, rows)[rows.events.places]
-        if letter:
-            here &= rows.events.happens(letters[letter])
-        here &= np.arange(codes.shape[1]) >= after[:, None]
-        held &= here.any(axis=1)
-        # Greedy: the first event that fits leaves most events for the words to come
-        after = np.pad(here, ((0, 0), (0, 1))).argmax(axis=1) + 1  # a table without a path has no column
-    return held
+        codes, inside = rows.events.codes, rows.events.inside
+        after = np.zeros(len(codes), dtype=np.int64)  # events that are used up
+        held = np.full(len(codes), True)
+        letters = {letter: what for what, letter in LETTERS.items()}
+        for word in self.words:
+            ends = word[-2:-1] == ":" and word not in rows.ids  # an id may end like an event
+            name, _, letter = word.rpartition(":") if ends else (word, "", "")
+            if letter and letter not in letters:
+                raise UnknownError(f"'{word}' ends in '{letter}'; a letter is one of {', '.join(letters)}")
+            here = inside & places(name, rows)[rows.events.places]
+            if letter:
+                here &= rows.events.happens(letters[letter])
+            here &= np.arange(codes.shape[1]) >= after[:, None]
+            held &= here.any(axis=1)
+            # Greedy: the first event that fits leaves most events for the words to come
+            after = np.pad(here, ((0, 0), (0, 1))).argmax(axis=1) + 1  # a table without a path has no column
+        return exactly(held)
 
 
 _Term = _All | _Not | _Join | _Flag | _Compare | _Sequence | Kind | Whole | Named

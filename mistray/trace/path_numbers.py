@@ -14,17 +14,16 @@ from typing import NamedTuple
 import numpy as np
 
 from mistray.recorders.ledger import SUMS
-from mistray.recorders.sampled import Sampled, batch_error, error_rays, few_rays
+from mistray.recorders.sampled import Sampled, error_rays, few_rays
 
 CHUNK = 1024  # number of paths that are evaluated together
 # Columns of `RunSums.columns`; the last three are the sums of s1, s2, s3
 RAYS, INCIDENT, ABSORBED, BY_X, BY_Y, BY_SQUARE, S1, S2, S3 = range(9)
+# Results of `_shape`, and the ends of the names of their columns
+SHAPE = {"x": "_mm", "y": "_mm", "rms_radius": "_mm", "rms_irradiance": "_W_mm2"} | dict.fromkeys(
+    ("polarization", "s1", "s2", "s3"), ""
+)
 SQUARES, FOURTHS = 6, 7  # columns of the ledger: absorbed², absorbed⁴
-
-
-def is_error(name: str) -> bool:
-    """Whether a column holds standard errors, "x_se_mm" of "x_mm"."""
-    return "_se_" in f"{name}_"
 
 
 class RunSums(NamedTuple):
@@ -64,16 +63,6 @@ class RunSums(NamedTuple):
         """Number of rays, and sums of their absorbed flux, of its square and of its fourth power, (p, 4), in Wᵏ."""
         powers = self.unit ** np.array([0.0, 1.0, 2.0, 4.0])
         return np.asarray(powers * self.sums[:, :, [RAYS, ABSORBED, SQUARES, FOURTHS]].sum(axis=1))
-
-    @property
-    def variance(self) -> np.ndarray:
-        """
-        Squared standard error of the power, (p,), W².
-
-        It follows from the spread of the batches, not from that of single rays. The rays of a batch are stratified over
-        the source, so that their sum has a smaller error than as many independent ones.
-        """
-        return np.asarray(np.square(self.unit * batch_error(self.sums[:, :, 2], self.started)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,10 +109,9 @@ class PathNumbers:
             effective = light**2 / squares
         found = error_rays(rays, light, squares, fourths, lambda values: np.bincount(kind, values)[kind])
         few = few_rays(found)
-        columns = {
-            name: np.where(few, np.nan, values) if is_error(name) else values for name, values in self.columns.items()
-        }
-        return columns | {
+        # Columns of standard errors, as "x_se_mm" of "x_mm"
+        errors = {name: np.where(few, np.nan, own) for name, own in self.columns.items() if "_se_" in f"{name}_"}
+        return self.columns | errors | {
             "effective_rays": np.nan_to_num(effective, nan=0.0), "error_rays": found, "few_rays": few,
         }  # fmt: skip
 
@@ -160,7 +148,10 @@ def path_numbers(runs: Sequence[RunSums]) -> PathNumbers:
 def _chunk(runs: Sequence[RunSums]) -> PathNumbers:
     each = [run.columns for run in runs]
     total, without = (np.sum([columns[k] for columns in each], axis=0) for k in (0, 1))
-    variances = np.array([run.variance for run in runs])
+    # The error of the power follows from the spread of the batches, not from that of single rays: the rays of a batch
+    # are stratified over the source, so that their sum has a smaller error than as many independent ones
+    light = [Sampled.of(run.sums[:, :, ABSORBED], run.started).scaled(run.unit) for run in runs]
+    variances = np.array([np.square(one.se) for one in light])
     power, incident = total[:, ABSORBED], total[:, INCIDENT]
     # Jackknife
     values, left_out = _shape(total), _shape(without)
@@ -180,20 +171,10 @@ def _chunk(runs: Sequence[RunSums]) -> PathNumbers:
         "power_se_W": np.sqrt(variances.sum(axis=0)),
         "incident_W": incident,
         "incident_se_W": np.sqrt(np.sum(np.square(shares) * variances, axis=0)),
-        "x_mm": values[0],
-        "x_se_mm": se[0],
-        "y_mm": values[1],
-        "y_se_mm": se[1],
-        "rms_radius_mm": values[2],
-        "rms_radius_se_mm": se[2],
-        "rms_irradiance_W_mm2": values[3],
-        "rms_irradiance_se_W_mm2": se[3],
-        "polarization": values[4],
-        "polarization_se": np.where(np.isfinite(values[4]), se[4], np.nan),
     }
-    for number, name in enumerate(("s1", "s2", "s3"), start=5):
-        columns |= {name: values[number], f"{name}_se": np.where(np.isfinite(values[number]), se[number], np.nan)}
-    light = [Sampled.of(run.sums[:, :, 2], run.started).scaled(run.unit) for run in runs]
+    se[4:][~np.isfinite(values[4:])] = np.nan  # unpolarised light
+    for (name, unit), value, error in zip(SHAPE.items(), values, se, strict=True):
+        columns |= {f"{name}{unit}": value, f"{name}_se{unit}": error}
     weights = np.sum([run.weights for run in runs], axis=0)
     return PathNumbers(columns, sum(light[1:], start=light[0]), Sampled(values[3], apart[3]), weights)
 

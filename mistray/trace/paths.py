@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, overload
 
@@ -14,7 +14,6 @@ from mistray.errors import MistrayError
 from mistray.ids import event_words
 from mistray.notes import Code, Note
 from mistray.percent import percent_text
-from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.path_events import (
     DIRECT,
     INTERCEPTS,
@@ -25,11 +24,10 @@ from mistray.recorders.path_events import (
     way_letters,
     way_text,
 )
-from mistray.recorders.path_key import EVENT_BITS, host_keys
-from mistray.recorders.path_names import PathNames
-from mistray.recorders.sampled import Sampled, batch_error
+from mistray.recorders.path_key import host_keys
+from mistray.recorders.sampled import Sampled, sum_of_runs
 from mistray.settings import BATCHES
-from mistray.trace.filter_rows import RunPaths, rows_of
+from mistray.trace.filter_rows import Rows, RunPaths
 from mistray.trace.named_paths import tell
 from mistray.trace.path_aliases import KEPT_APART, NAMES, alias_names, aliased
 from mistray.trace.path_filter import PathFilter
@@ -317,7 +315,8 @@ class PathTable(Sequence[PathRow]):
         rows = []
         for one, ids in zip(self._of_runs, of_runs, strict=True):
             columns = {name: column[ids] for name, column in self._columns.items() if name not in by_ray}
-            rows.append(rows_of(one, self._place[ids], columns, by_ray, sources))
+            events, table = one.events(self._place[ids]), one.table
+            rows.append(Rows(events, table.event_parts, columns, table.count, by_ray, sources))
         held = [wanted.bounds(own).possible for own in rows]
         if wanted.name:  # a name may mean several paths, or none
             tell(wanted.name, rows, held)
@@ -344,13 +343,10 @@ class PathTable(Sequence[PathRow]):
         includes the correlation of paths.
         """
         ids = np.asarray(path_ids, dtype=np.int64)
-        variance = 0.0
-        for number, one in enumerate(self._of_runs):
-            here = ids[self._run[ids] == number]
-            if len(here):
-                by_batch = one.paths.sums[self._place[here], :, 2].sum(axis=0)
-                variance += float(one.unit * batch_error(by_batch, one.started)) ** 2  # runs share no start rays
-        return float(self._columns["power_W"][ids].sum()), float(np.sqrt(variance))
+        places = [self._place[ids[self._run[ids] == number]] for number in range(len(self._of_runs))]
+        by_batch = [one.paths.sums[here, :, 2].sum(axis=0) for one, here in zip(self._of_runs, places, strict=True)]
+        _, se = sum_of_runs(by_batch, self._of_runs)
+        return float(self._columns["power_W"][ids].sum()), float(se)
 
     def ids(self, direct: bool, wavelength_nm: float | None = None) -> np.ndarray:
         """Return the ids of the paths of the direct image, or of all others; of one wavelength or of all."""
@@ -468,24 +464,20 @@ class PathTable(Sequence[PathRow]):
         for number, one in enumerate(self._of_runs):
             # Without scatter and aliases a path is a way of its own
             ids = np.flatnonzero((self._run == number) & ((self._columns["scatters"] > 0) | (aliases is not None)))
-            place = self._place[ids]
-            codes, lengths = way(one.paths.events[place]), one.paths.lengths[place]
-            called = PathNames(one.table.event_ids, one.table.event_words, one.design, LETTERS)
+            events = one.events(self._place[ids])
+            events = replace(events, codes=way(events.codes))
             if aliases is not None:
                 names = alias_names(one.table, aliases)
-                codes, lengths, columns = aliased(codes, lengths, names)
+                events, columns = aliased(events, names)
                 of = dict(zip(one.table.event_ids, names, strict=True))
                 columns |= {name: np.array([of.get(v, v) for v in self._columns[name][ids]], object) for name in NAMES}
                 for name, values in columns.items():
                     table.loc[ids, name] = values
-                known = list(dict.fromkeys(names))
-                called = PathNames(known, np.zeros(len(known), np.uint32), DesignSequences(), LETTERS)
             # Group paths of equal events, and name each group
-            keys = host_keys(np.hstack([apart[ids], codes]), lengths + apart.shape[1])
+            keys = host_keys(np.hstack([apart[ids], events.codes]), events.lengths + apart.shape[1])
             _, first, group = np.unique(keys, return_index=True, return_inverse=True)
             head[ids] = ids[first][group]
-            rows = zip(codes[first].tolist(), lengths[first].tolist(), self._columns["kind"][ids[first]], strict=True)
-            table.loc[ids[first], "label"] = [called.name(row[:length], kind) for row, length, kind in rows]
+            table.loc[ids[first], "label"] = events[first].labels(self._columns["kind"][ids[first]])
         # Numbers of the groups
         order = np.argsort(head, kind="stable")
         kept, starts = np.unique(head[order], return_index=True)
@@ -533,19 +525,17 @@ def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTabl
     parts, places, numbers = [], [], []
     for run, one in zip(runs, of_runs, strict=True):
         place = np.flatnonzero(one.paths.sums[:, :, 0].any(axis=1))
-        facts = describe_events(
-            one.paths.events[place], one.paths.lengths[place], run.table.event_ids, run.table.event_words, run.design
-        )
+        events = one.events(place)
         numbers.append(path_numbers([RunSums(one.paths.sums[place], one.started, one.unit)]))
         # The last event of a path is at its detector
-        ends = one.paths.events[place, one.paths.lengths[place] - 1] >> EVENT_BITS
+        ends = run.design.ends(events.codes, events.lengths)
         parts.append(
             {
                 "source": np.full(len(place), run.source.name, dtype=object),
                 "wavelength_nm": np.full(len(place), run.source.wavelength_nm),
-                "detector": np.array(run.table.event_ids, dtype=object)[ends],
+                "detector": np.array(events.ids, dtype=object)[ends],
             }
-            | facts
+            | describe_events(events)
         )
         places.append(place)
     found = PathNumbers.joined(numbers)

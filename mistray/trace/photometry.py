@@ -15,9 +15,10 @@ from mistray.errors import MistrayError
 from mistray.execute.tracer import Run
 from mistray.recorders.film import Pixels
 from mistray.recorders.passing.cells import MM2_PER_M2
+from mistray.recorders.sampled import sum_of_runs
+from mistray.recorders.tallies import ABSORBED_HERE
 from mistray.sampling.sources import source_emitters
 from mistray.spectra.cie import VISIBLE_NM, luminous_efficacy
-from mistray.trace.energy import energy_ledger, flux_report
 
 
 def check_light(scene: mi.Scene, wavelength_nm: Sequence[float] | None) -> None:
@@ -56,11 +57,12 @@ def check_visible(wavelengths_nm: Sequence[float]) -> None:
 def luminous_flux(runs: Sequence[Run]) -> tuple[float, float]:
     """Return the luminous flux that the detectors absorb and its standard error, lm; runs share no rays."""
     check_visible([run.source.wavelength_nm for run in runs])
-    factors = [luminous_efficacy(run.source.wavelength_nm) for run in runs]
-    each = [energy_ledger([run], flux_report([run])) for run in runs]
-    # Runs are independent: their variances add
-    value = sum(factor * own.detected_W for factor, own in zip(factors, each, strict=True))
-    return value, sum((factor * own.detected_se_W) ** 2 for factor, own in zip(factors, each, strict=True)) ** 0.5
+    by_batch = [
+        luminous_efficacy(run.source.wavelength_nm) * run.surfaces[run.table.detectors, ABSORBED_HERE].sum(axis=0)
+        for run in runs
+    ]
+    value, se = sum_of_runs(by_batch, runs)
+    return float(value), float(se)
 
 
 def illuminance(runs: Sequence[Run]) -> Pixels:

@@ -26,6 +26,7 @@ from mistray.settings import Settings, polarized_sources
 from mistray.surfaces.optics import MIRROR
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.trace.both_ways import Arrivals, follow
+from mistray.trace.history import spread
 
 BEAM = ("azimuth_deg", "wavelength_nm", "weights", "detector")  # arguments besides the field that define a beam
 LEAST_CHANGE = 0.01  # relative change of a printed number from which on Stokes vectors are used
@@ -92,14 +93,8 @@ class _Row:
 
     def plus(self, other: Arrivals | _Row) -> _Row:
         """Return the sum of both; the larger spread is close enough to tell bright paths from dim ones."""
-        return replace(
-            self,
-            mean=self.mean + other.mean,
-            stokes=self.stokes + other.stokes,
-            residual=self.residual + other.residual,
-            hits=self.hits + other.hits,
-            spread=max(self.spread, other.spread),
-        )
+        sums = {name: getattr(self, name) + getattr(other, name) for name in ("mean", "stokes", "residual", "hits")}
+        return replace(self, **sums, spread=max(self.spread, other.spread))
 
     @property
     def change(self) -> float:
@@ -276,6 +271,4 @@ def _few_wavelengths(beam: Mapping[str, Any]) -> dict[str, Any]:
 
 def _spread(given: Sequence[Any], most: int) -> list[Any]:
     """Return at most `most` of a list, the first and the last among them."""
-    if len(given) <= most:
-        return list(given)
-    return [given[k] for k in np.unique(np.linspace(0, len(given) - 1, most).round().astype(int))]
+    return [given[k] for k in spread(len(given), most)]

@@ -12,10 +12,10 @@ from mistray.recorders.branch_recorder import BranchRecorder, as_many
 from mistray.surfaces.upload import upload
 from mistray.time_budget import time_is_up
 from mistray.trace.history import Ray, rays_in_slots
+from mistray.trace.sampled_hits import GOLDEN
 
 START_RAYS = 640  # number of start rays of the sample
 FIRST = 32  # number of the first of them; it doubles until all paths have enough
-GOLDEN = (5**0.5 - 1) / 2
 CAPACITY = 1 << 17  # branches that are recorded at a time; others are not in the sample
 
 

@@ -15,14 +15,15 @@ from mistray.errors import MistrayError
 from mistray.execute.tracer import Run
 from mistray.recorders.branch_recorder import BranchRecorder
 from mistray.recorders.film import Box
-from mistray.recorders.path_events import INTERCEPTS, Events
-from mistray.recorders.path_key import EVENT_MASK
+from mistray.recorders.path_events import Events
+from mistray.recorders.path_key import padded
 from mistray.recorders.recorder import Recorder
 from mistray.surfaces.upload import upload
 from mistray.trace.filter_rows import Rows
-from mistray.trace.history import Ray, RayHistory, bundles
+from mistray.trace.history import Ray, RayHistory, bundles, joined_histories, spread
 from mistray.trace.path_filter import PathFilter
 from mistray.trace.paths import PathRow, PathTable
+from mistray.trace.sampled_hits import GOLDEN
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,22 +32,12 @@ if TYPE_CHECKING:
 
 CAPACITY = 1 << 14  # branches that are recorded at a time
 FIRST = 1 << 12  # number of start rays of the first portion; it doubles from portion to portion
-GOLDEN = (5**0.5 - 1) / 2
-ALONG = ("x_mm", "y_mm", "z_mm"), ("dx", "dy", "dz")
+ALONG = ("x_mm", "y_mm", "z_mm", "dx", "dy", "dz")
 PEAK = "relative_flux"
-FACTS = (
-    "start_ray",
-    "node",
-    "flux_W",
-    *ALONG[0],
-    *ALONG[1],
-    "opl_mm",
-    "detector_x_mm",
-    "detector_y_mm",
-    "column",
-    "row",
-)
-BY_RAY = frozenset({*FACTS, "type", "history", PEAK})
+AT_DETECTOR = ("detector_x_mm", "detector_y_mm")
+FACTS = ("start_ray", "node", "type", "history", "flux_W", *ALONG, "opl_mm", *AT_DETECTOR, "column", "row")
+COLUMNS = ("path_id", "kind", "wavelength_nm", "source", *FACTS)
+BY_RAY = frozenset({*FACTS, PEAK})
 PATH_COLUMNS = frozenset(f.name for f in fields(PathRow))
 
 Columns = dict[str, np.ndarray]
@@ -92,9 +83,7 @@ def ray_table(
     # Choose n of them, spread over the runs
     whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     count = len(whole["start_ray"])
-    kept = np.arange(count)
-    if n is not None and count > n:  # every run has found as many as were requested, or all that it has
-        kept = np.linspace(0, count - 1, n).round().astype(int)
+    kept = spread(count, n)  # every run has found as many as were requested, or all that it has
     if not events:
         texts = {name: pd.Series(v[kept].tolist(), dtype="str") for name, v in whole.items() if v.dtype == object}
         table = pd.DataFrame({name: values[kept] for name, values in whole.items()} | texts)
@@ -102,16 +91,12 @@ def ray_table(
         return table
 
     # With events: one row for each node
-    tables, done = [], 0
+    histories = []
     for number, run in enumerate(runs):
-        own = [k for k in kept.tolist() if rays[k][0] == number]
-        table = RayHistory(run, [rays[k][1] for k in own]).to_pandas()
-        for name in ("kind", "path_id"):
-            table.insert(2, name, whole[name][np.array(own, dtype=np.int64)][table.ray.to_numpy(np.int64)].tolist())
-        table["ray"] += done
-        done += len(own)
-        tables.append(table)
-    return pd.concat([table for table in tables if len(table)] or tables[:1], ignore_index=True)
+        own = kept[[rays[k][0] == number for k in kept.tolist()]]
+        facts = {name: whole[name][own] for name in ("path_id", "kind")}
+        histories.append(RayHistory(run, [rays[k][1] for k in own.tolist()]).with_facts(facts))
+    return joined_histories(histories)
 
 
 def _check_pixels(pixels: Sequence[int], run: Run) -> None:
@@ -144,7 +129,7 @@ class _Search:
 
     def rays(self, slots: np.ndarray, n: int | None) -> tuple[Columns, list[Ray]]:
         """Return at most n rays of paths in these slots of the ledger; with `events` the rays themselves, too."""
-        parts, rays, found = [self._facts(np.zeros((0, 1), dtype=np.uint32), {})], [], 0
+        parts, rays, found = [self._facts(Events.of(self._run.table, self._run.design, *padded([])), {})], [], 0
         if len(slots):
             recorder = self._run.recorder(CAPACITY, slots)
             for start in portions(self._run):
@@ -155,9 +140,7 @@ class _Search:
                 if n is not None and found >= n:
                     break
         whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-        order = np.argsort(whole["start_ray"], kind="stable")
-        if n is not None and found > n:
-            order = order[np.linspace(0, found - 1, n).round().astype(int)]
+        order = np.argsort(whole["start_ray"], kind="stable")[spread(found, n)]
         return {name: values[order] for name, values in whole.items()}, [rays[k] for k in order] if rays else []
 
     def _walk(self, start: StartRays, recorder: BranchRecorder) -> Iterator[tuple[Columns, list[Ray]]]:
@@ -172,12 +155,12 @@ class _Search:
         lanes = np.array(recorder.lane)[:count]
         origins, directions = self._run.start_rays(lanes)
         # The kernel's hits are float32: positions are computed again in float64
-        codes, lengths = recorder.events(slots)
-        numbers = {name: np.zeros(count) for name in ("flux_W", *ALONG[0], *ALONG[1], "opl_mm")}
+        events = Events.of(self._run.table, self._run.design, *recorder.events(slots))
+        numbers = {name: np.zeros(count) for name in ("flux_W", *ALONG, "opl_mm")}
         rays: dict[int, Ray] = {}
         for bundle in bundles(self._run, recorder, slots, origins, directions):
             ends = [*bundle.points[:, -1].T, *bundle.directions[:, -2].T, bundle.opl_mm[:, -1]]
-            for name, values in zip((*ALONG[0], *ALONG[1], "opl_mm"), ends, strict=True):
+            for name, values in zip((*ALONG, "opl_mm"), ends, strict=True):
                 numbers[name][bundle.numbers] = values
             numbers["flux_W"][bundle.numbers] = bundle.flux_W[:, -1]
             if self._events:
@@ -187,46 +170,38 @@ class _Search:
         place = np.array(recorder.place).reshape(-1, 2)[:count]
         keys = np.array(recorder.path)[:count]
         columns = self._facts(
-            codes,
+            events,
             {"path_id": self._paths.ids_of_keys(self._number, keys), "start_ray": lanes.astype(np.int64)}
-            | {"node": lengths, "detector_x_mm": place[:, 0], "detector_y_mm": place[:, 1]}
+            | {"node": events.lengths, "detector_x_mm": place[:, 0], "detector_y_mm": place[:, 1]}
             | numbers,
         )
-        held = self._held(columns, Events(codes, lengths, self._run.table.event_words, self._run.design))
+        held = self._held(columns, events)
         kept = np.flatnonzero(held)
         return {name: values[kept] for name, values in columns.items()}, [rays[int(k)] for k in kept] if rays else []
 
-    def _facts(self, codes: np.ndarray, given: Columns) -> Columns:
+    def _facts(self, events: Events, given: Columns) -> Columns:
         """Return all columns of rays, in their order; without `given` those of no rays."""
-        empty = {name: np.zeros(0, dtype=np.int64 if name in ("start_ray", "node") else float) for name in FACTS}
-        given = empty | {"path_id": np.zeros(0, dtype=np.int64)} | given
-        # Words of the events
-        source, count = self._run.source, len(codes)
-        lists = [row[:length] for row, length in zip(codes.tolist(), given["node"].tolist(), strict=True)]
-        words = [[INTERCEPTS[code & EVENT_MASK] for code in row] for row in lists]
+        whole = ("path_id", "start_ray", "node")
+        given = {name: np.zeros(0, dtype=np.int64 if name in whole else float) for name in COLUMNS} | given
+        source, count, words = self._run.source, len(events), events.intercepts
         width, height, (x0, x1, y0, y1) = self._run.table.film()
         # In float32, as the film does: a ray at a border is in the same pixel as in the map
-        along = [given[name].astype(np.float32) for name in ("detector_x_mm", "detector_y_mm")]
+        along = [given[name].astype(np.float32) for name in AT_DETECTOR]
         steps = [np.float32(width / (x1 - x0)), np.float32(height / (y1 - y0))]
         pixel = [
             np.clip(((v - np.float32(first)) * step).astype(np.int64), 0, size - 1)
             for v, first, step, size in zip(along, (x0, y0), steps, (width, height), strict=True)
         ]
-        return {
-            "path_id": given["path_id"],
+        found = given | {
             "kind": self._paths.column("kind")[given["path_id"]],
             "wavelength_nm": np.full(count, source.wavelength_nm),
             "source": np.full(count, source.name, dtype=object),
-            "start_ray": given["start_ray"],
-            "node": given["node"],
             "type": np.array([row[-2] if len(row) > 1 else "Emitted" for row in words], dtype=object),
             "history": np.array([" ".join(row) for row in words], dtype=object),
-            **{name: given[name] for name in ("flux_W", *ALONG[0], *ALONG[1], "opl_mm")},
-            "detector_x_mm": given["detector_x_mm"],
-            "detector_y_mm": given["detector_y_mm"],
             "column": pixel[0],
             "row": pixel[1],
         }
+        return {name: found[name] for name in COLUMNS}
 
     def _held(self, columns: Columns, events: Events) -> np.ndarray:
         """Return which of these rays are chosen."""
@@ -241,7 +216,7 @@ class _Search:
         }
         table = self._run.table
         known = more | columns | {PEAK: columns["flux_W"] / self._peak}
-        return held & self._wanted.holds(Rows(events, table.event_ids, table.event_parts, known, table.count))
+        return held & self._wanted.holds(Rows(events, table.event_parts, known, table.count))
 
 
 def _corners(run: Run, box: Sequence[float] | None, pixels: Sequence[int] | None) -> tuple[float, ...] | None:

@@ -64,12 +64,12 @@ class Paths(list):
             self.append(PathRow(**values | {"power_W": float(mine[:, FLUX].sum())}))
 
     def chosen(self, wanted: Any) -> list[tuple[np.ndarray, np.ndarray]]:
-        events, lengths = encode([row.events for row in self], list(SURFACES))
-        words = np.array(list(SURFACES.values()), dtype=np.uint32)
-        facts = describe_events(events, lengths, list(SURFACES), words, DesignSequences())
-        facts |= {name: np.array([getattr(row, name) for row in self], object) for name in ("kind", "detector")}
         names = list(SURFACES)
-        held = wanted.holds(Rows(Events(events, lengths, words, DesignSequences()), names, names, facts, len(names)))
+        words = np.array(list(SURFACES.values()), dtype=np.uint32)
+        events = Events(*encode([row.events for row in self], names), names, words, DesignSequences())
+        facts = describe_events(events)
+        facts |= {name: np.array([getattr(row, name) for row in self], object) for name in ("kind", "detector")}
+        held = wanted.holds(Rows(events, names, facts, len(names)))
         return [(np.flatnonzero(held), np.flatnonzero(held))]
 
     def moments(self) -> np.ndarray:

@@ -50,17 +50,11 @@ def rows() -> Rows:
         safe = " ".join(f"{ids.index(name)}:{what}" for name, what in row)
         (found,), _ = encode([safe], [str(n) for n in range(len(ids))])
         codes[k, : len(found)] = found
-    facts = describe_events(codes, lengths, ids, words.astype(np.uint32), DesignSequences())
+    events = Events(codes, lengths, ids, words.astype(np.uint32), DesignSequences())
+    facts = describe_events(events)
     power = np.random.default_rng(4).random(len(LISTS))
     columns = facts | {"power_W": power, "source": np.array(["sun", "moon"] * (len(LISTS) // 2), dtype=object)}
-    return Rows(
-        Events(codes, lengths, words.astype(np.uint32), DesignSequences()),
-        ids,
-        PARTS,
-        columns,
-        7,
-        frozenset({"flux_W"}),
-    )
+    return Rows(events, PARTS, columns, 7, frozenset({"flux_W"}))
 
 
 def held(text: str, rows: Rows) -> list[bool]:
@@ -190,9 +184,7 @@ def test_a_path_cannot_decide_for_its_rays(rows: Rows) -> None:
         certain, possible = PathFilter(ours).bounds(rows)
         assert not np.any(certain & ~possible)
         for flux in (0.1, 0.4, 0.9):
-            known = Rows(
-                rows.events, rows.ids, rows.parts, dict(rows.columns) | {"flux_W": np.full(len(LISTS), flux)}, 7
-            )
+            known = Rows(rows.events, rows.parts, dict(rows.columns) | {"flux_W": np.full(len(LISTS), flux)}, 7)
             now = PathFilter(ours).holds(known)
             assert not np.any(certain & ~now)
             assert not np.any(now & ~possible)

@@ -13,7 +13,7 @@ from report.fake_ledger import EDGE, GLASS, REFLECTOR, SENSOR, STRUCTURE, design
 import mistray
 from mistray.analysis.pst.causes import stray_paths
 from mistray.errors import MistrayWarning
-from mistray.recorders.path_events import describe_events
+from mistray.recorders.path_events import Events, describe_events
 from mistray.report.tables.pst import path_frame
 from mistray.scene.load import shipped_scenes
 
@@ -41,7 +41,8 @@ NAMES = {
 def names_of(events: Sequence[str], *design: str) -> list[str]:
     codes, lengths = encode(events, list(SURFACES))
     words = np.array(list(SURFACES.values()), dtype=np.uint32)
-    return describe_events(codes, lengths, list(SURFACES), words, design_of(SURFACES, *design))["label"].tolist()
+    events = Events(codes, lengths, list(SURFACES), words, design_of(SURFACES, *design))
+    return describe_events(events)["label"].tolist()
 
 
 def test_names_follow_from_the_events_of_a_path_alone() -> None:

@@ -18,7 +18,7 @@ from report.fake_ledger import (
 )
 
 from mistray.errors import MistrayError
-from mistray.recorders.path_events import describe_events
+from mistray.recorders.path_events import Events, describe_events
 from mistray.settings import BATCHES
 from mistray.trace.paths import PathTable, path_table
 
@@ -43,7 +43,7 @@ DESIGN = design_of(
 def facts(*lists: str) -> list[dict]:
     """The classification of event lists, one dictionary for each."""
     words = np.array(list(SURFACES.values()), dtype=np.uint32)
-    columns = describe_events(*encode(lists, list(SURFACES)), list(SURFACES), words, DESIGN)
+    columns = describe_events(Events(*encode(lists, list(SURFACES)), list(SURFACES), words, DESIGN))
     return [{name: column[k] for name, column in columns.items()} for k in range(len(lists))]
 
 

@@ -20,7 +20,7 @@ from mistray.recorders.direction_recorder import CLASSES
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.film import Film, Pixels, groups_of
 from mistray.recorders.path_events import DIRECT, Events, describe_events, way
-from mistray.recorders.path_key import host_keys
+from mistray.recorders.path_key import host_keys, padded
 from mistray.recorders.sampled import batch_error
 from mistray.recorders.tallies import SCATTERED_FLUX, SEGMENTS
 from mistray.sampling.design.search import design_sequences, traced_table
@@ -84,7 +84,7 @@ class Ways:
         self._ids, self._words, self._design = ids, words, design
         self._numbers: dict[int, int] = {}
         # Columns of no paths first: a scene may be dark
-        self._facts = [describe_events(np.zeros((0, 1), np.uint32), np.zeros(0, np.int64), ids, words, design)]
+        self._facts = [describe_events(Events(*padded([]), ids, words, design))]
         self.classes = np.zeros(0, dtype=np.int64)
 
     def __len__(self) -> int:
@@ -97,11 +97,12 @@ class Ways:
         # Classify the paths that are new
         new = [k for k, key in enumerate(keys.tolist()) if key not in self._numbers]
         if new:
-            facts = describe_events(ways[first[new]], lengths[first[new]], self._ids, self._words, self._design)
+            found = Events(ways[first[new]], lengths[first[new]], self._ids, self._words, self._design)
+            facts = describe_events(found)
             self._numbers |= {int(keys[k]): len(self._numbers) + n for n, k in enumerate(new)}
             self._facts.append(facts)
             # The kernel counts a reflection at a beam splitter even if a design sequence has one
-            counted = Events(ways[first[new]], lengths[first[new]], self._words, DesignSequences()).reflected
+            counted = replace(found, design=DesignSequences()).reflected
             self.classes = np.concatenate([self.classes, _classes(facts, np.asarray(counted.any(axis=1)))])
         return np.array([self._numbers[key] for key in keys.tolist()], dtype=np.int64)[place]
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from mistray.analysis.pst.forward_part import ForwardPart
 from mistray.execute.backward import BackwardTrace
-from mistray.recorders.path_events import describe_events
+from mistray.recorders.path_events import Events, describe_events
 from mistray.recorders.path_key import ABSORBED, EVENT_BITS, host_keys
 
 if TYPE_CHECKING:
@@ -102,8 +102,7 @@ class FoundPaths:
 
     def _describe(self, trace: BackwardTrace, paths: np.ndarray) -> dict[str, np.ndarray]:
         """Return the columns of `describe_events` of some paths."""
-        table, lengths = trace.table, self.lengths[paths]
-        return describe_events(self.events[paths], lengths, table.event_ids, table.event_words, trace.design)
+        return describe_events(Events.of(trace.table, trace.design, self.events[paths], self.lengths[paths]))
 
     def one_sided(self, trace: BackwardTrace) -> list[dict[str, Any]]:
         """Return the strongest paths that rays of one direction alone have found."""

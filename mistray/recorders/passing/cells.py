@@ -12,7 +12,7 @@ import numpy as np
 
 from mistray.errors import MistrayError, nearest
 from mistray.ids import fits
-from mistray.recorders.film import groups_of
+from mistray.recorders.film import group_of, groups_of
 from mistray.recorders.recorder import Memory, Recorder
 from mistray.recorders.sampled import Sampled
 from mistray.settings import BATCHES
@@ -26,24 +26,9 @@ if TYPE_CHECKING:
 MM2_PER_M2 = 1e6
 
 
-def chosen_surfaces(table: SurfaceTable, patterns: Sequence[str], owner: str) -> list[int]:
-    """
-    Return the numbers of the surfaces whose ids or parts match patterns, in the order of the scene.
-
-    Raises
-    ------
-    MistrayError
-        For a pattern that matches nothing.
-    """
-    known = {*table.ids, *table.parts}
-    for pattern in patterns:
-        if not any(fits(name, pattern) for name in known):
-            raise MistrayError(f"{owner}: no surface or part is called '{pattern}'; {nearest(pattern, known)}")
-    return [
-        k
-        for k in table.listed
-        if any(fits(name, pattern) for name in (table.ids[k], table.parts[k]) for pattern in patterns)
-    ]
+def cell_of(place: mi.Float, count: int) -> mi.UInt32:
+    """Return the number of a cell; places beyond the ends, by rounding, belong to the outermost cells."""
+    return mi.UInt32(dr.clip(mi.Int32(place), 0, count - 1))
 
 
 class PassingLight(Recorder):
@@ -69,11 +54,15 @@ class PassingLight(Recorder):
     def __init__(self, name: str, cells: int) -> None:
         if not name.strip():
             raise MistrayError(f"{type(self).__name__} has the name '{name}'; give it one that is not blank")
-        self.name, self.cells = name, cells
-        self._groups = groups_of(cells)
+        self.name = name
+        self.resize(cells)
         self._flux: Sampled | None = None
         self._lumens: Sampled | None = None  # luminous flux, once there is light of several wavelengths
         self._of_nm = math.nan
+
+    def resize(self, cells: int) -> None:
+        """Set the number of cells, with the groups of batches that their memory allows."""
+        self.cells, self._groups = cells, groups_of(cells)
 
     def attach(self, scene: KernelScene) -> None:
         """Reset the sums."""
@@ -84,8 +73,7 @@ class PassingLight(Recorder):
 
     def add(self, start: StartRays, cell: mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
         """Add flux to cells."""
-        # Groups and batches are powers of two: a shift divides
-        group = start.batch >> dr.opaque(mi.UInt32, (BATCHES // self._groups).bit_length() - 1)
+        group = group_of(start.batch, self._groups)
         dr.scatter_reduce(dr.ReduceOp.Add, self._sums, mi.Float64(flux), group * self.cells + cell, active)
 
     def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
@@ -113,8 +101,7 @@ class PassingLight(Recorder):
     @property
     def power(self) -> tuple[float, float]:
         """Flux in all cells and its standard error, W."""
-        total = self.flux.total()
-        return float(total.value), float(total.se)
+        return self.flux.whole
 
     @property
     def image(self) -> tuple[np.ndarray, np.ndarray]:
@@ -141,3 +128,52 @@ class PassingLight(Recorder):
         """Luminous flux of the cells with its noise, (cells,), lm: 683.002 lm/W times V(λ) at each wavelength."""
         flux = self.flux
         return flux.scaled(luminous_efficacy(self._of_nm)) if self._lumens is None else self._lumens
+
+
+class SurfaceLight(PassingLight):
+    """
+    Flux of the light that meets chosen surfaces.
+
+    Parameters
+    ----------
+    name : str
+        Name in the result.
+    surfaces : str or sequence of str
+        Patterns of ids of surfaces or of parts; none: those of `surfaces_by_default`.
+    cells : int
+        Number of cells of a surface.
+    """
+
+    def __init__(self, name: str, surfaces: str | Sequence[str], cells: int) -> None:
+        super().__init__(name, cells)
+        self.patterns = (surfaces,) if isinstance(surfaces, str) else tuple(surfaces)
+        self._owner = f"{self.kind} '{name}'"
+        self._names: list[tuple[str, str]] = []  # id and part of each
+
+    def surfaces_by_default(self, table: SurfaceTable) -> list[int]:
+        """Return the numbers of the surfaces that are meant where there are no patterns."""
+        return list(table.listed)
+
+    def chosen(self, table: SurfaceTable) -> list[int]:
+        """
+        Return the numbers of the surfaces that match the patterns, in the order of the scene.
+
+        Raises
+        ------
+        MistrayError
+            For a pattern that matches nothing, or if an earlier trace was of other surfaces.
+        """
+        known = {*table.ids, *table.parts}
+        for pattern in self.patterns:
+            if not any(fits(name, pattern) for name in known):
+                raise MistrayError(
+                    f"{self._owner}: no surface or part is called '{pattern}'; {nearest(pattern, known)}"
+                )
+        pairs = {k: (table.ids[k], table.parts[k]) for k in table.listed}
+        found = [k for k, pair in pairs.items() if any(fits(name, one) for name in pair for one in self.patterns)]
+        found = found if self.patterns else self.surfaces_by_default(table)
+        names = [pairs[k] for k in found]
+        if self._flux is not None and names != self._names:
+            raise MistrayError(f"{self._owner} has recorded another scene; give each scene a recorder of its own")
+        self._names = names
+        return found

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
 from dataclasses import dataclass, field
 
 import drjit as dr
@@ -31,28 +30,22 @@ class ElsewhereRecorder(BranchRecorder):
     surfaces: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     departs: bool = False
 
+    kernel_by = ("departs",)
+
     def __post_init__(self) -> None:
         super().__post_init__()
         self._chosen = upload(mi.UInt32, self.surfaces.astype(np.uint32))
-
-    @property
-    def code(self) -> Hashable:
-        """See `Recorder.code`."""
-        return type(self).__name__, self.departs
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Record hits of the surfaces."""
         if not self.departs:
             here = visit.active & (dr.gather(mi.UInt32, self._chosen, visit.surface, visit.active) != 0)
-            self.write(visit, here, visit.node, mi.Float64(visit.weight))
+            self.write(visit, here, mi.Float64(visit.weight))
 
     def depart(self, departure: Departure, memory: Memory) -> None:
         """Record rays that leave the scene after at least one event."""
         if self.departs and departure.node is not None:
-            branch = (departure.start.lane, departure.key, mi.Float64(departure.weight), departure.heading, None)
-            # The last event is that of the node from which the ray leaves
-            last = departure.length - 1
-            self._write(departure.nodes, departure.event, departure.active, departure.node, last, branch)
+            self.write(departure, departure.active, mi.Float64(departure.weight), departure.heading)
 
 
 @dataclass
@@ -72,6 +65,8 @@ class CellRecorder(ElsewhereRecorder):
 
     maps: SurfaceMaps = field(kw_only=True)
 
+    kernel_by = ("maps",)
+
     def __post_init__(self) -> None:
         super().__post_init__()
         # Columns beside those of the branches
@@ -80,16 +75,11 @@ class CellRecorder(ElsewhereRecorder):
         self.absorbed = dr.zeros(mi.Float64, self.capacity)
         dr.eval(self.cell, self.batch, self.absorbed)
 
-    @property
-    def code(self) -> Hashable:
-        """See `Recorder.code`."""
-        return type(self).__name__, self.maps.code
-
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Record hits of the surfaces."""
         # The cell is that of the incident flux; what is absorbed has its own
         cell, here = self.maps.cell(visit)
-        slot, kept = self.write(visit, here, visit.node, mi.Float64(visit.weight))
+        slot, kept = self.write(visit, here, mi.Float64(visit.weight))
         dr.scatter(self.cell, cell, slot, kept)
         dr.scatter(self.batch, visit.start.batch, slot, kept)
         dr.scatter(self.absorbed, mi.Float64(dr.maximum(visit.absorbed, 0)), slot, kept)

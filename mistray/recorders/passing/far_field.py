@@ -11,10 +11,11 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.ranges import FILM_PIXELS, FILM_SIDE, Range
-from mistray.recorders.passing.cells import PassingLight
+from mistray.recorders.passing.cells import PassingLight, cell_of
 from mistray.recorders.passing.probe import frame_of, vector_of
 from mistray.recorders.recorder import Memory, Segment
 from mistray.recorders.sampled import Sampled
+from mistray.surfaces.upload import opaque
 
 if TYPE_CHECKING:
     from mistray.kernel.kernel_scene import KernelScene
@@ -71,7 +72,7 @@ class FarField(PassingLight):
         super().attach(scene)
         # Borders in the sine of half the angle, which float32 resolves at 0° and, nearly as well, at 180°
         self._borders = mi.Float(np.sin(np.radians(self.edges_deg) / 2).astype(np.float32))
-        self._on_device = [mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in axis)) for axis in self._axes]
+        self._on_device = [opaque(mi.Vector3f, axis) for axis in self._axes]
 
     def travel(self, segment: Segment, memory: Memory) -> None:
         """Add the flux of rays that leave."""
@@ -90,7 +91,7 @@ class FarField(PassingLight):
         # Column, by the azimuth from `up`
         turn = dr.atan2(-dr.dot(segment.heading, right), dr.dot(segment.heading, up)) / (2 * dr.pi)
         turn = dr.select(turn < 0, turn + 1, turn)
-        column = mi.UInt32(dr.clip(mi.Int32(turn * self._azimuths), 0, self._azimuths - 1))
+        column = cell_of(turn * self._azimuths, self._azimuths)
         self.add(segment.start, mi.UInt32(row) * self._azimuths + column, segment.flux, inside)
 
     @property
@@ -101,10 +102,7 @@ class FarField(PassingLight):
     @property
     def flux_of_rings(self) -> Sampled:
         """Flux of the cells of each row together, with its noise, (rows,), W."""
-        flux, shape = self.flux, (-1, self._azimuths)
-        return Sampled(
-            flux.value.reshape(shape).T, np.moveaxis(flux.apart.reshape(*shape, flux.apart.shape[-1]), 1, 0)
-        ).total()
+        return self.flux.reshaped(-1, self._azimuths).total(1)
 
     @property
     def solid_angle_sr(self) -> np.ndarray:
@@ -123,9 +121,8 @@ class FarField(PassingLight):
         return self._by_solid_angle(self.luminous_flux)
 
     def _by_solid_angle(self, flux: Sampled) -> tuple[np.ndarray, np.ndarray]:
-        size = self.solid_angle_sr[:, None]
-        shape = len(size), self._azimuths
-        return flux.value.reshape(shape) / size, flux.se.reshape(shape) / size
+        rows, size = flux.reshaped(-1, self._azimuths), self.solid_angle_sr[:, None]
+        return rows.value / size, rows.se / size
 
     @property
     def image(self) -> tuple[np.ndarray, np.ndarray]:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.errors import MistrayError
-from mistray.recorders.film import groups_of
-from mistray.recorders.passing.cells import PassingLight, chosen_surfaces
+from mistray.recorders.passing.cells import SurfaceLight
 from mistray.recorders.recorder import Memory, Visit
 from mistray.surfaces.upload import upload
 
@@ -20,11 +18,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from mistray.kernel.kernel_scene import KernelScene
-
-SHARES = (
-    "incident", "absorbed", "specular_reflection", "specular_transmission", "scattered_reflection",
-    "scattered_transmission",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -57,7 +50,10 @@ class SplitRow:
         return (parts - self.incident[0]) / self.incident[0] if self.incident[0] else 0.0
 
 
-class FluxSplit(PassingLight):
+SHARES = tuple(f.name for f in fields(SplitRow))[2:]
+
+
+class FluxSplit(SurfaceLight):
     """
     Split of the light that meets surfaces.
 
@@ -81,27 +77,16 @@ class FluxSplit(PassingLight):
 
     kind, unit = "flux split", "W"
 
-    def __init__(self, name: str, surfaces: str | Sequence[str] = ()) -> None:
-        self.patterns = (surfaces,) if isinstance(surfaces, str) else tuple(surfaces)
-        self._owner = f"flux split '{name}'"
-        self._names: list[tuple[str, str]] = []
-        super().__init__(name, len(SHARES))
+    kernel_by = ("cells",)
 
-    @property
-    def code(self) -> Hashable:
-        """See `Recorder.code`."""
-        return type(self).__name__, self.cells
+    def __init__(self, name: str, surfaces: str | Sequence[str] = ()) -> None:
+        super().__init__(name, surfaces, len(SHARES))
 
     def attach(self, scene: KernelScene) -> None:
         """Reset the sums, and number the surfaces by the patterns."""
         table = scene.table
-        numbers = chosen_surfaces(table, self.patterns, self._owner) if self.patterns else list(table.listed)
-        names = [(table.ids[k], table.parts[k]) for k in numbers]
-        if self._flux is not None and names != self._names:
-            raise MistrayError(f"{self._owner} has recorded another scene; give each scene a recorder of its own")
-        self._names = names
-        self.cells = len(SHARES) * len(names)
-        self._groups = groups_of(self.cells)
+        numbers = self.chosen(table)
+        self.resize(len(SHARES) * len(numbers))
         super().attach(scene)
         # Number of each chosen surface plus one; 0 for the others
         place = np.zeros(table.count, dtype=np.uint32)
@@ -160,11 +145,9 @@ class FluxSplit(PassingLight):
     def power(self) -> tuple[float, float]:
         """Flux that meets all of its surfaces and its standard error, W."""
         # `incident` is the first share of each surface
-        total = self.flux[:: len(SHARES)].total()
-        return float(total.value), float(total.se)
+        return self.flux[:: len(SHARES)].whole
 
     @property
     def image(self) -> tuple[np.ndarray, np.ndarray]:
         """Flux of each surface and share, in the order of `SHARES`, and its standard error, (surfaces, 6) each, W."""
-        flux = self.flux
-        return flux.value.reshape(-1, len(SHARES)), flux.se.reshape(-1, len(SHARES))
+        return self.flux.reshaped(-1, len(SHARES)).with_se

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -11,9 +11,10 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.ranges import FILM_PIXELS, FILM_SIDE, PLACE_MM, SIZE_MM
-from mistray.recorders.passing.cells import MM2_PER_M2, PassingLight
+from mistray.recorders.passing.cells import MM2_PER_M2, PassingLight, cell_of
 from mistray.recorders.recorder import Memory, Segment
 from mistray.recorders.sampled import Sampled
+from mistray.surfaces.upload import opaque
 
 if TYPE_CHECKING:
     from mistray.kernel.kernel_scene import KernelScene
@@ -55,6 +56,8 @@ class Probe(PassingLight):
 
     kind, unit = "probe", "W/mm²"
 
+    kernel_by = ("_directions",)
+
     # More than 8 parameters, because a rectangle in space and its cells have as many
     def __init__(
         self,
@@ -80,17 +83,12 @@ class Probe(PassingLight):
         self._pixels, self._directions = (int(pixels[0]), int(pixels[1])), int(directions)
         super().__init__(name, pixels[0] * pixels[1] * self._directions**2)
 
-    @property
-    def code(self) -> Hashable:
-        """See `Recorder.code`."""
-        return type(self).__name__, self._directions > 1
-
     def attach(self, scene: KernelScene) -> None:
         """Reset the sums, and upload the rectangle."""
         super().attach(scene)
         self._optics = scene.table.optics
         self._origin = scene.table.upload_point(self._centre)
-        self._on_device = [mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in axis)) for axis in self._axes]
+        self._on_device = [opaque(mi.Vector3f, axis) for axis in self._axes]
         self._scale = [
             dr.opaque(mi.Float, count / (2 * half)) for count, half in zip(self._pixels, self._half, strict=True)
         ]
@@ -113,11 +111,11 @@ class Probe(PassingLight):
             flux, _, _ = self._optics.attenuate(flux, segment.medium, distance, crosses)
         # Cell, by pixel and by direction cosines
         columns, rows = self._pixels
-        cell = _cell(y + self._halves[1], self._scale[1], rows) * columns
-        cell += _cell(x + self._halves[0], self._scale[0], columns)
+        cell = cell_of((y + self._halves[1]) * self._scale[1], rows) * columns
+        cell += cell_of((x + self._halves[0]) * self._scale[0], columns)
         if self._directions > 1:
             n = self._directions
-            u, v = (_cell(dr.dot(segment.heading, axis) + 1, mi.Float(n / 2), n) for axis in (right, up))
+            u, v = (cell_of((dr.dot(segment.heading, axis) + 1) * mi.Float(n / 2), n) for axis in (right, up))
             cell = (cell * n + v) * n + u
         self.add(segment.start, cell, flux, crosses)
 
@@ -137,15 +135,15 @@ class Probe(PassingLight):
         return self._by_pixel(self.luminous_flux.scaled(MM2_PER_M2))
 
     def _by_pixel(self, flux: Sampled) -> tuple[np.ndarray, np.ndarray]:
-        # Directions go first, to be summed; batches stay apart for the error
         columns, rows = self._pixels
-        area = 4 * self._half[0] * self._half[1] / (columns * rows)
-        by_direction = Sampled(
-            flux.value.reshape(-1, self._directions**2).T,
-            np.moveaxis(flux.apart.reshape(rows * columns, self._directions**2, -1), 1, 0),
-        )
-        found = by_direction.total().scaled(1 / area)
-        return found.value.reshape(rows, columns), found.se.reshape(rows, columns)
+        by_direction = flux.reshaped(rows, columns, self._directions**2)
+        return by_direction.total(2).scaled(1 / self._pixel_area).with_se
+
+    @property
+    def _pixel_area(self) -> float:
+        """Area of a pixel, mm²."""
+        columns, rows = self._pixels
+        return 4 * self._half[0] * self._half[1] / (columns * rows)
 
     @property
     def image(self) -> tuple[np.ndarray, np.ndarray]:
@@ -177,15 +175,7 @@ class Probe(PassingLight):
         columns, rows = self._pixels
         # du dv = (2/n)²
         n = self._directions
-        area = 4 * self._half[0] * self._half[1] / (columns * rows)
-        found = flux.scaled(1 / (area * (2 / n) ** 2))
-        shape = rows, columns, n, n
-        return found.value.reshape(shape), found.se.reshape(shape)
-
-
-def _cell(place: mi.Float, per_mm: mi.Float, count: int) -> mi.UInt32:
-    """Return the number of a cell; a place on the last border belongs to the last cell."""
-    return mi.UInt32(dr.clip(mi.Int32(place * per_mm), 0, count - 1))
+        return flux.scaled(1 / (self._pixel_area * (2 / n) ** 2)).reshaped(rows, columns, n, n).with_se
 
 
 def vector_of(what: str, given: Sequence[float], owner: str) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -13,8 +13,7 @@ import numpy.typing as npt
 
 from mistray.errors import MistrayError
 from mistray.ranges import FILM_PIXELS, FILM_SIDE
-from mistray.recorders.film import groups_of
-from mistray.recorders.passing.cells import MM2_PER_M2, PassingLight, chosen_surfaces
+from mistray.recorders.passing.cells import MM2_PER_M2, SurfaceLight, cell_of
 from mistray.recorders.recorder import Memory, Visit
 from mistray.recorders.sampled import Sampled
 from mistray.surfaces.families.cone import Cone
@@ -113,12 +112,12 @@ class SurfaceMap:
     @property
     def power(self) -> tuple[float, float]:
         """Flux that meets the surface, and its standard error, W."""
-        return _whole(self.incident)
+        return self.incident.whole
 
     @property
     def absorbed_power(self) -> tuple[float, float]:
         """Flux that the surface absorbs, and its standard error, W, as in the energy ledger."""
-        return _whole(self.absorbed)
+        return self.absorbed.whole
 
     @property
     def peak(self) -> tuple[int, int]:
@@ -138,12 +137,7 @@ class SurfaceMap:
         return 0.0, round_it / slant, low, high
 
 
-def _whole(cells: Sampled) -> tuple[float, float]:
-    flat = Sampled(cells.value.ravel(), cells.apart.reshape(cells.value.size, -1)).total()
-    return float(flat.value), float(flat.se)
-
-
-class SurfaceMaps(PassingLight):
+class SurfaceMaps(SurfaceLight):
     """
     Maps of the light that meets surfaces, by position on them; they show hot spots on walls.
 
@@ -169,26 +163,20 @@ class SurfaceMaps(PassingLight):
 
     kind, unit = "surface maps", "W/mm²"
 
+    kernel_by = ("_shape", "cells")
+
     def __init__(
         self, name: str, surfaces: str | Sequence[str] = (), azimuths: int = AZIMUTHS, lengths: int = LENGTHS
     ) -> None:
         owner = f"surface maps '{name}'"
-        self.patterns = (surfaces,) if isinstance(surfaces, str) else tuple(surfaces)
         self._shape = (
             int(FILM_SIDE.check("lengths", lengths, owner)),
             int(FILM_SIDE.check("azimuths", azimuths, owner)),
         )
         FILM_PIXELS.check("number of its cells", azimuths * lengths, owner)
-        self._owner = owner
         self._unrolled: list[Unrolled] = []
-        self._names: list[str] = []
         self.left_out: dict[str, str] = {}
-        super().__init__(name, KINDS * azimuths * lengths)
-
-    @property
-    def code(self) -> Hashable:
-        """See `Recorder.code`."""
-        return type(self).__name__, self._shape, self.cells
+        super().__init__(name, surfaces, KINDS * azimuths * lengths)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -198,12 +186,10 @@ class SurfaceMaps(PassingLight):
     def attach(self, scene: KernelScene) -> None:
         """Reset the sums, and upload the coordinates of the surfaces."""
         table = scene.table
-        names = [table.ids[k] for k in self._chosen(table)]
-        if self._flux is not None and names != self._names:
-            raise MistrayError(f"{self._owner} has recorded another scene; give each scene a recorder of its own")
+        numbers = self.chosen(table)
         # Cells and borders are those of the first trace: later ones add to them
-        if not self._names:
-            self._find(table, names)
+        if not self._unrolled:
+            self._find(table, numbers)
         super().attach(scene)
         # Row of a hit: a linear function of z, radius and y whose coefficients belong to the surface, so that the
         # kernel does not branch
@@ -241,21 +227,16 @@ class SurfaceMaps(PassingLight):
         turn = dr.select(turn < 0, turn + 1, turn) * columns
         per_mm = dr.gather(mi.Float, self._across, s, active)
         column = dr.select(per_mm > 0, dr.fma(q.x, per_mm, 0.5 * columns), turn)
-        return (KINDS * (place - 1) * rows + _inside(row, rows)) * columns + _inside(column, columns), active
+        return (KINDS * (place - 1) * rows + cell_of(row, rows)) * columns + cell_of(column, columns), active
 
-    def _chosen(self, table: SurfaceTable) -> list[int]:
-        """Return the numbers of the surfaces that match the patterns, in the order of the scene."""
-        if not self.patterns:
-            words = table.optics.host_words
-            return [k for k in table.listed if (words[k] & (OPAQUE | MIRROR | DETECTOR)) == OPAQUE]
-        return chosen_surfaces(table, self.patterns, self._owner)
+    def surfaces_by_default(self, table: SurfaceTable) -> list[int]:
+        """Return the numbers of the opaque surfaces that are neither mirrors nor detectors."""
+        words = table.optics.host_words
+        return [k for k in table.listed if (words[k] & (OPAQUE | MIRROR | DETECTOR)) == OPAQUE]
 
-    def _find(self, table: SurfaceTable, names: list[str]) -> None:
-        """Unroll the surfaces that match the patterns."""
-        self._names = names
-        self._unrolled = []
-        self.left_out = {}
-        for k in self._chosen(table):
+    def _find(self, table: SurfaceTable, numbers: list[int]) -> None:
+        """Unroll surfaces."""
+        for k in numbers:
             one = _unroll(table, k, *self._shape)
             if isinstance(one, str):
                 self.left_out[table.ids[k]] = one
@@ -268,7 +249,7 @@ class SurfaceMaps(PassingLight):
         rows, columns = self._shape
         cells = KINDS * len(self._unrolled) * rows * columns
         FILM_PIXELS.check("number of its cells", cells, self._owner)
-        self.cells, self._groups = cells, groups_of(cells)
+        self.resize(cells)
         self._labels = [(table.ids[one.number], table.parts[one.number]) for one in self._unrolled]
         self._borders = [self._world(table, one) for one in self._unrolled]
 
@@ -307,32 +288,20 @@ class SurfaceMaps(PassingLight):
 
     def maps_of(self, flux: Sampled) -> dict[str, SurfaceMap]:
         """Return the maps of flux by cell, (cells,), W, such as the flux of a part of the light."""
-        shape = (len(self._unrolled), KINDS, *self._shape)
-        value, apart = flux.value.reshape(shape), flux.apart.reshape(*shape, -1)
+        cells = flux.reshaped(-1, KINDS, *self._shape)
         # One map a surface: incident and absorbed flux lie one after the other
         found = {}
         for k, (one, (surface, part)) in enumerate(zip(self._unrolled, self._labels, strict=True)):
             along, across, places, corners = self._borders[k]
-            both = [Sampled(value[k, kind], apart[k, kind]) for kind in range(KINDS)]
-            found[surface] = SurfaceMap(
-                surface,
-                part,
-                one.along,
-                along,
-                "azimuth" if one.round else "x",
-                across,
-                one.areas,
-                places,
-                corners,
-                *both,
-            )
+            of_columns = "azimuth" if one.round else "x", across
+            both = (cells[k, kind] for kind in range(KINDS))
+            found[surface] = SurfaceMap(surface, part, one.along, along, *of_columns, one.areas, places, corners, *both)
         return found
 
     @property
     def power(self) -> tuple[float, float]:
         """Flux that meets all of its surfaces and its standard error, W."""
-        maps = [one.incident for one in self.maps.values()]
-        return _whole(Sampled(np.stack([m.value for m in maps]), np.stack([m.apart for m in maps])))
+        return self.flux.reshaped(-1, KINDS, *self._shape)[:, 0].whole
 
     @property
     def image(self) -> tuple[Array, Array]:
@@ -354,11 +323,6 @@ def _points(table: SurfaceTable, one: Unrolled, along: Array, across: Array) -> 
         radius, z = u, np.zeros_like(u) if piece.flat else piece.sag(u * u)
     x, y = (radius * np.cos(turn), radius * np.sin(turn)) if one.round else (v, u)
     return np.asarray(np.stack([x, y, z], axis=-1) @ table.rotations[one.number].T + table.vertices[one.number])
-
-
-def _inside(place: mi.Float, count: int) -> mi.UInt32:
-    """Return the number of a cell; places beyond the ends by rounding belong to the outermost cells."""
-    return mi.UInt32(dr.clip(mi.Int32(place), 0, count - 1))
 
 
 def _unroll(table: SurfaceTable, number: int, rows: int, columns: int) -> Unrolled | str:

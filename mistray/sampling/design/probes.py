@@ -29,6 +29,42 @@ Order = tuple[int, ...]
 
 
 @dataclass(frozen=True)
+class Step:
+    """
+    One surface of the design path.
+
+    Attributes
+    ----------
+    surface : int
+        Number of the surface, or `mistray.sampling.design_path.OPENING`.
+    reflects : bool
+    point : (3,) float64
+        Point where the base ray meets it, mm; the base ray ignores the bounds of surfaces.
+    normal : (3,) float64
+        Normal there, from front to back.
+    before, after : (3,) float64
+        Directions of the base ray; `after` is zero at the end of a path.
+    """
+
+    surface: int
+    reflects: bool
+    point: np.ndarray
+    normal: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+
+    @property
+    def from_front(self) -> bool:
+        """Whether the light comes from the front."""
+        return bool(self.before @ self.normal > 0)
+
+    @property
+    def to_back(self) -> bool:
+        """Whether the light leaves to the back."""
+        return bool(self.after @ self.normal > 0)
+
+
+@dataclass(frozen=True)
 class _Hits:
     """Hits of one step: lanes, surfaces, whether they reflect, points, normals, directions before and after."""
 
@@ -72,7 +108,9 @@ class Probes:
             surface, p, normal = first_hit(table, o[alive], d[alive], last[alive])
             alive, p, normal, surface = (values[surface >= 0] for values in (alive, p, normal, surface))
             before = d[alive]
-            after, what = _next(table, surface, before, normal)
+            after, reflects = onward(table, surface, before, normal)
+            total = reflects & ((table.optics.host_words[surface] & (OPAQUE | MIRROR)) == 0)
+            what = np.select([total, reflects], [TOTAL, REFLECTED], TRANSMITTED).astype(np.uint32)
             ends = np.isin(surface, table.detectors)
             after[ends] = 0.0
             hits = _Hits(alive, surface, what != TRANSMITTED, p, normal, before, after)
@@ -107,24 +145,16 @@ class Probes:
         same = (self.end == detector) & (self._lengths == len(codes))
         return np.flatnonzero(same & np.all(self._codes[:, : len(codes)] == codes, axis=1))
 
-    def steps(self, lane: int) -> list[tuple[int, bool, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-        """Return surface, whether it reflects, point, normal, and directions before and after, of a probe's hits."""
+    def steps(self, lane: int) -> list[Step]:
+        """Return the hits of a probe."""
         # From the end back to the start: before the split a lane has the hits of its parent
         found = []
         for hits in self._steps[int(self._lengths[lane]) :: -1]:
             if lane not in hits.lane:
                 lane = int(self._parent[lane])
             k = int(np.argmax(hits.lane == lane))
-            found.append(
-                (
-                    int(hits.surface[k]),
-                    bool(hits.reflects[k]),
-                    hits.point[k],
-                    hits.normal[k],
-                    hits.before[k],
-                    hits.after[k],
-                )
-            )
+            surface, reflects = int(hits.surface[k]), bool(hits.reflects[k])
+            found.append(Step(surface, reflects, hits.point[k], hits.normal[k], hits.before[k], hits.after[k]))
         return found[::-1]
 
     def first_points(self, lanes: np.ndarray) -> np.ndarray:
@@ -135,14 +165,6 @@ class Probes:
         own = first.lane < len(points)
         points[first.lane[own]] = first.point[own]
         return points[self.ray[lanes]]
-
-
-def _next(table: SurfaceTable, surface: np.ndarray, d: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return directions after hits, NaN where a ray ends, and the event of each hit."""
-    after, reflects = onward(table, surface, d, normal)
-    words = table.optics.host_words[surface]
-    total = reflects & ((words & (OPAQUE | MIRROR)) == 0)
-    return after, np.select([total, reflects], [TOTAL, REFLECTED], TRANSMITTED).astype(np.uint32)
 
 
 def _splits(table: SurfaceTable, surface: np.ndarray, d: np.ndarray, normal: np.ndarray) -> np.ndarray:

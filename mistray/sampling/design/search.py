@@ -11,11 +11,10 @@ from mistray.coatings import Bare
 from mistray.recorders.design_sequences import DesignSequences, Sequences
 from mistray.sampling.design.sequences import chosen_orders, combined, declared, has_optics
 from mistray.sampling.design_path import design_probes
-from mistray.sampling.importance_targets import signature
+from mistray.sampling.importance_targets import remembered, signature
 from mistray.surfaces.optics import DETECTOR, MIRROR
 from mistray.surfaces.surfaces import SurfaceTable
 
-MOST_KNOWN = 64  # scenes whose sequences are kept: a scene is traced at many fields
 _known: dict[str, dict[int, Sequences]] = {}
 
 
@@ -78,11 +77,7 @@ def _found(scene: mi.Scene, table: SurfaceTable) -> dict[int, Sequences]:
     coatings = [hash(one.coating) for one in table.interfaces if not isinstance(one.coating, Bare)]
     declarations = [getattr(table.interfaces[k], "design_path", "") for k in table.detectors]
     key = signature(table, scene, table.detectors) + repr((coatings, declarations))
-    if key not in _known:
-        while len(_known) >= MOST_KNOWN:
-            _known.pop(next(iter(_known)))
-        _known[key] = _search(scene, table)
-    return _known[key]
+    return remembered(_known, key, lambda: _search(scene, table))
 
 
 def _search(scene: mi.Scene, table: SurfaceTable) -> dict[int, Sequences]:

@@ -227,12 +227,9 @@ class _Rules:
         """Whether two events in a row are the passage through a plane-parallel plate."""
         a, b = first >> EVENT_BITS, second >> EVENT_BITS
         passes = first & EVENT_MASK == second & EVENT_MASK == TRANSMITTED
-        return passes and a != b and is_plane(self._table, a) and is_plane(self._table, b) and self._parallel(a, b)
-
-    def _parallel(self, a: int, b: int) -> bool:
-        """Whether the axes of two surfaces are parallel."""
-        axes = self._table.rotations[[a, b], :, 2]
-        return bool(np.linalg.norm(np.cross(*axes)) < PARALLEL)
+        if not passes or a == b or not is_plane(self._table, a) or not is_plane(self._table, b):
+            return False
+        return bool(np.linalg.norm(np.cross(*self._table.rotations[[a, b], :, 2])) < PARALLEL)
 
     def pattern(self, order: Order) -> tuple[Hashable, ...]:
         """Return the events of an order step by step: orders with the same pattern are alternatives."""

@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.sampling.emission_laws import IntensityTable
-from mistray.sampling.source import Emission, SceneSource
+from mistray.sampling.source import Emission, SceneSource, on_host
 from mistray.sampling.space_filling import stratified_points
 from mistray.surfaces.host_points import even_points
 from mistray.surfaces.surfaces import SurfaceTable
@@ -47,11 +47,6 @@ class WarmRays(SceneSource):
     def middle(self) -> None:
         """None, because the light has many directions."""
 
-    @property
-    def moving(self) -> tuple[str, ...]:  # type: ignore[override]  # read-only
-        """Empty, because temperatures are no parameters."""
-        return ()
-
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
         """Return origins and directions, see `Source.start`."""
         sample = stratified_points(batch, rng)
@@ -63,9 +58,7 @@ class WarmRays(SceneSource):
         count = dr.width(sample)
         rng = np.random.default_rng(0)
         o, d = self._rays(sample, lambda: rng.random(count), count)
-        # Unit length in float64, which float32 keeps only to its own rounding
-        directions = np.array(d, dtype=np.float64).T
-        return o, directions / np.linalg.norm(directions, axis=1, keepdims=True)
+        return o, on_host(d, d)[1]
 
     def _rays(self, sample: mi.Point2f, draw: Callable[[], np.ndarray], count: int) -> tuple[np.ndarray, Any]:
         """Return origins in the world, (n, 3) float64, and directions on the device."""

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 
 import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.execute.tracer import Run
 from mistray.recorders.branch_recorder import BranchRecorder
-from mistray.recorders.path_events import INTERCEPTS, Events, describe_events
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
+from mistray.recorders.path_events import Events, describe_events
+from mistray.recorders.path_key import padded
 from mistray.trace.filter_rows import Rows
 from mistray.trace.path_filter import PathFilter
+from mistray.trace.paths import PathRow
 
 # Columns of `describe_events`; the others are the end of a path and the source of its light
-OF_EVENTS = (
-    "key", "label", "events", "path", "order", "kind", "ghost_1", "ghost_2", "scatter_1", "edges", "scatters",
-    "diffractions", "structure_bounces", "tir", "objects", "unique_objects", "last_object", "critical",
-)  # fmt: skip
+NAMES = [f.name for f in fields(PathRow)]
+OF_EVENTS = tuple(NAMES[NAMES.index("key") : NAMES.index("critical") + 1])
 COLUMNS = ("wavelength_nm", "source", "type", "surface", "detector", *OF_EVENTS)
 
 
@@ -39,39 +39,32 @@ def passing(run: Run, filters: Sequence[PathFilter], recorder: BranchRecorder, c
         check_columns(wanted)
     codes, lengths = recorder.events(np.arange(count))
     _, first, path = np.unique(np.array(recorder.path)[:count], return_index=True, return_inverse=True)
-    rows = _rows(run, codes[first], lengths[first], frozenset().union(*(wanted.columns for wanted in filters)))
+    compared = frozenset().union(*(wanted.columns for wanted in filters))
+    rows = _rows(run, Events.of(run.table, run.design, codes, lengths)[first], compared)
     held = np.array([wanted.holds(rows) for wanted in filters]).reshape(len(filters), len(first))
     return np.asarray(held[:, path.ravel()])
 
 
 def kinds_and_keys(run: Run, events: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Return kind and key of event lists, as path tables have them, (n,) each."""
-    lengths = np.array([len(one) for one in events], dtype=np.int64)
-    codes = np.zeros((len(events), int(lengths.max(initial=1))), dtype=np.uint32)
-    for row, one in zip(codes, events, strict=True):
-        row[: len(one)] = one
+    codes, lengths = padded(events)
     # Rays of one path are described once
-    unique, path = np.unique(np.column_stack([codes, lengths]), axis=0, return_inverse=True)
-    table = run.table
-    facts = describe_events(
-        unique[:, :-1].astype(np.uint32), unique[:, -1].astype(np.int64), table.event_ids, table.event_words, run.design
-    )
+    _, first, path = np.unique(np.column_stack([codes, lengths]), axis=0, return_index=True, return_inverse=True)
+    facts = describe_events(Events.of(run.table, run.design, codes[first], lengths[first]))
     return facts["kind"][path.ravel()], facts["key"][path.ravel()]
 
 
-def _rows(run: Run, codes: np.ndarray, lengths: np.ndarray, columns: frozenset[str]) -> Rows:
-    table, count = run.table, len(codes)
-    last = codes[np.arange(count), lengths - 1].tolist()
-    ends = np.array([table.event_ids[code >> EVENT_BITS] for code in last], dtype=object)
+def _rows(run: Run, events: Events, columns: frozenset[str]) -> Rows:
+    table, count = run.table, len(events)
+    ends = np.array(events.ids, dtype=object)[run.design.ends(events.codes, events.lengths)]
     found = {
         "wavelength_nm": np.full(count, run.source.wavelength_nm),
         "source": np.full(count, run.source.name, dtype=object),
-        "type": np.array([INTERCEPTS[code & EVENT_MASK] for code in last], dtype=object),
+        "type": np.array([types[-1] for types in events.intercepts], dtype=object),
         "surface": ends,
         "detector": ends,
     }
     # Describing events takes longer than all else: only where a filter compares them
     if columns & set(OF_EVENTS):
-        found |= describe_events(codes, lengths, table.event_ids, table.event_words, run.design)
-    events = Events(codes, lengths, table.event_words, run.design)
-    return Rows(events, table.event_ids, table.event_parts, found, table.count)
+        found |= describe_events(events)
+    return Rows(events, table.event_parts, found, table.count)

@@ -13,7 +13,7 @@ from mistray.recorders.passing.elsewhere import ElsewhereRecorder
 from mistray.surfaces.optics import DETECTOR, OPAQUE
 from mistray.trace.elsewhere.arriving import kinds_and_keys, passing
 from mistray.trace.filter_rows import named_like, unknown_name
-from mistray.trace.history import Ray, RayHistory, rays_in_slots
+from mistray.trace.history import Ray, RayHistory, joined_histories, rays_in_slots, spread
 from mistray.trace.path_filter import PathFilter
 from mistray.trace.ray_table import portions, recorded
 
@@ -31,31 +31,22 @@ def rays_elsewhere(
     runs: Sequence[Run], where: str | Sequence[str], wanted: PathFilter, n: int | None, events: bool
 ) -> pd.DataFrame:
     """Return the table of `mistray.trace.Trace.rays_at`; see there for the parameters."""
-    import pandas as pd
-
     if n is not None and n < 1:
         raise MistrayError(f"n is {n}; ask for at least one ray, or None for all")
     words = [where] if isinstance(where, str) else list(where)
     # Rays of each run
-    tables, done = [], 0
+    tables = []
     for run in runs:
         rays = list(_rays(run, words, wanted, n))
-        if n is not None and len(rays) > n:
-            rays = [rays[k] for k in np.linspace(0, len(rays) - 1, n).round().astype(int)]
-        history = RayHistory(run, rays).to_pandas()
+        rays = [rays[k] for k in spread(len(rays), n)]
+        facts = {"source": np.full(len(rays), run.source.name, dtype=object)}
         if rays:
-            kinds, keys = kinds_and_keys(run, [ray.codes for ray in rays])
-            number = history.ray.to_numpy(np.int64)
-            history.insert(2, "key", keys[number].tolist())
-            history.insert(2, "kind", kinds[number].tolist())
-        history.insert(2, "source", run.source.name)
-        history["ray"] += done
-        done += len(rays)
-        tables.append(history)
-    table = pd.concat([one for one in tables if len(one)] or tables[:1], ignore_index=True)
+            facts |= zip(("kind", "key"), kinds_and_keys(run, [ray.codes for ray in rays]), strict=True)
+        tables.append(RayHistory(run, rays).with_facts(facts))
+    table = joined_histories(tables)
     # Every run has found up to n rays: choose n of all
-    if n is not None and done > n:
-        kept = np.linspace(0, done - 1, n).round().astype(int)
+    if n is not None and table.ray.nunique() > n:
+        kept = spread(table.ray.nunique(), n)
         table = table[table.ray.isin(kept)].reset_index(drop=True)
         table["ray"] = np.searchsorted(kept, table.ray)
     return table if events else _ends(table)

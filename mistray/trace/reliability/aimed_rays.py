@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mistray.execute.tracer import Run
-from mistray.kernel.targets import AimSet, Inside, Target
+from mistray.kernel.targets import Inside, Target
 from mistray.recorders.path_events import FIRST_SCATTERED
 from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.recorders.tallies import AIMED, HITS, INCIDENT, LANDED
@@ -66,7 +66,9 @@ def _aims_elsewhere(runs: Sequence[Run]) -> set[str]:
         table = run.table
         detectors = [outline(table.shapes[i]) for i in table.detectors]
         for place, aim in run.scattering.tables.aims.items():
-            if not _holds(aim, detectors):
+            flat = [target for target in aim.targets if isinstance(target, Target)]
+            held = [any(_covers(target, detector) for detector in detectors) for target in flat]
+            if len(flat) < len(aim.targets) or not all(held):
                 if isinstance(place, Inside):  # in front of a wall may be any of the media
                     numbers = [table.count + medium for medium in np.flatnonzero(table.optics.host_scattering).tolist()]
                 else:
@@ -75,15 +77,8 @@ def _aims_elsewhere(runs: Sequence[Run]) -> set[str]:
     return names
 
 
-def _holds(aim: AimSet, detectors: Sequence[Target]) -> bool:
-    """Whether all targets have the centre of a detector and are at least as large."""
-    return all(
-        isinstance(target, Target) and any(_covers(target, detector) for detector in detectors)
-        for target in aim.targets
-    )
-
-
 def _covers(target: Target, detector: Target) -> bool:
+    """Whether a target has the centre of a detector and is at least as large."""
     size = max(detector.size)
     return (
         float(np.linalg.norm(target.centre - detector.centre)) < SAME * size

@@ -96,6 +96,14 @@ def sampling_check(trace: Trace) -> SamplingCheck:
     )
 
 
+def worst_note(
+    code: Code, values: Sequence[float], wrong: Callable[[float], bool], worst: Callable[..., float], text: str
+) -> list[tuple[list[int], Note]]:
+    """Return a line about one figure of each trace, with the worst of those that are wrong; none if all are right."""
+    at = [k for k, value in enumerate(values) if wrong(value)]
+    return [(at, Note(text.format(worst(values[k] for k in at)), code))] if at else []
+
+
 def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     """
     Return advice on settings, each line once for all traces that it is about.
@@ -123,14 +131,6 @@ def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
         names = _names([f"{name} {percent_text(places[name])}" for name in order])
         count = f"{len(places)} surfaces or bodies scatter" if len(places) > 1 else "one surface or body scatters"
         found.append((at, Note(text.format(names=names, count=count), code)))
-
-    def numbers(
-        code: Code, values: Sequence[float], wrong: Callable[[float], bool], worst: Callable[..., float], text: str
-    ) -> None:
-        """Add a line about one figure of each trace."""
-        at = [k for k, value in enumerate(values) if wrong(value)]
-        if at:
-            found.append((at, Note(text.format(worst(values[k] for k in at)), code)))
 
     # Aimed rays that miss the detector
     named(
@@ -164,7 +164,7 @@ def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     hits = [t.scattered_rays_per_start for t in traces]
     scatters = [bool(each or t.scattered_rays_per_start > 0 or t.silent) for each, t in zip(rows, traces, strict=True)]
     judged = [n if any_light else LEAST_HITS for n, any_light in zip(hits, scatters, strict=True)]
-    numbers(
+    found += worst_note(
         Code.SCATTERED_RAYS,
         judged,
         lambda n: n < LEAST_HITS,
@@ -172,7 +172,7 @@ def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
         f"only {{:.2g}} scattered rays reach the detector per start ray (at least {LEAST_HITS:g} is good); raise "
         "aimed_rays, or give the surfaces that scatter a target",
     )
-    numbers(
+    found += worst_note(
         Code.SCATTERED_RAYS,
         judged,
         lambda n: n > MOST_HITS,
@@ -180,7 +180,7 @@ def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
         f"{{:.3g}} scattered rays reach the detector per start ray (at most {MOST_HITS:g} is good); trace more start "
         "rays with fewer scattered ones: lower aimed_rays or scatter_rays, or raise scatter_threshold",
     )
-    numbers(
+    found += worst_note(
         Code.ONE_RAY,
         [100 * t.largest_ray_share for t in traces],
         lambda share: share > 100 * LARGEST_SHARE,

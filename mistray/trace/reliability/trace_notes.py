@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mistray.notes import Code, Note
 from mistray.ranges import EVENTS
 from mistray.settings import BRANCHES
-from mistray.trace.reliability.sampling_check import sampling_notes
+from mistray.trace.reliability.sampling_check import sampling_notes, worst_note
 
 if TYPE_CHECKING:
     from mistray.trace.result import Trace
@@ -63,37 +63,28 @@ def _cut(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     for reason in dict.fromkeys(reason for t in traces for reason in t.energy.cut if reason not in ZERO_ON_AVERAGE):
         shares = [abs(t.energy.cut.get(reason, 0.0)) / t.energy.launched_W for t in traces]
         if at := [k for k, share in enumerate(shares) if share > LEAST_CUT]:
-            text = f"up to {max(shares):.1e} of the launched flux was {_cut_text(reason, traces[at[0]].settings)}"
+            settings = traces[at[0]].settings
+            text = CUT_TEXTS.get(reason, f"lost to '{reason}'").format(**settings)
+            if reason == "max_events":
+                longest = settings["max_events"] >= EVENTS.high
+                remedy = "light is trapped there, and no path can be longer"
+                text += remedy if longest else f"raise it, up to {EVENTS.high}"
             code = Code.MEDIUM if reason == MEDIUM else Code.CUT
+            text = f"up to {max(shares):.1e} of the launched flux was {text}"
             found.append((at, Note(text, code, reason == MEDIUM or max(shares) > MUCH_CUT)))
     return found
 
 
-def _cut_text(reason: str, settings: dict[str, Any]) -> str:
-    """Return the text of a note for a reason of the energy ledger."""
-    text = CUT_TEXTS.get(reason, f"lost to '{reason}'").format(**settings)
-    if reason == "max_events":
-        longest = settings["max_events"] >= EVENTS.high
-        text += "light is trapped there, and no path can be longer" if longest else f"raise it, up to {EVENTS.high}"
-    return text
-
-
 def _open(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     """Return a note on traces whose energy does not close."""
-    at = [k for k, t in enumerate(traces) if abs(t.energy.closure) > OPEN]
-    worst = max((abs(traces[k].energy.closure) for k in at), default=0.0)
-    return [(at, Note(f"the energy closes to {worst:.1e} only, not to {OPEN:g}", Code.CLOSURE))] if at else []
+    text = f"the energy closes to {{:.1e}} only, not to {OPEN:g}"
+    return worst_note(Code.CLOSURE, [abs(t.energy.closure) for t in traces], lambda error: error > OPEN, max, text)
 
 
 def _coarse(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     """Return a note on traces with a coating that its table does not resolve."""
-    at = [k for k, t in enumerate(traces) if t.coating_error > COARSE]
-    worst = max((traces[k].coating_error for k in at), default=0.0)
-    text = (
-        "R of a coating in total reflection varies too fast with the angle for its table; the error is up to "
-        f"{worst:.1e}"
-    )
-    return [(at, Note(text, Code.COATING))] if at else []
+    text = "R of a coating in total reflection varies too fast with the angle for its table; the error is up to {:.1e}"
+    return worst_note(Code.COATING, [t.coating_error for t in traces], lambda error: error > COARSE, max, text)
 
 
 def _own(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
