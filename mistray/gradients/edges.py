@@ -38,9 +38,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.errors import MistrayError
 from mistray.gradients.edge_contacts import PAST, EdgeContacts
 from mistray.gradients.grazing import SILHOUETTE, grazing_kernel
+from mistray.gradients.recorded_rays import Portions
 from mistray.gradients.rims import RimRecorder
 from mistray.kernel.kernel_scene import KernelScene
 from mistray.kernel.launches import launches_of
@@ -55,8 +55,11 @@ from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.upload import upload
 
 CAPACITY = 1 << 17  # hits of a portion
-ROOM = 0.7  # fraction of the capacity that the next portion of rays should fill
 FIRST_LANES = 1 << 12
+TOO_MANY = (
+    "a single start ray hits {count} times close to a rim, more than {capacity}; narrow the edge zones or lower "
+    "max_reflections or max_scatters"
+)
 CLEAR = 1.25  # lift over a silhouette, in units of that which clears a sphere
 STREAM = 0x3C6EF372  # separates the random numbers of rays past rims from all others
 
@@ -124,7 +127,7 @@ class Edges:
         self._scene, self._table, self._settings = scene, table, settings
         capacity = as_many(CAPACITY, settings.max_events)
         self._near = RimRecorder(table, width, capacity, settings.max_events, limits)
-        self._lanes = FIRST_LANES
+        self._portions = Portions(self._near.paths, FIRST_LANES, TOO_MANY)
         self._launches = launches_of(table, settings, Edges, scene.backward, scene.competing is not None)
         rims = len(RIM_COLUMNS)
         sizes = np.zeros((table.count, rims, 2))
@@ -154,23 +157,11 @@ class Edges:
         MistrayError
             If a single start ray has more hits than can be kept.
         """
-        done, count = 0, dr.width(start.lane)
-        while done < count:
-            here = min(self._lanes, self._launches.lanes, count - done)
-            part = start if here == count else start.take(dr.arange(mi.UInt32, here) + dr.opaque(mi.UInt32, done))
-            # Record the hits of a portion, and adapt the size of the next one
-            self._near.paths.clear()
-            self._launches.time(here, lambda part=part: self._gains(part, adjoint, self._near))  # type: ignore[misc]
-            hits = int(self._near.paths.count[0])
-            self._lanes = max(1, min(4 * here, int(here * ROOM * self._near.paths.capacity / max(hits, 1))))
-            if hits > self._near.paths.capacity:
-                if here == 1:
-                    raise MistrayError(
-                        f"a single start ray hits {hits} times close to a rim, more than "
-                        f"{self._near.paths.capacity}; narrow the edge zones or lower max_reflections or max_scatters"
-                    )
-                continue
-            done += here
+
+        def record(part: StartRays, _: BranchRecorder) -> None:
+            self._launches.time(dr.width(part.lane), lambda: self._gains(part, adjoint, self._near))
+
+        for part, hits in self._portions.of(start, record, lambda: self._launches.lanes):
             found = self._compare(hits, adjoint) if hits else None
             if found is not None and dr.width(found.row):
                 yield part, found
