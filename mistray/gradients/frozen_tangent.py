@@ -24,7 +24,7 @@ from mistray.gradients.geometry_gradient import SHIFTS, column_derivatives, row_
 from mistray.gradients.path_replay import PathReplay
 from mistray.gradients.recorded_rays import RecordedRays
 from mistray.gradients.replay import Followed, follow, march
-from mistray.gradients.replay_surfaces import TABLE_CHANNELS, ReplayedEvent, ReplaySurfaces, SurfaceNumbers
+from mistray.gradients.replay_surfaces import TABLE_CHANNELS, ReplayedEvent, ReplaySurfaces, SurfaceNumbers, numbers_of
 from mistray.gradients.table_gradient import GradientRequest
 from mistray.recorders.film import Film
 from mistray.surfaces.gradient_columns import GEOMETRY
@@ -175,8 +175,7 @@ def number_direction(table: SurfaceTable, tangents: Mapping[tuple[int, str], np.
     for piece in table.pieces:
         shape = table.shapes[piece.index]
         for name in shape_parameters(shape):
-            speed = tangents.get((id(shape), name))
-            if speed is not None:
+            if (speed := tangents.get((id(shape), name))) is not None:
                 geometry[piece.index] += float(speed[0]) * column_derivatives(shape, name)
     # Refractive indices and coatings
     indices, ideal = np.zeros((table.count, 2)), np.zeros((table.count, 2))
@@ -186,8 +185,7 @@ def number_direction(table: SurfaceTable, tangents: Mapping[tuple[int, str], np.
         first, _, total_first, total_last = (int(v) for v in optics.host_places[i])
         own = rows[first : total_first + total_last + 1]
         for side, name in enumerate(SHIFTS):
-            speed = tangents.get((id(bsdf), name))
-            if speed is not None:
+            if (speed := tangents.get((id(bsdf), name))) is not None:
                 indices[i, side] += float(speed[0])
                 if kind == TABLED:
                     own += float(speed[0]) * row_derivatives(optics, i, side)
@@ -198,8 +196,7 @@ def number_direction(table: SurfaceTable, tangents: Mapping[tuple[int, str], np.
                 ideal[i, column] += float(tangents.get((id(bsdf.film), name), np.zeros(1))[0])
         elif kind == TABLED:
             for name in LAYER_PARAMETERS:
-                speed = tangents.get((id(bsdf.film), name))
-                if speed is not None:
+                if (speed := tangents.get((id(bsdf.film), name))) is not None:
                     (slopes,) = layer_row_derivatives(optics, [(i, np.arange(len(own)), [name])])
                     own += np.tensordot(np.asarray(speed, dtype=np.float64), slopes, axes=1)
     return SurfaceNumbers(geometry, indices, rows, ideal)
@@ -227,7 +224,8 @@ def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.
     direction = number_direction(table, tangents)
     step = step_of(direction, np.array([piece.size for piece in table.pieces]))
     still = ReplaySurfaces(table, nothing)
-    back, forth = (ReplaySurfaces(table, nothing, direction.times(sign * step)) for sign in (-1, 1))
+    present = numbers_of(table)
+    back, forth = (ReplaySurfaces(table, nothing, present.plus(direction, sign * step)) for sign in (-1, 1))
     image = dr.zeros(mi.Float64, film.width * film.height)
     with dr.suspend_grad():
         for number in range(run.passes):

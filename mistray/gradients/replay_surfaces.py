@@ -92,7 +92,7 @@ class ReplaySurfaces:
     table : SurfaceTable
     request : GradientRequest
     moved : SurfaceNumbers, optional
-        Offsets added to all numbers.
+        Numbers of the surfaces, if not the present ones.
     start : SceneSource or int, optional
         Source of the rays, or the surface from which backward rays start; None: the start does not move.
     """
@@ -111,8 +111,7 @@ class ReplaySurfaces:
         self.count = table.count
         self._surfaces = dr.opaque(mi.UInt32, self.count)
         # Shapes and rims; `_still` has no derivatives, and reads fewer columns
-        numbers = numbers_of(table)
-        numbers = numbers if moved is None else numbers.plus(moved)
+        numbers = numbers_of(table) if moved is None else moved
         self._still = NumberRows(numbers.geometry, SHAPE_COLUMNS)
         self._shape = NumberRows(numbers.geometry, SHAPE_COLUMNS, request.geometry)
         self._rims = NumberRows(numbers.geometry, RIM_COLUMNS, request.geometry)
@@ -489,13 +488,9 @@ class SurfaceNumbers:
     rows: np.ndarray
     ideal: np.ndarray
 
-    def plus(self, other: SurfaceNumbers) -> SurfaceNumbers:
-        """Return the sum of these and others."""
-        return SurfaceNumbers(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
-
-    def times(self, factor: float) -> SurfaceNumbers:
-        """Return a multiple of these."""
-        return SurfaceNumbers(*(factor * getattr(self, f.name) for f in fields(self)))
+    def plus(self, other: SurfaceNumbers, factor: float) -> SurfaceNumbers:
+        """Return the sum of these and a multiple of others."""
+        return SurfaceNumbers(*(getattr(self, f.name) + factor * getattr(other, f.name) for f in fields(self)))
 
 
 def numbers_of(table: SurfaceTable) -> SurfaceNumbers:
