@@ -38,9 +38,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.errors import MistrayError
 from mistray.gradients.edge_contacts import PAST, EdgeContacts
 from mistray.gradients.grazing import SILHOUETTE, grazing_kernel
+from mistray.gradients.recorded_rays import Portions
 from mistray.gradients.rims import RimRecorder
 from mistray.kernel.kernel_scene import KernelScene
 from mistray.kernel.launches import launches_of
@@ -55,8 +55,11 @@ from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.upload import upload
 
 CAPACITY = 1 << 17  # hits of a portion
-ROOM = 0.7  # fraction of the capacity that the next portion of rays should fill
 FIRST_LANES = 1 << 12
+TOO_MANY = (
+    "a single start ray hits {count} times close to a rim, more than {capacity}; narrow the edge zones or lower "
+    "max_reflections or max_scatters"
+)
 CLEAR = 1.25  # lift over a silhouette, in units of that which clears a sphere
 STREAM = 0x3C6EF372  # separates the random numbers of rays past rims from all others
 
@@ -124,7 +127,7 @@ class Edges:
         self._scene, self._table, self._settings = scene, table, settings
         capacity = as_many(CAPACITY, settings.max_events)
         self._near = RimRecorder(table, width, capacity, settings.max_events, limits)
-        self._lanes = FIRST_LANES
+        self._portions = Portions(self._near.paths, FIRST_LANES, TOO_MANY)
         self._launches = launches_of(table, settings, Edges, scene.backward, scene.competing is not None)
         rims = len(RIM_COLUMNS)
         sizes = np.zeros((table.count, rims, 2))
@@ -154,23 +157,11 @@ class Edges:
         MistrayError
             If a single start ray has more hits than can be kept.
         """
-        done, count = 0, dr.width(start.lane)
-        while done < count:
-            here = min(self._lanes, self._launches.lanes, count - done)
-            part = start if here == count else start.take(dr.arange(mi.UInt32, here) + dr.opaque(mi.UInt32, done))
-            # Record the hits of a portion, and adapt the size of the next one
-            self._near.paths.clear()
-            self._launches.time(here, lambda part=part: self._gains(part, adjoint, self._near))  # type: ignore[misc]
-            hits = int(self._near.paths.count[0])
-            self._lanes = max(1, min(4 * here, int(here * ROOM * self._near.paths.capacity / max(hits, 1))))
-            if hits > self._near.paths.capacity:
-                if here == 1:
-                    raise MistrayError(
-                        f"a single start ray hits {hits} times close to a rim, more than "
-                        f"{self._near.paths.capacity}; narrow the edge zones or lower max_reflections or max_scatters"
-                    )
-                continue
-            done += here
+
+        def record(part: StartRays, _: BranchRecorder) -> None:
+            self._launches.time(dr.width(part.lane), lambda: self._gains(part, adjoint, self._near))
+
+        for part, hits in self._portions.of(start, record, lambda: self._launches.lanes):
             found = self._compare(hits, adjoint) if hits else None
             if found is not None and dr.width(found.row):
                 yield part, found
@@ -185,12 +176,10 @@ class Edges:
     def _compare(self, hits: int, adjoint: Adjoint) -> EdgeEvents:
         """Trace rays past the rims, and return the coefficients of the hits."""
         near, row = self._near, dr.arange(mi.UInt32, hits)
-        rim, delta, scale, copies = (
-            dr.gather(type(v), v, row) for v in (near.rim, near.delta, near.scale, near.copies)
-        )
+        rim, delta, scale, copies, found_gain = (dr.gather(type(v), v, row) for v in near.columns.values())
         # Contribution of the hit less that past the rim
-        past = self._past(row, rim)
-        gain = dr.gather(mi.Float64, near.gain, row) - self._gains(past.start, adjoint)
+        past = self._past(row, (rim, delta, scale))
+        gain = found_gain - self._gains(past.start, adjoint)
         gain *= past.factor * mi.Float64(copies)
         # Width of the zone; of jumps in the square of a cosine, see `mistray.gradients.grazing`
         zone = dr.gather(mi.Float, self._sizes, 2 * past.place + 1)
@@ -209,11 +198,10 @@ class Edges:
         dr.eval(row, batch, rim, joined, delta, scale, c)
         return EdgeEvents(near.paths, row, batch, rim, joined, delta, scale, c)
 
-    def _past(self, row: mi.UInt32, rim: mi.UInt32) -> _Past:
-        """Return rays that go past the rims."""
-        near = self._near
-        jumps = rim >= SILHOUETTE
-        rim = dr.select(jumps, 0, rim)
+    def _past(self, row: mi.UInt32, jump: tuple[mi.UInt32, mi.Float, mi.Float]) -> _Past:
+        """Return rays that go past the rims; `jump` holds rim or kind of jump, distance and scale."""
+        near, jumps = self._near, jump[0] >= SILHOUETTE
+        rim = dr.select(jumps, 0, jump[0])
         # Last event of the recorded path: surface, point, direction of arrival, throughput
         length = dr.gather(mi.UInt32, near.paths.length, row)
         last = row * near.paths.max_events + length - 1
@@ -234,7 +222,7 @@ class Edges:
         rng.seed(mi.UInt64(state), mi.UInt64(sequence))
         # Assemble the start rays; jumps have a start of their own
         left = dr.select(corner.left == NO_SURFACE, s, corner.left)
-        o, d, left, at = self._jump(row, jumps, p, s, (o, d, left, corner.at))
+        o, d, left, at = self._jump(row, jump, p, s, (o, d, left, corner.at))
         path_class = self._path_class(row, length - 1)
         start = StartRays(lane=lane, rng=rng, o=o, d=d, w=w, left=left, at=at, path_class=path_class, **before)
         dr.eval(rng, vars(start))
@@ -250,14 +238,19 @@ class Edges:
 
         return mixed_events(code, none, count, none, dr.full(mi.Bool, True, dr.width(row)))
 
-    def _jump(self, row: mi.UInt32, jumps: mi.Bool, p: mi.Vector3f, s: mi.UInt32, others: tuple[Any, ...]) -> Any:
+    def _jump(
+        self,
+        row: mi.UInt32,
+        jump: tuple[mi.UInt32, mi.Float, mi.Float],
+        p: mi.Vector3f,
+        s: mi.UInt32,
+        others: tuple[Any, ...],
+    ) -> Any:
         """Return the start of rays past a jump: origin, direction, surface that they leave, surface they are at."""
-        near = self._near
-        o, d, left, at = others
-        axis = mi.Vector3f(*(dr.gather(mi.Float, near.axis, 3 * row + j, jumps) for j in range(3)))
-        scale, delta = (dr.gather(mi.Float, v, row, jumps) for v in (near.scale, near.delta))
-        grazes = jumps & (dr.gather(mi.UInt32, near.rim, row) == SILHOUETTE)
-        critical = jumps & ~grazes
+        (kind, delta, scale), (o, d, left, at) = jump, others
+        grazes, critical = kind == SILHOUETTE, kind > SILHOUETTE
+        jumps = grazes | critical
+        axis = mi.Vector3f(*(dr.gather(mi.Float, self._near.axis, 3 * row + j, jumps) for j in range(3)))
         # Past a silhouette: slightly above the surface where the ray is nearest to it, even if it is more curved there
         depth = scale * (dr.rsqrt(1 - 2 * delta / scale) - 1)
         o = dr.select(grazes, p - (CLEAR * depth + PAST * scale) * axis, dr.select(critical, p, o))

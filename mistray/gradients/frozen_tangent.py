@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -20,13 +21,12 @@ from mistray.errors import MistrayError
 from mistray.execute.tracer import Run
 from mistray.gradients.coating_gradient import IDEAL_PARAMETERS, layer_row_derivatives
 from mistray.gradients.geometry_gradient import SHIFTS, column_derivatives, row_derivatives, shape_parameters
-from mistray.gradients.path_replay import PathReplay, branches
-from mistray.gradients.replay import Branches, Followed, follow
-from mistray.gradients.replay_surfaces import TABLE_CHANNELS, Numbers, ReplaySurfaces
-from mistray.gradients.run_gradient import HITS_PER_RAY
+from mistray.gradients.path_replay import PathReplay
+from mistray.gradients.recorded_rays import RecordedRays
+from mistray.gradients.replay import Followed, follow, march
+from mistray.gradients.replay_surfaces import TABLE_CHANNELS, ReplayedEvent, ReplaySurfaces, SurfaceNumbers, numbers_of
 from mistray.gradients.table_gradient import GradientRequest
 from mistray.recorders.film import Film
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, RANDOM_TRANSMITTED, TRANSMITTED
 from mistray.surfaces.gradient_columns import GEOMETRY
 from mistray.surfaces.optics import IDEAL, TABLED
 from mistray.surfaces.surfaces import SurfaceTable
@@ -34,13 +34,13 @@ from mistray.surfaces.surfaces import SurfaceTable
 STEP = 1e-6  # largest move of a number, in units of its scale
 
 
-def step_of(direction: Numbers, sizes: np.ndarray) -> float:
+def step_of(direction: SurfaceNumbers, sizes: np.ndarray) -> float:
     """
     Return the factor of a direction that gives the step of the central difference.
 
     Parameters
     ----------
-    direction : Numbers
+    direction : SurfaceNumbers
         Rates at which the numbers move.
     sizes : (surfaces,) float64
         Sizes of the surfaces, mm.
@@ -64,7 +64,7 @@ def step_of(direction: Numbers, sizes: np.ndarray) -> float:
 
 
 def arrivals(
-    surfaces: ReplaySurfaces, rays: Branches, base: Followed
+    surfaces: ReplaySurfaces, rays: RecordedRays, base: Followed
 ) -> tuple[mi.Float64, mi.Float64, mi.Float64, mi.Float64]:
     """
     Follow rays through their events.
@@ -73,7 +73,7 @@ def arrivals(
     ----------
     surfaces : ReplaySurfaces
         Surfaces with present or moved numbers.
-    rays : Branches
+    rays : RecordedRays
         Recorded rays that end at the detector.
     base : Followed
         Result of `follow` with the present numbers.
@@ -85,48 +85,33 @@ def arrivals(
     factor, absorbed : mi.Float64
         Logarithms of the product of all flux factors, and of the last of them, the absorption in the detector.
     """
-    count = dr.width(rays.row)
 
-    def step(
-        k: mi.UInt32, p: mi.Vector3d, d: mi.Vector3d, q: mi.Vector3d, total: mi.Float64, absorbed: mi.Float64
-    ) -> tuple[mi.UInt32, mi.Vector3d, mi.Vector3d, mi.Vector3d, mi.Float64, mi.Float64]:
-        active = k < rays.length
-        code = rays.code(k, active)
-        s, what = code >> EVENT_BITS, code & EVENT_MASK
-        here = base.point(k, active)
-        # Intersect, from the unmoved hit
-        met = surfaces.meet(p, d, dr.dot(here - p, d), s, rays.batch, active, 2)
-        split = surfaces.split(met, s, what, rays.batch, active)
+    def visit(
+        k: mi.UInt32,
+        event: ReplayedEvent,
+        last: mi.Bool,
+        q: mi.Vector3d,
+        total: mi.Float64,
+        absorbed: mi.Float64,
+    ) -> tuple[mi.Vector3d, tuple[Any, ...]]:
         # Flux factor of the event, and of the segment before it
-        last = k + 1 == rays.length
-        transmitted = what == TRANSMITTED
-        share = dr.select(last, 1 - split.R - split.T, dr.select(transmitted, split.T, split.R))
-        factor = dr.log(dr.select(active & (share > 0), share, 1))
-        absorbed = dr.select(active & last, factor, absorbed)
+        share = dr.select(last, 1 - event.R - event.T, dr.select(event.reflect, event.R, event.T))
+        factor = dr.log(dr.select(event.active & (share > 0), share, 1))
+        absorbed = dr.select(event.active & last, factor, absorbed)
         if surfaces.table.optics.absorbs:
-            factor -= surfaces.extinction(base.medium(k, active), active) * met.length
-        # Next direction; after a scatter event it is held
-        heading = surfaces.world_direction(met, dr.select(transmitted, split.transmitted, split.reflected), s, active)
-        ahead = base.point(k + 1, active & ~last) - here
-        heading = dr.select(what >= RANDOM_TRANSMITTED, ahead, heading)
-        point = surfaces.world_point(met, s, active)
-        return k + 1, point, dr.normalize(heading), mi.Vector3d(met.q), total + factor, absorbed
+            factor -= surfaces.extinction(base.medium(k, event.active), event.active) * event.length
+        # After a scatter event the direction is held
+        return base.point(k, event.active), (mi.Vector3d(event.q), total + factor, absorbed)
 
-    start = dr.zeros(mi.UInt32, count), mi.Vector3d(rays.o), mi.Vector3d(rays.d), dr.zeros(mi.Vector3d, count)
-    _, _, _, q, total, absorbed = dr.while_loop(
-        (*start, dr.zeros(mi.Float64, count), dr.zeros(mi.Float64, count)),
-        lambda k, *_: k < rays.length,
-        step,
-        mode="symbolic",
-        label="follow moved rays",
-    )
+    nothing = (dr.zeros(kind, dr.width(rays.row)) for kind in (mi.Vector3d, mi.Float64, mi.Float64))
+    q, total, absorbed = march(surfaces, rays, base.point, visit, tuple(nothing))
     return q.x, q.y, total, absorbed
 
 
 def add_tangent(
     image: mi.Float64,
     film: Film,
-    rays: Branches,
+    rays: RecordedRays,
     base: Followed,
     sides: tuple[ReplaySurfaces, ReplaySurfaces],
     step: float,
@@ -174,7 +159,7 @@ def add_tangent(
         dr.scatter_reduce(dr.ReduceOp.Add, image, flux * speed, pixel, alive)
 
 
-def number_direction(table: SurfaceTable, tangents: Mapping[tuple[int, str], np.ndarray]) -> Numbers:
+def number_direction(table: SurfaceTable, tangents: Mapping[tuple[int, str], np.ndarray]) -> SurfaceNumbers:
     """
     Return the rates at which all numbers move.
 
@@ -190,8 +175,7 @@ def number_direction(table: SurfaceTable, tangents: Mapping[tuple[int, str], np.
     for piece in table.pieces:
         shape = table.shapes[piece.index]
         for name in shape_parameters(shape):
-            speed = tangents.get((id(shape), name))
-            if speed is not None:
+            if (speed := tangents.get((id(shape), name))) is not None:
                 geometry[piece.index] += float(speed[0]) * column_derivatives(shape, name)
     # Refractive indices and coatings
     indices, ideal = np.zeros((table.count, 2)), np.zeros((table.count, 2))
@@ -201,8 +185,7 @@ def number_direction(table: SurfaceTable, tangents: Mapping[tuple[int, str], np.
         first, _, total_first, total_last = (int(v) for v in optics.host_places[i])
         own = rows[first : total_first + total_last + 1]
         for side, name in enumerate(SHIFTS):
-            speed = tangents.get((id(bsdf), name))
-            if speed is not None:
+            if (speed := tangents.get((id(bsdf), name))) is not None:
                 indices[i, side] += float(speed[0])
                 if kind == TABLED:
                     own += float(speed[0]) * row_derivatives(optics, i, side)
@@ -213,11 +196,10 @@ def number_direction(table: SurfaceTable, tangents: Mapping[tuple[int, str], np.
                 ideal[i, column] += float(tangents.get((id(bsdf.film), name), np.zeros(1))[0])
         elif kind == TABLED:
             for name in LAYER_PARAMETERS:
-                speed = tangents.get((id(bsdf.film), name))
-                if speed is not None:
+                if (speed := tangents.get((id(bsdf.film), name))) is not None:
                     (slopes,) = layer_row_derivatives(optics, [(i, np.arange(len(own)), [name])])
                     own += np.tensordot(np.asarray(speed, dtype=np.float64), slopes, axes=1)
-    return Numbers(geometry, indices, rows, ideal)
+    return SurfaceNumbers(geometry, indices, rows, ideal)
 
 
 def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.ndarray:
@@ -237,25 +219,18 @@ def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.
     """
     table, film = run.table, run.make_film()
     nothing = GradientRequest(rows=False)
-    path_replay = PathReplay(table, run.scattering, run.settings, nothing, run.settings.max_events)
+    path_replay = PathReplay(run.scene, run.settings, nothing, run.settings.max_events)
     # Surfaces as they are, and moved to either side
     direction = number_direction(table, tangents)
     step = step_of(direction, np.array([piece.size for piece in table.pieces]))
     still = ReplaySurfaces(table, nothing)
-    back, forth = (ReplaySurfaces(table, nothing, direction.times(sign * step)) for sign in (-1, 1))
+    present = numbers_of(table)
+    back, forth = (ReplaySurfaces(table, nothing, present.plus(direction, sign * step)) for sign in (-1, 1))
     image = dr.zeros(mi.Float64, film.width * film.height)
-    recorder = path_replay.recorder
     with dr.suspend_grad():
         for number in range(run.passes):
-            for start in path_replay.portions(
-                run.start_pass(number), HITS_PER_RAY, lambda s: run.trace_trees(s, recorder)
-            ):
-                count = int(recorder.count[0])
-                if not count:
-                    continue
-                rays = branches(recorder, start, np.arange(count))
+            for rays in path_replay.recorded(run.start_pass(number), run.trace_trees):
                 base = follow(still, rays)
-                flux = dr.gather(mi.Float64, recorder.weight, rays.row)
-                add_tangent(image, film, rays, base, (back, forth), step, flux)
+                add_tangent(image, film, rays, base, (back, forth), step, rays.weight)
                 dr.eval(image)
     return np.array(image).reshape(film.height, film.width)

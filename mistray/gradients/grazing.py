@@ -22,7 +22,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.gradients.replay_surfaces import Split
+from mistray.gradients.scatter_replay import ScatterEvent
 from mistray.kernel.interaction import Interaction
 from mistray.physics.geometry.sag import sag_derivative
 from mistray.surfaces.gradient_columns import RIM_COLUMNS
@@ -43,10 +43,10 @@ def grazing_kernel(delta: Any, width: Any) -> Any:
     return dr.select(delta < width, (9 - 12 * dr.sqrt(delta / width)) / width, 0)
 
 
-def jump_distance(split: Split, kind: mi.UInt32, scale: mi.Float64) -> mi.Float64:
+def jump_distance(at: ScatterEvent, kind: mi.UInt32, scale: mi.Float64) -> mi.Float64:
     """Return Δ of replayed hits, differentiable by all but the radius of curvature, which is `scale`."""
-    cosine2 = split.cos_i * split.cos_i
-    margin = 1 - split.eta * split.eta * (1 - cosine2)
+    cosine2 = at.cos_i * at.cos_i
+    margin = 1 - at.eta * at.eta * (1 - cosine2)
     return dr.select(kind == SILHOUETTE, 0.5 * scale * cosine2, margin)
 
 

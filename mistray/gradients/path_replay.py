@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Protocol
 
 import drjit as dr
 import mitsuba as mi
@@ -12,15 +12,16 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.gradients.coating_gradient import NO_STOKES
-from mistray.gradients.edges import EdgeEvents
+from mistray.gradients.edges import EdgeEvents, Edges
+from mistray.gradients.full.full_rims import FullRims
 from mistray.gradients.grazing import SILHOUETTE, jump_distance
-from mistray.gradients.replay import Branches, End, Exit, follow, replay_rays
-from mistray.gradients.replay_surfaces import Hit, ReplaySurfaces, Split
+from mistray.gradients.recorded_rays import Portions, RecordedRays, Trace
+from mistray.gradients.replay import End, Exit, follow, replay_rays
+from mistray.gradients.replay_surfaces import ReplayedEvent, ReplaySurfaces
 from mistray.gradients.scatter_replay import ScatterReplay
-from mistray.gradients.start_motion import SourceStart, StartMotion, SurfaceStart, source_derivatives
-from mistray.gradients.table_gradient import GradientRequest, TableGradient
-from mistray.kernel.scattering import Scattering
-from mistray.recorders.adjoint import CHANNELS
+from mistray.gradients.table_gradient import Derivatives, GradientRequest, TableGradient
+from mistray.kernel.kernel_scene import KernelScene
+from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.branch_recorder import BranchRecorder, as_many
 from mistray.recorders.start_rays import StartRays
 from mistray.sampling.source import SceneSource
@@ -30,7 +31,24 @@ from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
 CAPACITY = 1 << 18  # rays that are recorded at once
-ROOM = 1.3  # size of the buffer over the number of rays that the trace has counted
+FIRST_RECORDS = 8  # guess of the records of a start ray
+TOO_MANY = (
+    "a single start ray has {count} ends, more than {capacity}; raise flux_threshold or lower max_reflections or "
+    "max_scatters"
+)
+
+
+class Ends(Protocol):
+    """Contributions of the recorded rays of a trace to a metric."""
+
+    def counts(self, keys: np.ndarray) -> np.ndarray:
+        """Return which rays of some keys, (n,) uint64 in ascending order, contribute, (n,) bool."""
+
+    def end(self, rays: RecordedRays, keys: np.ndarray) -> End | Exit:
+        """Return the contribution of rays with these keys."""
+
+    def group(self, rays: RecordedRays) -> mi.UInt32:
+        """Return numbers below BATCHES by which sums are kept: the batch of each ray, or another one."""
 
 
 class PathReplay:
@@ -39,8 +57,7 @@ class PathReplay:
 
     Parameters
     ----------
-    table : SurfaceTable
-    scattering : Scattering
+    scene : KernelScene
     settings : Settings
     request : GradientRequest
     longest : int
@@ -56,136 +73,94 @@ class PathReplay:
 
     def __init__(
         self,
-        table: SurfaceTable,
-        scattering: Scattering,
+        scene: KernelScene,
         settings: Settings,
         request: GradientRequest,
         longest: int,
         start: SceneSource | int | None = None,
     ) -> None:
+        table, widths = scene.table, request.edge_widths if request.moves else ()
         _check(table, settings)
-        self.table, self.scattering, self.request = table, scattering, request
-        self.surfaces = ReplaySurfaces(table, request)
-        self.scatter = ScatterReplay(table, scattering) if scattering.any else None
+        self._scene, self.request = scene, request
         self.recorder = BranchRecorder(as_many(CAPACITY, longest), longest, points_only=True)
-        self.backward = isinstance(start, int)
+        self._portions = Portions(self.recorder, self.recorder.capacity // FIRST_RECORDS, TOO_MANY)
+        self.scatter = ScatterReplay(scene.scattering) if scene.scattering.any else None
         # Of hits close to rims only the position moves: their coefficients already hold the change of flux
         places = replace(request, rows=False, scatter=False)
-        self.edges = [ReplaySurfaces(table, places) for _ in request.edge_widths if request.moves]
-        self._starts = [self._start_motion(start, surfaces) for surfaces in (self.surfaces, *self.edges)]
-        self.strayed = self.rays = 0
+        self._surfaces = [ReplaySurfaces(table, one, start=start) for one in (request, *(places for _ in widths))]
+        # Rims; a beam that just fills one narrows its zone
+        self._full, self.edges = [], None
+        if widths:
+            full = FullRims(start, table, widths[0]) if isinstance(start, SceneSource) else None
+            self._full = [full] if full is not None and full.any else []
+            self.edges = Edges(scene, settings, widths, None if full is None else full.limits)
+        self._strayed = self._rays = 0
 
-    def _start_motion(self, start: SceneSource | int | None, surfaces: ReplaySurfaces) -> StartMotion | None:
-        if start is None:
-            return None
-        if isinstance(start, int):
-            return SurfaceStart(surfaces, start)
-        return SourceStart(start, self.request.sources, self.table.centre)
-
-    def portions(
-        self, start: StartRays, hits_per_ray: float, trace: Callable[[StartRays], None]
-    ) -> Iterator[StartRays]:
+    def replay_pass(self, start: StartRays, trace: Trace, ends: Ends, adjoint: Adjoint | None) -> None:
         """
-        Trace the rays of a pass in portions that fit the recorder, and yield each once it is recorded.
+        Trace start rays again and replay them: paths with visibility held, then hits close to rims.
 
         Parameters
         ----------
         start : StartRays
-        hits_per_ray : float
-            Average number of recorded rays per start ray.
         trace : callable
-            Traces a portion of the start rays with `recorder`.
+            Traces a portion of the start rays with a recorder.
+        ends : Ends
+        adjoint : Adjoint or None
+            Metric for `edges`, without rows; None if there are none.
         """
-        lanes = max(1, int(self.recorder.capacity / (ROOM * max(1.0, hits_per_ray))))
-        count, done = dr.width(start.lane), 0
-        while done < count:
-            here = min(lanes, count - done)
-            part = start if here == count else start.take(dr.arange(mi.UInt32, here) + dr.opaque(mi.UInt32, done))
-            self.recorder.clear()
-            trace(part)
-            recorded = int(self.recorder.count[0])
-            # Overflow: nothing of the portion is used, and half as many rays are traced again
-            if recorded <= self.recorder.capacity:
-                yield part
-                done += here
-            elif here == 1:
-                raise MistrayError(
-                    f"a single start ray has {recorded} ends, more than {self.recorder.capacity}; raise flux_threshold "
-                    "or lower max_reflections or max_scatters"
-                )
-            lanes = here // 2 if recorded > self.recorder.capacity else lanes
+        if not self.request.only_rims:
+            for part, _ in self._portions.of(start, trace):
+                self._replay(part, ends)
+        if self.edges is not None and adjoint is not None:
+            for part, events in self.edges.events(start, adjoint):
+                self._replay_edges(part, events)
 
-    def replay(
-        self,
-        start: StartRays,
-        counts: Callable[[np.ndarray], np.ndarray],
-        end: Callable[[mi.UInt32, np.ndarray], End | Exit],
-        group: Callable[[mi.UInt32], mi.UInt32] | None = None,
-    ) -> None:
-        """
-        Replay the recorded rays of a portion.
+    def recorded(self, start: StartRays, trace: Trace) -> Iterator[RecordedRays]:
+        """Trace start rays again in portions, and yield the recorded rays of each."""
+        for part, count in self._portions.of(start, trace):
+            if count:
+                yield RecordedRays.of(self.recorder, part, np.arange(count))
 
-        Parameters
-        ----------
-        start : StartRays
-            The portion.
-        counts : callable
-            Takes the keys of the rays, (n,) uint64, and returns which of them contribute, (n,) bool.
-        end : callable
-            Takes the rows of the rays in the recorder, in the order of the lanes, and their keys; returns their
-            contribution to the metric.
-        group : callable, optional
-            Takes the rows; returns numbers below BATCHES by which sums are kept, instead of by batch.
-        """
+    def _replay(self, start: StartRays, ends: Ends) -> None:
+        """Replay the recorded rays of a portion."""
         keys = np.array(self.recorder.path)[: int(self.recorder.count[0])]
         # Sorted by path, so that the lanes of a warp run through the same events
         order = np.argsort(keys, kind="stable")
-        order = order[each(counts, keys[order])]
+        order = order[ends.counts(keys[order])]
         if not len(order):
             return
-        rays = branches(self.recorder, start, order)
-        if group is not None:
-            rays = replace(rays, batch=group(rays.row))
+        rays = RecordedRays.of(self.recorder, start, order)
+        rays.batch = ends.group(rays)
         # Forward in float64, then backward with derivatives
-        found = follow(self.surfaces, rays)
-        replay_rays(self.surfaces, rays, found, end(rays.row, keys[order]), self.scatter, self._starts[0])
-        self.strayed += int(dr.count(found.strayed)[0])
-        self.rays += len(order)
+        surfaces = self._surfaces[0]
+        found = follow(surfaces, rays)
+        replay_rays(surfaces, rays, found, ends.end(rays, keys[order]), self.scatter)
+        self._strayed += int(dr.count(found.strayed)[0])
+        self._rays += len(order)
 
-    def replay_edges(self, start: StartRays, events: EdgeEvents) -> None:
+    def _replay_edges(self, start: StartRays, events: EdgeEvents) -> None:
         """Replay the hits close to rims of a portion."""
         rows = np.array(events.row)
-        for surfaces, start_motion, c in zip(self.edges, self._starts[1:], events.c, strict=True):
+        for surfaces, c in zip(self._surfaces[1:], events.c, strict=True):
             used = np.flatnonzero(np.array(c))
             if not len(used):
                 continue
             chosen = used[np.argsort(np.array(events.paths.path)[rows[used]], kind="stable")]
-            rays = branches(events.paths, start, rows[chosen])
             picked = upload(mi.UInt32, chosen)
-            kept = (dr.gather(type(v), v, picked) for v in (events.rim, events.joined, events.scale, c))
-            end = RimEnd(*kept)
-            replay_rays(surfaces, rays, follow(surfaces, rays), end, None, start_motion)
+            end = RimEnd(*(dr.gather(type(v), v, picked) for v in (events.rim, events.joined, events.scale, c)))
+            rays = RecordedRays.of(events.paths, start, rows[chosen])
+            replay_rays(surfaces, rays, follow(surfaces, rays), end)
 
     def result(self) -> TableGradient:
         """Return the derivatives accumulated so far."""
-        request = self.request
-        raw = TableGradient(self.table, self.scattering, backward=self.backward)
-        if not self.backward and request.sources:
-            raw.sources = source_derivatives(self._starts)
-        if request.geometry:
-            raw.geometry = self.surfaces.geometry()
-        if request.indices:
-            raw.indices = self.surfaces.index_gradient()
-        if self.edges:
-            raw.edges = np.stack([surfaces.geometry() for surfaces in self.edges])
-            if request.indices:
-                raw.edge_indices = np.stack([surfaces.index_gradient() for surfaces in self.edges])
-        if request.rows:
-            raw.rows = self.surfaces.row_gradient(CHANNELS)
-        if request.scatter and self.scatter is not None:
-            raw.scatter = self.scatter.derivatives()
-        if self.strayed:
-            raw.left_out.append(f"{self.strayed} of {self.rays} rays, which could not be followed again in float64")
+        inner, *rims = (surfaces.derivatives() for surfaces in self._surfaces)
+        if self.request.scatter and self.scatter is not None:
+            inner.scatter = self.scatter.derivatives()
+        raw = TableGradient(self._scene.table, self._scene.scattering, inner, Derivatives.stacked(rims), self._full)
+        raw.backward = self._scene.backward
+        if self._strayed:
+            raw.left_out.append(f"{self._strayed} of {self._rays} rays, which could not be followed again in float64")
         return raw
 
 
@@ -207,54 +182,17 @@ class RimEnd:
         self._rim, self._joined, self._c = rim, joined, c
         self._scale = dr.select(rim >= SILHOUETTE, mi.Float64(scale), 1)  # rims leave it unset
 
-    def __call__(
-        self,
-        surfaces: ReplaySurfaces,
-        met: Hit,
-        recorded: mi.Vector3d,
-        split: Split,
-        s: mi.UInt32,
-        batch: mi.UInt32,
-        active: mi.Bool,
-    ) -> mi.Float64:
+    def __call__(self, surfaces: ReplaySurfaces, at: ReplayedEvent, recorded: mi.Vector3d) -> mi.Float64:
         """Return the contribution to first order: its value is 0, its derivative that of c Δ."""
         # Rim, or jump without one: the distance Δ itself
         free, jumps = self._joined == NO_SURFACE, self._rim >= SILHOUETTE
-        distance = surfaces.rim_distance(met, self._rim, s, batch, active & free & ~jumps)
-        distance = dr.select(jumps, jump_distance(split, self._rim, self._scale), distance)
+        distance = surfaces.rim_distance(at, self._rim, at.active & free & ~jumps)
+        distance = dr.select(jumps, jump_distance(at, self._rim, self._scale), distance)
         # Concave edge: the distance is that from the adjoining surface
-        corner = active & ~free
-        apart = surfaces.distance_from(
-            surfaces.world_point(met, s, corner), dr.select(free, 0, self._joined), batch, corner
-        )
+        corner = at.active & ~free
+        apart = surfaces.distance_from(at.p, dr.select(free, 0, self._joined), at.batch, corner)
         value = self._c * dr.select(free, distance, apart)
         return value - dr.detach(value)
-
-
-def each(function: Callable[[np.ndarray], Any], keys: np.ndarray) -> Any:
-    """Return arrays for rays sorted by key, computed once for all rays of the same path."""
-    if not len(keys):
-        return function(keys)
-    first = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
-    times = np.diff(np.append(first, len(keys)))
-    found = function(keys[first])
-    if isinstance(found, tuple):
-        return tuple(np.repeat(values, times, axis=0) for values in found)
-    return np.repeat(found, times)
-
-
-def branches(recorder: BranchRecorder, start: StartRays, rows: np.ndarray) -> Branches:
-    """Return recorded rays of a portion, one lane for each row."""
-    row = upload(mi.UInt32, rows)
-    lane = dr.gather(mi.UInt32, recorder.lane, row) - dr.opaque(mi.UInt32, int(start.lane[0]))
-    length = dr.gather(mi.UInt32, recorder.length, row)
-    o, d = (mi.Vector3d(dr.gather(mi.Vector3f, v, lane)) for v in (start.o, start.d))
-    d = dr.normalize(d)
-    batch = dr.gather(mi.UInt32, start.batch, lane)
-    dr.eval(row, length, o, d, batch)
-    stride = dr.opaque(mi.UInt32, recorder.max_events)
-    longest = max(1, int(np.array(length).max()))
-    return Branches(o, d, batch, length, row, recorder.codes, recorder.nodes, stride, recorder.node_floats, longest)
 
 
 def _check(table: SurfaceTable, settings: Settings) -> None:

@@ -13,7 +13,6 @@ is `value`, ½∇F is `gradient`, and ∇F · d is `slope`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -23,9 +22,13 @@ import numpy as np
 
 from mistray.gradients.aspheric_terms import AsphericTerms
 from mistray.gradients.number_rows import NumberRows, tracked_array
-from mistray.gradients.table_gradient import GradientRequest
+from mistray.gradients.recorded_rays import RecordedRays
+from mistray.gradients.scatter_replay import ScatterEvent
+from mistray.gradients.table_gradient import Derivatives, GradientRequest
 from mistray.physics.fresnel import reflectance
-from mistray.recorders.path_key import TOTAL
+from mistray.recorders.adjoint import CHANNELS
+from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, RANDOM_TRANSMITTED, TOTAL, TRANSMITTED
+from mistray.sampling.source import SceneSource
 from mistray.settings import BATCHES
 from mistray.surfaces.gradient_columns import COEFFICIENTS, GEOMETRY, OWN, RIM_COLUMNS, SHAPE_COLUMNS
 from mistray.surfaces.optics import (
@@ -47,27 +50,37 @@ from mistray.surfaces.upload import upload
 TABLE_CHANNELS = 3  # R from the front, R from the back, T
 
 
-@dataclass
-class Hit:
+@dataclass(kw_only=True)
+class ReplayedEvent(ScatterEvent):
     """
-    A hit in the frame of its surface, float64.
+    Events of recorded paths, with their hits in the frames of the surfaces, float64.
 
     Attributes
     ----------
-    q, d, normal : mi.Vector3d
-        Point (mm), direction of arrival, unit normal.
+    active : mi.Bool
     length : mi.Float64
-        Length of the segment, mm.
-    turn, shift : mi.Vector3d
-        Rotation (rad) and displacement (mm) of the frame, both zero but with derivatives.
+        Length of the segment that led to the hit, mm.
+    turn : mi.Vector3d
+        Rotation of the frame (rad), zero but with derivatives.
+    p : mi.Vector3d
+        Point in the world, mm.
+    scattered : mi.Bool
+        Whether the surface scatters the light.
+    heading : mi.Vector3d
+        Direction in the world after reflection or refraction.
+    medium_in, medium_out : mi.UInt32
+        Media on the side of incidence and on the other one.
     """
 
     q: mi.Vector3d
-    d: mi.Vector3d
-    normal: mi.Vector3d
+    active: mi.Bool
     length: mi.Float64
     turn: mi.Vector3d
-    shift: mi.Vector3d
+    p: mi.Vector3d
+    scattered: mi.Bool
+    heading: mi.Vector3d
+    medium_in: mi.UInt32
+    medium_out: mi.UInt32
 
 
 class ReplaySurfaces:
@@ -78,17 +91,27 @@ class ReplaySurfaces:
     ----------
     table : SurfaceTable
     request : GradientRequest
-    moved : Numbers, optional
-        Offsets added to all numbers.
+    moved : SurfaceNumbers, optional
+        Numbers of the surfaces, if not the present ones.
+    start : SceneSource or int, optional
+        Source of the rays, or the surface from which backward rays start; None: the start does not move.
     """
 
-    def __init__(self, table: SurfaceTable, request: GradientRequest, moved: Numbers | None = None) -> None:
+    def __init__(
+        self,
+        table: SurfaceTable,
+        request: GradientRequest,
+        moved: SurfaceNumbers | None = None,
+        start: SceneSource | int | None = None,
+    ) -> None:
         self.table, self.request = table, request
+        self._start: Any = start
+        moving = sorted(request.sources & {*start.moving}) if isinstance(start, SceneSource) else ()
+        self._by_source = {name: dr.zeros(mi.Float64, BATCHES) for name in moving}
         self.count = table.count
         self._surfaces = dr.opaque(mi.UInt32, self.count)
         # Shapes and rims; `_still` has no derivatives, and reads fewer columns
-        base = numbers_of(table)
-        numbers = base if moved is None else base.plus(moved)
+        numbers = numbers_of(table) if moved is None else moved
         self._still = NumberRows(numbers.geometry, SHAPE_COLUMNS)
         self._shape = NumberRows(numbers.geometry, SHAPE_COLUMNS, request.geometry)
         self._rims = NumberRows(numbers.geometry, RIM_COLUMNS, request.geometry)
@@ -97,7 +120,6 @@ class ReplaySurfaces:
         indices, rows, ideal = numbers.indices, numbers.rows, numbers.ideal
         self._indices = tracked_array(np.tile(indices.ravel(), BATCHES)) if request.indices else None
         self._plain_indices = upload(mi.Float64, indices)
-        self.rows = len(rows)
         if request.rows:
             self._rows, self._ideal = (tracked_array(np.tile(v.ravel(), BATCHES)) for v in (rows, ideal))
         else:
@@ -112,9 +134,6 @@ class ReplaySurfaces:
             places[piece.index, 3] = piece.sign
         self._places = upload(mi.Float64, places)
         self._extinction = upload(mi.Float64, np.array(optics.extinction))
-        # Terms of a pose that is not requested are left out of the kernel
-        self._tilts = bool(self._shape.names & {"tilt_x", "tilt_y", "tilt_z"})
-        self._shifts = bool(self._shape.names & {"x", "y", "z"})
         dr.eval(self._indices, self._plain_indices, self._rows, self._ideal, self._places)
         dr.eval(self._rotations, self._extinction)
 
@@ -153,19 +172,19 @@ class ReplaySurfaces:
 
     # ---- geometry
 
-    def meet(
+    def event(
         self,
         o: mi.Vector3d,
         d: mi.Vector3d,
         t: mi.Float64,
-        s: mi.UInt32,
+        code: mi.UInt32,
         batch: mi.UInt32,
         active: mi.Bool,
         steps: int = 1,
         still: bool = False,
-    ) -> Hit:
+    ) -> ReplayedEvent:
         """
-        Return the hit of a ray with the surfaces s near the distance t.
+        Return the event of a ray near the distance t.
 
         Parameters
         ----------
@@ -173,34 +192,61 @@ class ReplaySurfaces:
             Origin (mm) and unit direction in the world.
         t : mi.Float64
             Distance of a point near the hit, mm.
-        s, batch : mi.UInt32
-            Numbers of the surfaces, and batches of the start rays.
+        code, batch : mi.UInt32
+            Surface << EVENT_BITS | kind of event, and batches of the start rays.
         active : mi.Bool
         steps : int
             Newton steps; one is enough for derivatives at the hit itself.
         still : bool
-            Leave out derivatives, and the work for terms that are 0.
+            Leave out derivatives by shapes, and the work for terms that are 0.
         """
-        # Ray in the frame of the surface
-        vertex = self.vertex(s, active)
-        p, direction = self.to_local(o - vertex, s, active), self.to_local(d, s, active)
+        s, what = code >> EVENT_BITS, code & EVENT_MASK
+        transmitted, scattered = what == TRANSMITTED, what >= RANDOM_TRANSMITTED
+        # Ray in the frame of the surface; to first order in the rotation, which is 0
         numbers = self.numbers(s, batch, active, still)
         shift, turn = self._pose(numbers)
-        if self._shifts:
-            p = p - shift
-        if self._tilts:  # to first order; the rotation itself is 0
-            p, direction = p - dr.cross(turn, p), direction - dr.cross(turn, direction)
+        p, d = self._at_rest(self.local_point(o, s, active), shift, turn), self.to_local(d, s, active)
+        d = d - dr.cross(turn, d)
         # Newton steps; the last one carries the derivatives
         for _ in range(steps):
-            q = p + t * direction
-            value, gradient = self.implicit(q, numbers)
-            slope = dr.detach(2 * dr.dot(gradient, direction))
-            step = value / slope
+            value, gradient = self.implicit(p + t * d, numbers)
+            step = value / dr.detach(2 * dr.dot(gradient, d))
             t = t - dr.select(active & dr.isfinite(step), step, 0)
-        q = p + t * direction
+        q = p + t * d
         _, gradient = self.implicit(q, numbers)
         normal = dr.normalize(gradient) * self._place(s, active).w
-        return Hit(q, direction, normal, t, turn, shift)
+        # Side of incidence, media, R and T
+        cosine = dr.dot(d, normal)
+        from_front = dr.detach(cosine) > 0
+        axis, cos_i = dr.select(from_front, normal, -normal), dr.abs(cosine)
+        word = dr.gather(mi.UInt32, self.table.optics.words, s, active)
+        R, T, cos_t, eta = self._coated(s, word, from_front, cos_i, what == TOTAL, batch, active)
+        front, back = ((word >> place) & MEDIUM_MASK for place in (FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT))
+        # Reflection and Snell's law
+        after = dr.select(transmitted, eta * d + (cos_t - eta * cos_i) * axis, d - 2 * cosine * normal)
+        return ReplayedEvent(
+            s,
+            batch,
+            dr.select(scattered, (what & 1) != 0, ~transmitted),
+            from_front,
+            d,
+            axis,
+            cos_i,
+            cos_t,
+            eta,
+            R,
+            T,
+            lambda side, cos_i: self._coated(s, word, side, cos_i, mi.Bool(False), batch, active)[:2],
+            q=q,
+            active=active,
+            length=t,
+            turn=turn,
+            p=self.to_world(q + dr.cross(turn, q) + shift, s, active) + self.vertex(s, active),
+            scattered=scattered,
+            heading=self.to_world(after + dr.cross(turn, after), s, active),
+            medium_in=dr.select(from_front, front, back),
+            medium_out=dr.select(from_front, back, front),
+        )
 
     def numbers(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool, still: bool = False) -> dict[str, Any]:
         """Return the numbers of the shapes of the surfaces s, by name."""
@@ -245,15 +291,6 @@ class ReplaySurfaces:
             gradient = dr.select(here, 0.5 * mi.Vector3d(*family.gradient(*q, own)), gradient)
         return value, gradient
 
-    def world_point(self, met: Hit, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """Return the hit in the world, mm."""
-        q = met.q
-        if self._tilts:
-            q = q + dr.cross(met.turn, q)
-        if self._shifts:
-            q = q + met.shift
-        return self.to_world(q, s, active) + self.vertex(s, active)
-
     def local_point(self, p: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
         """Transform a point of the world to the frame of a surface, mm; without derivatives."""
         return self.to_local(p - self.vertex(s, active), s, active)
@@ -262,10 +299,10 @@ class ReplaySurfaces:
         """Return radii, half sides and ends of the surfaces s by the names of `RIM_COLUMNS`, mm; 0: there is none."""
         return self._rims.read(s, batch, active)
 
-    def rim_distance(self, met: Hit, rim: mi.UInt32, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Float64:
+    def rim_distance(self, at: ReplayedEvent, rim: mi.UInt32, active: mi.Bool) -> mi.Float64:
         """Return the distance of a hit from a rim, a place in `RIM_COLUMNS`, along the surface's coordinate, mm."""
         distance = mi.Float64(0)
-        for number, found in enumerate(self._rim_distances(met.q, s, batch, active)):
+        for number, found in enumerate(self._rim_distances(at.q, at.s, at.batch, active)):
             distance = dr.select(active & (rim == number), found, distance)
         return distance
 
@@ -297,13 +334,8 @@ class ReplaySurfaces:
 
     def distance_from(self, p: mi.Vector3d, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Float64:
         """Return the distance F/|∇F| of points of the world from the surfaces s next to them, mm."""
-        q = self.to_local(p - self.vertex(s, active), s, active)
         numbers = self.numbers(s, batch, active)
-        shift, turn = self._pose(numbers)
-        if self._shifts:
-            q = q - shift
-        if self._tilts:
-            q = q - dr.cross(turn, q)
+        q = self._at_rest(self.local_point(p, s, active), *self._pose(numbers))
         value, gradient = self.implicit(q, numbers)
         return value / dr.detach(2 * dr.norm(gradient))
 
@@ -313,45 +345,31 @@ class ReplaySurfaces:
         shift, turn = (mi.Vector3d(*(numbers[prefix + axis] for axis in "xyz")) for prefix in ("", "tilt_"))
         return shift, turn
 
-    def world_direction(self, met: Hit, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """Rotate a direction from the surface's frame to the world."""
-        if self._tilts:
-            v = v + dr.cross(met.turn, v)
-        return self.to_world(v, s, active)
+    @staticmethod
+    def _at_rest(q: mi.Vector3d, shift: mi.Vector3d, turn: mi.Vector3d) -> mi.Vector3d:
+        """Return points of frames in the frames moved by a displacement and a rotation."""
+        q = q - shift
+        return q - dr.cross(turn, q)
 
-    def local_direction(self, met: Hit, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """Rotate a direction from the world to the surface's frame."""
-        v = self.to_local(v, s, active)
-        return v - dr.cross(met.turn, v) if self._tilts else v
+    def local_direction(self, at: ReplayedEvent, v: mi.Vector3d) -> mi.Vector3d:
+        """Rotate a direction from the world to the frame of the event's surface."""
+        v = self.to_local(v, at.s, at.active)
+        return v - dr.cross(at.turn, v)
 
-    def move_start(
-        self,
-        surface: int,
-        o: mi.Vector3d,
-        d: mi.Vector3d,
-        by_o: mi.Vector3d,
-        by_d: mi.Vector3d,
-        batch: mi.UInt32,
-        active: mi.Bool,
-    ) -> None:
-        """
-        Accumulate derivatives of rays that start from a surface and move with it.
-
-        Parameters
-        ----------
-        surface : int
-        o, d : mi.Vector3d
-            Origins (mm) and unit directions of the rays.
-        by_o, by_d : mi.Vector3d
-            Derivatives of the metric by these.
-        batch : mi.UInt32
-        active : mi.Bool
-        """
-        s = dr.full(mi.UInt32, surface, dr.width(batch))
+    def move_start(self, rays: RecordedRays, by_o: mi.Vector3d, by_d: mi.Vector3d, active: mi.Bool) -> None:
+        """Accumulate derivatives by the starts of rays, given those of the metric by origins and directions."""
+        for name, sums in self._by_source.items():
+            # Rate at which origin and direction move with the parameter, times the adjoints of both
+            o, d = self._start.motion(name, rays.o + mi.Vector3d(*self.table.centre.tolist()), rays.d)
+            gain = dr.select(active, dr.dot(by_o, o) + dr.dot(by_d, d), 0)
+            dr.scatter_reduce(dr.ReduceOp.Add, sums, gain, rays.batch, active)
+        if not isinstance(self._start, int):
+            return
+        # Backward rays move with the surface that they start from
+        s = dr.full(mi.UInt32, self._start, dr.width(rays.batch))
         with dr.resume_grad():
-            shift, turn = self._pose(self.numbers(s, batch, active))
-            q = self.to_local(o - self.vertex(s, active), s, active)
-            along = self.to_local(d, s, active)
+            shift, turn = self._pose(self.numbers(s, rays.batch, active))
+            q, along = self.local_point(rays.o, s, active), self.to_local(rays.d, s, active)
             moved = self.to_world(shift + dr.cross(turn, q), s, active)
             turned = self.to_world(dr.cross(turn, along), s, active)
             value = dr.dot(by_o, moved) + dr.dot(by_d, turned)
@@ -362,38 +380,6 @@ class ReplaySurfaces:
 
     # ---- optics
 
-    def coating(
-        self, split: Split, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool
-    ) -> Callable[[mi.Bool, mi.Float64], tuple[mi.Float64, mi.Float64]]:
-        """Return a function that evaluates R and T of the surfaces s by side and cosine of incidence."""
-
-        def shares(from_front: mi.Bool, cos_i: mi.Float64) -> tuple[mi.Float64, mi.Float64]:
-            return self._coated(s, split.word, from_front, cos_i, mi.Bool(False), batch, active)[:2]
-
-        return shares
-
-    def split(self, met: Hit, s: mi.UInt32, what: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> Split:
-        """Return directions, R and T at a hit; `what` is the kind of event, `TOTAL` for total reflection."""
-        cosine = dr.dot(met.d, met.normal)
-        from_front = dr.detach(cosine) > 0
-        axis = dr.select(from_front, met.normal, -met.normal)
-        cos_i = dr.abs(cosine)
-        word = dr.gather(mi.UInt32, self.table.optics.words, s, active)
-        R, T, cos_t, eta, total = self._coated(s, word, from_front, cos_i, what == TOTAL, batch, active)
-        # Reflection and Snell's law, in the frame of the surface
-        reflected = met.d - 2 * cosine * met.normal
-        transmitted = eta * met.d + (cos_t - eta * cos_i) * axis
-        medium_in, medium_out = (
-            (dr.select(from_front, word >> first, word >> second)) & MEDIUM_MASK
-            for first, second in (
-                (FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT),
-                (BACK_MEDIUM_SHIFT, FRONT_MEDIUM_SHIFT),
-            )
-        )
-        return Split(
-            reflected, transmitted, R, T, from_front, axis, cos_i, cos_t, eta, total, medium_in, medium_out, word
-        )
-
     def _coated(
         self,
         s: mi.UInt32,
@@ -403,8 +389,8 @@ class ReplaySurfaces:
         known_total: mi.Bool,
         batch: mi.UInt32,
         active: mi.Bool,
-    ) -> tuple[mi.Float64, mi.Float64, mi.Float64, mi.Float64, mi.Bool]:
-        """Return R and T (means of s and p), cosine of refraction, n_i/n_t, and whether reflection is total."""
+    ) -> tuple[mi.Float64, mi.Float64, mi.Float64, mi.Float64]:
+        """Return R and T (means of s and p), cosine of refraction, and n_i/n_t."""
         front, back = self._sides(s, batch, active)
         n_i, n_t = dr.select(from_front, front, back), dr.select(from_front, back, front)
         # Refraction
@@ -455,59 +441,34 @@ class ReplaySurfaces:
             side = dr.select(from_front, mi.UInt32(REFLECTION_FRONT), mi.UInt32(REFLECTION_BACK))
             R = dr.select(tabled, read(side), R)
             T = dr.select(tabled, read(mi.UInt32(TRANSMISSION)), T)
-        return R, dr.select(total | opaque, 0, T), cos_t, eta, total
+        return R, dr.select(total | opaque, 0, T), cos_t, eta
 
     # ---- results
 
-    def geometry(self) -> np.ndarray:
-        """Return the accumulated derivatives by geometry, (BATCHES, surfaces, len(GEOMETRY)) float64."""
-        found = np.zeros((BATCHES, self.count, len(GEOMETRY)))
-        for rows in (self._shape, self._rims):
-            for name, values in rows.gradient().items():
-                found[:, :, GEOMETRY.index(name)] = values
-        return found
-
-    def index_gradient(self) -> np.ndarray:
-        """Return the accumulated derivatives by the indices, (BATCHES, surfaces, 2) float64."""
-        return np.array(dr.grad(self._indices)).reshape(BATCHES, self.count, 2)
-
-    def row_gradient(self, channels: int) -> np.ndarray:
-        """
-        Return the accumulated derivatives by rows of the tables and by ideal R and T.
-
-        Their shape is (BATCHES, rows, channels), see `mistray.recorders.adjoint`.
-        """
-        found = np.zeros((BATCHES, self.rows, channels))
-        found[:, :, :TABLE_CHANNELS] = np.array(dr.grad(self._rows)).reshape(BATCHES, self.rows, TABLE_CHANNELS)
-        ideal = np.array(dr.grad(self._ideal)).reshape(BATCHES, self.count, 2)
-        for s, place in enumerate(self.table.optics.host_places):
-            if int(self.table.optics.host_words[s]) & 3 == IDEAL:
-                found[:, place[0], REFLECTION_FRONT] += ideal[:, s, 0]
-                found[:, place[0], TRANSMISSION] += ideal[:, s, 1]
+    def derivatives(self) -> Derivatives:
+        """Return the accumulated derivatives that were requested."""
+        found = Derivatives()
+        for name, sums in self._by_source.items():
+            found.sources.append((self._start.emitter, name, np.array(sums)))
+        if self.request.geometry:
+            found.geometry = np.zeros((BATCHES, self.count, len(GEOMETRY)))
+            for rows in (self._shape, self._rims):
+                for name, values in rows.gradient().items():
+                    found.geometry[:, :, GEOMETRY.index(name)] = values
+        if self.request.indices:
+            found.indices = np.array(dr.grad(self._indices)).reshape(BATCHES, self.count, 2)
+        if self.request.rows:
+            found.rows = np.zeros((BATCHES, self.table.optics.rows, CHANNELS))
+            found.rows[:, :, :TABLE_CHANNELS] = np.array(dr.grad(self._rows)).reshape(BATCHES, -1, TABLE_CHANNELS)
+            ideal = np.array(dr.grad(self._ideal)).reshape(BATCHES, self.count, 2)
+            for s, place in enumerate(self.table.optics.host_places):
+                if int(self.table.optics.host_words[s]) & 3 == IDEAL:
+                    found.rows[:, place[0], [REFLECTION_FRONT, TRANSMISSION]] += ideal[:, s]
         return found
 
 
 @dataclass
-class Split:
-    """Specular split of light at a hit; directions in the surface's frame, see `mistray.kernel.interaction`."""
-
-    reflected: mi.Vector3d
-    transmitted: mi.Vector3d
-    R: mi.Float64
-    T: mi.Float64
-    from_front: mi.Bool
-    axis: mi.Vector3d
-    cos_i: mi.Float64
-    cos_t: mi.Float64
-    eta: mi.Float64
-    total: mi.Bool
-    medium_in: mi.UInt32
-    medium_out: mi.UInt32
-    word: mi.UInt32
-
-
-@dataclass
-class Numbers:
+class SurfaceNumbers:
     """
     Numbers of the surfaces that have a derivative.
 
@@ -527,16 +488,12 @@ class Numbers:
     rows: np.ndarray
     ideal: np.ndarray
 
-    def plus(self, other: Numbers) -> Numbers:
-        """Return the sum of these and others."""
-        return Numbers(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
-
-    def times(self, factor: float) -> Numbers:
-        """Return a multiple of these."""
-        return Numbers(*(factor * getattr(self, f.name) for f in fields(self)))
+    def plus(self, other: SurfaceNumbers, factor: float) -> SurfaceNumbers:
+        """Return the sum of these and a multiple of others."""
+        return SurfaceNumbers(*(getattr(self, f.name) + factor * getattr(other, f.name) for f in fields(self)))
 
 
-def numbers_of(table: SurfaceTable) -> Numbers:
+def numbers_of(table: SurfaceTable) -> SurfaceNumbers:
     """Return the present numbers of a table."""
     geometry = np.zeros((table.count, len(GEOMETRY)))
     for piece in table.pieces:
@@ -549,4 +506,4 @@ def numbers_of(table: SurfaceTable) -> Numbers:
         if known is not None:
             for place, part in ((first, known.refraction), (total, known.total)):
                 rows[place : place + len(part)] = part[:, :, 0]
-    return Numbers(geometry, optics.host_indices[:, :2].copy(), rows, optics.host_indices[:, 2:].copy())
+    return SurfaceNumbers(geometry, optics.host_indices[:, :2].copy(), rows, optics.host_indices[:, 2:].copy())

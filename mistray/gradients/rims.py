@@ -88,18 +88,14 @@ class RimRecorder(Recorder):
         Result of `rim_zones`.
     paths : BranchRecorder
         Paths up to and including the hit; `weight` is the throughput on arrival, `heading` the direction of arrival.
-    rim : (capacity,) mi.UInt32
-        Place in `RIM_COLUMNS`, or a jump of `mistray.gradients.grazing`.
-    delta : (capacity,) mi.Float
-        Distance from the rim, mm, or from the jump.
+    columns : dict
+        Numbers of each hit, (capacity,) each: ``rim``, a place in `RIM_COLUMNS` or a jump of
+        `mistray.gradients.grazing`; ``delta``, the distance from the rim, mm, or from the jump; ``scale``, see
+        `mistray.gradients.grazing.Jump`; ``copies``, the factor 1/p of a hit whose zone was chosen with probability p:
+        1, or 2 for each choice between two zones; ``gain``, the contribution to the metric of the hit and all events
+        after it.
     axis : (capacity, 3) mi.Float
         Normal at the hit, on the side of transmission.
-    scale : (capacity,) mi.Float
-        See `mistray.gradients.grazing.Jump`.
-    copies : (capacity,) mi.Float
-        Factor 1/p of a hit whose zone was chosen with probability p: 1, or 2 for each choice between two zones.
-    gain : (capacity,) mi.Float64
-        Contribution to the metric of the hit and all events after it.
     before : dict
         Fields of `StartRays` → (capacity,) state of the ray before the hit.
     """
@@ -128,13 +124,12 @@ class RimRecorder(Recorder):
         self._families = table.families
         self._bounds, self._kinds = upload(mi.Float, bounds), upload(mi.UInt32, kinds)
         self.paths = BranchRecorder(capacity, max_events, points_only=True)
-        self.rim = dr.zeros(mi.UInt32, capacity)
-        self.delta, self.copies = dr.zeros(mi.Float, capacity), dr.zeros(mi.Float, capacity)
-        self.gain = dr.zeros(mi.Float64, capacity)
         self.grazing = Grazing(table, width)
-        self.axis, self.scale = dr.zeros(mi.Float, 3 * capacity), dr.zeros(mi.Float, capacity)
+        kinds_of = {"rim": mi.UInt32, "delta": mi.Float, "scale": mi.Float, "copies": mi.Float, "gain": mi.Float64}
+        self.columns = {name: dr.zeros(kind, capacity) for name, kind in kinds_of.items()}
+        self.axis = dr.zeros(mi.Float, 3 * capacity)
         self.before = {name: dr.zeros(getattr(mi, kind), capacity) for name, kind in STATE.items()}
-        dr.eval(self.rim, self.delta, self.copies, self.gain, self.axis, self.scale, self.before)
+        dr.eval(self.columns, self.axis, self.before)
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
         """Allocate local arrays by depth: slot of the hit, and contribution to the metric before it."""
@@ -158,9 +153,8 @@ class RimRecorder(Recorder):
         def write(near: mi.Bool) -> mi.UInt32:
             weight = mi.Float64(state["w"])
             slot, kept = self.paths.write(visit, near, weight, heading=state["d"])
-            numbers = (self.rim, rim), (self.delta, delta), (self.copies, copies), (self.scale, jump.scale)
-            for values, value in numbers:
-                dr.scatter(values, value, slot, kept)
+            for name, value in {"rim": rim, "delta": delta, "copies": copies, "scale": jump.scale}.items():
+                dr.scatter(self.columns[name], value, slot, kept)
             for j, component in enumerate(it.axis):
                 dr.scatter(self.axis, component, 3 * slot + j, kept)
             start = visit.start
@@ -207,7 +201,7 @@ class RimRecorder(Recorder):
             going = active & (k <= back.depth)
             slot = slots.read(k, going)
             here = going & (slot != NO_EVENT)
-            dr.scatter(self.gain, gain - before.read(k, here), slot, here)
+            dr.scatter(self.columns["gain"], gain - before.read(k, here), slot, here)
             return (k + 1,)
 
         dr.while_loop(

@@ -15,22 +15,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.kernel.interaction import shares_at
 from mistray.kernel.lobes import STRIDE, RadialSampler, multilinear, radial_place
 from mistray.kernel.scatter_shares import Shares
-from mistray.kernel.scatter_tables import LOBE_FLOATS, RATIO_HEAD, PackedLobes, ScatterTables, pack
+from mistray.kernel.scatter_tables import LOBE_FLOATS, RATIO_HEAD, ScatterTables, pack
 from mistray.kernel.scattering import LobeFrame, Scattering, specular_direction
 from mistray.scatter.radial import RINGS, RadialTable
 from mistray.settings import BATCHES
-
-if TYPE_CHECKING:
-    from mistray.surfaces.surfaces import SurfaceTable
 
 TOTALS, LOBES, RATIOS, LOGS = "totals", "lobes", "ratios", "logs"
 TOTAL_FLOATS = 4
@@ -66,6 +61,9 @@ class ScatterEvent:
         Index on the side of incidence over the one on the other side.
     R, T : mi.Float
         Reflectance and transmittance of the coating for light along d; T = 0 in total reflection.
+    coating : callable
+        (from_front, cosine of incidence) → R and T of the surfaces for light of that side; in total reflection R + T
+        and 0. It is only called in a backward trace.
     q : mi.Vector3f, optional
         Point in the frame of the surface, mm; the directions are then in this frame, too. It is needed where scatter
         depends on the orientation of a sample.
@@ -82,6 +80,7 @@ class ScatterEvent:
     eta: mi.Float
     R: mi.Float
     T: mi.Float
+    coating: Coating
     q: mi.Vector3f | None = None
 
     @property
@@ -108,36 +107,17 @@ class ScatterReplay(Scattering):
 
     Parameters
     ----------
-    table : SurfaceTable
-        Surfaces of the run.
     scattering : Scattering
         Scatter of the run; a surface must scatter.
-
-    Attributes
-    ----------
-    leaves : dict
-        Name of an array → zeros that hold the derivatives by its entries, (BATCHES · size) mi.Float64.
     """
 
-    def __init__(self, table: SurfaceTable, scattering: Scattering) -> None:
-        self._table, self.any = table, True
-        packed = pack(scattering.tables.all_cases, by_plugin=True)
-        sizes = {name: int(np.prod(shape)) for name, shape in shapes(scattering.tables, packed).items()}
-        self.leaves: dict[str, mi.Float64] = {}
-        with dr.resume_grad():
-            for name, size in sizes.items():
-                self.leaves[name] = dr.zeros(mi.Float64, BATCHES * size)
-                dr.enable_grad(self.leaves[name])
-        self.tables: ReplayTables = ReplayTables(scattering.tables, packed, self.leaves, sizes)
+    def __init__(self, scattering: Scattering) -> None:
+        self.any = True
+        self.tables: ReplayTables = ReplayTables(scattering.tables)
 
     def derivatives(self) -> dict[str, np.ndarray]:
         """Return name of an array → accumulated derivatives by its entries, (BATCHES, size) float64."""
-        return {name: np.array(dr.grad(leaf)).reshape(BATCHES, -1) for name, leaf in self.leaves.items()}
-
-    def clear(self) -> None:
-        """Set the derivatives to 0."""
-        for leaf in self.leaves.values():
-            dr.set_grad(leaf, dr.zeros(mi.Float64, dr.width(leaf)))
+        return {name: np.array(dr.grad(leaf)).reshape(BATCHES, -1) for name, leaf in self.tables.leaves.items()}
 
     def log_kept(self, event: ScatterEvent, active: mi.Bool) -> mi.Float:
         """Return ln of the fraction of R or T that stays in the specular beam; 0 if inactive, or if nothing stays."""
@@ -187,9 +167,7 @@ class ScatterReplay(Scattering):
         normal = dr.select(event.from_front, event.axis, -event.axis)
         return self.tables.frames.local(event.s, normal, event.q, active)
 
-    def log_flux(
-        self, event: ScatterEvent, direction: mi.Vector3f, active: mi.Bool, coating: Coating | None = None
-    ) -> mi.Float:
+    def log_flux(self, event: ScatterEvent, direction: mi.Vector3f, active: mi.Bool) -> mi.Float:
         """
         Return ln of the flux that the surface scatters into a direction, per solid angle and unit of incident flux.
 
@@ -202,9 +180,6 @@ class ScatterReplay(Scattering):
         direction : mi.Vector3f
             Unit vector.
         active : mi.Bool
-        coating : callable, optional
-            (from_front, cosine of incidence) → R and T of the surfaces for light of that side; in total reflection
-            R + T and 0. Only called in a backward trace; by default from the tables, without derivatives by their rows.
 
         Returns
         -------
@@ -225,37 +200,17 @@ class ScatterReplay(Scattering):
         frame = LobeFrame(event.axis, outward, specular, event.d, event.cos_i, event.eta, x_axis, one)
         # BSDF: that of the forward light in a backward trace
         if self.tables.backward:
-            flux = self._coated_backward_flux(
-                event, plan, frame, direction, cos_s, coating or self._coating(event.s, active)
-            )
+            # R and T of the forward light, which arrives along -`direction`, on the ray's side or on the other one
+            R, T = event.coating(event.from_front ^ ~event.reflect, cos_s)
+            eta = dr.select(event.reflect, event.eta, dr.rcp(event.eta))
+            cos_t = dr.safe_sqrt(1 - dr.square(eta) * (1 - dr.square(cos_s)))
+            share = dr.select(event.reflect, R, T)
+            flux = self._backward_flux(plan, event.reflect, frame, direction, cos_s, cos_t, share)
         else:
             lobes = self._read_lobes(plan, dr.select(event.reflect, event.R, event.T), event.cos_i)
             flux, _, _ = self._evaluate(lobes, one, direction, cos_s, frame)
         good = active & (cos_s > 0) & (flux > 0)
         return dr.select(good, dr.log(dr.select(good, flux, 1)), 0)
-
-    def _coated_backward_flux(
-        self,
-        event: ScatterEvent,
-        plan: mi.Vector4u,
-        frame: LobeFrame,
-        direction: mi.Vector3f,
-        cos_s: mi.Float,
-        coating: Coating,
-    ) -> mi.Float:
-        """Return `_backward_flux`, with derivatives by R and T."""
-        from_front = event.from_front ^ ~event.reflect
-        R, T = coating(from_front, cos_s)
-        # R and T of the forward light, which arrives along -`direction`, on the ray's side or on the other one
-        eta = dr.select(event.reflect, event.eta, dr.rcp(event.eta))
-        cos_t = dr.safe_sqrt(1 - dr.square(eta) * (1 - dr.square(cos_s)))
-        share = dr.select(event.reflect, R, T)
-        return self._backward_flux(plan, event.reflect, frame, direction, cos_s, cos_t, share)
-
-    def _coating(self, s: mi.UInt32, active: mi.Bool) -> Coating:
-        """Return the coatings of surfaces, from the tables of the run."""
-        word = dr.gather(mi.UInt32, self._table.optics.words, s, active)
-        return lambda from_front, cos_i: shares_at(self._table, s, word, from_front, mi.Float(cos_i), active)[:2]
 
 
 class ReplayTables(ScatterTables):
@@ -265,31 +220,35 @@ class ReplayTables(ScatterTables):
     Parameters
     ----------
     tables : ScatterTables
-    packed : PackedLobes
-        Their lobes, by plugin.
-    leaves, sizes : dict
-        Name of an array → its leaf, and the size of the leaf for one batch.
 
     Attributes
     ----------
+    leaves : dict
+        Name of an array → zeros that hold the derivatives by its entries, (BATCHES · size) mi.Float64; of ratios the
+        moving ones alone.
     batch : mi.UInt32
         Batch to which derivatives are added; to be set before anything is read.
     """
 
-    def __init__(
-        self, tables: ScatterTables, packed: PackedLobes, leaves: dict[str, mi.Float64], sizes: dict[str, int]
-    ) -> None:
+    def __init__(self, tables: ScatterTables) -> None:
         self.backward, self.flags, self.most_lobes = tables.backward, tables.flags, tables.most_lobes
         self.sides, self.cases, self.transmission_rows = tables.sides, tables.cases, tables.transmission_rows
         self.totals, self.turns, self.frames = tables.totals, tables.turns, tables.frames
+        packed = pack(tables.all_cases, by_plugin=True)
         self._upload_lobes(packed)
         self.radial = ReplayRadial(packed.tables, partial(self._zero, LOGS))
         self.batch = mi.UInt32(0)
-        self._leaves, self._sizes = leaves, {name: dr.opaque(mi.UInt32, size) for name, size in sizes.items()}
+        sizes = {TOTALS: tables.total_rows * TOTAL_FLOATS, LOBES: packed.floats.size, LOGS: len(packed.tables) * STRIDE}
+        sizes |= {RATIOS: packed.moving} if packed.moving else {}
+        self._sizes = {name: dr.opaque(mi.UInt32, size) for name, size in sizes.items()}
+        with dr.resume_grad():
+            # Literal zeros take no memory, and no time to read
+            self.leaves = {name: dr.zeros(mi.Float64, BATCHES * size) for name, size in sizes.items()}
+            dr.enable_grad(self.leaves)
 
     def _zero(self, name: str, index: mi.UInt32, active: mi.Bool) -> mi.Float:
         """Return the zero of an entry."""
-        return mi.Float(dr.gather(mi.Float64, self._leaves[name], self.batch * self._sizes[name] + index, active))
+        return mi.Float(dr.gather(mi.Float64, self.leaves[name], self.batch * self._sizes[name] + index, active))
 
     def total(self, row: mi.UInt32, active: mi.Bool) -> mi.Vector4f:
         """Return the row of `ScatterTables.total`, with derivatives."""
@@ -328,10 +287,10 @@ class ReplayTables(ScatterTables):
             width = 2 * half if mirrored or round_ else high - low
             value = value + (ends[1] - ends[0]) / width * (moved - still)
         # Derivatives by the entries
-        if RATIOS not in self._leaves:
+        if RATIOS not in self.leaves:
             return value
         size = self._sizes[RATIOS]
-        return value + at(self._leaves[RATIOS], self.batch * size + place, held, active & (place < size))
+        return value + at(self.leaves[RATIOS], self.batch * size + place, held, active & (place < size))
 
 
 class ReplayRadial(RadialSampler):
@@ -361,13 +320,3 @@ class ReplayRadial(RadialSampler):
         slope = 0.5 * (own + dr.lerp(*sides, fraction))
         low, high = low + self._zero(first + node, active), high + self._zero(first + node + 1, active)
         return dr.exp2(dr.lerp(low, high, fraction) + slope * (place - held))
-
-
-def shapes(tables: ScatterTables, packed: PackedLobes) -> dict[str, tuple[int, ...]]:
-    """Return name of an array → shape of the entries that have derivatives; of ratios the moving ones alone."""
-    found: dict[str, tuple[int, ...]] = {
-        TOTALS: (tables.total_rows, TOTAL_FLOATS),
-        LOBES: packed.floats.shape,
-        LOGS: (len(packed.tables), STRIDE),
-    }
-    return found | ({RATIOS: (packed.moving,)} if packed.moving else {})

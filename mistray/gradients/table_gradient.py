@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,11 +12,8 @@ from mistray.surfaces.gradient_columns import RIM_COLUMNS
 
 if TYPE_CHECKING:
     from mistray.gradients.full.full_rims import FullRims
-    from mistray.gradients.start_motion import SourceDerivative
     from mistray.kernel.scattering import Scattering
     from mistray.surfaces.surfaces import SurfaceTable
-
-ARRAYS = ("rows", "geometry", "edges", "indices", "edge_indices")
 
 
 @dataclass(frozen=True)
@@ -75,28 +73,64 @@ class GradientRequest:
 
 
 @dataclass
+class Derivatives:
+    """
+    Derivatives of a metric by the numbers of a run, by batch of start rays.
+
+    Attributes
+    ----------
+    rows : (BATCHES, rows, CHANNELS) float64 or None
+        Derivatives by the rows of the tables of R and T, see `mistray.recorders.adjoint`.
+    geometry : (BATCHES, surfaces, len(GEOMETRY)) float64 or None
+    indices : (BATCHES, surfaces, 2) float64 or None
+        Derivatives by the real indices in front and behind.
+    scatter : dict
+        Name of an array of `Scattering.arrays` (totals, lobes, ratios, logs) → (BATCHES, size) float64.
+    sources : list of (mi.Emitter, str, (BATCHES,) float64)
+        Derivatives by the parameters of sources: owner, name, values.
+    """
+
+    rows: np.ndarray | None = None
+    geometry: np.ndarray | None = None
+    indices: np.ndarray | None = None
+    scatter: dict[str, np.ndarray] = field(default_factory=dict)
+    sources: list[tuple[Any, str, np.ndarray]] = field(default_factory=list)
+
+    @classmethod
+    def stacked(cls, parts: Sequence[Derivatives]) -> Derivatives:
+        """Return derivatives by geometry, indices and sources along a first axis, that of the parts."""
+        columns = ([getattr(part, name) for part in parts] for name in ("geometry", "indices"))
+        geometry, indices = (np.stack(arrays) if arrays and arrays[0] is not None else None for arrays in columns)
+        sources = zip(*(part.sources for part in parts), strict=True)
+        by_sources = [(*same[0][:2], np.stack([values for _, _, values in same])) for same in sources]
+        return cls(None, geometry, indices, {}, by_sources)
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Arrays that are not None, and those of scatter, by name."""
+        named = {name: getattr(self, name) for name in ("rows", "geometry", "indices")}
+        return {name: values for name, values in named.items() if values is not None} | self.scatter
+
+    def add(self, other: Derivatives) -> None:
+        """Add others with the same arrays, in place."""
+        for name, values in self.arrays.items():
+            values += other.arrays[name]
+        self.sources += other.sources
+
+
+@dataclass
 class TableGradient:
     """
-    Derivatives of a metric at one source and wavelength, by batch of start rays.
+    Derivatives of a metric at one source and wavelength.
 
     Attributes
     ----------
     table : SurfaceTable
     scattering : Scattering
-    rows : (BATCHES, rows, CHANNELS) float64 or None
-        Derivatives by the rows of the tables of R and T, see `mistray.recorders.adjoint`.
-    geometry : (BATCHES, surfaces, len(GEOMETRY)) float64 or None
-        Derivatives by geometry with visibility held; boundary terms of rims are in `edges`.
-    edges : (w, BATCHES, surfaces, len(GEOMETRY)) float64 or None
-        Boundary terms of rims by geometry, for each width of the zones.
-    indices : (BATCHES, surfaces, 2) float64 or None
-        Derivatives by the real indices in front and behind, visibility held.
-    edge_indices : (w, BATCHES, surfaces, 2) float64 or None
-        Boundary terms of rims by the indices.
-    scatter : dict
-        Name of an array of `Scattering.arrays` (totals, lobes, ratios, logs) → (BATCHES, size) float64.
-    sources : list of SourceDerivative
-        Derivatives by the parameters of sources.
+    inner : Derivatives
+        Derivatives with visibility held.
+    rims : Derivatives
+        Boundary terms of rims; their arrays have a first axis, that of the widths of the zones.
     full : list of FullRims
         Rims that a beam just fills, where there are any.
     left_out : list of str
@@ -109,34 +143,23 @@ class TableGradient:
 
     table: SurfaceTable
     scattering: Scattering
-    rows: np.ndarray | None = None
-    geometry: np.ndarray | None = None
-    edges: np.ndarray | None = None
-    indices: np.ndarray | None = None
-    edge_indices: np.ndarray | None = None
-    scatter: dict[str, np.ndarray] = field(default_factory=dict)
-    sources: list[SourceDerivative] = field(default_factory=list)
+    inner: Derivatives
+    rims: Derivatives = field(default_factory=Derivatives)
     full: list[FullRims] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
     seconds: float = 0.0
     backward: bool = False
 
     @property
-    def parts(self) -> tuple[str, ...]:
-        """Names of the arrays that are not None, and of those of scatter."""
-        return (*(name for name in ARRAYS if getattr(self, name) is not None), *sorted(self.scatter))
+    def parts(self) -> tuple[tuple[str, ...], ...]:
+        """Names of the arrays."""
+        return tuple(self.inner.arrays), tuple(self.rims.arrays)
 
     def add(self, other: TableGradient) -> None:
         """Add another gradient with the same tables and the same parts, in place."""
-        # Arrays
-        for name in ARRAYS:
-            value = getattr(self, name)
-            if value is not None:
-                value += getattr(other, name)
-        for name, values in self.scatter.items():
-            values += other.scatter[name]
-        # Lists; a note is kept once
-        self.sources += other.sources
+        self.inner.add(other.inner)
+        self.rims.add(other.rims)
         self.full += other.full
+        # A note is kept once
         self.left_out += [text for text in other.left_out if text not in self.left_out]
         self.seconds += other.seconds

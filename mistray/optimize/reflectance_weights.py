@@ -108,8 +108,8 @@ def reflectance_weights(metric: Metric) -> ReflectanceWeights:
     for observation in observations:
         for raw in observation.table_gradients(GradientRequest(rows=True)):
             optics = raw.table.optics
-            assert raw.rows is not None
-            slopes = raw.rows.sum(axis=0)
+            assert raw.inner.rows is not None
+            slopes = raw.inner.rows.sum(axis=0)
             for i, bsdf in enumerate(optics.bsdfs):
                 if int(optics.host_words[i]) & 3 != TABLED or bsdf.film is None:
                     continue

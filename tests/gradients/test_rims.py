@@ -69,10 +69,10 @@ def read(book: RimRecorder) -> dict[str, np.ndarray]:
         "p": points[rows, length - 1].astype(np.float64),
         "d": np.array(paths.heading).reshape(-1, 3)[:n],
         "w": np.array(paths.weight)[:n],
-        "rim": np.array(book.rim)[:n],
-        "delta": np.array(book.delta)[:n],
-        "copies": np.array(book.copies)[:n],
-        "gain": np.array(book.gain)[:n],
+        "rim": np.array(book.columns["rim"])[:n],
+        "delta": np.array(book.columns["delta"])[:n],
+        "copies": np.array(book.columns["copies"])[:n],
+        "gain": np.array(book.columns["gain"])[:n],
         **{name: np.array(values)[:n] for name, values in book.before.items()},
     }
 

@@ -1,0 +1,135 @@
+"""Rays that are traced again in portions, of which a recorder holds all that it records, one lane each for a replay."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.recorders.branch_recorder import BranchRecorder
+from mistray.recorders.start_rays import StartRays
+from mistray.surfaces.upload import upload
+
+ROOM = 0.7  # fraction of the capacity that the next portion should fill
+GROWTH = 4  # of the number of rays from one portion to the next, at most
+
+Trace = Callable[[StartRays, BranchRecorder], object]
+
+
+class Portions:
+    """
+    Division of passes into portions whose size follows what the portion before has recorded.
+
+    Parameters
+    ----------
+    recorder : BranchRecorder
+    lanes : int
+        Start rays of the first portion.
+    too_many : str
+        Message if a single start ray records more than there is room for, with {count} and {capacity}.
+    """
+
+    def __init__(self, recorder: BranchRecorder, lanes: int, too_many: str) -> None:
+        self._recorder, self._lanes, self._too_many = recorder, max(1, lanes), too_many
+
+    def of(
+        self, start: StartRays, trace: Trace, most: Callable[[], int] | None = None
+    ) -> Iterator[tuple[StartRays, int]]:
+        """
+        Trace start rays in portions, and yield each with the number of its records as long as the recorder holds them.
+
+        Parameters
+        ----------
+        start : StartRays
+        trace : callable
+            Traces a portion of the start rays with the recorder, its second argument.
+        most : callable, optional
+            Returns an upper limit of the rays of the next portion.
+        """
+        done, count, capacity = 0, dr.width(start.lane), self._recorder.capacity
+        while done < count:
+            here = min(self._lanes, count - done, *([most()] if most else []))
+            part = start if here == count else start.take(dr.arange(mi.UInt32, here) + dr.opaque(mi.UInt32, done))
+            self._recorder.clear()
+            trace(part, self._recorder)
+            recorded = int(self._recorder.count[0])
+            # Overflow: nothing of the portion is used, and fewer rays are traced again
+            self._lanes = max(1, min(GROWTH * self._lanes, int(here * ROOM * capacity / max(recorded, 1))))
+            if recorded <= capacity:
+                done += here
+                yield part, recorded
+            elif here == 1:
+                raise MistrayError(self._too_many.format(count=recorded, capacity=capacity))
+
+
+@dataclass
+class RecordedRays:
+    """
+    Recorded rays, one lane each.
+
+    Attributes
+    ----------
+    recorder : BranchRecorder
+    row : mi.UInt32
+        Row of each ray in the recorder.
+    start : StartRays
+        Start rays of the recorded portion.
+    lane : mi.UInt32
+        Place of each ray's start in these.
+    o, d : mi.Vector3d
+        Origins, mm, and unit directions.
+    batch, length : mi.UInt32
+        Batch of the start ray, number of events.
+    stride : mi.UInt32
+        Capacity of a row in events, opaque.
+    longest : int
+        Number of events of the longest ray.
+    """
+
+    recorder: BranchRecorder
+    row: mi.UInt32
+    start: StartRays
+    lane: mi.UInt32
+    o: mi.Vector3d
+    d: mi.Vector3d
+    batch: mi.UInt32
+    length: mi.UInt32
+    stride: mi.UInt32
+    longest: int
+
+    @classmethod
+    def of(cls, recorder: BranchRecorder, start: StartRays, rows: np.ndarray) -> RecordedRays:
+        """Return recorded rays of a portion, one lane for each row."""
+        row = upload(mi.UInt32, rows)
+        lane = dr.gather(mi.UInt32, recorder.lane, row) - dr.opaque(mi.UInt32, int(start.lane[0]))
+        length = dr.gather(mi.UInt32, recorder.length, row)
+        o, d = (mi.Vector3d(dr.gather(mi.Vector3f, v, lane)) for v in (start.o, start.d))
+        d = dr.normalize(d)
+        batch = dr.gather(mi.UInt32, start.batch, lane)
+        dr.eval(row, length, o, d, batch)
+        stride, longest = dr.opaque(mi.UInt32, recorder.max_events), max(1, int(np.array(length).max()))
+        return cls(recorder, row, start, lane, o, d, batch, length, stride, longest)
+
+    @property
+    def weight(self) -> mi.Float64:
+        """Weights that the recorder holds."""
+        return dr.gather(mi.Float64, self.recorder.weight, self.row)
+
+    @property
+    def heading(self) -> mi.Vector3f:
+        """Directions in which the rays leave the scene."""
+        return mi.Vector3f(*(dr.gather(mi.Float, self.recorder.heading, 3 * self.row + k) for k in range(3)))
+
+    def code(self, k: mi.UInt32, active: mi.Bool) -> mi.UInt32:
+        """Return event k, surface << EVENT_BITS | kind of event."""
+        return dr.gather(mi.UInt32, self.recorder.codes, self.row * self.stride + k, active)
+
+    def point(self, k: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
+        """Return the recorded point of event k, mm."""
+        nodes, size = self.recorder.nodes, self.recorder.node_floats
+        base = (self.row * self.stride + k) * size
+        return mi.Vector3d(*(mi.Float64(dr.gather(mi.Float, nodes, base + j, active)) for j in range(3)))
