@@ -16,6 +16,7 @@ from mistray.analysis.pst.forward_part import SUMS, ForwardPart
 from mistray.analysis.pst.found_paths import FoundPaths
 from mistray.analysis.pst.pilot import Pilot
 from mistray.analysis.pst.plan import Plan
+from mistray.analysis.pst.request import cells_up_to
 from mistray.analysis.pst.result import BACKWARD, FORWARD, Pst, notes
 from mistray.analysis.pst.state import PstProgress, load_state, require_same, save_state, under
 from mistray.errors import MistrayWarning, UnfinishedError
@@ -110,7 +111,7 @@ class BackwardRun:
         if self._plan is not None or not self._joined:
             return self._plan
         started = time.perf_counter()
-        counts = self._counts(up_to_deg).ravel()
+        counts = cells_up_to(self._trace.grid, up_to_deg).ravel()
         pilot = Pilot(self._trace, self._points, counts, wanted is not None)
         # For a fixed number of rays the pilot has a fixed size, so that the run may be continued. For an error it
         # grows, because its first variances are unreliable
@@ -209,14 +210,9 @@ class BackwardRun:
         most = self._trace.settings.rays
         if wanted is None:
             return most
-        counts = self._counts(self._wanted[1]).ravel()
+        counts = cells_up_to(self._trace.grid, self._wanted[1]).ravel()
         least = DARK_AFTER if np.any(plan.light[counts] == 0) else int(plan.pilot_rays[1])
         return min(max(plan.rays_for(wanted, counts), least), most)
-
-    def _counts(self, up_to_deg: float | None) -> np.ndarray:
-        """Return a mask of the cells whose error is required, (n, m) bool."""
-        grid = self._trace.grid
-        return np.broadcast_to(grid.field_deg[:, None] <= (90.0 if up_to_deg is None else up_to_deg), grid.shape)
 
     def _keep(self, error: UnfinishedError, unsaved: bool) -> None:
         """Save the finished passes, and add their place and their PST to the error of lost workers."""
@@ -231,7 +227,7 @@ class BackwardRun:
 
     def _worst(self, up_to_deg: float | None) -> float:
         """Return the largest relative standard error of required cells with light; infinite if none has light yet."""
-        value, se = (part[self._counts(up_to_deg)] for part in self._pst().map())
+        value, se = (part[cells_up_to(self._trace.grid, up_to_deg)] for part in self._pst().map())
         lit = value > 0
         return float(np.max(se[lit] / value[lit], initial=0.0)) if lit.any() else np.inf
 

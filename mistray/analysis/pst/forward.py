@@ -11,17 +11,15 @@ import numpy as np
 
 from mistray.analysis.pst.forward_part import CellSums, ForwardPart
 from mistray.analysis.pst.found_paths import FoundPaths
-from mistray.analysis.pst.request import PstRequest
+from mistray.analysis.pst.request import PstRequest, cells_up_to
 from mistray.analysis.pst.result import Pst, notes
 from mistray.analysis.pst.state import PstProgress
-from mistray.errors import MistrayError
 from mistray.execute.by_parts import SceneTask
 from mistray.execute.grid_trace import WaveTrace
 from mistray.execute.passes import execute_passes
 from mistray.execute.workers import current_workers
 from mistray.notes import Code, Note
 from mistray.percent import percent_text
-from mistray.ranges import RELATIVE_ERROR
 from mistray.recorders.directions import DirectionGrid
 from mistray.sampling.plane_wave import Entrance
 from mistray.sampling.sources import spectrum_of
@@ -106,25 +104,6 @@ def forward_pst(
     return rounds.result()
 
 
-def _angles_that_count(grid: DirectionGrid, request: PstRequest) -> np.ndarray:
-    """Return a mask of the field angles whose error is to fall below the requested one, (n,) bool."""
-    relative_error, error_up_to_deg = request.relative_error, request.error_up_to_deg
-    if relative_error is None:
-        if error_up_to_deg is not None:
-            raise MistrayError(
-                "error_up_to_deg is given without relative_error; give the relative error that is wanted"
-            )
-        return np.zeros(grid.shape[0], dtype=bool)
-    RELATIVE_ERROR.check("relative_error", relative_error)
-    last = 90.0 if error_up_to_deg is None else float(error_up_to_deg)
-    counts = grid.field_deg <= last
-    if not counts.any():
-        raise MistrayError(
-            f"error_up_to_deg is {last:g}; no angle is that small, the smallest is {grid.field_deg[0]:g} deg"
-        )
-    return counts
-
-
 class CellRounds:
     """
     Rounds of forward rays, each of which gives the cells that are not done their next rays.
@@ -154,7 +133,7 @@ class CellRounds:
         entrance: Entrance | None,
         points: np.ndarray | None,
     ) -> None:
-        counts = np.repeat(_angles_that_count(grid, request), grid.shape[1])
+        counts = cells_up_to(grid, request.error_up_to_deg).ravel() & (request.relative_error is not None)
         # Wavelengths without weight need no rays
         wavelengths, shares = spectrum_of(scene, request.wavelength_nm, request.weights)
         light = wavelengths[shares > 0], shares[shares > 0]
@@ -175,7 +154,8 @@ class CellRounds:
             self._most = np.where(counts, self._most, self._first)
         self._open = np.ones(len(counts), dtype=bool)  # cells that are not done
         self._error = np.full(len(counts), np.inf)  # relative standard error of all light of each cell
-        self._began, self._in_round = time.perf_counter(), 0  # and the rays of the present round so far
+        self._began = time.perf_counter()
+        self._of_round, self._in_round = 0.0, 0.0  # rays of the present round, and those that are traced
         self.light.cells.after_pass = self._after_pass
 
     def kernel_arrays(self) -> list[list[np.ndarray]]:
@@ -192,8 +172,9 @@ class CellRounds:
             # A time budget ends a cell between two launches
             if is_limited():
                 step = np.minimum(step, BATCHES * max(light.cells.lanes / len(cells) // BATCHES, 1))
+            self._of_round = float(step.sum())
             light.go_on(light.rays + step, number)
-            number, self._in_round = number + 1, 0
+            number, self._in_round = number + 1, 0.0
             self._judge()
             going &= self._open & (not time_is_up())
             self._open[cells] = going[cells]
@@ -218,15 +199,15 @@ class CellRounds:
 
     def _after_pass(self, rays: int) -> None:
         """Report that a pass of the present round is done, unless the first errors have yet to say how many follow."""
-        self._in_round += rays
+        self._in_round = min(self._in_round + rays, self._of_round)
         if self._wanted is None or np.isfinite(self._error).any():
             self._report()
 
     def _report(self) -> None:
         """Report the progress."""
-        rays = self.light.rays
         if self.progress is None:
             return
+        rays = self.light.rays
         # Rays that the cells need: the error falls as 1/√rays
         seen = self._counts & np.isfinite(self._error)
         needed = np.where(self._open, self._most, rays)
