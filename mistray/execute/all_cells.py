@@ -10,15 +10,15 @@ with w the weight of its rays that meet the detector. `AllCells.areas` are A, an
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.execute.backward import BackwardTrace
-from mistray.kernel.launches import launches_of
+from mistray.execute.grid_trace import GridTrace
+from mistray.kernel.launches import Launches, launches_of
 from mistray.kernel.ray_tree import trace_tree
 from mistray.recorders.arrivals import ArrivalRecorder
 from mistray.recorders.film import Film
@@ -27,7 +27,6 @@ from mistray.recorders.path_sums import PathSums
 from mistray.recorders.recorder import Recorder
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.start_samples import ArrivalSamples, Samples
-from mistray.sampling.sharing.balance import Sharing
 from mistray.sampling.sharing.cell_starts import cell_starts
 from mistray.settings import BATCHES
 
@@ -42,8 +41,8 @@ class AllCells:
 
     Parameters
     ----------
-    trace : BackwardTrace
-        Backward trace with MIS weights for these rays, see `BackwardTrace.share_paths`.
+    trace : GridTrace
+        A `WaveTrace`, or a backward trace with MIS weights for these rays, see `BackwardTrace.share_paths`.
 
     Attributes
     ----------
@@ -54,12 +53,16 @@ class AllCells:
         PST_normal for a mean weight of 1 of the start rays of a cell.
     rounds : list of tuple
         Number and rays of each round, as passed to `sums`.
+    after_pass : callable or None
+        Called with the number of start rays of each pass that `sums` has traced.
     """
 
-    def __init__(self, trace: BackwardTrace) -> None:
+    def __init__(self, trace: GridTrace) -> None:
         self._trace = trace
-        self.areas = trace.forward[0].balance.areas.reshape(trace.grid.shape)
+        self.areas = trace.waves.areas.reshape(trace.grid.shape)
         self.cells = self.areas.size
+        self.after_pass: Callable[[int], None] | None = None
+        self._launches: dict[int, Launches] = {}  # by wavelength, of the latest rays
         self.rounds: list[tuple[int, np.ndarray]] = []
         self.unit = self.areas.ravel() / trace.area
         x0, x1, y0, y1 = trace.extent
@@ -84,10 +87,13 @@ class AllCells:
             Number of this search, which selects its random numbers.
         """
         found = []
-        for band, forward in enumerate(self._trace.forward):
+        for band in range(len(self._trace.bands)):
+            mis = self._trace.balance(band)
+            assert mis is not None
             for scatter, only in self._kinds:
-                recorder = ArrivalSamples(self.cells, self._trace.design_keys, forward.balance, only)
-                self._run(band, rays, (SAMPLES, number), recorder, scatter)
+                recorder = ArrivalSamples(self.cells, self._trace.design_keys, mis, only)
+                for start in self.starts(band, rays, (SAMPLES, number), scatter):
+                    self.trace_trees(band, start, recorder, scatter)
                 found.append(recorder.read())
         return found
 
@@ -110,11 +116,15 @@ class AllCells:
         total: dict[str, np.ndarray] = {}
         if self._paths is None and trace.lists_paths:
             self._paths = trace.new_paths()
-        for band, forward in enumerate(trace.forward):
-            film = self._film if all(trace.map_size) else None
+        film = self._film if all(trace.map_size) else None
+        for band in range(len(trace.bands)):
+            mis = trace.balance(band)
             for scatter, only in self._kinds:
-                recorder = ArrivalRecorder(self.cells, trace.design_keys, forward.balance, self._paths, film, only)
-                self._run(band, rays, (SUMS, number), recorder, scatter)
+                recorder = ArrivalRecorder(self.cells, trace.design_keys, mis, self._paths, film, only)
+                for start in self.starts(band, rays, (SUMS, number), scatter):
+                    self.trace_trees(band, start, recorder, scatter)
+                    if self.after_pass:
+                        self.after_pass(dr.width(start.lane))
                 for name, values in recorder.read().items():
                     join = np.maximum if name == "largest" else np.add
                     total[name] = join(total[name], values) if name in total else values
@@ -123,16 +133,27 @@ class AllCells:
     @property
     def _kinds(self) -> list[tuple[bool, bool]]:
         """Kinds of rays: whether they may scatter, and whether their unscattered light is left out."""
-        return [(True, False)] if self.sharing.unscattered is None else [(True, True), (False, False)]
+        return [(True, False)] if self.unscattered is None else [(True, True), (False, False)]
 
     @property
-    def sharing(self) -> Sharing:
-        """Numbers of rays of both directions, which determine the MIS weights."""
-        return self._trace.forward[0].balance.sharing
+    def unscattered(self) -> np.ndarray | None:
+        """Additional rays for unscattered light alone, see `mistray.sampling.sharing.balance.Sharing`."""
+        balance = self._trace.balance(0)
+        return None if balance is None else balance.sharing.unscattered
+
+    @property
+    def lanes(self) -> float:
+        """Number of rays of the next launch, see `mistray.kernel.launches.Launches.lanes`."""
+        parts = [self._trace.bands[band].share / one.lanes for band, one in self._launches.items()]
+        return 1 / max(parts) if parts else BATCHES
 
     def paths(self) -> dict[str, np.ndarray]:
         """Return the path table so far, see `PathSums.read`; empty if there is none."""
         return self._paths.read() if self._paths is not None else {}
+
+    def forget_paths(self) -> None:
+        """Empty the path table."""
+        self._paths = None
 
     def gains(self, derivative: np.ndarray, mis: MisWeighting) -> ArrivalRecorder:
         """Return a recorder of the gain of a metric, from its derivative by the sums of each class in each cell."""
@@ -142,18 +163,30 @@ class AllCells:
         """Yield the start rays of a wavelength, in passes of bounded size; each round has a stream of its own."""
         # Rays of each cell
         trace = self._trace
-        one = trace.bands[band]
-        wanted = many = rays * one.share
+        balance = trace.balance(band)
+        wanted = many = rays * trace.bands[band].share
         if not scatter:
-            assert self.sharing.unscattered is not None
-            many = wanted * self.sharing.unscattered
+            assert self.unscattered is not None
+            many = wanted * self.unscattered
             stream = (OWN + stream[0], stream[1])
-        passes = max(1, -(-int(many.sum()) // PASS_LANES))
+        # With MIS every pass has rays of all cells. Without it each cell is split by itself, so that its rays do not
+        # depend on those of other cells
+        apart = balance is None
+        passes = np.maximum(1, -(-(many if apart else many.sum()).astype(np.int64) // PASS_LANES))
         lanes = np.where(wanted > 0, np.maximum(np.round(many / passes / BATCHES), 1) * BATCHES, 0).astype(np.int64)
         # The rays of a wavelength are in proportion to its share; the weight corrects the rounding of their number
         weight = np.divide(wanted, passes * lanes, out=np.zeros(len(lanes)), where=lanes > 0)
-        for k in range(passes):
-            yield cell_starts(trace.forward[band].balance, (trace.settings.seed, *stream, band, k), lanes, weight)
+        for k in range(int(np.max(passes))):
+            here = np.where(k < passes, lanes, 0)
+            group = (np.cumsum(here) - 1) // PASS_LANES if apart else np.zeros(len(here))
+            for number in np.unique(group[here > 0]):
+                yield cell_starts(
+                    trace.waves,
+                    None if balance is None else balance.starts,
+                    (trace.settings.seed, *stream, band, k),
+                    np.where(group == number, here, 0),
+                    weight,
+                )
 
     def trace_trees(self, band: int, start: StartRays, recorder: Recorder, scatter: bool = True) -> None:
         """Trace the trees of some start rays of a wavelength."""
@@ -163,8 +196,8 @@ class AllCells:
         if not scatter:
             assert scene.competing is not None
             # These rays start with 1/unscattered of the weight; the threshold is lowered alike, so that none ends early
-            assert self.sharing.unscattered is not None
-            threshold = settings.flux_threshold / float(self.sharing.unscattered.max())
+            assert self.unscattered is not None
+            threshold = settings.flux_threshold / float(self.unscattered.max())
             settings, connects = replace(settings, max_scatters=0, flux_threshold=threshold), False
             scene = replace(scene, competing=replace(scene.competing, connects=False))
 
@@ -174,9 +207,5 @@ class AllCells:
         # The threshold of unscattered light changes from round to round, but the time per ray, by which launches are
         # sized, does not
         kind = replace(settings, flux_threshold=trace.settings.flux_threshold)
-        launches_of(table, kind, recorder.code, "forward", connects).whole(start, launch)
-
-    def _run(self, band: int, rays: np.ndarray, stream: tuple[int, int], recorder: Recorder, scatter: bool) -> None:
-        """Trace all start rays of a wavelength in a round."""
-        for start in self.starts(band, rays, stream, scatter):
-            self.trace_trees(band, start, recorder, scatter)
+        self._launches[band] = launches_of(table, kind, recorder.code, "forward", connects)
+        self._launches[band].whole(start, launch)

@@ -23,59 +23,43 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.execute.backward_parts import Ahead, BackwardTask
-from mistray.execute.fingerprint import fingerprint, kernel_arrays
+from mistray.execute.grid_trace import Band, GridTrace
 from mistray.execute.workers import current_workers
 from mistray.kernel.kernel_scene import BranchProbabilities, CompetingTrace, KernelScene, WeightWindows
 from mistray.kernel.launches import launches_of
 from mistray.kernel.ray_tree import trace_tree
-from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
 from mistray.notes import Note
 from mistray.recorders.adjoint import Adjoint
-from mistray.recorders.design_sequences import DesignKeys
 from mistray.recorders.direction_recorder import DirectionRecorder
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.film import Film
 from mistray.recorders.mis_weights import MisWeighting
-from mistray.recorders.path_sums import PathSums, join_sums
+from mistray.recorders.path_sums import join_sums
 from mistray.recorders.recorder import Recorder, Recorders
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.start_samples import SAMPLES, WAYS, DepartureSamples, Samples
 from mistray.recorders.tallies import CHANNEL_COUNT, CUTS, SEGMENTS, SURFACE_SUMS, Tallies
 from mistray.sampling.backward_targets import backward_targets
-from mistray.sampling.design.search import design_sequences, traced_table
 from mistray.sampling.detector_start import DetectorStart
 from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.sharing.balance import Balance, Sharing
 from mistray.sampling.sharing.cell_starts import cell_starts, whole_batches
+from mistray.sampling.sharing.cell_waves import CellWaves
 from mistray.sampling.sharing.light_vertices import LightVertexRecorder, LightVertices
 from mistray.sampling.sharing.path_classes import PathClassShares
-from mistray.sampling.sources import spectrum_of
 from mistray.settings import BATCHES, NO_LIMIT, Settings
-from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.surfaces import SurfaceTable
-from mistray.surfaces.thin_gaps import thin_gaps
 from mistray.surfaces.upload import upload
 
 FIRST_PASS, PASS_LANES = 1 << 14, 1 << 18  # rays of the smallest passes, and of the largest
 PASSES_OF_A_SIZE = 4  # a run is at most about 1 / 4 longer than was requested
-PATH_SLOTS, ENTRY_SLOTS = 1 << 17, 1 << 20  # sizes of the tables of paths, and of their sums by cell
 VERTICES_OF_RAY, VERTEX_SEED = 1.0, 2  # forward rays of the light vertex cache per ray of a pass; their random stream
 ROOM = 1.3  # capacity of the cache, in units of the number of vertices expected from the last pass
 FIRST_SEARCH, SEARCHES = 1 << 24, 64  # number of the first pass of a pilot, beyond those of any run; its searches
 # Branch probabilities: numbers of scatter events, and of reflections that are followed, of a ray that meets all optics;
 # and the least probability of scatter at a surface, in units of the share of its rays that reach the sky
 SCATTERS_OF_RAY, REFLECTIONS_OF_RAY, VIEWS_OF_SKY = 2.0, 4.0, 2.0
-
-
-@dataclass(frozen=True)
-class Band:
-    """One wavelength of a trace."""
-
-    table: SurfaceTable
-    scattering: Scattering
-    start: DetectorStart
-    share: float
 
 
 @dataclass(frozen=True)
@@ -95,7 +79,7 @@ class ForwardTrace:
     balance: Balance
 
 
-class BackwardTrace:
+class BackwardTrace(GridTrace):
     """
     A backward trace that can be continued without limit.
 
@@ -106,18 +90,8 @@ class BackwardTrace:
 
     Parameters
     ----------
-    scene : mi.Scene
-    grid : DirectionGrid
-    settings : Settings
-    wavelength_nm : float or sequence of float, optional
-        Wavelengths; by default those of the first source, else 550 nm.
-    weights : sequence of float, optional
-        Shares of the wavelengths in the flux.
-    detector : str, optional
-    map_pixels : int
-        Longer side of the maps of the detector; 0: none.
-    paths : bool
-        Whether a table of the paths is kept.
+    scene, grid, settings, wavelength_nm, weights, detector, map_pixels, paths
+        See `GridTrace`.
     both_sides : bool
         Whether light that meets the detector from behind contributes, as in a forward trace.
     sharing : Sharing, optional
@@ -125,6 +99,8 @@ class BackwardTrace:
 
     Attributes
     ----------
+    starts : list of DetectorStart
+        Start of the rays, by wavelength.
     forward : list of ForwardTrace
         Forward traces by wavelength; empty: there are backward rays only.
     vertices_per_ray : float
@@ -136,10 +112,6 @@ class BackwardTrace:
         Number of passes that have been traced.
     pass_rays : list of int or None
         Rays of each of them; None if the trace continues another one.
-    area : float
-        Area of the detector, mm².
-    design : DesignSequences
-        Sequences of the direct image; in a scene without optics, light that meets nothing forms it.
 
     Raises
     ------
@@ -168,49 +140,29 @@ class BackwardTrace:
                 f"max_random_scatters is {settings.max_random_scatters}; it limits how light is sampled, which is "
                 "another thing in a backward trace: use max_scatters"
             )
+        super().__init__(scene, grid, settings, wavelength_nm, weights, detector, map_pixels, paths)
         # State of the forward trace, if there is one
-        self.grid, self.settings = grid, settings
-        self._scene = scene
         self._elsewhere: Ahead | None = None
         self._arguments = (grid, settings, wavelength_nm, weights, detector, map_pixels, paths, both_sides, sharing)
         self.forward: list[ForwardTrace] = []
         self.vertices_per_ray = 2.0  # first guess, before any pass
         self._paths_elsewhere: dict[str, np.ndarray] = {}
-        # Surfaces and targets
-        wavelengths, shares = spectrum_of(scene, wavelength_nm, weights)
-        self.wavelength_nm, self.weights = tuple(map(float, wavelengths)), tuple(map(float, shares))
-        first = traced_table(scene, self.wavelength_nm[0], detector)
-        self.intersector = Intersector(first)
         axis = np.asarray(grid.rotation)[:, 2]
-        found = backward_targets(first, scene, settings, axis)
+        found = backward_targets(self.table, scene, settings, axis)
         # Branch probabilities: every hit of a wall scatters, those of optics share `SCATTERS_OF_RAY`
         optics = max(len(found.views), 1)
-        probability = np.ones(first.count)
+        probability = np.ones(self.table.count)
         for surface, share in found.views.items():
             probability[surface] = np.clip(VIEWS_OF_SKY * share, min(1.0, SCATTERS_OF_RAY / optics), 1.0)
         ghosts = dr.opaque(mi.Float, min(1.0, REFLECTIONS_OF_RAY / optics))
         self._probabilities = BranchProbabilities(upload(mi.Float, probability), ghosts)
-        probability = np.ones(first.count)
+        probability = np.ones(self.table.count)
         probability[list(found.views)] = min(1.0, SCATTERS_OF_RAY / optics)
         self._forward_probabilities = BranchProbabilities(upload(mi.Float, probability), ghosts)
-        # Tables and start rays of each wavelength
-        self.bands = []
-        for wavelength, share in zip(self.wavelength_nm, self.weights, strict=True):
-            table = first if wavelength == first.wavelength_nm else first.at(wavelength)
-            scattering = Scattering(ScatterTables(table, found.aims, backward=True))
-            light = found.light if found.light is not None else axis
-            self.bands.append(Band(table, scattering, DetectorStart(table, light, found.start, both_sides), share))
-        self.design = design_sequences(scene, *(band.table for band in self.bands), free=True)
-        self.design_keys = DesignKeys(self.design, first.detector)
-        # Maps with the aspect ratio of the film
-        start = self.bands[0].start
-        self.table, self.area, self.extent = first, start.area, start.extent
-        long_side = max(start.width, start.height)
-        self.map_size = (
-            (max(1, round(map_pixels * start.width / long_side)), max(1, round(map_pixels * start.height / long_side)))
-            if map_pixels
-            else (0, 0)
-        )
+        # Scatter and start rays of each wavelength
+        self.bands = self.with_aims(found.aims, backward=True)
+        light = found.light if found.light is not None else axis
+        self.starts = [DetectorStart(band.table, light, found.start, both_sides) for band in self.bands]
         self._path_sums = self.new_paths() if paths else None
         corner_x, corner_y, per_mm_x, per_mm_y = (dr.opaque(mi.Float, v) for v in (0.0, 0.0, 1.0, 1.0))
         self.film = Film(1, 1, corner_x, corner_y, per_mm_x, per_mm_y, groups=1)
@@ -231,27 +183,17 @@ class BackwardTrace:
         if self.forward:
             self.forward = [replace(one, balance=one.balance.at(sharing)) for one in self.forward]
             return
-        targets = importance_targets(self.table, self._scene, self.settings)
+        self.waves = CellWaves(sharing.points, self.grid, self.table.centre)
+        aimed = self.with_aims(importance_targets(self.table, self._scene, self.settings))
         self.forward = [
-            ForwardTrace(
-                Scattering(ScatterTables(band.table, targets)),
-                Balance(sharing, self.grid, band.start, band.table.centre),
-            )
-            for band in self.bands
+            ForwardTrace(band.scattering, Balance(sharing, self.waves, start))
+            for band, start in zip(aimed, self.starts, strict=True)
         ]
 
     @property
     def notes(self) -> list[Note]:
-        """Notes on gaps too thin for float32, and on assumptions about the media, see `Optics.notes`."""
-        return [
-            *thin_gaps(self.table),
-            *dict.fromkeys(text for band in self.bands for text in (*band.table.optics.notes, *band.start.notes)),
-        ]
-
-    @property
-    def lists_paths(self) -> bool:
-        """Whether there is a table of the paths."""
-        return self._path_sums is not None
+        """See `GridTrace.notes`; with those on the medium before the detector."""
+        return [*dict.fromkeys([*super().notes, *(note for start in self.starts for note in start.notes)])]
 
     def go_on_from(self, sums: dict[str, np.ndarray], passes: int, seconds: float) -> None:
         """Take over the sums of another trace with the same arguments."""
@@ -281,8 +223,7 @@ class BackwardTrace:
         for sums in new:
             self._add(sums)
         for found in sums_of_paths:
-            before = self._paths_elsewhere
-            self._paths_elsewhere = join_sums(before, found) if before else found
+            self._paths_elsewhere = join_sums(self._paths_elsewhere, found)
         self.passes += 1
         if self.pass_rays is not None:
             self.pass_rays.append(rays)
@@ -354,7 +295,7 @@ class BackwardTrace:
 
     @property
     def connects(self) -> bool:
-        """Whether rays are connected to light vertices, see `mistray.sampling.sharing.light_vertices`."""
+        """See `GridTrace.connects`."""
         return bool(self.forward) and self.forward[0].balance.sharing.connects
 
     @property
@@ -369,12 +310,8 @@ class BackwardTrace:
         surfaces = any(one.scattering.any for one in self.bands) and not optics.scatters
         return surfaces and settings.max_scatters > 1 and settings.splitting == "split" and not optics.one_child
 
-    def balance(self, number: int, vertices: LightVertices | None, same_rays: bool = False) -> Balance | None:
-        """
-        Return the MIS weights at a wavelength; None: there are rays of one direction only.
-
-        With `same_rays`, unscattered light has no rays of its own.
-        """
+    def balance(self, number: int, vertices: LightVertices | None = None, same_rays: bool = False) -> Balance | None:
+        """See `GridTrace.balance`."""
         if not self.forward:
             return None
         balance = self.forward[number].balance
@@ -399,7 +336,7 @@ class BackwardTrace:
         starts_per_connection = forward.balance.sharing.starts_per_connection
         lanes = whole_batches(np.ceil(VERTICES_OF_RAY * rays * one.share * starts_per_connection))
         seed = (self.settings.seed, VERTEX_SEED, *stream, number)
-        start = cell_starts(forward.balance, seed, lanes, (lanes > 0).astype(float))
+        start = cell_starts(self.waves, forward.balance.starts, seed, lanes, (lanes > 0).astype(float))
         scene = KernelScene(one.table, forward.scattering, self.intersector, self._forward_probabilities)
         settings = replace(self.settings, max_scatters=0)
 
@@ -414,10 +351,10 @@ class BackwardTrace:
         if recorder.count > recorder.room:
             recorder = traced(recorder.count)
         self.vertices_per_ray = recorder.count / float(lanes.sum())
-        return LightVertices(*recorder.read(), starts_per_connection, lanes, forward.balance.extent)
+        return LightVertices(*recorder.read(), starts_per_connection, lanes, self.waves.extent)
 
     def forward_scene(self, number: int) -> KernelScene:
-        """Return the scene of the kernel for the forward rays of a wavelength."""
+        """See `GridTrace.forward_scene`."""
         band, scattering = self.bands[number], self.forward[number].scattering
         competing = CompetingTrace(band.scattering, self._probabilities, self.connects)
         return KernelScene(band.table, scattering, self.intersector, self._forward_probabilities, competing=competing)
@@ -448,10 +385,6 @@ class BackwardTrace:
         if self._path_sums is not None:
             self._path_sums = self.new_paths()
 
-    def new_paths(self) -> PathSums:
-        """Return an empty table of paths by cell."""
-        return PathSums(PATH_SLOTS, ENTRY_SLOTS, self.settings.max_events, int(np.prod(self.grid.shape)))
-
     @contextlib.contextmanager
     def shared(self, rays: int) -> Iterator[None]:
         """Let workers, if there are any, trace the passes of the block, which have about `rays` rays in all."""
@@ -480,7 +413,7 @@ class BackwardTrace:
         lanes = max(BATCHES, round(rays * one.share / BATCHES) * BATCHES)
         seed = self.settings.seed + 0x9E3779B9 * (number + len(self.bands) * done)
         # The rays of a wavelength are in proportion to its share; the weight corrects the rounding of their number
-        start = one.start.pass_rays(seed, lanes, one.share * rays / lanes, self.map_size)
+        start = self.starts[number].pass_rays(seed, lanes, one.share * rays / lanes, self.map_size)
         dr.eval(
             start.lane,
             start.batch,
@@ -512,21 +445,11 @@ class BackwardTrace:
             else:
                 self.sums[key] = self.sums.get(key, 0.0) + values
 
-    @property
-    def fingerprint(self) -> str:
-        """Hash of all that the kernel reads: geometry, coatings, media and scatter at every wavelength."""
-        return fingerprint((one.table, one.scattering) for one in self.bands)
-
-    def kernel_arrays(self) -> list[list[np.ndarray]]:
-        """Return the arrays that the kernel reads, for each wavelength."""
-        return [kernel_arrays(one.table, one.scattering) for one in self.bands]
-
     def paths(self) -> dict[str, np.ndarray] | None:
         """Return the path table so far, see `PathSums.read`; None if there is none."""
         if self._path_sums is None:
             return None
-        here = self._path_sums.read()
-        return join_sums(self._paths_elsewhere, here) if self._paths_elsewhere else here
+        return join_sums(self._paths_elsewhere, self._path_sums.read())
 
     @property
     def unit(self) -> np.ndarray:

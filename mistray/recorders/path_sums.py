@@ -39,6 +39,7 @@ class PathSums:
             )
         self.max_events, self.cells = max_events, cells
         self._path_mask, self._entry_mask = dr.opaque(mi.UInt32, paths - 1), dr.opaque(mi.UInt32, entries - 1)
+        self._row = dr.opaque(mi.UInt32, cells)  # opaque, so that it makes no new kernel
         self.keys = dr.zeros(mi.UInt64, paths)
         self.lengths = dr.zeros(mi.UInt32, paths)
         self.events = dr.zeros(mi.UInt32, paths * max_events)
@@ -63,7 +64,7 @@ class PathSums:
         dr.scatter(self.lengths, length, slot, new)
         write_list(self.events, slot * self.max_events, length, read, new)
         # Find or claim the entry of the path in its cell; 0 marks a free entry
-        number = slot * self.cells + cell + 1
+        number = slot * self._row + cell + 1
         start = mi.UInt32((mi.UInt64(number) * mi.UInt64(MULTIPLIER)) >> 32) & self._entry_mask
         entry, found, _ = claim(self.entries, number, start, self._entry_mask, MOST_PROBES, found)
         w = mi.Float64(weight)
@@ -112,7 +113,9 @@ class PathSums:
 
 
 def join_sums(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return two path tables, see `PathSums.read`, as one."""
+    """Return two path tables, see `PathSums.read`, as one; an empty dictionary has no paths."""
+    if not first or not second:
+        return first or second
     # Paths are identified by their keys, and entries by path and cell
     longest = max(first["events"].shape[1], second["events"].shape[1])
     events = np.concatenate(

@@ -9,9 +9,17 @@ import drjit as dr
 import mitsuba as mi
 
 
-def generators(seed: int, lane: mi.UInt32) -> tuple[mi.PCG32, mi.UInt32]:
+def generators(seed: int, lane: mi.UInt32, group: mi.UInt32 | None = None) -> tuple[mi.PCG32, mi.UInt32]:
     """
     Return one random number generator for each lane.
+
+    Parameters
+    ----------
+    seed : int
+    lane : mi.UInt32
+        Number of each lane, within its group if there are groups.
+    group : mi.UInt32, optional
+        Groups of lanes, whose generators do not depend on the lanes of other groups.
 
     Returns
     -------
@@ -20,8 +28,12 @@ def generators(seed: int, lane: mi.UInt32) -> tuple[mi.PCG32, mi.UInt32]:
         Stream number of each lane's generator, a hash of seed and lane.
     """
     # Streams of PCG32 with neighbouring numbers are correlated: seed and ray number are hashed first
-    state, sequence = mi.sample_tea_32(dr.opaque(mi.UInt32, seed % 2**32), lane)
-    return mi.PCG32(size=dr.width(lane), initstate=mi.UInt64(state), initseq=mi.UInt64(sequence)), sequence
+    start = dr.opaque(mi.UInt32, seed % 2**32)
+    state, sequence = mi.sample_tea_32(start if group is None else start + group, lane)
+    words = [mi.UInt64(state), mi.UInt64(sequence)]
+    if group is not None:  # the generator adds the number of the lane
+        words = [word - dr.arange(mi.UInt64, dr.width(lane)) for word in words]
+    return mi.PCG32(size=dr.width(lane), initstate=words[0], initseq=words[1]), sequence
 
 
 @dataclass

@@ -17,7 +17,7 @@ from oracles.statistics import assert_z
 
 import mistray
 from mistray.analysis.pst import forward
-from mistray.analysis.pst.forward_cells import FIRST_RAYS
+from mistray.analysis.pst.forward import FIRST_RAYS
 from mistray.analysis.pst.request import PstRequest
 from mistray.analysis.pst.result import Pst
 from mistray.errors import MistrayError
@@ -235,7 +235,7 @@ class TestBudget:
             dr.kernel_history_clear()
             forward_pst(scene, DirectionGrid.of([10.0, 35.0, 80.0], azimuths_deg=[0.0, 90.0]), **arguments)
             kernels = [entry for entry in dr.kernel_history() if entry["type"] == dr.KernelType.JIT]
-        assert len(kernels) > 12
+        assert len(kernels) >= 2  # start rays, and their trees
         fresh = [entry for entry in kernels if not entry["cache_hit"]]
         assert not fresh, f"{len(fresh)} of {len(kernels)} kernels were compiled anew"
 

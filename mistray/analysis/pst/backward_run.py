@@ -16,8 +16,9 @@ from mistray.analysis.pst.forward_part import SUMS, ForwardPart
 from mistray.analysis.pst.found_paths import FoundPaths
 from mistray.analysis.pst.pilot import Pilot
 from mistray.analysis.pst.plan import Plan
+from mistray.analysis.pst.request import cells_up_to
 from mistray.analysis.pst.result import BACKWARD, FORWARD, Pst, notes
-from mistray.analysis.pst.state import PstProgress, load_state, require_same, save_state
+from mistray.analysis.pst.state import PstProgress, load_state, require_same, save_state, under
 from mistray.errors import MistrayWarning, UnfinishedError
 from mistray.execute.backward import FIRST_PASS, BackwardTrace
 from mistray.execute.forecast import LONG, duration
@@ -25,7 +26,6 @@ from mistray.gradients.pst_gradient import PstRays
 from mistray.interrupts import later, requested
 from mistray.notes import Code, Note, unfinished
 from mistray.percent import percent_text
-from mistray.recorders.direction_recorder import DIFFRACTED, MULTIPLE, SINGLE
 from mistray.recorders.path_sums import join_sums
 from mistray.time_budget import is_limited, left, share, time_is_up
 
@@ -87,9 +87,9 @@ class BackwardRun:
         if resume and state is not None:
             arrays, facts = load_state(state)
             require_same(state, facts, self._signature)
-            self._before = {key[len(PATH) :]: values for key, values in arrays.items() if key.startswith(PATH)}
+            self._before = under(arrays, PATH)
             if joined:
-                self._take(Plan.of_arrays({k[len(PLAN) :]: v for k, v in arrays.items() if k.startswith(PLAN)}), arrays)
+                self._take(Plan.of_arrays(under(arrays, PLAN)), arrays)
             others = (PATH, PLAN, SUMS)
             sums = {key: values for key, values in arrays.items() if not key.startswith(others)}
             trace.go_on_from(sums, int(facts["passes"]), float(facts["seconds"]))
@@ -111,7 +111,7 @@ class BackwardRun:
         if self._plan is not None or not self._joined:
             return self._plan
         started = time.perf_counter()
-        counts = self._counts(up_to_deg).ravel()
+        counts = cells_up_to(self._trace.grid, up_to_deg).ravel()
         pilot = Pilot(self._trace, self._points, counts, wanted is not None)
         # For a fixed number of rays the pilot has a fixed size, so that the run may be continued. For an error it
         # grows, because its first variances are unreliable
@@ -210,14 +210,9 @@ class BackwardRun:
         most = self._trace.settings.rays
         if wanted is None:
             return most
-        counts = self._counts(self._wanted[1]).ravel()
+        counts = cells_up_to(self._trace.grid, self._wanted[1]).ravel()
         least = DARK_AFTER if np.any(plan.light[counts] == 0) else int(plan.pilot_rays[1])
         return min(max(plan.rays_for(wanted, counts), least), most)
-
-    def _counts(self, up_to_deg: float | None) -> np.ndarray:
-        """Return a mask of the cells whose error is required, (n, m) bool."""
-        grid = self._trace.grid
-        return np.broadcast_to(grid.field_deg[:, None] <= (90.0 if up_to_deg is None else up_to_deg), grid.shape)
 
     def _keep(self, error: UnfinishedError, unsaved: bool) -> None:
         """Save the finished passes, and add their place and their PST to the error of lost workers."""
@@ -232,7 +227,7 @@ class BackwardRun:
 
     def _worst(self, up_to_deg: float | None) -> float:
         """Return the largest relative standard error of required cells with light; infinite if none has light yet."""
-        value, se = (part[self._counts(up_to_deg)] for part in self._pst().map())
+        value, se = (part[cells_up_to(self._trace.grid, up_to_deg)] for part in self._pst().map())
         lit = value > 0
         return float(np.max(se[lit] / value[lit], initial=0.0)) if lit.any() else np.inf
 
@@ -252,8 +247,7 @@ class BackwardRun:
     def _paths(self) -> dict[str, np.ndarray]:
         """Return the path table of this run and of the one that it continues."""
         if self._table is None:
-            here = self._trace.paths() or {}
-            self._table = join_sums(self._before, here) if self._before and here else here
+            self._table = join_sums(self._before, self._trace.paths() or {})
         return self._table
 
     def _pst(self) -> Pst:
@@ -269,14 +263,15 @@ class BackwardRun:
         trace, bare, light = self._trace, self._pst(), self._light
         rays = float(trace.rays.sum())
         unit = trace.unit / rays
-        # Strongest single ray over all scattered light
-        scattered = np.mean(bare.by_batch[[SINGLE, MULTIPLE, DIFFRACTED]].sum(axis=0), axis=-1)
         largest = unit * trace.sums["largest"]
         if light is not None:
             largest = np.maximum(largest, light.largest)
-        largest = np.divide(largest, scattered, out=np.zeros_like(largest), where=scattered > 0)
+        largest = bare.share_of_scattered(largest)
         table = self._paths()
-        found = FoundPaths.of(trace, table, light) if table else None
+        found = None
+        if table:
+            alone = table, unit.ravel(), np.full(unit.size, rays)
+            found = FoundPaths.of(trace, against=alone, along=light.found if light is not None else None)
         # Notes and facts
         lines = [*notes(bare, largest, rays), *trace.notes]
         wanted, up_to_deg = self._wanted
@@ -289,10 +284,7 @@ class BackwardRun:
             )
             lines.append(Note(text, Code.ERROR))
         facts: dict[str, Any] = {
-            "detector": trace.table.ids[trace.table.detector],
-            "detector_area_mm2": trace.area,
-            "wavelength_nm": list(trace.wavelength_nm),
-            "weights": list(trace.weights),
+            **trace.facts,
             "rays": round(rays),
             "segments": trace.segments,
             "seconds": self._pilot_seconds + trace.seconds + (light.seconds if light is not None else 0.0),
@@ -309,7 +301,7 @@ class BackwardRun:
                 "connections": trace.connects,
                 "pilot_rays": round(against),
                 "pilot_rays_with_the_light": round(with_light),
-                "seen_by_one_direction": found.one_sided(trace) if found is not None else [],
+                "seen_by_one_direction": found.one_sided() if found is not None else [],
             }
         return Pst(
             trace.grid,
@@ -318,7 +310,7 @@ class BackwardRun:
             method=self.method,
             facts=facts,
             largest_share=largest,
-            path_rows=found.rows(trace) if found is not None else None,
+            path_rows=found.rows() if found is not None else None,
             maps=self._maps(unit, rays),
             extent_mm=trace.extent,
             source=PstRays(trace, light.cells if light is not None else None),
@@ -331,14 +323,7 @@ class BackwardRun:
         trace = self._trace
         if "maps" not in trace.sums:
             return None
-        columns, rows = trace.map_size
-        n, m = trace.grid.shape
-        weight, squares = trace.sums["maps"].reshape(2, n, m, -1)
-        value = unit[..., None] * weight
+        weight, squares = trace.sums["maps"].reshape(2, *trace.grid.shape, -1)
         variance = unit[..., None] ** 2 * np.maximum(squares - weight**2 / rays, 0)
-        if self._light is not None:
-            value, variance = (part + more for part, more in zip((value, variance), self._light.maps, strict=True))
-        # The map is a rectangle; a round detector does not fill it
-        x0, x1, y0, y1 = trace.extent
-        pixels = rows * columns * trace.area / ((x1 - x0) * (y1 - y0))
-        return np.asarray(pixels * np.stack([value, np.sqrt(variance)]).reshape(2, n, m, rows, columns))
+        found = np.stack([unit[..., None] * weight, variance])
+        return trace.maps(found if self._light is None else found + self._light.maps)

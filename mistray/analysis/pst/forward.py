@@ -1,31 +1,34 @@
-"""Point source transmittance by forward runs: one plane wave for each cell of directions."""
+"""Point source transmittance by forward rays alone, in rounds over all cells of directions."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 
 import mitsuba as mi
 import numpy as np
 
-from mistray.analysis.pst.forward_cells import FIRST_RAYS, Cell, CellPass, CellsTask, ForwardCells
-from mistray.analysis.pst.request import PstRequest
+from mistray.analysis.pst.forward_part import CellSums, ForwardPart
+from mistray.analysis.pst.found_paths import FoundPaths
+from mistray.analysis.pst.request import PstRequest, cells_up_to
 from mistray.analysis.pst.result import Pst, notes
 from mistray.analysis.pst.state import PstProgress
-from mistray.errors import MistrayError
+from mistray.execute.by_parts import SceneTask
+from mistray.execute.grid_trace import WaveTrace
 from mistray.execute.passes import execute_passes
 from mistray.execute.workers import current_workers
 from mistray.notes import Code, Note
 from mistray.percent import percent_text
-from mistray.ranges import RELATIVE_ERROR
 from mistray.recorders.directions import DirectionGrid
 from mistray.sampling.plane_wave import Entrance
 from mistray.sampling.sources import spectrum_of
 from mistray.scene.check import require_scene
-from mistray.settings import Settings
-from mistray.surfaces.thin_gaps import thin_gaps
-from mistray.time_budget import not_traced
+from mistray.settings import BATCHES, Settings
+from mistray.time_budget import is_limited, not_traced, time_is_up
+
+FIRST_RAYS = 1 << 15  # rays of the first round of a cell whose error is requested; each further one doubles them
+DARK_RAYS = 1 << 22  # rays without light after which a cell is given up
 
 Progress = Callable[[PstProgress], None]
 
@@ -41,10 +44,10 @@ def forward_pst(
     settings: Settings | None = None,
 ) -> Pst:
     """
-    Compute the point source transmittance by one forward run for each cell of directions.
+    Compute the point source transmittance by forward rays from each cell of directions.
 
-    A run lights the whole scene with a plane wave of 1 W/mm² from directions that are uniform within the cell. Errors
-    of cells are independent.
+    A plane wave of 1 W/mm² lights the whole scene from directions that are uniform within the cell. Errors of cells are
+    independent.
 
     Parameters
     ----------
@@ -61,7 +64,7 @@ def forward_pst(
     points : (p, 3) float64, optional
         Hull of the illuminated volume, mm, see `mistray.sampling.plane_wave.hull_points`. Default: that of the scene.
     progress : callable, optional
-        Called after each pass of a cell.
+        Called after each pass.
     settings : Settings, optional
         Settings with the start rays of a cell, or their largest number if an error is requested. Default: those of the
         scene.
@@ -81,182 +84,210 @@ def forward_pst(
     MistrayError
         If an argument is out of range, the scene has no detector, or where `mistray.trace` raises.
     UnfinishedError
-        If workers of `mistray.distribute` are lost; ``partial`` has the finished cells by their numbers.
+        If workers of `mistray.distribute` are lost; ``partial`` has the sums of finished cells by their numbers.
     """
     # Arguments and defaults
     require_scene(scene, "forward_pst")
     request = PstRequest(method="forward") if request is None else request
     settings = Settings.without_sources(scene, "a PST") if settings is None else settings
     settings = settings if request.rays is None else replace(settings, rays=request.rays)
-    relative_error = request.relative_error
-    limited = _angles_that_count(grid, relative_error, request.error_up_to_deg)
-    wavelengths, shares = spectrum_of(scene, request.wavelength_nm, request.weights)
-    spectrum = wavelengths[shares > 0], shares[shares > 0]
-    # Tasks: all cells, each with its own largest number of rays
-    started = time.perf_counter()
-    arguments = (grid, settings, spectrum, request.detector, entrance, int(request.map_pixels), points)
-    cells = ForwardCells(scene, *arguments)
-    n, m = grid.shape
-    most = [settings.rays if counts or relative_error is None else min(FIRST_RAYS, settings.rays) for counts in limited]
-    report = _Report(m * sum(most), relative_error, progress)
-    passes = {
-        (i, j): CellPass(i, j, most[i], relative_error if limited[i] else None, request.paths)
-        for i, j in np.ndindex(n, m)
-    }
-    cells.progress = report.after_pass
-
-    def done(part: CellPass, cell: Cell) -> None:
-        if current_workers() is not None:  # without workers the cell has reported by itself
-            report.after_pass(part, cell.rays, cell.error)
-        report.close_cell(part.rays, cell, bool(limited[part.i]))
-
-    # Trace the cells, here or by workers
-    task = CellsTask(scene, arguments, cells.kernel_arrays())
-    found = execute_passes(task, passes, cells, "cells", done)
-    seconds = time.perf_counter() - started
-    return _result(cells, found, limited, request, seconds)
+    # Trace all cells: by workers, or within a time budget, one by one, else together
+    arguments = (grid, settings, request, entrance, points)
+    rounds = CellRounds(scene, *arguments)
+    rounds.progress = progress
+    numbers = {name: number for number, name in enumerate(np.ndindex(*grid.shape))}
+    if current_workers() is not None or is_limited():
+        task = CellsTask(scene, arguments, rounds.kernel_arrays())
+        execute_passes(task, numbers, rounds, "cells", rounds.add)
+    else:
+        rounds.trace_cells(list(numbers.values()))
+    return rounds.result()
 
 
-def _angles_that_count(grid: DirectionGrid, relative_error: float | None, error_up_to_deg: float | None) -> np.ndarray:
-    """Return a mask of the field angles whose error is to fall below `relative_error`, (n,) bool."""
-    if relative_error is None:
-        if error_up_to_deg is not None:
-            raise MistrayError(
-                "error_up_to_deg is given without relative_error; give the relative error that is wanted"
-            )
-        return np.zeros(grid.shape[0], dtype=bool)
-    RELATIVE_ERROR.check("relative_error", relative_error)
-    last = 90.0 if error_up_to_deg is None else float(error_up_to_deg)
-    counts = grid.field_deg <= last
-    if not counts.any():
-        raise MistrayError(
-            f"error_up_to_deg is {last:g}; no angle is that small, the smallest is {grid.field_deg[0]:g} deg"
-        )
-    return counts
-
-
-class _Report:
+class CellRounds:
     """
-    Report of the progress of the cells.
+    Rounds of forward rays, each of which gives the cells that are not done their next rays.
 
     Parameters
     ----------
-    planned : int
-        Largest number of rays of all cells.
-    wanted : float or None
-        Requested relative error.
+    scene, grid, settings, request, entrance, points
+        See `forward_pst`.
+
+    Attributes
+    ----------
+    trace : WaveTrace
+    light : ForwardPart
+        Sums of the rays so far.
     progress : callable or None
-        Called with a `PstProgress`.
+        Called with a `PstProgress` after each pass.
+    for_others : bool
+        Whether the sums of a cell are handed over once it is traced.
     """
 
-    def __init__(self, planned: int, wanted: float | None, progress: Progress | None) -> None:
-        self._planned, self._wanted, self._progress = planned, wanted, progress
-        self._started = time.perf_counter()
-        self._rays = 0  # of finished cells
-        self._spared = 0  # rays that they did not need
-        self._worst = 0.0
+    def __init__(
+        self,
+        scene: mi.Scene,
+        grid: DirectionGrid,
+        settings: Settings,
+        request: PstRequest,
+        entrance: Entrance | None,
+        points: np.ndarray | None,
+    ) -> None:
+        counts = cells_up_to(grid, request.error_up_to_deg).ravel() & (request.relative_error is not None)
+        # Wavelengths without weight need no rays
+        wavelengths, shares = spectrum_of(scene, request.wavelength_nm, request.weights)
+        light = wavelengths[shares > 0], shares[shares > 0]
+        self.trace = WaveTrace(
+            scene, grid, settings, *light, request.detector, int(request.map_pixels), request.paths,
+            entrance=entrance, points=points,
+        )  # fmt: skip
+        self.light = ForwardPart(self.trace)
+        self.progress: Progress | None = None
+        self.for_others = False
+        self._request, self._entrance, self._counts = request, entrance, counts
+        # Largest number of rays of each cell, rays of its first round, and the error at which it is done
+        self._wanted = request.relative_error
+        self._most = np.full(len(counts), settings.rays)
+        self._first = self._most
+        if self._wanted is not None:
+            self._first = np.minimum(self._most, FIRST_RAYS)
+            self._most = np.where(counts, self._most, self._first)
+        self._open = np.ones(len(counts), dtype=bool)  # cells that are not done
+        self._error = np.full(len(counts), np.inf)  # relative standard error of all light of each cell
+        self._began = time.perf_counter()
+        self._of_round, self._in_round = 0.0, 0.0  # rays of the present round, and those that are traced
+        self.light.cells.after_pass = self._after_pass
 
-    def after_pass(self, part: CellPass, rays: int, error: float) -> None:
-        """Report progress: a cell has so many of its rays and this error."""
-        if self._progress is None:
+    def kernel_arrays(self) -> list[list[np.ndarray]]:
+        """Return the arrays that the kernel reads, for each wavelength."""
+        return self.trace.kernel_arrays()
+
+    def trace_cells(self, cells: Sequence[int]) -> None:
+        """Trace some cells in rounds, until each has the requested error or all of its rays, or the time is up."""
+        light = self.light
+        going = np.isin(np.arange(len(self._open)), cells)
+        goal, number = np.where(going, self._first, light.rays), 0
+        while going.any():
+            step = np.where(going, goal - light.rays, 0)
+            # A time budget ends a cell between two launches
+            if is_limited():
+                step = np.minimum(step, BATCHES * max(light.cells.lanes / len(cells) // BATCHES, 1))
+            self._of_round = float(step.sum())
+            light.go_on(light.rays + step, number)
+            number, self._in_round = number + 1, 0.0
+            self._judge()
+            going &= self._open & (not time_is_up())
+            self._open[cells] = going[cells]
+            self._report()
+            goal = np.where(going & (light.rays >= goal), np.minimum(2 * goal, self._most), goal)
+
+    def add(self, cell: int, found: CellSums | None) -> None:
+        """Add a cell that a worker has traced."""
+        if found is not None:
+            self.light.add_cell(cell, found)
+            self._open[cell] = False
+            self._judge()
+            self._report()
+
+    def _judge(self) -> None:
+        """Close cells that have the requested error or all of their rays; those without light so far end earlier."""
+        value, se = (part.ravel() for part in self._pst().map())
+        self._error = np.divide(se, value, out=np.full(len(se), np.inf), where=value > 0)
+        self._open &= self.light.rays < np.where(value > 0, self._most, np.minimum(self._most, DARK_RAYS))
+        if self._wanted is not None:
+            self._open &= ~(self._counts & (self._error <= self._wanted))
+
+    def _after_pass(self, rays: int) -> None:
+        """Report that a pass of the present round is done, unless the first errors have yet to say how many follow."""
+        self._in_round = min(self._in_round + rays, self._of_round)
+        if self._wanted is None or np.isfinite(self._error).any():
+            self._report()
+
+    def _report(self) -> None:
+        """Report the progress."""
+        if self.progress is None:
             return
-        most, wanted = part.rays, part.wanted_error
-        seconds = time.perf_counter() - self._started
-        done = self._rays + rays
-        # Fraction of the cell that is done: by rays, or by the error, which falls as 1/√rays
-        share = rays / most
-        if wanted is not None and np.isfinite(error):
-            share = max(share, min(1.0, (wanted / error) ** 2))
-        # The remaining cells are expected to save the same fraction of rays as this cell and those before it
-        needed = (self._rays + min(rays / share, most)) / (self._rays + self._spared + most) * self._planned
-        worst = self._worst if wanted is None else max(self._worst, error)
-        left = seconds * max(needed - done, 0.0) / done
-        self._progress(PstProgress(done, self._planned, worst, self._wanted, seconds, left))
+        rays = self.light.rays
+        # Rays that the cells need: the error falls as 1/√rays
+        seen = self._counts & np.isfinite(self._error)
+        needed = np.where(self._open, self._most, rays)
+        worst = 0.0
+        if self._wanted is not None:
+            by_error = rays * np.square(np.where(seen, self._error, 0) / self._wanted)
+            needed = np.where(self._open & seen, np.clip(by_error, rays, needed), needed)
+            worst = float(np.max(self._error, where=seen | (self._counts & self._open), initial=0.0))
+        done, seconds = rays.sum() + self._in_round, time.perf_counter() - self._began
+        left = seconds * max(needed.sum() - done, 0.0) / done
+        self.progress(PstProgress(round(done), int(self._most.sum()), worst, self._wanted, seconds, left))
 
-    def close_cell(self, most: int, cell: Cell, counts: bool) -> None:
-        """Close a finished cell."""
-        self._rays += cell.rays
-        self._spared += most - cell.rays
-        if counts and np.isfinite(cell.error):
-            self._worst = max(self._worst, cell.error)
+    def _pst(self) -> Pst:
+        """Return the PST of the rays so far, without details."""
+        weight = np.full((*self.trace.grid.shape, BATCHES), 1 / BATCHES)
+        return Pst(self.trace.grid, self.light.by_batch, weight, method="forward")
 
+    def result(self) -> Pst:
+        """Return the PST; cells for which the time was too short are NaN."""
+        trace, light, grid = self.trace, self.light, self.trace.grid
+        shape = grid.shape
+        rays, error = light.rays.reshape(shape).round().astype(int), self._error.reshape(shape)
+        missing = rays == 0
+        bare = self._pst()
+        bare = replace(bare, by_batch=np.where(missing[..., None], np.nan, bare.by_batch))
 
-def _result(
-    cells: ForwardCells,
-    found: dict[tuple[int, int], Cell],
-    limited: np.ndarray,
-    request: PstRequest,
-    seconds: float,
-) -> Pst:
-    """Form the PST of all cells."""
-    import pandas as pd
+        def named(chosen: np.ndarray) -> list[list[float]]:
+            return [[float(grid.field_deg[i]), float(grid.azimuths_deg[j])] for i, j in np.argwhere(chosen)]
 
-    relative_error = request.relative_error
-
-    grid = cells.grid
-    n, m = grid.shape
-    # Cells for which the time was too short are NaN
-    missing = [name for name in np.ndindex(n, m) if name not in found]
-    if missing:
-        found = found | dict.fromkeys(missing, Cell.not_traced(next(iter(found.values()))))
-
-    def stack(name: str) -> np.ndarray:
-        """Return an attribute of the cells, (n, m, …)."""
-        return np.array([[getattr(found[i, j], name) for j in range(m)] for i in range(n)])
-
-    def named(chosen: np.ndarray) -> list[list[float]]:
-        return [[float(grid.field_deg[i]), float(grid.azimuths_deg[j])] for i, j in np.argwhere(chosen)]
-
-    # Arrays over the grid, and lists of cells for the facts
-    errors = stack("error")
-    tables = [rows.assign(cell=i, azimuth_cell=j) for (i, j), cell in found.items() if (rows := cell.rows) is not None]
-    late = limited[:, None] & (errors > (relative_error or np.inf))
-    settings, entrance = cells.settings, cells.entrance
-    largest = stack("largest_share")
-    result = Pst(
-        grid=grid,
-        by_batch=np.moveaxis(stack("by_batch"), 2, 0),
-        weight=stack("weight"),
-        method="forward",
-        facts={
-            "detector": cells.table.ids[cells.table.detector],
-            "detector_area_mm2": cells.area,
-            "wavelength_nm": cells.wavelengths_nm.tolist(),
-            "weights": cells.shares.tolist(),
-            "rays": int(stack("rays").sum()),
-            "rays_of_cell": stack("rays").tolist(),
-            "beam_area_mm2": stack("beam_area").tolist(),
-            "seed": settings.seed,
-            "seconds": seconds,
-            "segments": int(stack("segments").sum()),
-            "settings": asdict(settings),
-            "relative_error": relative_error,
-            "error_up_to_deg": request.error_up_to_deg,
+        wanted, entrance = self._wanted, self._entrance
+        late = self._counts.reshape(shape) & ~missing & (error > (wanted or np.inf))
+        largest = np.where(missing, np.nan, bare.share_of_scattered(light.largest))
+        # Notes
+        lines = [*notes(bare, largest, float(rays[~missing].min())), *trace.notes]
+        if (seen := late & np.isfinite(error)).any():
+            text = (
+                f"errors of up to {percent_text(error[seen].max())} are left where {percent_text(wanted or 0)} was "
+                "requested; take more rays"
+            )
+            lines.append(Note(text, Code.ERROR))
+        if missing.any():
+            names = [f"{angle:g}" if shape[1] == 1 else f"{angle:g}/{azimuth:g}" for angle, azimuth in named(missing)]
+            lines.append(Note(not_traced(names, missing.size, "cells, deg"), Code.UNFINISHED))
+        facts = {
+            **trace.facts,
+            "rays": int(rays.sum()),
+            "rays_of_cell": rays.tolist(),
+            "beam_area_mm2": light.cells.areas.tolist(),
+            "seed": trace.settings.seed,
+            "seconds": time.perf_counter() - self._began,
+            "segments": light.segments,
+            "settings": asdict(trace.settings),
+            "relative_error": wanted,
+            "error_up_to_deg": self._request.error_up_to_deg,
             "entrance": None if entrance is None else {"centre": list(entrance.centre), "radius": entrance.radius},
-            "unseen": named(np.isinf(errors)),
+            "unseen": named(np.isinf(error) & ~missing),
             "unfinished": named(late),
-            "not_traced": [[float(grid.field_deg[i]), float(grid.azimuths_deg[j])] for i, j in missing],
-        },
-        largest_share=largest,
-        path_rows=pd.concat(tables, ignore_index=True) if tables else None,
-        maps=np.moveaxis(stack("map"), 2, 0) if cells.has_maps else None,
-        extent_mm=cells.extent,
-    )
-    # Notes
-    fewest = min(cell.rays for cell in found.values() if cell.rays)
-    lines = [*thin_gaps(cells.table), *notes(result, largest, float(fewest))]
-    if late[np.isfinite(errors)].any():
-        worst = float(errors[late & np.isfinite(errors)].max())
-        text = (
-            f"errors of up to {percent_text(worst)} are left where {percent_text(relative_error or 0)} was requested; "
-            "take more rays"
+            "not_traced": named(missing),
+            "notes": lines,
+        }
+        return replace(
+            bare,
+            facts=facts,
+            largest_share=largest,
+            path_rows=FoundPaths.of(trace, light.found).rows() if trace.lists_paths else None,
+            maps=np.where(missing[..., None, None], np.nan, trace.maps(light.maps)) if all(trace.map_size) else None,
+            extent_mm=trace.extent,
         )
-        lines.append(Note(text, Code.ERROR))
-    if missing:
-        names = [
-            f"{grid.field_deg[i]:g}" if m == 1 else f"{grid.field_deg[i]:g}/{grid.azimuths_deg[j]:g}"
-            for i, j in missing
-        ]
-        lines.append(Note(not_traced(names, n * m, "cells, deg"), Code.UNFINISHED))
-    result.facts["notes"] = [*lines, *cells.notes]
-    return result
+
+
+class CellsTask(SceneTask):
+    """Cells of a grid, for `mistray.execute.passes`."""
+
+    def make(self) -> CellRounds:
+        """Make the rounds at a worker."""
+        rounds: CellRounds = self.build(CellRounds)
+        rounds.for_others = True
+        return rounds
+
+    def do(self, made: CellRounds, part: int) -> CellSums | None:
+        """Trace a cell."""
+        made.trace_cells([part])
+        return made.light.of_cell(part) if made.for_others else None

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mistray.analysis.pst.forward_part import ForwardPart
-from mistray.execute.backward import BackwardTrace
+from mistray.analysis.pst.forward_part import FoundByCell
+from mistray.execute.grid_trace import GridTrace
 from mistray.recorders.path_events import Events, describe_events
 from mistray.recorders.path_key import ABSORBED, EVENT_BITS, host_keys
 
@@ -37,6 +37,8 @@ class FoundPaths:
 
     Attributes
     ----------
+    trace : GridTrace
+        Trace that found them, or one of both.
     events : (w, k) uint32
     lengths : (w,) int
         Events of the paths, in forward order.
@@ -48,6 +50,7 @@ class FoundPaths:
         PST_normal and its variance.
     """
 
+    trace: GridTrace
     events: np.ndarray
     lengths: np.ndarray
     path: np.ndarray
@@ -57,64 +60,66 @@ class FoundPaths:
     variance: np.ndarray
 
     @classmethod
-    def of(cls, trace: BackwardTrace, against: dict[str, np.ndarray], light: ForwardPart | None) -> FoundPaths:
+    def of(cls, trace: GridTrace, along: FoundByCell | None, against: FoundByCell | None = None) -> FoundPaths:
         """
         Merge the path tables of both directions.
 
         Parameters
         ----------
-        trace : BackwardTrace
-        against : dict
-            Path table of all backward rays, not empty.
-        light : ForwardPart or None
-            Forward rays; None: there are none.
+        trace : GridTrace
+            Either of their traces.
+        along, against : tuple or None
+            Path table of forward and of backward rays, PST_normal of the flux of one start ray of each cell, and start
+            rays of each cell; None: there are none.
         """
-        events, lengths = forward_events(against["events"], against["lengths"], trace.table.detector)
-        unit = trace.unit.ravel()
-        rays = np.full(len(unit), float(trace.rays.sum()))
-        tables = [({**against, "events": events, "lengths": lengths}, unit / rays, rays)]
-        if light is not None:
-            tables.insert(0, (light.paths(), light.unit, light.rays))
-        tables = [table for table in tables if table[0]]
+        tables = []
+        if along is not None and along[0]:
+            tables.append((0, *along))
+        if against is not None and against[0]:
+            table, unit, rays = against
+            events, lengths = forward_events(table["events"], table["lengths"], trace.table.detector)
+            tables.append((1, {**table, "events": events, "lengths": lengths}, unit, rays))
         # Unique paths, and unique pairs of a path and a cell
-        longest = max(table["events"].shape[1] for table, *_ in tables)
+        longest = max(table["events"].shape[1] for _, table, *_ in tables)
         events = np.concatenate(
-            [np.pad(one["events"], ((0, 0), (0, longest - one["events"].shape[1]))) for one, *_ in tables]
+            [np.pad(one["events"], ((0, 0), (0, longest - one["events"].shape[1]))) for _, one, *_ in tables]
         )
-        lengths = np.concatenate([table["lengths"] for table, *_ in tables])
+        lengths = np.concatenate([table["lengths"] for _, table, *_ in tables])
         _, chosen, place = np.unique(host_keys(events, lengths), return_index=True, return_inverse=True)
-        first = np.cumsum([0, *(len(table["lengths"]) for table, *_ in tables)])
-        cells = len(unit)
+        first = np.cumsum([0, *(len(table["lengths"]) for _, table, *_ in tables)])
+        cells = int(np.prod(trace.grid.shape))
         pairs = [
             place[table["path"] + low] * cells + table["cell"]
-            for (table, *_), low in zip(tables, first[:-1], strict=True)
+            for (_, table, *_), low in zip(tables, first[:-1], strict=True)
         ]
         known, number = np.unique(np.concatenate(pairs), return_inverse=True)
         numbers = np.split(number, np.cumsum([len(one) for one in pairs])[:-1])
         # Values of both directions add up: they are weighted by MIS
         hits, value, variance = np.zeros((2, len(known))), np.zeros(len(known)), np.zeros(len(known))
-        for k, ((table, one, count), at) in enumerate(zip(tables, numbers, strict=True)):
-            scale, many = one[table["cell"]], np.maximum(count[table["cell"]], 1)
-            hits[k + 2 - len(tables)][at] = table["hits"]
+        for (k, table, unit, count), at in zip(tables, numbers, strict=True):
+            scale, many = unit[table["cell"]], np.maximum(count[table["cell"]], 1)
+            hits[k][at] = table["hits"]
             value[at] += scale * table["weight"]
             variance[at] += scale**2 * np.maximum(table["squares"] - table["weight"] ** 2 / many, 0)
-        return cls(events[chosen], lengths[chosen], known // cells, known % cells, hits, value, variance)
+        return cls(trace, events[chosen], lengths[chosen], known // cells, known % cells, hits, value, variance)
 
-    def _describe(self, trace: BackwardTrace, paths: np.ndarray) -> dict[str, np.ndarray]:
+    def _describe(self, paths: np.ndarray) -> dict[str, np.ndarray]:
         """Return the columns of `describe_events` of some paths."""
+        trace = self.trace
         return describe_events(Events.of(trace.table, trace.design, self.events[paths], self.lengths[paths]))
 
-    def one_sided(self, trace: BackwardTrace) -> list[dict[str, Any]]:
+    def one_sided(self) -> list[dict[str, Any]]:
         """Return the strongest paths that rays of one direction alone have found."""
-        light = np.bincount(self.cell, self.value, int(np.prod(trace.grid.shape)))
+        grid = self.trace.grid
+        light = np.bincount(self.cell, self.value, int(np.prod(grid.shape)))
         alone = (self.hits.min(axis=0) == 0) & (self.hits.max(axis=0) >= FEWEST_HITS)
         listed = np.flatnonzero(alone & (self.value > LEAST_REPORTED * light[self.cell]))
         listed = listed[np.argsort(-(self.value / light[self.cell])[listed], kind="stable")][:ONE_SIDED_LISTED]
-        facts = self._describe(trace, self.path[listed])
-        angle, azimuth = np.divmod(self.cell[listed], trace.grid.shape[1])
+        facts = self._describe(self.path[listed])
+        angle, azimuth = np.divmod(self.cell[listed], grid.shape[1])
         columns = {
-            "angle_deg": trace.grid.field_deg[angle],
-            "azimuth_deg": trace.grid.azimuths_deg[azimuth],
+            "angle_deg": grid.field_deg[angle],
+            "azimuth_deg": grid.azimuths_deg[azimuth],
             "events": facts["events"],
             "seen": np.where(self.hits[0][listed] > 0, "forward", "backward"),
             "rays": self.hits.max(axis=0)[listed].astype(np.int64),
@@ -123,15 +128,15 @@ class FoundPaths:
         rows = zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True)
         return [dict(zip(columns, row, strict=True)) for row in rows]
 
-    def rows(self, trace: BackwardTrace) -> pd.DataFrame:
+    def rows(self) -> pd.DataFrame:
         """Return the strongest paths of each cell, see `Pst.path_rows`."""
         import pandas as pd
 
-        m = trace.grid.shape[1]
+        m = self.trace.grid.shape[1]
         kept = _strongest(self.cell, self.value, PATHS_LISTED)
         used, place = np.unique(self.path[kept], return_inverse=True)
         columns: dict[str, Any] = {"cell": self.cell[kept] // m, "azimuth_cell": self.cell[kept] % m}
-        columns |= {name: values[place] for name, values in self._describe(trace, used).items()}
+        columns |= {name: values[place] for name, values in self._describe(used).items()}
         columns["rays"] = self.hits.sum(axis=0)[kept].astype(np.int64)
         columns["pst_normal"] = self.value[kept]
         columns["pst_normal_se"] = np.sqrt(self.variance[kept])

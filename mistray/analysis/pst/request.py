@@ -84,16 +84,24 @@ class PstRequest:
         # A state holds the sums of a trace from the detector
         if self.method == "forward" and self.state is not None:
             raise MistrayError("state is given with method 'forward'; only a run from the detector can be continued")
+        if self.method == "forward" and self.error_up_to_deg is not None and self.relative_error is None:
+            raise MistrayError(
+                "error_up_to_deg is given without relative_error; give the relative error that is wanted"
+            )
 
     def grid(self, axes: np.ndarray) -> DirectionGrid:
         """Return the cells of directions, measured in a frame whose columns are `axes`."""
         grid = DirectionGrid.of(self.field_deg, self.azimuths_deg, self.cell_deg, self.azimuth_cell_deg, axes)
-        last = self.error_up_to_deg
-        if last is not None and not np.any(grid.field_deg <= last):
-            raise MistrayError(f"error_up_to_deg is {last:g}; no angle is as small as that")
+        if not cells_up_to(grid, self.error_up_to_deg).any():
+            raise MistrayError(f"error_up_to_deg is {self.error_up_to_deg:g}; no angle is as small as that")
         return grid
 
     def settings_for(self, scene: mi.Scene) -> Settings:
         """Return the settings of a trace of a scene."""
         usual = RAYS[self.method] if self.relative_error is None else MOST_RAYS
         return Settings.without_sources(scene, "a PST", rays=usual if self.rays is None else self.rays, **self.settings)
+
+
+def cells_up_to(grid: DirectionGrid, last_deg: float | None) -> np.ndarray:
+    """Return a mask of the cells up to a field angle, (n, m) bool; None: all cells."""
+    return np.broadcast_to(grid.field_deg[:, None] <= (90.0 if last_deg is None else last_deg), grid.shape)

@@ -17,7 +17,7 @@ from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.known_arguments import known_arguments
 from mistray.notes import Code, Note
 from mistray.percent import percent_text
-from mistray.recorders.direction_recorder import CLASSES
+from mistray.recorders.direction_recorder import CLASSES, SINGLE
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.path_events import DIRECT
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from mistray.analysis.pst.plan import Plan
 
 STRAY = CLASSES[1:]
+SCATTERED = slice(SINGLE, None)  # classes of scattered light
 LARGE_ERROR = 0.1  # relative standard error of the PST at an angle that merits a note
 CONVENTIONS = ("normal", "projected")
 BACKWARD, FORWARD = "backward", "forward"  # techniques of sampling
@@ -202,6 +203,11 @@ class Pst:
     def stray_se(self) -> np.ndarray:
         """Standard error of `stray`, (n,)."""
         return self.curve("stray")[1]
+
+    def share_of_scattered(self, part: np.ndarray) -> np.ndarray:
+        """Return a part of PST_normal over that of the scattered light of each cell, (n, m); 0 where there is none."""
+        scattered = self.estimate(self.by_batch[SCATTERED].sum(axis=0), self.weight)[0]
+        return np.divide(part, scattered, out=np.zeros_like(scattered), where=scattered > 0)
 
     @property
     def is_dark(self) -> bool:

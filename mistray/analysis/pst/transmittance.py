@@ -66,7 +66,7 @@ def pst(
 
     The adjoint method traces rays from the detector backwards. They leave the scene in directions from which light
     arrives, so that one trace covers all angles and azimuths. The forward method traces a plane wave over the whole
-    scene from one cell of directions after the other. The joined method, the default, does both: rays start from the
+    scene from each cell of directions. The joined method, the default, does both: rays start from the
     detector and from all cells, and each path is weighted by the balance heuristic (E. Veach, Robust Monte Carlo
     methods for light transport simulation, 1997, section 9.2). A pilot learns where light gets in and how many rays
     each direction needs. All three have the same mean.
@@ -130,8 +130,8 @@ def pst(
     MistrayError
         For arguments out of range, or a state that belongs to another run.
     UnfinishedError
-        If workers of `mistray.distribute` are lost; ``partial`` is the PST of the passes before, or, forward, the
-        finished cells by their numbers of angle and azimuth.
+        If workers of `mistray.distribute` are lost; ``partial`` is the PST of the passes before, or, forward, the sums
+        of the finished cells by their numbers of angle and azimuth.
     """
     require_scene(scene, "pst")
     if seconds is not None and method == "forward":
@@ -224,7 +224,7 @@ def pst_of_each(
             )  # fmt: skip
         prepared.append((scene, grid, chosen))
     if request.method == "forward":
-        # One scene after the other, cell by cell
+        # One scene after the other
         points = _hull([scene for scene, *_ in prepared], request)
         for scene, grid, chosen in prepared:
             found = forward_pst(scene, grid, request, settings=chosen, points=points, progress=progress)

@@ -23,12 +23,11 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.kernel.scatter_shares import CONNECTED
-from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.mis_weights import MisWeights
 from mistray.recorders.path_key import COUNT_MASK
 from mistray.recorders.recorder import Departure, Visit
 from mistray.sampling.detector_start import DetectorStart
-from mistray.sampling.plane_wave import PlaneWaves
+from mistray.sampling.sharing.cell_waves import CellWaves
 from mistray.sampling.sharing.light_vertices import LightVertices
 from mistray.sampling.sharing.path_classes import PathClassVariances
 from mistray.sampling.sharing.start_map import DeviceMap, StartMap
@@ -82,23 +81,14 @@ class Balance:
     Parameters
     ----------
     sharing : Sharing
-    grid : DirectionGrid
+    waves : CellWaves
+        Plane wave of each cell, from which forward rays start.
     start : DetectorStart
         Start of the backward trace.
-    centre : (3,) float64
-        Origin of positions on the device, mm.
     """
 
-    def __init__(self, sharing: Sharing, grid: DirectionGrid, start: DetectorStart, centre: np.ndarray) -> None:
-        # Plane wave of each cell: where forward rays start, and their étendue
-        waves = PlaneWaves(sharing.points, grid)
-        cells = [waves.at(i, j, 0.0, 1.0) for i, j in np.ndindex(*grid.shape)]
-        self.areas = np.array([wave.area for wave in cells])
-        self._etendue = self.areas * np.repeat(grid.solid_angle, grid.shape[1])
-        self.numbers = [upload(mi.Float, column) for column in np.array([wave.numbers for wave in cells]).T]
-        self.rotation, self.centre = cells[0].rotation, cells[0].centre - centre
-        self.start = start
-        self.extent = float(np.ptp(sharing.points, axis=0).max())  # of the scene, mm
+    def __init__(self, sharing: Sharing, waves: CellWaves, start: DetectorStart) -> None:
+        self.waves, self.start = waves, start
         self.starts = DeviceMap(sharing.starts)
         self._take(sharing)
 
@@ -120,11 +110,11 @@ class Balance:
         self._vertices: LightVertices | None = None
         self.sharing = sharing
         # Connections per étendue of a cell
-        self._starts_per_connection = upload(mi.Float, sharing.starts_per_connection / self._etendue)
+        self._starts_per_connection = upload(mi.Float, sharing.starts_per_connection / self.waves.etendue)
         # n p of forward rays over that of backward rays, which start over the étendue π A of the detector: first for
         # scattered light, then for unscattered light
         both = sharing.rays, sharing.rays * (1.0 if sharing.unscattered is None else sharing.unscattered)
-        per_etendue = np.concatenate(both) * np.pi * self.start.area / np.tile(self._etendue, 2)
+        per_etendue = np.concatenate(both) * np.pi * self.start.area / np.tile(self.waves.etendue, 2)
         self._per_etendue = upload(mi.Float, per_etendue)
 
     def backward(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> MisWeights:
@@ -171,45 +161,18 @@ class Balance:
     def start_of(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> list[mi.Float]:
         """See `mistray.recorders.mis_weights.StartMisWeighting`."""
         p = departure.start.o if departure.node is None else mi.Vector3f(*departure.node[:3])
-        return self._point(cell, p, -departure.heading, active)
+        return self.waves.place(cell, p, -departure.heading, active)
 
     def density(self, cell: mi.UInt32, point: list[mi.Float], active: mi.Bool) -> mi.Float:
         """See `mistray.recorders.mis_weights.StartMisWeighting`."""
         return self.starts.density(cell, point, active)
-
-    def _point(self, cell: mi.UInt32, p: mi.Vector3f, d: mi.Vector3f, active: mi.Bool) -> list[mi.Float]:
-        """Return the point in a cell's unit cube for light that passes p along d: the inverse of `wave_rays`."""
-        low, high, azimuth, half_azimuth, middle_x, middle_y, half_x, half_y, is_round, _ = (
-            dr.gather(mi.Float, column, cell, active) for column in self.numbers
-        )
-        x_axis, y_axis, z_axis = (
-            mi.Vector3f(*(dr.opaque(mi.Float, float(v)) for v in column)) for column in self.rotation.T
-        )
-        # Direction: uniform in sin²(θ/2) and in azimuth
-        x, y, z = (dr.dot(d, axis) for axis in (x_axis, y_axis, z_axis))
-        sine2 = dr.fma(x, x, y * y)
-        sine = dr.sqrt(sine2)
-        u = (sine2 / (2 * (1 + z)) - low) / (high - low)
-        there = sine > 1e-12
-        s, c = dr.select(there, -x / sine, 0), dr.select(there, y / sine, 1)
-        turn = dr.atan2(s, c) - azimuth
-        turn = turn - 2 * dr.pi * dr.round(turn / (2 * dr.pi))
-        v = 0.5 * (turn / half_azimuth + 1)
-        # Position in the cross-section, whose axes turn with the direction
-        radial = c * y_axis - s * x_axis
-        across, along = c * x_axis + s * y_axis, z * radial - sine * z_axis
-        q = p - mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in self.centre))
-        a, b = (dr.dot(q, across) - middle_x) / half_x, (dr.dot(q, along) - middle_y) / half_y
-        square = mi.warp.uniform_disk_to_square_concentric(mi.Point2f(a, b))
-        a, b = dr.select(is_round > 0, square.x, 0.5 * (a + 1)), dr.select(is_round > 0, square.y, 0.5 * (b + 1))
-        return [dr.clip(value, 0, 1 - 2.0**-24) for value in (a, b, u, v)]
 
     def _forward_ratio(
         self, cell: mi.UInt32, scatters: mi.UInt32, density: mi.Float, start_weight: mi.Float, active: mi.Bool
     ) -> mi.Float:
         """Return n p of forward rays over that of backward rays, per étendue at their starts."""
         # Unscattered light has forward rays of its own, in the second half of the table
-        row = cell + dr.select((scatters & COUNT_MASK) == 0, mi.UInt32(len(self.areas)), 0)
+        row = cell + dr.select((scatters & COUNT_MASK) == 0, mi.UInt32(len(self.waves.areas)), 0)
         return dr.gather(mi.Float, self._per_etendue, row, active) * density * start_weight
 
     def _connections(

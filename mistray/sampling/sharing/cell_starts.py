@@ -1,4 +1,4 @@
-"""Forward start rays from all cells of directions, with the densities of a start map."""
+"""Forward start rays from all cells of directions, uniform or with the densities of a start map."""
 
 from __future__ import annotations
 
@@ -7,20 +7,25 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.recorders.start_rays import StartRays, generators
-from mistray.sampling.plane_wave import wave_rays
-from mistray.sampling.sharing.balance import Balance
+from mistray.sampling.sharing.cell_waves import CellWaves
+from mistray.sampling.sharing.start_map import DeviceMap
+from mistray.sampling.space_filling import curve_points
 from mistray.settings import BATCHES
 from mistray.surfaces.upload import upload
 
 
-def cell_starts(balance: Balance, seed: tuple[int, ...], lanes: np.ndarray, weight: np.ndarray) -> StartRays:
+def cell_starts(
+    waves: CellWaves, starts: DeviceMap | None, seed: tuple[int, ...], lanes: np.ndarray, weight: np.ndarray
+) -> StartRays:
     """
     Return the start rays of a pass, the rays of a cell side by side; they are stratified in each batch.
 
     Parameters
     ----------
-    balance : Balance
-        Cells and their start map.
+    waves : CellWaves
+    starts : DeviceMap or None
+        Start map of all cells. None: rays start uniformly, and the random numbers of a cell do not depend on the rays
+        of other cells.
     seed : tuple of int
     lanes : (c,) int
         Rays of each cell, multiples of `BATCHES`.
@@ -32,13 +37,18 @@ def cell_starts(balance: Balance, seed: tuple[int, ...], lanes: np.ndarray, weig
     index = upload(mi.UInt32, np.arange(lanes.sum()) - np.repeat(np.cumsum(lanes) - lanes, lanes))
     strata = dr.gather(mi.UInt32, upload(mi.UInt32, lanes // BATCHES), cell)
     lane = dr.arange(mi.UInt32, int(lanes.sum()))
-    rng, _ = generators(int(np.random.SeedSequence(seed).generate_state(1)[0]), lane)
+    stream = int(np.random.SeedSequence(seed).generate_state(1)[0])
+    rng, _ = generators(stream, lane) if starts is not None else generators(stream, index, cell)
     # One stratum of 0 … 1 for each ray of a batch
     batch = index // strata
     within = mi.Float64(index - batch * strata) + mi.Float64(rng.next_float32())
-    place, density = balance.starts.sample(cell, dr.minimum(within / mi.Float64(strata), 1 - 1e-12), rng)
-    numbers = [dr.gather(mi.Float, column, cell) for column in balance.numbers]
-    o, d = wave_rays(numbers, balance.rotation, balance.centre, mi.Point2f(*place[:2]), *place[2:])
+    position = dr.minimum(within / mi.Float64(strata), 1 - 1e-12)
+    if starts is not None:
+        place, density = starts.sample(cell, position, rng)
+    else:
+        place = [*curve_points(position, 2, rng), rng.next_float32(), rng.next_float32()]
+        density = dr.full(mi.Float, 1, dr.width(lane))
+    o, d = waves.rays(cell, place)
     # A ray carries the inverse of the density with which it was drawn
     scale = dr.rcp(density)
     w = scale * dr.gather(mi.Float, upload(mi.Float, weight), cell)

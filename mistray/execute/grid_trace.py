@@ -1,0 +1,199 @@
+"""Traces over a grid of directions: what those from the sky and those from the detector have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.execute.fingerprint import fingerprint, kernel_arrays
+from mistray.kernel.kernel_scene import KernelScene
+from mistray.kernel.scatter_tables import ScatterTables
+from mistray.kernel.scattering import Scattering
+from mistray.notes import Note
+from mistray.recorders.design_sequences import DesignKeys
+from mistray.recorders.directions import DirectionGrid
+from mistray.recorders.path_sums import PathSums
+from mistray.sampling.design.search import design_sequences, traced_table
+from mistray.sampling.importance_targets import importance_targets
+from mistray.sampling.outlines import detector_area
+from mistray.sampling.plane_wave import Entrance, hull_points
+from mistray.sampling.sharing.balance import Balance
+from mistray.sampling.sharing.cell_waves import CellWaves
+from mistray.sampling.sharing.light_vertices import LightVertices
+from mistray.sampling.sources import spectrum_of
+from mistray.settings import Settings
+from mistray.surfaces.intersect import Intersector
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.thin_gaps import thin_gaps
+
+PATH_SLOTS, ENTRY_SLOTS = 1 << 17, 1 << 20  # sizes of the tables of paths, and of their sums by cell
+
+
+@dataclass(frozen=True)
+class Band:
+    """One wavelength of a trace."""
+
+    table: SurfaceTable
+    scattering: Scattering
+    share: float
+
+
+class GridTrace:
+    """
+    Base class of traces over a grid of directions.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    grid : DirectionGrid
+    settings : Settings
+    wavelength_nm : float or sequence of float, optional
+        Wavelengths; by default those of the first source, else 550 nm.
+    weights : sequence of float, optional
+        Shares of the wavelengths in the flux.
+    detector : str, optional
+    map_pixels : int
+        Longer side of the maps of the detector; 0: none.
+    paths : bool
+        Whether a table of the paths is kept.
+
+    Attributes
+    ----------
+    bands : list of Band
+        Wavelengths with the scatter of the rays; set by the subclass, see `with_aims`.
+    waves : CellWaves
+        Plane waves from which forward rays start; set by a subclass that has some.
+    table : SurfaceTable
+        Surfaces at the first wavelength.
+    area : float
+        Area of the detector, mm².
+    extent : tuple of float
+        Bounds x0, x1, y0, y1 of the detector, in its own frame, mm.
+    map_size : tuple of int
+        Columns and rows of the maps; 0 without maps.
+    design : DesignSequences
+        Sequences of the direct image; in a scene without optics, light that meets nothing forms it.
+    """
+
+    bands: list[Band]
+    waves: CellWaves
+
+    # More than 8 parameters: a saved run and the one that continues it must agree in each of them
+    def __init__(
+        self,
+        scene: mi.Scene,
+        grid: DirectionGrid,
+        settings: Settings,
+        wavelength_nm: float | Sequence[float] | None,
+        weights: Sequence[float] | None,
+        detector: str | None,
+        map_pixels: int,
+        paths: bool,
+    ) -> None:
+        self.grid, self.settings, self.lists_paths = grid, settings, paths
+        self._scene = scene
+        # Surfaces at each wavelength, and the paths of the direct image
+        wavelengths, shares = spectrum_of(scene, wavelength_nm, weights)
+        self.wavelength_nm, self.weights = tuple(map(float, wavelengths)), tuple(map(float, shares))
+        self.table = traced_table(scene, self.wavelength_nm[0], detector, settings.stokes)
+        self._tables = [self.table, *(self.table.at(wavelength) for wavelength in self.wavelength_nm[1:])]
+        self.intersector = Intersector(self.table)
+        self.design = design_sequences(scene, *self._tables, free=True)
+        self.design_keys = DesignKeys(self.design, self.table.detector)
+        # Maps with the aspect ratio of the film
+        self.area = detector_area(self.table)
+        width, height, self.extent = self.table.film()
+        columns, rows = (round(map_pixels * side / max(width, height)) for side in (width, height))
+        self.map_size = (max(1, columns), max(1, rows)) if map_pixels else (0, 0)
+
+    def with_aims(self, aims: Mapping[Any, Any], backward: bool = False) -> list[Band]:
+        """Return the wavelengths with scatter that is aimed at some targets."""
+        return [
+            Band(table, Scattering(ScatterTables(table, aims, backward=backward)), share)
+            for table, share in zip(self._tables, self.weights, strict=True)
+        ]
+
+    @property
+    def notes(self) -> list[Note]:
+        """Notes on gaps too thin for float32, and on assumptions about the media, see `Optics.notes`."""
+        return [*thin_gaps(self.table), *dict.fromkeys(text for one in self._tables for text in one.optics.notes)]
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Detector and light, for the facts of a result."""
+        return {
+            "detector": self.table.ids[self.table.detector],
+            "detector_area_mm2": self.area,
+            "wavelength_nm": list(self.wavelength_nm),
+            "weights": list(self.weights),
+        }
+
+    def new_paths(self) -> PathSums:
+        """Return an empty table of paths by cell."""
+        return PathSums(PATH_SLOTS, ENTRY_SLOTS, self.settings.max_events, int(np.prod(self.grid.shape)))
+
+    def maps(self, found: np.ndarray) -> np.ndarray:
+        """Return maps of PST_normal and its standard error from each pixel's part in it, and its variance."""
+        # The map is a rectangle; a round detector does not fill it
+        columns, rows = self.map_size
+        x0, x1, y0, y1 = self.extent
+        value, variance = found.reshape(2, *self.grid.shape, rows, columns)
+        return np.asarray(rows * columns * self.area / ((x1 - x0) * (y1 - y0)) * np.stack([value, np.sqrt(variance)]))
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of all that the kernel reads: geometry, coatings, media and scatter at every wavelength."""
+        return fingerprint((one.table, one.scattering) for one in self.bands)
+
+    def kernel_arrays(self) -> list[list[np.ndarray]]:
+        """Return the arrays that the kernel reads, for each wavelength."""
+        return [kernel_arrays(one.table, one.scattering) for one in self.bands]
+
+    # ---- forward rays, see `mistray.execute.all_cells`
+
+    @property
+    def connects(self) -> bool:
+        """Whether backward rays are connected to light vertices, see `mistray.sampling.sharing.light_vertices`."""
+        return False
+
+    def balance(self, number: int, vertices: LightVertices | None = None, same_rays: bool = False) -> Balance | None:
+        """
+        Return the MIS weights at a wavelength; None: there are rays of one direction only.
+
+        With `same_rays`, unscattered light has no rays of its own.
+        """
+        return None
+
+    def forward_scene(self, number: int) -> KernelScene:
+        """Return the scene of the kernel for the forward rays of a wavelength."""
+        raise NotImplementedError
+
+
+class WaveTrace(GridTrace):
+    """
+    Forward rays from all cells of a grid, without backward rays: all branches are followed, all MIS weights are 1.
+
+    Parameters
+    ----------
+    scene, grid, settings, wavelength_nm, weights, detector, map_pixels, paths
+        See `GridTrace`.
+    entrance : Entrance, optional
+        Disc through which alone light is traced.
+    points : (p, 3) float64, optional
+        Hull of the illuminated volume, from `hull_points`; by default that of the scene.
+    """
+
+    def __init__(self, *arguments: Any, entrance: Entrance | None = None, points: np.ndarray | None = None) -> None:
+        super().__init__(*arguments)
+        points = hull_points(self.table) if points is None else points
+        self.waves = CellWaves(points, self.grid, self.table.centre, entrance)
+        self.bands = self.with_aims(importance_targets(self.table, self._scene, self.settings))
+
+    def forward_scene(self, number: int) -> KernelScene:
+        """See `GridTrace.forward_scene`."""
+        band = self.bands[number]
+        return KernelScene(band.table, band.scattering, self.intersector)

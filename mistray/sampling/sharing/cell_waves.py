@@ -1,0 +1,79 @@
+"""Plane waves from all cells of a grid of directions, on the device: their start rays, and the way back to them."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.recorders.directions import DirectionGrid
+from mistray.sampling.plane_wave import Entrance, PlaneWaves, wave_rays
+from mistray.surfaces.upload import upload
+
+
+class CellWaves:
+    """
+    Plane waves that cover a scene, one from each cell of a grid.
+
+    Parameters
+    ----------
+    points : (p, 3) float64
+        Hull of the scene, from `mistray.sampling.plane_wave.hull_points`.
+    grid : DirectionGrid
+    centre : (3,) float64
+        Origin of positions on the device, mm.
+    entrance : Entrance, optional
+        Disc that the waves cover instead of the scene.
+
+    Attributes
+    ----------
+    areas : (c,) float64
+        Cross-sections, mm².
+    etendue : (c,) float64
+        Cross-section times solid angle, mm² sr.
+    extent : float
+        Extent of the scene, mm.
+    """
+
+    def __init__(
+        self, points: np.ndarray, grid: DirectionGrid, centre: np.ndarray, entrance: Entrance | None = None
+    ) -> None:
+        waves = PlaneWaves(points, grid, entrance)
+        cells = [waves.at(i, j, 0.0, 1.0) for i, j in np.ndindex(*grid.shape)]
+        self.areas = np.array([wave.area for wave in cells])
+        self.etendue = self.areas * np.repeat(grid.solid_angle, grid.shape[1])
+        self.extent = float(np.ptp(points, axis=0).max())
+        self._numbers = [upload(mi.Float, column) for column in np.array([wave.numbers for wave in cells]).T]
+        self._rotation, self._centre = cells[0].rotation, cells[0].centre - centre
+
+    def rays(self, cell: mi.UInt32, place: list[mi.Float]) -> tuple[mi.Vector3f, mi.Vector3f]:
+        """Return origins and directions of the rays that start at points of their cells' unit cubes."""
+        numbers = [dr.gather(mi.Float, column, cell) for column in self._numbers]
+        return wave_rays(numbers, self._rotation, self._centre, mi.Point2f(*place[:2]), *place[2:])
+
+    def place(self, cell: mi.UInt32, p: mi.Vector3f, d: mi.Vector3f, active: mi.Bool) -> list[mi.Float]:
+        """Return the point in a cell's unit cube for light that passes p along d: the inverse of `rays`."""
+        low, high, azimuth, half_azimuth, middle_x, middle_y, half_x, half_y, is_round, _ = (
+            dr.gather(mi.Float, column, cell, active) for column in self._numbers
+        )
+        x_axis, y_axis, z_axis = (
+            mi.Vector3f(*(dr.opaque(mi.Float, float(v)) for v in column)) for column in self._rotation.T
+        )
+        # Direction: uniform in sin²(θ/2) and in azimuth
+        x, y, z = (dr.dot(d, axis) for axis in (x_axis, y_axis, z_axis))
+        sine2 = dr.fma(x, x, y * y)
+        sine = dr.sqrt(sine2)
+        u = (sine2 / (2 * (1 + z)) - low) / (high - low)
+        there = sine > 1e-12
+        s, c = dr.select(there, -x / sine, 0), dr.select(there, y / sine, 1)
+        turn = dr.atan2(s, c) - azimuth
+        turn = turn - 2 * dr.pi * dr.round(turn / (2 * dr.pi))
+        v = 0.5 * (turn / half_azimuth + 1)
+        # Position in the cross-section, whose axes turn with the direction
+        radial = c * y_axis - s * x_axis
+        across, along = c * x_axis + s * y_axis, z * radial - sine * z_axis
+        q = p - mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in self._centre))
+        a, b = (dr.dot(q, across) - middle_x) / half_x, (dr.dot(q, along) - middle_y) / half_y
+        square = mi.warp.uniform_disk_to_square_concentric(mi.Point2f(a, b))
+        a, b = dr.select(is_round > 0, square.x, 0.5 * (a + 1)), dr.select(is_round > 0, square.y, 0.5 * (b + 1))
+        return [dr.clip(value, 0, 1 - 2.0**-24) for value in (a, b, u, v)]
