@@ -374,7 +374,7 @@ class ScatterTables:
         self.flags = packed.flags
         self._upload_lobes(packed)
         turned = {case.surface for case in self.all_cases if any(member.lobe.anisotropic for member in case.members)}
-        self.frames = SurfaceFrames(table, sorted(turned)) if turned else None
+        self.frames = self._frames(table, sorted(turned)) if turned else None
         self.turns = upload(mi.UInt32, turns)
         self.targets = DeviceTargets(aim_sets, table.centre)
         self.radial = RadialSampler(packed.tables)
@@ -384,6 +384,11 @@ class ScatterTables:
         bits = packed.floats.astype(np.float32).view(np.uint32)
         self.lobes = upload(mi.UInt32, np.hstack([bits, packed.words]))
         self.ratios = upload(mi.Float, packed.ratios if len(packed.ratios) else np.zeros(1))
+
+    @staticmethod
+    def _frames(table: SurfaceTable, turned: Sequence[int]) -> SurfaceFrames | None:
+        """Return the axes of the samples of the surfaces whose scatter is anisotropic."""
+        return SurfaceFrames(table, turned)
 
     @staticmethod
     def _sides_of(ids: Sequence[str], optics: Optics, s: int) -> list[Side]:
