@@ -28,19 +28,16 @@ from mistray.kernel.scatter_tables import (
     ANGULAR,
     BY_ANGLE,
     BY_COSINES,
-    COSINE,
-    EDGE,
+    FACTOR_FLAGS,
     FROM_X,
-    GHS,
     NORMAL,
     RANDOM_RAYS_SHIFT,
     RATIO,
-    RAYLEIGH_RICE,
     RETRO,
     TABLE_SHIFT,
     TURNED,
 )
-from mistray.physics.diffraction import obliquity
+from mistray.scatter.lobe import factor
 from mistray.scatter.radial import R_MAX
 
 if TYPE_CHECKING:
@@ -464,15 +461,10 @@ class Scattering(ScatterShares):
             density += lobe["flux"] * drawn
             # Factors of the models beside the profile
             value *= lobe["coefficient"]
-            if self.tables.flags & GHS:
-                value *= dr.select((words.x & GHS) != 0, 0.25 * dr.square(cos_i + cos_s), 1)
-            if self.tables.flags & RAYLEIGH_RICE:
-                value *= dr.select((words.x & RAYLEIGH_RICE) != 0, cos_i * cos_s, 1)
-            if self.tables.flags & COSINE:
-                value *= dr.select((words.x & COSINE) != 0, cos_s, 1)
-            if self.tables.flags & EDGE:
-                grown = obliquity(dr.dot(frame.specular, outward), cos_s, r2)
-                value *= dr.select((words.x & EDGE) != 0, grown, 1)
+            cos_0 = dr.dot(frame.specular, outward)
+            for name, flag in FACTOR_FLAGS.items():
+                if self.tables.flags & flag:
+                    value *= dr.select((words.x & flag) != 0, factor(name, cos_i, cos_s, cos_0, r2), 1)
             if self.tables.flags & RATIO:
                 ratio = self._ratio(lobe, frame, direction, cos_s, r2, across)
                 value *= dr.select((words.x & RATIO) != 0, ratio, 1)
