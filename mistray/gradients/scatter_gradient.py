@@ -87,7 +87,7 @@ def scatter_gradient(
                     f"{plugin.title}: {reason}, where it has no derivative; leave it out, or start elsewhere"
                 )
             total = np.zeros(BATCHES)
-            for array, place, slope in _slopes(table, own, packed, plugin, quotient(plugin, name)):
+            for array, place, slope in table_slopes(table, own, packed, plugin, quotient(plugin, name)):
                 total += derivatives[array][:, place : place + slope.size] @ slope.ravel()
             yield plugin, name, total[:, None]
 
@@ -153,7 +153,7 @@ def quotient(plugin: Any, name: str, relative_step: float = STEP) -> list[tuple[
     raise MistrayError(f"{plugin.title}: no derivative by {name} at {values[name]:g}, which has no neighbours")
 
 
-def _slopes(
+def table_slopes(
     table: SurfaceTable, cases: list[Case], packed: PackedLobes, plugin: Any, models: list[tuple[float, Any]]
 ) -> Iterator[tuple[str, int, np.ndarray]]:
     """Yield derivatives of the entries that depend on a plugin: name of the array, place of the first, values."""

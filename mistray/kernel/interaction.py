@@ -258,10 +258,17 @@ def interact(
 
 
 def shares_at(
-    table: SurfaceTable, s: mi.UInt32, word: mi.UInt32, from_front: mi.Bool, cos_i: mi.Float, active: mi.Bool
+    table: SurfaceTable,
+    s: mi.UInt32,
+    word: mi.UInt32,
+    from_front: mi.Bool,
+    cos_i: mi.Float,
+    active: mi.Bool,
+    optics: mi.Vector4f | None = None,
 ) -> tuple[mi.Float, mi.Float, mi.Float]:
-    """Return R, T and cos θt of the surfaces s for unpolarised light at another angle of incidence."""
-    optics = dr.gather(mi.Vector4f, table.optics.indices, s, active)
+    """Return R, T and cos θt of the surfaces s for unpolarised light at another angle; `optics` has derivatives."""
+    if optics is None:
+        optics = dr.gather(mi.Vector4f, table.optics.indices, s, active)
     at = _incidence(optics, word, from_front, cos_i)
     return *_unpolarized(table, optics, _place(table, s, at, active), at, active), at.cos_t
 

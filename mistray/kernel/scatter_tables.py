@@ -39,6 +39,7 @@ ANGLES = 256  # intervals of the tables of totals, uniform in the cosine
 BY_ANGLE, RETRO, NORMAL, GHS, RAYLEIGH_RICE, EDGE, COSINE, RATIO, BY_COSINES, ANGULAR, TURNED, FROM_X = (
     1 << bit for bit in range(12)
 )
+FACTOR_FLAGS = {"ghs": GHS, "rayleigh_rice": RAYLEIGH_RICE, "cosine": COSINE, "edge": EDGE}
 TABLE_SHIFT = 12
 LOBE_FLOATS = 6
 # Head of a ratio table: numbers of nodes along its three axes and 0, or along the first axis, the rotation and the last
@@ -265,7 +266,7 @@ def _flags(lobe: Lobe) -> int:
     """Return the flags of a lobe."""
     flags = BY_ANGLE if lobe.measure == "angle" else 0
     flags |= {"specular": 0, "retro": RETRO, "normal": NORMAL}[lobe.centre]
-    flags |= {"none": 0, "ghs": GHS, "rayleigh_rice": RAYLEIGH_RICE, "edge": EDGE, "cosine": COSINE}[lobe.factor]
+    flags |= FACTOR_FLAGS.get(lobe.factor, 0)
     if lobe.ratio is None:
         return flags
     flags |= RATIO | {"radial": 0, "angular": ANGULAR, "cosines": BY_COSINES}[lobe.ratio.axes]
@@ -374,7 +375,7 @@ class ScatterTables:
         self.flags = packed.flags
         self._upload_lobes(packed)
         turned = {case.surface for case in self.all_cases if any(member.lobe.anisotropic for member in case.members)}
-        self.frames = SurfaceFrames(table, sorted(turned)) if turned else None
+        self.frames = self._frames(table, sorted(turned)) if turned else None
         self.turns = upload(mi.UInt32, turns)
         self.targets = DeviceTargets(aim_sets, table.centre)
         self.radial = RadialSampler(packed.tables)
@@ -384,6 +385,11 @@ class ScatterTables:
         bits = packed.floats.astype(np.float32).view(np.uint32)
         self.lobes = upload(mi.UInt32, np.hstack([bits, packed.words]))
         self.ratios = upload(mi.Float, packed.ratios if len(packed.ratios) else np.zeros(1))
+
+    @staticmethod
+    def _frames(table: SurfaceTable, turned: Sequence[int]) -> SurfaceFrames | None:
+        """Return the axes of the samples of the surfaces whose scatter is anisotropic."""
+        return SurfaceFrames(table, turned)
 
     @staticmethod
     def _sides_of(ids: Sequence[str], optics: Optics, s: int) -> list[Side]:

@@ -28,19 +28,16 @@ from mistray.kernel.scatter_tables import (
     ANGULAR,
     BY_ANGLE,
     BY_COSINES,
-    COSINE,
-    EDGE,
+    FACTOR_FLAGS,
     FROM_X,
-    GHS,
     NORMAL,
     RANDOM_RAYS_SHIFT,
     RATIO,
-    RAYLEIGH_RICE,
     RETRO,
     TABLE_SHIFT,
     TURNED,
 )
-from mistray.physics.diffraction import obliquity
+from mistray.scatter.lobe import factor
 from mistray.scatter.radial import R_MAX
 
 if TYPE_CHECKING:
@@ -192,29 +189,21 @@ class Scattering(ScatterShares):
         competing: Scattering | None,
     ) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.Float, mi.Float]:
         """Return direction, weight and slope of `scatter`, and `pdf_ratio` and `pdf_rev` of `ScatterPdfs`."""
-        # The case, which is the side and the event, and the frame of its lobes
         case = budget.first_case + dr.select(ray.reflect, mi.UInt32(1), 0)
-        x = dr.select(ray.reflect, it.R, self._transmittance(it))
-        scale = dr.select(ray.reflect, 1, it.eta) if self.tables.backward else mi.Float(1)
-        outward = dr.select(ray.reflect, -it.axis, it.axis)
-        specular = dr.select(ray.reflect, it.reflected, it.transmitted)
+        plan, lobes, frame = self._case(case, s, it, d, ray.reflect)
         # Four numbers: lobe or target, radius, azimuth, and the place within a cell of the radial table
         u = [rng.next_float32() for _ in range(4)]
-        plan = dr.gather(mi.Vector4u, self.tables.cases, case)
-        lobes = self._read_lobes(plan, x, it.cos_i)
         total = sum((lobe["flux"] for lobe in lobes), mi.Float(0))
-        x_axis = self._x_axis(s, it, mi.Bool(True))
-        frame = LobeFrame(it.axis, outward, specular, d, it.cos_i, it.eta, x_axis, scale)
         # Sample: at random, towards a target, or to a light vertex
         direction = self._random(lobes, total, u, frame)
         own = mi.UInt32(0)
         if self.tables.aimed:
-            aimed, own = self.tables.targets.sample(plan.zw, u, it.p, specular, ray.aim)
+            aimed, own = self.tables.targets.sample(plan.zw, u, it.p, frame.specular, ray.aim)
             direction = dr.select(ray.aim, aimed, direction)
         if ray.connection is not None:
             direction = dr.select(ray.connects, ray.connection.direction, direction)
         # Evaluate; a backward ray carries the flux of forward light
-        cos_s = dr.dot(direction, outward)
+        cos_s = dr.dot(direction, frame.outward)
         flux, slope, pdf = self._evaluate(lobes, total, direction, cos_s, frame)
         if self.tables.backward:
             from_front = it.from_front ^ ~ray.reflect
@@ -227,7 +216,7 @@ class Scattering(ScatterShares):
             # Where a trace competes, aimed rays count whether or not this light has any
             aimed_rays = ray.aimed_rays if competing is None else self._aimed_rays(case)
             targets = self.tables.targets
-            at_targets = targets.density(plan.zw, it.p, direction, specular, ray.aim, own, aimed_rays > 0)
+            at_targets = targets.density(plan.zw, it.p, direction, frame.specular, ray.aim, own, aimed_rays > 0)
             techniques += ray.aimed_rays * at_targets
             expected = pdf + aimed_rays * at_targets
         if ray.connection is not None:
@@ -239,7 +228,7 @@ class Scattering(ScatterShares):
         # Densities of the competing direction
         pdf_ratio, pdf_rev = mi.Float(1), expected
         if competing is not None:
-            other = competing.pdf_reverse(table, s, it, ray.reflect, d, direction, cos_s, x_axis)
+            other = competing.pdf_reverse(table, s, it, ray.reflect, d, direction, cos_s, frame.x_axis)
             # Per étendue n² cos θ dω dA, which is the same before and behind mirrors and lenses
             pdf_ratio = other / expected * (cos_s / it.cos_i) * dr.select(ray.reflect, 1, dr.rcp(dr.square(it.eta)))
             pdf_ratio = dr.select(good & dr.isfinite(pdf_ratio), pdf_ratio, 0)
@@ -251,6 +240,18 @@ class Scattering(ScatterShares):
             pdf_ratio,
             pdf_rev,
         )
+
+    def _case(
+        self, case: mi.UInt32, s: mi.UInt32, it: Interaction, d: mi.Vector3f, reflect: mi.Bool
+    ) -> tuple[mi.Vector4u, list[dict[str, Any]], LobeFrame]:
+        """Return the row of a case, its lobes and their frame, for a ray that arrives along d."""
+        x = dr.select(reflect, it.R, self._transmittance(it))
+        scale = dr.select(reflect, 1, it.eta) if self.tables.backward else mi.Float(1)
+        outward = dr.select(reflect, -it.axis, it.axis)
+        specular = dr.select(reflect, it.reflected, it.transmitted)
+        plan = dr.gather(mi.Vector4u, self.tables.cases, case)
+        lobes, x_axis = self._read_lobes(plan, x, it.cos_i), self._x_axis(s, it, mi.Bool(True))
+        return plan, lobes, LobeFrame(it.axis, outward, specular, d, it.cos_i, it.eta, x_axis, scale)
 
     def _aimed_rays(self, case: mi.UInt32) -> mi.Float:
         """Return the number of aimed rays of a case, wherever there is light to be scattered."""
@@ -460,15 +461,10 @@ class Scattering(ScatterShares):
             density += lobe["flux"] * drawn
             # Factors of the models beside the profile
             value *= lobe["coefficient"]
-            if self.tables.flags & GHS:
-                value *= dr.select((words.x & GHS) != 0, 0.25 * dr.square(cos_i + cos_s), 1)
-            if self.tables.flags & RAYLEIGH_RICE:
-                value *= dr.select((words.x & RAYLEIGH_RICE) != 0, cos_i * cos_s, 1)
-            if self.tables.flags & COSINE:
-                value *= dr.select((words.x & COSINE) != 0, cos_s, 1)
-            if self.tables.flags & EDGE:
-                grown = obliquity(dr.dot(frame.specular, outward), cos_s, r2)
-                value *= dr.select((words.x & EDGE) != 0, grown, 1)
+            cos_0 = dr.dot(frame.specular, outward)
+            for name, flag in FACTOR_FLAGS.items():
+                if self.tables.flags & flag:
+                    value *= dr.select((words.x & flag) != 0, factor(name, cos_i, cos_s, cos_0, r2), 1)
             if self.tables.flags & RATIO:
                 ratio = self._ratio(lobe, frame, direction, cos_s, r2, across)
                 value *= dr.select((words.x & RATIO) != 0, ratio, 1)

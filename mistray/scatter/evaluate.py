@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mistray.scatter.lobe import Lobe
-from mistray.scatter.total import factor_values
+from mistray.scatter.lobe import Lobe, factor
 
 TINY = 1e-30  # cosine of a scattered direction in the plane of the surface
 
@@ -72,7 +71,7 @@ def _shape(lobe: Lobe, cos_i: np.ndarray, sin_0: np.ndarray, directions: np.ndar
         over_cos_s = 1.0 if lobe.factor == "cosine" else 1 / np.maximum(cos_s, TINY)
         return np.asarray(lobe.oblique(cos_i) * lobe.profile(r.ravel()).reshape(r.shape) * over_cos_s)
     r = np.hypot(x - centre, y)
-    values = lobe.profile(r.ravel()).reshape(r.shape) * factor_values(lobe, cos_i, cos_s, cos_0, r)
+    values = lobe.profile(r.ravel()).reshape(r.shape) * factor(lobe.factor, cos_i, cos_s, cos_0, r * r)
     if lobe.ratio is not None and lobe.ratio.axes != "cosines":
         values = values * lobe.ratio.at(cos_0, r, np.arctan2(y, x - centre), rotation)
     elif lobe.ratio is not None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.param import Param
+from mistray.physics.diffraction import obliquity
 from mistray.ranges import Words, check_fields, demand_of
 
 EVENTS = ("reflection", "transmission")
@@ -207,6 +208,28 @@ class Lobe:
             return np.ones_like(cos_i)
         with np.errstate(divide="ignore"):
             return np.minimum(1 / cos_i, self.oblique_limit)
+
+
+def factor(name: str, cos_i: Any, cos_s: Any, cos_0: Any, r2: Any) -> Any:
+    """
+    Return a `Lobe.factor` for arrays of NumPy or Dr.Jit.
+
+    Parameters
+    ----------
+    name : {"none", "ghs", "rayleigh_rice", "edge", "cosine"}
+    cos_i, cos_s, cos_0 : array
+        Cosines of incidence, of scatter and of the specular direction.
+    r2 : array
+        Squared distance from the centre of the lobe.
+    """
+    if name == "edge":
+        return obliquity(cos_0, cos_s, r2)
+    if name == "ghs":
+        both = cos_i + cos_s
+        return 0.25 * (both * both)
+    if name == "cosine":
+        return cos_s
+    return cos_i * cos_s if name == "rayleigh_rice" else 1.0
 
 
 class Scatter(Protocol):

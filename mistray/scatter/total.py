@@ -9,8 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.physics.diffraction import obliquity
-from mistray.scatter.lobe import Lobe, RatioTable, Scatter
+from mistray.scatter.lobe import Lobe, RatioTable, Scatter, factor
 from mistray.scatter.radial import OCTAVES, R_MAX, RadialTable
 
 ROUNDING = 1e-6  # what the shares of a surface may exceed 1 by
@@ -183,7 +182,7 @@ def _ring_weights(
     psi = start[:, None] + half[:, None] * t
     beta2 = b * b + r[:, None] ** 2 + 2 * b * r[:, None] * np.cos(psi)
     cos_s = np.sqrt(np.maximum(0.0, 1 - beta2))
-    values = factor_values(lobe, cos_i, cos_s, cosine, r[:, None])
+    values = factor(lobe.factor, cos_i, cos_s, cosine, r[:, None] ** 2)
     if lobe.ratio is not None:
         second, azimuth = r[:, None], psi
         if lobe.ratio.axes == "cosines":
@@ -193,23 +192,6 @@ def _ring_weights(
         values = values * np.mean(ratios, axis=0)
     over_arc = 2 * half * np.sum(wt * values, axis=1)
     return r, weight * r * over_arc
-
-
-def factor_values(
-    lobe: Lobe,
-    cos_i: np.ndarray | float,
-    cos_s: np.ndarray,
-    cos_0: np.ndarray | float = 1.0,
-    r: np.ndarray | float = 0.0,
-) -> np.ndarray:
-    """The lobe's factor for cosines of incidence, of scatter and of the lobe's centre, and distances from that."""
-    if lobe.factor == "edge":
-        return np.asarray(obliquity(cos_0, cos_s, np.square(r)))
-    if lobe.factor == "ghs":
-        return 0.25 * (cos_i + cos_s) ** 2
-    if lobe.factor == "cosine":
-        return cos_s
-    return cos_i * cos_s if lobe.factor == "rayleigh_rice" else np.ones_like(cos_s)
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from mistray.physics import abg
-from mistray.plugins.bsdfs.lobe_pair import Pair
 from mistray.plugins.bsdfs.scatterer import Scatterer
-from mistray.scatter import Lobe
 from mistray.scatter.abg import ABg as Model
 
 
@@ -67,12 +64,6 @@ class ABg(Scatterer):
 
     kind = "abg"
     model_type = Model
-
-    def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
-        a, b, g = self.values["A"], self.values["B"], self.values["g"]
-        if self.model.reference_nm is not None:
-            a, b = abg.at_wavelength(a, b, g, mi.Float(wavelength_nm / self.model.reference_nm))
-        return abg.bsdf(r, a, b, g)
 
 
 mi.register_bsdf("abg", lambda props: ABg(props))

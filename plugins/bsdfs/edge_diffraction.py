@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import drjit as dr
 import mitsuba as mi
 
-from mistray.physics import diffraction
-from mistray.plugins.bsdfs.lobe_pair import Pair
 from mistray.plugins.bsdfs.scatterer import Scatterer
-from mistray.scatter import Lobe
-from mistray.scatter.edge_diffraction import FIRST_R
 from mistray.scatter.edge_diffraction import EdgeDiffraction as Model
 
 
@@ -64,10 +59,6 @@ class EdgeDiffraction(Scatterer):
 
     kind = "edge_diffraction"
     model_type = Model
-
-    def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
-        wavelength_mm = 1e-6 * wavelength_nm / pair.n_out
-        return diffraction.ring_bsdf(dr.maximum(r, FIRST_R), self.values["width_mm"], wavelength_mm, self.model.law)
 
 
 mi.register_bsdf("edge_diffraction", lambda props: EdgeDiffraction(props))

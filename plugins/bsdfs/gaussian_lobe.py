@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from mistray.physics import gaussian
-from mistray.plugins.bsdfs.lobe_pair import Pair
 from mistray.plugins.bsdfs.scatterer import Scatterer
-from mistray.scatter import Lobe
 from mistray.scatter.gaussian import Gaussian as Model
 
 
@@ -57,9 +54,6 @@ class GaussianLobe(Scatterer):
 
     kind = "gaussian_lobe"
     model_type = Model
-
-    def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
-        return gaussian.bsdf(r, self.values["total"], self.values["width"])
 
 
 mi.register_bsdf("gaussian_lobe", lambda props: GaussianLobe(props))

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from mistray.physics import harvey_shack
-from mistray.plugins.bsdfs.lobe_pair import Pair
 from mistray.plugins.bsdfs.scatterer import Scatterer
-from mistray.scatter import Lobe
 from mistray.scatter.harvey_shack import HarveyShack as Model
-from mistray.scatter.harvey_shack import index_step
 
 
 class HarveyShack(Scatterer):
@@ -64,18 +60,6 @@ class HarveyShack(Scatterer):
 
     kind = "harvey_shack"
     model_type = Model
-
-    def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
-        knee, s = self.values["l"], self.values["s"]
-        reference_nm = self.model.reference_nm or wavelength_nm
-        if "b0" in self.values:
-            b0 = self.values["b0"]
-        else:
-            step = index_step(lobe.event, pair.n_in, pair.n_out)
-            share = harvey_shack.tis_from_rms(self.values["rms_nm"] * 1e-3, reference_nm * 1e-3, step)
-            b0 = harvey_shack.b0_from_tis(share, knee, s)
-        b0, knee = harvey_shack.at_wavelength(b0, knee, wavelength_nm / reference_nm)
-        return harvey_shack.bsdf(r, b0, knee, s)
 
 
 mi.register_bsdf("harvey_shack", lambda props: HarveyShack(props))

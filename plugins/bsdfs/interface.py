@@ -13,25 +13,22 @@ import numpy as np
 from mistray.coatings import Bare, CoatingModel, CoatingTable, Ideal
 from mistray.coatings.simple import check_shares
 from mistray.errors import MistrayError
+from mistray.kernel.interaction import Interaction
 from mistray.materials import complex_index, refractive_index
-from mistray.physics.fresnel import reflectance
 from mistray.plugins.bsdfs.glasses import SHIFTS, Glasses
-from mistray.plugins.bsdfs.lobe_sum import LobeSum
-from mistray.plugins.bsdfs.sample_axis import SampleAxis, SampleFrame, common_axis
+from mistray.plugins.bsdfs.rendered_surface import RenderedScattering, RenderedSurface
+from mistray.plugins.bsdfs.sample_axis import SampleAxis, common_axis
 from mistray.ranges import AIMED_RAYS, SHARE, WAVELENGTH_NM
 from mistray.scatter import Scatter
 from mistray.spectra.spectrum import DEFAULT_NM
-from mistray.surfaces.optics import (
-    REFLECTION_BACK,
-    REFLECTION_FRONT,
-    TRANSMISSION,
-    angle_table,
-    is_dark,
-    total_variable,
-    unpolarized_shares,
-)
 
-STOCK_BODY_MM = 1.0  # stock integrators know no absorption on the way: what is dark after this length is opaque
+# Beams that are reflected and transmitted, then scatter
+COMPONENTS = (
+    mi.BSDFFlags.DeltaReflection,
+    mi.BSDFFlags.DeltaTransmission,
+    mi.BSDFFlags.GlossyReflection,
+    mi.BSDFFlags.GlossyTransmission,
+)
 UNNAMED = ("bsdf", "coating")  # names that come from the place in a dict
 SIDES = (
     "front",
@@ -127,6 +124,9 @@ class Interface(mi.BSDF):
         self.wavelength_nm = WAVELENGTH_NM.check("wavelength_nm", props.get("wavelength_nm", DEFAULT_NM), self.title)
         self._own_wavelength = "wavelength_nm" in props
         self._glasses = Glasses(props, _resolve)
+        # Shifts of the indices, materials without them, and whether the scene says what lies on either side
+        self.shifts, self.materials = self._glasses.parameters, self._glasses.given
+        self.declared = self._glasses.declared
         self.is_nested = False
         self.mirror = bool(props.get("mirror", False))
         self.design_path = str(props.get("design_path", ""))
@@ -136,13 +136,12 @@ class Interface(mi.BSDF):
         self.one_child = splitting == "one"
         self.scatter_rays = AIMED_RAYS.check("scatter_rays", props.get("scatter_rays", 0), self.title)
         self._take_glasses()  # an unknown material is an error of the scene, now
-        self._turned: bool | None = None
+        self.turned: bool | None = None
         self._own_ideal = False
         self._R, self._T = mi.Float(0), mi.Float(0)
         self._own: CoatingModel = Bare()
         self._held: tuple[np.ndarray, ...] = ()
-        self._stock: tuple[CoatingModel, dict[str, Any]] | None = None
-        self._lobes: tuple[dict[str, Any], LobeSum] | None = None
+        self._rendered: tuple[CoatingModel, tuple[Scatter, ...], RenderedSurface] | None = None
         self.scatterers: tuple[Any, ...] = ()
         # Only objects are looked at: what is never requested is reported as unknown
         objects = [props[key] for key in list(props.keys()) if props.type(key) == mi.Properties.Type.Object]
@@ -152,15 +151,8 @@ class Interface(mi.BSDF):
             self._read_coating(props)
         self.sample_axis = common_axis(self.scatterers, self.title)
         side = mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
-        self.m_components = [
-            mi.BSDFFlags.DeltaReflection | side,
-            mi.BSDFFlags.DeltaTransmission | mi.BSDFFlags.NonSymmetric | side,
-        ]
-        if self.scatterers:
-            self.m_components += [
-                mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.NonSymmetric | side,
-                mi.BSDFFlags.GlossyTransmission | mi.BSDFFlags.NonSymmetric | side,
-            ]
+        self.m_components = [kind | side for kind in COMPONENTS[: 4 if self.scatterers else 2]]
+        self.m_components[1:] = [kind | mi.BSDFFlags.NonSymmetric for kind in self.m_components[1:]]
         self.m_flags = reduce(or_, self.m_components)
 
     # -- the coating ---------------------------------------------------------------------------------------------
@@ -250,11 +242,6 @@ class Interface(mi.BSDF):
         """Whether R and T are constants."""
         return self._owner._own_ideal
 
-    @property
-    def _scatters(self) -> bool:
-        """Whether it sends scattered light by itself; Mitsuba's kernels call plugins that are nested, too."""
-        return bool(self.scatterers) and not self.is_nested
-
     def _named_scatterers(self) -> dict[str, Any]:
         """The nested scatter plugins by the names that `mi.traverse` gives them: "abg", a second one "abg_2"."""
         kinds = [item.kind for item in self.scatterers]
@@ -294,33 +281,18 @@ class Interface(mi.BSDF):
         """Material behind, with its shift of the index if it has one."""
         return self._glasses.back
 
-    @property
-    def shifts(self) -> dict[str, mi.Float]:
-        """``n_front_shift`` and ``n_back_shift``."""
-        return self._glasses.parameters
-
-    @property
-    def materials(self) -> tuple[str, str]:
-        """Materials in front and behind, without shifts of the index."""
-        return self._glasses.given
-
-    @property
-    def declared(self) -> tuple[bool, bool]:
-        """Whether the scene says what lies in front, and what behind."""
-        return self._glasses.declared
-
     def _take_glasses(self) -> None:
         """Take new shifts of the indices; raises if they are impossible, and then nothing has changed."""
         try:
             if self._glasses.update(self.wavelength_nm):
-                self._stock = None
+                self._rendered = None
         except MistrayError as error:
             raise MistrayError(f"{self.title}: {error}" if self.name else str(error)) from None
 
     def lit_by(self, wavelength_nm: float) -> None:
         """Take the wavelength of the scene's light, nm, for stock integrators, unless the scene gives another one."""
         if not self._own_wavelength and wavelength_nm != self.wavelength_nm:
-            self.wavelength_nm, self._stock = wavelength_nm, None
+            self.wavelength_nm, self._rendered = wavelength_nm, None
 
     @property
     def known_indices(self) -> tuple[float, float]:
@@ -347,113 +319,48 @@ class Interface(mi.BSDF):
 
     # -- Mitsuba's protocol --------------------------------------------------------------------------------------
 
-    def _stock_table(self) -> dict[str, Any]:
-        """The coating at one wavelength for stock integrators: tables, and whether nothing is transmitted."""
-        coating = self.coating
-        if self._stock is None or self._stock[0] is not coating:
-            wavelength_nm = self._glasses.nearest_nm(self.wavelength_nm, coating)
-            sides = self._glasses.transparent(wavelength_nm)
-            opaque = coating.opaque or bool(np.any(is_dark(sides, wavelength_nm, STOCK_BODY_MM)))
-            tables = {}
-            if not self.ideal and (opaque or not isinstance(coating, Bare)):
-                table = angle_table(coating, wavelength_nm, *sides, opaque, False)
-                for name, part in (("refraction", table.refraction), ("total", table.total)):
-                    tables[name] = mi.Float(np.ascontiguousarray(part[:, :, 0]).ravel()), len(part) - 1
-            self._stock = coating, {"nm": wavelength_nm, "n": sides, "opaque": opaque, "tables": tables}
-        return self._stock[1]
+    def transparent(self, wavelength_nm: float) -> tuple[complex, complex]:
+        """Indices of the materials for stock integrators, see `Glasses.transparent`."""
+        return self._glasses.transparent(wavelength_nm)
 
-    def _specular(self, cos_wi: mi.Float, active: mi.Mask) -> tuple[mi.Float, mi.Float, mi.Float, mi.Float]:
-        """R, T, the signed cosine of the transmitted direction and n_i/n_t, for a direction wi in the local frame."""
-        stock = self._stock_table()
-        n_front, n_back = (n.real for n in stock["n"])
-        from_back = cos_wi > 0
-        n_i, n_t = dr.select(from_back, n_back, n_front), dr.select(from_back, n_front, n_back)
-        eta, cos_i = n_i / n_t, dr.abs(cos_wi)
-        sin2_t = dr.square(eta) * dr.maximum(0, 1 - dr.square(cos_i))
-        tir = (sin2_t >= 1) & (not stock["opaque"])
-        cos_t = dr.sqrt(dr.maximum(0, 1 - sin2_t))
-        if self.ideal:
-            # Copies, since Dr.Jit may widen a literal in place where a mask is one as well
-            R, T = mi.Float(self.R), mi.Float(self.T)
-            r, t = dr.select(tir, R + T, R), dr.select(tir, 0, T)
-        elif stock["tables"]:
-            rarer = cos_i if stock["opaque"] else dr.minimum(cos_i, cos_t)
-            r, t = _interpolate(*stock["tables"]["refraction"], rarer, from_back, active)
-            beyond, _ = _interpolate(*stock["tables"]["total"], total_variable(sin2_t, eta, cos_i), from_back, active)
-            r, t = dr.select(tir, beyond, r), dr.select(tir, 0, t)
-        else:
-            r = dr.select(tir, 1, reflectance(cos_i, cos_t, n_i, n_t))
-            t = 1 - r
-        return r, t, -dr.mulsign(cos_t, cos_wi), eta
+    def _rendered_surface(self) -> RenderedSurface:
+        """The surface as stock integrators see it, with the current coating and models of scatter."""
+        coating, models = self.coating, self.scatter
+        if self._rendered is None or self._rendered[0] is not coating or self._rendered[1] != models:
+            nearest_nm = self._glasses.nearest_nm(self.wavelength_nm, coating)
+            self._rendered = coating, models, RenderedSurface(self, self.title, nearest_nm)
+        return self._rendered[2]
 
-    def _lobe_sum(self) -> LobeSum:
-        """What scatters, for stock integrators."""
-        models, stock = self.scatter, self._stock_table()
-        if self._lobes is None or self._lobes[0] is not stock or self._lobes[1].models != list(models):
-            n = tuple(n.real for n in stock["n"])
-            lobes = LobeSum(self.scatterers, stock["nm"], n, stock["opaque"], self._stock_shares, self.title)
-            self._lobes = stock, lobes
-        return self._lobes[1]
-
-    def _stock_shares(self, from_front: bool, cosines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """R and T for stock integrators at cosines of incidence, (m,) each."""
-        stock = self._stock_table()
-        return unpolarized_shares(self.coating, stock["nm"], stock["n"], stock["opaque"], from_front, cosines)
-
-    def _sample(self, si: mi.SurfaceInteraction3f) -> SampleFrame | None:
-        """How the sample lies at a hit, if a model of scatter depends on it."""
-        return None if self.sample_axis is None else self.sample_axis.local(si, bool(self._turned))
-
-    def _beams(
-        self,
-        ctx: mi.BSDFContext,
-        wi: mi.Vector3f,
-        shares: tuple[mi.Float, mi.Float],
-        cos_t: mi.Float,
-        sample: SampleFrame | None,
-        active: mi.Mask,
-    ) -> tuple[mi.Float, mi.Float]:
-        """What scatter leaves of the reflected and the transmitted beam, where a context asks for them."""
-        reflects = ctx.is_enabled(mi.BSDFFlags.DeltaReflection, 0)
-        transmits = ctx.is_enabled(mi.BSDFFlags.DeltaTransmission, 1)
-        r, t = (shares[0] if reflects else mi.Float(0)), (shares[1] if transmits else mi.Float(0))
-        if self._scatters and (reflects or transmits):
-            lobes, from_back = self._lobe_sum(), wi.z > 0
-            cos_i = dr.abs(wi.z)
-            # In the mode "radiance" light goes to wi, and what is transmitted comes from the other side
-            radiance = ctx.mode == mi.TransportMode.Radiance
-            side, tangent, lit = (~from_back, wi.xy, -wi.z) if radiance else (from_back, -wi.xy, wi.z)
-            turns = [None, None] if sample is None else [sample.plane(tangent, z)[2] for z in (wi.z, lit)]
-            r = r * (1 - lobes.loss("reflection", cos_i, from_back, active, turns[0]))
-            t = t * (1 - lobes.loss("transmission", dr.minimum(cos_i, dr.abs(cos_t)), side, active, turns[1]))
-        return r, t
-
-    def _choices(
-        self, ctx: mi.BSDFContext, wi: mi.Vector3f, shares: tuple[mi.Float, mi.Float], beams: tuple[mi.Float, mi.Float]
-    ) -> tuple[list[tuple[Any, mi.Float]], mi.Float]:
-        """Probabilities of the lobes, and by what the shares of the specular beams are multiplied to be theirs."""
-        lobes = self._lobe_sum().weights(ctx, wi, shares) if self._scatters else []
-        total = dr.detach(beams[0] + beams[1])
-        for _, weight in lobes:
-            total += weight
-        scale = dr.select(total > 0, dr.rcp(dr.select(total > 0, total, 1)), 0)
-        return [(slot, weight * scale) for slot, weight in lobes], scale
+    def _meet(
+        self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, active: mi.Mask
+    ) -> tuple[Interaction, RenderedScattering | None, list[mi.Float]]:
+        """Interaction of a ray with the surface, its scatter if it has any, and the shares of `COMPONENTS`."""
+        surface, active = self._rendered_surface(), mi.Bool(active)
+        it, scattering = surface.meet(-si.wi, active), None
+        shares = [it.R, it.T]
+        # Mitsuba's kernels call plugins that are nested, too: these send no scattered light by themselves
+        if self.scatterers and not self.is_nested:
+            x_axis = None if self.sample_axis is None else self.sample_axis.local(si, bool(self.turned))
+            scattering = surface.scattering(ctx.mode == mi.TransportMode.Radiance, -si.wi, it, x_axis)
+        if scattering is not None:
+            budget = scattering.shares(active)
+            events = budget.reflection, budget.transmission
+            shares = [share * event.kept for share, event in zip(shares, events, strict=True)]
+            shares += [event.scattered for event in events]
+        enabled = [ctx.is_enabled(kind, k) for k, kind in enumerate(COMPONENTS)]
+        return it, scattering, [share if lit else mi.Float(0) for share, lit in zip(shares, enabled, strict=False)]
 
     def carried(self, by: Any, turned: bool) -> None:
         """Called by a shape that carries this interface: whether the normals of its mesh look to the front."""
-        if self._turned not in (None, turned) and self.front != self.back:
+        if self.turned not in (None, turned) and self.front != self.back:
             raise MistrayError(
                 f"{self.title} has '{self.front}' and '{self.back}' on its sides and is shared by a detector "
                 f"and another shape, the last '{by.name}'; give it an interface of its own. Mitsuba's loaders take "
                 "equal ones for one: load with optimize=False or mistray.load"
             )
-        self._turned = turned
+        self.turned = turned
         if self.sample_axis is not None:
             self.sample_axis.carried(by)
-
-    def _turn(self, v: mi.Vector3f) -> mi.Vector3f:
-        """From the local frame of a hit to the one whose z axis points to the back, or the other way round."""
-        return mi.Vector3f(v.x, v.y, -v.z) if self._turned else v
 
     def sample(
         self,
@@ -463,85 +370,72 @@ class Interface(mi.BSDF):
         sample2: mi.Point2f,
         active: mi.Mask = True,
     ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
-        wi = self._turn(si.wi)
-        r, t, cos_t, eta = self._specular(wi.z, active)
-        sample = self._sample(si)
-        beams = self._beams(ctx, wi, (r, t), cos_t, sample, active)
-        lobes, scale = self._choices(ctx, wi, (r, t), beams)
-        active = active & (scale > 0)
-        # The lobes come first; what they leave of sample1 chooses between the beams
-        choice, rest = None, sample1
-        if lobes:
-            choice, rest = self._lobe_sum().choose(ctx, wi, lobes, sample1, sample2, active)
-        probability = dr.detach(beams[0]) * scale
-        reflected = active & (rest <= probability) & (probability > 0)
-        bs = dr.zeros(mi.BSDFSample3f)
-        bs.pdf = dr.select(active, dr.select(reflected, probability, dr.detach(beams[1]) * scale), 0)
-        bs.sampled_component = dr.select(reflected, mi.UInt32(0), mi.UInt32(1))
-        bs.sampled_type = dr.select(
-            reflected, mi.UInt32(+mi.BSDFFlags.DeltaReflection), mi.UInt32(+mi.BSDFFlags.DeltaTransmission)
+        it, scattering, shares = self._meet(ctx, si, active)
+        chances = _chances(shares)
+        # Scatter comes first; what it leaves of sample1 chooses between the beams
+        chosen, pdf, inner, rest = mi.UInt32(1), chances[1], mi.Float(0), mi.Float(sample1)
+        undecided = mi.Bool(active)
+        for k in (2, 3, 0) if scattering is not None else (0,):
+            here = undecided & (rest <= chances[k]) & (chances[k] > 0)
+            chosen, pdf = dr.select(here, k, chosen), dr.select(here, chances[k], pdf)
+            inner = dr.select(here, rest / chances[k], inner)
+            undecided, rest = undecided & ~here, dr.select(here, rest, rest - chances[k])
+        # The beams; radiance, unlike flux, scales with the square of the index
+        reflected = (chosen & 1) == 0
+        index = dr.square(it.eta) if ctx.mode == mi.TransportMode.Radiance else 1
+        weight, wo = (
+            dr.select(reflected, shares[0], shares[1] * index),
+            dr.select(reflected, it.reflected, it.transmitted),
         )
-        bs.wo = dr.select(reflected, mi.Vector3f(-wi.x, -wi.y, wi.z), mi.Vector3f(-eta * wi.x, -eta * wi.y, cos_t))
-        # Radiance, unlike flux, scales with the square of the index
-        index = dr.square(eta) if ctx.mode == mi.TransportMode.Radiance else mi.Float(1)
-        weight = dr.select(reflected, beams[0], beams[1] * index) / dr.select(bs.pdf > 0, bs.pdf, 1)
-        weight = dr.select(active & (bs.pdf > 0), weight, 0)
-        if choice is not None:
-            value, pdf = self._scattered(ctx, wi, choice.wo, lobes, sample, choice.valid)
-            use = choice.valid & (pdf > 0)
-            bs.wo = dr.select(choice.chosen, choice.wo, bs.wo)
-            bs.pdf = dr.select(choice.chosen, dr.select(use, pdf, 0), bs.pdf)
-            bs.sampled_component = dr.select(choice.chosen, choice.component, bs.sampled_component)
-            glossy = dr.select(
-                choice.component == 2, +mi.BSDFFlags.GlossyReflection, mi.UInt32(+mi.BSDFFlags.GlossyTransmission)
-            )
-            bs.sampled_type = dr.select(choice.chosen, glossy, bs.sampled_type)
-            weight = dr.select(choice.chosen, dr.select(use, value / dr.select(use, pdf, 1), 0), weight)
-        bs.eta = dr.select(bs.wo.z * wi.z > 0, 1, 1 / eta)
-        bs.wo = self._turn(bs.wo)
-        return bs, mi.Spectrum(weight) & active
+        if scattering is not None:
+            drawn = scattering.draw(reflected, inner, sample2)
+            value, density = self._scattered(ctx, si, scattering, chances, drawn, active)
+            valid = (drawn.z * si.wi.z > 0) == reflected
+            wo, weight = dr.select(chosen >= 2, drawn, wo), dr.select(chosen >= 2, value, weight)
+            pdf = dr.select(chosen >= 2, dr.select(valid, density, 0), pdf)
+        bs = dr.zeros(mi.BSDFSample3f)
+        good = mi.Bool(active) & (pdf > 0)
+        bs.wo, bs.pdf, bs.sampled_component = wo, dr.select(good, pdf, 0), chosen
+        bs.sampled_type = mi.UInt32(0)
+        for k, kind in enumerate(COMPONENTS):
+            bs.sampled_type = dr.select(chosen == k, mi.UInt32(+kind), bs.sampled_type)
+        bs.eta = dr.select(wo.z * si.wi.z > 0, 1, 1 / it.eta)
+        return bs, mi.Spectrum(dr.select(good, weight / dr.select(good, pdf, 1), 0))
 
     def _scattered(
         self,
         ctx: mi.BSDFContext,
-        wi: mi.Vector3f,
+        si: mi.SurfaceInteraction3f,
+        scattering: RenderedScattering,
+        chances: list[mi.Float],
         wo: mi.Vector3f,
-        lobes: list[tuple[Any, mi.Float]],
-        sample: SampleFrame | None,
         active: mi.Mask,
     ) -> tuple[mi.Float, mi.Float]:
-        """BSDF times cosine of wo, and the density of wo, by the probabilities of the lobes."""
-        light = wo if ctx.mode == mi.TransportMode.Radiance else wi
-        shares = self._specular(light.z, active)[:2]
-        lobe_sum = self._lobe_sum()
-        value = lobe_sum.value(ctx, wi, wo, shares, active, sample)
-        return value, lobe_sum.density(ctx, wi, wo, lobes, active)
+        """BSDF times cosine of wo, and the density of wo."""
+        reflect = wo.z * si.wi.z > 0
+        enabled = [ctx.is_enabled(COMPONENTS[k], k) for k in (2, 3)]
+        lit = mi.Bool(active) & dr.select(reflect, *map(mi.Bool, enabled))
+        value, density = scattering.evaluate(reflect, wo, lit)
+        return value, density * dr.select(reflect, chances[2], chances[3])
 
     def eval(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Mask = True
     ) -> mi.Spectrum:
-        if not self._scatters:
-            return mi.Spectrum(0)
-        wi, wo = self._turn(si.wi), self._turn(wo)
-        light = wo if ctx.mode == mi.TransportMode.Radiance else wi
-        shares = self._specular(light.z, active)[:2]
-        return mi.Spectrum(self._lobe_sum().value(ctx, wi, wo, shares, mi.Mask(active), self._sample(si)))
+        return self.eval_pdf(ctx, si, wo, active)[0]
 
     def pdf(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Mask = True
     ) -> mi.Float:
-        if not self._scatters:
-            return mi.Float(0)
-        wi, wo = self._turn(si.wi), self._turn(wo)
-        r, t, cos_t, _ = self._specular(wi.z, active)
-        beams = self._beams(ctx, wi, (r, t), cos_t, self._sample(si), active)
-        lobes, _ = self._choices(ctx, wi, (r, t), beams)
-        return self._lobe_sum().density(ctx, wi, wo, lobes, mi.Mask(active))
+        return self.eval_pdf(ctx, si, wo, active)[1]
 
     def eval_pdf(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Mask = True
     ) -> tuple[mi.Spectrum, mi.Float]:
-        return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+        _, scattering, shares = self._meet(ctx, si, active)
+        if scattering is None:
+            return mi.Spectrum(0), mi.Float(0)
+        value, pdf = self._scattered(ctx, si, scattering, _chances(shares), wo, active)
+        return mi.Spectrum(value), pdf
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
         if self._nested is not None:
@@ -582,19 +476,10 @@ def _resolve(path: str) -> str:
     return str(mi.file_resolver().resolve(path))
 
 
-def _interpolate(
-    values: mi.Float, intervals: int, x: mi.Float, from_back: mi.Mask, active: mi.Mask
-) -> tuple[mi.Float, mi.Float]:
-    """R and T at x in 0 … 1 of a table with rows of R from the front, R from the back and T at uniform nodes."""
-    place = x * intervals
-    index = dr.minimum(mi.UInt32(place), intervals - 1)
-    reflection = dr.select(from_back, mi.UInt32(REFLECTION_BACK), mi.UInt32(REFLECTION_FRONT))
-
-    def column(channel: Any) -> mi.Float:
-        low, high = (dr.gather(mi.Float, values, 3 * (index + step) + channel, active) for step in range(2))
-        return dr.lerp(low, high, place - index)
-
-    return column(reflection), column(TRANSMISSION)
+def _chances(shares: list[mi.Float]) -> list[mi.Float]:
+    """Probabilities with which components are drawn: in proportion to their shares of the light."""
+    total = dr.detach(sum(shares, mi.Float(0)))
+    return [dr.select(total > 0, dr.detach(share) / dr.select(total > 0, total, 1), 0) for share in shares]
 
 
 mi.register_bsdf("interface", lambda props: Interface(props))

@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-import drjit as dr
 import mitsuba as mi
 
-from mistray.physics import generalized_harvey_shack as ghs
-from mistray.physics import k_correlation, rayleigh_rice
-from mistray.plugins.bsdfs.lobe_pair import Pair
 from mistray.plugins.bsdfs.scatterer import Scatterer
-from mistray.scatter import Lobe
-from mistray.scatter.harvey_shack import index_step
 from mistray.scatter.k_correlation import KCorrelation as Model
 
 
@@ -72,48 +66,6 @@ class KCorrelation(Scatterer):
 
     kind = "k_correlation"
     model_type = Model
-
-    def _path(self, lobe: Lobe, pair: Pair) -> mi.Float:
-        """Path difference per height of the surface for the two directions."""
-        if lobe.event == "reflection":
-            return ghs.path_in_reflection(pair.cos_i, pair.cos_s, pair.n_in)
-        return ghs.path_in_transmission(pair.cos_i, pair.cos_s, pair.n_in, pair.n_out)
-
-    def _full(self, path: mi.Float, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
-        """BSDF of the theory "ghs_full" for a path difference."""
-        n = pair.n_in if lobe.event == "reflection" else pair.n_out
-        wavelength_um, rms_um = wavelength_nm * 1e-3, self.values["rms_nm"] * 1e-3
-        # More than all paths that occur: the number of terms must be known beforehand
-        longest = 2 * max(*self.indices(wavelength_nm), 1.0)
-        most = ghs.phase_variance(longest, self.model.rms_nm * 1e-3, wavelength_um)
-        length = self.values["B_um"] / (2 * dr.pi)
-        return ghs.exponential(path, n * r / wavelength_um, rms_um, length, wavelength_um, n, max_variance=most)
-
-    def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
-        step = index_step(lobe.event, pair.n_in, pair.n_out)
-        if self.model.theory == "ghs_full":
-            return self._full(step, lobe, r, pair, wavelength_nm)
-        rms_um, length_um, slope = self.values["rms_nm"] * 1e-3, self.values["B_um"], self.values["slope"]
-        wavelength_um, reflected = wavelength_nm * 1e-3, lobe.event == "reflection"
-        if self.model.band_limited:
-            band_um = (self.model.reference_nm or wavelength_nm) * 1e-3
-            amplitude = k_correlation.band_amplitude_um4(rms_um, length_um, slope, band_um)
-        else:
-            amplitude = k_correlation.amplitude_um4(rms_um, length_um, slope)
-        n = pair.n_in if reflected else pair.n_out
-        psd = k_correlation.psd_um4(n * r / wavelength_um, amplitude, length_um, slope)
-        if reflected and self.model.theory.startswith("rayleigh_rice"):
-            return rayleigh_rice.brdf(1.0, 1.0, 1.0, psd, wavelength_um / pair.n_in)
-        return ghs.smooth(step, psd, wavelength_um, n)
-
-    def ratio(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float | None:
-        step, path = index_step(lobe.event, pair.n_in, pair.n_out), self._path(lobe, pair)
-        if self.model.theory == "ghs_full":
-            whole = self._full(step, lobe, r, pair, wavelength_nm)
-            return self._full(path, lobe, r, pair, wavelength_nm) / whole
-        if self.model.theory == "ghs":
-            return dr.square(path / step)
-        return None
 
 
 mi.register_bsdf("k_correlation", lambda props: KCorrelation(props))

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import drjit as dr
 import mitsuba as mi
 
-from mistray.physics import harvey_shack
-from mistray.physics.paint import gain
-from mistray.plugins.bsdfs.lobe_pair import Pair
 from mistray.plugins.bsdfs.scatterer import Scatterer
-from mistray.scatter import Lobe
 from mistray.scatter.paint import Paint as Model
 
 
@@ -67,14 +62,6 @@ class Paint(Scatterer):
 
     kind = "paint"
     model_type = Model
-
-    def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
-        if lobe.centre == "normal":
-            return self.values["reflectance"] / dr.pi
-        return harvey_shack.bsdf(r, self.values["b0"], self.values["l"], self.values["s"])
-
-    def ratio(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
-        return gain(dr.abs(pair.centre(lobe).z), pair.cos_s, self.values["n"])
 
 
 mi.register_bsdf("paint", lambda props: Paint(props))

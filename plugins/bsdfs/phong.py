@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from mistray.physics import phong
-from mistray.plugins.bsdfs.lobe_pair import Pair
 from mistray.plugins.bsdfs.scatterer import Scatterer
-from mistray.scatter import Lobe
 from mistray.scatter.phong import Phong as Model
 
 
@@ -58,9 +55,6 @@ class PhongLobe(Scatterer):
 
     kind = "phong"
     model_type = Model
-
-    def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
-        return phong.bsdf(r, self.values["b0"], self.values["exponent"])
 
 
 mi.register_bsdf("phong", lambda props: PhongLobe(props))

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import drjit as dr
 import mitsuba as mi
 
-from mistray.physics import polynomial
-from mistray.plugins.bsdfs.lobe_pair import Pair
 from mistray.plugins.bsdfs.scatterer import Scatterer
-from mistray.scatter import Lobe
 from mistray.scatter.polynomial import Polynomial as Model
-from mistray.scatter.polynomial import carrier, sums_of
 
 
 class Polynomial(Scatterer):
@@ -68,15 +63,6 @@ class Polynomial(Scatterer):
 
     kind = "polynomial"
     model_type = Model
-
-    def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
-        return carrier(r, self.values, self.values["d"])
-
-    def ratio(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
-        u, w = dr.squared_norm(pair.s.xy), dr.squared_norm(pair.centre(lobe).xy)
-        v = dr.dot(pair.s.xy, pair.centre(lobe).xy)
-        whole = polynomial.bsdf((u + w, u * w, v), r * r, *sums_of(self.values), self.values["d"])
-        return whole / self.profile(lobe, r, pair, wavelength_nm)
 
 
 mi.register_bsdf("polynomial", lambda props: Polynomial(props))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -18,29 +17,6 @@ from mistray.surfaces.upload import upload
 
 KEYS = ("sample_axis", "rotation_deg")
 PLACE = 4  # vectors of a shape: its row, and the rows of its frame with the origin
-
-
-@dataclass(frozen=True)
-class SampleFrame:
-    """
-    The x axis of a sample in the local frame of a hit.
-
-    Attributes
-    ----------
-    x : mi.Vector2f
-        A unit vector.
-    mirrored : bool
-        Whether z of that frame points against the normal of the mesh, so that it is left-handed.
-    """
-
-    x: mi.Vector2f
-    mirrored: bool
-
-    def plane(self, tangent: mi.Vector2f, lit: mi.Float) -> tuple[mi.Vector2f, mi.Vector2f, mi.Float]:
-        """As `mistray.kernel.scattering.plane_of_sample`; the sign of `lit` is that of z where the light comes from."""
-        tangent = dr.select(dr.squared_norm(tangent) > 1e-12, tangent, self.x)
-        beside = mi.Vector2f(-tangent.y, tangent.x) * dr.mulsign(mi.Float(-1 if self.mirrored else 1), lit)
-        return tangent, beside, dr.atan2(dr.dot(self.x, beside), dr.dot(self.x, tangent)) * (0.5 / dr.pi)
 
 
 class SampleAxis:
@@ -77,17 +53,17 @@ class SampleAxis:
         """Called with a shape that carries the interface and has a frame of its own, ``matrix``."""
         self._shapes.append(weakref.ref(by))
 
-    def local(self, si: mi.SurfaceInteraction3f, mirrored: bool) -> SampleFrame:
+    def local(self, si: mi.SurfaceInteraction3f, turned: bool) -> mi.Vector3f:
         """
-        The axis at a hit.
+        Return the axis at a hit, in the local frame.
 
-        Of a shape without a frame of its own the x axis of Mitsuba's shading frame stands for "x", as it does on a
-        ``rectangle``.
+        Where a shape has no frame of its own, the x axis of Mitsuba's shading frame stands for "x", as it does on a
+        ``rectangle``. `turned` says whether the normals of the mesh look to the front.
         """
-        normal = -si.sh_frame.n if mirrored else si.sh_frame.n
+        normal = -si.sh_frame.n if turned else si.sh_frame.n
         row = mi.Vector4f(*map(float, axis_row("x", self.rotation_deg)))
         # The rotation is right-handed about the normal from front to back, against which s and t may be left-handed
-        x = mi.Vector2f(row.x, -row.y if mirrored else row.y)
+        x = mi.Vector2f(row.x, -row.y if turned else row.y)
         rows = self._rows()
         if rows is not None:
             number = dr.reinterpret_array(mi.UInt32, si.shape)
@@ -105,7 +81,7 @@ class SampleAxis:
             world = mi.Vector3f(*(dr.dot(axis.xyz, own) for axis in axes))
             found = si.sh_frame.to_local(world).xy
             x = dr.select(known, found * dr.rsqrt(dr.maximum(dr.squared_norm(found), 1e-30)), x)
-        return SampleFrame(x, mirrored)
+        return mi.Vector3f(x.x, x.y, 0)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, SampleAxis) and (self.axis, self.rotation_deg) == (other.axis, other.rotation_deg)

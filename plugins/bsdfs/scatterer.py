@@ -1,4 +1,4 @@
-"""What the scatter plugins have in common: a model of scatter, by itself or nested in an `interface`."""
+"""Base of the scatter plugins: a model of scatter, by itself or nested in an `interface`."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.plugins.bsdfs.interface import SIDES, Interface, _resolve
-from mistray.plugins.bsdfs.lobe_pair import Pair
-from mistray.scatter import Lobe, Placement
+from mistray.scatter import Placement
 
 ALONE = (*SIDES, "R", "T")  # what a scatter plugin takes by itself only
 PLACEMENT = ("event", "side", "relative_to")
@@ -21,8 +20,7 @@ class Scatterer(Interface):
     """
     Base of the scatter plugins: an interface without layers whose light one model scatters.
 
-    A plugin names its model in `model_type`, whose parameters are its properties, and says what a lobe's profile is for
-    Dr.Jit arrays in `profile`.
+    A plugin names its model in `model_type`, whose parameters are its properties.
 
     Attributes
     ----------
@@ -58,26 +56,6 @@ class Scatterer(Interface):
         known = {key: self.model_type.param(key) for key in list(props.keys())}
         given = {key: param.typed(props[key]) for key, param in known.items() if param is not None}
         return self.model_type.of(_resolve, **given, name=self.name)
-
-    def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float | None:
-        """
-        The profile of a lobe in closed form, differentiable by `values`; None if the lobe has only its table.
-
-        Parameters
-        ----------
-        lobe : Lobe
-            One of the model's lobes.
-        r : mi.Float
-            Distance from the centre.
-        pair : Pair
-            The two directions and the indices on their sides.
-        wavelength_nm : float
-        """
-        return None
-
-    def ratio(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float | None:
-        """The ratio of a lobe that has one, as `profile`; None if it has only its table."""
-        return None
 
     def _nested_film(self, props: mi.Properties, nested: list[Any]) -> Any:
         raise MistrayError(f"{self.title}: a BSDF is nested in it; nest both in an 'interface' instead")

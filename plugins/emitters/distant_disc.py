@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.plugins.emitters.distant_source import DistantSource
+from mistray.plugins.emitters.light_source import out_of, tilt_motion, tilted_axes
 from mistray.ranges import FINITE, SHARE, Range
 from mistray.sampling.emission_laws import direction, polar
 
@@ -74,7 +75,7 @@ class DistantDisc(DistantSource):
 
     @property
     def solid_angle(self) -> float:
-        """Of a uniform disc π sin² ρ₀, less a third of `limb`."""
+        """Solid angle of a uniform disc, π sin² ρ₀, less a third of `limb`."""
         return float(np.pi * np.sin(np.radians(self.values["diameter_deg"]) / 2) ** 2 * (1 - self.values["limb"] / 3))
 
     def directions(self, sample: mi.Point2d, n: Mapping[str, mi.Float64]) -> mi.Vector3d:
@@ -89,24 +90,18 @@ class DistantDisc(DistantSource):
         # Uniform radiance across the light is uniform in sin² ρ
         size = dr.sin(dr.deg2rad(n["diameter_deg"]) / 2)
         squared = square * size * size
-        heading = direction(squared / (1 + dr.sqrt(1 - squared)), cosine, sine)
-        (sx, cx), (sy, cy) = dr.sincos(dr.deg2rad(n["tilt_x"])), dr.sincos(dr.deg2rad(n["tilt_y"]))
-        x, z = cy * heading.x + sy * heading.z, cy * heading.z - sy * heading.x
-        return mi.Vector3d(x, cx * heading.y - sx * z, sx * heading.y + cx * z)
+        return out_of(tilted_axes(n), direction(squared / (1 + dr.sqrt(1 - squared)), cosine, sine))
 
     def direction_motion(self, name: str, d: mi.Vector3d) -> mi.Vector3d:
-        (sx, cx), (sy, cy) = (dr.sincos(dr.deg2rad(mi.Float64(self.values[key]))) for key in ("tilt_x", "tilt_y"))
-        axis = mi.Vector3d(sy, -sx * cy, cx * cy)
-        if name == "tilt_x":
-            return dr.cross(mi.Vector3d(dr.pi / 180, 0, 0), d)
-        if name == "tilt_y":
-            return dr.cross(dr.pi / 180 * mi.Vector3d(0, cx, sx), d)
+        axes = tilted_axes(self.values)
+        if name in ("tilt_x", "tilt_y"):
+            return tilt_motion(name, axes, d)
         # sin ρ is in proportion to sin(D/2) at the same share of the light: dρ/dD = tan ρ / (2 tan(D/2))
-        along = dr.dot(d, axis)
-        outward = d - along * axis  # its length is sin ρ
+        along = dr.dot(d, axes[2])
+        outward = d - along * axes[2]  # its length is sin ρ
         half = float(np.radians(self.values["diameter_deg"]) / 2)
         turn = float(np.pi / 360 / np.tan(half)) / along
-        return turn * (along * outward - dr.squared_norm(outward) * axis)
+        return turn * (along * outward - dr.squared_norm(outward) * axes[2])
 
 
 mi.register_emitter("distant_disc", lambda props: DistantDisc(props))

@@ -9,7 +9,6 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.plugins.emitters.light_source import LightSource
-from mistray.ranges import POSITIVE
 from mistray.sampling.distant import DistantRays
 from mistray.sampling.source import SceneSource, SourceRequest
 
@@ -31,11 +30,7 @@ class DistantSource(LightSource):
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.m_flags = +mi.EmitterFlags.DeltaDirection
-        found = [key for key in self.densities if key in props]
-        if len(found) > 1:
-            self._fail(f"{' and '.join(found)} are given; give one of them")
-        key = found[0] if found else self.densities[0]
-        self.given = key, self._number(props, key, POSITIVE, 1.0)
+        self.given = self._flux_given(props, self.densities)
 
     @property
     def solid_angle(self) -> float:
@@ -44,7 +39,7 @@ class DistantSource(LightSource):
 
     @property
     def irradiance(self) -> float:
-        """Of planes across each of its directions, all together: ∫ L dΩ, W/mm²."""
+        """Irradiance of planes across each of its directions, all together: ∫ L dΩ, W/mm²."""
         key, value = self.given
         return value if key == "irradiance" else value * self.solid_angle
 

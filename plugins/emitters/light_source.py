@@ -12,7 +12,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.physics.geometry.pose import pointing_error, rigid_motion
 from mistray.physics.polarization.state import WAYS, polarization_state
-from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, WAVELENGTH_NM, WEIGHT, Range
+from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, POSITIVE, WAVELENGTH_NM, WEIGHT, Range
 from mistray.sampling.source import EmittedRays, SceneSource, SourceRequest
 from mistray.spectra.spectrum import BANDS, DEFAULT_NM, SpectrumSamples, light_of, of_lines
 
@@ -129,7 +129,7 @@ class LightSource(mi.Emitter):
         self, place: mi.Point2f, sample: mi.Point2f, rng: mi.PCG32, n: Mapping[str, mi.Float]
     ) -> tuple[mi.Vector3f, mi.Vector3f]:
         """
-        The same for an extended source.
+        Return origins and directions as `rays` does, of an extended source.
 
         A trace aims the rays of a source at the scene if it has a method ``density(place, d, n)`` as well: the density
         of its directions d, in its own frame, in 1/sr, from where the rays start for a point of the unit square.
@@ -188,7 +188,7 @@ class LightSource(mi.Emitter):
         raise MistrayError(f"{self.owner}: its light comes from infinity; give its field in degrees")
 
     def sources(self, request: SourceRequest) -> Sequence[SceneSource]:
-        """What a trace starts, one for each wavelength."""
+        """Sources that a trace starts, one for each wavelength."""
         pivot, direction, u, v = self.frame(request.field_deg, request.azimuth_deg)
         return [
             self.source(
@@ -216,6 +216,14 @@ class LightSource(mi.Emitter):
 
     def _fail(self, what: str) -> None:
         raise MistrayError(f"{self.owner}: {what}")
+
+    def _flux_given(self, props: mi.Properties, names: Sequence[str]) -> tuple[str, float]:
+        """Name and value of the one number that says how much light there is; by default 1 of the first."""
+        found = [key for key in names if key in props]
+        if len(found) > 1:
+            self._fail(f"{' and '.join(found)} are given; give one of them")
+        key = found[0] if found else names[0]
+        return key, self._number(props, key, POSITIVE, 1.0)
 
     def _number(self, props: mi.Properties, key: str, within: Range, default: float | None) -> float:
         return float(within.check(key, props.get(key, default), self.owner))
@@ -302,3 +310,20 @@ class LightSource(mi.Emitter):
         wavelengths = ", ".join(f"{value:g}" for value in self.wavelengths_nm)
         own = "".join(f"{key} = {value:g}, " for key, value in self.values.items())
         return f"{type(self).__name__}[{own}field = {self.field_deg:g} deg, {self.power():g} W, {wavelengths} nm]"
+
+
+def tilted_axes(n: Mapping[str, Any]) -> tuple[mi.Vector3d, mi.Vector3d, mi.Vector3d]:
+    """Axes of a frame that is tilted by ``tilt_x`` and ``tilt_y``, degrees: columns of Rx(tilt_x) Ry(tilt_y)."""
+    (sx, cx), (sy, cy) = (dr.sincos(dr.deg2rad(mi.Float64(n[key]))) for key in ("tilt_x", "tilt_y"))
+    return mi.Vector3d(cy, sx * sy, -cx * sy), mi.Vector3d(0, cx, sx), mi.Vector3d(sy, -sx * cy, cx * cy)
+
+
+def out_of(axes: tuple[mi.Vector3d, mi.Vector3d, mi.Vector3d], vector: mi.Vector3d) -> mi.Vector3d:
+    """Return a vector of the frame of these axes in the frame that they are given in."""
+    return axes[0] * vector.x + axes[1] * vector.y + axes[2] * vector.z
+
+
+def tilt_motion(name: str, axes: tuple[mi.Vector3d, mi.Vector3d, mi.Vector3d], vector: mi.Vector3d) -> mi.Vector3d:
+    """Derivative of a vector in a tilted frame by ``tilt_x`` or ``tilt_y``, per degree."""
+    about = mi.Vector3d(1, 0, 0) if name == "tilt_x" else axes[1]
+    return dr.cross(about * (dr.pi / 180), vector)

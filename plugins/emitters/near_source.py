@@ -11,7 +11,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.files.intensities import CANDELA, read_intensities
-from mistray.plugins.emitters.light_source import LightSource
+from mistray.plugins.emitters.light_source import LightSource, out_of, tilt_motion, tilted_axes
 from mistray.ranges import FINITE, PLACE_MM, POSITIVE, Range
 from mistray.sampling import emission_laws as laws
 from mistray.sampling.emission_laws import perimeter
@@ -54,19 +54,15 @@ class NearSource(LightSource):
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        found = [key for key in ("power", *self.densities) if key in props]
-        if len(found) > 1:
-            self._fail(f"{' and '.join(found)} are given; give one of them")
-        key = found[0] if found else "power"
-        self.given = key, self._number(props, key, POSITIVE, 1.0)
+        self.given = self._flux_given(props, ("power", *self.densities))
 
     @property
     def half_angle(self) -> float:
-        """Of the cone that its light fills, rad; where it fades out, that of 1/e² across the narrower section."""
+        """Half angle of the cone that its light fills, rad; where it fades out, of 1/e² across the narrower section."""
         raise NotImplementedError
 
     def advice(self) -> str | None:
-        """What is unusual about it: a cone so narrow that the precision of its frame leaves its axis open."""
+        """Remark on a cone so narrow that the precision of its frame leaves its axis open; None: there is none."""
         if self.pointing_error <= MOST_ASTRAY * self.half_angle:
             return None
         return (
@@ -117,34 +113,21 @@ class NearSource(LightSource):
     ) -> tuple[mi.Vector3d, mi.Vector3d]:
         o, d = self.local(place, sample, rng, n)
         shift = mi.Vector3d(n["x"], n["y"], n["z"])
-        axes = self._tilted(dr.deg2rad(n["tilt_x"]), dr.deg2rad(n["tilt_y"]))
-        return shift + self._turned(o, axes), self._turned(d, axes)
+        axes = tilted_axes(n)
+        return shift + out_of(axes, o), out_of(axes, d)
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
         if name in "xyz":
             return mi.Vector3d(*(float(name == axis) for axis in "xyz")), mi.Vector3d(0)
         n = self.values
-        place, tilt = mi.Vector3d(n["x"], n["y"], n["z"]), np.radians([n["tilt_x"], n["tilt_y"]])
-        axes = self._tilted(*(mi.Float64(angle) for angle in tilt))
+        place, axes = mi.Vector3d(n["x"], n["y"], n["z"]), tilted_axes(n)
         if name in ("tilt_x", "tilt_y"):
-            about = mi.Vector3d(1, 0, 0) if name == "tilt_x" else axes[1]
-            about = about * (dr.pi / 180)
-            return dr.cross(about, o - place), dr.cross(about, d)
+            return tilt_motion(name, axes, o - place), tilt_motion(name, axes, d)
         p, heading = ([dr.dot(vector, axis) for axis in axes] for vector in (o - place, d))
         p, heading = mi.Vector3d(*p), mi.Vector3d(*heading)
         t = p.z / heading.z  # rays from far away start anew on their way
         by_p, by_d = self.local_motion(name, p - t * heading, heading)
-        return self._turned(by_p + t * by_d, axes), self._turned(by_d, axes)
-
-    @staticmethod
-    def _tilted(tilt_x: Any, tilt_y: Any) -> tuple[mi.Vector3d, mi.Vector3d, mi.Vector3d]:
-        """The axes of its own frame: columns of Rx(tilt_x) Ry(tilt_y)."""
-        (sx, cx), (sy, cy) = dr.sincos(tilt_x), dr.sincos(tilt_y)
-        return mi.Vector3d(cy, sx * sy, -cx * sy), mi.Vector3d(0, cx, sx), mi.Vector3d(sy, -sx * cy, cx * cy)
-
-    @staticmethod
-    def _turned(vector: mi.Vector3d, axes: tuple[mi.Vector3d, mi.Vector3d, mi.Vector3d]) -> mi.Vector3d:
-        return axes[0] * vector.x + axes[1] * vector.y + axes[2] * vector.z
+        return out_of(axes, by_p + t * by_d), out_of(axes, by_d)
 
 
 class ConeSource(NearSource):
@@ -201,7 +184,7 @@ class ConeSource(NearSource):
         return angles, values
 
     def edge_samples(self, count: int, within: float) -> np.ndarray | None:
-        """Those of the edge of its cone; an extended source fades out."""
+        """Points along the edge of its cone, see `LightSource.edge_samples`; an extended source fades out."""
         if self.extended:
             return None
         return perimeter(count, within) if self.table is None else self.table.edge_samples(count, within)
@@ -249,9 +232,8 @@ class ConeSource(NearSource):
         return self.offset(place, n), laws.direction(height, cosine, sine)
 
     def density(self, place: mi.Point2d, d: mi.Vector3d, n: Mapping[str, mi.Float64]) -> mi.Float64:
-        """Of directions, 1/sr; d before the tilts."""
-        axes = self._tilted(dr.deg2rad(n["tilt_x"]), dr.deg2rad(n["tilt_y"]))
-        local = mi.Vector3d(*(dr.dot(d, axis) for axis in axes))
+        """Density of directions, 1/sr; d before the tilts."""
+        local = mi.Vector3d(*(dr.dot(d, axis) for axis in tilted_axes(n)))
         if self.table is not None:
             return self.table.density(local)
         height, edge = laws.height_of(local), laws.cone_height(dr.deg2rad(n["half_angle_deg"]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import drjit as dr
@@ -12,7 +13,7 @@ import numpy as np
 from mistray.files.ray_sets import RaySet, read_ray_set
 from mistray.plugins.emitters.light_source import LightSource
 from mistray.ranges import POSITIVE
-from mistray.sampling.source import EmittedRays, SceneSource, SourceRequest
+from mistray.sampling.source import SceneSource, SourceRequest
 from mistray.surfaces.upload import upload
 
 MOST_LINES = 32  # wavelengths that are traced for themselves; more are put together
@@ -104,24 +105,13 @@ class RayFile(LightSource):
         return self.given
 
     def sources(self, request: SourceRequest) -> Sequence[SceneSource]:
-        """What a trace starts, one for each wavelength."""
+        """Sources that a trace starts, one for each wavelength."""
         own = len(self._lines) and np.array_equal(request.wavelengths_nm, self.wavelengths_nm)
         every = np.flatnonzero(self.rays_of_file.flux_W > 0)
         chosen = self._lines if own else [every] * len(request.wavelengths_nm)
-        pivot, direction, u, v = self.frame(request.field_deg, request.azimuth_deg)
         return [
-            EmittedRays(
-                emitter=_Rays(self, rays),
-                name=request.name,
-                wavelength_nm=float(wavelength),
-                power=self.power() * share,
-                pivot=pivot,
-                direction=direction,
-                u=u,
-                v=v,
-                scene=request.scene,
-            )
-            for rays, wavelength, share in zip(chosen, request.wavelengths_nm, request.weights, strict=True)
+            replace(source, emitter=_Rays(self, rays))
+            for source, rays in zip(super().sources(request), chosen, strict=True)
         ]
 
 

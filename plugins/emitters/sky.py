@@ -108,7 +108,7 @@ class Sky(DistantSource):
 
     @property
     def solid_angle(self) -> float:
-        """Of the cone, sr; of a picture ∫ L dΩ."""
+        """Solid angle of the cone, sr; of a picture ∫ L dΩ."""
         if self.picture is not None:
             return self.picture.irradiance
         return float(4 * np.pi * np.sin(np.radians(self.values["half_angle_deg"]) / 2) ** 2)

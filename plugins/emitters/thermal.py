@@ -116,7 +116,7 @@ class Thermal(LightSource):
         return found
 
     def sources(self, request: SourceRequest) -> Sequence[SceneSource]:
-        """What a trace starts: two sides of each surface at each wavelength, without those that emit nothing."""
+        """Sources that a trace starts: two sides of each surface at each wavelength that emit something."""
         first = SurfaceTable(request.system, float(request.wavelengths_nm[0]))
         for pattern in self.rules:
             if not any(fits(name, pattern) for name in (*first.ids, *first.parts)):
@@ -155,13 +155,13 @@ class Thermal(LightSource):
                 )  # fmt: skip
 
     def _radiance(self, kelvin: float, part: int | None) -> float:
-        """Of a blackbody in a part of the band, or all of it, W/mm²/sr."""
+        """Radiance of a blackbody in a part of the band, or all of it, W/mm²/sr."""
         low, high = self.edges_nm[[0, -1]] if part is None else list(pairwise(self.edges_nm))[part]
         return float(band_radiance(kelvin, 1e-3 * low, 1e-3 * high))
 
     @staticmethod
     def _index(table: SurfaceTable, surface: int, side: int, wavelength_nm: float) -> float:
-        """Of the material on a side of a surface; 0 of a metal, where nothing travels."""
+        """Index of the material on a side of a surface; 0 of a metal, where nothing travels."""
         index = complex_index(material_of(table, surface, side), wavelength_nm)
         return 0.0 if index.imag > METAL_K else float(index.real)
 

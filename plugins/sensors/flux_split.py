@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from mistray.errors import MistrayError
 from mistray.plugins.sensors.passing_sensor import PassingSensor
 from mistray.recorders.passing.flux_split import FluxSplit
 
@@ -37,12 +36,9 @@ class FluxSplitSensor(PassingSensor):
     """
 
     what = "flux split"
+    placed = False
 
     def __init__(self, props: mi.Properties) -> None:
-        if "to_world" in props:
-            raise MistrayError(
-                f"{self.what} '{props.id()}': it has to_world, but surfaces have their own place; leave it out"
-            )
         super().__init__(props)
         self.surfaces = tuple(str(props.get("surfaces", "")).split())
 

@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import mitsuba as mi
 
+from mistray.errors import MistrayError
 from mistray.ids import check_id
 from mistray.physics.geometry.pose import rigid_motion
 from mistray.recorders.passing.cells import PassingLight
@@ -18,7 +19,9 @@ class PassingSensor(mi.Sensor):
     Attributes
     ----------
     what : str
-        Of a message.
+        Name of its kind, for messages.
+    placed : bool
+        Whether it has a place of its own; else it belongs to surfaces.
     name : str
         Its id, under which a trace has its recorder.
     matrix : (4, 4) float64
@@ -28,6 +31,7 @@ class PassingSensor(mi.Sensor):
     """
 
     what: ClassVar[str] = "sensor"
+    placed: ClassVar[bool] = True
 
     def __init__(self, props: mi.Properties) -> None:
         # Only objects are looked at: what is looked at counts as known, and unknown numbers shall be refused
@@ -37,6 +41,8 @@ class PassingSensor(mi.Sensor):
         self.name = str(props.id()) or self.what
         self.owner = f"{self.what} '{self.name}'"
         check_id(self.name, self.what)
+        if not self.placed and "to_world" in props:
+            raise MistrayError(f"{self.owner}: it has to_world, but surfaces have their own place; leave it out")
         self.matrix = rigid_motion(props.get("to_world", mi.ScalarTransform4f()).matrix, self.owner)
 
     def recorder(self) -> PassingLight:

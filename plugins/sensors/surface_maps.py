@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from mistray.errors import MistrayError
 from mistray.plugins.sensors.passing_sensor import PassingSensor
 from mistray.ranges import FILM_SIDE
 from mistray.recorders.passing.surface_maps import AZIMUTHS, LENGTHS, SurfaceMaps
@@ -43,12 +42,9 @@ class SurfaceMapsSensor(PassingSensor):
     """
 
     what = "surface maps"
+    placed = False
 
     def __init__(self, props: mi.Properties) -> None:
-        if "to_world" in props:
-            raise MistrayError(
-                f"{self.what} '{props.id()}': it has to_world, but maps lie on their surfaces; leave it out"
-            )
         super().__init__(props)
         self.surfaces = tuple(str(props.get("surfaces", "")).split())
         self.azimuths = int(FILM_SIDE.check("azimuths", props.get("azimuths", AZIMUTHS), self.owner))

@@ -9,7 +9,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics.geometry.sag import in_proportion, sag
-from mistray.plugins.shapes.formula_shape import POSE, RELATIVE, float_property, grid
+from mistray.plugins.shapes.formula_shape import POSE, RELATIVE, curvature_property, float_property, grid
 from mistray.plugins.shapes.revolution import Revolution
 from mistray.ranges import FINITE, RADIUS_MM, SIZE_MM, Range
 from mistray.surfaces.families.sag_surface import SagSurface
@@ -95,13 +95,7 @@ class Asphere(Revolution):
 
     def __init__(self, props: mi.Properties) -> None:
         self._start(props)
-        has_radius = "radius" in props
-        if has_radius and ("curvature" in props):
-            raise MistrayError(f"shape '{self.name}': give radius or curvature, not both")
-        radius = float_property(props, "radius", 0.0)
-        curvature = float_property(props, "curvature", 0.0)
-        if has_radius:
-            curvature = 0.0 if radius == 0 or np.isinf(radius) else 1.0 / radius
+        values = {"curvature": curvature_property(props, "radius", "curvature")}
         rectangular = "half_width" in props or "half_height" in props
         if rectangular == ("semi_diameter" in props):
             raise MistrayError(
@@ -111,7 +105,7 @@ class Asphere(Revolution):
             raise MistrayError(
                 f"shape '{self.name}': a rectangular clip needs half_width and half_height (mm); give both"
             )
-        values = {"curvature": curvature, "conic": float_property(props, "conic", 0.0)}
+        values |= {"conic": float_property(props, "conic", 0.0)}
         values |= {key: float_property(props, key, 0.0) for key in COEFFICIENTS}
         if rectangular:
             values |= {key: float_property(props, key) for key in ("half_width", "half_height")}

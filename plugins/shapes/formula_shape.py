@@ -1,4 +1,4 @@
-"""What all shapes of mistray have in common: a mesh for Mitsuba, a formula for the ray tree."""
+"""Base of the shapes of mistray: a mesh for Mitsuba, a formula for the ray tree."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class FormulaShape(mi.Mesh):
     """
 
     columns: Mapping[str, tuple[str, ...]] = {}
-    """What each parameter moves, beside the pose; see `mistray.surfaces.gradient_columns`."""
+    """Columns that each parameter moves, beside the pose; see `mistray.surfaces.gradient_columns`."""
     in_double: tuple[str, ...] = ()
     ranges: Mapping[str, Range]
     values: dict[str, float]
@@ -55,9 +55,7 @@ class FormulaShape(mi.Mesh):
         declare_columns(cls.columns)
 
     def _start(self, props: mi.Properties) -> None:
-        self.name = str(props.id())
-        self.part = str(props.get("part", self.name))
-        self.space = SPACE.check("space", props.get("space", -1), f"shape '{self.name}'")
+        take_names(self, props)
         self.base = rigid_motion(props.get("to_world", mi.ScalarTransform4f()).matrix, f"shape '{self.name}'")
 
     def _finish(self, props: mi.Properties, values: dict[str, float]) -> None:
@@ -93,7 +91,7 @@ class FormulaShape(mi.Mesh):
 
     @staticmethod
     def surface(values: Mapping[str, float]) -> Surface:
-        """What the ray tree knows of a surface with these parameters, in the frame of its vertex."""
+        """Surface with these parameters as the ray tree knows it, in the frame of its vertex."""
         raise NotImplementedError
 
     @staticmethod
@@ -120,7 +118,7 @@ class FormulaShape(mi.Mesh):
 
     @property
     def figure(self) -> str:
-        """What it is, in a word or two."""
+        """Kind of its figure, in a word or two."""
         return type(self).__name__.lower()
 
     mechanics = True
@@ -196,6 +194,23 @@ def grid(half_width: float, half_height: float, count: int) -> tuple[np.ndarray,
     b, c, d = a + 1, a + count + 1, a + count + 2
     faces = np.concatenate([np.column_stack([a, b, d]), np.column_stack([a, d, c])]).astype(np.uint32)
     return np.column_stack([x.ravel(), y.ravel()]), faces
+
+
+def take_names(shape: Any, props: mi.Properties) -> None:
+    """Give a shape its name, its part and its optical space."""
+    shape.name = str(props.id())
+    shape.part = str(props.get("part", shape.name))
+    shape.space = SPACE.check("space", props.get("space", -1), f"shape '{shape.name}'")
+
+
+def curvature_property(props: mi.Properties, radius: str, curvature: str) -> float:
+    """A curvature, 1/mm, that is given by itself or by its radius, of which 0 and inf are a plane."""
+    if radius not in props:
+        return float_property(props, curvature, 0.0)
+    if curvature in props:
+        raise MistrayError(f"shape '{props.id()}': give {radius} or {curvature}, not both")
+    length = float_property(props, radius)
+    return 0.0 if length == 0 or np.isinf(length) else 1.0 / length
 
 
 def check_reach(vertices: np.ndarray, name: str) -> None:

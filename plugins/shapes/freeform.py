@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import mitsuba as mi
@@ -14,7 +15,7 @@ from mistray.files.sag_grid import read_sag_grid
 from mistray.physics.geometry.outline import KINDS, MOST_FIGURES, SIGNS, SIZES, Outline, OutlineFigure
 from mistray.physics.sags.grid import Grid
 from mistray.physics.sags.terms import FIXED, GRID, LENGTHS, check_names, length_power, sag
-from mistray.plugins.shapes.formula_shape import POSE, RELATIVE, FormulaShape, float_property
+from mistray.plugins.shapes.formula_shape import POSE, RELATIVE, FormulaShape, curvature_property, float_property
 from mistray.ranges import FINITE, PLACE_MM, Range
 from mistray.surfaces.families.freeform import Freeform
 from mistray.surfaces.families.freeform_sag import TOO_MUCH, LocalSag
@@ -25,7 +26,8 @@ NUMBER = Range(-1e300, 1e300)
 RADII = {"radius": "curvature", "radius_x": "curvature_x", "toroid_radius": "toroid_curvature"}
 WAYS = {"both": 0, "+z": 1, "-z": -1}
 SAMPLES = 61  # of the outline each way, at which the kernel's sag is compared
-Shorthand = ("semi_diameter", "inner_semi_diameter", "half_width", "half_height")
+# Sizes of an outline that is no list of figures, as they may stand together
+SHORT = (("semi_diameter",), ("semi_diameter", "inner_semi_diameter"), ("half_width", "half_height"))
 
 
 class FreeformShape(FormulaShape):
@@ -128,12 +130,10 @@ class FreeformShape(FormulaShape):
         given = {key for key in list(props.keys()) if length_power(key) is not None or key in RADII}
         values = {"curvature": 0.0, "conic": 0.0}
         for key in sorted(given, key=_order):
-            value = float_property(props, key)
             if key in RADII:
-                if RADII[key] in given:
-                    raise MistrayError(f"{owner}: give {key} or {RADII[key]}, not both")
-                key, value = RADII[key], 0.0 if value == 0 or math.isinf(value) else 1.0 / value
-            values[key] = value
+                values[RADII[key]] = curvature_property(props, key, RADII[key])
+            else:
+                values[key] = float_property(props, key)
         self._grid = _read_grid(props, owner)
         check_names({*values, *self._grid}, owner)
         values |= {"grid_scale": 1.0, "grid_x": 0.0, "grid_y": 0.0} | values if self._grid else {}
@@ -146,14 +146,19 @@ class FreeformShape(FormulaShape):
     def _figures(self, props: mi.Properties, values: dict[str, float]) -> list[tuple[str, str, int]]:
         """Sign, kind and number of sizes of each figure, whose numbers are added to `values`."""
         owner = f"shape '{self.name}'"
-        short = [key for key in Shorthand if key in props]
+        short = tuple(key for key in (*SHORT[1], *SHORT[2]) if key in props)
         clips = [k for k in range(1, MOST_FIGURES + 1) if f"clip_{k}" in props]
         if bool(short) == bool(clips) or clips != list(range(1, len(clips) + 1)):
             raise MistrayError(
                 f"{owner}: it needs semi_diameter, or half_width and half_height, or an outline clip_1, clip_2, …"
             )
         if short:
-            return self._shorthand(props, values, short)
+            if short not in SHORT:
+                raise MistrayError(
+                    f"{owner}: {', '.join(short)}; give either semi_diameter or both half_width and half_height"
+                )
+            values |= {key: float_property(props, key) for key in short}
+            return []
         forms = []
         for k in clips:
             text = str(props[f"clip_{k}"]).strip()
@@ -174,20 +179,6 @@ class FreeformShape(FormulaShape):
             forms.append((sign, kind, len(names) - 3))
         return forms
 
-    def _shorthand(
-        self, props: mi.Properties, values: dict[str, float], short: list[str]
-    ) -> list[tuple[str, str, int]]:
-        if set(short) not in (
-            {"semi_diameter"},
-            {"semi_diameter", "inner_semi_diameter"},
-            {"half_width", "half_height"},
-        ):
-            raise MistrayError(
-                f"shape '{self.name}': {', '.join(short)}; give either semi_diameter or both half_width and half_height"
-            )
-        values |= {key: float_property(props, key) for key in short}
-        return []
-
     # ---- outline and sag
 
     @property
@@ -206,9 +197,9 @@ class FreeformShape(FormulaShape):
         forms = [OutlineFigure(kind, sign, sizes=(0.0,) * sizes) for sign, kind, sizes in self._forms]
         return Outline(tuple(forms)).with_numbers(v)
 
-    @property
-    def _sag_numbers(self) -> dict[str, Any]:
-        return {key: value for key, value in self.values.items() if length_power(key) is not None} | self._grid
+    def _sag_numbers_of(self, values: Mapping[str, float]) -> dict[str, Any]:
+        """Numbers of the sag, its grid among them."""
+        return {key: values[key] for key in self.values if length_power(key) is not None} | self._grid
 
     def check(self) -> None:
         owner = f"shape '{self.name}'"
@@ -227,7 +218,7 @@ class FreeformShape(FormulaShape):
         self._check_grid(owner)
         if not np.isfinite(self.height(*self._samples)).all():
             raise MistrayError(f"{owner}: its sag ends or folds within its outline; reduce the outline or a curvature")
-        self._local = self._local_sag(self._sag_numbers)
+        self._local = LocalSag.of(self._sag_numbers_of(self.values), self._middle, self._half, *self._samples)
         size = math.hypot(*self._half)
         if self._local.error > TOO_MUCH * size:
             raise MistrayError(
@@ -246,35 +237,24 @@ class FreeformShape(FormulaShape):
                 f"{owner}: its outline leaves its grid '{self._grid[GRID].path}': {lacks}; make the outline smaller"
             )
 
-    def _local_sag(self, numbers: Mapping[str, float]) -> LocalSag:
-        return LocalSag.of(numbers, self._middle, self._half, *self._samples)
-
     def height(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Sag over the vertex plane at points of the vertex frame, mm, float64."""
-        return sag(x, y, self._sag_numbers)
+        return sag(x, y, self._sag_numbers_of(self.values))
 
     def surface(self, values: Mapping[str, float]) -> Freeform:  # type: ignore[override]
-        numbers = {key: self._grid.get(key, values.get(key)) for key in self._sag_numbers}
-        local = (
-            self._local
-            if numbers == self._sag_numbers
-            else self._local.moved(numbers, self._middle, self._half, *self._samples)
-        )
+        numbers, local = self._sag_numbers_of(values), self._local
+        if numbers != self._sag_numbers_of(self.values):
+            local = local.moved(numbers, self._middle, self._half, *self._samples)
         ox, oy = self._middle
-        outline = Outline(
-            tuple(
-                OutlineFigure(f.kind, f.sign, f.x - ox, f.y - oy, f.angle_deg, f.sizes)
-                for f in self._outline(values).figures
-            )
-        )
-        return Freeform.of(local, outline, self._half, self.mechanics, self._way)
+        figures = (replace(figure, x=figure.x - ox, y=figure.y - oy) for figure in self._outline(values).figures)
+        return Freeform.of(local, Outline(tuple(figures)), self._half, self.mechanics, self._way)
 
     def vertex_frame(self, values: Mapping[str, float], matrix: np.ndarray) -> np.ndarray:  # type: ignore[override]
         """Frame of the middle of the outline."""
         frame = np.array(matrix)
         ox, oy = self._middle
-        numbers = {key: self._grid.get(key, values.get(key)) for key in self._sag_numbers}
-        frame[:3, 3] += matrix[:3, :3] @ (ox, oy, float(sag(np.array(ox), np.array(oy), numbers)))
+        height = float(sag(np.array(ox), np.array(oy), self._sag_numbers_of(values)))
+        frame[:3, 3] += matrix[:3, :3] @ (ox, oy, height)
         return frame
 
     @property

@@ -9,8 +9,7 @@ import mitsuba as mi
 from mistray._mitsuba_compat import build_mesh, mesh_arrays
 from mistray.errors import MistrayError
 from mistray.physics.geometry.pose import rigid_motion
-from mistray.plugins.shapes.formula_shape import check_reach
-from mistray.ranges import SPACE
+from mistray.plugins.shapes.formula_shape import check_reach, take_names
 
 
 class PartMesh(mi.Mesh):
@@ -44,9 +43,7 @@ class PartMesh(mi.Mesh):
     """
 
     def __init__(self, props: mi.Properties) -> None:
-        self.name = str(props.id())
-        self.part = str(props.get("part", self.name))
-        self.space = SPACE.check("space", props.get("space", -1), f"shape '{self.name}'")
+        take_names(self, props)
         self.filename = props.get("filename", None)
         if not isinstance(self.filename, str):
             raise MistrayError(f"shape '{self.name}': filename is {self.filename!r}; name a PLY file")

@@ -164,8 +164,7 @@ def test_the_axis_of_shapes(small: dict[str, Any]) -> None:
     def angle(x: float) -> float:
         """Of the axis in the world, from a ray along z that meets a shape at (x, 0.5)."""
         si = scene.ray_intersect(mi.Ray3f(mi.Point3f(x, 0.5, -10), mi.Vector3f(0, 0, 1)))
-        local = si.bsdf()[0].sample_axis.local(si, False).x
-        world = si.sh_frame.to_world(mi.Vector3f(local.x, local.y, 0))
+        world = si.sh_frame.to_world(si.bsdf()[0].sample_axis.local(si, False))
         return float(dr.atan2(world.y, world.x)[0] * 180 / np.pi)
 
     for x, expected in ((0.5, 0.0), (20.5, 40.0), (40.5, 0.0), (60.5, 25.0), (80.5, 45.0), (81.0, 26.565)):

@@ -1,0 +1,258 @@
+"""A surface for Mitsuba's integrators: the kernel's own functions, called for one surface in the local frame of a hit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from types import SimpleNamespace
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.gradients.scatter_gradient import quotient, table_slopes
+from mistray.gradients.scatter_replay import RATIOS, ReplayTables, shapes
+from mistray.kernel.interaction import Interaction, Place, shares_at
+from mistray.kernel.lobes import multilinear
+from mistray.kernel.scatter_shares import ScatterBudget
+from mistray.kernel.scatter_tables import NORMAL, RATIO_HEAD, Case, ScatterTables, pack
+from mistray.kernel.scattering import Scattering
+from mistray.surfaces.optics import OPAQUE, Optics
+from mistray.surfaces.upload import upload
+
+BODY_MM = 1.0  # Mitsuba's integrators know no absorption on the way: what is dark after this length is opaque
+STEP = 1e-3  # relative, of a parameter, for differences of tables in single precision
+ONE_LESS = 1 - 2.0**-24  # the largest float32 below 1
+NUMBER = 0  # of the surface: there is no other
+
+
+class RenderedOptics(Optics):
+    """
+    Optical properties of one surface for Mitsuba's integrators, which know no absorption in media.
+
+    Parameters
+    ----------
+    interface : Interface
+    title : str
+        Name of the surface, for messages.
+    wavelength_nm : float
+        Wavelength at which its materials and its coating are known, nm.
+    """
+
+    def __init__(self, interface: Any, title: str, wavelength_nm: float) -> None:
+        endless: Any = SimpleNamespace(size=BODY_MM, thickness=lambda surface: np.full(2, np.inf))
+        super().__init__([title], [interface], np.zeros(1, dtype=np.uint32), endless, wavelength_nm, stokes=False)
+        self.scatters = False
+        self.word, self.opaque = int(self.host_words[NUMBER]), bool(self.host_words[NUMBER] & OPAQUE)
+        # Nothing is refracted into what is opaque, but its lobes depend on the indices all the same
+        self.refraction = self.host_indices[NUMBER, :2].tolist()
+        self.host_indices[NUMBER, :2] = [n.real for n in self.complex_indices[NUMBER]]
+
+    def _sides(self, name: str, bsdf: Any) -> tuple[complex, complex]:
+        sides: tuple[complex, complex] = bsdf.transparent(self.wavelength_nm)
+        return sides
+
+
+class RenderedTables(ScatterTables):
+    """Scatter tables of one surface, whose hits know the axis of the sample."""
+
+    @staticmethod
+    def _frames(table: Any, turned: Sequence[int]) -> None:
+        return None
+
+
+class ModelTables(ReplayTables):
+    """
+    Scatter tables of one surface, each entry with a zero that has derivatives by the values of the models.
+
+    Parameters
+    ----------
+    tables : ScatterTables
+
+    Attributes
+    ----------
+    moving : list of (mi.Float, dict)
+        Zeros that have the derivatives, each with the slopes of the arrays; to be set before anything is read.
+    """
+
+    def __init__(self, tables: ScatterTables) -> None:
+        self._packed = pack(tables.all_cases, by_plugin=True)
+        super().__init__(tables, self._packed, {}, {})
+        self.any, self.bulk, self.all_cases, self.total_rows = True, None, tables.all_cases, tables.total_rows
+        self.moving: list[tuple[mi.Float, dict[str, mi.Float]]] = []
+        self._slopes: dict[tuple[int, str], dict[str, mi.Float]] = {}
+
+    def slopes(self, table: Any, plugin: Any, name: str) -> dict[str, mi.Float]:
+        """Return the derivatives of all entries by a value of a model, by the names of the arrays."""
+        if (id(plugin), name) not in self._slopes:
+            cases = [case for case in self.all_cases if _has(case, plugin)]
+            found = {array: np.zeros(int(np.prod(shape))) for array, shape in shapes(self, self._packed).items()}
+            found[RATIOS] = np.zeros(max(len(self._packed.ratios), 1))
+            for array, place, slope in table_slopes(table, cases, self._packed, plugin, quotient(plugin, name, STEP)):
+                found[array][place : place + slope.size] += slope.ravel()
+            self._slopes[id(plugin), name] = {array: upload(mi.Float, values) for array, values in found.items()}
+        return self._slopes[id(plugin), name]
+
+    def _zero(self, name: str, index: mi.UInt32, active: mi.Bool) -> mi.Float:
+        zeros = (dr.gather(mi.Float, slopes[name], index, active) * zero for zero, slopes in self.moving)
+        return sum(zeros, mi.Float(0))
+
+    def ratio(self, place: mi.UInt32, places: Any, active: mi.Bool) -> mi.Float:
+        sizes, first = self._ratio_sizes(place, len(places), active), place + RATIO_HEAD
+        zeros = (multilinear(slopes[RATIOS], first, sizes, places, active) * zero for zero, slopes in self.moving)
+        return super().ratio(place, places, active) + sum(zeros, mi.Float(0))
+
+
+class RenderedScattering(Scattering):
+    """
+    Scatter of one surface into directions that one of Mitsuba's integrators draws or requests.
+
+    Parameters
+    ----------
+    tables : ScatterTables
+    surface : RenderedSurface
+    d : mi.Vector3f
+        Direction of the ray in the local frame of the hit.
+    it : Interaction
+        Interaction there.
+    x_axis : mi.Vector3f or None
+        The x axis of the sample.
+    """
+
+    def __init__(
+        self,
+        tables: ScatterTables,
+        surface: RenderedSurface,
+        d: mi.Vector3f,
+        it: Interaction,
+        x_axis: mi.Vector3f | None,
+    ) -> None:
+        super().__init__(tables)
+        self._surface, self._d, self._it, self._sample_x = surface, d, it, x_axis
+
+    def _x_axis(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> mi.Vector3f | None:
+        return self._sample_x
+
+    def shares(self, active: mi.Bool) -> ScatterBudget:
+        """Return the scattering shares of the hit."""
+        return self.budget(mi.UInt32(NUMBER), self._it, active)
+
+    def _lobes(self, reflect: mi.Bool) -> tuple[Any, list[dict[str, Any]], mi.Float, Any]:
+        """Return the row of a case, its lobes, their flux over all directions, and their frame."""
+        it = self._it
+        case = dr.select(it.from_front, mi.UInt32(0), 2) + dr.select(reflect, mi.UInt32(1), 0)
+        plan, lobes, frame = self._case(case, mi.UInt32(NUMBER), it, self._d, reflect)
+        if not self.tables.backward:
+            # In total reflection nothing is refracted into a specular direction
+            for lobe in lobes:
+                lobe["here"] = lobe["here"] & (reflect | (it.cos_t > 0) | ((lobe["words"].x & NORMAL) != 0))
+                lobe["flux"] = dr.select(lobe["here"], lobe["flux"], 0)
+        return plan, lobes, sum((lobe["flux"] for lobe in lobes), mi.Float(0)), frame
+
+    def draw(self, reflect: mi.Bool, u: mi.Float, v: mi.Point2f) -> mi.Vector3f:
+        """Draw a direction by random numbers; it points into the surface where it has no light."""
+        _, lobes, total, frame = self._lobes(reflect)
+        # What choosing the lobe leaves of the first number places the direction within a cell of its table
+        rest, left = u * total, u
+        for lobe in lobes:
+            here = (rest >= 0) & (rest < lobe["flux"])
+            left = dr.select(here, rest / lobe["flux"], left)
+            rest = rest - lobe["flux"]
+        return self._random(lobes, total, [u, v.x, v.y, dr.minimum(left, ONE_LESS)], frame)
+
+    def evaluate(self, reflect: mi.Bool, direction: mi.Vector3f, active: mi.Bool) -> tuple[mi.Float, mi.Float]:
+        """Return BSDF · cosine of a direction, and the density with which it is drawn where the event scatters."""
+        _, lobes, total, frame = self._lobes(reflect)
+        cos_s = dr.dot(direction, frame.outward)
+        value, _, pdf = self._evaluate(lobes, total, direction, cos_s, frame)
+        if self.tables.backward:
+            # An eye sees what light from there sends to it: models need not be reciprocal
+            it = self._surface.meet(-direction, active)
+            light = self._surface.scattering(False, -direction, it, self._sample_x)
+            assert light is not None
+            value = light.evaluate(reflect, -self._d, active)[0] * cos_s / self._it.cos_i
+        good = active & (cos_s > 0) & dr.isfinite(value)
+        return dr.select(good, value, 0), dr.detach(dr.select(good, pdf, 0))
+
+
+class RenderedSurface:
+    """
+    One surface of an interface, in place of a `mistray.surfaces.surfaces.SurfaceTable` of all.
+
+    Parameters
+    ----------
+    interface : Interface
+    title : str
+        Name of the surface, for messages.
+    wavelength_nm : float
+        Wavelength at which its materials and its coating are known, nm.
+    """
+
+    def __init__(self, interface: Any, title: str, wavelength_nm: float) -> None:
+        self._interface, self.ids, self.centre = interface, [title], np.zeros(3)
+        self.wavelength_nm = wavelength_nm
+        self.optics = RenderedOptics(interface, title, wavelength_nm)
+        self._moving: dict[bool, ModelTables] = {}
+
+    def coating(self, from_front: mi.Bool, cos_i: mi.Float, active: mi.Bool) -> tuple[mi.Float, mi.Float, mi.Float]:
+        """Return R, T and cos θt, with derivatives by R and T of an ideal coating."""
+        table: Any = self
+        # Copies, since Dr.Jit may widen a literal in place where a mask is one as well
+        ideal = mi.Float(self._interface.R), mi.Float(self._interface.T)
+        word, row = mi.UInt32(self.optics.word), mi.Vector4f(*self.optics.refraction, *ideal)
+        return shares_at(table, mi.UInt32(NUMBER), word, from_front, cos_i, active, row)
+
+    def meet(self, d: mi.Vector3f, active: mi.Bool) -> Interaction:
+        """Return the interaction of a ray along d, in the local frame of the hit."""
+        # A detector's mesh has its normals towards the front
+        to_back = -1 if self._interface.turned else 1
+        from_front, cos_i = d.z * to_back > 0, dr.minimum(dr.abs(d.z), 1)
+        R, T, cos_t = self.coating(from_front, cos_i, active)
+        n_front, n_back = self.optics.refraction
+        eta = dr.select(from_front, mi.Float(n_front / n_back), mi.Float(n_back / n_front))
+        axis, tir = mi.Vector3f(0, 0, dr.mulsign(mi.Float(1), d.z)), (cos_t <= 0) & (not self.optics.opaque)
+        # Exact along the axes of the frame: a narrow lobe magnifies the rounding of its centre
+        reflected = mi.Vector3f(d.x, d.y, -d.z)
+        transmitted = mi.Vector3f(eta * d.x, eta * d.y, dr.mulsign(cos_t, d.z))
+        p, none = mi.Vector3f(0), mi.UInt32(0)
+        place = Place(none, mi.Float(0))
+        return Interaction(
+            p, reflected, transmitted, R, T, tir, axis, cos_i, cos_t, eta, none, none, none, p, from_front, place, None
+        )
+
+    @cached_property
+    def _tables(self) -> tuple[ScatterTables, ScatterTables]:
+        """Tables for light, and for rays that go against it."""
+        table: Any = self
+        return RenderedTables(table, {}, False), RenderedTables(table, {}, True)
+
+    def scattering(
+        self, radiance: bool, d: mi.Vector3f, it: Interaction, x_axis: mi.Vector3f | None
+    ) -> RenderedScattering | None:
+        """Return the scatter at a hit, of light or of rays against it, with derivatives; None: nothing scatters."""
+        tables = self._tables[radiance]
+        moving = [
+            (plugin, name, parameter)
+            for plugin in self._interface.scatterers
+            for name, parameter in plugin.values.items()
+            if dr.grad_enabled(parameter)
+        ]
+        for plugin, _, _ in moving:
+            if not any(_has(case, plugin) for case in tables.all_cases):
+                raise MistrayError(f"{plugin.title}: it scatters nothing here, so it has no derivative; start above 0")
+        if moving:
+            if radiance not in self._moving:
+                self._moving[radiance] = ModelTables(tables)
+            tables = self._moving[radiance]
+            tables.moving = [
+                (parameter - dr.detach(parameter), tables.slopes(self, plugin, name))
+                for plugin, name, parameter in moving
+            ]
+        return RenderedScattering(tables, self, d, it, x_axis) if tables.any else None
+
+
+def _has(case: Case, plugin: Any) -> bool:
+    """Whether a plugin has a lobe in a case."""
+    return any(member.plugin is plugin for member in case.members)
