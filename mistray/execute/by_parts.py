@@ -33,7 +33,7 @@ LOAD = 0.35  # load factor of a table of paths
 Progress = Callable[[int, int], None]
 
 
-class Place(NamedTuple):
+class RunPart(NamedTuple):
     """A part of one of the runs of a trace."""
 
     run: int
@@ -106,7 +106,7 @@ class TraceTask:
                 run.table = run.table.on(self.only)
         return runs
 
-    def do(self, made: list[Run], part: Place | MapPlace) -> PartSums | Packed:
+    def do(self, made: list[Run], part: RunPart | MapPlace) -> PartSums | Packed:
         """Trace a part, and return its sums or its images."""
         run = made[part.run]
         run.parts = (part.part,)
@@ -155,7 +155,7 @@ def require_same(here: Sequence[list[np.ndarray]], there: Sequence[list[np.ndarr
         )
 
 
-def split(runs: Sequence[Run], workers: int) -> list[Place]:
+def split(runs: Sequence[Run], workers: int) -> list[RunPart]:
     """Return parts of runs, enough to keep workers busy to the end; parts of different runs alternate."""
     wanted = max(LEAST_RAYS, sum(run.rays for run in runs) / (PARTS_PER_WORKER * workers))
     placed = []
@@ -168,7 +168,7 @@ def split(runs: Sequence[Run], workers: int) -> list[Place]:
             step = BATCHES // pieces
             found += [Part(k, low, low + step) for low in range(0, BATCHES, step)]
         # Sorted by their place in their own run, so that all runs end together
-        placed += [((k + 0.5) / len(found), Place(number, part)) for k, part in enumerate(found)]
+        placed += [((k + 0.5) / len(found), RunPart(number, part)) for k, part in enumerate(found)]
     return [place for _, place in sorted(placed)]
 
 
@@ -339,11 +339,11 @@ def images_by_parts(
     return totals
 
 
-def _traced(runs: Sequence[Run], workers: int) -> list[Place]:
+def _traced(runs: Sequence[Run], workers: int) -> list[RunPart]:
     """Return the parts of runs that have been traced."""
     if all(run.parts is None for run in runs):
         return split(runs, workers)
-    return [Place(k, part) for k, run in enumerate(runs) for part in run.parts or map(Part, range(run.passes))]
+    return [RunPart(k, part) for k, run in enumerate(runs) for part in run.parts or map(Part, range(run.passes))]
 
 
 def _images(run: Run, place: MapPlace) -> np.ndarray:

@@ -31,7 +31,7 @@ from mistray.recorders.tallies import CHANNEL_COUNT, STARTED, SURFACE_SUMS, Tall
 from mistray.sampling.design.search import design_sequences, traced_table
 from mistray.sampling.design_path import check_place, first_aperture, footprint
 from mistray.sampling.importance_targets import importance_targets
-from mistray.sampling.source import SceneSource, Source
+from mistray.sampling.source import SceneSource, TracedSource
 from mistray.sampling.sources import scene_sources
 from mistray.settings import BATCHES, Settings
 from mistray.surfaces.intersect import Intersector
@@ -68,7 +68,7 @@ class Run:
 
     Attributes
     ----------
-    source : Source
+    source : TracedSource
     table : SurfaceTable
     rays : int
         Number of start rays.
@@ -95,7 +95,7 @@ class Run:
         Parts that are traced; None: all passes.
     """
 
-    source: Source
+    source: TracedSource
     table: SurfaceTable
     scattering: Scattering
     intersector: Intersector

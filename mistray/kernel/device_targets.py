@@ -19,7 +19,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.kernel.targets import AimSet, AnyTarget, Cone, Ellipsoid
+from mistray.kernel.targets import AimSet, AnyTarget, Ellipsoid, TargetCone
 from mistray.surfaces.upload import upload
 
 VECTORS = 6  # vectors of four floats for each target
@@ -47,7 +47,7 @@ class DeviceTargets:
         self._values = upload(mi.Float, np.array(rows if rows else [np.zeros(4 * VECTORS)]))
         # Kinds of target that do not occur take no code in the kernel
         self._ellipsoids = any(isinstance(target, Ellipsoid) for target in targets)
-        self._cones = any(isinstance(target, Cone) for target in targets)
+        self._cones = any(isinstance(target, TargetCone) for target in targets)
 
     def _row(self, number: mi.UInt32, count: int, active: mi.Bool) -> list[mi.Vector4f]:
         return [dr.gather(mi.Vector4f, self._values, VECTORS * number + k, active) for k in range(count)]
@@ -214,7 +214,7 @@ def _rows(aim: AimSet, centre: np.ndarray) -> list[np.ndarray]:
 def _vectors(target: AnyTarget, origin: np.ndarray) -> tuple[Any, ...]:
     """Return the rows of a target without its share, its sign and the sum of shares."""
     nothing = np.zeros(3)
-    if isinstance(target, Cone):
+    if isinstance(target, TargetCone):
         width = target.width
         return (
             [*(target.axis - origin if target.about == "point" else target.axis), CONES[target.about]],

@@ -22,7 +22,7 @@ from mistray.kernel.device_targets import DeviceTargets
 from mistray.kernel.lobes import RadialSampler, multilinear
 from mistray.kernel.sample_axes import SurfaceFrames
 from mistray.kernel.targets import AimSet, Place
-from mistray.scatter.lobe import Lobe, RatioTable, Scatter
+from mistray.scatter.lobe import Lobe, LobeModel, RatioTable
 from mistray.scatter.particulate import particle_indices
 from mistray.scatter.radial import RadialTable
 from mistray.scatter.total import Totals, check_budget, model_lobes, specular_cosine, totals
@@ -72,14 +72,14 @@ class Side:
         )
 
 
-def side_of(models: tuple[Scatter, ...], wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> Side:
+def side_of(models: tuple[LobeModel, ...], wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> Side:
     """Return the scatter of light from one side by some models, computed once."""
     return _known_side(models, particle_indices(models, wavelength_nm), wavelength_nm, n_in, n_out, from_front)
 
 
 @lru_cache(maxsize=1024)
 def _known_side(
-    models: tuple[Scatter, ...],
+    models: tuple[LobeModel, ...],
     _particles: tuple[complex, ...],
     wavelength_nm: float,
     n_in: float,
@@ -89,7 +89,7 @@ def _known_side(
     return make_side(models, wavelength_nm, n_in, n_out, from_front)
 
 
-def make_side(models: tuple[Scatter, ...], wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> Side:
+def make_side(models: tuple[LobeModel, ...], wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> Side:
     """
     Return the lobes and totals of some models.
 

@@ -190,7 +190,7 @@ class Ellipsoid:
 
 
 @dataclass(frozen=True, eq=False)
-class Cone:
+class TargetCone:
     """
     Cone of directions of uniform density per solid angle.
 
@@ -256,7 +256,7 @@ class Cone:
 
 
 CONES = ("direction", "point", "specular")
-AnyTarget = Target | Ellipsoid | Cone
+AnyTarget = Target | Ellipsoid | TargetCone
 
 
 def _sides(d: np.ndarray, normals: np.ndarray, reverse: bool) -> tuple[bool, bool]:
@@ -295,7 +295,7 @@ class AimSet:
 
     Attributes
     ----------
-    targets : tuple of Target, Ellipsoid or Cone
+    targets : tuple of Target, Ellipsoid or TargetCone
         Targets, whose shares add up to 1; they may overlap.
     rays : int
         Number of aimed rays at every hit, at least 1.

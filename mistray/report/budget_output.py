@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from mistray.files.json_values import plain
 from mistray.optimize.tolerances.budget import Budget, Met
-from mistray.report.model import Column, FigurePart, Items, Note, Report, Section, Table, Value, columns
+from mistray.report.model import Column, FigurePart, Items, NotePart, Report, Section, Table, Value, columns
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section
 from mistray.report.tables.frames import row_of
@@ -143,17 +143,17 @@ def budget_report(result: Budget, title: str = "scene", command: str = "") -> Re
     found = [Markup("{}: <b>{}</b>").format(item.name, verdict(item)) for item in result.requirements]
     picture = as_png(budget_figure(result, title))
     seeds = f"Measured on {result.study.seeds} seeds that the search has not used."
-    left = [Note(f"Not in the derivatives: {text}.") for text in result.left_out]
+    left = [NotePart(f"Not in the derivatives: {text}.") for text in result.left_out]
     how = settings_section(_facts(result), command, before=left)
     return Report(
         "Scatter budget",
         title,
         [
-            Section("requirements", "Requirements", [Note(seeds), requirements_table(result)]),
+            Section("requirements", "Requirements", [NotePart(seeds), requirements_table(result)]),
             Section("numbers", "Numbers", [FigurePart(picture, CAPTION), numbers_table(result)]),
             Section("settings", "How, and settings", how.parts),
         ],
-        lead=[Items(found), Note(f"Cost {number(before, 4)} before, {number(after, 4)} after.")],
+        lead=[Items(found), NotePart(f"Cost {number(before, 4)} before, {number(after, 4)} after.")],
         csv={"budget.csv": budget_frame(result), "requirements.csv": requirements_frame(result)},
         json={"budget.json": budget_record(result)},
         files={"budget.png": picture},

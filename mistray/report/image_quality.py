@@ -12,7 +12,7 @@ import pandas as pd
 
 from mistray.analysis.image_quality.result import ImageQuality
 from mistray.files.json_values import plain
-from mistray.report.model import FigurePart, Note, Report, Section, Table, Value, columns
+from mistray.report.model import FigurePart, NotePart, Report, Section, Table, Value, columns
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section, terms
 from mistray.report.tables.text import ABSENT, table_text
@@ -139,7 +139,7 @@ def quality_report(
         "Image quality",
         title,
         [*sections, settings_section(found.facts, command, terms("image"), link="Definitions and settings")],
-        lead=[Note(f"{heading(found)}.", "sub")],
+        lead=[NotePart(f"{heading(found)}.", "sub")],
         warnings=list(found.notes),
         csv={
             "image_quality.csv": found.to_pandas(frequencies),

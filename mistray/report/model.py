@@ -147,7 +147,7 @@ class Filter(PagePart):
 
 
 @dataclass(frozen=True)
-class Note(PagePart):
+class NotePart(PagePart):
     """
     A text of its own; `style` "note" is small print, "h3" a heading, "pre" a command, "sub" what was computed.
 

@@ -13,7 +13,7 @@ from mistray.analysis.estimate import Estimate
 from mistray.analysis.objects.rows import LISTS, CommonObject, SceneObject, describe
 from mistray.analysis.objects.search import Objects
 from mistray.files.json_values import plain
-from mistray.report.model import FigurePart, Fold, Folded, Note, PagePart, Report, Section, Table, Value, columns
+from mistray.report.model import FigurePart, Fold, Folded, NotePart, PagePart, Report, Section, Table, Value, columns
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section, terms, version_settings
 from mistray.report.tables.text import ABSENT, number, table_text
@@ -210,19 +210,19 @@ def objects_report(found: Objects, estimates: pd.DataFrame, title: str = "scene"
         Section("layout", "Layout", [FigurePart(png, CAPTION, "objects in the section of the system")], "Layout"),
         Section("common", "Common objects", _common(found), "Common"),
         Section("estimates", "Light by one scatter event",
-                [Note(ESTIMATE), estimated] if estimated.rows else [Note(NO_SCATTER)], "Estimate"),
+                [NotePart(ESTIMATE), estimated] if estimated.rows else [NotePart(NO_SCATTER)], "Estimate"),
         Section("critical", "Critical objects", [object_table(found.critical, name="t-critical")], "Critical"),
         Section("illuminated", "Illuminated objects",
                 [object_table(found.illuminated, name="t-illuminated")], "Illuminated"),
         Section("straight", "Straight shots",
-                [Note(SHOTS), shots] if shots.rows else [Note(NO_SHOTS)], "Straight shots"),
+                [NotePart(SHOTS), shots] if shots.rows else [NotePart(NO_SHOTS)], "Straight shots"),
         settings_section(found.facts | version_settings(), command, terms("objects"), link="Settings"),
     ]  # fmt: skip
     return Report(
         "Critical and illuminated objects",
         title,
         sections,
-        lead=[Note(Markup("{}.<br>{}.").format(first, second), "sub"), Note(_finding(found, estimates))],
+        lead=[NotePart(Markup("{}.<br>{}.").format(first, second), "sub"), NotePart(_finding(found, estimates))],
         warnings=found.notes,
         tab="Objects",
         csv=csv_tables(found, estimates),
@@ -265,10 +265,10 @@ def _finding(found: Objects, estimates: pd.DataFrame) -> str:
 
 
 def _common(found: Objects) -> list[PagePart]:
-    parts: list[PagePart] = [Note("None but the optics.")]
+    parts: list[PagePart] = [NotePart("None but the optics.")]
     if found.common:
-        parts = [Note(COMMON), common_table(found.common, name="t-common")]
+        parts = [NotePart(COMMON), common_table(found.common, name="t-common")]
     if found.apart:
-        parts.append(Note(APART.format(", ".join(row.id for row in found.apart))))
+        parts.append(NotePart(APART.format(", ".join(row.id for row in found.apart))))
     optics = f"{len(found.optics)} surfaces of the design path, common by design"
     return [*parts, Folded(optics, [common_table(found.optics, name="t-optics")])]

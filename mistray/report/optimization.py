@@ -14,7 +14,7 @@ from mistray.optimize.study.goals import holds
 from mistray.optimize.study.terms import of_layers
 from mistray.report.figures.optimization import reflectance_figure, search_figure, variables_figure
 from mistray.report.figures.plots import as_png
-from mistray.report.model import FigurePart, Items, Note, PagePart, Report, Section
+from mistray.report.model import FigurePart, Items, NotePart, PagePart, Report, Section
 from mistray.report.optimization_tables import (
     all_terms_table,
     before_after,
@@ -91,7 +91,7 @@ def optimization_report(result: Optimization, command: str = "") -> Report:
     if result.placed:
         pictures["reflectance.png"] = as_png(reflectance_figure(result))
         first = [f"{item.group.name}: the first layer lies {item.group.start.first}." for item in result.placed]
-        parts = [*map(Note, first), layers_table(result), _picture(pictures, "reflectance.png")]
+        parts = [*map(NotePart, first), layers_table(result), _picture(pictures, "reflectance.png")]
         sections.append(Section("coatings", "Coatings", parts))
     sections.append(Section("search", "Search", [*_search(result), _picture(pictures, "search.png")]))
     study = result.study
@@ -110,8 +110,8 @@ def optimization_report(result: Optimization, command: str = "") -> Report:
         [*sections, settings_section(facts, command)],
         lead=[
             Items(_findings(result)),
-            *([] if unverified else [Note(seeds)]),
-            *(Note(order.sentence) for order in result.next_orders),
+            *([] if unverified else [NotePart(seeds)]),
+            *(NotePart(order.sentence) for order in result.next_orders),
         ],
         warnings=[*unverified, *worse_lines(result), *opened_lines(result)],
         csv={
@@ -149,8 +149,8 @@ def _search(result: Optimization) -> list[PagePart]:
         f"{result.search_seconds:.0f} s. It is a local minimum at best."
     )
     ends = Items([f"start {k + 1}: {reason}" for k, reason in sorted(result.ended.items())])
-    zones = [Note(f"{line[0].upper()}{line[1:]}.") for line in edge_lines(result)]
-    return [Note(text), ends, *zones, *(Note(f"Not in the gradient: {what}.") for what in result.left_out)]
+    zones = [NotePart(f"{line[0].upper()}{line[1:]}.") for line in edge_lines(result)]
+    return [NotePart(text), ends, *zones, *(NotePart(f"Not in the gradient: {what}.") for what in result.left_out)]
 
 
 def _picture(pictures: Mapping[str, bytes], name: str) -> FigurePart:

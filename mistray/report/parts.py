@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
-from mistray.report.model import Items, Note, PagePart, Section, Terms
+from mistray.report.model import Items, NotePart, PagePart, Section, Terms
 from mistray.report.tables.text import ABSENT
 from mistray.trace.forward import versions
 
@@ -42,12 +42,12 @@ def settings_section(
     """
     parts: list[PagePart] = list(before)
     if assumptions:
-        parts += [Note("Assumptions", "h3"), Items(assumptions)]
+        parts += [NotePart("Assumptions", "h3"), Items(assumptions)]
     if definitions:
-        parts += [Note("Definitions", "h3"), Terms(list(definitions.items())), Note("Settings", "h3")]
+        parts += [NotePart("Definitions", "h3"), Terms(list(definitions.items())), NotePart("Settings", "h3")]
     parts += [Terms([(str(key), setting_text(value)) for key, value in facts.items()]), *after]
     if command:
-        parts += [Note("Command", "h3"), Note(command, "pre")]
+        parts += [NotePart("Command", "h3"), NotePart(command, "pre")]
     words = [word for word, there in (("Assumptions", assumptions), ("definitions", definitions)) if there]
     title = f"{', '.join([*words, '']).removesuffix(', ')} and settings".capitalize() if words else "Settings"
     return Section("settings", title, parts, link, folded)

@@ -107,7 +107,7 @@ class _Writer:
         for part in parts:
             if isinstance(part, model.Table):
                 self.table(part)
-            elif isinstance(part, model.Note):
+            elif isinstance(part, model.NotePart):
                 self.note(part)
             elif isinstance(part, model.Items):
                 self.items(part)
@@ -134,7 +134,7 @@ class _Writer:
             self.pdf.line(MARGIN, self.pdf.y, MARGIN + self.pdf.epw, self.pdf.y)
             self.pdf.ln(1.5)
 
-    def note(self, note: model.Note) -> None:
+    def note(self, note: model.NotePart) -> None:
         if note.style == "h3":
             self.room(ROOM / 2)
             self.pdf.ln(1.5)

@@ -25,7 +25,7 @@ from mistray.analysis.pst.result import Pst
 from mistray.report.figures.figure import Figure as Drawing
 from mistray.report.figures.plots import as_png
 from mistray.report.figures.pst import pst_causes, pst_curve, pst_irradiance, pst_map
-from mistray.report.model import FigurePart, Hover, Items, Note, Report, Section
+from mistray.report.model import FigurePart, Hover, Items, NotePart, Report, Section
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section, terms, thousands, version_settings
 from mistray.report.tables.pst import (
@@ -147,24 +147,24 @@ def pst_report(
     sections = [Section("curve", "Curve", [curve_figure(pst, title)], "Curve")]
     if has_paths:
         found, parts = breaks(pst), [causes_figure(pst, title)]
-        bends = [Note("Breaks of the curve of stray light", "h3"), breaks_table(found)] if found else []
+        bends = [NotePart("Breaks of the curve of stray light", "h3"), breaks_table(found)] if found else []
         sections.append(Section("causes", "Causes", [*parts, *bends], "Causes"))
     if "pst_map.png" in pictures:
         drawn = FigurePart(pictures["pst_map.png"], MAP, "PST over field angle and azimuth")
         sections.append(Section("map", "Map", [drawn], "Map"))
     if detector:
-        sections.append(Section("detector", "Detector", [Note(DETECTOR), *detector], "Detector"))
-    sections.append(Section("table", "Table", [Note(f"{DEFINITIONS[pst.convention]}."), curve_table(pst)], "Table"))
+        sections.append(Section("detector", "Detector", [NotePart(DETECTOR), *detector], "Detector"))
+    sections.append(Section("table", "Table", [NotePart(f"{DEFINITIONS[pst.convention]}."), curve_table(pst)], "Table"))
     if has_paths:
         text = f"The {paths_shown} strongest stray paths of each angle; {DENOMINATOR}. "
         text += "All that were kept are in pst_paths.csv."
-        sections.append(Section("paths", "Paths", [Note(text), paths_table(pst, paths_shown)], "Paths"))
+        sections.append(Section("paths", "Paths", [NotePart(text), paths_table(pst, paths_shown)], "Paths"))
     definition, run = heading(pst).splitlines()
     return Report(
         "Point source transmittance",
         title,
         [*sections, settings_section(pst_facts(pst), command, terms("pst"), link="Definitions and settings")],
-        lead=[Note(Markup("{}.<br>{}.").format(definition, run), "sub"), Items(pst_verdict(pst), "verdict")],
+        lead=[NotePart(Markup("{}.<br>{}.").format(definition, run), "sub"), Items(pst_verdict(pst), "verdict")],
         warnings=pst.notes,
         tab="PST",
         scripts=("report", "hover"),

@@ -18,7 +18,7 @@ from mistray.optimize.tolerances.draws import PERCENTILES, Draws
 from mistray.optimize.tolerances.rows import SensitivityRow
 from mistray.optimize.tolerances.sensitivity import Sensitivity
 from mistray.percent import percent_text
-from mistray.report.model import FigurePart, Folded, Note, Report, Section, Table, columns
+from mistray.report.model import FigurePart, Folded, NotePart, Report, Section, Table, columns
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section, terms
 from mistray.report.tables.frames import flat, frame_table
@@ -268,24 +268,25 @@ def sensitivity_report(result: Sensitivity, title: str = "scene", command: str =
         Section("ranking", "Parameters by their change per tolerance",
                 [FigurePart(pictures["ranking.png"], RANKING), ranking_table(result)]),
         Section("changes", f"What would lower it {result.factor:g} times",
-                [Note(before), *map(Note, after), *([changes_table(result)] if result.together.changes else [])]),
-        Section("propagation", "Tolerances together", [*map(Note, spread), frame_table("t-kinds", _kinds(result))]),
+                [NotePart(before), *map(NotePart, after),
+                 *([changes_table(result)] if result.together.changes else [])]),
+        Section("propagation", "Tolerances together", [*map(NotePart, spread), frame_table("t-kinds", _kinds(result))]),
     ]  # fmt: skip
     if result.draws is not None:
         pictures["monte_carlo.png"] = as_png(draws_figure(result, title))
         columns = {"ratio": result.draws.ratios, "predicted_log_ratio": result.draws.predicted}
         csv["draws.csv"] = pd.DataFrame(columns)
-        lines = map(Note, draws_lines(result.draws))
+        lines = map(NotePart, draws_lines(result.draws))
         drawn = FigurePart(pictures["monte_carlo.png"], PERTURBED)
         sections.append(Section("monte-carlo", "Perturbed systems", [*lines, drawn]))
     missing = result.without_derivative
-    left = [Folded(f"{len(missing)} numbers without a derivative", [Note(", ".join(missing))])]
+    left = [Folded(f"{len(missing)} numbers without a derivative", [NotePart(", ".join(missing))])]
     value = f"{with_error(result.value)} {result.unit}".strip()
     return Report(
         "Sensitivity",
         title,
         [*sections, settings_section(result.facts, command, terms("sensitivity"), after=left if missing else ())],
-        lead=[Note(Markup("{}: <b>{}</b>").format(result.name, value)), Note(f"{spread[0]}.")],
+        lead=[NotePart(Markup("{}: <b>{}</b>").format(result.name, value)), NotePart(f"{spread[0]}.")],
         warnings=notes(result),
         csv=csv,
         json={"sensitivity.json": sensitivity_record(result)},

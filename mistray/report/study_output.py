@@ -21,7 +21,7 @@ from mistray.report.ghosts.fields import explored_paths
 from mistray.report.ghosts.ledgers import energy_ledger
 from mistray.report.ghosts.report import ASSUMPTIONS, SCATTERED, polarization_words
 from mistray.report.html.explorer import page_data
-from mistray.report.model import FigurePart, Folded, Items, Note, PagePart, Report, Section, Terms
+from mistray.report.model import FigurePart, Folded, Items, NotePart, PagePart, Report, Section, Terms
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section, terms, thousands
 from mistray.report.pst_output import causes_figure, curve_figure, pst_verdict, pst_verdict_record
@@ -188,7 +188,7 @@ def study_report(study: Study, command: str = "") -> Report:
     for step in study.steps:
         if step.findings:
             heading = Markup('<a href="#{}">{} {}</a>').format(step.key, step.number, step.title)
-            findings += [Note(heading, "h3"), Items(step.findings)]
+            findings += [NotePart(heading, "h3"), Items(step.findings)]
     return Report(
         "Stray-light study",
         study.name,
@@ -199,10 +199,10 @@ def study_report(study: Study, command: str = "") -> Report:
             _settings(study, command),
         ],
         lead=[
-            Note(text, "sub"),
-            Note(VERDICTS["pst"], "h3"),
+            NotePart(text, "sub"),
+            NotePart(VERDICTS["pst"], "h3"),
             Items(pst_verdict(study.pst), "verdict"),
-            Note(VERDICTS["ghosts"], "h3"),
+            NotePart(VERDICTS["ghosts"], "h3"),
             *answer(study.ghosts, study.ghosts),
         ],
         warnings=study_warnings(study),
@@ -214,7 +214,7 @@ def study_report(study: Study, command: str = "") -> Report:
 
 def _step(study: Study, step: StudyStep, pictures: Mapping[str, bytes]) -> Section:
     warnings = step_warnings(study, step)
-    parts: list[PagePart] = [Note(step.text)]
+    parts: list[PagePart] = [NotePart(step.text)]
     parts += [Items(warnings, "warnings")] if warnings else []
     parts += [Terms([(fact.name, fact_text(fact)) for fact in step.facts])] if step.facts else []
     if step.key == "analysis":
@@ -227,25 +227,27 @@ def _step(study: Study, step: StudyStep, pictures: Mapping[str, bytes]) -> Secti
         parts += [] if study.images is None else transfer_parts(study.images, study.name)
         parts += _ghosts(study.ghosts)
     title = f"{step.number} {step.title}"
-    return Section(step.key, title, [*parts, Note(f"{step.seconds:.1f} s", "note")], title)
+    return Section(step.key, title, [*parts, NotePart(f"{step.seconds:.1f} s", "note")], title)
 
 
 def _ghosts(report: GhostReport) -> list[PagePart]:
     """The paths of every field to explore, and the energy ledger of the fields."""
     parts: list[PagePart] = [page_data(report)]
     for number, field in enumerate(report):
-        parts.append(Note(f"Paths of the ghosts, field {field:g}°", "h3", field_anchor(field)))
+        parts.append(NotePart(f"Paths of the ghosts, field {field:g}°", "h3", field_anchor(field)))
         if can_draw():
             parts += explored_paths(report, field, f"t-field-{number}")
         else:
-            parts.append(Note("Not mapped, for the time was up; its paths stand in the table of the ghosts.", "note"))
-    return [*parts, Note("Energy ledger of the ghosts", "h3"), *energy_ledger(report, False)]
+            parts.append(
+                NotePart("Not mapped, for the time was up; its paths stand in the table of the ghosts.", "note")
+            )
+    return [*parts, NotePart("Energy ledger of the ghosts", "h3"), *energy_ledger(report, False)]
 
 
 def _table(name: str, frame: pd.DataFrame) -> list[PagePart]:
-    title = Note(terms("study_tables").get(name, name), "h3")
+    title = NotePart(terms("study_tables").get(name, name), "h3")
     if frame.empty:
-        return [title, Note("none", "note")]
+        return [title, NotePart("none", "note")]
     table = frame_table(f"t-{name}", frame)
     if len(frame) > ROWS_FILTERED:
         table = replace(table, filter=("filter rows", f"filter {name}"))

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from mistray.files.json_values import plain
-from mistray.report.model import FigurePart, Note, Report, Section, Table, columns
+from mistray.report.model import FigurePart, NotePart, Report, Section, Table, columns
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section, terms, version_settings
 from mistray.report.tables.text import ABSENT, number, table_text
@@ -125,7 +125,7 @@ def sweep_report(result: Sweep, title: str = "scene", command: str = "") -> Repo
             Section("configurations", "Configurations", [configurations]),
             settings_section({**result.arguments, **version_settings()}, command, terms("sweep")),
         ],
-        lead=[Note(f"{size}: {cache_line(result)}."), *map(Note, polarization_lines(result))],
+        lead=[NotePart(f"{size}: {cache_line(result)}."), *map(NotePart, polarization_lines(result))],
         warnings=[*result.opened, *result.warnings],
         csv=sweep_tables(result),
         json={"sweep.json": sweep_record(result)},

@@ -15,7 +15,7 @@ from markupsafe import Markup
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.thermal.emission import ThermalReport
 from mistray.files.json_values import plain
-from mistray.report.model import FigurePart, Note, Report, Section, Table, Value, columns
+from mistray.report.model import FigurePart, NotePart, Report, Section, Table, Value, columns
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section, terms, thousands
 from mistray.report.tables.frames import row_of
@@ -190,7 +190,7 @@ def thermal_report(report: ThermalReport, title: str = "scene", command: str = "
     ]
     if report.returned:
         over = FigurePart(functools.partial(narcissus_figure, report), "NITD by surface over the detector.")
-        shown = [Note(returns), return_table(report), *([over] if report.zones_mm else [])]
+        shown = [NotePart(returns), return_table(report), *([over] if report.zones_mm else [])]
         sections.append(Section("narcissus", "Narcissus", shown, "Narcissus"))
     if report.netd is not None:
         pixel = report.netd.noise
@@ -198,12 +198,12 @@ def thermal_report(report: ThermalReport, title: str = "scene", command: str = "
         given += f", D* = {pixel.detectivity:g} cm √Hz/W" if pixel.detectivity is not None else ""
         given += f", quantum efficiency {pixel.quantum_efficiency:g}" if pixel.quantum_efficiency is not None else ""
         tables = [netd_table(report)] if report.netd.sources else []
-        sections.append(Section("netd", "NETD", [Note(f"{given}. The sums are above."), *tables], "NETD"))
+        sections.append(Section("netd", "NETD", [NotePart(f"{given}. The sums are above."), *tables], "NETD"))
     return Report(
         "Thermal self-emission",
         title,
         [*sections, settings_section(facts, command, terms("thermal"), link="Definitions and settings")],
-        lead=[Note(f"{heading(report)}.", "sub"), Note(finding + ".")],
+        lead=[NotePart(f"{heading(report)}.", "sub"), NotePart(finding + ".")],
         warnings=report.notes,
         csv=csv_tables(report),
         json={"thermal.json": {"title": title, "command": command} | thermal_record(report)},

@@ -8,7 +8,7 @@ from mistray.analysis.transfer.result import FieldTransfer, Transfer
 from mistray.report.figures.figure import Figure as Drawing
 from mistray.report.figures.plots import as_png
 from mistray.report.figures.transfer import image_figure, mtf_figure, spread_figure
-from mistray.report.model import FigurePart, Items, Note, PagePart, Terms
+from mistray.report.model import FigurePart, Items, NotePart, PagePart, Terms
 from mistray.report.parts import terms
 from mistray.time_budget import can_draw
 
@@ -36,13 +36,13 @@ def transfer_parts(found: Transfer, title: str = "") -> list[PagePart]:
     """
     parts: list[PagePart] = []
     for one in found:
-        parts.append(Note(f"Image of a point with stray light, field {one.name}", "h3"))
+        parts.append(NotePart(f"Image of a point with stray light, field {one.name}", "h3"))
         if one.image.resolved and not can_draw():
-            parts.append(Note("Its pictures are not drawn, for the time was up."))
+            parts.append(NotePart("Its pictures are not drawn, for the time was up."))
         elif one.image.resolved:
             parts += [FigurePart(as_png(draw(one, title)), caption) for _, draw, caption in CAPTIONS]
         else:
-            parts.append(Note("Its wavefront is too steep for the grid: it has no PSF and no MTF; see below."))
+            parts.append(NotePart("Its wavefront is too steep for the grid: it has no PSF and no MTF; see below."))
     if found.notes:
         parts.append(Items(found.notes, "warnings"))
     return [*parts, Terms(list(terms("transfer").items()))]

@@ -30,7 +30,7 @@ class Sphere:
         return bool(np.linalg.norm(point - self.centre) <= self.radius)
 
 
-class Cone:
+class AimedCone:
     """
     The directions from points to a sphere; all directions from points within it.
 

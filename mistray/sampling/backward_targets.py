@@ -20,7 +20,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.kernel.targets import AimSet, Place, Side, Target
-from mistray.sampling.design.probes import Step
+from mistray.sampling.design.probes import DesignStep
 from mistray.sampling.design_path import OPENING, DesignPath, find_design_path
 from mistray.sampling.detector_images import FAR, DetectorImages
 from mistray.sampling.importance_targets import (
@@ -108,7 +108,7 @@ def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.
         if path is not None:
             back = path.reversed(opening)
         else:  # straight from the detector to the opening
-            out = Step(OPENING, False, opening.centre, -axis, -axis, np.zeros(3))
+            out = DesignStep(OPENING, False, opening.centre, -axis, -axis, np.zeros(3))
             back = DesignPath(table, (out,), opening)
         found = automatic_targets(table, back, scatterers)
         points, normals = surface_points(table, table.detector, fewer_rays(PROBES), rng)

@@ -17,7 +17,7 @@ import numpy as np
 from mistray.kernel.targets import Inside, Target
 from mistray.sampling.detector_images import FAR, DetectorImages
 from mistray.sampling.outlines import outline
-from mistray.sampling.scattering_bodies import Body
+from mistray.sampling.scattering_bodies import ScatteringBody
 from mistray.surfaces.host_points import across
 from mistray.surfaces.host_rays import first_hit, onward
 from mistray.surfaces.surfaces import SurfaceTable
@@ -72,7 +72,11 @@ class Appearance(NamedTuple):
 
 
 def body_targets(
-    table: SurfaceTable, body: Body, images: DetectorImages | None, sights: Sequence[Sight], rng: np.random.Generator
+    table: SurfaceTable,
+    body: ScatteringBody,
+    images: DetectorImages | None,
+    sights: Sequence[Sight],
+    rng: np.random.Generator,
 ) -> list[Target]:
     """
     Return the targets of the light that a body scatters.
@@ -80,7 +84,7 @@ def body_targets(
     Parameters
     ----------
     table : SurfaceTable
-    body : Body
+    body : ScatteringBody
     images : DetectorImages, optional
         Images by the design path.
     sights : sequence of Sight

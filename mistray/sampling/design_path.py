@@ -13,7 +13,7 @@ from mistray.errors import MistrayError
 from mistray.kernel.targets import Target
 from mistray.materials import complex_index
 from mistray.sampling.aimed_cones import Sphere
-from mistray.sampling.design.probes import Order, Probes, Step
+from mistray.sampling.design.probes import DesignStep, Order, Probes
 from mistray.sampling.design.sequences import chosen_orders, has_optics, is_plane
 from mistray.sampling.outlines import outline
 from mistray.sampling.source import SceneSource
@@ -63,13 +63,13 @@ class DesignPath:
     Parameters
     ----------
     table : SurfaceTable
-    steps : tuple of Step
+    steps : tuple of DesignStep
         Steps, of which the last is the detector or the opening.
     end : Target
         Outline of the detector or of the opening.
     """
 
-    def __init__(self, table: SurfaceTable, steps: tuple[Step, ...], end: Target) -> None:
+    def __init__(self, table: SurfaceTable, steps: tuple[DesignStep, ...], end: Target) -> None:
         self.table = table
         self.steps = steps
         self.end = end
@@ -87,14 +87,14 @@ class DesignPath:
         """Return the backward path, from the detector to an opening before its first surface."""
         # All steps but the detector, in reverse order
         steps = [
-            Step(step.surface, step.reflects, step.point, step.normal, -step.after, -step.before)
+            DesignStep(step.surface, step.reflects, step.point, step.normal, -step.after, -step.before)
             for step in self.steps[-2::-1]
         ]
         # The base ray leaves at the plane of the opening
         first = self.steps[0]
         normal = opening.normal if opening.normal @ first.before < 0 else -opening.normal
         t = ((opening.centre - first.point) @ normal) / (-first.before @ normal)
-        out = Step(OPENING, False, first.point - t * first.before, normal, -first.before, np.zeros(3))
+        out = DesignStep(OPENING, False, first.point - t * first.before, normal, -first.before, np.zeros(3))
         return DesignPath(self.table, (*steps, out), opening)
 
     def follow(self, o: np.ndarray, d: np.ndarray, first: int, bounded: bool = False) -> np.ndarray:
@@ -177,7 +177,7 @@ class DesignPath:
             o[alive], d[alive], last[alive] = p[kept], after[kept], step.surface
         return Unobstructed(passes, ends, place, missed)
 
-    def _inside(self, step: Step, p: np.ndarray) -> np.ndarray:
+    def _inside(self, step: DesignStep, p: np.ndarray) -> np.ndarray:
         """Whether points lie within the bounds of the surface of a step."""
         if step.surface == OPENING:
             return self.end.holds(p)
@@ -185,7 +185,7 @@ class DesignPath:
             return inside(self.table, step.surface, p)
         return outline(self.table.shapes[step.surface]).holds(p)
 
-    def meet(self, step: Step, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def meet(self, step: DesignStep, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the intersections of lines with the surface of a step next to its point, and the normals there."""
         # The opening is plane, and of one of Mitsuba's own shapes it is the tangent plane
         if step.surface == OPENING or step.surface >= len(self.table.pieces):
@@ -199,7 +199,7 @@ class DesignPath:
         p = o + np.take_along_axis(t, pick[:, None], axis=1) * d
         return p, normals(self.table, step.surface, p)
 
-    def leave(self, step: Step, d: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    def leave(self, step: DesignStep, d: np.ndarray, normal: np.ndarray) -> np.ndarray:
         """Return directions after a step; NaN beyond the critical angle."""
         n_front, n_back = self.table.optics.host_indices[step.surface, :2]
         eta = n_front / n_back if step.from_front else n_back / n_front
@@ -364,6 +364,6 @@ def _with_base_ray(table: SurfaceTable, source: SceneSource, probes: Probes, ord
         after = np.zeros((1, 3)) if step is probed[-1] else path.leave(step, d, normal)
         if not np.all(np.isfinite([o, normal, after])):
             return None
-        steps.append(Step(step.surface, step.reflects, o[0], normal[0], d[0], after[0]))
+        steps.append(DesignStep(step.surface, step.reflects, o[0], normal[0], d[0], after[0]))
         d = after
     return DesignPath(table, tuple(steps), path.end)

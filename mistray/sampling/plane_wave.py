@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from mistray.errors import MistrayError
 from mistray.recorders.directions import DirectionGrid
-from mistray.sampling.source import Emission, Source
+from mistray.sampling.source import Emission, TracedSource
 from mistray.sampling.space_filling import stratified_points
 from mistray.surfaces.host_points import box_corners
 from mistray.surfaces.surfaces import SurfaceTable
@@ -55,7 +55,7 @@ class Entrance:
 
 
 @dataclass(frozen=True)
-class PlaneWave(Source):
+class PlaneWave(TracedSource):
     """
     Light from the directions of one cell of a grid, of an irradiance of 1 W/mm² across each of them.
 
@@ -109,7 +109,7 @@ class PlaneWave(Source):
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
         """
-        Return origins and directions of the start rays of one pass; see `Source.start`.
+        Return origins and directions of the start rays of one pass; see `TracedSource.start`.
 
         Each lane draws five random numbers. The positions of a batch are sorted along a space-filling curve.
         """

@@ -17,7 +17,7 @@ PROBES = 256  # rays into the medium from each side
 
 
 @dataclass(frozen=True)
-class Body:
+class ScatteringBody:
     """
     A region of one scattering medium.
 
@@ -50,7 +50,7 @@ def medium_of(table: SurfaceTable, side: Inside) -> int:
     return int(table.optics.host_words[side.surface] >> shift) & MEDIUM_MASK
 
 
-def scattering_bodies(table: SurfaceTable) -> list[Body]:
+def scattering_bodies(table: SurfaceTable) -> list[ScatteringBody]:
     """
     Return the bodies of scattering media in the scene.
 
@@ -108,5 +108,5 @@ def scattering_bodies(table: SurfaceTable) -> list[Body]:
         points = np.concatenate([part for face in own for part in within[face]])
         if len(points):
             its_walls = frozenset(wall for wall, body in walls.items() if body == first)
-            found.append(Body(medium_of(table, first), frozenset(own), its_walls, points))
+            found.append(ScatteringBody(medium_of(table, first), frozenset(own), its_walls, points))
     return found

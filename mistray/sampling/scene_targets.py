@@ -11,7 +11,7 @@ import numpy as np
 from mistray._mitsuba_compat import mesh_arrays
 from mistray.errors import MistrayError
 from mistray.ids import fits
-from mistray.kernel.targets import AimSet, AnyTarget, Cone, Ellipsoid, Place, Target
+from mistray.kernel.targets import AimSet, AnyTarget, Ellipsoid, Place, Target, TargetCone
 from mistray.ranges import RAYS_PER_HIT
 from mistray.sampling.outlines import outline
 from mistray.sampling.scattering_bodies import scattering_bodies
@@ -178,7 +178,7 @@ def _around(shape: Any, scale: float) -> AnyTarget:
     return Ellipsoid(centre, scale * np.sqrt(3) * np.diag(half))
 
 
-def _cone(shape: Any) -> Cone:
+def _cone(shape: Any) -> TargetCone:
     """Return the cone of a `target` with `about`."""
     bsdf = shape.bsdf()
     if bsdf.about == "direction" and not _is_flat(shape):
@@ -188,7 +188,7 @@ def _cone(shape: Any) -> Cone:
             "or an asphere, whose local z is the direction"
         )
     axis = outline(shape).normal if bsdf.about == "direction" else _middle(shape)[0]
-    return Cone(bsdf.about, axis, float(np.radians(bsdf.cone_deg)), reverse=bsdf.reverse)
+    return TargetCone(bsdf.about, axis, float(np.radians(bsdf.cone_deg)), reverse=bsdf.reverse)
 
 
 def _triangles(name: str, vertices: np.ndarray, faces: np.ndarray, scale: float) -> list[Target]:

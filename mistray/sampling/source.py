@@ -6,8 +6,8 @@ Rays of a near source are drawn from its law and from cones to its targets, and 
 
     w = pdf_law(d)/Σ_i c_i pdf_i(d),
 
-where c_i = n_i/n is the share of technique i in the rays (``strata.parts``) and pdf_i its density (`Cone.density`). The
-last technique is the law of the source itself.
+where c_i = n_i/n is the share of technique i in the rays (``strata.parts``) and pdf_i its density, see
+`AimedCone.density`. The last technique is the law of the source itself.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.kernel.polarization import carried, from_plane
-from mistray.sampling.aimed_cones import Cone, Sphere
+from mistray.sampling.aimed_cones import AimedCone, Sphere
 from mistray.sampling.emission_laws import EDGE
 from mistray.sampling.space_filling import stratified_points
 from mistray.sampling.strata import Strata
@@ -50,7 +50,7 @@ class Emission(NamedTuple):
         Their flux in units of the mean of all; None: 1.
     stokes : mi.Vector3f or None
         Their polarisation with respect to the axes of `mistray.kernel.polarization`; None: that of
-        `Source.stokes_along`.
+        `TracedSource.stokes_along`.
     """
 
     o: mi.Vector3f
@@ -59,7 +59,7 @@ class Emission(NamedTuple):
     stokes: mi.Vector3f | None = None
 
 
-class Source(ABC):
+class TracedSource(ABC):
     """
     Light of one wavelength.
 
@@ -180,7 +180,7 @@ class SourceRequest:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneSource(Source):
+class SceneSource(TracedSource):
     """
     A source in a scene, at one field angle and wavelength.
 
@@ -370,7 +370,7 @@ class EmittedRays(PluginRays):
         return np.tile(o, (len(d), 1)), d / np.linalg.norm(d, axis=1, keepdims=True)
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
-        """Return the plugin's rays, see `Source.start`; those to the aperture and to the scene are more frequent."""
+        """Return the plugin's rays, see `TracedSource`; those to the aperture and to the scene are more frequent."""
         # Points and directions by the law of the source
         targets, w = self._targets, None
         if targets:
@@ -382,7 +382,7 @@ class EmittedRays(PluginRays):
         o, d = self._rays(place, mi.Point2d(sample), rng)
         if targets:
             # Directions to the targets, in the strata of these
-            cones = [Cone(target, o) for target in targets]
+            cones = [AimedCone(target, o) for target in targets]
             for number, cone in enumerate(cones):
                 d = dr.select(strata.number == number, cone.directions(mi.Point2d(sample)), d)
             # MIS weight: pdf_law/Σ c_i pdf_i over the law and the cones
@@ -422,7 +422,7 @@ class EmittedRays(PluginRays):
         o, d = self._rays(place, mi.Point2d(sample), rng)
         for target in self._targets[:1]:
             # Where the source sends no light to the target, probes keep to its law
-            aimed = Cone(target, o).directions(mi.Point2d(sample))
+            aimed = AimedCone(target, o).directions(mi.Point2d(sample))
             d = dr.select(self._density(place, aimed) > 0, aimed, d)
         return on_host(self._near(o, d), d)
 
@@ -454,7 +454,7 @@ class EmittedRays(PluginRays):
         sample = mi.Point2d(*(upload(mi.Float64, v) for v in np.random.default_rng(0).random((2, LOOKS))))
         place = mi.Point2d(0.5)
         o, d = self._rays(place, sample, mi.PCG32(size=LOOKS))
-        cone = Cone(target, o)
+        cone = AimedCone(target, o)
         if target is self.scene:
             return float(np.mean(np.array(cone.density(d)) > 0)) < 0.5
         return float(np.mean(np.array(self._density(place, cone.directions(sample))) > 0)) > LEAST_LIT

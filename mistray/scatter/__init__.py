@@ -1,8 +1,10 @@
 """Scatter of surfaces: models that are sums of lobes, in float64 on the host."""
 
-from mistray.scatter.lobe import Lobe, Placement, RatioTable, Scatter
+from mistray.scatter.lobe import Lobe, LobeModel, Placement, RatioTable
 
-__all__ = ["Lobe", "Placement", "RatioTable", "Scatter"]
+Scatter = LobeModel  # its name before version 0.3
+
+__all__ = ["Lobe", "LobeModel", "Placement", "RatioTable", "Scatter"]
 
 
 def __dir__() -> list[str]:

@@ -68,7 +68,7 @@ class ABg(Placement):
         return abg_from_catalogue(f"{resolve(path)}{colon}{name}", **properties)
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """One lobe for each event; parameters as in `mistray.scatter.lobe.Scatter.lobes`."""
+        """One lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
         if self.A == 0:
             return ()
         a, b = self.A, self.B

@@ -10,7 +10,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.ranges import CHANCE, FIELD_DEG, SOLID_ANGLE_SR
 from mistray.scatter.evaluate import bsdf
-from mistray.scatter.lobe import Scatter
+from mistray.scatter.lobe import LobeModel
 from mistray.scatter.scan import IncidentLight
 
 
@@ -57,7 +57,7 @@ class Chance:
 
 
 def chance(
-    model: Scatter,
+    model: LobeModel,
     towards_deg: float,
     solid_angle_sr: float,
     *,
@@ -71,7 +71,7 @@ def chance(
 
     Parameters
     ----------
-    model : Scatter
+    model : LobeModel
     towards_deg : float
         Scattered direction: its angle with the normal, -90 … 90, positive on the side of the specular direction.
     solid_angle_sr : float

@@ -54,7 +54,7 @@ class EdgeDiffraction(Placement):
             raise MistrayError(f"{self.title}: event is '{self.event}'; an edge diffracts what passes it: transmission")
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """One lobe; parameters as in `mistray.scatter.lobe.Scatter.lobes`."""
+        """One lobe; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
         if not self.events(from_front):
             return ()
         wavelength_mm = 1e-6 * wavelength_nm / n_out

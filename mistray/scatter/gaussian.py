@@ -35,7 +35,7 @@ class Gaussian(Placement):
     width: float = Param("1", LOBE_WIDTH, "|β - β0| where the BSDF has fallen to 1/e").field()
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """One lobe for each event; parameters as in `mistray.scatter.lobe.Scatter.lobes`."""
+        """One lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
         if self.total == 0:
             return ()
         return tuple(

@@ -110,7 +110,7 @@ class HarveyShack(Placement):
         return harvey_shack.at_wavelength(b0, self.l, wavelength_nm / reference_nm)
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """One lobe for each event; parameters as in `mistray.scatter.lobe.Scatter.lobes`."""
+        """One lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
         return tuple(
             lobe for event in self.events(from_front) for lobe in self._lobe(event, wavelength_nm, n_in, n_out)
         )

@@ -232,7 +232,7 @@ def factor(name: str, cos_i: Any, cos_s: Any, cos_0: Any, r2: Any) -> Any:
     return cos_i * cos_s if name == "rayleigh_rice" else 1.0
 
 
-class Scatter(Protocol):
+class LobeModel(Protocol):
     """Interface of a scatter model for the kernel and the plugins."""
 
     @property
@@ -325,7 +325,7 @@ class Placement:
         return {name: number for name, number in numbers.items() if number is not None}
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """As `Scatter.lobes`."""
+        """As `LobeModel.lobes`."""
         raise NotImplementedError
 
     def changed(self, **values: float) -> Self:

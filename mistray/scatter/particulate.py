@@ -14,7 +14,7 @@ from mistray.param import Param
 from mistray.physics import contamination
 from mistray.physics.contamination import CLEANED_SLOPE, SMALLEST_UM, Cloud
 from mistray.ranges import COVERAGE_PERCENT, INDEX, LENGTH_UM, LEVEL, SPECTRUM_SLOPE, TEXT
-from mistray.scatter.lobe import Lobe, Placement, Scatter
+from mistray.scatter.lobe import Lobe, LobeModel, Placement
 from mistray.scatter.particle_clouds import kept_cloud
 
 DUST = "dust"
@@ -130,7 +130,7 @@ class Particulate(Placement):
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
         """
-        One lobe in transmission and two in reflection; parameters as in `mistray.scatter.lobe.Scatter.lobes`.
+        One lobe in transmission and two in reflection; parameters as in `mistray.scatter.lobe.LobeModel.lobes`.
 
         At an interface the transmitted lobe is that of normal incidence. At grazing incidence it is too strong by the
         light that is scattered away from the surface; particles that do not absorb then take that much more.
@@ -202,7 +202,7 @@ def _angle(r: np.ndarray) -> np.ndarray:
     return np.asarray(2 * np.arcsin(np.minimum(r / 2, 1)))
 
 
-def particle_indices(models: Iterable[Scatter], wavelength_nm: float) -> tuple[complex, ...]:
+def particle_indices(models: Iterable[LobeModel], wavelength_nm: float) -> tuple[complex, ...]:
     """
     Indices n + ik of the particles among some models, at a vacuum wavelength, nm.
 

@@ -36,7 +36,7 @@ class Phong(Placement):
     exponent: float = Param("1", EXPONENT, "power of the cosine", tolerance=0.05).field()
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """One lobe for each event; parameters as in `mistray.scatter.lobe.Scatter.lobes`."""
+        """One lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
         if self.b0 == 0:
             return ()
         return tuple(

@@ -125,7 +125,7 @@ class Polynomial(Placement):
         return replace(self, coefficients=coefficients, d=values.get("d", self.d))
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """One lobe for each event; parameters as in `mistray.scatter.lobe.Scatter.lobes`."""
+        """One lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
         named = dict(self.coefficients)
 
         def profile(r: np.ndarray) -> np.ndarray:

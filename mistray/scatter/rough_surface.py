@@ -118,7 +118,7 @@ class RoughSurface(Placement):
         return {"ghs": self._smooth, "rayleigh_rice": self._scalar, "rayleigh_rice_vector": self._vector}
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """At most one lobe for each event; parameters as in `mistray.scatter.lobe.Scatter.lobes`."""
+        """At most one lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
         if self.is_smooth_as_glass:
             return ()
         make = self._theories()[self.theory]

@@ -9,9 +9,9 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.scatter.evaluate import bsdf
-from mistray.scatter.lobe import Scatter
+from mistray.scatter.lobe import LobeModel
 from mistray.scatter.measured.rotations import RotatedSamples
-from mistray.scatter.measured.samples import Samples
+from mistray.scatter.measured.samples import BsdfSamples
 from mistray.scatter.total import check_loss, totals
 
 SMALLEST_R, LARGEST_ANGLE_DEG = 1e-7, 89.9
@@ -119,14 +119,14 @@ class Scan:
 
 
 def scan(
-    model: Scatter, angles_deg: Sequence[float], event: str = "reflection", light: IncidentLight | None = None
+    model: LobeModel, angles_deg: Sequence[float], event: str = "reflection", light: IncidentLight | None = None
 ) -> list[Scan]:
     """
     Evaluate a model in the plane of incidence.
 
     Parameters
     ----------
-    model : Scatter
+    model : LobeModel
     angles_deg : sequence of float
         Of incidence, in the medium that the light comes from.
     event : {"reflection", "transmission"}
@@ -169,12 +169,12 @@ def scan(
 
 
 def table(
-    model: Scatter,
+    model: LobeModel,
     angles_deg: Sequence[float],
     frame: str,
     event: str = "reflection",
     light: IncidentLight | None = None,
-) -> Samples | RotatedSamples:
+) -> BsdfSamples | RotatedSamples:
     """
     Sample a model over the hemisphere, for a file; an anisotropic one at rotations of the sample all round.
 
@@ -183,7 +183,7 @@ def table(
     model, angles_deg, event, light
         As in `scan`.
     frame : {"specular", "normal"}
-        What the angles of the table are counted from, see `Samples`.
+        What the angles of the table are counted from, see `BsdfSamples`.
 
     Raises
     ------
@@ -203,10 +203,12 @@ def table(
         near = (specular[:, None] + np.concatenate([-steps, [0.0], steps])).ravel()
         polar = np.concatenate([np.arange(0, 90 + NORMAL_STEP_DEG / 2, NORMAL_STEP_DEG), near])
         polar = np.unique(polar[(polar >= 0) & (polar <= 90)].round(9))
-    empty = Samples("model", frame, specular, azimuth, polar, np.zeros((len(angles), len(azimuth), len(polar))), event)
+    empty = BsdfSamples(
+        "model", frame, specular, azimuth, polar, np.zeros((len(angles), len(azimuth), len(polar))), event
+    )
     directions = empty.directions()
 
-    def at(rotation: float) -> Samples:
+    def at(rotation: float) -> BsdfSamples:
         values = np.zeros(empty.values.shape)
         for k, cosine in enumerate(np.cos(np.radians(angles))):
             over = np.maximum(directions[k], 0.0) * np.array([0.0, 0.0, 1.0])

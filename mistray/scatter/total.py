@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.scatter.lobe import Lobe, RatioTable, Scatter, factor
+from mistray.scatter.lobe import Lobe, LobeModel, RatioTable, factor
 from mistray.scatter.radial import OCTAVES, R_MAX, RadialTable
 
 ROUNDING = 1e-6  # what the shares of a surface may exceed 1 by
@@ -314,7 +314,7 @@ def check_budget(
 
 
 def model_lobes(
-    models: Sequence[Scatter], wavelength_nm: float, n_in: float, n_out: float, from_front: bool
+    models: Sequence[LobeModel], wavelength_nm: float, n_in: float, n_out: float, from_front: bool
 ) -> tuple[Lobe, ...]:
     """The lobes of all models of a surface for light of one side."""
     return tuple(lobe for model in models for lobe in model.lobes(wavelength_nm, n_in, n_out, from_front))

@@ -14,7 +14,7 @@ from mistray.surfaces.extrema import larger, smaller
 if TYPE_CHECKING:
     from mistray.surfaces.families.cone import Cone
     from mistray.surfaces.families.sag_surface import SagSurface
-    from mistray.surfaces.surface import Surface
+    from mistray.surfaces.surface import TracedSurface
 
 ONE_STEP = 1e-6  # error after one Newton step that is small enough, in units of the aperture
 AXIAL = 1e-16  # sine squared to the axis below which a ray does not move sideways
@@ -50,7 +50,7 @@ class Numbers:
     shape: tuple[Any, ...]
 
     @classmethod
-    def of(cls, surface: Surface) -> Numbers:
+    def of(cls, surface: TracedSurface) -> Numbers:
         """Opaque copies of the numbers of a surface."""
 
         def opaque(value: float) -> mi.Float:
@@ -63,7 +63,7 @@ class Numbers:
         return cls(**{name: opaque(value) for name, value in values.items()}, shape=(curvature, conic, rest, unit))
 
     @staticmethod
-    def row(surface: Surface) -> list[float]:
+    def row(surface: TracedSurface) -> list[float]:
         """The numbers that `read` reads."""
         values = _values(surface)
         return [values[name] for name in ROW]
@@ -78,7 +78,7 @@ class Numbers:
         return cls(**values)
 
 
-def _values(surface: Surface) -> dict[str, Any]:
+def _values(surface: TracedSurface) -> dict[str, Any]:
     """All numbers of a surface, 0 where its family has none; its bounds with their overlap."""
     values: dict[str, Any] = dict.fromkeys((field.name for field in fields(Numbers)), 0.0)
     del values["shape"]

@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.surfaces.surface import Surface
+from mistray.surfaces.surface import TracedSurface
 from mistray.surfaces.upload import upload
 
 
@@ -22,13 +22,13 @@ class FamilyTable:
 
     Parameters
     ----------
-    pieces : sequence of Surface
+    pieces : sequence of TracedSurface
         All analytic surfaces.
     count : int
         Number of all surfaces.
     """
 
-    def __init__(self, pieces: Sequence[Surface], count: int) -> None:
+    def __init__(self, pieces: Sequence[TracedSurface], count: int) -> None:
         own: list[Any] = [piece for piece in pieces if hasattr(piece, "family")]
         self.families = list(dict.fromkeys(piece.family for piece in own))
         self._vectors = -(-max((len(family.numbers) for family in self.families), default=0) // 4)

@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.surfaces.optics import MIRROR, OPAQUE
-from mistray.surfaces.surface import NO_SURFACE, Surface
+from mistray.surfaces.surface import NO_SURFACE, TracedSurface
 from mistray.surfaces.upload import upload
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ def _place(table: SurfaceTable, surface: int, p: np.ndarray) -> np.ndarray:
     return np.asarray((p - table.vertices[surface]) @ table.rotations[surface])
 
 
-def _near(table: SurfaceTable, o: np.ndarray, d: np.ndarray) -> Iterator[tuple[Surface, np.ndarray, np.ndarray]]:
+def _near(table: SurfaceTable, o: np.ndarray, d: np.ndarray) -> Iterator[tuple[TracedSurface, np.ndarray, np.ndarray]]:
     """The analytic surfaces, the nearest boxes first; numbers of the rays that may meet each, and from where on, mm."""
     looped = set(table.tree.members) if table.tree else set()
     near = table.tree.candidates(o - table.centre, d, table.frames) if table.tree else {}
@@ -137,7 +137,7 @@ def _near(table: SurfaceTable, o: np.ndarray, d: np.ndarray) -> Iterator[tuple[S
         yield boxed[k], rays, entry[rays, k]
 
 
-def _entries(table: SurfaceTable, pieces: list[Surface], o: np.ndarray, d: np.ndarray) -> np.ndarray:
+def _entries(table: SurfaceTable, pieces: list[TracedSurface], o: np.ndarray, d: np.ndarray) -> np.ndarray:
     """(n, m) distances at which rays enter the boxes around surfaces of one frame, mm; infinite where they do not."""
     size = np.array([piece.size for piece in pieces])
     low, high = np.array([piece.z_range for piece in pieces]).T

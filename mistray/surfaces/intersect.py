@@ -22,7 +22,7 @@ from mistray.surfaces.crossings import FAR, AxisRay, asphere_entry, mild_asphere
 from mistray.surfaces.extrema import smaller
 from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.mosaic_search import MosaicSearch, mosaics
-from mistray.surfaces.surface import NO_SURFACE, RECTANGLE, Surface
+from mistray.surfaces.surface import NO_SURFACE, RECTANGLE, TracedSurface
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.tree_search import TreeSearch
 
@@ -211,7 +211,7 @@ class _Group:
     inner2: mi.Float
 
     @classmethod
-    def of(cls, pieces: list[Surface], members: list[int]) -> _Group:
+    def of(cls, pieces: list[TracedSurface], members: list[int]) -> _Group:
         """Group of the pieces with these numbers."""
         low, high = min(pieces[k].extent[0] for k in members), max(pieces[k].extent[1] for k in members)
         slack = SLACK * (1 + abs(low) + abs(high))
@@ -228,7 +228,7 @@ class _Stack:
     groups: list[_Group]
 
 
-def _stacks(pieces: list[Surface], singles: list[int]) -> list[_Stack]:
+def _stacks(pieces: list[TracedSurface], singles: list[int]) -> list[_Stack]:
     """
     Stacks of the pieces with these numbers.
 
@@ -246,7 +246,7 @@ def _stacks(pieces: list[Surface], singles: list[int]) -> list[_Stack]:
     return stacks
 
 
-def _groups(pieces: list[Surface], walls: list[int]) -> list[_Group]:
+def _groups(pieces: list[TracedSurface], walls: list[int]) -> list[_Group]:
     """Cut the walls on each axis into groups of `GROUP`, from front to back."""
     groups = []
     for axis in sorted({pieces[k].axis for k in walls}):

@@ -18,7 +18,7 @@ import numpy as np
 from mistray.surfaces.families.cone import Cone
 from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.gradient_columns import HIGH, INNER, LOW, OUTER
-from mistray.surfaces.surface import Surface
+from mistray.surfaces.surface import TracedSurface
 from mistray.surfaces.upload import upload
 
 ROUNDINGS = 2  # of positions, by which walls overlap with what they meet
@@ -32,14 +32,14 @@ SMOOTH = 1e-8  # 1 - |cosine| of the angle below which a wall goes on in another
 
 
 def let_overlap(
-    pieces: Sequence[Surface], vertices: np.ndarray, between_media: Sequence[bool], many: Sequence[int]
+    pieces: Sequence[TracedSurface], vertices: np.ndarray, between_media: Sequence[bool], many: Sequence[int]
 ) -> float:
     """
     Let surfaces overlap, and return by how much positions are rounded, mm.
 
     Parameters
     ----------
-    pieces : sequence of Surface
+    pieces : sequence of TracedSurface
         Their `overlap` is set.
     vertices : (n, 3) float64
         Their positions on the device, mm.
@@ -65,7 +65,7 @@ class WallRims:
 
     Parameters
     ----------
-    pieces : sequence of Surface
+    pieces : sequence of TracedSurface
     count : int
         Number of all surfaces.
     rounding : float
@@ -77,7 +77,7 @@ class WallRims:
         Whether there is a wall with a rim.
     """
 
-    def __init__(self, pieces: Sequence[Surface], count: int, rounding: float) -> None:
+    def __init__(self, pieces: Sequence[TracedSurface], count: int, rounding: float) -> None:
         # Weights of z and r² in the coordinate across the rims, and between which values of it light goes on
         rows = np.tile([0.0, 0.0, -np.inf, np.inf], (count, 1))
         walls = [piece for piece in pieces if piece.wall and isinstance(piece, Cone | SagSurface)]
@@ -102,7 +102,7 @@ class WallRims:
         return active & ((place < low) | (place > high))
 
 
-def _smooth_rims(walls: Sequence[Surface]) -> dict[int, set[int]]:
+def _smooth_rims(walls: Sequence[TracedSurface]) -> dict[int, set[int]]:
     """Rims of each wall, by its number, where another wall goes on in its direction."""
     found: dict[int, set[int]] = {piece.index: set() for piece in walls}
     meeting: dict[tuple[int, float, float], list[tuple[int, int, np.ndarray]]] = {}

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mistray.surfaces.surface import Surface
+from mistray.surfaces.surface import TracedSurface
 
 MOST_UNROLLED = 128  # surfaces of a sort that are tested one after the other; a tree holds them if they are more
 MOST_ASPHERES = 32  # the same of aspheres, one bit of a word each
@@ -55,7 +55,7 @@ class ShellTree:
 
     Parameters
     ----------
-    pieces : sequence of Surface
+    pieces : sequence of TracedSurface
         All of the scene.
     members : sequence of int
         Those in the tree.
@@ -81,7 +81,11 @@ class ShellTree:
     """
 
     def __init__(
-        self, pieces: Sequence[Surface], members: Sequence[int], frames: Sequence[np.ndarray], axes: Sequence[Axis]
+        self,
+        pieces: Sequence[TracedSurface],
+        members: Sequence[int],
+        frames: Sequence[np.ndarray],
+        axes: Sequence[Axis],
     ) -> None:
         self.members = list(members)
         self._shells = np.array([(*pieces[k].extent, pieces[k].least_radius, pieces[k].size) for k in self.members])
@@ -167,7 +171,7 @@ class ShellTree:
         return found
 
 
-def many(pieces: Sequence[Surface]) -> list[int]:
+def many(pieces: Sequence[TracedSurface]) -> list[int]:
     """The surfaces that belong into a tree: walls, lens surfaces and aspheres, each if there are too many of them."""
     walls = [k for k, piece in enumerate(pieces) if piece.wall]
     aspheres = [k for k, piece in enumerate(pieces) if piece.searched]

@@ -52,7 +52,7 @@ class Opening:
 
 
 @dataclass(kw_only=True)
-class Surface(ABC):
+class TracedSurface(ABC):
     """
     One analytic surface: static facts that shape the kernel's code, and its numbers in float64.
 

@@ -32,7 +32,7 @@ from mistray.surfaces.free_space import FreeSpace
 from mistray.surfaces.optics import ASPHERIC, DETECTOR, MIRROR, STOCK, WALL, Optics
 from mistray.surfaces.seams import WallRims, let_overlap
 from mistray.surfaces.shell_tree import ShellTree, many
-from mistray.surfaces.surface import Surface
+from mistray.surfaces.surface import TracedSurface
 from mistray.surfaces.upload import upload
 
 SAME_FRAME = 1e-9  # by which the directions of axes may differ
@@ -244,7 +244,7 @@ class SurfaceTable:
 
     def _geometry(self, shapes: list[Any]) -> None:
         self.frames: list[np.ndarray] = [np.eye(3)]
-        self.pieces: list[Surface] = [shape.surface(shape.values) for shape in shapes]
+        self.pieces: list[TracedSurface] = [shape.surface(shape.values) for shape in shapes]
         vertices = np.zeros((self.count, 3))
         rotations = np.tile(np.eye(3), (self.count, 1, 1))
         matrices = [shape.vertex_frame(shape.values, shape.matrix) for shape in shapes]

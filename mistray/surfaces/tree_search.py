@@ -10,7 +10,7 @@ from mistray.surfaces.aspheres import AsphereSearch
 from mistray.surfaces.crossings import FAR, AxisRay, Numbers
 from mistray.surfaces.extrema import larger, smaller
 from mistray.surfaces.families.sag_surface import SagSurface
-from mistray.surfaces.surface import NO_SURFACE, Surface
+from mistray.surfaces.surface import NO_SURFACE, TracedSurface
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
@@ -32,7 +32,7 @@ class TreeSearch:
         assert tree is not None
         pieces = [table.pieces[k] for k in tree.members]
         # One of each sort: what the kernel's code hangs on is the same for all of a sort
-        self._sorts: dict[tuple[object, ...], Surface] = {}
+        self._sorts: dict[tuple[object, ...], TracedSurface] = {}
         for piece in pieces:
             self._sorts.setdefault(piece.sort, piece)
         sorts = list(self._sorts)
@@ -76,7 +76,9 @@ class TreeSearch:
             skip, place, number, sort = dr.gather(mi.Vector4u, self._links, node, going)
             for number_of_sort, piece in enumerate(self._sorts.values()):
 
-                def test(best: mi.Float, surface: mi.UInt32, piece: Surface = piece) -> tuple[mi.Float, mi.UInt32]:
+                def test(
+                    best: mi.Float, surface: mi.UInt32, piece: TracedSurface = piece
+                ) -> tuple[mi.Float, mi.UInt32]:
                     if piece.searched:
                         t = self._aspheres.first(o, d, number, last == number, best, mi.Bool(True))
                     else:

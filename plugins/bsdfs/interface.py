@@ -19,7 +19,7 @@ from mistray.plugins.bsdfs.glasses import SHIFTS, Glasses
 from mistray.plugins.bsdfs.rendered_surface import RenderedScattering, RenderedSurface
 from mistray.plugins.bsdfs.sample_axis import SampleAxis, common_axis
 from mistray.ranges import AIMED_RAYS, SHARE, WAVELENGTH_NM
-from mistray.scatter import Scatter
+from mistray.scatter import LobeModel
 from mistray.spectra.spectrum import DEFAULT_NM
 
 # Beams that are reflected and transmitted, then scatter
@@ -141,7 +141,7 @@ class Interface(mi.BSDF):
         self._R, self._T = mi.Float(0), mi.Float(0)
         self._own: CoatingModel = Bare()
         self._held: tuple[np.ndarray, ...] = ()
-        self._rendered: tuple[CoatingModel, tuple[Scatter, ...], RenderedSurface] | None = None
+        self._rendered: tuple[CoatingModel, tuple[LobeModel, ...], RenderedSurface] | None = None
         self.scatterers: tuple[Any, ...] = ()
         # Only objects are looked at: what is never requested is reported as unknown
         objects = [props[key] for key in list(props.keys()) if props.type(key) == mi.Properties.Type.Object]
@@ -250,7 +250,7 @@ class Interface(mi.BSDF):
         return dict(zip(names, self.scatterers, strict=True))
 
     @property
-    def scatter(self) -> tuple[Scatter, ...]:
+    def scatter(self) -> tuple[LobeModel, ...]:
         """The models of scatter with the current values of their parameters, in the order given; () if none."""
         return tuple(item.model for item in self.scatterers)
 

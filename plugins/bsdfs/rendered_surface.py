@@ -1,4 +1,4 @@
-"""A surface for Mitsuba's integrators: the kernel's own functions, called for one surface in the local frame of a hit."""
+"""A surface for Mitsuba's integrators: functions of the kernel, called in the local frame of a hit."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from mistray.ranges import AZIMUTH_DEG, PLACE_MM, SPACE, Range
 from mistray.surfaces.gradient_columns import POSE, declare_columns
 
 if TYPE_CHECKING:
-    from mistray.surfaces.surface import Surface
+    from mistray.surfaces.surface import TracedSurface
 
 POSE_RANGES = {**dict.fromkeys(POSE[:3], PLACE_MM), **dict.fromkeys(POSE[3:], AZIMUTH_DEG)}
 FARTHEST_MM = PLACE_MM.high  # from the origin; single precision goes on to 1e38
@@ -90,7 +90,7 @@ class FormulaShape(mi.Mesh):
         raise NotImplementedError
 
     @staticmethod
-    def surface(values: Mapping[str, float]) -> Surface:
+    def surface(values: Mapping[str, float]) -> TracedSurface:
         """Surface with these parameters as the ray tree knows it, in the frame of its vertex."""
         raise NotImplementedError
 

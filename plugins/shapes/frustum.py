@@ -16,7 +16,7 @@ from mistray.surfaces.families.cone import Cone
 from mistray.surfaces.families.sag_surface import SagSurface
 
 if TYPE_CHECKING:
-    from mistray.surfaces.surface import Surface
+    from mistray.surfaces.surface import TracedSurface
 
 
 class Frustum(Revolution):
@@ -81,7 +81,7 @@ class Frustum(Revolution):
         return max(self.values["r0"], self.values["r1"])
 
     @staticmethod
-    def surface(values: Mapping[str, float]) -> Surface:
+    def surface(values: Mapping[str, float]) -> TracedSurface:
         r0, r1, length = values["r0"], values["r1"], values["z1"] - values["z0"]
         return Cone.of(r0, r1, length) if length else SagSurface.annulus(max(r0, r1), min(r0, r1))
 

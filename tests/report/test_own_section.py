@@ -17,7 +17,7 @@ from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
 from mistray.report import main_table, remove_section, report_section, write_all
 from mistray.report.figures.figure import FigurePart as Drawing
-from mistray.report.model import FigurePart, Map, Note, Section, Table, columns
+from mistray.report.model import FigurePart, Map, NotePart, Section, Table, columns
 
 BRIGHTEST = 3  # ghosts of each field
 
@@ -49,7 +49,7 @@ def brightest_ghosts(report: GhostReport) -> Section:
         "brightest",
         "Surfaces of the brightest ghosts",
         [
-            Note(f"The {BRIGHTEST} brightest ghosts of each field <by power>."),
+            NotePart(f"The {BRIGHTEST} brightest ghosts of each field <by power>."),
             Table(columns("field [deg]", "<surface", "power [W]"), rows, "ghost_surfaces"),
             FigurePart(bars, "Power by the surface that reflects first."),
             Map(first.irradiance, first.extent, "all light of the first field", name="light"),

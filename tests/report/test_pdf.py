@@ -13,7 +13,7 @@ from mistray.analysis.estimate import Estimate
 from mistray.report.figures.figure import FigurePart as Drawing
 from mistray.report.formats import write_formats
 from mistray.report.html.embedded import palette_png
-from mistray.report.model import FigurePart, Folded, Html, Items, Map, Note, Report, Section, Table, Terms, columns
+from mistray.report.model import FigurePart, Folded, Html, Items, Map, NotePart, Report, Section, Table, Terms, columns
 from mistray.report.pdf import _cell, _Writer, pdf_bytes
 
 
@@ -47,14 +47,15 @@ def test_every_part_of_the_model():
 
     dot = palette_png(np.zeros((9, 9), dtype=np.uint8), np.zeros((1, 3), dtype=np.uint8))
     parts = [
-        Note("$x_{1}$ **no** markdown & <tags> ± → λ"), Note("a heading", "h3"), Note("mistray --help", "pre"),
-        Items([Markup("a <b>bold &amp; true</b> word")], "verdict"), Items(["one", "two"]), Note("word " * 4000),
+        NotePart("$x_{1}$ **no** markdown & <tags> ± → λ"), NotePart("a heading", "h3"),
+        NotePart("mistray --help", "pre"),
+        Items([Markup("a <b>bold &amp; true</b> word")], "verdict"), Items(["one", "two"]), NotePart("word " * 4000),
         Terms([("name", "value")]),
         FigurePart(dot, "a dot", "a black dot"), FigurePart(draw, "a line"),
         Map(np.ones((3, 4)), (0.0, 4.0, 0.0, 3.0), "a map"),
-        wide_table(70), Table(columns("none"), []), Html("<script>1</script>"), Folded("behind", [Note("hidden")]),
+        wide_table(70), Table(columns("none"), []), Html("<script>1</script>"), Folded("behind", [NotePart("hidden")]),
     ]  # fmt: skip
-    sections = [Section("a", "First (part)", parts), Section("b", "Folded", [Note("x")], folded="always")]
+    sections = [Section("a", "First (part)", parts), Section("b", "Folded", [NotePart("x")], folded="always")]
     pdf = pdf_bytes(Report("Heading", "scene", sections, warnings=["careful"]))
     assert 4 <= pages_of(pdf) <= 12  # of which the long paragraph takes four
     assert "First (part)" in texts_of(pdf, "Title")
@@ -75,7 +76,7 @@ def test_tables_are_no_wider_than_the_page():
 
 
 def test_written_beside_the_page(tmp_path):
-    report = Report("Heading", "scene", [Section("a", "First", [Note("text")])], page="objects.html")
+    report = Report("Heading", "scene", [Section("a", "First", [NotePart("text")])], page="objects.html")
     (path,) = write_formats(["pdf"], tmp_path, {}, {}, report=report)
     assert path.name == "objects.pdf"
     assert pages_of(path.read_bytes()) == 1

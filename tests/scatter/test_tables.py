@@ -14,7 +14,7 @@ from mistray.scatter.abg import ABg
 from mistray.scatter.evaluate import bsdf
 from mistray.scatter.measured.bsdf_csv import read_bsdf_csv, write_bsdf_csv
 from mistray.scatter.measured.rotations import RotatedSamples, by_rotation, whole_circle
-from mistray.scatter.measured.samples import Samples, half_circle
+from mistray.scatter.measured.samples import BsdfSamples, half_circle
 from mistray.scatter.measured.tabulated import Tabulated
 from mistray.scatter.measured.zemax_bsdf import read_zemax_bsdf, write_zemax_bsdf
 from mistray.scatter.scan import table
@@ -26,11 +26,11 @@ POLAR = {"specular": np.concatenate([[0.0], np.geomspace(0.1, 170.0, 50)]), "nor
 FRAMES = tuple(POLAR)
 
 
-def samples(frame: str, function: Callable[[np.ndarray], np.ndarray], event: str | None = None) -> Samples:
+def samples(frame: str, function: Callable[[np.ndarray], np.ndarray], event: str | None = None) -> BsdfSamples:
     """A table of a function of the directions, (…, 3)."""
     shape = (len(ANGLES), len(AZIMUTH), len(POLAR[frame]))
-    empty = Samples("test", frame, ANGLES, AZIMUTH, POLAR[frame], np.zeros(shape), event)
-    return Samples("test", frame, ANGLES, AZIMUTH, POLAR[frame], function(empty.directions()), event)
+    empty = BsdfSamples("test", frame, ANGLES, AZIMUTH, POLAR[frame], np.zeros(shape), event)
+    return BsdfSamples("test", frame, ANGLES, AZIMUTH, POLAR[frame], function(empty.directions()), event)
 
 
 def values(model: Tabulated, angle_deg: float, directions: np.ndarray) -> np.ndarray:
@@ -81,17 +81,17 @@ class TestValues:
         """A surface that scatters more at oblique incidence, Lambertian otherwise."""
         empty = samples("normal", lambda d: np.full(d.shape[:-1], 1.0))
         growing = empty.values * (0.1 + ANGLES / 100)[:, None, None] / np.pi
-        model = Tabulated(Samples("test", "normal", ANGLES, AZIMUTH, POLAR["normal"], growing))
+        model = Tabulated(BsdfSamples("test", "normal", ANGLES, AZIMUTH, POLAR["normal"], growing))
         for angle, tolerance in ((0.0, 1e-9), (35.0, 0.02), (65.0, 0.02)):
             np.testing.assert_allclose(values(model, angle, directions()), (0.1 + angle / 100) / np.pi, rtol=tolerance)
         np.testing.assert_allclose(values(model, 89.0, directions()), (0.1 + 0.8) / np.pi, rtol=1e-9)  # held
 
 
 class TestCover:
-    def short(self, frame: str) -> Samples:
+    def short(self, frame: str) -> BsdfSamples:
         full = samples(frame, lambda d: np.full(d.shape[:-1], 0.1))
         keep = full.polar_deg <= 60
-        return Samples("short", frame, ANGLES, AZIMUTH, full.polar_deg[keep], full.values[..., keep])
+        return BsdfSamples("short", frame, ANGLES, AZIMUTH, full.polar_deg[keep], full.values[..., keep])
 
     def test_polar(self) -> None:
         with pytest.raises(MistrayError, match=r"'short': its polar angles end at 60°.*the hemisphere reaches to 90°"):
@@ -118,20 +118,22 @@ class TestCover:
             half_circle("test", azimuth[[0, 1, 2, 4]], grid[:, [0, 1, 2, 4]])
 
 
-def level(value: float = 0.1, event: str | None = None) -> Samples:
+def level(value: float = 0.1, event: str | None = None) -> BsdfSamples:
     """The same in all directions."""
     return samples("normal", lambda d: np.full(d.shape[:-1], value), event)
 
 
-def grid(specular: float = 0.0, azimuth: float = 180.0, polar: tuple[float, ...] = (0.0, 90.0)) -> Samples:
+def grid(specular: float = 0.0, azimuth: float = 180.0, polar: tuple[float, ...] = (0.0, 90.0)) -> BsdfSamples:
     """1 at every pair of angles; the values are always four."""
-    return Samples("x", "normal", np.array([specular]), np.array([0.0, azimuth]), np.array(polar), np.ones((1, 2, 2)))
+    return BsdfSamples(
+        "x", "normal", np.array([specular]), np.array([0.0, azimuth]), np.array(polar), np.ones((1, 2, 2))
+    )
 
 
-def with_one(value: float) -> Samples:
+def with_one(value: float) -> BsdfSamples:
     full = level()
     full.values[2, 3, 5] = value
-    return Samples("bad", "normal", ANGLES, AZIMUTH, full.polar_deg, full.values)
+    return BsdfSamples("bad", "normal", ANGLES, AZIMUTH, full.polar_deg, full.values)
 
 
 @pytest.mark.parametrize(
@@ -209,11 +211,11 @@ def write(path: Path, text: str) -> Path:
     return path
 
 
-def random_samples(frame: str, event: str | None) -> Samples:
+def random_samples(frame: str, event: str | None) -> BsdfSamples:
     rng = np.random.default_rng(5)
     angles, azimuth = np.array([0.0, 20.0, 55.0]), np.linspace(0, 180, 7)
     polar = np.linspace(0, 90 if frame == "normal" else 150, 12)
-    return Samples("random", frame, angles, azimuth, polar, rng.random((3, 7, 12)) * 0.1, event)
+    return BsdfSamples("random", frame, angles, azimuth, polar, rng.random((3, 7, 12)) * 0.1, event)
 
 
 class TestZemax:
@@ -228,8 +230,8 @@ class TestZemax:
 
     def test_azimuth_0_points_to_the_normal(self) -> None:
         """At 60° the direction 60° off the specular one at azimuth 0 is the normal; 30° off at 180° it is grazing."""
-        grid = Samples("x", "specular", np.array([60.0]), np.array([0.0, 180.0]), np.array([0.0, 30.0, 60.0, 150.0]),
-                       np.zeros((1, 2, 4)))  # fmt: skip
+        polar = np.array([0.0, 30.0, 60.0, 150.0])
+        grid = BsdfSamples("x", "specular", np.array([60.0]), np.array([0.0, 180.0]), polar, np.zeros((1, 2, 4)))
         d = grid.directions()[0]
         np.testing.assert_allclose(d[0, 2], [0, 0, 1], atol=1e-12)
         np.testing.assert_allclose(d[1, 1], [1, 0, 0], atol=1e-12)
@@ -252,7 +254,7 @@ class TestZemax:
 
     def test_total_in_the_file(self, tmp_path: Path) -> None:
         shape = (2, 3, len(DENSE))
-        level = Samples("x", "specular", np.array([0.0, 60.0]), np.array([0.0, 90.0, 180.0]), DENSE,
+        level = BsdfSamples("x", "specular", np.array([0.0, 60.0]), np.array([0.0, 90.0, 180.0]), DENSE,
                         np.full(shape, 0.3 / np.pi), "reflection")  # fmt: skip
         write_zemax_bsdf(level, tmp_path / "a.bsdf")
         totals = [float(line.split()[1]) for line in (tmp_path / "a.bsdf").read_text().splitlines() if "TIS" in line]
@@ -409,13 +411,13 @@ class TestRotatedCsv:
                 assert found[0] == pytest.approx(0.1 + 0.06 * np.cos(2 * np.radians(phi)), rel=2e-3)
 
 
-def reduced(rotations: list[float], function: object, anisotropy: str = "keep") -> Samples | RotatedSamples:
+def reduced(rotations: list[float], function: object, anisotropy: str = "keep") -> BsdfSamples | RotatedSamples:
     """The table of a function of the rotation, the same in all directions."""
     azimuth, rho = np.array([0.0, 90, 180, 270]), np.array(rotations)
     values = np.broadcast_to(function(rho)[:, None, None, None], (len(rho), 1, 4, 2))  # type: ignore[operator]
 
-    def table_of(azimuth: np.ndarray, values: np.ndarray) -> Samples:
-        return Samples("test", "normal", np.zeros(1), azimuth, np.array([0.0, 90.0]), values)
+    def table_of(azimuth: np.ndarray, values: np.ndarray) -> BsdfSamples:
+        return BsdfSamples("test", "normal", np.zeros(1), azimuth, np.array([0.0, 90.0]), values)
 
     return by_rotation("test", rho, azimuth, np.array(values), anisotropy, table_of)
 
@@ -426,7 +428,7 @@ def two_fold(rho: np.ndarray) -> np.ndarray:
 
 class TestRotations:
     def test_what_is_isotropic_is_read_so(self) -> None:
-        assert isinstance(reduced([0, 90, 180, 270], lambda rho: np.full(len(rho), 0.1)), Samples)
+        assert isinstance(reduced([0, 90, 180, 270], lambda rho: np.full(len(rho), 0.1)), BsdfSamples)
 
     @pytest.mark.parametrize(
         ("given", "kept"),
@@ -459,7 +461,9 @@ class TestRotations:
             reduced([0, 90, 180, 270], two_fold, "error")
         with pytest.raises(MistrayError, match="azimuths from 0 to 200° do not cover"):
             whole_circle("test", np.array([0.0, 100, 200]), np.ones((1, 3, 2)))
-        table = Samples("test", "normal", np.zeros(1), np.array([0.0, 180]), np.array([0.0, 90.0]), np.ones((1, 2, 2)))
+        table = BsdfSamples(
+            "test", "normal", np.zeros(1), np.array([0.0, 180]), np.array([0.0, 90.0]), np.ones((1, 2, 2))
+        )
         with pytest.raises(MistrayError, match="1 BSDF tables for 2 sample rotations"):
             RotatedSamples(np.array([0.0, 180.0]), (table,))
 

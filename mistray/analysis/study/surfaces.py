@@ -14,10 +14,10 @@ import pandas as pd
 from mistray.analysis.study.models import role
 from mistray.analysis.study.step import Fact, StudyStep, count_of
 from mistray.coatings import Bare, Ideal
-from mistray.kernel.targets import AimSet, AnyTarget, Cone, Inside, Place
+from mistray.kernel.targets import AimSet, AnyTarget, Inside, Place, TargetCone
 from mistray.sampling.design_path import DesignPath
 from mistray.sampling.detector_images import DetectorImages
-from mistray.scatter import Scatter
+from mistray.scatter import LobeModel
 from mistray.scatter.particulate import particle_indices
 from mistray.scatter.total import Totals, model_lobes, totals
 from mistray.surfaces.host_rays import normals
@@ -113,7 +113,7 @@ def _sides(table: SurfaceTable, surface: int, from_front: bool) -> tuple[float, 
 
 
 def _totals(
-    table: SurfaceTable, surface: int, models: Sequence[Scatter], from_front: bool, cosine: float = 1.0
+    table: SurfaceTable, surface: int, models: Sequence[LobeModel], from_front: bool, cosine: float = 1.0
 ) -> Totals:
     """Compute how some models of a surface divide light at one angle of incidence; opaque surfaces transmit nothing."""
     opaque = bool(table.optics.host_words[surface] & OPAQUE)
@@ -124,7 +124,7 @@ def _totals(
 
 @lru_cache(maxsize=1024)
 def _known_totals(
-    models: tuple[Scatter, ...],
+    models: tuple[LobeModel, ...],
     _particles: tuple[complex, ...],
     wavelength_nm: float,
     n_in: float,
@@ -311,7 +311,7 @@ def importance_sampling(
 
 def _seen(target: AnyTarget, vertex: np.ndarray, far_away: float) -> dict[str, float]:
     """A target as seen from a surface's vertex, by the columns `SEEN`."""
-    if isinstance(target, Cone):
+    if isinstance(target, TargetCone):
         return dict(zip(SEEN, (math.nan, math.nan, math.nan, math.degrees(target.half_angle)), strict=True))
     distance = float(np.linalg.norm(target.centre - vertex))
     width, height = target.size

@@ -16,7 +16,7 @@ from mistray.physics.imaging import surface_transfer as formulas
 from mistray.ranges import NOT_NEGATIVE, POSITIVE, SHARE, WAVELENGTH_NM, Range
 from mistray.scatter.evaluate import bsdf
 from mistray.scatter.harvey_shack import index_step
-from mistray.scatter.lobe import EVENTS, Scatter
+from mistray.scatter.lobe import EVENTS, LobeModel
 from mistray.scatter.radial import RadialTable, node_radii, ring_flux
 from mistray.scatter.rough_surface import RoughSurface
 from mistray.scatter.total import model_lobes, specular_cosine, totals
@@ -83,7 +83,7 @@ class SurfaceTransfer:
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
 def transfer_of_bsdf(
-    models: Scatter | Sequence[Scatter],
+    models: LobeModel | Sequence[LobeModel],
     wavelength_nm: float,
     event: str = "reflection",
     n_in: float = 1.0,
@@ -101,7 +101,7 @@ def transfer_of_bsdf(
 
     Parameters
     ----------
-    models : Scatter or sequence of Scatter
+    models : Scatter or sequence of LobeModel
         All that scatters at the surface.
     wavelength_nm : float
         Vacuum wavelength, nm.

@@ -15,7 +15,7 @@ from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, CHANCE, FIELD_DEG, POLAR_DEG, SHARE, SOLID_ANGLE_SR, WAVELENGTH_NM
 
 if TYPE_CHECKING:
-    from mistray.scatter import Scatter
+    from mistray.scatter import LobeModel
     from mistray.scatter.chance import Chance
     from mistray.scatter.scan import IncidentLight, Scan
 
@@ -138,7 +138,7 @@ def run(options: Options) -> int:
 def _record(
     options: Options,
     title: str,
-    model: Scatter,
+    model: LobeModel,
     totals: list[dict[str, Any]],
     curves: list[Scan],
     light: IncidentLight,
@@ -176,7 +176,7 @@ def _record(
     return dict(plain(record))
 
 
-def _chance(options: Options, model: Scatter, event: str, light: IncidentLight) -> Chance | None:
+def _chance(options: Options, model: LobeModel, event: str, light: IncidentLight) -> Chance | None:
     """Return the chance of a hit by rays that nobody aims, if it is requested."""
     from mistray.scatter.chance import chance
 
@@ -210,7 +210,7 @@ def _hits(unaimed: Chance | None) -> list[str]:
 
 
 def _total_rows(
-    model: Scatter, angles_deg: list[float], events: list[str], light: IncidentLight, turned: bool
+    model: LobeModel, angles_deg: list[float], events: list[str], light: IncidentLight, turned: bool
 ) -> list[dict[str, Any]]:
     """Return scattered shares and losses of the specular beam by event and angle; None where nothing is transmitted."""
     from mistray.scatter.scan import scan
@@ -236,7 +236,7 @@ def _light(options: Options) -> IncidentLight:
     return IncidentLight(options.wavelength_nm, n_in, n_out, not options.from_back, options.R, options.T)
 
 
-def _title(options: Options, model: Scatter) -> str:
+def _title(options: Options, model: LobeModel) -> str:
     """The model and the numbers it was given."""
     given = bsdf_models.given(options)
     parts = [f"{key} = {value:g}" if isinstance(value, float) else f"{key} {value}" for key, value in given.items()]
@@ -244,7 +244,7 @@ def _title(options: Options, model: Scatter) -> str:
     return ", ".join([f"{name} {parts[0]}" if parts else name, *parts[1:]])
 
 
-def _knee(model: Scatter, event: str, light: IncidentLight) -> float | None:
+def _knee(model: LobeModel, event: str, light: IncidentLight) -> float | None:
     """|β - β0| at which the BSDF of a polished surface bends."""
     from mistray.scatter.abg import ABg
     from mistray.scatter.harvey_shack import HarveyShack
@@ -256,7 +256,7 @@ def _knee(model: Scatter, event: str, light: IncidentLight) -> float | None:
     return None
 
 
-def _notes(model: Scatter) -> list[str]:
+def _notes(model: LobeModel) -> list[str]:
     """Return notes on unusual parameters."""
     advice = getattr(model, "advice", lambda: None)()
     return [f"note: {advice}"] if advice else []
@@ -302,7 +302,7 @@ def _write_curves(scans: list[Scan], path: Path, command: str, turned: bool) -> 
     replace_file(path, "\n".join(lines) + "\n", "curves")
 
 
-def _write_table(model: Scatter, options: Options, event: str, light: IncidentLight) -> None:
+def _write_table(model: LobeModel, options: Options, event: str, light: IncidentLight) -> None:
     from mistray.scatter.measured.bsdf_csv import write_bsdf_csv
     from mistray.scatter.measured.zemax_bsdf import write_zemax_bsdf
     from mistray.scatter.scan import table

@@ -22,7 +22,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from mistray.gradients.full.marginal_rays import Bundle, Key, MarginalRays, Passage, Rim, depth_again
+from mistray.gradients.full.marginal_rays import Key, MarginalBundle, MarginalRays, Passage, Rim, depth_again
 from mistray.gradients.geometry_gradient import SHIFTS
 from mistray.gradients.rims import rim_zones
 from mistray.physics.geometry.pose import moved
@@ -148,7 +148,7 @@ class FullRims:
         for line, key, here in self.full:
             passage, place = self._passages[line].passages[key], np.flatnonzero(here)
             o, d = self._edges[line]
-            rays = self._moved(Bundle(o[place], d[place], place, place), owner, name, step)
+            rays = self._moved(MarginalBundle(o[place], d[place], place, place), owner, name, step)
             move = np.abs(depth_again(table, (key[2], key[3]), passage, rays) - passage.depth[place])
             zone = self.zones[key[2], key[3]]
             farthest = float(np.max(np.where(np.isnan(move), zone, move)))
@@ -178,14 +178,14 @@ class FullRims:
         found = []
         last = self.table.ids.index(self.source.shape) if self.source.shape else -1
         for edge, within in zip(self._edges, self.source.edges(RAYS, INSIDE * CLOSE * self.width), strict=True):
-            line, inside = (Bundle(*rays, np.full(RAYS, last), np.arange(RAYS)) for rays in (edge, within))
+            line, inside = (MarginalBundle(*rays, np.full(RAYS, last), np.arange(RAYS)) for rays in (edge, within))
             nothing = MarginalRays(self.table, {}, CLOSE, np.zeros(RAYS, dtype=bool))
             rays = MarginalRays(self.table, self.zones, CLOSE, nothing.follow(inside))
             rays.follow(line)
             found.append(rays)
         return found
 
-    def _moved(self, rays: Bundle, owner: Any, name: str, step: float) -> Bundle:
+    def _moved(self, rays: MarginalBundle, owner: Any, name: str, step: float) -> MarginalBundle:
         """Return the start of rays with another value of a parameter, if it is one of the source."""
         if owner is not self.source.emitter:
             return rays

@@ -82,7 +82,7 @@ class Passage:
         return np.where(np.isnan(both), np.fmin(np.fmin(before, behind), np.inf), both)
 
 
-class Bundle(NamedTuple):
+class MarginalBundle(NamedTuple):
     """
     Rays of a line on their way.
 
@@ -107,7 +107,7 @@ class Bundle(NamedTuple):
     fates: tuple[int, ...] = ()
     way: tuple[Meeting, ...] = ()
 
-    def take(self, some: np.ndarray) -> Bundle:
+    def take(self, some: np.ndarray) -> MarginalBundle:
         """Return some of the rays."""
         return self._replace(o=self.o[some], d=self.d[some], last=self.last[some], place=self.place[some])
 
@@ -157,7 +157,7 @@ class MarginalRays:
         """Number of rays of the line."""
         return len(self.inside)
 
-    def follow(self, rays: Bundle) -> np.ndarray:
+    def follow(self, rays: MarginalBundle) -> np.ndarray:
         """
         Follow rays to their end, and record the rims that they pass by.
 
@@ -188,7 +188,7 @@ class MarginalRays:
             lit[alive] = True  # trapped light counts as light that continues
         # Rims near the legs, all legs together
         o, d, last, place = (np.concatenate(column) for column in zip(*(leg[:4] for leg in legs), strict=True))
-        whole = Bundle(o, d, last, place, rays.fates, way)
+        whole = MarginalBundle(o, d, last, place, rays.fates, way)
         length, step, origin = (np.concatenate(parts) for parts in (lengths, numbers, origins))
         for key, near in self._passing(whole, length):
             for number in np.unique(step[near.legs]):
@@ -197,7 +197,7 @@ class MarginalRays:
                 self._note((rays.fates, int(number), *key), near.take(here), before, lit[origin])
         return lit
 
-    def _after(self, rays: Bundle, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _after(self, rays: MarginalBundle, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return directions after the surface that rays are at, and whether they end there."""
         after, _ = onward(self.table, rays.last, rays.d, normal)
         detects = (self.table.optics.host_words[rays.last] & DETECTOR) != 0
@@ -211,7 +211,7 @@ class MarginalRays:
         dark = ((words & OPAQUE) != 0) & ((words & 3) == IDEAL) & (optics.host_indices[surface, 2] == 0)
         return np.asarray(dark & ~scatters & ((words & DETECTOR) == 0))
 
-    def _passing(self, legs: Bundle, length: np.ndarray) -> Iterator[tuple[tuple[int, int, int], _Near]]:
+    def _passing(self, legs: MarginalBundle, length: np.ndarray) -> Iterator[tuple[tuple[int, int, int], _Near]]:
         """Yield rims, with the number of the crossing of their sheet, and the legs that pass near them."""
         for piece in self.table.pieces:
             rims = [rim for rim in piece.rim_sizes if (piece.index, rim) in self.zones]
@@ -231,7 +231,7 @@ class MarginalRays:
                     if np.any(near):
                         yield (piece.index, rim, k), _Near(some[near], depths[rim][near], points[near])
 
-    def _note(self, key: Key, near: _Near, legs: Bundle, lit: np.ndarray) -> None:
+    def _note(self, key: Key, near: _Near, legs: MarginalBundle, lit: np.ndarray) -> None:
         """Record how legs pass a rim, and follow the other branch of those that are very near."""
         very = np.abs(near.depth) < self.close * self.zones[key[2:4]]
         counts = very & (lit[near.legs] | self.inside[legs.place[near.legs]])
@@ -245,7 +245,7 @@ class MarginalRays:
         passage, place = self.passages[key], legs.place[near.legs]
         passage.depth[place], passage.point[place], passage.counts[place] = near.depth, near.point, counts
 
-    def _otherwise(self, rays: Bundle, hits: np.ndarray) -> np.ndarray:
+    def _otherwise(self, rays: MarginalBundle, hits: np.ndarray) -> np.ndarray:
         """Whether light continues from the end of the other branch: rays hit what they have passed, or the reverse."""
         after, ends = self._after(rays, normals(self.table, int(rays.last[0]), rays.o))
         ends &= hits
@@ -259,7 +259,7 @@ class MarginalRays:
         return np.asarray(lit)
 
 
-def depth_again(table: SurfaceTable, rim: Rim, passage: Passage, rays: Bundle) -> np.ndarray:
+def depth_again(table: SurfaceTable, rim: Rim, passage: Passage, rays: MarginalBundle) -> np.ndarray:
     """
     Return the depths of rays within a rim after surfaces have moved, mm.
 
@@ -270,7 +270,7 @@ def depth_again(table: SurfaceTable, rim: Rim, passage: Passage, rays: Bundle) -
     rim : (int, int)
     passage : Passage
         Passage before the move.
-    rays : Bundle
+    rays : MarginalBundle
         Some of its rays at their start.
 
     Returns

@@ -19,7 +19,7 @@ from mistray.analysis.verdict import (
     shares_of_kinds,
     worst_of_all_fields,
 )
-from mistray.report.model import FigurePart, Items, Link, Note, PagePart, PartGroup, Table, Value, columns
+from mistray.report.model import FigurePart, Items, Link, NotePart, PagePart, PartGroup, Table, Value, columns
 from mistray.report.tables.ghosts import mark_of
 from mistray.report.tables.text import number, plain_sentences, with_error
 
@@ -63,7 +63,7 @@ def worst_table(report: GhostReport, shown: GhostReport) -> list[PagePart]:
     """The worst paths of all fields, with links to those that are shown."""
     worst = worst_of_all_fields(report)
     if not worst:
-        return [Note("No stray path reaches the detector.")]
+        return [NotePart("No stray path reaches the detector.")]
     heads = columns(
         "no.", "<path", "<kind", "worst at [deg]", "power [W absorbed]", "of stray light [%]", "normalised",
         "peak [W/mm²]", "<fields [deg]",
@@ -85,7 +85,7 @@ def worst_table(report: GhostReport, shown: GhostReport) -> list[PagePart]:
     note = WORST.format(
         drawn=f"; the first {min(PATHS_DRAWN, len(worst))} are drawn above" if list(shown) == list(report) else ""
     )
-    return [table if report.rank == "peak" else table.without("peak"), Note(note, "note")]
+    return [table if report.rank == "peak" else table.without("peak"), NotePart(note, "note")]
 
 
 def field_anchor(field_deg: float) -> str:

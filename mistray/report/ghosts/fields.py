@@ -21,7 +21,7 @@ from mistray.report.ghosts.answer import field_anchor
 from mistray.report.html.explorer import BOX_HEADER, explorer, picture_cell
 from mistray.report.html.markup import image
 from mistray.report.html.thumbnails import DECADES, thumbnail
-from mistray.report.model import Column, FigurePart, Filter, Fold, Folded, Note, PagePart, Table, Value, columns
+from mistray.report.model import Column, FigurePart, Filter, Fold, Folded, NotePart, PagePart, Table, Value, columns
 from mistray.report.parts import thousands
 from mistray.report.tables.ghosts import (
     AIRY_TEXT,
@@ -108,17 +108,17 @@ def field_section(report: GhostReport, s: FieldSummary, pictures: Mapping[str, b
     anchor = field_anchor(s.field_deg)
     told = f"section of the system with rays of the direct image and of the worst stray paths, field {s.field_deg:g}°"
     parts: list[PagePart] = [
-        Note(text),
+        NotePart(text),
         FigurePart(functools.partial(layout, report, s.field_deg), text=told),
         *([FigurePart(colour, text=f"the detector in colour, field {s.field_deg:g}°")] if colour else []),
         *explored_paths(report, s.field_deg, f"t-{anchor}"),
-        Note("Irradiance and levels", "h3"),
+        NotePart("Irradiance and levels", "h3"),
         Table(heads, block, f"t-map-{anchor}", sortable=False),
     ]
     for by in LEVELS:
         levels = level_table(report, s.field_deg, by, f"t-{by}-levels-{anchor}")
         if len(levels.columns) > SURFACE_AND_ALL:
-            parts += [Note(f"{TITLES[by]}."), levels]
+            parts += [NotePart(f"{TITLES[by]}."), levels]
     if per_wavelength:
         parts.append(_paths_at_wavelengths(report, s.field_deg, f"t-waves-{anchor}"))
     return Folded(_headline(report, s), parts, "field", anchor)
@@ -185,9 +185,9 @@ def explored_paths(report: GhostReport, field_deg: float, name: str) -> list[Pag
     return [
         explorer(report, field_deg, maps, name),
         _filter(field_deg, name),
-        Note(PICTURES, "note"),
+        NotePart(PICTURES, "note"),
         Table(heads, rows, name),
-        *([Note(" ".join(notes), "note")] if notes else []),
+        *([NotePart(" ".join(notes), "note")] if notes else []),
     ]
 
 
@@ -204,7 +204,7 @@ def _paths_at_wavelengths(report: GhostReport, field_deg: float, name: str) -> F
         rows += [[str(path_id), *_values(row, shown, True)[1:]] for row in spectrum.itertuples(index=False)]
     summary = f"The same paths at each wavelength ({len(rows)} rows)"
     table = Table(_heads(shown, True), rows, name)
-    return Folded(summary, [_filter(field_deg, name), table, Note(AT_WAVELENGTHS, "note")])
+    return Folded(summary, [_filter(field_deg, name), table, NotePart(AT_WAVELENGTHS, "note")])
 
 
 def shown_paths(report: GhostReport, field_deg: float) -> pd.DataFrame:

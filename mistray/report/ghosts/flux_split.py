@@ -5,7 +5,7 @@ from __future__ import annotations
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
 from mistray.recorders.passing.flux_split import SHARES, FluxSplit
-from mistray.report.model import Note, Section, Table, Value, columns
+from mistray.report.model import NotePart, Section, Table, Value, columns
 
 ROWS_PRINTED = 16
 NOTE = (
@@ -28,4 +28,4 @@ def flux_split_section(report: GhostReport) -> Section | None:
     heads = columns("field [deg]", "<surface", *(f"{name.replace('_', ' ')} [W]" for name in SHARES))
     rest = ["", f"{len(rows)} rows in all", *[""] * len(SHARES)]
     table = Table(heads, rows, "flux_split", most=ROWS_PRINTED, rest=rest)
-    return Section("split", "What surfaces do with the light", [Note(NOTE), table], "Split")
+    return Section("split", "What surfaces do with the light", [NotePart(NOTE), table], "Split")

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.study.surfaces import coatings_and_scatter
-from mistray.report.model import Folded, Note, PagePart, Table, Value, columns
+from mistray.report.model import Folded, NotePart, PagePart, Table, Value, columns
 from mistray.report.tables.frames import frame_table
 from mistray.report.tables.ghosts_csv import surface_table
 from mistray.report.tables.text import ABSENT, number
@@ -33,14 +33,14 @@ def energy_ledger(report: GhostReport, per_wavelength: bool) -> list[PagePart]:
     """Energy ledger of all fields; on request one more for each wavelength."""
     fields = list(report)
     parts: list[PagePart] = [
-        Note(ENERGY),
+        NotePart(ENERGY),
         _energy_table("t-energy", fields, [report[field].energy for field in fields]),
     ]
     for wavelength in report.wavelengths_nm if per_wavelength else ():
         energies = [report[field].energy_at(wavelength) for field in fields]
         share = f"{wavelength:g} nm, {100 * report.weight(wavelength):.4g} % of the launched flux"
         name = f"t-energy-{wavelength:g}".replace(".", "_")
-        parts += [Note(share, "h3"), _energy_table(name, fields, energies)]
+        parts += [NotePart(share, "h3"), _energy_table(name, fields, energies)]
     return parts
 
 
@@ -67,9 +67,9 @@ def _energy_table(name: str, fields: Sequence[float], energies: Sequence[Energy]
 
 def surface_ledger(report: GhostReport, per_wavelength: bool) -> list[PagePart]:
     """Flux at every surface; on request at each wavelength too."""
-    parts: list[PagePart] = [Note(SURFACES), _surfaces("t-surfaces", report, False)]
+    parts: list[PagePart] = [NotePart(SURFACES), _surfaces("t-surfaces", report, False)]
     if per_wavelength:
-        parts += [Note("At each wavelength", "h3"), _surfaces("t-surfaces-wavelengths", report, True)]
+        parts += [NotePart("At each wavelength", "h3"), _surfaces("t-surfaces-wavelengths", report, True)]
     return parts
 
 
@@ -91,12 +91,12 @@ def _surfaces(name: str, report: GhostReport, per_wavelength: bool) -> Table:
 
 def coatings(report: GhostReport) -> list[PagePart]:
     """Return the effect of surfaces on light at each wavelength, surfaces alike together; each of them folded below."""
-    parts: list[PagePart] = [Note(COATINGS)]
+    parts: list[PagePart] = [NotePart(COATINGS)]
     for k, table in enumerate(report.nominal_trace.tables):
         step = coatings_and_scatter(table, find_design_path(table, report.scene))
         every = frame_table(f"t-surface-budget-{k}", step.tables["surface_budget"])
         if len(report.nominal_trace.tables) > 1:
-            parts.append(Note(f"{table.wavelength_nm:g} nm", "h3"))
+            parts.append(NotePart(f"{table.wavelength_nm:g} nm", "h3"))
         parts.append(frame_table(f"t-coatings-{k}", step.tables["treatments"]))
         parts.append(Folded(f"Every surface ({len(every.rows)} rows)", [every]))
     return parts

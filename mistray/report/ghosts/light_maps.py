@@ -11,7 +11,7 @@ from mistray.analysis.maps.light_maps import LightMap
 from mistray.files.irradiance_files import IrradianceMap
 from mistray.files.json_values import plain
 from mistray.ids import plain_name
-from mistray.report.model import FigurePart, Note, PagePart, Section, Table, Value, columns
+from mistray.report.model import FigurePart, NotePart, PagePart, Section, Table, Value, columns
 
 if TYPE_CHECKING:
     from mistray.report.figures.figure import Figure as Drawing
@@ -30,7 +30,7 @@ def light_maps_section(report: GhostReport) -> Section | None:
     found = {field: report.light_maps[field] for field in report if field in report.light_maps}
     if not found:
         return None
-    parts: list[PagePart] = [Note(NOTE), _table(found)]
+    parts: list[PagePart] = [NotePart(NOTE), _table(found)]
     for field, maps in found.items():
         lit = _drawn(maps)
         if lit:

@@ -16,7 +16,7 @@ from mistray.ids import plain_name
 from mistray.recorders.passing.cells import PassingLight
 from mistray.recorders.passing.far_field import FarField
 from mistray.recorders.passing.probe import Probe
-from mistray.report.model import FigurePart, Map, Note, PagePart, Section, Table, Value, columns
+from mistray.report.model import FigurePart, Map, NotePart, PagePart, Section, Table, Value, columns
 
 if TYPE_CHECKING:
     from mistray.report.figures.figure import Figure as Drawing
@@ -43,7 +43,7 @@ def passing_section(report: GhostReport) -> Section | None:
         for name in dict.fromkeys(one.name for _, one in fields):
             of_name = [(field, one) for field, one in fields if one.name == name]
             parts.append(FigurePart(functools.partial(_draw, name, of_name), f"Far field '{name}'."))
-    return Section("probes", "Probes and far fields", [Note(NOTE), *parts], "Probes")
+    return Section("probes", "Probes and far fields", [NotePart(NOTE), *parts], "Probes")
 
 
 def passing_maps(report: GhostReport) -> dict[str, IrradianceMap]:

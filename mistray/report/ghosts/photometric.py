@@ -9,7 +9,7 @@ from mistray.analysis.ghosts import GhostReport
 from mistray.recorders.passing.far_field import FarField
 from mistray.recorders.passing.probe import Probe
 from mistray.recorders.passing.surface_maps import SurfaceMaps
-from mistray.report.model import Note, Section, Table, Value, columns
+from mistray.report.model import NotePart, Section, Table, Value, columns
 
 NOTE = (
     "Light as the eye weighs it: 683.002 lm/W times V of the CIE 1924 observer, 2°, at each wavelength traced. On "
@@ -42,7 +42,7 @@ def photometric_section(report: GhostReport) -> Section | None:
         Table(columns("field [deg]", "<detector", "luminous flux [lm]"), flux, "luminous_flux"),
         Table(columns("field [deg]", "<where", "<what", "highest", "<unit"), bright, "photometric"),
     ]
-    return Section("photometric", "Photometric units", [Note(NOTE), *tables], "Photometric")
+    return Section("photometric", "Photometric units", [NotePart(NOTE), *tables], "Photometric")
 
 
 def _highest(field: float, where: str, what: str, value: np.ndarray, se: np.ndarray, unit: str) -> list[Value]:

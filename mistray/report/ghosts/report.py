@@ -24,7 +24,7 @@ from mistray.report.model import (
     FigurePart,
     Folded,
     Hover,
-    Note,
+    NotePart,
     PagePart,
     Report,
     Section,
@@ -120,7 +120,7 @@ def ghosts_report(
         mapped_paths(report, field)  # first of all: the maps of the summaries come from the same run of the rays
     summaries = [report.summary(field) for field in report]
     drawn = (s for s in summaries if s.field_deg in shown)
-    fields = [Note(FIELDS), page_data(shown), *(field_section(report, s, pictures, per_wavelength) for s in drawn)]
+    fields = [NotePart(FIELDS), page_data(shown), *(field_section(report, s, pictures, per_wavelength) for s in drawn)]
     sections = [
         Section("worst", "The worst paths of all fields", worst_table(report, shown), "Worst paths"),
         Section("pictures", "Pictures", _pictures(report, shown, pictures), "Pictures"),
@@ -138,7 +138,7 @@ def ghosts_report(
         "Ghost analysis",
         title,
         [*sections, *own_sections(report), _settings(report, command)],
-        lead=[Note(_traced(report), "sub"), *answer(report, shown)],
+        lead=[NotePart(_traced(report), "sub"), *answer(report, shown)],
         warnings=[*_undrawn(report, shown), *report.notes],
         scripts=("report", "hover", "drawing", "explorer"),
     )
@@ -180,11 +180,11 @@ def _summary(
         f"RMS irradiance {with_error(nominal.rms_irradiance_W_mm2)} W/mm²."
     )
     kinds = [kind for kind in STRAY_KINDS if any(s.paths_of_kind[kind] for s in summaries)]
-    parts: list[PagePart] = [Note(text), _summary_table(shown, summaries, kinds, "t-summary")]
+    parts: list[PagePart] = [NotePart(text), _summary_table(shown, summaries, kinds, "t-summary")]
     if per_wavelength:
         lines = [report.summary(s.field_deg, line) for s in summaries for line in report.wavelengths_nm]
         table = _summary_table(shown, lines, kinds, "t-summary-waves").without("peak stray/peak nominal")
-        parts += [Note("At each wavelength", "h3"), Note(AT_WAVELENGTHS), table]
+        parts += [NotePart("At each wavelength", "h3"), NotePart(AT_WAVELENGTHS), table]
     return parts
 
 

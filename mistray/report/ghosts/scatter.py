@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
-from mistray.report.model import Note, Noted, PagePart, Table, Value, columns
+from mistray.report.model import Noted, NotePart, PagePart, Table, Value, columns
 from mistray.report.parts import thousands
 from mistray.report.tables.scatter import sampling_table
 from mistray.report.tables.text import ABSENT, number
@@ -30,9 +30,9 @@ AIMED = (
 def scatter_ledger(report: GhostReport) -> list[PagePart]:
     """Scattered light by the first surface that scatters it, and the sampling of each field."""
     checks = {field: sampling_check(t) for field, t in report.items()}
-    sampling = [Note("Sampling", "h3"), Note(SAMPLING), sampling_table(checks)]
-    aimed = [Note(AIMED), _aiming(checks)] if any(check.rows for check in checks.values()) else []
-    return [Note(SCATTERED), _surfaces(report), *sampling, *aimed]
+    sampling = [NotePart("Sampling", "h3"), NotePart(SAMPLING), sampling_table(checks)]
+    aimed = [NotePart(AIMED), _aiming(checks)] if any(check.rows for check in checks.values()) else []
+    return [NotePart(SCATTERED), _surfaces(report), *sampling, *aimed]
 
 
 def _surfaces(report: GhostReport) -> Table:

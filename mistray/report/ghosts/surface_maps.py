@@ -12,7 +12,7 @@ from mistray.files.irradiance_files import LUX, IrradianceMap
 from mistray.files.json_values import plain
 from mistray.ids import plain_name
 from mistray.recorders.passing.surface_maps import SurfaceMap, SurfaceMaps
-from mistray.report.model import FigurePart, Note, PagePart, Section, Table, Value, columns
+from mistray.report.model import FigurePart, NotePart, PagePart, Section, Table, Value, columns
 
 if TYPE_CHECKING:
     from mistray.report.figures.figure import Figure as Drawing
@@ -30,7 +30,7 @@ def surface_maps_section(report: GhostReport) -> Section | None:
     found = [(field, own) for field in report if (own := brightest(report, field))]
     if not found:
         return None
-    parts: list[PagePart] = [Note(NOTE), _table(found)]
+    parts: list[PagePart] = [NotePart(NOTE), _table(found)]
     for field, own in found:
         lit = [one for one in own[:DRAWN] if one.power[0] > 0]
         if lit:

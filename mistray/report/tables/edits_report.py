@@ -10,7 +10,7 @@ import pandas as pd
 
 from mistray.report.figures.edits import pst_sweep_figure
 from mistray.report.figures.plots import as_png
-from mistray.report.model import FigurePart, Note, Report, Section
+from mistray.report.model import FigurePart, NotePart, Report, Section
 from mistray.report.parts import settings_section, terms, version_settings
 from mistray.report.pst_output import pst_facts
 from mistray.report.tables.edits import (
@@ -55,7 +55,7 @@ def edits_report(
     files: dict[str, bytes] = {}
     csv: dict[str, pd.DataFrame] = {}
     json: dict[str, Mapping[str, Any]] = {}
-    lead: list[Note] = []
+    lead: list[NotePart] = []
     warnings: list[str] = []
     if found is not None:
         files["pst_sweep.png"] = as_png(pst_sweep_figure(found, title))
@@ -66,14 +66,18 @@ def edits_report(
             replace(curve_table(pst), name=f"t-curve-{k}", fold=name) for k, (name, pst) in enumerate(found.pst.items())
         ]
         sections += [
-            Section("edits", "What each configuration does", [drawn, Note(f"{PAIRED}."), table], "Configurations"),
+            Section("edits", "What each configuration does", [drawn, NotePart(f"{PAIRED}."), table], "Configurations"),
             Section("curves", "PST by class", curves, "PST by class"),
         ]
         warnings, facts = found.warnings, pst_facts(first)
         csv["pst_sweep.csv"], json["pst_sweep.json"] = found.to_pandas(), pst_sweep_record(found)
-        lead.append(Note(f"{len(found.configurations) - 1} configurations, {len(found.field_deg)} field angles."))
+        lead.append(NotePart(f"{len(found.configurations) - 1} configurations, {len(found.field_deg)} field angles."))
     if ranking is not None:
-        parts = [Note(f"{ranked_light(ranking)}."), edit_ranking_table(ranking), *map(Note, ranking_notes(ranking))]
+        parts = [
+            NotePart(f"{ranked_light(ranking)}."),
+            edit_ranking_table(ranking),
+            *map(NotePart, ranking_notes(ranking)),
+        ]
         sections.append(Section("ranking", "Which edit would pay", parts, "Ranking"))
         csv["edit_ranking.csv"], json["edit_ranking.json"] = ranking.to_pandas(), edit_ranking_record(ranking)
         facts |= {"light": ranking.light, **(pst_facts(ranking.traced) if ranking.traced is not None else {})}

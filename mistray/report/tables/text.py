@@ -14,8 +14,8 @@ from mistray.report.model import (
     Items,
     Link,
     Map,
-    Note,
     Noted,
+    NotePart,
     PagePart,
     StyledCell,
     Table,
@@ -103,7 +103,7 @@ def parts_text(parts: Sequence[PagePart]) -> str:
     for part in parts:
         if isinstance(part, Table):
             texts.append(table_text(part))
-        elif isinstance(part, Note):
+        elif isinstance(part, NotePart):
             texts.append(part.text)
         elif isinstance(part, Items):
             texts += part.texts

@@ -29,7 +29,7 @@ Order = tuple[int, ...]
 
 
 @dataclass(frozen=True)
-class Step:
+class DesignStep:
     """
     One surface of the design path.
 
@@ -145,7 +145,7 @@ class Probes:
         same = (self.end == detector) & (self._lengths == len(codes))
         return np.flatnonzero(same & np.all(self._codes[:, : len(codes)] == codes, axis=1))
 
-    def steps(self, lane: int) -> list[Step]:
+    def steps(self, lane: int) -> list[DesignStep]:
         """Return the hits of a probe."""
         # From the end back to the start: before the split a lane has the hits of its parent
         found = []
@@ -154,7 +154,7 @@ class Probes:
                 lane = int(self._parent[lane])
             k = int(np.argmax(hits.lane == lane))
             surface, reflects = int(hits.surface[k]), bool(hits.reflects[k])
-            found.append(Step(surface, reflects, hits.point[k], hits.normal[k], hits.before[k], hits.after[k]))
+            found.append(DesignStep(surface, reflects, hits.point[k], hits.normal[k], hits.before[k], hits.after[k]))
         return found[::-1]
 
     def first_points(self, lanes: np.ndarray) -> np.ndarray:

@@ -12,13 +12,13 @@ from mistray.errors import MistrayError
 from mistray.read_file import read_text
 from mistray.replace_file import replace_file
 from mistray.scatter.measured.rotations import RotatedSamples, by_rotation
-from mistray.scatter.measured.samples import Samples
+from mistray.scatter.measured.samples import BsdfSamples
 
 COLUMNS = ("theta_i_deg", "theta_s_deg", "phi_deg", "bsdf")
 ROTATION = "rotation_deg"
 
 
-def read_bsdf_csv(path: str | Path, anisotropy: str = "error") -> Samples | RotatedSamples:
+def read_bsdf_csv(path: str | Path, anisotropy: str = "error") -> BsdfSamples | RotatedSamples:
     """
     Read a CSV file.
 
@@ -67,13 +67,13 @@ def read_bsdf_csv(path: str | Path, anisotropy: str = "error") -> Samples | Rota
         raise MistrayError(f"{what}: a combination of angles is there twice; give every one once")
     values = data["bsdf"][order].reshape(len(rotation), len(specular), len(azimuth), len(polar))
 
-    def table_of(azimuth: np.ndarray, values: np.ndarray) -> Samples:
-        return Samples(str(path), "normal", specular, azimuth, polar, values)
+    def table_of(azimuth: np.ndarray, values: np.ndarray) -> BsdfSamples:
+        return BsdfSamples(str(path), "normal", specular, azimuth, polar, values)
 
     return by_rotation(what, rotation, azimuth, values, anisotropy, table_of)
 
 
-def write_bsdf_csv(samples: Samples | RotatedSamples, path: str | Path, comment: str = "") -> None:
+def write_bsdf_csv(samples: BsdfSamples | RotatedSamples, path: str | Path, comment: str = "") -> None:
     """
     Write a table in the frame "normal" that `read_bsdf_csv` understands.
 

@@ -13,7 +13,7 @@ from mistray.errors import MistrayError
 from mistray.scatter.measured.samples import (
     ANGLE_ROUNDING_DEG,
     SYMMETRY_TOLERANCE,
-    Samples,
+    BsdfSamples,
     check_anisotropy,
     half_circle,
     one_rotation,
@@ -33,7 +33,7 @@ class RotatedSamples:
         Azimuth of the sample's x axis from that of the specular direction, counterclockwise as seen from the side that
         the light comes from; ascending, less than 360° from the first to the last. Between two, and from the last to
         the first, the scatter is interpolated; one holds for all.
-    tables : tuple of Samples
+    tables : tuple of BsdfSamples
         One for each, on one grid.
 
     Raises
@@ -43,7 +43,7 @@ class RotatedSamples:
     """
 
     rotation_deg: np.ndarray
-    tables: tuple[Samples, ...]
+    tables: tuple[BsdfSamples, ...]
 
     def __post_init__(self) -> None:
         angles = self.rotation_deg
@@ -89,9 +89,9 @@ def by_rotation(
     azimuth_deg: np.ndarray,
     values: np.ndarray,
     anisotropy: str,
-    table_of: Callable[[np.ndarray, np.ndarray], Samples],
+    table_of: Callable[[np.ndarray, np.ndarray], BsdfSamples],
     x_axis_deg: float = 0.0,
-) -> Samples | RotatedSamples:
+) -> BsdfSamples | RotatedSamples:
     """
     The table of data at several positions of a sample, or what is to become of it.
 
@@ -125,7 +125,7 @@ def by_rotation(
     """
     check_anisotropy(title, anisotropy)
 
-    def isotropic(choice: str) -> Samples:
+    def isotropic(choice: str) -> BsdfSamples:
         return table_of(*half_circle(title, azimuth_deg, one_rotation(title, rotation_deg, values, choice), choice))
 
     if anisotropy != "keep":

@@ -21,7 +21,7 @@ HORIZON = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class BsdfSamples:
     """
     BSDF, or BSDF times cos θs, of a surface in one position over the directions of incidence and of scatter.
 
@@ -107,7 +107,7 @@ class Samples:
         return (self.name, self.frame, self.event, *(array.tobytes() for array in arrays))
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Samples) and self._content == other._content
+        return isinstance(other, BsdfSamples) and self._content == other._content
 
     def __hash__(self) -> int:
         return hash(self._content)

@@ -22,7 +22,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.scatter.measured.bsdf_csv import numbers, read_lines
 from mistray.scatter.measured.rotations import RotatedSamples, by_rotation
-from mistray.scatter.measured.samples import Samples
+from mistray.scatter.measured.samples import BsdfSamples
 
 SUFFIX = ".anisotropicbsdf"
 
@@ -66,7 +66,7 @@ class _Lines:
         return [int(value) for value in values]
 
 
-def read_speos_bsdf(path: str | Path, anisotropy: str = "error") -> Samples | RotatedSamples:
+def read_speos_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples | RotatedSamples:
     """
     Read the reflection of a file.
 
@@ -82,7 +82,7 @@ def read_speos_bsdf(path: str | Path, anisotropy: str = "error") -> Samples | Ro
     ------
     MistrayError
         If the file is missing, binary, of another version or malformed; holds transmission, totals that depend on the
-        wavelength, or rotations with other incidences; or what `Samples` and `by_rotation` find wrong.
+        wavelength, or rotations with other incidences; or what `BsdfSamples` and `by_rotation` find wrong.
     """
     lines = _Lines(path)
     if not _HEADER.fullmatch(lines.text()):
@@ -134,7 +134,7 @@ def read_speos_bsdf(path: str | Path, anisotropy: str = "error") -> Samples | Ro
         raise MistrayError(f"{lines.title}: it scatters nothing at {theta_0:g}°, where its total is stated")
     values = values * (totals[0] / 100 / now)
 
-    def table_of(azimuth: np.ndarray, values: np.ndarray) -> Samples:
-        return Samples(str(path), "normal", specular, azimuth, polar, values, "reflection")
+    def table_of(azimuth: np.ndarray, values: np.ndarray) -> BsdfSamples:
+        return BsdfSamples(str(path), "normal", specular, azimuth, polar, values, "reflection")
 
     return by_rotation(lines.title, rotation, azimuth, values, anisotropy, table_of)

@@ -18,7 +18,7 @@ from mistray.scatter.evaluate import bsdf
 from mistray.scatter.lobe import RELATIVE_TO, Lobe, Placement, RatioTable
 from mistray.scatter.measured.bsdf_csv import read_bsdf_csv
 from mistray.scatter.measured.rotations import RotatedSamples
-from mistray.scatter.measured.samples import ANISOTROPY, BEYOND, Samples
+from mistray.scatter.measured.samples import ANISOTROPY, BEYOND, BsdfSamples
 from mistray.scatter.measured.speos_bsdf import SUFFIX, read_speos_bsdf
 from mistray.scatter.measured.zemax_bsdf import read_zemax_bsdf
 from mistray.scatter.radial import RadialTable
@@ -48,7 +48,7 @@ class Tabulated(Placement):
 
     Attributes
     ----------
-    samples : Samples or RotatedSamples
+    samples : BsdfSamples or RotatedSamples
         From `read`, or from arrays.
     cosine_corrected : bool
         The values are BSDF times cos θs, scattered intensity by incident flux.
@@ -65,7 +65,7 @@ class Tabulated(Placement):
         If the table does not cover the hemisphere, scatters more than all light, or scatters none.
     """
 
-    samples: Samples | RotatedSamples
+    samples: BsdfSamples | RotatedSamples
     cosine_corrected: bool = Param(
         "bool", FLAG, "its values are BSDF times the cosine of the scattered direction"
     ).field(False)
@@ -159,12 +159,12 @@ class Tabulated(Placement):
         return self.samples.rotation_deg if isinstance(self.samples, RotatedSamples) else np.zeros(1)
 
     @property
-    def _tables(self) -> tuple[Samples, ...]:
+    def _tables(self) -> tuple[BsdfSamples, ...]:
         """One for each rotation."""
         return self.samples.tables if isinstance(self.samples, RotatedSamples) else (self.samples,)
 
     @property
-    def _first(self) -> Samples:
+    def _first(self) -> BsdfSamples:
         """The table that has the grids of all."""
         return self._tables[0]
 
@@ -259,7 +259,7 @@ class Tabulated(Placement):
         return np.geomspace(self._r_min, 2, count) if axes == "radial" else np.linspace(0, 1, COS_NODES)
 
     def _planes(
-        self, relative: np.ndarray, table: Samples, axes: str, second: np.ndarray, angle: np.ndarray
+        self, relative: np.ndarray, table: BsdfSamples, axes: str, second: np.ndarray, angle: np.ndarray
     ) -> np.ndarray:
         """A ratio at nodes of r and ψ about the specular direction, or of cos θs and φ, for each angle of incidence."""
         planes, second = [], second[:, None]

@@ -20,7 +20,7 @@ from mistray.errors import MistrayError
 from mistray.replace_file import replace_file
 from mistray.scatter.measured.bsdf_csv import numbers, read_lines
 from mistray.scatter.measured.rotations import RotatedSamples, by_rotation
-from mistray.scatter.measured.samples import Samples
+from mistray.scatter.measured.samples import BsdfSamples
 
 GRIDS = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
 EVENTS = {"brdf": "reflection", "btdf": "transmission"}
@@ -67,7 +67,7 @@ class _Lines:
         return found
 
 
-def read_zemax_bsdf(path: str | Path, anisotropy: str = "error") -> Samples | RotatedSamples:
+def read_zemax_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples | RotatedSamples:
     """
     Read a file at one wavelength or in grey.
 
@@ -81,7 +81,7 @@ def read_zemax_bsdf(path: str | Path, anisotropy: str = "error") -> Samples | Ro
     ------
     MistrayError
         If the file is missing or malformed, with the number of the line; holds colours, or anisotropic scatter that is
-        refused; or what `Samples` finds wrong.
+        refused; or what `BsdfSamples` finds wrong.
     """
     rows = ((n, line.split()) for n, line in read_lines(path) if line.strip() and not line.lstrip().startswith("#"))
     lines = _Lines(path, rows)
@@ -106,8 +106,8 @@ def read_zemax_bsdf(path: str | Path, anisotropy: str = "error") -> Samples | Ro
     if words[0].lower() != "dataend":
         raise MistrayError(f"{lines.where}: '{' '.join(words[:5])}'; expected DataEnd, there are more data than angles")
 
-    def table_of(azimuth: np.ndarray, values: np.ndarray) -> Samples:
-        return Samples(str(path), "specular", specular, azimuth, radial, values, event)
+    def table_of(azimuth: np.ndarray, values: np.ndarray) -> BsdfSamples:
+        return BsdfSamples(str(path), "specular", specular, azimuth, radial, values, event)
 
     title = f"BSDF file '{path}'"
     return by_rotation(title, rotation, azimuth, np.array(values), anisotropy, table_of, NORMAL_OF_INCIDENCE_DEG)
@@ -140,13 +140,13 @@ def _block(lines: _Lines, azimuths: int, radials: int, angle: float) -> np.ndarr
     return np.array(found).reshape(azimuths, radials)
 
 
-def write_zemax_bsdf(samples: Samples | RotatedSamples, path: str | Path, comment: str = "") -> None:
+def write_zemax_bsdf(samples: BsdfSamples | RotatedSamples, path: str | Path, comment: str = "") -> None:
     """
     Write a table in the frame "specular".
 
     Parameters
     ----------
-    samples : Samples or RotatedSamples
+    samples : BsdfSamples or RotatedSamples
         With its event.
     path : str or Path
     comment : str

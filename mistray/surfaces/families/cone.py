@@ -10,7 +10,7 @@ import numpy as np
 from mistray.surfaces.crossings import cone_crossing
 from mistray.surfaces.families.sag_surface import azimuth, quadric_crossings
 from mistray.surfaces.gradient_columns import HIGH, LOW
-from mistray.surfaces.surface import ENDS, Opening, Surface
+from mistray.surfaces.surface import ENDS, Opening, TracedSurface
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(kw_only=True)
-class Cone(Surface):
+class Cone(TracedSurface):
     """
     Part of a cone between two planes; F = r² - (r0 + slope z)².
 

@@ -17,7 +17,7 @@ from mistray.surfaces.families.freeform_crossing import first_crossing
 from mistray.surfaces.families.freeform_sag import LocalSag
 from mistray.surfaces.families.outline_edge import FreeformFamily
 from mistray.surfaces.gradient_columns import HIGH, OWN
-from mistray.surfaces.surface import ENDS, Opening, Surface
+from mistray.surfaces.surface import ENDS, Opening, TracedSurface
 from mistray.surfaces.upload import upload
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ PARTS = 16  # of a patch each way, for its area
 
 
 @dataclass(kw_only=True)
-class Freeform(Surface):
+class Freeform(TracedSurface):
     """
     A surface z = sag(x, y) within an outline; F = z - sag.
 

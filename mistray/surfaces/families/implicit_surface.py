@@ -12,7 +12,7 @@ import numpy as np
 from mistray.surfaces.families.implicit_crossing import ImplicitNumbers, first_crossing
 from mistray.surfaces.families.sag_surface import azimuth
 from mistray.surfaces.gradient_columns import HIGH, LOW, OWN
-from mistray.surfaces.surface import ENDS, Opening, Surface
+from mistray.surfaces.surface import ENDS, Opening, TracedSurface
 
 if TYPE_CHECKING:
     from mistray.surfaces.crossings import AxisRay
@@ -25,7 +25,7 @@ MARGIN = 1e-3  # by which bounds are wider than the profile, in units of its siz
 
 
 @dataclass(kw_only=True)
-class ImplicitSurface(Surface):
+class ImplicitSurface(TracedSurface):
     """
     A surface of a family that a plugin defines, see `mistray.plugins.shapes.implicit.Implicit`.
 

@@ -10,7 +10,7 @@ import numpy as np
 from mistray.physics.geometry.sag import conic_end, sag, sag_derivative
 from mistray.surfaces.crossings import conic_crossing, plane_crossing
 from mistray.surfaces.gradient_columns import COEFFICIENTS, HALF_HEIGHT, HALF_WIDTH, INNER, OUTER
-from mistray.surfaces.surface import RECTANGLE, ROUND, Opening, Surface
+from mistray.surfaces.surface import RECTANGLE, ROUND, Opening, TracedSurface
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -28,7 +28,7 @@ NODES, WEIGHTS = 0.5 * (_NODES + 1), 0.5 * _WEIGHTS
 
 
 @dataclass(kw_only=True)
-class SagSurface(Surface):
+class SagSurface(TracedSurface):
     """
     A surface z = sag(r) within its aperture; F = c r² + c (1 + k) z² - 2 z, or 2 (sag - z) with aspheric terms.
 
