@@ -226,6 +226,10 @@ class ReplayTables(ScatterTables):
     leaves : dict
         Name of an array → zeros that hold the derivatives by its entries, (BATCHES · size) mi.Float64; of ratios the
         moving ones alone.
+    sizes : dict
+        Name of an array → number of its entries that have derivatives.
+    packed : PackedLobes
+        The lobes, by plugin.
     batch : mi.UInt32
         Batch to which derivatives are added; to be set before anything is read.
     """
@@ -234,13 +238,13 @@ class ReplayTables(ScatterTables):
         self.backward, self.flags, self.most_lobes = tables.backward, tables.flags, tables.most_lobes
         self.sides, self.cases, self.transmission_rows = tables.sides, tables.cases, tables.transmission_rows
         self.totals, self.turns, self.frames = tables.totals, tables.turns, tables.frames
-        packed = pack(tables.all_cases, by_plugin=True)
+        self.packed = packed = pack(tables.all_cases, by_plugin=True)
         self._upload_lobes(packed)
         self.radial = ReplayRadial(packed.tables, partial(self._zero, LOGS))
         self.batch = mi.UInt32(0)
         sizes = {TOTALS: tables.total_rows * TOTAL_FLOATS, LOBES: packed.floats.size, LOGS: len(packed.tables) * STRIDE}
         sizes |= {RATIOS: packed.moving} if packed.moving else {}
-        self._sizes = {name: dr.opaque(mi.UInt32, size) for name, size in sizes.items()}
+        self.sizes, self._sizes = sizes, {name: dr.opaque(mi.UInt32, size) for name, size in sizes.items()}
         with dr.resume_grad():
             # Literal zeros take no memory, and no time to read
             self.leaves = {name: dr.zeros(mi.Float64, BATCHES * size) for name, size in sizes.items()}

@@ -13,11 +13,11 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.gradients.scatter_gradient import quotient, table_slopes
-from mistray.gradients.scatter_replay import RATIOS, ReplayTables, shapes
+from mistray.gradients.scatter_replay import RATIOS, ReplayTables
 from mistray.kernel.interaction import Interaction, Place, shares_at
 from mistray.kernel.lobes import multilinear
 from mistray.kernel.scatter_shares import ScatterBudget
-from mistray.kernel.scatter_tables import NORMAL, RATIO_HEAD, Case, ScatterTables, pack
+from mistray.kernel.scatter_tables import NORMAL, RATIO_HEAD, Case, ScatterTables
 from mistray.kernel.scattering import Scattering
 from mistray.surfaces.optics import OPAQUE, Optics
 from mistray.surfaces.upload import upload
@@ -78,8 +78,8 @@ class ModelTables(ReplayTables):
     """
 
     def __init__(self, tables: ScatterTables) -> None:
-        self._packed = pack(tables.all_cases, by_plugin=True)
-        super().__init__(tables, self._packed, {}, {})
+        super().__init__(tables)
+        self.leaves = {}  # derivatives come from `moving` alone
         self.any, self.bulk, self.all_cases, self.total_rows = True, None, tables.all_cases, tables.total_rows
         self.moving: list[tuple[mi.Float, dict[str, mi.Float]]] = []
         self._slopes: dict[tuple[int, str], dict[str, mi.Float]] = {}
@@ -88,9 +88,9 @@ class ModelTables(ReplayTables):
         """Return the derivatives of all entries by a value of a model, by the names of the arrays."""
         if (id(plugin), name) not in self._slopes:
             cases = [case for case in self.all_cases if _has(case, plugin)]
-            found = {array: np.zeros(int(np.prod(shape))) for array, shape in shapes(self, self._packed).items()}
-            found[RATIOS] = np.zeros(max(len(self._packed.ratios), 1))
-            for array, place, slope in table_slopes(table, cases, self._packed, plugin, quotient(plugin, name, STEP)):
+            found = {array: np.zeros(size) for array, size in self.sizes.items()}
+            found[RATIOS] = np.zeros(max(len(self.packed.ratios), 1))
+            for array, place, slope in table_slopes(table, cases, self.packed, plugin, quotient(plugin, name, STEP)):
                 found[array][place : place + slope.size] += slope.ravel()
             self._slopes[id(plugin), name] = {array: upload(mi.Float, values) for array, values in found.items()}
         return self._slopes[id(plugin), name]
