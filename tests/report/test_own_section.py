@@ -16,7 +16,7 @@ from mistray.analysis import GhostReport
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
 from mistray.report import main_table, remove_section, report_section, write_all
-from mistray.report.figures.figure import FigurePart as Drawing
+from mistray.report.figures.figure import Figure as Drawing
 from mistray.report.model import FigurePart, Map, NotePart, Section, Table, columns
 
 BRIGHTEST = 3  # ghosts of each field

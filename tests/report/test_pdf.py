@@ -10,7 +10,7 @@ import pytest
 from markupsafe import Markup
 
 from mistray.analysis.estimate import Estimate
-from mistray.report.figures.figure import FigurePart as Drawing
+from mistray.report.figures.figure import Figure as Drawing
 from mistray.report.formats import write_formats
 from mistray.report.html.embedded import palette_png
 from mistray.report.model import FigurePart, Folded, Html, Items, Map, NotePart, Report, Section, Table, Terms, columns
