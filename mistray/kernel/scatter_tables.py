@@ -433,7 +433,14 @@ class ScatterTables:
 
 
 def light_indices(optics: Optics, surface: int, from_front: bool) -> tuple[float, float]:
-    """Return the real indices on the side that light comes from and on the other."""
+    """
+    Return the real indices on the side that light comes from and on the other.
+
+    The kernel needs no indices beside an opaque surface, but its lobes do: their wavelength is that of the medium.
+    """
+    if optics.host_words[surface] & OPAQUE:
+        front, back = (float(n) for n in optics.host_media_n[optics.declared[surface]])
+        return (front, front) if from_front else (back, back)
     front, back = (float(n) for n in optics.host_indices[surface, :2])
     return (front, back) if from_front else (back, front)
 

@@ -174,10 +174,10 @@ def test_tilt_of_the_roof() -> None:
     ("make", "rays", "step", "selection"),
     [
         (biprism, 100_000, 0.2, "direct"),
-        (tilted_prism, 200_000, 0.1, "all"),
-        (lens, 400_000, 0.1, "all"),
-        (lambda step: lens(step, freeform=False), 400_000, 0.1, "all"),
-        (splitter, 60_000, 0.2, "all"),
+        (tilted_prism, 800_000, 0.1, "all"),
+        (lens, 1_200_000, 0.1, "all"),
+        (lambda step: lens(step, freeform=False), 1_200_000, 0.1, "all"),
+        (splitter, 120_000, 0.2, "all"),
     ],
     ids=["biprism", "tilted prism", "freeform lens", "asphere lens", "beam splitter"],
 )
@@ -209,4 +209,4 @@ def test_pst_of_a_box() -> None:
         return pst_bin(scene, 30.0, "total", rays=rays, method="adjoint", cell_deg=10.0, seed=seed)
 
     scene = make(0.0)
-    check(derivative(scene, metric(scene, 300_000, 0)), difference(make, metric, 0.2))
+    check(derivative(scene, metric(scene, 600_000, 0)), difference(make, metric, 0.2))

@@ -97,7 +97,7 @@ def test_a_plate_takes_its_area(name: str) -> None:
     numbers, areas = CASES[name]
     here = scene(numbers)
     keys = [f"plate.{key}" for key in areas]
-    power = path_power(here, "straight shot", rays=2_000_000)
+    power = path_power(here, "straight shot", rays=4_000_000)
     g = mistray.gradient(power, mi.traverse(here), keys=keys)
     scale = 1.0 / (math.pi * BEAM**2)  # of the launched flux
     largest = max(abs(area) for area in areas.values())
@@ -166,7 +166,7 @@ def test_corners_and_seams(name: str) -> None:
     """Each number within 4.5 standard errors, which are 10 % of the largest at most: false alarms 5e-3 in all."""
     numbers, areas = CORNERS_AND_SEAMS[name]
     here = scene(numbers)
-    power = path_power(here, "straight shot", rays=600_000)
+    power = path_power(here, "straight shot", rays=2_400_000)
     g = mistray.gradient(power, mi.traverse(here), keys=[f"plate.{key}" for key in areas])
     scale = 1.0 / (math.pi * BEAM**2)
     largest = max(abs(area) for area in areas.values())

@@ -92,7 +92,7 @@ def difference(scene: mi.Scene, key: str, step: float) -> tuple[float, float]:
 def test_against_differences(scene, key: str) -> None:
     """Within 4 errors of both, by chance once in 16 000 times, and 2 % for the curvature of zones and steps."""
     expected, error = difference(scene, key, STEPS[key])
-    found, own = derivative(scene, [key], rays=1 << 18)[key]
+    found, own = derivative(scene, [key], rays=1 << 19)[key]
     assert own < 0.1 * abs(found)
     assert abs(found - expected) < 4 * np.hypot(error, own) + 0.02 * abs(expected)
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import vectors
+from lit_detector import BLACK, lit, meter
 from oracles import scatter_integrals as integrals
 from oracles.scatter_scenes import (
     beam_xml,
@@ -29,6 +30,7 @@ from oracles.statistics import assert_z, mean_and_error
 from vectors import analytic
 
 import mistray
+from mistray.recorders import FluxSplit
 
 Load = Callable[[str], Any]
 TRANSMITTED = {
@@ -53,6 +55,27 @@ def check_detected(what: str, t: mistray.Trace, expected: float, relative: float
     e = t.energy
     check(what, e.detected_W / e.launched_W, e.detected_se_W / e.launched_W, expected, relative)
     assert abs(e.closure) < 1e-6
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("medium", ["air", "1.5"])
+def test_a_mirror_scatters_with_the_wavelength_of_its_medium(medium: str) -> None:
+    """TIS = (4π n σ/λ)² of a smooth mirror, to first order (H. E. Bennett, J. O. Porteus, J. Opt. Soc. Am. 51, 123)."""
+    rough = {"type": "harvey_shack", "rms_nm": 2.0, "l": 0.01, "s": -1.5}
+    mirror = {"type": "interface", "front": medium, "R": 1.0, "model": rough}
+    window = {"type": "interface", "back": medium, "R": 0.0, "T": 1.0}
+    lamp = {"type": "collimated", "radius": 1.0, "distance": 1.0, "wavelength_nm": 500.0}
+    scene = lit(
+        lamp,
+        detector={"type": "asphere", "semi_diameter": 20.0, "z": -5.0, "bsdf": BLACK, "sensor": meter()},
+        window={"type": "asphere", "semi_diameter": 20.0, "bsdf": window},
+        edge={"type": "frustum", "r0": 20.0, "z0": 0.0, "r1": 20.0, "z1": 5.0, "bsdf": BLACK | {"front": medium}},
+        mirror={"type": "asphere", "semi_diameter": 20.0, "z": 5.0, "bsdf": mirror},
+    )
+    traced = mistray.trace(scene, rays=2000, recorders=[FluxSplit("split", "mirror")], max_scatters=1)
+    (row,) = traced.recorders["split"].rows
+    tis = (4 * np.pi * (1.0 if medium == "air" else float(medium)) * 2.0 / 500.0) ** 2
+    assert row.scattered_reflection[0] / row.incident[0] == pytest.approx(tis, rel=tis)
 
 
 class TestTubes:

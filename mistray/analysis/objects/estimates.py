@@ -27,7 +27,7 @@ from scipy.spatial import cKDTree
 
 from mistray.analysis.objects.patches import Patches
 from mistray.analysis.objects.view import SIDES, HitSamples, RayView
-from mistray.kernel.scatter_tables import side_of
+from mistray.kernel.scatter_tables import light_indices, side_of
 from mistray.scatter.evaluate import bsdf
 from mistray.settings import BATCHES
 from mistray.surfaces.optics import OPAQUE
@@ -305,7 +305,7 @@ def surface_bsdf(
         here = from_front == front
         if not here.any():
             continue
-        n_in, n_out = (float(n) for n in optics.host_indices[surface, [0, 1] if front else [1, 0]])
+        n_in, n_out = light_indices(optics, surface, front)
         side = side_of(models, optics.wavelength_nm, n_in, n_out, front)
         if optics.host_words[surface] & OPAQUE:
             side = side.without_transmission()

@@ -14,6 +14,7 @@ import pandas as pd
 from mistray.analysis.study.models import role
 from mistray.analysis.study.step import Fact, StudyStep, count_of
 from mistray.coatings import Bare, Ideal
+from mistray.kernel.scatter_tables import light_indices
 from mistray.kernel.targets import AimSet, AnyTarget, Inside, Place, TargetCone
 from mistray.sampling.design_path import DesignPath
 from mistray.sampling.detector_images import DetectorImages
@@ -106,18 +107,12 @@ def _rounded(values: Mapping[str, float]) -> tuple[float, ...]:
     return tuple(round(value, SAME_DIGITS) for value in values.values())
 
 
-def _sides(table: SurfaceTable, surface: int, from_front: bool) -> tuple[float, float]:
-    """Indices on the side of incidence and on the other."""
-    front, back = (float(n) for n in table.optics.host_indices[surface, :2])
-    return (front, back) if from_front else (back, front)
-
-
 def _totals(
     table: SurfaceTable, surface: int, models: Sequence[LobeModel], from_front: bool, cosine: float = 1.0
 ) -> Totals:
     """Compute how some models of a surface divide light at one angle of incidence; opaque surfaces transmit nothing."""
     opaque = bool(table.optics.host_words[surface] & OPAQUE)
-    sides = _sides(table, surface, from_front)
+    sides = light_indices(table.optics, surface, from_front)
     particles = particle_indices(models, table.wavelength_nm)
     return _known_totals(tuple(models), particles, table.wavelength_nm, *sides, from_front, opaque, cosine)
 
