@@ -32,6 +32,7 @@ PRIVATE = {
     "stock": "Mitsuba's own",
     "worth": "importance",
     "told": "reported",
+    "wanted": "requested",
 }
 # Ordinary uses
 ALLOWED = {

@@ -164,18 +164,18 @@ class AllCells:
         # Rays of each cell
         trace = self._trace
         balance = trace.balance(band)
-        wanted = many = rays * trace.bands[band].share
+        requested = many = rays * trace.bands[band].share
         if not scatter:
             assert self.unscattered is not None
-            many = wanted * self.unscattered
+            many = requested * self.unscattered
             stream = (OWN + stream[0], stream[1])
         # With MIS every pass has rays of all cells. Without it each cell is split by itself, so that its rays do not
         # depend on those of other cells
         apart = balance is None
         passes = np.maximum(1, -(-(many if apart else many.sum()).astype(np.int64) // PASS_LANES))
-        lanes = np.where(wanted > 0, np.maximum(np.round(many / passes / BATCHES), 1) * BATCHES, 0).astype(np.int64)
+        lanes = np.where(requested > 0, np.maximum(np.round(many / passes / BATCHES), 1) * BATCHES, 0).astype(np.int64)
         # The rays of a wavelength are in proportion to its share; the weight corrects the rounding of their number
-        weight = np.divide(wanted, passes * lanes, out=np.zeros(len(lanes)), where=lanes > 0)
+        weight = np.divide(requested, passes * lanes, out=np.zeros(len(lanes)), where=lanes > 0)
         for k in range(int(np.max(passes))):
             here = np.where(k < passes, lanes, 0)
             group = (np.cumsum(here) - 1) // PASS_LANES if apart else np.zeros(len(here))

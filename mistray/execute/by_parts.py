@@ -157,14 +157,14 @@ def require_same(here: Sequence[list[np.ndarray]], there: Sequence[list[np.ndarr
 
 def split(runs: Sequence[Run], workers: int) -> list[RunPart]:
     """Return parts of runs, enough to keep workers busy to the end; parts of different runs alternate."""
-    wanted = max(LEAST_RAYS, sum(run.rays for run in runs) / (PARTS_PER_WORKER * workers))
+    requested = max(LEAST_RAYS, sum(run.rays for run in runs) / (PARTS_PER_WORKER * workers))
     placed = []
     for number, run in enumerate(runs):
         found = []
         for k in range(run.passes):
             # Powers of two, so that all parts of a pass have the same number of batches
             rays = min(PASS_LANES, run.rays - k * PASS_LANES)
-            pieces = 1 << int(math.log2(min(max(rays / wanted, 1), BATCHES)))
+            pieces = 1 << int(math.log2(min(max(rays / requested, 1), BATCHES)))
             step = BATCHES // pieces
             found += [Part(k, low, low + step) for low in range(0, BATCHES, step)]
         # Sorted by their place in their own run, so that all runs end together

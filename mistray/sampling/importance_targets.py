@@ -316,17 +316,17 @@ def _seen(
     d = (ends - origins) / np.linalg.norm(ends - origins, axis=1, keepdims=True)
     which = np.repeat(np.arange(len(views)), rays)
     surface = np.array([view.side[0] for view in views])[which]
-    wanted = np.full(len(d), table.detector)
+    requested = np.full(len(d), table.detector)
     goes = np.einsum("ij,ij->i", d, outward) > 0
     if images:
         steps = [images.path.steps[view.number] for view in views]
-        wanted = np.array([step.surface for step in steps])[which]
+        requested = np.array([step.surface for step in steps])[which]
         from_front = np.array([step.from_front for step in steps])[which]
         goes &= np.einsum("ij,ij->i", d, np.array([step.before for step in steps])[which]) > 0
     # Those that head for the right side of the surface of a step
     some = np.flatnonzero(goes)
     hit, _, normal = first_hit(table, origins[some], d[some], surface[some])
-    arrives = hit == wanted[some]
+    arrives = hit == requested[some]
     if images:
         arrives &= (hit == OPENING) | ((np.einsum("ij,ij->i", d[some], normal) > 0) == from_front[some])
     return np.bincount(which[some[arrives]], minlength=len(views)) / rays

@@ -40,8 +40,8 @@ def check_paths(scene: mi.Scene | None, selections: Iterable[str], of_rays: bool
     MistrayError
         For a filter that cannot be parsed, and for surfaces, kinds, sources and columns that do not exist.
     """
-    wanted = [PathFilter(text) for text in selections]
-    if wanted and scene is not None:
+    requested = [PathFilter(text) for text in selections]
+    if requested and scene is not None:
         # A table without rows has all the names, which is enough to find those that do not exist
         by_ray, shapes = BY_RAY if of_rays else frozenset(), named_shapes(scene)
         # As in `mistray.surfaces.surfaces.SurfaceTable`: surfaces first, then media, whose names are in brackets
@@ -56,5 +56,5 @@ def check_paths(scene: mi.Scene | None, selections: Iterable[str], of_rays: bool
             by_ray,
             [emitter.name or f"source_{number}" for number, emitter in emitters],
         )
-        for one in wanted:
+        for one in requested:
             one.bounds(rows)

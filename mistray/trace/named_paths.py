@@ -64,8 +64,8 @@ class Whole:
     def bounds(self, rows: Rows) -> Bounds:
         """Return the rows that hold."""
         _check_events(event_words(self.text), rows)
-        wanted = way_text([" ".join(event_words(self.text))])[0]
-        return exactly(np.array([one == wanted for one in way_text(rows.columns["events"])], dtype=bool))
+        requested = way_text([" ".join(event_words(self.text))])[0]
+        return exactly(np.array([one == requested for one in way_text(rows.columns["events"])], dtype=bool))
 
 
 @dataclass(frozen=True)

@@ -291,16 +291,18 @@ class PathTable(Sequence[PathRow]):
         """
         return self._that_pass(PathFilter(selection))
 
-    def _that_pass(self, wanted: PathFilter) -> list[PathRow]:
-        return list(self._rows(np.sort(np.concatenate([ids for ids, _ in self.chosen(wanted)]))))
+    def _that_pass(self, requested: PathFilter) -> list[PathRow]:
+        return list(self._rows(np.sort(np.concatenate([ids for ids, _ in self.chosen(requested)]))))
 
-    def chosen(self, wanted: PathFilter, by_ray: frozenset[str] = frozenset()) -> list[tuple[np.ndarray, np.ndarray]]:
+    def chosen(
+        self, requested: PathFilter, by_ray: frozenset[str] = frozenset()
+    ) -> list[tuple[np.ndarray, np.ndarray]]:
         """
         Return the paths that a filter may select, run by run.
 
         Parameters
         ----------
-        wanted : PathFilter
+        requested : PathFilter
             Filter.
         by_ray : frozenset of str
             Columns that belong to rays, so that a path cannot decide.
@@ -317,9 +319,9 @@ class PathTable(Sequence[PathRow]):
             columns = {name: column[ids] for name, column in self._columns.items() if name not in by_ray}
             events, table = one.events(self._place[ids]), one.table
             rows.append(Rows(events, table.event_parts, columns, table.count, by_ray, sources))
-        held = [wanted.bounds(own).possible for own in rows]
-        if wanted.name:  # a name may mean several paths, or none
-            tell(wanted.name, rows, held)
+        held = [requested.bounds(own).possible for own in rows]
+        if requested.name:  # a name may mean several paths, or none
+            tell(requested.name, rows, held)
         chosen = [own[here] for own, here in zip(of_runs, held, strict=True)]
         slots = [one.paths.slots[self._place[ids]] for one, ids in zip(self._of_runs, chosen, strict=True)]
         return list(zip(chosen, slots, strict=True))

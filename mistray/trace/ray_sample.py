@@ -52,7 +52,7 @@ def sample_rays(run: Run, keys: Sequence[int], most: int) -> dict[int, list[Ray]
                 continue
             recorder.clear()
             run.trace_trees(sample.take(upload(mi.UInt32, part)), recorder)
-            slots = _wanted(recorder, [key for key, rays in found.items() if len(rays) < most], most)
+            slots = _requested(recorder, [key for key, rays in found.items() if len(rays) < most], most)
             starts = [place[int(lane)] for lane in np.array(recorder.lane)[slots]]
             rays = rays_in_slots(run, recorder, slots, origins[starts], directions[starts])
             for key, ray in zip(np.array(recorder.path)[slots].tolist(), rays, strict=True):
@@ -63,7 +63,7 @@ def sample_rays(run: Run, keys: Sequence[int], most: int) -> dict[int, list[Ray]
     return found
 
 
-def _wanted(recorder: BranchRecorder, keys: Sequence[int], most: int) -> np.ndarray:
+def _requested(recorder: BranchRecorder, keys: Sequence[int], most: int) -> np.ndarray:
     """Return the places of at most `most` recorded branches of each of these paths."""
     count = min(int(recorder.count[0]), recorder.capacity)
     paths = np.array(recorder.path)[:count]

@@ -53,7 +53,7 @@ def check_box(box: Sequence[float]) -> None:
 def ray_table(
     runs: Sequence[Run],
     paths: PathTable,
-    wanted: PathFilter,
+    requested: PathFilter,
     n: int | None,
     box: Sequence[float] | None,
     pixels: Sequence[int] | None,
@@ -69,13 +69,13 @@ def ray_table(
     if pixels is not None:
         _check_pixels(pixels, runs[0])
     # Only a filter that needs the strongest ray pays for the run that finds it
-    peak = max(run.peak_W() for run in runs) if PEAK in wanted.columns else math.nan
+    peak = max(run.peak_W() for run in runs) if PEAK in requested.columns else math.nan
 
     # Rays of each run
     parts: list[Columns] = []
     rays: list[tuple[int, Ray]] = []
-    for number, (run, (_, slots)) in enumerate(zip(runs, paths.chosen(wanted, BY_RAY), strict=True)):
-        search = _Search(run, number, paths, wanted, peak, box, pixels, events)
+    for number, (run, (_, slots)) in enumerate(zip(runs, paths.chosen(requested, BY_RAY), strict=True)):
+        search = _Search(run, number, paths, requested, peak, box, pixels, events)
         found, lines = search.rays(slots, n)
         parts.append(found)
         rays += [(number, ray) for ray in lines]
@@ -117,13 +117,13 @@ class _Search:
         run: Run,
         number: int,
         paths: PathTable,
-        wanted: PathFilter,
+        requested: PathFilter,
         peak: float,
         box: Sequence[float] | None,
         pixels: Sequence[int] | None,
         events: bool,
     ) -> None:
-        self._run, self._number, self._paths, self._wanted, self._peak = run, number, paths, wanted, peak
+        self._run, self._number, self._paths, self._requested, self._peak = run, number, paths, requested, peak
         self._pixels, self._events = pixels, events
         self._box = _corners(run, box, pixels)
 
@@ -212,11 +212,13 @@ class _Search:
             held &= (columns["row"] >= r0) & (columns["row"] < r1)
         # Columns of the ray's path, where the filter has any
         more = {
-            name: self._paths.column(name)[columns["path_id"]] for name in self._wanted.columns if name in PATH_COLUMNS
+            name: self._paths.column(name)[columns["path_id"]]
+            for name in self._requested.columns
+            if name in PATH_COLUMNS
         }
         table = self._run.table
         known = more | columns | {PEAK: columns["flux_W"] / self._peak}
-        return held & self._wanted.holds(Rows(events, table.event_parts, known, table.count))
+        return held & self._requested.holds(Rows(events, table.event_parts, known, table.count))
 
 
 def _corners(run: Run, box: Sequence[float] | None, pixels: Sequence[int] | None) -> tuple[float, ...] | None:

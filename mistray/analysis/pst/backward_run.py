@@ -67,7 +67,7 @@ class BackwardRun:
         self._plan: Plan | None = None
         self._pilot_seconds, self._seconds_left = 0.0, math.nan
         self._first_pass = FIRST_PASS  # rays of the first pass; fewer if a time budget is shorter than that
-        self._wanted: tuple[float | None, float | None] = (None, None)
+        self._needed: tuple[float | None, float | None] = (None, None)
         self._before: dict[str, np.ndarray] = {}  # path table of the run that this one continues
         self._table: dict[str, np.ndarray] | None = None  # path table of both runs, once it is read
         settings = asdict(trace.settings)
@@ -105,36 +105,36 @@ class BackwardRun:
         self._trace.share_paths(plan.sharing)
         self._light = ForwardPart(self._trace, saved)
 
-    def plan(self, wanted: float | None, up_to_deg: float | None) -> Plan | None:
+    def plan(self, needed: float | None, up_to_deg: float | None) -> Plan | None:
         """Return the plan for a relative error up to a field angle, by a pilot or from the continued run."""
-        self._wanted = wanted, up_to_deg
+        self._needed = needed, up_to_deg
         if self._plan is not None or not self._joined:
             return self._plan
         started = time.perf_counter()
         counts = cells_up_to(self._trace.grid, up_to_deg).ravel()
-        pilot = Pilot(self._trace, self._points, counts, wanted is not None)
+        pilot = Pilot(self._trace, self._points, counts, needed is not None)
         # For a fixed number of rays the pilot has a fixed size, so that the run may be continued. For an error it
         # grows, because its first variances are unreliable
         with share(1 / (1 + PILOT_SHARE)):
             plan = pilot.search(0)
-            while wanted is not None and not time_is_up():
-                asked = self._budget(plan, wanted) / PILOT_SHARE
+            while needed is not None and not time_is_up():
+                asked = self._budget(plan, needed) / PILOT_SHARE
                 if asked <= SHORT_OF_IT * pilot.rays:
                     break
                 plan = pilot.search(min(asked, 2 * pilot.rays))
-        if wanted is not None:
-            plan = plan.beside(max(plan.rays_for(wanted, counts), int(plan.pilot_rays[1])), self._budget(plan, wanted))
+        if needed is not None:
+            plan = plan.beside(max(plan.rays_for(needed, counts), int(plan.pilot_rays[1])), self._budget(plan, needed))
         self._pilot_seconds = time.perf_counter() - started
         # Forecast; a time budget may shorten the first pass
-        budget = self._budget(plan, wanted)
+        budget = self._budget(plan, needed)
         self._seconds_left = pilot.seconds_for(plan, budget)
         if (takes := pilot.seconds_for(plan, FIRST_PASS)) > left():
             self._first_pass = max(LEAST_PASS, int(FIRST_PASS * left() / takes))
         if self._seconds_left > LONG and not is_limited():
-            goal = "" if wanted is None else f"; an error of {percent_text(wanted)} takes {budget:.2g} rays"
+            goal = "" if needed is None else f"; an error of {percent_text(needed)} takes {budget:.2g} rays"
             warnings.warn(
                 f"the PST takes about {duration(self._seconds_left)}{goal}; "
-                f"lower {'rays' if wanted is None else 'the number of rays, allow a larger error'}, or give a time "
+                f"lower {'rays' if needed is None else 'the number of rays, allow a larger error'}, or give a time "
                 "with seconds",
                 MistrayWarning,
                 stacklevel=2,
@@ -151,17 +151,17 @@ class BackwardRun:
             Plan of the forward rays; None: there are none.
         progress : callable, optional
         """
-        wanted, up_to_deg = self._wanted
+        needed, up_to_deg = self._needed
         trace = self._trace
         before = float(trace.rays.sum())
         started, saved, saving = time.perf_counter() - self._pilot_seconds, -np.inf, 0.0
         all_saved, took = True, 0.0  # s of the last pass
         if self._light is None and plan is not None:
             self._take(plan)
-        most = self._budget(plan, wanted) if plan is not None else trace.settings.rays
+        most = self._budget(plan, needed) if plan is not None else trace.settings.rays
         if progress and math.isfinite(self._seconds_left):
             done, spent = round(before), time.perf_counter() - started
-            progress(PstProgress(done, max(most, done), math.inf, wanted, spent, self._seconds_left))
+            progress(PstProgress(done, max(most, done), math.inf, needed, spent, self._seconds_left))
         with later(), trace.shared(most):
             while trace.rays.sum() < most and not requested() and not (trace.passes and left() < took):
                 # Pass: backward rays, then the forward rays beside them
@@ -183,7 +183,7 @@ class BackwardRun:
                     saving = saved - now
                 if progress:
                     done, worst = round(float(trace.rays.sum())), self._worst(up_to_deg)
-                    progress(PstProgress.after(done, max(most, done), worst, wanted, now - started, round(before)))
+                    progress(PstProgress.after(done, max(most, done), worst, needed, now - started, round(before)))
             if self._state is not None and not all_saved:
                 self._save()
             if requested():
@@ -200,7 +200,7 @@ class BackwardRun:
         size = min(missing, FIRST_PASS if self._trace.passes else self._first_pass)
         return size if size < FIRST_PASS and (most < FIRST_PASS or not self._trace.passes) else None
 
-    def _budget(self, plan: Plan, wanted: float | None) -> int:
+    def _budget(self, plan: Plan, needed: float | None) -> int:
         """
         Return the number of backward rays of the run.
 
@@ -208,11 +208,11 @@ class BackwardRun:
         finds no light in a cell, they are at least `DARK_AFTER`, after which the cell counts as dark.
         """
         most = self._trace.settings.rays
-        if wanted is None:
+        if needed is None:
             return most
-        counts = cells_up_to(self._trace.grid, self._wanted[1]).ravel()
+        counts = cells_up_to(self._trace.grid, self._needed[1]).ravel()
         least = DARK_AFTER if np.any(plan.light[counts] == 0) else int(plan.pilot_rays[1])
-        return min(max(plan.rays_for(wanted, counts), least), most)
+        return min(max(plan.rays_for(needed, counts), least), most)
 
     def _keep(self, error: UnfinishedError, unsaved: bool) -> None:
         """Save the finished passes, and add their place and their PST to the error of lost workers."""
@@ -274,12 +274,12 @@ class BackwardRun:
             found = FoundPaths.of(trace, against=alone, along=light.found if light is not None else None)
         # Notes and facts
         lines = [*notes(bare, largest, rays), *trace.notes]
-        wanted, up_to_deg = self._wanted
-        if wanted is None and rays < trace.settings.rays:
+        needed, up_to_deg = self._needed
+        if needed is None and rays < trace.settings.rays:
             lines.append(unfinished(rays, trace.settings.rays))
-        if wanted is not None and (worst := self._worst(up_to_deg)) > wanted and np.isfinite(worst):
+        if needed is not None and (worst := self._worst(up_to_deg)) > needed and np.isfinite(worst):
             text = (
-                f"errors of up to {percent_text(worst)} are left where {percent_text(wanted)} was requested; ask for "
+                f"errors of up to {percent_text(worst)} are left where {percent_text(needed)} was requested; ask for "
                 "less, or allow more rays"
             )
             lines.append(Note(text, Code.ERROR))
@@ -289,7 +289,7 @@ class BackwardRun:
             "segments": trace.segments,
             "seconds": self._pilot_seconds + trace.seconds + (light.seconds if light is not None else 0.0),
             "settings": asdict(trace.settings),
-            "relative_error": wanted,
+            "relative_error": needed,
             "error_up_to_deg": up_to_deg,
             "notes": lines,
         }

@@ -146,10 +146,10 @@ class CellRounds:
         self.for_others = False
         self._request, self._entrance, self._counts = request, entrance, counts
         # Largest number of rays of each cell, rays of its first round, and the error at which it is done
-        self._wanted = request.relative_error
+        self._requested = request.relative_error
         self._most = np.full(len(counts), settings.rays)
         self._first = self._most
-        if self._wanted is not None:
+        if self._requested is not None:
             self._first = np.minimum(self._most, FIRST_RAYS)
             self._most = np.where(counts, self._most, self._first)
         self._open = np.ones(len(counts), dtype=bool)  # cells that are not done
@@ -194,13 +194,13 @@ class CellRounds:
         value, se = (part.ravel() for part in self._pst().map())
         self._error = np.divide(se, value, out=np.full(len(se), np.inf), where=value > 0)
         self._open &= self.light.rays < np.where(value > 0, self._most, np.minimum(self._most, DARK_RAYS))
-        if self._wanted is not None:
-            self._open &= ~(self._counts & (self._error <= self._wanted))
+        if self._requested is not None:
+            self._open &= ~(self._counts & (self._error <= self._requested))
 
     def _after_pass(self, rays: int) -> None:
         """Report that a pass of the present round is done, unless the first errors have yet to say how many follow."""
         self._in_round = min(self._in_round + rays, self._of_round)
-        if self._wanted is None or np.isfinite(self._error).any():
+        if self._requested is None or np.isfinite(self._error).any():
             self._report()
 
     def _report(self) -> None:
@@ -212,13 +212,13 @@ class CellRounds:
         seen = self._counts & np.isfinite(self._error)
         needed = np.where(self._open, self._most, rays)
         worst = 0.0
-        if self._wanted is not None:
-            by_error = rays * np.square(np.where(seen, self._error, 0) / self._wanted)
+        if self._requested is not None:
+            by_error = rays * np.square(np.where(seen, self._error, 0) / self._requested)
             needed = np.where(self._open & seen, np.clip(by_error, rays, needed), needed)
             worst = float(np.max(self._error, where=seen | (self._counts & self._open), initial=0.0))
         done, seconds = rays.sum() + self._in_round, time.perf_counter() - self._began
         left = seconds * max(needed.sum() - done, 0.0) / done
-        self.progress(PstProgress(round(done), int(self._most.sum()), worst, self._wanted, seconds, left))
+        self.progress(PstProgress(round(done), int(self._most.sum()), worst, self._requested, seconds, left))
 
     def _pst(self) -> Pst:
         """Return the PST of the rays so far, without details."""
@@ -237,14 +237,14 @@ class CellRounds:
         def named(chosen: np.ndarray) -> list[list[float]]:
             return [[float(grid.field_deg[i]), float(grid.azimuths_deg[j])] for i, j in np.argwhere(chosen)]
 
-        wanted, entrance = self._wanted, self._entrance
-        late = self._counts.reshape(shape) & ~missing & (error > (wanted or np.inf))
+        requested, entrance = self._requested, self._entrance
+        late = self._counts.reshape(shape) & ~missing & (error > (requested or np.inf))
         largest = np.where(missing, np.nan, bare.share_of_scattered(light.largest))
         # Notes
         lines = [*notes(bare, largest, float(rays[~missing].min())), *trace.notes]
         if (seen := late & np.isfinite(error)).any():
             text = (
-                f"errors of up to {percent_text(error[seen].max())} are left where {percent_text(wanted or 0)} was "
+                f"errors of up to {percent_text(error[seen].max())} are left where {percent_text(requested or 0)} was "
                 "requested; take more rays"
             )
             lines.append(Note(text, Code.ERROR))
@@ -260,7 +260,7 @@ class CellRounds:
             "seconds": time.perf_counter() - self._began,
             "segments": light.segments,
             "settings": asdict(trace.settings),
-            "relative_error": wanted,
+            "relative_error": requested,
             "error_up_to_deg": self._request.error_up_to_deg,
             "entrance": None if entrance is None else {"centre": list(entrance.centre), "radius": entrance.radius},
             "unseen": named(np.isinf(error) & ~missing),

@@ -57,8 +57,8 @@ class Plan:
         counts = counts & (self.light > 0)
         if not counts.any():
             return 0
-        wanted = np.square(relative_error * self.light[counts]) / RESERVE
-        return int(np.ceil(np.max(self.variance[counts] / wanted)))
+        requested = np.square(relative_error * self.light[counts]) / RESERVE
+        return int(np.ceil(np.max(self.variance[counts] / requested)))
 
     def beside(self, needed: int, rays: int) -> Plan:
         """Return the plan of a run with more backward rays than needed, with the forward rays of the needed ones."""

@@ -44,7 +44,7 @@ class PstProgress:
         the pilot is done, and `seconds_left` is its estimate.
     worst_error : float
         Largest relative standard error of the relevant angles; infinite if an angle has no light yet.
-    wanted_error : float or None
+    requested_error : float or None
         Requested error: the run ends when the worst error is below it. None: it traces all planned rays.
     seconds : float
         Time since this run began or was continued.
@@ -55,7 +55,7 @@ class PstProgress:
     rays_done: int
     rays_planned: int
     worst_error: float
-    wanted_error: float | None
+    requested_error: float | None
     seconds: float
     seconds_left: float
 
@@ -65,32 +65,32 @@ class PstProgress:
         rays_done: int,
         rays_planned: int,
         worst_error: float,
-        wanted_error: float | None,
+        requested_error: float | None,
         seconds: float,
         rays_before: int = 0,
     ) -> PstProgress:
         """
         Make a progress with an estimate of the remaining time.
 
-        The error falls as 1/√rays, so that rays_done · (worst_error/wanted_error)² rays are needed in all, but never
+        The error falls as 1/√rays, so that rays_done · (worst_error/requested_error)² rays are needed in all, but never
         more than `rays_planned`. Each takes as long as those since `rays_before`, the rays of the continued run.
         """
         here = rays_done - rays_before
-        left = max(_rays_needed(rays_done, rays_planned, worst_error, wanted_error) - rays_done, 0.0)
+        left = max(_rays_needed(rays_done, rays_planned, worst_error, requested_error) - rays_done, 0.0)
         seconds_left = seconds * left / here if here > 0 else math.nan
-        return cls(rays_done, rays_planned, worst_error, wanted_error, seconds, seconds_left)
+        return cls(rays_done, rays_planned, worst_error, requested_error, seconds, seconds_left)
 
     @property
     def share_done(self) -> float:
         """Fraction of the needed rays that are done, 0 … 1."""
-        needed = _rays_needed(self.rays_done, self.rays_planned, self.worst_error, self.wanted_error)
+        needed = _rays_needed(self.rays_done, self.rays_planned, self.worst_error, self.requested_error)
         return min(self.rays_done / needed, 1.0) if needed > 0 else 1.0
 
 
-def _rays_needed(done: int, planned: int, worst_error: float, wanted_error: float | None) -> float:
-    if wanted_error is None or not math.isfinite(worst_error):
+def _rays_needed(done: int, planned: int, worst_error: float, requested_error: float | None) -> float:
+    if requested_error is None or not math.isfinite(worst_error):
         return float(planned)
-    return min(float(planned), done * (worst_error / wanted_error) ** 2)
+    return min(float(planned), done * (worst_error / requested_error) ** 2)
 
 
 def under(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:

@@ -236,7 +236,7 @@ def _state_of(now: PstProgress) -> str:
     )
     if not now.rays_done:
         error = "the pilot is done"
-    if now.wanted_error is not None and math.isfinite(now.worst_error):
+    if now.requested_error is not None and math.isfinite(now.worst_error):
         error += f" of {100 * now.wanted_error:g} %"
     if not math.isfinite(now.seconds_left):
         return error

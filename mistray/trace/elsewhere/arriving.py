@@ -22,12 +22,12 @@ OF_EVENTS = tuple(NAMES[NAMES.index("key") : NAMES.index("critical") + 1])
 COLUMNS = ("wavelength_nm", "source", "type", "surface", "detector", *OF_EVENTS)
 
 
-def check_columns(wanted: PathFilter) -> None:
+def check_columns(requested: PathFilter) -> None:
     """Raise for a filter that compares columns that only light on a detector has, such as its power."""
-    missing = wanted.columns - set(COLUMNS)
+    missing = requested.columns - set(COLUMNS)
     if missing:
         raise MistrayError(
-            f"filter '{wanted.text}': of light elsewhere than on the detector there is no '{min(missing)}'; compare "
+            f"filter '{requested.text}': of light elsewhere than on the detector there is no '{min(missing)}'; compare "
             f"{', '.join(COLUMNS[:4])}, kind, order, scatters, or use flags such as H(x)"
         )
 
@@ -35,13 +35,13 @@ def check_columns(wanted: PathFilter) -> None:
 def passing(run: Run, filters: Sequence[PathFilter], recorder: BranchRecorder, count: int) -> np.ndarray:
     """Return which branches of a recorder the filters select, (filters, n) bool."""
     # Branches of one path have the same answer
-    for wanted in filters:
-        check_columns(wanted)
+    for requested in filters:
+        check_columns(requested)
     codes, lengths = recorder.events(np.arange(count))
     _, first, path = np.unique(np.array(recorder.path)[:count], return_index=True, return_inverse=True)
-    compared = frozenset().union(*(wanted.columns for wanted in filters))
+    compared = frozenset().union(*(requested.columns for requested in filters))
     rows = _rows(run, Events.of(run.table, run.design, codes, lengths)[first], compared)
-    held = np.array([wanted.holds(rows) for wanted in filters]).reshape(len(filters), len(first))
+    held = np.array([requested.holds(rows) for requested in filters]).reshape(len(filters), len(first))
     return np.asarray(held[:, path.ravel()])
 
 

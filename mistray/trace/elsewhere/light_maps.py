@@ -39,8 +39,8 @@ def light_maps(runs: Sequence[Run], maps: SurfaceMaps, filters: Sequence[PathFil
     list of dict
         Maps by the ids of their surfaces, for each filter.
     """
-    for wanted in filters:
-        check_columns(wanted)
+    for requested in filters:
+        check_columns(requested)
     found: list[Sampled] | None = None
     for run in runs:
         parts = _of_run(run, maps, filters)

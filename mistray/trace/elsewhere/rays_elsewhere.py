@@ -28,7 +28,7 @@ CAPACITY = 1 << 14  # branches that are recorded at a time
 
 
 def rays_elsewhere(
-    runs: Sequence[Run], where: str | Sequence[str], wanted: PathFilter, n: int | None, events: bool
+    runs: Sequence[Run], where: str | Sequence[str], requested: PathFilter, n: int | None, events: bool
 ) -> pd.DataFrame:
     """Return the table of `mistray.trace.Trace.rays_at`; see there for the parameters."""
     if n is not None and n < 1:
@@ -37,7 +37,7 @@ def rays_elsewhere(
     # Rays of each run
     tables = []
     for run in runs:
-        rays = list(_rays(run, words, wanted, n))
+        rays = list(_rays(run, words, requested, n))
         rays = [rays[k] for k in spread(len(rays), n)]
         facts = {"source": np.full(len(rays), run.source.name, dtype=object)}
         if rays:
@@ -65,7 +65,7 @@ def _ends(table: pd.DataFrame) -> pd.DataFrame:
     return last
 
 
-def _rays(run: Run, words: Sequence[str], wanted: PathFilter, n: int | None) -> Iterator[Ray]:
+def _rays(run: Run, words: Sequence[str], requested: PathFilter, n: int | None) -> Iterator[Ray]:
     """Yield enough rays of one run, from growing portions of its start rays, each spread over the beam."""
     check_where(words)
     departs = any(word in (ESCAPED, RETURNED) for word in words)
@@ -73,7 +73,7 @@ def _rays(run: Run, words: Sequence[str], wanted: PathFilter, n: int | None) -> 
     recorder = ElsewhereRecorder(CAPACITY, run.settings.max_events, surfaces=chosen, departs=departs)
     found = 0
     for start in portions(run):
-        for ray in _walk(run, start, recorder, wanted):
+        for ray in _walk(run, start, recorder, requested):
             if words == [RETURNED] and ray.directions[-1] @ ray.directions[0] >= 0:
                 continue
             found += 1
@@ -103,10 +103,10 @@ def _chosen(run: Run, words: Sequence[str]) -> np.ndarray:
     return chosen
 
 
-def _walk(run: Run, start: StartRays, recorder: ElsewhereRecorder, wanted: PathFilter) -> Iterator[Ray]:
+def _walk(run: Run, start: StartRays, recorder: ElsewhereRecorder, requested: PathFilter) -> Iterator[Ray]:
     """Yield the rays of some start rays that the filter selects."""
     for count in recorded(run, start, recorder):
-        slots = np.flatnonzero(passing(run, [wanted], recorder, count)[0])
+        slots = np.flatnonzero(passing(run, [requested], recorder, count)[0])
         slots = slots[np.argsort(np.array(recorder.lane)[slots], kind="stable")]
         headings = np.array(recorder.heading).reshape(-1, 3)[slots].astype(np.float64)
         rays = rays_in_slots(run, recorder, slots, *run.start_rays(np.array(recorder.lane)[slots]))
