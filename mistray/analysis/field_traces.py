@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import mitsuba as mi
 
 from mistray.execute.wavelength_choice import chosen_wavelengths
+from mistray.light import Light
 from mistray.surfaces.surfaces import require_one, solid_shapes
 from mistray.time_budget import TimeShares, coarse_first, is_limited
 from mistray.trace import PolarizationChoice, Settings, Trace, trace
-from mistray.trace.polarization_choice import BEAM, chosen_polarization
+from mistray.trace.polarization_choice import chosen_polarization
 
 NOMINAL_FIELD_DEG = 0.0
 
@@ -137,10 +138,10 @@ def one_for_fields(scene: mi.Scene, wanted: Sequence[float | None], arguments: M
     given = arguments.get("polarization")
     if isinstance(given, PolarizationChoice):
         return given
-    beam = {name: arguments[name] for name in BEAM if name in arguments}
+    light = Light.of(arguments)
     known = {f.name for f in fields(Settings)}
     settings = Settings.unresolved(scene, **{name: value for name, value in arguments.items() if name in known})
-    return chosen_polarization(scene, settings, [{**beam, "field_deg": field} for field in wanted])
+    return chosen_polarization(scene, settings, [replace(light, field_deg=field) for field in wanted])
 
 
 def fewer_wavelengths(scene: mi.Scene, wanted: Sequence[float | None], arguments: Mapping[str, Any]) -> dict[str, Any]:
@@ -149,7 +150,7 @@ def fewer_wavelengths(scene: mi.Scene, wanted: Sequence[float | None], arguments
     def timed(**few: Any) -> None:
         _ = trace(scene, field_deg=wanted[0], **{**arguments, **few}).irradiance  # the sum of an image of each
 
-    found = chosen_wavelengths(scene, arguments, timed, len(wanted))
+    found = chosen_wavelengths(scene, Light.of(arguments), timed, len(wanted))
     return {"wavelength_nm": found, "weights": None} if found else {}
 
 

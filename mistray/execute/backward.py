@@ -29,6 +29,7 @@ from mistray.kernel.kernel_scene import BranchProbabilities, CompetingTrace, Ker
 from mistray.kernel.launches import launches_of
 from mistray.kernel.ray_tree import trace_tree
 from mistray.kernel.scattering import Scattering
+from mistray.light import AS_THE_SCENE, Light
 from mistray.notes import Note
 from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.direction_recorder import DirectionRecorder
@@ -90,7 +91,7 @@ class BackwardTrace(GridTrace):
 
     Parameters
     ----------
-    scene, grid, settings, wavelength_nm, weights, detector, map_pixels, paths
+    scene, grid, settings, light, map_pixels, paths
         See `GridTrace`.
     both_sides : bool
         Whether light that meets the detector from behind contributes, as in a forward trace.
@@ -119,15 +120,12 @@ class BackwardTrace(GridTrace):
         For settings that a backward trace does not support.
     """
 
-    # More than 8 parameters: a saved run and the one that continues it must agree in each of them
     def __init__(
         self,
         scene: mi.Scene,
         grid: DirectionGrid,
         settings: Settings,
-        wavelength_nm: float | Sequence[float] | None = None,
-        weights: Sequence[float] | None = None,
-        detector: str | None = None,
+        light: Light = AS_THE_SCENE,
         map_pixels: int = 0,
         paths: bool = False,
         both_sides: bool = True,
@@ -140,10 +138,10 @@ class BackwardTrace(GridTrace):
                 f"max_random_scatters is {settings.max_random_scatters}; it limits how light is sampled, which is "
                 "another thing in a backward trace: use max_scatters"
             )
-        super().__init__(scene, grid, settings, wavelength_nm, weights, detector, map_pixels, paths)
+        super().__init__(scene, grid, settings, light, map_pixels, paths)
         # State of the forward trace, if there is one
         self._elsewhere: Ahead | None = None
-        self._arguments = (grid, settings, wavelength_nm, weights, detector, map_pixels, paths, both_sides, sharing)
+        self._arguments = (grid, settings, light, map_pixels, paths, both_sides, sharing)
         self.forward: list[ForwardTrace] = []
         self.vertices_per_ray = 2.0  # first guess, before any pass
         self._paths_elsewhere: dict[str, np.ndarray] = {}
@@ -161,8 +159,8 @@ class BackwardTrace(GridTrace):
         self._forward_probabilities = BranchProbabilities(upload(mi.Float, probability), ghosts)
         # Scatter and start rays of each wavelength
         self.bands = self.with_aims(found.aims, backward=True)
-        light = found.light if found.light is not None else axis
-        self.starts = [DetectorStart(band.table, light, found.start, both_sides) for band in self.bands]
+        towards = found.light if found.light is not None else axis
+        self.starts = [DetectorStart(band.table, towards, found.start, both_sides) for band in self.bands]
         self._path_sums = self.new_paths() if paths else None
         corner_x, corner_y, per_mm_x, per_mm_y = (dr.opaque(mi.Float, v) for v in (0.0, 0.0, 1.0, 1.0))
         self.film = Film(1, 1, corner_x, corner_y, per_mm_x, per_mm_y, groups=1)

@@ -21,6 +21,7 @@ from mistray.execute.fingerprint import agree, kernel_arrays
 from mistray.execute.sparse import Packed, pack
 from mistray.execute.tracer import FIRST_CAPACITY, LAST_CAPACITY, PASS_LANES, Part, Run, prepare
 from mistray.execute.workers import Workers, do_parts
+from mistray.light import Light
 from mistray.recorders.ledger import STOKES_SUMS, SUMS, DecodedPaths, Ledger
 from mistray.recorders.tallies import CHANNEL_COUNT, STARTED, SURFACE_SUMS
 from mistray.settings import BATCHES, Settings
@@ -80,8 +81,7 @@ class TraceTask:
     ----------
     scene : mi.Scene
     settings : Settings
-    beam : dict
-        Other arguments of `mistray.execute.tracer.prepare`.
+    light : Light
     ledger : bool
         Whether paths are kept.
     arrays : sequence of list of array
@@ -92,14 +92,14 @@ class TraceTask:
 
     scene: mi.Scene
     settings: Settings
-    beam: Mapping[str, Any]
+    light: Light
     ledger: bool
     arrays: Sequence[list[np.ndarray]]
     only: int | None = None
 
     def make(self) -> list[Run]:
         """Return the runs, which are the same in all processes."""
-        runs = prepare(self.scene, self.settings, **self.beam)
+        runs = prepare(self.scene, self.settings, self.light)
         require_same(self.arrays, tables_of(runs))
         if self.only is not None:
             for run in runs:

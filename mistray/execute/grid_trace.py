@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ from mistray.execute.fingerprint import fingerprint, kernel_arrays
 from mistray.kernel.kernel_scene import KernelScene
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
+from mistray.light import AS_THE_SCENE, Light
 from mistray.notes import Note
 from mistray.recorders.design_sequences import DesignKeys
 from mistray.recorders.directions import DirectionGrid
@@ -51,11 +52,8 @@ class GridTrace:
     scene : mi.Scene
     grid : DirectionGrid
     settings : Settings
-    wavelength_nm : float or sequence of float, optional
-        Wavelengths; by default those of the first source, else 550 nm.
-    weights : sequence of float, optional
-        Shares of the wavelengths in the flux.
-    detector : str, optional
+    light : Light
+        Wavelengths, by default those of the first source, else 550 nm; their weights, and the detector.
     map_pixels : int
         Longer side of the maps of the detector; 0: none.
     paths : bool
@@ -82,24 +80,21 @@ class GridTrace:
     bands: list[Band]
     waves: CellWaves
 
-    # More than 8 parameters: a saved run and the one that continues it must agree in each of them
     def __init__(
         self,
         scene: mi.Scene,
         grid: DirectionGrid,
         settings: Settings,
-        wavelength_nm: float | Sequence[float] | None,
-        weights: Sequence[float] | None,
-        detector: str | None,
-        map_pixels: int,
-        paths: bool,
+        light: Light = AS_THE_SCENE,
+        map_pixels: int = 0,
+        paths: bool = False,
     ) -> None:
         self.grid, self.settings, self.lists_paths = grid, settings, paths
         self._scene = scene
         # Surfaces at each wavelength, and the paths of the direct image
-        wavelengths, shares = spectrum_of(scene, wavelength_nm, weights)
+        wavelengths, shares = spectrum_of(scene, light.wavelength_nm, light.weights)
         self.wavelength_nm, self.weights = tuple(map(float, wavelengths)), tuple(map(float, shares))
-        self.table = traced_table(scene, self.wavelength_nm[0], detector, settings.stokes)
+        self.table = traced_table(scene, self.wavelength_nm[0], light.detector, settings.stokes)
         self._tables = [self.table, *(self.table.at(wavelength) for wavelength in self.wavelength_nm[1:])]
         self.intersector = Intersector(self.table)
         self.design = design_sequences(scene, *self._tables, free=True)
@@ -179,7 +174,7 @@ class WaveTrace(GridTrace):
 
     Parameters
     ----------
-    scene, grid, settings, wavelength_nm, weights, detector, map_pixels, paths
+    scene, grid, settings, light, map_pixels, paths
         See `GridTrace`.
     entrance : Entrance, optional
         Disc through which alone light is traced.

@@ -15,6 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.execute.backward import PASS_LANES, BackwardTrace
+from mistray.light import Light
 from mistray.notes import Code, Note
 from mistray.recorders.direction_recorder import DIRECT
 from mistray.recorders.directions import DirectionGrid
@@ -141,7 +142,7 @@ def see(
     chosen = Settings.without_sources(scene, rays=rays, **settings)
     wavelength = float(spectrum_of(scene, wavelength_nm, None)[0][0])
     whole = DirectionGrid.of([45.0], cell_deg=90.0, rotation=field_axes(scene))
-    trace = BackwardTrace(scene, whole, chosen, wavelength, detector=detector, both_sides=False)
+    trace = BackwardTrace(scene, whole, chosen, Light(wavelength_nm=wavelength, detector=detector), both_sides=False)
     # Trace; with a time budget in small passes at first
     done = 0
     while done < chosen.rays and not (done and time_is_up()):

@@ -18,6 +18,7 @@ from mistray.kernel.launches import Spread, launches_of
 from mistray.kernel.ray_tree import trace_tree
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
+from mistray.light import AS_THE_SCENE, Light
 from mistray.recorders.adjoint import CHANNELS, Adjoint
 from mistray.recorders.branch_recorder import BranchRecorder, PathChoice
 from mistray.recorders.design_sequences import DesignSequences
@@ -475,17 +476,10 @@ class Run:
         return recorder
 
 
-def prepare(
-    scene: mi.Scene,
-    settings: Settings,
-    field_deg: float | None = None,
-    azimuth_deg: float | None = None,
-    wavelength_nm: float | Sequence[float] | None = None,
-    weights: Sequence[float] | None = None,
-    detector: str | Sequence[str] | None = None,
-) -> list[Run]:
+def prepare(scene: mi.Scene, settings: Settings, light: Light = AS_THE_SCENE) -> list[Run]:
     """Build one `Run` for each source and wavelength; half of the rays are divided by flux, half equally."""
-    return runs_of(scene, settings, scene_sources(scene, field_deg, azimuth_deg, wavelength_nm, weights), detector)
+    sources = scene_sources(scene, light.field_deg, light.azimuth_deg, light.wavelength_nm, light.weights)
+    return runs_of(scene, settings, sources, light.detector)
 
 
 def _ray_shares(sources: Sequence[SceneSource]) -> list[float]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from mistray.light import Light
 from mistray.notes import Code, Note
 from mistray.sampling.sources import source_emitters, spectrum_of
 from mistray.time_budget import coarse_first, is_limited, left, not_traced
@@ -99,17 +100,14 @@ def lines_of(scene: Any, wavelength_nm: Any, weights: Any) -> tuple[list[float],
     return nm.tolist(), shares.tolist()
 
 
-def chosen_wavelengths(
-    scene: Any, beam: Mapping[str, Any], timed: Callable[..., Any], traces: int = 1
-) -> WavelengthChoice | None:
+def chosen_wavelengths(scene: Any, light: Light, timed: Callable[..., Any], traces: int = 1) -> WavelengthChoice | None:
     """
     Return the wavelengths of a trace if there is no time for all of them.
 
     Parameters
     ----------
     scene : mi.Scene
-    beam : mapping
-        Arguments of `mistray.trace` for the light, of which ``wavelength_nm`` and ``weights`` are read.
+    light : Light
     timed : callable
         Called with ``wavelength_nm``, ``weights`` and ``rays``; runs the trace that is timed.
     traces : int
@@ -120,7 +118,7 @@ def chosen_wavelengths(
     WavelengthChoice or None
         None if all are traced.
     """
-    lines = lines_of(scene, beam.get("wavelength_nm"), beam.get("weights")) if is_limited() else None
+    lines = lines_of(scene, light.wavelength_nm, light.weights) if is_limited() else None
     if lines is None:
         return None
     most = in_time(lines[0], lambda nm: timed(wavelength_nm=[nm], weights=None, rays=TIMED_RAYS), traces)

@@ -20,6 +20,7 @@ from mistray.execute.wavelength_choice import WavelengthChoice, chosen_wavelengt
 from mistray.execute.workers import current_workers, refuse_workers_in_time
 from mistray.interrupts import later, requested
 from mistray.known_arguments import known_arguments
+from mistray.light import Light
 from mistray.notes import Code, Note, warns
 from mistray.recorders import Recorder
 from mistray.recorders.tallies import FIRST_MISS
@@ -160,14 +161,14 @@ def trace(
     )
     field_deg = _field(scene, field_deg, field_mm)
     field = {"field_deg": field_deg, "azimuth_deg": azimuth_deg}
-    beam: dict[str, Any] = {**field, "wavelength_nm": wavelength_nm, "weights": weights, "detector": detector}
+    light = Light(field_deg, azimuth_deg, wavelength_nm, weights, detector)
     recorders = _with_own(scene, recorders)
     with within(seconds):  # pilots of few rays choose wavelengths and polarisation, within the budget as well
         if is_limited():
             refuse_workers_in_time()
-        lines, choice = _spectral_choices(scene, settings, beam, made, seconds is not None)
+        light, lines, choice = _spectral_choices(scene, settings, light, made, seconds is not None)
         settings = replace(settings, polarization=choice.mode)
-        runs = prepare(scene, settings, **beam)
+        runs = prepare(scene, settings, light)
         workers, task = current_workers(), None
         facts = asdict(settings) | choice.facts | (lines.facts if lines else {})
         _check_budget(runs)
@@ -179,7 +180,7 @@ def trace(
                     _keep(runs, lambda: _result(scene, runs, facts, field, ledger, None))
         else:
             _refuse_recorders(recorders)
-            task = TraceTask(scene, settings, beam, ledger, tables_of(runs))
+            task = TraceTask(scene, settings, light, ledger, tables_of(runs))
             try:
                 execute_by_parts(workers, task, runs, progress)
             except UnfinishedError as error:
@@ -193,23 +194,23 @@ def trace(
 
 
 def _spectral_choices(
-    scene: mi.Scene, settings: Settings, beam: dict[str, Any], made: PolarizationChoice | None, limited: bool
-) -> tuple[WavelengthChoice | None, PolarizationChoice]:
-    """Return the wavelengths, None: all are traced, and the polarisation; the wavelengths are added to the beam."""
-    lines = beam["wavelength_nm"] if isinstance(beam["wavelength_nm"], WavelengthChoice) else None
-    beam |= lines.arguments if lines else {}
-    choice = made or chosen_polarization(scene, settings, [beam])
+    scene: mi.Scene, settings: Settings, light: Light, made: PolarizationChoice | None, limited: bool
+) -> tuple[Light, WavelengthChoice | None, PolarizationChoice]:
+    """Return the light that is traced, the choice of its wavelengths (None: all are traced), and the polarisation."""
+    lines = light.wavelength_nm if isinstance(light.wavelength_nm, WavelengthChoice) else None
+    light = replace(light, **lines.arguments) if lines else light
+    choice = made or chosen_polarization(scene, settings, [light])
     # The pilot has to trace in the mode of the trace, whose time it measures
     if limited and lines is None:
         settings = replace(settings, polarization=choice.mode)
-        lines = chosen_wavelengths(scene, beam, partial(_timed, scene, settings, beam))
-        beam |= lines.arguments if lines else {}
-    return lines, choice
+        lines = chosen_wavelengths(scene, light, partial(_timed, scene, settings, light))
+        light = replace(light, **lines.arguments) if lines else light
+    return light, lines, choice
 
 
-def _timed(scene: mi.Scene, settings: Settings, beam: dict[str, Any], rays: int, **lines: Any) -> None:
+def _timed(scene: mi.Scene, settings: Settings, light: Light, rays: int, **lines: Any) -> None:
     """Trace few rays, to measure the time."""
-    _execute(prepare(scene, replace(settings, rays=rays), **(beam | lines)), True, None, ())
+    _execute(prepare(scene, replace(settings, rays=rays), replace(light, **lines)), True, None, ())
 
 
 def _field(scene: mi.Scene, field_deg: float | None, field_mm: float | None) -> float | None:

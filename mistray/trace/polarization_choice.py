@@ -19,6 +19,7 @@ import numpy as np
 from mistray.coatings import Ideal
 from mistray.errors import MistrayError
 from mistray.execute.tracer import Run, prepare
+from mistray.light import AS_THE_SCENE, Light
 from mistray.notes import Code, Note
 from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, REFLECTED
 from mistray.sampling.sources import source_emitters, spectrum
@@ -28,7 +29,6 @@ from mistray.surfaces.surfaces import SurfaceTable
 from mistray.trace.both_ways import Arrivals, follow
 from mistray.trace.history import spread
 
-BEAM = ("azimuth_deg", "wavelength_nm", "weights", "detector")  # arguments besides the field that define a beam
 LEAST_CHANGE = 0.01  # relative change of a printed number from which on Stokes vectors are used
 SURE = 2.0  # standard errors by which a change must exceed that, for the pilot to end early
 ROUNDS = (96, 640)  # start rays of a beam; the second number in doubt
@@ -118,9 +118,7 @@ class _Row:
         return f"{self.name} by {100 * self.change:+.3g}{f' ± {100 * self.error:.1g}' if shown else ''} %"
 
 
-def chosen_polarization(
-    scene: Any, settings: Settings, beams: Sequence[Mapping[str, Any]] = ({},)
-) -> PolarizationChoice:
+def chosen_polarization(scene: Any, settings: Settings, beams: Sequence[Light] = (AS_THE_SCENE,)) -> PolarizationChoice:
     """
     Return the polarisation mode of the traces of some beams, one mode for all.
 
@@ -129,9 +127,8 @@ def chosen_polarization(
     scene : mi.Scene
     settings : Settings
         Settings with `polarization` "auto"; any other mode is returned as it is.
-    beams : sequence of mapping
-        Arguments of `mistray.execute.tracer.prepare` for each trace: field_deg, azimuth_deg, wavelength_nm, weights and
-        detector. `MOST_RUNS` of their sources and wavelengths are tested, spread over all.
+    beams : sequence of Light
+        Light of each trace. `MOST_RUNS` of their sources and wavelengths are tested, spread over all.
     """
     # Cases that need no trace
     if settings.polarization != "auto":
@@ -146,8 +143,8 @@ def chosen_polarization(
     settings = replace(settings, polarization="unpolarized")
     runs: list[tuple[str, Run]] = []
     for beam in _spread(beams, MOST_RUNS):
-        field = f" at {beam['field_deg']:g} deg" if len(beams) > 1 and beam.get("field_deg") is not None else ""
-        runs += [(field, run) for run in prepare(scene, settings, **(beam | _few_wavelengths(beam)))]
+        field = f" at {beam.field_deg:g} deg" if len(beams) > 1 and beam.field_deg is not None else ""
+        runs += [(field, run) for run in prepare(scene, settings, _with_few_wavelengths(beam))]
     tables = {id(run.table): run.table for _, run in runs}
     if not any(_polarizes(table) for table in tables.values()):
         return PolarizationChoice("unpolarized", "no surface tells s from p", 0.0)
@@ -163,7 +160,7 @@ def chosen_polarization(
 
 
 def unpolarized_notes(
-    scene: Any, beams: Sequence[Mapping[str, Any]] = ({},), polarization: str | None = None, **settings: Any
+    scene: Any, beams: Sequence[Light] = (AS_THE_SCENE,), polarization: str | None = None, **settings: Any
 ) -> list[Note]:
     """
     Return a note on a result of unpolarised light if Stokes vectors would change a trace.
@@ -171,7 +168,7 @@ def unpolarized_notes(
     Parameters
     ----------
     scene : mi.Scene
-    beams : sequence of mapping
+    beams : sequence of Light
         Beams as for `chosen_polarization`; the first, the last and one between are tested.
     polarization : str, optional
         Mode that was requested; a mode other than "auto" needs no note.
@@ -258,15 +255,15 @@ def _polarizes(table: SurfaceTable) -> bool:
     return False
 
 
-def _few_wavelengths(beam: Mapping[str, Any]) -> dict[str, Any]:
-    """Return fewer wavelengths and weights in place of those of a beam, if these are more than are tested."""
-    if beam.get("wavelength_nm") is None:
-        return {}
-    nm, shares = spectrum(beam["wavelength_nm"], beam.get("weights"))
+def _with_few_wavelengths(beam: Light) -> Light:
+    """Return the light with no more wavelengths than are tested."""
+    if beam.wavelength_nm is None:
+        return beam
+    nm, shares = spectrum(beam.wavelength_nm, beam.weights)
     if len(nm) <= MOST_RUNS:
-        return {}
+        return beam
     numbers = _spread(range(len(nm)), MOST_RUNS)
-    return {"wavelength_nm": nm[numbers], "weights": shares[numbers]}
+    return replace(beam, wavelength_nm=nm[numbers].tolist(), weights=shares[numbers].tolist())
 
 
 def _spread(given: Sequence[Any], most: int) -> list[Any]:

@@ -392,10 +392,8 @@ class Trace:
             stacks = images_by_parts(workers, self._task, self._runs, words, first[-1])
         else:
             stacks = [
-                run.images(requested, first[-1])
-                if requested
-                else np.zeros(size)  # a run without such paths is not traced
-                for run, requested in zip(self._runs, words, strict=True)
+                run.images(slots, first[-1]) if slots else np.zeros(size)  # a run without such paths is not traced
+                for run, slots in zip(self._runs, words, strict=True)
             ]
         for low, high in itertools.pairwise(first):
             yield irradiance_of_runs(self._runs, [stack[low:high] for stack in stacks])

@@ -16,6 +16,7 @@ from mistray import MistrayError
 from mistray.execute import backward
 from mistray.execute.backward import BackwardTrace
 from mistray.execute.seen import Seen, see
+from mistray.light import Light
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.path_key import EVENT_BITS
 from mistray.recorders.path_sums import join_sums
@@ -184,7 +185,9 @@ def lens_text(radius: float = 30.0, reflectance: float = 0.02, b: float = 1e-3, 
 
 def test_the_fingerprint_is_of_the_scene_and_its_light_alone(load_scene) -> None:
     def of(change: dict[str, Any], grid: DirectionGrid = GRID, nm: Any = None, **settings: Any) -> str:
-        return BackwardTrace(load_scene(lens_text(**change)), grid, Settings(**settings), nm).fingerprint
+        return BackwardTrace(
+            load_scene(lens_text(**change)), grid, Settings(**settings), Light(wavelength_nm=nm)
+        ).fingerprint
 
     first = of({})
     assert first == of({}) == of({}, DirectionGrid.of([15.0], cell_deg=30.0), seed=2, rays=7)

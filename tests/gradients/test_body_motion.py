@@ -209,4 +209,4 @@ def test_pst_of_a_box() -> None:
         return pst_bin(scene, 30.0, "total", rays=rays, method="adjoint", cell_deg=10.0, seed=seed)
 
     scene = make(0.0)
-    check(derivative(scene, metric(scene, 600_000, 0)), difference(make, metric, 0.2))
+    check(derivative(scene, metric(scene, 1_200_000, 0)), difference(make, metric, 0.2))

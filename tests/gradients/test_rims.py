@@ -21,6 +21,7 @@ from mistray.gradients import edges
 from mistray.gradients.edge_contacts import EdgeContacts
 from mistray.gradients.rims import RimRecorder
 from mistray.kernel.ray_tree import trace_tree
+from mistray.light import Light
 from mistray.optimize import path_power
 from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.direction_recorder import CLASS_COUNT
@@ -35,7 +36,7 @@ ROUNDING = 1e-5  # of a sum of float32 weights
 
 
 def executed(scene: Any, field_deg: float = 0.0, **settings: Any) -> Run:
-    (run,) = prepare(scene, Settings.of(scene, **settings), field_deg)
+    (run,) = prepare(scene, Settings.of(scene, **settings), Light(field_deg))
     run.execute(ledger=True, progress=None)
     return run
 

@@ -12,6 +12,7 @@ from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_x
 
 import mistray
 from mistray.execute.tracer import prepare
+from mistray.light import AS_THE_SCENE, Light
 from mistray.recorders.path_key import EVENT_BITS, REFLECTED, TOTAL, TRANSMITTED
 from mistray.settings import Settings
 from mistray.trace.both_ways import Arrivals, follow
@@ -22,7 +23,7 @@ ABG = '<bsdf type="abg"><float name="A" value="0.01"/><float name="B" value="0.1
 KINDS = {"T": TRANSMITTED, "R": REFLECTED, "I": TOTAL}
 
 
-def choice(scene, beams=({},), **settings) -> PolarizationChoice:
+def choice(scene, beams=(AS_THE_SCENE,), **settings) -> PolarizationChoice:
     return chosen_polarization(scene, Settings.unresolved(scene, **settings), beams)
 
 
@@ -90,7 +91,7 @@ class TestPilot:
         (run,) = prepare(
             scene,
             Settings(max_reflections=0, polarization="unpolarized"),
-            field_deg=float(np.degrees(np.arctan(GLASS))),
+            Light(field_deg=float(np.degrees(np.arctan(GLASS)))),
         )
         scattered = [one for one in follow(run, 64)[0] if one.scattered]
         r_s, _ = fresnel(np.degrees(np.arctan(GLASS)))
@@ -103,7 +104,7 @@ class TestPilot:
 class TestChoice:
     @pytest.mark.parametrize(("angle_deg", "factor"), [(30.0, 1.13), (45.0, 1.55), (55.0, 1.71)])
     def test_a_tilted_plate(self, load_text, angle_deg, factor) -> None:
-        found = choice(load_text(plates_text(1))[0], [{"field_deg": angle_deg}])
+        found = choice(load_text(plates_text(1))[0], [Light(angle_deg)])
         assert ghost_factor(angle_deg) == pytest.approx(factor, abs=0.005)
         assert found.mode == "stokes"
         assert found.change == pytest.approx(ghost_factor(angle_deg) - 1, rel=1e-5)
@@ -126,22 +127,22 @@ class TestChoice:
     def test_no_change(self, load_text) -> None:
         """Below 1 %, of the direct light alone, of surfaces that do not polarise and of no stray light at all."""
         scene = load_text(plates_text(1))[0]
-        weak = choice(scene, [{"field_deg": 10.0}])
+        weak = choice(scene, [Light(10.0)])
         assert 0 < weak.change < LEAST_CHANGE
         assert weak.change == pytest.approx(ghost_factor(10.0) - 1, rel=1e-3)
-        direct = choice(scene, [{"field_deg": 45.0}], max_reflections=0)
-        coated = choice(load_text(plates_text(1, R=0.1, T=0.9))[0], [{"field_deg": 55.0}])
+        direct = choice(scene, [Light(45.0)], max_reflections=0)
+        coated = choice(load_text(plates_text(1, R=0.1, T=0.9))[0], [Light(55.0)])
         bare = choice(load_text(scene_text(shape_xml("asphere", "detector", 10.0, sensor=True, semi_diameter=5.0)))[0])
         assert (coated.change, bare.change) == (0.0, 0.0)
         assert {one.mode for one in (weak, direct, coated, bare)} == {"unpolarized"}
         assert "direct" in direct.reason
-        seeds = [choice(scene, [{"field_deg": 20.0}], seed=seed, rays=10 + seed) for seed in range(2)]
+        seeds = [choice(scene, [Light(20.0)], seed=seed, rays=10 + seed) for seed in range(2)]
         assert str(seeds[0]) == str(seeds[1])
-        assert choice(scene, [{"field_deg": 45.0}], polarization="unpolarized").mode == "unpolarized"
+        assert choice(scene, [Light(45.0)], polarization="unpolarized").mode == "unpolarized"
 
     def test_shipped_scenes(self) -> None:
         """On axis the triplet's ghosts change by 0.95 % at most; the display's double image by 60 %."""
-        assert choice(mistray.load("cooke_triplet"), [{"field_deg": 0.0}]).mode == "unpolarized"
+        assert choice(mistray.load("cooke_triplet"), [Light(0.0)]).mode == "unpolarized"
         found = choice(mistray.load("head_up_display"))
         assert found.mode == "stokes"
         assert found.change == pytest.approx(0.595, abs=0.005)

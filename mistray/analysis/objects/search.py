@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
@@ -25,6 +25,7 @@ from mistray.analysis.objects.view import SIDES, RayView
 from mistray.errors import MistrayError
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
+from mistray.light import Light
 from mistray.notes import Code, Note, unfinished, warns
 from mistray.ranges import FIELD_DEG, PART
 from mistray.sampling.sources import field_axes, spectrum_of
@@ -375,8 +376,8 @@ def objects(
     with within(seconds, began):
         critical = followed(0, view, backward=True)
         illuminated = [followed(k, one) for k, one in enumerate(sources, start=1)]
-    light_of_source = {"wavelength_nm": wavelength, "detector": detector}
-    beams = [{**light_of_source, "field_deg": angle, "azimuth_deg": azimuth_deg} for angle in angles]
+    light_of_source = Light(wavelength_nm=wavelength, detector=detector)
+    beams = [replace(light_of_source, field_deg=angle, azimuth_deg=azimuth_deg) for angle in angles]
     unpolarized = unpolarized_notes(
         scene, beams or [light_of_source], ray_control=chosen.ray_control, max_events=chosen.max_events
     )

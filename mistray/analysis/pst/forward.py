@@ -136,11 +136,12 @@ class CellRounds:
         counts = cells_up_to(grid, request.error_up_to_deg).ravel() & (request.relative_error is not None)
         # Wavelengths without weight need no rays
         wavelengths, shares = spectrum_of(scene, request.wavelength_nm, request.weights)
-        light = wavelengths[shares > 0], shares[shares > 0]
+        light = replace(
+            request.light, wavelength_nm=wavelengths[shares > 0].tolist(), weights=shares[shares > 0].tolist()
+        )
         self.trace = WaveTrace(
-            scene, grid, settings, *light, request.detector, int(request.map_pixels), request.paths,
-            entrance=entrance, points=points,
-        )  # fmt: skip
+            scene, grid, settings, light, int(request.map_pixels), request.paths, entrance=entrance, points=points
+        )
         self.light = ForwardPart(self.trace)
         self.progress: Progress | None = None
         self.for_others = False

@@ -11,6 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.light import Light
 from mistray.ranges import PIXELS_OR_NONE, RELATIVE_ERROR
 from mistray.recorders.directions import DirectionGrid
 from mistray.settings import Settings
@@ -88,6 +89,11 @@ class PstRequest:
             raise MistrayError(
                 "error_up_to_deg is given without relative_error; give the relative error that is wanted"
             )
+
+    @property
+    def light(self) -> Light:
+        """Wavelengths, their weights and the detector."""
+        return Light(wavelength_nm=self.wavelength_nm, weights=self.weights, detector=self.detector)
 
     def grid(self, axes: np.ndarray) -> DirectionGrid:
         """Return the cells of directions, measured in a frame whose columns are `axes`."""

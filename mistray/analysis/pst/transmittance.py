@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from mistray.analysis.pst.state import PstProgress
 from mistray.errors import UnfinishedError
 from mistray.execute.backward import BackwardTrace
 from mistray.execute.workers import refuse_workers_in_time
+from mistray.light import Light
 from mistray.notes import warns
 from mistray.recorders.directions import DirectionGrid
 from mistray.sampling.plane_wave import hull_points
@@ -167,8 +169,8 @@ def pst(
                 scene, result, spent, lambda **limit: next(pst_of_each([scene], field_deg, **{**again, **limit}))
             )
     # Notes on polarisation that is neglected
-    light = {"wavelength_nm": wavelength_nm, "weights": weights, "detector": detector}
-    beams = [{**light, "field_deg": float(angle)} for angle in result.field_deg]
+    light = Light(wavelength_nm=wavelength_nm, weights=weights, detector=detector)
+    beams = [replace(light, field_deg=float(angle)) for angle in result.field_deg]
     result.facts["notes"] = [*result.facts["notes"], *unpolarized_notes(scene, beams, **settings)]
     return result
 
@@ -216,12 +218,7 @@ def pst_of_each(
     for scene in scenes:
         grid, chosen = request.grid(field_axes(scene)), request.settings_for(scene)
         if request.method != "forward":
-            traces.append(
-                BackwardTrace(
-                    scene, grid, chosen, request.wavelength_nm, request.weights, request.detector,
-                    int(request.map_pixels), request.paths,
-                )
-            )  # fmt: skip
+            traces.append(BackwardTrace(scene, grid, chosen, request.light, int(request.map_pixels), request.paths))
         prepared.append((scene, grid, chosen))
     if request.method == "forward":
         # One scene after the other

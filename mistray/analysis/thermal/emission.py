@@ -35,6 +35,7 @@ from mistray.errors import MistrayError
 from mistray.execute.seen import Seen, see
 from mistray.execute.wavelength_choice import TIMED_RAYS, WavelengthChoice, in_time
 from mistray.ids import fits
+from mistray.light import Light
 from mistray.notes import Code, Note, unfinished, warns
 from mistray.percent import percent_text
 from mistray.ranges import TEMPERATURE_K, WAVELENGTH_UM
@@ -292,7 +293,7 @@ def thermal(
     if noise is not None:
         warm = _temperatures(runs[0], float(temperature_K), rules)
         report = replace(report, netd=netd_budget(noise, runs, warm, outside, traced, (low, high)))
-    light = {"wavelength_nm": [1e3 * wave for wave in waves], "detector": detector}
+    light = Light(wavelength_nm=[1e3 * wave for wave in waves], detector=detector)
     report.notes.extend(unpolarized_notes(scene, [light], **settings))
     planned = len(runs) * len(waves) * each
     if report.facts["rays"] < 0.99 * planned:  # batches are of one size, so that a few rays may be left out

@@ -18,6 +18,7 @@ from mistray.analysis.transfer.image_spread import CLASSES, DIRECT, ImageSpread
 from mistray.analysis.transfer.pixels import PixelResponse, pixel_response
 from mistray.analysis.transfer.result import AZIMUTHS, FieldTransfer, Transfer
 from mistray.errors import MistrayError
+from mistray.light import Light
 from mistray.notes import warns
 from mistray.percent import percent_text
 from mistray.ranges import NOT_NEGATIVE
@@ -147,12 +148,9 @@ def transfer(
 def _one_mode(scene: mi.Scene, found: ImageQuality, detector: str, settings: Mapping[str, Any]) -> PolarizationChoice:
     """The polarization of all fields, see `mistray.trace.polarization_choice`."""
     given = {name: value for name, value in settings.items() if name != "seconds"}
-    beam = {"wavelength_nm": found.wavelengths_nm.tolist(), "weights": found.weights.tolist(), "detector": detector}
+    nm, weights = found.wavelengths_nm.tolist(), found.weights.tolist()
     fields = [field_of(scene, image.field_mm) if found.near else image.field_deg for image in found]
-    beams = [
-        {**beam, "field_deg": field, "azimuth_deg": image.azimuth_deg}
-        for field, image in zip(fields, found, strict=True)
-    ]
+    beams = [Light(field, image.azimuth_deg, nm, weights, detector) for field, image in zip(fields, found, strict=True)]
     return chosen_polarization(scene, Settings.unresolved(scene, **given), beams)
 
 

@@ -237,7 +237,7 @@ def _state_of(now: PstProgress) -> str:
     if not now.rays_done:
         error = "the pilot is done"
     if now.requested_error is not None and math.isfinite(now.worst_error):
-        error += f" of {100 * now.wanted_error:g} %"
+        error += f" of {100 * now.requested_error:g} %"
     if not math.isfinite(now.seconds_left):
         return error
     minutes, seconds = divmod(round(now.seconds_left), 60)

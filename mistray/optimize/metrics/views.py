@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -12,11 +12,12 @@ from mistray.analysis.changes.first_surfaces import Entering, FirstLight
 from mistray.analysis.pst.request import RAYS
 from mistray.analysis.pst.transmittance import pst_of_each
 from mistray.errors import MistrayError
+from mistray.light import Light
 from mistray.notes import Note
 from mistray.optimize.metrics.observation import Observation
 from mistray.optimize.metrics.pst_observation import PstObservation
 from mistray.trace import Settings, trace
-from mistray.trace.polarization_choice import BEAM, unpolarized_notes
+from mistray.trace.polarization_choice import unpolarized_notes
 
 METHODS = ("joined", "adjoint")  # of a PST metric, the usual one first
 
@@ -102,14 +103,14 @@ class PstView(TraceView):
 def seen_unpolarized(scene: Any, views: Sequence[TraceView]) -> list[Note]:
     """Note what Stokes vectors would change of what some views show, see `unpolarized_notes`."""
     names = {one.name for one in fields(Settings)}
-    beams: list[dict[str, Any]] = []
+    beams: list[Light] = []
     settings: dict[str, Any] = {}
     for view in views:
         given = {name: value for name, value in view.arguments.items() if value is not None}
         settings |= {name: value for name, value in given.items() if name in names}
-        light = {name: given[name] for name in BEAM if name in given}
+        light = Light.of(given)
         angles = [None] if "field_deg" not in given else np.atleast_1d(given["field_deg"]).tolist()
-        beams += [{**light, "field_deg": angle} for angle in angles]
+        beams += [replace(light, field_deg=angle) for angle in angles]
     return unpolarized_notes(scene, beams, **settings)
 
 
