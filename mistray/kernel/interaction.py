@@ -229,6 +229,7 @@ def interact(
         R, T = _unpolarized(table, optics, place, at, active)
     else:
         in_plane = plane_of_incidence(d, normal)
+        # Mueller matrices hold in the frame of the plane of incidence, which turns from hit to hit
         turned = to_plane(stokes, d, in_plane)
         reflection, transmission = _mueller(table, optics, place, at, active)
         polarized = Polarized(turned, in_plane, reflection, transmission)

@@ -247,6 +247,7 @@ class Scattering(ScatterShares):
         """Return the row of a case, its lobes and their frame, for a ray that arrives along d."""
         x = dr.select(reflect, it.R, self._transmittance(it))
         scale = dr.select(reflect, 1, it.eta) if self.tables.backward else mi.Float(1)
+        # Lobes are centred on the specular direction on the side that the ray leaves to
         outward = dr.select(reflect, -it.axis, it.axis)
         specular = dr.select(reflect, it.reflected, it.transmitted)
         plan = dr.gather(mi.Vector4u, self.tables.cases, case)

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from backward_alone import against_alone
 from oracles.lens_behind_baffle import BaffledLens
-from oracles.vane_tube import VaneTube
 from vane_tube_scene import TUBE, vane_tube
 
 import mistray
@@ -77,7 +76,7 @@ def test_the_kernel_reads_what_the_pilot_has_written() -> None:
 @pytest.mark.long
 def test_a_tube_with_windows_that_know_nothing() -> None:
     """Windows at random, in a tube with vanes whose PST a float64 walk has."""
-    tube = VaneTube(**{**TUBE.__dict__, "length": 40.0, "vanes": (20.0,), "hole": 7.0})
+    tube = replace(TUBE, length=40.0, vanes=(20.0,), hole=7.0)
     exact, exact_se = tube.pst(35.0, 45.0, 400_000, seed=1)
     scene = vane_tube(tube)
     surfaces = BackwardTrace(scene, DirectionGrid.of([40.0]), Settings.of(scene)).table.count

@@ -166,7 +166,7 @@ def test_corners_and_seams(name: str) -> None:
     """Each number within 4.5 standard errors, which are 10 % of the largest at most: false alarms 5e-3 in all."""
     numbers, areas = CORNERS_AND_SEAMS[name]
     here = scene(numbers)
-    power = path_power(here, "straight shot", rays=2_400_000)
+    power = path_power(here, "straight shot", rays=4_800_000)
     g = mistray.gradient(power, mi.traverse(here), keys=[f"plate.{key}" for key in areas])
     scale = 1.0 / (math.pi * BEAM**2)
     largest = max(abs(area) for area in areas.values())
