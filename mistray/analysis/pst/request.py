@@ -87,7 +87,7 @@ class PstRequest:
             raise MistrayError("state is given with method 'forward'; only a run from the detector can be continued")
         if self.method == "forward" and self.error_up_to_deg is not None and self.relative_error is None:
             raise MistrayError(
-                "error_up_to_deg is given without relative_error; give the relative error that is wanted"
+                "error_up_to_deg is given without relative_error; give the relative error that is requested"
             )
 
     @property
