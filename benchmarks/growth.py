@@ -17,6 +17,7 @@ from rows import REPEATS, Row, alternate, slope
 
 import mistray
 from mistray.execute.tracer import Run, prepare
+from mistray.light import Light
 from mistray.prescription import Detector, Prescription, Source, Surface, barrel
 from mistray.recorders.tallies import SEGMENTS
 from mistray.settings import Settings
@@ -147,7 +148,7 @@ def with_layers(quick: bool) -> list[Row]:
     repeats = 1 if quick else REPEATS
     traces = alternate(*(lambda run=run: run.execute(True, None) for run in runs), repeats=repeats)
     fresh = (500.0 + 1e-3 * k for k in itertools.count())  # tables are kept: each time at another wavelength, nm
-    makes = (lambda scene=scene: prepare(scene, settings, wavelength_nm=next(fresh)) for scene in scenes)
+    makes = (lambda scene=scene: prepare(scene, settings, Light(wavelength_nm=next(fresh))) for scene in scenes)
     tables = alternate(*makes, repeats=repeats)
     result = []
     for key, what, timings in (("trace", "trace", traces), ("tables", "tables of R and T", tables)):

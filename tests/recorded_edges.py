@@ -13,6 +13,7 @@ from mistray.execute.backward import BackwardTrace
 from mistray.execute.tracer import Run, prepare
 from mistray.gradients.edge_widths import widths_of
 from mistray.gradients.edges import Edges
+from mistray.light import Light
 from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.path_events import INTERCEPTS
 from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
@@ -71,7 +72,7 @@ def traced_edges(scene: Any, width: float, pixel: np.ndarray | float = 1.0, **tr
     """
     field_deg = traced.pop("field_deg", None)
     settings = Settings.of(scene, **traced)
-    (run,) = prepare(scene, settings, field_deg)
+    (run,) = prepare(scene, settings, Light(field_deg))
     film = run.make_film()
     by_pixel = run.unit * np.broadcast_to(pixel, (film.height, film.width))
     adjoint = Adjoint(0, film, upload(mi.Float, by_pixel))

@@ -20,6 +20,7 @@ from mistray.gradients.geometry_gradient import geometry_columns
 from mistray.gradients.parameter_gradient import gathered
 from mistray.gradients.run_gradient import run_gradient
 from mistray.gradients.table_gradient import GradientRequest
+from mistray.light import Light
 from mistray.plugins.sensors.passing_sensor import PassingSensor
 from mistray.ranges import EDGE_WIDTH as ZONE
 from mistray.sampling.sources import source_emitters
@@ -164,7 +165,7 @@ class StrayLight(mi.CppADIntegrator):
                 "hold visibility as it is"
             )
         tangents = {place: np.array(dr.grad(value), dtype=np.float64) for place, (_, value) in tracked.items()}
-        runs = prepare(scene, self._settings(scene, sensor, seed, spp), detector=self._detector(sensor))
+        runs = prepare(scene, self._settings(scene, sensor, seed, spp), Light(detector=self._detector(sensor)))
         change = sum(run.unit / run.pixel_area * run_tangent(run, tangents) for run in runs)
         return mi.TensorXf(np.asarray(change)[:, :, None])
 
@@ -198,7 +199,9 @@ class StrayLight(mi.CppADIntegrator):
             first_order = mi.Float64(0)
             raws = [
                 run_gradient(run, None, run.unit * by_irradiance[None] / run.pixel_area, request)
-                for run in prepare(scene, self._settings(scene, sensor, seed, spp), detector=self._detector(sensor))
+                for run in prepare(
+                    scene, self._settings(scene, sensor, seed, spp), Light(detector=self._detector(sensor))
+                )
             ]
             inner, rims = gathered(raws, is_tracked)
             at_rims = {place: inner.get(place, 0.0) + sums for place, sums in rims.items() if sums.any()}

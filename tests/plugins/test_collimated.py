@@ -11,6 +11,7 @@ import scene_dicts
 
 import mistray
 from mistray.execute.tracer import prepare
+from mistray.light import Light
 from mistray.settings import Settings
 
 pytestmark = pytest.mark.quick
@@ -26,7 +27,7 @@ def scene_with(values: dict[str, Any], z: float = 0.0) -> Any:
 
 
 def start_rays(scene: Any, rays: int = 4000, **field: float) -> tuple[np.ndarray, np.ndarray]:
-    (run,) = prepare(scene, Settings(rays=rays), **field)
+    (run,) = prepare(scene, Settings(rays=rays), Light(**field))
     return run.start_rays(np.arange(run.rays))
 
 
