@@ -160,6 +160,9 @@ class NotePart(PagePart):
     kind: ClassVar[str] = "note"
 
 
+Note = NotePart  # its name before version 0.3
+
+
 @dataclass(frozen=True)
 class Items(PagePart):
     """Short texts as a list; `style` "warnings" is a box, "verdict" the result of all in a few sentences."""

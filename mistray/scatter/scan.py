@@ -83,6 +83,9 @@ class IncidentLight:
         return float(sine * self.n_in / self.n_out)
 
 
+Light = IncidentLight  # its name before version 0.3
+
+
 @dataclass(frozen=True, eq=False)
 class Scan:
     """

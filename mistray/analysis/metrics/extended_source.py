@@ -88,6 +88,9 @@ class SkyRadiance:
         return np.broadcast_to(value, grid[0].shape).sum(axis=1) * (2 * half / count)
 
 
+Sky = SkyRadiance  # its name before version 0.3
+
+
 @known_arguments
 @dataclass(frozen=True)
 class Disc:
