@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import ast
+import importlib
+import importlib.util
+import json
 import re
 import shlex
 import shutil
@@ -53,6 +57,33 @@ def test_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         assert page != README or len([text for text in match[1].splitlines() if text.strip()]) <= 15
     if page == README:
         assert (tmp_path / "paths.csv").read_text().startswith("path_id,")
+
+
+def blocks(file: Path) -> list[str]:
+    """Python of a page, a notebook or a program."""
+    text = file.read_text(encoding="utf-8")
+    if file.suffix == ".ipynb":
+        cells = [cell["source"] for cell in json.loads(text)["cells"] if cell["cell_type"] == "code"]
+        return ["".join(line for line in cell if not line.startswith("%")) for cell in cells]
+    return BLOCK.findall(text) if file.suffix == ".md" else [text]
+
+
+def test_imported_names_exist() -> None:
+    """Of pages, notebooks and examples, most of which run in the long tier alone."""
+    files = [*PAGES, *sorted((ROOT / "notebooks").glob("*.ipynb")), *sorted((ROOT / "examples").glob("*.py"))]
+    nodes = [node for file in files for block in blocks(file) for node in ast.walk(ast.parse(block))]
+    named = {
+        (node.module, alias.name)
+        for node in nodes
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("mistray")
+        for alias in node.names
+    }
+    assert len(named) > 100
+    assert [
+        f"from {module} import {name}"
+        for module, name in sorted(named)
+        if not hasattr(importlib.import_module(module), name) and importlib.util.find_spec(f"{module}.{name}") is None
+    ] == []
 
 
 def test_commands_exist() -> None:
