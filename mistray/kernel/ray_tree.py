@@ -35,7 +35,7 @@ from mistray.kernel.pending_nodes import (
     walk_in_lockstep,
     walk_independently,
 )
-from mistray.kernel.scatter_shares import ScatterPdfs
+from mistray.kernel.scatter_shares import ScatterHit, ScatterPdfs
 from mistray.kernel.start_supply import StartSupply
 from mistray.recorders.path_key import ABSORBED, COUNT_MASK, EVENT_BITS, FIRST_KEY, extend_key
 from mistray.recorders.recorder import Branch, Departure, Memory, Recorder, Recorders, Return, Segment, Visit
@@ -387,8 +387,9 @@ class _Tree:
         # Scattered by the surface: a direction by its techniques, its MIS weight and densities
         if self.scatters and budget is not None:
             competing = None if self.scene.competing is None else self.scene.competing.scattering
+            hit, connects = ScatterHit(table, s, it, d), self.scene.vertices is not None
             heading, share, scatter_slope, back_side, aim, rng, pdfs = scattering.scatter(
-                table, s, budget, choice.draw, it, d, heading, rng, scatter, competing, self.scene.vertices is not None
+                hit, budget, choice.draw, heading, rng, scatter, competing, connects
             )
             reflect = dr.select(scatter, back_side, reflect)
             slope = dr.select(scatter, scatter_slope, slope)
@@ -397,8 +398,7 @@ class _Tree:
         # Scattered by the medium: a point on the segment, and a direction from there.
         # Behind an opaque surface is no medium: the light stays in the one that led to it
         medium_in = dr.select(it.medium_in == 0, state["medium"], it.medium_in)
-        away, shared = mi.Float(0), mi.Float(0)
-        bulk_aim = children.bulk_aim
+        away, shared, bulk_aim = mi.Float(0), mi.Float(0), children.bulk_aim
         if bulk_aim is not None and scattering.bulk is not None:
             medium_ray = choice.draw_in_medium(rng)
             away, along, share = scattering.bulk.scatter(

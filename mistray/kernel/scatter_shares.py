@@ -19,9 +19,30 @@ from mistray.kernel.scatter_tables import ANGLES, RANDOM_RAYS_SHIFT, ScatterTabl
 
 if TYPE_CHECKING:
     from mistray.kernel.interaction import Interaction
+    from mistray.surfaces.surfaces import SurfaceTable
 
 # Flag of the word of a connected ray, which holds the number of its light vertex plus one: it has been there
 CONNECTED = 1 << 31
+
+
+class ScatterHit(NamedTuple):
+    """
+    Hit of a surface that scatters.
+
+    Attributes
+    ----------
+    table : SurfaceTable
+    s : mi.UInt32
+        Numbers of the surfaces.
+    interaction : Interaction
+    d : mi.Vector3f
+        Direction of arrival.
+    """
+
+    table: SurfaceTable
+    s: mi.UInt32
+    interaction: Interaction
+    d: mi.Vector3f
 
 
 @dataclass

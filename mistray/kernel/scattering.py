@@ -23,7 +23,7 @@ import mitsuba as mi
 
 from mistray.kernel.interaction import Interaction, shares_at
 from mistray.kernel.sample_axes import NO_TANGENT, fraction_of, plane_of_sample
-from mistray.kernel.scatter_shares import ScatterBudget, ScatteredRay, ScatterPdfs, ScatterShares
+from mistray.kernel.scatter_shares import ScatterBudget, ScatteredRay, ScatterHit, ScatterPdfs, ScatterShares
 from mistray.kernel.scatter_tables import (
     ANGULAR,
     BY_ANGLE,
@@ -103,15 +103,11 @@ class Scattering(ScatterShares):
         frames = [tables.frames.rows] if tables.frames is not None else []
         return [tables.totals, tables.lobes, tables.ratios, *tables.radial.arrays, *frames]
 
-    # More than 8 parameters: the node, the ray and the state of a conditional block, which takes loose arrays
     def scatter(
         self,
-        table: SurfaceTable,
-        s: mi.UInt32,
+        hit: ScatterHit,
         budget: ScatterBudget,
         choose: Callable[[mi.PCG32], ScatteredRay],
-        it: Interaction,
-        d: mi.Vector3f,
         otherwise: mi.Vector3f,
         rng: mi.PCG32,
         active: mi.Bool,
@@ -123,15 +119,10 @@ class Scattering(ScatterShares):
 
         Parameters
         ----------
-        table : SurfaceTable
-        s : mi.UInt32
-            Numbers of the surfaces.
+        hit : ScatterHit
         budget : ScatterBudget
         choose : callable
             ``choose(rng)`` returns the ray of the node that is to be drawn.
-        it : Interaction
-        d : mi.Vector3f
-            Direction of arrival.
         otherwise : mi.Vector3f
             Direction where not active.
         rng : mi.PCG32
@@ -159,7 +150,7 @@ class Scattering(ScatterShares):
         def draw(rng: mi.PCG32, otherwise: mi.Vector3f) -> tuple[Any, ...]:
             rng = mi.PCG32(rng)
             ray = choose(rng)
-            *drawn, pdf_ratio, pdf_rev = self._draw(table, s, budget, ray, it, d, otherwise, rng, competing)
+            *drawn, pdf_ratio, pdf_rev = self._draw(hit, budget, ray, otherwise, rng, competing)
             known = [] if competing is None else [pdf_ratio, pdf_rev]
             if connects:
                 assert ray.connection is not None
@@ -175,20 +166,18 @@ class Scattering(ScatterShares):
         result: tuple[Any, ...] = dr.if_stmt((rng, otherwise), active, draw, leave, mode="symbolic", label="scatter")
         return *result[:6], ScatterPdfs(*result[6:])
 
-    # More than 8 parameters: those of `scatter`
     def _draw(
         self,
-        table: SurfaceTable,
-        s: mi.UInt32,
+        hit: ScatterHit,
         budget: ScatterBudget,
         ray: ScatteredRay,
-        it: Interaction,
-        d: mi.Vector3f,
         otherwise: mi.Vector3f,
         rng: mi.PCG32,
         competing: Scattering | None,
     ) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.Float, mi.Float]:
         """Return direction, weight and slope of `scatter`, and `pdf_ratio` and `pdf_rev` of `ScatterPdfs`."""
+        table, s, it, d = hit
+        # The case of reflection follows that of transmission from the same side
         case = budget.first_case + dr.select(ray.reflect, mi.UInt32(1), 0)
         plan, lobes, frame = self._case(case, s, it, d, ray.reflect)
         # Four numbers: lobe or target, radius, azimuth, and the place within a cell of the radial table
