@@ -30,10 +30,10 @@ class Light:
     detector: str | Sequence[str] | None = None
 
     @classmethod
-    def of(cls, arguments: Mapping[str, Any], field_deg: float | None = None) -> Light:
-        """Return the light that the arguments of a call describe, at this field angle if they name none."""
+    def of(cls, arguments: Mapping[str, Any]) -> Light:
+        """Return the light that the arguments of a call describe; others may be among them."""
         known = {f.name for f in fields(cls)}
-        return cls(**{"field_deg": field_deg, **{name: value for name, value in arguments.items() if name in known}})
+        return cls(**{name: value for name, value in arguments.items() if name in known})
 
 
 AS_THE_SCENE = Light()

@@ -69,7 +69,7 @@ class AllCells:
         columns, rows = (max(size, 1) for size in trace.map_size)
         per_mm = columns / (x1 - x0), rows / (y1 - y0)
         left, low, per_x, per_y = (dr.opaque(mi.Float, float(v)) for v in (x0, y0, *per_mm))
-        self._film = Film(columns, rows, left, low, per_x, per_y, groups=1, incident=True)
+        self._film = Film(columns, rows, left, low, per_x, per_y, groups=1)
         self._paths: PathSums | None = None  # made with the first sums: a pilot needs none
 
     def samples(self, rays: np.ndarray, number: int) -> list[Samples]:

@@ -141,7 +141,8 @@ class BackwardTrace(GridTrace):
         super().__init__(scene, grid, settings, light, map_pixels, paths)
         # State of the forward trace, if there is one
         self._elsewhere: Ahead | None = None
-        self._arguments = (grid, settings, light, map_pixels, paths, both_sides, sharing)
+        self._arguments = (grid, settings, light, map_pixels, paths, both_sides)
+        self._sharing: Sharing | None = None
         self.forward: list[ForwardTrace] = []
         self.vertices_per_ray = 2.0  # first guess, before any pass
         self._paths_elsewhere: dict[str, np.ndarray] = {}
@@ -173,7 +174,7 @@ class BackwardTrace(GridTrace):
 
     def share_paths(self, sharing: Sharing) -> None:
         """Weight the paths against those of forward rays from now on, see `mistray.sampling.sharing.balance`."""
-        self._arguments = (*self._arguments[:-1], sharing)
+        self._sharing = sharing
         # Weight windows: inverse bounds, of which 0 and inf have no effect
         windows = np.zeros((2, self.table.count, WAYS)) if sharing.windows is None else sharing.windows
         inverse_upper, inverse_lower = windows[0], np.where(windows[1] > 0, windows[1], np.inf)
@@ -390,7 +391,7 @@ class BackwardTrace(GridTrace):
         if workers is None:
             yield
             return
-        with workers.job(BackwardTask(self._scene, self._arguments, self.kernel_arrays())) as job:
+        with workers.job(BackwardTask(self._scene, (*self._arguments, self._sharing), self.kernel_arrays())) as job:
             self._elsewhere = Ahead(self, job, workers.count(), rays)
             try:
                 yield

@@ -87,7 +87,7 @@ class Adjoint(Recorder):
     ) -> None:
         self.rows, self.pixel, self.path, self.map_of_slot = rows, pixel, path, map_of_slot
         self.ledger, self.directions, self.arrivals, self._film = ledger, directions, arrivals, film
-        self.incident, self.merges_aimed = film.incident or arrivals is not None, arrivals is not None
+        self.incident = self.merges_aimed = arrivals is not None
         self._by_rows = rows > 0
         self.stride = dr.opaque(mi.UInt32, rows * CHANNELS)
         self.sums = dr.zeros(mi.Float64, BATCHES * rows * CHANNELS)
@@ -118,11 +118,11 @@ class Adjoint(Recorder):
             dr.scatter_reduce(dr.ReduceOp.Add, self.unknown, mi.Float64(visit.absorbed), mi.UInt32(0), unknown)
             visit.slot, visit.counted = slot, found
         # Gain: derivative × flux
-        film, counted = self._film, visit.counted
+        counted = visit.counted
         derivative = self._derivative(visit)
-        gained = derivative * mi.Float64(visit.weight if film.incident else visit.absorbed)
+        gained = derivative * mi.Float64(visit.absorbed)
         memory[GAIN] = dr.select(counted, memory[GAIN] + gained, memory[GAIN])
-        if self.rows and not film.incident:
+        if self.rows:
             self._detected(visit, mi.Float(derivative) * visit.weight)
 
     def branch(self, branch: Branch, memory: Memory) -> None:

@@ -33,8 +33,6 @@ class Film:
     width, height : int
     x0, y0, per_mm_x, per_mm_y : mi.Float
         Corner (mm) and pixels per mm, opaque.
-    incident : bool
-        Sum the flux that meets the detector instead of the flux that it absorbs.
     tent : bool
         Spread a hit over the four nearest pixels by a tent filter of radius 1 pixel (bilinear weights); otherwise it
         contributes to the pixel that holds it.
@@ -52,7 +50,6 @@ class Film:
     per_mm_x: mi.Float
     per_mm_y: mi.Float
     groups: int
-    incident: bool = False
     image_of_slot: mi.UInt32 | None = None
     tent: bool = False
 
@@ -91,7 +88,7 @@ class Film:
 
 class Images(Recorder):
     """
-    Images of the flux that a detector absorbs, or that meets it.
+    Images of the flux that a detector absorbs.
 
     Parameters
     ----------
@@ -108,7 +105,7 @@ class Images(Recorder):
     """
 
     def __init__(self, film: Film, count: int | None = None, only: int | None = None) -> None:
-        self._film, self.incident = film, film.incident
+        self._film = film
         self._only = None if only is None else dr.opaque(mi.UInt32, only)
         self.sums = dr.zeros(mi.Float64, film.width * film.height * (film.images if count is None else count))
         dr.eval(self.sums)
@@ -125,7 +122,7 @@ class Images(Recorder):
             first, on_film, by_group = ((word >> 1) - 1) * size, here & (word > 0), (word & 1) > 0
         image = first + dr.select(by_group, group_of(visit.start.batch, film.groups) * size, 0)
         for pixel, share in film.places(*visit.position):
-            flux = mi.Float64(visit.weight if film.incident else visit.absorbed)
+            flux = mi.Float64(visit.absorbed)
             if share is not None:
                 flux *= mi.Float64(share)
             dr.scatter_reduce(dr.ReduceOp.Add, self.sums, flux, image + pixel, on_film)
