@@ -38,9 +38,12 @@ def drawn(density: Any, expected: float, rng: np.random.Generator) -> np.ndarray
 
 class TestWidthErrors:
     def test_kernel(self) -> None:
-        """`drawn` has the kernel of the rims."""
-        delta = mi.Float(0.0, 0.3, 0.9)
-        assert np.allclose(np.array(kernel(delta, 0.8)), [5.0, (4 - 2.25) / 0.8, 0.0], rtol=1e-6)
+        """`drawn` has the kernel of the rims, of unit area and without a first moment."""
+        x = np.linspace(0.0, 0.4, 40_001)
+        k = np.array(kernel(mi.Float64(x), mi.Float64(0.3)))
+        np.testing.assert_allclose(k, np.where(x < 0.3, (4 - 6 * x / 0.3) / 0.3, 0.0), atol=1e-9)
+        assert np.trapezoid(k, x) == pytest.approx(1.0, rel=1e-4)
+        assert np.trapezoid(k * x, x) == pytest.approx(0.0, abs=1e-4)
 
     @pytest.mark.parametrize("edge", [1.0, 0.03, 0.0166, 0.008], ids=["none", "0.03", "0.0166", "0.008"])
     def test_light_that_ends_beside_a_rim(self, edge: float) -> None:
