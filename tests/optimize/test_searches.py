@@ -90,16 +90,13 @@ def need_nlopt(request: pytest.FixtureRequest) -> None:
 
 @pytest.mark.parametrize("optimizer", METHODS)
 class TestMethods:
-    def test_minimum_inside(self, optimizer: Optimizer) -> None:
-        done = searches(Bowl([0.3, 0.6, 0.5]), optimizer, begin([1, 9, 2]))
-        assert done.best.x == pytest.approx([3, 6, 5], abs=0.02)
-        assert done.best.merit == min(step.merit for step in done.steps)
-
-    def test_minimum_beyond_a_bound(self, optimizer: Optimizer) -> None:
-        """The minimum within the unit cube of a separable function lies at the nearest point of the cube."""
-        problem = Bowl([-0.5, 0.6, 1.5])
+    @pytest.mark.parametrize("centre", [(0.3, 0.6, 0.5), (-0.5, 0.6, 1.5)])
+    def test_minimum(self, optimizer: Optimizer, centre: tuple[float, ...]) -> None:
+        """Of a separable function it lies at the nearest point of the unit cube."""
+        problem = Bowl(list(centre))
         done = searches(problem, optimizer, begin([5, 5, 5]))
-        assert done.best.x == pytest.approx([0, 6, 10], abs=0.02)
+        assert done.best.x == pytest.approx(10 * np.clip(centre, 0, 1), abs=0.02)
+        assert done.best.merit == min(step.merit for step in done.steps)
         assert all(np.all((y >= 0) & (y <= 1)) for y in problem.calls)
 
     def test_no_more_steps_than_asked_for(self, optimizer: Optimizer) -> None:
@@ -119,10 +116,8 @@ class TestMethods:
         whole = searches(Bowl([0.3, 0.6], noise), how, begin([1, 9]))
         total = whole.steps[-1].evaluations
         for after in (1, 2, total // 2, total - 1):
-            file, problem = (
-                Checkpoint(tmp_path / "checkpoint.json", scene, "study"),
-                Bowl([0.3, 0.6], noise, last=after),
-            )
+            file = Checkpoint(tmp_path / "checkpoint.json", scene, "study")
+            problem = Bowl([0.3, 0.6], noise, last=after)
             with pytest.raises(KeyboardInterrupt):
                 searches(problem, how, begin([1, 9]), file=file)
             assert len(problem.calls) == after
@@ -185,8 +180,7 @@ class TestTime:
         assert set(done.ended.values()) == {"the time was up"}
         more = searches(Bowl([0.3, 0.6]), optimizer, state)
         assert [step.merit for step in more.steps] == [step.merit for step in whole.steps]
-
-    def test_the_first_start_is_evaluated_whatever_the_time(self, optimizer: Optimizer) -> None:
+        # The first start is evaluated whatever the time
         done = searches(Bowl([0.3, 0.6], pause=0.05), optimizer, begin([1, 9], [8, 8]), seconds=1e-3)
         assert [(step.start, step.step) for step in done.steps] == [(0, 0)]
         assert done.best.x == pytest.approx([1, 9])
@@ -240,8 +234,7 @@ class TestDriver:
         class Ramp(Bowl):
             def evaluate(self, y: np.ndarray, number: int) -> dict[str, Any]:
                 short = np.maximum(0.5 - y, 0)
-                found = super().evaluate(y, number)
-                return {**found, "merit": float(np.sum(short**2)), "slope": -2 * short}
+                return super().evaluate(y, number) | {"merit": float(np.sum(short**2)), "slope": -2 * short}
 
         done = searches(Ramp([0.0], least=0.0), Optimizer(), begin([1]))
         assert done.best.merit == 0

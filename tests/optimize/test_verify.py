@@ -85,21 +85,17 @@ class TestRows:
         assert np.isnan(beside.of("rms_spot")).all()
         assert np.isnan(compare(beside, beside).of("rms_spot").ratio)
 
-    def test_exact_terms(self) -> None:
+    def test_exact_terms_and_standard_errors(self) -> None:
+        """Against the formulas: the error of a ratio of means knows that both see the same rays."""
         levels = Levels((1, 2), {ComparisonCell("a"): np.array([1.0, 3.0])}, {"a": "mm"})
         row = compare(levels.including({"b": 7.0}, {"b": "nm"}), levels.including({"b": 14.0}, {"b": "nm"})).of("b")
         assert (row.before, row.before_se, row.after, row.ratio, row.ratio_se) == (7.0, 0.0, 14.0, 0.5, 0.0)
         assert row.unit == "nm"
-
-    def test_standard_errors(self) -> None:
-        """Against the formulas: the error of a ratio of means knows that both see the same rays."""
         b, a = np.array([1.0, 1.2, 0.9, 1.1]), np.array([0.5, 0.62, 0.44, 0.56])
-        levels = [Levels((1, 2, 3, 4), {ComparisonCell("t"): v}) for v in (b, a)]
-        row = compare(*levels).of("t")
-        ratio = b.mean() / a.mean()
+        row = compare(*(Levels((1, 2, 3, 4), {ComparisonCell("t"): v}) for v in (b, a))).of("t")
+        ratio, covariance = b.mean() / a.mean(), np.cov(b, a)
         assert (row.before, row.after, row.ratio) == pytest.approx((b.mean(), a.mean(), ratio))
         assert row.before_se == pytest.approx(b.std(ddof=1) / 2)
-        covariance = np.cov(b, a)
         variance = (covariance[0, 0] - 2 * ratio * covariance[0, 1] + ratio**2 * covariance[1, 1]) / a.mean() ** 2 / 4
         assert row.ratio_se == pytest.approx(np.sqrt(variance))
 
