@@ -1,8 +1,7 @@
 """Every path of every scene in scenes/ against two float64 tracers: `replay` follows events, `nonsequential` finds all.
 
-Hits agree to 1e-3 mm or 1e-5 of the system's size, or to `ROUNDING` of it times what grazing hits magnify. A ray that
-passes a rim, or is near the critical angle, is accepted as fragile only if the float64 tracer changes its mind too when
-the start ray is moved by `NUDGE` of the system's size.
+A ray that passes a rim, or is near the critical angle, is accepted as fragile only if the float64 tracer changes its
+mind too when the start ray is moved by `NUDGE` of the system's size.
 """
 
 from __future__ import annotations

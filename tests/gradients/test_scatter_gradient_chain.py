@@ -21,7 +21,6 @@ from mistray.gradients.scatter_gradient import fixed, scatter_gradient
 from mistray.gradients.scatter_replay import ScatterEvent, ScatterReplay
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
-from mistray.physics import contamination
 from mistray.settings import BATCHES
 from mistray.surfaces.surfaces import SurfaceTable
 
@@ -255,20 +254,6 @@ class TestShares:
             for key, derivative in found.items():
                 assert_derivative(derivative, difference(log_kept, form.values, key), VALUES)
 
-    def test_particles_take_their_extinction(self, load_scene: Load) -> None:
-        """Once in transmission and twice in reflection, times 1/cos θ; a film in air."""
-        form = FORMS["particulate"]
-        table = table_of(load_scene, model_xml(form), back="air")
-        cosine = np.sqrt(1 - self.SINES**2)
-        for reflect, times in ((True, 2), (False, 1)):
-
-            def log_kept(values: dict[str, float]) -> np.ndarray:
-                cloud = contamination.cloud(1e-3 * WAVELENGTH_NM, contamination.dust_index(0.55), values["level"])
-                return np.log1p(-times * cloud.extinction / cosine)  # noqa: B023
-
-            found = self.by_values(table, reflect, 1.0, ScatterReplay.log_kept)
-            assert_derivative(found["level"], difference(log_kept, form.values, "level"), VALUES)
-
     def test_absorbed_by_values(self, load_scene: Load) -> None:
         """Absolute scatter takes nothing from the beams: a Lambertian of reflectance ρ leaves 1 - R - T - ρ."""
         table = table_of(load_scene, bsdf_xml("paint", reflectance=0.05))
@@ -336,7 +321,7 @@ class TestPlugins:
         return [self.ABG.values["A"] * float(gradient.sum()) for _, _, gradient in found]
 
     def test_whose_derivative_it_is(self, load_scene: Load) -> None:
-        """A shared plugin has the sum; two do not mix, though the kernel has one table of both; on a face they share."""
+        """A shared plugin has the sum; two do not mix, though the kernel has one table; on one face they share."""
         shared, two = '<ref id="polish"/>', [model_xml(self.ABG)] * 2
         for table, faces, expected in (
             (self.table(load_scene, shared, shared), ("face_0", "face_1"), [2 * RAYS]),

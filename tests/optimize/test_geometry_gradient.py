@@ -1,9 +1,4 @@
-"""
-`mistray.gradient` by shapes, positions, indices and coatings, on frozen paths, against central differences in float64.
-
-The oracle follows all rays of the trace through their event lists by itself (tests/oracles/frozen_paths.py). What is
-small is compared as `frozen_cases.compare` says, or with 1e-9 of the metric's value for a move by the surface's size.
-"""
+"""Gradients by shapes, positions, indices and coatings against float64 differences on frozen paths."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ import pytest
 from oracles.small_scenes import plates_text, write
 
 from mistray.errors import MistrayError
-from mistray.optimize import Optimizer, Term, path_power, read_study
+from mistray.optimize import Optimizer, Term, read_study
 from mistray.optimize.study.goals import by_value, check, contribution, holds, least_merit, limit_of, pieces
 from mistray.optimize.study.merit import Merit, seed_of
 from mistray.optimize.study.study_scene import open_scene, place
@@ -245,27 +245,6 @@ class TestMerit:
             for name, slope in found["slopes"].items():
                 by_difference = (ends[0]["terms"][name] - ends[1]["terms"][name]) / 4e-3
                 assert slope[k] == pytest.approx(by_difference, rel=1e-3, abs=1e-9), (name, k)
-
-    def test_together_and_one_by_one(self, plate: Path) -> None:
-        """The same merit, slope and noise, but for what the noise of the terms has in common."""
-        found = {}
-        for method in ("lbfgsb", "sqp"):
-            limit = {"kind": "transmission", "goal": "at_least", "limit": 0.85, "tolerance": 0.1, "rays": 300}
-            ghosts = {"kind": "path_power", "goal": "minimise"}
-            merit = merit_of(plate, by_reflectance(ghosts, limit, optimizer={"method": method}))
-            at_start(merit)
-            found[method] = merit.evaluate(np.array([0.2]), 1)
-        one, other = found.values()
-        assert one["merit"] == pytest.approx(other["merit"], rel=1e-6)
-        assert one["slope"] == pytest.approx(other["slope"], rel=1e-6)
-        assert one["terms"] == pytest.approx(other["terms"], rel=1e-6)
-
-    def test_a_function_as_kind(self, plate: Path) -> None:
-        def both(scene: Any, **traced: Any) -> Any:
-            return path_power(scene, ("ghost", "direct"), **traced)
-
-        found = at_start(merit_of(plate, by_reflectance({"kind": both, "goal": "minimise"})))
-        assert found["terms"] == {"both": pytest.approx(0.81 + (0.05 * 0.9) ** 2, rel=1e-5)}
 
     @pytest.mark.parametrize(
         ("term", "message"),

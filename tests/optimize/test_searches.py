@@ -247,10 +247,6 @@ class TestDriver:
         assert done.best is done.steps[-1]
         assert done.best.x == pytest.approx([3, 6], abs=0.5)
 
-    def test_gradient_norm_is_that_of_free_variables(self) -> None:
-        done = searches(Bowl([-1.0, 0.5]), Optimizer(steps=0), begin([0, 9]))
-        assert done.steps[0].gradient_norm == pytest.approx(2 * 2 * 0.4)
-
     def test_a_state_of_another_search(self) -> None:
         state = begin([1, 9])
         searches(Bowl([0.3, 0.6]), Optimizer(steps=3), state)
