@@ -81,7 +81,7 @@ class TestLayers:
         assert as_window.R.max() < 0.05, "0.1 nm of aluminium is no mirror"
 
 
-def test_ideal_coatings(file) -> None:
+def test_ideal_coatings_and_tables(file) -> None:
     """Of the retarder s is real, p has a quarter wave in both: in mistray's exp(-iωt) the sign is turned."""
     assert file["SPLIT"] == Ideal(0.5, 0.4, "SPLIT")
     np.testing.assert_allclose([file["CLEAR"].R, file["I.98"].T, file["I.98"].R], [0.01, 0.98, 0.02])
@@ -92,9 +92,6 @@ def test_ideal_coatings(file) -> None:
     np.testing.assert_allclose(own.T, 0.64)
     np.testing.assert_allclose(np.exp(1j * own.phase_r), np.exp(1j * np.radians(180 + 90)), atol=1e-12)
     np.testing.assert_allclose(own.phase_t, np.radians(90), atol=1e-12)
-
-
-def test_tables(file) -> None:
     table = file["MEASURED"]
     own = table.response(500.0, AIR, GLASS, np.cos(np.radians([45.0])), True)
     np.testing.assert_allclose(own.R, [[0.05, 0.02]], atol=1e-12)

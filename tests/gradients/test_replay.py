@@ -1,8 +1,4 @@
-"""Every path of every scene in scenes/ against two float64 tracers: `replay` follows events, `nonsequential` finds all.
-
-A ray that passes a rim, or is near the critical angle, is accepted as fragile only if the float64 tracer changes its
-mind too when the start ray is moved by `NUDGE` of the system's size.
-"""
+"""Every path of every scene in scenes/ against two float64 tracers: one replays events, the other finds all paths."""
 
 from __future__ import annotations
 

@@ -93,6 +93,12 @@ class TestScales:
         assert held >= 51
         assert len(model.points) < 200, "most draws found a point of an earlier one"
 
+    def test_from_either_side_and_far_away_the_same(self):
+        value = weak(np.array([0.5, 1.0, -0.4])).value
+        for start in (3.0, -2.0, 0.0):
+            found = fit(weak, value, 0.01 * value, {"rough": 1.0, "grey": 2.0, "shift": start}, **SCALES)
+            assert found.value == pytest.approx([0.5, 1.0, -0.4], rel=2e-3)
+
     def test_interval_is_the_profile(self):
         """Its ends: where the least χ² over the other two parameters is 3.841 above that of all."""
         value = weak(np.array(list(WEAK.values()))).value
@@ -127,13 +133,6 @@ class TestScales:
         assert "x > " in str(found)
         flat = fit(lambda v: one(v[0], 1.0), [0.2, 1.0], [9.0, 1.0], {"x": 0.0}, low=-1, high=1)
         assert "all from -1 to 1 agree" in str(flat)
-
-    def test_signs_and_starts(self):
-        """From either side and far away the same."""
-        value = weak(np.array([0.5, 1.0, -0.4])).value
-        for start in (3.0, -2.0, 0.0):
-            found = fit(weak, value, 0.01 * value, {"rough": 1.0, "grey": 2.0, "shift": start}, **SCALES)
-            assert found.value == pytest.approx([0.5, 1.0, -0.4], rel=2e-3)
 
 
 ONES, TWO, THREE = np.ones(12), {"height": 1.0, "decay": 1.0}, {"rough": 1.0, "grey": 2.0, "shift": 0.0}

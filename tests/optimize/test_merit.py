@@ -15,7 +15,7 @@ import pytest
 from oracles.small_scenes import plates_text, write
 
 from mistray.errors import MistrayError
-from mistray.optimize import Optimizer, Term, read_study
+from mistray.optimize import Metric, Optimizer, Term, read_study
 from mistray.optimize.study.goals import by_value, check, contribution, holds, least_merit, limit_of, pieces
 from mistray.optimize.study.merit import Merit, seed_of
 from mistray.optimize.study.study_scene import open_scene, place
@@ -273,7 +273,5 @@ class TestMerit:
 
 
 def broken_metric(scene: Any, factor: float, **traced: Any) -> Any:
-    from mistray.optimize import Metric
-
     light = {key: traced.pop(key) for key in ("field_deg", "wavelength_nm")}
     return Metric(scene, lambda observations: factor * observations[0].power("all"), settings=traced, **light)

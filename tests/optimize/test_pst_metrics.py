@@ -19,7 +19,6 @@ from mistray import MistrayError
 from mistray.analysis.metrics.glare import veiling_glare_index
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.transmittance import pst_of_each
-from mistray.optimize.metrics import views
 from mistray.optimize.metrics.metric import Metric, combine, log
 from mistray.optimize.metrics.observation import smooth_maximum
 from mistray.optimize.metrics.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
@@ -209,30 +208,6 @@ class TestMetrics:
         (o,) = veiling_glare(scene, 5.0, **TRACED).observe()
         assert o.pst.grid.edges_deg[[0, -1], [0, 1]].tolist() == [0, 90]
 
-    @pytest.mark.long
-    def test_equal_runs_are_made_once(self, scene, monkeypatch: pytest.MonkeyPatch) -> None:
-        """As in test_metrics.py: of four metrics of a PST, one with other rays."""
-        made: list[Any] = []
-
-        def counted(*args: Any, **more: Any) -> Any:
-            made.append(more["rays"])
-            return pst_of_each(*args, **more)
-
-        monkeypatch.setattr(views, "pst_of_each", counted)
-        angles = [20.0, 40.0]
-        parts = {
-            "a": pst_bin(scene, 20, pst_field_deg=angles, **TRACED),
-            "b": pst_bin(scene, 40, "total", pst_field_deg=np.array(angles), **TRACED),
-            "mask": pst_mask(scene, angles, (1, 1), **TRACED),
-            "other": pst_bin(scene, 20, pst_field_deg=angles, **TRACED | {"rays": 3000}),
-        }
-        values = {name: part.value() for name, part in parts.items()}
-        made.clear()
-        merit = combine(parts, lambda m: m["a"] + m["b"] / m["mask"] + m["other"])
-        expected = values["a"] + values["b"] / values["mask"] + values["other"]
-        assert merit.value() == pytest.approx(expected, rel=1e-12)
-        assert sorted(made) == [3000, 20_000]
-
 
 class TestCoatings:
     def test_closed_form(self, load_scene) -> None:
@@ -251,6 +226,9 @@ class TestCoatings:
         traced = {"rays": 20_000, "max_reflections": 2, "pst_field_deg": (0, 5)}
         ghost, direct = (pst_bin(scene, 0, light, **traced) for light in ("ghost", "direct"))
         merit = combine({"ghost": ghost, "direct": direct}, lambda m: dr.log(m["ghost"] / m["direct"]))
+        other = pst_bin(scene, 0, **traced | {"rays": 3000, "pst_field_deg": np.array([0.0, 5.0])})
+        # Equal runs are made once
+        assert [len(combine({"a": merit, "b": b}, lambda m: m["a"]).views) for b in (ghost, other)] == [1, 2]
         for metric, values in (
             (log(ghost), (10.0, 1.25, 10.0, 1.25)),
             (log(direct), (0.0, 1.25, 0.0, 1.25)),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -19,23 +20,20 @@ from mistray.optimize.study.checkpoint import Checkpoint
 from mistray.optimize.study.searches import Searches
 from mistray.optimize.study.state import Evaluation, State
 
+NLOPT = pytest.mark.skipif(find_spec("nlopt") is None, reason="the extra 'nlopt' is not installed")
 METHODS = [
     Optimizer(method="sqp", steps=200, tolerance=0),
     Optimizer(method="lbfgsb", steps=200, tolerance=0),
     Optimizer(method="adam", steps=400, tolerance=0, step_size=0.03, decay=0.98),
     *(
-        pytest.param(Optimizer(method="nlopt", algorithm=name, steps=200, tolerance=0), id=name)
+        pytest.param(Optimizer(method="nlopt", algorithm=name, steps=200, tolerance=0), id=name, marks=NLOPT)
         for name in ("LD_MMA", "LD_SLSQP", "LD_CCSAQ")
     ),
 ]
 
 
 class Bowl:
-    """
-    A quadratic merit with a known minimum, perhaps with noise that depends on the number of the evaluation.
-
-    It may be slow, or be interrupted after some evaluations.
-    """
+    """A quadratic merit with a known minimum, perhaps noisy, slow, or interrupted after some evaluations."""
 
     start: dict[str, float] | None = None
 
@@ -80,12 +78,6 @@ def searches(problem: Any, optimizer: Optimizer, state: State, **more: Any) -> S
 
 def begin(*starts: list[float]) -> State:
     return State([Start(f"start {k}", np.array(x, dtype=np.float64)) for k, x in enumerate(starts)])
-
-
-@pytest.fixture(autouse=True)
-def need_nlopt(request: pytest.FixtureRequest) -> None:
-    if "nlopt" in str(request.node.callspec.params.get("optimizer", "") if hasattr(request.node, "callspec") else ""):
-        pytest.importorskip("nlopt")
 
 
 @pytest.mark.parametrize("optimizer", METHODS)

@@ -230,16 +230,13 @@ class TestRefusals:
         assert "\n" not in str(caught.value)
         assert str(caught.value).startswith("study: ")
 
-    def test_nothing_may_change(self) -> None:
-        study = changed("term", GOOD["term"][:1])
+    def test_files_and_what_may_not_change(self, tmp_path: Path) -> None:
+        study, file = changed("term", GOOD["term"][:1]), tmp_path / "study.toml"
         del study["coating"], study["variable"]
         with pytest.raises(MistrayError, match=r"study: variable is missing: nothing may change; add a section"):
             read_study(study)
         with pytest.raises(MistrayError, match=r"term\[4\] of kind 'layer_minimum' is about layers"):
             read_study(changed("coating", None))
-
-    def test_files(self, tmp_path: Path) -> None:
-        file = tmp_path / "study.toml"
         with pytest.raises(MistrayError, match=r"study '.*study\.toml': No such file"):
             read_study(file)
         for text, message in (("[trace]\nrays = = 3\n", ".*line 2.*"), ("[trace]\nrays = 3\n", "term is missing")):

@@ -88,16 +88,6 @@ class TestNumbers:
                                         values="direct_rms_radius_mm")  # fmt: skip
         assert (abs(radii.loc["moved"] / radii.loc["as it is"] - 1) > 0.05).all()
 
-    def test_rows_do_not_depend_on_what_else_is_asked_for(self, lens: Path) -> None:
-        all_of_them = mistray.sweep(lens, [0, 5], [450, 650], {"a": {"detector.z": 1.0}, "b": {}}, **FEW)
-        one = mistray.sweep(lens, [5], [650], {"other name": {}}, **FEW)
-        row = {**one.rows[0], "configuration": "b"}
-        (same,) = (r for r in all_of_them.rows if (r["configuration"], r["field_deg"], r["wavelength_nm"]) ==
-                   ("b", 5.0, 650.0))  # fmt: skip
-        assert list(row) == list(same)
-        for key, value in row.items():
-            assert same[key] == (pytest.approx(value, rel=1e-9) if isinstance(value, float) else value), key
-
     def test_the_scene_has_its_values_back(self, plate: Path) -> None:
         scene = mistray.load(plate)
         mistray.sweep(scene, [0], 550, states(), **FEW)
