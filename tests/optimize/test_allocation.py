@@ -7,7 +7,6 @@ import itertools
 import numpy as np
 import pytest
 
-from mistray.errors import MistrayError
 from mistray.optimize.tolerances.allocation import (
     Model,
     PowerCost,
@@ -15,7 +14,6 @@ from mistray.optimize.tolerances.allocation import (
     ToleranceChoice,
     allocate,
     elasticity,
-    excess,
     relative_scatter,
 )
 
@@ -112,15 +110,6 @@ class TestGrades:
         # Who wants 250 has to order 200
         costs = StepCost(self.levels, self.costs)(np.array([99.0, 100.0, 250.0, 500.0, 900.0]))
         assert costs.tolist() == [9.0, 9.0, 5.0, 1.0, 1.0]
-
-
-def test_what_cannot_be_met() -> None:
-    variables = [polish(low=2.0), polish(low=1.0)]
-    model = Model(np.array([1.0]), np.array([[4.0, 16.0]]))
-    least = 1 + 4 * (2 / AS_GIVEN) ** 2 + 16 * (1 / AS_GIVEN) ** 2
-    assert excess(variables, model, np.array([0.5])) == pytest.approx(least / 0.5, rel=1e-12)
-    with pytest.raises(MistrayError, match="no numbers within the ranges"):
-        allocate(variables, model, np.array([0.5]))
 
 
 def test_particles_follow_the_standard() -> None:

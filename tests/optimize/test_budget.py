@@ -76,11 +76,7 @@ def by_hand(parts: np.ndarray, limit: float) -> np.ndarray:
 
 @pytest.mark.long
 def test_two_surfaces(source: Path, parts: np.ndarray, limit: float, tmp_path: Path) -> None:
-    """
-    To 1 %: what is scattered twice, and the light that scatter takes from the beam, are of second order.
-
-    At the optimum a share is a σ² over the limit; before, a over the sum. Costs are 1 at the worst, 20 nm.
-    """
+    """To 1 %: what is scattered twice, and the light that scatter takes from the beam, are of second order."""
     result = budget(source, study(limit))
     chosen, weights = result.chosen, np.array([1.0, 6.0])
     found = np.array([each.after for each in chosen])

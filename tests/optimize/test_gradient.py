@@ -98,10 +98,7 @@ class TestClosedForms:
 
 class TestStatistics:
     def test_sampled_trees(self, plate) -> None:
-        """One child at random and Russian roulette keep the gradient unbiased: within 4.5 standard errors.
-
-        False-alarm probability: 8 comparisons at 4.5 σ, 6e-5.
-        """
+        """One child at random and Russian roulette keep it unbiased: 8 comparisons at 4.5 σ, false alarm 6e-5."""
         for how in ({"splitting": "one"}, {"below_threshold": "roulette", "flux_threshold": 0.05}):
             g = gradient(path_power(plate, "ghost", rays=200_000, max_reflections=2, **how), mi.traverse(plate))
             for key, value in GHOST.items():

@@ -49,10 +49,7 @@ def reflectance(d: float, nm: float = 550.0) -> float:
 
 class TestSearch:
     def test_quarter_wave(self, plate: Path, tmp_path: Path) -> None:
-        """R has one minimum within the bounds, the quarter wave; the metric there is known.
-
-        Near it the metric is flat: a relative excess of 1e-4, the tolerance, is 0.4 nm.
-        """
+        """Near it the metric is flat: a relative excess of 1e-4, the tolerance, is 0.4 nm."""
         file = tmp_path / "new" / "checkpoint.json"
         result = optimize(plate, study(), checkpoint=file)
         assert result.ended[0].startswith("converged")
@@ -82,10 +79,7 @@ class TestSearch:
         assert result.comparison.total.ratio == pytest.approx(ratio, rel=0.05)
 
     def test_limits(self, plate: Path) -> None:
-        """A bound; and the least ghost of at most 80 nm: the penalty begins 1 % below the limit and costs 1 at it.
-
-        Its slope there, 2/(0.8 nm), is much larger than that of the merit.
-        """
+        """A bound; and the least ghost of at most 80 nm: the penalty begins 1 % below the limit and costs 1 at it."""
         bound = optimize(plate, study(bounds=(20.0, 80.0)))
         assert bound.thickness_nm("AR") == pytest.approx([80.0])
         assert bound.best.gradient_norm == 0, "the layer is not free to move on"

@@ -211,12 +211,7 @@ class TestMetrics:
 
 class TestCoatings:
     def test_closed_form(self, load_scene) -> None:
-        """
-        Two faces of R and T: every ghost carries T1 R2 R1 T2, so that the relative derivatives are 1/R and 1/T.
-
-        They hold for every ray by itself, however rays are chosen: what is left is single precision. The detector is
-        small, so that no light which has slipped in between the faces at their open edge gets there.
-        """
+        """Every ghost carries T1 R2 R1 T2: relative derivatives 1/R and 1/T, for every ray, in single precision."""
         text = plates_text(1, R=0.1, T=0.8)
         for side in ("width", "height"):
             text = text.replace(f'"half_{side}" value="50.0"', f'"half_{side}" value="30.0"')

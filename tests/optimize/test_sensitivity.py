@@ -109,12 +109,7 @@ def lens(load_scene) -> Any:
 
 
 def test_errors_of_the_rows(lens: Any) -> None:
-    """
-    Over 16 seeds the relative changes spread as their errors say: the metric shares its rays with its derivatives.
-
-    Variance ratio of 15 degrees of freedom within its quantiles 1e-5: false alarm 1e-4 for all. Added in quadrature the
-    error of the metric made them 5 times too large.
-    """
+    """Over 16 seeds: variance ratio of 15 degrees of freedom within its quantiles 1e-5, false alarm 1e-4 for all."""
     params, keys = mi.traverse(lens), ["front.bsdf.R", "rear.bsdf.R", "rear.bsdf.T"]
     values, errors, apart = [], [], []
     for seed in range(16):
