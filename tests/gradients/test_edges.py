@@ -174,7 +174,6 @@ class TestCorners:
 
     @pytest.mark.long
     def test_a_circle_that_touches_a_tube_at_a_point(self, load_scene) -> None:
-        """Which is no edge."""
         disc = placed_xml("frustum", "disc", at=(5.0, 0.0, 5.0), r0=1.0, z0=0.0, r1=5.0, z1=0.0)
         tube = shape_xml("frustum", "tube", 0.0, r0=10.0, z0=0.0, r1=10.0, z1=20.0)
         found = traced(load_scene, scene_text(disc, tube, detector(25.0), radius=11.0), ["disc.r1"])
@@ -207,7 +206,8 @@ class TestPortions:
             monkeypatch.setattr(edges, "CAPACITY", capacity)
             monkeypatch.setattr(edges, "FIRST_LANES", lanes)
             metric = pst_bin(scene, 20.0, rays=20_000, max_scatters=3, method="adjoint", cell_deg=20.0)
-            found.append(parts_of(metric, keys, 0.1) | power_parts(scene, ["stop.z"], 0.1, rays=30_000, max_scatters=2))
+            light = power_parts(scene, keys, 0.1, rays=30_000, max_scatters=2)
+            found.append(parts_of(metric, keys, 0.1) | {"light": light["stop.r0"]})
         for key, part in found[0].items():
             assert abs(part).max() > 0
             for other in found[1:]:
