@@ -131,7 +131,6 @@ def test_refused():
         (scene, {"stop": "nobody"}, "'nobody'"),
         (scene, {"grid": 3}, "grid is 3"),
         (scene, {"reference_radius_mm": 0.0}, "reference_radius_mm is 0"),
-        (mistray.load("plate"), {}, "afocal"),
         (mistray.load(blind), {}, "no image"),
         (mistray.load("cooke_triplet", "laser:0,0,-50,waist_x=1,waist_y=1"), {}, "neither far away nor a point"),
     ):

@@ -69,26 +69,7 @@ def test_the_mean_is_that_of_all_rays(lenses: Any) -> None:
         se = found.opl_se_mm[path_id]
         assert abs(found.opl_mm[path_id] - exact) <= 3.5 * (se if np.isfinite(se) else 0) + 1e-9
         assert found.branches[path_id] == len(own)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("key", SORT_KEYS)
-def test_seven_keys(lenses: Any, ring: Any, key: str) -> None:
-    for trace in (lenses, ring):
-        table = path_analysis(trace, sort=key)
-        values = table[key].tolist()
-        assert values == sorted(values, reverse=key != "last_object")
-        for _, same in table.groupby(key):
-            assert same.power_W.is_monotonic_decreasing
-        assert table.power_W.sum() == pytest.approx(trace.energy.detected_W, rel=1e-9)
-        for row in table.itertuples():
-            names = [word.rsplit(":", 1)[0] for word in row.events.split()]
-            assert (row.objects, row.unique_objects) == (len(names), len(set(names)))
-            assert row.last_object == (names[-2] if len(names) > 1 else "-")
-
-
-@pytest.mark.long
-def test_weak_paths_stand_together(lenses: Any) -> None:
+    # Weak paths stand together
     whole = path_analysis(lenses)
     table = path_analysis(lenses, least_share=1e-3)
     rest = table.iloc[-1]
@@ -105,6 +86,22 @@ def test_weak_paths_stand_together(lenses: Any) -> None:
     for share, key, named in ((1.0, "power_W", "least_share is 1"), (0.0, "flux", "'flux'")):
         with pytest.raises(mistray.MistrayError, match=named):
             path_analysis(lenses, key, share)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("key", SORT_KEYS)
+def test_seven_keys(lenses: Any, ring: Any, key: str) -> None:
+    for trace in (lenses, ring):
+        table = path_analysis(trace, sort=key)
+        values = table[key].tolist()
+        assert values == sorted(values, reverse=key != "last_object")
+        for _, same in table.groupby(key):
+            assert same.power_W.is_monotonic_decreasing
+        assert table.power_W.sum() == pytest.approx(trace.energy.detected_W, rel=1e-9)
+        for row in table.itertuples():
+            names = [word.rsplit(":", 1)[0] for word in row.events.split()]
+            assert (row.objects, row.unique_objects) == (len(names), len(set(names)))
+            assert row.last_object == (names[-2] if len(names) > 1 else "-")
 
 
 @pytest.mark.parametrize("aliases", ["part", {"a_*": "first", "b_*": "second", "tube": "tube"}, {"?_*": "lenses"}])

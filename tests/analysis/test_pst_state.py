@@ -70,30 +70,21 @@ def test_files_that_are_none_are_one_line(tmp_path: Path, monkeypatch: pytest.Mo
         with pytest.raises(MistrayError, match="is damaged or no state; remove it and run without resuming"):
             load_state(path)
 
-
-@pytest.mark.parametrize(
-    ("change", "text"),
-    [
+    # Another run is named by what differs
+    grid = {"angles_deg": [0, 2, 5, *range(6, 81, 2)], "azimuth_cell_deg": 360.0}
+    for change, text in (
         ({"settings": {"max_scatters": 2, "seed": 0, "aim": "auto"}}, "settings.max_scatters was 1 and is 2;"),
         ({"settings": {"max_scatters": 1, "seed": 0}}, "settings.aim was auto and is absent;"),
-        ({"scene": "f" * 64, "wavelength_nm": [600.0]}, "wavelength_nm was [550] and is [600];"),
+        ({"scene": "f" * 64, "wavelength_nm": [600.0]}, r"wavelength_nm was \[550\] and is \[600\];"),
         ({"scene": "f" * 64}, "the scene is another one or has changed;"),
-        (
-            {"grid": {"angles_deg": [0, 2, 5, *range(6, 81, 2)], "azimuth_cell_deg": 360.0}},
-            "value 3 of grid.angles_deg",
-        ),
-    ],
-)
-def test_another_run_is_named_by_what_differs(change: dict, text: str) -> None:
-    with pytest.raises(MistrayError, match=r"^state 's\.npz' belongs to another run: ") as caught:
-        require_same("s.npz", {"signature": SIGNATURE}, SIGNATURE | change)
-    assert text in str(caught.value)
-    assert "\n" not in str(caught.value)
+        ({"grid": grid}, "value 3 of grid.angles_deg"),
+    ):
+        with pytest.raises(MistrayError, match=rf"^state 's\.npz' belongs to another run: .*{text}"):
+            require_same("s.npz", {"signature": SIGNATURE}, SIGNATURE | change)
 
 
-@pytest.mark.parametrize(
-    ("now", "seconds_left", "share_done"),
-    [
+def test_progress() -> None:
+    for now, seconds_left, share_done in (
         # Error 4 % after 1e6 rays in 10 s: 2 % needs 4e6 rays, three times as many again
         (PstProgress.after(1_000_000, 10_000_000, 0.04, 0.02, 10.0), 30.0, 0.25),
         (PstProgress.after(1_000_000, 2_000_000, 0.04, 0.001, 10.0), 10.0, 0.5),  # ends with the rays planned
@@ -103,7 +94,5 @@ def test_another_run_is_named_by_what_differs(change: dict, text: str) -> None:
         (PstProgress.after(4_000_000, 6_000_000, 0.04, None, 10.0, rays_before=3_000_000), 20.0, 2 / 3),
         (PstProgress.after(3_000_000, 6_000_000, 0.04, None, 0.1, rays_before=3_000_000), math.nan, 0.5),
         (PstProgress.after(4_000_000, 9_000_000, 0.019, 0.02, 10.0), 0.0, 1.0),
-    ],
-)
-def test_progress(now: PstProgress, seconds_left: float, share_done: float) -> None:
-    assert (now.seconds_left, now.share_done) == pytest.approx((seconds_left, share_done), nan_ok=True)
+    ):
+        assert (now.seconds_left, now.share_done) == pytest.approx((seconds_left, share_done), nan_ok=True)

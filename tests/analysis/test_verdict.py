@@ -39,9 +39,7 @@ def test_worst_paths_stand_once_at_their_worst_field():
     powers = [path.power_W.value for path in worst_of_all_fields(report_of({0.0: paths_at(0.0)}, "power"), 3)]
     assert powers == sorted(powers, reverse=True)
     assert powers[0] == pytest.approx(2e-4)
-
-
-def test_shares_of_kinds_add_up():
+    # Shares of kinds add up
     report = report_of({0.0: scatter_paths_at(0.0)})
     shares = shares_of_kinds(report, 0.0)
     assert sum(share.value for share in shares.values()) == pytest.approx(100)

@@ -77,10 +77,7 @@ def test_the_ghost_of_all_lines_is_their_sum(report):
     centred = math.sqrt(float(np.average(lines.rms_radius_mm**2, weights=lines.power_W)))
     assert np.ptp(lines.rms_radius_mm) > 10 * lines.rms_radius_se_mm.max()
     assert direct.rms_radius_mm == pytest.approx(centred, rel=1e-3)
-
-
-def test_energy_closes_at_every_wavelength(report):
-    """With the weights of the call, or of the scene."""
+    # Energy closes at every wavelength, with the weights of the call or of the scene
     t = report[0.0]
     source = replace(singlet().source, wavelength_nm=tuple(LINES), weights=tuple(LINES.values()))
     own = mistray.ghosts(replace(singlet(), source=source).to_scene(), field_deg=[0.0], rays=100)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import html
 import json
 import re
-import shutil
 import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
+from explore.chromium import CHROMIUM
 from report.fake_pst import fake_pst
 from report.fake_trace import ghosts_of, trace_at
 
@@ -21,7 +21,6 @@ from mistray.report.html.embedded import palette_png
 from mistray.report.html.render import html_page
 from mistray.report.pst_output import pst_report
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 FLAGS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-component-update",
     "--disable-background-networking", "--disable-sync", "--window-size=1300,1000", "--enable-logging=stderr",
@@ -342,7 +341,7 @@ def test_on_paper(report, tmp_path):
     assert all(float(width) < float(height) for width, height in boxes)
 
 
-def test_a_path_is_chosen(report, found):
+def test_a_path_is_chosen_and_drawn(report, found):
     found = found["ghosts.html"]
     assert found["folded"] == [False, False]
     assert found["opened"]
@@ -357,10 +356,6 @@ def test_a_path_is_chosen(report, found):
     assert found["rays"] == 7
     assert found["ray_colour"] == dict((path_id, colour) for path_id, colour, _ in worst_paths(report, 0.0))[1]
     assert found["back"]
-
-
-def test_maps(report, found):
-    found = found["ghosts.html"]
     low, high = common_range(report)
     assert f"all light, log10 scale 1e{low:.0f} to 1e{high:.0f} W/mm²" in found["common_scale"]
     assert f"to 1e{high:.0f} W/mm²" not in found["own_scale"]  # there are ghosts alone

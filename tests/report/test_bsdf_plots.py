@@ -18,7 +18,7 @@ def labels(axes) -> list[str]:
     return [text.get_text() for text in axes.get_legend().get_texts()]
 
 
-def test_abg() -> None:
+def test_models() -> None:
     figure = bsdf_figure(scan(ABg(0.0025, 0.001, 1.8), ANGLES), "ABg", knee=0.0215)
     left, right = figure.axes
     scales = [scale for axes in (left, right) for scale in (axes.get_xscale(), axes.get_yscale())]
@@ -33,10 +33,7 @@ def test_abg() -> None:
         assert np.max(f) == pytest.approx(2.5)
     assert left.get_xlim() == (1e-3, 2)
     assert any("knee 0.0215" in text.get_text() for text in left.texts)
-
-
-def test_other_models() -> None:
-    """One that grows away from the normal is drawn for each angle; a Lambertian one is a straight line."""
+    # One that grows away from the normal is drawn for each angle; a Lambertian one is a straight line
     left, _ = bsdf_figure(scan(Paint(0.04, b0=0.05, l=0.1, s=-3, n=1.5), ANGLES), "paint").axes
     assert labels(left) == ["0°", "30°", "60°"]
     assert any(line.get_linestyle() == "--" for line in left.lines)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-import mitsuba as mi
 import numpy as np
 import pytest
 
@@ -16,31 +15,27 @@ from mistray.report.figures.coating import coated_surfaces, coating_figure, surf
 WAVELENGTHS = np.arange(450.0, 651.0, 50.0)
 
 
-def line(axes, label: str):
-    return next(item for item in axes.get_lines() if item.get_label() == label)
+def curve(axes, label: str) -> np.ndarray:
+    return next(item for item in axes.get_lines() if item.get_label() == label).get_ydata()
 
 
 def test_lines_are_the_spectra() -> None:
     figure = coating_figure(preset("bbar3"), WAVELENGTHS, [0.0, 40.0], back="1.5168")
     left, right = figure.axes
     values = spectrum(preset("bbar3"), WAVELENGTHS, [0.0, 40.0], back="1.5168")
-    np.testing.assert_allclose(line(left, "0°").get_ydata(), 100 * values.mean()[:, 0])
-    drawn = {
-        item.get_linestyle(): item for item in left.get_lines() if item.get_color() == line(left, "40°").get_color()
-    }
-    np.testing.assert_allclose(drawn["-"].get_ydata(), 100 * values.mean()[:, 1])
-    np.testing.assert_allclose(drawn["--"].get_ydata(), 100 * values.R[:, 1, 0])
-    np.testing.assert_allclose(drawn[":"].get_ydata(), 100 * values.R[:, 1, 1])
-    for wavelength in (450, 550, 650):
-        curve = line(right, f"{wavelength} nm")
-        at = spectrum(preset("bbar3"), [wavelength], curve.get_xdata(), back="1.5168").mean()[0]
-        np.testing.assert_allclose(curve.get_ydata(), 100 * at)
-    assert right.get_yscale() == "log"
-    assert left.get_ylim()[0] == 0
-    assert line(left, "bare, 0°").get_ydata()[0] == pytest.approx(4.21646, abs=1e-4)
-
-
-def test_scales_and_axes() -> None:
+    np.testing.assert_allclose(curve(left, "0°"), 100 * values.mean()[:, 0])
+    (colour,) = (item.get_color() for item in left.get_lines() if item.get_label() == "40°")
+    drawn = {item.get_linestyle(): item.get_ydata() for item in left.get_lines() if item.get_color() == colour}
+    for style, share in (("-", values.mean()[:, 1]), ("--", values.R[:, 1, 0]), (":", values.R[:, 1, 1])):
+        np.testing.assert_allclose(drawn[style], 100 * share)
+    by_angle = {item.get_label(): item for item in right.get_lines()}
+    for nm in (450, 550, 650):
+        item = by_angle[f"{nm} nm"]
+        at = spectrum(preset("bbar3"), [nm], item.get_xdata(), back="1.5168").mean()[0]
+        np.testing.assert_allclose(item.get_ydata(), 100 * at)
+    assert (right.get_yscale(), left.get_ylim()[0]) == ("log", 0)
+    assert curve(left, "bare, 0°")[0] == pytest.approx(4.21646, abs=1e-4)
+    # Scales and axes
     left, right = coating_figure(preset("protected_al"), WAVELENGTHS, [0.0]).axes  # a mirror
     assert right.get_yscale() == left.get_yscale() == "linear"
     assert all(not str(item.get_label()).startswith("bare") for item in left.get_lines())
@@ -51,8 +46,7 @@ def test_scales_and_axes() -> None:
     assert figure.get_suptitle() == "split, N-SF6 | air, light from N-SF6"
 
 
-@pytest.fixture(scope="module")
-def scene():
+def test_one_row_for_each_kind_of_surface() -> None:
     coated = {"back": "1.6", "coating": {"type": "ref", "id": "ar"}}
     bsdfs = {
         "a": coated,
@@ -62,18 +56,10 @@ def scene():
         "wall": {"R": 0.0},
     }
     shapes = {
-        name: {
-            "type": "asphere",
-            "semi_diameter": 5.0,
-            "to_world": mi.ScalarTransform4f().translate([0, 0, 2 * k]),
-            "bsdf": {"type": "interface", **bsdf},
-        }
+        name: {"type": "asphere", "semi_diameter": 5.0, "z": 2.0 * k, "bsdf": {"type": "interface", **bsdf}}
         for k, (name, bsdf) in enumerate(bsdfs.items())
     }
-    return mistray.load({"type": "scene", "ar": {"type": "thinfilm", "preset": "bbar3"}, **shapes})
-
-
-def test_one_row_for_each_kind_of_surface(scene) -> None:
+    scene = mistray.load({"type": "scene", "ar": {"type": "thinfilm", "preset": "bbar3"}, **shapes})
     groups = coated_surfaces(scene)
     assert [group.names for group in groups] == [("a", "c"), ("b",), ("d",)]
     assert groups[0].coating.name == "ar"
@@ -84,14 +70,9 @@ def test_one_row_for_each_kind_of_surface(scene) -> None:
     first = figure.axes[0]
     assert first.get_title(loc="left") == "a, c"
     expected = spectrum(groups[0].coating, WAVELENGTHS, [30.0], "air", "1.6").mean()[:, 0]
-    np.testing.assert_allclose(line(first, "30°").get_ydata(), 100 * expected)
+    np.testing.assert_allclose(curve(first, "30°"), 100 * expected)
     # the rear of a lens is drawn from the air as well
     behind = spectrum(Bare(), WAVELENGTHS, [30.0], "1.6", "air", from_front=False).mean()[:, 0]
-    np.testing.assert_allclose(line(figure.axes[2], "30°").get_ydata(), 100 * behind)
-
-
-def test_errors(scene) -> None:
-    with pytest.raises(MistrayError, match="needs two or more wavelengths, there is 1"):
-        surfaces_figure(coated_surfaces(scene), [550.0], [0.0])
+    np.testing.assert_allclose(curve(figure.axes[2], "30°"), 100 * behind)
     with pytest.raises(MistrayError, match="no optical surface"):
         coated_surfaces(SimpleNamespace(shapes=list))

@@ -6,9 +6,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from report.view_scene import EXACT, FORMULAS, mm, tilted
+from report.view_scene import EXACT, FORMULAS, glass, mm, tilted
 
-import mistray
 from mistray.errors import MistrayError
 from mistray.report.figures.cut_open import CutPlane, clip, open_surfaces, triangulate, turned
 
@@ -90,19 +89,19 @@ def test_clipped_box(offset):
     assert clip(CORNERS.astype(np.float32), BOX, CutPlane(0.0, offset))[0].dtype == np.float32
 
 
-OUTLINES = {
-    "L": ([[0, 0], [3, 0], [3, 1], [1, 1], [1, 3], [0, 3]], 5.0),
-    "L the other way round": ([[0, 3], [1, 3], [1, 1], [3, 1], [3, 0], [0, 0]], 5.0),
-    "corners twice and on edges": ([[0, 0], [1, 0], [1, 0], [2, 0], [2, 2], [0, 2], [0, 1]], 4.0),
-    "comb": ([[0, 0], [5, 0], [5, 2], [4, 2], [4, 1], [3, 1], [3, 2], [2, 2], [2, 1], [1, 1], [1, 2], [0, 2]], 8.0),
-}
-
-
 def test_triangles_of_a_polygon():
-    """The last one is a meniscus between arcs of sagitta 0.5 and 0.2: the difference of two parabolas' segments."""
+    """An L from both sides, corners twice and on edges, a comb, and the segment between two parabolas."""
     y = np.linspace(-1.0, 1.0, 129)
+    bent = [[0, 0], [3, 0], [3, 1], [1, 1], [1, 3], [0, 3]]
+    comb = [[0, 0], [5, 0], [5, 2], [4, 2], [4, 1], [3, 1], [3, 2], [2, 2], [2, 1], [1, 1], [1, 2], [0, 2]]
     meniscus = np.concatenate([np.column_stack([0.5 * y**2, y]), np.column_stack([0.3 + 0.2 * y**2, y])[::-1]])
-    for outline, exact, error in (*((*one, 1e-12) for one in OUTLINES.values()), (meniscus, 0.4, 2e-4)):
+    for outline, exact, error in (
+        (bent, 5.0, 1e-12),
+        (bent[::-1], 5.0, 1e-12),
+        ([[0, 0], [1, 0], [1, 0], [2, 0], [2, 2], [0, 2], [0, 1]], 4.0, 1e-12),
+        (comb, 8.0, 1e-12),
+        (meniscus, 0.4, 2e-4),
+    ):
         points = np.column_stack([np.array(outline, dtype=float), np.zeros(len(outline))])
         assert area(points, triangulate(outline)) == pytest.approx(exact, rel=error)
 
@@ -120,13 +119,11 @@ STOCK = {
 
 
 @pytest.mark.parametrize("kind", STOCK)
-def test_shapes_of_mitsuba(kind, tmp_path):
+def test_shapes_of_mitsuba(kind, load_scene):
     inside, exact = STOCK[kind]
-    surface = '<bsdf type="interface"><string name="back" value="1.5"/></bsdf>'
-    text = f'<scene version="3.0.0"><shape type="{kind}" id="it">{inside}{surface}</shape></scene>'
-    path = tmp_path / "scene.xml"
-    path.write_text(text, encoding="utf-8")
-    scene = mistray.load(path)
+    scene = load_scene(
+        f'<scene version="3.0.0"><shape type="{kind}" id="it">{inside}{glass("air", "1.5")}</shape></scene>'
+    )
     for cut, share in ((None, 1.0), (CutPlane(), 0.5)):
         (it,) = open_surfaces(scene, cut)
         assert area(it.vertices, it.faces) == pytest.approx(exact * share, rel=5e-3)
@@ -134,17 +131,8 @@ def test_shapes_of_mitsuba(kind, tmp_path):
             np.testing.assert_allclose(np.linalg.norm(it.vertices - [0, 0, 5.0], axis=1), 2.0, atol=EXACT)
 
 
-class Dust:
-    """A shape without triangles."""
-
-    id = staticmethod(lambda: "dust")
-    is_sensor = is_mesh = staticmethod(lambda: False)
-    bsdf = staticmethod(lambda: None)
-
-    def __str__(self):
-        return "SDFGrid[\n]"
-
-
 def test_a_shape_without_triangles_is_refused():
+    values = {"id": "dust", "is_sensor": False, "is_mesh": False, "bsdf": None, "__str__": "SDFGrid[\n]"}
+    dust = type("Dust", (), {name: lambda _, value=value: value for name, value in values.items()})()
     with pytest.raises(MistrayError, match="shape 'dust' is SDFGrid, which has no triangles to draw"):
-        open_surfaces(SimpleNamespace(shapes=lambda: [Dust()]), None)
+        open_surfaces(SimpleNamespace(shapes=lambda: [dust]), None)

@@ -1,18 +1,21 @@
-"""What an HTML file holds besides text: maps in sixteen bits, PNG files, JSON."""
+"""What an HTML file holds besides text: maps in sixteen bits, PNG files, JSON, places of the points of a plot."""
 
 from __future__ import annotations
 
 import base64
 import io
 import json
+import re
 import zlib
 
 import matplotlib.image
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from mistray.analysis.maps.path_maps import PathMap
 from mistray.report.html.embedded import MapStore, colour_table, json_script, palette_png, power_codes
+from mistray.report.html.hover import hover_figure
 from mistray.report.html.thumbnails import SIDE, thumbnail
 
 EXTENT = (-2.0, 2.0, -1.5, 1.5)
@@ -80,3 +83,24 @@ def test_thumbnail_is_centred_upright_and_on_its_own_scale():
     rows = np.flatnonzero(matplotlib.image.imread(io.BytesIO(above.png), format="png")[:, :, :3].any(axis=(1, 2)))
     assert rows.mean() < SIDE / 4
     assert thumbnail(PathMap.of(np.zeros((60, 80)), 96), EXTENT, (60, 80), (0.0, 0.0), np.nan).limits is None
+
+
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_places_of_values_are_those_of_the_points_that_the_svg_draws(scale):
+    x = [1.0, 2.0, 5.0, 9.0]
+    figure = Figure(figsize=(7.3, 4.1), dpi=137, layout="constrained")
+    above, _ = figure.subplots(2, 1, sharex=True)
+    above.set_xscale(scale)
+    above.plot(x, [1, 3, 2, 1e3], marker="o")
+    above.set_ylabel("a long\nlabel")
+    html = hover_figure("data-a", figure, above, x, ["t"] * 4, [[("v", "1 < 2")]] * 4, "what it is")
+    data = json.loads(re.search(r'<script type="application/json"[^>]*>(.*?)</script>', html)[1])
+    markers = re.findall(r'<use xlink:href="#[^"]*" x="([\d.]+)" y="([\d.]+)" style="fill: #1f77b4', html)
+    places, heights = np.array(markers, dtype=float).T
+    np.testing.assert_allclose(data["x"], places, atol=0.05)
+    left, top, right, bottom = data["area"]
+    assert np.all((left < places) & (places < right) & (top < heights) & (heights < bottom))
+    view = [float(v) for v in re.search(r'viewBox="([^"]*)"', html)[1].split()]
+    np.testing.assert_allclose(data["view"], view, atol=1e-3)
+    assert "1 \\u003c 2" in html
+    assert 'tabindex="0"' in html

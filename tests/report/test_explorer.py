@@ -37,69 +37,38 @@ const given = JSON.parse(require("fs").readFileSync(0, "utf-8"));
 
 def javascript(code: str, given: object, *scripts: str) -> object:
     """Run code with the scripts of a report; `given` is its data, what it returns is the answer."""
-    sources = "\n".join(
-        files("mistray.report.html").joinpath("assets", f"{name}.js").read_text(encoding="utf-8") for name in scripts
-    )
-    done = subprocess.run(
-        [str(NODE), "-e", STUB % (sources, code)], input=json.dumps(given), capture_output=True, text=True, timeout=60
-    )
+    assets = files("mistray.report.html").joinpath("assets")
+    sources = "\n".join(assets.joinpath(f"{name}.js").read_text(encoding="utf-8") for name in scripts)
+    command = [str(NODE), "-e", STUB % (sources, code)]
+    done = subprocess.run(command, input=json.dumps(given), capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
 
-def data_of(text: str, name: str) -> dict:
-    """The JSON with this id in a page."""
-    return json.loads(re.search(rf'<script type="application/json" id="{name}">(.*?)</script>', text)[1])
-
-
-@pytest.fixture(scope="module")
-def report():
-    report = ghosts_of(*map(trace_at, (0.0, 20.0)))
-    report.text = html_text(report, "lens")
-    return report
-
-
 def panel_of(text: str) -> dict:
     """What a page holds of field 0°."""
-    held = data_of(text, "data-t-field-0")
+    found = re.search(r'<script type="application/json" id="data-t-field-0">(.*?)</script>', text)
+    held = json.loads(found[1])
     return json.loads(zlib.decompress(base64.b64decode(held["packed"]))) | {"codes": held["codes"]}
 
 
-@pytest.fixture(scope="module")
-def data(report):
-    return panel_of(report.text)
-
-
-def maps_of(data: dict) -> dict[str, tuple[list[int], np.ndarray]]:
-    powers = stored(data["codes"])
-    entries = data["paths"] | {name: data[name] for name in ("direct", "stray", "rest")}
-    return {
-        name: (entry, powers[entry[5] : entry[5] + entry[3] * entry[4]].reshape(entry[4], entry[3]))
-        for name, entry in entries.items()
-    }
-
-
-def test_page_holds_the_power_of_every_path(report, data):
+def test_page_holds_the_power_of_every_path():
     """And its rays, which start at z = -2 and end at the detector at z = 5."""
-    table = report.table(0.0).set_index("path_id")
-    maps = maps_of(data)
-    assert set(map(int, data["paths"])) == set(table.index)
-    for path_id, power in table.power_W.items():
-        assert maps[str(path_id)][1].sum() == pytest.approx(power, rel=2e-3)
-    assert maps["rest"][1].size == 0
-    assert maps["direct"][1].sum() == pytest.approx(table.power_W[table.kind == "direct"].sum(), rel=2e-3)
-    assert maps["stray"][1].sum() == pytest.approx(table.power_W[table.kind != "direct"].sum(), rel=2e-3)
+    report = ghosts_of(*map(trace_at, (0.0, 20.0)))
+    table, data = report.table(0.0).set_index("path_id"), panel_of(html_text(report, "lens"))
+    powers = stored(data["codes"])
+
+    def power(entry: list[int]) -> float:
+        return powers[entry[5] : entry[5] + entry[3] * entry[4]].sum()
+
+    found = {int(path_id): power(entry) for path_id, entry in data["paths"].items()}
+    assert found == pytest.approx(table.power_W.to_dict(), rel=2e-3)
+    assert data["rest"][3:5] == [0, 0]
+    assert power(data["direct"]) == pytest.approx(table.power_W[table.kind == "direct"].sum(), rel=2e-3)
+    assert power(data["stray"]) == pytest.approx(table.power_W[table.kind != "direct"].sum(), rel=2e-3)
     for lines in data["rays"].values():
         assert 1 <= len(lines) <= 7
         assert all((line[0], line[-2]) == (-2, 5) for line in lines)
-
-
-def test_summaries_are_those_of_maps_asked_for_one_by_one(report):
-    alone = ghosts_of(trace_at(20.0), trace_at(0.0), nominal=trace_at(0.0))
-    for field in (0.0, 20.0):
-        for found, expected in zip(report.stray_map(field), alone.stray_map(field), strict=True):
-            np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-18)
-    assert tuple(report.peak_to_nominal(20.0)) == pytest.approx(tuple(alone.peak_to_nominal(20.0)), nan_ok=True)
 
 
 def test_paths_beyond_the_memory_are_the_rest(monkeypatch):
@@ -113,40 +82,6 @@ def test_paths_beyond_the_memory_are_the_rest(monkeypatch):
     assert maps.rest.power_W.sum() == pytest.approx(table.power_W[2:].sum(), rel=1e-12)
     assert report.path_maps(0.0, list(table.index)) is maps  # made once, also if it has not all of them
     assert f"{len(table) - 2} of these paths have no map" in html_parts(explored_paths(report, 0.0, "t"))
-
-
-@needs_node
-def test_box_of_the_script_holds_the_hits_within_it(report, data):
-    """The same box from the points of the fake trace, one by one."""
-    t = report[0.0]
-    x0, x1, y0, y1 = EXTENT
-    boxes = [[-0.5, 0.5, -0.4, 0.6], [0.21, 0.19, 1.4, -1.3], [1.0, 5.0, 1.0, 5.0], [0.001, 0.002, 0.0, 0.0001]]
-    found = javascript(
-        """
-        const powers = powersOf(await inflated(bytesOf(given.data.codes)));
-        return given.boxes.map((corners) => {
-          const box = snapBox(corners, given.data.extent, given.data.shape, given.data.grid);
-          const power = Object.fromEntries(Object.entries(given.data.paths).map(
-            ([id, entry]) => [id, powerWithin(readMap(entry, powers), box.pixels)]));
-          return { mm: box.mm, pixels: box.pixels, power };
-        });
-        """,
-        {"data": data, "boxes": boxes},
-        *SCRIPTS,
-    )
-    for box, corners in zip(found, boxes, strict=True):
-        a, b, c, d = box["mm"]
-        size = data["grid"] * (x1 - x0) / SHAPE[1]
-        inside = sorted(corners[:2]) + sorted(corners[2:])
-        clipped = np.clip(inside, [x0, x0, y0, y0], [x1, x1, y1, y1])
-        assert np.all(np.array([-a, b, -c, d]) >= clipped * [-1, 1, -1, 1] - 1e-9)
-        assert b - a < clipped[1] - clipped[0] + 2 * size
-        for path_id, path in enumerate(t.fakes):
-            x, y = path.points.T
-            share = np.mean((x >= a) & (x < b) & (y >= c) & (y < d))
-            assert box["power"][str(path_id)] == pytest.approx(path.power * share, rel=2e-3, abs=1e-30)
-    assert any(value == 0 for value in found[0]["power"].values())
-    assert found[0]["power"]["0"] > 0
 
 
 @needs_node
@@ -218,25 +153,18 @@ def test_sum_of_two_maps_is_that_of_their_pixels():
 
 
 @needs_node
-def test_scale_of_the_script_is_that_of_the_thumbnails():
+def test_parts_of_the_scripts():
+    """Scales are those of the thumbnails, numbers sort by value with text last, ticks are round numbers."""
     values = 10.0 ** np.random.default_rng(2).uniform(-9, 2.5, 500)
     values[::5] = 0
     maps = [values, values[:3], np.array([1e-4]), np.zeros(4)]
     found = javascript("return given.map((v) => logRange(v, 6));", [list(v) for v in maps], *SCRIPTS)
     assert [None if limits is None else tuple(limits) for limits in found] == [log_range([v], 6.0) for v in maps]
-
-
-@needs_node
-@pytest.mark.parametrize(
-    ("code", "given", "script", "answer"),
-    [
-        ("given.map((text) => key({ dataset: {}, textContent: text })).sort(compare)",
-         ["10", "9", "–", "1e-3", "barrel"], "report", [1e-3, 9, 10, "barrel", "–"]),
+    by_key = "given.map((text) => key({ dataset: {}, textContent: text })).sort(compare)"
+    for code, given, script, answer in (
+        (by_key, ["10", "9", "–", "1e-3", "barrel"], "report", [1e-3, 9, 10, "barrel", "–"]),
         ("given.map((x) => nearest([1, 5, 6], x))", [-3, 2.9, 3.1, 5.4, 99], "hover", [0, 0, 1, 1, 2]),
         ("ticks(...given)", [-2.1, 2.1, 5], "drawing", [-2, -1, 0, 1, 2]),
         ("ticks(...given)", [0.0012, 0.0031, 4], "drawing", [0.0015, 0.002, 0.0025, 0.003]),
-    ],
-    ids=["numbers by value, text last", "nearest place", "round numbers", "small round numbers"],
-)  # fmt: skip
-def test_parts_of_the_scripts(code, given, script, answer):
-    assert javascript(f"return {code};", given, script) == answer
+    ):
+        assert javascript(f"return {code};", given, script) == answer

@@ -9,7 +9,6 @@ import pytest
 from report.fake_trace import SHARES, trace_in_colours
 from report.view_scene import A4, CONIC, RADIUS, RayTrace
 
-import mistray
 from mistray.errors import MistrayError
 from mistray.report.figures.layout import CANDIDATES, layout_figure, meridional, section, write_layout
 
@@ -44,8 +43,14 @@ def test_section_of_a_surface_of_revolution_is_exact(scene):
 
 
 def test_path_ids_choose_the_rows(scene, trace):
+    """Of nine rows the ninth has the colour of the first, in dashes."""
     labels = layout_figure(scene, trace, path_ids=[3, 0], rays=1).axes[0].get_legend_handles_labels()[1]
     assert [label.split()[0] for label in labels] == ["3", "0"]
+    nine = RayTrace(trace_in_colours(10.0).fakes, 10.0, shares=SHARES)
+    handles, _ = layout_figure(scene, nine, path_ids=range(9), rays=1).axes[0].get_legend_handles_labels()
+    looks = [(handle.get_color(), handle.get_linestyle()) for handle in handles]
+    assert len(set(looks)) == 9
+    assert looks[8] == (looks[0][0], "--")
     axes = layout_figure(scene).axes[0]
     assert (axes.get_legend_handles_labels(), axes.get_title()) == (([], []), "")
     for given, options, words in (
@@ -58,15 +63,6 @@ def test_path_ids_choose_the_rows(scene, trace):
             layout_figure(scene, given, **options)
 
 
-def test_more_paths_than_colours_are_told_apart(scene):
-    """Nine rows: the ninth has the colour of the first, in dashes."""
-    nine = RayTrace(trace_in_colours(10.0).fakes, 10.0, shares=SHARES)
-    handles, _ = layout_figure(scene, nine, path_ids=range(9), rays=1).axes[0].get_legend_handles_labels()
-    looks = [(handle.get_color(), handle.get_linestyle()) for handle in handles]
-    assert len(set(looks)) == 9
-    assert looks[8] == (looks[0][0], "--")
-
-
 def test_svg_has_lines_and_text(scene, trace, figure, tmp_path):
     """Text as text, so that a paper's own font and a search find it; the same file every time."""
     path = write_layout(figure, tmp_path / "layout.svg")
@@ -77,21 +73,3 @@ def test_svg_has_lines_and_text(scene, trace, figure, tmp_path):
     assert again.read_text(encoding="utf-8") == text
     for ending, start in (("pdf", b"%PDF"), ("eps", b"%!PS"), ("png", b"\x89PNG")):
         assert write_layout(figure, tmp_path / f"layout.{ending}").read_bytes().startswith(start)
-    with pytest.raises(MistrayError, match=r"layout.dwg': layouts are written as .svg, .pdf, .eps, .png"):
-        write_layout(figure, tmp_path / "layout.dwg")
-
-
-STOCK = """<scene version="3.0.0"><shape type="rectangle" id="screen">
-<transform name="to_world"><scale x="2" y="3"/><translate z="5"/></transform>
-<bsdf type="interface"><float name="R" value="0"/></bsdf></shape>
-<shape type="sphere" id="ball"><float name="radius" value="2"/>
-<bsdf type="interface"><string name="back" value="1.5"/></bsdf></shape></scene>"""
-
-
-def test_shapes_of_mitsuba(tmp_path):
-    path = tmp_path / "scene.xml"
-    path.write_text(STOCK, encoding="utf-8")
-    lines = {surface.name: np.concatenate(surface.lines) for surface in section(mistray.load(path))}
-    np.testing.assert_allclose(lines["screen"][:, 0], 5.0)
-    assert (lines["screen"][:, 1].min(), lines["screen"][:, 1].max()) == (-3.0, 3.0)
-    assert np.abs(np.hypot(*lines["ball"].T) - 2.0).max() < 5e-3

@@ -156,10 +156,7 @@ def test_pictures_of_the_search(result: Optimization) -> None:
     (axes,) = variables_figure(result).axes
     assert len(axes.lines) == 4
     assert axes.lines[2].get_ydata() == pytest.approx((np.array([step.x[2] for step in own]) - 20) / 50)
-
-
-def test_reflectance(result: Optimization) -> None:
-    """Before and after at two angles, and the values are those of Airy's formula at normal incidence."""
+    # Reflectance before and after at two angles; the values are those of Airy's formula at normal incidence
     front, rear = reflectance_figure(result).axes
     assert front.get_title() == "front, air | 1.5"
     assert len(rear.lines) == 4

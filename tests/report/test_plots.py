@@ -74,7 +74,7 @@ def test_ghost_image_shows_log10_of_the_map(report):
     assert brightest < np.log10(report[0.0].irradiance.max()) - 1  # no direct image
 
 
-def test_averaged_maps_keep_the_power():
+def test_averaged_colours_and_dark_maps():
     """Odd sizes: squares at the far edges reach beyond the map and have the mean of what lies on it."""
     image = np.random.default_rng(4).random((11, 7))
     coarse, extent = averaged(image, (-1.0, 2.5, 0.0, 5.5), 4)
@@ -83,16 +83,11 @@ def test_averaged_maps_keep_the_power():
     np.testing.assert_allclose(coarse[1, 0], image[3:6, :3].mean())
     np.testing.assert_allclose(coarse[3, 2], image[9:, 6:].mean())
     np.testing.assert_array_equal(averaged(image, (0.0, 1.0, 0.0, 1.0), 11)[0], image)
-
-
-def test_colours_grow_lighter_all_the_way():
-    """Lightness of the colour map must rise without a break, or steps appear that are not in the data."""
+    # Lightness of the colour map must rise without a break, or steps appear that are not in the data
     rgb = image_colours()(np.linspace(0, 1, 64))[:, :3]
     luminance = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4) @ [0.2126, 0.7152, 0.0722]
     assert (np.diff(luminance) > 0).all()
-
-
-def test_a_dark_map_says_so_and_a_scale_upside_down_is_an_error():
+    # A dark map says so
     axes, extent = Figure().subplots(), (-1.0, 1.0, -1.0, 1.0)
     assert draw_map(axes, np.zeros((4, 4)), extent, None) is None
     assert [text.get_text() for text in axes.texts] == ["no light"]
@@ -108,17 +103,14 @@ def test_levels_leave_out_what_a_logarithmic_axis_cannot_show(report):
     np.testing.assert_array_equal(direct, [0.0, 10.0])
 
 
-def test_section_of_a_tilted_surface():
+def test_sections_glass_and_rays_of_a_layout():
     mirror = FakeShape("fold", "fold", [[0.0, 0.0], [1.0, 0.0]], 0.0, mirror=True)
     c = np.sqrt(0.5)
     mirror.matrix[:3, :3] = [[1, 0, 0], [0, c, -c], [0, c, c]]
     (surface,) = section(scene_of(mirror))
     assert surface.kind == "mirror"
     np.testing.assert_allclose(surface.lines[0][-1], [c, c], atol=1e-12)
-
-
-def test_glass_is_filled_to_its_edge():
-    """L1 of the fake lens has rims at r = 1 and an edge of r = 1 between z = 1.05 and 1.5; here one that is pointed."""
+    # L1 of the fake lens has rims at r = 1 and an edge of r = 1 between z = 1.05 and 1.5; here one that is pointed
     window, _ = glass_bodies(lens_scene())
     assert (window[:, 0].min(), window[:, 0].max(), window[:, 1].max()) == (0.0, 0.3, 1.2)
     front, rear, _ = (shape for shape in lens_scene().shapes() if shape.part == "L1")
@@ -128,9 +120,7 @@ def test_glass_is_filled_to_its_edge():
     ]
     (body,) = glass_bodies(scene_of(front, rear, *sides))
     assert (body[:, 1].max(), body[:, 1].min()) == (1.2, -1.2)
-
-
-def test_meridional_rays_spread_over_the_pupil_and_stay_near_the_plane():
+    # Meridional rays spread over the pupil and stay near the plane
     rng = np.random.default_rng(0)
     starts = rng.uniform(-1, 1, (64, 2))
     rays = [np.array([[x, y, 0.0], [x, y, 1.0]]) for x, y in starts]

@@ -50,6 +50,12 @@ def test_curve_shows_every_class_with_its_error(pst: Pst) -> None:
     np.testing.assert_allclose(errors["standard error, all light"].get_ydata(), 100 * se / value)
     np.testing.assert_allclose(errors["requested error"].get_xydata(), [[0, 2], [60, 2]])
     np.testing.assert_allclose(errors["largest ray of scatter"].get_ydata()[[0, -1]], [0.2, 31])
+    # A point without neighbours has its error, too
+    few = fake_pst(field_deg=(0, 10, 45, 60))  # straight shots at 45° only
+    value, se = few.curve("straight_shot")
+    segments = [line for item in pst_curve(few).axes[0].collections for line in getattr(item, "get_segments", list)()]
+    (bar,) = [line for line in segments if line[0][0] == 45.0]
+    np.testing.assert_allclose(bar[:, 1], [value[2] - se[2], value[2] + se[2]])
 
 
 def test_dark_angles_and_deep_curves() -> None:
@@ -69,15 +75,7 @@ def test_dark_angles_and_deep_curves() -> None:
         assert as_png(draw(dark)).startswith(b"\x89PNG")
 
 
-def test_a_point_without_neighbours_has_its_error_too() -> None:
-    pst = fake_pst(field_deg=(0, 10, 45, 60))  # straight shots at 45° only
-    value, se = pst.curve("straight_shot")
-    segments = [line for item in pst_curve(pst).axes[0].collections for line in getattr(item, "get_segments", list)()]
-    (bar,) = [line for line in segments if line[0][0] == 45.0]
-    np.testing.assert_allclose(bar[:, 1], [value[2] - se[2], value[2] + se[2]])
-
-
-def test_causes_are_stacked_shares(pst: Pst) -> None:
+def test_causes_are_stacked_shares_and_irradiance_a_log_map(pst: Pst) -> None:
     axes, table, tops = pst_causes(pst).axes[0], cause_frame(pst), np.zeros(41)
     for bars, name in zip(axes.containers, table.columns, strict=True):
         assert bars.get_label() == name
@@ -93,6 +91,15 @@ def test_causes_are_stacked_shares(pst: Pst) -> None:
     labels = [bars.get_label() for bars in pst_causes(many).axes[0].containers]
     assert len(labels) == 10
     assert labels[-1].endswith(" more")
+    # Irradiance
+    axes, bar = pst_irradiance(pst, 40.0).axes
+    (image,) = axes.get_images()
+    np.testing.assert_allclose(image.get_array(), np.log10(pst.irradiance(40.0)[0]))
+    assert tuple(image.get_extent()) == pst.extent_mm
+    assert "W/mm²" in bar.get_ylabel()
+    several = fake_pst(field_deg=(0, 60), azimuths_deg=(0, 90), map_pixels=4, dark_from_deg=50)
+    assert pst_irradiance(several, 0.0, 90.0).axes[0].get_title() == "source at 0°, azimuth 90°"
+    assert texts(pst_irradiance(several, 60.0, 90.0).axes[0]) == ["no light"]
 
 
 def test_map_shows_the_cells_where_they_are(pst: Pst) -> None:
@@ -117,14 +124,3 @@ def test_map_shows_the_cells_where_they_are(pst: Pst) -> None:
         assert axes.get_theta_direction() == 1
     with pytest.raises(MistrayError, match="two azimuths or more"):
         pst_map(pst)
-
-
-def test_irradiance_is_a_log_map_in_mm(pst: Pst) -> None:
-    axes, bar = pst_irradiance(pst, 40.0).axes
-    (image,) = axes.get_images()
-    np.testing.assert_allclose(image.get_array(), np.log10(pst.irradiance(40.0)[0]))
-    assert tuple(image.get_extent()) == pst.extent_mm
-    assert "W/mm²" in bar.get_ylabel()
-    several = fake_pst(field_deg=(0, 60), azimuths_deg=(0, 90), map_pixels=4, dark_from_deg=50)
-    assert pst_irradiance(several, 0.0, 90.0).axes[0].get_title() == "source at 0°, azimuth 90°"
-    assert texts(pst_irradiance(several, 60.0, 90.0).axes[0]) == ["no light"]

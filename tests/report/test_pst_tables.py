@@ -65,6 +65,11 @@ def test_curve_frame_holds_the_means_of_the_batches(pst: Pst) -> None:
     low, high = np.radians(pst.grid.edges_deg).T
     ratio = curve_frame(pst.to("projected")).pst_total / frame.pst_total
     np.testing.assert_allclose(ratio, 2 / (np.cos(low) + np.cos(high)), rtol=1e-12)
+    # The edge of the field is where direct light is half
+    edge = field_edge(fake_pst(field_deg=np.arange(0, 40, 0.5), noise=1e-3))
+    assert edge == pytest.approx(26.0, abs=0.05)  # of the logistic edge that the camera has
+    assert field_edge(fake_pst(field_deg=(0, 5, 10))) is None
+    assert field_edge(fake_pst(field_deg=(40, 50))) is None
 
 
 def test_cells_and_paths_of_each_angle_and_azimuth(around: Pst) -> None:
@@ -135,16 +140,7 @@ def test_text(pst: Pst) -> None:
     assert record["field_edge_deg"] is None
     assert all(row["pst_total"] == 0 for row in record["curve"])
     assert "it sees no opening" in html_page(pst_report(dark))
-
-
-def test_field_edge_is_where_direct_light_is_half() -> None:
-    edge = field_edge(fake_pst(field_deg=np.arange(0, 40, 0.5), noise=1e-3))
-    assert edge == pytest.approx(26.0, abs=0.05)  # of the logistic edge that the camera has
-    assert field_edge(fake_pst(field_deg=(0, 5, 10))) is None
-    assert field_edge(fake_pst(field_deg=(40, 50))) is None
-
-
-def test_warnings_are_the_notes_and_large_errors() -> None:
+    # Notes and large errors are warnings
     assert fake_pst().notes == FACTS["notes"]
     (noisy,) = fake_pst(field_deg=(0, 70, 80), noise=0.5, notes=[]).notes
     assert noisy.startswith("standard error up to ")

@@ -35,10 +35,7 @@ def test_text(rank):
     assert [STRONGEST in line for line in rows] == [label(report, WIDE) in line for line in rows]
     assert len(beyond(report, 0.0, 1)) == 3 - len(rows)
     assert STRONGEST in main_table(report, per_wavelength=True)
-
-
-@by_rank
-def test_json_and_csv(rank):
+    # JSON and CSV
     found = json.loads(json.dumps(as_json(ranked_report(rank), per_wavelength=True)))
     assert not json_units.wrong(found)
     assert found["ranked_by"] == rank
@@ -57,7 +54,4 @@ def test_layout_and_report(rank):
     assert [events for events in shown_paths(report, 0.0).events if events in ORDERS[rank]] == list(ORDERS[rank])
     head = html_text(report, per_wavelength=True).partition("</header>")[0]
     assert f"the strongest path is <b>{label(report, WIDE)}</b>" in head
-
-
-def test_the_command_line_knows_every_rank():
     assert tuple(RANKS) == command.RANKS

@@ -74,15 +74,9 @@ def test_ply_is_as_viewers_read_it(rays, tmp_path):
     assert [line[1] for line in words if line[0] == "g"] == ["path_0", "path_2", "path_1"]
     for polyline, ray in zip(polylines, rays, strict=True):
         np.testing.assert_array_equal(polyline, ray.points)
-
-
-def test_names_that_cannot_be(rays, tmp_path):
-    for name, words in (
-        ("rays.stl", r"rays.stl': rays are written as .ply, .obj, .json"),
-        ("nowhere/rays.json", "check the folder and its permissions"),
-    ):
-        with pytest.raises(MistrayError, match=words):
-            write_rays(rays, tmp_path / name)
+    # Names that cannot be
+    with pytest.raises(MistrayError, match="check the folder and its permissions"):
+        write_rays(rays, tmp_path / "nowhere" / "rays.json")
     with pytest.raises(MistrayError, match=r"ray file .*none.ply': No such file or directory"):
         read_rays(tmp_path / "none.ply")
 

@@ -8,10 +8,11 @@ import pytest
 from report.fake_trace import FakePath, FakeTrace, ghosts_of, scatter_trace_at, trace_at
 
 from mistray.cli.ghosts_json import as_json
+from mistray.errors import MistrayError
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.report.figures.plots import KINDS
 from mistray.report.ghosts.report import html_text
-from mistray.report.rays.path_sort import parse_path_sort, path_sort_text
+from mistray.report.rays.path_sort import parse_path_sort, path_sort_text, sorted_paths
 from mistray.report.tables.ghosts import main_table
 from mistray.report.tables.ghosts_csv import csv_tables, write_csv
 from mistray.report.tables.scatter import scatter_text
@@ -47,9 +48,7 @@ def test_random_and_aimed_light_is_one_path(report):
     for style in ({kind: look[k] for kind, look in KINDS.items()} for k in (0, 1)):
         assert set(style) == {DIRECT, *STRAY_KINDS}
         assert len(set(style.values())) == len(style)
-
-
-def test_light_by_the_first_surface_that_scatters(report):
+    # Light by the first surface that scatters
     table = report.scatter_surfaces(0.0)
     assert list(table.surface) == ["window_rear", "stop_wall", "window_front"]
     assert list(table.part) == ["window", "stop", "window"]
@@ -121,7 +120,26 @@ def test_csv_files(report, tmp_path):
     assert field["single_scatter_W"] == pytest.approx(WINDOW + STOP)
 
 
-def test_the_path_sort_file_tells_random_from_aimed_and_what_it_leaves_out():
+def test_the_path_sort_file_comes_back_in_the_order_of_the_flux():
+    t = trace_at(10.0)
+    text, written = path_sort_text(t), sorted_paths(t)
+    read = parse_path_sort(text)
+    assert [(path.path_id, path.rays, path.events) for path in read] == [(p.path_id, p.rays, p.events) for p in written]
+    for a, b in zip(written, read, strict=True):
+        assert (b.absorbed_W, b.percent) == pytest.approx((a.absorbed_W, a.percent), rel=1e-8)
+    flux = [path.absorbed_W for path in read]
+    assert flux == sorted(flux, reverse=True)
+    assert sum(path.percent for path in read) == pytest.approx(100, abs=1e-6)
+    assert [path.path_id for path in parse_path_sort(path_sort_text(t, count=2))] == [0, 1]
+    direct, ghost = written[:2]
+    assert (direct.intercepts, ghost.intercepts) == ("(4 SpecTran)", "(8 SpecTran)(2 SpecRefl)")
+    assert ghost.events[:2] == (("Emitted", "", ""), ("SpecTran", "window", "window_front"))
+    assert ghost.events[-1] == ("Absorbed", "detector", "detector")
+    title, cut = "the title or the column line is missing", text[: text.index("Path 4: ")]
+    for wrong, words in ((cut, "path 4 has no representative ray"), ("", title), ("something else\n", title)):
+        with pytest.raises(MistrayError, match=words):
+            parse_path_sort(wrong)
+    # Random and aimed light, and what is left out
     t = scatter_trace_at(0.0)
     paths = parse_path_sort(path_sort_text(t))
     kinds = {event[0] for path in paths for event in path.events}

@@ -271,15 +271,6 @@ def test_freeforms_are_within_their_tolerance(tmp_path):
     assert flat == pytest.approx(whole, abs=2 * np.pi * 9 * 0.01)
 
 
-@pytest.mark.quick
-def test_flat_faces_that_close_a_body_are_a_solid(tmp_path):
-    written = mistray.export_step(mistray.load("head_up_display"), tmp_path / "hud.step")
-    assert set(written.solids) == {"windscreen", "cover"}
-    cover = parts_of(written.path, 0.1)["cover"]
-    assert closed(cover)
-    assert volume(cover) == pytest.approx(60 * 44 * 1.1, rel=1e-5)  # 60 mm × 44 mm × 1.1 mm
-
-
 def test_mirrors_are_sheets_or_solids_of_the_thickness_that_is_asked_for(tmp_path):
     scene = mistray.load("newtonian")
     assert "primary" in mistray.export_step(scene, tmp_path / "sheet.step").sheets
@@ -291,6 +282,20 @@ def test_mirrors_are_sheets_or_solids_of_the_thickness_that_is_asked_for(tmp_pat
     body = parts_of(written.path, 0.05)["primary"]
     assert abs(volume(body) - np.pi * r * r * (20 + depth / 2)) <= 0.055 * area(body)
     assert body.vertices[:, 2].max() == pytest.approx(20.0, abs=1e-4)  # behind the mirror, seen along the light
+    # Stock shapes, and what is left out
+    scene = scene_of(
+        ball={"type": "sphere", "radius": 2.0, "center": [1, 2, 3], "bsdf": BLACK},
+        disc={"type": "disk", "bsdf": BLACK},
+        pane={"type": "rectangle", "bsdf": BLACK},
+        can={"type": "cylinder", "p0": [0, 0, 0], "p1": [0, 0, 4], "radius": 1.5, "bsdf": BLACK},
+        lump={"type": "cube", "bsdf": BLACK},
+    )
+    written = mistray.export_step(scene, tmp_path / "stock.step")
+    assert written.solids == ("ball",)
+    assert set(written.sheets) == {"disc", "pane", "can"}
+    assert set(written.left_out) == {"lump"}
+    body = parts_of(written.path, 1e-3)["ball"]
+    assert abs(volume(body) - 4 / 3 * np.pi * 8) <= 1.1e-3 * area(body)
 
 
 @pytest.fixture(scope="module")
@@ -338,7 +343,7 @@ def test_a_beam_through_a_plate_is_a_cylinder_that_snells_law_shifts(plate):
 
 
 @pytest.mark.quick
-def test_a_lens_without_an_edge_is_closed_by_a_straight_line(tmp_path):
+def test_what_closes_a_body(tmp_path):
     """Faces that cross close no body."""
     scene = scene_of(
         a={"type": "asphere", "radius": 20.0, "semi_diameter": 5.0, "part": "L", "bsdf": GLASS},
@@ -354,22 +359,12 @@ def test_a_lens_without_an_edge_is_closed_by_a_straight_line(tmp_path):
     exact = cap(20, height) + np.pi / 3 * (3 - height) * (25 + 20 + 16)
     body = parts_of(written.path, TOL)["L"]
     assert abs(volume(body) - exact) <= 1.1 * TOL * area(body)
-
-
-def test_stock_shapes_and_what_is_left_out(tmp_path):
-    scene = scene_of(
-        ball={"type": "sphere", "radius": 2.0, "center": [1, 2, 3], "bsdf": BLACK},
-        disc={"type": "disk", "bsdf": BLACK},
-        pane={"type": "rectangle", "bsdf": BLACK},
-        can={"type": "cylinder", "p0": [0, 0, 0], "p1": [0, 0, 4], "radius": 1.5, "bsdf": BLACK},
-        lump={"type": "cube", "bsdf": BLACK},
-    )
-    written = mistray.export_step(scene, tmp_path / "stock.step")
-    assert written.solids == ("ball",)
-    assert set(written.sheets) == {"disc", "pane", "can"}
-    assert set(written.left_out) == {"lump"}
-    body = parts_of(written.path, 1e-3)["ball"]
-    assert abs(volume(body) - 4 / 3 * np.pi * 8) <= 1.1e-3 * area(body)
+    # Flat faces
+    written = mistray.export_step(mistray.load("head_up_display"), tmp_path / "hud.step")
+    assert set(written.solids) == {"windscreen", "cover"}
+    cover = parts_of(written.path, 0.1)["cover"]
+    assert closed(cover)
+    assert volume(cover) == pytest.approx(60 * 44 * 1.1, rel=1e-5)  # 60 mm × 44 mm × 1.1 mm
 
 
 @pytest.mark.quick

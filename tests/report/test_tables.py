@@ -1,6 +1,7 @@
-"""Numbers as text, printed tables, CSV files and warnings."""
+"""Numbers as text, tables that are printed or made from names of columns, CSV files and warnings."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,11 @@ import pytest
 from report.fake_trace import SHARES, ghosts_of, trace_at, trace_in_colours
 
 from mistray.analysis.estimate import Estimate
+from mistray.analysis.study.step import Fact
+from mistray.report.html.render import html_parts
 from mistray.report.model import Table, columns
+from mistray.report.study_output import fact_text
+from mistray.report.tables.frames import error_of, frame_table, heading_of, value_text
 from mistray.report.tables.ghosts import main_table
 from mistray.report.tables.ghosts_csv import write_csv
 from mistray.report.tables.text import table_text, with_error
@@ -22,9 +27,9 @@ def report():
     return ghosts_of(*map(trace_at, (0.0, 10.0, 20.0)))
 
 
-@pytest.mark.parametrize(
-    ("value", "se", "text"),
-    [
+def test_numbers_headings_and_columns():
+    """Errors have two digits and values as many places; headings, units and columns of errors follow from names."""
+    for value, se, text in (
         (9.354802972e-05, 1.234e-07, "9.355e-05 ± 1.2e-07"),
         (0.95231, 0.00123, "0.9523 ± 0.0012"),
         (12.345, 2.1, "12.3 ± 2.1"),
@@ -34,21 +39,32 @@ def report():
         (1.5, math.nan, "1.5 ± ?"),
         (math.nan, 1.0, "–"),
         (math.inf, 1.0, "–"),
-    ],
-)
-def test_with_error(value, se, text):
-    assert with_error(Estimate(value, se)) == text
-
-
-def test_text_table_aligns_its_columns():
+    ):
+        assert with_error(Estimate(value, se)) == text
     text = table_text(Table(columns("<name", "power [W]"), [["a", "1.0"], ["longer", "22.0"]]))
-    assert text.splitlines() == [
-        "name    power",
-        "          [W]",
-        "------  -----",
-        "a         1.0",
-        "longer   22.0",
-    ]
+    assert text == "name    power\n          [W]\n------  -----\na         1.0\nlonger   22.0"
+    assert heading_of("z_mm") == ("z", "mm")
+    assert heading_of("slope_before_per_deg") == ("slope before", "decades/°")
+    assert heading_of("id") == ("surface", "")
+    names = ["pst", "pst_se", "power_W", "power_se_W", "flux_W", "flux_W_se", "rays"]
+    errors = ["pst_se", "power_se_W", "flux_W_se", None]
+    assert [error_of(column, names) for column in ("pst", "power_W", "flux_W", "rays")] == errors
+    values = 3, 12345.0, 0.123456789, -math.inf, math.nan, None, Estimate(0.2, 0.01)
+    assert [value_text(value) for value in values] == ["3", "12 345", "0.12346", "-∞", "–", "–", "0.200 ± 0.010"]
+    facts = Fact("half field", 18.0, "°"), Fact("focal length", 7.0734, "mm"), Fact("defocus", math.nan, "mm")
+    assert [fact_text(fact) for fact in facts] == ["18°", "7.0734 mm", "–"]
+
+
+def test_a_table_hides_its_errors_below_the_values():
+    light = {"power_W": [0.5, math.nan], "power_se_W": [0.01, math.nan]}
+    frame = pd.DataFrame({"id": ["<L1>", "wall"], "space": [2, -1], **light, "low": [True, False]})
+    html = html_parts([frame_table("t", frame)])
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", html)
+    assert cells[0] == "&lt;L1&gt;"
+    assert cells[2:4] == ["0.500<small>± 0.010</small>", "yes"]
+    assert cells[5:7] == ["–", "–"]
+    assert len(cells) == 2 * 4
+    assert "power_se" not in html
 
 
 def test_main_table_names_the_worst_ghost_of_each_field(report):
@@ -58,6 +74,16 @@ def test_main_table_names_the_worst_ghost_of_each_field(report):
     assert all(" ± " in line for line in ghosts)
     assert any("of the direct image on axis" in line for line in lines)
     assert any(line.startswith("energy closure, worst field: ") for line in lines)
+    # Limits that cut light are warnings, and so are an open balance, a coarse coating and few rays
+    t = trace_at(0.0, cut_events=1e-4)
+    before = ghosts_of(t).notes
+    assert any("2.0e-05 of the launched flux was cut by max_events = 32" in text for text in before)
+    t.energy = replace(t.energy, escaped_W=t.energy.escaped_W + 0.0015)
+    t.coating_error = 2e-3
+    after = ghosts_of(t).notes
+    for words in ("field 0 deg: the energy closes to 3.0e-04 only", "too fast with the angle"):
+        assert [any(words in text for text in notes) for notes in (before, after)] == [False, True]
+    assert any("field 0, 10, 20 deg: some of the worst four paths hold too few rays" in w for w in report.notes)
 
 
 def test_csv_holds_every_digit(report, tmp_path):
@@ -79,19 +105,6 @@ def test_csv_holds_every_digit(report, tmp_path):
         assert list(rows.name[rows.entry == "absorbed in"]) == ["N-BK7"]
     assert list(surfaces.columns[:4]) == ["field_deg", "id", "part", "space"]
     assert len(surfaces) == 3 * 6
-
-
-def test_a_limit_that_cuts_light_is_a_warning(report):
-    """So are an open balance of energy, a coarse coating and paths of few rays."""
-    t = trace_at(0.0, cut_events=1e-4)
-    before = ghosts_of(t).notes
-    assert any("2.0e-05 of the launched flux was cut by max_events = 32" in text for text in before)
-    t.energy = replace(t.energy, escaped_W=t.energy.escaped_W + 0.0015)
-    t.coating_error = 2e-3
-    after = ghosts_of(t).notes
-    for words in ("field 0 deg: the energy closes to 3.0e-04 only", "too fast with the angle"):
-        assert [any(words in text for text in notes) for notes in (before, after)] == [False, True]
-    assert any("field 0, 10, 20 deg: some of the worst four paths hold too few rays" in w for w in report.notes)
 
 
 @pytest.fixture(scope="module")

@@ -66,7 +66,7 @@ NOTHING = replace(
 )  # fmt: skip
 
 
-def test_text() -> None:
+def test_text_and_pictures() -> None:
     many = thermal_text(replace(REPORT, wavelengths_um=tuple(8 + k / 8 for k in range(33))))
     assert "traced at 33 wavelengths from 8 to 12 µm" in many
     lines = thermal_text(REPORT).splitlines()
@@ -83,6 +83,21 @@ def test_text() -> None:
     assert list(parts) == ["lens", "tube", "(ZnSe)", "detector"]
     assert parts["tube"].value == pytest.approx(sum(e.irradiance_W_mm2.value for e in EMITTERS))
     assert parts["tube"].se == pytest.approx(sum(e.irradiance_W_mm2.se for e in EMITTERS)), "a bound"
+    # Pictures
+    axes = thermal_figure(REPORT).axes[0]
+    names = [label.get_text() for label in axes.get_yticklabels()]
+    assert (names[0], len(names)) == ("lens_<rear>", 12)
+    assert axes.get_xscale() == "log"
+    assert axes.patches[0].get_width() == 3e-6
+    assert all(patch.get_width() > axes.get_xlim()[0] for patch in axes.patches)
+    lines = [line.get_xdata()[0] for line in axes.lines if len(set(line.get_xdata())) == 1]
+    assert {5.01e-6, 6e-6} <= set(lines)
+    thermal_figure(NOTHING)
+    faint = thermal_figure(replace(REPORT, emitters=[*EMITTERS[:2], emitter("cold", "shield", 1e-18, 4.0)]))
+    assert [label.get_text() for label in faint.axes[0].get_yticklabels()] == ["tube_0", "tube_1"], "no empty row"
+    (axes,) = narcissus_figure(REPORT).axes
+    assert axes.get_xlim() == (0.0, 3.0)
+    assert [stairs.get_data().values.tolist() for stairs in axes.patches] == [[500.0, 300.0], [60.0, 60.0]]
 
 
 def test_files(tmp_path: Path) -> None:
@@ -109,20 +124,3 @@ def test_files(tmp_path: Path) -> None:
         assert words in text
     html_pages.check(text)
     html_pages.check(html_page(thermal_report(NOTHING, "a & b", "mistray thermal a")))
-
-
-def test_pictures() -> None:
-    axes = thermal_figure(REPORT).axes[0]
-    names = [label.get_text() for label in axes.get_yticklabels()]
-    assert (names[0], len(names)) == ("lens_<rear>", 12)
-    assert axes.get_xscale() == "log"
-    assert axes.patches[0].get_width() == 3e-6
-    assert all(patch.get_width() > axes.get_xlim()[0] for patch in axes.patches)
-    lines = [line.get_xdata()[0] for line in axes.lines if len(set(line.get_xdata())) == 1]
-    assert {5.01e-6, 6e-6} <= set(lines)
-    thermal_figure(NOTHING)
-    faint = thermal_figure(replace(REPORT, emitters=[*EMITTERS[:2], emitter("cold", "shield", 1e-18, 4.0)]))
-    assert [label.get_text() for label in faint.axes[0].get_yticklabels()] == ["tube_0", "tube_1"], "no empty row"
-    (axes,) = narcissus_figure(REPORT).axes
-    assert axes.get_xlim() == (0.0, 3.0)
-    assert [stairs.get_data().values.tolist() for stairs in axes.patches] == [[500.0, 300.0], [60.0, 60.0]]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import re
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -32,29 +33,22 @@ def of(figure, key):
     return {drawn.meta[key]: drawn for drawn in figure.data if key in (drawn.meta or {})}
 
 
-def test_every_surface_is_a_mesh_with_its_points_on_the_formula(shown):
+def test_surfaces_are_meshes_and_legend_rows_those_of_the_path_table(shown, trace):
     meshes = of(shown.figure, "surface")
     assert set(meshes) == set(FORMULAS)
     for name, mesh in meshes.items():
         assert FORMULAS[name](points(mesh)).max() < EXACT, name
         assert points(mesh)[:, 0].min() > -EXACT
-        assert max(np.max(mesh.i), np.max(mesh.j), np.max(mesh.k)) == len(mesh.x) - 1
     # Axes are equal and hold the scene
     axes = shown.figure.layout.scene
     low, high = np.transpose([axis.range for axis in (axes.xaxis, axes.yaxis, axes.zaxis)])
     ratios = np.array([axes.aspectratio.x, axes.aspectratio.y, axes.aspectratio.z]) / (high - low)
     assert np.ptp(ratios) < 1e-12 * ratios.max()
     assert all((low < points(mesh)).all() and (points(mesh) < high).all() for mesh in meshes.values())
-
-
-def test_legend_rows_are_the_rows_of_the_path_table(shown, trace):
+    # Paths
     drawn = of(shown.figure, "path_id")
-    rows = [(lines.name, lines.showlegend) for lines in drawn.values()]
-    assert rows == [
-        ("0 direct image, 3 W", True),
-        ("1 detector → window_rear, 0.0002 W", True),
-        ("2 detector → L1_rear, 0.0001 W", True),
-    ]
+    names = ["0 direct image, 3 W", "1 detector → window_rear, 0.0002 W", "2 detector → L1_rear, 0.0001 W"]
+    assert [lines.name for lines in drawn.values() if lines.showlegend] == names
     assert len({lines.line.color for lines in drawn.values()}) == 3
     for path_id, lines in drawn.items():
         exact = [part for ray in trace.history(path_id, 5).rays for part in (ray, np.full((1, 3), np.nan))]
@@ -89,17 +83,14 @@ def test_colours_follow_the_flux(scene, trace):
     assert (bar.cmin, bar.cmax, bar.showscale, other.showscale) == (scale.floor, scale.top, True, False)
 
     # Surfaces without light have a colour of their own
-    class Row:
-        def __init__(self, value):
-            self.incident_W = value
+    def scaled(*values):
+        rows = (SimpleNamespace(incident_W=value) for value in values)
+        return FluxScale(surfaces, dict(zip(by_name, rows, strict=True)), "incident")
 
-    surfaces = open_surfaces(scene, None)
-    values = [0.0, 1.0, 1e-3, 1e-30, 1e-5, 0.0]
-    scale = FluxScale(surfaces, {s.name: Row(v) for s, v in zip(surfaces, values, strict=True)}, "incident")
+    scale = scaled(0.0, 1.0, 1e-3, 1e-30, 1e-5, 0.0)
     assert (scale.floor, scale.top, scale.decades) == (-8.0, 0.0, list(range(-8, 1)))
     assert [colour == NO_LIGHT for colour in scale.colours] == [True, False, False, False, False, True]
-    dark = FluxScale(surfaces, {s.name: Row(0.0) for s in surfaces}, "incident")
-    assert set(dark.colours) == {NO_LIGHT}
+    assert set(scaled(*[0.0] * 6).colours) == {NO_LIGHT}
 
 
 @pytest.mark.parametrize("cut_deg", [0.0, 90.0, 180.0, 270.0, 30.0])
@@ -146,7 +137,7 @@ def test_without_a_trace(scene, trace, tmp_path, monkeypatch):
         view(scene)
 
 
-def test_the_buttons_recolour_and_switch(shown):
+def test_the_buttons_recolour_and_the_page_needs_no_network(shown, tmp_path):
     looks, colours, rays = shown.figure.layout.updatemenus
     assert [button.label for button in looks.buttons] == ["3-D", "side", "from the light"]
     _, absorbed, by_role = colours.buttons
@@ -166,27 +157,20 @@ def test_the_buttons_recolour_and_switch(shown):
         k for k, drawn in enumerate(shown.figure.data) if "path_id" in (drawn.meta or {})
     ]
 
-
-def test_the_page_holds_everything_and_needs_no_network(shown, tmp_path):
     path = shown.write(tmp_path / "view.html", command="mistray view <scene>")
     text = path.read_text(encoding="utf-8")
     assert path.stat().st_size < 6_000_000
-    assert text.startswith("<!DOCTYPE html>")
     assert "<title>&lt;plate&gt; &amp; lens</title>" in text
     assert "mistray view &lt;scene&gt;" in text
     assert shown._repr_html_().startswith("<iframe srcdoc=")
     assert repr(shown) == "View('<plate> & lens', 6 surfaces, 15 rays)"
-    assert not re.findall(r"<(?:script|link|img|iframe)[^>]+(?:src|href)\s*=", text.replace(_plotly_js(), ""))
-    assert text.count(_plotly_js()[:2000]) == 1
+    library = importlib.import_module("plotly.offline").get_plotlyjs()
+    assert not re.findall(r"<(?:script|link|img|iframe)[^>]+(?:src|href)\s*=", text.replace(library, ""))
+    assert text.count(library[:2000]) == 1
 
 
-def _plotly_js():
-    return importlib.import_module("plotly.offline").get_plotlyjs()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
+def test_wrong_arguments(scene, trace):
+    for arguments, message in (
         ({"paths": -1}, "paths is -1; give the number of rows"),
         ({"rays": 0}, "rays is 0; ask for at least one"),
         ({"colour": "red"}, "colour is 'red'; choose flux, absorbed, irradiance or role"),
@@ -195,11 +179,9 @@ def _plotly_js():
         ({"path_ids": [99]}, "path_id 99 does not exist"),
         ({"trace": None, "path_ids": [1]}, "path_ids without a trace"),
         ({"trace": None, "colour": "flux"}, "nothing was traced; give the trace, or colour='role'"),
-    ],
-)
-def test_wrong_arguments(scene, trace, arguments, message):
-    with pytest.raises(MistrayError, match=message):
-        view(scene, **({"trace": trace} | arguments))
+    ):
+        with pytest.raises(MistrayError, match=message):
+            view(scene, **({"trace": trace} | arguments))
 
 
 def test_a_path_that_no_ray_is_found_of_says_so(scene):

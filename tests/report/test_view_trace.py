@@ -49,10 +49,13 @@ def test_every_hit_lies_on_the_surface_that_its_event_names(shown, triplet, trac
         assert ray.flux_W[0] == pytest.approx(trace.energy.launched_W / 2_000)
 
 
-def test_a_page_of_many_surfaces_is_small():
+def test_a_page_of_many_surfaces_is_small(triplet, trace):
     shown = mistray.view(mistray.load("phone_camera"))
     assert len(shown.surfaces) > 60
     assert len(shown.html().encode()) < 6_000_000
+    for given in (trace, None):
+        with pytest.raises(MistrayError, match="irradiance"):
+            mistray.view(triplet, given, colour="irradiance")
 
 
 @pytest.fixture(scope="module")
@@ -99,9 +102,3 @@ def test_a_button_shows_cells_in_the_place_of_their_walls(walls):
             assert [data[k].visible for k in targets] == list(values["visible"])
     cut = {one.meta["wall"]: one for one in data if "wall" in (one.meta or {})}["housing_wall"]
     assert len(cut.i) == 12 * 5  # half of the cells, two triangles each
-
-
-def test_irradiance_is_refused_where_nothing_records_it(triplet, trace):
-    for given in (trace, None):
-        with pytest.raises(MistrayError, match="irradiance"):
-            mistray.view(triplet, given, colour="irradiance")

@@ -48,17 +48,13 @@ def test_a_name_within_a_filter(traced) -> None:
     assert len(whole) == 2, "one at each wavelength"
     assert traced.paths.select(f"'{label}' & wavelength_nm = 500") == [r for r in whole if r.wavelength_nm == 500.0]
     assert len(traced.rays(label, n=20)) == 20
-
-
-def test_a_short_name_says_how_many(traced) -> None:
+    # A short name says how many
     names = {row.label for row in traced.paths if row.label.startswith("detector → w")}
     with pytest.warns(mistray.MistrayWarning, match=f"means {len(names)} paths together") as told:
         rows = traced.paths.select("detector -> w*")
     assert {row.label for row in rows} == names
     assert [one.message.code for one in told] == ["several-paths"]
-
-
-def test_a_name_that_no_light_has(traced) -> None:
+    # A name that no light has
     label = next(row.label for row in traced.paths if row.label.startswith("detector →"))
     first, last = label.split(" → ")
     with pytest.warns(mistray.MistrayWarning, match=f"did you mean '{label}'") as told:

@@ -39,9 +39,8 @@ def film_powers(film: tuple[float, float], angle_deg: float = 45.0, n: float = G
     c = np.cos(np.radians(angle_deg))
     inner = np.sqrt(1 - (n / film[0]) ** 2 * (1 - c * c))
     turn = np.exp(4j * np.pi * film[0] * film[1] * inner / 550.0)
-    r = np.array(
-        [(n * c - film[0] * inner) / (n * c + film[0] * inner), (film[0] * c - n * inner) / (film[0] * c + n * inner)]
-    )
+    both = ((n * c, film[0] * inner), (film[0] * c, n * inner))
+    r = np.array([(a - b) / (a + b) for a, b in both])
     return list(np.abs(r * (1 - turn) / (1 - r**2 * turn)) ** 2)
 
 
@@ -88,17 +87,13 @@ class TestPilot:
         rough = interface_xml("air", "air", R=0.0, T=1.0).replace("</bsdf>", f"{ABG}</bsdf>")
         screen = shape_xml("asphere", "screen", 39.0, rough, semi_diameter=60.0)
         scene = load_scene(plates.replace("</scene>", f"{screen}</scene>"))
-        (run,) = prepare(
-            scene,
-            Settings(max_reflections=0, polarization="unpolarized"),
-            Light(field_deg=float(np.degrees(np.arctan(GLASS)))),
-        )
+        brewster = float(np.degrees(np.arctan(GLASS)))
+        (run,) = prepare(scene, Settings(max_reflections=0, polarization="unpolarized"), Light(field_deg=brewster))
         scattered = [one for one in follow(run, 64)[0] if one.scattered]
-        r_s, _ = fresnel(np.degrees(np.arctan(GLASS)))
+        r_s, _ = fresnel(brewster)
         truth = (1 + (1 - r_s) ** 8) / 2 / (1 - r_s / 2) ** 8
-        assert sum(one.stokes for one in scattered) / sum(one.mean for one in scattered) == pytest.approx(
-            truth, rel=1e-5
-        )
+        found = sum(one.stokes for one in scattered) / sum(one.mean for one in scattered)
+        assert found == pytest.approx(truth, rel=1e-5)
 
 
 class TestChoice:
@@ -154,10 +149,8 @@ def test_trace_and_ghosts_say_it(load_text) -> None:
 
     scene = load_text(plates_text(1))[0]
     t = mistray.trace(scene, rays=64, field_deg=45.0, flux_threshold=0.0)
-    r_s, r_p = fresnel(45.0)
-    assert t.paths[1].power_W / t.energy.launched_W == pytest.approx(
-        sum(((1 - r) * r) ** 2 for r in (r_s, r_p)) / 2, rel=1e-5
-    )
+    ghost = sum(((1 - r) * r) ** 2 for r in fresnel(45.0)) / 2
+    assert t.paths[1].power_W / t.energy.launched_W == pytest.approx(ghost, rel=1e-5)
     assert t.settings["polarization"] == "stokes"
     assert t.settings["polarization_change"] == pytest.approx(ghost_factor(45.0) - 1, rel=1e-5)
     assert t.settings["polarization_reason"] in repr(t)

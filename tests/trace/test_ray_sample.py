@@ -63,9 +63,7 @@ def test_sampled_rays_are_rays_of_their_path(report):
     first = np.array([ray.points[0] for ray in sample[ids[0]]])
     assert len(first) == 20
     assert np.ptp(first[:, 0]) > 0.5 * np.ptp([ray[0, 0] for ray in t.history(ids[0], 500).rays])
-
-
-def test_sampled_rays_are_those_of_the_history(report):
+    # And they are those of the history
     t = report[0.0]
     path_id = t.paths[1].path_id
     every = {ray.start_ray: ray for ray in t.history(path_id, RAYS)._rays}
