@@ -27,6 +27,9 @@ from mistray.errors import MistrayError
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.sources import scene_sources
+from mistray.scatter.harvey_shack import HarveyShack
+from mistray.scatter.paint import Paint
+from mistray.scatter.particulate import Particulate
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.trace import Settings
 
@@ -273,3 +276,23 @@ def test_a_scene_without_an_image_says_so():
     assert "There are no images of points" in step.text
     assert "books" not in step.tables
     assert step.result["images"] is None
+
+
+OUTSIDE = {"window_front", "barrel_0_recess", "barrel_0_front_face"}
+
+
+@pytest.mark.long
+def test_every_face_has_its_models() -> None:
+    """Table 12: polish on what light crosses, flat black on the structure, particles on everything."""
+    for shape in mistray.load("phone_camera_scatter").shapes():
+        found = {type(model): model for model in shape.bsdf().scatter}
+        assert found[Particulate].level == (400 if shape.id() in OUTSIDE else 300), shape.id()
+        assert found[Particulate].slope == pytest.approx(0.926)
+        if shape.id() == "detector":
+            assert len(found) == 1
+        elif shape.bsdf().opaque:
+            assert found[Paint].reflectance == pytest.approx(0.045)
+            assert float(shape.bsdf().R[0]) == pytest.approx(0.07)
+        else:
+            polish = found[HarveyShack]
+            assert (polish.rms_nm, polish.l, polish.s) == pytest.approx((4.0, 0.01, -1.5))

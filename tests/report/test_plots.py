@@ -1,16 +1,31 @@
 """Pictures: what they show, on which scale, with which labels."""
 
+import importlib
+from dataclasses import replace
+from io import BytesIO
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from report.fake_scene import FakeShape, lens_scene
 from report.fake_trace import ghosts_of, trace_at
 
+import mistray
 from mistray.analysis.irradiance import averaged, log_range
+from mistray.coatings import Bare, Ideal, preset, spectrum
 from mistray.errors import MistrayError
+from mistray.prescription.baffles.cassegrain import cassegrain_baffles
+from mistray.prescription.baffles.tube import vane_tube
+from mistray.prescription.baffles.two_stage import two_stage_baffle
+from mistray.prescription.baffles.zones import first_order_zones, lit_zones, seen_zones
+from mistray.report.baffle_plots import baffle_figure, cassegrain_figure
+from mistray.report.figures.bsdf import bsdf_figure, particles_figure
+from mistray.report.figures.coating import coated_surfaces, coating_figure, surfaces_figure
 from mistray.report.figures.layout import glass_bodies, layout, meridional, section
+from mistray.report.figures.palette import BLUE, ORANGE, VERMILION
 from mistray.report.figures.plots import (
     common_range,
     draw_map,
@@ -19,6 +34,9 @@ from mistray.report.figures.plots import (
     levels_against_field,
     montage,
 )
+from mistray.scatter.abg import ABg
+from mistray.scatter.paint import Paint
+from mistray.scatter.scan import scan
 
 
 @pytest.fixture(scope="module")
@@ -159,3 +177,165 @@ def test_layout_draws_the_worst_ghosts_or_the_paths_asked_for(report):
     assert handles[0].get_color() != handles[1].get_color()
     with pytest.raises(MistrayError, match="path 99 is not in the table of field 10 deg"):
         layout(report, 10.0, path_ids=[99])
+
+
+TUBE = vane_tube("tube", optic_radius=18, z_rear=102, length=102, wall_radius=30, field_deg=4)
+
+
+def zones(figure, colour):
+    """(z0, z1) of the bands of a colour above the axis, sorted."""
+    found = []
+    for band in figure.axes[0].findobj(PolyCollection):
+        if tuple(band.get_facecolor()[0]) == to_rgba(colour):
+            z, r = band.get_paths()[0].vertices.T
+            if r.min() > 0:
+                found.append((z.min(), z.max()))
+    return sorted(found)
+
+
+def test_zones_are_drawn():
+    spoiled = replace(TUBE, vanes=TUBE.vanes[:3] + TUBE.vanes[4:])
+    for tube in (TUBE, spoiled):
+        figure = baffle_figure(tube, title="a tube")
+        drawn = ((ORANGE, lit_zones(tube)), (BLUE, seen_zones(tube)), (VERMILION, first_order_zones(tube)))
+        for colour, wanted in drawn:
+            assert zones(figure, colour) == [pytest.approx(zone) for zone in wanted]
+        assert figure.axes[0].get_title() == "a tube"
+    assert zones(baffle_figure(spoiled), VERMILION)
+    assert not zones(baffle_figure(TUBE), VERMILION)
+    # Rays meet the tips
+    lines = [line for line in baffle_figure(TUBE).axes[0].lines if line.get_color() == BLUE]
+    assert len(lines) == len(TUBE.vanes)
+    for line, vane in zip(lines, TUBE.vanes, strict=True):
+        (z0, z1), (r0, r1) = line.get_data()
+        assert (z0, r0) == (102, -18)
+        assert r0 + (r1 - r0) * (vane.z - z0) / (z1 - z0) == pytest.approx(vane.radius)
+
+
+@pytest.mark.long
+def test_two_stages_and_a_cassegrain_are_drawn():
+    baffle = two_stage_baffle("b", optic_radius=10, z_rear=0, field_deg=5, exclusion_deg=40, depth=8)
+    figure = baffle_figure(baffle, exclusion_deg=40)
+    assert len(zones(figure, ORANGE)) == len(lit_zones(baffle.outer, 40.0)) + len(lit_zones(baffle.inner))
+    telescope = importlib.import_module("mistray.scenes.cassegrain.prescription").build()
+    primary, secondary = telescope.surfaces
+    rims = cassegrain_baffles(primary, secondary, telescope.detector, field_deg=0.28, wall_depth=4, wall_rear=26)
+    picture = cassegrain_figure(telescope, rims, title="telescope")
+    assert [text.get_text() for text in picture.axes[0].texts] == ["A", "B"]
+    for one in (figure, picture):
+        data = BytesIO()
+        one.savefig(data, format="png")
+        assert data.tell() > 10_000
+
+
+ANGLES = (0.0, 30.0, 60.0)
+
+
+def labels(axes) -> list[str]:
+    return [text.get_text() for text in axes.get_legend().get_texts()]
+
+
+def test_models() -> None:
+    figure = bsdf_figure(scan(ABg(0.0025, 0.001, 1.8), ANGLES), "ABg", knee=0.0215)
+    left, right = figure.axes
+    scales = [scale for axes in (left, right) for scale in (axes.get_xscale(), axes.get_yscale())]
+    assert scales == ["log", "log", "linear", "log"]
+    assert labels(left) == ["all angles of incidence"]  # one curve, for it depends on |β - β0| alone
+    assert labels(right) == ["0°: TIS 4.134 %", "30°: TIS 3.936 %", "60°: TIS 3.258 %"]
+    r, f = left.lines[0].get_data()
+    np.testing.assert_allclose(f, 0.0025 / (0.001 + np.asarray(r) ** 1.8), rtol=1e-12)
+    for line, angle in zip(right.lines, ANGLES, strict=True):
+        theta, f = line.get_data()
+        assert theta[np.argmax(f)] == pytest.approx(angle, abs=1e-6)
+        assert np.max(f) == pytest.approx(2.5)
+    assert left.get_xlim() == (1e-3, 2)
+    assert any("knee 0.0215" in text.get_text() for text in left.texts)
+    # One that grows away from the normal is drawn for each angle; a Lambertian one is a straight line
+    left, _ = bsdf_figure(scan(Paint(0.04, b0=0.05, l=0.1, s=-3, n=1.5), ANGLES), "paint").axes
+    assert labels(left) == ["0°", "30°", "60°"]
+    assert any(line.get_linestyle() == "--" for line in left.lines)
+    left, right = bsdf_figure(scan(Paint(0.3), ANGLES), "paint").axes
+    assert labels(left) == ["all angles of incidence"]
+    low, high = right.get_ylim()
+    assert low < 0.3 / np.pi < high
+    with pytest.raises(MistrayError, match="one or more angles"):
+        bsdf_figure([], "none")
+
+
+def test_particles() -> None:
+    left, right = particles_figure(300).axes
+    (own,) = [line for line in left.lines if line.get_label() == "level 300"]
+    diameter, count = own.get_data()
+    assert count[0] == pytest.approx(10 ** (0.926 * np.log10(300) ** 2), rel=1e-9)
+    assert (diameter[-1], count[-1]) == (pytest.approx(300), pytest.approx(1))  # one particle of the level's diameter
+    assert "level 300: 0.02531 %" in labels(right)  # area of the spheres
+    (standard,) = [line for line in right.lines if line.get_label() == "formula of the standard"]
+    levels, area = standard.get_data()
+    assert 10 ** np.interp(np.log10(396), np.log10(levels), np.log10(area)) == pytest.approx(0.10085, rel=1e-3)
+    assert "formula of the standard" not in labels(particles_figure(300, 0.383).axes[1])
+
+
+WAVELENGTHS = np.arange(450.0, 651.0, 50.0)
+
+
+def curve(axes, label: str) -> np.ndarray:
+    return next(item for item in axes.get_lines() if item.get_label() == label).get_ydata()
+
+
+def test_lines_are_the_spectra() -> None:
+    figure = coating_figure(preset("bbar3"), WAVELENGTHS, [0.0, 40.0], back="1.5168")
+    left, right = figure.axes
+    values = spectrum(preset("bbar3"), WAVELENGTHS, [0.0, 40.0], back="1.5168")
+    np.testing.assert_allclose(curve(left, "0°"), 100 * values.mean()[:, 0])
+    (colour,) = (item.get_color() for item in left.get_lines() if item.get_label() == "40°")
+    drawn = {item.get_linestyle(): item.get_ydata() for item in left.get_lines() if item.get_color() == colour}
+    for style, share in (("-", values.mean()[:, 1]), ("--", values.R[:, 1, 0]), (":", values.R[:, 1, 1])):
+        np.testing.assert_allclose(drawn[style], 100 * share)
+    by_angle = {item.get_label(): item for item in right.get_lines()}
+    for nm in (450, 550, 650):
+        item = by_angle[f"{nm} nm"]
+        at = spectrum(preset("bbar3"), [nm], item.get_xdata(), back="1.5168").mean()[0]
+        np.testing.assert_allclose(item.get_ydata(), 100 * at)
+    assert (right.get_yscale(), left.get_ylim()[0]) == ("log", 0)
+    assert curve(left, "bare, 0°")[0] == pytest.approx(4.21646, abs=1e-4)
+    # Scales and axes
+    left, right = coating_figure(preset("protected_al"), WAVELENGTHS, [0.0]).axes  # a mirror
+    assert right.get_yscale() == left.get_yscale() == "linear"
+    assert all(not str(item.get_label()).startswith("bare") for item in left.get_lines())
+    left, _ = coating_figure(Bare(), WAVELENGTHS, [0.0, 60.0], from_front=False).axes  # total reflection
+    assert left.get_yscale() == "log"
+    figure = coating_figure(Ideal(0.1, 0.9, "split"), WAVELENGTHS, [0.0], "air", "N-SF6", from_front=False)
+    assert figure.axes[1].get_xlabel() == "angle of incidence in N-SF6 [deg]"
+    assert figure.get_suptitle() == "split, N-SF6 | air, light from N-SF6"
+
+
+def test_one_row_for_each_kind_of_surface() -> None:
+    coated = {"back": "1.6", "coating": {"type": "ref", "id": "ar"}}
+    bsdfs = {
+        "a": coated,
+        "b": {"front": "1.6", "back": "air"},
+        "c": coated,
+        "d": {"front": "1.6", "R": 0.9, "mirror": True},
+        "wall": {"R": 0.0},
+    }
+    shapes = {
+        name: {"type": "asphere", "semi_diameter": 5.0, "z": 2.0 * k, "bsdf": {"type": "interface", **bsdf}}
+        for k, (name, bsdf) in enumerate(bsdfs.items())
+    }
+    scene = mistray.load({"type": "scene", "ar": {"type": "thinfilm", "preset": "bbar3"}, **shapes})
+    groups = coated_surfaces(scene)
+    assert [group.names for group in groups] == [("a", "c"), ("b",), ("d",)]
+    assert groups[0].coating.name == "ar"
+    assert (groups[1].front, groups[1].back) == ("1.6", "air")
+    assert isinstance(groups[1].coating, Bare)
+    figure = surfaces_figure(groups, WAVELENGTHS, [0.0, 30.0])
+    assert len(figure.axes) == 6
+    first = figure.axes[0]
+    assert first.get_title(loc="left") == "a, c"
+    expected = spectrum(groups[0].coating, WAVELENGTHS, [30.0], "air", "1.6").mean()[:, 0]
+    np.testing.assert_allclose(curve(first, "30°"), 100 * expected)
+    # the rear of a lens is drawn from the air as well
+    behind = spectrum(Bare(), WAVELENGTHS, [30.0], "1.6", "air", from_front=False).mean()[:, 0]
+    np.testing.assert_allclose(curve(figure.axes[2], "30°"), 100 * behind)
+    with pytest.raises(MistrayError, match="no optical surface"):
+        coated_surfaces(SimpleNamespace(shapes=list))

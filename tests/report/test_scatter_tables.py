@@ -3,18 +3,22 @@
 import json
 import re
 
+import json_units
 import pandas as pd
 import pytest
 from report.fake_trace import FakePath, FakeTrace, ghosts_of, scatter_trace_at, trace_at
+from report.ranked_paths import ORDERS, WIDE, ranked_report
 
 from mistray.cli.ghosts_json import as_json
 from mistray.errors import MistrayError
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
+from mistray.report.figures.layout import worst_paths
 from mistray.report.figures.plots import KINDS
+from mistray.report.ghosts.fields import shown_paths
 from mistray.report.ghosts.report import html_text
 from mistray.report.rays.path_sort import parse_path_sort, path_sort_text, sorted_paths
-from mistray.report.tables.ghosts import main_table
-from mistray.report.tables.ghosts_csv import csv_tables, write_csv
+from mistray.report.tables.ghosts import STRONGEST, beyond, main_table
+from mistray.report.tables.ghosts_csv import csv_tables, path_table, write_csv
 from mistray.report.tables.scatter import scatter_text
 
 WINDOW, STOP, GHOST, TWICE = 8e-5, 2e-5, 4e-6, 1e-6
@@ -147,3 +151,44 @@ def test_the_path_sort_file_comes_back_in_the_order_of_the_flux():
     assert any("(1 ImpTran)" in path.intercepts for path in paths)
     rest = sum(row.percent for row in t.paths[4:])
     assert f"6 weaker paths are left out; together they hold {rest:.3g} %" in path_sort_text(t, 4)
+
+
+by_rank = pytest.mark.parametrize("rank", ORDERS)
+
+
+def label(report, events):
+    table = report.table(0.0)
+    return table.label[table.events == events].item()
+
+
+@pytest.mark.long
+@by_rank
+def test_text(rank):
+    report = ranked_report(rank)
+    lines = main_table(report, 1).splitlines()
+    start = next(k for k, line in enumerate(lines) if line.startswith("Worst 1 "))
+    rows = [line for line in lines[start:] if re.match(r"\s*0 .* ghost ", line)]
+    assert [label(report, ORDERS[rank][0]) in rows[0], label(report, WIDE) in rows[-1]] == [True, True]
+    assert len(rows) == len({ORDERS[rank][0], WIDE})
+    assert [STRONGEST in line for line in rows] == [label(report, WIDE) in line for line in rows]
+    assert len(beyond(report, 0.0, 1)) == 3 - len(rows)
+    assert STRONGEST in main_table(report, per_wavelength=True)
+    # JSON and CSV
+    found = json.loads(json.dumps(as_json(ranked_report(rank), per_wavelength=True)))
+    assert not json_units.wrong(found)
+    assert found["ranked_by"] == rank
+    (field,) = found["fields"]
+    assert [row["events"] for row in field["worst_paths"]] == list(ORDERS[rank])
+    assert [row["events"] for row in field["worst_paths"] if row["rank_power"] == 1] == [WIDE]
+    table = path_table(ranked_report(rank))
+    assert ("peak_W_mm2" in table) == ("rank_peak" in table) == (rank == "peak")
+
+
+@pytest.mark.long
+@by_rank
+def test_layout_and_report(rank):
+    report = ranked_report(rank)
+    assert label(report, WIDE) in [text.partition(" (")[0] for _, _, text in worst_paths(report, 0.0, 1)]
+    assert [events for events in shown_paths(report, 0.0).events if events in ORDERS[rank]] == list(ORDERS[rank])
+    head = html_text(report, per_wavelength=True).partition("</header>")[0]
+    assert f"the strongest path is <b>{label(report, WIDE)}</b>" in head

@@ -5,16 +5,21 @@ from __future__ import annotations
 import importlib
 import re
 import sys
+import xml.etree.ElementTree as ET
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
 from report.fake_trace import SHARES, paths_at, trace_in_colours
-from report.view_scene import EXACT, FORMULAS, SCENE, RayTrace
+from report.view_scene import A4, CONIC, EXACT, FORMULAS, RADIUS, SCENE, RayTrace, glass, mm, tilted
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.report.figures.cut_open import CutPlane, open_surfaces
+from mistray.report.figures.cut_open import CutPlane, clip, open_surfaces, triangulate, turned
+from mistray.report.figures.layout import CANDIDATES, layout_figure, meridional, section, write_layout
+from mistray.report.rays.path_rays import rays_of_paths
 from mistray.report.view3d.controls import NO_LIGHT, FluxScale
 
 view = mistray.view
@@ -197,3 +202,290 @@ def test_a_path_that_no_ray_is_found_of_says_so(scene):
     several = RayTrace(trace_in_colours(0.0).fakes, shares=SHARES)
     names = [lines.name for lines in of(view(scene, several, paths=2, rays=1).figure, "path_id").values()]
     assert names[0] == "0 direct image, 550 nm, 1.5 W"
+
+
+ZERO = 1e-12
+
+
+def area(vertices, faces):
+    a, b, c = np.asarray(vertices, dtype=float)[np.asarray(faces)].transpose(1, 0, 2)
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+
+
+@pytest.mark.parametrize("cut", [None, CutPlane(), CutPlane(90.0), CutPlane(37.0, 0.4)], ids=str)
+def test_points_lie_on_the_surfaces_and_on_the_kept_side(scene, cut):
+    surfaces = {surface.name: surface for surface in open_surfaces(scene, cut)}
+    assert set(surfaces) == set(FORMULAS)
+    for name, surface in surfaces.items():
+        assert len(surface.faces) > 0
+        assert FORMULAS[name](surface.vertices).max() < EXACT, name
+        assert all(FORMULAS[name](line).max() < EXACT for line in surface.lines), name
+        if cut is not None:
+            # a curved rectangle is lifted along its own axis, which lies in these planes
+            assert cut.height(surface.vertices).max() < EXACT, name
+            on_plane = [line for line in surface.lines if np.abs(cut.height(line)).max() < EXACT]
+            assert on_plane, name
+
+
+def test_halves_have_the_area_of_the_whole(scene):
+    """A plane that a surface does not reach leaves all of it, or nothing."""
+
+    def areas(cut):
+        return {surface.name: area(surface.vertices, surface.faces) for surface in open_surfaces(scene, cut)}
+
+    whole, near, far = areas(None), areas(CutPlane(0.0)), areas(CutPlane(180.0))
+    for name in ("L1_front", "stop_wall", "window_front", "window_rear"):
+        assert near[name] + far[name] == pytest.approx(whole[name], rel=2e-3)
+    for name, exact in (("stop_wall", np.pi * 5.0 * np.hypot(1.0, 4.0)), ("window_front", 24.0)):
+        assert whole[name] == pytest.approx(exact, rel=2e-3)
+        assert areas(CutPlane(180.0, 50.0))[name] == pytest.approx(exact, rel=5e-3)
+    assert all(len(surface.faces) == 0 for surface in open_surfaces(scene, CutPlane(180.0, -50.0)))
+    # Surfaces have roles, parts and materials
+    surfaces = {surface.name: surface for surface in open_surfaces(scene, CutPlane())}
+    roles = {**dict.fromkeys(surfaces, "glass"), "stop_wall": "structure", "detector": "detector"}
+    assert {name: surface.role for name, surface in surfaces.items()} == roles
+    assert surfaces["L1_front"].part == "L1"
+    assert (surfaces["L1_front"].materials, surfaces["stop_wall"].materials) == ("air | 1.6", "")
+
+
+def test_cut_cylinder_in_closed_form():
+    """A tube of radius 2 cut at x = 1: the arc that is left spans 240 degrees."""
+    vertices, faces, lines = turned([[2.0, 0.0], [2.0, 5.0]], np.eye(4), 400, CutPlane(0.0, 1.0))
+    assert area(vertices, faces) == pytest.approx(5.0 * 2.0 * np.radians(240.0), rel=1e-4)
+    ends = [line for line in lines if np.ptp(line[:, 2]) > 1.0]
+    np.testing.assert_allclose(
+        sorted(end[0, :2].tolist() for end in ends), [[1.0, -np.sqrt(3)], [1.0, np.sqrt(3)]], atol=1e-12
+    )
+    # A disc whose plane is not that of any ring of the cut: half of it is left whatever its tilt
+    matrix = tilted(25.0)
+    r = np.linspace(0.0, 3.0, 33)
+    vertices, faces, _ = turned(np.column_stack([r, 0.0 * r]), matrix, 200, CutPlane(180.0))
+    assert area(vertices, faces) == pytest.approx(np.pi * 9.0 / 2, rel=1e-3)
+    assert np.abs(vertices @ matrix[:3, 2]).max() < ZERO * 10
+
+
+CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (0, 2) for z in (5, 6)], dtype=float)
+BOX = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
+       [1, 5, 7], [1, 7, 3]]  # fmt: skip
+
+
+@pytest.mark.parametrize("offset", [-0.5, 0.0, 0.25])
+def test_clipped_box(offset):
+    """2 × 2 × 1 mm: what is left of it lies at x ≤ offset; its walls keep their winding."""
+    vertices, faces, lines = clip(CORNERS, BOX, CutPlane(0.0, offset))
+    depth = 1.0 + offset
+    assert area(vertices, faces) == pytest.approx(2.0 * 1.0 + depth * 2 * (2.0 + 1.0), rel=1e-12)
+    assert sum(np.linalg.norm(line[1] - line[0]) for line in lines) == pytest.approx(2 * (2.0 + 1.0))
+    normals = np.cross(*(np.diff(vertices[faces], axis=1)).transpose(1, 0, 2))
+    outward = vertices[faces].mean(axis=1) - [(offset - 1) / 2, 1.0, 5.5]
+    assert (np.einsum("ij,ij->i", normals, outward) > 0).all()
+    assert clip(CORNERS.astype(np.float32), BOX, CutPlane(0.0, offset))[0].dtype == np.float32
+
+
+def test_triangles_of_a_polygon():
+    """An L from both sides, corners twice and on edges, a comb, and the segment between two parabolas."""
+    y = np.linspace(-1.0, 1.0, 129)
+    bent = [[0, 0], [3, 0], [3, 1], [1, 1], [1, 3], [0, 3]]
+    comb = [[0, 0], [5, 0], [5, 2], [4, 2], [4, 1], [3, 1], [3, 2], [2, 2], [2, 1], [1, 1], [1, 2], [0, 2]]
+    meniscus = np.concatenate([np.column_stack([0.5 * y**2, y]), np.column_stack([0.3 + 0.2 * y**2, y])[::-1]])
+    for outline, exact, error in (
+        (bent, 5.0, 1e-12),
+        (bent[::-1], 5.0, 1e-12),
+        ([[0, 0], [1, 0], [1, 0], [2, 0], [2, 2], [0, 2], [0, 1]], 4.0, 1e-12),
+        (comb, 8.0, 1e-12),
+        (meniscus, 0.4, 2e-4),
+    ):
+        points = np.column_stack([np.array(outline, dtype=float), np.zeros(len(outline))])
+        assert area(points, triangulate(outline)) == pytest.approx(exact, rel=error)
+
+
+STOCK = {
+    "rectangle": ('<transform name="to_world"><scale x="2" y="1"/><translate z="5"/></transform>', 8.0),
+    "disk": ('<transform name="to_world"><scale value="2"/><translate z="5"/></transform>', np.pi * 4),
+    "sphere": ('<float name="radius" value="2"/><point name="center" x="0" y="0" z="5"/>', 4 * np.pi * 4),
+    "cylinder": (
+        '<float name="radius" value="2"/><point name="p0" x="0" y="0" z="4"/><point name="p1" x="0" y="0" z="7"/>',
+        2 * np.pi * 2 * 3,
+    ),
+    "cube": (mm(z=5.0), 24.0),
+}
+
+
+@pytest.mark.parametrize("kind", STOCK)
+def test_shapes_of_mitsuba(kind, load_scene):
+    inside, exact = STOCK[kind]
+    scene = load_scene(
+        f'<scene version="3.0.0"><shape type="{kind}" id="it">{inside}{glass("air", "1.5")}</shape></scene>'
+    )
+    for cut, share in ((None, 1.0), (CutPlane(), 0.5)):
+        (it,) = open_surfaces(scene, cut)
+        assert area(it.vertices, it.faces) == pytest.approx(exact * share, rel=5e-3)
+        if kind == "sphere":
+            np.testing.assert_allclose(np.linalg.norm(it.vertices - [0, 0, 5.0], axis=1), 2.0, atol=EXACT)
+
+
+def test_a_shape_without_triangles_is_refused():
+    values = {"id": "dust", "is_sensor": False, "is_mesh": False, "bsdf": None, "__str__": "SDFGrid[\n]"}
+    dust = type("Dust", (), {name: lambda _, value=value: value for name, value in values.items()})()
+    with pytest.raises(MistrayError, match="shape 'dust' is SDFGrid, which has no triangles to draw"):
+        open_surfaces(SimpleNamespace(shapes=lambda: [dust]), None)
+
+
+@pytest.fixture(scope="module")
+def figure(scene, trace):
+    return layout_figure(scene, trace, paths=2, rays=4)
+
+
+@pytest.mark.long
+def test_rays_are_those_of_the_history_near_the_section(figure, trace):
+    axes = figure.axes[0]
+    handles, labels = axes.get_legend_handles_labels()
+    assert labels == ["0 direct image, 3 W", "1 detector → window_rear, 0.0002 W"]
+    for path_id, handle in enumerate(handles):
+        drawn = [line for line in axes.lines if line.get_color() == handle.get_color() and len(line.get_xdata())]
+        wanted = meridional(trace.history(path_id, CANDIDATES * 4).rays, 4)
+        assert len(drawn) == 4
+        for line, ray in zip(drawn, wanted, strict=True):
+            np.testing.assert_array_equal(line.get_xydata(), ray[:, [2, 1]])
+    assert axes.get_aspect() == 1.0
+
+
+def test_section_of_a_surface_of_revolution_is_exact(scene):
+    """A window on the axis; the lens beside the plane is cut through its triangles, which are chords of it."""
+    lines = {surface.name: surface.lines for surface in section(scene)}
+    (rear,) = lines["window_rear"]
+    np.testing.assert_allclose(rear[:, 0], 1.0 - 20.0 + np.sqrt(20.0**2 - rear[:, 1] ** 2), atol=1e-12)
+    lens = np.concatenate(lines["L1_front"])
+    r2 = 0.3**2 + lens[:, 1] ** 2
+    sag = (r2 / RADIUS) / (1 + np.sqrt(1 - (1 + CONIC) * r2 / RADIUS**2)) + A4 * r2**2
+    assert np.abs(lens[:, 0] - 3.0 - sag).max() < 2e-3
+
+
+@pytest.mark.long
+def test_path_ids_choose_the_rows(scene, trace):
+    """Of nine rows the ninth has the colour of the first, in dashes."""
+    labels = layout_figure(scene, trace, path_ids=[3, 0], rays=1).axes[0].get_legend_handles_labels()[1]
+    assert [label.split()[0] for label in labels] == ["3", "0"]
+    nine = RayTrace(trace_in_colours(10.0).fakes, 10.0, shares=SHARES)
+    handles, _ = layout_figure(scene, nine, path_ids=range(9), rays=1).axes[0].get_legend_handles_labels()
+    looks = [(handle.get_color(), handle.get_linestyle()) for handle in handles]
+    assert len(set(looks)) == 9
+    assert looks[8] == (looks[0][0], "--")
+    axes = layout_figure(scene).axes[0]
+    assert (axes.get_legend_handles_labels(), axes.get_title()) == (([], []), "")
+    for given, options, words in (
+        (trace, {"path_ids": [99]}, "path_id 99 does not exist"),
+        (None, {"path_ids": [1]}, "path_ids without a trace"),
+        (trace, {"rays": 0}, "rays is 0"),
+        (trace, {"paths": -2}, "paths is -2"),
+    ):
+        with pytest.raises(MistrayError, match=words):
+            layout_figure(scene, given, **options)
+
+
+@pytest.mark.long
+def test_svg_has_lines_and_text(scene, trace, figure, tmp_path):
+    """Text as text, so that a paper's own font and a search find it; the same file every time."""
+    path = write_layout(figure, tmp_path / "layout.svg")
+    text = path.read_text(encoding="utf-8")
+    assert "".join(ET.fromstring(text).itertext()).count("0 direct image, 3 W") == 1
+    assert "<image" not in text
+    again = write_layout(layout_figure(scene, trace, paths=2, rays=4), tmp_path / "again.svg")
+    assert again.read_text(encoding="utf-8") == text
+    for ending, start in (("pdf", b"%PDF"), ("eps", b"%!PS"), ("png", b"\x89PNG")):
+        assert write_layout(figure, tmp_path / f"layout.{ending}").read_bytes().startswith(start)
+
+
+@pytest.fixture(scope="module")
+def triplet():
+    return mistray.load("cooke_triplet")
+
+
+@pytest.fixture(scope="module")
+def traced(triplet):
+    return mistray.trace(triplet, rays=2_000, field_deg=10.0, max_reflections=2, max_scatters=0)
+
+
+@pytest.fixture(scope="module")
+def seen(triplet, traced):
+    return mistray.view(triplet, traced, paths=3, rays=4)
+
+
+@pytest.mark.long
+def test_every_hit_lies_on_the_surface_that_its_event_names(seen, triplet, traced):
+    surfaces = {shape.id(): shape for shape in triplet.shapes()}
+    met = set()
+    assert {ray.path_id for ray in seen.rays} == {0, 1, 2}
+    for ray in seen.rays:
+        assert ray.events == traced.paths[ray.path_id].events
+        for point, event in zip(ray.points[1:], ray.events.split(), strict=True):
+            name = event.rpartition(":")[0]
+            curvature, vertex = surfaces[name].values["curvature"], surfaces[name].matrix[2, 3]
+            depth = point[2] - vertex
+            # the sphere about (0, 0, vertex + 1/c) by its equation c (x² + y² + z²) = 2 z
+            error = curvature * (point @ point - point[2] ** 2 + depth**2) / 2 - depth
+            assert abs(error) < 1e-9, name
+            met.add(name)
+    assert {"L1_front", "L3_rear", "detector"} <= met
+    # Flux falls along a ray
+    for ray in rays_of_paths(traced, [0, 1], n=2):
+        assert (np.diff(ray.flux_W) <= 0).all()
+        assert ray.flux_W[0] == pytest.approx(traced.energy.launched_W / 2_000)
+
+
+@pytest.mark.long
+def test_a_page_of_many_surfaces_is_small(triplet, traced):
+    seen = mistray.view(mistray.load("phone_camera"))
+    assert len(seen.surfaces) > 60
+    assert len(seen.html().encode()) < 6_000_000
+    for given in (traced, None):
+        with pytest.raises(MistrayError, match="irradiance"):
+            mistray.view(triplet, given, colour="irradiance")
+
+
+@pytest.fixture(scope="module")
+def walls():
+    scene = mistray.load("plate_and_wall", sensors=["surface_maps:housing* screen,azimuths=12,lengths=5,id=walls"])
+    return scene, mistray.trace(scene, rays=3000, field_deg=20.0, max_reflections=1, max_scatters=1)
+
+
+@pytest.mark.long
+def test_walls_are_coloured_by_the_irradiance_of_their_cells(walls):
+    scene, traced = walls
+    seen = mistray.view(scene, traced, paths=1, rays=1, cut_deg=None)
+    maps = traced.recorders["walls"].maps
+    drawn = {one.meta["wall"]: one for one in seen.figure.data if "wall" in (one.meta or {})}
+    assert set(drawn) == set(maps) == {"housing_wall", "housing_face", "screen"}
+    for name, mesh in drawn.items():
+        corners = maps[name].corners.reshape(-1, 3)
+        np.testing.assert_array_equal(np.column_stack([mesh.x, mesh.y, mesh.z]), corners)
+        middles = np.mean([corners[np.array(k)] for k in (mesh.i, mesh.j, mesh.k)], axis=0)
+        cells = 0.5 * (middles[:60] + middles[60:])  # two triangles each
+        # Corners of a facet lie on the tube, so that its middle is within it by 1 - cos 15°
+        assert np.linalg.norm(cells - maps[name].places.reshape(-1, 3), axis=1).max() < 0.04 * np.abs(corners).max()
+        assert list(mesh.facecolor[:60]) == list(mesh.facecolor[60:])
+        value = maps[name].irradiance[0].ravel()
+        assert {colour for colour, lit in zip(mesh.facecolor, value > 0, strict=False) if not lit} <= {NO_LIGHT}
+    lit = np.concatenate([one.irradiance[0].ravel() for one in maps.values()])
+    ends = [colour for mesh in drawn.values() for colour in mesh.facecolor[:60]]
+    assert ends[int(np.argmax(lit))] == to_hex(colormaps["viridis"](1.0))
+
+
+@pytest.mark.long
+def test_a_button_shows_cells_in_the_place_of_their_walls(walls):
+    scene, traced = walls
+    seen = mistray.view(scene, traced, paths=1, rays=1, colour="flux")
+    data = seen.figure.data
+    buttons = {button.label: button.args for button in seen.figure.layout.updatemenus[1].buttons}
+    assert list(buttons) == ["incident flux", "absorbed flux", "irradiance", "role"]
+    for label, (values, bars, targets) in buttons.items():
+        for k, visible in zip(targets, values["visible"], strict=True):
+            meta = data[k].meta
+            cells = label == "irradiance"
+            mapped = meta.get("surface") in traced.recorders["walls"].maps
+            assert visible == (cells if "wall" in meta else not (cells and mapped))
+        assert bars["coloraxis3.showscale"] == (label == "irradiance")
+        if label == "incident flux":  # as it is seen at first
+            assert [data[k].visible for k in targets] == list(values["visible"])
+    cut = {one.meta["wall"]: one for one in data if "wall" in (one.meta or {})}["housing_wall"]
+    assert len(cut.i) == 12 * 5  # half of the cells, two triangles each

@@ -8,12 +8,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import fails, succeeds
 from lit_detector import lit, square
 from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene, scattering_xml
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
-from mistray.recorders.path_events import DIRECT, STRAY_KINDS
+from mistray.execute import tracer
+from mistray.recorders.path_events import DIRECT, LETTERS, STRAY_KINDS
+from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
+from mistray.report.html.embedded import power_codes
 from mistray.trace import ray_table
 
 FIRST = [
@@ -262,3 +266,225 @@ def test_air_between_mirrors_counts() -> None:
         before = air * np.array([50.0 - ray.z_mm.iloc[0], 100.0, 90.0]) / np.cos(angle)
         expected = np.cumsum([0.0, *before, glass * 5.0 / np.cos(inside), air * 15.0 / np.cos(angle)])
         np.testing.assert_allclose(ray.opl_mm, expected, rtol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def traced() -> mistray.Trace:
+    return mistray.trace(mistray.load("singlet_window_detector"), rays=60, field_deg=5.0)
+
+
+@pytest.mark.long
+def test_incident_rays_are_those_of_the_ledger(traced) -> None:
+    """To the rounding of sums: each ray is one hit, and carries its flux."""
+    for name in ("window_front", "barrel_1_wall", "detector"):
+        (row,) = [row for row in traced.surfaces if row.id == name]
+        table = traced.rays_at(row.id, n=None)
+        assert len(table) == row.hits
+        assert set(table.surface) == {row.id}
+        assert table.flux_W.sum() == pytest.approx(row.incident_W, rel=1e-6)
+        np.testing.assert_allclose((table[["dx", "dy", "dz"]] ** 2).sum(axis=1), 1, rtol=1e-6)
+
+
+@pytest.mark.long
+def test_blocked_and_escaped_light_is_that_of_the_ledger(traced) -> None:
+    walls = sum(row.absorbed_W for row in traced.surfaces if row.id != "detector")  # they are black
+    assert traced.rays_at("blocked", n=None).flux_W.sum() == pytest.approx(walls, rel=1e-6)
+    escaped = traced.rays_at("escaped", n=None)
+    # What misses the first lens altogether has no event: the launched light less what arrives at first surfaces
+    nodes = traced.rays_at("*", n=None)
+    missed = traced.energy.launched_W - nodes.flux_W[nodes.node == 1].sum()
+    assert escaped.flux_W.sum() + missed == pytest.approx(traced.energy.escaped_W, rel=1e-5)
+    returned = traced.rays_at("returned", n=None)
+    assert len(returned) == (escaped.dz < 0).sum() > 0  # the light goes along z
+
+
+def test_a_filter_and_a_number(traced) -> None:
+    table = traced.rays_at("window_front", "R(window_rear)", n=7)
+    assert len(table) == 7
+    assert table.history.str.contains("window_rear:SpecRefl").all()
+    nodes = traced.rays_at("escaped", n=5, events=True)
+    assert nodes.ray.nunique() == 5
+    assert set(nodes.intercept[nodes.node == 0]) == {"Emitted"}
+
+
+def test_refusals(traced) -> None:
+    for where, selection, words in (
+        ("windw", "", "'window'"),
+        ("blockd", "", "'blocked'"),
+        ("window", "power_W > 1", "'power_W'"),
+        (["escaped", "window"], "", "alone"),
+    ):
+        with pytest.raises(mistray.MistrayError, match=words):
+            traced.rays_at(where, selection)
+
+
+@pytest.mark.long
+def test_the_command_writes_rays_that_arrive(tmp_path, capsys):
+    """All rays of a surface carry its incident flux, in every format; a file of them is a source of that flux."""
+    out = tmp_path / "out"
+    command = ["ghosts", "plate_and_wall", "--rays", "500", "--max-scatters", "1", "--quiet"]
+    for more, word in (
+        (["--rays-at", "scren", "--out", str(out)], "screen"),
+        (["--rays-at", "screen"], "--out"),
+        (["--rays-at", "escaped", "screen", "--out", str(out)], "alone"),
+        (["--rays-at", "screen", "--filter", "power_W > 1", "--out", str(out)], "power_W"),
+        (["--formats", "dat", "--out", str(out)], "--rays-at"),
+    ):
+        assert word in fails(capsys, *command, *more)
+    more = ["--rays-at", "screen", "--most-rays", "0", "--formats", "dat", "parquet"]
+    succeeds(capsys, *command, *more, "--out", out)
+    rays = pd.read_csv(out / "rays_at.csv")
+    surfaces = pd.read_csv(out / "surfaces.csv")
+    (incident,) = surfaces.incident_W[surfaces.id == "screen"]
+    assert rays.flux_W.sum() == pytest.approx(incident, rel=1e-6)
+    assert set(rays.surface) == {"screen"}
+    assert set(rays.kind) >= {"single scatter"}
+    assert len(pd.read_parquet(out / "rays_at.parquet")) == len(rays)
+    scene = mistray.load("plate_and_wall", sources=[{"type": "ray_file", "filename": str(out / "rays_at_0deg.dat")}])
+    assert mistray.trace(scene, rays=200, max_scatters=0).energy.launched_W == pytest.approx(incident, rel=1e-5)
+
+
+RAYS = 5000
+
+
+@pytest.fixture(scope="module")
+def report():
+    return mistray.ghosts(mistray.load("singlet_window_detector"), field_deg=[0.0, 2.0], rays=RAYS)
+
+
+@pytest.mark.long
+def test_box_of_the_report_is_that_of_the_trace(report):
+    """The same rays once more, hit by hit, with the box in the kernel."""
+    t = report[2.0]
+    by_events = dict(zip(report.table(2.0).events, report.table(2.0).path_id, strict=True))
+    maps = report.path_maps(2.0, list(by_events.values()))
+    height, width = t.irradiance.shape
+    x0, x1, y0, y1 = t.extent
+    bright = np.argwhere(t.irradiance == t.irradiance.max())[0][::-1] // maps.grid
+    most = np.array([width, height]) // maps.grid
+    for first, last in (
+        (bright, bright + 1),
+        (np.maximum(bright - 3, 0), np.minimum(bright + 2, most)),
+        (most // 4, most // 2),
+    ):
+        columns, rows = zip(first * maps.grid, last * maps.grid, strict=True)
+        x, y = (x0 + (x1 - x0) * np.array(columns) / width), (y0 + (y1 - y0) * np.array(rows) / height)
+        within = t.box(*x, *y)
+        expected = {by_events[row.events]: row.power_W for row in within}
+        found = {path_id: m.within(columns, rows) for path_id, m in maps.paths.items()}
+        found = {path_id: power for path_id, power in found.items() if power > 0}
+        assert found == pytest.approx(expected, rel=1e-5)
+        # As the page has them
+        for path_id, power in found.items():
+            m = maps.paths[path_id]
+            codes = power_codes(m.power_W).astype(float)
+            rounded = np.where(codes > 0, 10 ** (codes / 600 - 100), 0.0)
+            stored = type(m)(m.pixels, m.column, m.row, rounded).within(columns, rows)
+            assert stored == pytest.approx(power, rel=2e-3)
+
+
+@pytest.mark.long
+def test_sampled_rays_are_rays_of_their_path(report):
+    t = report[2.0]
+    ids = [row.path_id for row in t.paths[:12]]
+    sample = t.sampled_rays(ids, 20)
+    assert list(sample) == ids
+    names = t.tables[0].event_ids
+    for path_id, rays in sample.items():
+        for ray in rays:
+            words = [f"{names[code >> EVENT_BITS]}:{LETTERS[code & EVENT_MASK]}" for code in ray.codes.tolist()]
+            assert " ".join(words) == t.paths[path_id].events
+    # The strongest ones are there, and spread over the beam
+    first = np.array([ray.points[0] for ray in sample[ids[0]]])
+    assert len(first) == 20
+    assert np.ptp(first[:, 0]) > 0.5 * np.ptp([ray[0, 0] for ray in t.history(ids[0], 500).rays])
+    # And they are those of the history
+    t = report[0.0]
+    path_id = t.paths[1].path_id
+    every = {ray.start_ray: ray for ray in t.history(path_id, RAYS)._rays}
+    sample = t.sampled_rays([path_id], 10)[path_id]
+    assert len(sample) == 10
+    for ray in sample:
+        np.testing.assert_allclose(ray.points, every[ray.start_ray].points, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(ray.flux_W, every[ray.start_ray].flux_W, rtol=1e-6)
+
+
+@pytest.mark.long
+def test_history_of_a_large_trace_is_spread_over_the_beam(report, monkeypatch):
+    """A batch of more start rays than the recorder holds: not those of one corner of the beam alone."""
+    t = report[0.0]
+    whole = np.array([ray[0, :2] for ray in t.history(0, RAYS).rays])
+    monkeypatch.setattr(tracer, "RECORD_CAPACITY", 16)  # of 125 start rays of a batch
+    few = np.array([ray[0, :2] for ray in t.history(0, 16).rays])
+    assert len(few) > 10
+    assert (np.ptp(few, axis=0) > 0.6 * np.ptp(whole, axis=0)).all()
+
+
+INDEX = 1.5
+NUMBERS = "".join(f'<float name="{name}" value="{value}"/>' for name, value in (("A", 1e-3), ("B", 1e-3), ("g", 2)))
+SCATTER = f'<bsdf type="abg">{NUMBERS}</bsdf>'
+
+
+def plate(glass: str, coat: str) -> str:
+    """A plate 5 mm thick with something nested in its front interface; the detector, 15 mm behind it, is black."""
+    sides = f'<bsdf type="interface"><string name="{{}}" value="air"/><string name="{{}}" value="{glass}"/>{{}}</bsdf>'
+    return scene_text(
+        shape_xml("asphere", "front", 0.0, sides.format("front", "back", coat), semi_diameter=30.0),
+        shape_xml("asphere", "rear", 5.0, sides.format("back", "front", ""), semi_diameter=30.0),
+        shape_xml("asphere", "detector", 20.0, sensor=True, half_width=6.0, half_height=6.0),
+    )
+
+
+@pytest.fixture(scope="module")
+def trace(load_scene):
+    return mistray.trace(load_scene(plate(f"{INDEX}", SCATTER)), rays=20_000, max_reflections=0)
+
+
+@pytest.fixture(scope="module")
+def hazy(load_scene):
+    """The plate scatters within."""
+    return mistray.trace(load_scene(plate(f"{INDEX} scatter=0.05 g=0.9", "")), rays=20_000, max_reflections=0)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("glass", "path", "intercept"),
+    [("trace", "tTA", "RandTran"), ("trace", "iTA", "ImpTran"), ("hazy", "TtTA", "RandTran")],
+)
+def test_refraction_holds_after_a_scatter_event(request, glass: str, path: str, intercept: str) -> None:
+    """Behind the plate the tangential part of the unit vector is n times that within it: Snell's law, to 1e-12."""
+    trace = request.getfixturevalue(glass)
+    row = next(row for row in trace.paths if row.path == path)
+    assert (row.kind, row.scatters) == ("single scatter", 1)
+    assert row.scatter_1.startswith("(1.5" if glass == "hazy" else "front")
+    assert {text.split()[-3] for text in trace.rays(f"path_id = {row.path_id}", n=20).history} == {intercept}
+    table, nodes = trace.history(row.path_id, 50).to_pandas(), len(path) + 1
+    before = ["Emitted"] if glass == "trace" else ["Emitted", "SpecTran"]
+    assert list(table.intercept[:nodes]) == [*before, intercept, "SpecTran", "Absorbed"]
+    points = table[["x_mm", "y_mm", "z_mm"]].to_numpy().reshape(-1, nodes, 3)
+    directions = table[["dx", "dy", "dz"]].to_numpy().reshape(-1, nodes, 3)[:, :-1]
+    steps = np.diff(points, axis=1)
+    lengths = np.linalg.norm(steps, axis=2)
+    np.testing.assert_allclose(directions[:, -1, :2], INDEX * directions[:, -2, :2], atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=2), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(directions * lengths[:, :, None], steps, atol=1e-11)
+    index = [1.0, *[INDEX] * (nodes - 3), 1.0]
+    np.testing.assert_allclose(np.diff(table.opl_mm.to_numpy().reshape(-1, nodes), axis=1), lengths * index, rtol=1e-12)
+    np.testing.assert_allclose(points[:, -2:, 2], np.broadcast_to([5.0, 20.0], (len(points), 2)), atol=1e-12)
+    depth = points[:, len(before), 2]
+    assert np.all((depth > 0) & (depth < 5)) if glass == "hazy" else np.allclose(depth, 0, atol=1e-12)
+    turned = np.linalg.norm(directions[:, -2, :2], axis=1)
+    assert np.count_nonzero(turned > 1e-6) > 0.9 * len(turned)
+
+
+def test_the_table_holds_random_and_aimed_light(trace) -> None:
+    """Both together are one row of `by_way`; the errors of all paths together are those of the energy ledger."""
+    assert trace.paths[0].path == "TTA"
+    assert {row.path for row in trace.paths[1:]} == {"tTA", "iTA"}
+    rows = trace.paths.by_way()
+    assert list(rows.path) == ["TTA", "tTA"]
+    scattered = [row for row in trace.paths if row.scatters]
+    assert rows.power_W[1] == pytest.approx(sum(row.power_W for row in scattered), rel=1e-9)
+    power, se = trace.paths.power(range(len(trace.paths)))
+    assert power == pytest.approx(trace.energy.detected_W, rel=1e-9)
+    assert se == pytest.approx(trace.energy.detected_se_W, rel=1e-6)
