@@ -22,9 +22,9 @@ def shape(kind="asphere", sensor=False, z=0.0, bsdf=None, **numbers):
 
 def paraboloid(scale=1.0, obstruction=OBSTRUCTION, half_width=None, **light):
     """A concave mirror at z = 0 whose focus, in front of it, is a disc that takes the middle of the beam."""
-    stop = {"half_width": half_width * scale, "half_height": half_width * scale} if half_width else {
-        "semi_diameter": obstruction * RADIUS * scale
-    }  # fmt: skip
+    stop = {"semi_diameter": obstruction * RADIUS * scale}
+    if half_width:
+        stop = {"half_width": half_width * scale, "half_height": half_width * scale}
     return {
         "type": "scene",
         "light": {"type": "collimated", "radius": 2 * RADIUS * scale, "wavelength_nm": 550.0, **light},

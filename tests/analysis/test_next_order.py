@@ -108,15 +108,9 @@ def test_the_pst_shown_is_that_which_changes_more() -> None:
 def test_a_baffle_without_light_of_one_scatter() -> None:
     """From 40° the lens sees no wall that is lit: what arrives has been scattered twice at least."""
     scene = mistray.load("baffle_tube")
-    arguments: dict[str, Any] = {"seed": 3}
-    once, twice, found = (
-        mistray.pst(scene, [40.0], **arguments, **more)
-        for more in (
-            {"rays": 16_000, "max_scatters": 1},
-            {"rays": 8_000, "max_scatters": 2},  # half of the rays, whatever the time
-            {"rays": 16_000, "max_scatters": 1, "next_order": True},
-        )
-    )
+    once = mistray.pst(scene, [40.0], rays=16_000, max_scatters=1, seed=3)
+    twice = mistray.pst(scene, [40.0], rays=8_000, max_scatters=2, seed=3)  # half of the rays, whatever the time
+    found = mistray.pst(scene, [40.0], rays=16_000, max_scatters=1, seed=3, next_order=True)
     assert found.facts["settings"]["max_scatters"] == 2
     assert found.stray[0] == pytest.approx(twice.stray[0], rel=1e-12) != pytest.approx(once.stray[0])
     scatter, reflection = found.next_orders
@@ -168,9 +162,9 @@ def scene():
 def test_each_curve_has_its_limits(scene):
     """Less light under each limit; one scatter event at most is a part of all."""
     found = mistray.first_level(scene, ANGLES, rays=40_000, max_scatters=2, max_reflections=3)
-    limits = {name: [one.facts["settings"][f"max_{what}"] for what in ("scatters", "reflections")]
-              for name, one in found.curves.items()}  # fmt: skip
-    assert limits == {"scatter once": [1, 0], "ghosts off": [2, 0], "scatter off": [0, 3], "all": [2, 3]}
+    limits = {"scatter once": [1, 0], "ghosts off": [2, 0], "scatter off": [0, 3], "all": [2, 3]}
+    for name, one in found.curves.items():
+        assert [one.facts["settings"][f"max_{what}"] for what in ("scatters", "reflections")] == limits[name]
     table = found.to_pandas()
     assert list(table.columns) == ["angle_deg", *(f"{name}{end}" for name in limits for end in ("", "_se"))]
     np.testing.assert_array_equal(table.angle_deg, ANGLES)

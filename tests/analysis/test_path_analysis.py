@@ -166,14 +166,9 @@ def test_optical_spaces(load_scene: Any) -> None:
 
 
 def test_wrong_aliases(lenses: Any) -> None:
-    for aliases, named in (
-        ({"c_*": "third"}, ("third", "'c_\\*'")),
-        ({"a_*": "=first"}, ("=first", "first")),
-        ("parent", ("parent", "'part'")),
-    ):
-        with pytest.raises(mistray.MistrayError, match=named[0]) as caught:
+    for aliases, named in (({"c_*": "third"}, r"'c_\*'"), ({"a_*": "=first"}, "=first"), ("parent", "'part'")):
+        with pytest.raises(mistray.MistrayError, match=named):
             lenses.paths.by_way(aliases)
-        assert named[1].replace("\\", "") in str(caught.value)
 
 
 @pytest.mark.long

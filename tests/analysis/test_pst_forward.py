@@ -73,7 +73,7 @@ def forward_pst(
 class TestClosedForms:
     """Every assertion allows for chance once in 1000 runs over all its numbers."""
 
-    def test_bare_detector(self, bare) -> None:
+    def test_bare_detector_and_its_maps(self, bare, load_scene) -> None:
         """PST_normal is the mean of cos θ, PST_projected is 1 but for the mean of a quotient."""
         grid = DirectionGrid.of(ANGLES)
         found = forward_pst(bare, grid, rays=60_000)
@@ -82,6 +82,19 @@ class TestClosedForms:
         projected = found.to("projected")
         assert_z("PST_projected", projected.value, np.ones(6), projected.standard_error)
         assert np.all(projected.standard_error < 0.01)
+        # The mean over a flat detector is its value, and what it absorbs does not matter: R = 0, and R = 0.7
+        grid = DirectionGrid.of([0.0, 40.0])
+        found, grey = (
+            forward_pst(scene, grid, rays=100_000, map_pixels=6)
+            for scene in (bare, load_scene(bare_text(interface_xml(R=0.7))))
+        )
+        assert found.maps.shape == (2, 2, 1, 6, 6)  # a square film
+        np.testing.assert_allclose(found.maps[0].mean(axis=(1, 2, 3)), found.value, rtol=1e-6)
+        value, se = found.irradiance(40.0)
+        assert_z("pixels", value, np.full((6, 6), found.grid.mean_cosine[1]), se)
+        assert found.extent_mm == (-2.0, 2.0, -1.0, 1.0)
+        np.testing.assert_allclose(grey.value, found.value, rtol=1e-6)
+        np.testing.assert_allclose(grey.maps, found.maps, rtol=1e-6)
 
     def test_tilted_detector(self, load_scene) -> None:
         """Angles are measured from the axis of the grid."""
@@ -92,9 +105,8 @@ class TestClosedForms:
         found = forward_pst(scene, grid, rays=40_000)
         assert_z("PST_normal", found.value, grid.mean_cosine, found.standard_error)
         # A detector that faces +y sees light by sin θ times the cosine of its azimuth, from either side
-        scene = load_scene(
-            scatter_scene(placed_xml("asphere", "detector", facing=(0.0, 1.0, 0.0), pixels=4, semi_diameter=1.0))
-        )
+        aside = placed_xml("asphere", "detector", facing=(0.0, 1.0, 0.0), pixels=4, semi_diameter=1.0)
+        scene = load_scene(scatter_scene(aside))
         grid = DirectionGrid.of([30.0, 60.0], azimuths_deg=[0.0, 60.0, 90.0, 180.0], azimuth_cell_deg=20.0)
         found = forward_pst(scene, grid, rays=40_000)
         half = np.radians(10.0)
@@ -107,31 +119,24 @@ class TestClosedForms:
     def test_window(self, load_scene, entrance: Entrance | None) -> None:
         """Direct light T² cos θ, ghosts of two reflections T² R² cos θ; a smaller beam that holds it all is as good."""
         grid = DirectionGrid.of([0.0, 20.0, 40.0, 60.0])
-        found = forward_pst(
-            load_scene(window_text()), grid, rays=300_000 if entrance is None else 60_000, entrance=entrance
-        )
+        rays = 300_000 if entrance is None else 60_000
+        found = forward_pst(load_scene(window_text()), grid, rays=rays, entrance=entrance)
         direct = cell_mean(grid, lambda t: (1 - glass_reflectance(t)) ** 2 * np.cos(t))
         ghost = cell_mean(grid, lambda t: ((1 - glass_reflectance(t)) * glass_reflectance(t)) ** 2 * np.cos(t))
         for name, expected in (("direct", direct), ("ghost", ghost)):
             value, se = found.curve(name)
             assert_z(name, value, expected, se)
             assert np.all(se < 0.02 * value)
-        assert list(found.paths(20.0).events) == [
-            "front:T rear:T detector:A",
-            "front:T rear:R front:R rear:T detector:A",
-        ]
+        ways = ["front:T rear:T detector:A", "front:T rear:R front:R rear:T detector:A"]
+        assert list(found.paths(20.0).events) == ways
         assert found.facts["entrance"] == (None if entrance is None else {"centre": [0.0, 0.0, 2.0], "radius": 1.8})
 
     def test_diffuser(self, load_scene) -> None:
         """A Lambertian sheet over a disc: once scattered light ρ cos θ F, aimed and random rays in one path."""
         rho, a, b, gap = 0.4, 3.0, 1.0, 1.5
-        scene = load_scene(
-            scatter_scene(
-                beam_xml(1.0),
-                placed_xml("asphere", "sheet", diffuser_xml(rho), semi_diameter=a),
-                placed_xml("asphere", "detector", at=(0.0, 0.0, gap), pixels=4, semi_diameter=b),
-            )
-        )
+        sheet = placed_xml("asphere", "sheet", diffuser_xml(rho), semi_diameter=a)
+        detector = placed_xml("asphere", "detector", at=(0.0, 0.0, gap), pixels=4, semi_diameter=b)
+        scene = load_scene(scatter_scene(beam_xml(1.0), sheet, detector))
         grid = DirectionGrid.of([0.0, 30.0, 70.0])
         found = forward_pst(scene, grid, rays=60_000)
         value, se = found.curve("single_scatter")
@@ -153,21 +158,6 @@ class TestClosedForms:
         assert_z("PST_normal", found.value, 0.65 * grid.mean_cosine, found.standard_error)
         assert (found.facts["wavelength_nm"], found.facts["weights"]) == ([500.0, 600.0], [0.75, 0.25])
         assert found.weight.sum(axis=-1) == pytest.approx(1.0)
-
-    def test_maps(self, load_scene, bare) -> None:
-        """The mean over a flat detector is its value, and what it absorbs does not matter: R = 0, and R = 0.7."""
-        grid = DirectionGrid.of([0.0, 40.0])
-        found, grey = (
-            forward_pst(scene, grid, rays=100_000, map_pixels=6)
-            for scene in (bare, load_scene(bare_text(interface_xml(R=0.7))))
-        )
-        assert found.maps.shape == (2, 2, 1, 6, 6)  # a square film
-        np.testing.assert_allclose(found.maps[0].mean(axis=(1, 2, 3)), found.value, rtol=1e-6)
-        value, se = found.irradiance(40.0)
-        assert_z("pixels", value, np.full((6, 6), found.grid.mean_cosine[1]), se)
-        assert found.extent_mm == (-2.0, 2.0, -1.0, 1.0)
-        np.testing.assert_allclose(grey.value, found.value, rtol=1e-6)
-        np.testing.assert_allclose(grey.maps, found.maps, rtol=1e-6)
 
 
 class TestBudget:
@@ -202,9 +192,7 @@ class TestBudget:
         same = forward_pst(bare, found.grid, rays=5000, settings=Settings(rays=5000, seed=3))
         np.testing.assert_array_equal(same.by_batch, again)
         assert np.all(again.sum(axis=-1)[0] != other.sum(axis=-1)[0])
-
-    def test_passes_are_one_run(self, bare) -> None:
-        """What several passes find is as good as one of as many rays: the error falls as the root of the rays."""
+        # What several passes find is as good as one of as many rays: the error falls as the root of the rays
         grid = DirectionGrid.of([20.0])
         one = forward_pst(bare, grid, rays=16 * FIRST_RAYS)
         several = forward_pst(bare, grid, rays=16 * FIRST_RAYS, relative_error=1e-5)
@@ -262,12 +250,9 @@ def test_bad_input_is_one_line(bare) -> None:
     ):
         with pytest.raises(MistrayError, match=message):
             mistray.pst(bare, [10.0], method="forward", **arguments)
-    for call, message in (
-        (lambda: Entrance((0.0, 0.0, 0.0), -1.0), "entrance: radius is -1 mm"),
-        (lambda: Entrance((0.0, float("nan"), 0.0), 1.0), "entrance: centre is"),
-    ):
-        with pytest.raises(MistrayError, match=message):
-            call()
+    for centre, radius, message in (((0.0, 0.0), -1.0, "radius is -1 mm"), ((float("nan"), 0.0), 1.0, "centre is")):
+        with pytest.raises(MistrayError, match=f"entrance: {message}"):
+            Entrance((0.0, *centre), radius)
 
 
 THICKNESS, RADIUS, CELL_DEG = 10.0, 30.0, 1.0  # mm, mm, degrees

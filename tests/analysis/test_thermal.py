@@ -36,9 +36,8 @@ RADIANCE = planck.band_radiance(293.0, *BAND)  # its tests have oracles of their
 
 def detector_xml(half: float = 0.01, **values: float | str) -> str:
     """A small square detector at the origin, light comes from -z."""
-    return placed_xml(
-        "asphere", "detector", interface_xml(**{"R": 0.0, **values}), pixels=4, half_width=half, half_height=half
-    )
+    bsdf = interface_xml(**{"R": 0.0, **values})
+    return placed_xml("asphere", "detector", bsdf, pixels=4, half_width=half, half_height=half)
 
 
 Load = Callable[..., mi.Scene]
@@ -90,11 +89,9 @@ class TestConeOfOptics:
 
     def test_the_image_comes_by_the_design_path(self, load: Load) -> None:
         """A detector at the focus of a mirror: the sky beside the mirror is no image."""
-        mirror = interface_xml(R=0.9, mirror=True)
+        mirror, size = interface_xml(R=0.9, mirror=True), {"half_width": 0.05, "half_height": 0.05}
         scene = load(
-            placed_xml(
-                "asphere", "detector", at=(0, 0, 50), facing=(0, 0, -1), pixels=4, half_width=0.05, half_height=0.05
-            ),
+            placed_xml("asphere", "detector", at=(0, 0, 50), facing=(0, 0, -1), pixels=4, **size),
             placed_xml("asphere", "mirror", mirror, at=(0, 0, 100), radius=-100.0, conic=-1.0, semi_diameter=10.3),
         )
         report = thermal(scene, 293.0, BAND, rays=200_000, aim="none", seed=4)
@@ -134,9 +131,8 @@ class TestNarcissus:
         ]  # fmt: skip
         wall = placed_xml("frustum", "wall", r0=10 * sine, z0=-10 * math.cos(math.asin(sine)), r1=10 * sine, z1=1.0)
         cold = {"detector": row.T_cold}
-        report = thermal(
-            load(detector_xml(0.02), *shapes, wall), row.T_housing, BAND, temperatures=cold, rays=400_000, seed=3
-        )
+        scene = load(detector_xml(0.02), *shapes, wall)
+        report = thermal(scene, row.T_housing, BAND, temperatures=cold, rays=400_000, seed=3)
         # The vector holds to first order: the window also reflects the scene away
         nitd = row.NITD_K / (1 - row.R * row.fraction_of_cone_returning_cold)
         view = row.R * row.fraction_of_cone_returning_cold * sine**2
@@ -313,9 +309,8 @@ class TestCavity:
             placed_xml("asphere", "floor", wall_xml(0.2), at=(0, 0, 0.5), semi_diameter=3.0),
         )
         many = {"max_reflections": 60, "max_scatters": 60, "splitting": "one", "below_threshold": "roulette"}
-        report = thermal(
-            scene, 293.0, BAND, wavelengths_um=[8.0, 10.0, 12.0], rays=40_000, seed=4, flux_threshold=1e-3, **many
-        )
+        many |= {"wavelengths_um": [8.0, 10.0, 12.0], "rays": 40_000, "seed": 4, "flux_threshold": 1e-3}
+        report = thermal(scene, 293.0, BAND, **many)
         total = report.total_W_mm2.value + report.lost_W_mm2
         assert report.lost_W_mm2 < 0.01 * total
         check("total", (total, report.total_W_mm2.se), 1.5**2 * math.pi * RADIANCE, 0.01)
@@ -325,7 +320,7 @@ class TestCavity:
 
 def test_absorbing_medium(load: Load) -> None:
     """Constant k and index 1: 1 - exp(-4πk t/(λ cos θ)) over angle and band; interpolation in λ costs 1e-3."""
-    k, thickness, radius, near = 2e-4, 5.0, 5.0, 1.0
+    k, thickness, near = 2e-4, 5.0, 1.0
     medium = f"1+{k:g}i"
     scene = load(
         detector_xml(),
@@ -335,7 +330,6 @@ def test_absorbing_medium(load: Load) -> None:
     )
     report = thermal(scene, 350.0, (3.0, 5.0), temperatures={medium: 300.0}, rays=100_000, seed=5)
     assert {3.0, 4.0, 5.0} <= set(report.wavelengths_um)
-    assert radius < 50
 
     def absorbed(wave: float) -> float:
         depth = 4e3 * math.pi * k * thickness / wave
@@ -345,7 +339,6 @@ def test_absorbing_medium(load: Load) -> None:
     (slab,) = (e for e in report.emitters if e.kind == "medium")
     assert (slab.name, slab.temperature_K) == (medium, 300.0)
     assert slab.irradiance_W_mm2.se < 0.01 * expected
-    assert slab.irradiance_W_mm2.value == pytest.approx(expected, rel=4 * 0.01)
     assert_z("slab", slab.irradiance_W_mm2.value, expected, slab.irradiance_W_mm2.se, k=4.0, floor=4e-3 * expected)
     assert f"({medium})" in report.by_part()
 
@@ -357,10 +350,11 @@ def test_band_weights() -> None:
     assert np.all(weights > 0)
     assert weights.sum() == pytest.approx(RADIANCE, rel=1e-12)
     values = np.array([0.3, 0.8, 0.1, 0.5])
-    expected = quad(
-        lambda w: float(np.interp(w, nodes, values) * planck.spectral_radiance(w, 293.0)), *BAND, points=nodes[1:3]
-    )[0]
-    assert weights @ values == pytest.approx(expected, rel=1e-10)
+
+    def light(wave: float) -> float:
+        return float(np.interp(wave, nodes, values) * planck.spectral_radiance(wave, 293.0))
+
+    assert weights @ values == pytest.approx(quad(light, *BAND, points=nodes[1:3])[0], rel=1e-10)
     np.testing.assert_allclose(band_weights(293.0, BAND, [5.0]), [RADIANCE], rtol=1e-12)
     assert not band_weights(0.0, BAND, nodes).any()
 
@@ -395,9 +389,7 @@ class TestWavelengths:
         """Integrals of what a body absorbs, 1 - exp(-4πk t/λ), and passes are met to 1 %; three lines miss by half."""
         scene = load(
             placed_xml("asphere", "front", interface_xml("air", material), at=(0, 0, -200), semi_diameter=10.0),
-            placed_xml(
-                "asphere", "rear", interface_xml(material, "air"), at=(0, 0, thick_mm - 200), semi_diameter=10.0
-            ),
+            placed_xml("asphere", "rear", interface_xml(material, "air"), at=(0, 0, thick_mm - 200), semi_diameter=10),
             detector_xml(),
         )
 
@@ -420,27 +412,24 @@ class TestWavelengths:
         assert off > 0.1
         assert three.error > off
 
-    def test_unknown_there(self, load: Load) -> None:
+    def test_unknown_there_and_bad_input(self, load: Load) -> None:
         glass = placed_xml("asphere", "lens", interface_xml("air", "N-BK7"), at=(0, 0, -5), semi_diameter=2.0)
         scene = load(glass, detector_xml())
         with pytest.raises(MistrayError, match=r"surface 'lens' at 8 µm: .*2500 nm.*"):
             thermal(scene, 293.0, BAND)
         report = thermal(scene, 293.0, BAND, wavelengths_um=2.0, rays=1000, aim="none")
         assert "outside of the band" in report.notes[-1]
-
-
-def test_bad_input(load: Load) -> None:
-    scene = load(detector_xml(), placed_xml("asphere", "window", at=(0, 0, -5), semi_diameter=1.0))
-    for arguments, words in (
-        ({"temperature_K": -3.0}, "temperature_K is -3; it must lie between 0 and 1e6 K"),
-        ({"band_um": (12.0, 8.0)}, "band_um is 12 to 8; give the shorter"),
-        ({"wavelengths_um": [9.0, 8.0]}, "give one or more in ascending order"),
-    ):
-        with pytest.raises(MistrayError, match=words):
-            thermal(scene, rays=1000, aim="none", **arguments)
-    for values, words in (
-        ({}, "give detectivity, quantum_efficiency or both"),
-        ({"quantum_efficiency": 1.2}, "quantum_efficiency is 1.2"),
-    ):
-        with pytest.raises(MistrayError, match=words):
-            DetectorNoise(pixel_um=15.0, bandwidth_hz=500.0, **values)
+        scene = load(detector_xml(), placed_xml("asphere", "window", at=(0, 0, -5), semi_diameter=1.0))
+        for arguments, words in (
+            ({"temperature_K": -3.0}, "temperature_K is -3; it must lie between 0 and 1e6 K"),
+            ({"band_um": (12.0, 8.0)}, "band_um is 12 to 8; give the shorter"),
+            ({"wavelengths_um": [9.0, 8.0]}, "give one or more in ascending order"),
+        ):
+            with pytest.raises(MistrayError, match=words):
+                thermal(scene, rays=1000, aim="none", **arguments)
+        for values, words in (
+            ({}, "give detectivity, quantum_efficiency or both"),
+            ({"quantum_efficiency": 1.2}, "quantum_efficiency is 1.2"),
+        ):
+            with pytest.raises(MistrayError, match=words):
+                DetectorNoise(pixel_um=15.0, bandwidth_hz=500.0, **values)

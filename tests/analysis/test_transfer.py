@@ -146,13 +146,9 @@ def test_the_classes_are_those_of_the_path_table(name, field):
 
 def test_edges_that_diffract_are_a_class_of_their_own(load_scene):
     edge = scattering_xml([bsdf_xml("edge_diffraction", width_mm=0.05)], T=1.0, R=0.0)
-    scene = load_scene(
-        scatter_scene(
-            beam_xml(3.0),
-            placed_xml("frustum", "rim", edge, r0=2.95, z0=0.0, r1=3.0, z1=0.0),
-            placed_xml("asphere", "detector", at=(0, 0, 50.0), pixels=8, semi_diameter=20.0),
-        )
-    )
+    rim = placed_xml("frustum", "rim", edge, r0=2.95, z0=0.0, r1=3.0, z1=0.0)
+    detector = placed_xml("asphere", "detector", at=(0, 0, 50.0), pixels=8, semi_diameter=20.0)
+    scene = load_scene(scatter_scene(beam_xml(3.0), rim, detector))
     spread = ImageSpread("spread", (0.0, 0.0), 1e-3, 1e2, np.zeros((0, 2)), design_of(scene))
     t = mistray.trace(scene, rays=20_000, recorders=[spread])
     kinds = t.paths.to_pandas().groupby("kind").power_W.sum()

@@ -20,7 +20,6 @@ from report.fake_trace import SHARES, FakeTrace, ghosts_of, trace_at, trace_in_c
 import mistray
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
-from mistray.errors import MistrayError
 from mistray.report import Look, write_all
 from mistray.report import ghosts_output as output
 from mistray.report.figures.figure import Figure as Drawing
@@ -30,7 +29,6 @@ from mistray.report.ghosts.report import html_text, write_html
 from mistray.report.html.embedded import palette_png
 from mistray.report.html.render import html_page, html_parts
 from mistray.report.model import FigurePart, Folded, Html, Items, Map, NotePart, Report, Section, Table, Terms, columns
-from mistray.report.output import writable_directory
 from mistray.report.pdf import _cell, _Writer, pdf_bytes
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import FIGURE, within
@@ -138,19 +136,6 @@ def test_a_failure_leaves_nothing(report: GhostReport, tmp_path: Path, monkeypat
     with pytest.raises(RuntimeError, match="out of paper"):
         write_all(report, tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
-    # Files of others stay, and folders are made
-    monkeypatch.setattr(output, "draw", lambda report, _: ({"overview.png": b"picture"}, report))
-    monkeypatch.setattr(output, "pages", lambda *_: {"report.html": b"text"})
-    out = tmp_path / "a" / "b"
-    write_all(report, out)
-    (out / "notes.txt").write_text("mine")
-    (out / "paths.csv").write_text("old")
-    write_all(report, out)
-    assert (out / "notes.txt").read_text() == "mine"
-    assert (out / "paths.csv").read_text().startswith("field_deg,")
-    assert ((out / "report.html").read_text(), (out / "overview.png").read_bytes()) == ("text", b"picture")
-    with pytest.raises(MistrayError, match="is a file; name a directory"):
-        writable_directory(out / "notes.txt")
 
 
 ghosts_output = importlib.import_module("mistray.report.ghosts_output")

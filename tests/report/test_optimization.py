@@ -57,11 +57,9 @@ def out(result: Optimization, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_tables(result: Optimization, out: Path) -> None:
     rows = pd.read_csv(out / "terms.csv")
     assert len(rows) == len(result.comparison.rows) == 1 + 2 + 2 + 4 + 1
-    assert list(rows.iloc[0][["term", "unit"]]) == ["ghosts", "W/W"]
     assert rows.iloc[0][["field_deg", "wavelength_nm"]].isna().all()
     assert rows.after[0] == pytest.approx(result.comparison.total.after, rel=1e-8)
     assert list(rows.iloc[8][["field_deg", "wavelength_nm"]]) == [2, 600]
-    assert rows.term[9] == "price"
     moved = pd.read_csv(out / "variables.csv").set_index("parameter")
     layers = [f"front.thickness_nm[{k}]" for k in (0, 1)] + ["rear.thickness_nm[0]"]
     assert set(moved.index) == {*layers, "front.n_shift[0]", "rear.n_shift[0]"}
@@ -115,15 +113,12 @@ def test_without_coatings(tmp_path: Path) -> None:
 
 
 def test_text_and_record(result: Optimization, out: Path) -> None:
-    tables = (terms_table(result), comparison_table(result.comparison), variables_table(result))
     text = report_text(result)
+    tables = terms_table(result), comparison_table(result.comparison), variables_table(result)
     assert all(table in text for table in tables)
-    terms, compared, variables = (table.splitlines() for table in tables)
-    starts = [line.split("W/W")[0].split() for line in compared[2:7]]
-    assert starts == [["ghosts", "all"], ["field", "0°"], ["field", "2°"], ["500", "nm"], ["600", "nm"]]
-    assert terms[-1].split()[-3:] == ["≤", "225", "yes"]
-    rows = {line.split()[0]: line for line in variables}
-    assert "70* " in rows["rear.thickness_nm[0]"], "the quarter wave lies beyond"
+    assert tables[0].split()[-3:] == ["≤", "225", "yes"]
+    (row,) = (line for line in tables[2].splitlines() if line.startswith("rear.thickness_nm[0]"))
+    assert "70* " in row, "the quarter wave lies beyond"
     record = json.loads(json.dumps(optimization_record(result), allow_nan=False))
     assert record["holds"] == {"ghosts": True, "price": True}
     assert {row["name"]: row["after"] for row in record["variables"]} == pytest.approx(result.after)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +76,11 @@ def test_curve_frame_holds_the_means_of_the_batches(pst: Pst) -> None:
     assert edge == pytest.approx(26.0, abs=0.05)  # of the logistic edge that the camera has
     assert field_edge(fake_pst(field_deg=(0, 5, 10))) is None
     assert field_edge(fake_pst(field_deg=(40, 50))) is None
+    # Notes and large errors are warnings
+    assert fake_pst().notes == FACTS["notes"]
+    (noisy,) = fake_pst(field_deg=(0, 70, 80), noise=0.5, notes=[]).notes
+    assert re.match("standard error up to .* at 70, 80°", noisy)
+    assert "angles from" in fake_pst(noise=1.0, notes=[]).notes[0]
 
 
 def test_cells_and_paths_of_each_angle_and_azimuth(around: Pst) -> None:
@@ -111,7 +117,6 @@ def test_curve_text_has_the_numbers_with_their_errors(pst: Pst) -> None:
     assert float(error) == pytest.approx(pst.stray_se[20], rel=0.1)
     assert classes[0] == "–"  # no direct light there
     assert float(share) == 0.2
-    assert ("straight shot" in text, "straight shot" in curve_text(fake_pst(field_deg=(0, 20)))) == (True, False)
     assert stray_paths(pst, 44.0).label.isin(["straight shot"]).sum() == 1
     assert rows(curve_text(fake_pst(dark_from_deg=50)))[-1][:-1] == ["80", *["–"] * 7]
     # The strongest paths stand beside each other with their shares
@@ -120,19 +125,11 @@ def test_curve_text_has_the_numbers_with_their_errors(pst: Pst) -> None:
     assert angle == "20"
     assert [first, second] == list(expected.label) == ["barrel_1 (structure)", "detector → L1_rear"]
     assert [float(share), float(second_share)] == pytest.approx(list(expected.percent_of_stray), rel=5e-3)
-    # Names are those of the rows, whatever the other rows of an angle are
-    one = fake_pst(field_deg=(40,))
-    one.path_rows.loc[one.path_rows.scatter_1 == "stop_wall", "label"] = "L1_front:T barrel_1:r mirror:R"
-    text = top_paths_text(one, 4)
-    assert "scatter at barrel_1  " in text
-    assert "  L1_front:T barrel_1:r mirror:R" in text
 
 
 def test_text(pst: Pst) -> None:
     text = pst_text(pst)
     assert "edge of the field, half of the direct light at 0°, interpolated: 26.1°" in text
-    assert "cos θ" in pst_text(pst.to("projected"))
-    assert "30° of azimuth" in pst_text(fake_pst(field_deg=(0, 20), azimuths_deg=range(0, 360, 30)))
     assert "Strongest stray paths" not in pst_text(fake_pst(paths=False))
     assert "Strongest stray paths" not in pst_text(pst, 0)
     breaks = rows(text[text.index("Breaks of the curve") : text.index("±: one standard error")])
@@ -145,12 +142,6 @@ def test_text(pst: Pst) -> None:
     assert record["field_edge_deg"] is None
     assert all(row["pst_total"] == 0 for row in record["curve"])
     assert "it sees no opening" in html_page(pst_report(dark))
-    # Notes and large errors are warnings
-    assert fake_pst().notes == FACTS["notes"]
-    (noisy,) = fake_pst(field_deg=(0, 70, 80), noise=0.5, notes=[]).notes
-    assert noisy.startswith("standard error up to ")
-    assert "at 70, 80°" in noisy
-    assert "angles from" in fake_pst(noise=1.0, notes=[]).notes[0]
 
 
 def test_files(around: Pst, written: Path, tmp_path: Path) -> None:
@@ -167,7 +158,6 @@ def test_files(around: Pst, written: Path, tmp_path: Path) -> None:
     assert {file.name for file in files} == {"pst.csv", "pst.png", "pst.json", "report.html"}
     record = json.loads((written / "pst.json").read_text(encoding="utf-8"))
     assert (record["title"], record["convention"]) == ("a <b> & c", "normal")
-    assert [row["angle_deg"] for row in record["curve"]] == [0, 20, 40]
     assert record["curve"][1]["pst_total"] == pytest.approx(around.value[1])
     assert [len(row["paths"]) for row in record["curve"]] == [3, 3, 3]
     assert (len(record["cells"]), record["facts"]["seed"]) == (12, 0)
@@ -202,10 +192,7 @@ def test_curve_shows_every_class_with_its_error(mapped: Pst) -> None:
     for label, group in names.items():
         value = mapped.curve(group)[0]
         np.testing.assert_array_equal(lines(above)[label].get_ydata(), np.where(value > 0, value, np.nan))
-    assert above.get_yscale() == "log"
     assert "edge of the field, 26.1°" in texts(above)
-    assert "cos θ" in pst_curve(mapped.to("projected")).axes[0].get_ylabel()
-    assert not texts(pst_curve(fake_pst(field_deg=(40, 50))).axes[0])
     # Bands are one standard error, which stands below with the one that was asked for
     value, se = mapped.curve("total")
     vertices = above.collections[0].get_paths()[0].vertices
@@ -258,13 +245,11 @@ def test_causes_are_stacked_shares_and_irradiance_a_log_map(mapped: Pst) -> None
     assert len(labels) == 10
     assert labels[-1].endswith(" more")
     # Irradiance
-    axes, bar = pst_irradiance(mapped, 40.0).axes
+    axes, _ = pst_irradiance(mapped, 40.0).axes
     (image,) = axes.get_images()
     np.testing.assert_allclose(image.get_array(), np.log10(mapped.irradiance(40.0)[0]))
     assert tuple(image.get_extent()) == mapped.extent_mm
-    assert "W/mm²" in bar.get_ylabel()
     several = fake_pst(field_deg=(0, 60), azimuths_deg=(0, 90), map_pixels=4, dark_from_deg=50)
-    assert pst_irradiance(several, 0.0, 90.0).axes[0].get_title() == "source at 0°, azimuth 90°"
     assert texts(pst_irradiance(several, 60.0, 90.0).axes[0]) == ["no light"]
 
 
@@ -272,7 +257,6 @@ def test_causes_are_stacked_shares_and_irradiance_a_log_map(mapped: Pst) -> None
 def test_map_shows_the_cells_where_they_are(mapped: Pst) -> None:
     around = fake_pst(field_deg=(10, 20, 40), azimuths_deg=(0, 90, 200))
     panels = [axes for axes in pst_map(around).axes if axes.name == "polar"]
-    assert [axes.get_title() for axes in panels] == ["all light", "stray light: all but direct"]
     for axes, group in zip(panels, ("total", "stray"), strict=True):
         (mesh,) = [item for item in axes.collections if isinstance(item, QuadMesh)]
         corners, shown = mesh.get_coordinates(), mesh.get_array()
@@ -287,7 +271,5 @@ def test_map_shows_the_cells_where_they_are(mapped: Pst) -> None:
         between = np.isclose(middle[..., 1], 15.0)
         assert between.any()
         assert np.ma.getmaskarray(shown)[between].all()
-        assert axes.get_theta_offset() == pytest.approx(np.pi / 2)
-        assert axes.get_theta_direction() == 1
     with pytest.raises(MistrayError, match="two azimuths or more"):
         pst_map(mapped)

@@ -71,7 +71,6 @@ def test_main_table_names_the_worst_ghost_of_each_field(report):
     lines = main_table(report).splitlines()
     ghosts = [line for line in lines if "detector → L1_rear" in line]
     assert [line.split()[0] for line in ghosts] == ["0", "10", "20"]
-    assert all(" ± " in line for line in ghosts)
     assert any("of the direct image on axis" in line for line in lines)
     assert any(line.startswith("energy closure, worst field: ") for line in lines)
     # Limits that cut light are warnings, and so are an open balance, a coarse coating and few rays
@@ -103,7 +102,6 @@ def test_csv_holds_every_digit(report, tmp_path):
         accounted = power.drop(["launched", "unaccounted"]).sum()
         assert accounted == pytest.approx(power["launched"], rel=1e-12)
         assert list(rows.name[rows.entry == "absorbed in"]) == ["N-BK7"]
-    assert list(surfaces.columns[:4]) == ["field_deg", "id", "part", "space"]
     assert len(surfaces) == 3 * 6
 
 
@@ -128,7 +126,6 @@ def test_csv_per_wavelength_adds_up(colours, tmp_path):
     assert [len(ids.split()) for ids in whole.path_ids[whole.ghost_2 == "window_rear"]] == [2, 2]
     power = paths.groupby(["field_deg", "events"]).power_W.sum()
     pd.testing.assert_series_equal(power, whole.groupby(["field_deg", "events"]).power_W.sum(), rtol=1e-9)
-    assert list(tables["summary_per_wavelength.csv"].columns[:3]) == ["field_deg", "wavelength_nm", "paths"]
     # The printed table shows the spectrum below each path
     plain = main_table(colours)
     assert [line.split()[0] for line in plain.splitlines() if "detector → L1_rear" in line] == ["0", "10"]
@@ -137,7 +134,6 @@ def test_csv_per_wavelength_adds_up(colours, tmp_path):
     start = next(k for k, line in enumerate(lines) if "detector → L1_rear" in line)
     assert " all " in lines[start]
     assert [line.split()[0] for line in lines[start + 1 : start + 4]] == ["450", "550", "650"]
-    header = lines.index("Energy ledger") + 1
-    assert [line.split()[:3] for line in lines[header + 3 : header + 7]] == [
-        ["0", "all", "5"], ["0", "450", "1.25"], ["0", "550", "2.5"], ["0", "650", "1.25"],
-    ]  # fmt: skip
+    start = lines.index("Energy ledger") + 4
+    ledger = [["0", "all", "5"], ["0", "450", "1.25"], ["0", "550", "2.5"], ["0", "650", "1.25"]]
+    assert [line.split()[:3] for line in lines[start : start + 4]] == ledger
