@@ -28,9 +28,7 @@ GRID = DirectionGrid.of([0.0, 20.0, 50.0, 75.0], cell_deg=10.0)
 
 def traced(scene: Any, grid: DirectionGrid = GRID, passes: int = 1, rays: int = RAYS, **arguments: Any) -> Any:
     """A trace after some passes; arguments are those of `BackwardTrace` and the settings."""
-    own = {
-        key: arguments.pop(key) for key in ("paths", "both_sides", "wavelength_nm", "map_pixels") if key in arguments
-    }
+    own = {key: arguments.pop(key) for key in ("paths", "map_pixels") if key in arguments}
     trace = BackwardTrace(scene, grid, Settings.of(scene, **arguments), **own)
     for _ in range(passes):
         trace.advance(rays)
@@ -64,9 +62,11 @@ class TestSee:
             assert row.share >= row.emission * (1 - 1e-6)
             assert row.emission >= 0
 
-    @pytest.mark.parametrize(
-        "limits",
-        [
+    @pytest.mark.parametrize("name", ["plate_and_wall", "cooke_triplet"])
+    def test_limits_and_chances_are_booked(self, name: str) -> None:
+        """Without aiming every start ray weighs 1, so that the balance holds in each batch: to 1e-5."""
+        scene = mistray.load(name)
+        for limits in (
             {"max_events": 3},
             {"max_reflections": 0, "max_scatters": 0},
             {"flux_threshold": 0.05},
@@ -75,16 +75,10 @@ class TestSee:
             {"ray_control": "halt_all"},
             {"splitting": "one"},
             {"max_scatters": 3},
-        ],
-        ids=str,
-    )
-    @pytest.mark.parametrize("name", ["plate_and_wall", "cooke_triplet"])
-    def test_limits_and_chances_are_booked(self, name: str, limits: dict[str, Any]) -> None:
-        """Without aiming every start ray weighs 1, so that the balance holds in each batch: to 1e-5."""
-        seen = see(mistray.load(name), rays=3200, aim="none", **limits)
-        total, error = balance(seen)
-        assert total == pytest.approx(1.0, abs=1e-5)
-        assert error < 1e-6
+        ):
+            total, error = balance(see(scene, rays=3200, aim="none", **limits))
+            assert total == pytest.approx(1.0, abs=1e-5), limits
+            assert error < 1e-6
 
 
 def cell_sums(trace: BackwardTrace) -> np.ndarray:
@@ -95,7 +89,7 @@ class TestPathBook:
     SETTINGS = {"paths": True, "max_scatters": 2, "max_reflections": 2}
     CELLS = DirectionGrid.of([0.0, 20.0, 50.0, 75.0], [0.0, 90.0, 180.0, 270.0], cell_deg=10.0)
 
-    def test_listed_paths_add_up_to_the_cells(self, wall_scene) -> None:
+    def test_listed_paths_add_up_to_the_cells(self, wall_scene, monkeypatch) -> None:
         trace = traced(wall_scene, self.CELLS, passes=2, **self.SETTINGS)
         book = trace.paths()
         cells = cell_sums(trace)
@@ -109,8 +103,7 @@ class TestPathBook:
         plain = traced(wall_scene, self.CELLS, passes=2, **(self.SETTINGS | {"paths": False}))
         assert plain.paths() is None
         np.testing.assert_allclose(plain.sums["cells"], trace.sums["cells"], rtol=1e-12)
-
-    def test_full_book_leaves_out_paths_and_nothing_else(self, wall_scene, monkeypatch) -> None:
+        # A full book leaves out paths and nothing else
         whole = traced(wall_scene, self.CELLS, **self.SETTINGS)
         monkeypatch.setattr(backward, "PATH_SLOTS", 16)
         monkeypatch.setattr(backward, "ENTRY_SLOTS", 64)

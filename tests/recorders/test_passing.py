@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
+from oracles.scatter_scenes import bsdf_xml, scattering_xml
+from oracles.small_scenes import plates_text, scene_text, shape_xml
 
 import mistray
 from mistray.recorders import FarField, Probe
@@ -16,15 +17,14 @@ pytestmark = pytest.mark.quick
 
 def lambertian(f: float) -> str:
     """An opaque interface whose BRDF is f in every direction, 1/sr, and which mirrors the rest."""
-    numbers = "".join(f'<float name="{name}" value="{value}"/>' for name, value in (("A", 2 * f), ("B", 1), ("g", 0)))
-    return interface_xml(R=1.0, T=0.0).replace("</bsdf>", f'<bsdf type="abg">{numbers}</bsdf></bsdf>')
+    return scattering_xml([bsdf_xml("abg", A=2 * f, B=1.0, g=0.0)], R=1.0, T=0.0)
 
 
 def screen_text(f: float, radius: float) -> str:
     """A beam on a Lambertian screen at z = 0, with the detector in its shadow."""
     screen = shape_xml("asphere", "screen", 0.0, lambertian(f), semi_diameter=4.0)
-    text = scene_text(screen, shape_xml("asphere", "detector", 5.0, sensor=True, semi_diameter=0.1), radius=radius)
-    return text.replace('name="radius"', 'name="distance" value="2"/><float name="radius"', 1)
+    detector = shape_xml("asphere", "detector", 5.0, sensor=True, semi_diameter=0.1)
+    return scene_text(screen, detector, radius=radius, distance=2.0)
 
 
 class TestProbe:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +21,8 @@ SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*/scene.xml"))
 MODES = {
     "one in, one out": {"splitting": "one", "rays": 400_000},
     "roulette": {"splitting": "split", "below_threshold": "roulette", "flux_threshold": 3e-3, "rays": 60_000},
-    "one, roulette": {
-        "splitting": "one", "below_threshold": "roulette", "flux_threshold": 0.5, "rays": 400_000,
-    },
-}  # fmt: skip
+    "one, roulette": {"splitting": "one", "below_threshold": "roulette", "flux_threshold": 0.5, "rays": 400_000},
+}
 
 
 def lens_text(**coating: float) -> str:
@@ -54,10 +53,8 @@ def test_modes_agree_with_splitting(name: str, mode: str) -> None:
     totals = []
     for t in (split, other):
         e = t.energy
-        absorbed = [
-            sum(watt for watt, _ in e.absorbed.values()),
-            np.hypot.reduce([se for _, se in e.absorbed.values()]),
-        ]
+        watts, errors = zip(*e.absorbed.values(), strict=True)
+        absorbed = [sum(watts), np.hypot.reduce(errors)]
         totals.append([[e.detected_W, e.detected_se_W], [e.escaped_W, e.escaped_se_W], absorbed])
     (a, b) = np.array(totals).transpose(0, 2, 1)
     # what is cut by max_reflections and by the threshold moves between the books: 1e-6 of the launched flux
@@ -176,10 +173,8 @@ class TestStartRays:
         In units of those of random rays; of n rays in a batch both fall as 1/n or faster.
         """
         text = scene_text(shape_xml("asphere", "detector", 1.0, sensor=True, half_width=2.0, half_height=2.0))
-        square = text.replace(
-            'name="radius" value="1.0"', 'name="half_width" value="1"/><float name="half_height" value="1"'
-        )
-        scene, _ = load_text(square)
+        size = 'name="half_width" value="1"/><float name="half_height" value="1"'
+        scene, _ = load_text(text.replace('name="radius" value="1.0"', size))
         z, chi2, seeds = [], [], 200
         for seed in range(seeds):
             (run,) = prepare(scene, Settings(rays=rays, seed=seed))
@@ -212,9 +207,8 @@ class TestStartRays:
         scene, _ = load_text(lens_text())
         runs = [prepare(scene, Settings(rays=1000, seed=seed))[0] for seed in (0, 1, 7)]
         origins = [run.start_rays(np.arange(1000))[0] for run in runs]
-        for i in range(3):
-            for j in range(i):
-                assert np.intersect1d(origins[i][:, 0], origins[j][:, 0]).size < 10
+        for one, other in itertools.combinations(origins, 2):
+            assert np.intersect1d(one[:, 0], other[:, 0]).size < 10
 
 
 SIZE = 24
@@ -246,13 +240,13 @@ def test_rays_of_equal_weight_are_counted() -> None:
     found = image(even, 10.0)
     np.testing.assert_array_equal(found.few_rays, found.weights[0] < 10)
     np.testing.assert_array_equal(np.isnan(found.se), found.weights[0] < 10)
-
-
-def test_a_pixel_is_judged_by_those_around_it() -> None:
-    """Most pixels of 40 rays lack the heavy ones, and would have a small error without their neighbours."""
+    # Most pixels of 40 rays lack the heavy ones, and would have a small error without their neighbours
     found = image(uneven, 40.0)
     assert np.mean(found.value < 0.37 * 1000) > 0.5
     assert found.few_rays.mean() > 0.97  # some squares of the corners lack them, too
+    found = image(even, 4.0)
+    assert found.few_rays.mean() > 0.95
+    assert not found.few_in_squares(4).any()
 
 
 @pytest.mark.long
@@ -260,18 +254,11 @@ def test_a_pixel_is_judged_by_those_around_it() -> None:
 def test_errors_hold(draw: object, mean: float) -> None:
     """Of pixels 1.5 % at most are off by 3 errors: of 20 images of 576, above it by chance below once in 10⁹ times."""
     expected = 0.37 * mean * (1.0 if draw is even else 0.99 + 0.01 * 1000.0)
-    z = np.concatenate(
-        [((one.value - expected) / one.se)[~one.few_rays] for one in (image(draw, mean, seed) for seed in range(20))]
-    )
+    images = [image(draw, mean, seed) for seed in range(20)]
+    z = np.concatenate([((one.value - expected) / one.se)[~one.few_rays] for one in images])
     assert z.size > 0.5 * 20 * SIZE**2
     assert np.mean(np.abs(z) > 3) < 0.015
     assert 0.6 < np.mean(np.abs(z) < 1) < 0.8
-
-
-def test_squares_of_pixels_have_the_rays_of_all() -> None:
-    found = image(even, 4.0)
-    assert found.few_rays.mean() > 0.95
-    assert not found.few_in_squares(4).any()
 
 
 @pytest.mark.long

@@ -90,9 +90,11 @@ class TestPlates:
         table = tmp_path / "coating.csv"
         table.write_text("\n".join(lines), encoding="utf-8")
         scene, _ = load_text(plates_text(1, table=str(table)))
-        traced = mistray.trace(
-            scene, rays=256, field_deg=incidence_deg, wavelength_nm=550.0, max_reflections=40, flux_threshold=1e-12
+        light, limits = (
+            {"field_deg": incidence_deg, "wavelength_nm": 550.0},
+            {"max_reflections": 40, "flux_threshold": 1e-12},
         )
+        traced = mistray.trace(scene, rays=256, **light, **limits)
         r, t, back = coating(incidence_deg)
         loop = 1 - back * r  # the front seen from inside is its back, the rear seen from inside its front
         e = traced.energy
@@ -210,16 +212,13 @@ class TestGhostCounts:
 class TestTotalReflection:
     def test_rod(self, load_text) -> None:
         """A bare rod guides everything, also skew rays: T is that of the plate with R at the angle of incidence."""
-        glass = {"front": "1.5", "back": "air"}
-        scene, _ = load_text(
-            scene_text(
-                shape_xml("asphere", "rod_front", 0.0, interface_xml("air", "1.5"), semi_diameter=2.0),
-                shape_xml("frustum", "rod_side", 0.0, interface_xml(**glass), r0=2.0, z0=0.0, r1=2.0, z1=30.0),
-                shape_xml("asphere", "rod_rear", 30.0, interface_xml("1.5", "air"), semi_diameter=2.0),
-                shape_xml("asphere", "detector", 30.5, sensor=True, half_width=8.0, half_height=8.0),
-                radius=1.5,
-            )
+        rod = (
+            shape_xml("asphere", "rod_front", 0.0, interface_xml("air", "1.5"), semi_diameter=2.0),
+            shape_xml("frustum", "rod_side", 0.0, interface_xml("1.5", "air"), r0=2.0, z0=0.0, r1=2.0, z1=30.0),
+            shape_xml("asphere", "rod_rear", 30.0, interface_xml("1.5", "air"), semi_diameter=2.0),
+            shape_xml("asphere", "detector", 30.5, sensor=True, half_width=8.0, half_height=8.0),
         )
+        scene, _ = load_text(scene_text(*rod, radius=1.5))
         mean = {"rays": 4096, "field_deg": 30.0, "polarization": "unpolarized"}
         t = mistray.trace(scene, max_reflections=8, flux_threshold=1e-12, **mean)
         _, averaged = closed_forms.tilted_plate(1.5, 30.0)
@@ -245,9 +244,8 @@ class TestTotalReflection:
         def reflected(incidence_deg: float, **coating: float) -> mistray.Trace:
             face = shape_xml("asphere", "face", 0.0, interface_xml("1.5", "air", **coating), semi_diameter=50.0)
             screen = shape_xml("asphere", "detector", -20.0, sensor=True, half_width=60.0, half_height=60.0)
-            return mistray.trace(
-                load_text(scene_text(face, screen, distance=5.0))[0], rays=256, field_deg=incidence_deg
-            )
+            scene, _ = load_text(scene_text(face, screen, distance=5.0))
+            return mistray.trace(scene, rays=256, field_deg=incidence_deg)
 
         below, above, coated = reflected(41.7), reflected(41.9), reflected(50.0, R=0.1, T=0.7)
         assert [t.paths[0].path for t in (below, above, coated)] == ["RA", "IA", "IA"]

@@ -26,11 +26,17 @@ FIRST = [
 ]  # fmt: skip
 
 
+def assert_same_rays(one: pd.DataFrame, other: pd.DataFrame) -> None:
+    """In any order."""
+    key = ["wavelength_nm", "start_ray", "path_id", "x_mm", "y_mm", "flux_W"]
+    first, second = (table.sort_values(key, ignore_index=True)[FIRST[1:]] for table in (one, other))
+    pd.testing.assert_frame_equal(first, second)
+
+
 @pytest.fixture(scope="module")
 def triplet() -> Any:
-    return mistray.trace(
-        mistray.load("cooke_triplet"), rays=6000, field_deg=8.0, wavelength_nm=[486.1, 656.3], weights=[1.0, 3.0]
-    )
+    colours = {"wavelength_nm": [486.1, 656.3], "weights": [1.0, 3.0]}
+    return mistray.trace(mistray.load("cooke_triplet"), rays=6000, field_deg=8.0, **colours)
 
 
 @pytest.fixture(scope="module")
@@ -73,8 +79,7 @@ class TestAll:
         assert np.ptp(few.start_ray) > 0.7 * np.ptp(everything.start_ray)
         norms = np.linalg.norm(everything[["dx", "dy", "dz"]].to_numpy(), axis=1)
         np.testing.assert_allclose(norms, 1, rtol=1e-12)
-
-    def test_pixels_are_those_of_the_map(self, triplet: Any, everything: pd.DataFrame) -> None:
+        # Pixels are those of the map
         height, width = triplet.irradiance.shape
         image = np.zeros((height, width))
         absorbs = triplet.energy.detected_W / everything.flux_W.sum()
@@ -88,10 +93,7 @@ class TestAll:
         assert len(whole) == sum(row.rays for row in rough.paths)
         monkeypatch.setattr(ray_table, "CAPACITY", 1 << 11)
         again = rough.rays(n=None)
-        key = ["start_ray", "path_id", "x_mm", "y_mm", "flux_W"]
-        pd.testing.assert_frame_equal(
-            whole.sort_values(key, ignore_index=True)[FIRST[1:]], again.sort_values(key, ignore_index=True)[FIRST[1:]]
-        )
+        assert_same_rays(whole, again)
         monkeypatch.setattr(ray_table, "CAPACITY", 2)
         with pytest.raises(mistray.MistrayError, match=r"a single start ray has .* flux_threshold"):
             rough.rays(n=None)
@@ -102,8 +104,8 @@ class TestHotSpot:
     def test_box(self, rough: Any, fraction: tuple[float, ...]) -> None:
         """The rays of a box are those that `box` sums, path by path, and all rays that land there."""
         x0, x1, y0, y1 = rough.extent
-        box = (x0 + (x1 - x0) * fraction[0], x0 + (x1 - x0) * fraction[1],
-               y0 + (y1 - y0) * fraction[2], y0 + (y1 - y0) * fraction[3])  # fmt: skip
+        low, size = np.array([x0, x0, y0, y0]), np.array([x1 - x0, x1 - x0, y1 - y0, y1 - y0])
+        box = tuple(low + size * fraction)
         rays, whole = rough.rays(n=None, box=box), rough.rays(n=None)
         own = {row.events: (row.rays, row.incident_W) for row in rough.box(*box)}
         found = rays.groupby("path_id").flux_W.agg(["size", "sum"])
@@ -111,11 +113,7 @@ class TestHotSpot:
             events: (rays, pytest.approx(power, rel=1e-6)) for events, (rays, power) in own.items()
         }
         inside = (whole.detector_x_mm.between(*box[:2])) & (whole.detector_y_mm.between(*box[2:]))
-        key = ["start_ray", "path_id", "x_mm", "y_mm"]
-        pd.testing.assert_frame_equal(
-            rays.sort_values(key, ignore_index=True)[FIRST[1:]],
-            whole[inside].sort_values(key, ignore_index=True)[FIRST[1:]],
-        )
+        assert_same_rays(rays, whole[inside])
         rays = rough.rays(n=None, pixels=(3, 9, 5, 6))
         inside = whole.column.between(3, 8) & whole.row.between(5, 5)
         assert rays.flux_W.sum() == pytest.approx(whole.flux_W[inside].sum(), rel=1e-12)
@@ -150,16 +148,10 @@ class TestSelection:
             ("tir > 0", lambda r, t: [t.paths[i].tir > 0 for i in r.path_id]),
         ],
     )  # fmt: skip
-    def test_against_pandas(
-        self, triplet: Any, everything: pd.DataFrame, text: str, same: Callable[[pd.DataFrame, Any], Any]
-    ) -> None:
+    def test_against_pandas(self, triplet: Any, everything: pd.DataFrame, text: str, same: Callable[..., Any]) -> None:
         expected = everything[np.array(same(everything, triplet), dtype=bool)]
         found = triplet.rays(text, n=None)
-        key = ["wavelength_nm", "start_ray", "path_id"]
-        pd.testing.assert_frame_equal(
-            found.sort_values(key, ignore_index=True)[FIRST[1:]],
-            expected.sort_values(key, ignore_index=True)[FIRST[1:]],
-        )
+        assert_same_rays(found, expected)
 
     def test_events(self, triplet: Any) -> None:
         """Node by node the rays are those of `history`."""
@@ -222,8 +214,8 @@ def test_a_scene_for_each_class(load_scene: Callable[[str], Any], kind: str) -> 
     assert set(SCENES) == {DIRECT, *STRAY_KINDS}
     shapes, settings = SCENES[kind]
     sensor = () if shapes is BALL else (SENSOR,)
-    t = mistray.trace(load_scene(scene_text(*shapes, *sensor, radius=3.5 if shapes is BALL else 1.0)),
-                      **{"rays": 4000, "max_reflections": 2} | settings)  # fmt: skip
+    scene = load_scene(scene_text(*shapes, *sensor, radius=3.5 if shapes is BALL else 1.0))
+    t = mistray.trace(scene, **{"rays": 4000, "max_reflections": 2} | settings)
     table = t.paths.to_pandas()
     assert kind in set(table.kind)
     assert set(table.kind) <= {DIRECT, *STRAY_KINDS}
@@ -283,10 +275,7 @@ def test_incident_rays_are_those_of_the_ledger(traced) -> None:
         assert set(table.surface) == {row.id}
         assert table.flux_W.sum() == pytest.approx(row.incident_W, rel=1e-6)
         np.testing.assert_allclose((table[["dx", "dy", "dz"]] ** 2).sum(axis=1), 1, rtol=1e-6)
-
-
-@pytest.mark.long
-def test_blocked_and_escaped_light_is_that_of_the_ledger(traced) -> None:
+    # Blocked and escaped light
     walls = sum(row.absorbed_W for row in traced.surfaces if row.id != "detector")  # they are black
     assert traced.rays_at("blocked", n=None).flux_W.sum() == pytest.approx(walls, rel=1e-6)
     escaped = traced.rays_at("escaped", n=None)
@@ -305,9 +294,6 @@ def test_a_filter_and_a_number(traced) -> None:
     nodes = traced.rays_at("escaped", n=5, events=True)
     assert nodes.ray.nunique() == 5
     assert set(nodes.intercept[nodes.node == 0]) == {"Emitted"}
-
-
-def test_refusals(traced) -> None:
     for where, selection, words in (
         ("windw", "", "'window'"),
         ("blockd", "", "'blocked'"),
@@ -362,11 +348,8 @@ def test_box_of_the_report_is_that_of_the_trace(report):
     x0, x1, y0, y1 = t.extent
     bright = np.argwhere(t.irradiance == t.irradiance.max())[0][::-1] // maps.grid
     most = np.array([width, height]) // maps.grid
-    for first, last in (
-        (bright, bright + 1),
-        (np.maximum(bright - 3, 0), np.minimum(bright + 2, most)),
-        (most // 4, most // 2),
-    ):
+    near = np.maximum(bright - 3, 0), np.minimum(bright + 2, most)
+    for first, last in ((bright, bright + 1), near, (most // 4, most // 2)):
         columns, rows = zip(first * maps.grid, last * maps.grid, strict=True)
         x, y = (x0 + (x1 - x0) * np.array(columns) / width), (y0 + (y1 - y0) * np.array(rows) / height)
         within = t.box(*x, *y)
