@@ -152,7 +152,6 @@ def test_near_object():
 
 @pytest.mark.long
 def test_azimuth_turns_the_image():
-    """A centred lens: the numbers stay, the image point turns."""
     scene = mistray.load("cooke_triplet")
     up, aside = (mistray.image_quality(scene, 10.0, azimuth_deg=azimuth, grid=48)[0] for azimuth in (0.0, 30.0))
     turn = np.radians(30.0)

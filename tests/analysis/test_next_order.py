@@ -160,7 +160,6 @@ def scene():
 
 @pytest.mark.long
 def test_each_curve_has_its_limits(scene):
-    """Less light under each limit; one scatter event at most is a part of all."""
     found = mistray.first_level(scene, ANGLES, rays=40_000, max_scatters=2, max_reflections=3)
     limits = {"scatter once": [1, 0], "ghosts off": [2, 0], "scatter off": [0, 3], "all": [2, 3]}
     for name, one in found.curves.items():

@@ -116,7 +116,6 @@ def test_cone_of_light_through_an_opening(load_scene):
 
 
 def test_plate_in_front(load_scene):
-    """Rays weigh T after one face and T² after both, backward and forward."""
     found = objects(load_scene(plate_text(R=0.1, T=0.8)), rays=20_000, view_half_angle_deg=10.0, field_deg=[0.0])
     for name, seen, lit in (("p0_front", 0.8, 1.0), ("p0_rear", 1.0, 0.8), ("detector", 0.0, 0.64)):
         entry = row(found.optics, name)
@@ -201,7 +200,6 @@ def test_the_stop_is_found_by_marginal_rays():
 
 
 def test_before_and_after_the_stop(phone):
-    """The one that is found, which hangs on nothing that light may do, or that the user names; light past a lens."""
     places = {entry.id: (entry.between, entry.stop) for entry in (*phone.critical, *phone.illuminated)}
     expected = {
         "barrel_0_cone": ("window_rear – L1_front", "before"),
@@ -226,7 +224,6 @@ def test_before_and_after_the_stop(phone):
 
 
 def test_folded_systems_keep_their_gaps():
-    """Inside of the Newtonian's focuser the detector sees the eyepiece tube behind the diagonal."""
     found = objects(mistray.load("newtonian"), rays=RAYS)
     assert row(found.critical, "eyepiece_tube", "front").between == "diagonal – image"
     assert row(found.critical, "eyepiece_tube", "front").stop == "after"
@@ -236,7 +233,6 @@ def test_folded_systems_keep_their_gaps():
 
 @pytest.mark.long
 def test_ray_controls(load_scene):
-    """Nothing goes on, all of it is reflected, all of it is transmitted, or either by chance."""
     scene = load_scene(plate_text(R=0.3, T=0.5))
     disc = DiskSource((0.0, 0.0, -1.0), 20.0, 1.0)
     hits = {}

@@ -23,7 +23,6 @@ Load = Callable[..., mi.Scene]
 
 @pytest.fixture
 def load(load_scene: Callable[[str], mi.Scene]) -> Load:
-    """Shapes → scene, with a detector."""
     return lambda *shapes: load_scene(scene_text(*shapes, DETECTOR))
 
 
@@ -94,7 +93,6 @@ def test_a_lens_and_its_edge(load: Load) -> None:
 
 
 def test_straight_rims_of_a_prism() -> None:
-    """A face that is lifted leaves those beside it; one that is pushed in does not."""
     corners = [(-5.0, 0.0), (5.0, 0.0), (5.0, 10.0), (-5.0, 10.0)]
     body = prism("body", corners, 8.0, material="1.5", ends=None)
     detector, source = Detector(z=30.0, semi_diameter=4.0), Source(radius=1.0)

@@ -35,7 +35,6 @@ def lenses(load_scene: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def ring(load_scene: Any) -> Any:
-    """A ring that diffracts, a plate, a detector."""
     edge = scattering_xml([bsdf_xml("edge_diffraction", width_mm=0.05)], R=0.0, T=1.0)
     text = scatter_scene(
         beam_xml(2.0),
@@ -145,7 +144,6 @@ def test_aliases_collapse_paths_and_keep_the_flux(lenses: Any, aliases: Any) -> 
 
 
 def test_optical_spaces(load_scene: Any) -> None:
-    """Segments of a barrel in two spaces: the table names the spaces, and sums the light of their segments."""
     wall = wall_xml(0.5)
     segments = [
         placed_xml("frustum", f"tube_{k}", wall, r0=3.0, z0=2.0 * k, r1=3.0, z1=2.0 * k + 2.0).replace(
@@ -245,7 +243,6 @@ def test_it_is_in_the_tables(report: GhostReport) -> None:
 
 @pytest.mark.long
 def test_levels_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A filter on the command line: its paths, its rays, and their power, as the trace has them."""
     words = ["ghosts", "singlet_window_detector", "--field-deg", "0", "2", "--rays", "800", "--quiet"]
     text = "G(window*) & rays > 5"
     printed = run(capsys, *words[:-1], "--levels", "--filter", text)[1]

@@ -123,7 +123,6 @@ def test_numbers_are_those_of_all_rays_together():
 
 
 def spot(shape: tuple[int, int], rows: slice, columns: slice) -> np.ndarray:
-    """A map of random powers in a rectangle, dark elsewhere."""
     power = np.zeros(shape)
     power[rows, columns] = 0.1 + np.random.default_rng(3).random(power[rows, columns].shape)
     return power
@@ -277,7 +276,6 @@ def test_only_radii_below_the_floor_of_a_known_cone_have_one() -> None:
 
 @pytest.mark.long
 def test_where_it_is_told() -> None:
-    """The ghost between two reflections at the lune of the stop of a camera, and not the others that are listed."""
     report = mistray.ghosts(mistray.load("phone_camera"), [10.0], rays=50_000, contested_rays=0, seed=2)
     listed = report.with_airy(10.0, report.listed(10.0, 4))
     floored = listed[listed.airy_radius_mm.notna()]

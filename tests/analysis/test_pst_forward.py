@@ -35,7 +35,6 @@ INDEX = 1.5
 
 @pytest.fixture(scope="module")
 def bare(load_scene):
-    """A detector of 4 × 2 mm and nothing else."""
     return load_scene(bare_text())
 
 
@@ -65,7 +64,6 @@ def glass_reflectance(theta: np.ndarray) -> np.ndarray:
 def forward_pst(
     scene: Any, grid: DirectionGrid, *, entrance: Any = None, settings: Any = None, progress: Any = None, **request: Any
 ) -> Pst:
-    """A forward run for a request."""
     asked = PstRequest.of(method="forward", **request)
     return forward.forward_pst(scene, grid, asked, entrance=entrance, settings=settings, progress=progress)
 
@@ -97,7 +95,6 @@ class TestClosedForms:
         np.testing.assert_allclose(grey.maps, found.maps, rtol=1e-6)
 
     def test_tilted_detector(self, load_scene) -> None:
-        """Angles are measured from the axis of the grid."""
         axis = np.array([0.0, 0.6, 0.8])
         scene = load_scene(scatter_scene(placed_xml("asphere", "detector", facing=axis, pixels=4, semi_diameter=1.5)))
         across = np.array([1.0, 0.0, 0.0])
@@ -202,7 +199,6 @@ class TestBudget:
         assert several.standard_error == pytest.approx(one.standard_error, rel=0.6)
 
     def test_light_that_is_not_found_is_told(self, load_scene) -> None:
-        """A detector in a deep black tube: nothing arrives from 60°, and the result says so."""
         tube = shape_xml("frustum", "tube", 0.0, r0=1.0, z0=0.0, r1=1.0, z1=20.0)
         scene = load_scene(scene_text(tube, shape_xml("asphere", "detector", 20.0, sensor=True, semi_diameter=1.0)))
         found = forward_pst(scene, DirectionGrid.of([0.0, 60.0]), rays=100_000, relative_error=0.05)
@@ -230,7 +226,6 @@ class TestBudget:
 
 
 def test_the_hull_holds_all_surfaces() -> None:
-    """Random points of every surface of the telescope, along the axes of the world."""
     table = SurfaceTable(mistray.load("newtonian"), 550.0)
     hull, rng = hull_points(table), np.random.default_rng(0)
     for surface in range(table.count):

@@ -61,7 +61,6 @@ def face(z: float, side: str, radius: float | None = None, index: str = "1.5168"
 
 
 def ring(z: float, inner: float, outer: float) -> tuple[Any, ...]:
-    """A painted annulus."""
     return "frustum", PAINT, 0.0, {"r0": inner, "z0": z, "r1": outer, "z1": z}
 
 
@@ -73,12 +72,10 @@ def singlet() -> mi.Scene:
 
 
 def window() -> mi.Scene:
-    """A window with scatter in a tube, behind it a vane."""
     return tube(40.0, face(0.0, "back"), face(3.0, "front"), ring(0.0, 10.0, 12.0), ring(20.0, 7.0, 12.0))
 
 
 def two_lenses() -> mi.Scene:
-    """Two lenses of different glass in a wider tube."""
     first, second = (face(0.0, "back", 40.0), face(6.0, "front", -90.0)), (face(12.0, "back", 70.0, "1.62"),)
     rings = ring(3.0, 10.0, 14.0), ring(15.0, 10.0, 14.0)
     return tube(45.0, *first, *second, face(17.0, "front", index="1.62"), *rings, radius=14.0)

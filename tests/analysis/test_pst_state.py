@@ -179,7 +179,6 @@ def test_causes_add_up_and_are_named():
 
 @pytest.mark.long
 def test_the_main_cause_brings_most_of_the_light_of_a_uniform_sky():
-    """Sums of its paths over cells by their solid angle, here formed path by path."""
     pst = fake_pst()
     light: dict[str, dict[float, float]] = {}
     for angle, (first, last) in zip(pst.field_deg, np.radians(pst.grid.edges_deg), strict=True):

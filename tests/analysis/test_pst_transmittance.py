@@ -63,7 +63,6 @@ def test_a_bare_detector_from_the_detector() -> None:
 
 
 def test_what_has_been_saved_is_not_saved_again(window: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nor is the table of paths read more than once."""
     state, counts = tmp_path / "state.npz", {"save_state": 0, "paths": 0}
     for place, name in ((backward_run, "save_state"), (BackwardTrace, "paths")):
         call = getattr(place, name)
@@ -84,7 +83,6 @@ def test_what_has_been_saved_is_not_saved_again(window: Any, tmp_path: Path, mon
 def test_an_interrupt_saves_the_pass_that_it_waited_for(
     window: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also where saving would have cost more than its share of the time."""
     monkeypatch.setattr(backward_run, "SAVING", -1.0)
     reports: list[PstProgress] = []
 

@@ -324,7 +324,6 @@ class TestTraces:
 
 
 def test_bad_input() -> None:
-    """One wrong value of each argument, and light that is not there."""
     pst = pst_of([0, 2, 4], np.ones_like, np.ones_like)
     dark, bright = pst_of([10, 12], np.zeros_like), pst_of([0, 2], np.ones_like, maps=np.zeros((2, 2, 1, 4, 4)))
     for call, words in (

@@ -49,7 +49,6 @@ def camera():
 
 @pytest.fixture(scope="module")
 def small() -> Study:
-    """A plate and a grey screen in a black housing, with few rays."""
     return study(mistray.load("plate_and_wall"), ANGLES, FIELDS, rays=RAYS, name="plate and wall")
 
 
@@ -160,10 +159,7 @@ def test_every_traced_target_stands_beside_the_paraxial_image(camera):
         np.testing.assert_array_equal(both[f"traced_{key}"], both[f"{key}_all"])
 
 
-
-
 def test_eight_steps_in_order(small):
-    """Light meets the screen, the detector sees it: beyond the direct view it brings most of the stray light."""
     assert list(small) == [step.key for step in small.steps] == [key for key, _ in STEPS]
     assert all(step.text and step.findings and step.seconds >= 0 for step in small.steps)
     assert (list(small.pst.field_deg), list(small.ghosts)) == (list(ANGLES), list(FIELDS))

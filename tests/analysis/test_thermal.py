@@ -45,12 +45,10 @@ Load = Callable[..., mi.Scene]
 
 @pytest.fixture(scope="module")
 def load(load_scene: Callable[[str], mi.Scene]) -> Load:
-    """Shapes → scene, with a beam."""
     return lambda *parts: load_scene(scatter_scene(beam_xml(1.0, distance=3.0), *parts))
 
 
 def sheet_xml(emissivity: float) -> str:
-    """A surface that passes what it does not absorb."""
     return interface_xml(R=0.0, T=1 - emissivity)
 
 
@@ -88,7 +86,6 @@ class TestConeOfOptics:
         assert "declare design_path" in note, "the beam misses a detector of 0.02 mm"
 
     def test_the_image_comes_by_the_design_path(self, load: Load) -> None:
-        """A detector at the focus of a mirror: the sky beside the mirror is no image."""
         mirror, size = interface_xml(R=0.9, mirror=True), {"half_width": 0.05, "half_height": 0.05}
         scene = load(
             placed_xml("asphere", "detector", at=(0, 0, 50), facing=(0, 0, -1), pixels=4, **size),

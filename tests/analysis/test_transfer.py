@@ -45,7 +45,6 @@ def scattered_beyond(radius: float) -> float:
 
 @pytest.fixture(scope="module")
 def found(load_scene):
-    """The image of the rough mirror."""
     scene = load_scene(paraboloid_text(ROUGH))
     return mistray.transfer(scene, rays=100_000, frequencies_per_mm=NU, pixel_mm=0.003, **ALL)[0]
 
@@ -268,7 +267,6 @@ def test_errors_hold_over_seeds(load_scene):
 
 
 def test_refused(load_scene):
-    """One wrong value of each argument; light that is not there; what is given twice."""
     scene = load_scene(paraboloid_text())
     quality = mistray.image_quality(scene)
     found = mistray.transfer(scene, rays=100, frequencies_per_mm=[1.0])[0]

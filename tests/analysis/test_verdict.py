@@ -168,7 +168,6 @@ def test_a_contested_field_is_traced_again_with_four_times_the_rays(traced, monk
 
 @pytest.mark.parametrize("given", [{"contested_rays": 0}, {"contested_rays": 100}, {"rank": "power"}, {"seconds": 60}])
 def test_nothing_is_traced_again(traced, given):
-    """With so few rays, by another rank, and within a time."""
     report = ghosts(lens_scene(), [0.0, 10.0], rays=100, **given)
     assert traced == [(0.0, 100), (10.0, 100)]
     assert report.traced_again == ()
@@ -206,7 +205,6 @@ def test_what_is_told(traced):
 
 
 def test_the_worst_of_all_fields_are_contested_by_the_first_of_all():
-    """The worst of each field is sure there; that of the other may be as bright."""
     first, other = lens_trace(0.0, 400, 0.01), FakeTrace([FakePath(RIVAL, 1e-4, 100, radius=0.05)], 10.0)
     report = ghosts_of(first, other)
     assert report.rivals(0.0).empty

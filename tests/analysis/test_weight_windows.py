@@ -82,7 +82,6 @@ def test_the_kernel_reads_what_the_pilot_has_written() -> None:
 
 @pytest.mark.long
 def test_a_tube_with_windows_that_know_nothing() -> None:
-    """Windows at random, in a tube with vanes whose PST a float64 walk has."""
     tube = replace(TUBE, length=40.0, vanes=(20.0,), hole=7.0)
     exact, exact_se = tube.pst(35.0, 45.0, 400_000, seed=1)
     scene = vane_tube(tube)

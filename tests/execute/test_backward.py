@@ -118,7 +118,6 @@ class TestPathBook:
 
 
 def assert_same(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> None:
-    """Sums are of the same numbers in another order."""
     assert set(first) == set(second)
     for key, values in first.items():
         scale = np.max(np.abs(values), initial=1e-300)
@@ -196,7 +195,6 @@ def contents(book: dict[str, np.ndarray]) -> dict[tuple[tuple[int, ...], int], t
 
 
 def test_joined_books_of_two_traces_are_the_book_of_both(wall_scene) -> None:
-    """What a run that goes on makes of its two halves, in either order, and of an empty one."""
     settings = {"paths": True, "max_scatters": 1}
     whole = traced(wall_scene, passes=2, **settings).paths()
     begun = traced(wall_scene, **settings)

@@ -30,7 +30,6 @@ def small_launches(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def plates(tmp_path: Path) -> Any:
-    """Four plates of glass that is not coated."""
     return mistray.load(write(tmp_path, plates_text(4)))
 
 
@@ -93,7 +92,6 @@ def test_a_time_budget_ends_with_a_sample_of_all_rays(plates: Any, small_launche
 
 
 def pressing(after: float) -> Callable[[float, float], None]:
-    """Sends an interrupt when more than so much is done."""
     return lambda done, _: os.kill(os.getpid(), signal.SIGINT) if done > after else None
 
 

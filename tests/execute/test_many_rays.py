@@ -72,7 +72,6 @@ def test_a_hundred_million_rays() -> None:
 
 @pytest.fixture
 def run() -> Run:
-    """The plate with as many start rays as a trace can have."""
     (run,) = prepare(mistray.load("plate"), Settings(rays=MOST_RAYS))
     return run
 

@@ -23,7 +23,6 @@ pytestmark = pytest.mark.quick
 
 
 def random_rotation(seed: int) -> np.ndarray:
-    """A right-handed frame."""
     q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
     return q * np.sign(np.linalg.det(q))
 
@@ -123,7 +122,6 @@ class TestNearest:
 
 
 def test_facts_come_back() -> None:
-    """Through JSON, bit by bit."""
     grid = DirectionGrid.of([0.1, 7.7], [1 / 3, 100.0], 0.7, 3.3, random_rotation(5))
     again = DirectionGrid.from_facts(json.loads(json.dumps(grid.facts())))
     for key in ("field_deg", "edges_deg", "azimuths_deg", "rotation"):
@@ -207,7 +205,6 @@ def test_azimuth_is_that_of_a_source(load_scene) -> None:
 
 
 def test_sums_are_booked_once() -> None:
-    """Each ray is counted either in its cell or elsewhere, in its batch."""
     grid = DirectionGrid.of([20.0], cell_deg=20.0)
     sky = DirectionRecorder(grid, DesignKeys(DesignSequences(), 0))
     theta = np.radians([15.0, 25.0, 50.0])

@@ -48,7 +48,6 @@ def executed(scene: Any, **settings: Any) -> Run:
 
 
 def books(run: Run) -> tuple[Ledger, DecodedPaths]:
-    """Ledger and paths of a run that has ended."""
     assert run.ledger is not None
     assert run.paths is not None
     return run.ledger, run.paths
@@ -72,7 +71,6 @@ def metric(run: Run, **derivatives: Any) -> Adjoint:
 
 
 def gains(run: Run, adjoint: Adjoint) -> float:
-    """What the metric gains from all rays."""
     trace_tree(run.scene, run.start_pass(0), run.settings, [adjoint])
     dr.eval(adjoint.gain)
     return float(np.array(adjoint.gain).sum())
@@ -170,7 +168,6 @@ class TestDerivativeOfHits:
         assert gains(run, adjoint) == pytest.approx(expected, rel=1e-5)
 
     def test_paths_that_the_ledger_does_not_know(self, load_scene) -> None:
-        """They gain nothing, and the table stays as it is."""
         scene = load_scene(lens_text())
         run = executed(scene, max_reflections=0)
         other = executed(scene, max_reflections=2)

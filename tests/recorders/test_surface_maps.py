@@ -141,7 +141,6 @@ def test_areas_add_up_to_those_of_the_surfaces():
 
 @pytest.mark.parametrize("name", ["plate_and_wall", pytest.param("double_gauss_barrel", marks=pytest.mark.long)])
 def test_powers_are_those_of_the_ledger(name):
-    """Of every surface, with scatter, ghosts, two wavelengths and two sources; both sides and all returns count."""
     sources = ["point:0,3,-300,half_angle_deg=3,id=lamp", "beam:radius=9,distance=20,id=sun"]
     scene = mistray.load(name, sources=sources)
     walls = SurfaceMaps("all", "*", azimuths=5, lengths=3)

@@ -54,7 +54,6 @@ def hit_sums(
 
 
 def decoded(events: np.ndarray, lengths: np.ndarray, sums: np.ndarray) -> DecodedPaths:
-    """What `Ledger.decode` gives."""
     return DecodedPaths(host_keys(events, lengths), np.arange(len(events)), events, lengths, sums)
 
 

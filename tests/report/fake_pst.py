@@ -44,7 +44,6 @@ CLASS_OF_PATH = (0, 2, 3, 3, 3, 4, 2, 1)
 
 
 def label(kind: str, ghost_1: str, ghost_2: str, scatter_1: str) -> str:
-    """The name that a path has in a real table."""
     if scatter_1 != "-":
         return f"scatter at {scatter_1}"
     ghosts = " → ".join(name for name in (ghost_1, ghost_2) if name != "-")

@@ -140,7 +140,6 @@ class FakeTrace:
         return self._surfaces(self.shares[wavelength_nm])
 
     def sampled(self, path_ids):
-        """Irradiance of some paths."""
         x0, x1, y0, y1 = EXTENT
         pixel = (x1 - x0) / SHAPE[1] * (y1 - y0) / SHAPE[0]
         by_batch, weights = np.zeros((*SHAPE, BATCHES)), np.zeros((3, *SHAPE))
@@ -203,7 +202,6 @@ def paths_at(field_deg: float) -> list[FakePath]:
 
 
 def trace_at(field_deg: float, cut_events: float = 0.0) -> FakeTrace:
-    """The paths of `paths_at` at 550 nm."""
     return FakeTrace(paths_at(field_deg), field_deg, cut_events)
 
 

@@ -151,7 +151,6 @@ def opened(report, browser, tmp_path) -> Iterator[Callable[..., Callable[[str], 
 
 
 def check_tables(run: Callable[[str], Any]) -> None:
-    """Heads sort, filters hide, and every kind of control has been used by then."""
     found = run("tables()")
     assert found["sorted"]
     assert all(answer == [True, "ascending", True, "descending"] for answer in found["sorted"].values()), found

@@ -19,8 +19,6 @@ DESIGN_NM, GLASS = 550.0, 1.5168
 
 
 class SmoothTrace(FakeTrace):
-    """Its paths are discs without noise."""
-
     def sampled(self, path_ids):
         x0, x1, y0, y1 = EXTENT
         x = np.linspace(x0, x1, 2 * SHAPE[1] + 1)[1::2]
@@ -38,7 +36,6 @@ GREY, YELLOW, DIRECT = (-1.0, 0.0), (1.0, 0.0), (0.0, 1.0)
 
 
 def at(image, place):
-    """The pixel at a place."""
     column = (place[0] - EXTENT[0]) / (EXTENT[1] - EXTENT[0]) * SHAPE[1]
     row = (place[1] - EXTENT[2]) / (EXTENT[3] - EXTENT[2]) * SHAPE[0]
     return image[int(row), int(column)]

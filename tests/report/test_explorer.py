@@ -59,7 +59,6 @@ def panel_of(text: str) -> dict:
 
 
 def test_page_holds_the_power_of_every_path():
-    """And its rays, which start at z = -2 and end at the detector at z = 5."""
     report = ghosts_of(*map(trace_at, (0.0, 20.0)))
     table, data = report.table(0.0).set_index("path_id"), panel_of(html_text(report, "lens"))
     powers = stored(data["codes"])
@@ -131,7 +130,6 @@ def test_box_names_the_paths_that_the_table_leaves_out(monkeypatch):
 
 @needs_node
 def test_sum_of_two_maps_is_that_of_their_pixels():
-    """Maps on cells of 4 and 2 pixels, of which the second lies partly beside the first."""
     rng = np.random.default_rng(3)
     maps = [
         {"pixels": pixels, "column": column, "row": row, "width": 5, "height": 3, "power": list(rng.random(15))}

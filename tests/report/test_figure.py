@@ -46,7 +46,6 @@ def test_a_legend_has_names_that_begin_with_an_underscore() -> None:
 
 
 def test_no_report_has_another_figure() -> None:
-    """Each module makes its figures by `mistray.report.figures.figure`."""
     for file in Path(report.__file__).parent.rglob("*.py"):
         if file.name == "figure.py":
             continue

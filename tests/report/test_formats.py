@@ -128,7 +128,6 @@ def test_wrong_names_and_files(one: IrradianceMap, tmp_path: Path) -> None:
 def test_formats_are_written_by_name(
     trace: FakeTrace, one: IrradianceMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A package that is missing is one line."""
     table = trace.paths.to_pandas()
     files = write_formats(["npy", "parquet", "fits"], tmp_path, {"paths.csv": table}, {"irradiance_0deg": one})
     assert [file.name for file in files] == ["irradiance_0deg.npy", "paths.parquet", "irradiance_0deg.fits"]

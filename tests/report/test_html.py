@@ -41,7 +41,6 @@ def report() -> GhostReport:
 
 @pytest.fixture(scope="module")
 def written(report: GhostReport, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, set[str]]:
-    """The page, and the names of all files."""
     out = tmp_path_factory.mktemp("plain") / "out"
     files = write_all(report, out, "a <b> & c", "mistray ghosts 'a <b> & c' --rays 1e6")
     assert sorted(file.name for file in files) == sorted(entry.name for entry in out.iterdir())
@@ -50,7 +49,6 @@ def written(report: GhostReport, tmp_path_factory: pytest.TempPathFactory) -> tu
 
 @pytest.fixture(scope="module")
 def coloured(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, set[str]]:
-    """The same with everything in it."""
     report, out = ghosts_of(*map(trace_in_colours, (0.0, 20.0))), tmp_path_factory.mktemp("out")
     files = write_all(report, out, per_wavelength=True, look=Look())
     return (out / "report.html").read_text(encoding="utf-8"), {file.name for file in files}
@@ -162,7 +160,6 @@ def test_a_page_shows_the_fields_that_there_was_time_for(
 
 
 def drawing() -> Drawing:
-    """A line."""
     made = Drawing()
     made.subplots().plot([0, 1])
     return made

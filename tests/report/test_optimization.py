@@ -70,7 +70,6 @@ def test_tables(result: Optimization, out: Path) -> None:
 
 
 def test_the_scene(result: Optimization, out: Path) -> None:
-    """It holds the result: layers, indices, and the terms as they were verified."""
     scene = mistray.load(out / "scene.xml")
     params = mi.traverse(scene)
     for name in ("front", "rear"):
@@ -166,7 +165,6 @@ def test_pictures_of_the_search(result: Optimization) -> None:
 
 
 def test_materials_end_with_the_band(tmp_path: Path) -> None:
-    """Curves are drawn a little beyond the band where the materials are known there."""
     (tmp_path / "film.csv").write_text("wavelength_nm,n,k\n500,1.38,0\n600,1.38,0\n")
     study = {**STUDY, "coating": [{**STUDY["coating"][1], "layers": f"{tmp_path / 'film.csv'} 60"}], "variable": []}
     study["optimizer"] = {"starts": 1, "steps": 0}

@@ -52,7 +52,6 @@ def drawn(figure):
 
 
 def images(figure):
-    """Maps, without the hatches, which have colours of their own."""
     return [image for image in drawn(figure) if image.get_array().ndim == 2]
 
 
@@ -161,7 +160,6 @@ def test_layout_says_which_path_is_too_rare():
 
 
 def test_layout_draws_the_worst_ghosts_or_the_paths_asked_for(report):
-    """Out of field the worst and the strongest stray path."""
     lens, window = "detector → L1_rear (ghost)", "detector → window_rear (ghost)"
     for field, ghosts, wanted in (
         (10.0, 2, ["direct image", lens, window]),

@@ -145,7 +145,6 @@ def test_text(pst: Pst) -> None:
 
 
 def test_files(around: Pst, written: Path, tmp_path: Path) -> None:
-    """CSV holds nine digits; a simpler PST has fewer files."""
     assert {file.name for file in written.iterdir()} == {
         "pst.csv", "pst_cells.csv", "pst_paths.csv", "pst.png", "pst_causes.png", "pst_map.png",
         "irradiance_20deg_90deg.png", "irradiance_40deg_0deg.png", "pst.json", "report.html",

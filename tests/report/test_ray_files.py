@@ -53,7 +53,6 @@ def test_round_trip_is_exact(rays, ending, tmp_path):
 
 
 def test_ply_is_as_viewers_read_it(rays, tmp_path):
-    """By the header alone: the points of all rays, and segments between neighbours of one ray only."""
     content = write_rays(rays, tmp_path / "rays.ply").read_bytes()
     head, _, body = content.partition(b"end_header\n")
     lines = head.decode().splitlines()

@@ -97,7 +97,6 @@ def sag(r: np.ndarray, radius: float, conic: float, terms: dict[int, float]) -> 
 
 
 def cap(radius: float, height: float) -> float:
-    """Volume of a cap of a sphere."""
     return np.pi * height**2 * (3 * radius - height) / 3
 
 
@@ -155,7 +154,6 @@ def lens(tmp_path_factory):
 
 
 def test_a_lens_is_a_solid_of_the_volume_of_its_formula(lens):
-    """Its faces are exact and have the names of their shapes."""
     written, (front, rear) = lens
     assert (written.solids, written.sheets, written.notes) == (("my_lens",), (), ())
     body = parts_of(written.path, TOL)["my_lens"]
@@ -344,7 +342,6 @@ def test_a_beam_through_a_plate_is_a_cylinder_that_snells_law_shifts(plate):
 
 @pytest.mark.quick
 def test_what_closes_a_body(tmp_path):
-    """Faces that cross close no body."""
     scene = scene_of(
         a={"type": "asphere", "radius": 20.0, "semi_diameter": 5.0, "part": "L", "bsdf": GLASS},
         b={"type": "asphere", "semi_diameter": 4.0, "z": 3.0, "part": "L", "bsdf": GLASS_BACK},

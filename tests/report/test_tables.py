@@ -86,7 +86,6 @@ def test_main_table_names_the_worst_ghost_of_each_field(report):
 
 
 def test_csv_holds_every_digit(report, tmp_path):
-    """And the ledger of energy closes."""
     files = write_csv(report, tmp_path)
     names = ["summary", "paths", "energy", "surfaces", "stray_levels"]
     assert [file.name for file in files] == [f"{name}.csv" for name in names]

@@ -25,7 +25,6 @@ def halo(load_scene):
 
 
 def test_curves_are_those_of_the_result(halo):
-    """Rings of the spread function keep its flux."""
     (one,) = halo
     left, right = mtf_figure(one, "mirror").axes
     drawn = {line.get_label(): line.get_ydata() for line in left.lines}
@@ -56,7 +55,6 @@ def test_no_stray_light_and_few_frequencies(load_scene, options):
 
 
 def test_an_image_is_drawn_as_far_as_the_pupil_resolves_it(halo, monkeypatch):
-    """An image far beside the image point, or a blurred one, may ask for more."""
     (one,) = halo
     monkeypatch.setattr("mistray.report.figures.transfer.WIDTHS", (1e5, 1e6))
     for axes in image_figure(one).axes[:2]:

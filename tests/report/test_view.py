@@ -220,8 +220,6 @@ def test_points_lie_on_the_surfaces_and_on_the_kept_side(scene, cut):
 
 
 def test_halves_have_the_area_of_the_whole(scene):
-    """A plane that a surface does not reach leaves all of it, or nothing."""
-
     def areas(cut):
         return {surface.name: area(surface.vertices, surface.faces) for surface in open_surfaces(scene, cut)}
 

@@ -14,7 +14,6 @@ pytestmark = pytest.mark.quick
 
 class TestColoursSourcesDetectors:
     def test_wavelengths_with_weights(self, load_text) -> None:
-        """Each colour is traced with its own index and carries its share."""
         colours = '<string name="wavelength_nm" value="486.1, 656.3"/><string name="weights" value="3, 1"/></emitter>'
         text = plates_text(1, index="N-BK7 k=0").replace("</emitter>", colours)
         t = mistray.trace(load_text(text)[0], rays=4000)

@@ -78,7 +78,6 @@ class TestPlates:
         """R differs between the two sides; the angle is the one in air, for light from either side."""
 
         def coating(angle_deg: float) -> np.ndarray:
-            """R, T, R_back."""
             sine2 = np.sin(np.radians(angle_deg)) ** 2
             return np.array([0.01 + 0.2 * sine2**2, 0.8 - 0.6 * sine2**3, 0.05 + 0.1 * sine2])
 
@@ -113,7 +112,6 @@ def ten_ghosts_trace():
 
 @pytest.fixture(scope="module")
 def ten_ghosts(ten_ghosts_trace):
-    """(second, first) reflecting surface → row of the table."""
     names = ["L1_front", "L1_rear", "window_front", "window_rear", "detector"]
     doubles = [row for row in ten_ghosts_trace.paths if row.order == 2]
     return {(names.index(row.ghost_2) + 1, names.index(row.ghost_1) + 1): row for row in doubles}

@@ -72,7 +72,6 @@ def test_numbers_of_rays_and_errors_that_are_not_given() -> None:
 
 
 def test_the_ledger_sums_squares_of_its_rays() -> None:
-    """Against the list of all rays, to single precision."""
     t = mistray.trace(mistray.load("plate_and_wall"), rays=500)
     table = t.paths.to_pandas().set_index("path_id")
     assert (table.rays > ERROR_RAYS).any()

@@ -16,7 +16,6 @@ T = mi.ScalarTransform4f
 
 
 def scene() -> mi.Scene:
-    """A scattering plate of triangles beside a detector that a lamp of Mitsuba lights."""
     turned = T().translate([0, 14, -10]).rotate([1, 0, 0], 60)
     plate = {"type": "asphere", "half_width": 15.0, "half_height": 15.0, "to_world": turned, "bsdf": WHITE}
     light = {"type": "area", "radiance": {"type": "spectrum", "value": 2.0}}

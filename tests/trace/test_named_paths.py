@@ -24,7 +24,6 @@ def traced(scene) -> mistray.Trace:
 
 
 def test_every_printed_name_means_its_row(traced) -> None:
-    """The rows of the table by ways know their paths; names are parsed back to exactly these."""
     rows = traced.paths.by_way()
     chosen = [*range(12), *range(12, len(rows), len(rows) // 12)]
     assert any("scatter at" in rows.label[k] for k in chosen)
@@ -63,7 +62,6 @@ def test_a_name_within_a_filter(traced) -> None:
 
 
 def test_wrong_names_are_refused_before_the_trace(scene) -> None:
-    """In metrics and in arguments; every wrong name in a filter is in test_path_filter.py."""
     for call, near in (
         (lambda: mistray.optimize.path_power(scene, "detectr -> L1_front", rays=1e9), "'detector'"),
         (lambda: mistray.trace(scene, n_rays=1), "did you mean 'rays'"),

@@ -33,7 +33,6 @@ DESIGN = design_of(SURFACES, *DIRECT)
 
 
 def facts(*lists: str) -> list[dict]:
-    """The classification of event lists, one dictionary for each."""
     words = np.array(list(SURFACES.values()), dtype=np.uint32)
     columns = describe_events(Events(*encode(lists, list(SURFACES)), list(SURFACES), words, DESIGN))
     return [{name: column[k] for name, column in columns.items()} for k in range(len(lists))]

@@ -20,7 +20,6 @@ DETECTOR = square(5.0, z=10.0)
 
 
 def beam(**light: object) -> mi.Scene:
-    """A beam of 1 W on a square of 100 mm², which fills the detector."""
     source = {"type": "collimated", "half_width": 5.0, "half_height": 5.0, "irradiance": 0.01, **light}
     return lit(source, detector=DETECTOR)
 

@@ -33,7 +33,6 @@ def choice(scene, beams=(AS_THE_SCENE,), **settings) -> PolarizationChoice:
 
 
 def fresnel(angle_deg: float, n: float = GLASS) -> tuple[float, float]:
-    """R of s and p."""
     c = np.cos(np.radians(angle_deg))
     t = np.sqrt(1 - (1 - c * c) / n**2)
     return ((c - n * t) / (c + n * t)) ** 2, ((n * c - t) / (n * c + t)) ** 2
@@ -57,7 +56,6 @@ def ghost_factor(angle_deg: float) -> float:
 
 
 def by_path(scene, path: SkewPath) -> Arrivals:
-    """What the pilot finds of the middle ray."""
     (run,) = prepare(scene, Settings(rays=64, max_reflections=4, flux_threshold=0.0, polarization="unpolarized"))
     codes = [run.table.ids.index(f"face_{k}") << EVENT_BITS | KINDS[hit.kind] for k, hit in enumerate(path.hits)]
     (found,) = [one for one in follow(run, 32)[0] if one.path[:-1] == tuple(codes)]

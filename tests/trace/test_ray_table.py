@@ -60,7 +60,6 @@ def rough(load_scene: Callable[[str], Any]) -> Any:
 
 class TestAll:
     def test_sums(self, triplet: Any, everything: pd.DataFrame) -> None:
-        """Every ray once: counts and fluxes of each path are those of the ledger."""
         assert list(everything.columns) == FIRST
         assert list(everything.ray) == list(range(len(everything)))
         for row in triplet.paths:
@@ -102,7 +101,6 @@ class TestAll:
 class TestHotSpot:
     @pytest.mark.parametrize("fraction", [(0.1, 0.4, 0.3, 0.9), (0.0, 1.0, 0.45, 0.46)])
     def test_box(self, rough: Any, fraction: tuple[float, ...]) -> None:
-        """The rays of a box are those that `box` sums, path by path, and all rays that land there."""
         x0, x1, y0, y1 = rough.extent
         low, size = np.array([x0, x0, y0, y0]), np.array([x1 - x0, x1 - x0, y1 - y0, y1 - y0])
         box = tuple(low + size * fraction)
@@ -154,7 +152,6 @@ class TestSelection:
         assert_same_rays(found, expected)
 
     def test_events(self, triplet: Any) -> None:
-        """Node by node the rays are those of `history`."""
         row = triplet.paths.select("kind = ghost")[0]
         table = triplet.rays(f"path_id = {row.path_id}", n=3, events=True)
         rays = triplet.rays(f"path_id = {row.path_id}", n=3)
@@ -267,7 +264,6 @@ def traced() -> mistray.Trace:
 
 @pytest.mark.long
 def test_incident_rays_are_those_of_the_ledger(traced) -> None:
-    """To the rounding of sums: each ray is one hit, and carries its flux."""
     for name in ("window_front", "barrel_1_wall", "detector"):
         (row,) = [row for row in traced.surfaces if row.id == name]
         table = traced.rays_at(row.id, n=None)
@@ -340,7 +336,6 @@ def report():
 
 @pytest.mark.long
 def test_box_of_the_report_is_that_of_the_trace(report):
-    """The same rays once more, hit by hit, with the box in the kernel."""
     t = report[2.0]
     by_events = dict(zip(report.table(2.0).events, report.table(2.0).path_id, strict=True))
     maps = report.path_maps(2.0, list(by_events.values()))
@@ -425,7 +420,6 @@ def trace(load_scene):
 
 @pytest.fixture(scope="module")
 def hazy(load_scene):
-    """The plate scatters within."""
     return mistray.trace(load_scene(plate(f"{INDEX} scatter=0.05 g=0.9", "")), rays=20_000, max_reflections=0)
 
 
@@ -461,7 +455,6 @@ def test_refraction_holds_after_a_scatter_event(request, glass: str, path: str, 
 
 
 def test_the_table_holds_random_and_aimed_light(trace) -> None:
-    """Both together are one row of `by_way`; the errors of all paths together are those of the energy ledger."""
     assert trace.paths[0].path == "TTA"
     assert {row.path for row in trace.paths[1:]} == {"tTA", "iTA"}
     rows = trace.paths.by_way()

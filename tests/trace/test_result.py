@@ -64,7 +64,6 @@ class TestMaps:
 
     @pytest.mark.parametrize("mode", [{}, {"below_threshold": "roulette", "flux_threshold": 0.5}])
     def test_random_walks_repeat_exactly(self, mode: dict[str, Any]) -> None:
-        """Maps, boxes and histories trace the same rays again and must draw the same random numbers."""
         t = mistray.trace(mistray.load("cooke_triplet"), rays=8000, field_deg=5.0, splitting="one", **mode)
         total, _ = t.irradiance_of([row.path_id for row in t.paths])
         np.testing.assert_allclose(total, t.irradiance, rtol=1e-12, atol=1e-12 * t.irradiance.max())
@@ -117,7 +116,6 @@ class TestPathTable:
         pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "paths.csv"), table, check_dtype=False, rtol=5e-9)
 
     def test_find(self, triplet) -> None:
-        """Words in this order, others between; ids are not patterns and not beginnings of others."""
         paths = triplet.paths
         one = paths.find("L3_rear:R", "L1_front:R")
         assert one == [row for row in paths if (row.ghost_1, row.ghost_2) == ("L3_rear", "L1_front")] != []
@@ -131,7 +129,6 @@ class TestPathTable:
         assert paths.find("L2_front:T", "L2_front:T") == [row for row in paths if row.events.count("L2_front:T") >= 2]
 
     def test_none_and_empty(self, load_text) -> None:
-        """Without a ledger there is no table; where nothing arrives one with all its columns, and maps of zeros."""
         scene = mistray.load("cooke_triplet")
         t, with_ledger = (mistray.trace(scene, rays=2000, ledger=ledger) for ledger in (False, True))
         for use in (lambda: t.paths, lambda: t.box(0, 1, 0, 1), lambda: t.history(0), lambda: t.irradiance_of([0])):

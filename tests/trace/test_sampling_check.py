@@ -99,7 +99,6 @@ def test_a_medium_whose_light_is_not_found_is_named():
 
 @pytest.mark.parametrize(("scale", "low", "tight"), [(0.1, False, True), (0.35, False, False), (9.0, True, False)])
 def test_targets_of_a_wrong_size_are_named(scale, low, tight):
-    """A disc inside the square detector, one about as large, and a far larger one."""
     disc = {"type": "disk", "bsdf": {"type": "target", "surfaces": "*", "scale": scale}}
     (row,) = sampling_check(mistray.trace(hazy_scene(disc), rays=5000)).rows
     assert (row.low, row.tight) == (low, tight)

@@ -41,7 +41,6 @@ def check(what: str, measured: float, se: float, expected: float, relative: floa
 
 
 def check_detected(what: str, t: mistray.Trace, expected: float, relative: float) -> None:
-    """The detected share of what was launched; the books are closed."""
     e = t.energy
     check(what, e.detected_W / e.launched_W, e.detected_se_W / e.launched_W, expected, relative)
     assert abs(e.closure) < 1e-6
@@ -106,7 +105,6 @@ class TestTubes:
         ids=["aimed", "one in, one out", "three rays a hit", "roulette"],
     )
     def test_modes(self, load_scene: Load, mode: dict[str, Any]) -> None:
-        """However it is sampled, the sum of the first orders is the same."""
         t = mistray.trace(load_scene(scatter_scenes.tube_text(2.0, 0.5)), **{**EVERYTHING, **mode})
         check_detected("tube", t, integrals.tube_orders(2.0, 0.5, mode["max_scatters"] - 1).sum(), 0.01)
 
@@ -173,7 +171,6 @@ def axis_at(polar_deg: float, azimuth_deg: float = 0.0) -> np.ndarray:
 
 
 def scattered(t: mistray.Trace) -> tuple[float, float]:
-    """Flux of the paths with a scatter event, and its standard error, W."""
     return t.paths.power([row.path_id for row in t.paths if row.scatter_1 != "-"])
 
 
@@ -294,7 +291,6 @@ def test_plate_in_a_converging_beam(load_scene: Load, row: dict[str, str]) -> No
 
 @pytest.mark.parametrize("aim", ["auto", "targets"])
 def test_two_scatters(load_scene: Load, aim: str) -> None:
-    """A plate scatters light onto a disc, which scatters it onto a small detector off the axis."""
     first = bsdf_xml("abg", A=0.05, B=0.1, g=2.0, event="transmission")
     second = bsdf_xml("harvey_shack", b0=0.3, l=0.2, s=-2.0, event="transmission")
     forms = integrals.abg(0.05, 0.1, 2.0), integrals.harvey_shack(0.3, 0.2, -2.0)

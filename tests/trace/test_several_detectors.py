@@ -70,7 +70,6 @@ class TestSplitBeam:
 
 
 def test_wrong_and_missing_names(load_text) -> None:
-    """What looks at one detector asks for its name before it traces."""
     scene, _ = load_text(split_text())
     both = mistray.trace(scene, rays=500)
     asked, choose = r"2 detectors \(back, side\)", "'splitter' is no detector of this .*; choose from back, side"
