@@ -21,22 +21,6 @@ pytestmark = pytest.mark.quick
 
 
 @pytest.fixture
-def traced(monkeypatch):
-    """Replaces the tracer by the fake one and notes its calls."""
-    calls = []
-
-    def trace(scene, field_deg=None, progress=None, **settings):
-        calls.append({"field_deg": field_deg, **settings})
-        if progress:
-            progress(500, 1000)
-            progress(1000, 1000)
-        return trace_at(4.0 if field_deg is None else field_deg)
-
-    monkeypatch.setattr(importlib.import_module("mistray.analysis.field_traces"), "trace", trace)
-    return calls
-
-
-@pytest.fixture
 def report():
     return ghosts_of(*map(trace_at, (0.0, 10.0, 20.0)))
 
@@ -125,8 +109,18 @@ def test_two_wavelengths_are_one_image():
     assert image.rms_irradiance_W_mm2.value == pytest.approx(2.0 / (math.pi * radius2), rel=1e-12)
 
 
-def test_on_axis_field_is_traced_for_the_yardstick(traced):
+def test_on_axis_field_is_traced_for_the_yardstick(monkeypatch):
     """Before the others, as an interrupt then leaves a report, with their spectrum and without stray light."""
+    traced = []
+
+    def trace(scene, field_deg=None, progress=None, **settings):
+        traced.append({"field_deg": field_deg, **settings})
+        if progress:
+            progress(500, 1000)
+            progress(1000, 1000)
+        return trace_at(4.0 if field_deg is None else field_deg)
+
+    monkeypatch.setattr(importlib.import_module("mistray.analysis.field_traces"), "trace", trace)
     spectrum = {"wavelength_nm": [450.0, 550.0], "weights": [1.0, 2.0], "polarization": "stokes"}
     seen = []
     report = ghosts("scene", field_deg=[5.0, 20.0], rays=1000, seed=7, progress=lambda *at: seen.append(at), **spectrum)

@@ -206,15 +206,11 @@ def test_bad_arguments_are_one_line():
 HALO = bsdf_xml("abg", A=1e-3, B=1e-6, g=2.0, event="reflection")
 
 
-@pytest.fixture(scope="module")
-def images(load_scene):
+@pytest.mark.long
+def test_tables_facts_and_findings(load_scene):
     scene = load_scene(paraboloid_text(HALO, detector=5.0))
     # At 4° the direct image misses the detector
-    return mistray.study(scene, (0, 20), (0, 0.5, 4), rays=20_000, quick=True, name="rough mirror", next_order=False)
-
-
-@pytest.mark.long
-def test_tables_facts_and_findings(images):
+    images = mistray.study(scene, (0, 20), (0, 0.5, 4), rays=20_000, quick=True, name="rough mirror", next_order=False)
     assert [one.image.field_deg for one in images.images] == [0, 0.5]  # whose image meets the detector
     step = images["analysis"]
     assert list(step.tables["image_with_stray_light"].field_deg) == [0, 0.5]

@@ -43,19 +43,15 @@ def scattered_beyond(radius: float) -> float:
     return float(np.sum(weight * 2 * math.pi * r * values))
 
 
-@pytest.fixture(scope="module")
-def found(load_scene):
-    scene = load_scene(paraboloid_text(ROUGH))
-    return mistray.transfer(scene, rays=100_000, frequencies_per_mm=NU, pixel_mm=0.003, **ALL)[0]
-
-
 # What Harvey's formula scatters beyond the horizon, or by a larger phase than oblique light has
 EVANESCENT = 1 - math.exp(-A) - scattered_beyond(0.0)
 
 
 class TestRoughMirror:
-    def test_the_mtf_is_lens_times_detector_times_harvey(self, found):
+    def test_the_mtf_is_lens_times_detector_times_harvey(self, load_scene):
         """False alarm 1e-3 each for both curves, in both azimuths."""
+        scene = load_scene(paraboloid_text(ROUGH))
+        found = mistray.transfer(scene, rays=100_000, frequencies_per_mm=NU, pixel_mm=0.003, **ALL)[0]
         nu = np.array(NU)
         lag = formulas.lag_um(nu, LINE * 1e-3, FOCUS / (2 * RADIUS), 2 * RADIUS)
         harvey = formulas.surface_transfer(formulas.exponential_correlation(lag, B_UM / (2 * math.pi)), A)

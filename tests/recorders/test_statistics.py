@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +16,6 @@ from mistray.execute.tracer import prepare
 from mistray.recorders.film import Pixels
 from mistray.settings import BATCHES, Settings
 
-SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*/scene.xml"))
 MODES = {
     "one in, one out": {"splitting": "one", "rays": 400_000},
     "roulette": {"splitting": "split", "below_threshold": "roulette", "flux_threshold": 3e-3, "rays": 60_000},

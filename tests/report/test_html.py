@@ -39,23 +39,11 @@ def report() -> GhostReport:
     return ghosts_of(*map(trace_at, (0.0, 20.0)))
 
 
-@pytest.fixture(scope="module")
-def written(report: GhostReport, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, set[str]]:
-    out = tmp_path_factory.mktemp("plain") / "out"
+def test_page_of_one_wavelength(tmp_path: Path, report: GhostReport) -> None:
+    out = tmp_path / "out"
     files = write_all(report, out, "a <b> & c", "mistray ghosts 'a <b> & c' --rays 1e6")
     assert sorted(file.name for file in files) == sorted(entry.name for entry in out.iterdir())
-    return (out / "report.html").read_text(encoding="utf-8"), {file.name for file in files}
-
-
-@pytest.fixture(scope="module")
-def coloured(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, set[str]]:
-    report, out = ghosts_of(*map(trace_in_colours, (0.0, 20.0))), tmp_path_factory.mktemp("out")
-    files = write_all(report, out, per_wavelength=True, look=Look())
-    return (out / "report.html").read_text(encoding="utf-8"), {file.name for file in files}
-
-
-def test_page_of_one_wavelength(written: tuple[str, set[str]], coloured: tuple[str, set[str]]) -> None:
-    text, names = written
+    text, names = (out / "report.html").read_text(encoding="utf-8"), {file.name for file in files}
     html_pages.check(text)
     assert "a <b> & c" not in text
     assert "Ghost analysis: a &lt;b&gt; &amp; c" in text
@@ -66,7 +54,9 @@ def test_page_of_one_wavelength(written: tuple[str, set[str]], coloured: tuple[s
     assert not {name for name in names if name.startswith("colour") or "per_wavelength" in name}
     assert "in colour" not in text
     # The page in colours
-    text, names = coloured
+    report = ghosts_of(*map(trace_in_colours, (0.0, 20.0)))
+    names = {file.name for file in write_all(report, tmp_path, per_wavelength=True, look=Look())}
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
     html_pages.check(text)
     assert {"colour_0deg.png", "colour_20deg.png", "paths_per_wavelength.csv"} <= names
     assert "450, 550, 650 nm with 25, 50, 25 % of the flux" in text

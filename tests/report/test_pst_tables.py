@@ -42,14 +42,6 @@ def around() -> Pst:
     return fake_pst(field_deg=(0, 20, 40), azimuths_deg=(0, 90, 180, 270), map_pixels=8)
 
 
-@pytest.fixture(scope="module")
-def written(around: Pst, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("pst") / "new" / "out"
-    files = write_pst(around, out, "a <b> & c", "mistray pst 'a <b> & c'", 3, [(20.0, 90.0), (40.0, 0.0)])
-    assert {file.name for file in files} == {entry.name for entry in out.iterdir()}
-    return out
-
-
 def rows(text: str) -> list[list[str]]:
     """Cells of the rows below the rule of a table."""
     lines = text.splitlines()
@@ -144,7 +136,11 @@ def test_text(pst: Pst) -> None:
     assert "it sees no opening" in html_page(pst_report(dark))
 
 
-def test_files(around: Pst, written: Path, tmp_path: Path) -> None:
+def test_files(around: Pst, tmp_path: Path) -> None:
+    out = tmp_path / "new" / "out"
+    files = write_pst(around, out, "a <b> & c", "mistray pst 'a <b> & c'", 3, [(20.0, 90.0), (40.0, 0.0)])
+    assert {file.name for file in files} == {entry.name for entry in out.iterdir()}
+    written = out
     assert {file.name for file in written.iterdir()} == {
         "pst.csv", "pst_cells.csv", "pst_paths.csv", "pst.png", "pst_causes.png", "pst_map.png",
         "irradiance_20deg_90deg.png", "irradiance_40deg_0deg.png", "pst.json", "report.html",

@@ -104,12 +104,8 @@ def test_csv_holds_every_digit(report, tmp_path):
     assert len(surfaces) == 3 * 6
 
 
-@pytest.fixture(scope="module")
-def colours():
-    return ghosts_of(*map(trace_in_colours, (0.0, 10.0)))
-
-
-def test_csv_per_wavelength_adds_up(colours, tmp_path):
+def test_csv_per_wavelength_adds_up(tmp_path):
+    colours = ghosts_of(*map(trace_in_colours, (0.0, 10.0)))
     names = [file.name for file in write_csv(colours, tmp_path, per_wavelength=True)]
     assert names[4:8] == [f"{name}_per_wavelength.csv" for name in ("summary", "paths", "energy", "surfaces")]
     tables = {name: pd.read_csv(tmp_path / name) for name in names}

@@ -389,13 +389,9 @@ def traced(triplet):
     return mistray.trace(triplet, rays=2_000, field_deg=10.0, max_reflections=2, max_scatters=0)
 
 
-@pytest.fixture(scope="module")
-def seen(triplet, traced):
-    return mistray.view(triplet, traced, paths=3, rays=4)
-
-
 @pytest.mark.long
-def test_every_hit_lies_on_the_surface_that_its_event_names(seen, triplet, traced):
+def test_every_hit_lies_on_the_surface_that_its_event_names(triplet, traced):
+    seen = mistray.view(triplet, traced, paths=3, rays=4)
     surfaces = {shape.id(): shape for shape in triplet.shapes()}
     met = set()
     assert {ray.path_id for ray in seen.rays} == {0, 1, 2}
