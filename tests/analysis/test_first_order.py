@@ -77,7 +77,7 @@ def test_thick_lens():
     assert math.isnan(found.defocus_mm)
 
 
-def test_image_in_glass(load_scene):
+def test_image_in_glass_and_near_object(load_scene):
     """An ellipsoid of conic -1/n² focuses in its glass at f' = n R/(n - 1); sin u = y/hypot(y, f' - z) at its rim."""
     n, radius, y = 1.4, 20.0, 14.0
     focus = n * radius / (n - 1)
@@ -90,6 +90,21 @@ def test_image_in_glass(load_scene):
     found = first_order(scene, path)
     assert found.focal_length_mm == pytest.approx(focus, rel=1e-6)
     assert found.f_number == pytest.approx(math.hypot(y, focus - sag) / (2 * n * y), rel=1e-3)
+    # Rays of a point 100 mm before the origin: the pupil where they pass it, and fields by the ray through it
+    black = {"type": "interface", "R": 0.0}
+    stop = {"type": "asphere", "semi_diameter": 40.0, "inner_semi_diameter": 5.0, "z": 10.0, "bsdf": black}
+    detector = {"type": "asphere", "half_width": 20.0, "half_height": 15.0, "z": 30.0, "bsdf": black}
+    detector["sensor"] = {"type": "irradiancemeter"}
+    given = {"type": "scene", "stop": stop, "detector": detector}
+    scene = mistray.load(given, "point:0,0,-100")
+    found = first_order(scene, find_design_path(SurfaceTable(scene, 550.0), scene))
+    assert found.pupil_diameter_mm == pytest.approx(2 * 5 * 100 / 110, rel=1e-3)
+    assert found.stop == "stop"
+    assert found.field_deg["x"] == pytest.approx(np.degrees(np.arctan(20 / 30)), rel=1e-6)
+    assert found.field_deg["y"] == pytest.approx(np.degrees(np.arctan(15 / 30)), rel=1e-6)
+    laser = mistray.load(given, "laser:0,0,-100,waist_x=1,waist_y=1")
+    with pytest.raises(mistray.MistrayError, match=r"'source'.*point_source"):
+        first_order(laser, find_design_path(SurfaceTable(laser, 550.0), laser))
 
 
 def test_newtonian():
@@ -125,24 +140,6 @@ def test_phone_camera():
     assert found.field_deg["y"] == pytest.approx(edge, abs=0.002)
 
 
-def test_near_object():
-    """Rays of a point 100 mm before the origin: the pupil where they pass it, and fields by the ray through it."""
-    black = {"type": "interface", "R": 0.0}
-    stop = {"type": "asphere", "semi_diameter": 40.0, "inner_semi_diameter": 5.0, "z": 10.0, "bsdf": black}
-    detector = {"type": "asphere", "half_width": 20.0, "half_height": 15.0, "z": 30.0, "bsdf": black}
-    detector["sensor"] = {"type": "irradiancemeter"}
-    given = {"type": "scene", "stop": stop, "detector": detector}
-    scene = mistray.load(given, "point:0,0,-100")
-    found = first_order(scene, find_design_path(SurfaceTable(scene, 550.0), scene))
-    assert found.pupil_diameter_mm == pytest.approx(2 * 5 * 100 / 110, rel=1e-3)
-    assert found.stop == "stop"
-    assert found.field_deg["x"] == pytest.approx(np.degrees(np.arctan(20 / 30)), rel=1e-6)
-    assert found.field_deg["y"] == pytest.approx(np.degrees(np.arctan(15 / 30)), rel=1e-6)
-    laser = mistray.load(given, "laser:0,0,-100,waist_x=1,waist_y=1")
-    with pytest.raises(mistray.MistrayError, match=r"'source'.*point_source"):
-        first_order(laser, find_design_path(SurfaceTable(laser, 550.0), laser))
-
-
 RADIUS, FOCUS = 4.0, 60.0  # of the stop; of the mirror
 
 
@@ -170,7 +167,7 @@ def test_the_rim_of_a_stop(load_scene: Callable[[str], Any]) -> None:
 
 
 @pytest.mark.long
-def test_fields_and_wavelengths() -> None:
+def test_rays_of_fields_and_wavelengths_and_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = mistray.load("cooke_triplet")
     table = critical_rays(scene, [0.0, 8.0], wavelength_nm=[486.1, 656.3], rays=2000)
     assert set(zip(table.field_deg, table.wavelength_nm, strict=True)) == {
@@ -183,10 +180,6 @@ def test_fields_and_wavelengths() -> None:
         assert ray.node.tolist() == list(range(8))
         d = ray[["dx", "dy", "dz"]].iloc[0].to_numpy(np.float64)
         assert np.degrees(np.arctan2(d[1], d[2])) == pytest.approx(ray.field_deg.iloc[0], abs=1e-6)
-
-
-@pytest.mark.long
-def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "critical.csv"
     record = json.loads(succeeds(capsys, "export", "cooke_triplet", "-o", file, "--field-deg", 0, 5, "--json"))
     with open(file, encoding="utf-8", newline="") as text:

@@ -139,7 +139,7 @@ def test_refused():
 
 
 @pytest.mark.long
-def test_near_object():
+def test_near_object_and_azimuth():
     """An Offner relay images at 1:1 without distortion; its pupils lie far away, its MTF is nearly ideal."""
     axis, beside = found = mistray.image_quality(mistray.load("offner_relay"), field_mm=[0.0, 2.0], grid=48)
     assert found.magnification == pytest.approx(1.0, rel=1e-6)
@@ -148,10 +148,7 @@ def test_near_object():
     assert axis.strehl > 0.99
     f = np.linspace(0, 0.9, 10) * axis.cut_off_per_mm()
     assert axis.mtf(f) == pytest.approx(axis.diffraction_limit(f), abs=0.01)
-
-
-@pytest.mark.long
-def test_azimuth_turns_the_image():
+    # The azimuth turns the image of a centred lens
     scene = mistray.load("cooke_triplet")
     up, aside = (mistray.image_quality(scene, 10.0, azimuth_deg=azimuth, grid=48)[0] for azimuth in (0.0, 30.0))
     turn = np.radians(30.0)

@@ -56,14 +56,6 @@ def test_more_than_two_errors_and_5_percent() -> None:
     assert np.mean(alarms) < 0.06
 
 
-def test_limits_of_0_stay_and_scatter_needs_a_scatterer() -> None:
-    plain, rough = (SurfaceTable(mistray.load(name), 550.0) for name in ("cooke_triplet", "baffle_tube"))
-    assert next_limits(Settings(), rough) == {"max_scatters": 2, "max_reflections": 3}
-    assert next_limits(Settings(), plain) == {"max_reflections": 3}
-    assert next_limits(Settings(max_scatters=0, max_reflections=0), rough) == {}
-    assert next_limits(Settings(max_scatters=NO_LIMIT), rough) == {"max_reflections": 3}
-
-
 def curve(level: float, rays: int = 1000, seed: int = 0) -> Pst:
     """A PST of scattered light at two angles, 10 and 20°, the second ten times darker, with an error of 2 %."""
     grid = DirectionGrid.of([10.0, 20.0])
@@ -102,6 +94,12 @@ def test_the_pst_shown_is_that_which_changes_more() -> None:
     same = with_next_orders(mistray.load("baffle_tube"), first, 60.0, measure)
     assert np.array_equal(same.by_batch, first.by_batch)
     assert [order.taken for order in same.next_orders] == [False, False]
+    # Limits of 0 stay, and scatter needs a scatterer
+    plain, rough = (SurfaceTable(mistray.load(name), 550.0) for name in ("cooke_triplet", "baffle_tube"))
+    assert next_limits(Settings(), rough) == {"max_scatters": 2, "max_reflections": 3}
+    assert next_limits(Settings(), plain) == {"max_reflections": 3}
+    assert next_limits(Settings(max_scatters=0, max_reflections=0), rough) == {}
+    assert next_limits(Settings(max_scatters=NO_LIMIT), rough) == {"max_reflections": 3}
 
 
 @pytest.mark.long

@@ -171,12 +171,9 @@ def test_common_objects_are_in_both_lists(phone):
     for name in ("critical", "illuminated"):
         assert getattr(found, name) == [entry for entry in getattr(phone, name) if entry.power > 1e-3]
     assert len(found.common) < len(phone.common)
-    assert objects(phone.scene, rays=2000, seed=1).critical != objects(phone.scene, rays=2000).critical
     # Light in total reflection can be stopped
-    with_it = {entry.id for entry in phone.critical}
     without = {entry.id for entry in objects(phone.scene, rays=RAYS, total_reflection=False).critical}
-    assert without < with_it
-    assert "board_left" in with_it - without
+    assert without < {entry.id for entry in phone.critical} - {"board_left"}
 
 
 def test_rows_agree_with_the_kernel(phone):
@@ -221,9 +218,7 @@ def test_before_and_after_the_stop(phone):
     low, high = shots["L3_bevel_2",].field_deg
     assert 15 < low < high < 27
     assert any("past L3_rear through L3_bevel_2" in text for text in phone.notes)
-
-
-def test_folded_systems_keep_their_gaps():
+    # Folded systems keep their gaps
     found = objects(mistray.load("newtonian"), rays=RAYS)
     assert row(found.critical, "eyepiece_tube", "front").between == "diagonal – image"
     assert row(found.critical, "eyepiece_tube", "front").stop == "after"
@@ -369,16 +364,16 @@ def test_gcf_of_one_side_is_at_most_one(total):
     assert np.all(estimates.gcf <= 1 + z_limit() * relative)
 
 
-@pytest.mark.parametrize(
-    ("kind", "numbers", "area"),
-    [
-        ("frustum", {"r0": 1.0, "z0": 0.0, "r1": 3.0, "z1": 2.0}, np.pi * 4 * np.sqrt(8)),
-        ("frustum", {"r0": 2.0, "z0": 1.0, "r1": 2.0, "z1": 4.0}, 12 * np.pi),
-        ("frustum", {"r0": 1.0, "z0": 0.0, "r1": 2.0, "z1": 0.0}, 3 * np.pi),
-        ("asphere", {"radius": 4.0, "semi_diameter": 3.0}, 2 * np.pi * 16 * (1 - np.sqrt(7) / 4)),
-        ("asphere", {"half_width": 2.0, "half_height": 1.0}, 8.0),
-    ],
-)
+AREAS = [
+    ("frustum", {"r0": 1.0, "z0": 0.0, "r1": 3.0, "z1": 2.0}, np.pi * 4 * np.sqrt(8)),
+    ("frustum", {"r0": 2.0, "z0": 1.0, "r1": 2.0, "z1": 4.0}, 12 * np.pi),
+    ("frustum", {"r0": 1.0, "z0": 0.0, "r1": 2.0, "z1": 0.0}, 3 * np.pi),
+    ("asphere", {"radius": 4.0, "semi_diameter": 3.0}, 2 * np.pi * 16 * (1 - np.sqrt(7) / 4)),
+    ("asphere", {"half_width": 2.0, "half_height": 1.0}, 8.0),
+]
+
+
+@pytest.mark.parametrize(("kind", "numbers", "area"), AREAS)
 def test_patches_have_known_areas(load_scene, kind, numbers, area):
     """The areas add up to that of the surface, and uniform points fall into the patches in proportion to them."""
     shape = placed_xml(kind, "object", at=(1.0, 2.0, 3.0), facing=(0.2, 0.1, 1.0), **numbers)

@@ -48,7 +48,7 @@ def only(found: tuple[Gap, ...], *surfaces: str) -> float:
     return gap.gap_mm
 
 
-def test_two_tubes_end_to_end(load: Load) -> None:
+def test_tubes_and_the_edge_of_a_lens(load: Load) -> None:
     scene = load(tube("front", 5, 0, 5, 10), tube("rear", 5, 10, 6, 20), tube("vane", 3, 10, 5, 10))
     # The vane stays with the front tube, and the gap is between it and the rear one, wherever the rim is
     assert only(opened(scene, rear__z=0.3), "rear", "front") == pytest.approx(0.3, abs=1e-6)
@@ -71,10 +71,7 @@ def test_two_tubes_end_to_end(load: Load) -> None:
     assert only(opened(scene, cone__r1=3.0), "cone", "flange") == pytest.approx(0.5, abs=1e-6)
     assert only(opened(scene, flange__z=0.25), "cone", "flange") == pytest.approx(0.25, abs=1e-6)
     assert opened(scene, flange__z=-0.25) == ()
-
-
-def test_a_lens_and_its_edge(load: Load) -> None:
-    """The rim of a sphere lies at its sag, R - √(R² - r²)."""
+    # The rim of a sphere lies at its sag, R - √(R² - r²)
     sag = 50 - math.sqrt(50**2 - 8**2)
     glass = interface_xml("air", "1.5")
     scene = load(

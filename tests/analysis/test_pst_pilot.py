@@ -98,11 +98,7 @@ def test_errors_at_a_fixed_number_of_rays_have_seen_the_rare_paths() -> None:
         assert abs(z_of(found, *SINGLET_45)) < 4
         assert found.facts["rays_with_the_light"] > 0
     np.testing.assert_allclose(runs[3].by_batch, runs[2].by_batch, rtol=1e-12)
-
-
-@pytest.mark.long
-def test_a_wanted_error_is_reached_by_budget_and_holds() -> None:
-    """Half of the answers were 4 to 6 standard errors low; false alarm 0.04 % by the t distribution of 32 batches."""
+    # Half of the answers were 4 to 6 standard errors low; false alarm 0.04 % by the t distribution of 32 batches
     found = mistray.pst(singlet(), [45.0], cell_deg=2.0, relative_error=0.1, rays=10_000_000, seed=5)
     assert abs(z_of(found, *SINGLET_45)) < 4
     assert found.standard_error[0] < 0.1 * found.value[0]
@@ -137,12 +133,7 @@ def reference(name: str) -> tuple[float, float]:
     "wanted", [{"rays": 60_000}, {"relative_error": 0.05, "rays": 50_000_000}], ids=["rays", "error"]
 )
 def test_errors_hold_over_a_hundred_seeds(name: str, wanted: dict[str, Any]) -> None:
-    """
-    Against forward runs. z has the t distribution of 31 degrees of freedom: it is beyond 3 with 0.53 %.
-
-    More than three of 100 are with 0.2 %, a mean above 0.4 with 1e-4 and what the error of the reference adds, and a
-    spread over the error out of 0.75 … 1.25 with about 1e-3.
-    """
+    """False alarms: 0.2 % for more than three of 100 beyond 3 errors, 1e-4 for the mean, 1e-3 for the spread."""
     scene, angle, settings, _ = SYSTEMS[name]
     system, (value, se) = scene(), reference(name)
     runs = [mistray.pst(system, [angle], cell_deg=2.0, seed=1000 + k, **wanted, **settings) for k in range(100)]

@@ -79,8 +79,7 @@ class TestSky:
             e = source_irradiance(pst_of(np.arange(20.5, 90, 1.0), curve), SkyRadiance(from_deg=20))
             assert e.value == pytest.approx(analytic(case, f"E_stray = int L PST_{what} dOmega"), rel=1e-9)
             assert e.covered == pytest.approx(1, abs=1e-9)
-
-    def test_what_no_cell_covers_is_dark_and_said(self) -> None:
+        # What no cell covers is dark and said
         pst = pst_of([0, 10, 20, 30, 40, 50, 60, 70, 80], np.cos)
         e = source_irradiance(pst, SkyRadiance())
         solid = pst.grid.solid_angle.sum()
@@ -290,6 +289,14 @@ class TestVeilingGlare:
         assert glare.se == pytest.approx(100 * error / (self.d * solid(0, 0.5) + self.g * solid(0, 90)), rel=1e-6)
         dark = veiling_glare_index(pst, self.patch, at_mm=(-0.5, 0.5))
         assert dark.value == pytest.approx(100 * solid(self.patch, 90) / solid(0, 90), rel=1e-9)
+        # The spread of glare: direct flux on axis 0.5 · 4 mm² per W/mm²
+        maps = np.array([[[[[0.25, 0.5]]], [[[0.1, 0.2]]]], [[[[0.01, 0.01]]], [[[0.01, 0.0]]]]])
+        pst = pst_of([0, 40], np.zeros_like, np.array([[0.5], [0.0]]), maps=maps)
+        spread = glare_spread(pst, 40.0, reference_deg=0.0)
+        assert spread.value == pytest.approx(np.array([[0.05, 0.1]]))
+        assert spread.se == pytest.approx(np.array([[0.005, 0.0]]))
+        with pytest.raises(MistrayError, match="reference_deg within the field"):
+            glare_spread(pst, 40.0)
 
 
 class TestTraces:
@@ -311,16 +318,6 @@ class TestTraces:
         spread = glare_spread(plate)  # over the detector it adds up to the ghost's flux by that of the direct image
         x0, x1, y0, y1 = spread.extent_mm
         assert spread.value.mean() * (x1 - x0) * (y1 - y0) == pytest.approx(self.R**2, rel=1e-5)
-
-    def test_glare_spread_of_a_pst(self) -> None:
-        """Direct flux on axis: 0.5 · 4 mm² per W/mm²."""
-        maps = np.array([[[[[0.25, 0.5]]], [[[0.1, 0.2]]]], [[[[0.01, 0.01]]], [[[0.01, 0.0]]]]])
-        pst = pst_of([0, 40], np.zeros_like, np.array([[0.5], [0.0]]), maps=maps)
-        spread = glare_spread(pst, 40.0, reference_deg=0.0)
-        assert spread.value == pytest.approx(np.array([[0.05, 0.1]]))
-        assert spread.se == pytest.approx(np.array([[0.005, 0.0]]))
-        with pytest.raises(MistrayError, match="reference_deg within the field"):
-            glare_spread(pst, 40.0)
 
 
 def test_bad_input() -> None:

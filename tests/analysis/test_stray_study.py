@@ -185,6 +185,10 @@ def test_one_report_and_a_csv_of_every_table(small, tmp_path: Path):
         assert title in text
     back = pd.read_csv(tmp_path / "out" / "8_pst.csv")
     np.testing.assert_allclose(back.pst_total, small.pst.value, rtol=1e-8)
+    step = mistray.study(mistray.load("plate_and_wall"), (0, 40), (0,), rays=500, next_order=False)["analysis"]
+    assert "There are no images of points" in step.text
+    assert "books" not in step.tables
+    assert step.result["images"] is None
 
 
 def test_bad_arguments_are_one_line():
@@ -224,14 +228,6 @@ def test_tables_facts_and_findings(load_scene):
     assert text in step.findings
     lost = 100 * (1 - min(one.veiling_floor.value for one in images.images))
     assert f"{lost:.3g} %" in text
-
-
-@pytest.mark.long
-def test_a_scene_without_an_image_says_so():
-    step = mistray.study(mistray.load("plate_and_wall"), (0, 40), (0,), rays=500, next_order=False)["analysis"]
-    assert "There are no images of points" in step.text
-    assert "books" not in step.tables
-    assert step.result["images"] is None
 
 
 OUTSIDE = {"window_front", "barrel_0_recess", "barrel_0_front_face"}

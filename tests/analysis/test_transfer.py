@@ -139,18 +139,6 @@ def test_the_classes_are_those_of_the_path_table(name, field):
     assert float(kinds.sum()) == pytest.approx(t.energy.detected_W, rel=1e-6)
 
 
-def test_edges_that_diffract_are_a_class_of_their_own(load_scene):
-    edge = scattering_xml([bsdf_xml("edge_diffraction", width_mm=0.05)], T=1.0, R=0.0)
-    rim = placed_xml("frustum", "rim", edge, r0=2.95, z0=0.0, r1=3.0, z1=0.0)
-    detector = placed_xml("asphere", "detector", at=(0, 0, 50.0), pixels=8, semi_diameter=20.0)
-    scene = load_scene(scatter_scene(beam_xml(3.0), rim, detector))
-    spread = ImageSpread("spread", (0.0, 0.0), 1e-3, 1e2, np.zeros((0, 2)), design_of(scene))
-    t = mistray.trace(scene, rays=20_000, recorders=[spread])
-    kinds = t.paths.to_pandas().groupby("kind").power_W.sum()
-    assert float(spread.rings(3).total().value) == pytest.approx(float(kinds["edge diffraction"]), rel=1e-6)
-    assert float(spread.rings(3).total().value) > 0
-
-
 def test_glare_is_the_ghost_to_signal_ratio_of_the_same_trace():
     scene = mistray.load("singlet_window_detector")
     settings = {"rays": 2000, "max_reflections": 2, "max_scatters": 0, "seed": 5}
@@ -242,11 +230,7 @@ def test_wavelengths_are_added_by_their_light(load_scene):
 
 @pytest.mark.long
 def test_errors_hold_over_seeds(load_scene):
-    """
-    Spread of 60 seeds over the mean of the printed errors, pooled over numbers, within 0.85 … 1.15.
-
-    As one number alone the quotient would have an error of 9 % from the seeds, 2 % from batches: false alarm below 0.1.
-    """
+    """Spread of 60 seeds over the printed errors, pooled: 0.85 … 1.15; of one number a false alarm is below 0.1."""
     scene = load_scene(paraboloid_text(HALO, detector=5.0))
     quality = mistray.image_quality(scene)
     nu = np.array([0.1, 0.3, 1.0, 3.0, 10.0, 40.0])
@@ -306,3 +290,13 @@ def test_fourier_sums_and_rings_are_of_the_same_light(load_scene):
         se = np.sqrt(np.sum(np.real(waves.apart) ** 2, axis=1))
         assert_z(azimuth, waves.value.real, by_rings, se, k=5, floor=2e-3 * rings.sum())
     assert not found.spread.rings(GHOSTS).value.any()
+    # Edges that diffract are a class of their own
+    edge = scattering_xml([bsdf_xml("edge_diffraction", width_mm=0.05)], T=1.0, R=0.0)
+    rim = placed_xml("frustum", "rim", edge, r0=2.95, z0=0.0, r1=3.0, z1=0.0)
+    detector = placed_xml("asphere", "detector", at=(0, 0, 50.0), pixels=8, semi_diameter=20.0)
+    scene = load_scene(scatter_scene(beam_xml(3.0), rim, detector))
+    spread = ImageSpread("spread", (0.0, 0.0), 1e-3, 1e2, np.zeros((0, 2)), design_of(scene))
+    t = mistray.trace(scene, rays=20_000, recorders=[spread])
+    kinds = t.paths.to_pandas().groupby("kind").power_W.sum()
+    assert float(spread.rings(3).total().value) == pytest.approx(float(kinds["edge diffraction"]), rel=1e-6)
+    assert float(spread.rings(3).total().value) > 0

@@ -60,10 +60,7 @@ def test_a_field_without_stray_light_is_left_with_none():
     report = report_of({0.0: []})
     assert (worst_of_all_fields(report), most_stray(report), remedy(report)) == ([], None, None)
     assert verdict(report) == ["No stray path reaches the detector."]
-
-
-def test_the_surface_to_change():
-    """Most of the light of field 20 has one cause; a ghost off the lens is left, and all of field 0."""
+    # The surface to change: most of the light of field 20 has one cause, and a ghost off the lens is left
     ghost, direct = FakePath(BRIGHT, 1e-4, 400), FakePath(DIRECT, 3.0, 1000)
     for events, deed in (
         (f"{LENS} detector:R window_rear:R L1_front:T L1_rear:T detector:A", "reflects"),
@@ -166,15 +163,13 @@ def test_a_contested_field_is_traced_again_with_four_times_the_rays(traced, monk
     assert list(report) == [10.0, 0.0]
 
 
-@pytest.mark.parametrize("given", [{"contested_rays": 0}, {"contested_rays": 100}, {"rank": "power"}, {"seconds": 60}])
-def test_nothing_is_traced_again(traced, given):
-    report = ghosts(lens_scene(), [0.0, 10.0], rays=100, **given)
-    assert traced == [(0.0, 100), (10.0, 100)]
-    assert report.traced_again == ()
-    assert {"traced_again_deg", "contested_rays"}.isdisjoint(report.settings)
-
-
 def test_an_interrupt_leaves_what_was_traced_first(traced, monkeypatch):
+    for given in ({"contested_rays": 0}, {"contested_rays": 100}, {"rank": "power"}, {"seconds": 60}):
+        report = ghosts(lens_scene(), [0.0, 10.0], rays=100, **given)
+        assert traced == [(0.0, 100), (10.0, 100)]  # nothing is traced again
+        assert report.traced_again == ()
+        assert {"traced_again_deg", "contested_rays"}.isdisjoint(report.settings)
+        traced.clear()
     module = importlib.import_module("mistray.analysis.field_traces")
     trace = module.trace
 
@@ -202,9 +197,7 @@ def test_what_is_told(traced):
     assert f"{rival.path_id.iloc[0]} {CONTESTED}" in main_table(report)
     (note,) = [text for text in report.notes if "is open" in text]
     assert f"path {rival.path_id.iloc[0]} may be as bright" in note
-
-
-def test_the_worst_of_all_fields_are_contested_by_the_first_of_all():
+    # The worst of all fields are contested by the first of all
     first, other = lens_trace(0.0, 400, 0.01), FakeTrace([FakePath(RIVAL, 1e-4, 100, radius=0.05)], 10.0)
     report = ghosts_of(first, other)
     assert report.rivals(0.0).empty
@@ -313,18 +306,10 @@ def test_the_ghost_of_all_lines_is_their_sum(report):
 
 @pytest.mark.long
 def test_standard_errors_of_the_ghost_of_all_lines(scene):
-    """40 seeds: Σz² against the common mean is χ² with 39 degrees of freedom; within 9.5 … 100, false alarm 1e-6.
-
-    Three numbers, each with its own χ²; that of the radius and the irradiance comes from 16 batches, which widens the
-    distribution of z by 1 + 1/15.
-    """
-    names = {
-        "power_W": "power_se_W",
-        "rms_radius_mm": "rms_radius_se_mm",
-        "rms_irradiance_W_mm2": "rms_irradiance_se_W_mm2",
-    }
+    """40 seeds: Σz² against the common mean is χ² with 39 degrees of freedom; within 9.5 … 100, false alarm 1e-6."""
     rows = [ghost_of(analyse(scene, seed=seed)) for seed in range(40)]
-    for value, error in names.items():
+    for name, unit in (("power", "W"), ("rms_radius", "mm"), ("rms_irradiance", "W_mm2")):
+        value, error = f"{name}_{unit}", f"{name}_se_{unit}"
         values = np.array([getattr(row, value) for row in rows])
         errors = np.array([getattr(row, error) for row in rows])
         chi2 = float(np.sum(((values - values.mean()) / errors) ** 2))

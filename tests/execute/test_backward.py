@@ -163,18 +163,6 @@ def lens_text(radius: float = 30.0, reflectance: float = 0.02, b: float = 1e-3, 
     )
 
 
-def test_the_fingerprint_is_of_the_scene_and_its_light_alone(load_scene) -> None:
-    def of(change: dict[str, Any], grid: DirectionGrid = GRID, nm: Any = None, **settings: Any) -> str:
-        scene, light = load_scene(lens_text(**change)), Light(wavelength_nm=nm)
-        return BackwardTrace(scene, grid, Settings(**settings), light).fingerprint
-
-    first = of({})
-    assert first == of({}) == of({}, DirectionGrid.of([15.0], cell_deg=30.0), seed=2, rays=7)
-    changes = {"radius": 30.001}, {"reflectance": 0.021}, {"b": 1.01e-3}, {"index": "1.501"}
-    prints = {first, *map(of, changes), *(of({"index": "N-BK7"}, nm=nm) for nm in (500.0, 600.0, [500.0, 600.0]))}
-    assert len(prints) == 1 + len(changes) + 3
-
-
 def test_settings_that_are_refused(wall_scene) -> None:
     for settings, words in (
         ({"polarization": "stokes"}, "polarization is 'stokes'; .* unpolarised light only"),
@@ -194,7 +182,7 @@ def contents(book: dict[str, np.ndarray]) -> dict[tuple[tuple[int, ...], int], t
     return {(lists[p], c): v for p, c, v in zip(book["path"].tolist(), book["cell"].tolist(), sums, strict=True)}
 
 
-def test_joined_books_of_two_traces_are_the_book_of_both(wall_scene) -> None:
+def test_joined_books_of_two_traces_are_the_book_of_both(wall_scene, load_scene) -> None:
     settings = {"paths": True, "max_scatters": 1}
     whole = traced(wall_scene, passes=2, **settings).paths()
     begun = traced(wall_scene, **settings)
@@ -208,3 +196,14 @@ def test_joined_books_of_two_traces_are_the_book_of_both(wall_scene) -> None:
         assert set(found) == set(expected)
         for key, values in expected.items():
             assert found[key] == pytest.approx(values, rel=1e-9)
+
+    # The fingerprint is of the scene and its light alone
+    def of(change: dict[str, Any], grid: DirectionGrid = GRID, nm: Any = None, **settings: Any) -> str:
+        scene, light = load_scene(lens_text(**change)), Light(wavelength_nm=nm)
+        return BackwardTrace(scene, grid, Settings(**settings), light).fingerprint
+
+    first = of({})
+    assert first == of({}) == of({}, DirectionGrid.of([15.0], cell_deg=30.0), seed=2, rays=7)
+    changes = {"radius": 30.001}, {"reflectance": 0.021}, {"b": 1.01e-3}, {"index": "1.501"}
+    prints = {first, *map(of, changes), *(of({"index": "N-BK7"}, nm=nm) for nm in (500.0, 600.0, [500.0, 600.0]))}
+    assert len(prints) == 1 + len(changes) + 3

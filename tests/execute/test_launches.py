@@ -95,7 +95,14 @@ def pressing(after: float) -> Callable[[float, float], None]:
     return lambda done, _: os.kill(os.getpid(), signal.SIGINT) if done > after else None
 
 
-def test_an_interrupt_keeps_what_is_traced(plates: Any, small_launches: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupt_keeps_the_fields_that_are_finished(
+    plates: Any, small_launches: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(Interrupted) as caught:
+        mistray.ghosts(plates, [1, 2, 3], rays=100_000, progress=pressing(1.5))
+    report = caught.value.partial
+    assert list(report) == [1, 2]
+    assert report[1].rays_traced == 100_000 > report[2].rays_traced > 0
     before = signal.getsignal(signal.SIGINT)
     with pytest.raises(Interrupted) as caught:
         mistray.trace(plates, rays=200_000, progress=pressing(10_000))
@@ -105,14 +112,6 @@ def test_an_interrupt_keeps_what_is_traced(plates: Any, small_launches: None, mo
     monkeypatch.setattr(interrupts, "_count", 1)
     with pytest.raises(KeyboardInterrupt):  # what was dropped is raised after the launch
         mistray.pst(plates, [0, 20], rays=1000)
-
-
-def test_an_interrupt_keeps_the_fields_that_are_finished(plates: Any, small_launches: None) -> None:
-    with pytest.raises(Interrupted) as caught:
-        mistray.ghosts(plates, [1, 2, 3], rays=100_000, progress=pressing(1.5))
-    report = caught.value.partial
-    assert list(report) == [1, 2]
-    assert report[1].rays_traced == 100_000 > report[2].rays_traced > 0
 
 
 def test_an_interrupt_keeps_all_but_a_table_that_takes_long(

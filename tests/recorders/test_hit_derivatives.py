@@ -132,9 +132,7 @@ class TestDerivativeOfHits:
         found = gains(run, metric(run, path=upload(mi.Float64, coefficients)))
         assert found == pytest.approx(expected, rel=1e-5)
         assert found != pytest.approx(1.01 * expected, rel=1e-5)
-
-    def test_a_small_spot_far_from_the_axis(self, load_scene) -> None:
-        """Variance of the place about its mean: its terms cancel to some 1e-6 of their size."""
+        # Variance of the place about its mean: its terms cancel to some 1e-6 of their size
         run = executed(load_scene(lens_text(z=19.0, far=1.2, radius=0.2)))
         ledger, paths = books(run)
         sums = paths.sums.sum(axis=1)

@@ -44,6 +44,12 @@ class TestProbe:
         assert back.power[0] == pytest.approx(np.pi * (r + r * (1 - r) ** 2), rel=1e-5)  # of both faces
         assert set(t.recorders) == {"ahead", "wide", "back"}
         assert abs(t.energy.closure) < 1e-6
+        # A beam of 1 W/mm² brings cos 60° on a rectangle that is tilted so far
+        probe = Probe("tilted", (0, 0, -2), normal=(0, math.sqrt(3), 1), half_width=0.3, half_height=0.4, pixels=(1, 1))
+        text = plates_text(1).replace('name="radius"', 'name="distance" value="6"/><float name="radius"', 1)
+        mistray.trace(load_text(text)[0], rays=50_000, recorders=[probe], max_reflections=0)
+        (value,), (se,) = (column.ravel() for column in probe.irradiance)
+        assert abs(value - 0.5) < 4 * se  # 1 in 16,000
 
     @pytest.mark.parametrize("depth", [0.0, 1.7, 5.0])
     def test_in_absorbing_glass(self, load_text, depth: float) -> None:
@@ -51,14 +57,6 @@ class TestProbe:
         probe = Probe("within", (0.0, 0.0, min(max(depth, 1e-4), 5 - 1e-4)), half_width=2.0, half_height=2.0)
         mistray.trace(load_text(plates_text(1, index="1.5 k=1e-5", R=0.0, T=1.0))[0], rays=1000, recorders=[probe])
         assert probe.power[0] == pytest.approx(np.pi * math.exp(-4 * np.pi * 1e-5 * depth / 550e-6), rel=1e-4)
-
-    def test_a_tilted_one(self, load_text) -> None:
-        """A beam of 1 W/mm² brings cos 60° on a rectangle that is tilted so far."""
-        probe = Probe("tilted", (0, 0, -2), normal=(0, math.sqrt(3), 1), half_width=0.3, half_height=0.4, pixels=(1, 1))
-        text = plates_text(1).replace('name="radius"', 'name="distance" value="6"/><float name="radius"', 1)
-        mistray.trace(load_text(text)[0], rays=50_000, recorders=[probe], max_reflections=0)
-        (value,), (se,) = (column.ravel() for column in probe.irradiance)
-        assert abs(value - 0.5) < 4 * se  # 1 in 16,000
 
     def test_radiance_of_a_screen(self, load_text) -> None:
         """A Lambertian screen under 1 W/mm² has the radiance f in every direction: 11 cells of 5 SE, 1 in 150,000."""
@@ -80,7 +78,7 @@ class TestProbe:
         assert value.sum() * (2 / 6) ** 2 == pytest.approx(probe.irradiance[0].sum(), rel=1e-9)
         assert abs(t.energy.closure) < 1e-5
 
-    def test_bad_numbers(self) -> None:
+    def test_bad_numbers(self, load_text) -> None:
         for change, words in (
             ({"name": " "}, "not blank"),
             ({"half_width": 0.0}, "half_width"),
@@ -102,8 +100,6 @@ class TestProbe:
         ):
             with pytest.raises(mistray.MistrayError, match=words):
                 FarField("f", **numbers)
-
-    def test_names(self, load_text) -> None:
         scene, _ = load_text(plates_text(1))
         twice = [Probe("focus", (0, 0, 1)), FarField("focus")]
         with pytest.raises(mistray.MistrayError, match="2 recorders have the name 'focus'"):
@@ -130,9 +126,7 @@ class TestFarField:
         assert np.all(np.abs(value - expected) < 5 * se)
         assert np.all(se < 0.2 * expected)
         assert far.power[0] == pytest.approx(t.energy.escaped_W, rel=1e-9)
-
-    def test_where_a_beam_goes(self, load_text) -> None:
-        """A beam at 10° and azimuth 90° (towards -x) that meets nothing behind a plate leaves in one cell."""
+        # A beam at 10° and azimuth 90° (towards -x) that meets nothing behind a plate leaves in one cell
         text = plates_text(1, R=0.0, T=1.0).replace('half_width" value="50.0', 'half_width" value="0.01')
         scene, _ = load_text(text)
         far = FarField("beam", edges_deg=(0, 9, 11, 180), azimuths=8)

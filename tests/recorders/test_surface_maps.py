@@ -82,6 +82,15 @@ def test_the_wall_of_a_tube_about_a_lamp_on_its_axis():
     np.testing.assert_allclose(one.areas, 2 * np.pi * a * 3 / 6)
     assert one.absorbed_power[0] == pytest.approx(t.energy.absorbed["tube"][0], rel=1e-6)
     assert one.power[1] == pytest.approx(t.energy.absorbed["tube"][1], rel=1e-6)
+    # Areas add up to those of the surfaces
+    hemisphere = {"type": "asphere", "radius": 3.0, "semi_diameter": 3.0, "bsdf": BLACK}
+    walls = SurfaceMaps("walls", azimuths=4, lengths=3)
+    mistray.trace(scene_of(SOURCE, half=hemisphere), rays=100, recorders=[walls])
+    one = walls.maps["half"]
+    z = 3 - np.sqrt(9 - one.along_mm**2)
+    np.testing.assert_allclose(one.areas * 4, 2 * np.pi * 3 * np.diff(z), rtol=1e-9)
+    x0, x1, y0, y1 = one.unrolled_mm
+    assert (x1 - x0) * (y1 - y0) == pytest.approx(2 * np.pi * 9, rel=1e-9)
 
 
 POSE = mi.ScalarTransform4d().translate([1, 2, -4]).rotate([1, 0, 0], 20).rotate([0, 0, 1], 35)
@@ -125,18 +134,6 @@ def test_surfaces_beside_a_lamp(name):
     assert np.all(np.abs(one.incident.value - exact) < 6 * one.incident.se + 1e-5 * exact)
     middles = np.meshgrid(*[0.5 * (b[1:] + b[:-1]) for b in (one.along_mm, one.across_borders)], indexing="ij")
     np.testing.assert_allclose(one.places, place(*middles) @ matrix[:3, :3].T + matrix[:3, 3], atol=1e-9)
-
-
-@pytest.mark.quick
-def test_areas_add_up_to_those_of_the_surfaces():
-    hemisphere = {"type": "asphere", "radius": 3.0, "semi_diameter": 3.0, "bsdf": BLACK}
-    walls = SurfaceMaps("walls", azimuths=4, lengths=3)
-    mistray.trace(scene_of(SOURCE, half=hemisphere), rays=100, recorders=[walls])
-    one = walls.maps["half"]
-    z = 3 - np.sqrt(9 - one.along_mm**2)
-    np.testing.assert_allclose(one.areas * 4, 2 * np.pi * 3 * np.diff(z), rtol=1e-9)
-    x0, x1, y0, y1 = one.unrolled_mm
-    assert (x1 - x0) * (y1 - y0) == pytest.approx(2 * np.pi * 9, rel=1e-9)
 
 
 @pytest.mark.parametrize("name", ["plate_and_wall", pytest.param("double_gauss_barrel", marks=pytest.mark.long)])

@@ -181,6 +181,17 @@ def test_exposure_over_the_direct_image_leaves_the_ghosts_dark(report):
     assert tuple(left.get_extent()) == report[0.0].extent
     caption = figure.get_supxlabel()
     assert all(words in caption for words in ("450, 550, 650 nm", "white: D65", "+1 stops over the brightest ghost"))
+    # Noise asks for blocks: 4 × 4 pixels hold 16 times the rays; the mean irradiance stays
+    stray = np.random.default_rng(0).poisson(8.0, (3, 60, 40)).astype(float)
+    maps = SpectralMaps(
+        np.array([450.0, 550.0, 650.0]), np.ones(3), np.zeros_like(stray), stray, stray.sum(axis=(1, 2))
+    )
+    assert [maps.block_for(noise) for noise in (100.0, 5.0, 1e9)] == [4, 1, 20]
+    binned = maps.binned(4)
+    assert binned.stray.shape == (3, 15, 10)
+    np.testing.assert_allclose(binned.stray.mean(axis=(1, 2)), stray.mean(axis=(1, 2)), rtol=1e-12)
+    np.testing.assert_allclose(binned.stray[1, 2, 3], stray[1, 8:12, 12:16].mean(), rtol=1e-12)
+    assert "pixels averaged" in ColourPictures(report, Look(block=2)).caption(0.0)
 
 
 def test_what_gives_no_colour_is_refused(report):
@@ -197,17 +208,3 @@ def test_what_gives_no_colour_is_refused(report):
     ):
         with pytest.raises(MistrayError, match=words):
             call()
-
-
-def test_noise_asks_for_blocks(report):
-    """4 × 4 blocks hold 16 times the rays; the mean irradiance, and so the light, stays."""
-    stray = np.random.default_rng(0).poisson(8.0, (3, 60, 40)).astype(float)
-    maps = SpectralMaps(
-        np.array([450.0, 550.0, 650.0]), np.ones(3), np.zeros_like(stray), stray, stray.sum(axis=(1, 2))
-    )
-    assert [maps.block_for(noise) for noise in (100.0, 5.0, 1e9)] == [4, 1, 20]
-    binned = maps.binned(4)
-    assert binned.stray.shape == (3, 15, 10)
-    np.testing.assert_allclose(binned.stray.mean(axis=(1, 2)), stray.mean(axis=(1, 2)), rtol=1e-12)
-    np.testing.assert_allclose(binned.stray[1, 2, 3], stray[1, 8:12, 12:16].mean(), rtol=1e-12)
-    assert "pixels averaged" in ColourPictures(report, Look(block=2)).caption(0.0)

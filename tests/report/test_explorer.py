@@ -182,7 +182,7 @@ def stored(text: str) -> np.ndarray:
     return np.where(code == 0, 0.0, 10.0 ** (code / 600 - 100))
 
 
-def test_powers_keep_their_value_to_a_fifth_of_a_percent():
+def test_powers_json_and_pictures_of_a_page():
     power = 10.0 ** np.random.default_rng(1).uniform(-60, 8, 10_000)
     power[::7] = 0
     store = MapStore()
@@ -197,17 +197,13 @@ def test_powers_keep_their_value_to_a_fifth_of_a_percent():
     assert stored(MapStore().text()).size == 0
     # Rounding goes up as often as down
     assert found.sum() / (power.sum() + 2) == pytest.approx(1, rel=1e-3)
-
-
-def test_json_cannot_end_its_element():
+    # JSON cannot end its element
     text = json_script("data-x", {"name": "</script><b>", "µ": [1.5]})
     assert text.count("</script>") == 1
     assert json.loads(text[text.index(">") + 1 : text.rindex("<")]) == {"name": "</script><b>", "µ": [1.5]}
     with pytest.raises(ValueError, match="JSON compliant"):
         json_script("data-x", [float("nan")])
-
-
-def test_png_is_read_back_by_another_reader():
+    # PNG is read back by another reader
     index = np.arange(256, dtype=np.uint8).reshape(8, 32)
     picture = matplotlib.image.imread(io.BytesIO(palette_png(index, colour_table())), format="png")
     np.testing.assert_array_equal(np.rint(255 * picture[:, :, :3]).astype(np.uint8), colour_table()[index])

@@ -38,14 +38,11 @@ def test_any_name_can_stand_anywhere(name: str, kind: str) -> None:
     assert all(label.get_parse_math() for label in powers)
 
 
-def test_a_legend_has_names_that_begin_with_an_underscore() -> None:
+def test_a_legend_has_all_names_and_no_report_has_another_figure() -> None:
     axes = Figure().subplots()
     for name in ("_edge", "edge", "__"):
         axes.plot([0, 1], [0, 1], label=legend_label(name))
     assert [text.get_text().strip() for text in axes.legend().get_texts()] == ["_edge", "edge", "__"]
-
-
-def test_no_report_has_another_figure() -> None:
     for file in Path(report.__file__).parent.rglob("*.py"):
         if file.name == "figure.py":
             continue

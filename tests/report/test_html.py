@@ -214,7 +214,7 @@ def test_every_part_of_the_model():
 
 
 @pytest.mark.long
-def test_tables_are_no_wider_than_the_page():
+def test_tables_are_no_wider_than_the_page(tmp_path):
     table = wide_table(3)
     rows = [[column.head for column in table.columns], *([_cell(value) for value in row] for row in table.rows)]
     with contextlib.closing(_Writer("title")) as writer:
@@ -224,10 +224,6 @@ def test_tables_are_no_wider_than_the_page():
     assert min(widths) > 3
     assert (size, sum(narrow) < 20) == (7.0, True)
     assert [_cell(value) for value in (Estimate(1.5, 0.1), "a </ b")] == ["1.50\n± 0.10", "a </ b"]
-
-
-@pytest.mark.long
-def test_written_beside_the_page(tmp_path):
     report = Report("Heading", "scene", [Section("a", "First", [NotePart("text")])], page="objects.html")
     (path,) = write_formats(["pdf"], tmp_path, {}, {}, report=report)
     assert path.name == "objects.pdf"

@@ -40,9 +40,6 @@ def test_text_holds_the_lists(found: Any, estimates: pd.DataFrame) -> None:
     assert text.count("… and") == 2
     np.testing.assert_allclose(estimates.groupby("angle_deg").percent.sum(), 100, rtol=1e-12)
     assert "no common object scatters" in table_text(output.estimate_table(estimates.assign(pst=0.0)))
-
-
-def test_picture(found: Any) -> None:
     of_shape = groups(found)
     assert set(of_shape.values()) <= set(STYLES)
     assert of_shape["L1_front"] == "optics"

@@ -55,7 +55,7 @@ def images(figure):
     return [image for image in drawn(figure) if image.get_array().ndim == 2]
 
 
-def test_pixels_of_few_rays_are_hatched(report):
+def test_what_pictures_leave_out(report):
     few, value = report.stray_light(20.0).few_rays, report.stray_map(20.0)[0]
     (image, hatch) = drawn(ghost_image(report, 20.0))
     lines = hatch.get_array()[..., 3] > 0
@@ -64,6 +64,20 @@ def test_pixels_of_few_rays_are_hatched(report):
     hatched = lines.reshape(value.shape[0], size, value.shape[1], size).any(axis=(1, 3))
     assert not hatched[~few | (value < 10.0 ** image.get_clim()[0])].any()
     assert hatched.any()
+    # Levels leave out what a logarithmic axis cannot show
+    left = levels_against_field(report).axes[0]
+    labels = left.get_legend_handles_labels()[1]
+    assert labels == ["direct image", "ghost", "structure"]
+    direct = left.containers[0].lines[0].get_xdata()
+    np.testing.assert_array_equal(direct, [0.0, 10.0])
+    # A layout says which path is too rare
+    t = trace_at(20.0)
+    sampled = t.sampled_rays
+    (kept,) = [k for k, path in enumerate(t.fakes) if "detector:R L1_rear:R" in path.events]
+    t.sampled_rays = lambda ids, n: {i: rays if i == kept else [] for i, rays in sampled(ids, n).items()}
+    report = ghosts_of(t, nominal=trace_at(0.0))
+    labels = layout(report, 20.0, ghosts=2).axes[0].get_legend_handles_labels()[1]
+    assert labels == ["detector → L1_rear (ghost)", "detector → window_rear (ghost), too rare to draw"]
 
 
 def test_ghost_image_shows_log10_of_the_map(report):
@@ -88,6 +102,21 @@ def test_ghost_image_shows_log10_of_the_map(report):
     assert {image.get_clim() for image in common} == {common_range(report, stray=True)}
     brightest = max(float(np.nanmax(image.get_array())) for image in own)
     assert brightest < np.log10(report[0.0].irradiance.max()) - 1  # no direct image
+    # A layout draws the worst ghosts, or the paths asked for
+    lens, window = "detector → L1_rear (ghost)", "detector → window_rear (ghost)"
+    for field, ghosts, wanted in (
+        (10.0, 2, ["direct image", lens, window]),
+        (10.0, 0, ["direct image"]),
+        (20.0, 1, [lens, window]),
+    ):
+        assert layout(report, field, ghosts=ghosts).axes[0].get_legend_handles_labels()[1] == wanted
+    table = report.table(10.0)
+    direct, other = (table.path_id[rows].iloc[0] for rows in (table.kind == "direct", table.ghost_2 == "window_rear"))
+    handles, labels = layout(report, 10.0, path_ids=[direct, other]).axes[0].get_legend_handles_labels()
+    assert labels == [f"path {direct}: direct image", f"path {other}: detector → window_rear"]
+    assert handles[0].get_color() != handles[1].get_color()
+    with pytest.raises(MistrayError, match="path 99 is not in the table of field 10 deg"):
+        layout(report, 10.0, path_ids=[99])
 
 
 def test_averaged_colours_and_dark_maps():
@@ -109,14 +138,6 @@ def test_averaged_colours_and_dark_maps():
     assert [text.get_text() for text in axes.texts] == ["no light"]
     with pytest.raises(MistrayError, match="the floor must lie below the top"):
         draw_map(axes, np.ones((2, 2)), extent, (2.0, 1.0))
-
-
-def test_levels_leave_out_what_a_logarithmic_axis_cannot_show(report):
-    left = levels_against_field(report).axes[0]
-    labels = left.get_legend_handles_labels()[1]
-    assert labels == ["direct image", "ghost", "structure"]
-    direct = left.containers[0].lines[0].get_xdata()
-    np.testing.assert_array_equal(direct, [0.0, 10.0])
 
 
 def test_sections_glass_and_rays_of_a_layout():
@@ -147,33 +168,6 @@ def test_sections_glass_and_rays_of_a_layout():
     assert np.mean([abs(ray[0, 0]) for ray in chosen]) < 0.5 * np.mean(np.abs(starts[:, 0]))
     assert meridional([], 7) == []
     assert len(meridional(rays[:2], 7)) == 2
-
-
-def test_layout_says_which_path_is_too_rare():
-    t = trace_at(20.0)
-    sampled = t.sampled_rays
-    (kept,) = [k for k, path in enumerate(t.fakes) if "detector:R L1_rear:R" in path.events]
-    t.sampled_rays = lambda ids, n: {i: rays if i == kept else [] for i, rays in sampled(ids, n).items()}
-    report = ghosts_of(t, nominal=trace_at(0.0))
-    labels = layout(report, 20.0, ghosts=2).axes[0].get_legend_handles_labels()[1]
-    assert labels == ["detector → L1_rear (ghost)", "detector → window_rear (ghost), too rare to draw"]
-
-
-def test_layout_draws_the_worst_ghosts_or_the_paths_asked_for(report):
-    lens, window = "detector → L1_rear (ghost)", "detector → window_rear (ghost)"
-    for field, ghosts, wanted in (
-        (10.0, 2, ["direct image", lens, window]),
-        (10.0, 0, ["direct image"]),
-        (20.0, 1, [lens, window]),
-    ):
-        assert layout(report, field, ghosts=ghosts).axes[0].get_legend_handles_labels()[1] == wanted
-    table = report.table(10.0)
-    direct, other = (table.path_id[rows].iloc[0] for rows in (table.kind == "direct", table.ghost_2 == "window_rear"))
-    handles, labels = layout(report, 10.0, path_ids=[direct, other]).axes[0].get_legend_handles_labels()
-    assert labels == [f"path {direct}: direct image", f"path {other}: detector → window_rear"]
-    assert handles[0].get_color() != handles[1].get_color()
-    with pytest.raises(MistrayError, match="path 99 is not in the table of field 10 deg"):
-        layout(report, 10.0, path_ids=[99])
 
 
 TUBE = vane_tube("tube", optic_radius=18, z_rear=102, length=102, wall_radius=30, field_deg=4)
@@ -247,9 +241,7 @@ def test_models() -> None:
     assert low < 0.3 / np.pi < high
     with pytest.raises(MistrayError, match="one or more angles"):
         bsdf_figure([], "none")
-
-
-def test_particles() -> None:
+    # Particles
     left, right = particles_figure(300).axes
     (own,) = [line for line in left.lines if line.get_label() == "level 300"]
     diameter, count = own.get_data()

@@ -49,7 +49,7 @@ def rows(text: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.split("  ") if cell.strip()] for line in lines[rule + 1 :]]
 
 
-def test_curve_frame_holds_the_means_of_the_batches(pst: Pst) -> None:
+def test_curve_frame_holds_the_means_of_the_batches(pst: Pst, around: Pst) -> None:
     frame = curve_frame(pst)
     batches = pst.by_batch[:, :, 0]  # (c, n, b)
     total, stray = batches.sum(axis=0), batches[1:].sum(axis=0)
@@ -73,9 +73,7 @@ def test_curve_frame_holds_the_means_of_the_batches(pst: Pst) -> None:
     (noisy,) = fake_pst(field_deg=(0, 70, 80), noise=0.5, notes=[]).notes
     assert re.match("standard error up to .* at 70, 80°", noisy)
     assert "angles from" in fake_pst(noise=1.0, notes=[]).notes[0]
-
-
-def test_cells_and_paths_of_each_angle_and_azimuth(around: Pst) -> None:
+    # Cells and paths of each angle and azimuth
     cells = cell_frame(around)
     means = cells.pst_total.to_numpy().reshape(3, 4).mean(axis=1)
     np.testing.assert_allclose(means, curve_frame(around).pst_total, rtol=1e-12)

@@ -67,7 +67,7 @@ def test_random_and_aimed_light_is_one_path(report):
     assert "(glass)" in path_sort_text(t)
 
 
-def test_the_main_table_names_surfaces_and_shares(report, monkeypatch):
+def test_the_main_table_names_surfaces_and_shares(report, monkeypatch, tmp_path):
     text = main_table(report, 3)
     lines = text.splitlines()
     start = lines.index("Scattered light by the first surface that scatters it")
@@ -92,18 +92,7 @@ def test_the_main_table_names_surfaces_and_shares(report, monkeypatch):
     (line,) = re.findall(r"^ +0  … and 2 more .*$", text, re.MULTILINE)
     assert line.split()[-1] == f"{rest.percent_of_stray.sum():.4g}"
     assert text.splitlines()[-2:] == ["… and 1 more", "!: below 0.2"]
-
-
-def test_without_scatter_nothing_is_said_about_it():
-    t = trace_at(0.0)
-    report = ghosts_of(t)
-    assert "catter" not in main_table(report).replace("ghost and scatter surfaces", "")
-    assert "scatter.csv" not in csv_tables(report)
-    assert report.scatter_surfaces(0.0).empty
-    assert 'id="scatter"' not in html_text(report)
-
-
-def test_csv_files(report, tmp_path):
+    # CSV files and JSON
     names = [file.name for file in write_csv(report, tmp_path, per_wavelength=True)]
     assert {"scatter.csv", "scatter_per_wavelength.csv", "aiming.csv"} <= set(names)
     tables = {name: pd.read_csv(tmp_path / name) for name in names}
@@ -120,6 +109,15 @@ def test_csv_files(report, tmp_path):
     assert (stop["surface"], stop["share_landed"], stop["low"], stop["tight"]) == ("stop_wall", 0.05, True, False)
     assert field["sampling"]["hits_per_start"] == 0.65
     assert field["single_scatter_W"] == pytest.approx(WINDOW + STOP)
+
+
+def test_without_scatter_nothing_is_said_about_it():
+    t = trace_at(0.0)
+    report = ghosts_of(t)
+    assert "catter" not in main_table(report).replace("ghost and scatter surfaces", "")
+    assert "scatter.csv" not in csv_tables(report)
+    assert report.scatter_surfaces(0.0).empty
+    assert 'id="scatter"' not in html_text(report)
 
 
 def test_the_path_sort_file_comes_back_in_the_order_of_the_flux():

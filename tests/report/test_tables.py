@@ -53,9 +53,7 @@ def test_numbers_headings_and_columns():
     assert [value_text(value) for value in values] == ["3", "12 345", "0.12346", "-∞", "–", "–", "0.200 ± 0.010"]
     facts = Fact("half field", 18.0, "°"), Fact("focal length", 7.0734, "mm"), Fact("defocus", math.nan, "mm")
     assert [fact_text(fact) for fact in facts] == ["18°", "7.0734 mm", "–"]
-
-
-def test_a_table_hides_its_errors_below_the_values():
+    # A table hides its errors below the values
     light = {"power_W": [0.5, math.nan], "power_se_W": [0.01, math.nan]}
     frame = pd.DataFrame({"id": ["<L1>", "wall"], "space": [2, -1], **light, "low": [True, False]})
     html = html_parts([frame_table("t", frame)])

@@ -135,6 +135,17 @@ def test_without_a_trace(scene, trace, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
     with pytest.raises(MistrayError, match=r"needs plotly, which is not installed; pip install 'mistray\[view\]'"):
         view(scene)
+    for arguments, message in (
+        ({"paths": -1}, "paths is -1; give the number of rows"),
+        ({"rays": 0}, "rays is 0; ask for at least one"),
+        ({"colour": "red"}, "colour is 'red'; choose flux, absorbed, irradiance or role"),
+        ({"cut_mm": float("nan")}, "both must be finite"),
+        ({"cut_mm": -100.0}, "leaves no surface; move the cut"),
+        ({"path_ids": [99]}, "path_id 99 does not exist"),
+        ({"trace": None, "path_ids": [1]}, "path_ids without a trace"),
+    ):
+        with pytest.raises(MistrayError, match=message):
+            view(scene, **({"trace": trace} | arguments))
 
 
 def test_the_buttons_recolour_and_the_page_needs_no_network(shown, tmp_path):
@@ -165,20 +176,6 @@ def test_the_buttons_recolour_and_the_page_needs_no_network(shown, tmp_path):
     library = importlib.import_module("plotly.offline").get_plotlyjs()
     assert not re.findall(r"<(?:script|link|img|iframe)[^>]+(?:src|href)\s*=", text.replace(library, ""))
     assert text.count(library[:2000]) == 1
-
-
-def test_wrong_arguments(scene, trace):
-    for arguments, message in (
-        ({"paths": -1}, "paths is -1; give the number of rows"),
-        ({"rays": 0}, "rays is 0; ask for at least one"),
-        ({"colour": "red"}, "colour is 'red'; choose flux, absorbed, irradiance or role"),
-        ({"cut_mm": float("nan")}, "both must be finite"),
-        ({"cut_mm": -100.0}, "leaves no surface; move the cut"),
-        ({"path_ids": [99]}, "path_id 99 does not exist"),
-        ({"trace": None, "path_ids": [1]}, "path_ids without a trace"),
-    ):
-        with pytest.raises(MistrayError, match=message):
-            view(scene, **({"trace": trace} | arguments))
 
 
 def test_a_path_that_no_ray_is_found_of_says_so(scene):
@@ -230,10 +227,7 @@ def test_halves_have_the_area_of_the_whole(scene):
         assert whole[name] == pytest.approx(exact, rel=2e-3)
         assert areas(CutPlane(180.0, 50.0))[name] == pytest.approx(exact, rel=5e-3)
     assert all(len(surface.faces) == 0 for surface in open_surfaces(scene, CutPlane(180.0, -50.0)))
-
-
-def test_cut_cylinder_in_closed_form():
-    """A tube of radius 2 cut at x = 1: the arc that is left spans 240 degrees."""
+    # A tube of radius 2 cut at x = 1: the arc that is left spans 240 degrees
     vertices, faces, lines = turned([[2.0, 0.0], [2.0, 5.0]], np.eye(4), 400, CutPlane(0.0, 1.0))
     assert area(vertices, faces) == pytest.approx(5.0 * 2.0 * np.radians(240.0), rel=1e-4)
     ends = [line for line in lines if np.ptp(line[:, 2]) > 1.0]
@@ -281,6 +275,10 @@ def test_triangles_of_a_polygon():
     ):
         points = np.column_stack([np.array(outline, dtype=float), np.zeros(len(outline))])
         assert area(points, triangulate(outline)) == pytest.approx(exact, rel=error)
+    values = {"id": "dust", "is_sensor": False, "is_mesh": False, "bsdf": None, "__str__": "SDFGrid[\n]"}
+    dust = type("Dust", (), {name: lambda _, value=value: value for name, value in values.items()})()
+    with pytest.raises(MistrayError, match="shape 'dust' is SDFGrid, which has no triangles to draw"):
+        open_surfaces(SimpleNamespace(shapes=lambda: [dust]), None)
 
 
 STOCK = {
@@ -308,20 +306,13 @@ def test_shapes_of_mitsuba(kind, load_scene):
             np.testing.assert_allclose(np.linalg.norm(it.vertices - [0, 0, 5.0], axis=1), 2.0, atol=EXACT)
 
 
-def test_a_shape_without_triangles_is_refused():
-    values = {"id": "dust", "is_sensor": False, "is_mesh": False, "bsdf": None, "__str__": "SDFGrid[\n]"}
-    dust = type("Dust", (), {name: lambda _, value=value: value for name, value in values.items()})()
-    with pytest.raises(MistrayError, match="shape 'dust' is SDFGrid, which has no triangles to draw"):
-        open_surfaces(SimpleNamespace(shapes=lambda: [dust]), None)
-
-
 @pytest.fixture(scope="module")
 def figure(scene, trace):
     return layout_figure(scene, trace, paths=2, rays=4)
 
 
 @pytest.mark.long
-def test_rays_are_those_of_the_history_near_the_section(figure, trace):
+def test_a_layout_has_the_rays_of_the_history_and_the_rows_asked_for(figure, trace, scene, tmp_path):
     axes = figure.axes[0]
     handles, labels = axes.get_legend_handles_labels()
     assert labels == ["0 direct image, 3 W", "1 detector → window_rear, 0.0002 W"]
@@ -331,22 +322,7 @@ def test_rays_are_those_of_the_history_near_the_section(figure, trace):
         assert len(drawn) == 4
         for line, ray in zip(drawn, wanted, strict=True):
             np.testing.assert_array_equal(line.get_xydata(), ray[:, [2, 1]])
-
-
-def test_section_of_a_surface_of_revolution_is_exact(scene):
-    """A window on the axis; the lens beside the plane is cut through its triangles, which are chords of it."""
-    lines = {surface.name: surface.lines for surface in section(scene)}
-    (rear,) = lines["window_rear"]
-    np.testing.assert_allclose(rear[:, 0], 1.0 - 20.0 + np.sqrt(20.0**2 - rear[:, 1] ** 2), atol=1e-12)
-    lens = np.concatenate(lines["L1_front"])
-    r2 = 0.3**2 + lens[:, 1] ** 2
-    sag = (r2 / RADIUS) / (1 + np.sqrt(1 - (1 + CONIC) * r2 / RADIUS**2)) + A4 * r2**2
-    assert np.abs(lens[:, 0] - 3.0 - sag).max() < 2e-3
-
-
-@pytest.mark.long
-def test_path_ids_choose_the_rows(scene, trace):
-    """Of nine rows the ninth has the colour of the first, in dashes."""
+    # Of nine rows the ninth has the colour of the first, in dashes
     labels = layout_figure(scene, trace, path_ids=[3, 0], rays=1).axes[0].get_legend_handles_labels()[1]
     assert [label.split()[0] for label in labels] == ["3", "0"]
     nine = RayTrace(trace_in_colours(10.0).fakes, 10.0, shares=SHARES)
@@ -364,11 +340,7 @@ def test_path_ids_choose_the_rows(scene, trace):
     ):
         with pytest.raises(MistrayError, match=words):
             layout_figure(scene, given, **options)
-
-
-@pytest.mark.long
-def test_svg_has_lines_and_text(scene, trace, figure, tmp_path):
-    """Text as text, so that a paper's own font and a search find it; the same file every time."""
+    # Text as text, so that a paper's own font and a search find it; the same file every time
     path = write_layout(figure, tmp_path / "layout.svg")
     text = path.read_text(encoding="utf-8")
     assert "".join(ET.fromstring(text).itertext()).count("0 direct image, 3 W") == 1
@@ -377,6 +349,17 @@ def test_svg_has_lines_and_text(scene, trace, figure, tmp_path):
     assert again.read_text(encoding="utf-8") == text
     for ending, start in (("pdf", b"%PDF"), ("eps", b"%!PS"), ("png", b"\x89PNG")):
         assert write_layout(figure, tmp_path / f"layout.{ending}").read_bytes().startswith(start)
+
+
+def test_section_of_a_surface_of_revolution_is_exact(scene):
+    """A window on the axis; the lens beside the plane is cut through its triangles, which are chords of it."""
+    lines = {surface.name: surface.lines for surface in section(scene)}
+    (rear,) = lines["window_rear"]
+    np.testing.assert_allclose(rear[:, 0], 1.0 - 20.0 + np.sqrt(20.0**2 - rear[:, 1] ** 2), atol=1e-12)
+    lens = np.concatenate(lines["L1_front"])
+    r2 = 0.3**2 + lens[:, 1] ** 2
+    sag = (r2 / RADIUS) / (1 + np.sqrt(1 - (1 + CONIC) * r2 / RADIUS**2)) + A4 * r2**2
+    assert np.abs(lens[:, 0] - 3.0 - sag).max() < 2e-3
 
 
 @pytest.fixture(scope="module")
@@ -448,10 +431,7 @@ def test_walls_are_coloured_by_the_irradiance_of_their_cells(walls):
     lit = np.concatenate([one.irradiance[0].ravel() for one in maps.values()])
     ends = [colour for mesh in drawn.values() for colour in mesh.facecolor[:60]]
     assert ends[int(np.argmax(lit))] == to_hex(colormaps["viridis"](1.0))
-
-
-@pytest.mark.long
-def test_a_button_shows_cells_in_the_place_of_their_walls(walls):
+    # A button shows cells in the place of their walls
     scene, traced = walls
     seen = mistray.view(scene, traced, paths=1, rays=1, colour="flux")
     data = seen.figure.data

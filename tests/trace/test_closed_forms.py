@@ -133,9 +133,7 @@ class TestSingletWindowDetector:
             share = row.incident_W / ten_ghosts_trace.energy.launched_W
             assert_power(f"ghost {pair}", share, vectors[pair]["incident_power_per_W"])
             assert row.power_W == pytest.approx(0.8 * row.incident_W, rel=ROUNDING)
-
-    def test_radius_and_irradiance(self, ten_ghosts_trace, ten_ghosts, vectors) -> None:
-        """A uniform disc has r = rms · √2. 20 comparisons at 4 standard errors: false alarm 1.3e-3."""
+        # A uniform disc has r = rms · √2. 20 comparisons at 4 standard errors: false alarm 1.3e-3
         for pair, row in ten_ghosts.items():
             scale = NARROW / 10.0
             radius = np.sqrt(2) * row.rms_radius_mm

@@ -45,9 +45,7 @@ def deviations(heavy: float, weight: float) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize(("heavy", "weight"), [(0.0, 1.0), (60.0, 3.0), (30.0, 5.0)])
 def test_errors_that_are_given_hold(heavy: float, weight: float) -> None:
-    """Of 2400 paths at most 1.5 % are more than three errors off, where Student's t of 31 degrees of freedom has 0.53 %
-    and Poisson numbers of 20 and more up to 0.9 %. Above 1.5 % by chance: 3e-3 for the latter.
-    """
+    """Of 2400 paths at most 1.5 % are three errors off; Poisson numbers of 20 have up to 0.9 %, above it by 3e-3."""
     _, given = deviations(heavy, weight)
     assert len(given) == SEEDS * ROWS
     assert np.mean(np.abs(given) > 3) < 0.015

@@ -116,9 +116,7 @@ def test_flags_and_columns(rows: Rows) -> None:
     # Without blanks no quotation marks
     assert held("kind = *diffraction*", rows) == ["diffraction" in kind for kind in rows.columns["kind"]]
     assert held("power_W > -1e308", rows) == [True] * len(LISTS)
-
-
-def test_a_text_is_a_path(rows: Rows) -> None:
+    # A text is a path
     texts = [" ".join(f"{name.replace(' ', '_')}:{what}" for name, what in row) + " " for row in LISTS]
     for words, pattern in (
         ("L1_front L1_rear:R", r"(^| )L1_front:. (.* )?L1_rear:R "),

@@ -171,6 +171,21 @@ def test_one_way_is_one_row_with_the_numbers_of_all_its_light(hits: Hits) -> Non
     rows = path_table(runs, [run.paths for run in runs]).by_way()
     assert sorted(rows.wavelength_nm) == [450.0, 650.0]
     assert [len(ids) for ids in rows.path_ids] == [2, 2]
+    # Rows are sequences and equal themselves
+    table = table_of(LISTS, hits)
+    assert [row.path_id for row in table] == list(range(len(LISTS)))
+    assert table[2] == table[2]
+    assert table[-1] == table[len(LISTS) - 1]
+    assert table[2:4] == [table[2], table[3]]
+    assert table[0].event_list == [("L1_front", "SpecTran"), ("L1_rear", "SpecTran"), ("detector", "Absorbed")]
+    aimed = next(row for row in table if row.path == "TjA")
+    assert aimed.event_list[1] == ("barrel", "ImpRefl")
+    with pytest.raises(IndexError, match="row 8 of a table of 8 paths"):
+        table[8]
+    with pytest.raises(MistrayError, match="path_id 8 does not exist"):
+        table.locate(8)
+    assert {row.path for row in table.find("barrel:j")} == {"TjA", "tjA", "ijA"}
+    assert len(table.find("L1_front", "barrel")) == 5
 
 
 def test_the_error_of_a_sum() -> None:
@@ -208,20 +223,3 @@ def test_the_error_of_a_sum() -> None:
     (row,) = path_table([run], [run.paths])
     assert row.rays == 1000
     assert row.power_se_W == pytest.approx(10 * np.sqrt(100), rel=5 / np.sqrt(62))
-
-
-def test_rows_are_sequences_and_equal_themselves(hits: Hits) -> None:
-    table = table_of(LISTS, hits)
-    assert [row.path_id for row in table] == list(range(len(LISTS)))
-    assert table[2] == table[2]
-    assert table[-1] == table[len(LISTS) - 1]
-    assert table[2:4] == [table[2], table[3]]
-    assert table[0].event_list == [("L1_front", "SpecTran"), ("L1_rear", "SpecTran"), ("detector", "Absorbed")]
-    aimed = next(row for row in table if row.path == "TjA")
-    assert aimed.event_list[1] == ("barrel", "ImpRefl")
-    with pytest.raises(IndexError, match="row 8 of a table of 8 paths"):
-        table[8]
-    with pytest.raises(MistrayError, match="path_id 8 does not exist"):
-        table.locate(8)
-    assert {row.path for row in table.find("barrel:j")} == {"TjA", "tjA", "ijA"}
-    assert len(table.find("L1_front", "barrel")) == 5

@@ -72,7 +72,6 @@ class TestPilot:
             [Face(50, 0, "R", GLASS), Face(50, 90, "R", GLASS)],
             [Face(50, 0, "R", GLASS, ((1.38, 100.0),)), Face(40, 60, "T", GLASS, ((2.3, 60.0), (1.45, 95.0)))],
         ],
-        ids=["refractions", "reflections", "total", "crossed", "films"],
     )
     def test_skew_paths(self, load_scene, faces) -> None:
         """Both modes against field vectors, hit by hit for light that forgets its state; start rays are in float32."""

@@ -335,7 +335,7 @@ def report():
 
 
 @pytest.mark.long
-def test_box_of_the_report_is_that_of_the_trace(report):
+def test_boxes_samples_and_histories_of_a_report(report, monkeypatch):
     t = report[2.0]
     by_events = dict(zip(report.table(2.0).events, report.table(2.0).path_id, strict=True))
     maps = report.path_maps(2.0, list(by_events.values()))
@@ -359,10 +359,7 @@ def test_box_of_the_report_is_that_of_the_trace(report):
             rounded = np.where(codes > 0, 10 ** (codes / 600 - 100), 0.0)
             stored = type(m)(m.pixels, m.column, m.row, rounded).within(columns, rows)
             assert stored == pytest.approx(power, rel=2e-3)
-
-
-@pytest.mark.long
-def test_sampled_rays_are_rays_of_their_path(report):
+    # Sampled rays are rays of their path
     t = report[2.0]
     ids = [row.path_id for row in t.paths[:12]]
     sample = t.sampled_rays(ids, 20)
@@ -385,11 +382,7 @@ def test_sampled_rays_are_rays_of_their_path(report):
     for ray in sample:
         np.testing.assert_allclose(ray.points, every[ray.start_ray].points, rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(ray.flux_W, every[ray.start_ray].flux_W, rtol=1e-6)
-
-
-@pytest.mark.long
-def test_history_of_a_large_trace_is_spread_over_the_beam(report, monkeypatch):
-    """A batch of more start rays than the recorder holds: not those of one corner of the beam alone."""
+    # A batch of more start rays than the recorder holds: not those of one corner of the beam alone
     t = report[0.0]
     whole = np.array([ray[0, :2] for ray in t.history(0, RAYS).rays])
     monkeypatch.setattr(tracer, "RECORD_CAPACITY", 16)  # of 125 start rays of a batch

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from oracles.small_scenes import interface_xml, scene_text, shape_xml
+from oracles.small_scenes import scene_text, shape_xml
 
 import mistray
 from mistray.trace import PathRow
@@ -114,8 +114,7 @@ class TestPathTable:
         np.testing.assert_allclose(table.rms_irradiance_W_mm2, expected, rtol=1e-9)
         triplet.paths.to_csv(tmp_path / "paths.csv")
         pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "paths.csv"), table, check_dtype=False, rtol=5e-9)
-
-    def test_find(self, triplet) -> None:
+        # Find: words in this order, others between
         paths = triplet.paths
         one = paths.find("L3_rear:R", "L1_front:R")
         assert one == [row for row in paths if (row.ghost_1, row.ghost_2) == ("L3_rear", "L1_front")] != []
@@ -175,20 +174,6 @@ class TestRayTables:
             opl = np.diff(ray.opl_mm.to_numpy())
             assert np.all(opl >= lengths * (1 - 1e-12))
             assert opl[[0, -1]] == pytest.approx(lengths[[0, -1]], rel=1e-12)  # air
-
-    def test_optical_path_lengths_of_a_paraboloid(self, load_text) -> None:
-        """All of them are equal to the focus (Fermat), to 1e-12; also from float32 start rays."""
-        bsdf = interface_xml(R=0.9, mirror=True)
-        mirror = shape_xml("asphere", "mirror", 0.0, bsdf, radius=-200.0, conic=-1.0, semi_diameter=30.0)
-        detector = shape_xml("asphere", "detector", -100.0, sensor=True, half_width=1.0, half_height=1.0)
-        t = mistray.trace(load_text(scene_text(mirror, detector, radius=25.0))[0], rays=3000)
-        row = next(row for row in t.paths if row.path == "RA")
-        table = t.history(row.path_id, 200).to_pandas()
-        opl = table[table.intercept == "Absorbed"].opl_mm
-        assert len(opl) == 200
-        assert np.ptp(opl) < 1e-9
-        assert row.kind == "direct"  # a mirror of the design is no ghost
-        assert row.rms_radius_mm < 1e-4
 
 
 def test_flux_at_the_surfaces_of_a_plate() -> None:

@@ -102,7 +102,6 @@ class TestTubes:
             {"rays": 30_000, "aim": "none", "scatter_rays": 3, "max_scatters": 4},
             {"rays": 300_000, "aim": "none", "max_scatters": 5} | ROULETTE,
         ],
-        ids=["aimed", "one in, one out", "three rays a hit", "roulette"],
     )
     def test_modes(self, load_scene: Load, mode: dict[str, Any]) -> None:
         t = mistray.trace(load_scene(scatter_scenes.tube_text(2.0, 0.5)), **{**EVERYTHING, **mode})
@@ -226,10 +225,7 @@ def test_what_aimed_rays_leave_out_is_cut(load_scene: Load, splitting: str) -> N
 @pytest.mark.long
 @pytest.mark.parametrize("row", vectors.rows("is_cone_flux.csv"), ids=lambda r: "_".join(list(r.values())[:5]))
 def test_flux_into_a_cone(load_scene: Load, row: dict[str, str]) -> None:
-    """The importance sampled flux of TracePro: a target that fills the cone gives the integral of f cos over it.
-
-    To 1e-4 where the BSDF is smooth over the cone; the two cones about the specular direction hold the whole peak.
-    """
+    """A target that fills the cone gives the integral of f cos over it: to 1e-4, or 1e-3 where it holds the peak."""
     numbers = [float(row[key]) for key in ("theta_i", "cone_axis_theta", "cone_axis_phi", "cone_half_deg")]
     incidence, polar, azimuth, half = numbers
     rays = 8_000_000 if half == 10 else 2_000_000
@@ -245,9 +241,7 @@ def test_flux_into_a_cone(load_scene: Load, row: dict[str, str]) -> None:
 
 
 def converging_text(bsdf: str, plate_z: float, theta_deg: float, half: float) -> tuple[str, float]:
-    """A scattering plate in the light of an ideal thin lens (f = 100, radius 10), as thin beams from nodes of the
-    pupil, and the detector on the axis in its focus; the power of all beams, W, for 1 W/mm^2 normal to the light.
-    """
+    """A plate in beams from nodes of an ideal lens (f = 100, radius 10), a detector in its focus; W for 1 W/mm²."""
     x, w = np.polynomial.legendre.leggauss(3)
     azimuths = (np.arange(4) + 0.5) * np.pi / 4  # the other half of the pupil is its mirror image
     beams, total = [], 0.0
@@ -269,15 +263,9 @@ def converging_text(bsdf: str, plate_z: float, theta_deg: float, half: float) ->
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "row",
-    vectors.rows("scatter_plate_converging.csv"),
-    ids=lambda r: "_".join(list(r.values())[:3]).replace("/", "-"),
-)
+@pytest.mark.parametrize("row", vectors.rows("scatter_plate_converging.csv"))
 def test_plate_in_a_converging_beam(load_scene: Load, row: dict[str, str]) -> None:
-    """The exact integral, not Peterson's formula, which is up to 20 % off. Twelve nodes are enough: the distance
-    |beta - beta0| hardly varies over the pupil. The size of the detector, 0.04 mm, costs less than 3e-4.
-    """
+    """The exact integral, not Peterson's formula, 20 % off; twelve nodes of the pupil and 0.04 mm cost below 3e-4."""
     bsdf, half = {"h": "har", "l": "lamb", "A": "abg"}[row["BTDF"][0]], 0.02
     text, total = converging_text(bsdf, float(row["plate_z_mm"]), float(row["theta_deg"]), half)
     t = mistray.trace(load_scene(text), rays=100_000, aim="targets")
