@@ -1,4 +1,4 @@
-"""First-order numbers by rays, against closed forms and a table of paraxial rays."""
+"""First-order numbers and critical rays, against closed forms and a table of paraxial rays."""
 
 from __future__ import annotations
 

@@ -34,7 +34,6 @@ def test_normalised_rms_irradiance_is_over_the_on_axis_image(report):
     np.testing.assert_allclose(table.normalised_rms_irradiance, expected, rtol=1e-12)
     assert (table.normalised_rms_irradiance_se[~table.few_rays] > 0).all()
     assert table.normalised_rms_irradiance_se[table.few_rays].isna().all()
-    # A quotient propagates both errors
     got = Estimate(2.0, 0.02).over(Estimate(4.0, 0.08))
     assert (got.value, got.se) == (0.5, pytest.approx(0.5 * math.hypot(0.01, 0.02)))
     assert math.isnan(Estimate(1.0, 0.1).over(Estimate(0.0, 0.0)).value)
@@ -82,7 +81,6 @@ def test_maps_add_to_the_whole(report):
     np.testing.assert_allclose(np.sum(parts, axis=0), value, rtol=1e-12)
     with pytest.raises(MistrayError, match="path 0 is not among the worst 4 of field 10 deg"):
         report.map(10.0, 0)
-    # The report is a mapping of fields
     assert list(report) == [0.0, 10.0, 20.0]
     assert (len(report), report.get(7)) == (3, None)
     with pytest.raises(MistrayError, match="field 7 deg was not traced"):
@@ -131,7 +129,6 @@ def test_on_axis_field_is_traced_for_the_yardstick(monkeypatch):
     assert list(report) == [5.0, 20.0]
     assert seen[-2:] == [(1.5, 2), (2.0, 2)]
     traced.clear()
-    # Fields that are asked for
     report = ghosts("scene", field_deg=[0, 5, 5.0])
     assert [call["field_deg"] for call in traced] == [0.0, 5.0]
     assert report.nominal_trace is report[0.0]
@@ -185,7 +182,6 @@ def test_one_wavelength_is_normalised_to_the_image_at_it(colours):
     for ask in (colours.nominal_at, colours.weight, lambda nm: colours.summary(0.0, nm)):
         with pytest.raises(MistrayError, match="500 nm was not traced"):
             ask(500.0)
-    # Summaries and maps of the wavelengths add up
     whole = colours.summary(10.0)
     parts = [colours.summary(10.0, wavelength) for wavelength in colours.wavelengths_nm]
     assert [part.paths for part in parts] == [4, 5, 5]

@@ -1,4 +1,4 @@
-"""A result beside that with one more event on each path: when it matters, and which of them is shown."""
+"""A result beside that with one more event on each path, and curves with other limits."""
 
 from __future__ import annotations
 
@@ -94,7 +94,6 @@ def test_the_pst_shown_is_that_which_changes_more() -> None:
     same = with_next_orders(mistray.load("baffle_tube"), first, 60.0, measure)
     assert np.array_equal(same.by_batch, first.by_batch)
     assert [order.taken for order in same.next_orders] == [False, False]
-    # Limits of 0 stay, and scatter needs a scatterer
     plain, rough = (SurfaceTable(mistray.load(name), 550.0) for name in ("cooke_triplet", "baffle_tube"))
     assert next_limits(Settings(), rough) == {"max_scatters": 2, "max_reflections": 3}
     assert next_limits(Settings(), plain) == {"max_reflections": 3}

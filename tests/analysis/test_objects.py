@@ -171,7 +171,6 @@ def test_common_objects_are_in_both_lists(phone):
     for name in ("critical", "illuminated"):
         assert getattr(found, name) == [entry for entry in getattr(phone, name) if entry.power > 1e-3]
     assert len(found.common) < len(phone.common)
-    # Light in total reflection can be stopped
     without = {entry.id for entry in objects(phone.scene, rays=RAYS, total_reflection=False).critical}
     assert without < {entry.id for entry in phone.critical} - {"board_left"}
 
@@ -218,7 +217,6 @@ def test_before_and_after_the_stop(phone):
     low, high = shots["L3_bevel_2",].field_deg
     assert 15 < low < high < 27
     assert any("past L3_rear through L3_bevel_2" in text for text in phone.notes)
-    # Folded systems keep their gaps
     found = objects(mistray.load("newtonian"), rays=RAYS)
     assert row(found.critical, "eyepiece_tube", "front").between == "diagonal – image"
     assert row(found.critical, "eyepiece_tube", "front").stop == "after"

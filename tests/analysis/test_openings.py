@@ -58,7 +58,6 @@ def test_tubes_and_the_edge_of_a_lens(load: Load) -> None:
     assert only(opened(scene, rear__x=0.1), "rear", "front") == pytest.approx(0.1, rel=1e-3)
     apart = load(tube("front", 5, 0, 5, 10), tube("rear", 5, 10.01, 5, 20))
     assert opened(apart, rear__z=1.0) == ()  # what did not meet has no gap
-    # A vane that moves along leaves no gap
     walls = (tube("front", 5, 0, 5, 10), tube("middle", 5, 10, 5, 20), tube("rear", 5, 20, 5, 30))
     scene = load(*walls, tube("vane", 3, 10, 5, 10))
     assert opened(scene, vane__z=12.0) == opened(scene, vane__z=-3.0) == ()

@@ -1,4 +1,4 @@
-"""Numbers of paths from known discs: their brightest pixels, all their wavelengths as one, their maps in cells."""
+"""Numbers of paths from known discs, of maps, and of the Airy disc that no radius is below."""
 
 import math
 
@@ -50,7 +50,6 @@ def test_a_peak_is_the_brightest_pixel_of_all_wavelengths():
         assert table.peak_se_W_mm2[events] == se[at]
         assert 1.0 < table.peak_W_mm2[events] / peak < 1.4
     assert table.rank_peak[table.kind == "direct"].tolist() == [0]
-    # Refused before anything is traced
     for call in (lambda: ranked_report("rms_irradiance"), lambda: ranked_report().top(0.0, rank="rms_irradiance")):
         with pytest.raises(MistrayError, match=r"'rms_irradiance'.*rms, power, peak"):
             call()
@@ -150,7 +149,6 @@ def test_cells_are_as_small_as_they_may_be():
     small, large = PathMap.of(spot((512, 512), slice(3, 5), slice(3, 5)), 96), PathMap.of(np.ones((512, 512)), 96)
     assert FieldMaps(large, large, {0: small}, small, {}).grid == 1
     assert FieldMaps(small, small, {0: small, 1: large}, small, {}).grid == 8
-    # The power in a rectangle is that of its pixels
     rng = np.random.default_rng(5)
     power = spot((500, 300), slice(30, 480), slice(11, 270))
     found = PathMap.of(power, 64)
@@ -180,7 +178,6 @@ def test_statistics_asymmetry_and_range_of_a_map(noisy):
     assert got.maximum_se == se.flat[np.argmax(image)]
     assert got.incident_rays == 1234
     assert pixel_size(np.zeros((3, 8)), EXTENT) == (0.5, 1.0)
-    # The asymmetry of noise is the expected one
     measured, expected = mirror_asymmetry(*noisy)
     # 2400 independent pairs: the mean of |N| has a relative error of 0.76/sqrt(2400) = 1.5 %
     assert measured == pytest.approx(expected, rel=4 * 0.0155)
@@ -194,7 +191,6 @@ def test_statistics_asymmetry_and_range_of_a_map(noisy):
         measured, expected = mirror_asymmetry(np.tile(row, (3, 1)), np.ones((3, width)))
         assert measured == 0
         assert expected == pytest.approx(2 / np.sqrt(np.pi) * (width - width % 2) / (2 * row.sum()))
-    # The range spans all maps within the decades
     assert log_range([np.array([[2e-4, 3e-2]]), np.array([[0.0, 50.0]])], decades=12) == (-4.0, 2.0)
     assert log_range([np.array([[1e-15, 50.0]])], decades=12) == (-10.0, 2.0)
     assert log_range([np.array([[1.0, 1.0]])]) == (-1.0, 0.0)

@@ -1,4 +1,4 @@
-"""The PST by forward runs: closed forms, the requested error, and what it costs."""
+"""The PST by forward runs, and backward runs from within a medium: closed forms, the requested error, and its cost."""
 
 from __future__ import annotations
 
@@ -177,7 +177,6 @@ class TestBudget:
         assert seen[-1].seconds_left == 0.0
         assert seen[-1].worst_error == pytest.approx(max(error[:2]))
         assert all(0 <= step.seconds_left < 60 for step in seen)
-        # An error out of reach is told
         found = forward_pst(bare, DirectionGrid.of([0.0, 60.0]), rays=50_000, relative_error=0.0001)
         assert found.facts["unfinished"] == [[0.0, 0.0], [60.0, 0.0]]
         assert found.facts["rays_of_cell"] == [[50_000], [50_000]]

@@ -1,4 +1,4 @@
-"""The saved state of a run: whole or not at all, and only for the run that it belongs to; the estimate of the time."""
+"""The saved state of a run, and paths, causes and breaks of a PST that is known."""
 
 from __future__ import annotations
 
@@ -76,7 +76,6 @@ def test_files_that_are_none_are_one_line(tmp_path: Path, monkeypatch: pytest.Mo
         with pytest.raises(MistrayError, match="is damaged or no state; remove it and run without resuming"):
             load_state(path)
 
-    # Another run is named by what differs
     grid = {"angles_deg": [0, 2, 5, *range(6, 81, 2)], "azimuth_cell_deg": 360.0}
     absent = {"settings": {"max_scatters": 1, "seed": 0}}
     for change, text in (
@@ -155,7 +154,6 @@ def test_causes_add_up_and_are_named():
     assert words[0][0].startswith("ghosts such as detector → L1_rear")
     shares = pd.DataFrame({"a": [60.0, 70.0, 10.0, 0.0, 51.0], "b": [40.0, 30.0, 90.0, 0.0, 49.0]}, [0, 2, 4, 6, 8])
     assert causes.reigns(shares) == [(0, 2, "a", 60, 70), (4, 4, "b", 90, 90), (8, 8, "a", 51, 51)]
-    # The causes of a break are those beside it
     pst = fake_pst()
     found = next(b for b in breaks(pst) if b.field_deg == 22.0)
     (name, share), *_ = found.before

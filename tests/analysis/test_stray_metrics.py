@@ -71,7 +71,6 @@ class TestSky:
             e = source_irradiance(pst_of(WHOLE, np.cos, convention=convention), SkyRadiance())
             assert (e.value, e.covered) == (pytest.approx(np.pi, rel=1e-12), pytest.approx(1, abs=1e-12))
             assert (e.se, e.interpolated) == (0, 0)
-        assert e.definition == DEFINITIONS["irradiance"].format(light="stray")
         for curve, case, what in (
             (lorentz, "uniform L=1 sky 20..90deg", "n"),
             (lambda t: lorentz(t) * np.cos(t), "same, if PST_projected", "p cos"),
@@ -79,7 +78,6 @@ class TestSky:
             e = source_irradiance(pst_of(np.arange(20.5, 90, 1.0), curve), SkyRadiance(from_deg=20))
             assert e.value == pytest.approx(analytic(case, f"E_stray = int L PST_{what} dOmega"), rel=1e-9)
             assert e.covered == pytest.approx(1, abs=1e-9)
-        # What no cell covers is dark and said
         pst = pst_of([0, 10, 20, 30, 40, 50, 60, 70, 80], np.cos)
         e = source_irradiance(pst, SkyRadiance())
         solid = pst.grid.solid_angle.sum()
@@ -210,8 +208,6 @@ class TestCurves:
         normal, projected = (normalised_irradiance(pst, "ndi", plane) for plane in ("normal", "projected"))
         expected = [analytic(f"PST convention th={t}", "PST_projected/PST_normal=1/cos") for t in (30, 60, 80)]
         assert projected.value / normal.value == pytest.approx(expected, rel=1e-6)
-        assert "on a plane normal to the light" in normal.definition
-        assert "on the plane of the aperture" in projected.definition
 
     def test_normalised_stray_light_and_its_reciprocal(self) -> None:
         """An F/2.2 field of ±10° and stray light of 1e-6: a lamp of 1° gives π sin²(½°) 1e-6 / 0.1543."""
@@ -234,7 +230,6 @@ class TestCurves:
         assert (own.value, own.unit) == (pytest.approx(stray / 0.05, rel=1e-12), "W/(mm2 sr)")
         ideal = ratios.equivalent_stray_radiance(pst, SkyRadiance(3.0), f_number=2.2, transmittance=0.9)
         assert ideal.value == pytest.approx(stray / (0.9 * 0.1543021932018562), rel=1e-12)
-        assert "pi / (4 F^2 + 1)" in ideal.definition
         ratio = ratios.stray_to_signal(pst, SkyRadiance(3.0), scene_radiance=1e-4)
         assert ratio.value == pytest.approx(stray / (1e-4 * 0.05), rel=1e-12)
         factor = ratios.contrast_factor(Estimate(0.25, 0.01))
@@ -310,7 +305,6 @@ class TestTraces:
         assert integrated.value == pytest.approx(self.R**2, rel=1e-5)
         assert integrated.se < 1e-8  # the ghost of every ray has the same share of it
         assert peak.value == pytest.approx(self.R**2, rel=1e-5)
-        assert integrated.definition == DEFINITIONS["gsr"]
         other = ghost_to_signal(plate, plate)
         assert (other[0].value, other[1].value) == (pytest.approx(integrated.value), pytest.approx(peak.value))
         none = ghost_to_signal(mistray.trace(scene, rays=500, max_reflections=0))

@@ -110,7 +110,6 @@ def test_a_smooth_surface_changes_nothing_and_a_rough_one_is_told():
     with pytest.warns(MistrayWarning, match="not smooth in reflection at 632.8 nm"):
         found = transfer_of_spectrum(mirror(120.0), LINE)
     assert found.plateau == pytest.approx(math.exp(-((4 * math.pi * 120 / LINE) ** 2)), rel=0.02)
-    # and is smooth in the infrared
     assert transfer_of_spectrum(mirror(120.0), 10600.0).tis == pytest.approx((4 * math.pi * 120 / 10600) ** 2, rel=0.05)
     for named, call in (
         ("event", lambda: transfer_of_bsdf(mirror(1.0), LINE, "both")),

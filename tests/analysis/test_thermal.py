@@ -280,7 +280,6 @@ class TestCavity:
         assert math.isnan(report.to_image.value)
         assert "the detector sees no scene" in report.notes[0]
         assert (report.netd.sources, math.isnan(report.netd.by_detectivity_K.value)) == ([], True)
-        # A share that is not followed
         scene = load(
             detector_xml(1.0),
             placed_xml("frustum", "wall", wall_xml(0.9), r0=3.0, z0=-5.0, r1=3.0, z1=1.0),

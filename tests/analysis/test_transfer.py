@@ -65,7 +65,6 @@ class TestRoughMirror:
             np.testing.assert_allclose(found.lens(azimuth), lens, atol=2e-3)
             expected = found.lens(azimuth) * harvey * np.abs(np.sinc(0.003 * nu))
             assert_z(f"MTF, {azimuth}", whole.value, expected, whole.se, floor=SMALL_ANGLE * A, false_alarm=1e-3)
-        # It begins at 1 and falls to what is not scattered
         assert found.stf().value[0] == pytest.approx(1, abs=1e-12)
         assert found.composite().value[0] == pytest.approx(1, abs=1e-12)
         floor = found.veiling_floor
@@ -73,7 +72,6 @@ class TestRoughMirror:
         assert_z("floor", floor.value, expected, floor.se, k=4, floor=SMALL_ANGLE * A)  # false alarm 6e-5
         last = found.stf()
         assert_z("plateau", last.value[-1], floor.value, np.hypot(last.se[-1], floor.se), k=4)
-        # The books close
         assert sum(share.value for share in found.books.values()) == pytest.approx(1, abs=1e-6)
         inside = sum(float(part.value.sum()) for part in found.ring_shares.values())
         assert inside + found.outside == pytest.approx(1, abs=1e-9)
@@ -290,7 +288,6 @@ def test_fourier_sums_and_rings_are_of_the_same_light(load_scene):
         se = np.sqrt(np.sum(np.real(waves.apart) ** 2, axis=1))
         assert_z(azimuth, waves.value.real, by_rings, se, k=5, floor=2e-3 * rings.sum())
     assert not found.spread.rings(GHOSTS).value.any()
-    # Edges that diffract are a class of their own
     edge = scattering_xml([bsdf_xml("edge_diffraction", width_mm=0.05)], T=1.0, R=0.0)
     rim = placed_xml("frustum", "rim", edge, r0=2.95, z0=0.0, r1=3.0, z1=0.0)
     detector = placed_xml("asphere", "detector", at=(0, 0, 50.0), pixels=8, semi_diameter=20.0)

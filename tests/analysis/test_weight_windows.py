@@ -49,7 +49,6 @@ def test_scenes_that_are_compared_have_the_same_windows() -> None:
     assert all(one.sharing.windows is None for one in shared([plan(first), plan(None)]))
     assert np.array_equal(Plan.of_arrays(plan(first).arrays()).sharing.windows, first)
     assert Plan.of_arrays(plan(None).arrays()).sharing.windows is None
-    # Rays of a weight
     windows = WeightWindows(mi.Float([0.0, 40.0, 1e9, 0.0]), mi.Float([0.5, np.inf, np.inf, 1e-6]))
     row, weight = mi.UInt32([0, 1, 1, 2, 3]), mi.Float([1.0, 0.1, 1e-3, 1.0, 1.0])
     rays, chances = windows.split(row, weight, mi.Bool(True)), windows.survival(row, weight, mi.Bool(True))

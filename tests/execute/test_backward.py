@@ -103,7 +103,6 @@ class TestPathBook:
         plain = traced(wall_scene, self.CELLS, passes=2, **(self.SETTINGS | {"paths": False}))
         assert plain.paths() is None
         np.testing.assert_allclose(plain.sums["cells"], trace.sums["cells"], rtol=1e-12)
-        # A full book leaves out paths and nothing else
         whole = traced(wall_scene, self.CELLS, **self.SETTINGS)
         monkeypatch.setattr(backward, "PATH_SLOTS", 16)
         monkeypatch.setattr(backward, "ENTRY_SLOTS", 64)
@@ -197,7 +196,6 @@ def test_joined_books_of_two_traces_are_the_book_of_both(wall_scene, load_scene)
         for key, values in expected.items():
             assert found[key] == pytest.approx(values, rel=1e-9)
 
-    # The fingerprint is of the scene and its light alone
     def of(change: dict[str, Any], grid: DirectionGrid = GRID, nm: Any = None, **settings: Any) -> str:
         scene, light = load_scene(lens_text(**change)), Light(wavelength_nm=nm)
         return BackwardTrace(scene, grid, Settings(**settings), light).fingerprint

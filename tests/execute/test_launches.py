@@ -84,7 +84,6 @@ def test_a_time_budget_ends_with_a_sample_of_all_rays(plates: Any, small_launche
     # What is traced again is the same sample
     again, _ = part.irradiance_of([row.path_id for row in part.paths])
     np.testing.assert_allclose(again, part.irradiance, rtol=1e-12)
-    # A budget is shared by wavelengths and fields
     report = mistray.ghosts(plates, [0, 2], wavelength_nm=[450, 650], rays=2_000_000, seconds=4)
     assert list(report) == [0, 2]
     for t in report.values():

@@ -197,7 +197,6 @@ def test_edges_at_0_and_90_degrees_belong_to_their_cells(load_scene) -> None:
     grid = DirectionGrid.of([0.0, 20.0, 40.0], np.arange(0, 360, 10), rotation=rotation, cell_deg=1.0)
     (cell,) = device_cells(grid, -one.direction[None])
     assert divmod(int(cell), 36) == grid.nearest(20.0, 130.0) == (1, 13)
-    # Each ray is counted once, in its batch
     grid = DirectionGrid.of([20.0], cell_deg=20.0)
     sky = DirectionRecorder(grid, DesignKeys(DesignSequences(), 0))
     theta = np.radians([15.0, 25.0, 50.0])

@@ -95,7 +95,6 @@ def test_all_surfaces_of_a_barrel_close(capsys):
     np.testing.assert_allclose(parts, table.incident_W, rtol=1e-6, atol=1e-9 * t.energy.launched_W)
     np.testing.assert_allclose(table.incident_W, [row.incident_W for row in t.surfaces], rtol=1e-6)
     np.testing.assert_allclose(table.absorbed_se_W, [row.absorbed_se_W for row in t.surfaces], rtol=1e-5)
-    # The command
     command = ["ghosts", "plate_and_wall", "--rays", "500", "--max-scatters", "1", "--quiet", "--json"]
     assert cli.main([*command, "--flux-split", "scren"]) == 2
     assert "screen" in capsys.readouterr().err

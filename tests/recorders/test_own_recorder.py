@@ -90,7 +90,6 @@ def test_every_path_has_its_power() -> None:
     assert len(opl) > 100
     assert opl.min() >= low - lengths.step
     assert opl.max() <= high + lengths.step
-    # A trace without it is the same
     other = mistray.trace(mistray.load("double_gauss"), rays=20_000, field_deg=3)
     powers = [sorted(row.power_W for row in one.paths) for one in (t, other)]
     np.testing.assert_allclose(*powers, rtol=1e-12)

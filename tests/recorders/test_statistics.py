@@ -1,4 +1,4 @@
-"""The modes agree with each other, and standard errors say how far results scatter."""
+"""The modes agree with each other, and standard errors say how far results and pixels scatter."""
 
 from __future__ import annotations
 

@@ -170,7 +170,6 @@ def test_a_report_of_ghosts(report, browser, opened):
     paths = [str(path_id) for path_id in table.path_id]
     assert run("ids()") == paths
     all_light = run("light()")
-    # A path by the keyboard
     run("pick.focus(); pick.click()")
     browser.until("which.value === 'path'")
     run("pause()")
@@ -214,7 +213,6 @@ def test_a_report_of_ghosts(report, browser, opened):
     assert in_box == sorted(in_box, reverse=True)
     run("click('button[type=\"reset\"]')")
     assert run("ids()") == paths
-    # By its edges
     run("fields.x0.value = 'none'; panel.querySelector('form').requestSubmit(); pause()")
     assert "Give all four edges" in run("told('.found')")
     run("enter(3, 4, -1, 1)")
@@ -222,7 +220,6 @@ def test_a_report_of_ghosts(report, browser, opened):
     assert not run("boxed()")
     run("enter('−2,0', '2', '-1.5', '1,5')")
     assert sum(run("inBox()")) == pytest.approx(t.irradiance.sum() * 0.05**2, rel=2e-3)
-    # By the keyboard
     run("press(canvas, 'Escape'); pause()")
     assert not run("boxed()")
     dim = run("light()")

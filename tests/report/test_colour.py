@@ -172,7 +172,6 @@ def test_exposure_over_the_direct_image_leaves_the_ghosts_dark(report):
     pictures = ColourPictures(ghosts_of(t), Look(block=1))
     assert (pictures.all_light[0.0].rgb == 0).all()
 
-    # What is drawn
     pictures = ColourPictures(report, Look(block=1, stops=1.0, white="D65"))
     figure = pictures.figure(0.0)
     left, right = (axes.get_images()[0] for axes in figure.axes)

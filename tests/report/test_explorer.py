@@ -1,4 +1,4 @@
-"""The panel of a field: what the page holds of its paths, and the script that adds up the light in a box."""
+"""The panel of a field: what the page holds of its paths, and the scripts that work with it."""
 
 from __future__ import annotations
 
@@ -197,13 +197,11 @@ def test_powers_json_and_pictures_of_a_page():
     assert stored(MapStore().text()).size == 0
     # Rounding goes up as often as down
     assert found.sum() / (power.sum() + 2) == pytest.approx(1, rel=1e-3)
-    # JSON cannot end its element
     text = json_script("data-x", {"name": "</script><b>", "µ": [1.5]})
     assert text.count("</script>") == 1
     assert json.loads(text[text.index(">") + 1 : text.rindex("<")]) == {"name": "</script><b>", "µ": [1.5]}
     with pytest.raises(ValueError, match="JSON compliant"):
         json_script("data-x", [float("nan")])
-    # PNG is read back by another reader
     index = np.arange(256, dtype=np.uint8).reshape(8, 32)
     picture = matplotlib.image.imread(io.BytesIO(palette_png(index, colour_table())), format="png")
     np.testing.assert_array_equal(np.rint(255 * picture[:, :, :3]).astype(np.uint8), colour_table()[index])

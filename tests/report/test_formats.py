@@ -89,7 +89,6 @@ def test_astropy_places_the_pixels(one: IrradianceMap, tmp_path: Path) -> None:
             assert list(wcs.wcs.cunit) == [units.mm, units.mm]
         area = hdus[0].header["CDELT1"] * hdus[0].header["CDELT2"]
         assert hdus[0].data.sum() * area == pytest.approx(one.irradiance.sum() * 4 * 3 / (80 * 60))
-    # EXR stands upright
     import OpenEXR
 
     write_irradiance(one, tmp_path / "map.exr")

@@ -1,4 +1,4 @@
-"""The HTML report of ghosts: names, coatings, colours and wavelengths on its page; its files are all there or none."""
+"""Reports as HTML and PDF: names, coatings, colours and wavelengths on their pages; files are all there or none."""
 
 from __future__ import annotations
 
@@ -53,7 +53,6 @@ def test_page_of_one_wavelength(tmp_path: Path, report: GhostReport) -> None:
         assert table.count("data:image/png;base64,") == table.count('class="pick"') == paths
     assert not {name for name in names if name.startswith("colour") or "per_wavelength" in name}
     assert "in colour" not in text
-    # The page in colours
     report = ghosts_of(*map(trace_in_colours, (0.0, 20.0)))
     names = {file.name for file in write_all(report, tmp_path, per_wavelength=True, look=Look())}
     text = (tmp_path / "report.html").read_text(encoding="utf-8")

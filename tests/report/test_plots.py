@@ -1,14 +1,17 @@
-"""Pictures: what they show, on which scale, with which labels."""
+"""Pictures show what the numbers say: maps, layouts, baffles, scatter models, coatings; any name can stand in them."""
 
+import ast
 import importlib
+import io
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgba
-from matplotlib.figure import Figure
+from matplotlib.text import Text
 from report.fake_scene import FakeShape, lens_scene
 from report.fake_trace import ghosts_of, trace_at
 
@@ -23,6 +26,7 @@ from mistray.prescription.baffles.zones import first_order_zones, lit_zones, see
 from mistray.report.baffle_plots import baffle_figure, cassegrain_figure
 from mistray.report.figures.bsdf import bsdf_figure, particles_figure
 from mistray.report.figures.coating import coated_surfaces, coating_figure, surfaces_figure
+from mistray.report.figures.figure import Figure, legend_label
 from mistray.report.figures.layout import glass_bodies, layout, meridional, section
 from mistray.report.figures.palette import BLUE, ORANGE, VERMILION
 from mistray.report.figures.plots import (
@@ -132,7 +136,6 @@ def test_averaged_colours_and_dark_maps():
     rgb = image_colours()(np.linspace(0, 1, 64))[:, :3]
     luminance = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4) @ [0.2126, 0.7152, 0.0722]
     assert (np.diff(luminance) > 0).all()
-    # A dark map says so
     axes, extent = Figure().subplots(), (-1.0, 1.0, -1.0, 1.0)
     assert draw_map(axes, np.zeros((4, 4)), extent, None) is None
     assert [text.get_text() for text in axes.texts] == ["no light"]
@@ -193,7 +196,6 @@ def test_zones_are_drawn():
             assert zones(figure, colour) == [pytest.approx(zone) for zone in wanted]
     assert zones(baffle_figure(spoiled), VERMILION)
     assert not zones(baffle_figure(TUBE), VERMILION)
-    # Rays meet the tips
     lines = [line for line in baffle_figure(TUBE).axes[0].lines if line.get_color() == BLUE]
     assert len(lines) == len(TUBE.vanes)
     for line, vane in zip(lines, TUBE.vanes, strict=True):
@@ -241,7 +243,6 @@ def test_models() -> None:
     assert low < 0.3 / np.pi < high
     with pytest.raises(MistrayError, match="one or more angles"):
         bsdf_figure([], "none")
-    # Particles
     left, right = particles_figure(300).axes
     (own,) = [line for line in left.lines if line.get_label() == "level 300"]
     diameter, count = own.get_data()
@@ -311,3 +312,45 @@ def test_one_row_for_each_kind_of_surface() -> None:
     np.testing.assert_allclose(curve(figure.axes[2], "30°"), 100 * behind)
     with pytest.raises(MistrayError, match="no optical surface"):
         coated_surfaces(SimpleNamespace(shapes=list))
+
+
+ODD_NAMES = (r"$\frac{", r"a$b_{$", r"$x^2_1$", r"\$", "_^\\", '<i>"q"&</script>')
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ODD_NAMES)
+@pytest.mark.parametrize("kind", ["png", "svg", "pdf"])
+def test_any_name_can_stand_anywhere(name: str, kind: str) -> None:
+    figure = Figure(figsize=(3, 3), layout="constrained")
+    axes = figure.subplots()
+    axes.plot([1, 2], [1, 1e3], label=f"path {name}")
+    axes.set_yscale("log")
+    axes.set_xticks([1, 2], [name, name], rotation=30)
+    axes.set_title(name)
+    axes.set_xlabel(name)
+    axes.annotate(name, (1, 1))
+    figure.suptitle(name)
+    figure.supxlabel(name)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", title=name)
+    figure.savefig(io.BytesIO(), format=kind, bbox_inches="tight")
+    shown = [text for text in figure.findobj(Text) if name in text.get_text()]
+    assert len(shown) >= 9
+    assert not any(text.get_parse_math() for text in shown)
+    powers = [label for label in axes.get_yticklabels() if "10^" in label.get_text()]
+    assert powers
+    assert all(label.get_parse_math() for label in powers)
+
+
+def test_a_legend_has_all_names_and_no_report_has_another_figure() -> None:
+    axes = Figure().subplots()
+    for name in ("_edge", "edge", "__"):
+        axes.plot([0, 1], [0, 1], label=legend_label(name))
+    assert [text.get_text().strip() for text in axes.legend().get_texts()] == ["_edge", "edge", "__"]
+    for file in (Path(mistray.__file__).parent / "report").rglob("*.py"):
+        if file.name == "figure.py":
+            continue
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom):
+                assert node.module not in ("matplotlib.figure", "matplotlib.pyplot"), file.name
+            if isinstance(node, ast.Import):
+                assert not {name.name for name in node.names} & {"matplotlib.figure", "matplotlib.pyplot"}, file.name

@@ -1,4 +1,4 @@
-"""Tables and files of a PST: what they say is what the result holds."""
+"""Tables, pictures and files of a PST: what they say is what the result holds."""
 
 from __future__ import annotations
 
@@ -68,12 +68,10 @@ def test_curve_frame_holds_the_means_of_the_batches(pst: Pst, around: Pst) -> No
     assert edge == pytest.approx(26.0, abs=0.05)  # of the logistic edge that the camera has
     assert field_edge(fake_pst(field_deg=(0, 5, 10))) is None
     assert field_edge(fake_pst(field_deg=(40, 50))) is None
-    # Notes and large errors are warnings
     assert fake_pst().notes == FACTS["notes"]
     (noisy,) = fake_pst(field_deg=(0, 70, 80), noise=0.5, notes=[]).notes
     assert re.match("standard error up to .* at 70, 80°", noisy)
     assert "angles from" in fake_pst(noise=1.0, notes=[]).notes[0]
-    # Cells and paths of each angle and azimuth
     cells = cell_frame(around)
     means = cells.pst_total.to_numpy().reshape(3, 4).mean(axis=1)
     np.testing.assert_allclose(means, curve_frame(around).pst_total, rtol=1e-12)
@@ -124,7 +122,6 @@ def test_text(pst: Pst) -> None:
     assert "Strongest stray paths" not in pst_text(pst, 0)
     breaks = rows(text[text.index("Breaks of the curve") : text.index("±: one standard error")])
     assert any("ghosts" in row[3] and "barrel_1 (reflects)" in row[4] for row in breaks if len(row) == 5)
-    # A dark PST has tables, too
     dark = fake_pst(dark_from_deg=0, notes=["PST is 0: it sees no opening"])
     assert dark.is_dark
     assert "no stray light was seen" in pst_text(dark)
@@ -155,7 +152,6 @@ def test_files(around: Pst, tmp_path: Path) -> None:
     assert [len(row["paths"]) for row in record["curve"]] == [3, 3, 3]
     assert (len(record["cells"]), record["facts"]["seed"]) == (12, 0)
     assert "cells" not in pst_record(fake_pst(field_deg=(0, 20)))
-    # The page
     text = (written / "report.html").read_text(encoding="utf-8")
     html_pages.check(text)
     assert "a <b> & c" not in text
@@ -237,7 +233,6 @@ def test_causes_are_stacked_shares_and_irradiance_a_log_map(mapped: Pst) -> None
     labels = [bars.get_label() for bars in pst_causes(many).axes[0].containers]
     assert len(labels) == 10
     assert labels[-1].endswith(" more")
-    # Irradiance
     axes, _ = pst_irradiance(mapped, 40.0).axes
     (image,) = axes.get_images()
     np.testing.assert_allclose(image.get_array(), np.log10(mapped.irradiance(40.0)[0]))

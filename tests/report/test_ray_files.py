@@ -6,13 +6,19 @@ import json
 
 import numpy as np
 import pytest
-from report.fake_trace import scatter_trace_at
+from report.fake_trace import paths_at, scatter_trace_at
+from report.view_scene import RayTrace
 
 from mistray.errors import MistrayError
 from mistray.report.rays.path_rays import RayLine, rays_of_paths, row_name
 from mistray.report.rays.ray_files import read_rays, write_rays
 
 ENDINGS = ("ply", "obj", "json")
+
+
+@pytest.fixture(scope="module")
+def trace():
+    return RayTrace(paths_at(10.0), 10.0)
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +71,6 @@ def test_ply_is_as_viewers_read_it(rays, tmp_path):
     ray_of = np.repeat(np.arange(len(rays)), [len(ray.points) for ray in rays])
     assert (ray_of[edges[:, 0]] == ray_of[edges[:, 1]]).all()
     assert len(set(map(tuple, edges.tolist()))) == len(edges)
-    # OBJ, line by line
     text = write_rays(rays, tmp_path / "rays.obj").read_text(encoding="utf-8")
     words = [line.split() for line in text.splitlines()]
     points = np.array([[float(x) for x in line[1:]] for line in words if line[0] == "v"])
@@ -73,7 +78,6 @@ def test_ply_is_as_viewers_read_it(rays, tmp_path):
     assert [line[1] for line in words if line[0] == "g"] == ["path_0", "path_2", "path_1"]
     for polyline, ray in zip(polylines, rays, strict=True):
         np.testing.assert_array_equal(polyline, ray.points)
-    # Names that cannot be
     with pytest.raises(MistrayError, match="check the folder and its permissions"):
         write_rays(rays, tmp_path / "nowhere" / "rays.json")
     with pytest.raises(MistrayError, match=r"ray file .*none.ply': No such file or directory"):

@@ -1,4 +1,4 @@
-"""Scattered light in the tables, the CSV files, the HTML report and the JSON, from a trace whose numbers are known."""
+"""Scattered light and ranks in tables, files and pages, from traces whose numbers are known."""
 
 import json
 import re
@@ -42,7 +42,6 @@ def test_random_and_aimed_light_is_one_path(report):
     assert table.percent_of_stray[table.kind == DIRECT].isna().all()
     assert table.percent_of_stray.sum() == pytest.approx(100, rel=1e-9)
     assert report.summary(10.0).paths_of_kind["single scatter"] == 2
-    # Kinds have their power and their colour
     s = report.summary(0.0)
     powers = {kind: power.value for kind, power in s.stray_of_kind_W.items()}
     assert powers["single scatter"] == pytest.approx(WINDOW + STOP, rel=1e-9)
@@ -77,7 +76,6 @@ def test_the_main_table_names_surfaces_and_shares(report, monkeypatch, tmp_path)
     rest = table[table.rank_rms_irradiance > 3]
     assert f"… and {len(rest)} more paths: {rest.percent_of_stray.sum():.3g} % of the stray light" in text
     assert len(rest) == 5
-    # The sampling is judged
     text = main_table(report)
     assert re.search(r"^ *0 +0\.65 +400 +1$", text, re.MULTILINE)
     assert re.search(r"^window_rear +0\.8 +0\.8$", text, re.MULTILINE)
@@ -85,14 +83,12 @@ def test_the_main_table_names_surfaces_and_shares(report, monkeypatch, tmp_path)
     (few,) = (line for line in report.notes if "few aimed rays" in line)
     assert few.startswith("field 0, 10 deg:")
     assert "stop_wall" in few
-    # Long lists are cut and say so
     monkeypatch.setattr("mistray.report.tables.scatter.SURFACES_SHOWN", 1)
     text = scatter_text(report)
     rest = report.scatter_surfaces(0.0).iloc[1:]
     (line,) = re.findall(r"^ +0  … and 2 more .*$", text, re.MULTILINE)
     assert line.split()[-1] == f"{rest.percent_of_stray.sum():.4g}"
     assert text.splitlines()[-2:] == ["… and 1 more", "!: below 0.2"]
-    # CSV files and JSON
     names = [file.name for file in write_csv(report, tmp_path, per_wavelength=True)]
     assert {"scatter.csv", "scatter_per_wavelength.csv", "aiming.csv"} <= set(names)
     tables = {name: pd.read_csv(tmp_path / name) for name in names}
@@ -169,7 +165,6 @@ def test_text(rank):
     assert [STRONGEST in line for line in rows] == [label(report, WIDE) in line for line in rows]
     assert len(beyond(report, 0.0, 1)) == 3 - len(rows)
     assert STRONGEST in main_table(report, per_wavelength=True)
-    # JSON and CSV
     found = json.loads(json.dumps(as_json(ranked_report(rank), per_wavelength=True)))
     assert not json_units.wrong(found)
     assert found["ranked_by"] == rank

@@ -262,7 +262,6 @@ def test_mirrors_are_sheets_or_solids_of_the_thickness_that_is_asked_for(tmp_pat
     body = parts_of(written.path, 0.05)["primary"]
     assert abs(volume(body) - np.pi * r * r * (20 + depth / 2)) <= 0.055 * area(body)
     assert body.vertices[:, 2].max() == pytest.approx(20.0, abs=1e-4)  # behind the mirror, seen along the light
-    # Stock shapes, and what is left out
     scene = scene_of(
         ball={"type": "sphere", "radius": 2.0, "center": [1, 2, 3], "bsdf": BLACK},
         disc={"type": "disk", "bsdf": BLACK},
@@ -330,7 +329,6 @@ def test_what_closes_a_body(tmp_path):
     exact = cap(20, height) + np.pi / 3 * (3 - height) * (25 + 20 + 16)
     body = parts_of(written.path, TOL)["L"]
     assert abs(volume(body) - exact) <= 1.1 * TOL * area(body)
-    # Flat faces
     written = mistray.export_step(mistray.load("head_up_display"), tmp_path / "hud.step")
     assert set(written.solids) == {"windscreen", "cover"}
     cover = parts_of(written.path, 0.1)["cover"]

@@ -76,7 +76,6 @@ class TestArguments:
         ):
             with pytest.raises(mistray.MistrayError, match=words):
                 mistray.trace(scene, rays=10, field_deg=None if scene is dark else 80.0 if "hits" in words else 0.0)
-        # Shapes without ids have numbers
         text = plates_text(1)
         for name in ("p0_front", "p0_rear", "detector"):
             text = text.replace(f' id="{name}"', "")

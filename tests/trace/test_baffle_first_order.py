@@ -58,7 +58,6 @@ def test_no_light_arrives_after_one_scatter_forwards():
     for field_deg in (30.0, 60.0):
         assert scattered(system(spoiled), field_deg) > 1e-4
     assert scattered(system(made), 30.0, scatters=2) > 1e-4
-    # Beyond the exclusion angle only
     made = tube(exclusion_deg=60.0, length=60.0)
     assert len(made.vanes) < len(tube(length=60.0).vanes)
     found = pst(system(made).to_scene(), range(2, 83, 4), rays=100_000, max_scatters=1, max_reflections=0, paths=False)

@@ -1,4 +1,4 @@
-"""The language of filters: its algebra against Python's own, its flags against event lists read as text, its errors."""
+"""The language of filters, and names of paths: their algebra, flags and errors, and that each name means its path."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from command_line import fails
 from report.fake_ledger import EDGE, GLASS, REFLECTOR, RING, SENSOR, STRUCTURE, design_of, encode
 
 import mistray
@@ -20,6 +21,8 @@ from mistray.report.tables.pst import path_frame
 from mistray.scene.load import shipped_scenes
 from mistray.trace.filter_rows import Rows
 from mistray.trace.path_filter import PathFilter
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*few rays")
 
 SURFACES = {"L1_front": GLASS, "L1_rear": GLASS, "L1_edge": EDGE, "barrel (black)": STRUCTURE, "primary": REFLECTOR}
 SURFACES |= {"rim": RING, "detector": SENSOR, "(N-BK7)": GLASS}
@@ -116,7 +119,6 @@ def test_flags_and_columns(rows: Rows) -> None:
     # Without blanks no quotation marks
     assert held("kind = *diffraction*", rows) == ["diffraction" in kind for kind in rows.columns["kind"]]
     assert held("power_W > -1e308", rows) == [True] * len(LISTS)
-    # A text is a path
     texts = [" ".join(f"{name.replace(' ', '_')}:{what}" for name, what in row) + " " for row in LISTS]
     for words, pattern in (
         ("L1_front L1_rear:R", r"(^| )L1_front:. (.* )?L1_rear:R "),
@@ -296,3 +298,77 @@ def test_every_path_of_a_trace_has_a_name_of_its_own(scene: str) -> None:
         assert table.label.str.strip().astype(bool).all()
     for line, row in zip(str(paths).splitlines()[1:21], paths, strict=False):
         assert line.endswith(row.label)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return mistray.coat("singlet_window_detector", {}, scatter={"window_front": ["harvey_shack rms_nm=5"]})
+
+
+@pytest.fixture(scope="module")
+def traced(scene) -> mistray.Trace:
+    """Two wavelengths, and light that is scattered at random and aimed."""
+    return mistray.trace(scene, rays=400, field_deg=1.0, wavelength_nm=[500.0, 600.0])
+
+
+@pytest.mark.long
+def test_every_printed_name_means_its_row(traced) -> None:
+    rows = traced.paths.by_way()
+    chosen = [*range(12), *range(12, len(rows), len(rows) // 12)]
+    assert any("scatter at" in rows.label[k] for k in chosen)
+    assert any(":" in rows.label[k] for k in chosen)
+    assert any(len(rows.path_ids[k]) == 2 for k in chosen), "light at random and aimed"
+    for k in chosen:
+        expected = {i for ids in rows.path_ids[rows.label == rows.label[k]] for i in ids}
+        for text in (rows.label[k], rows.label[k].replace(" → ", "->")):
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                assert {row.path_id for row in traced.paths.select(text)} == expected, text
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            found = {row.events for row in traced.paths.select(rows.events[k])}
+        assert found == {traced.paths[i].events for i in expected}
+
+
+@pytest.mark.long
+def test_a_name_within_a_filter(traced) -> None:
+    label = next(row.label for row in traced.paths if row.label.startswith("detector →"))
+    whole = traced.paths.select(label)
+    assert len(whole) == 2, "one at each wavelength"
+    assert traced.paths.select(f"'{label}' & wavelength_nm = 500") == [r for r in whole if r.wavelength_nm == 500.0]
+    assert len(traced.rays(label, n=20)) == 20
+    names = {row.label for row in traced.paths if row.label.startswith("detector → w")}
+    with pytest.warns(mistray.MistrayWarning, match=f"means {len(names)} paths together") as told:
+        rows = traced.paths.select("detector -> w*")
+    assert {row.label for row in rows} == names
+    assert [one.message.code for one in told] == ["several-paths"]
+    label = next(row.label for row in traced.paths if row.label.startswith("detector →"))
+    first, last = label.split(" → ")
+    with pytest.warns(mistray.MistrayWarning, match=f"did you mean '{label}'") as told:
+        assert traced.paths.select(f"{last} -> {first}") == []
+    assert [one.message.code for one in told] == ["no-path"]
+
+
+def test_wrong_names_are_refused_before_the_trace(scene) -> None:
+    for call, near in (
+        (lambda: mistray.optimize.path_power(scene, "detectr -> L1_front", rays=1e9), "'detector'"),
+        (lambda: mistray.trace(scene, n_rays=1), "did you mean 'rays'"),
+        (lambda: mistray.ghosts(scene, feild_deg=1), "did you mean 'field_deg'"),
+        (lambda: mistray.sweep(scene, n_rays=1), "did you mean 'rays'"),
+        (lambda: mistray.view(scene, pathids=[1]), "did you mean 'path_ids'"),
+    ):
+        with pytest.raises(mistray.MistrayError, match=near):
+            call()
+
+
+def test_commands_refuse_before_they_trace(capsys, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for arguments, words in (
+        (("goasts", "phone_camera"), ("'ghosts'?", "See 'mistray --help'")),
+        (("ghosts", "phone_camera", "--feild-deg", "20"), ("--field-deg?", "See 'mistray ghosts --help'")),
+    ):
+        message = fails(capsys, *arguments)
+        assert all(word in message for word in words)
+    for command, option in (("ghosts", "--filter"), ("view", "--path-ids"), ("sensitivity", "--paths")):
+        wrong = [command, "singlet_window_detector", option, "L1_fron -> L1_rear", "--rays", "1e9"]
+        assert "'L1_front'" in fails(capsys, *wrong)

@@ -171,7 +171,6 @@ def test_one_way_is_one_row_with_the_numbers_of_all_its_light(hits: Hits) -> Non
     rows = path_table(runs, [run.paths for run in runs]).by_way()
     assert sorted(rows.wavelength_nm) == [450.0, 650.0]
     assert [len(ids) for ids in rows.path_ids] == [2, 2]
-    # Rows are sequences and equal themselves
     table = table_of(LISTS, hits)
     assert [row.path_id for row in table] == list(range(len(LISTS)))
     assert table[2] == table[2]

@@ -1,4 +1,4 @@
-"""The mode of polarisation that a trace takes by itself: its pilot against closed forms and field vectors."""
+"""The mode of polarisation that a trace takes, and rays of coated lenses, against closed forms and field vectors."""
 
 from __future__ import annotations
 

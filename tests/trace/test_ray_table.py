@@ -1,4 +1,4 @@
-"""`Trace.rays`: exactly the rays of a box, of a pixel, of a path, of a filter; their sums are those of the trace."""
+"""Tables of rays at the detector, at any surface and of many paths: exactly the rays that are asked for."""
 
 from __future__ import annotations
 
@@ -78,7 +78,6 @@ class TestAll:
         assert np.ptp(few.start_ray) > 0.7 * np.ptp(everything.start_ray)
         norms = np.linalg.norm(everything[["dx", "dy", "dz"]].to_numpy(), axis=1)
         np.testing.assert_allclose(norms, 1, rtol=1e-12)
-        # Pixels are those of the map
         height, width = triplet.irradiance.shape
         image = np.zeros((height, width))
         absorbs = triplet.energy.detected_W / everything.flux_W.sum()
@@ -271,7 +270,6 @@ def test_incident_rays_are_those_of_the_ledger(traced) -> None:
         assert set(table.surface) == {row.id}
         assert table.flux_W.sum() == pytest.approx(row.incident_W, rel=1e-6)
         np.testing.assert_allclose((table[["dx", "dy", "dz"]] ** 2).sum(axis=1), 1, rtol=1e-6)
-    # Blocked and escaped light
     walls = sum(row.absorbed_W for row in traced.surfaces if row.id != "detector")  # they are black
     assert traced.rays_at("blocked", n=None).flux_W.sum() == pytest.approx(walls, rel=1e-6)
     escaped = traced.rays_at("escaped", n=None)
@@ -373,7 +371,6 @@ def test_boxes_samples_and_histories_of_a_report(report, monkeypatch):
     first = np.array([ray.points[0] for ray in sample[ids[0]]])
     assert len(first) == 20
     assert np.ptp(first[:, 0]) > 0.5 * np.ptp([ray[0, 0] for ray in t.history(ids[0], 500).rays])
-    # And they are those of the history
     t = report[0.0]
     path_id = t.paths[1].path_id
     every = {ray.start_ray: ray for ray in t.history(path_id, RAYS)._rays}
