@@ -69,9 +69,7 @@ def test_thick_lens():
     n = float(table.optics.host_indices[table.ids.index("L1_front"), 1])
     focal = 1 / ((n - 1) * (2 / 100 - (n - 1) * 5 / (n * 100**2)))
     assert found.focal_length_mm == pytest.approx(focal, rel=1e-7)
-    # The detector stands in the paraxial focus
     assert abs(found.defocus_mm) < 1e-5
-    # A flat window has no focus
     found, _ = measured("plate")
     assert math.isinf(found.focal_length_mm)
     assert math.isnan(found.defocus_mm)
@@ -159,7 +157,6 @@ def test_the_rim_of_a_stop(load_scene: Callable[[str], Any]) -> None:
     for name, (x, y) in expected.items():
         along = starts.loc[name].to_numpy() @ (x, y)
         assert RADIUS * (1 - 3 / 20_000**0.5) < along <= RADIUS
-    # The detector hides the middle
     assert np.linalg.norm(starts.loc["centre"]) < 0.5 * 2**0.5 + 0.1
     ends = table[table.intercept == "Absorbed"]
     np.testing.assert_allclose(ends[["x_mm", "y_mm"]], 0, atol=1e-9)

@@ -177,7 +177,6 @@ def test_each_curve_has_its_limits(scene):
 
 @pytest.mark.long
 def test_other_limits_and_progress(scene):
-    """Equal limits are traced once: one scatter event is the scene's own limit."""
     found = mistray.first_level(scene, [0.0, 20.0], rays=1000)
     assert found.curves["scatter once"] is found.curves["ghosts off"]
     seen = []

@@ -262,15 +262,10 @@ def test_bad_arguments_are_one_line(phone):
 
 
 def test_a_detector_in_a_closed_box_says_so(load_scene):
-    scene = load_scene(
-        scatter_scene(
-            beam_xml(1.0, at=(0.0, 0.0, -20.0), distance=5.0),
-            placed_xml("frustum", "lid", r0=0.0, z0=-5.0, r1=5.0, z1=-5.0),
-            placed_xml("frustum", "tube", r0=5.0, z0=-5.0, r1=5.0, z1=5.0),
-            placed_xml("frustum", "floor", r0=0.0, z0=5.0, r1=5.0, z1=5.0),
-            placed_xml("asphere", "detector", pixels=8, semi_diameter=1.0),
-        )
-    )
+    box = (("lid", 0.0, -5.0, -5.0), ("tube", 5.0, -5.0, 5.0), ("floor", 0.0, 5.0, 5.0))
+    walls = [placed_xml("frustum", name, r0=r0, z0=z0, r1=5.0, z1=z1) for name, r0, z0, z1 in box]
+    detector = placed_xml("asphere", "detector", pixels=8, semi_diameter=1.0)
+    scene = load_scene(scatter_scene(beam_xml(1.0, at=(0.0, 0.0, -20.0), distance=5.0), *walls, detector))
     found = objects(scene, rays=20_000)
     assert any("no ray from the detector leaves the scene" in text for text in found.notes)
     assert any("without a design path" in text for text in found.notes)

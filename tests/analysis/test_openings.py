@@ -36,7 +36,6 @@ def opened(scene: mi.Scene, **values: float) -> tuple[Gap, ...]:
     contacts = Contacts(scene)
     with changed(mi.traverse(scene), keys):
         found = contacts.opened(scene)
-        # Only what has moved is looked at: the same
         assert contacts.opened(scene, {key.partition(".")[0] for key in keys}) == found
     assert contacts.opened(scene) == ()
     return found
@@ -161,7 +160,6 @@ def test_around_a_sheet(load_scene) -> None:
     exact = 1 - disc_to_disc(RADIUS, SHEET, DISTANCE)
     assert 3.0 < sum(((one.share - exact) / one.share_se) ** 2 for one in seeds) < 60.0
     assert all(0.005 < one.share_se < 0.03 for one in seeds)
-    # A tube from the sheet to behind the detector leaves one way in
     tube = shape_xml("frustum", "tube", r0=SHEET, z0=0.0, r1=SHEET, z1=DISTANCE + 1)
     found = entrances(load_scene(scene_text(SHEET_XML, tube, DISC)))
     assert (found.share, found.others) == (0.0, {})

@@ -56,7 +56,6 @@ def test_a_peak_is_the_brightest_pixel_of_all_wavelengths():
 
 
 def test_maps_that_do_not_fit_come_from_several_runs(monkeypatch):
-    """Until no other path can be brighter than the direct image, whose map alone is enough for the brightest path."""
     report = ranked_report()
     whole = with_peaks(report.table(0.0), report[0.0])
     monkeypatch.setattr(peaks, "MAP_BYTES", 1.0)  # room for one path
@@ -101,7 +100,6 @@ def test_numbers_are_those_of_all_rays_together():
     one = rows[rows.wavelength_nm == 550.0].reset_index(drop=True)
     pd.testing.assert_frame_equal(by_path(one, trace.paths), one)
     assert len(by_path(one.iloc[:0], trace.paths)) == 0
-    # One ray has an unknown radius
     rows = made(FakePath(GHOST, 0.1, 1, wavelength=550.0)).paths.by_way()
     row = rows[rows.events == GHOST].iloc[0]
     assert (row.rms_radius_mm, row.effective_rays, row.error_rays) == pytest.approx((0, 1, 1))
@@ -196,7 +194,6 @@ def test_statistics_asymmetry_and_range_of_a_map(noisy):
     assert log_range([np.array([[1.0, 1.0]])]) == (-1.0, 0.0)
     assert log_range([np.zeros((2, 2))]) is None
     assert log_range([]) is None
-    # An image hides what is below the floor
     image = log10_image(np.array([[0.0, 1e-9], [1e-3, 100.0]]), floor=1e-6)
     assert np.isnan(image[0]).all()
     np.testing.assert_allclose(image[1], [-3.0, 2.0], rtol=1e-15)

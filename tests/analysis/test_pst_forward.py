@@ -159,7 +159,6 @@ class TestClosedForms:
 
 class TestBudget:
     def test_rays_until_the_error_is_reached(self, bare) -> None:
-        """Twice as many each time; angles beyond the last that counts get the first pass alone."""
         seen = []
         grid, wanted = DirectionGrid.of([0.0, 40.0, 80.0]), {"relative_error": 0.002, "error_up_to_deg": 40.0}
         found = forward_pst(bare, grid, rays=10_000_000, progress=seen.append, **wanted)

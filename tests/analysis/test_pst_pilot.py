@@ -121,7 +121,6 @@ SYSTEMS: dict[str, tuple[Any, float, dict[str, Any], int]] = {
 
 @functools.cache
 def reference(name: str) -> tuple[float, float]:
-    """PST and its error of forward rays alone, of a seed that no run has."""
     scene, angle, settings, rays = SYSTEMS[name]
     found = mistray.pst(scene(), [angle], method="forward", cell_deg=2.0, rays=rays, seed=7, paths=False, **settings)
     return float(found.value[0]), float(found.standard_error[0])

@@ -161,7 +161,6 @@ def test_causes_add_up_and_are_named():
     assert name == "barrel_1 (reflects)"
     stray = rows[rows.kind != "direct"].pst.sum()
     assert share == pytest.approx(100 * rows.pst[rows.kind == "structure"].sum() / stray)
-    # First-level scatter is scattered once and not reflected
     pst = fake_pst(field_deg=(0, 30))
     table = causes.first_level_scatter(pst)
     at_30 = table[table.angle_deg == 30].set_index("surface")

@@ -25,7 +25,6 @@ SCATTERED = ("single_scatter", "multiple_scatter")
 
 @pytest.fixture(scope="module")
 def window(load_scene: Any) -> Any:
-    """A window of strong reflections that scatters a little, so that there is more ghost than scattered light."""
     rough = scattering_xml([bsdf_xml("abg", A=1e-3, B=1e-2, g=2.0)], "air", "1.5", R=0.4, T=0.5)
     return load_scene(
         scatter_scene(

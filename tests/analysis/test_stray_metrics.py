@@ -33,7 +33,6 @@ def cell_means(grid: DirectionGrid, curve: Curve) -> np.ndarray:
 
 
 def flat(level: float, to_deg: float = 180.0) -> Curve:
-    """The same light from all directions up to an angle, none from beyond."""
     return lambda theta: np.where(theta < np.radians(to_deg), level, 0.0)
 
 
@@ -64,41 +63,40 @@ def lorentz(theta: np.ndarray) -> np.ndarray:
     return np.asarray(1e-4 / (1 + np.degrees(theta) ** 2))
 
 
-class TestSky:
-    def test_uniform_skies(self) -> None:
-        """A flat plate that transmits everything: E = π L, whatever the convention of the result; the vectors."""
-        for convention in ("normal", "projected"):
-            e = source_irradiance(pst_of(WHOLE, np.cos, convention=convention), SkyRadiance())
-            assert (e.value, e.covered) == (pytest.approx(np.pi, rel=1e-12), pytest.approx(1, abs=1e-12))
-            assert (e.se, e.interpolated) == (0, 0)
-        for curve, case, what in (
-            (lorentz, "uniform L=1 sky 20..90deg", "n"),
-            (lambda t: lorentz(t) * np.cos(t), "same, if PST_projected", "p cos"),
-        ):
-            e = source_irradiance(pst_of(np.arange(20.5, 90, 1.0), curve), SkyRadiance(from_deg=20))
-            assert e.value == pytest.approx(analytic(case, f"E_stray = int L PST_{what} dOmega"), rel=1e-9)
-            assert e.covered == pytest.approx(1, abs=1e-9)
-        pst = pst_of([0, 10, 20, 30, 40, 50, 60, 70, 80], np.cos)
-        e = source_irradiance(pst, SkyRadiance())
-        solid = pst.grid.solid_angle.sum()
-        assert e.covered == pytest.approx(solid / (2 * np.pi), rel=1e-12)
-        assert e.value == pytest.approx(float(np.sum(pst.grid.solid_angle * pst.grid.mean_cosine)), rel=1e-12)
-        linear = source_irradiance(pst, SkyRadiance(), interpolation="linear")
-        assert linear.covered == e.covered
-        assert linear.covered + linear.interpolated == pytest.approx(1 - np.cos(np.radians(81)), rel=1e-12)
+def test_uniform_skies() -> None:
+    """A flat plate that transmits everything: E = π L, whatever the convention of the result; the vectors."""
+    for convention in ("normal", "projected"):
+        e = source_irradiance(pst_of(WHOLE, np.cos, convention=convention), SkyRadiance())
+        assert (e.value, e.covered) == (pytest.approx(np.pi, rel=1e-12), pytest.approx(1, abs=1e-12))
+        assert (e.se, e.interpolated) == (0, 0)
+    for curve, case, what in (
+        (lorentz, "uniform L=1 sky 20..90deg", "n"),
+        (lambda t: lorentz(t) * np.cos(t), "same, if PST_projected", "p cos"),
+    ):
+        e = source_irradiance(pst_of(np.arange(20.5, 90, 1.0), curve), SkyRadiance(from_deg=20))
+        assert e.value == pytest.approx(analytic(case, f"E_stray = int L PST_{what} dOmega"), rel=1e-9)
+        assert e.covered == pytest.approx(1, abs=1e-9)
+    pst = pst_of([0, 10, 20, 30, 40, 50, 60, 70, 80], np.cos)
+    e = source_irradiance(pst, SkyRadiance())
+    solid = pst.grid.solid_angle.sum()
+    assert e.covered == pytest.approx(solid / (2 * np.pi), rel=1e-12)
+    assert e.value == pytest.approx(float(np.sum(pst.grid.solid_angle * pst.grid.mean_cosine)), rel=1e-12)
+    linear = source_irradiance(pst, SkyRadiance(), interpolation="linear")
+    assert linear.covered == e.covered
+    assert linear.covered + linear.interpolated == pytest.approx(1 - np.cos(np.radians(81)), rel=1e-12)
 
-        # L = cos θ (1 + cos φ / 2): 2 π/3 with a PST of 1, and by azimuth cells as well
-        def radiance(theta_deg: np.ndarray, phi_deg: np.ndarray) -> np.ndarray:
-            return np.cos(np.radians(theta_deg)) * (1 + 0.5 * np.cos(np.radians(phi_deg)))
+    # L = cos θ (1 + cos φ / 2): 2 π/3 with a PST of 1, and by azimuth cells as well
+    def radiance(theta_deg: np.ndarray, phi_deg: np.ndarray) -> np.ndarray:
+        return np.cos(np.radians(theta_deg)) * (1 + 0.5 * np.cos(np.radians(phi_deg)))
 
-        whole = source_irradiance(pst_of(WHOLE, np.ones_like), SkyRadiance(radiance))
-        assert whole.value == pytest.approx(np.pi, rel=1e-9)
-        azimuths = np.arange(0, 360, 20)
-        front = np.where(np.abs((azimuths + 180) % 360 - 180) < 90, 1.0, 0.0)
-        part = source_irradiance(pst_of(WHOLE, front[None, :], azimuths_deg=azimuths), SkyRadiance(radiance))
-        half = np.radians(90)  # cells of 20° from -90 to 90°
-        assert part.value == pytest.approx(0.5 * (2 * half + 0.5 * 2 * np.sin(half)), rel=1e-4)
-        assert part.covered == pytest.approx(1, abs=1e-4)
+    whole = source_irradiance(pst_of(WHOLE, np.ones_like), SkyRadiance(radiance))
+    assert whole.value == pytest.approx(np.pi, rel=1e-9)
+    azimuths = np.arange(0, 360, 20)
+    front = np.where(np.abs((azimuths + 180) % 360 - 180) < 90, 1.0, 0.0)
+    part = source_irradiance(pst_of(WHOLE, front[None, :], azimuths_deg=azimuths), SkyRadiance(radiance))
+    half = np.radians(90)  # cells of 20° from -90 to 90°
+    assert part.value == pytest.approx(0.5 * (2 * half + 0.5 * 2 * np.sin(half)), rel=1e-4)
+    assert part.covered == pytest.approx(1, abs=1e-4)
 
 
 class TestDisc:
@@ -294,24 +292,21 @@ class TestVeilingGlare:
             glare_spread(pst, 40.0)
 
 
-class TestTraces:
-    R = 0.04
-
-    def test_ghosts(self, load_scene: Callable[[str], object]) -> None:
-        """One plate of n = 1.5: the first ghost has R² of the direct image, and the same shape."""
-        scene = load_scene(plates_text(1))
-        plate = mistray.trace(scene, rays=2000, max_reflections=2, flux_threshold=0)
-        integrated, peak = ghost_to_signal(plate)
-        assert integrated.value == pytest.approx(self.R**2, rel=1e-5)
-        assert integrated.se < 1e-8  # the ghost of every ray has the same share of it
-        assert peak.value == pytest.approx(self.R**2, rel=1e-5)
-        other = ghost_to_signal(plate, plate)
-        assert (other[0].value, other[1].value) == (pytest.approx(integrated.value), pytest.approx(peak.value))
-        none = ghost_to_signal(mistray.trace(scene, rays=500, max_reflections=0))
-        assert (none[0].value, none[1].value) == (0, 0)
-        spread = glare_spread(plate)  # over the detector it adds up to the ghost's flux by that of the direct image
-        x0, x1, y0, y1 = spread.extent_mm
-        assert spread.value.mean() * (x1 - x0) * (y1 - y0) == pytest.approx(self.R**2, rel=1e-5)
+def test_ghosts(load_scene: Callable[[str], object]) -> None:
+    """One plate of n = 1.5: the first ghost has R² of the direct image, and the same shape."""
+    scene = load_scene(plates_text(1))
+    plate = mistray.trace(scene, rays=2000, max_reflections=2, flux_threshold=0)
+    integrated, peak = ghost_to_signal(plate)
+    assert integrated.value == pytest.approx(0.04**2, rel=1e-5)
+    assert integrated.se < 1e-8  # the ghost of every ray has the same share of it
+    assert peak.value == pytest.approx(0.04**2, rel=1e-5)
+    other = ghost_to_signal(plate, plate)
+    assert (other[0].value, other[1].value) == (pytest.approx(integrated.value), pytest.approx(peak.value))
+    none = ghost_to_signal(mistray.trace(scene, rays=500, max_reflections=0))
+    assert (none[0].value, none[1].value) == (0, 0)
+    spread = glare_spread(plate)  # over the detector it adds up to the ghost's flux by that of the direct image
+    x0, x1, y0, y1 = spread.extent_mm
+    assert spread.value.mean() * (x1 - x0) * (y1 - y0) == pytest.approx(0.04**2, rel=1e-5)
 
 
 def test_bad_input() -> None:

@@ -81,7 +81,6 @@ class TestRoughMirror:
         whole = np.diff(found.encircled_energy(found.edges_mm).value)
         np.testing.assert_allclose(whole, sum(part.value for part in found.ring_shares.values()), atol=1e-9)
         assert np.all(whole >= 0)
-        # The composite PSF has the flux of its parts
         image, stray = found.psf(64, 0.004)
         direct = found.image.psf(64, 0.004).values
         np.testing.assert_allclose(image.values, found.veiling_floor.value * direct + stray)

@@ -153,7 +153,6 @@ def test_a_contested_field_is_traced_again_with_four_times_the_rays(traced, monk
     assert ghosts(lens_scene(), rays=100).traced_again == (10.0,)
     assert traced == [(None, 100), (0.0, 100), (None, 400)]
     traced.clear()
-    # The yardstick has the rays of its field
     monkeypatch.setitem(globals(), "CLOSE", 0.0)
     report = ghosts(lens_scene(), [10.0, 0.0], rays=100)
     assert report.traced_again == (0.0,)

@@ -91,7 +91,6 @@ def test_a_tube_with_windows_that_know_nothing() -> None:
 
 
 def painted(tmp_path: Path, reflectance: float) -> mi.Scene:
-    """The two-stage baffle in a paint of that reflectance, with a lens that is clean and smooth."""
     text = SCENE.read_text().replace('name="reflectance" value="0.05"', f'name="reflectance" value="{reflectance}"')
     for name in ("polish_2nm", "particles_300"):
         text = text.replace(f'<ref id="{name}"/>', "")
@@ -208,7 +207,6 @@ PLATES = 6
 
 
 def between_walls() -> str:
-    """Bare plates between a wall that they light from behind, and one that sends light back to them."""
     faces = []
     for k in range(PLATES):
         for name, z, sides in (("front", 2.0 * k, ("air", "1.5")), ("rear", 2.0 * k + 1.0, ("1.5", "air"))):

@@ -27,7 +27,6 @@ GRID = DirectionGrid.of([0.0, 20.0, 50.0, 75.0], cell_deg=10.0)
 
 
 def traced(scene: Any, grid: DirectionGrid = GRID, passes: int = 1, rays: int = RAYS, **arguments: Any) -> Any:
-    """A trace after some passes; arguments are those of `BackwardTrace` and the settings."""
     own = {key: arguments.pop(key) for key in ("paths", "map_pixels") if key in arguments}
     trace = BackwardTrace(scene, grid, Settings.of(scene, **arguments), **own)
     for _ in range(passes):
@@ -41,7 +40,6 @@ def wall_scene() -> Any:
 
 
 def balance(seen: Seen) -> tuple[float, float]:
-    """Emission, media, escaped and lost together, with the standard error from the batches."""
     by_batch = sum(row.emission_by_batch for row in seen.rows)
     by_batch = by_batch + sum(part[2] for part in seen.media.values()) + seen.escaped[2] + seen.lost[2]
     return float(np.mean(by_batch)), float(np.std(by_batch, ddof=1) / np.sqrt(BATCHES))

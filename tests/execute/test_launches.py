@@ -81,7 +81,6 @@ def test_a_time_budget_ends_with_a_sample_of_all_rays(plates: Any, small_launche
     for ours, all_of_it in zip(part.surfaces, whole.surfaces, strict=True):
         spread = np.hypot(ours.absorbed_se_W, all_of_it.absorbed_se_W)
         assert abs(ours.absorbed_W - all_of_it.absorbed_W) <= 5 * spread + 1e-9
-    # What is traced again is the same sample
     again, _ = part.irradiance_of([row.path_id for row in part.paths])
     np.testing.assert_allclose(again, part.irradiance, rtol=1e-12)
     report = mistray.ghosts(plates, [0, 2], wavelength_nm=[450, 650], rays=2_000_000, seconds=4)

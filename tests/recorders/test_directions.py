@@ -27,29 +27,28 @@ def random_rotation(seed: int) -> np.ndarray:
     return q * np.sign(np.linalg.det(q))
 
 
-class TestCells:
-    def test_edges(self) -> None:
-        for angles, given, edges in (
-            ([0.0, 20.0, 90.0], None, [[0, 1], [19, 21], [89, 90]]),  # 2°, clipped at the ends
-            ([10.0, 10.5, 12.0], None, [[9.75, 10.25], [10.25, 10.75], [11.75, 12.25]]),  # the least distance
-            ([10.0, 20.0], 4.0, [[8, 12], [18, 22]]),
-            (np.arange(0.1, 0.35, 0.1), 0.1, [[0.05, 0.15], [0.15, 0.25], [0.25, 0.35]]),  # touch but for rounding
-            (30.0, None, [[29, 31]]),
-        ):
-            grid = DirectionGrid.of(angles, cell_deg=given)
-            np.testing.assert_allclose(grid.edges_deg, edges, rtol=1e-12)
-            assert (grid.shape, grid.azimuth_cell_deg, grid.azimuths_deg.tolist()) == ((len(edges), 1), 360.0, [0.0])
-        for azimuths, given, span in (
-            ([0.0], None, 10.0),
-            ([0.0, 90.0, 180.0], None, 90.0),
-            ([10.0, 355.0], None, 15.0),  # across 0
-            ([-5.0, 2.0], None, 7.0),
-            ([0.0, 90.0], 3.0, 3.0),
-            ([40.0], 360.0, 360.0),
-        ):
-            grid = DirectionGrid.of([5.0], azimuths, azimuth_cell_deg=given)
-            assert grid.azimuth_cell_deg == pytest.approx(span, rel=1e-12)
-            assert grid.shape == (1, len(azimuths))
+def test_edges() -> None:
+    for angles, given, edges in (
+        ([0.0, 20.0, 90.0], None, [[0, 1], [19, 21], [89, 90]]),  # 2°, clipped at the ends
+        ([10.0, 10.5, 12.0], None, [[9.75, 10.25], [10.25, 10.75], [11.75, 12.25]]),  # the least distance
+        ([10.0, 20.0], 4.0, [[8, 12], [18, 22]]),
+        (np.arange(0.1, 0.35, 0.1), 0.1, [[0.05, 0.15], [0.15, 0.25], [0.25, 0.35]]),  # touch but for rounding
+        (30.0, None, [[29, 31]]),
+    ):
+        grid = DirectionGrid.of(angles, cell_deg=given)
+        np.testing.assert_allclose(grid.edges_deg, edges, rtol=1e-12)
+        assert (grid.shape, grid.azimuth_cell_deg, grid.azimuths_deg.tolist()) == ((len(edges), 1), 360.0, [0.0])
+    for azimuths, given, span in (
+        ([0.0], None, 10.0),
+        ([0.0, 90.0, 180.0], None, 90.0),
+        ([10.0, 355.0], None, 15.0),  # across 0
+        ([-5.0, 2.0], None, 7.0),
+        ([0.0, 90.0], 3.0, 3.0),
+        ([40.0], 360.0, 360.0),
+    ):
+        grid = DirectionGrid.of([5.0], azimuths, azimuth_cell_deg=given)
+        assert grid.azimuth_cell_deg == pytest.approx(span, rel=1e-12)
+        assert grid.shape == (1, len(azimuths))
 
 
 def test_bad_cells_are_one_line() -> None:
@@ -94,29 +93,27 @@ class TestSolidAngle:
         assert np.sum(whole.solid_angle * whole.mean_cosine) == pytest.approx(np.pi, rel=1e-14)
 
 
-class TestNearest:
-    GRID = DirectionGrid.of([0.0, 10.0, 20.0], [0.0, 120.0, -100.0], cell_deg=4.0, azimuth_cell_deg=20.0)
-
-    def test_holds_or_not(self) -> None:
-        for direction, cell in (
-            ((0.0,), (0, 0)),
-            ((2.0, 10.0), (0, 0)),  # on the edges
-            ((8.0, -10.0), (1, 0)),
-            ((21.9, 125.0), (2, 1)),
-            ((19.0, 255.0), (2, 2)),  # -105
-            ((10.0, -590.0), (1, 1)),  # 130
-            ((-19.0, -60.0), (2, 1)),  # 19° at 120°
-            ((-19.0, 300.0), (2, 1)),
-        ):
-            assert self.GRID.nearest(*direction) == cell
-        for direction, words in (
-            ((2.1,), "angle 2.1° .*that of 0°.*0 … 2°"),
-            ((22.5, 120.0), "angle 22.5° .*that of 20°.*18 … 22°"),
-            ((10.0, 60.1), "azimuth 60.1° .*120°"),
-            ((10.0, 10.1), "azimuth 10.1° .*0°"),
-        ):
-            with pytest.raises(MistrayError, match=words):
-                self.GRID.nearest(*direction)
+def test_nearest_cell() -> None:
+    grid = DirectionGrid.of([0.0, 10.0, 20.0], [0.0, 120.0, -100.0], cell_deg=4.0, azimuth_cell_deg=20.0)
+    for direction, cell in (
+        ((0.0,), (0, 0)),
+        ((2.0, 10.0), (0, 0)),  # on the edges
+        ((8.0, -10.0), (1, 0)),
+        ((21.9, 125.0), (2, 1)),
+        ((19.0, 255.0), (2, 2)),  # -105
+        ((10.0, -590.0), (1, 1)),  # 130
+        ((-19.0, -60.0), (2, 1)),  # 19° at 120°
+        ((-19.0, 300.0), (2, 1)),
+    ):
+        assert grid.nearest(*direction) == cell
+    for direction, words in (
+        ((2.1,), "angle 2.1° .*that of 0°.*0 … 2°"),
+        ((22.5, 120.0), "angle 22.5° .*that of 20°.*18 … 22°"),
+        ((10.0, 60.1), "azimuth 60.1° .*120°"),
+        ((10.0, 10.1), "azimuth 10.1° .*0°"),
+    ):
+        with pytest.raises(MistrayError, match=words):
+            grid.nearest(*direction)
 
 
 def test_facts_come_back() -> None:

@@ -18,22 +18,7 @@ POINTS, LENGTHS = ("lengths x", "lengths y", "lengths z"), "lengths"
 
 
 class PathLengths(Recorder):
-    """
-    Detected power by path and optical path length from the start of the ray.
-
-    Parameters
-    ----------
-    slots : int
-        Of the path ledger, at most.
-    low, high : float
-        Ends of the histogram, mm.
-    bins : int
-
-    Attributes
-    ----------
-    power : dict
-        Slot of the path in the ledger → (bins,) W.
-    """
+    """Detected power, (bins,) W, by slot of the path in the ledger and optical path length from `low` to `high` mm."""
 
     def __init__(self, slots: int, low: float, high: float, bins: int) -> None:
         self.slots, self.low, self.step, self.bins = slots, low, (high - low) / bins, bins

@@ -16,12 +16,10 @@ pytestmark = pytest.mark.quick
 
 
 def lambertian(f: float) -> str:
-    """An opaque interface whose BRDF is f in every direction, 1/sr, and which mirrors the rest."""
     return scattering_xml([bsdf_xml("abg", A=2 * f, B=1.0, g=0.0)], R=1.0, T=0.0)
 
 
 def screen_text(f: float, radius: float) -> str:
-    """A beam on a Lambertian screen at z = 0, with the detector in its shadow."""
     screen = shape_xml("asphere", "screen", 0.0, lambertian(f), semi_diameter=4.0)
     detector = shape_xml("asphere", "detector", 5.0, sensor=True, semi_diameter=0.1)
     return scene_text(screen, detector, radius=radius, distance=2.0)
@@ -74,7 +72,6 @@ class TestProbe:
         inside[mirrored] = False
         assert np.all(np.abs(value[0, 0] - f)[inside] < 5 * se[0, 0][inside])
         assert np.all(se[0, 0][inside] < 0.15 * f)
-        # All cells together are the irradiance, whatever the direction
         assert value.sum() * (2 / 6) ** 2 == pytest.approx(probe.irradiance[0].sum(), rel=1e-9)
         assert abs(t.energy.closure) < 1e-5
 

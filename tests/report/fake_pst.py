@@ -53,7 +53,6 @@ def label(kind: str, ghost_1: str, ghost_2: str, scatter_1: str) -> str:
 
 
 def levels(theta: np.ndarray) -> np.ndarray:
-    """(p, n) PST of each path at the angles, degrees."""
     edge = 1 / (1 + np.exp((theta - 26) / 0.7))
     return np.array(
         [

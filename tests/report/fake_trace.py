@@ -219,7 +219,6 @@ def scatter_paths_at(field_deg: float) -> list[FakePath]:
 
 
 def scatter_trace_at(field_deg: float) -> FakeTrace:
-    """The paths of `scatter_paths_at`; few of the rays aimed from the stop reach the detector."""
     t = FakeTrace(scatter_paths_at(field_deg), field_deg)
     t.aiming = [AimedSurface("window_rear", 1000.0, 800.0), AimedSurface("stop_wall", 1000.0, 50.0)]
     t.scattered_rays_per_start, t.effective_scattered_rays, t.largest_ray_share = 0.65, 400.0, 0.01

@@ -166,7 +166,6 @@ def test_exposure_over_the_direct_image_leaves_the_ghosts_dark(report):
     ratio = 1e-4 / 0.5**2 / (3 / 0.1**2)
     assert at(luminance(pictures.stray[0.0]), GREY) == pytest.approx(ratio, rel=1e-6)
     assert (at(pictures.stray[0.0].rgb, DIRECT) == 0).all()
-    # A lens without ghosts has nothing to expose for
     light = [FakePath(IMAGE, 1.0, 10, *DIRECT, 0.1, wavelength=wavelength) for wavelength in SHARES]
     t = SmoothTrace(light, shares=SHARES)
     pictures = ColourPictures(ghosts_of(t), Look(block=1))

@@ -42,7 +42,6 @@ const given = JSON.parse(require("fs").readFileSync(0, "utf-8"));
 
 
 def javascript(code: str, given: object, *scripts: str) -> object:
-    """Run code with the scripts of a report; `given` is its data, what it returns is the answer."""
     assets = files("mistray.report.html").joinpath("assets")
     sources = "\n".join(assets.joinpath(f"{name}.js").read_text(encoding="utf-8") for name in scripts)
     command = [str(NODE), "-e", STUB % (sources, code)]
@@ -52,7 +51,6 @@ def javascript(code: str, given: object, *scripts: str) -> object:
 
 
 def panel_of(text: str) -> dict:
-    """What a page holds of field 0°."""
     found = re.search(r'<script type="application/json" id="data-t-field-0">(.*?)</script>', text)
     held = json.loads(found[1])
     return json.loads(zlib.decompress(base64.b64decode(held["packed"]))) | {"codes": held["codes"]}
@@ -192,7 +190,6 @@ def test_powers_json_and_pictures_of_a_page():
     np.testing.assert_array_equal(found[:10_000] == 0, power == 0)
     np.testing.assert_allclose(found[:10_000], power, rtol=1.93e-3)  # half a step: 10^(1/1200) - 1
     np.testing.assert_allclose(found[10_000:], 1.0, rtol=1e-12)
-    # Beyond the range the last one stays
     assert power_codes(np.array([0.0, 1e-200, 1e200])).tolist() == [0, 1, 65535]
     assert stored(MapStore().text()).size == 0
     # Rounding goes up as often as down
@@ -225,7 +222,6 @@ def test_thumbnail_is_centred_upright_and_on_its_own_scale():
     rows, columns = np.flatnonzero(lit.any(axis=1)), np.flatnonzero(lit.any(axis=0))
     assert rows.mean() == pytest.approx(SIDE / 2 - 0.5, abs=0.6)
     assert picture[middle, middle].sum() > picture[middle, columns[0]].sum() > 0
-    # Higher up on the detector is higher up in the picture
     above = thumbnail(found, EXTENT, (60, 80), (x, y - 4 * pixel), 0.0)
     rows = np.flatnonzero(matplotlib.image.imread(io.BytesIO(above.png), format="png")[:, :, :3].any(axis=(1, 2)))
     assert rows.mean() < SIDE / 4

@@ -62,7 +62,6 @@ def test_page_of_one_wavelength(tmp_path: Path, report: GhostReport) -> None:
     assert "the detector in colour, field 20°" in text
     for name in ("t-summary-waves", "t-waves-field-20", "t-energy-450", "t-energy-650", "t-surfaces-wavelengths"):
         assert f'id="{name}"' in text
-    # One row for each path of a field, and one for each wavelength below
     table, waves = (html_pages.table_of(text, name) for name in ("t-field-0", "t-waves-field-0"))
     assert (table.count("detector → L1_rear"), waves.count("detector → L1_rear")) == (1, 3)
     assert ("λ" in table, "λ" in waves) == (False, True)
@@ -171,7 +170,6 @@ def pages_of(pdf: bytes) -> int:
 
 
 def texts_of(pdf: bytes, key: str) -> list[str]:
-    """Texts of the document that are not drawn: titles of the outline and what pictures show."""
     plain = re.findall(rf"/{key} \((.*?)(?<!\\)\)".encode(), pdf, re.DOTALL)
     coded = re.findall(rf"/{key} <feff([0-9a-f]*)>".encode(), pdf)
     return [

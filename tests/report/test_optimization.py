@@ -129,7 +129,6 @@ def test_text_and_record(result: Optimization, out: Path) -> None:
     assert record["holds"] == {"ghosts": True, "price": True}
     assert {row["name"]: row["after"] for row in record["variables"]} == pytest.approx(result.after)
     assert record["terms"][0]["ratio"] == pytest.approx(result.comparison.total.ratio)
-    # Every row of the comparison, every variable and layer, and the command
     html = (out / "report.html").read_text(encoding="utf-8")
     html_pages.check(html)
     assert "mistray optimize &lt;x&gt;" in html

@@ -97,7 +97,6 @@ def test_ghost_image_shows_log10_of_the_map(report):
         assert tuple(image.get_extent()) == pytest.approx(t.extent)
     assert stray.get_clim()[1] < whole.get_clim()[1]
     assert {image.get_clim() for image in images(ghost_image(report, 10.0, (-7.0, 3.0)))} == {(-7.0, 3.0)}
-    # Out of field all light is stray light, and drawn once
     (image,) = images(ghost_image(report, 20.0))
     assert np.nansum(10 ** image.get_array()) == pytest.approx(report[20.0].irradiance.sum(), rel=1e-6)
     # A montage shows stray light on scales of their own, or on one

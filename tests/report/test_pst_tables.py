@@ -59,7 +59,6 @@ def test_curve_frame_holds_the_means_of_the_batches(pst: Pst, around: Pst) -> No
         np.testing.assert_allclose(frame[f"pst_{name}"], batches[k].mean(axis=-1), rtol=1e-12)
     assert list(frame.largest_share[[0, 40]]) == [0.002, 0.31]
     assert list(frame.angle_from_deg[:2]) == [0.0, 1.0]
-    # Projected is normal over the cosine
     low, high = np.radians(pst.grid.edges_deg).T
     ratio = curve_frame(pst.to("projected")).pst_total / frame.pst_total
     np.testing.assert_allclose(ratio, 2 / (np.cos(low) + np.cos(high)), rtol=1e-12)
@@ -84,7 +83,6 @@ def test_curve_frame_holds_the_means_of_the_batches(pst: Pst, around: Pst) -> No
         assert part.pst.is_monotonic_decreasing
     np.testing.assert_allclose(of_cells.percent_of_stray.sum(), 100, rtol=1e-6)
     assert frame.percent_of_stray.isna().sum() == (frame.kind == "direct").sum()
-    # Paths of several azimuths are their mean
     merged = stray_paths(around, 40.0).set_index("events")
     each = [around.paths(40.0, azimuth).set_index("events") for azimuth in (0, 90, 180, 270)]
     name = "L1_front:T barrel_1:r detector:A"
@@ -107,7 +105,6 @@ def test_curve_text_has_the_numbers_with_their_errors(pst: Pst) -> None:
     assert float(share) == 0.2
     assert stray_paths(pst, 44.0).label.isin(["straight shot"]).sum() == 1
     assert rows(curve_text(fake_pst(dark_from_deg=50)))[-1][:-1] == ["80", *["–"] * 7]
-    # The strongest paths stand beside each other with their shares
     expected = stray_paths(pst, 20.0, 2)
     angle, first, share, second, second_share = rows(top_paths_text(pst, 2))[10]
     assert angle == "20"
@@ -225,7 +222,6 @@ def test_causes_are_stacked_shares_and_irradiance_a_log_map(mapped: Pst) -> None
         np.testing.assert_allclose([bar.get_height() for bar in bars], table[name], atol=1e-12)
         tops += table[name]
     np.testing.assert_allclose(tops, 100, rtol=1e-6)
-    # Many causes end in a rest
     few = fake_pst(field_deg=(0, 20, 40))
     rows = few.path_rows
     copies = [rows.assign(scatter_1=f"wall_{k}", events=f"wall_{k}:r detector:A") for k in range(12)]

@@ -135,7 +135,6 @@ def test_the_path_sort_file_comes_back_in_the_order_of_the_flux():
     for wrong, words in ((cut, "path 4 has no representative ray"), ("", title), ("something else\n", title)):
         with pytest.raises(MistrayError, match=words):
             parse_path_sort(wrong)
-    # Random and aimed light, and what is left out
     t = scatter_trace_at(0.0)
     paths = parse_path_sort(path_sort_text(t))
     kinds = {event[0] for path in paths for event in path.events}

@@ -9,11 +9,11 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
+from command_line import fails, succeeds
 from scipy.interpolate import BSpline
 
 import mistray
 from mistray import MistrayError
-from mistray.cli import main
 from mistray.io.cad.part import CadPart
 from mistray.io.cad.step import read_step
 from mistray.mechanics import read_mechanics
@@ -159,7 +159,6 @@ def test_a_lens_is_a_solid_of_the_volume_of_its_formula(tmp_path):
 
 
 def revolved(profiles: list[np.ndarray]) -> float:
-    """Volume within closed polylines (r, z), each side a frustum."""
     r, z = np.concatenate(profiles).T
     r1, z1 = np.roll(r, -1), np.roll(z, -1)
     return abs(float(np.pi / 3 * np.sum((r * r + r * r1 + r1 * r1) * (z1 - z))))
@@ -358,21 +357,15 @@ def test_wrong_numbers_are_refused_and_nothing_is_written(tmp_path):
 
 def test_the_command_writes_a_file_once(tmp_path, capsys):
     target = tmp_path / "cassegrain.step"
-    command = ["export", "cassegrain", "-o", str(target)]
-    assert main([*command, "--mirror-thickness-mm", "8", "--json"]) == 0
-    shown = json.loads(capsys.readouterr().out)
+    command = ["export", "cassegrain", "-o", target]
+    shown = json.loads(succeeds(capsys, *command, "--mirror-thickness-mm", 8, "--json"))
     assert shown["solids"] == ["primary", "secondary"]
     before = target.read_bytes()
-    for more, word in (
-        ([], "exists"),
-        (["--force", "--rays", "100"], "--paths"),
-        (["--force", "--wavelength-nm", "500", "600", "--field-deg", "0"], "--wavelength-nm"),
-    ):
-        assert main([*command, *more]) != 0
-        assert word in capsys.readouterr().err
+    assert "exists" in fails(capsys, *command)
+    assert "--paths" in fails(capsys, *command, "--force", "--rays", 100)
+    assert "--wavelength-nm" in fails(capsys, *command, "--force", "--wavelength-nm", 500, 600, "--field-deg", 0)
     assert target.read_bytes() == before
-    assert main(["export", "plate", "-o", str(tmp_path / "plate.zmx"), "--paths", "2"]) != 0
-    assert "--paths" in capsys.readouterr().err
+    assert "--paths" in fails(capsys, "export", "plate", "-o", tmp_path / "plate.zmx", "--paths", 2)
 
 
 @pytest.mark.parametrize("field", [pytest.param(0.0, marks=pytest.mark.long), 14.0])

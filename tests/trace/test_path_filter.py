@@ -64,7 +64,6 @@ def held(text: str, rows: Rows) -> list[bool]:
 
 
 def by_text(letters: str, name: str = "", but: tuple[str, ...] = ()) -> list[int]:
-    """Number of events with one of these letters at places whose name begins so, for each list."""
     return [sum(what in letters and n.startswith(name) and n not in but for n, what in row[:-1]) for row in LISTS]
 
 
@@ -307,7 +306,6 @@ def scene():
 
 @pytest.fixture(scope="module")
 def traced(scene) -> mistray.Trace:
-    """Two wavelengths, and light that is scattered at random and aimed."""
     return mistray.trace(scene, rays=400, field_deg=1.0, wavelength_nm=[500.0, 600.0])
 
 

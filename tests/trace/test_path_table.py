@@ -162,7 +162,6 @@ def test_one_way_is_one_row_with_the_numbers_of_all_its_light(hits: Hits) -> Non
     assert rows.percent_se.iloc[1] == pytest.approx(100 * spread / rows.power_W.sum(), rel=1e-9)
     assert sorted(path_id for ids in rows.path_ids for path_id in ids) == list(range(len(table)))
     assert rows.power_W.is_monotonic_decreasing
-    # Ways of different wavelengths stay apart
     runs = [
         fake_run(SURFACES, decoded(*encode([LISTS[1], LISTS[2]], list(SURFACES)), np.array([hits.sums(hits.path == k)
                  for k in numbers])), wavelength_nm=nm)

@@ -46,7 +46,6 @@ def everything(triplet: Any) -> pd.DataFrame:
 
 @pytest.fixture(scope="module")
 def rough(load_scene: Callable[[str], Any]) -> Any:
-    """A plate with a rough and a coated side: many rays of one start ray, aimed and random."""
     front = scattering_xml([bsdf_xml("abg", A=1e-3, B=1e-3, g=2.0)], "air", "1.5")
     plate = [
         placed_xml("asphere", "front", front, semi_diameter=4.0),
@@ -350,7 +349,6 @@ def test_boxes_samples_and_histories_of_a_report(report, monkeypatch):
         found = {path_id: m.within(columns, rows) for path_id, m in maps.paths.items()}
         found = {path_id: power for path_id, power in found.items() if power > 0}
         assert found == pytest.approx(expected, rel=1e-5)
-        # As the page has them
         for path_id, power in found.items():
             m = maps.paths[path_id]
             codes = power_codes(m.power_W).astype(float)
@@ -367,7 +365,6 @@ def test_boxes_samples_and_histories_of_a_report(report, monkeypatch):
         for ray in rays:
             words = [f"{names[code >> EVENT_BITS]}:{LETTERS[code & EVENT_MASK]}" for code in ray.codes.tolist()]
             assert " ".join(words) == t.paths[path_id].events
-    # The strongest ones are there, and spread over the beam
     first = np.array([ray.points[0] for ray in sample[ids[0]]])
     assert len(first) == 20
     assert np.ptp(first[:, 0]) > 0.5 * np.ptp([ray[0, 0] for ray in t.history(ids[0], 500).rays])
@@ -389,28 +386,25 @@ def test_boxes_samples_and_histories_of_a_report(report, monkeypatch):
 
 
 INDEX = 1.5
-NUMBERS = "".join(f'<float name="{name}" value="{value}"/>' for name, value in (("A", 1e-3), ("B", 1e-3), ("g", 2)))
-SCATTER = f'<bsdf type="abg">{NUMBERS}</bsdf>'
 
 
-def plate(glass: str, coat: str) -> str:
-    """A plate 5 mm thick with something nested in its front interface; the detector, 15 mm behind it, is black."""
-    sides = f'<bsdf type="interface"><string name="{{}}" value="air"/><string name="{{}}" value="{glass}"/>{{}}</bsdf>'
+def plate(glass: str, *models: str) -> str:
+    """A plate 5 mm thick, whose front may scatter; the detector, 15 mm behind it, is black."""
     return scene_text(
-        shape_xml("asphere", "front", 0.0, sides.format("front", "back", coat), semi_diameter=30.0),
-        shape_xml("asphere", "rear", 5.0, sides.format("back", "front", ""), semi_diameter=30.0),
+        shape_xml("asphere", "front", 0.0, scattering_xml(models, "air", glass), semi_diameter=30.0),
+        shape_xml("asphere", "rear", 5.0, interface_xml(glass, "air"), semi_diameter=30.0),
         shape_xml("asphere", "detector", 20.0, sensor=True, half_width=6.0, half_height=6.0),
     )
 
 
 @pytest.fixture(scope="module")
 def trace(load_scene):
-    return mistray.trace(load_scene(plate(f"{INDEX}", SCATTER)), rays=20_000, max_reflections=0)
+    return mistray.trace(load_scene(plate(f"{INDEX}", ABG)), rays=20_000, max_reflections=0)
 
 
 @pytest.fixture(scope="module")
 def hazy(load_scene):
-    return mistray.trace(load_scene(plate(f"{INDEX} scatter=0.05 g=0.9", "")), rays=20_000, max_reflections=0)
+    return mistray.trace(load_scene(plate(f"{INDEX} scatter=0.05 g=0.9")), rays=20_000, max_reflections=0)
 
 
 @pytest.mark.long

@@ -14,7 +14,6 @@ from mistray.trace.reliability.sampling_check import sampling_check, sampling_no
 
 
 def traced(rays: float = 1.0, largest: float = 0.001, aiming: Any = (), silent: Any = ()) -> Any:
-    """What the check reads of a trace."""
     numbers = {"scattered_rays_per_start": rays, "largest_ray_share": largest, "effective_scattered_rays": 5000.0}
     return SimpleNamespace(aiming=list(aiming), silent=list(silent), **numbers)
 
@@ -77,7 +76,6 @@ def test_what_is_told() -> None:
 
 
 def hazy_scene(target: dict[str, Any] | None = None) -> Any:
-    """A block that scatters in a beam, and a small detector beside it, 40 degrees off."""
     place = towards_origin(40.0, 100.0)
     more = {} if target is None else {"aim": target | {"to_world": place}}
     block = hazy_block("1.0 scatter=0.01")

@@ -20,7 +20,6 @@ SPLIT = 0.3  # reflectance of the splitter, whose transmittance is 0.7
 
 
 def split_text(R: float = 0.0) -> str:
-    """A beam of radius 1 on a tilted splitter: an analytic detector behind it, a stock rectangle beside it."""
     splitter = shape_xml("asphere", "splitter", 0.0, interface_xml(R=SPLIT, T=1 - SPLIT), semi_diameter=20.0)
     splitter = splitter.replace('<translate z="0.0"/>', '<rotate x="1" angle="45"/>')
     back = shape_xml("asphere", "back", 9.0, interface_xml(R=R, T=0.0), sensor=True, half_width=3.0, half_height=2.0)
