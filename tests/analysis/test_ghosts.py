@@ -37,6 +37,15 @@ def test_normalised_rms_irradiance_is_over_the_on_axis_image(report):
     got = Estimate(2.0, 0.02).over(Estimate(4.0, 0.08))
     assert (got.value, got.se) == (0.5, pytest.approx(0.5 * math.hypot(0.01, 0.02)))
     assert math.isnan(Estimate(1.0, 0.1).over(Estimate(0.0, 0.0)).value)
+    # Two discs of equal power 0.4 mm apart: the pooled second moment is the mean one plus 0.2²
+    lines = [FakePath(f"{LENS} detector:A", 1.0, 5000, x, 0.0, 0.1, wavelength=550 + x) for x in (-0.2, 0.2)]
+    trace = FakeTrace(lines)
+    image = direct_image(trace.paths)
+    a, b = trace.paths
+    radius2 = (a.rms_radius_mm**2 + b.rms_radius_mm**2 + ((a.x_mm - b.x_mm) ** 2 + (a.y_mm - b.y_mm) ** 2) / 2) / 2
+    assert image.power_W.value == pytest.approx(2.0, rel=1e-12)
+    assert image.rms_radius_mm.value**2 == pytest.approx(radius2, rel=1e-12)
+    assert image.rms_irradiance_W_mm2.value == pytest.approx(2.0 / (math.pi * radius2), rel=1e-12)
 
 
 def test_ranks_and_sums(report):
@@ -93,18 +102,6 @@ def test_maps_add_to_the_whole(report):
         assert numbers.incident_rays == 903
         nominal, _ = found.nominal_trace.irradiance_of([0])
         assert found.peak_to_nominal(10.0).value == pytest.approx(image.max() / nominal.max())
-
-
-def test_two_wavelengths_are_one_image():
-    """Two discs of equal power 0.4 mm apart: the pooled second moment is the mean one plus 0.2²."""
-    lines = [FakePath(f"{LENS} detector:A", 1.0, 5000, x, 0.0, 0.1, wavelength=550 + x) for x in (-0.2, 0.2)]
-    trace = FakeTrace(lines)
-    image = direct_image(trace.paths)
-    a, b = trace.paths
-    radius2 = (a.rms_radius_mm**2 + b.rms_radius_mm**2 + ((a.x_mm - b.x_mm) ** 2 + (a.y_mm - b.y_mm) ** 2) / 2) / 2
-    assert image.power_W.value == pytest.approx(2.0, rel=1e-12)
-    assert image.rms_radius_mm.value**2 == pytest.approx(radius2, rel=1e-12)
-    assert image.rms_irradiance_W_mm2.value == pytest.approx(2.0 / (math.pi * radius2), rel=1e-12)
 
 
 def test_on_axis_field_is_traced_for_the_yardstick(monkeypatch):

@@ -1,4 +1,4 @@
-"""Image quality of scenes with closed forms: paraboloids, their coma, scale, illumination; and what is refused."""
+"""Image quality of scenes with closed forms, and surface transfer functions of scatter models."""
 
 from __future__ import annotations
 

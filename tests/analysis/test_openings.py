@@ -147,8 +147,7 @@ def test_what_is_new_and_its_share_of_the_stray_light() -> None:
 
 
 RADIUS, SHEET, DISTANCE = 3.0, 5.0, 4.0
-PASSES = interface_xml(R=0.0, T=1.0)
-SHEET_XML = shape_xml("asphere", "sheet", 0.0, PASSES, semi_diameter=SHEET)
+SHEET_XML = shape_xml("asphere", "sheet", 0.0, interface_xml(R=0.0, T=1.0), semi_diameter=SHEET)
 DISC = shape_xml("asphere", "detector", DISTANCE, sensor=True, semi_diameter=RADIUS)
 
 

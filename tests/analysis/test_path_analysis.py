@@ -141,7 +141,7 @@ def test_aliases_collapse_paths_and_keep_the_flux(lenses: Any, aliases: Any) -> 
     assert not table.duplicated(["events", "kind", "order"]).any()
 
 
-def test_optical_spaces(load_scene: Any) -> None:
+def test_optical_spaces(load_scene: Any, lenses: Any) -> None:
     wall = wall_xml(0.5)
     segments = [
         placed_xml("frustum", f"tube_{k}", wall, r0=3.0, z0=2.0 * k, r1=3.0, z1=2.0 * k + 2.0).replace(
@@ -159,9 +159,6 @@ def test_optical_spaces(load_scene: Any) -> None:
         assert row.power_W == pytest.approx(whole.power_W[whole.scatter_1.isin(tubes)].sum(), rel=1e-12)
         assert row.scatter_1 == row.critical == f"space_{space}"
     assert "detector:A" in table.index
-
-
-def test_wrong_aliases(lenses: Any) -> None:
     for aliases, named in (({"c_*": "third"}, r"'c_\*'"), ({"a_*": "=first"}, "=first"), ("parent", "'part'")):
         with pytest.raises(mistray.MistrayError, match=named):
             lenses.paths.by_way(aliases)

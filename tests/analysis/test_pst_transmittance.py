@@ -20,7 +20,6 @@ from mistray.settings import Settings
 
 pytestmark = pytest.mark.quick
 RAYS = 8192  # less than a first pass: one pass
-SCATTERED = ("single_scatter", "multiple_scatter")
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +41,7 @@ def test_the_largest_share_is_of_the_scattered_light_alone(window: Any) -> None:
     trace = BackwardTrace(window, found.grid, Settings.of(window, max_scatters=2))
     trace.advance(RAYS)
     strongest = np.pi * trace.sums["largest"] / (found.grid.solid_angle[:, None] * RAYS)
-    scattered = found.map(SCATTERED)[0]
+    scattered = found.map(("single_scatter", "multiple_scatter"))[0]
     assert found.largest_share is not None
     np.testing.assert_allclose(found.largest_share * scattered, strongest, rtol=1e-6)
     assert np.all(strongest > 0)

@@ -43,10 +43,6 @@ def scattered_beyond(radius: float) -> float:
     return float(np.sum(weight * 2 * math.pi * r * values))
 
 
-# What Harvey's formula scatters beyond the horizon, or by a larger phase than oblique light has
-EVANESCENT = 1 - math.exp(-A) - scattered_beyond(0.0)
-
-
 class TestRoughMirror:
     def test_the_mtf_is_lens_times_detector_times_harvey(self, load_scene):
         """False alarm 1e-3 each for both curves, in both azimuths."""
@@ -56,7 +52,8 @@ class TestRoughMirror:
         lag = formulas.lag_um(nu, LINE * 1e-3, FOCUS / (2 * RADIUS), 2 * RADIUS)
         harvey = formulas.surface_transfer(formulas.exponential_correlation(lag, B_UM / (2 * math.pi)), A)
         # The trace scatters what propagates; of that beyond the detector nothing is resolved at these frequencies
-        harvey[1:] = (harvey[1:] + EVANESCENT) / (1 - scattered_beyond(60.0))
+        evanescent = 1 - math.exp(-A) - scattered_beyond(0.0)  # beyond the horizon, or by too large a phase
+        harvey[1:] = (harvey[1:] + evanescent) / (1 - scattered_beyond(60.0))
         lens = circular_mtf(nu * LINE * 1e-6 * FOCUS / (2 * RADIUS))
         for azimuth in ("tangential", "sagittal"):
             stf, whole = found.stf(azimuth), found.composite(azimuth)

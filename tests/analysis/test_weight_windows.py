@@ -101,8 +101,7 @@ def painted(tmp_path: Path, reflectance: float) -> mi.Scene:
 
 @pytest.mark.long
 def test_two_stage_baffle_to_1e_13(tmp_path: Path) -> None:
-    """
-    Light that is scattered five times, beside a float64 walk with splitting; half the reflectance leaves 1/32 of it.
+    """Light that is scattered five times, beside a float64 walk with splitting; half the reflectance leaves 1/32 of it.
 
     In every third or fourth run a single ray is totally reflected twice within the lens: its error is large then. With
     three of five runs like that, other seeds would fail (one time in six to ten).

@@ -118,6 +118,19 @@ class TestStandardErrors:
         unit = launched / 50_000 * row.power_W / (row.rays * launched / 50_000)  # weight of one ray: absorption stays
         share = row.rays / 50_000
         assert row.power_se_W == pytest.approx(unit * np.sqrt(share * (1 - share) * 50_000), rel=5 * 0.126)
+        # Those of random positions, hence too large rather than too small, and not those of rows of the grid
+        text = lens_text().replace("</emitter>", '<string name="pattern" value="grid"/></emitter>')
+        even, grid = (mistray.trace(load_text(which)[0], rays=10_000).paths[0] for which in (lens_text(), text))
+        assert grid.rays > 1000
+        random = grid.rms_radius_mm / np.sqrt(2 * grid.rays)
+        for error in (grid.x_se_mm, grid.y_se_mm):
+            assert error == pytest.approx(random, rel=0.2 + 5 * 0.126)  # the image is cut to a rectangle
+        share = grid.rays / 10_000
+        binomial = grid.power_W * np.sqrt((1 - share) / (share * 10_000))
+        assert grid.power_se_W == pytest.approx(binomial, rel=5 * 0.126)
+        for what in ("x_se_mm", "y_se_mm", "rms_radius_se_mm", "power_se_W"):
+            assert getattr(grid, what) > getattr(even, what), what
+        assert np.abs((grid.x_mm, grid.y_mm)).max() < 3 * grid.x_se_mm
 
     @pytest.mark.parametrize("rays", [1, 10, 31, 1000, 4097])
     def test_no_error_where_nothing_is_random(self, rays: int) -> None:
@@ -139,21 +152,6 @@ class TestStandardErrors:
         ratio = values[:, lit].var(axis=0, ddof=1) / np.square(errors[:, lit]).mean(axis=0)
         # each variance has 59 degrees of freedom
         assert abs(ratio.mean() - 1) < z_limit(1, 1e-3) * np.sqrt(2 / 59 / lit.sum())
-
-    def test_a_grid_has_honest_errors_too(self, load_text) -> None:
-        """Those of random positions, hence too large rather than too small, and not those of rows of the grid."""
-        text = lens_text().replace("</emitter>", '<string name="pattern" value="grid"/></emitter>')
-        even, grid = (mistray.trace(load_text(which)[0], rays=10_000).paths[0] for which in (lens_text(), text))
-        assert grid.rays > 1000
-        random = grid.rms_radius_mm / np.sqrt(2 * grid.rays)
-        for error in (grid.x_se_mm, grid.y_se_mm):
-            assert error == pytest.approx(random, rel=0.2 + 5 * 0.126)  # the image is cut to a rectangle
-        share = grid.rays / 10_000
-        binomial = grid.power_W * np.sqrt((1 - share) / (share * 10_000))
-        assert grid.power_se_W == pytest.approx(binomial, rel=5 * 0.126)
-        for what in ("x_se_mm", "y_se_mm", "rms_radius_se_mm", "power_se_W"):
-            assert getattr(grid, what) > getattr(even, what), what
-        assert np.abs((grid.x_mm, grid.y_mm)).max() < 3 * grid.x_se_mm
 
 
 class TestStartRays:

@@ -21,7 +21,6 @@ from mistray.report.html.embedded import palette_png
 from mistray.report.html.render import html_page
 from mistray.report.pst_output import pst_report
 
-DRAWN = ("overview.png", "overview_common.png")  # pictures that nothing is done with
 WIDE, NARROW = 1300, 390  # pixels: a window, and a telephone
 pytestmark = [
     pytest.mark.long,
@@ -137,7 +136,8 @@ def opened(report, browser, tmp_path) -> Iterator[Callable[..., Callable[[str], 
     def run(name: str, width: int = WIDE) -> Callable[[str], Any]:
         dot = palette_png(np.zeros((1, 1), dtype=np.uint8), np.zeros((1, 3), dtype=np.uint8))
         if name == "ghosts":
-            text = html_text(report, "lens", "mistray ghosts lens", pictures={name: dot for name in DRAWN})
+            drawn = dict.fromkeys(("overview.png", "overview_common.png"), dot)  # nothing is done with them
+            text = html_text(report, "lens", "mistray ghosts lens", pictures=drawn)
         else:
             text = html_page(pst_report(fake_pst(), "camera"))
         (tmp_path / f"{name}.html").write_text(text, encoding="utf-8")

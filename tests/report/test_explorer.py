@@ -202,9 +202,7 @@ def test_powers_json_and_pictures_of_a_page():
     index = np.arange(256, dtype=np.uint8).reshape(8, 32)
     picture = matplotlib.image.imread(io.BytesIO(palette_png(index, colour_table())), format="png")
     np.testing.assert_array_equal(np.rint(255 * picture[:, :, :3]).astype(np.uint8), colour_table()[index])
-
-
-def test_thumbnail_is_centred_upright_and_on_its_own_scale():
+    # A thumbnail is centred, upright and on its own scale
     power = np.zeros((60, 80))
     power[40, 60] = 1.0  # in the upper half
     power[40, 59] = 1e-3

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from command_line import Captured, succeeds
 
+import mistray
 from mistray.analysis import GhostReport
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
@@ -67,8 +68,6 @@ def section() -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def report() -> GhostReport:
-    import mistray
-
     return mistray.ghosts(mistray.load("plate"), field_deg=[0.0, 5.0], rays=2000, seed=1)
 
 

@@ -59,31 +59,6 @@ def images(figure):
     return [image for image in drawn(figure) if image.get_array().ndim == 2]
 
 
-def test_what_pictures_leave_out(report):
-    few, value = report.stray_light(20.0).few_rays, report.stray_map(20.0)[0]
-    (image, hatch) = drawn(ghost_image(report, 20.0))
-    lines = hatch.get_array()[..., 3] > 0
-    size = lines.shape[0] // value.shape[0]
-    assert size >= 1
-    hatched = lines.reshape(value.shape[0], size, value.shape[1], size).any(axis=(1, 3))
-    assert not hatched[~few | (value < 10.0 ** image.get_clim()[0])].any()
-    assert hatched.any()
-    # Levels leave out what a logarithmic axis cannot show
-    left = levels_against_field(report).axes[0]
-    labels = left.get_legend_handles_labels()[1]
-    assert labels == ["direct image", "ghost", "structure"]
-    direct = left.containers[0].lines[0].get_xdata()
-    np.testing.assert_array_equal(direct, [0.0, 10.0])
-    # A layout says which path is too rare
-    t = trace_at(20.0)
-    sampled = t.sampled_rays
-    (kept,) = [k for k, path in enumerate(t.fakes) if "detector:R L1_rear:R" in path.events]
-    t.sampled_rays = lambda ids, n: {i: rays if i == kept else [] for i, rays in sampled(ids, n).items()}
-    report = ghosts_of(t, nominal=trace_at(0.0))
-    labels = layout(report, 20.0, ghosts=2).axes[0].get_legend_handles_labels()[1]
-    assert labels == ["detector → L1_rear (ghost)", "detector → window_rear (ghost), too rare to draw"]
-
-
 def test_ghost_image_shows_log10_of_the_map(report):
     figure = ghost_image(report, 10.0)
     whole, stray = images(figure)
@@ -122,7 +97,7 @@ def test_ghost_image_shows_log10_of_the_map(report):
         layout(report, 10.0, path_ids=[99])
 
 
-def test_averaged_colours_and_dark_maps():
+def test_averaged_colours_and_dark_maps(report):
     """Odd sizes: squares at the far edges reach beyond the map and have the mean of what lies on it."""
     image = np.random.default_rng(4).random((11, 7))
     coarse, extent = averaged(image, (-1.0, 2.5, 0.0, 5.5), 4)
@@ -140,6 +115,28 @@ def test_averaged_colours_and_dark_maps():
     assert [text.get_text() for text in axes.texts] == ["no light"]
     with pytest.raises(MistrayError, match="the floor must lie below the top"):
         draw_map(axes, np.ones((2, 2)), extent, (2.0, 1.0))
+    few, value = report.stray_light(20.0).few_rays, report.stray_map(20.0)[0]
+    (image, hatch) = drawn(ghost_image(report, 20.0))
+    lines = hatch.get_array()[..., 3] > 0
+    size = lines.shape[0] // value.shape[0]
+    assert size >= 1
+    hatched = lines.reshape(value.shape[0], size, value.shape[1], size).any(axis=(1, 3))
+    assert not hatched[~few | (value < 10.0 ** image.get_clim()[0])].any()
+    assert hatched.any()
+    # Levels leave out what a logarithmic axis cannot show
+    left = levels_against_field(report).axes[0]
+    labels = left.get_legend_handles_labels()[1]
+    assert labels == ["direct image", "ghost", "structure"]
+    direct = left.containers[0].lines[0].get_xdata()
+    np.testing.assert_array_equal(direct, [0.0, 10.0])
+    # A layout says which path is too rare
+    t = trace_at(20.0)
+    sampled = t.sampled_rays
+    (kept,) = [k for k, path in enumerate(t.fakes) if "detector:R L1_rear:R" in path.events]
+    t.sampled_rays = lambda ids, n: {i: rays if i == kept else [] for i, rays in sampled(ids, n).items()}
+    report = ghosts_of(t, nominal=trace_at(0.0))
+    labels = layout(report, 20.0, ghosts=2).axes[0].get_legend_handles_labels()[1]
+    assert labels == ["detector → L1_rear (ghost)", "detector → window_rear (ghost), too rare to draw"]
 
 
 def test_sections_glass_and_rays_of_a_layout():

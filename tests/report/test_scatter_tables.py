@@ -64,6 +64,32 @@ def test_random_and_aimed_light_is_one_path(report):
     body = ghosts_of(t, nominal=trace_at(0.0))
     assert list(body.scatter_surfaces(0.0).part) == ["(glass)"]
     assert "(glass)" in path_sort_text(t)
+    # The path-sort file comes back in the order of the flux
+    t = trace_at(10.0)
+    text, written = path_sort_text(t), sorted_paths(t)
+    read = parse_path_sort(text)
+    assert [(path.path_id, path.rays, path.events) for path in read] == [(p.path_id, p.rays, p.events) for p in written]
+    for a, b in zip(written, read, strict=True):
+        assert (b.absorbed_W, b.percent) == pytest.approx((a.absorbed_W, a.percent), rel=1e-8)
+    flux = [path.absorbed_W for path in read]
+    assert flux == sorted(flux, reverse=True)
+    assert sum(path.percent for path in read) == pytest.approx(100, abs=1e-6)
+    assert [path.path_id for path in parse_path_sort(path_sort_text(t, count=2))] == [0, 1]
+    direct, ghost = written[:2]
+    assert (direct.intercepts, ghost.intercepts) == ("(4 SpecTran)", "(8 SpecTran)(2 SpecRefl)")
+    assert ghost.events[:2] == (("Emitted", "", ""), ("SpecTran", "window", "window_front"))
+    assert ghost.events[-1] == ("Absorbed", "detector", "detector")
+    title, cut = "the title or the column line is missing", text[: text.index("Path 4: ")]
+    for wrong, words in ((cut, "path 4 has no representative ray"), ("", title), ("something else\n", title)):
+        with pytest.raises(MistrayError, match=words):
+            parse_path_sort(wrong)
+    t = scatter_trace_at(0.0)
+    paths = parse_path_sort(path_sort_text(t))
+    kinds = {event[0] for path in paths for event in path.events}
+    assert {"RandTran", "ImpTran", "ImpRefl"} <= kinds
+    assert any("(1 ImpTran)" in path.intercepts for path in paths)
+    rest = sum(row.percent for row in t.paths[4:])
+    assert f"6 weaker paths are left out; together they hold {rest:.3g} %" in path_sort_text(t, 4)
 
 
 def test_the_main_table_names_surfaces_and_shares(report, monkeypatch, tmp_path):
@@ -114,34 +140,6 @@ def test_without_scatter_nothing_is_said_about_it():
     assert "scatter.csv" not in csv_tables(report)
     assert report.scatter_surfaces(0.0).empty
     assert 'id="scatter"' not in html_text(report)
-
-
-def test_the_path_sort_file_comes_back_in_the_order_of_the_flux():
-    t = trace_at(10.0)
-    text, written = path_sort_text(t), sorted_paths(t)
-    read = parse_path_sort(text)
-    assert [(path.path_id, path.rays, path.events) for path in read] == [(p.path_id, p.rays, p.events) for p in written]
-    for a, b in zip(written, read, strict=True):
-        assert (b.absorbed_W, b.percent) == pytest.approx((a.absorbed_W, a.percent), rel=1e-8)
-    flux = [path.absorbed_W for path in read]
-    assert flux == sorted(flux, reverse=True)
-    assert sum(path.percent for path in read) == pytest.approx(100, abs=1e-6)
-    assert [path.path_id for path in parse_path_sort(path_sort_text(t, count=2))] == [0, 1]
-    direct, ghost = written[:2]
-    assert (direct.intercepts, ghost.intercepts) == ("(4 SpecTran)", "(8 SpecTran)(2 SpecRefl)")
-    assert ghost.events[:2] == (("Emitted", "", ""), ("SpecTran", "window", "window_front"))
-    assert ghost.events[-1] == ("Absorbed", "detector", "detector")
-    title, cut = "the title or the column line is missing", text[: text.index("Path 4: ")]
-    for wrong, words in ((cut, "path 4 has no representative ray"), ("", title), ("something else\n", title)):
-        with pytest.raises(MistrayError, match=words):
-            parse_path_sort(wrong)
-    t = scatter_trace_at(0.0)
-    paths = parse_path_sort(path_sort_text(t))
-    kinds = {event[0] for path in paths for event in path.events}
-    assert {"RandTran", "ImpTran", "ImpRefl"} <= kinds
-    assert any("(1 ImpTran)" in path.intercepts for path in paths)
-    rest = sum(row.percent for row in t.paths[4:])
-    assert f"6 weaker paths are left out; together they hold {rest:.3g} %" in path_sort_text(t, 4)
 
 
 by_rank = pytest.mark.parametrize("rank", ORDERS)

@@ -1,4 +1,4 @@
-"""Numbers as text, tables that are printed or made from names of columns, CSV files and warnings."""
+"""Numbers as text, tables, CSV and Parquet, and irradiance maps as EXR, FITS, NPY: what is read is what was traced."""
 
 import json
 import math
@@ -221,7 +221,9 @@ def test_astropy_places_the_pixels(one: IrradianceMap, tmp_path: Path) -> None:
     assert np.array_equal(np.load(tmp_path / "map.npy")["irradiance_W_mm2"], one.irradiance)
 
 
-def test_wrong_names_and_files(one: IrradianceMap, tmp_path: Path) -> None:
+def test_formats_are_written_by_name_and_wrong_ones_refused(
+    one: IrradianceMap, tmp_path: Path, trace: FakeTrace, monkeypatch: pytest.MonkeyPatch
+) -> None:
     bright = IrradianceMap(np.full((2, 2), 1e40), np.zeros((2, 2)), EXTENT)
     for what, name, words in (
         (one, "map.tif", "its name must end in"),
@@ -243,11 +245,6 @@ def test_wrong_names_and_files(one: IrradianceMap, tmp_path: Path) -> None:
     for shape, its_unit, words in (((2, 3), "lx", "give two arrays"), ((2, 2), "W/m2", "'W/m2'")):
         with pytest.raises(MistrayError, match=words):
             IrradianceMap(np.zeros((2, 2)), np.zeros(shape), EXTENT, unit=its_unit)
-
-
-def test_formats_are_written_by_name(
-    trace: FakeTrace, one: IrradianceMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
     table = trace.paths.to_pandas()
     files = write_formats(["npy", "parquet", "fits"], tmp_path, {"paths.csv": table}, {"irradiance_0deg": one})
     assert [file.name for file in files] == ["irradiance_0deg.npy", "paths.parquet", "irradiance_0deg.fits"]

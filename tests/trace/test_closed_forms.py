@@ -19,7 +19,6 @@ import mistray
 from mistray.scenes.singlet_window_detector.prescription import build as singlet_window_detector
 
 ROUNDING = 1e-6
-ALL_ORDERS = {"max_reflections": 20, "flux_threshold": 1e-12}
 
 
 def assert_power(what: str, watt: float, expected: float, se: float = 0.0) -> None:
@@ -29,7 +28,7 @@ def assert_power(what: str, watt: float, expected: float, se: float = 0.0) -> No
 class TestPlates:
     def test_plate_transmits_and_returns_what_the_series_says(self) -> None:
         scene = mistray.load("plate")
-        t = mistray.trace(scene, rays=4096, **ALL_ORDERS)
+        t = mistray.trace(scene, rays=4096, max_reflections=20, flux_threshold=1e-12)
         r = closed_forms.normal_reflectance(1, 1.5)
         transmitted, returned = closed_forms.plate(r)
         e = t.energy

@@ -347,7 +347,7 @@ def test_a_name_within_a_filter(traced) -> None:
     assert [one.message.code for one in told] == ["no-path"]
 
 
-def test_wrong_names_are_refused_before_the_trace(scene) -> None:
+def test_wrong_names_are_refused_before_the_trace(scene, capsys, tmp_path, monkeypatch) -> None:
     for call, near in (
         (lambda: mistray.optimize.path_power(scene, "detectr -> L1_front", rays=1e9), "'detector'"),
         (lambda: mistray.trace(scene, n_rays=1), "did you mean 'rays'"),
@@ -357,9 +357,6 @@ def test_wrong_names_are_refused_before_the_trace(scene) -> None:
     ):
         with pytest.raises(mistray.MistrayError, match=near):
             call()
-
-
-def test_commands_refuse_before_they_trace(capsys, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     for arguments, words in (
         (("goasts", "phone_camera"), ("'ghosts'?", "See 'mistray --help'")),
