@@ -16,6 +16,8 @@ from mistray.analysis.combine import by_path
 from mistray.analysis.irradiance import log10_image, log_range, mirror_asymmetry, pixel_size, statistics
 from mistray.analysis.maps.path_maps import FieldMaps, PathMap
 from mistray.analysis.peaks import with_peaks
+from mistray.analysis.ranking import RANKS
+from mistray.cli.commands import ghosts as command
 from mistray.cli.ghosts_json import as_json
 from mistray.errors import MistrayError
 from mistray.report.tables.ghosts import AIRY_TEXT, main_table
@@ -50,6 +52,7 @@ def test_a_peak_is_the_brightest_pixel_of_all_wavelengths():
         assert table.peak_se_W_mm2[events] == se[at]
         assert 1.0 < table.peak_W_mm2[events] / peak < 1.4
     assert table.rank_peak[table.kind == "direct"].tolist() == [0]
+    assert tuple(RANKS) == command.RANKS
     for call in (lambda: ranked_report("rms_irradiance"), lambda: ranked_report().top(0.0, rank="rms_irradiance")):
         with pytest.raises(MistrayError, match=r"'rms_irradiance'.*rms, power, peak"):
             call()

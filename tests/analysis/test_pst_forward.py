@@ -128,21 +128,6 @@ class TestClosedForms:
         assert list(found.paths(20.0).events) == ways
         assert found.facts["entrance"] == (None if entrance is None else {"centre": [0.0, 0.0, 2.0], "radius": 1.8})
 
-    def test_diffuser(self, load_scene) -> None:
-        """A Lambertian sheet over a disc: once scattered light ρ cos θ F, aimed and random rays in one path."""
-        rho, a, b, gap = 0.4, 3.0, 1.0, 1.5
-        sheet = placed_xml("asphere", "sheet", diffuser_xml(rho), semi_diameter=a)
-        detector = placed_xml("asphere", "detector", at=(0.0, 0.0, gap), pixels=4, semi_diameter=b)
-        scene = load_scene(scatter_scene(beam_xml(1.0), sheet, detector))
-        grid = DirectionGrid.of([0.0, 30.0, 70.0])
-        found = forward_pst(scene, grid, rays=60_000)
-        value, se = found.curve("single_scatter")
-        expected = rho * grid.mean_cosine * disc_to_disc(b, a, gap)
-        assert_z("single scatter", value, expected, se)
-        rows = found.paths(30.0)
-        assert list(rows.events[rows.scatters == 1]) == ["sheet:t detector:A"]
-        assert 0 < found.largest_share.max() < 0.01
-
     def test_weights(self, load_scene, tmp_path: Path) -> None:
         """A filter that passes 0.8 at 500 nm and 0.2 at 600 nm, with weights 3 to 1; no source is needed."""
         table = tmp_path / "filter.csv"
@@ -155,6 +140,19 @@ class TestClosedForms:
         assert_z("PST_normal", found.value, 0.65 * grid.mean_cosine, found.standard_error)
         assert (found.facts["wavelength_nm"], found.facts["weights"]) == ([500.0, 600.0], [0.75, 0.25])
         assert found.weight.sum(axis=-1) == pytest.approx(1.0)
+        # A Lambertian sheet over a disc: once scattered light ρ cos θ F, aimed and random rays in one path
+        rho, a, b, gap = 0.4, 3.0, 1.0, 1.5
+        sheet = placed_xml("asphere", "sheet", diffuser_xml(rho), semi_diameter=a)
+        detector = placed_xml("asphere", "detector", at=(0.0, 0.0, gap), pixels=4, semi_diameter=b)
+        scene = load_scene(scatter_scene(beam_xml(1.0), sheet, detector))
+        grid = DirectionGrid.of([0.0, 30.0, 70.0])
+        found = forward_pst(scene, grid, rays=60_000)
+        value, se = found.curve("single_scatter")
+        expected = rho * grid.mean_cosine * disc_to_disc(b, a, gap)
+        assert_z("single scatter", value, expected, se)
+        rows = found.paths(30.0)
+        assert list(rows.events[rows.scatters == 1]) == ["sheet:t detector:A"]
+        assert 0 < found.largest_share.max() < 0.01
 
 
 class TestBudget:

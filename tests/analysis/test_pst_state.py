@@ -33,7 +33,7 @@ ARRAYS = {
 }
 
 
-def test_all_comes_back(tmp_path: Path) -> None:
+def test_all_comes_back_and_progress(tmp_path: Path) -> None:
     path = tmp_path / "new" / "state.npz"
     facts = {"signature": SIGNATURE, "rays": np.int64(7), "worst": np.float64(math.inf), "sizes": np.array([1, 2])}
     assert save_state(path, ARRAYS, facts) == path
@@ -51,6 +51,18 @@ def test_all_comes_back(tmp_path: Path) -> None:
     save_state(path, {}, {"signature": SIGNATURE | {"size": (3, 4), "gap": math.nan}})
     same = SIGNATURE | {"size": np.array([3, 4]), "wavelength_nm": (np.float64(550),), "gap": np.float64(math.nan)}
     require_same("s.npz", load_state(path)[1], same)
+    for now, seconds_left, share_done in (
+        # Error 4 % after 1e6 rays in 10 s: 2 % needs 4e6 rays, three times as many again
+        (PstProgress.after(1_000_000, 10_000_000, 0.04, 0.02, 10.0), 30.0, 0.25),
+        (PstProgress.after(1_000_000, 2_000_000, 0.04, 0.001, 10.0), 10.0, 0.5),  # ends with the rays planned
+        (PstProgress.after(1_000_000, 5_000_000, 0.04, None, 10.0), 40.0, 0.2),
+        (PstProgress.after(1_000_000, 5_000_000, math.inf, 0.02, 10.0), 40.0, 0.2),  # a dark angle
+        # 3e6 rays came from the saved run; the 1e6 since then took 10 s
+        (PstProgress.after(4_000_000, 6_000_000, 0.04, None, 10.0, rays_before=3_000_000), 20.0, 2 / 3),
+        (PstProgress.after(3_000_000, 6_000_000, 0.04, None, 0.1, rays_before=3_000_000), math.nan, 0.5),
+        (PstProgress.after(4_000_000, 9_000_000, 0.019, 0.02, 10.0), 0.0, 1.0),
+    ):
+        assert (now.seconds_left, now.share_done) == pytest.approx((seconds_left, share_done), nan_ok=True)
 
 
 def test_files_that_are_none_are_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -84,21 +96,6 @@ def test_files_that_are_none_are_one_line(tmp_path: Path, monkeypatch: pytest.Mo
     ):
         with pytest.raises(MistrayError, match=rf"^state 's\.npz' belongs to another run: .*{text}"):
             require_same("s.npz", {"signature": SIGNATURE}, SIGNATURE | change)
-
-
-def test_progress() -> None:
-    for now, seconds_left, share_done in (
-        # Error 4 % after 1e6 rays in 10 s: 2 % needs 4e6 rays, three times as many again
-        (PstProgress.after(1_000_000, 10_000_000, 0.04, 0.02, 10.0), 30.0, 0.25),
-        (PstProgress.after(1_000_000, 2_000_000, 0.04, 0.001, 10.0), 10.0, 0.5),  # ends with the rays planned
-        (PstProgress.after(1_000_000, 5_000_000, 0.04, None, 10.0), 40.0, 0.2),
-        (PstProgress.after(1_000_000, 5_000_000, math.inf, 0.02, 10.0), 40.0, 0.2),  # a dark angle
-        # 3e6 rays came from the saved run; the 1e6 since then took 10 s
-        (PstProgress.after(4_000_000, 6_000_000, 0.04, None, 10.0, rays_before=3_000_000), 20.0, 2 / 3),
-        (PstProgress.after(3_000_000, 6_000_000, 0.04, None, 0.1, rays_before=3_000_000), math.nan, 0.5),
-        (PstProgress.after(4_000_000, 9_000_000, 0.019, 0.02, 10.0), 0.0, 1.0),
-    ):
-        assert (now.seconds_left, now.share_done) == pytest.approx((seconds_left, share_done), nan_ok=True)
 
 
 BATCHES = 32

@@ -206,9 +206,7 @@ class TestCurves:
         normal, projected = (normalised_irradiance(pst, "ndi", plane) for plane in ("normal", "projected"))
         expected = [analytic(f"PST convention th={t}", "PST_projected/PST_normal=1/cos") for t in (30, 60, 80)]
         assert projected.value / normal.value == pytest.approx(expected, rel=1e-6)
-
-    def test_normalised_stray_light_and_its_reciprocal(self) -> None:
-        """An F/2.2 field of ±10° and stray light of 1e-6: a lamp of 1° gives π sin²(½°) 1e-6 / 0.1543."""
+        # An F/2.2 field of ±10° and stray light of 1e-6: a lamp of 1° gives π sin²(½°) 1e-6 / 0.1543
         throughput = analytic("extended scene L=1 F/2.2 T=1", "pi/(4F^2+1)")
         pst = pst_of(WHOLE, flat(1e-6), flat(throughput / solid(0, 10), 10.0))
         assert ratios.image_throughput(pst).value == pytest.approx(throughput, rel=1e-12)
@@ -267,9 +265,7 @@ class TestVeilingGlare:
         black = cover(pst.grid, SkyRadiance(to_deg=40)).coefficients - cover(pst.grid, Disc(2, 1, 3, 77)).coefficients
         expected = weighted_sum(pst, black).value / source_irradiance(pst, SkyRadiance(to_deg=40), "total").value
         assert glare.value == pytest.approx(100 * expected, rel=1e-9)
-
-    def test_map(self) -> None:
-        """Stray light is the same in all pixels; the image is in the pixel at x > 0, y > 0."""
+        # Stray light is the same in all pixels; the image is in the pixel at x > 0, y > 0
         maps = np.zeros((2, len(self.angles), 1, 2, 2))
         maps[0], maps[1] = self.g, 0.1 * self.g
         maps[0, 0, 0, 1, 1] += self.d

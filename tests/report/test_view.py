@@ -319,7 +319,6 @@ def test_a_layout_has_the_rays_of_the_history_and_the_rows_asked_for(figure, tra
         assert len(drawn) == 4
         for line, ray in zip(drawn, wanted, strict=True):
             np.testing.assert_array_equal(line.get_xydata(), ray[:, [2, 1]])
-    # Of nine rows the ninth has the colour of the first, in dashes
     labels = layout_figure(scene, trace, path_ids=[3, 0], rays=1).axes[0].get_legend_handles_labels()[1]
     assert [label.split()[0] for label in labels] == ["3", "0"]
     nine = RayTrace(trace_in_colours(10.0).fakes, 10.0, shares=SHARES)

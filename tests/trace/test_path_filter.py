@@ -164,10 +164,7 @@ def test_algebra(rows: Rows) -> None:
         ours, theirs = random_expression(rng, 3)
         expected = eval(theirs, {"term": term})
         assert held(ours, rows) == expected.tolist(), ours
-
-
-def test_a_path_cannot_decide_for_its_rays(rows: Rows) -> None:
-    """With a column of rays a filter bounds: for every flux that the rays could have it lies between."""
+    # With a column of rays a filter bounds: for every flux that the rays could have it lies between
     rng = np.random.default_rng(12)
     for _ in range(200):
         ours, _ = random_expression(rng, 3)

@@ -30,6 +30,7 @@ TRANSMITTED = {
 }
 # Share of the rays aimed at a small detector that miss its rim by the rounding of their directions, and the other way
 RIM = 5e-5
+ROULETTE = {"below_threshold": "roulette", "scatter_threshold": 0.3}
 EVERYTHING = {"scatter_threshold": 0.0, "flux_threshold": 0.0}
 
 
@@ -99,13 +100,7 @@ class TestTubes:
             {"rays": 60_000, "aim": "auto", "max_scatters": 5},
             {"rays": 400_000, "splitting": "one", "max_scatters": 5},
             {"rays": 30_000, "aim": "none", "scatter_rays": 3, "max_scatters": 4},
-            {
-                "rays": 300_000,
-                "aim": "none",
-                "max_scatters": 5,
-                "below_threshold": "roulette",
-                "scatter_threshold": 0.3,
-            },
+            {"rays": 300_000, "aim": "none", "max_scatters": 5} | ROULETTE,
         ],
     )
     def test_modes(self, load_scene: Load, mode: dict[str, Any]) -> None:
