@@ -308,7 +308,6 @@ def figure(scene, trace):
     return layout_figure(scene, trace, paths=2, rays=4)
 
 
-@pytest.mark.long
 def test_a_layout_has_the_rays_of_the_history_and_the_rows_asked_for(figure, trace, scene, tmp_path):
     axes = figure.axes[0]
     handles, labels = axes.get_legend_handles_labels()
