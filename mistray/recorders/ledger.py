@@ -137,6 +137,32 @@ def write_list(
     dr.while_loop((dr.zeros(mi.UInt32, dr.width(first)),), lambda k: active & (k < length), step, mode="symbolic")
 
 
+def read_lists(
+    owner: str, keys: mi.UInt64, lengths: mi.UInt32, events: mi.UInt32
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Read the event lists of a table back.
+
+    Returns
+    -------
+    slots, keys, events, lengths : array
+        Slots in use, and of each the columns of `DecodedPaths`.
+
+    Raises
+    ------
+    MistrayError
+        If a recorded event list does not hash to its key: two paths collided or the kernel wrote garbage.
+    """
+    count = len(lengths)  # more keys than lists: flags follow them
+    slots = np.flatnonzero(keys.numpy()[:count])
+    own, number = keys.numpy()[slots], lengths.numpy()[slots].astype(np.int64)
+    lists = events.numpy().reshape(count, -1)[slots, : int(number.max(initial=0))]
+    wrong = int(np.count_nonzero(host_keys(lists, number) != own))
+    if wrong:
+        raise MistrayError(f"{owner}: {wrong} of {len(slots)} event lists do not match their key; please report this")
+    return slots, own, lists, number
+
+
 def _zeros(dtype: Any, size: int) -> Any:
     """
     Return zeros in memory.
@@ -241,23 +267,7 @@ class Ledger(Recorder):
         return self._lost or self.used > 0.7 * self.capacity
 
     def decode(self) -> DecodedPaths:
-        """
-        Read the table back.
-
-        Raises
-        ------
-        MistrayError
-            If a recorded event list does not hash to its key: two paths collided or the kernel wrote garbage.
-        """
-        keys = self.keys.numpy()[: self.capacity]
-        slots = np.flatnonzero(keys)
-        lengths = self.lengths.numpy()[slots].astype(np.int64)
-        events = self.events.numpy().reshape(self.capacity, self.max_events)[slots]
-        events = events[:, : int(lengths.max(initial=0))]
+        """Read the table back, see `read_lists`."""
+        slots, keys, events, lengths = read_lists("ledger", self.keys, self.lengths, self.events)
         sums = self.sums.numpy().reshape(self.capacity, BATCHES, self.row)[slots, :, : self.terms]
-        wrong = int(np.count_nonzero(host_keys(events, lengths) != keys[slots]))
-        if wrong:
-            raise MistrayError(
-                f"ledger: {wrong} of {len(slots)} event lists do not match their key; please report this"
-            )
-        return DecodedPaths(keys[slots], slots, events, lengths, sums)
+        return DecodedPaths(keys, slots, events, lengths, sums)

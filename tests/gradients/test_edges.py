@@ -201,7 +201,7 @@ def scattered(load: Load, text: str, rays: int, scatters: int, seed: int) -> tup
     settings = Settings(max_scatters=scatters, seed=seed)
     trace = BackwardTrace(load(text), DirectionGrid.of([45.0], cell_deg=90.0), settings, both_sides=False)
     trace.advance(rays)
-    return trace, trace.sums["cells"][[SINGLE, MULTIPLE]].sum(axis=(0, 1, 2)) / rays
+    return trace, trace.sums.cells[[SINGLE, MULTIPLE]].sum(axis=(0, 1, 2)) / rays
 
 
 def scatter_derivative(rays: int) -> np.ndarray:
@@ -260,7 +260,7 @@ class TestAgainstTheLight:
         grid = DirectionGrid.of([45.0], cell_deg=90.0)
         trace = BackwardTrace(load_scene(text), grid, Settings(max_scatters=0), both_sides=False)
         trace.advance(rays)
-        leaves, se = sums(trace.sums["cells"].sum(axis=(0, 1, 2)) / rays)
+        leaves, se = sums(trace.sums.cells.sum(axis=(0, 1, 2)) / rays)
         assert_z("share that leaves", leaves, share(radius), se)
         groups = backward_edges(trace, np.full((CLASS_COUNT, 1, 1), 1 / rays), 0.1)
         assert {hits.joined for hits in groups} == {None, "detector"}

@@ -9,12 +9,13 @@ from dataclasses import asdict, replace
 import mitsuba as mi
 import numpy as np
 
-from mistray.analysis.pst.forward_part import CellSums, ForwardPart
 from mistray.analysis.pst.found_paths import FoundPaths
 from mistray.analysis.pst.request import PstRequest, cells_up_to
 from mistray.analysis.pst.result import Pst, notes
 from mistray.analysis.pst.state import PstProgress
+from mistray.execute.all_cells import AllCells
 from mistray.execute.by_parts import SceneTask
+from mistray.execute.cell_sums import WaveSums
 from mistray.execute.grid_trace import WaveTrace
 from mistray.execute.passes import execute_passes
 from mistray.execute.workers import current_workers
@@ -116,8 +117,8 @@ class CellRounds:
     Attributes
     ----------
     trace : WaveTrace
-    light : ForwardPart
-        Sums of the rays so far.
+    light : AllCells
+        Forward rays, with their sums so far.
     progress : callable or None
         Called with a `PstProgress` after each pass.
     for_others : bool
@@ -142,7 +143,7 @@ class CellRounds:
         self.trace = WaveTrace(
             scene, grid, settings, light, int(request.map_pixels), request.paths, entrance=entrance, points=points
         )
-        self.light = ForwardPart(self.trace)
+        self.light = AllCells(self.trace)
         self.progress: Progress | None = None
         self.for_others = False
         self._request, self._entrance, self._counts = request, entrance, counts
@@ -157,7 +158,7 @@ class CellRounds:
         self._error = np.full(len(counts), np.inf)  # relative standard error of all light of each cell
         self._began = time.perf_counter()
         self._of_round, self._in_round = 0.0, 0.0  # rays of the present round, and those that are traced
-        self.light.cells.after_pass = self._after_pass
+        self.light.after_pass = self._after_pass
 
     def kernel_arrays(self) -> list[list[np.ndarray]]:
         """Return the arrays that the kernel reads, for each wavelength."""
@@ -172,7 +173,7 @@ class CellRounds:
             step = np.where(going, goal - light.rays, 0)
             # A time budget ends a cell between two launches
             if is_limited():
-                step = np.minimum(step, BATCHES * max(light.cells.lanes / len(cells) // BATCHES, 1))
+                step = np.minimum(step, BATCHES * max(light.lanes / len(cells) // BATCHES, 1))
             self._of_round = float(step.sum())
             light.go_on(light.rays + step, number)
             number, self._in_round = number + 1, 0.0
@@ -182,10 +183,10 @@ class CellRounds:
             self._report()
             goal = np.where(going & (light.rays >= goal), np.minimum(2 * goal, self._most), goal)
 
-    def add(self, cell: int, found: CellSums | None) -> None:
+    def add(self, cell: int, found: WaveSums | None) -> None:
         """Add a cell that a worker has traced."""
         if found is not None:
-            self.light.add_cell(cell, found)
+            self.light.total = self.light.total + found
             self._open[cell] = False
             self._judge()
             self._report()
@@ -224,7 +225,7 @@ class CellRounds:
     def _pst(self) -> Pst:
         """Return the PST of the rays so far, without details."""
         weight = np.full((*self.trace.grid.shape, BATCHES), 1 / BATCHES)
-        return Pst(self.trace.grid, self.light.by_batch, weight, method="forward")
+        return Pst(self.trace.grid, self.light.total.by_batch(self.light.unit), weight, method="forward")
 
     def result(self) -> Pst:
         """Return the PST; cells for which the time was too short are NaN."""
@@ -240,7 +241,8 @@ class CellRounds:
 
         requested, entrance = self._requested, self._entrance
         late = self._counts.reshape(shape) & ~missing & (error > (requested or np.inf))
-        largest = np.where(missing, np.nan, bare.share_of_scattered(light.largest))
+        sums, unit = light.total, light.unit
+        largest = np.where(missing, np.nan, bare.share_of_scattered(sums.strongest(unit)))
         # Notes
         lines = [*notes(bare, largest, float(rays[~missing].min())), *trace.notes]
         if (seen := late & np.isfinite(error)).any():
@@ -256,10 +258,10 @@ class CellRounds:
             **trace.facts,
             "rays": int(rays.sum()),
             "rays_of_cell": rays.tolist(),
-            "beam_area_mm2": light.cells.areas.tolist(),
+            "beam_area_mm2": light.areas.tolist(),
             "seed": trace.settings.seed,
             "seconds": time.perf_counter() - self._began,
-            "segments": light.segments,
+            "segments": round(sums.segments.sum()),
             "settings": asdict(trace.settings),
             "relative_error": requested,
             "error_up_to_deg": self._request.error_up_to_deg,
@@ -274,7 +276,9 @@ class CellRounds:
             facts=facts,
             largest_share=largest,
             path_rows=FoundPaths.of(trace, light.found).rows() if trace.lists_paths else None,
-            maps=np.where(missing[..., None, None], np.nan, trace.maps(light.maps)) if all(trace.map_size) else None,
+            maps=None
+            if sums.maps is None
+            else np.where(missing[..., None, None], np.nan, trace.maps(sums.by_pixel(unit))),
             extent_mm=trace.extent,
         )
 
@@ -288,7 +292,9 @@ class CellsTask(SceneTask):
         rounds.for_others = True
         return rounds
 
-    def do(self, made: CellRounds, part: int) -> CellSums | None:
+    def do(self, made: CellRounds, part: int) -> WaveSums | None:
         """Trace a cell."""
+        if made.for_others:
+            made.light.begin()
         made.trace_cells([part])
-        return made.light.of_cell(part) if made.for_others else None
+        return replace(made.light.total, paths=made.light.paths) if made.for_others else None
