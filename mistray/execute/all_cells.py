@@ -16,13 +16,12 @@ from dataclasses import replace
 from typing import Any
 
 import drjit as dr
-import mitsuba as mi
 import numpy as np
 
 from mistray.execute.cell_sums import FoundByCell, WaveSums
 from mistray.execute.grid_trace import GridTrace
-from mistray.kernel.launches import Launches, launches_of
-from mistray.kernel.ray_tree import trace_tree
+from mistray.execute.launching import trace_whole
+from mistray.kernel.launches import Launches
 from mistray.recorders.arrivals import ArrivalRecorder
 from mistray.recorders.film import Film
 from mistray.recorders.mis_weights import MisWeighting
@@ -62,6 +61,8 @@ class AllCells:
         Called with the number of start rays of each pass that `sums` has traced.
     """
 
+    total: WaveSums
+
     def __init__(self, trace: GridTrace) -> None:
         self._trace = trace
         self.areas = trace.waves.areas.reshape(trace.grid.shape)
@@ -70,13 +71,9 @@ class AllCells:
         self._launches: dict[int, Launches] = {}  # by wavelength, of the latest rays
         self.rounds: list[tuple[int, np.ndarray]] = []
         self.unit = self.areas / trace.area
-        x0, x1, y0, y1 = trace.extent
-        columns, rows = (max(size, 1) for size in trace.map_size)
-        per_mm = columns / (x1 - x0), rows / (y1 - y0)
-        left, low, per_x, per_y = (dr.opaque(mi.Float, float(v)) for v in (x0, y0, *per_mm))
-        self._film = Film(columns, rows, left, low, per_x, per_y, groups=1)
+        self._film = Film.of(*trace.map_size, trace.extent) if all(trace.map_size) else None
         self._paths: PathSums | None = None  # made with the first sums: a pilot needs none
-        self.total = self._read(self._recorder(None, film=self._maps))
+        self.begin()
 
     def samples(self, rays: np.ndarray, number: int) -> list[Samples]:
         """
@@ -107,12 +104,8 @@ class AllCells:
         """Return the sums of a recorder; the start rays are not counted yet."""
         return WaveSums(rays=np.zeros((*self.areas.shape, BATCHES)), paths=PathsByCell(), **recorder.read())
 
-    @property
-    def _maps(self) -> Film | None:
-        return self._film if all(self._trace.map_size) else None
-
-    def _recorder(self, mis: MisWeighting | None, **options: Any) -> ArrivalRecorder:
-        return ArrivalRecorder(self._trace.grid.shape, self._trace.design_keys, mis, **options)
+    def _recorder(self, mis: MisWeighting | None, film: Film | None = None, **options: Any) -> ArrivalRecorder:
+        return ArrivalRecorder(self._trace.grid.shape, self._trace.design_keys, mis, film=film, **options)
 
     def go_on(self, rays: np.ndarray, number: int | None = None) -> None:
         """
@@ -156,7 +149,7 @@ class AllCells:
         for band in range(len(trace.bands)):
             mis = trace.balance(band)
             for scatter, only in self._kinds:
-                recorder = self._recorder(mis, paths=self._paths, film=self._maps, scattered_only=only)
+                recorder = self._recorder(mis, self._film, paths=self._paths, scattered_only=only)
                 for start in self.starts(band, rays, (SUMS, number), scatter):
                     self.trace_trees(band, start, recorder, scatter)
                     if self.after_pass:
@@ -200,7 +193,8 @@ class AllCells:
 
     def begin(self) -> None:
         """Forget all sums."""
-        self.total, self._paths = self._read(self._recorder(None, film=self._maps)), None
+        self.total = self._read(self._recorder(None, self._film))
+        self._paths = None
 
     def gains(self, derivative: np.ndarray, mis: MisWeighting) -> ArrivalRecorder:
         """Return a recorder of the gain of a metric, from its derivative by the sums of each class in each cell."""
@@ -238,21 +232,16 @@ class AllCells:
     def trace_trees(self, band: int, start: StartRays, recorder: Recorder, scatter: bool = True) -> None:
         """Trace the trees of some start rays of a wavelength."""
         trace = self._trace
-        scene, table = trace.forward_scene(band), trace.bands[band].table
-        settings, connects = trace.settings, trace.connects
+        scene, settings = trace.forward_scene(band), trace.settings
         if not scatter:
             assert scene.competing is not None
             # These rays start with 1/unscattered of the weight; the threshold is lowered alike, so that none ends early
             assert self.unscattered is not None
             threshold = settings.flux_threshold / float(self.unscattered.max())
-            settings, connects = replace(settings, max_scatters=0, flux_threshold=threshold), False
+            settings = replace(settings, max_scatters=0, flux_threshold=threshold)
             scene = replace(scene, competing=replace(scene.competing, connects=False))
-
-        def launch(part: StartRays) -> None:
-            trace_tree(scene, part, settings, [recorder])
 
         # The threshold of unscattered light changes from round to round, but the time per ray, by which launches are
         # sized, does not
         kind = replace(settings, flux_threshold=trace.settings.flux_threshold)
-        self._launches[band] = launches_of(table, kind, recorder.code, "forward", connects)
-        self._launches[band].whole(start, launch)
+        self._launches[band] = trace_whole(scene, start, settings, [recorder], kind)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import drjit as dr
@@ -22,13 +22,13 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.execute.backward_parts import Ahead, BackwardTask, Pass
+from mistray.execute.backward_parts import Ahead, Pass
 from mistray.execute.cell_sums import BackwardSums
 from mistray.execute.grid_trace import Band, GridTrace
+from mistray.execute.launching import trace_whole
+from mistray.execute.scene_task import SceneTask
 from mistray.execute.workers import current_workers
 from mistray.kernel.kernel_scene import BranchProbabilities, CompetingTrace, KernelScene, WeightWindows
-from mistray.kernel.launches import launches_of
-from mistray.kernel.ray_tree import trace_tree
 from mistray.kernel.scattering import Scattering
 from mistray.light import AS_THE_SCENE, Light
 from mistray.notes import Note
@@ -38,7 +38,7 @@ from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.film import Film
 from mistray.recorders.mis_weights import MisWeighting
 from mistray.recorders.path_sums import PathsByCell
-from mistray.recorders.recorder import Recorder, Recorders
+from mistray.recorders.recorder import Recorder
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.start_samples import SAMPLES, WAYS, DepartureSamples, Samples
 from mistray.recorders.tallies import Tallies
@@ -160,8 +160,7 @@ class BackwardTrace(GridTrace):
         towards = found.light if found.light is not None else axis
         self.starts = [DetectorStart(band.table, towards, found.start, both_sides) for band in self.bands]
         self._path_sums = self.new_paths() if paths else None
-        corner_x, corner_y, per_mm_x, per_mm_y = (dr.opaque(mi.Float, v) for v in (0.0, 0.0, 1.0, 1.0))
-        self.film = Film(1, 1, corner_x, corner_y, per_mm_x, per_mm_y, groups=1)
+        self.film = Film.of(1, 1, (0.0, 1.0, 0.0, 1.0))
         self.pass_rays: list[int] | None = []
         self.sums = self._read(0, self.make_directions(maps=True), self._tallies(self.table), 0.0)
         if sharing is not None:
@@ -225,6 +224,12 @@ class BackwardTrace(GridTrace):
         self.trace_shared(number, self.start_pass(number, done, rays), vertices, tallies, sky)
         return self._read(number, sky, tallies, rays * one.share)
 
+    def do(self, part: Pass) -> BackwardSums:
+        """Return the sums of one wavelength of a pass with its paths, at a worker."""
+        if self._path_sums is not None:
+            self._path_sums = self.new_paths()
+        return replace(self.pass_sums(part), paths=self.paths() or PathsByCell())
+
     def _tallies(self, table: SurfaceTable) -> Tallies:
         return Tallies(table.count, len(table.optics.media))
 
@@ -283,7 +288,7 @@ class BackwardTrace(GridTrace):
         if self.forward:
             competing = CompetingTrace(self.forward[number].scattering, self._forward_probabilities, self.connects)
             scene = replace(scene, competing=competing, vertices=vertices)
-        self._launch(scene, start, recorders)
+        trace_whole(scene, start, self.settings, recorders)
 
     def split_scene(self, number: int) -> KernelScene:
         """Return the scene of the kernel at a wavelength, with the weight windows of a pilot."""
@@ -342,8 +347,7 @@ class BackwardTrace(GridTrace):
 
         def traced(room: int) -> LightVertexRecorder:
             recorder = LightVertexRecorder(room)
-            launches = launches_of(one.table, settings, recorder.code)
-            launches.whole(start, lambda part: trace_tree(scene, part, settings, [recorder]))
+            trace_whole(scene, start, settings, [recorder])
             return recorder
 
         # If the cache is too small, trace the same rays again with room for all
@@ -365,25 +369,11 @@ class BackwardTrace(GridTrace):
 
     def trace_split(self, number: int, start: StartRays, *recorders: Recorder) -> None:
         """Trace the trees of some start rays of a wavelength with weight windows, but without a competing trace."""
-        self._launch(self.split_scene(number), start, recorders)
-
-    def _launch(self, scene: KernelScene, start: StartRays, recorders: Sequence[Recorder]) -> None:
-        """Trace the trees of some start rays in launches of bounded time."""
-
-        def trace(part: StartRays) -> None:
-            trace_tree(scene, part, self.settings, recorders)
-
-        shared = None if scene.competing is None else scene.competing.connects
-        launches_of(scene.table, self.settings, Recorders(recorders).code, shared).whole(start, trace)
+        trace_whole(self.split_scene(number), start, self.settings, recorders)
 
     def adjoint(self, derivative: np.ndarray, mis: MisWeighting | None = None) -> Adjoint:
         """Return the recorder of an adjoint trace of a metric, see `make_directions`."""
         return Adjoint(0, self.film, light=self.make_directions(derivative, mis=mis))
-
-    def forget_paths(self) -> None:
-        """Empty the table of the paths."""
-        if self._path_sums is not None:
-            self._path_sums = self.new_paths()
 
     @contextlib.contextmanager
     def shared(self, rays: int) -> Iterator[None]:
@@ -392,7 +382,8 @@ class BackwardTrace(GridTrace):
         if workers is None:
             yield
             return
-        with workers.job(BackwardTask(self._scene, (*self._arguments, self._sharing), self.kernel_arrays())) as job:
+        task = SceneTask(BackwardTrace, self._scene, (*self._arguments, self._sharing), self.kernel_arrays())
+        with workers.job(task) as job:
             self._elsewhere = Ahead(self, job, workers.count(), rays)
             try:
                 yield

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
-from mistray.execute.by_parts import SceneTask
 from mistray.execute.cell_sums import BackwardSums
 from mistray.execute.workers import Job
-from mistray.recorders.path_sums import PathsByCell
 
 if TYPE_CHECKING:
     from mistray.execute.backward import BackwardTrace
@@ -23,23 +20,6 @@ class Pass(NamedTuple):
     band: int
     done: int
     rays: int
-
-
-class BackwardTask(SceneTask):
-    """A backward trace, for `mistray.execute.workers`."""
-
-    def make(self) -> BackwardTrace:
-        """Return the same trace at a worker."""
-        # Here, because that module imports this one
-        from mistray.execute.backward import BackwardTrace
-
-        trace: BackwardTrace = self.build(BackwardTrace)
-        return trace
-
-    def do(self, made: BackwardTrace, part: Pass) -> BackwardSums:
-        """Return the sums of a wavelength of a pass, with its paths."""
-        made.forget_paths()
-        return replace(made.pass_sums(part), paths=made.paths() or PathsByCell())
 
 
 class Ahead:

@@ -101,18 +101,8 @@ class WaveSums(CellSums):
     segments: np.ndarray
 
     def arrays(self, paths: PathsByCell) -> dict[str, np.ndarray]:
-        """See `CellSums.arrays`; cells are numbered through, and start rays are those of all batches."""
-        found = super().arrays(paths)
-        count = self.largest.size
-        for name, shape in {
-            "cells": (len(self.cells), count, BATCHES),
-            "largest": (count,),
-            "segments": (count,),
-        }.items():
-            found[name] = found[name].reshape(shape)
-        if self.maps is not None:
-            found["maps"] = self.maps.reshape(2, count, -1)
-        return found | {"rays": self.rays.sum(axis=-1).ravel()}
+        """See `CellSums.arrays`; the start rays are those of all batches."""
+        return super().arrays(paths) | {"rays": self.rays.sum(axis=-1)}
 
     def continued(self, saved: Mapping[str, np.ndarray], passes: int, seconds: float) -> Self:
         """See `CellSums.continued`."""

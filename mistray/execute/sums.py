@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -28,6 +29,8 @@ def _joined(name: str, a: Any, b: Any) -> Any:
     """Return a field of the sums of both; `largest` is a maximum."""
     if a is None or b is None:
         return b if a is None else a
+    if isinstance(a, tuple):
+        return tuple(_joined(name, one, other) for one, other in zip(a, b, strict=True))
     return np.maximum(a, b) if name == "largest" else a + b
 
 
@@ -41,9 +44,9 @@ class _Packed:
 
 
 def _packed(value: Any) -> Any:
-    """Return an array without its zeros if that is shorter."""
+    """Return an array without its zeros if that is shorter; also those of a tuple or a table."""
     if not isinstance(value, np.ndarray) or value.dtype != np.float64:
-        return value
+        return _each(_packed, value)
     # An index takes as many bytes as a value
     where = np.flatnonzero(value)
     return value if 2 * len(where) >= value.size else _Packed(value.shape, value.ravel()[where], where)
@@ -51,7 +54,16 @@ def _packed(value: Any) -> Any:
 
 def _unpacked(value: Any) -> Any:
     if not isinstance(value, _Packed):
-        return value
+        return _each(_unpacked, value)
     whole = np.zeros(value.shape)
     whole.reshape(-1)[value.where] = value.values
     return whole
+
+
+def _each(change: Callable[[Any], Any], value: Any) -> Any:
+    """Return a tuple or a table, all of whose parts are changed; anything else as it is."""
+    if isinstance(value, tuple):
+        return tuple(map(change, value))
+    if is_dataclass(value) and not isinstance(value, type):
+        return replace(value, **{name: change(part) for name, part in vars(value).items()})
+    return value

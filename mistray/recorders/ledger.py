@@ -8,7 +8,7 @@ event list there. `Ledger.decode` hashes every recorded list again and compares.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import drjit as dr
@@ -18,7 +18,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.interrupts import end_overdue
 from mistray.recorders.packets import add_packet, packet_size
-from mistray.recorders.path_key import host_keys
+from mistray.recorders.path_key import host_keys, joined_lists
 from mistray.recorders.recorder import Memory, Recorder, Visit
 from mistray.settings import BATCHES
 
@@ -53,6 +53,18 @@ class DecodedPaths:
     events: np.ndarray
     lengths: np.ndarray
     sums: np.ndarray
+
+    def take(self, chosen: np.ndarray) -> DecodedPaths:
+        """Return some of the paths."""
+        return DecodedPaths(*(getattr(self, f.name)[chosen] for f in fields(self)))
+
+    def __add__(self, other: DecodedPaths) -> DecodedPaths:
+        """Return the paths of both, which have no slots yet."""
+        events, lengths, place = joined_lists((self.events, self.lengths), (other.events, other.lengths))
+        sums = np.zeros((len(lengths), *self.sums.shape[1:]))
+        sums[place[: len(self.keys)]] = self.sums
+        sums[place[len(self.keys) :]] += other.sums
+        return DecodedPaths(host_keys(events, lengths), np.zeros(len(lengths), dtype=np.int64), events, lengths, sums)
 
 
 def claim(

@@ -37,8 +37,7 @@ ROUNDING = 1e-5  # of a sum of float32 weights
 
 def executed(scene: Any, field_deg: float = 0.0, **settings: Any) -> Run:
     (run,) = prepare(scene, Settings.of(scene, **settings), Light(field_deg))
-    run.execute(ledger=True, progress=None)
-    return run
+    return run.execute(ledger=True)
 
 
 def random_metric(run: Run) -> Adjoint:

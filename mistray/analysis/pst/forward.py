@@ -14,10 +14,10 @@ from mistray.analysis.pst.request import PstRequest, cells_up_to
 from mistray.analysis.pst.result import Pst, notes
 from mistray.analysis.pst.state import PstProgress
 from mistray.execute.all_cells import AllCells
-from mistray.execute.by_parts import SceneTask
 from mistray.execute.cell_sums import WaveSums
 from mistray.execute.grid_trace import WaveTrace
-from mistray.execute.passes import execute_passes
+from mistray.execute.passes import passes_by_workers
+from mistray.execute.scene_task import SceneTask
 from mistray.execute.workers import current_workers
 from mistray.notes import Code, Note
 from mistray.percent import percent_text
@@ -26,7 +26,7 @@ from mistray.sampling.plane_wave import Entrance
 from mistray.sampling.sources import spectrum_of
 from mistray.scene.check import require_scene
 from mistray.settings import BATCHES, Settings
-from mistray.time_budget import is_limited, not_traced, time_is_up
+from mistray.time_budget import TimeShares, coarse_first, is_limited, not_traced, time_is_up
 
 FIRST_RAYS = 1 << 15  # rays of the first round of a cell whose error is requested; each further one doubles them
 DARK_RAYS = 1 << 22  # rays without light after which a cell is given up
@@ -97,9 +97,15 @@ def forward_pst(
     rounds = CellRounds(scene, *arguments)
     rounds.progress = progress
     numbers = {name: number for number, name in enumerate(np.ndindex(*grid.shape))}
-    if current_workers() is not None or is_limited():
-        task = CellsTask(scene, arguments, rounds.kernel_arrays())
-        execute_passes(task, numbers, rounds, "cells", rounds.add)
+    if (workers := current_workers()) is not None:
+        task = SceneTask(CellRounds, scene, arguments, rounds.kernel_arrays())
+        passes_by_workers(workers, task, numbers, "cells", rounds.add)
+    elif is_limited():
+        # Coarse steps over all cells come first, so that those that are traced are spread evenly
+        shares, order = TimeShares(len(numbers)), iter(coarse_first(list(numbers.values())))
+        while shares.enough() and (cell := next(order, None)) is not None:
+            with shares.one():
+                rounds.trace_cells([cell])
     else:
         rounds.trace_cells(list(numbers.values()))
     return rounds.result()
@@ -121,8 +127,6 @@ class CellRounds:
         Forward rays, with their sums so far.
     progress : callable or None
         Called with a `PstProgress` after each pass.
-    for_others : bool
-        Whether the sums of a cell are handed over once it is traced.
     """
 
     def __init__(
@@ -145,7 +149,6 @@ class CellRounds:
         )
         self.light = AllCells(self.trace)
         self.progress: Progress | None = None
-        self.for_others = False
         self._request, self._entrance, self._counts = request, entrance, counts
         # Largest number of rays of each cell, rays of its first round, and the error at which it is done
         self._requested = request.relative_error
@@ -183,13 +186,18 @@ class CellRounds:
             self._report()
             goal = np.where(going & (light.rays >= goal), np.minimum(2 * goal, self._most), goal)
 
-    def add(self, cell: int, found: WaveSums | None) -> None:
+    def do(self, part: int) -> WaveSums:
+        """Return the sums of a cell, at a worker."""
+        self.light.begin()
+        self.trace_cells([part])
+        return replace(self.light.total, paths=self.light.paths)
+
+    def add(self, cell: int, found: WaveSums) -> None:
         """Add a cell that a worker has traced."""
-        if found is not None:
-            self.light.total = self.light.total + found
-            self._open[cell] = False
-            self._judge()
-            self._report()
+        self.light.total = self.light.total + found
+        self._open[cell] = False
+        self._judge()
+        self._report()
 
     def _judge(self) -> None:
         """Close cells that have the requested error or all of their rays; those without light so far end earlier."""
@@ -281,20 +289,3 @@ class CellRounds:
             else np.where(missing[..., None, None], np.nan, trace.maps(sums.by_pixel(unit))),
             extent_mm=trace.extent,
         )
-
-
-class CellsTask(SceneTask):
-    """Cells of a grid, for `mistray.execute.passes`."""
-
-    def make(self) -> CellRounds:
-        """Make the rounds at a worker."""
-        rounds: CellRounds = self.build(CellRounds)
-        rounds.for_others = True
-        return rounds
-
-    def do(self, made: CellRounds, part: int) -> WaveSums | None:
-        """Trace a cell."""
-        if made.for_others:
-            made.light.begin()
-        made.trace_cells([part])
-        return replace(made.light.total, paths=made.light.paths) if made.for_others else None
