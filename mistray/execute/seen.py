@@ -161,7 +161,7 @@ def see(
     # Surfaces: the weight that meets them, and the weight that they absorb
     rows = []
     for i in trace.table.listed:
-        sums = trace.sums["surfaces"][i]
+        sums = trace.sums.surfaces[i]
         share, share_se, _ = estimate(sums[INCIDENT])
         emission, emission_se, emission_by_batch = estimate(sums[ABSORBED_HERE])
         table = trace.table
@@ -181,7 +181,7 @@ def see(
     # Absorbing media; the first entry is the unknown one
     media = {
         name: estimate(row)
-        for name, row in zip(trace.table.optics.media[1:], trace.sums["media"][1:], strict=True)
+        for name, row in zip(trace.table.optics.media[1:], trace.sums.media[1:], strict=True)
         if row.any()
     }
     # The image, if there are design sequences to this detector
@@ -194,13 +194,13 @@ def see(
     return Seen(
         rows=rows,
         media=media,
-        escaped=estimate(trace.sums["channels"][ESCAPED]),
-        image=estimate(trace.sums["cells"][DIRECT, 0, 0]) if designed and optics else None,
-        lost=estimate(trace.lost),
+        escaped=estimate(trace.sums.channels[ESCAPED]),
+        image=estimate(trace.sums.cells[DIRECT, 0, 0]) if designed and optics else None,
+        lost=estimate(trace.sums.lost),
         detector=detector_id,
         detector_area_mm2=trace.area,
         wavelength_nm=wavelength,
         rays=round(float(started.sum())),
-        seconds=trace.seconds,
+        seconds=trace.sums.seconds,
         notes=notes,
     )

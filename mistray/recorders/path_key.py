@@ -107,3 +107,12 @@ def host_keys(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
         longer = (keys ^ (events[:, k].astype(np.uint64) + np.uint64(1))) * np.uint64(MULTIPLIER)
         keys = np.where(k < lengths, longer ^ (longer >> np.uint64(29)), keys)
     return keys
+
+
+def joined_lists(*lists: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return several event lists with their lengths as one, each path once, and the row there of each path in turn."""
+    longest = max(events.shape[1] for events, _ in lists)
+    events = np.concatenate([np.pad(one, ((0, 0), (0, longest - one.shape[1]))) for one, _ in lists])
+    lengths = np.concatenate([own for _, own in lists])
+    _, chosen, place = np.unique(host_keys(events, lengths), return_index=True, return_inverse=True)
+    return events[chosen], lengths[chosen], place

@@ -69,10 +69,10 @@ def light_cones(run: Run, path_of_slot: Mapping[int, int]) -> dict[int, LightCon
     count = min(int(recorder.count[0]), recorder.capacity)
     keys, numbers = np.array(recorder.path)[:count], np.array(recorder.lane)[:count]
     kept = at_most(keys, numbers, RAYS)
-    assert run.paths is not None
+    assert run.sums.paths is not None
     name_of_key = {
         int(key): path_of_slot[int(slot)]
-        for key, slot in zip(run.paths.keys.tolist(), run.paths.slots.tolist(), strict=True)
+        for key, slot in zip(run.sums.paths.keys.tolist(), run.sums.paths.slots.tolist(), strict=True)
         if int(slot) in path_of_slot
     }
     found = {}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.execute.by_parts import TraceTask, images_by_parts
+from mistray.execute.by_parts import images_by_parts
+from mistray.execute.scene_task import SceneTask
 from mistray.execute.tracer import Run, irradiance_of_runs
 from mistray.execute.workers import current_workers
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
@@ -93,23 +93,23 @@ class Trace:
         Time in the kernel, compilation included.
     """
 
-    def __init__(self, runs: list[Run], settings: dict[str, Any], task: TraceTask | None = None) -> None:
+    def __init__(self, runs: list[Run], settings: dict[str, Any], task: SceneTask | None = None) -> None:
         self._runs, self._task = runs, task
         self.settings = settings
         self.recorders: dict[str, Recorder] = {}
         self.rays_traced = round(sum(float(run.started.sum()) for run in runs))
         self.rays_planned = sum(run.rays for run in runs)
-        decoded = [run.paths for run in runs if run.paths is not None]
+        decoded = [run.sums.paths for run in runs if run.sums.paths is not None]
         self._paths = path_table(runs, decoded) if decoded else None  # None: no ledger, or an interrupt
         self.surfaces = flux_report(runs)
         self.energy = energy_ledger(runs, self.surfaces)
         self.coating_error = max(run.table.optics.error for run in runs)
         hits, flux, squares = (
-            sum(run.unit**power * float(run.channels[channel].sum()) for run in runs)
+            sum(run.unit**power * float(run.sums.channels[channel].sum()) for run in runs)
             for power, channel in enumerate((SCATTERED_HITS, SCATTERED_FLUX, SCATTERED_SQUARES))  # Σ wᵏ, k = 0, 1, 2
         )
         self.scattered_rays_per_start = hits / self.rays_traced
-        self.largest_ray_share = max(run.unit * run.largest for run in runs) / flux if flux > 0 else float("nan")
+        self.largest_ray_share = max(run.unit * run.sums.largest for run in runs) / flux if flux > 0 else float("nan")
         self.effective_scattered_rays = flux**2 / squares if squares > 0 else 0.0
         self.own_notes = thin_gaps(runs[0].table)  # the geometry is the same at all wavelengths
         self.own_notes += dict.fromkeys(note for run in runs for note in run.table.optics.notes)
@@ -117,8 +117,8 @@ class Trace:
             self.own_notes.append(unfinished(self.rays_traced, self.rays_planned))
         self.own_notes += undeclared_images(runs, self._paths) if self._paths is not None else []
         self.aiming, self.silent = aimed_surfaces(runs), silent_places(runs)
-        self.segments = round(sum(float(run.channels[SEGMENTS].sum()) for run in runs))
-        self.seconds = sum(run.seconds for run in runs)
+        self.segments = round(sum(float(run.sums.channels[SEGMENTS].sum()) for run in runs))
+        self.seconds = sum(run.sums.seconds for run in runs)
 
     @property
     def notes(self) -> list[Note]:
@@ -187,8 +187,7 @@ class Trace:
             return self
         tables = {id(run.table): run.table.on(number) for run in self._runs}  # sources of one wavelength share a table
         runs = [run.on(number, tables[id(run.table)]) for run in self._runs]
-        task = None if self._task is None else replace(self._task, only=number)  # for workers that trace again
-        return Trace(runs, self.settings | {"detector": detector}, task)
+        return Trace(runs, self.settings | {"detector": detector}, self._task)
 
     @property
     def extent(self) -> tuple[float, float, float, float]:

@@ -40,7 +40,7 @@ def test_the_largest_share_is_of_the_scattered_light_alone(window: Any) -> None:
     found = mistray.pst(window, [0.0, 30.0], cell_deg=10.0, rays=RAYS, max_scatters=2, paths=False, method="adjoint")
     trace = BackwardTrace(window, found.grid, Settings.of(window, max_scatters=2))
     trace.advance(RAYS)
-    strongest = np.pi * trace.sums["largest"] / (found.grid.solid_angle[:, None] * RAYS)
+    strongest = np.pi * trace.sums.largest / (found.grid.solid_angle[:, None] * RAYS)
     scattered = found.map(("single_scatter", "multiple_scatter"))[0]
     assert found.largest_share is not None
     np.testing.assert_allclose(found.largest_share * scattered, strongest, rtol=1e-6)

@@ -6,6 +6,7 @@ import contextlib
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -60,14 +61,12 @@ def test_parts_add_up_to_one_run(scene, monkeypatch):
 
 def test_a_grid_whose_rows_are_not_all_there_is_no_sample(scene, monkeypatch):
     (run,) = mistray.trace(scene, rays=1000)._runs
-    assert len(by_parts.split([run], 1000)) == 1
-    run.rays = 1 << 20
+    run = replace(run, rays=1 << 20)
     assert len(by_parts.split([run], 1000)) == 32  # a batch is not divided
-    run.rays, run.parts = 2000, (by_parts.Part(0),)
     monkeypatch.setattr(type(run.source), "pattern", "grid")
-    assert run.is_sample
-    run.rays = 1 << 21
-    assert not run.is_sample
+    parts = (by_parts.Part(0),)
+    assert replace(run, rays=2000, parts=parts).is_sample
+    assert not replace(run, rays=1 << 21, parts=parts).is_sample
 
 
 def test_what_was_finished_is_a_trace_of_fewer_rays(scene, monkeypatch):

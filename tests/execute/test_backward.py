@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from dataclasses import replace
 from typing import Any
 
 import drjit as dr
@@ -13,13 +15,13 @@ from oracles.statistics import assert_z
 
 import mistray
 from mistray import MistrayError
-from mistray.execute import backward
+from mistray.execute import grid_trace
 from mistray.execute.backward import BackwardTrace
+from mistray.execute.cell_sums import BackwardSums
 from mistray.execute.seen import Seen, see
 from mistray.light import Light
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.path_key import EVENT_BITS
-from mistray.recorders.path_sums import join_sums
 from mistray.settings import BATCHES, Settings
 
 RAYS = 4096
@@ -80,7 +82,7 @@ class TestSee:
 
 
 def cell_sums(trace: BackwardTrace) -> np.ndarray:
-    return trace.sums["cells"].sum(axis=(0, 3)).ravel()
+    return trace.sums.cells.sum(axis=(0, 3)).ravel()
 
 
 class TestPathBook:
@@ -100,12 +102,12 @@ class TestPathBook:
         assert set(np.unique(kinds[np.arange(kinds.shape[1]) < book["lengths"][:, None]])) <= set(range(1, 6))
         plain = traced(wall_scene, self.CELLS, passes=2, **(self.SETTINGS | {"paths": False}))
         assert plain.paths() is None
-        np.testing.assert_allclose(plain.sums["cells"], trace.sums["cells"], rtol=1e-12)
+        np.testing.assert_allclose(plain.sums.cells, trace.sums.cells, rtol=1e-12)
         whole = traced(wall_scene, self.CELLS, **self.SETTINGS)
-        monkeypatch.setattr(backward, "PATH_SLOTS", 16)
-        monkeypatch.setattr(backward, "ENTRY_SLOTS", 64)
+        monkeypatch.setattr(grid_trace, "PATH_SLOTS", 16)
+        monkeypatch.setattr(grid_trace, "ENTRY_SLOTS", 64)
         small = traced(wall_scene, self.CELLS, **self.SETTINGS)
-        np.testing.assert_allclose(small.sums["cells"], whole.sums["cells"], rtol=1e-12)
+        np.testing.assert_allclose(small.sums.cells, whole.sums.cells, rtol=1e-12)
         book = small.paths()
         assert 0 < len(book["lengths"]) <= 16 < len(whole.paths()["lengths"])
         assert 0 < len(book["cell"]) <= 64
@@ -114,7 +116,9 @@ class TestPathBook:
         assert listed.sum() < 0.999 * cells.sum()
 
 
-def assert_same(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> None:
+def assert_same(one: BackwardSums, other: BackwardSums) -> None:
+    """Sums are of the same numbers in another order."""
+    first, second = ({k: v for k, v in vars(sums).items() if isinstance(v, np.ndarray)} for sums in (one, other))
     assert set(first) == set(second)
     for key, values in first.items():
         scale = np.max(np.abs(values), initial=1e-300)
@@ -128,13 +132,13 @@ class TestPasses:
         whole = traced(wall_scene, passes=3, **self.SETTINGS)
         begun = traced(wall_scene, passes=2, **self.SETTINGS)
         resumed = traced(wall_scene, passes=0, **self.SETTINGS)
-        before = {key: values.copy() for key, values in begun.sums.items()}
-        resumed.go_on_from(begun.sums, begun.passes, 7.5)
+        before = copy.deepcopy(begun.sums)
+        resumed.go_on_from(replace(begun.sums, seconds=7.5))
         resumed.advance(RAYS)
         assert_same(whole.sums, resumed.sums)
-        np.testing.assert_allclose(whole.sums["maps"][0].sum(axis=2).ravel(), cell_sums(whole), rtol=1e-12)
-        assert resumed.passes == 3
-        assert resumed.seconds > 7.5
+        np.testing.assert_allclose(whole.sums.maps[0].sum(axis=2).ravel(), cell_sums(whole), rtol=1e-12)
+        assert resumed.sums.passes == 3
+        assert resumed.sums.seconds > 7.5
         assert_same(before, begun.sums)  # the other trace keeps its own
 
     def test_another_seed_and_other_angles_compile_nothing(self, wall_scene) -> None:
@@ -185,11 +189,11 @@ def test_joined_books_of_two_traces_are_the_book_of_both(wall_scene, load_scene)
     begun = traced(wall_scene, **settings)
     resumed = traced(wall_scene, passes=0, **settings)
     empty = resumed.paths()
-    resumed.go_on_from(begun.sums, 1, 0.0)
+    resumed.go_on_from(begun.sums)
     resumed.advance(RAYS)
     halves = begun.paths(), resumed.paths()
     for books in (halves, halves[::-1], (empty, whole), (whole, empty)):
-        found, expected = contents(join_sums(*books)), contents(whole)
+        found, expected = contents(books[0] + books[1]), contents(whole)
         assert set(found) == set(expected)
         for key, values in expected.items():
             assert found[key] == pytest.approx(values, rel=1e-9)

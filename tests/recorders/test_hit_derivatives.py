@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import drjit as dr
@@ -43,14 +44,13 @@ def lens_text(
 
 def executed(scene: Any, **settings: Any) -> Run:
     (run,) = prepare(scene, Settings.of(scene, rays=RAYS, **settings))
-    run.execute(ledger=True, progress=None)
-    return run
+    return run.execute(ledger=True)
 
 
 def books(run: Run) -> tuple[Ledger, DecodedPaths]:
     assert run.ledger is not None
-    assert run.paths is not None
-    return run.ledger, run.paths
+    assert run.sums.paths is not None
+    return run.ledger, run.sums.paths
 
 
 def recorded(run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[bytes]]:
@@ -170,13 +170,13 @@ class TestDerivativeOfHits:
         run = executed(scene, max_reflections=0)
         other = executed(scene, max_reflections=2)
         assert run.ledger is not None
-        assert other.paths is not None
+        assert other.sums.paths is not None
         known = np.array(run.ledger.keys)
-        other.ledger, coefficients = run.ledger, np.zeros((run.ledger.capacity, 6))
+        other, coefficients = replace(other, ledger=run.ledger), np.zeros((run.ledger.capacity, 6))
         coefficients[:, 0] = 1.0
         adjoint = metric(other, path=upload(mi.Float64, coefficients))
         found = gains(other, adjoint)
-        direct = other.paths.sums.sum(axis=1)[other.paths.keys == known[known != 0][0]][0, 2]
+        direct = other.sums.paths.sums.sum(axis=1)[other.sums.paths.keys == known[known != 0][0]][0, 2]
         assert found == pytest.approx(direct, rel=1e-6)
-        assert float(adjoint.unknown[0]) == pytest.approx(other.paths.sums.sum(axis=(0, 1))[2] - direct, rel=1e-5)
+        assert float(adjoint.unknown[0]) == pytest.approx(other.sums.paths.sums.sum(axis=(0, 1))[2] - direct, rel=1e-5)
         np.testing.assert_array_equal(np.array(run.ledger.keys), known)

@@ -185,19 +185,19 @@ class TestLedger:
         """Local arrays whose index starts at width one once filled the lists with garbage; the hash shows it."""
         t = mistray.trace(mistray.load("double_gauss"), rays=3000)
         (run,) = t._runs
-        assert len(run.paths.keys) == len(t.paths) > 20
-        lists = [row[:length] for row, length in zip(run.paths.events, run.paths.lengths, strict=True)]
-        assert [key_of(row) for row in lists] == [int(key) for key in run.paths.keys]
+        assert len(run.sums.paths.keys) == len(t.paths) > 20
+        lists = [row[:length] for row, length in zip(run.sums.paths.events, run.sums.paths.lengths, strict=True)]
+        assert [key_of(row) for row in lists] == [int(key) for key in run.sums.paths.keys]
         assert len({row.tobytes() for row in lists}) == len(t.paths)
 
     def test_garbage_is_found(self) -> None:
         (run,) = mistray.trace(mistray.load("cooke_triplet"), rays=500)._runs
         run.ledger.decode()
         events = np.array(run.ledger.events)
-        slot = int(run.paths.slots[0])
+        slot = int(run.sums.paths.slots[0])
         events[slot * run.settings.max_events] ^= 1
         run.ledger.events = mi.UInt32(events)
-        with pytest.raises(mistray.MistrayError, match=rf"1 of {len(run.paths.keys)} event lists do not match"):
+        with pytest.raises(mistray.MistrayError, match=rf"1 of {len(run.sums.paths.keys)} event lists do not match"):
             run.ledger.decode()
 
 

@@ -55,7 +55,7 @@ def sampling_fault(t: Any) -> list[str]:
     """
     found = []
     for run in t._runs:
-        by_batch = run.channels[SAMPLING] / run.rays
+        by_batch = run.sums.channels[SAMPLING] / run.rays
         share, spread = float(by_batch.sum()), float(by_batch.std(ddof=1) * np.sqrt(len(by_batch)))
         if abs(share) > max(SAMPLING_Z * spread, SAMPLING_SHARE):
             found.append(f"scattered rays carry too little by {share:.2g} ± {spread:.1g} of the light")

@@ -46,7 +46,7 @@ def aimed_surfaces(runs: Sequence[Run]) -> list[AimedSurface]:
     """Return the aimed rays of the surfaces and media of some runs together, in the scene's order."""
     sums: dict[str, np.ndarray] = {}
     for run in runs:
-        table, found = run.table, run.surfaces[:, [AIMED, LANDED]].sum(axis=-1)
+        table, found = run.table, run.sums.surfaces[:, [AIMED, LANDED]].sum(axis=-1)
         for i in (*table.listed, *range(table.count, len(found))):
             # By name, whatever the number of a medium in each run
             name = table.event_ids[i]
@@ -114,10 +114,10 @@ def silent_places(runs: Sequence[Run]) -> list[SilentPlace]:
     heard: set[str] = set()
     for run in runs:
         settings = run.settings
-        if run.paths is None or not settings.max_scatters or settings.ray_control != "allow_all":
+        if run.sums.paths is None or not settings.max_scatters or settings.ray_control != "allow_all":
             return []
-        table, events = run.table, run.paths.events
-        sums = run.surfaces[: table.count, [HITS, INCIDENT]].sum(axis=-1) * [1.0, run.unit]
+        table, events = run.table, run.sums.paths.events
+        sums = run.sums.surfaces[: table.count, [HITS, INCIDENT]].sum(axis=-1) * [1.0, run.unit]
         for place, found in _lit_places(table, sums).items():
             name = table.event_ids[place]
             lit[name] = lit.get(name, np.zeros(2)) + found
