@@ -8,8 +8,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+import scene_dicts
 
-import mistray
 from mistray import MistrayError
 from mistray.physics.sags.grid import Grid
 from mistray.physics.sags.terms import half_turned, sag, slopes
@@ -69,11 +69,10 @@ def test_errors_fall_with_the_fourth_power_of_the_step() -> None:
 def test_patches_are_those_of_batoid() -> None:
     batoid = pytest.importorskip("batoid")
     rng = np.random.default_rng(2)
-    corners = rng.normal(size=(len(Y), len(X), 4)) * (1e-3, 1e-3, 1e-3, 1e-3)
+    corners = 1e-3 * rng.normal(size=(len(Y), len(X), 4))
     theirs = batoid.Bicubic(X, Y, *np.moveaxis(corners, -1, 0))
-    ours = Grid(corners, STEP, MIDDLE)
     x, y = AT
-    z, by_x, by_y = ours.evaluate(x, y)
+    z, by_x, by_y = Grid(corners, STEP, MIDDLE).evaluate(x, y)
     assert z == pytest.approx(theirs.sag(x, y), abs=1e-14)
     normal = theirs.normal(x, y)
     assert by_x == pytest.approx(-normal[:, 0] / normal[:, 2], abs=1e-12)
@@ -148,41 +147,23 @@ def test_bad_files_are_one_line(content: str, message: str, tmp_path: Path) -> N
         read_grid(path)
     assert "\n" not in str(caught.value)
     assert "bad.dat" in str(caught.value)
-
-
-def test_an_archive_that_runs_code_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "evil.npz"
-    np.savez(path, corners=np.array([print], dtype=object), step=[1, 1], middle=[0, 0], missing=[[False]])
+    runs_code = tmp_path / "evil.npz"
+    np.savez(runs_code, corners=np.array([print], dtype=object), step=[1, 1], middle=[0, 0], missing=[[False]])
     with pytest.raises(MistrayError, match="no grid that mistray wrote"):
-        read_grid(path)
-
-
-def shape(**more: object) -> dict[str, object]:
-    return {
-        "type": "scene",
-        "source": {"type": "collimated", "radius": 2.0},
-        "mirror": {"type": "freeform", "semi_diameter": 4.0, "bsdf": {"type": "interface", "R": 1.0}, **more},
-        "detector": {
-            "type": "asphere", "semi_diameter": 9.0, "bsdf": {"type": "interface", "R": 0.0},
-            "to_world": mi.ScalarTransform4f().translate([0, 0, -20]),
-            "sensor": {"type": "irradiancemeter", "film": {"type": "hdrfilm", "rfilter": {"type": "box"}}},
-        },
-    }  # fmt: skip
+        read_grid(runs_code)
 
 
 def test_scenes_say_what_is_wrong(tmp_path: Path) -> None:
-    path = save_grid(grid(), tmp_path / "grid.npz").path
-    mistray.load(shape(grid=path))
+    mirror = {"type": "freeform", "semi_diameter": 4.0, "bsdf": {"type": "interface", "R": 1.0}}
+    given = {"grid": save_grid(grid(), tmp_path / "grid.npz").path}
+    scene_dicts.load(mirror=mirror | given)
     for more, message in (
-        (
-            {"grid": path, "semi_diameter": 8.0},
-            "'mirror': its outline leaves its grid '.*grid.npz': it reaches -6 to 8 mm",
-        ),
-        ({"grid": path, "grid_x": 5.0}, "its outline leaves its grid"),
+        (given | {"semi_diameter": 8.0}, "'mirror': its outline leaves its grid '.*grid.npz': it reaches -6 to 8 mm"),
+        (given | {"grid_x": 5.0}, "its outline leaves its grid"),
         ({"grid": str(tmp_path / "no.npz")}, "'mirror': grid '.*no.npz'.*check the path"),
         ({"grid_scale": 2.0}, "grid_scale needs grid"),
         ({"grid": 3.0}, "grid is 3.0; give the name of a file"),
     ):
         with pytest.raises(MistrayError, match=message) as caught:
-            mistray.load(shape(**more))
+            scene_dicts.load(mirror=mirror | more)
         assert "\n" not in str(caught.value)

@@ -20,29 +20,16 @@ from mistray.physics.geometry.sag import (
 STEEP = (1 / 3.482, 8.701, (0.00521579, 0.0715829, -0.0460926, 0.012431, 0.0332216))
 
 
-@pytest.mark.parametrize("radius", [-20.0, 7.5])
-def test_sphere(radius):
+def test_conics_and_rims_of_the_phone_camera():
     r = np.linspace(0, 7, 50)
-    expected = radius - math.copysign(1, radius) * np.sqrt(radius**2 - r**2)
-    np.testing.assert_allclose(sag(r**2, 1 / radius, 0.0), expected, rtol=0, atol=1e-12)
-
-
-def test_paraboloid_and_plane():
-    r2 = np.linspace(0, 100, 11)
-    np.testing.assert_allclose(sag(r2, 1 / 50, -1.0), r2 / 100, rtol=1e-15)
-    assert np.all(sag(r2, 0.0, 3.0) == 0)
-
-
-@pytest.mark.parametrize(
-    ("printed_rim", "radius", "curvature", "conic", "coefficients"),
-    [
-        (0.379217, 1.06523826, *STEEP),
-        (0.58172, 1.43762465, 1 / 1.679, 0.22669364,
-         (0.00980281, -0.0381227, 0.0239681, -0.00629128, -0.00275496, -0.000269638)),
-    ],
-)  # fmt: skip
-def test_rims_of_the_phone_camera(printed_rim, radius, curvature, conic, coefficients):
-    assert float(sag(radius**2, curvature, conic, coefficients)) == pytest.approx(printed_rim, abs=5.1e-7)
+    for radius in (-20.0, 7.5):
+        sphere = radius - math.copysign(1, radius) * np.sqrt(radius**2 - r**2)
+        np.testing.assert_allclose(sag(r**2, 1 / radius, 0.0), sphere, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(sag(r**2, 1 / 50, -1.0), r**2 / 100, rtol=1e-15)
+    assert np.all(sag(r**2, 0.0, 3.0) == 0)
+    other = 1 / 1.679, 0.22669364, (0.00980281, -0.0381227, 0.0239681, -0.00629128, -0.00275496, -0.000269638)
+    for printed_rim, radius, shape in ((0.379217, 1.06523826, STEEP), (0.58172, 1.43762465, other)):
+        assert float(sag(radius**2, *shape)) == pytest.approx(printed_rim, abs=5.1e-7)
 
 
 @pytest.mark.parametrize("shape", [STEEP, (-1 / 9.162, 0.0, (0.0373187, -0.0089176)), (0.05, -1.3, ())])

@@ -98,7 +98,7 @@ def test_surfaces_that_cross():
     front = Surface("front", radius=10.0, semi_diameter=6.0, back="1.5")
     rear = Surface("rear", z=2.0, radius=-10.0, semi_diameter=6.0, front="1.5")
     at = re.search(r"'front' and 'rear' cross at r = ([\d.]+) mm", message(system, front, rear))
-    assert float(at[1]) == pytest.approx(math.sqrt(10**2 - 9**2), rel=0.01)
+    assert float(at[1]) == pytest.approx(math.sqrt(10**2 - 9**2), rel=0.003)  # to the spacing of the samples
     system(
         Surface("M1", semi_diameter=10.0, inner_semi_diameter=6.0, radius=100.0),
         Surface("M3", z=-0.1, semi_diameter=6.0, inner_semi_diameter=1.0, radius=20.0),

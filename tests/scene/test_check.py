@@ -80,6 +80,8 @@ BOARD = float(20 - np.sqrt(20**2 - 3**2))  # height of the bowl at 3 mm
         # Touching at the vertex, at the rim, and structure in contact with a lens or drawn into it
         {**lens(), "window": asphere(3.0, back="1.5"), "window_rear": asphere(4.0, front="1.5")},
         lens(2 * SAG),
+        # Along a circle: h = 1e-3 (r² - 4)²
+        {"bowl": BOWL | {"radius": -1 / 0.016, "conic": -1.0, "a4": 1e-3}, "board": asphere(-0.016, opaque=True)},
         {
             **lens(),
             "edge": frustum(5.0, SAG, 5.0, 3.0 - SAG, R=0.0),
