@@ -1,18 +1,26 @@
-"""Lenses of optiland and ray-optics, objects in memory; their files are in tests/validation/test_lens_files.py."""
+"""Lenses of optiland, both ways, and of ray-optics as objects; their files: tests/validation/test_lens_files.py."""
 
 from __future__ import annotations
+
+import builtins
+import sys
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import peer_lenses
 import peers
 import pytest
 
-from mistray import MistrayError
+import mistray
+from mistray import MistrayError, MistrayWarning
 from mistray.io.optiland import from_optiland
 from mistray.io.rayoptics import from_rayoptics
 from mistray.materials import complex_index, refractive_index
 from mistray.physics.geometry.outline import circle
 from mistray.physics.sags.terms import sag as freeform_sag
+from mistray.prescription import Coating, to_optiland
+from mistray.prescription import from_optiland as lens_of_optiland
 from mistray.prescription.sequential.first_order import first_order
 from mistray.prescription.sequential.materials import same_material
 from mistray.prescription.sequential.rays import trace
@@ -50,7 +58,6 @@ def test_a_model_of_rayoptics_is_the_lens_of_its_file(name):
     model = model_of(name)
     model["seq_model"].gaps[-1].thi -= model["optical_spec"]["focus"].focus_shift  # which peer_lenses adds
     ours, theirs = peer_lenses.read(by_name(name)), from_rayoptics(model)
-    assert len(theirs.rows) == len(ours.rows)
     assert [row.kind for row in theirs.rows] == [row.kind for row in ours.rows]
     assert (theirs.field_kind, theirs.wavelengths_nm) == (ours.field_kind, ours.wavelengths_nm)
     assert np.array(theirs.fields) == pytest.approx(np.array(ours.fields))
@@ -65,10 +72,8 @@ def test_a_model_of_rayoptics_is_the_lens_of_its_file(name):
 def test_what_rayoptics_has_and_we_do_not():
     toroid = peers.rayoptics("elem.profiles").XToroid(r=50.0, rR=60.0)
     grating = peers.rayoptics("oprops.doe").DiffractiveElement()
-    for key, thing, words in (
-        ("phase_element", grating, "diffracting surfaces are not traced"),
-        ("profile", toroid, "XToroid has no counterpart"),
-    ):
+    wrong = {"phase_element": (grating, "diffracting surfaces"), "profile": (toroid, "XToroid has no counterpart")}
+    for key, (thing, words) in wrong.items():
         model = model_of("CODV_32327.seq")
         setattr(model["seq_model"].ifcs[1], key, thing)
         with pytest.raises(MistrayError, match=f"interface 1: {words}"):
@@ -104,15 +109,6 @@ def test_profiles_of_rayoptics(kind, numbers):
     points = np.random.default_rng(1).uniform(-3, 3, (20, 2))
     theirs = [float(profile.sag(x, y)) for x, y in points]
     assert freeform_sag(*points.T, row.sag_numbers) == pytest.approx(np.array(theirs), abs=1e-9)
-
-
-@pytest.mark.parametrize("thing", [None, 3, {}, "lens.zmx"])
-def test_other_objects_are_refused_by_what_they_are(thing):
-    kind = type(thing).__name__
-    with pytest.raises(MistrayError, match=f"from_optiland was given {kind}; give an Optic"):
-        from_optiland(thing)
-    with pytest.raises(MistrayError, match=f"from_rayoptics was given {kind}; give an OpticalModel"):
-        from_rayoptics(thing)
 
 
 def bench(*surfaces, aperture=("EPD", 8), fields=("angle", ((0, 2),)), microns=(0.5876,), first=np.inf):
@@ -263,3 +259,78 @@ def test_what_optiland_has_and_we_do_not():
         from_optiland(optic)
     with pytest.raises(MistrayError, match="it needs a surface, a wavelength and an aperture"):
         from_optiland(peers.optiland("optic").Optic("empty"))
+    for thing in (None, 3, {}, "lens.zmx"):
+        for read, wanted in ((from_optiland, "Optic"), (from_rayoptics, "OpticalModel")):
+            words = f"{read.__name__} was given {type(thing).__name__}; give an {wanted}"
+            with pytest.raises(MistrayError, match=words):
+                read(thing)
+
+
+@pytest.fixture(scope="module")
+def triplet() -> Any:
+    """optiland's Cooke triplet with an ideal coating in front."""
+    coatings = peers.optiland("coatings")
+    optic = peers.optiland("samples.objectives").CookeTriplet()
+    first = list(optic.surfaces)[1]
+    first.interaction_model.coating = coatings.SimpleCoating(transmittance=0.97, reflectance=0.02)
+    first.aperture = peers.optiland("physical_apertures").RadialAperture(r_max=9.5)
+    return optic
+
+
+@pytest.mark.long
+def test_a_lens_there_and_back(triplet: Any) -> None:
+    lens = lens_of_optiland(triplet)
+    assert lens.surfaces[0].coating == Coating(R=0.02, T=0.97)
+    assert lens.surfaces[1].coating is None
+    assert not any("oating" in line for line in lens.provenance)
+    back = to_optiland(lens, field_deg=[0, 14, 20])
+    surfaces = list(back.surfaces)
+    assert [surface.comment for surface in surfaces[1:3]] == ["S1", "S2"]
+    ideal = surfaces[1].interaction_model.coating
+    assert (ideal.reflectance, ideal.transmittance) == (0.02, 0.97)
+    assert surfaces[2].interaction_model.coating is None
+    assert surfaces[1].aperture.r_max == 9.5
+    assert float(np.ravel(back.paraxial.f2())[0]) == pytest.approx(float(np.ravel(triplet.paraxial.f2())[0]), rel=1e-9)
+    again = lens_of_optiland(back)
+    assert [surface.coating for surface in again.surfaces] == [surface.coating for surface in lens.surfaces]
+    assert [s.semi_diameter for s in again.surfaces] == pytest.approx([s.semi_diameter for s in lens.surfaces])
+    assert [s.curvature for s in again.surfaces] == pytest.approx([s.curvature for s in lens.surfaces], rel=1e-12)
+    power = []
+    for each in (lens, again):  # the ghosts of the same rays
+        t = mistray.trace(each.to_scene(), rays=2000, max_reflections=2)
+        power.append([t.paths[0].power_W, t.paths.find("S2:R", "S1:R")[0].power_W / t.paths[0].power_W])
+    assert power[1] == pytest.approx(power[0], rel=1e-3)
+
+
+def test_layers_become_their_r_and_t(triplet: Any) -> None:
+    lens = lens_of_optiland(triplet)
+    coated = mistray.coat(lens, {"S3": "MgF2 99.64"})
+    with pytest.warns(MistrayWarning, match=r"surface 'S3': coating 'coating' becomes R = 0\.0\d+, T = 0\.9\d+, as at"):
+        back = to_optiland(coated)
+    found = list(back.surfaces)[3].interaction_model.coating
+    assert found.reflectance + found.transmittance == pytest.approx(1, abs=1e-6)
+    n = 1.6204  # SF2 of the sample's flint, roughly
+    assert found.reflectance == pytest.approx(((n - 1.384**2) / (n + 1.384**2)) ** 2, abs=3e-3)
+
+
+def test_what_optiland_has_not(triplet: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    lens = lens_of_optiland(triplet)
+    first, *others = lens.surfaces
+    freeform = replace(first, sag={"zernike_5": 1e-4, "zernike_radius": 9.5})
+    with pytest.raises(MistrayError, match=r"surface 'S1' is a freeform \(zernike_5, zernike_radius\)"):
+        to_optiland(replace(lens, surfaces=(freeform, *others)))
+    with pytest.raises(MistrayError, match="surface 'S1' stands off the axis or is tilted"):
+        to_optiland(replace(lens, surfaces=(replace(first, y=0.3), *others)))
+    for name in [name for name in sys.modules if name.split(".")[0] == "optiland"]:
+        monkeypatch.delitem(sys.modules, name)
+    real = builtins.__import__
+
+    def missing(name: str, *rest: Any) -> Any:
+        if name.split(".")[0] == "optiland":
+            raise ImportError("No module named 'optiland'")
+        return real(name, *rest)
+
+    monkeypatch.setattr(builtins, "__import__", missing)
+    monkeypatch.setattr("mistray.io.write_optiland.import_module", missing)
+    with pytest.raises(MistrayError, match="to_optiland needs optiland"):
+        to_optiland(lens)

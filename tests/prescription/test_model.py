@@ -105,12 +105,18 @@ def test_surfaces_that_cross():
     )
 
 
-def test_bad_stops_and_names():
+def test_stops_and_names():
+    """A stop has three faces, or one that is thin."""
     assert "radius = 5 mm" in message(Stop, 5.0, 0.0, 0.1, 4.0, 6.0)
     assert "swap them" in message(Stop, 1.0, 0.2, 0.1, 4.0, 6.0)
     for name in ("", "a.b", " a", "=a", "a\nb"):
         assert ascii(name) in message(Surface, name, semi_diameter=1.0)
         assert ascii(name) in message(Structure, name, 1.0, 0.0, 1.0, 1.0)
+    thick = [(f.name, f.r0, f.z0, f.r1, f.z1) for f in Stop(1.0, -0.1, 0.0, 2.0, 3.0).faces()]
+    assert thick[:2] == [("stop_front", 2.0, -0.1, 1.0, -0.1), ("stop_wall", 1.0, -0.1, 1.0, 0.0)]
+    assert thick[2:] == [("stop_rear", 1.0, 0.0, 3.0, 0.0)]
+    (thin,) = Stop(1.0, 0.0, 0.0, 2.0, 2.0).faces()
+    assert thin.z0 == thin.z1 == 0.0
 
 
 @pytest.mark.parametrize("missing", ["detector", "source"])
@@ -121,20 +127,8 @@ def test_scene_needs_detector_and_source(missing, tmp_path):
         assert f"has no {missing}" in text
         assert f"add {missing}=" in text
     assert not list(tmp_path.iterdir())
-    if missing == "source":
-        assert "no source" in message(prescription.with_source, field_deg=7.0)
+    assert "no source" in message(system(*lens(), source=None).with_source, field_deg=7.0)
     assert system(*lens()).with_source(field_deg=7.0).source.field_deg == 7.0
-
-
-def test_stop_has_three_faces_or_one():
-    thick = Stop(1.0, -0.1, 0.0, 2.0, 3.0).faces()
-    assert [(f.name, f.r0, f.z0, f.r1, f.z1) for f in thick] == [
-        ("stop_front", 2.0, -0.1, 1.0, -0.1),
-        ("stop_wall", 1.0, -0.1, 1.0, 0.0),
-        ("stop_rear", 1.0, 0.0, 3.0, 0.0),
-    ]
-    (thin,) = Stop(1.0, 0.0, 0.0, 2.0, 2.0).faces()
-    assert thin.z0 == thin.z1 == 0.0
 
 
 def test_paraxial():
