@@ -6,11 +6,11 @@ import math
 import time
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
+from data import make_step
 
 from mistray import MistrayError
 from mistray.io.cad import step
@@ -53,7 +53,7 @@ def tube() -> Mechanics:
 
 
 @pytest.fixture(scope="module")
-def halves(make_step: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Mechanics:
+def halves(tmp_path_factory: pytest.TempPathFactory) -> Mechanics:
     return read_mechanics(saved(tmp_path_factory.mktemp("halves"), make_step.vane_tube(pieces=2)))
 
 
@@ -62,7 +62,7 @@ def assembly() -> Mechanics:
     return read_mechanics(DATA / "assembly_inch.step")
 
 
-def test_the_files_are_what_their_source_writes(make_step: ModuleType) -> None:
+def test_the_files_are_what_their_source_writes() -> None:
     for name, make in make_step.FILES.items():
         assert (DATA / name).read_text(encoding="ascii") == make()
 
@@ -72,7 +72,7 @@ def sides(profile: list[tuple[float, float]]) -> list[tuple[tuple[float, float],
 
 
 class TestVaneTube:
-    def test_every_face_is_analytic(self, tube: Mechanics, make_step: ModuleType, tmp_path: Path) -> None:
+    def test_every_face_is_analytic(self, tube: Mechanics, tmp_path: Path) -> None:
         """The 16 sides of the profile, to the last digit; the mesh has its volume less what chords cut off."""
         shapes = tube.structures(tmp_path)
         assert all(isinstance(shape, Structure) for shape in shapes)
@@ -110,7 +110,7 @@ class TestVaneTube:
             1,
         ]
 
-    def test_halves_are_joined(self, halves: Mechanics, tmp_path: Path, make_step: ModuleType) -> None:
+    def test_halves_are_joined(self, halves: Mechanics, tmp_path: Path) -> None:
         """The same body with every cylinder and cone cut into two faces; with two paints they are meshes."""
         assert len(halves.parts[0].surfaces) == 8 + 2 * 8
         assert sorted(map(ends, halves.structures(tmp_path))) == sides(make_step.vane_tube_profile())
@@ -172,7 +172,7 @@ class TestAssembly:
         assert [band.r1 for band in bands(front.moved(np.diag([2.0, 2.0, 2.0, 1.0])))] == [76.2, 76.2, 76.2, 63.5]
 
 
-def test_oblique_instances_without_a_name(make_step: ModuleType, tmp_path: Path) -> None:
+def test_oblique_instances_without_a_name(tmp_path: Path) -> None:
     """A ring with a bore that narrows, at an angle that no coordinate axis has, and upside down."""
     axis, origin = (0.48, -0.6, 0.64), (3.0, -7.0, 11.0)
     step = make_step.Step()

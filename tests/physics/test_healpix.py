@@ -23,8 +23,7 @@ def test_rings_go_south() -> None:
     d = fine()
     number = pixel(side, d, False)
     z = np.bincount(number, d[:, 2]) / np.bincount(number)
-    sizes = [4 * min(k, side, 4 * side - k) for k in range(1, 4 * side)]
-    rings = np.split(z, np.cumsum(sizes)[:-1])
+    rings = np.split(z, np.cumsum([4 * min(k, side, 4 * side - k) for k in range(1, 4 * side)])[:-1])
     assert max(float(np.ptp(ring)) for ring in rings) < 0.01
     assert np.all(np.diff([ring.mean() for ring in rings]) < 0)
 

@@ -68,8 +68,7 @@ def test_spectrum() -> None:
     expected = [PER_M2 * radiance(w, 293.0) for w in wavelengths]
     np.testing.assert_allclose(planck.spectral_radiance(wavelengths, 293.0), expected, rtol=1e-11)
     peak = planck.peak_wavelength_um(293.0)
-    near = planck.spectral_radiance(np.array([0.999, 1.0, 1.001]) * peak, 293.0)
-    assert np.argmax(near) == 1
+    assert np.argmax(planck.spectral_radiance(np.array([0.999, 1.0, 1.001]) * peak, 293.0)) == 1
     nodes, radiances = planck.band_nodes(293.0, 3.0, 5.0)
     expected = quad(lambda w: radiance(w, 293.0) * math.sin(w), 3.0, 5.0, epsrel=1e-13)[0]
     assert np.sum(radiances * np.sin(nodes)) == pytest.approx(PER_M2 * expected, rel=1e-12)
@@ -80,8 +79,7 @@ def test_self_emission() -> None:
     for row in vectors.frame("self_emission.csv").itertuples():
         solid_angle = planck.cone_projected_solid_angle(row.F)
         assert solid_angle == pytest.approx(row.proj_solid_angle, rel=1e-12)
-        sine = math.sin(math.atan(0.5 / row.F))
-        assert solid_angle == pytest.approx(math.pi * sine**2, rel=1e-12)
+        assert solid_angle == pytest.approx(math.pi * math.sin(math.atan(0.5 / row.F)) ** 2, rel=1e-12)
         scene, optics, housing = (PER_M2 * value for value in row[5:8])
         assert planck.self_emission(1.0, row.T, *BAND, row.F) == pytest.approx(scene, rel=1e-11)
         assert planck.self_emission(row.emissivity, row.T, *BAND, row.F) == pytest.approx(optics, rel=1e-11)

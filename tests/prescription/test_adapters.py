@@ -303,8 +303,7 @@ def test_a_lens_there_and_back(triplet: Any) -> None:
 
 
 def test_layers_become_their_r_and_t(triplet: Any) -> None:
-    lens = lens_of_optiland(triplet)
-    coated = mistray.coat(lens, {"S3": "MgF2 99.64"})
+    coated = mistray.coat(lens_of_optiland(triplet), {"S3": "MgF2 99.64"})
     with pytest.warns(MistrayWarning, match=r"surface 'S3': coating 'coating' becomes R = 0\.0\d+, T = 0\.9\d+, as at"):
         back = to_optiland(coated)
     found = list(back.surfaces)[3].interaction_model.coating

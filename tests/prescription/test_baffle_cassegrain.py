@@ -34,9 +34,7 @@ def meet(o, d, radius, conic, vertex):
     root = np.sqrt(b * b - a * c)
     with np.errstate(divide="ignore"):  # along the axis of a paraboloid the second crossing is at infinity
         ways = np.stack([c / (-b - np.sign(b) * root), (-b - np.sign(b) * root) / a])
-    at = np.abs(o[:, 2] + ways * d[:, 2])
-    t = ways[np.argmin(at, axis=0), np.arange(len(d))]
-    p = o + t[:, None] * d
+    p = o + ways[np.argmin(np.abs(o[:, 2] + ways * d[:, 2]), axis=0), np.arange(len(d))][:, None] * d
     normal = np.column_stack([p[:, 0], p[:, 1], k * p[:, 2] - radius])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     return p + np.array([0.0, 0.0, vertex]), d - 2 * np.sum(d * normal, axis=1)[:, None] * normal

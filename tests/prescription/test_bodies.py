@@ -261,6 +261,5 @@ class TestPlacing:
         (tipped,) = moved_as_one([mirror], z=20.0, tilt_deg=(0.1, 0.0, 0.0))
         seen = Probe("seen", centre=(0, 0, 10.0), normal=(0, 0, -1), half_width=3.0, half_height=3.0, pixels=(1, 301))
         traced(tipped, recorders=[seen], max_reflections=0, source=Source(radius=0.001, z=-1.0))
-        row = int(np.argmax(seen.irradiance[0][:, 0]))
-        y = (row + 0.5) * 6 / 301 - 3
+        y = (int(np.argmax(seen.irradiance[0][:, 0])) + 0.5) * 6 / 301 - 3
         assert abs(abs(y) - 10 * math.tan(math.radians(0.2))) < 6 / 301

@@ -139,8 +139,7 @@ def test_coatings_come_by_name():
     assert shapes["S2"].coating == Coating(table="lib/COATING.DAT:HEAR1")
     assert shapes["S3"].coating is None
     assert "coating 'unknown' of surface 3 is not given (coatings=): it is bare" in built.notes
-    moved = by_name(beside(built.prescription, "out"))
-    assert moved["S2"].coating.table == "../lib/COATING.DAT:HEAR1"
+    assert by_name(beside(built.prescription, "out"))["S2"].coating.table == "../lib/COATING.DAT:HEAR1"
     built = build(changed(1, material="nd=1.62 Vd=60"))
     assert by_name(built.prescription)["S1"].back == "nd=1.62 Vd=60 k=0"
     assert "material 'nd=1.62 Vd=60': its absorption is unknown and taken for 0" in built.notes
@@ -300,8 +299,7 @@ def test_the_stop_has_the_apertures_that_the_file_states():
     assert (shapes["flat"].half_width, shapes["flat"].half_height) == (25.0, 40.0)
     assert "flat_rim" not in shapes
     for number, name in ((1, "S1"), (2, "S2")):
-        given = changed(number, obscuration=circle(2.0, y=1.0))
-        shapes = by_name(to_prescription(given))
+        shapes = by_name(to_prescription(changed(number, obscuration=circle(2.0, y=1.0))))
         patch, surface = shapes[f"{name}_obscuration"], shapes[name]
         # 1 µm before the surface, on its figure, in the material before it
         assert (patch.outline, patch.z) == (circle(2.0, y=1.0), pytest.approx(surface.z - 1e-3))
@@ -317,8 +315,7 @@ def test_a_freeform_lens_has_an_edge_that_reaches_both_rims():
         Row(3, kind="image"),
     )
     built = build(Sequential("toroid", rows, aperture=12.0, fields=((0.0, 0.0),)))
-    shapes = by_name(built.prescription)
-    edge = shapes["L1_edge"]
+    edge = by_name(built.prescription)["L1_edge"]
     heights = 100 / 120, -100 / 160  # of the rim in y and in x, near enough
     assert edge.z0 == pytest.approx(min(heights), rel=0.02)
     assert edge.z1 == pytest.approx(6.0 + 0.1 * math.sqrt(6), rel=1e-6)

@@ -76,9 +76,8 @@ def test_a_bored_mangin_mirror_images_through_its_field_lens():
     faces = {surface.name: surface for surface in prescription.surfaces}
     hits, _ = trace(BORED_MANGIN, *beam(prescription, 0.0))
     r = np.hypot(hits[..., 0], hits[..., 1])
-    names = ["S2", "S3", "S2", "S5", "S6", "S7"]
     within = [(r[k] > faces[name].inner_semi_diameter) & (r[k] <= faces[name].semi_diameter)
-              for k, name in enumerate(names, start=1)]  # fmt: skip
+              for k, name in enumerate(["S2", "S3", "S2", "S5", "S6", "S7"], start=1)]  # fmt: skip
     passed = np.all(within, axis=0) & (r[0] > faces["S5"].semi_diameter)
     image, share = next(path for path in t.paths if path.order == 0), passed.mean()
     assert 0.4 < share < 0.8
@@ -219,8 +218,7 @@ def test_a_spot_on_a_lens_and_an_image_on_a_surface_are_moved_by_a_micrometre():
     assert shapes["S4"].z == pytest.approx(5.001)
     assert "mirror 'S4' is a spot on 'S2': it stands 1 µm before it" in built.notes
     assert "S4_rear" not in shapes
-    cover = lens(Row(1, thickness=1.0, material="1.5", stop=True), Row(2), Row(3, kind="image"))
-    built = build(cover)
+    built = build(lens(Row(1, thickness=1.0, material="1.5", stop=True), Row(2), Row(3, kind="image")))
     assert by_name(built.prescription)["detector"].z == pytest.approx(1.001)
     assert any("the image lies on surface 2" in note for note in built.notes)
 

@@ -112,8 +112,7 @@ def test_barrel_steps_where_a_cone_would_cut_a_surface():
     second = plano("b", 0.5, 3.0)
     assert first.rim[1] < -2
     # the straight line from the rim of a to the rim of b would pass inside of a
-    walls = barrel((first, second))
-    assert profile(walls) == [
+    assert profile(barrel((first, second))) == [
         ("barrel_1_wall_1", first.rim, (6.0, 0.5)),
         ("barrel_1_wall_2", (6.0, 0.5), (3.0, 0.5)),
     ]
@@ -129,8 +128,7 @@ def test_frame_tiles_the_plane_around_the_detector():
     for x, y in [(2.5, 0.0), (-3.0, 3.5), (0.0, 1.5), (1.9, -1.2), (0.0, -3.9), (3.9, 3.9)]:
         covering = [s for s in (detector, *frame) if abs(x - s.x) <= s.half_width and abs(y - s.y) <= s.half_height]
         assert len(covering) == 1, (x, y)
-    area = sum(4 * s.half_width * s.half_height for s in (detector, *frame))
-    assert area == pytest.approx(8.0**2)
+    assert sum(4 * s.half_width * s.half_height for s in (detector, *frame)) == pytest.approx(8.0**2)
     assert {s.z for s in frame} == {5.0}
     with pytest.raises(MistrayError, match="reach the corners"):
         detector_frame(detector, 2.1)

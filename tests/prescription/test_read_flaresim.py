@@ -11,7 +11,7 @@ import pytest
 
 import mistray
 from mistray import MistrayError
-from mistray.prescription import Sequential, from_flaresim, read_flaresim, to_prescription
+from mistray.prescription import from_flaresim, read_flaresim, to_prescription
 from mistray.prescription.sequential.rays import trace
 
 DATA = Path(__file__).parents[1] / "data" / "lenses" / "flaresim"
@@ -37,14 +37,20 @@ def rows_of(path: Path) -> list[list[float]]:
     return [[float(word) if word != "stop" else 0.0 for word in words] for words in lines if words]
 
 
-def focus(rows: list[list[float]]) -> tuple[float, float]:
-    """Focal length and distance from the last surface to the focus, surface by surface in paraxial optics."""
-    height, angle, index = 1.0, 0.0, 1.0  # angle times index
+def heights(rows: list[list[float]]) -> tuple[list[float], float]:
+    """Of a paraxial ray that is parallel to the axis at height 1, at each surface, and its last angle."""
+    found, angle, index = [1.0], 0.0, 1.0  # angle times index
     for radius, thickness, after, *_ in rows:
-        angle -= height * (after - index) / radius if radius else 0.0
-        index, back = after, height / -angle if angle else math.inf
-        height += thickness * angle / index
-    return 1 / -angle, back
+        angle -= found[-1] * (after - index) / radius if radius else 0.0
+        index = after
+        found.append(found[-1] + thickness * angle / index)
+    return found[:-1], angle
+
+
+def focus(rows: list[list[float]]) -> tuple[float, float]:
+    """Focal length and distance from the last surface to the focus."""
+    height, angle = heights(rows)
+    return 1 / -angle, height[-1] / -angle
 
 
 def written(tmp_path: Path, text: str) -> Path:
@@ -53,13 +59,8 @@ def written(tmp_path: Path, text: str) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
-def nikkor() -> Sequential:
-    return read_flaresim(DATA / "nikkor_28mm.lens")
-
-
-def test_a_lens_with_its_focal_length_and_f_number(nikkor):
-    rows = rows_of(DATA / "nikkor_28mm.lens")
+def test_a_lens_with_its_focal_length_and_f_number():
+    nikkor, rows = read_flaresim(DATA / "nikkor_28mm.lens"), rows_of(DATA / "nikkor_28mm.lens")
     efl, back = focus(rows)
     assert efl == pytest.approx(28.61, rel=2e-4)  # as the file says
     lens = to_prescription(nikkor)
@@ -85,24 +86,15 @@ def test_a_lens_with_its_focal_length_and_f_number(nikkor):
     hits, along = trace(nikkor, start, np.broadcast_to([0.0, 0.0, 1.0], start.shape))
     inside = np.abs(hits[10, :, 1]) < 13.83 / 2  # the stop
     y, slope = hits[-1, inside, 1], along[-1, inside, 1] / along[-1, inside, 2]
-    weight = height[inside]
-
-    def spread(z: float) -> float:
-        return float(np.sum(weight * (y + z * slope) ** 2))
-
-    assert spread(0.0) < min(spread(-0.02), spread(0.02))
+    before, here, behind = (np.sum(height[inside] * (y + z * slope) ** 2) for z in (-0.02, 0.0, 0.02))
+    assert here < min(before, behind)
 
 
 def test_a_lens_without_a_stop():
     lens = read_flaresim(DATA / "no_stop_20mm.lens")
     # The row that the marginal ray fills most: heights of a paraxial ray over the sizes of the column
-    rows, height, angle, index = rows_of(DATA / "no_stop_20mm.lens"), 1.0, 0.0, 1.0
-    filled = []
-    for radius, thickness, after, _, size, _ in rows:
-        filled.append(abs(height) / size)
-        angle -= height * (after - index) / radius if radius else 0.0
-        index = after
-        height += thickness * angle / index
+    rows = rows_of(DATA / "no_stop_20mm.lens")
+    filled = [abs(height) / row[4] for height, row in zip(heights(rows)[0], rows, strict=True)]
     place = filled.index(max(filled))
     assert [k for k, row in enumerate(lens.rows) if row.stop] == [place]
     assert any(f"surface {place + 1} is it" in note for note in lens.notes)
@@ -139,9 +131,8 @@ def test_equal_faces_without_a_space_are_cement(tmp_path):
     assert lens.aperture == 14
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
+def test_what_cannot_be_read_is_named(tmp_path):
+    for old, new, message in (
         ("", "", "it has no real focus (focal length -125.4"),
         ("stop   46.0", "stop   x", r"line 11: thickness is 'x'; give a number"),
         ("-50.0  1.0   1.0", "-50.0  -70.0   1.0", "line 10: thickness -70 mm; light does not go back"),
@@ -149,14 +140,14 @@ def test_equal_faces_without_a_space_are_cement(tmp_path):
         ("surfaces:", "rows:", "it holds no surfaces"),
         ("{size}  1\n", "{size}  1 cyl_x\n", "line 9: surface of type 'cyl_x'"),
         ("stop   46.0  1.0 ", "0   46.0  1.5 ", "the last surface has glass behind it"),
-    ],
-)
-def test_what_cannot_be_read_is_named(tmp_path, old, new, message):
-    path = written(tmp_path, SINGLET.replace(old, new).format(size=16, stop=9.4)) if old else DATA / "converter.lens"
-    with pytest.raises(MistrayError, match=re.escape(message)) as found:
-        read_flaresim(path)
-    assert path.name in str(found.value)
-    assert "\n" not in str(found.value)
+    ):
+        path = (
+            written(tmp_path, SINGLET.replace(old, new).format(size=16, stop=9.4)) if old else DATA / "converter.lens"
+        )
+        with pytest.raises(MistrayError, match=re.escape(message)) as found:
+            read_flaresim(path)
+        assert path.name in str(found.value)
+        assert "\n" not in str(found.value)
 
 
 @pytest.mark.long

@@ -134,9 +134,8 @@ def changed(tmp_path, change):
     return path
 
 
-@pytest.mark.parametrize(
-    ("change", "wanted"),
-    [
+def test_bad_files(tmp_path):
+    for change, wanted in (
         (lambda d: d.pop("coatings"), "key 'coatings' is missing"),
         (lambda d: d["surfaces"][6].update(semi_diameter=-1.4), "surface 'L1_front': semi_diameter = -1.4 mm"),
         (lambda d: d["surfaces"][6].update(medium_after="GLASS"), "'GLASS'"),
@@ -144,22 +143,16 @@ def changed(tmp_path, change):
         (lambda d: d["barrel"]["optical_spaces"]["2"][0].update(label="cone"), "barrel piece 'cone'"),
         (lambda d: d["barrel"]["optical_spaces"]["1"].pop(3), r"labelled '\(AS rear\)'"),
         (lambda d: d.update(scatter=[POLISH | {"shapes": ["L9_*"]}]), r"no shape is called 'L9_\*'"),
-    ],
-)
-def test_bad_files(tmp_path, change, wanted):
-    with pytest.raises(MistrayError, match=wanted) as caught:
-        from_json(changed(tmp_path, change))
-    assert "\n" not in str(caught.value)
-
-
-def test_other_files(tmp_path):
+    ):
+        with pytest.raises(MistrayError, match=wanted) as caught:
+            from_json(changed(tmp_path, change))
+        assert "\n" not in str(caught.value)
     with pytest.raises(MistrayError, match="variant 'R13=5' is unknown"):
         from_json(FILE, variant="R13=5")
-    path = tmp_path / "text.json"
-    path.write_text("{")
-    for file, words in ((tmp_path / "none.json", "No such file"), (path, "must be a JSON file")):
+    (tmp_path / "text.json").write_text("{")
+    for file, words in (("none.json", "No such file"), ("text.json", "must be a JSON file")):
         with pytest.raises(MistrayError, match=words):
-            from_json(file)
+            from_json(tmp_path / file)
 
 
 def test_coatings_of_layers(tmp_path):

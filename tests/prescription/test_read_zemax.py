@@ -107,8 +107,7 @@ def turned(*tilts: float, order: int = 0, x: float = 0.0, thickness: float = 0.0
 def test_sense_and_order_of_tilts_by_hand(text, x_axis, z_axis, origin, read):
     """Right-handed rotations about the frame's own axes; the thickness runs along the last z axis."""
     frame = frames(read(text))[1]
-    np.testing.assert_allclose(frame[:3, 0], x_axis, atol=1e-15)
-    np.testing.assert_allclose(frame[:3, 2], z_axis, atol=1e-15)
+    np.testing.assert_allclose(frame[:3, [0, 2]].T, [x_axis, z_axis], atol=1e-15)
     np.testing.assert_allclose(frame[:3, 3], origin, atol=1e-14)
 
 
@@ -136,13 +135,14 @@ def test_materials_around_breaks_and_mirrors(read):
     assert [row.material for row in read(text).rows[:2]] == ["nd=1.6 Vd=40 k=0"] * 2
 
 
-@pytest.mark.parametrize(("curvature", "conic"), [("0", "3"), ("0.02", "-1")])
-def test_term_in_r2_is_a_paraboloid_where_that_is_exact(curvature, conic, read):
-    row = read(surface("TYPE EVENASPH", f"CURV {curvature}", f"CONI {conic}", "PARM 1 0.01", "PARM 2 1e-6")).rows[0]
+def test_term_in_r2_is_a_paraboloid_where_that_is_exact(read):
     r = np.array([1.0, 5.0])
-    expected = (float(curvature) / 2 + 0.01) * r**2 + 1e-6 * r**4
-    assert row.conic == -1
-    np.testing.assert_allclose(r**2 / (2 * row.radius) + row.coefficients[0] * r**4, expected, rtol=1e-14)
+    for curvature, conic in ((0.0, 3), (0.02, -1)):
+        terms = (f"CURV {curvature}", f"CONI {conic}", "PARM 1 0.01", "PARM 2 1e-6")
+        row = read(surface("TYPE EVENASPH", *terms)).rows[0]
+        assert row.conic == -1
+        expected = (curvature / 2 + 0.01) * r**2 + 1e-6 * r**4
+        np.testing.assert_allclose(r**2 / (2 * row.radius) + row.coefficients[0] * r**4, expected, rtol=1e-14)
 
 
 def glass(line: str, system: str = "") -> str:
@@ -170,10 +170,8 @@ def glass(line: str, system: str = "") -> str:
 def test_glasses(line, catalogues, material, note, read):
     lens = read(glass(line, f"GCAT {catalogues}"))
     assert lens.rows[0].material == material
-    if note is None:
-        assert all("absorption" in each for each in lens.notes)
-    else:
-        assert any(note in each for each in lens.notes)
+    found = [(note or "absorption") in each for each in lens.notes]
+    assert any(found) if note else all(found)
 
 
 def test_agf_file_and_replacements_go_first(read, tmp_path):
@@ -343,9 +341,8 @@ def test_no_line_gets_lost(read):
             assert [(line.line, line.text) for line in lens.unread] == [(place + 1, "QQQQ 1 2")], place
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
+def test_errors_are_one_line_with_file_and_place(read):
+    for change, message in (
         (("MODE SEQ", "MODE NSC"), "line 1: 'MODE NSC': mistray reads sequential lenses"),
         (("UNIT MM", "UNIT FT"), "line 3: unit 'FT'; it is one of MM, CM"),
         (("ENPD 8", "ENPD -8"), "aperture -8; it must be greater than 0"),
@@ -376,13 +373,11 @@ def test_no_line_gets_lost(read):
         (("CURV -0.02", "STOP\n  CURV -0.02"), "surfaces 1, 2 are all stops"),
         ((IMAGE, "SURF 3\n  TYPE COORDBRK"), "surface 3, the image, is a coordinate break"),
         ((f"{FRONT}\n{REAR}\n{IMAGE}", IMAGE.replace("3", "1")), "it needs one at least, and an image"),
-    ],
-)
-def test_errors_are_one_line_with_file_and_place(change, message, read):
-    with pytest.raises(MistrayError, match=message) as error:
-        read(SINGLET.replace(*change, 1))
-    assert "\n" not in str(error.value)
-    assert len(str(error.value)) < 400
+    ):
+        with pytest.raises(MistrayError, match=message) as error:
+            read(SINGLET.replace(*change, 1))
+        assert "\n" not in str(error.value)
+        assert len(str(error.value)) < 400
 
 
 CONFIGURATIONS = (
@@ -424,17 +419,14 @@ def test_configurations(wanted, read):
         assert lens.unread == ()
 
 
-@pytest.mark.parametrize(
-    ("text", "wanted", "message"),
-    [
-        (CONFIGURATIONS, 3, "line .*: 'GLSS 1 3 N-SF11.*' *: GLSS is not read"),
-        (CONFIGURATIONS, 4, "configuration 4 of 3"),
-        (CONFIGURATIONS, "far", "configuration 'far' is not there; the file has 'at infinity', 'near', 'other glass'"),
-    ],
-)
-def test_configurations_that_cannot_be_read(text, wanted, message, read):
-    with pytest.raises(MistrayError, match=message):
-        read(text, configuration=wanted)
+def test_configurations_that_cannot_be_read(read):
+    for wanted, message in (
+        (3, "line .*: 'GLSS 1 3 N-SF11.*' *: GLSS is not read"),
+        (4, "configuration 4 of 3"),
+        ("far", "configuration 'far' is not there; the file has 'at infinity', 'near', 'other glass'"),
+    ):
+        with pytest.raises(MistrayError, match=message):
+            read(CONFIGURATIONS, configuration=wanted)
 
 
 def test_an_irregular_surface_and_an_odd_asphere_over_a_radius(read):

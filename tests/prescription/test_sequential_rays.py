@@ -114,11 +114,10 @@ def test_stated_apertures_stop_rays(row, through):
 def test_batoid_traces_the_same_rays():
     """A triplet with an asphere and a tilted, decentred middle lens; batoid works in metres."""
     batoid = pytest.importorskip("batoid")
-    tilt = Decentre(y=0.3, x=-0.1, tilt_deg=(2.0, -1.5, 0.0))
     rows = lens(
         Row(1, radius=22.0, conic=-0.4, coefficients=(1e-6, 2e-9), thickness=3.2, material="1.62"),
         Row(2, radius=-435.0, thickness=6.0),
-        Row(3, kind="coordinate_break", decentre=tilt),
+        Row(3, kind="coordinate_break", decentre=Decentre(y=0.3, x=-0.1, tilt_deg=(2.0, -1.5, 0.0))),
         Row(4, radius=-22.2, thickness=1.0, material="1.617"),
         Row(5, radius=20.3, thickness=4.7),
         Row(6, radius=79.7, thickness=2.9, material="1.62"),
@@ -236,8 +235,7 @@ def test_a_stop_in_the_rear_focus_is_telecentric_of_itself():
     by_na = singlet(aperture_kind="object_na", aperture=math.sin(math.atan(2.0 / efl)), **near).with_rows(rows)
     assert first_order(by_na).stop_radius == pytest.approx(2.0, rel=1e-9)
     # Here rays are aimed at the real stop
-    rays = edge_rays(lens)
-    assert np.hypot(*rays.positions[2, :, :2].T).max() == pytest.approx(2.0, rel=1e-7)
+    assert np.hypot(*edge_rays(lens).positions[2, :, :2].T).max() == pytest.approx(2.0, rel=1e-7)
     with pytest.raises(MistrayError, match=r"its entrance pupil lies at infinity, so its aperture .* limits no beam"):
         first_order(singlet(aperture=5.0, **near).with_rows(rows))
 
@@ -253,8 +251,7 @@ def test_mirrors():
         return first_order(lens(*rows, **({"aperture": 20.0} | system)))
 
     mirror = Row(1, radius=-500.0, mirror=True, stop=True, thickness=-200.0)
-    turn = Decentre(tilt_deg=(45.0, 0.0, 0.0))
-    fold = Row(2, kind="coordinate_break", decentre=turn)
+    fold = Row(2, kind="coordinate_break", decentre=Decentre(tilt_deg=(45.0, 0.0, 0.0)))
     newtonian = of(mirror, fold, Row(3, mirror=True), replace(fold, number=4, thickness=50.0))
     assert (of(mirror).efl, of(mirror).bfl) == pytest.approx((250.0, 250.0), rel=1e-14)
     assert (newtonian.efl, newtonian.bfl) == pytest.approx((250.0, 50.0), rel=1e-13)

@@ -59,20 +59,8 @@ def test_surfaces_of_a_shipped_scene_are_those_of_its_prescription(name, build):
     found, left_out = read_optics(name)
     expected = build()
     for ours, theirs in zip((*found.surfaces, found.detector), (*expected.surfaces, expected.detector), strict=True):
-        for key in [
-            "name",
-            "curvature",
-            "conic",
-            "coefficients",
-            "semi_diameter",
-            "half_width",
-            "front",
-            "back",
-            "mirror",
-            "coating",
-        ]:
-            if key != "coating" or theirs is not expected.detector:
-                assert getattr(ours, key) == getattr(theirs, key), (theirs.name, key)
+        for key in KEYS if theirs is expected.detector else (*KEYS, "coating"):
+            assert getattr(ours, key) == getattr(theirs, key), (theirs.name, key)
         np.testing.assert_allclose(ours.to_world(), theirs.to_world(), atol=1e-12)
     assert {shape.name for shape in expected.structures} == set(left_out)
     for key in ("radius", "z_front", "z_rear") if expected.stop is not None else ():
@@ -94,11 +82,8 @@ def test_what_a_scene_may_say(read):
     )  # fmt: skip
     front, rear = prescription.surfaces
     assert (front.radius, front.coefficients, front.back) == (50.0, (1e-6, 0.0, 2e-9), "N-BK7")
-    expected = (
-        moved(np.eye(4), 1, 2, 3, 0, 0, 30)
-        @ moved(np.eye(4), 0, 0, 0, -20, 0, 0)
-        @ moved(np.eye(4), 0.5, 0, 0, 0, 5, 0)
-    )
+    steps = (1, 2, 3, 0, 0, 30), (0, 0, 0, -20, 0, 0), (0.5, 0, 0, 0, 5, 0)
+    expected = np.linalg.multi_dot([moved(np.eye(4), *step) for step in steps])
     np.testing.assert_allclose(front.to_world(), expected, atol=1e-12)
     assert (rear.radius, rear.coating) == (-50.0, Coating(preset="bbar3", name="AR"))
     assert left_out == ("board", "wall")
@@ -121,29 +106,24 @@ def test_coatings_come_with_the_surface(read):
         film = f'<bsdf type="thinfilm" id="ar">{recipe}</bsdf>'
         prescription, _ = read(shape(bsdf=f'<bsdf type="interface">{film}</bsdf>'))
         assert prescription.surfaces[0].coating == expected
-
-
-def test_defaults_whose_names_begin_alike(read):
+    # Defaults whose names begin alike
     second = shape(number("radius", "$R2"), name="rear")
     prescription, _ = read('<default name="R2" value="-70"/>', shape(number("radius", "$R")), second)
     assert [surface.radius for surface in prescription.surfaces] == [50.0, -70.0]
 
 
-@pytest.mark.parametrize(
-    ("part", "message"),
-    [
+def test_errors_name_file_and_shape(read):
+    for part, message in (
         ('<emitter type="collimated"/>', "it has two sources; remove one"),
         (shape("<sensor type='irradiancemeter'/>", name="second"), "detectors 'second' and 'film'; a lens has one"),
         (shape(number("radius", "wide")), r"shape 'front': radius is 'wide'; give a number"),
         (shape('<transform name="to_world"><scale value="2"/></transform>'), "shape 'front': its to_world has <scale>"),
         (shape('<transform name="to_world"><rotate y="1"/></transform>'), r"shape 'front': angle is missing"),
         (shape('<string name="part" value="stop"/>', kind="frustum"), r"aperture stop \(part 'stop'\): r0 is missing"),
-    ],
-)
-def test_errors_name_file_and_shape(part, message, read):
-    with pytest.raises(MistrayError, match=rf"scene '.*camera\.xml'.*{message}") as error:
-        read(part)
-    assert "\n" not in str(error.value)
+    ):
+        with pytest.raises(MistrayError, match=rf"scene '.*camera\.xml'.*{message}") as error:
+            read(part)
+        assert "\n" not in str(error.value)
 
 
 def named(tmp_path: Path, body: str, *files: str) -> list[str]:
@@ -191,6 +171,11 @@ def test_includes_paths_and_parameters(tmp_path: Path) -> None:
     inner = "<scene version='3.0.0'><string name='d' value='four.csv'/><include filename='inner/five.xml'/></scene>"
     (tmp_path / "scene" / "inner" / "part.xml").write_text(inner)
     assert sorted(named(tmp_path, body)) == sorted(files)
+    elsewhere = tmp_path / "elsewhere.csv"
+    elsewhere.write_text("1")
+    scene = tmp_path / "scene" / "scene.xml"
+    scene.write_text(f"<scene version='3.0.0'><string name='a' value='{elsewhere}:entry'/></scene>")
+    assert scene_files(scene)[1:] == [elsewhere.resolve()]
 
 
 def test_parameters_hold_in_all_scenes(tmp_path: Path) -> None:
@@ -203,15 +188,6 @@ def test_parameters_hold_in_all_scenes(tmp_path: Path) -> None:
               <string name="b" value="$more/two.csv"/>"""
     found = named(tmp_path, body, "data/one.csv", "other/one.csv", "data/two.csv", "other/two.csv")
     assert found == ["part.xml", "data/one.csv", "data/two.csv"]
-
-
-def test_an_absolute_name(tmp_path: Path) -> None:
-    elsewhere = tmp_path / "elsewhere.csv"
-    elsewhere.write_text("1")
-    scene = tmp_path / "scene" / "scene.xml"
-    scene.parent.mkdir()
-    scene.write_text(f"<scene version='3.0.0'><string name='a' value='{elsewhere}:entry'/></scene>")
-    assert scene_files(scene)[1:] == [elsewhere.resolve()]
 
 
 def test_shipped_scenes() -> None:

@@ -37,8 +37,7 @@ def values_of(scene: mi.Scene) -> dict[str, np.ndarray]:
 
 
 def assert_loads(path: Path, expected: dict[str, np.ndarray]) -> None:
-    # Random surfaces overlap, which `mistray.load` would refuse
-    found = values_of(mi.load_file(str(path), optimize=False, parallel=False))
+    found = values_of(mistray.load(path))
     assert found.keys() == expected.keys()
     for key, value in expected.items():
         shape = "." in key and key.count(".") == 1 and key.rpartition(".")[2] in PLACES
@@ -170,8 +169,7 @@ class TestText:
         source = write(tmp_path, SCENE)
         thickness = [layer.thickness_nm + 1.5 for layer in preset("bbar3").layers]
         path = write_rewritten(source, {"shared.thickness_nm": thickness, "polish.rms_nm": 5.0}, tmp_path / "new.xml")
-        scene = mistray.load(path)
-        bsdfs = {shape.id(): shape.bsdf() for shape in scene.shapes()}
+        bsdfs = {shape.id(): shape.bsdf() for shape in mistray.load(path).shapes()}
         assert bsdfs["a"].film is bsdfs["b"].film
         assert [layer.thickness_nm for layer in bsdfs["a"].coating.layers] == pytest.approx(thickness, rel=1e-7)
         materials = [[layer.material for layer in stack.layers] for stack in (bsdfs["a"].coating, preset("bbar3"))]
@@ -197,9 +195,8 @@ class TestText:
         assert coating.indices(550.0)[0].real == pytest.approx(1.39, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
+def test_what_cannot_be_placed(tmp_path: Path) -> None:
+    for values, message in (
         ({"a.curvatur": 1.0}, "it has no parameter 'a.curvatur'; did you mean a.curvature"),
         ({"nothing": 1.0}, "it has no parameter 'nothing'"),
         ({"detector.sensor.shutter_open": 1.0}, "is no value of a surface, coating or scatter"),
@@ -208,12 +205,10 @@ class TestText:
         ({"waves.n_shift": 0.1}, "parameter 'waves.n_shift': 1 numbers are given; it has 2"),
         ({"a.x": float("nan")}, "parameter 'a.x': nan is given; it must be finite"),
         ({"shared.R": 0.5}, "it has no parameter 'shared.R'"),
-    ],
-)
-def test_what_cannot_be_placed(values: dict[str, Any], message: str, tmp_path: Path) -> None:
-    with pytest.raises(MistrayError, match=message) as caught:
-        rewritten(write(tmp_path, SCENE), values, tmp_path)
-    assert "\n" not in str(caught.value)
+    ):
+        with pytest.raises(MistrayError, match=message) as caught:
+            rewritten(write(tmp_path, SCENE), values, tmp_path)
+        assert "\n" not in str(caught.value)
 
 
 def test_an_included_file_is_not_changed(tmp_path: Path) -> None:
@@ -256,9 +251,7 @@ def text() -> str:
 
 @pytest.fixture
 def source(tmp_path: Path) -> Path:
-    path = tmp_path / "scene.xml"
-    path.write_text(text(), encoding="utf-8")
-    return path
+    return write(tmp_path, text())
 
 
 def with_own(file: SceneText, folder: Path) -> mi.SceneParameters:
@@ -268,8 +261,7 @@ def with_own(file: SceneText, folder: Path) -> mi.SceneParameters:
 
 
 def test_every_surface_has_its_own(source: Path) -> None:
-    before = mi.traverse(mistray.load(source))
-    assert "polish.rms_nm" in before
+    assert "polish.rms_nm" in mi.traverse(mistray.load(source))
     after = with_own(SceneText(source), source.parent)
     keys = {f"{side}.bsdf.{rest}" for side in ("front", "rear") for rest in ("harvey_shack.rms_nm",
             "particulate.coverage_percent")}  # fmt: skip
@@ -279,26 +271,22 @@ def test_every_surface_has_its_own(source: Path) -> None:
     assert "AR.thickness_nm" in after  # a coating stays shared
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
+def test_new_values(source: Path) -> None:
+    """One value changes, and nothing else; without models of their own they stay shared."""
+    for key, value in (
         ("rear.bsdf.harvey_shack.rms_nm", 1.5),
         ("front.bsdf.particulate.coverage_percent", 0.02),
         ("tube.bsdf.paint.reflectance", 0.02),
         ("cone.bsdf.reflectance", 0.03),
-        ("polish.rms_nm", 2.0),  # stays shared
-    ],
-)
-def test_new_values(source: Path, key: str, value: float) -> None:
-    """One value changes, and nothing else."""
-    own = not key.startswith("polish")
-    before = with_own(SceneText(source, own), source.parent)
-    file = SceneText(source, own)
-    file.set(key, value)
-    after = with_own(file, source.parent)
-    assert np.array(after[key]) == pytest.approx([value], rel=1e-6)
-    others = [k for k in after.keys() if k != key and isinstance(after[k], mi.Float)]  # noqa: SIM118
-    assert all(np.array_equal(np.array(before[k]), np.array(after[k])) for k in others)
+        ("polish.rms_nm", 2.0),
+    ):
+        file = SceneText(source, not key.startswith("polish"))
+        before = with_own(file, source.parent)
+        file.set(key, value)
+        after = with_own(file, source.parent)
+        assert np.array(after[key]) == pytest.approx([value], rel=1e-6)
+        others = [k for k in after.keys() if k != key and isinstance(after[k], mi.Float)]  # noqa: SIM118
+        assert all(np.array_equal(np.array(before[k]), np.array(after[k])) for k in others)
 
 
 def test_what_cannot_be_done(source: Path, tmp_path: Path) -> None:

@@ -51,8 +51,7 @@ def scene_with(layers: Layers, glass: float, reverse: bool) -> str:
 def kernel(table: SurfaceTable, cosines: np.ndarray, from_front: bool, stokes: bool) -> tuple[np.ndarray, ...]:
     """What the kernel finds at the plane: R, T and in Stokes mode the coefficients of both children."""
     c = mi.Float(cosines)
-    s = dr.sqrt(1 - c * c)
-    d = mi.Vector3f(s, 0, c if from_front else -c)
+    d = mi.Vector3f(dr.sqrt(1 - c * c), 0, c if from_front else -c)
     surface = dr.full(mi.UInt32, table.ids.index("film"), len(cosines))
     vector = dr.zeros(mi.Vector3f, len(cosines)) if stokes else None
     it = interact(table, dr.zeros(mi.Vector3f, len(cosines)), d, surface, None, vector, mi.Bool(True))
@@ -74,8 +73,7 @@ def oracle(layers: Layers, n_in: float, n_out: float, cosines: np.ndarray) -> np
         s, p = both
         product = s["r"] * np.conj(p["r"])
         through = s["t"] * np.conj(p["t"])
-        size = np.sqrt(max(s["T"] * p["T"], 0.0))
-        through = size * through / abs(through) if abs(through) > 0 else 0j
+        through = np.sqrt(max(s["T"] * p["T"], 0.0)) * through / abs(through) if abs(through) > 0 else 0j
         values.append([s["R"], p["R"], s["T"], p["T"], product.real, product.imag, through.real, through.imag])
     return np.array(values).T
 

@@ -201,5 +201,4 @@ def test_first_hits(major: float, minor: float, low: float, high: float, scale: 
         ahead = found[k][np.isfinite(found[k]) & (found[k] > 0)]
         p = o[k] + ahead[:, None] * d[k]
         assert ahead[inside(table, number, p)].min() == pytest.approx(exact[k], rel=1e-9)
-    surface, _, _ = first_hit(table, o[:50], d[:50], np.full(50, -1))
-    assert set(surface) <= {-1, *range(table.count)}
+    assert set(first_hit(table, o[:50], d[:50], np.full(50, -1))[0]) <= {-1, *range(table.count)}

@@ -136,8 +136,7 @@ def test_gradients_through_render() -> None:
         params.update()
         integrator = mi.load_dict({"type": "straylight", "rays": 2000, "max_reflections": 0, "edges": False})
         image = mi.render(scene, params, integrator=integrator)
-        weight = mi.Float(np.arange(64.0))
-        dr.backward(dr.sum(image.array * weight))
+        dr.backward(dr.sum(image.array * mi.Float(np.arange(64.0))))
         found.append(float(dr.grad(params[key])[0]))
     assert found[0] != 0
     assert found[1] / SMALL**19 == pytest.approx(found[0], rel=1e-3)
@@ -245,8 +244,7 @@ def test_unresolved_gap() -> None:
     assert "'s1'" in line
     assert "'s2'" in line
     assert "0.0001 mm" in line
-    report = mistray.ghosts(scene, field_deg=[0.0], rays=500)
-    assert line in report.notes
+    assert line in mistray.ghosts(scene, field_deg=[0.0], rays=500).notes
     assert not mistray.trace(plates(3000.0, 1e-2, stop=True), rays=500, max_reflections=2).own_notes
 
 
@@ -268,5 +266,4 @@ def test_optical_path_of_an_oblique_ray(field_deg: float, azimuth_deg: float) ->
         direction = [-np.sin(theta) * np.sin(phi), np.sin(theta) * np.cos(phi), np.cos(theta)]
         assert ray[["dx", "dy", "dz"]].iloc[0].to_numpy() == pytest.approx(direction, abs=1e-15)
     # All rays start on one plane across the beam
-    starts = table[table.node == 0][["x_mm", "y_mm", "z_mm"]].to_numpy()
-    assert np.ptp(starts @ direction) < 1e-11
+    assert np.ptp(table[table.node == 0][["x_mm", "y_mm", "z_mm"]].to_numpy() @ direction) < 1e-11

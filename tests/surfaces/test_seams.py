@@ -88,8 +88,7 @@ def vessel(front: str, wall: str) -> tuple[SurfaceTable, list[tuple[float, float
         ring={"type": "frustum", "r0": rear, "z0": ends["z1"], "r1": HOLE, "z1": ends["z1"], "bsdf": black},
         detector=scene_dicts.detector(PLACE + LENGTH, semi_diameter=HOLE),
     )
-    seams = [(FRONT, ends["z0"]), (rear, ends["z1"]), (HOLE, ends["z1"])]
-    return SurfaceTable(scene, 550.0), seams
+    return SurfaceTable(scene, 550.0), [(FRONT, ends["z0"]), (rear, ends["z1"]), (HOLE, ends["z1"])]
 
 
 def passed(table: SurfaceTable, seams: list[tuple[float, float]]) -> int:
