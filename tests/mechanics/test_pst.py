@@ -19,8 +19,6 @@ DATA = Path(__file__).parents[1] / "data"
 ANGLES_DEG = (20.0, 30.0, 40.0, 50.0)
 RAYS = 1_500_000
 CLASSES = ("single_scatter", "multiple_scatter")
-BLACK = Coating(R=0.0)
-PAINT = {"reflectance": 0.1}
 # A chamber behind the tube: light that leaves the paint for elsewhere must not come around the tube.
 END_Z, DETECTOR_Z, INNER, DETECTOR_RADIUS = 80.0, 95.0, 20.0, 8.0
 
@@ -48,11 +46,8 @@ def pst(tube: tuple[Any, ...], seed: int, rays: int = RAYS) -> Any:
 
 def apart(a: Any, b: Any) -> np.ndarray:
     """Difference in its standard errors: light scattered once, more than once, and both, at each angle."""
-    rows = []
-    for classes in (*CLASSES, CLASSES):
-        (x, x_se), (y, y_se) = a.curve(classes), b.curve(classes)
-        rows.append(np.abs(x - y) / np.maximum(np.hypot(x_se, y_se), 1e-30))
-    return np.array(rows)
+    pairs = [(*a.curve(classes), *b.curve(classes)) for classes in (*CLASSES, CLASSES)]
+    return np.array([np.abs(x - y) / np.maximum(np.hypot(x_se, y_se), 1e-30) for x, x_se, y, y_se in pairs])
 
 
 @pytest.fixture(scope="module")
@@ -60,13 +55,9 @@ def typed() -> Any:
     """The profile as frusta, from its numbers."""
     profile = make_step.vane_tube_profile()
     sides = zip(profile, [*profile[1:], profile[0]], strict=True)
-    paint = (Scatter("paint", PAINT, name="tube_paint"),)
-    return pst(
-        tuple(
-            Structure(f"side_{k}", *a, *b, coating=BLACK, scatter=paint, part="tube") for k, (a, b) in enumerate(sides)
-        ),
-        seed=1,
-    )
+    paint = (Scatter("paint", {"reflectance": 0.1}, name="tube_paint"),)
+    more = {"coating": Coating(R=0.0), "scatter": paint, "part": "tube"}
+    return pst(tuple(Structure(f"side_{k}", *a, *b, **more) for k, (a, b) in enumerate(sides)), seed=1)
 
 
 @pytest.fixture(scope="module")

@@ -44,15 +44,11 @@ def optic(scale: float) -> mi.Scene:
 def lens(scale: float, name: str, coefficient: float, semi_diameter: float) -> mi.Scene:
     """Plane-parallel beam, one refracting asphere, a detector in the glass."""
     inside = {"type": "interface", "front": "1.5", "R": 0.0}
+    face = {"type": "asphere", "bsdf": {"type": "interface", "back": "1.5"}}
+    face[name] = coefficient * scale ** (1 - int(name[1:]))
     return scene_dicts.load(
         beam={"type": "collimated", "radius": 0.95 * semi_diameter * scale},
-        lens={
-            "type": "asphere",
-            "radius": 1000.0 * scale,
-            name: coefficient * scale ** (1 - int(name[1:])),
-            "semi_diameter": semi_diameter * scale,
-            "bsdf": {"type": "interface", "back": "1.5"},
-        },
+        lens=face | {"radius": 1000.0 * scale, "semi_diameter": semi_diameter * scale},
         detector=scene_dicts.detector(2000.0 * scale, semi_diameter=500.0 * scale, bsdf=inside),
     )
 
@@ -71,10 +67,8 @@ def test_paths(scale: float) -> None:
     assert len(rows[0]) > 5
     if exact:
         assert rows[0].keys() == rows[1].keys()
-    for key in rows[0].keys() & rows[1].keys():
+    for key in (key for key in rows[0].keys() & rows[1].keys() if rows[0][key].rays >= 100):
         a, b = rows[0][key], rows[1][key]
-        if a.rays < 100:
-            continue
         share = b.power_W / other.energy.launched_W
         assert share == pytest.approx(a.power_W / one.energy.launched_W, rel=1e-6 if exact else 5e-3)
         assert b.rms_radius_mm / scale == pytest.approx(a.rms_radius_mm, rel=1e-5 if exact else 5e-3)
@@ -166,15 +160,10 @@ def far_lens(place: tuple[float, float, float]) -> mi.Scene:
 def plates(z: float, gap: float, stop: bool = False) -> mi.Scene:
     """Two plates of index 1.7 with a gap; with `stop` a ring at the origin belongs to the scene."""
     ring = {"type": "frustum", "r0": 24.0, "r1": 30.0, "z0": 0.0, "z1": 0.0, "bsdf": scene_dicts.BLACK}
-    surfaces = {
-        f"s{i}": {
-            "type": "asphere",
-            "semi_diameter": 25.0,
-            "to_world": scene_dicts.at(height),
-            "bsdf": {"type": "interface", "back" if i % 2 == 0 else "front": "1.7"},
-        }
-        for i, height in enumerate([z, z + 2, z + 2 + gap, z + 4 + gap])
-    }
+    face, surfaces = {"type": "asphere", "semi_diameter": 25.0}, {}
+    for i, height in enumerate([z, z + 2, z + 2 + gap, z + 4 + gap]):
+        side = {"type": "interface", "front" if i % 2 else "back": "1.7"}
+        surfaces[f"s{i}"] = face | {"to_world": scene_dicts.at(height), "bsdf": side}
     return scene_dicts.load(
         beam={"type": "collimated", "radius": 1.0, "to_world": scene_dicts.at(z)},
         **surfaces,
@@ -218,9 +207,8 @@ def test_gradients_far_away() -> None:
     for place in ((0.0, 0.0, 0.0), FAR):
         scene = far_lens(place)
         metric = metrics.rms_spot(scene, rays=1000, max_reflections=0, max_scatters=0, field_deg=[3.0])
-        gradient = mistray.gradient(
-            metric, mi.traverse(scene), ["front.curvature", "rear.a4", "rear.tilt_x", "front.z"]
-        )
+        keys = ["front.curvature", "rear.a4", "rear.tilt_x", "front.z"]
+        gradient = mistray.gradient(metric, mi.traverse(scene), keys)
         found.append([float(np.ravel(value)[0]) for value in gradient.gradient.values()])
     np.testing.assert_allclose(found[1], found[0], rtol=1e-5)
 
@@ -230,9 +218,8 @@ def test_thin_gap(z: float, gap: float) -> None:
     """Incoherent: all orders between four faces of R = (0.7/2.7)² pass 1 / (1 + 4 R / (1 - R)) of the light."""
     t = mistray.trace(plates(z, gap), rays=500, max_reflections=20)
     reflectance = (0.7 / 2.7) ** 2
-    assert t.energy.detected_W / t.energy.launched_W == pytest.approx(
-        1 / (1 + 4 * reflectance / (1 - reflectance)), rel=1e-4
-    )
+    passed = 1 / (1 + 4 * reflectance / (1 - reflectance))
+    assert t.energy.detected_W / t.energy.launched_W == pytest.approx(passed, rel=1e-4)
     assert t.own_notes == []
 
 
@@ -241,9 +228,7 @@ def test_unresolved_gap() -> None:
     scene = plates(3000.0, 1e-4, stop=True)
     line, lost = mistray.trace(scene, rays=500, max_reflections=2).own_notes
     assert lost.startswith("no light reaches the detector")
-    assert "'s1'" in line
-    assert "'s2'" in line
-    assert "0.0001 mm" in line
+    assert all(word in line for word in ("'s1'", "'s2'", "0.0001 mm"))
     assert line in mistray.ghosts(scene, field_deg=[0.0], rays=500).notes
     assert not mistray.trace(plates(3000.0, 1e-2, stop=True), rays=500, max_reflections=2).own_notes
 
@@ -251,9 +236,8 @@ def test_unresolved_gap() -> None:
 @pytest.mark.parametrize(("field_deg", "azimuth_deg"), [(0.0, 0.0), (17.3, 0.0), (35.0, 61.0)])
 def test_optical_path_of_an_oblique_ray(field_deg: float, azimuth_deg: float) -> None:
     """Closed form through a plate, from the table's own start: Σ n t / cos θ; the kernel's directions are float32."""
-    t = mistray.trace(
-        plates(40.0, 2.0), rays=200, field_deg=field_deg, azimuth_deg=azimuth_deg, max_reflections=0, seed=2
-    )
+    field = {"field_deg": field_deg, "azimuth_deg": azimuth_deg}
+    t = mistray.trace(plates(40.0, 2.0), rays=200, max_reflections=0, seed=2, **field)
     table = t.history(t.paths[0].path_id, n=20).to_pandas()
     theta = np.radians(field_deg)
     inside = np.sqrt(1 - (np.sin(theta) / 1.7) ** 2)

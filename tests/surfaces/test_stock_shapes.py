@@ -93,16 +93,11 @@ class TestDetector:
 
 
 class TestBallLens:
-    """A sphere of glass."""
-
-    text = scene_text(
-        stock("sphere", "ball", '<float name="radius" value="5"/>', bsdf=BALL),
-        shape_xml("asphere", "detector", 9.0, sensor=True, half_width=12.0, half_height=12.0),
-        radius=3.0,
-    )
-
     def test_against_the_float64_oracle(self, load_text) -> None:
-        scene, model = load_text(self.text)
+        """A sphere of glass."""
+        ball = stock("sphere", "ball", '<float name="radius" value="5"/>', bsdf=BALL)
+        screen = shape_xml("asphere", "detector", 9.0, sensor=True, half_width=12.0, half_height=12.0)
+        scene, model = load_text(scene_text(ball, screen, radius=3.0))
         t = mistray.trace(scene, rays=400, max_reflections=4, polarization="unpolarized")
         (run,) = t._runs
         origin, direction = run.start_rays(np.arange(400))
@@ -121,23 +116,14 @@ class TestBallLens:
 
 
 class TestMesh:
-    @pytest.fixture(scope="class")
-    @staticmethod
-    def prism(tmp_path_factory) -> Path:
-        return prism_ply(tmp_path_factory.mktemp("mesh") / "prism.ply")
-
-    def text(self, prism: Path) -> str:
+    def test_prism_turns_the_light_by_total_reflection(self, load_scene, tmp_path: Path) -> None:
+        prism = prism_ply(tmp_path / "prism.ply")
         mesh = stock("ply", "prism", f'<string name="filename" value="{prism}"/>', bsdf=BALL)
         below = shape_xml("asphere", "detector", 0.0, sensor=True, half_width=4.0, half_height=4.0)
         below = below.replace('<translate z="0.0"/>', '<rotate x="1" angle="90"/><translate y="-9" z="5"/>')
-        return scene_text(mesh, below, radius=2.0)
-
-    def test_prism_turns_the_light_by_total_reflection(self, load_scene, prism: Path) -> None:
-        t = mistray.trace(load_scene(self.text(prism)), rays=5000)
+        t = mistray.trace(load_scene(scene_text(mesh, below, radius=2.0)), rays=5000)
         direct = t.paths[0]
-        assert direct.events == "prism:T prism:I prism:T detector:A"
-        assert direct.kind == "TIR"
-        assert direct.rays == 5000
+        assert (direct.events, direct.kind, direct.rays) == ("prism:T prism:I prism:T detector:A", "TIR", 5000)
         assert direct.power_W / t.energy.launched_W == pytest.approx(0.96**2, rel=1e-5)
         assert t.energy.cut["medium"] == 0
         assert abs(t.energy.closure) < 1e-6
