@@ -25,18 +25,11 @@ END_Z, DETECTOR_Z, INNER, DETECTOR_RADIUS = 80.0, 95.0, 20.0, 8.0
 
 def scene(tube: tuple[Any, ...]) -> Any:
     """The tube before a chamber with the detector in its rear wall."""
-    system = mistray.Prescription(
-        name="tube",
-        surfaces=(),
-        structures=(
-            *tube,
-            Structure("chamber", INNER, END_Z, INNER, DETECTOR_Z),
-            Structure("board", DETECTOR_RADIUS, DETECTOR_Z, INNER, DETECTOR_Z),
-        ),
-        detector=mistray.Detector(z=DETECTOR_Z, semi_diameter=DETECTOR_RADIUS, pixels=(8, 8)),
-        source=mistray.Source(radius=INNER),
-    )
-    return system.to_scene()
+    chamber = Structure("chamber", INNER, END_Z, INNER, DETECTOR_Z)
+    board = Structure("board", DETECTOR_RADIUS, DETECTOR_Z, INNER, DETECTOR_Z)
+    detector = mistray.Detector(z=DETECTOR_Z, semi_diameter=DETECTOR_RADIUS, pixels=(8, 8))
+    parts = {"surfaces": (), "structures": (*tube, chamber, board), "detector": detector}
+    return mistray.Prescription(name="tube", source=mistray.Source(radius=INNER), **parts).to_scene()
 
 
 def pst(tube: tuple[Any, ...], seed: int, rays: int = RAYS) -> Any:

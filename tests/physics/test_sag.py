@@ -7,14 +7,8 @@ import numpy as np
 import pytest
 
 import mistray  # noqa: F401  (settles libLLVM and the variant)
-from mistray.physics.geometry.sag import (
-    conic_end,
-    polynomial,
-    polynomial_derivative,
-    polynomial_second_derivative,
-    sag,
-    sag_derivative,
-)
+from mistray.physics.geometry import sag as sags
+from mistray.physics.geometry.sag import conic_end, sag, sag_derivative
 
 # L2 rear of the phone camera: the steepest surface at hand, slope 2.07 at its rim
 STEEP = (1 / 3.482, 8.701, (0.00521579, 0.0715829, -0.0460926, 0.012431, 0.0332216))
@@ -47,7 +41,7 @@ def test_polynomial_derivatives_are_those_of_the_terms():
     coefficients = (0.3, -0.2, 0.15, 0.07, -0.04, 0.02, 0.05, -0.01, 0.03)
     whole = np.polynomial.Polynomial([0.0, 0.0, *coefficients])
     r2 = np.linspace(0, 1.2, 9)
-    functions = (polynomial, polynomial_derivative, polynomial_second_derivative)
+    functions = (sags.polynomial, sags.polynomial_derivative, sags.polynomial_second_derivative)
     for order, function in enumerate(functions):
         np.testing.assert_allclose(function(r2, coefficients), whole.deriv(order)(r2), rtol=1e-13, atol=1e-15)
         assert np.all(np.asarray(function(r2, ())) == 0)

@@ -63,14 +63,9 @@ class Library:
 
     def solve(self, stack: Stack, wavelength_nm: Any, cosine: Any) -> np.ndarray:
         """R, T, r, t for s and p: (4, 2, m) complex128."""
-        arguments = (
-            self.index(stack.n_incident),
-            [self.index(n) for n in stack.n_layers],
-            [self.real(d) for d in stack.d_nm],
-            self.index(stack.n_substrate),
-            self.real(wavelength_nm),
-            self.real(cosine),
-        )
+        layers = [self.index(n) for n in stack.n_layers], [self.real(d) for d in stack.d_nm]
+        outside = self.index(stack.n_substrate), self.real(wavelength_nm), self.real(cosine)
+        arguments = (self.index(stack.n_incident), *layers, *outside)
         results = (*reflectance_transmittance(*arguments), *amplitudes(*arguments))
         if self.name != "numpy":
             dr.eval(results)  # in one kernel
@@ -116,12 +111,9 @@ class TestVectors:
         rows = vectors.frame("thinfilm.csv").query("design == @design")
         assert len(rows) == 56
         found = of_polarisation(library.solve(designs()[design], rows.lambda_nm, cosines(rows.aoi_deg)), rows.pol)
-        for values, expected in zip(
-            (*found, 1 - found[0] - found[1]),
-            (rows["R"], rows["T"], rows.r_re + 1j * rows.r_im, rows.t_re + 1j * rows.t_im, rows["A"]),
-            strict=True,
-        ):
-            np.testing.assert_allclose(values, expected, rtol=0, atol=library.tolerance)
+        amplitudes = (rows.r_re + 1j * rows.r_im, rows.t_re + 1j * rows.t_im)
+        expected = (rows["R"], rows["T"], *amplitudes, rows["A"])
+        np.testing.assert_allclose([*found, 1 - found[0] - found[1]], expected, rtol=0, atol=library.tolerance)
 
     @each_library
     @pytest.mark.parametrize("case", sorted(INTERNAL))

@@ -26,12 +26,6 @@ from mistray.prescription.sequential.materials import same_material
 from mistray.prescription.sequential.rays import trace
 
 
-def by_name(name: str):
-    """A file of the packages; the test is left out where they are not installed."""
-    peers.need("rayoptics")
-    return next(path for file, path in peer_lenses.files().items() if file.endswith(f"/{name}"))
-
-
 def test_materials_are_named_only_where_their_index_is_the_same():
     def bk7(wavelength):
         return refractive_index("N-BK7", wavelength)
@@ -45,8 +39,11 @@ def test_materials_are_named_only_where_their_index_is_the_same():
     assert same_material(["PMMA"], lambda w: refractive_index("PMMA", w), lines).startswith("PMMA")
 
 
-def model_of(name: str):
-    return peer_lenses.by_rayoptics(by_name(name)).model
+def file_and_model(name: str) -> tuple[Any, Any]:
+    """A file of the packages, read by ray-optics; the test is left out where they are not installed."""
+    peers.need("rayoptics")
+    path = next(path for file, path in peer_lenses.files().items() if file.endswith(f"/{name}"))
+    return path, peer_lenses.by_rayoptics(path).model
 
 
 @pytest.mark.parametrize(
@@ -55,9 +52,9 @@ def model_of(name: str):
      "folded_lenses.seq", "paraboloid_f8.seq"],
 )  # fmt: skip
 def test_a_model_of_rayoptics_is_the_lens_of_its_file(name):
-    model = model_of(name)
+    path, model = file_and_model(name)
     model["seq_model"].gaps[-1].thi -= model["optical_spec"]["focus"].focus_shift  # which peer_lenses adds
-    ours, theirs = peer_lenses.read(by_name(name)), from_rayoptics(model)
+    ours, theirs = peer_lenses.read(path), from_rayoptics(model)
     assert [row.kind for row in theirs.rows] == [row.kind for row in ours.rows]
     assert (theirs.field_kind, theirs.wavelengths_nm) == (ours.field_kind, ours.wavelengths_nm)
     assert np.array(theirs.fields) == pytest.approx(np.array(ours.fields))
@@ -74,12 +71,12 @@ def test_what_rayoptics_has_and_we_do_not():
     grating = peers.rayoptics("oprops.doe").DiffractiveElement()
     wrong = {"phase_element": (grating, "diffracting surfaces"), "profile": (toroid, "XToroid has no counterpart")}
     for key, (thing, words) in wrong.items():
-        model = model_of("CODV_32327.seq")
+        model = file_and_model("CODV_32327.seq")[1]
         setattr(model["seq_model"].ifcs[1], key, thing)
         with pytest.raises(MistrayError, match=f"interface 1: {words}"):
             from_rayoptics(model)
     # Edges are drawn or listed
-    model = model_of("CODV_32327.seq")
+    model = file_and_model("CODV_32327.seq")[1]
     surface = peers.rayoptics("elem.surface")
     interfaces = model["seq_model"].ifcs
     for interface in interfaces:
@@ -102,7 +99,7 @@ def test_what_rayoptics_has_and_we_do_not():
     ],
 )
 def test_profiles_of_rayoptics(kind, numbers):
-    model = model_of("CODV_32327.seq")
+    model = file_and_model("CODV_32327.seq")[1]
     profile = getattr(peers.rayoptics("elem.profiles"), kind)(**numbers)
     model["seq_model"].ifcs[1].profile = profile
     row = from_rayoptics(model).rows[0]

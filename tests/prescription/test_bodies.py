@@ -8,24 +8,9 @@ import numpy as np
 import pytest
 
 import mistray
+from mistray import Coating, Detector, Prescription, Source, Structure, Surface
 from mistray.physics.geometry.outline import Outline, OutlineFigure
-from mistray.prescription import (
-    Coating,
-    Detector,
-    Prescription,
-    Source,
-    Structure,
-    Surface,
-    array,
-    beam_splitter_cube,
-    box,
-    circle,
-    moved_as_one,
-    plate,
-    polygon,
-    prism,
-    rectangle,
-)
+from mistray.prescription import array, beam_splitter_cube, box, circle, moved_as_one, plate, polygon, prism, rectangle
 from mistray.recorders import FarField, Probe
 from mistray.trace import Trace
 

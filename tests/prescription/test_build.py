@@ -94,14 +94,12 @@ def test_clear_radii_are_those_of_rays_with_a_margin_unless_the_file_gives_them(
 
 
 def test_cemented_lenses_share_a_rim_and_no_face_stands_twice():
-    doublet = lens(
+    rows = (
         Row(1, radius=61.0, thickness=6.0, material="1.5168", stop=True, label="crown"),
         Row(2, radius=-44.0, thickness=2.5, material="1.6727"),
         Row(3, radius=-130.0, thickness=95.0),
-        Row(4, kind="image"),
-        aperture=20.0,
-        fields=((0.0, 0.0), (0.0, 3.0)),
     )
+    doublet = lens(*rows, Row(4, kind="image"), aperture=20.0, fields=((0.0, 0.0), (0.0, 3.0)))
     prescription = to_prescription(doublet)
     shapes = by_name(prescription)
     edges = [shapes["L1_edge"], shapes["L2_edge"]]

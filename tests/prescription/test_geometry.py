@@ -9,21 +9,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from mistray import Coating, Detector, Prescription, Source, Structure, Surface
 from mistray.errors import MistrayError
-from mistray.prescription import (
-    Coating,
-    Detector,
-    Prescription,
-    Source,
-    Stop,
-    Structure,
-    Surface,
-    barrel,
-    detector_frame,
-    fresnel,
-    lens_edge,
-    wall,
-)
+from mistray.prescription import Stop, barrel, detector_frame, fresnel, lens_edge, wall
 from mistray.trace import trace
 
 

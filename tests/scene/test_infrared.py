@@ -53,14 +53,11 @@ def test_stock_integrators_take_the_wavelength_of_the_source(more: dict[str, flo
         sky={"type": "constant", "radiance": 1.0},
         face={"type": "asphere", "semi_diameter": 50.0, "bsdf": {"type": "interface", "back": TWO, **more}},
     )
-    camera = {
-        "type": "perspective",
-        "fov": 1.0,
-        "to_world": mi.ScalarTransform4f().look_at([0, 0, 5], [0, 0, 0], [0, 1, 0]),
-        "film": scene_dicts.film(2, pixel_format="luminance"),
-    }
+    look = mi.ScalarTransform4f().look_at([0, 0, 5], [0, 0, 0], [0, 1, 0])
+    film = scene_dicts.film(2, pixel_format="luminance")
+    camera = mi.load_dict({"type": "perspective", "fov": 1.0, "to_world": look, "film": film})
     path = mi.load_dict({"type": "path", "max_depth": 2})
-    seen = np.array(mi.render(scene, sensor=mi.load_dict(camera), integrator=path, spp=4096))
+    seen = np.array(mi.render(scene, sensor=camera, integrator=path, spp=4096))
     passed = 4 * n / (n + 1) ** 2
     # The mean of 16384 samples has a relative error of 4e-3 at most: it fails by chance in 6e-7 of runs
     assert seen.mean() == pytest.approx(n**2 * passed + 1 - passed, rel=2e-2)

@@ -23,16 +23,15 @@ TRIPLET = find("cooke_triplet")
 
 
 def values_of(scene: mi.Scene) -> dict[str, np.ndarray]:
-    """All numbers of surfaces, coatings and scatter, shapes in double precision."""
+    """All numbers of surfaces, coatings and scatter, those of shapes in double precision."""
     params = mi.traverse(scene)
     found = {}
     for key in params.keys():  # noqa: SIM118
         plugin, name = params.properties[key][2], key.rpartition(".")[2]
-        if hasattr(plugin, "outer_radius"):
-            if name in plugin.values:
-                found[key] = np.array([plugin.values[name]])
+        if name in getattr(plugin, "values", ()):
+            found[key] = np.array([plugin.values[name]])
         elif hasattr(plugin, "complex_indices"):
-            found[key] = np.array(params[key], dtype=np.float64)
+            found[key] = np.array(params[key], dtype=np.float32)
     return found
 
 
@@ -40,18 +39,7 @@ def assert_loads(path: Path, expected: dict[str, np.ndarray]) -> None:
     found = values_of(mistray.load(path))
     assert found.keys() == expected.keys()
     for key, value in expected.items():
-        shape = "." in key and key.count(".") == 1 and key.rpartition(".")[2] in PLACES
-        if shape:
-            np.testing.assert_array_equal(found[key], value, err_msg=key)
-        else:
-            np.testing.assert_array_equal(found[key].astype(np.float32), value.astype(np.float32), err_msg=key)
-
-
-PLACES = {
-    *("x", "y", "z", "tilt_x", "tilt_y", "tilt_z", "r0", "z0", "r1", "z1", "curvature", "conic"),
-    *(f"a{order}" for order in range(4, 21, 2)),
-    *("semi_diameter", "inner_semi_diameter", "half_width", "half_height"),
-}
+        np.testing.assert_array_equal(found[key], value.astype(found[key].dtype), err_msg=key)
 
 
 def test_what_is_not_given_stays_and_comes_back(tmp_path: Path) -> None:
@@ -227,31 +215,27 @@ def test_an_included_file_is_not_changed(tmp_path: Path) -> None:
     assert values_of(mistray.load(path))["z.semi_diameter"] == 2.0
 
 
-POLISH = '<bsdf type="harvey_shack" id="polish"><float name="rms_nm" value="4"/><float name="l" value="0.01"/></bsdf>'
-DUST = '<bsdf type="particulate" id="dust"><float name="coverage_percent" value="0.1"/></bsdf>'
-BLACK = '<bsdf type="paint" id="black"><string name="preset" value="flat_black"/></bsdf>'
-WALL = '<bsdf type="interface" id="wall"><float name="R" value="0"/><ref id="black"/></bsdf>'
-AR = '<bsdf type="thinfilm" id="AR"><string name="layers" value="1.38 0.25w"/></bsdf>'
-
-
-def text() -> str:
-    def window(front: str, back: str) -> str:
-        refs = "".join(f'<ref id="{name}"/>' for name in ("AR", "polish", "dust"))
-        return interface_xml(front, back).removesuffix("</bsdf>") + refs + "</bsdf>"
-
-    shapes = (
-        shape_xml("asphere", "front", 0.0, window("air", "1.5"), semi_diameter=5.0),
-        shape_xml("asphere", "rear", 2.0, window("1.5", "air"), semi_diameter=5.0),
-        shape_xml("frustum", "tube", 0.0, '<ref id="wall"/>', r0=6.0, z0=0.0, r1=6.0, z1=20.0),
-        shape_xml("frustum", "cone", 0.0, '<ref id="black"/>', r0=7.0, z0=0.0, r1=8.0, z1=20.0),
-        shape_xml("asphere", "detector", 20.0, sensor=True, half_width=3.0, half_height=3.0),
-    )
-    return scene_text(POLISH, DUST, BLACK, WALL, AR, *shapes)
+MODELS = (
+    '<bsdf type="harvey_shack" id="polish"><float name="rms_nm" value="4"/><float name="l" value="0.01"/></bsdf>',
+    '<bsdf type="particulate" id="dust"><float name="coverage_percent" value="0.1"/></bsdf>',
+    '<bsdf type="paint" id="black"><string name="preset" value="flat_black"/></bsdf>',
+    '<bsdf type="interface" id="wall"><float name="R" value="0"/><ref id="black"/></bsdf>',
+    '<bsdf type="thinfilm" id="AR"><string name="layers" value="1.38 0.25w"/></bsdf>',
+)
 
 
 @pytest.fixture
 def source(tmp_path: Path) -> Path:
-    return write(tmp_path, text())
+    models = "".join(f'<ref id="{name}"/>' for name in ("AR", "polish", "dust")) + "</bsdf>"
+    front, rear = interface_xml("air", "1.5"), interface_xml("1.5", "air")
+    shapes = (
+        shape_xml("asphere", "front", 0.0, front.replace("</bsdf>", models), semi_diameter=5.0),
+        shape_xml("asphere", "rear", 2.0, rear.replace("</bsdf>", models), semi_diameter=5.0),
+        shape_xml("frustum", "tube", 0.0, '<ref id="wall"/>', r0=6.0, z0=0.0, r1=6.0, z1=20.0),
+        shape_xml("frustum", "cone", 0.0, '<ref id="black"/>', r0=7.0, z0=0.0, r1=8.0, z1=20.0),
+        shape_xml("asphere", "detector", 20.0, sensor=True, half_width=3.0, half_height=3.0),
+    )
+    return write(tmp_path, scene_text(*MODELS, *shapes))
 
 
 def with_own(file: SceneText, folder: Path) -> mi.SceneParameters:
