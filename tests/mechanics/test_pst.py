@@ -77,7 +77,6 @@ def test_exact_surfaces_and_meshes(
 
 @pytest.mark.long
 def test_paint_inside_of_the_body_is_dark(typed: Any, drawn: Mechanics, tmp_path: Path) -> None:
-    """The paint on the other side of every surface."""
     tube = drawn.painted({"vane*": "paint reflectance=0.1 side=front"}).structures(tmp_path)
     assert np.all(pst(tube, seed=5, rays=RAYS // 10).stray == 0)
     assert np.all(typed.stray > 0)

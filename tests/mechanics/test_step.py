@@ -119,7 +119,6 @@ class TestVaneTube:
         assert len(split) == 15 + 2
 
     def test_limit(self, tube: Mechanics, tmp_path: Path) -> None:
-        """The largest stay analytic: the outer wall has 2π 22·80 mm²."""
         few = replace(tube, most_analytic=1).structures(tmp_path)
         assert [type(shape) for shape in few] == [Structure, MeshStructure]
         assert ends(few[0]) == ((22.0, 0.0), (22.0, 80.0))
@@ -198,7 +197,6 @@ class TestTrimmedFaces:
         return [band.faces for band in bands(left)]
 
     def test_slots_and_holes(self, tube: Mechanics, halves: Mechanics) -> None:
-        """A wall with a slot, a disc with a hole beside its centre, half a tube."""
         part = tube.parts[0]
         centres = part.vertices[part.triangles].mean(axis=1)
         slot = (part.faces == 15) & (np.arctan2(centres[:, 1], centres[:, 0]) > 2.9)
@@ -253,7 +251,6 @@ class TestDamage:
         assert "a STEP file states its unit, leave it out" in self.line(DATA / "vane_tube.step", unit="inch")
 
     def test_what_is_lost_is_listed(self, tmp_path: Path) -> None:
-        """A face whose surface is missing in the file, and an instance."""
         text = (DATA / "vane_tube.step").read_text(encoding="ascii")
         plane = next(line for line in text.splitlines() if "=PLANE(" in line)
         mechanics = read_mechanics(saved(tmp_path, text.replace(plane + "\n", "")))

@@ -121,7 +121,6 @@ class TestPaint:
 
 class TestScenes:
     def test_added(self, assembly: Mechanics, scene_file: Path, tmp_path: Path) -> None:
-        """Everything that was there stays, byte for byte; the shapes follow."""
         target = tmp_path / "with.xml"
         shapes = assembly.painted({"ring": "flat_black"}, space={"bracket": 4}).write(target)
         add_structures(scene_file, shapes, target, "Mechanics")
@@ -162,7 +161,6 @@ class TestScenes:
         assert mesh.read_bytes() == b"ply"
 
     def test_alone_and_in_a_prescription(self, assembly: Mechanics, scene_file: Path, tmp_path: Path) -> None:
-        """A file of mechanics alone is part of a scene by <include>."""
         names = {shape.name for shape in assembly.to_xml(tmp_path / "mount.xml")}
         including = SCENE.replace("</scene>", '    <include filename="mount.xml"/>\n</scene>')
         scene_file.write_text(including, encoding="utf-8")
@@ -237,7 +235,6 @@ class TestPlugin:
 
 class TestCommand:
     def test_into_a_scene(self, scene_file: Path, tmp_path: Path, capsys: Captured) -> None:
-        """Nothing is written where a name is taken."""
         output = tmp_path / "out.xml"
         out = succeeds(
             capsys, "import", ASSEMBLY, "-o", output, "--into", scene_file, "--move-mm", 0, 0, -5,

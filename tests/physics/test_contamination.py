@@ -58,7 +58,6 @@ def test_area_of_the_spheres(level: float, slope: float, percent: float) -> None
 
 
 def test_index_of_dust() -> None:
-    """Linear between the rows of the study's Table 14."""
     assert contamination.dust_index(0.4) == 1.53 + 0.005j
     assert contamination.dust_index(10.6) == 1.7 + 0.2j
     expected = 0.005 + (0.55 - 0.4) / (0.6328 - 0.4) * (0.0005 - 0.005)

@@ -96,12 +96,7 @@ def test_total_is_that_of_the_pupil():
 
 
 def test_focal_shift_of_a_slow_beam():
-    """
-    Huygens' sum on the axis against the closed form of small Fresnel numbers, which the Fourier transform has not.
-
-    I(z) = (R/(R + z))² sinc²(N z/(2 (R + z))) for N = a²/(λR): Y. Li, E. Wolf, "Focal shifts in diffracted converging
-    spherical waves", Opt. Commun. 39, 211 (1981).
-    """
+    """I(z) = (R/(R + z))² sinc²(N z/(2 (R + z))), N = a²/(λR): Y. Li, E. Wolf, Opt. Commun. 39, 211 (1981)."""
     fresnel, na = 4.0, 1e-3
     radius = fresnel * WAVELENGTH_MM / na**2
     base = disc()
@@ -211,12 +206,7 @@ def test_rings_have_the_transform_of_a_disc():
 
 @pytest.mark.parametrize(("before", "after"), [(0.0, 90.0), (25.0, 60.0)])
 def test_the_lag_is_that_of_rays_turned_at_the_surface(before, after):
-    """
-    A surface anywhere before a lens: B of the lag against the place where a ray lands that it turns.
-
-    The lens of focal length f stands `before` behind the surface, the image in its focus; or beside it, for a beam that
-    converges already.
-    """
+    """A surface before a lens in whose focus the image is, or beside one: B of the lag by where a turned ray lands."""
     f, half = 90.0, 6.0
     lens = np.array([[1.0, 0.0], [-1 / f, 1.0]])
     gaps = [np.array([[1.0, z], [0.0, 1.0]]) for z in (after, before)]

@@ -67,7 +67,6 @@ def test_total_of_a_gaussian(width: float) -> None:
 
 @pytest.mark.parametrize("x", [-700.0, -3.0, -0.06, -0.05, -0.049, -1e-9, 0.0, 1e-9, 0.049, 0.05, 0.06, 3.0])
 def test_growth(x: float) -> None:
-    """The series in exact fractions, and the quotient where nothing cancels."""
     exact, term = Fraction(1), Fraction(1)
     for k in range(2, 60):
         term *= Fraction(x) / k
@@ -122,7 +121,6 @@ def test_derivatives_at_the_peak_of_an_abg() -> None:
 
 
 def test_directions() -> None:
-    """|β - β0| from angles, for the A, B and g that both sources plot."""
     table = vectors.frame("abg_directions.csv")
     theta_i, theta_s, phi = (np.radians(table[key]) for key in ("theta_i", "theta_s", "phi_s_from_specular"))
     r = np.hypot(np.sin(theta_s) * np.cos(phi) - np.sin(theta_i), np.sin(theta_s) * np.sin(phi))
@@ -223,11 +221,7 @@ def test_tis_next_to_a_slope_of_two(slope: float) -> None:
 
 
 def test_table_13() -> None:
-    """
-    Roughness 40 Å at 550 nm, l = 0.01, s = -1.5: b0 and TIS of four glasses.
-
-    Δn of reflection is 2 from air and 2n from inside, which scatters 7 to 34 times as much as transmission.
-    """
+    """b0 and TIS of four glasses, l = 0.01, s = -1.5; Δn of reflection is 2 from air and 2n from inside."""
     for row in vectors.frame("harvey_table13.csv").itertuples():
         share = harvey_shack.tis_from_rms(**POLISH, index_step=row.n - 1)
         assert 100 * share == pytest.approx(row.TIS_pct_calc, rel=VECTORS)

@@ -15,11 +15,7 @@ ANGLES_DEG = (0, 10, 90, 180)
 
 
 def test_vectors() -> None:
-    """
-    Extinction, scattering and intensities of spheres from x = 0.01 to the largest of level 500.
-
-    And the efficiencies by miepython, to the digits that its fewer orders leave.
-    """
+    """From x = 0.01 to the largest of level 500; efficiencies by miepython, to the digits of its fewer orders."""
     for row in vectors.frame("mie_spheres.csv").itertuples():
         answer = mie.spheres([row.x], complex(row.n, abs(row.k)), np.radians(ANGLES_DEG))
         found = [answer.extinction[0], answer.scattering[0], *answer.intensity[0]]

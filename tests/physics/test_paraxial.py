@@ -42,7 +42,6 @@ def test_the_ten_ghosts_of_lens_window_and_detector():
 
 
 def test_chief_ray_crosses_the_axis_in_the_stop():
-    """And makes the Lagrange invariant with the marginal ray."""
     marginal, slope = WITH_WINDOW.trace(10.0, 0.0), math.tan(math.radians(10.0))
     for stop_z in (-10.0, 0.0, 2.0, 40.0, 90.0):
         rays = WITH_WINDOW.chief_ray(10.0, stop_z)

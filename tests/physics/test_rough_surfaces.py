@@ -1,8 +1,4 @@
-"""
-Scatter of rough surfaces: the K-correlation spectrum and the generalised Harvey-Shack theory against float64 vectors.
-
-Vector perturbation theory against SCATMECH 7 (NIST), stored of pySCATMECH 0.1.10 and live, and against Fresnel.
-"""
+"""Scatter of rough surfaces against float64 vectors, SCATMECH 7 (NIST), stored and live, and Fresnel."""
 
 from __future__ import annotations
 
@@ -108,7 +104,6 @@ def test_scalar_theory_is_right_near_the_refracted_beam_only() -> None:
 
 
 def test_drjit() -> None:
-    """As NumPy to the rounding of float32, with complex and with real indices."""
     rng = np.random.default_rng(6)
     a, b, cphi = rng.uniform(0.05, 1, 50), rng.uniform(0.05, 1, 50), rng.uniform(-1, 1, 50)
     cosines = [mi.Float(x) for x in (a, b, cphi)]
@@ -204,11 +199,7 @@ def test_transmission_by_generalized_harvey_shack() -> None:
 
 
 def test_share_of_a_rough_surface() -> None:
-    """
-    Normal incidence, σ = 0.1 µm, lc = 50 µm, λ = 0.6328 µm: 0.968565 scattered, of 1 - exp(-a) = 0.980621.
-
-    The path difference at the scattered angles is less than at the specular one, and some waves are evanescent.
-    """
+    """Normal incidence, σ = 0.1 µm, lc = 50 µm, λ = 0.6328 µm: 0.968565 scattered, as some waves are evanescent."""
     r, weight = scatter_integrals.gauss_legendre(
         np.concatenate([[0.0], np.logspace(-7, -0.2, 80), 1 - np.logspace(-0.5, -9, 40), [1.0]]), 12
     )

@@ -28,7 +28,6 @@ def test_conics_and_rims_of_the_phone_camera():
 
 @pytest.mark.parametrize("shape", [STEEP, (-1 / 9.162, 0.0, (0.0373187, -0.0089176)), (0.05, -1.3, ())])
 def test_derivative_against_central_differences(shape):
-    """By NumPy, and both functions with Dr.Jit's arrays."""
     r2, h = np.linspace(1e-3, 1.06**2, 40), 1e-6
     slope = sag_derivative(r2, *shape)
     np.testing.assert_allclose(slope, (sag(r2 + h, *shape) - sag(r2 - h, *shape)) / (2 * h), rtol=1e-8)

@@ -1,8 +1,4 @@
-"""Stacks against tables, against `tmm` and against closed forms, in NumPy and in Dr.Jit at both precisions.
-
-All of it is computed in float64 whatever the precision of the arrays, so float32 results differ from float64 ones by
-the rounding of arguments and result only.
-"""
+"""Stacks against tables, `tmm` and closed forms, in NumPy and in Dr.Jit; float32 has rounded arguments only."""
 
 from __future__ import annotations
 

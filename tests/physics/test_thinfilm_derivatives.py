@@ -124,7 +124,6 @@ def test_forward(case):
 
 
 def test_real_layers():
-    """Layers given as real arrays take another path through the formulas."""
     stack, degrees = CASES["frustrated total reflection"]
     weights, cosine = np.array([1.0, 0.5, -0.3, 2.0]), np.cos(np.radians(degrees))
     expected = np.tensordot(weights, differences(stack, cosine)[:4, :, :2], axes=1)
@@ -137,7 +136,6 @@ def test_real_layers():
 
 @pytest.mark.parametrize("result", range(4))
 def test_other_arguments(result):
-    """R or T, s or p, by both outer indices, the wavelength and the cosine."""
     point, steps = (1.2, 1.5, 0.3, 550.0, 0.7), (1e-3, 1e-3, 1e-3, 1e-1, 1e-3)
 
     def run(n_incident: Any, n_substrate: Any, k_substrate: Any, wavelength: Any, cosine: Any) -> Any:

@@ -171,7 +171,6 @@ def test_a_lens_of_optiland_has_the_same_rays():
     ("kind", "value"), [("EPD", 11.0), ("imageFNO", 6.0), ("objectNA", 0.05), ("float_by_stop_size", 9.0)]
 )
 def test_an_aperture_of_optiland_is_as_wide_here(kind, value):
-    """An object 150 mm in front of a lens."""
     optic = bench(
         {"radius": 60, "thickness": 4, "material": "N-BK7"}, {"radius": -80, "thickness": 5},
         {"thickness": 100, "is_stop": True}, first=150, aperture=(kind, value), fields=("object_height", ((0, 3),)),

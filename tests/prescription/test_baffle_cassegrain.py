@@ -72,11 +72,7 @@ def test_no_line_from_the_detector_passes_the_secondary_baffle():
 
 @pytest.mark.parametrize("field_deg", [0.0, FIELD_DEG])
 def test_nothing_of_the_field_is_cut(field_deg):
-    """
-    The beam passes inside of A and around the tube behind the primary, and into the tube behind the secondary.
-
-    The oracle's telescope is one: f = 2000 mm, image on the detector.
-    """
+    """The beam passes inside of A, around the tube and into it; the oracle's telescope has f = 2000 mm and an image."""
     made = baffles()
     (r_a, z_a), (r_b, z_b) = made.outer_rim, made.inner_rim
     before, between, behind = beam(field_deg)

@@ -138,7 +138,6 @@ def test_light_beyond_direct_deg_does_not_meet_the_optic(key):
 
 
 def test_lengths_and_numbers():
-    """A wider exclusion angle needs fewer vanes, and a shorter hood."""
     length = hood_length(10.0, 5.0, 30.0)
     opening = 10.0 + length * math.tan(math.radians(5.0))
     assert math.degrees(math.atan((opening + 10.0) / length)) == pytest.approx(30.0, abs=1e-12)
@@ -220,7 +219,6 @@ def test_impossible_tubes_edges_hoods_and_stages():
 
 @pytest.mark.parametrize("clearance", [0.0, 0.5])
 def test_the_optic_sees_nothing_of_the_outer_stage(clearance):
-    """Neither stage has a first-order path."""
     baffle = two_stage_baffle("b", clearance=clearance, **STAR_TRACKER)
     outer, inner = baffle.outer, baffle.inner
     both = {"z_rear": inner.z_rear, "optic_radius": inner.optic_radius, "vanes": (*outer.vanes, *inner.vanes)}

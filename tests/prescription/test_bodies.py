@@ -176,12 +176,7 @@ class TestPlate:
     @pytest.mark.parametrize(("a", "b", "turn_deg"), [(6.0, 4.0, 0.0), (1.5, 9.0, 25.0)])
     @pytest.mark.parametrize("field_deg", [0.0, 20.0])
     def test_an_elliptical_hole(self, a: float, b: float, turn_deg: float, field_deg: float) -> None:
-        """
-        π a b straight on; aslant what the ellipse shares with itself, moved along y by 2 tan 20°.
-
-        Drawn out to unit circles the move is s = 2 tan 20° · |(sin φ/a, cos φ/b)|, and two circles share
-        2 acos(s/2) - s √(1 - s²/4), times a b.
-        """
+        """π a b straight on; aslant what the ellipse shares with itself, moved along y by 2 tan 20°: unit circles."""
         hole = OutlineFigure("ellipse", "-", 2.0, 1.0, turn_deg, (a, b))
         t = behind(Outline((*rectangle(30.0, 30.0).figures, hole)), 11.0, 2.0, 1.0, field_deg)
         phi, cosine = math.radians(turn_deg), math.cos(math.radians(field_deg))

@@ -64,7 +64,6 @@ def test_light_beside_the_pupil_does_not_bypass_the_lens():
 
 
 def test_a_source_states_its_pupil_whatever_its_size():
-    """A source narrower than the pupil that it states counts whole."""
     for radius, share in ((5.0, 0.64), (4.0, 1.0), (3.0, 1.0)):
         source = {"type": "collimated", "radius": radius, "pupil_area": math.pi * 16}
         assert mi.load_dict(source).pupil_share == pytest.approx(share)
@@ -82,12 +81,7 @@ def test_a_source_states_its_pupil_whatever_its_size():
     ],
 )
 def test_derivatives_of_an_imported_lens(name, field_deg, beam, steps):
-    """
-    Against differences of the changed scene with the same rays, of the exact beam one-sided ones at two steps.
-
-    3 standard errors of both, once in 370 a key: 200 to 600 of the rays cross the rim in a step, their share is known
-    to 6 %.
-    """
+    """Against differences with the same rays, whose share is known to 6 %; 3 standard errors: once in 370 a key."""
     scene = from_optiland(getattr(optiland("samples.objectives"), name)(), beam=beam).to_scene()
     params = mi.traverse(scene)
     light = transmission(scene, field_deg=field_deg, wavelength_nm=587.6, rays=30_000)

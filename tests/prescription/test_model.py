@@ -106,7 +106,6 @@ def test_surfaces_that_cross():
 
 
 def test_stops_and_names():
-    """A stop has three faces, or one that is thin."""
     assert "radius = 5 mm" in message(Stop, 5.0, 0.0, 0.1, 4.0, 6.0)
     assert "swap them" in message(Stop, 1.0, 0.2, 0.1, 4.0, 6.0)
     for name in ("", "a.b", " a", "=a", "a\nb"):

@@ -201,7 +201,6 @@ def test_glasses(lens):
 
 
 def test_a_private_catalogue_is_exact_at_its_points_and_smooth_between(lens):
-    """Wavelengths and indices in the same order, which need not be a rising one."""
 
     def index(wavelength):
         return 1.5 + 6e3 / wavelength**2

@@ -116,7 +116,6 @@ def test_semi_diameters_where_they_fit_the_f_number(tmp_path):
 
 
 def test_equal_faces_without_a_space_are_cement(tmp_path):
-    """As the same lens with one face between its glasses."""
     head = SINGLET.partition("50.0   5.0")[0]
     apart = "50 5 1.6 60 16 1\n-60 0 1 0 16 0\n-60 3 1.7 30 16 1\n-300 1 1 0 16 0\nstop 70 1 0 9.4 0\n"
     joined = "50 5 1.6 60 16 1\n-60 3 1.7 30 16 1\n-300 1 1 0 16 0\nstop 70 1 0 9.4 0\n"

@@ -156,7 +156,6 @@ def test_bad_files(tmp_path):
 
 
 def test_coatings_of_layers(tmp_path):
-    """A coating of the file is R and T, or a recipe of `Coating`."""
     layers = {"layers": "MgF2 99.6, 2.1 0.5w", "design_nm": 500.0}
     shared = {"preset": "bbar3", "name": "ar"}
     change = {"lenses": layers, "window, IR filter": shared}

@@ -80,7 +80,6 @@ def test_without_optiland(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", ["CookeTriplet", "DoubleGauss", "HeliarLens", "Telephoto"])
 def test_lenses_that_optiland_wrote(name: str, tmp_path: Path) -> None:
-    """Radii have seven digits in the file."""
     samples, writer = peers.optiland("samples.objectives"), peers.optiland("fileio.oslo")
     path = tmp_path / f"{name} of optiland.len"
     optic = getattr(samples, name)()

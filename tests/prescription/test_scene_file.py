@@ -54,7 +54,6 @@ SYSTEM = Prescription(
 
 
 def test_dictionary_and_file_load_to_the_same_scene(tmp_path):
-    """A named coating is one object with one key."""
     SYSTEM.to_xml(tmp_path / "scene.xml")
     scenes = [SYSTEM.to_scene(), mistray.load(tmp_path / "scene.xml")]
     assert_same(*scenes)

@@ -26,7 +26,6 @@ def build(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_xml_is_what_the_prescription_gives(name):
-    """If this fails, run: python -m mistray.scenes."""
     assert (SCENES / name / "scene.xml").read_text(encoding="utf-8") == xml_text(build(name))
 
 

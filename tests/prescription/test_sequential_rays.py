@@ -241,11 +241,7 @@ def test_a_stop_in_the_rear_focus_is_telecentric_of_itself():
 
 
 def test_mirrors():
-    """
-    One mirror: f = R/2. A flat at 45° changes nothing, and the focus lies along the light.
-
-    Two: f = f1 f2 / (f1 + f2 - d), back focus f (f1 - d) / f1, with f2 < 0. A thin lens at 2f : 2f magnifies by -1.
-    """
+    """f = R/2; of two f1 f2/(f1 + f2 - d), back focus f (f1 - d)/f1; a flat changes nothing; at 2f it is -1."""
 
     def of(*rows: Row, **system: float):
         return first_order(lens(*rows, **({"aperture": 20.0} | system)))
@@ -266,7 +262,6 @@ def test_mirrors():
 
 
 def test_edge_rays_meet_the_rim_of_the_stop():
-    """Also at 25°, where the paraxial pupil is far off."""
     lens = singlet(fields=((0.0, 0.0), (0.0, 15.0), (10.0, 20.0)), wavelengths_nm=(486.1, 587.6, 656.3),
                    weights=(1.0, 1.0, 1.0), primary=1)  # fmt: skip
     rays = edge_rays(lens)

@@ -200,7 +200,6 @@ def test_what_no_file_holds_is_refused(tmp_path):
 
 @pytest.mark.parametrize("kind", sorted(FREEFORMS))
 def test_freeforms_come_back(kind, tmp_path):
-    """A file that says inches has a surface so much larger."""
     base = {"radius": math.inf, "conic": 0.0} if kind == "TILTSURF" else {"radius": 80.0, "conic": -0.5}
     row = Row(1, semi_diameter=5.0, **base, **FREEFORMS[kind])
     file = tmp_path / "lens.zmx"

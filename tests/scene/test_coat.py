@@ -77,7 +77,6 @@ class TestLight:
         assert bsdfs(one)["iris_front"].scatterers[0].model.name == "flat_black"
 
     def test_a_scene_that_travels(self, file: Path) -> None:
-        """Another process loads the coated scene, with its source."""
         scene = mistray.coat(file, {"B_rear": "bbar4"}, sources="beam:radius=1")
         again = source_of(scene).load()
         assert texts(again) == texts(scene)
@@ -147,7 +146,6 @@ class TestPatterns:
 
 
 def test_wrong_rules(file: Path, tmp_path: Path) -> None:
-    """One line, and nothing is written."""
     for rules, words in (
         ({"coatings": {"C*": "bbar3"}}, "'C\\*=bbar3' fits no surface and no part; the nearest names are"),
         ({"coatings": {"iris*": "bbar3"}}, "'iris_front' is opaque; give an opaque coating, such as"),
@@ -170,7 +168,6 @@ def test_wrong_rules(file: Path, tmp_path: Path) -> None:
 
 
 def test_wrong_rules_by_all_ways_in(file: Path, capsys: Captured) -> None:
-    """A prescription, a file, the command that writes and those that trace."""
     words = "'Z=bbar3' fits no surface and no part"
     for system in (lens(), file):
         with pytest.raises(MistrayError, match=words):
@@ -203,7 +200,6 @@ class TestCommand:
         assert record["files"] == [str(new)]
 
     def test_options_of_a_trace(self, file: Path, tmp_path: Path, capsys: Captured) -> None:
-        """The numbers of a trace with --coating are those of the coated file."""
         succeeds(capsys, "coat", file, "?*=bbar3", "-o", tmp_path / "new.xml")
         results = []
         for words in ([tmp_path / "new.xml"], [file, "--coating", "?*=bbar3"]):
@@ -214,7 +210,6 @@ class TestCommand:
 
     @pytest.mark.long
     def test_import(self, tmp_path: Path, capsys: Captured) -> None:
-        """A lens is coated as it is read, as its scene would be."""
         source = find("phone_camera").with_name("prescription.json")
         rules = ["--coating", "L*=bbar4", "--paint", "barrel_*=good_black_paint"]
         rules += ["--scatter", "L1=harvey_shack rms_nm=1"]

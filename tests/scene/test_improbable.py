@@ -37,7 +37,6 @@ def told(given: dict[str, Any]) -> list[str]:
 
 
 def test_names_surface_value_and_range() -> None:
-    """A shared model speaks once."""
     polish = {"type": "abg", "A": 1e-4, "B": 1e-3, "g": 1.8}
     harvey = {"type": "harvey_shack", "b0": 0.1, "l": 0.3, "s": -1.5}
     others = {"A": 1e-6, "B": 1e-8, "g": 2.5}, {"A": 1.0, "B": 1e-8, "g": 2.0, "relative_to": "incident"}
@@ -64,7 +63,6 @@ def test_shipped_scenes_are_probable(name: str) -> None:
 
 @pytest.mark.long
 def test_the_command_line_shows_it(tmp_path: Path) -> None:
-    """One line on stderr, without the place in the source."""
     values = "".join(f'<float name="{name}" value="{x}"/>' for name, x in (("A", 1e-4), ("B", 1e-3), ("g", 1.8)))
     abg = f'<bsdf type="abg">{values}</bsdf>'
     wall = interface_xml(R=0.9).replace("</bsdf>", f"{abg}</bsdf>")

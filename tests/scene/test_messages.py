@@ -22,7 +22,6 @@ def nested(levels: int) -> str:
 
 
 def test_deep_files_are_refused(tmp_path: Path) -> None:
-    """Included ones, too; what is no XML is left to the reader."""
     path, whole = tmp_path / "deep.xml", tmp_path / "scene.xml"
     whole.write_text('<scene version="3.0.0"><include filename="deep.xml"/><include filename="scene.xml"/></scene>')
     for levels in (DEEPEST + 1, 20_000):
@@ -78,7 +77,6 @@ def test_what_is_no_number_is_refused(tmp_path: Path) -> None:
     ],
 )
 def test_numbers_of_transforms(tmp_path: Path, operation: str, words: str) -> None:
-    """Mitsuba makes 0 of what is empty, and the unit matrix's last row of any."""
     said = refusal(tmp_path, LENS.format(f'<transform name="to_world">{operation}</transform>'))
     assert "shape 'L1': to_world: " in said
     assert words in said
@@ -154,7 +152,6 @@ def test_messages(tmp_path: Path, text: str, words: str) -> None:
 
 
 def test_numbers_of_dicts(tmp_path: Path) -> None:
-    """Of stock plugins too, which say nothing."""
     box = {"type": "interface", "R": 0.0}
     tipped = mi.ScalarTransform4f([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 0]])
     for part, words in (

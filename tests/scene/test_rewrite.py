@@ -144,7 +144,6 @@ class TestText:
         ],
     )
     def test_where_values_go(self, values: dict[str, Any], tmp_path: Path) -> None:
-        """Each into one line at most, and nothing else changes."""
         source = write(tmp_path, SCENE)
         gone, new = changes(SCENE, rewritten(source, values, tmp_path))
         assert len(gone) <= 1

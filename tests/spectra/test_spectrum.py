@@ -45,11 +45,7 @@ def test_bands_of_a_blackbody(kelvin: float) -> None:
 
 
 def test_lamps_of_standards() -> None:
-    """
-    Until 1979 a blackbody at the freezing point of platinum, 2042 K, had 60 cd/cm² by definition.
-
-    The sun: 1366.1 W/m² in all; parts of the standard's 1697 values by the trapezoidal rule, W/m²; 133 klx.
-    """
+    """The candela until 1979 was that of platinum, 2042 K; parts of the sun by the trapezoidal rule; 133 klx."""
     assert spectrum("blackbody:2042").lumens == pytest.approx(0.6, rel=5e-3)
     sun = spectrum("am0")
     assert sun.energy(119.5, 1e6) == pytest.approx(1366.1e-6, rel=1e-5)
@@ -76,7 +72,6 @@ def test_lines() -> None:
 
 
 def test_lumens_are_of_the_whole_spectrum() -> None:
-    """A watt in a part of the visible light goes with all lumens of the lamp."""
     narrow, wide = light_of("blackbody:3000", (500, 600), 3), light_of("blackbody:3000")
     lamp = spectrum("blackbody:3000")
     ratio = lamp.energy(400, 700) / lamp.energy(500, 600)
@@ -174,7 +169,6 @@ WRONG: tuple[dict[str, Any], ...] = (
 
 @pytest.mark.parametrize("wrong", [*({"spectrum": text} for text in SPECTRA), *WRONG], ids=str)
 def test_bad_spectra(wrong: dict[str, Any]) -> None:
-    """One line that names the source; prescriptions refuse the same."""
     own = dict(wrong)
     for key in {"band_nm", "weights", "wavelength_nm"} & own.keys():
         own[key] = tuple(float(word) for word in str(own[key]).split(","))

@@ -132,7 +132,6 @@ OUTLINE = Outline(
 
 
 def test_the_kernel_keeps_to_an_outline() -> None:
-    """Against figures written out here."""
     rng = np.random.default_rng(2)
     x, y = rng.uniform(-14, 14, (2, 4000))
     c, s = np.cos(np.radians(30)), np.sin(np.radians(30))

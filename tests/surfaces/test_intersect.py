@@ -1,8 +1,4 @@
-"""First hits of the kernel against the float64 oracle, which solves by subdivision with rigorous bounds.
-
-The kernel works in float32: a ray for which the oracle changes its mind when it is moved by `NUDGE` of the scene's size
-is fragile and left out; all others must agree.
-"""
+"""First hits of the kernel against the float64 oracle, but for rays that change their mind when moved by `NUDGE`."""
 
 from __future__ import annotations
 
@@ -213,7 +209,6 @@ def test_rays_through_the_scene(scene: Scene) -> None:
 
 
 def test_rays_that_leave_a_surface(scene: Scene) -> None:
-    """Also second hits of the surface just left: inside of a tube or of a bowl."""
     rays = scene.leaving(15_000, seed=2)
     hits, fragile = scene.compare(rays)
     assert fragile < 1e-3 * hits

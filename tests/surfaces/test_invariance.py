@@ -106,7 +106,6 @@ class TestRepeats:
         assert_same(a, c)
 
     def test_a_scene_can_be_traced_again_and_again(self) -> None:
-        """Neither the shapes nor their names change by a trace."""
         scene = mistray.load("lens_and_reflector")
         names = [shape.id() for shape in scene.shapes()]
         first = mistray.trace(scene, rays=400)

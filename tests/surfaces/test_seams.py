@@ -121,11 +121,7 @@ def test_nor_one_of_many_surfaces(front: str, wall: str, monkeypatch: pytest.Mon
 
 
 def test_light_at_a_seam_does_not_come_in(monkeypatch: pytest.MonkeyPatch) -> None:
-    """
-    A beam from outside, some roundings wide, at the rear corner of a painted can.
-
-    The wall is met first, but by less than a rounding: some rays would be scattered from the board, which is inside.
-    """
+    """A beam some roundings wide at a corner: the wall is met before the board inside, by less than a rounding."""
     radius, end = 14.0, PLACE + 41.704
     paint = {"type": "interface", "R": 0.0, "model": {"type": "paint", "reflectance": 0.9}}
     place = mi.ScalarTransform4f().translate([0, -radius, end])

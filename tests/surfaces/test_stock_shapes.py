@@ -1,8 +1,4 @@
-"""Stock Mitsuba shapes and triangle meshes beside the analytic surfaces: they are hit, split and booked like these.
-
-Mitsuba finds their hits in float32, with an error that grows with the distance; a ray that leaves such a surface does
-not meet it again within a few roundings. Positions are therefore compared to 1e-5 of the scene's size.
-"""
+"""Stock shapes and meshes beside analytic surfaces are hit, split and booked like these."""
 
 from __future__ import annotations
 
@@ -94,7 +90,6 @@ class TestDetector:
 
 class TestBallLens:
     def test_against_the_float64_oracle(self, load_text) -> None:
-        """A sphere of glass."""
         ball = stock("sphere", "ball", '<float name="radius" value="5"/>', bsdf=BALL)
         screen = shape_xml("asphere", "detector", 9.0, sensor=True, half_width=12.0, half_height=12.0)
         scene, model = load_text(scene_text(ball, screen, radius=3.0))
@@ -177,7 +172,6 @@ class TestMixtures:
         assert b.paths[0].events == a.paths[0].events
 
     def test_mesh_in_a_dict(self) -> None:
-        """`mi.load_dict` with a mesh object that was made in Python."""
         mesh = mi.Mesh("wall", 4, 2)
         params = mi.traverse(mesh)
         params["vertex_positions"] = [-2, -2, 1, 2, -2, 1, 2, 2, 1, -2, 2, 1]
