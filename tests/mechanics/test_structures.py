@@ -75,9 +75,8 @@ class TestPaint:
         assert [mesh.name for mesh in meshes] == ["bracket_mesh", "bracket_mesh_2"]
         sizes = {bool(m.scatter): mi.load_dict({"type": "ply", "filename": m.file}).face_count() for m in meshes}
         assert sizes == {True: 2, False: 10}
-        assert {(shape.coating, shape.space) for shape in shapes.values() if not shape.scatter} == {
-            (Coating(R=0.0), -1)
-        }
+        plain = [shape for shape in shapes.values() if not shape.scatter]
+        assert {(shape.coating, shape.space) for shape in plain} == {(Coating(R=0.0), -1)}
 
     def test_one_side(self, assembly: Mechanics, tmp_path: Path) -> None:
         """Paint on the outside: behind a mesh; in front of a bore, whose normal points into the body."""
@@ -164,13 +163,9 @@ class TestScenes:
         names = {shape.name for shape in assembly.to_xml(tmp_path / "mount.xml")}
         including = SCENE.replace("</scene>", '    <include filename="mount.xml"/>\n</scene>')
         scene_file.write_text(including, encoding="utf-8")
-        system = mistray.Prescription(
-            name="mount",
-            surfaces=(),
-            structures=assembly.structures(tmp_path),
-            detector=mistray.Detector(z=60.0, semi_diameter=5.0),
-            source=mistray.Source(radius=2.0),
-        ).with_scatter({"bracket": [Scatter("paint", {"reflectance": 0.05})]})
+        parts = {"surfaces": (), "structures": assembly.structures(tmp_path), "source": mistray.Source(radius=2.0)}
+        system = mistray.Prescription(name="mount", detector=mistray.Detector(z=60.0, semi_diameter=5.0), **parts)
+        system = system.with_scatter({"bracket": [Scatter("paint", {"reflectance": 0.05})]})
         for scene in (mistray.load(scene_file), system.to_scene()):
             loaded = {shape.id(): shape for shape in scene.shapes()}
             assert set(loaded) == names | {"detector"}

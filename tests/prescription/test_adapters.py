@@ -90,22 +90,19 @@ def test_what_rayoptics_has_and_we_do_not():
     assert [entry.text for entry in found.unread] == ["interface 2: edge Circular"]
 
 
-@pytest.mark.parametrize(
-    ("kind", "numbers"),
-    [
+def test_profiles_of_rayoptics():
+    for kind, numbers in (
         ("EvenPolynomial", {"r": 50.0, "cc": -0.4, "coefs": [1e-3, 1e-6, 0.0, 1e-12]}),
         ("RadialPolynomial", {"r": 50.0, "cc": -0.4, "coefs": [1e-3, 2e-3, -1e-5, 1e-6]}),
         ("YToroid", {"r": 50.0, "rR": 80.0, "cc": 0.2, "coefs": [1e-3, 1e-6]}),
-    ],
-)
-def test_profiles_of_rayoptics(kind, numbers):
-    model = file_and_model("CODV_32327.seq")[1]
-    profile = getattr(peers.rayoptics("elem.profiles"), kind)(**numbers)
-    model["seq_model"].ifcs[1].profile = profile
-    row = from_rayoptics(model).rows[0]
-    points = np.random.default_rng(1).uniform(-3, 3, (20, 2))
-    theirs = [float(profile.sag(x, y)) for x, y in points]
-    assert freeform_sag(*points.T, row.sag_numbers) == pytest.approx(np.array(theirs), abs=1e-9)
+    ):
+        model = file_and_model("CODV_32327.seq")[1]
+        profile = getattr(peers.rayoptics("elem.profiles"), kind)(**numbers)
+        model["seq_model"].ifcs[1].profile = profile
+        row = from_rayoptics(model).rows[0]
+        points = np.random.default_rng(1).uniform(-3, 3, (20, 2))
+        theirs = [float(profile.sag(x, y)) for x, y in points]
+        assert freeform_sag(*points.T, row.sag_numbers) == pytest.approx(np.array(theirs), abs=1e-9)
 
 
 def bench(*surfaces, aperture=("EPD", 8), fields=("angle", ((0, 2),)), microns=(0.5876,), first=np.inf):
@@ -141,9 +138,8 @@ def mirror_and_lens(aperture=None, **system):
 def ends_by_optiland(optic, positions, directions, wavelength_nm):
     """Points on the image and directions there."""
     count = len(positions)
-    rays = peers.optiland("rays").RealRays(
-        *positions.T, *directions.T, np.ones(count), np.full(count, wavelength_nm / 1e3)
-    )
+    last = np.ones(count), np.full(count, wavelength_nm / 1e3)
+    rays = peers.optiland("rays").RealRays(*positions.T, *directions.T, *last)
     optic.surfaces.trace(rays)
     return np.stack([rays.x, rays.y, rays.z], axis=1), np.stack([rays.L, rays.M, rays.N], axis=1)
 

@@ -42,9 +42,8 @@ def passes(tube, point, directions, z_end):
         way = (vane.z - point[2]) / directions[:, 2]
         between = (way > 0) & (np.abs(vane.z - point[2]) <= abs(z_end - point[2]))
         x, y = (point[i] + way * directions[:, i] for i in (0, 1))
-        wall = tube.wall_front + (tube.wall_rear - tube.wall_front) * (vane.z - tube.z_front) / (
-            tube.z_rear - tube.z_front
-        )
+        share = (vane.z - tube.z_front) / (tube.z_rear - tube.z_front)
+        wall = tube.wall_front + (tube.wall_rear - tube.wall_front) * share
         free &= ~between | (np.hypot(x, y) <= min(vane.radius, wall))
     return free
 

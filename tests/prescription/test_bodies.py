@@ -144,9 +144,8 @@ def behind(outline: Outline, half: float, x: float, y: float, field_deg: float, 
     """Of a square beam that meets a plate of 2 mm about a point of it, the trace."""
     beam = Source(half_width=half, half_height=half, x=x, y=y - 15 * math.tan(math.radians(field_deg)), z=-5.0)
     screen = Detector("behind", z=30.0, half_width=60.0, half_height=60.0)
-    return traced(
-        *plate("plate", outline, 2.0, z=10.0), detectors=(screen,), source=beam, rays=rays, field_deg=field_deg
-    )
+    settings = {"detectors": (screen,), "source": beam, "rays": rays, "field_deg": field_deg}
+    return traced(*plate("plate", outline, 2.0, z=10.0), **settings)
 
 
 class TestPlate:

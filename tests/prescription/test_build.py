@@ -225,9 +225,8 @@ def test_surfaces_that_would_cross_end_where_they_meet():
     assert any("'S2' and 'S3' cross" in note for note in built.notes)
 
 
-@pytest.mark.parametrize(
-    ("labels", "names", "parts"),
-    [
+def test_names_of_surfaces_and_bodies():
+    for labels, names, parts in (
         # Those that mistray's own scenes have, also with a blank; the body is called as both faces
         ("L1_front;L1 rear;L2 front;L2_rear", "L1_front L1_rear L2_front L2_rear", "L1 L2"),
         ("window front;window_rear;;", "window_front window_rear S3 S4", "window L2"),
@@ -237,14 +236,12 @@ def test_surfaces_that_would_cross_end_where_they_meet():
         ("L1;L2_edge;S7;S4", "S1 S2 S3 S4", "L1 L2"),
         ("detector;Detector window;board_left;boards", "S1 Detector_window S3 boards", "L1 L2"),
         ("front lens;a.b;twin;twin", "front_lens a_b S3 S4", "L1 L2"),
-    ],
-)
-def test_names_of_surfaces_and_bodies(labels, names, parts):
-    named = zip(triplet().rows, [*labels.split(";"), *8 * [""]], strict=False)
-    rows = [replace(row, label=name) for row, name in named]
-    prescription = to_prescription(triplet().with_rows(rows))
-    assert [s.name for s in prescription.surfaces][:4] == names.split()
-    assert [s.part for s in prescription.surfaces][:4:2] == parts.split()
+    ):
+        named = zip(triplet().rows, [*labels.split(";"), *8 * [""]], strict=False)
+        rows = [replace(row, label=name) for row, name in named]
+        prescription = to_prescription(triplet().with_rows(rows))
+        assert [s.name for s in prescription.surfaces][:4] == names.split()
+        assert [s.part for s in prescription.surfaces][:4:2] == parts.split()
 
 
 def test_every_name_that_is_not_kept_is_told():

@@ -43,9 +43,7 @@ def test_a_triplet_images_as_its_table_does(field_deg):
     t = mistray.trace(prescription.to_scene(), rays=RAYS, field_deg=field_deg, max_reflections=0)
     (path,) = t.paths
     hits, _ = trace(TRIPLET, *beam(prescription, field_deg))
-    clear = {surface.name: surface.semi_diameter for surface in prescription.surfaces} | {
-        "S5": prescription.stop.radius
-    }
+    clear = {"S5": prescription.stop.radius, **{face.name: face.semi_diameter for face in prescription.surfaces}}
     radii = np.array([clear.get(f"S{row.number}", np.inf) for row in TRIPLET.rows])
     passed = (np.hypot(hits[..., 0], hits[..., 1]) <= radii[:, None]).all(axis=0)
     share = t.energy.detected_W / t.energy.launched_W
@@ -193,9 +191,8 @@ def test_lenses_after_a_mirror_are_closed_though_light_runs_backwards():
     built = build(catadioptric)
     shapes = by_name(built.prescription)
     # It stands in the light that comes to the mirror: 0.41² of it, of five rings
-    assert "the lens between 'S3' and 'S2' stands in the beam on its way to surface 1 and takes about 20 % of it" in (
-        built.notes
-    )
+    note = "the lens between 'S3' and 'S2' stands in the beam on its way to surface 1 and takes about 20 % of it"
+    assert note in built.notes
     assert (shapes["S2"].front, shapes["S2"].back) == ("1.6", "air")
     assert (shapes["S3"].front, shapes["S3"].back) == ("air", "1.6")
     edge = shapes["L1_edge"]

@@ -37,9 +37,8 @@ def message(function, *arguments, **keywords):
     return text
 
 
-@pytest.mark.parametrize(
-    ("part", "values", "wanted"),
-    [
+def test_bad_parts():
+    for part, values, wanted in (
         (Surface, {"semi_diameter": -5.0}, "surface 'x': semi_diameter = -5 mm; it must be greater than 0"),
         (Surface, {"half_width": 1.0}, "give either semi_diameter, both half sizes or an outline"),
         (Surface, {"semi_diameter": 1.0, "inner_semi_diameter": 1.0}, "between 0 and the outer radius 1 mm"),
@@ -72,10 +71,8 @@ def message(function, *arguments, **keywords):
         (Prescription, {"surfaces": (Surface("s", z=20.0, semi_diameter=3.0),), "detector": DETECTOR}, "coincide"),
         (Prescription, {"surfaces": lens(front=AR, rear=replace(AR, preset="bbar4"))}, "coatings are called 'ar'"),
         (Prescription, {"surfaces": lens(front=replace(AR, name="L1_rear"))}, "a shape and a coating are called"),
-    ],
-)
-def test_bad_parts(part, values, wanted):
-    assert wanted in message(part, **({} if part is Source else {"name": "x"}) | values)
+    ):
+        assert wanted in message(part, **({} if part is Source else {"name": "x"}) | values)
 
 
 def test_which_coatings_have_layers_and_are_opaque():

@@ -87,10 +87,8 @@ def test_lens_that_light_crosses_downwards(rubin):
     assert float(apochromat.surfaces[0].front) > 1.3
     # The group of the LSST is closed by walls
     walls = {s.name: s for s in rubin.structures}
-    assert set(walls) == {
-        *(f"{part}_edge" for part in ("L1", "L2", "Filter", "L3")),
-        *(f"barrel_{k}_wall" for k in (1, 2, 3, 4)),
-    }
+    edges = [f"{part}_edge" for part in ("L1", "L2", "Filter", "L3")]
+    assert set(walls) == {*edges, *(f"barrel_{k}_wall" for k in (1, 2, 3, 4))}
     assert all(s.coating.R == 0 and s.coating.opaque for s in walls.values())
 
 
@@ -108,9 +106,8 @@ def plate_of_glass(surface, obscuration=None):
     """One interface ahead of a detector."""
     front = batoid.optic.RefractiveInterface(surface, name="front", obscuration=obscuration)
     front.inMedium, front.outMedium = batoid.ConstMedium(1.0), batoid.ConstMedium(1.5)
-    screen = batoid.optic.Detector(
-        batoid.Plane(), name="D", coordSys=batoid.CoordSys(origin=np.array([0, 0, -1.0])), inMedium=front.outMedium
-    )
+    place = batoid.CoordSys(origin=np.array([0, 0, -1.0]))
+    screen = batoid.optic.Detector(batoid.Plane(), name="D", coordSys=place, inMedium=front.outMedium)
     optic = batoid.CompoundOptic([front, screen], name="glass")
     optic.pupilSize, optic.sphereRadius, optic.backDist = 0.2, 1.0, 1.0
     return optic
@@ -214,9 +211,8 @@ def test_prime_focus_detects_what_batoid_passes(field_deg):
 def test_tilts_survive_the_way_through_angles():
     rotation = batoid.RotX(0.3) @ batoid.RotY(-0.2) @ batoid.RotZ(1.1)
     place = batoid.CoordSys(origin=np.array([0.1, -0.2, 0.3]), rot=rotation)
-    optic = batoid.CompoundOptic(
-        [batoid.Mirror(batoid.Plane(), name="flat", obscuration=clear(0.2), coordSys=place)], name="fold"
-    )
+    mirror = batoid.Mirror(batoid.Plane(), name="flat", obscuration=clear(0.2), coordSys=place)
+    optic = batoid.CompoundOptic([mirror], name="fold")
     optic.pupilSize = 0.2
     (flat,) = from_batoid(optic, wavelength_nm=500.0).surfaces
     np.testing.assert_allclose(flat.to_world()[:3, :3], rotation, atol=1e-14)
@@ -229,14 +225,10 @@ def test_a_figure_error_images_as_in_batoid(tmp_path):
     error = 2e-7 * np.sin(5 * x[None, :]) * np.cos(4 * x[:, None])
     bent = batoid.Sum([batoid.Paraboloid(8.0), batoid.Bicubic(x, x, error)])
     focus = batoid.CoordSys(origin=[0, 0, 4.0])
-    optic = batoid.CompoundOptic(
-        [
-            batoid.Mirror(bent, name="mirror", obscuration=clear(0.5)),
-            batoid.Detector(batoid.Plane(), name="detector", coordSys=focus, obscuration=clear(0.05)),
-        ],
-        name="bent", backDist=6.0, pupilSize=1.0, inMedium=batoid.ConstMedium(1.0),
-        stopSurface=batoid.Interface(batoid.Plane()),
-    )  # fmt: skip
+    mirror = batoid.Mirror(bent, name="mirror", obscuration=clear(0.5))
+    film = batoid.Detector(batoid.Plane(), name="detector", coordSys=focus, obscuration=clear(0.05))
+    given = {"backDist": 6.0, "pupilSize": 1.0, "inMedium": batoid.ConstMedium(1.0)}
+    optic = batoid.CompoundOptic([mirror, film], name="bent", stopSurface=batoid.Interface(batoid.Plane()), **given)
     path = tmp_path / "bent mirror.xml"
     from_batoid(optic, wavelength_nm=600.0).to_xml(path)
     assert (tmp_path / "bent mirror_mirror_grid.npz").exists()

@@ -140,9 +140,8 @@ def test_what_cannot_be_read_is_named(tmp_path):
         ("{size}  1\n", "{size}  1 cyl_x\n", "line 9: surface of type 'cyl_x'"),
         ("stop   46.0  1.0 ", "0   46.0  1.5 ", "the last surface has glass behind it"),
     ):
-        path = (
-            written(tmp_path, SINGLET.replace(old, new).format(size=16, stop=9.4)) if old else DATA / "converter.lens"
-        )
+        text = SINGLET.replace(old, new).format(size=16, stop=9.4)
+        path = written(tmp_path, text) if old else DATA / "converter.lens"
         with pytest.raises(MistrayError, match=re.escape(message)) as found:
             read_flaresim(path)
         assert path.name in str(found.value)

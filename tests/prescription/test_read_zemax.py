@@ -90,9 +90,9 @@ def turned(*tilts: float, order: int = 0, x: float = 0.0, thickness: float = 0.0
     return surface("TYPE COORDBRK", *(f"PARM {place} {value}" for place, value in values), f"DISZ {thickness}")
 
 
-@pytest.mark.parametrize(
-    ("text", "x_axis", "z_axis", "origin"),
-    [
+def test_sense_and_order_of_tilts_by_hand(read):
+    """Right-handed rotations about the frame's own axes; the thickness runs along the last z axis."""
+    for text, x_axis, z_axis, origin in (
         (turned(90, 0, 0), (1, 0, 0), (0, -1, 0), (0, 0, 0)),
         (turned(0, 90, 0), (0, 0, -1), (1, 0, 0), (0, 0, 0)),
         (turned(0, 0, 90), (0, 1, 0), (0, 0, 1), (0, 0, 0)),
@@ -102,13 +102,10 @@ def turned(*tilts: float, order: int = 0, x: float = 0.0, thickness: float = 0.0
         (turned(90, 90, 0, order=1), (0, 0, -1), (0, -1, 0), (0, 0, 0)),
         (turned(0, 90, 0, x=2, thickness=5), (0, 0, -1), (1, 0, 0), (7, 0, 0)),
         (turned(0, 90, 0, order=1, x=2, thickness=5), (0, 0, -1), (1, 0, 0), (5, 0, -2)),
-    ],
-)
-def test_sense_and_order_of_tilts_by_hand(text, x_axis, z_axis, origin, read):
-    """Right-handed rotations about the frame's own axes; the thickness runs along the last z axis."""
-    frame = frames(read(text))[1]
-    np.testing.assert_allclose(frame[:3, [0, 2]].T, [x_axis, z_axis], atol=1e-15)
-    np.testing.assert_allclose(frame[:3, 3], origin, atol=1e-14)
+    ):
+        frame = frames(read(text))[1]
+        np.testing.assert_allclose(frame[:3, [0, 2]].T, [x_axis, z_axis], atol=1e-15)
+        np.testing.assert_allclose(frame[:3, 3], origin, atol=1e-14)
 
 
 def test_fold_mirror_by_hand(read):
@@ -149,9 +146,8 @@ def glass(line: str, system: str = "") -> str:
     return SINGLET.replace("GLAS N-BK7 0 0 1.5 40", line).replace(OBJECT, f"{system}\n{OBJECT}")
 
 
-@pytest.mark.parametrize(
-    ("line", "catalogues", "material", "note"),
-    [
+def test_glasses(read):
+    for line, catalogues, material, note in (
         ("GLAS N-BK7 0 0 1.5 40", "SCHOTT", "schott/N-BK7", None),
         ("GLAS SF5 0 0 1.7 20", "HIKARI SCHOTT", "hikari/SF5", None),
         ("GLAS SF5 0 0 1.7 20", "MISC SCHOTT HIKARI", "schott/SF5", None),
@@ -165,13 +161,11 @@ def glass(line: str, system: str = "") -> str:
         ("GLAS ___BLANK 1 0 1,6 38,5 0,01", "", "nd=1.6 Vd=38.5 k=0", "dPgF = 0.01 is not used"),
         ("GLAS ___BLANK 1 0 1.6 0", "", "1.6", None),
         ("GLAS AIR 0 0 1 0", "", "air", None),
-    ],
-)
-def test_glasses(line, catalogues, material, note, read):
-    lens = read(glass(line, f"GCAT {catalogues}"))
-    assert lens.rows[0].material == material
-    found = [(note or "absorption") in each for each in lens.notes]
-    assert any(found) if note else all(found)
+    ):
+        lens = read(glass(line, f"GCAT {catalogues}"))
+        assert lens.rows[0].material == material
+        found = [(note or "absorption") in each for each in lens.notes]
+        assert any(found) if note else all(found)
 
 
 def test_agf_file_and_replacements_go_first(read, tmp_path):
@@ -223,9 +217,8 @@ VIGNETTED = {"fields": ((1.0, 3.0), (2.0, 4.0)), "vignetting": ((0.0, 0.0, 0.0, 
 WAVES = "WAVM 1 0.5875618 1\nPWAV 1"
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "expected"),
-    [
+def test_system_lines(read):
+    for old, new, expected in (
         ("ENPD 8", "FNUM 2.8 0", {"aperture_kind": "f_number", "aperture": 2.8}),
         ("ENPD 8", "OBNA 0.25 0", {"aperture_kind": "object_na", "aperture": 0.25}),
         ("ENPD 8", "OBNA 30 1", {"aperture_kind": "object_na", "aperture": pytest.approx(0.5)}),
@@ -250,13 +243,11 @@ WAVES = "WAVM 1 0.5875618 1\nPWAV 1"
             {"wavelengths_nm": (486.1, 587.6), "weights": (1.0, 0.25), "primary": 0},
         ),
         (WAVES, "", {"wavelengths_nm": (587.56,), "weights": (1.0,), "primary": 0}),
-    ],
-)
-def test_system_lines(old, new, expected, read):
-    text = SINGLET.replace("  STOP", "  STOP\n  DIAM 3.5 0")
-    assert old in text
-    lens = read(text.replace(old, new))
-    assert {key: getattr(lens, key) for key in expected} == expected
+    ):
+        text = SINGLET.replace("  STOP", "  STOP\n  DIAM 3.5 0")
+        assert old in text
+        lens = read(text.replace(old, new))
+        assert {key: getattr(lens, key) for key in expected} == expected
 
 
 def test_an_object_at_a_finite_distance(read):
@@ -298,9 +289,8 @@ def test_coatings(read):
 KNOWN = ["GFAC 0 0", "NOTE 0 hello", "POLS 1 0 1", "GLRS 1 0", "ENVD 20 1 0", "RAIM 0 1", "COFN COATING.DAT", "PWAV"]
 
 
-@pytest.mark.parametrize(
-    ("text", "lines"),
-    [
+def test_lines_without_effect_are_listed(read):
+    for text, lines in (
         (surface("TYPE SZERNSAG", "XDAT 1 2", "XDAT 2 10", "XDAT 9 3", "XDAT 8 0"), ["XDAT 9 3"]),
         (surface("UDAD mask", "DIAM 5 0"), ["UDAD mask"]),
         (surface("OBDC 1 2", "DIAM 5 0"), ["OBDC 1 2"]),
@@ -318,16 +308,14 @@ KNOWN = ["GFAC 0 0", "NOTE 0 hello", "POLS 1 0 1", "GLRS 1 0", "ENVD 20 1 0", "R
         (SINGLET + "\nEFFL 1 2 0\nTOL TOFF\nMNUM 3 1\nTHIC 2 1 5.0", []),
         (SINGLET + "\nEFFL 1 2 0\nTOL TOFF\nMNUM 1 1\nMOFF 0", []),
         (SINGLET.replace("\n  ", "\n") + "\nEFFL 1 2 0", ["EFFL 1 2 0"]),  # could belong to the surface
-    ],
-)
-def test_lines_without_effect_are_listed(text, lines, read):
-    lens = read(text)
-    assert [line.text for line in lens.unread] == lines
-    for line in lens.unread:
-        assert text.splitlines()[line.line - 1].strip() == line.text
-        assert line.reason
-    if not lines:  # those that are known to have no effect
-        assert [replace(row, line=0) for row in lens.rows] == [replace(row, line=0) for row in read(SINGLET).rows]
+    ):
+        lens = read(text)
+        assert [line.text for line in lens.unread] == lines
+        for line in lens.unread:
+            assert text.splitlines()[line.line - 1].strip() == line.text
+            assert line.reason
+        if not lines:  # those that are known to have no effect
+            assert [replace(row, line=0) for row in lens.rows] == [replace(row, line=0) for row in read(SINGLET).rows]
 
 
 def test_no_line_gets_lost(read):

@@ -94,9 +94,8 @@ def test_rays_that_miss_or_are_totally_reflected_are_nan_from_there():
     assert np.isnan(hits[1:, 2]).all()
 
 
-@pytest.mark.parametrize(
-    ("row", "through"),
-    [
+def test_stated_apertures_stop_rays():
+    for row, through in (
         (Row(1, aperture=circle(2.0)), [1, 1, 0, 0, 0]),  # a ray that touches a rim passes
         (Row(1, aperture=circle(2.0, 1.0)), [0, 1, 0, 0, 0]),
         (Row(1, obscuration=circle(2.0)), [0, 1, 1, 1, 0]),
@@ -104,11 +103,9 @@ def test_rays_that_miss_or_are_totally_reflected_are_nan_from_there():
         (Row(1, aperture=rectangle(1.0, 3.5)), [1, 1, 1, 0, 0]),
         (Row(1, semi_diameter=2.0), [1, 1, 1, 1, 0]),  # a drawn radius
         (Row(1, semi_diameter=2.0, semi_diameter_fixed=True), [1, 1, 0, 0, 0]),
-    ],
-)
-def test_stated_apertures_stop_rays(row, through):
-    points = np.array([[0.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 3.0, 0.0], [0.0, 5.0, 0.0], [np.nan, 0.0, 0.0]])
-    assert passes(row, points).tolist() == [bool(passed) for passed in through]
+    ):
+        points = np.array([[0.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 3.0, 0.0], [0.0, 5.0, 0.0], [np.nan, 0.0, 0.0]])
+        assert passes(row, points).tolist() == [bool(passed) for passed in through]
 
 
 def test_batoid_traces_the_same_rays():
@@ -211,9 +208,8 @@ def test_telecentric_object_space_has_parallel_chief_rays():
     assert data.epd == pytest.approx(2 * distance * math.tan(math.asin(na)), rel=1e-13)
     start, heading = launch(lens, data, 1, [[0.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
     assert start == pytest.approx(np.tile([0.0, 4.0, -distance], (3, 1)))
-    assert heading == pytest.approx(
-        np.array([[0, 0, 1], [0, na, math.sqrt(1 - na * na)], [-na, 0, math.sqrt(1 - na * na)]]), abs=1e-13
-    )
+    along = math.sqrt(1 - na * na)
+    assert heading == pytest.approx(np.array([[0, 0, 1], [0, na, along], [-na, 0, along]]), abs=1e-13)
     rays = edge_rays(lens)
     # In the plane of the first vertex the beam of the outer field reaches 4 mm + 30 mm tan(asin 0.1)
     flat = edge_rays(lens.with_rows([Row(9), *lens.rows]))

@@ -64,9 +64,8 @@ def test_what_is_no_number_is_refused(tmp_path: Path) -> None:
         assert "must be a number" in said or "beyond the range" in said
 
 
-@pytest.mark.parametrize(
-    ("operation", "words"),
-    [
+def test_numbers_of_transforms(tmp_path: Path) -> None:
+    for operation, words in (
         ('<translate z=""/>', "z of <translate> is ''"),
         ('<translate value="1 2"/>', "give 1 or 3 numbers, not 2"),
         ('<rotate angle="" z="1"/>', "angle of <rotate> is ''"),
@@ -74,12 +73,10 @@ def test_what_is_no_number_is_refused(tmp_path: Path) -> None:
         ('<matrix value=""/>', "give 9 or 16 numbers"),
         ('<matrix value="1 0 0 0  0 1 0 0  0 0 1 0  0 0 0 0"/>', "'0 0 0 0' as its last row"),
         ('<matrix value="1 0 0 0  0 1 0 0  0 0 x 0  0 0 0 1"/>', "holds 'x'"),
-    ],
-)
-def test_numbers_of_transforms(tmp_path: Path, operation: str, words: str) -> None:
-    said = refusal(tmp_path, LENS.format(f'<transform name="to_world">{operation}</transform>'))
-    assert "shape 'L1': to_world: " in said
-    assert words in said
+    ):
+        said = refusal(tmp_path, LENS.format(f'<transform name="to_world">{operation}</transform>'))
+        assert "shape 'L1': to_world: " in said
+        assert words in said
 
 
 def test_other_numbers_are_taken_as_they_are(tmp_path: Path) -> None:

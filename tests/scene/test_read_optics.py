@@ -140,9 +140,8 @@ def named(tmp_path: Path, body: str, *files: str) -> list[str]:
     return [path.relative_to(scene.parent.resolve()).as_posix() for path in others]
 
 
-@pytest.mark.parametrize(
-    ("value", "file"),
-    [
+def test_values(tmp_path: Path) -> None:
+    for value, file in (
         ("part.ply", "part.ply"),
         ("./glass.agf:F2", "glass.agf"),
         ("parts/my lens part.ply", "parts/my lens part.ply"),
@@ -153,11 +152,9 @@ def named(tmp_path: Path, body: str, *files: str) -> list[str]:
         ("no_such_file.csv", ""),
         (".", ""),
         ("1.5 " * 500, ""),
-    ],
-)
-def test_values(tmp_path: Path, value: str, file: str) -> None:
-    files = {"my film.csv coating.dat": ["coating.dat", "my film.csv"], "": []}.get(file, [file])
-    assert sorted(named(tmp_path, f'<string name="front" value="{value}"/>', *files, "other.csv")) == files
+    ):
+        files = {"my film.csv coating.dat": ["coating.dat", "my film.csv"], "": []}.get(file, [file])
+        assert sorted(named(tmp_path, f'<string name="front" value="{value}"/>', *files, "other.csv")) == files
 
 
 def test_includes_paths_and_parameters(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ def values_of(scene: mi.Scene) -> dict[str, np.ndarray]:
     found = {}
     for key in params.keys():  # noqa: SIM118
         plugin, name = params.properties[key][2], key.rpartition(".")[2]
-        if name in getattr(plugin, "values", ()):
+        if hasattr(plugin, "outer_radius") and name in plugin.values:
             found[key] = np.array([plugin.values[name]])
         elif hasattr(plugin, "complex_indices"):
             found[key] = np.array(params[key], dtype=np.float32)
@@ -36,7 +36,8 @@ def values_of(scene: mi.Scene) -> dict[str, np.ndarray]:
 
 
 def assert_loads(path: Path, expected: dict[str, np.ndarray]) -> None:
-    found = values_of(mistray.load(path))
+    # Surfaces may overlap here, which `mistray.load` would refuse
+    found = values_of(mi.load_file(str(path), optimize=False, parallel=False))
     assert found.keys() == expected.keys()
     for key, value in expected.items():
         np.testing.assert_array_equal(found[key], value.astype(found[key].dtype), err_msg=key)
@@ -170,9 +171,7 @@ class TestText:
 
     def test_a_table_of_layers_keeps_its_materials(self, tmp_path: Path) -> None:
         (tmp_path / "sub").mkdir()
-        (tmp_path / "COATING.DAT").write_text(
-            "MATE MYFILM\n0.4 1.40 0\n0.7 1.38 0\nCOAT AR\nMYFILM 0.1 1\n", encoding="utf-8"
-        )
+        (tmp_path / "COATING.DAT").write_text("MATE MYFILM\n0.4 1.40 0\n0.7 1.38 0\nCOAT AR\nMYFILM 0.1 1\n")
         text = SCENE.replace('<string name="preset" value="bbar3"/>', '<string name="table" value="COATING.DAT:AR"/>')
         path = write_rewritten(write(tmp_path, text), {"shared.thickness_nm": 88.0}, tmp_path / "sub" / "new.xml")
         assert 'value="COATING.DAT:MYFILM 88"' in path.read_text("utf-8")
@@ -199,12 +198,8 @@ def test_what_cannot_be_placed(tmp_path: Path) -> None:
 
 
 def test_an_included_file_is_not_changed(tmp_path: Path) -> None:
-    (tmp_path / "lens.xml").write_text(
-        '<scene version="3.0.0"><shape type="asphere" id="z"><float name="semi_diameter" value="2"/>'
-        '<transform name="to_world"><translate z="25"/></transform>'
-        '<bsdf type="interface"><float name="R" value="0.5"/></bsdf></shape></scene>',
-        encoding="utf-8",
-    )
+    shape = shape_xml("asphere", "z", 25.0, interface_xml(R=0.5), semi_diameter=2.0)
+    (tmp_path / "lens.xml").write_text(f'<scene version="3.0.0">{shape}</scene>')
     source = write(tmp_path, SCENE.replace("</scene>", '    <include filename="lens.xml"/>\n</scene>'))
     assert "z.x" in values_of(mistray.load(source))
     with pytest.raises(MistrayError, match=r"the object of parameter 'z.x' does not stand in the file"):
@@ -275,9 +270,7 @@ def test_new_values(source: Path) -> None:
 def test_what_cannot_be_done(source: Path, tmp_path: Path) -> None:
     with pytest.raises(MistrayError, match=r"the model of 'side\.bsdf\.paint\.reflectance' does not stand in the file"):
         SceneText(source).set("side.bsdf.paint.reflectance", 0.1)
-    with pytest.raises(MistrayError, match="No such file"):
-        SceneText(tmp_path / "nothing.xml")
-    broken = tmp_path / "broken.xml"
-    broken.write_text("<scene")
-    with pytest.raises(MistrayError, match="broken XML"):
-        SceneText(broken)
+    (tmp_path / "broken.xml").write_text("<scene")
+    for name, words in (("nothing.xml", "No such file"), ("broken.xml", "broken XML")):
+        with pytest.raises(MistrayError, match=words):
+            SceneText(tmp_path / name)

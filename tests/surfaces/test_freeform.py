@@ -101,19 +101,12 @@ def test_a_freeform_is_the_asphere_of_the_same_numbers() -> None:
 def test_an_off_axis_piece_keeps_its_digits() -> None:
     """A parabola images the axis' direction onto its focus, 10 m away, from a piece of 20 mm far beside its axis."""
     focal = 10_000.0
-    piece = {
-        "type": "freeform", "radius": -2 * focal, "conic": -1.0,
-        "clip_1": "+circle", "clip_1_y": 3000.0, "clip_1_radius": 10.0,
-        "bsdf": {"type": "interface", "R": 1.0, "mirror": True},
-    }  # fmt: skip
-    loaded = scene_dicts.load(
-        source={
-            "type": "collimated", "radius": 8.0, "wavelength_nm": 550.0, "distance": 50.0,
-            "to_world": mi.ScalarTransform4f().translate([0, 3000, -(3000.0**2) / (4 * focal)]),
-        },
-        mirror=piece,
-        detector=scene_dicts.detector(-focal, half_width=1.0, half_height=1.0),
-    )  # fmt: skip
+    piece = {"type": "freeform", "radius": -2 * focal, "conic": -1.0, "bsdf": MIRROR | {"R": 1.0}}
+    piece |= {"clip_1": "+circle", "clip_1_y": 3000.0, "clip_1_radius": 10.0}
+    place = mi.ScalarTransform4f().translate([0, 3000, -(3000.0**2) / (4 * focal)])
+    beam = {"type": "collimated", "radius": 8.0, "wavelength_nm": 550.0, "distance": 50.0, "to_world": place}
+    film = scene_dicts.detector(-focal, half_width=1.0, half_height=1.0)
+    loaded = scene_dicts.load(source=beam, mirror=piece, detector=film)
     t = mistray.trace(loaded, rays=5000, seed=1)
     image = next(iter(t.paths))
     assert image.power_W == pytest.approx(t.energy.launched_W, rel=1e-6)
@@ -205,14 +198,10 @@ def segments(**changes: dict[str, Any]) -> dict[str, Any]:
 
 def lenslets(count: int) -> dict[str, Any]:
     """Steep spheres of an array, with a polynomial that departs from them."""
-    return {
-        f"l{k}": {
-            "type": "freeform", "radius": 6.0, "xy_3_1": 1e-4 * (1 + k), "half_width": 2.0, "half_height": 2.0,
-            "to_world": mi.ScalarTransform4f().translate([4.1 * (k % 6) - 10, 4.1 * (k // 6) - 10, 0.3 * k]),
-            "bsdf": {"type": "interface", "back": "1.5"},
-        }
-        for k in range(count)
-    }  # fmt: skip
+    shape = {"type": "freeform", "radius": 6.0, "half_width": 2.0, "half_height": 2.0, "bsdf": GLASS | {"back": "1.5"}}
+    places = [[4.1 * (k % 6) - 10, 4.1 * (k // 6) - 10, 0.3 * k] for k in range(count)]
+    placed = enumerate(map(mi.ScalarTransform4f().translate, places))
+    return {f"l{k}": shape | {"xy_3_1": 1e-4 * (1 + k), "to_world": place} for k, place in placed}
 
 
 CASES: dict[str, dict[str, Any]] = {

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import scene_dicts
 import tmm
-from oracles.small_scenes import scene_text, shape_xml
+from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
 from mistray.coatings import Layer, Stack
@@ -37,11 +37,9 @@ def scene_with(layers: Layers, glass: float, reverse: bool) -> str:
     """One coated plane; the first layer touches air; glass behind, or in front if `reverse`."""
     text = ", ".join(f"{n.real!r}+{n.imag!r}i {d!r}" for n, d in layers)
     sides = ("air", repr(glass)) if not reverse else (repr(glass), "air")
-    bsdf = (
-        f'<bsdf type="interface"><string name="front" value="{sides[0]}"/><string name="back" value="{sides[1]}"/>'
-        f'<bsdf type="thinfilm"><string name="layers" value="{text}"/>'
-        f'<string name="first" value="{"back" if reverse else "front"}"/></bsdf></bsdf>'
-    )
+    first = f'<string name="first" value="{"back" if reverse else "front"}"/>'
+    film = f'<bsdf type="thinfilm"><string name="layers" value="{text}"/>{first}</bsdf></bsdf>'
+    bsdf = interface_xml(*sides).removesuffix("</bsdf>") + film
     return scene_text(
         shape_xml("asphere", "film", 0.0, bsdf, semi_diameter=5.0),
         shape_xml("asphere", "detector", 20.0, sensor=True, half_width=9.0, half_height=9.0),
@@ -177,12 +175,8 @@ def test_a_dark_body_is_opaque_and_says_so() -> None:
 def test_metals() -> None:
     """A mirror of aluminium absorbs what it does not reflect, at the surface; a leaf of gold is told of."""
     mirror = {"type": "asphere", "semi_diameter": 5.0, "bsdf": {"type": "interface", "back": "Al", "mirror": True}}
-    scene = scene_dicts.load(
-        beam={"type": "collimated", "radius": 1.0, "distance": 2.0},
-        mirror=mirror,
-        detector=scene_dicts.detector(-5, semi_diameter=20.0),
-    )
-    t = mistray.trace(scene, rays=100)
+    beam, film = {"type": "collimated", "radius": 1.0, "distance": 2.0}, scene_dicts.detector(-5, semi_diameter=20.0)
+    t = mistray.trace(scene_dicts.load(beam=beam, mirror=mirror, detector=film), rays=100)
     n = mistray.materials.complex_index("Al", 550.0)
     R = abs((n - 1) / (n + 1)) ** 2
     assert t.energy.detected_W / t.energy.launched_W == pytest.approx(R, rel=1e-5)
@@ -198,16 +192,13 @@ def test_metals() -> None:
 
 def test_what_nothing_closes() -> None:
     """The silicon of a detector is as thick as may be: dark at 550 nm, where its k is below that of a metal."""
-    scene = scene_dicts.load(
-        beam={"type": "collimated", "radius": 1.0},
-        detector=scene_dicts.detector(0, semi_diameter=5.0, bsdf={"type": "interface", "back": "Si"}),
-    )
-    t = mistray.trace(scene, rays=100)
+    film = scene_dicts.detector(0, semi_diameter=5.0, bsdf={"type": "interface", "back": "Si"})
+    t = mistray.trace(scene_dicts.load(beam={"type": "collimated", "radius": 1.0}, detector=film), rays=100)
     n = mistray.materials.complex_index("Si", 550.0)
     assert 1e-3 < n.imag < 0.05
     assert t.energy.detected_W / t.energy.launched_W == pytest.approx(1 - abs((n - 1) / (n + 1)) ** 2, rel=1e-5)
-    assert len(t.own_notes) == 1
-    assert "Si" in t.own_notes[0]
+    (note,) = t.own_notes
+    assert "Si" in note
 
 
 def test_a_cube_of_triangles() -> None:

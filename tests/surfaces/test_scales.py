@@ -174,10 +174,8 @@ def plates(z: float, gap: float, stop: bool = False) -> mi.Scene:
 
 @pytest.mark.parametrize("place", PLACES)
 def test_paths_and_rays_far_away(place: tuple[float, float, float]) -> None:
-    here, there = (
-        mistray.trace(far_lens(p), rays=3000, field_deg=25.0, max_reflections=1, max_scatters=1, seed=1)
-        for p in ((0.0, 0.0, 0.0), place)
-    )
+    settings = {"rays": 3000, "field_deg": 25.0, "max_reflections": 1, "max_scatters": 1, "seed": 1}
+    here, there = (mistray.trace(far_lens(p), **settings) for p in ((0.0, 0.0, 0.0), place))
     assert len(here.paths) == len(there.paths) > 4
     for a, b in zip(here.paths, there.paths, strict=True):
         assert (a.events, a.rays) == (b.events, b.rays)
@@ -193,10 +191,8 @@ def test_paths_and_rays_far_away(place: tuple[float, float, float]) -> None:
 
 def test_backward_trace() -> None:
     """The same rays to float32, but for one in many thousands that the rounding of its start moves past a rim."""
-    here, there = (
-        mistray.pst(far_lens(p), field_deg=[0, 10, 30], method="adjoint", rays=20_000, seed=1)
-        for p in ((0.0, 0.0, 0.0), FAR)
-    )
+    settings = {"field_deg": [0, 10, 30], "method": "adjoint", "rays": 20_000, "seed": 1}
+    here, there = (mistray.pst(far_lens(p), **settings) for p in ((0.0, 0.0, 0.0), FAR))
     np.testing.assert_allclose(there.value[:2], here.value[:2], rtol=1e-4)
     _, se = here.curve("total")
     assert np.all(np.abs(there.value - here.value) < 1e-5 * here.value + 0.05 * se)

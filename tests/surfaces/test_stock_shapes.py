@@ -163,10 +163,8 @@ class TestMixtures:
         ends_of_side = '<point name="p0" x="0" y="0" z="0"/><point name="p1" x="0" y="0" z="20"/>'
         theirs = stock("cylinder", "rod_side", f'{ends_of_side}<float name="radius" value="2"/>', bsdf=BALL)
         ours = shape_xml("frustum", "rod_side", 0.0, BALL, r0=2.0, z0=0.0, r1=2.0, z1=20.0)
-        a, b = (
-            mistray.trace(load_scene(scene_text(*ends, wall, radius=1.5)), rays=3000, field_deg=30.0)
-            for wall in (ours, theirs)
-        )
+        scenes = (load_scene(scene_text(*ends, wall, radius=1.5)) for wall in (ours, theirs))
+        a, b = (mistray.trace(scene, rays=3000, field_deg=30.0) for scene in scenes)
         assert b.energy.detected_W == pytest.approx(a.energy.detected_W, rel=2e-3)
         assert b.energy.cut["medium"] < 1e-3 * b.energy.launched_W
         assert b.paths[0].events == a.paths[0].events
@@ -178,12 +176,8 @@ class TestMixtures:
         params["faces"] = [0, 1, 2, 0, 2, 3]
         params.update()
         mesh.set_bsdf(mi.load_dict({"type": "interface", "R": 0.25, "T": 0.75}))
-        scene = scene_dicts.load(
-            beam={"type": "collimated", "radius": 1.0},
-            wall=mesh,
-            detector=scene_dicts.detector(3, type="rectangle"),
-        )
-        t = mistray.trace(scene, rays=100)
+        beam, film = {"type": "collimated", "radius": 1.0}, scene_dicts.detector(3, type="rectangle")
+        t = mistray.trace(scene_dicts.load(beam=beam, wall=mesh, detector=film), rays=100)
         assert t.paths[0].events == "wall:T detector:A"
         assert t.paths[0].power_W / t.energy.launched_W == pytest.approx(0.75, rel=1e-6)
         assert t.paths[0].source == "beam"
