@@ -58,12 +58,10 @@ def test_keller_against_sommerfeld() -> None:
 
 def test_half_plane_by_fresnel_integrals() -> None:
     """Deep in the shadow the irradiance by Fresnel's integrals is the flux of the edge over the screen."""
-    distance = 1000.0
-    for theta in (0.01, 0.03):
-        v = theta * distance * math.sqrt(2 / (LAMBDA * distance))
-        s, c = fresnel(v)
-        irradiance = 0.5 * ((0.5 - c) ** 2 + (0.5 - s) ** 2)
-        assert diffraction.half_plane(theta, LAMBDA) / distance == pytest.approx(irradiance, rel=1e-4)
+    theta, distance = np.array([0.01, 0.03]), 1000.0
+    s, c = fresnel(theta * distance * math.sqrt(2 / (LAMBDA * distance)))
+    irradiance = 0.5 * ((0.5 - c) ** 2 + (0.5 - s) ** 2)
+    assert diffraction.half_plane(theta, LAMBDA) / distance == pytest.approx(irradiance, rel=1e-4)
 
 
 def test_unpolarised_keller_at_any_incidence() -> None:

@@ -79,7 +79,6 @@ def test_image_seen_from_a_lens():
     assert height[-1] == pytest.approx(SINGLET.efl * math.tan(math.radians(1)), rel=1e-12)
     # From the front surface the light has only that surface behind it: focus at n R/(n - 1)
     assert length[0] == pytest.approx(100 * N / (N - 1), rel=1e-13)
-    # Behind a plate it is at infinity, of a diverging lens it is virtual
     length, height = PLATE.images_seen(field_deg=1.0, stop_z=0.0)
     assert np.all(np.isinf([length, height]))
     diverging = ParaxialSystem([-1 / 50, 1 / 50], [0.0, 2.0], [1.0, N, 1.0])
@@ -94,6 +93,5 @@ def test_natural_illumination():
     angle = chief_ray_angle([0.0, height, -height], 7.075)
     np.testing.assert_allclose(np.degrees(angle), [0.0, 17.14, -17.14], rtol=1e-12)
     np.testing.assert_allclose(natural_illumination(angle), [1.0, 0.83384, 0.83384], atol=5e-6)
-    # Through the sine and the tangent instead of the cosine
     t = np.array([0.0, 0.3, -2.0])
     np.testing.assert_allclose(natural_illumination(chief_ray_angle(3 * t, 3.0)), (1 + t * t) ** -2, rtol=1e-14)

@@ -44,8 +44,8 @@ def test_live(kind: str) -> None:
         metal = kind == "reflection" and rng.random() < 0.5
         index = complex(rng.uniform(0.2, 4), rng.uniform(0, 8)) if metal else rng.uniform(0.5, 4)
         text = f"({index.real!r},{index.imag!r})" if metal else repr(index)
-        side = {"reflection": 0, "transmission": 1}[kind]
-        theirs = model("Microroughness_BRDF_Model", {"lambda": 0.6328, "substrate": text, "type": side, "psd": psd})
+        values = {"lambda": 0.6328, "substrate": text, "type": int(kind == "transmission"), "psd": psd}
+        theirs = model("Microroughness_BRDF_Model", values)
         for theta_i, theta_s, phi in rng.uniform(0, [1.55, 1.55, math.pi], (20, 3)):
             ci, cs, cphi = math.cos(theta_i), math.cos(theta_s), math.cos(phi)
             n = 1.0 if kind == "reflection" else index

@@ -101,7 +101,6 @@ def test_no_point_is_lit_and_seen(key):
         assert passes(tube, point, directions, tube.z_front).all()
     assert tube.vanes[0].z == tube.z_front
     assert all(v.radius < tube.wall_radius(v.z) for v in tube.vanes)
-    # The zones say the same
     assert first_order_zones(tube, least) == ()
     assert len(seen_zones(tube)) >= len(tube.vanes) - 1
     assert not least or first_order_zones(tube, 0.0)

@@ -38,7 +38,6 @@ class TestPrism:
         h = side * math.sqrt(3) / 2
         corners = [(-h / 3, -side / 2), (2 * h / 3, 0.0), (-h / 3, side / 2)][::way_round]
         body = moved_as_one(prism("p", corners, 20.0, material="1.5"), tilt_deg=(math.degrees(deviation) / 2, 0, 0))
-        # Towards the base, which is at -y
         edges = np.degrees(deviation) + np.array([-0.001, 0.001])
         far = FarField("far", edges_deg=edges)
         aside = FarField("aside", edges_deg=(0, 0.01), axis=(0, -math.sin(deviation), math.cos(deviation)))

@@ -87,7 +87,6 @@ def test_clear_radii_are_those_of_rays_with_a_margin_unless_the_file_gives_them(
     assert shapes["S1"].semi_diameter > 1.1 * 5.0
     narrow, wide = (by_name(to_prescription(triplet(), margin=m))["S1"].semi_diameter for m in (0.0, 0.1))
     assert wide == pytest.approx(1.1 * narrow, rel=1e-12)
-    # A drawn radius that rays exceed is made larger
     built = build(changed(1, semi_diameter=6.0))
     assert by_name(built.prescription)["S1"].semi_diameter > 9.0
     assert any("drawn clear radii" in note and note.endswith("surfaces 1") for note in built.notes)
@@ -271,7 +270,6 @@ def test_a_tilted_group_is_closed_in_its_own_frame():
     assert (edge.x, edge.y, edge.z) == (surface.x, surface.y, surface.z) == (0.0, 1.0, 5.0)
     assert isinstance(surface, Surface)
     assert shapes["board_left"].tilt_deg == (10.0, 0.0, 0.0)
-    # Its place along the tilted axis
     assert shapes["detector"].z == pytest.approx(5.0 + 44.0 * math.cos(math.radians(10.0)))
 
 
@@ -283,7 +281,6 @@ def test_the_stop_has_the_apertures_that_the_file_states():
     assert "S5_aperture" not in shapes
     shapes = by_name(to_prescription(changed(5, aperture=rectangle(1.0, 3.0))))
     assert shapes["S5_frame_left"].x + shapes["S5_frame_left"].half_width == pytest.approx(-1.0)
-    # Stated apertures of other surfaces become plates and clips
     rows = list(newtonian().rows)
     rows[0] = replace(rows[0], obscuration=circle(30.0))
     rows[1] = replace(rows[1], aperture=circle(110.0, 20.0))
@@ -293,9 +290,9 @@ def test_the_stop_has_the_apertures_that_the_file_states():
     assert (shapes["primary"].semi_diameter, shapes["primary"].inner_semi_diameter) == (110.0, 20.0)
     assert (shapes["flat"].half_width, shapes["flat"].half_height) == (25.0, 40.0)
     assert "flat_rim" not in shapes
-    for number, name in ((1, "S1"), (2, "S2")):
+    for number in (1, 2):
         shapes = by_name(to_prescription(changed(number, obscuration=circle(2.0, y=1.0))))
-        patch, surface = shapes[f"{name}_obscuration"], shapes[name]
+        patch, surface = shapes[f"S{number}_obscuration"], shapes[f"S{number}"]
         # 1 µm before the surface, on its figure, in the material before it
         assert (patch.outline, patch.z) == (circle(2.0, y=1.0), pytest.approx(surface.z - 1e-3))
         assert (patch.radius, patch.conic) == (surface.radius, surface.conic)
@@ -317,7 +314,6 @@ def test_a_freeform_lens_has_an_edge_that_reaches_both_rims():
     light = mistray.trace(built.prescription.to_scene(), rays=20_000, field_deg=30.0, max_reflections=3)
     assert light.energy.cut["medium"] == 0.0
     assert abs(light.energy.closure) < 1e-5
-    # Of an outline that is no circle there is no edge, and a note says so
     cut = [replace(rows[0], aperture=Outline((OutlineFigure("ellipse", sizes=(9.0, 8.0)),))), *rows[1:]]
     notes = build(Sequential("toroid", tuple(cut), aperture=12.0)).notes
     assert any("its outline is no centred circle" in note for note in notes)

@@ -151,7 +151,6 @@ def test_a_cassegrain_gets_a_hole_where_the_beam_passes():
     assert shapes["primary"].inner_semi_diameter == pytest.approx(beam, rel=0.02)
     assert any("mirror 'primary' has a hole of radius" in note for note in built.notes)
     assert any("mirror 'secondary' stands in the beam on its way to surface 1" in note for note in built.notes)
-    # The bodies lie on the side that no light of the design reaches
     assert shapes["primary_rear"].z > 0
     assert shapes["secondary_rear"].z < -700
     hole, bore = shapes["primary"].inner_semi_diameter, shapes["primary_bore"]
@@ -241,7 +240,6 @@ def test_a_mirror_off_its_axis_lets_the_beam_pass_beside_it(stated):
             (disc,) = mirror.outline.figures
             assert (disc.x, disc.y) == pytest.approx((0.0, y), rel=0.05, abs=1e-6)
             assert radius < disc.sizes[0] < 1.1 * radius
-    # The stop is 60 mm off the axis, and so is the source
     source = built.prescription.source
     assert (source.x, source.y, source.radius) == pytest.approx((0.0, 60.0, 21.0), abs=1e-9)
     assert "the source is centred at (0, 60) mm, where the beam of the first field comes in" in built.notes

@@ -34,11 +34,9 @@ def test_wall_leaves_out_empty_pieces_and_numbers_the_rest():
     assert profile(wall("w", [(1, 0), (1, 0), (1, 2)])) == [("w", (1, 0), (1, 2))]
     assert [piece.name for piece in wall("w", [(1, 0), (1, 2), (2, 2)])] == ["w_1", "w_2"]
     assert wall("w", [(1, 0), (1, 0)]) == ()
-    # The edge between equal rims is one cylinder
     (edge,) = lens_edge(*body())
     assert profile([edge]) == [("L1_edge", (5.0, 0.0), (5.0, 2.0))]
     assert (edge.front, edge.back, edge.part, edge.coating) == ("1.5", "air", "L1", Coating(R=0.0))
-    # An edge with bevels and flanges
     coating, bevel = Coating(R=0.07), Coating(R=0.02, T=0.98)
     faces = lens_edge(*body(rear_radius=4.0), 6.0, coating=coating, bevel_coating=bevel, contact_radii=(5.2, 4.0))
     assert profile(faces) == [
@@ -116,10 +114,9 @@ def test_frame_tiles_the_plane_around_the_detector():
         assert len(covering) == 1, (x, y)
     assert sum(4 * s.half_width * s.half_height for s in (detector, *frame)) == pytest.approx(8.0**2)
     assert {s.z for s in frame} == {5.0}
-    with pytest.raises(MistrayError, match="reach the corners"):
-        detector_frame(detector, 2.1)
-    with pytest.raises(MistrayError, match="round"):
-        detector_frame(Detector(semi_diameter=3.0))
+    for wrong, words in (((detector, 2.1), "reach the corners"), ((Detector(semi_diameter=3.0),), "round")):
+        with pytest.raises(MistrayError, match=words):
+            detector_frame(*wrong)
 
 
 INDEX, FOCUS, SIZE, THICK, GROOVE = 1.5, 60.0, 20.0, 3.0, 4.0

@@ -40,7 +40,6 @@ def test_figures_and_places(optic, rubin):
         np.testing.assert_allclose(s.z_at(r), expected, rtol=1e-12, atol=1e-9)
         assert s.outer_radius == interface.outRadius * 1e3
         assert s.inner_semi_diameter == pytest.approx((interface.inRadius or 0) * 1e3)
-    # Media and coatings
     n = optic["L1_entrance"].outMedium.getN(WAVELENGTH_NM * 1e-9)
     for s in rubin.surfaces:
         if s.mirror:
@@ -85,7 +84,6 @@ def test_lens_that_light_crosses_downwards(rubin):
     assert z == sorted(z, reverse=True)
     assert apochromat.surfaces[0].back in ("air", "vacuum")
     assert float(apochromat.surfaces[0].front) > 1.3
-    # The group of the LSST is closed by walls
     walls = {s.name: s for s in rubin.structures}
     edges = [f"{part}_edge" for part in ("L1", "L2", "Filter", "L3")]
     assert set(walls) == {*edges, *(f"barrel_{k}_wall" for k in (1, 2, 3, 4))}
@@ -159,7 +157,6 @@ def test_baffles():
     assert all(s.name != "hole" for s in from_batoid(optic, wavelength_nm=500.0).structures)
     with pytest.raises(MistrayError, match="'hole': its opening is 500 mm"):
         from_batoid(optic, wavelength_nm=500.0, baffle_radius=400.0)
-    # Neither a pupil nor an opening ahead of a mirror
     closed = plate_of_glass(batoid.Plane())
     closed.pupilSize = None
     with pytest.raises(MistrayError, match="no pupilSize"):

@@ -99,7 +99,6 @@ def test_a_lens_without_a_stop():
     assert [k for k, row in enumerate(lens.rows) if row.stop] == [place]
     assert any(f"surface {place + 1} is it" in note for note in lens.notes)
 
-    # A lens whose aspheres are missing keeps its paraxial focus
     path = DATA / "without_its_aspheres.lens"
     lens = read_flaresim(path)
     assert lens.rows[-2].thickness == pytest.approx(focus(rows_of(path))[1], rel=1e-6)
@@ -123,7 +122,6 @@ def test_equal_faces_without_a_space_are_cement(tmp_path):
     assert any("2 and 3" in note for note in lenses[0].notes)
     both = [[(row.radius, row.material, row.thickness, row.coating) for row in lens.rows] for lens in lenses]
     assert both[0] == both[1]
-    # With the stop between the two it is the stop
     within = "50 5 1.6 60 16 1\n-60 0 1 0 16 0\nstop 0 1 0 1e6 0\n-60 3 1.7 30 14 1\n-300 71 1 0 16 0\n"
     lens = read_flaresim(written(tmp_path, head + within))
     assert [(row.number, row.stop) for row in lens.rows] == [(1, False), (2, True), (5, False), (6, False)]

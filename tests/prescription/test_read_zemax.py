@@ -127,7 +127,6 @@ def test_materials_around_breaks_and_mirrors(read):
     assert rows[1].decentre == Decentre(x=1.0)
     row = read(surface("SCBD 1 1 0 0.5 -0.25 10 20 30", "SCBD 2 0 0 0 0 0 0 0", "DISZ 2")).rows[0]
     assert row.decentre == Decentre(x=0.5, y=-0.25, tilt_deg=(10.0, 20.0, 30.0), tilt_first=True)
-    # A model glass that is picked up
     text = surface("GLAS ___BLANK 1 0 1.6 40", "DISZ 1").replace("GLAS N-BK7 0 0 1.5 40", "GLAS ___BLANK 2 1 1.5 30")
     assert [row.material for row in read(text).rows[:2]] == ["nd=1.6 Vd=40 k=0"] * 2
 

@@ -24,7 +24,6 @@ POLISH = Scatter("harvey_shack", {"rms_nm": 4.0}, name="polish")
 BLACK = Scatter("paint", {"preset": "flat_black"})
 DIRT = Scatter("particulate", {"level": 300.0}, name="dirt")
 K_CORRELATION = Scatter("k_correlation", {"rms_nm": 1.0, "B_um": 10.0, "slope": 1.8, "band_limited": True})
-# Every parameter of every part is set
 SYSTEM = Prescription(
     name="all <parameters> -- & more",
     provenance="first line\nsecond -- line",

@@ -108,13 +108,10 @@ def test_the_books_have_what_is_detected_lost_and_reflected(tmp_path: Path, fiel
     """Linear between the nodes in wavelength and cosine; 600 nm lies in the middle."""
     (tmp_path / "qe.csv").write_text(TABLE, encoding="utf-8")
     size = {"half_width": 5.0, "half_height": 5.0}
-    scene = Prescription(
-        name="sensor",
-        surfaces=(),
-        structures=(Surface("lost", z=10.1, coating=Coating(R=0.0), **size),),
-        detector=Detector("sensor", z=10.0, coating=Coating(table=str(tmp_path / "qe.csv")), **size),
-        source=Source(z=10.0, radius=1.0),
-    ).to_scene()
+    lost = Surface("lost", z=10.1, coating=Coating(R=0.0), **size)
+    sensor = Detector("sensor", z=10.0, coating=Coating(table=str(tmp_path / "qe.csv")), **size)
+    parts = {"surfaces": (), "structures": (lost,), "detector": sensor, "source": Source(z=10.0, radius=1.0)}
+    scene = Prescription(name="sensor", **parts).to_scene()
     t = mistray.trace(scene, rays=3000, field_deg=field_deg, wavelength_nm=(500.0, 600.0))
     along = (np.cos(np.radians(field_deg)) - 0.5) / 0.5  # 1 at 0°, 0 at 60°
     for nm, at_0, at_60 in ((500.0, (0.2, 0.1), (0.4, 0.3)), (600.0, (0.15, 0.3), (0.35, 0.45))):

@@ -242,7 +242,6 @@ def test_surfaces_that_light_meets_from_behind():
     assert lens.rows[1].radius == 30.0
     crossing = 50.0 + point[2] - direction[2] * point[0] / direction[0]  # the table begins at the mirror
     assert crossing == pytest.approx(16.0 + 94.0 / 1.5, abs=1e-5)
-    # A decentred lens gets a decentre and no tilt
     front = Surface("front", radius=30.0, semi_diameter=10.0, back="1.5")
     rear = Surface("rear", y=0.5, z=4.0, radius=-30.0, semi_diameter=10.0, front="1.5")
     p = Prescription(name="x", surfaces=(front, rear), detector=Detector(y=0.5, z=30.0, semi_diameter=9.0))

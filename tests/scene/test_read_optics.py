@@ -106,7 +106,6 @@ def test_coatings_come_with_the_surface(read):
         film = f'<bsdf type="thinfilm" id="ar">{recipe}</bsdf>'
         prescription, _ = read(shape(bsdf=f'<bsdf type="interface">{film}</bsdf>'))
         assert prescription.surfaces[0].coating == expected
-    # Defaults whose names begin alike
     second = shape(number("radius", "$R2"), name="rear")
     prescription, _ = read('<default name="R2" value="-70"/>', shape(number("radius", "$R")), second)
     assert [surface.radius for surface in prescription.surfaces] == [50.0, -70.0]

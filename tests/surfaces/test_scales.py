@@ -15,7 +15,6 @@ import mistray
 from mistray.optimize.metrics import metric as metrics
 
 SMALL, LARGE = 2.0**-13, 2.0**13
-# Strong, mild and rectangular aspheres with all coefficients
 STRONG = {f"a{order}": (-1) ** (order // 2) * 0.4 * 6.0 ** (1 - order) for order in range(4, 21, 2)}
 MILD = {f"a{order}": 4e-4 * 6.0 ** (1 - order) for order in range(4, 21, 2)}
 
@@ -245,5 +244,4 @@ def test_optical_path_of_an_oblique_ray(field_deg: float, azimuth_deg: float) ->
         phi = np.radians(azimuth_deg)
         direction = [-np.sin(theta) * np.sin(phi), np.sin(theta) * np.cos(phi), np.cos(theta)]
         assert ray[["dx", "dy", "dz"]].iloc[0].to_numpy() == pytest.approx(direction, abs=1e-15)
-    # All rays start on one plane across the beam
     assert np.ptp(table[table.node == 0][["x_mm", "y_mm", "z_mm"]].to_numpy() @ direction) < 1e-11

@@ -109,15 +109,13 @@ VESSELS = [("disc", "tube"), ("conic", "cone"), ("asphere", "tube"), ("freeform"
 @pytest.mark.parametrize(("front", "wall"), VESSELS)
 def test_no_ray_leaves_a_closed_vessel(front: str, wall: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert passed(*vessel(front, wall)) == 0
+    if (front, wall) in VESSELS[:3]:  # nor one of many surfaces
+        with monkeypatch.context() as patch:
+            patch.setattr(shell_tree, "MOST_UNROLLED", 0)
+            patch.setattr(shell_tree, "MOST_ASPHERES", 0)
+            assert passed(*vessel(front, wall)) == 0
     monkeypatch.setattr(seams, "ROUNDINGS", 0)
     assert passed(*vessel(front, wall)) > 100  # the rays do try the seams
-
-
-@pytest.mark.parametrize(("front", "wall"), VESSELS[:3])
-def test_nor_one_of_many_surfaces(front: str, wall: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shell_tree, "MOST_UNROLLED", 0)
-    monkeypatch.setattr(shell_tree, "MOST_ASPHERES", 0)
-    assert passed(*vessel(front, wall)) == 0
 
 
 def test_light_at_a_seam_does_not_come_in(monkeypatch: pytest.MonkeyPatch) -> None:
