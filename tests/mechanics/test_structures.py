@@ -68,7 +68,7 @@ class TestPaint:
         assert [shapes[name].space for name in ("ring_front_face_0", "ring_side_face_3", "bracket")] == [2, 2, 3]
         assert {shape.part for shape in shapes.values()} == {"ring_front", "ring_side", "bracket"}
 
-    def test_faces_of_a_mesh(self, assembly: Mechanics, tmp_path: Path) -> None:
+    def test_faces_of_a_mesh_and_one_side(self, assembly: Mechanics, tmp_path: Path) -> None:
         """Two meshes, for two paints: 2 and 10 of the 12 triangles of the block; without paint all is absorbed."""
         shapes = by_name(assembly.painted({"bracket_face_4": "flat_black"}).structures(tmp_path))
         meshes = [shape for shape in shapes.values() if isinstance(shape, MeshStructure)]
@@ -77,9 +77,6 @@ class TestPaint:
         assert sizes == {True: 2, False: 10}
         plain = [shape for shape in shapes.values() if not shape.scatter]
         assert {(shape.coating, shape.space) for shape in plain} == {(Coating(R=0.0), -1)}
-
-    def test_one_side(self, assembly: Mechanics, tmp_path: Path) -> None:
-        """Paint on the outside: behind a mesh; in front of a bore, whose normal points into the body."""
         shapes = by_name(assembly.painted({"*": "paint reflectance=0.05 side=back"}).structures(tmp_path))
         sides = {name: shape.scatter[0].properties["side"] for name, shape in shapes.items()}
         assert sides["bracket"] == "back"

@@ -29,7 +29,7 @@ def test_one_particle_is_as_large_as_the_level() -> None:
     np.testing.assert_allclose(contamination.density(d, 300), density, rtol=1e-6)
 
 
-def test_coverage_of_the_standard() -> None:
+def test_coverage_of_the_standard_and_index_of_dust() -> None:
     """Equation 12 gives percent: 0.1 % is level 395."""
     levels = np.array([300, 396, 400, 500])
     expected = [0.02736, 0.10085, 0.10585, 0.31651]
@@ -37,6 +37,10 @@ def test_coverage_of_the_standard() -> None:
     np.testing.assert_allclose(found, expected, atol=5e-6)
     assert contamination.standard_level(0.1) == pytest.approx(395.3, abs=0.05)
     np.testing.assert_allclose(contamination.standard_level(found), levels, rtol=1e-12)
+    assert contamination.dust_index(0.4) == 1.53 + 0.005j
+    assert contamination.dust_index(10.6) == 1.7 + 0.2j
+    expected = 0.005 + (0.55 - 0.4) / (0.6328 - 0.4) * (0.0005 - 0.005)
+    assert complex(1.53, expected) == pytest.approx(DUST, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -55,13 +59,6 @@ def test_area_of_the_spheres(level: float, slope: float, percent: float) -> None
     assert contamination.level_of_coverage(found, slope) == pytest.approx(level, rel=1e-9)
     truncated = contamination.level_of_coverage(0.05, slope, 2.0, 200.0)
     assert contamination.coverage_percent(truncated, slope, 2.0, 200.0) == pytest.approx(0.05, rel=1e-9)
-
-
-def test_index_of_dust() -> None:
-    assert contamination.dust_index(0.4) == 1.53 + 0.005j
-    assert contamination.dust_index(10.6) == 1.7 + 0.2j
-    expected = 0.005 + (0.55 - 0.4) / (0.6328 - 0.4) * (0.0005 - 0.005)
-    assert complex(1.53, expected) == pytest.approx(DUST, rel=1e-12)
 
 
 @pytest.mark.parametrize("column", COLUMNS)

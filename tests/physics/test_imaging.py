@@ -75,7 +75,7 @@ def test_defocus():
     assert moved.rms_waves() == pytest.approx(0.004 * NA**2 / 2 / WAVELENGTH_MM / np.sqrt(12), rel=0.03)
 
 
-def test_tilt_moves_the_image():
+def test_tilt_moves_the_image_and_the_total_is_that_of_the_pupil():
     pupil, dx = disc(), 2e-3
     a, _ = np.meshgrid(pupil.alpha, pupil.beta)
     tilted = replace(pupil, opd_waves=np.where(pupil.lit, a * dx / WAVELENGTH_MM, 0.0))
@@ -83,10 +83,6 @@ def test_tilt_moves_the_image():
     f = np.array([100.0, 300.0])
     assert tilted.otf(f, 0 * f) == pytest.approx(pupil.otf(f, 0 * f) * np.exp(-2j * np.pi * f * dx), abs=1e-3)
     assert tilted.encircled([1e-3], (dx, 0.0)) == pytest.approx(pupil.encircled([1e-3]), abs=1e-6)
-
-
-def test_total_is_that_of_the_pupil():
-    """The integral of the PSF over its period is 1 whatever the aberration: Parseval."""
     pupil = disc(64, w20=1.3)
     period = 1 / pupil.frequency_step
     at = period * (np.arange(192) / 192 - 0.5)

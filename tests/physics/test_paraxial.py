@@ -16,10 +16,17 @@ SINGLET = ParaxialSystem([1 / 100, -1 / 100], [0.0, 5.0], [1.0, N, 1.0])
 WITH_WINDOW = ParaxialSystem([1 / 100, -1 / 100, 0.0, 0.0], [0.0, 5.0, 85.0, 87.0], [1.0, N, 1.0, N, 1.0])
 
 
-def test_focal_lengths():
+def test_focal_lengths_and_bad_input():
     (ghost,) = SINGLET.ghosts(5.0, 10.0, [R_BARE, R_BARE])
     for quantity, found in (("EFL", SINGLET.efl), ("BFL", SINGLET.bfl), ("ghost BFL", ghost.focus_mm)):
         assert found == pytest.approx(analytic("singlet R", quantity), rel=1e-13)
+    assert PLATE.efl == PLATE.bfl == math.inf
+    with pytest.raises(MistrayError, match="one more than surfaces"):
+        ParaxialSystem([0.0], [0.0], [1.0])
+    with pytest.raises(MistrayError, match="1 reflectances for 2 surfaces"):
+        SINGLET.ghosts(10.0, 1.0, [0.04])
+    with pytest.raises(MistrayError, match="focus"):
+        SINGLET.chief_ray(1.0, 5.0 + SINGLET.bfl)
 
 
 def test_the_ten_ghosts_of_lens_window_and_detector():
@@ -51,16 +58,6 @@ def test_chief_ray_crosses_the_axis_in_the_stop():
         assert rays[place, 0] + way == pytest.approx(0, abs=1e-12)
         invariant = WITH_WINDOW.index[1:] * (rays[:, 1] * marginal[:, 0] - marginal[:, 1] * rays[:, 0])
         np.testing.assert_allclose(invariant, 10.0 * slope, rtol=1e-12)
-
-
-def test_afocal_and_bad_input():
-    assert PLATE.efl == PLATE.bfl == math.inf
-    with pytest.raises(MistrayError, match="one more than surfaces"):
-        ParaxialSystem([0.0], [0.0], [1.0])
-    with pytest.raises(MistrayError, match="1 reflectances for 2 surfaces"):
-        SINGLET.ghosts(10.0, 1.0, [0.04])
-    with pytest.raises(MistrayError, match="focus"):
-        SINGLET.chief_ray(1.0, 5.0 + SINGLET.bfl)
 
 
 def test_images_that_scattered_light_should_go_to():

@@ -74,7 +74,7 @@ def test_spectrum() -> None:
     assert np.sum(radiances * np.sin(nodes)) == pytest.approx(PER_M2 * expected, rel=1e-12)
 
 
-def test_self_emission() -> None:
+def test_self_emission_and_narcissus() -> None:
     for row in vectors.frame("self_emission.csv").itertuples():
         solid_angle = planck.cone_projected_solid_angle(row.F)
         assert solid_angle == pytest.approx(row.proj_solid_angle, rel=1e-12)
@@ -84,9 +84,6 @@ def test_self_emission() -> None:
         assert planck.self_emission(row.emissivity, row.T, *BAND, row.F) == pytest.approx(optics, rel=1e-11)
         outside = row.emissivity * planck.band_radiance(row.T, *BAND) * (math.pi - solid_angle)
         assert outside == pytest.approx(housing, rel=1e-11)
-
-
-def test_narcissus() -> None:
     for row in vectors.frame("narcissus.csv").itertuples():
         found = planck.narcissus_nitd(row.R * row.fraction_of_cone_returning_cold, row.T_housing, row.T_cold, *BAND)
         assert found == pytest.approx(row.NITD_K, rel=1e-8)

@@ -145,7 +145,7 @@ def test_relevant_roughness() -> None:
         assert -math.expm1(-variance) == pytest.approx(row.TIS_GHS_R1, rel=VECTORS)
 
 
-def test_total_roughness_by_quadrature() -> None:
+def test_total_roughness_by_quadrature_and_the_power_law() -> None:
     """The integral of the PSD over all frequencies is σ², and over a band what is asked for."""
     rng = np.random.default_rng(3)
     for _ in range(30):
@@ -160,10 +160,6 @@ def test_total_roughness_by_quadrature() -> None:
         profile = scatter_integrals.harvey_shack(band, wavelength / length, 2 - slope)
         variance = scatter_integrals.total_scatter(profile, 0.0) / wavelength**2
         assert math.sqrt(variance) == pytest.approx(rms, rel=QUADRATURE)
-
-
-def test_far_above_the_knee_it_is_a_harvey_shack_lobe() -> None:
-    """With l = λ/B and s = -S, which falls as f^-S."""
     amplitude, length, slope = 2.0, 100.0, 2.5
     f = np.array([10.0, 20.0])
     psd = kc.psd_um4(f, amplitude, length, slope)

@@ -14,7 +14,7 @@ from mistray.physics.geometry.sag import conic_end, sag, sag_derivative
 STEEP = (1 / 3.482, 8.701, (0.00521579, 0.0715829, -0.0460926, 0.012431, 0.0332216))
 
 
-def test_conics_and_rims_of_the_phone_camera():
+def test_conics_their_ends_and_rims_of_the_phone_camera():
     r = np.linspace(0, 7, 50)
     for radius in (-20.0, 7.5):
         sphere = radius - math.copysign(1, radius) * np.sqrt(radius**2 - r**2)
@@ -24,6 +24,14 @@ def test_conics_and_rims_of_the_phone_camera():
     other = 1 / 1.679, 0.22669364, (0.00980281, -0.0381227, 0.0239681, -0.00629128, -0.00275496, -0.000269638)
     for printed_rim, radius, shape in ((0.379217, 1.06523826, STEEP), (0.58172, 1.43762465, other)):
         assert float(sag(radius**2, *shape)) == pytest.approx(printed_rim, abs=5.1e-7)
+    c, k, _ = STEEP
+    end = conic_end(c, k)
+    assert end == pytest.approx(1.118, abs=5e-4)
+    assert np.isfinite(sag(np.float64((end * (1 - 1e-9)) ** 2), c, k))
+    assert np.isnan(sag(np.array([(end * 1.001) ** 2]), c, k)).all()
+    assert math.isnan(sag((end * 1.001) ** 2, c, k))
+    assert conic_end(c, -1.0) == math.inf
+    assert conic_end(0.0, 2.0) == math.inf
 
 
 @pytest.mark.parametrize("shape", [STEEP, (-1 / 9.162, 0.0, (0.0373187, -0.0089176)), (0.05, -1.3, ())])
@@ -46,14 +54,3 @@ def test_polynomial_derivatives_are_those_of_the_terms():
         assert np.all(np.asarray(function(r2, ())) == 0)
     np.testing.assert_allclose(sag(r2, 0.0, 0.0, coefficients), whole(r2), rtol=1e-13, atol=1e-15)
     np.testing.assert_allclose(sag_derivative(r2, 0.0, 0.0, coefficients), whole.deriv()(r2), rtol=1e-13, atol=1e-15)
-
-
-def test_the_conic_ends():
-    c, k, _ = STEEP
-    end = conic_end(c, k)
-    assert end == pytest.approx(1.118, abs=5e-4)
-    assert np.isfinite(sag(np.float64((end * (1 - 1e-9)) ** 2), c, k))
-    assert np.isnan(sag(np.array([(end * 1.001) ** 2]), c, k)).all()
-    assert math.isnan(sag((end * 1.001) ** 2, c, k))
-    assert conic_end(c, -1.0) == math.inf
-    assert conic_end(0.0, 2.0) == math.inf

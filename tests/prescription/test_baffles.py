@@ -166,7 +166,7 @@ def test_faces_of_a_vane_form_a_closed_profile(bevel_deg, radius, bevel):
         assert (r1 - 10.2) * (r1 - r0) + (z1 - 4.8) * (z1 - z0) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_structures_have_names_and_parts():
+def test_structures_have_names_and_bevels_that_are_dark_or_unseen():
     tube = tube_of("straight", edge=VaneEdge(thickness=0.5, bevel_deg=25.0, radius=0.05))
     shapes = tube.structures(space=3)
     assert shapes[0].name == "tube_wall"
@@ -176,9 +176,6 @@ def test_structures_have_names_and_parts():
     assert shapes[0].z0 == min(min(s.z0, s.z1) for s in shapes)  # no gap between a plate and the wall
     plain = tube_of("straight").structures()
     assert [shape.name for shape in plain[:3]] == ["tube_wall", "tube_vane_1", "tube_vane_2"]
-
-
-def test_a_knife_edge_is_bevelled_where_the_bevel_is_dark_or_unseen():
     tube = tube_of("straight", edge=VaneEdge(thickness=0.5, bevel_deg=25.0))
     assert tube.vanes[0].bevel == "front"
     assert tube.vanes[-1].bevel == "rear"

@@ -128,7 +128,7 @@ def test_rays_of_the_table_meet_the_surfaces_of_the_prescription():
             assert local[:, 2] == pytest.approx(flat.z_at(np.hypot(local[:, 0], local[:, 1])), abs=1e-9)
 
 
-def test_coatings_come_by_name():
+def test_coatings_come_by_name_and_edges_are_ground_or_open():
     given = changed(3, changed(2, changed(1, coating="AR"), coating="lib/COATING.DAT:HEAR1"), coating="unknown")
     built = build(given, coatings={"ar": Coating(preset="mgf2_quarter_wave")})
     shapes = by_name(built.prescription)
@@ -140,9 +140,6 @@ def test_coatings_come_by_name():
     built = build(changed(1, material="nd=1.62 Vd=60"))
     assert by_name(built.prescription)["S1"].back == "nd=1.62 Vd=60 k=0"
     assert "material 'nd=1.62 Vd=60': its absorption is unknown and taken for 0" in built.notes
-
-
-def test_edges_can_be_ground_or_open():
     ground = by_name(to_prescription(triplet(), edges="ground", ground_reflectance=0.3))
     (model,) = ground["L2_edge"].scatter
     assert (model.kind, dict(model.properties), model.name) == ("paint", {"reflectance": 0.3}, "ground_edge")

@@ -74,7 +74,7 @@ def free_ends(shapes):
     return {point for point, count in ends.items() if count < 2}
 
 
-def test_barrel_closes_a_group():
+def test_barrel_closes_a_group_and_steps_where_a_cone_would_cut():
     stop = Stop(2.0, 4.0, 4.1, 3.0, 3.0)
     detector = Detector(z=20.0, semi_diameter=6.0)
     cemented = (
@@ -91,9 +91,6 @@ def test_barrel_closes_a_group():
     assert free_ends(faces) == set()
     assert free_ends([face for face in faces if face.name != "barrel_1_wall"]) == {(3.0, 4.0)}
     assert free_ends([face for face in faces if face.name != "barrel_3_wall"]) == {(6.0, 20.0)}
-
-
-def test_barrel_steps_where_a_cone_would_cut_a_surface():
     first = Surface("a", radius=-8.0, semi_diameter=6.0, front="1.5")
     second = plano("b", 0.5, 3.0)
     assert first.rim[1] < -2

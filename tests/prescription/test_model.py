@@ -127,14 +127,11 @@ def test_scene_needs_detector_and_source(missing, tmp_path):
     assert system(*lens()).with_source(field_deg=7.0).source.field_deg == 7.0
 
 
-def test_paraxial():
+def test_paraxial_and_placement_about_x_then_y_then_z():
     thin = system(*lens(radius=100.0)).paraxial(550.0)
     assert thin.efl == pytest.approx(1 / (0.5 * (2 / 100 - 0.5 * 2 / (1.5 * 100**2))), rel=1e-12)
     mirror = Surface("m", semi_diameter=5.0, radius=-100.0, coating=Coating(R=1.0), mirror=True)
     assert "surface 'm'" in message(system(mirror).paraxial, 550.0)
-
-
-def test_placement_turns_about_x_then_y_then_z():
     placed = Surface("s", semi_diameter=1.0, x=1.0, y=2.0, z=3.0, tilt_deg=(90.0, 90.0, 90.0))
     matrix = placed.to_world()
     np.testing.assert_allclose(matrix[:3, 3], (1, 2, 3))

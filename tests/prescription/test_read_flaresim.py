@@ -105,16 +105,13 @@ def test_a_lens_without_a_stop():
     assert any("paraxial focus" in note for note in lens.notes)
 
 
-def test_semi_diameters_where_they_fit_the_f_number(tmp_path):
+def test_semi_diameters_by_the_f_number_and_cement(tmp_path):
     """f = 49.2 mm: a stop of 4.9 mm is F/5 as a semi-diameter, one of 9.8 mm as a diameter."""
     for stop, size, kind in ((4.7, 8, "semi-diameters"), (9.4, 16, "full diameters")):
         lens = read_flaresim(written(tmp_path, SINGLET.format(stop=stop, size=size)))
         assert any(kind in note for note in lens.notes), lens.notes
         assert lens.aperture == pytest.approx(9.4)
         assert lens.rows[0].semi_diameter == pytest.approx(8)
-
-
-def test_equal_faces_without_a_space_are_cement(tmp_path):
     head = SINGLET.partition("50.0   5.0")[0]
     apart = "50 5 1.6 60 16 1\n-60 0 1 0 16 0\n-60 3 1.7 30 16 1\n-300 1 1 0 16 0\nstop 70 1 0 9.4 0\n"
     joined = "50 5 1.6 60 16 1\n-60 3 1.7 30 16 1\n-300 1 1 0 16 0\nstop 70 1 0 9.4 0\n"

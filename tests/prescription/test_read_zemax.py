@@ -108,7 +108,7 @@ def test_sense_and_order_of_tilts_by_hand(read):
         np.testing.assert_allclose(frame[:3, 3], origin, atol=1e-14)
 
 
-def test_fold_mirror_by_hand(read):
+def test_fold_mirror_by_hand_and_materials_around_it(read):
     """A mirror turned by 45° about x sends +z to +y, and a second break by 45° with a negative thickness follows it."""
     lines = ["SURF 1", "  TYPE COORDBRK", "  PARM 3 45", "  DISZ 0", "SURF 2", "  GLAS MIRROR 0 0 1.5 40", "  DISZ 0"]
     lines += ["SURF 3", "  TYPE COORDBRK", "  PARM 3 45", "  DISZ -30", "SURF 4", "  DISZ 0"]
@@ -117,9 +117,6 @@ def test_fold_mirror_by_hand(read):
     assert lens.rows[1].mirror
     points, _ = trace(lens, [[0, 0, -5], [1, 0, -5], [0, 1, -5]], [0.0, 0.0, 1.0] * np.ones((3, 1)))
     np.testing.assert_allclose(to_world(lens, points)[-1], [[0, 30, 0], [1, 30, 0], [0, 30, 1]], atol=1e-12)
-
-
-def test_materials_around_breaks_and_mirrors(read):
     lines = ["SURF 1", "  DISZ 5", "  GLAS N-BK7 0 0", "SURF 2", "  TYPE COORDBRK", "  PARM 1 1", "  DISZ 3", "SURF 3"]
     lines += ["  GLAS MIRROR 0 0", "  DISZ -8", "SURF 4", "  DISZ -9", "SURF 5", "  DISZ 0"]
     rows = read("\n".join([SYSTEM, OBJECT, *lines])).rows
@@ -216,6 +213,13 @@ VIGNETTED = {"fields": ((1.0, 3.0), (2.0, 4.0)), "vignetting": ((0.0, 0.0, 0.0, 
 WAVES = "WAVM 1 0.5875618 1\nPWAV 1"
 
 
+LIGHT = f"{FIELD}\n{WAVES}"
+
+
+def waves(first: float, second: float, weight: float, primary: int) -> dict[str, object]:
+    return {"wavelengths_nm": (first, second), "weights": (1.0, weight), "primary": primary}
+
+
 def test_system_lines(read):
     for old, new, expected in (
         ("ENPD 8", "FNUM 2.8 0", {"aperture_kind": "f_number", "aperture": 2.8}),
@@ -225,22 +229,10 @@ def test_system_lines(read):
         (FIELD, FIELDS.format(0), VIGNETTED | {"field_kind": "angle_deg"}),
         (FIELD, FIELDS.format(1), VIGNETTED | {"field_kind": "object_height"}),
         (FIELD, FIELDS.format(2), VIGNETTED | {"field_kind": "image_height"}),
-        (
-            f"{FIELD}\n{WAVES}",
-            "FTYP 0 0 1 2\nWAVM 1 0.4861 1\nWAVM 2 0.6563 0.5\nWAVM 3 0.55 1\nPWAV 2",
-            {"wavelengths_nm": (486.1, 656.3), "weights": (1.0, 0.5), "primary": 1},
-        ),
+        (LIGHT, "FTYP 0 0 1 2\nWAVM 1 0.4861 1\nWAVM 2 0.6563 0.5\nWAVM 3 0.55 1\nPWAV 2", waves(486.1, 656.3, 0.5, 1)),
         # Old files without the number fill the list up with one value
-        (
-            f"{FIELD}\n{WAVES}",
-            "WAVM 1 0.4861 1\nWAVM 2 0.55 1\nWAVM 3 0.55 1\nWAVM 4 0.55 1\nPWAV 2",
-            {"wavelengths_nm": (486.1, 550.0), "weights": (1.0, 1.0), "primary": 1},
-        ),
-        (
-            f"{FIELD}\n{WAVES}",
-            "WAVL 0.4861 0.5876\nWWGT 1 0.25\nPWAV 1",
-            {"wavelengths_nm": (486.1, 587.6), "weights": (1.0, 0.25), "primary": 0},
-        ),
+        (LIGHT, "WAVM 1 0.4861 1\nWAVM 2 0.55 1\nWAVM 3 0.55 1\nWAVM 4 0.55 1\nPWAV 2", waves(486.1, 550.0, 1.0, 1)),
+        (LIGHT, "WAVL 0.4861 0.5876\nWWGT 1 0.25\nPWAV 1", waves(486.1, 587.6, 0.25, 0)),
         (WAVES, "", {"wavelengths_nm": (587.56,), "weights": (1.0,), "primary": 0}),
     ):
         text = SINGLET.replace("  STOP", "  STOP\n  DIAM 3.5 0")

@@ -163,7 +163,7 @@ def lensmaker() -> tuple[float, float]:
     return efl, efl * (1 - (N - 1) * T / (N * R1))
 
 
-def test_focal_lengths_and_pupil_of_a_thick_lens():
+def test_focal_lengths_and_pupils_of_a_thick_lens():
     """The stop's image in front of a thick lens: Gauss' formula from the principal planes, light going backwards."""
     efl, bfl = lensmaker()
     front_principal = -efl * (N - 1) * T / (N * R2)  # from the first vertex, along +z
@@ -179,9 +179,6 @@ def test_focal_lengths_and_pupil_of_a_thick_lens():
     assert data.epd == pytest.approx(6.0 * -image / s, rel=1e-12)
     assert data.stop_radius == pytest.approx(3.0, rel=1e-13)
     assert data.stop_number == 3
-
-
-def test_f_number_and_object_na_give_the_pupil():
     efl, _ = lensmaker()
     assert first_order(singlet(aperture_kind="f_number", aperture=4.0)).epd == pytest.approx(efl / 4, rel=1e-13)
     near = singlet(aperture_kind="object_na", aperture=0.02, object_distance=300.0)

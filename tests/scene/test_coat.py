@@ -97,11 +97,15 @@ class TestPatterns:
             assert text.count(f'id="{name}"') == 2
 
     def test_a_name_means_one_surface(self, file: Path) -> None:
-        """Cement is coated by its name; a later pattern goes over an earlier one; bare takes a coating off."""
+        """Cement is coated by its name; a later pattern goes over an earlier one, paint and scatter over coatings."""
         scene = mistray.coat(file, {"A_B": "mgf2_quarter_wave", "?*": "bbar3", "B": "bare"})
         found = {name: str(bsdf.coating.name) for name, bsdf in bsdfs(scene).items() if bsdf.film is not None}
         assert (found["A_B"], found["A front"]) == ("mgf2_quarter_wave", "bbar3")
         assert "B_rear" not in found
+        scatter = {"B_rear": "particulate level=200", "A front": "none"}
+        rear = bsdfs(mistray.coat(file, {"B": "bbar3"}, paint={"B_*": 0.1}, scatter=scatter))["B_rear"]
+        assert rear.opaque
+        assert [item.kind for item in rear.scatterers] == ["paint", "particulate"]
 
     def test_mirrors(self, tmp_path: Path) -> None:
         """A mirror takes an opaque coating by a pattern, what is black does not."""
@@ -109,12 +113,6 @@ class TestPatterns:
         assert set(found.changes) == {"primary", "diagonal"}
         with pytest.raises(MistrayError, match="'primary=bbar3': 'primary' is opaque; give an opaque coating"):
             write_coated("newtonian", tmp_path / "no.xml", Rules({"primary": "bbar3"}))
-
-    def test_paint_goes_over_coatings_and_scatter_over_paint(self, file: Path) -> None:
-        scatter = {"B_rear": "particulate level=200", "A front": "none"}
-        scene = mistray.coat(file, {"B": "bbar3"}, paint={"B_*": 0.1}, scatter=scatter)
-        assert bsdfs(scene)["B_rear"].opaque
-        assert [item.kind for item in bsdfs(scene)["B_rear"].scatterers] == ["paint", "particulate"]
 
     def test_names_of_the_scene(self, file: Path, tmp_path: Path) -> None:
         """What the scene has by a name is referred to; a new one of the same values too; another one gets a number."""

@@ -62,9 +62,6 @@ def test_what_is_no_number_is_refused(tmp_path: Path) -> None:
         said = refusal(tmp_path, defaults + LENS.format(f'<float name="radius" value="{value}"/>'))
         assert "shape 'L1': radius is '" in said
         assert "must be a number" in said or "beyond the range" in said
-
-
-def test_numbers_of_transforms(tmp_path: Path) -> None:
     for operation, words in (
         ('<translate z=""/>', "z of <translate> is ''"),
         ('<translate value="1 2"/>', "give 1 or 3 numbers, not 2"),

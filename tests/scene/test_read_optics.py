@@ -69,7 +69,7 @@ def test_surfaces_of_a_shipped_scene_are_those_of_its_prescription(name, build):
     assert found.source.wavelength_nm == expected.source.wavelength_nm
 
 
-def test_what_a_scene_may_say(read):
+def test_what_a_scene_may_say_and_its_coatings(read):
     steps = '<rotate x="-1" angle="20"/><rotate z="1" angle="30"/><translate value="1 2 3"/>'
     shifted = (number("x", 0.5), number("tilt_y", 5), f'<transform name="to_world">{steps}</transform>')
     frustum = "".join(number(key, value) for key, value in {"r0": 3, "z0": 9, "r1": 8, "z1": 9}.items())
@@ -93,9 +93,6 @@ def test_what_a_scene_may_say(read):
     assert (source.radius, source.field_deg) == (4.0, 10.0)
     assert (source.wavelength_nm, source.weights) == ((486.1, 656.3), (1.0, 3.0))
     assert prescription.name == "camera"
-
-
-def test_coatings_come_with_the_surface(read):
     films = {
         '<string name="preset" value="bbar3"/>': Coating(preset="bbar3", name="ar"),
         '<string name="layers" value="MgF2 100"/>': Coating(layers="MgF2 100", name="ar"),

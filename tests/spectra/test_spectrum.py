@@ -44,7 +44,7 @@ def test_bands_of_a_blackbody(kelvin: float) -> None:
         assert light.wavelengths_nm[k] == pytest.approx(mean, rel=1e-9)
 
 
-def test_lamps_of_standards() -> None:
+def test_lamps_and_daylight_of_standards() -> None:
     """The candela until 1979 was that of platinum, 2042 K; parts of the sun by the trapezoidal rule; 133 klx."""
     assert spectrum("blackbody:2042").lumens == pytest.approx(0.6, rel=5e-3)
     sun = spectrum("am0")
@@ -52,26 +52,20 @@ def test_lamps_of_standards() -> None:
     for low, high, exact in ((400, 700, 530.114), (280, 4000, 1347.62), (200, 300, 14.647), (3000, 5000, 21.077)):
         assert sun.energy(low, high) == pytest.approx(1e-6 * exact, rel=1e-3 if low == 400 else 0.01)
     assert 1e6 * sun.lumens == pytest.approx(133.3e3, rel=5e-3)
-
-
-def test_daylight_is_white() -> None:
-    """The chromaticity of D65 is x = 0.31272, y = 0.32903, from 5 nm wide bands."""
     light = light_of("d65", (380, 780), 80)
     known, table = observer()
     xyz = np.array([light.weights @ np.interp(light.wavelengths_nm, known, row) for row in table.T])
     assert xyz[:2] / xyz.sum() == pytest.approx([0.31272, 0.32903], abs=2e-4)
 
 
-def test_lines() -> None:
+def test_lines_and_lumens() -> None:
     light = light_of("F, d C", weights=[1, 2, 1])
     assert light.wavelengths_nm == pytest.approx([486.1327, 587.5618, 656.2725])
     assert light.weights == pytest.approx([0.25, 0.5, 0.25])
     assert len(light_of("Hg").wavelengths_nm) == 6
     assert of_lines([555.0]).lumens_per_watt == pytest.approx(683.0, rel=1e-3)
     assert of_lines([1550.0]).lumens_per_watt == 0.0
-
-
-def test_lumens_are_of_the_whole_spectrum() -> None:
+    # A watt in a part of the visible light goes with all lumens of the lamp
     narrow, wide = light_of("blackbody:3000", (500, 600), 3), light_of("blackbody:3000")
     lamp = spectrum("blackbody:3000")
     ratio = lamp.energy(400, 700) / lamp.energy(500, 600)
