@@ -150,7 +150,8 @@ def test_values(tmp_path: Path) -> None:
         ("1.5 " * 500, ""),
     ):
         files = {"my film.csv coating.dat": ["coating.dat", "my film.csv"], "": []}.get(file, [file])
-        assert sorted(named(tmp_path, f'<string name="front" value="{value}"/>', *files, "other.csv")) == files
+        folder = tmp_path / str(len(list(tmp_path.iterdir())))
+        assert sorted(named(folder, f'<string name="front" value="{value}"/>', *files, "other.csv")) == files
 
 
 def test_includes_paths_and_parameters(tmp_path: Path) -> None:
