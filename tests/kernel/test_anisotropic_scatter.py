@@ -1,8 +1,5 @@
-"""Scatter that depends on how a sample lies, in a trace: closed forms, rotations, energy, both directions, gradients.
-
-A number must lie within 4 standard errors of the exact one (false alarm 6e-5 each) plus what is written at the test for
-linear interpolation in the tables.
-"""
+"""Scatter that depends on how a sample lies, in a trace: within 4 standard errors (6e-5 each) and what is written at
+the test for interpolation."""
 
 from __future__ import annotations
 

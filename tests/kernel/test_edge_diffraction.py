@@ -1,8 +1,4 @@
-"""Rings that diffract, traced: the far field of a round aperture, forward and backward.
-
-A number from a trace must lie within 3 standard errors of the closed form (false-alarm probability 2.7e-3 each; the
-seeds are fixed), and the errors are small enough that Heisenberg's law, 25 % higher, fails.
-"""
+"""Rings that diffract, traced: within 3 standard errors of the far field of a round aperture (2.7e-3 each)."""
 
 from __future__ import annotations
 

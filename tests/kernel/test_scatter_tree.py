@@ -95,10 +95,7 @@ class TestAgainstMonteCarlo:
 
 @pytest.mark.parametrize("kind", ["specular peak", "far tail"])
 def test_random_rays_where_few_go(load_scene, kind: str) -> None:
-    """Unaimed rays into 0.3 % of the width of a lobe, and to 60° from a narrow one: directions with a share of 1e-5 to
-    1e-3 of the scattered light. A sampler that picks each of its cells with a rounded probability is off by a factor
-    there. False alarm 6e-5.
-    """
+    """Unaimed rays where 1e-5 to 1e-3 of the light goes, and a rounded probability shows; false alarm 6e-5."""
     if kind == "specular peak":
         model, profile = bsdf_xml("abg", A=0.02, B=0.1, g=2.0), scatter_integrals.abg(0.02, 0.1, 2.0)
         axis_deg, half_deg = 0.0, 0.25

@@ -1,8 +1,4 @@
-"""Colorimetry of the oracles: published numbers of the CIE 1931 2° observer, and sRGB from its own definition.
-
-Sources: CIE 15:2018, table 1 (observer at 5 nm and chromaticities of the spectrum); IEC 61966-2-1 (primaries, white and
-transfer function of sRGB).
-"""
+"""CIE 1931 2° observer (CIE 15:2018, table 1) and sRGB from its own definition (IEC 61966-2-1)."""
 
 from __future__ import annotations
 

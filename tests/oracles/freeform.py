@@ -1,10 +1,5 @@
-"""Freeform surfaces in float64: explicit formulas of their sags, and outlines by winding numbers and implicit curves.
-
-Nothing is shared with mistray: Zernike polynomials are written out in x and y by binomials, Forbes's by the polynomials
-that his papers print, Chebyshev's as cos(n arccos x). Sags take complex numbers, so that a step of 1e-30 i gives their
-slopes to the last digit. Grids are FITPACK's interpolating splines. Hits are found by samples along the ray and
-bisection.
-"""
+"""Freeform surfaces in float64: explicit formulas of their sags, also of complex numbers, whose imaginary parts give
+the slopes; outlines by winding numbers, hits by samples along the ray and bisection."""
 
 from __future__ import annotations
 
@@ -77,12 +72,7 @@ def harmonic(k: int, odd: bool, x: Array, y: Array) -> Array:
 
 
 def q2d(m: int, last: int) -> list[float]:
-    """
-    Coefficients of Q_m,last by powers of x = u², by Gram and Schmidt from exact moments.
-
-    The mean of u^2k with the weight of Forbes (2012) is binom(2k, k)/4^k, that of the gradients of u^a cos mφ and of
-    u^b cos mφ half of (a b + m²) times that of u^(a + b - 2).
-    """
+    """Coefficients of Q_m,last (Forbes 2012) by powers of x = u², by Gram and Schmidt from exact moments."""
 
     def mean(a: int, b: int) -> Fraction:
         k = (a + b - 2) // 2

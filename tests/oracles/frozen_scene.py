@@ -1,10 +1,5 @@
-"""A scene as one list of numbers that can be moved, with all that a recorded ray meets, in float64.
-
-The keys are those of the plugins' parameters, ``lens_front.curvature``, ``window.bsdf.R``, ``polish.A``; a bsdf that
-has an id of its own gives its parameters that name, as Mitsuba does. What a scene file leaves out is there as well:
-conic and coefficients, decentres ``x``, ``y``, ``z`` (mm) and tilts ``tilt_x``, ``tilt_y``, ``tilt_z`` (degrees), which
-act as to_world · translate · Rx · Ry · Rz, and ``n_front_shift``, ``n_back_shift`` of an interface.
-"""
+"""A scene as a list of numbers that can be moved, in float64, by the keys of the plugins' parameters; poses and shifts
+that the file leaves out are 0 there."""
 
 from __future__ import annotations
 
@@ -52,11 +47,7 @@ class Film:
 
 @dataclass(frozen=True)
 class FrozenScene:
-    """
-    A scene whose numbers can be moved: the model as the file gives it, and key → float64 array.
-
-    Arrays are (1,) but for the layers of a coating. By shape id: key prefix of its interface, film, scatter models.
-    """
+    """The model as the file gives it, key → numbers, and by shape the keys of interface, film and scatter models."""
 
     model: SceneModel
     wavelength_nm: float
@@ -107,11 +98,7 @@ class FrozenScene:
         return own
 
     def cross(self, shape_id: str, origin: Array, direction: Array, near: Array) -> Array:
-        """
-        Path lengths (n,) to the crossings of the unbounded surface next to the lengths `near`, mm.
-
-        Newton's method on the implicit equation; raises where it does not settle.
-        """
+        """Path lengths (n,) to the crossings of the unbounded surface next to `near`, mm, by Newton's method."""
         surface = self.surface(shape_id)
         rotation, vertex = self.pose(shape_id)
         o, d = (origin - vertex) @ rotation, direction @ rotation

@@ -1,9 +1,5 @@
-"""Nonsequential split tracer, breadth first: an independent ledger and energy budget for few rays.
-
-Every hit makes a transmitted and a reflected ray, and one drawn from each lobe that scatters; what a limit removes is
-booked. A ray that hits a detector leaves there what goes nowhere else. Total internal reflection and ``mirror``
-surfaces are not counted by ``max_reflections``.
-"""
+"""Nonsequential split tracer, breadth first, with a ledger of its own: every hit makes a transmitted, a reflected and,
+of each lobe, a scattered ray; what a limit removes is booked."""
 
 from __future__ import annotations
 
@@ -28,10 +24,7 @@ TRANSMITTED, REFLECTED, TOTAL, ABSORBED, SCATTERED_ON, SCATTERED_BACK = range(6)
 
 @dataclass(frozen=True)
 class PathRecord:
-    """One path to a detector: reflections other than TIR and at mirrors (``order``), and its hits by ray.
-
-    Numbers of start rays (rays,), places in the detector's frame (rays, 2) in mm, power absorbed and arriving (rays,).
-    """
+    """One path to a detector: events, reflections (but TIR and mirrors), and by ray start, place and power."""
 
     events: tuple[Event, ...]
     order: int
@@ -79,10 +72,7 @@ class PathRecord:
 
 @dataclass(frozen=True)
 class Ledger:
-    """Everything that became of the launched power, W; ``paths`` by falling power.
-
-    ``books``: (what, where …) → power by start ray. What is absorbed, absorbed in a medium, escaped, cut, or a leak.
-    """
+    """What became of the launched power, W; ``books``: (absorbed, …, cut or leak, where …) → by start ray."""
 
     launched_W: float
     paths: list[PathRecord]
@@ -186,13 +176,8 @@ def trace(
     start_material: str = "air",
     seed: int = 0,
 ) -> Ledger:
-    """Ledger of all paths of the start rays: positions and directions (n, 3), powers (n,) in W.
-
-    ``lobes`` of the surfaces that scatter. ``max_events`` counts the hits of a path, the last one on the detector
-    included. ``flux_threshold`` is relative to the start ray's own power. A leak is a hit whose incidence-side index
-    differs from that of the medium the ray travels in; what leaves the scene in a medium other than the first is a
-    hit on "escape".
-    """
+    """Ledger of all paths of the start rays (n, 3), powers in W; the threshold is relative to the start ray's power,
+    and a leak is a hit whose index on the incident side is not that of the medium the ray is in."""
     ids, rng = [shape.shape_id for shape in model.shapes], np.random.default_rng(seed)
     materials = [start_material]
     for shape in model.shapes:

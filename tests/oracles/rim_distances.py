@@ -1,7 +1,4 @@
-"""Distances of recorded hits from rims and from surfaces that meet a rim, as functions of the numbers of a scene.
-
-The rays are followed again in float64 (`frozen_paths`), so that a distance moves with everything that a ray has met.
-"""
+"""Distances of recorded hits, followed again in float64, from rims and from surfaces that meet a rim."""
 
 from __future__ import annotations
 
@@ -19,10 +16,7 @@ APERTURES = {"semi_diameter": "outer", "inner_semi_diameter": "inner"}
 
 @dataclass(frozen=True)
 class RimHits:
-    """Rays of one path whose last event, Absorbed, is close to a rim, one of `RIMS`, of that event's surface.
-
-    ``joined`` is the surface whose distance counts instead of that of the rim; ``c`` (…, n) weighs the distances.
-    """
+    """Rays of a path that end close to a rim, or to the surface ``joined`` to it; ``c`` weighs distances."""
 
     bundle: Bundle
     rim: str
@@ -72,11 +66,7 @@ def distances(scene: FrozenScene, hits: RimHits, shift: float = 0.0) -> Array:
 
 
 def edge_derivative(scene: FrozenScene, groups: list[RimHits], key: str, step: float) -> Array:
-    """
-    Derivative of Σ c Δ by a number of the scene, or by a clear radius or half side, by batch: (…, 32).
-
-    The key is ``stop.r0``, ``lens_front.curvature``, ``lens_front.semi_diameter``, …; the step that of the differences.
-    """
+    """Derivative of Σ c Δ by a number of the scene, or by a clear radius or half side, by batch: (…, 32)."""
     owner, name = key.rsplit(".", 1)
     total = np.zeros((*groups[0].c.shape[:-1], 32))
     for hits in groups:

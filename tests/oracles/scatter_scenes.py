@@ -125,10 +125,7 @@ def rough_and_painted(text: str, model: SceneModel, optics: Sequence[str], struc
 
 
 def tube_text(length: float, rho: float) -> str:
-    """A tube of radius 1 with a diffuse wall; a diffuser is its entrance, with pi W in front, a black detector its end.
-
-    What comes back through the entrance leaves the scene.
-    """
+    """A diffuse tube of radius 1 between a diffuser with pi W, its entrance, and a black detector, its end."""
     return scatter_scene(
         beam_xml(1.0),
         placed_xml("asphere", "entrance", diffuser_xml(), semi_diameter=1.0),
@@ -138,10 +135,7 @@ def tube_text(length: float, rho: float) -> str:
 
 
 def sphere_text(rho: float, port: float) -> str:
-    """A diffuse sphere of radius 10 with a black disc, the detector, before a cap of the area fraction ``port``.
-
-    The light, pi W, starts inside and hits the wall first.
-    """
+    """A diffuse sphere of radius 10, the detector before a cap of this area fraction; pi W hit the wall first."""
     cosine = 1 - 2 * port
     disc = {"semi_diameter": 10 * (1 - cosine**2) ** 0.5}
     return scatter_scene(

@@ -1,10 +1,4 @@
-"""Reads a mistray scene XML into a plain float64 model, without Mitsuba.
-
-Understood: shapes ``asphere``, ``frustum`` and stock ``rectangle``, ``disk``, ``sphere``; nested ``interface`` and
-``null`` bsdfs, also by ``<ref>``; emitters ``collimated`` and ``point_source`` with a cone; a shape with a nested
-``irradiancemeter`` is a detector; integrator ``straylight``; ``<default>`` values with ``$name``. Anything else raises
-ValueError, so that no scene is half read.
-"""
+"""Reads a mistray scene XML into a plain float64 model, without Mitsuba; what is not understood raises ValueError."""
 
 from __future__ import annotations
 

@@ -13,11 +13,7 @@ from .small_scenes import interface_xml, scene_text, shape_xml
 
 @dataclass(frozen=True)
 class Face:
-    """
-    A plane that the ray meets: its incidence and the azimuth of its normal about the ray; T, R or I; the index behind.
-
-    Layers are (index, thickness in nm), in the order in which the light meets them.
-    """
+    """A plane by incidence and azimuth of its normal about the ray; T, R or I; index behind; layers (index, nm)."""
 
     incidence_deg: float
     azimuth_deg: float

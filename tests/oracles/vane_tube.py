@@ -1,9 +1,5 @@
-"""A painted tube with thin vanes and a detector at its bottom, in float64 NumPy: its PST by a walk of its own.
-
-Light enters at z = L and falls on the bottom at z = 0. Walls, vanes and bottom are Lambertian. Paths go from the
-detector, each direction by the cosine; every vertex of one is connected to the first hit of a ray of light that starts
-in the opening. All orders of scatter are found in this way, and nothing but that.
-"""
+"""PST of a painted tube with thin vanes in float64: walks from the detector at z = 0, whose vertices are connected to
+the first hits of light that enters at z = L."""
 
 from __future__ import annotations
 

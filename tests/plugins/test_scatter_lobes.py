@@ -328,11 +328,7 @@ def assert_agree(bsdf: Any, wi: np.ndarray, mode: Any, count: int = 20_000) -> N
 
 @pytest.mark.parametrize("name", MODELS)
 def test_every_component_scatters_its_share(name: str) -> None:
-    """
-    Mean weights are R (1 - loss), T (1 - loss) and the scattered shares of the float64 totals, and do not exceed 1.
-
-    False-alarm probability 1e-3 over all comparisons of one model.
-    """
+    """Mean weights are R (1 - loss), T (1 - loss) and the totals of the scatter; false alarm 1e-3 of one model."""
     bsdf, count = surface(MODELS[name]), 200_000
     got, want, errors, names = [], [], [], []
     for angle, front in ((0.0, True), (45.0, True), (85.0, True), (30.0, False)):

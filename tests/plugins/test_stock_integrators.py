@@ -103,11 +103,7 @@ def window(film: dict[str, Any]) -> dict[str, Any]:
     "film", [{"preset": "bbar3"}, {"layers": "2.1+0.3i 20, 1.46 90"}, {"layers": "2.3 0.25w, 1.38 0.25w, 2.3 0.25w"}]
 )
 def test_a_coated_window_under_path_and_straylight(film: dict[str, Any]) -> None:
-    """
-    A screen behind a coated window, seen by `path` at 40°, has the brightness that `straylight` gives a beam.
-
-    Both follow the reflections inside of the plate. False-alarm probability 1e-3.
-    """
+    """A screen seen through it by `path` is as bright as `straylight` says, all orders; false alarm 1e-3."""
     beam = scene_dicts.load(
         beam={"type": "collimated", "radius": 2.0, "field_deg": INCIDENCE_DEG},
         **window(film),
@@ -309,11 +305,7 @@ class TestCollimated:
 
 @pytest.mark.parametrize("light", ["area", "constant"])
 def test_stock_light_under_path_and_in_a_trace(light: str) -> None:
-    """
-    A painted plate beside the detector, a glass plate over it, and a lamp or a sky: the same irradiance both ways.
-
-    False-alarm probability 1e-3 for both.
-    """
+    """A painted plate, glass over the detector, and a lamp or a sky: the same irradiance; false alarm 1e-3 for both."""
     white = {"type": "interface", "R": 0.0, "scatter": {"type": "abg", "A": 0.2, "B": 1.0, "g": 0.0}}
     tilted = T().translate([0, 14, -10]).rotate([1, 0, 0], 60)
     square = {"type": "asphere", "half_width": 9.0, "half_height": 9.0}

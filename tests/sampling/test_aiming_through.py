@@ -32,12 +32,8 @@ def window(scattering: str, z: float, **more: Any) -> mi.Scene:
 
 
 def through_the_window() -> float:
-    """
-    Power at the detector for 1 W, scattered at the front and refracted at the rear.
-
-    Light at the angle g in the glass lands at the distance r(g) = t tan g + z tan(asin(n sin g)) from where it is
-    scattered, so that a Lambertian share ρ gives dP/dA = ρ/π · cos g · sin g / (r dr/dg).
-    """
+    """Power at the detector for 1 W: light at g in the glass lands at r(g) = t tan g + z tan(asin(n sin g)) from where
+    it is scattered, so that a Lambertian share ρ gives dP/dA = ρ/π · cos g · sin g / (r dr/dg)."""
     g = np.linspace(1e-4, 0.9999 * np.arcsin(1 / INDEX), 200_001)
     r = THICK * np.tan(g) + AWAY * np.tan(np.arcsin(INDEX * np.sin(g)))
     density = DIFFUSE / np.pi * np.cos(g) * np.sin(g) / (r * np.gradient(r, g))

@@ -47,13 +47,8 @@ KINDS: dict[str, tuple[dict[str, Any], float]] = {
 @pytest.mark.quick
 @pytest.mark.parametrize("kind", KINDS)
 def test_aimed_rays_of_every_kind(kind: str) -> None:
-    """
-    Within 3 standard errors of the run without aim (false alarm 2.7e-3 each), with the variance that is promised.
-
-    Each of N rays sends the share s of its light on, and of that a share p goes to the detector. Without aim N p rays
-    hit with s each: a variance of s² p (1 - p) / N. Aim at the solid angle promises 1/p less; half of that is asked
-    for. An error of 32 batches is itself good to 1/8, so 3 of these are given away.
-    """
+    """Within 3 errors of the run without aim (2.7e-3 each), with half of the gain 1/p that a share p on the detector
+    promises; an error of 32 batches is itself good to 1/8, so that 3 of these are given away."""
     parts, sent = KINDS[kind]
     scene = mistray.load({"type": "scene", **parts})
     limits = {"ledger": False, "scatter_threshold": 0.0}

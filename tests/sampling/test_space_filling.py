@@ -1,7 +1,4 @@
-"""Start rays that are spread evenly over a source: errors against rays, beside closed forms.
-
-A ratio of variances of 60 runs has an error of 19 %; the tests leave room for four of those (false alarm 6e-5 each).
-"""
+"""Start rays spread evenly over a source: ratios of variances of 60 runs, false alarm 6e-5 each."""
 
 from __future__ import annotations
 

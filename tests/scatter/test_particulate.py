@@ -65,12 +65,7 @@ class OneSize(Particulate):
 
 
 def test_mirror_against_an_exact_calculation() -> None:
-    """
-    SCATMECH's double interaction, averaged over the height of the particles.
-
-    It agrees within 2 % where the phases average out. In the specular plane at θs = θi they do not: a coherent sum is
-    twice as large in the specular direction, which is known and documented.
-    """
+    """SCATMECH's double interaction, over heights: within 2 % where phases average out, twice as much where θs = θi."""
     table = pd.read_csv(DATA / "contam_double_interaction.csv", comment="#")
     table = table[table["substrate"] == "PEC-like"]
     lobes = OneSize(level=300.0).lobes(WAVELENGTH_NM, 1.0, 1.0, True)

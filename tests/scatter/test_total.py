@@ -20,11 +20,7 @@ legendre = functools.cache(np.polynomial.legendre.leggauss)
 
 
 def brute(lobe: Lobe, theta: float, n_in: float, n_out: float) -> float:
-    """
-    Sum over a polar grid of directions about the normal; good for lobes that are no narrower than its step.
-
-    Each part of the lobe is written out by its definition, to which `bsdf` keeps.
-    """
+    """Sum over a polar grid about the normal, each part of the lobe by its definition, to which `bsdf` keeps."""
     n = 600
     sine_spec = np.sin(theta) * (n_in / n_out if lobe.event == "transmission" else 1)
     centre_tangent = {"specular": sine_spec, "normal": 0.0, "retro": -np.sin(theta)}[lobe.centre]

@@ -1,10 +1,5 @@
-"""Telescopes that batoid ships, ray by ray beside its split trace.
-
-Both programs get the same start rays, so that nothing differs by chance. batoid knows the order of the elements and
-lets light go to a neighbour only, so that none comes back from a mirror to the camera; `Comparison.more` holds such
-paths. Its search for a hit of a strong asphere near the rim does not always converge: `Telescope.unconverged` counts
-these rays.
-"""
+"""Telescopes that batoid ships, ray by ray beside its split trace, from the same start rays; batoid lets light go to a
+neighbour only, and its search for a hit does not always converge."""
 
 from __future__ import annotations
 
@@ -127,11 +122,7 @@ class Telescope:
         )
 
     def unconverged(self, names: Names, comparison: Comparison) -> int:
-        """
-        Rays of a path that batoid gives up although the hit is there.
-
-        They have failed, and the point where mistray says that they go on lies on the surface, within its aperture.
-        """
+        """Rays of a path that batoid gives up although the point of mistray lies on the surface, in its aperture."""
         t = comparison.trace
         row = next(row for row in t.paths if tuple(name for name, _ in row.event_list) == names)
         rays = t.history(row.path_id, n=row.rays)._rays

@@ -1,8 +1,4 @@
-"""Figures of the phone camera: its image, its irradiance on axis, its ghosts beside those of the FRED study.
-
-The reference figures of the image stand in the ``checks`` of ``scenes/phone_camera/prescription.json``; they come from
-an independent float64 ray trace. Those of the study are in tests/data.
-"""
+"""The phone camera: its image beside the ``checks`` of its prescription, its ghosts beside the FRED study."""
 
 from __future__ import annotations
 
@@ -72,13 +68,8 @@ def shipped() -> Prescription:
 
 
 def wide_open(barrel: bool) -> Prescription:
-    """
-    The camera for its image alone, with a detector that the image at 18° fits on.
-
-    Without ``barrel`` only the rims of the lenses clip: a source of the size of the stop lies in its plane, and the
-    window, which moves a tilted beam aside, is taken away, so that the ray through the pivot is the chief ray. With it
-    everything is as shipped, and the source is larger than the stop at all fields.
-    """
+    """The camera for its image alone, with a larger detector: as shipped, or without barrel, where only rims of lenses
+    clip and a source of the size of the stop lies in its plane."""
     p = shipped()
     detector = replace(p.detector, half_width=3.0, half_height=3.0)
     if barrel:
@@ -97,13 +88,8 @@ def image_path(t: mistray.Trace, window: bool) -> Any:
 
 
 def image(rays: int) -> list[dict[str, float]]:
-    """
-    Spot, chief ray and relative illumination on the d line at the fields of the reference figures.
-
-    The relative illumination is that of an even scene by conservation of étendue: the flux that passes, with the cosine
-    of the tilted stop, times the solid angle in object space from which an area of the image collects,
-    sin θ dθ / (y dy). The lenses alone get `rays` on a grid, the camera with its barrel eight times as many at random.
-    """
+    """Spot, chief ray and relative illumination on the d line: the flux that passes, with the cosine of the tilted
+    stop, times sin θ dθ / (y dy), by conservation of étendue."""
     rims = wide_open(barrel=False)
     scene, with_barrel = rims.to_scene(), wide_open(barrel=True).to_scene()
     thin = replace(rims, source=replace(rims.source, radius=1e-5)).to_scene()
@@ -159,12 +145,8 @@ def image(rays: int) -> list[dict[str, float]]:
 
 
 def even_scene_irradiance(field_deg: float) -> float:
-    """
-    Irradiance of the image of an even scene where the chief ray of a field lands, in the units of the field 0.
-
-    The rims alone: Σ |∂(direction cosines)/∂(place on the detector)| over points of the stop, each with the direction
-    in which its ray reaches that place, by Newton's method in float64. No centroid, no chief ray.
-    """
+    """Relative irradiance of the image of an even scene where a chief ray lands: Σ |∂(direction cosines)/∂(place)| over
+    points of the stop, each with the direction that reaches that place, by Newton's method in float64."""
     rims = wide_open(barrel=False)
     model = scene_xml.parse_scene(xml_text(rims))
     events = [*((name, "T") for name in FACES), ("detector", "A")]
@@ -220,12 +202,8 @@ def radial(
     stop: bool = True,
     camera: Prescription | None = None,
 ) -> tuple[float, ...]:
-    """
-    An on-axis path by quadrature (midpoints) over the square of the height in a beam of 1 W/mm², in float64.
-
-    Only the faces of the stop clip, on the way back too, or nothing does. Gives power, RMS radius, RMS irradiance, and
-    what over √n is the relative standard error of that from n random rays.
-    """
+    """Power, RMS radius, RMS irradiance and its relative error times √rays of an on-axis path, by quadrature over the
+    square of the height in a beam of 1 W/mm²; the faces of the stop clip, or nothing does."""
     r = radius * np.sqrt((np.arange(NODES) + 0.5) / NODES)
     origin = np.column_stack([0 * r, r, np.full_like(r, -3.0)])
     model = _with_stop(camera or shipped())
@@ -322,11 +300,7 @@ def ghost_pairs(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def implied_radii(tables: Mapping[float, pd.DataFrame]) -> list[dict[str, Any]]:
-    """
-    RMS radii in µm that the study's figures of the detector's ghosts imply, with the power that we find.
-
-    ``blur_um`` is what has to be added in quadrature to our radius, NaN where ours is the larger one.
-    """
+    """RMS radii, µm, that the study's ghosts of the detector imply at our power, and the difference in quadrature."""
     rows = []
     for ghost in REPORT:
         if len(ghost.surfaces) == 2 and ghost.surfaces[0] == "detector" and "bevel" not in ghost.surfaces[1]:
@@ -346,12 +320,8 @@ def implied_radii(tables: Mapping[float, pd.DataFrame]) -> list[dict[str, Any]]:
 
 
 def ghost_table(scene: Any, field_deg: float, rays: int, max_reflections: int = 2) -> pd.DataFrame:
-    """
-    The stray paths of a field, by falling RMS irradiance, those of fewer than 30 rays left out.
-
-    Columns as in `GhostReport.table`, and ``surfaces``: the reflecting surfaces joined by " → ", where several paths
-    share them with a number from the second on.
-    """
+    """The stray paths of a field by falling RMS irradiance, of 30 rays at least; ``surfaces``: the reflecting ones,
+    numbered where several paths share them."""
     report = ghosts(scene, field_deg=[field_deg], rays=rays, max_reflections=max_reflections, flux_threshold=1e-8)
     table = report.table(field_deg)
     table = table[(table.rank_rms_irradiance > 0) & ~table.few_rays].sort_values("rank_rms_irradiance")

@@ -1,7 +1,4 @@
-"""Critical, illuminated and common objects of the phone camera beside Tables 7, 9 and 10 of the FRED study.
-
-Run as a script it writes the tables of docs/validation/phone_camera_objects.md.
-"""
+"""Critical, illuminated and common objects of the phone camera beside Tables 7, 9 and 10 of the FRED study."""
 
 from __future__ import annotations
 

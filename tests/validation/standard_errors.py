@@ -1,7 +1,4 @@
-"""Every printed standard error against the spread of repeated runs: the entries, their kinds and the table.
-
-`python tests/validation/standard_errors.py [SEEDS [WORD …]]` prints the table.
-"""
+"""Every printed standard error against the spread of repeated runs; as a script, with [SEEDS [WORD …]], the table."""
 
 from __future__ import annotations
 
@@ -249,11 +246,7 @@ CASES = {
 
 
 def repeats(name: str, seeds: int) -> pd.DataFrame:
-    """
-    The entries of a case that were there in all of so many runs, by kind and name.
-
-    The mean, std and excess kurtosis (at least 0) are those over the runs, rms_se the root mean square of the errors.
-    """
+    """Entries that were there in all of so many runs: mean, std, kurtosis over the runs, RMS of the errors."""
     found: dict[tuple[str, str], list[tuple[float, float]]] = defaultdict(list)
     case = CASES[name]
     scene = case.load()

@@ -1,10 +1,4 @@
-"""Lens files against what optiland and ray-optics make of them: every .zmx and .seq in the two packages, and our own.
-
-Their focal lengths and rays are frozen in tests/data (tests/peer_lenses.py makes them). Where the two agree, mistray
-must agree with them; where they do not, the answer is worked out here. The files in tests/data/lenses are read wherever
-the tests run, those in the packages where these are installed, which `test_the_tables_are_what_the_programs_say` alone
-imports.
-"""
+"""Every lens file of optiland, ray-optics and tests/data/lenses against their frozen focal lengths and rays."""
 
 from __future__ import annotations
 
@@ -220,10 +214,7 @@ def spot(found: Sequential, radius: float, y: float = 0.0, slope: float = 0.0) -
 
 
 def test_a_q_asphere_of_a_vendor_is_sharp():
-    """ASL5040-UV at its design wavelength, f = 40 mm, 44 mm wide: within its Airy disc, 0.1 mm without its polynomial.
-
-    This tells what a Q asphere of type 0 with a conic is: Qbfs along the normals of the conic.
-    """
+    """f = 40 mm, 44 mm wide: Qbfs along the normals of the conic are within its Airy disc, none leave 0.1 mm."""
     found = lens("ASL5040-UV-Zemax(ZMX).zmx")
     assert found.wavelength_nm == 405.0
     assert spot(found, 22.0) < 1.22 * 405e-6 * 40 / 44
@@ -296,11 +287,7 @@ def test_folding_does_not_change_the_lens():
 
 
 def test_the_three_mirror_telescope_is_sharp_and_centred():
-    """
-    Decentres with DAR, ADE to the left, defocus before the image's own turn: the field on the axis ends at (0, 0).
-
-    With the opposite turns, without DAR or with the defocus behind the turn it is blurred, or 2 mm away or more.
-    """
+    """With the opposite turns, without DAR or with the defocus behind the turn it is blurred, or 2 mm away or more."""
     found = lens("threemir.seq")
     grid = np.linspace(-1, 1, 9)
     aim = 20 * np.stack([axis.ravel() for axis in np.meshgrid(grid, grid)], axis=1)

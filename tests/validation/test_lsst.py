@@ -39,15 +39,8 @@ MIRRORS, LEG_MM = 3, 11_000.0  # of the design path, and the longest way between
 
 
 def agree(pairs) -> None:
-    """
-    Both programs bring the same light, ray by ray, but for one ray on the edge of an aperture.
-
-    Of n rays such a ray adds 1/n to the flux and moves the centroid by its distance over n.  It lies within three
-    RMS radii of the centroid: an evenly lit disc ends at 1.4 of them, a crescent or a narrow ring at less than 3.
-
-    A mirror more than the design path has is a leg more, over which single precision rounds a direction by 2^-24.
-    Which way it rounds differs between processors.
-    """
+    """The same light, but for one ray on the edge of an aperture, within three RMS radii of the centroid; each mirror
+    more is a leg over which single precision rounds a direction by 2^-24."""
     for names, (ours, theirs) in pairs.items():
         further = sum(name in ("M1", "M2", "M3") for name in names) - MIRRORS
         on_edge = abs(ours.rays - theirs.rays)

@@ -37,11 +37,7 @@ def test_the_direct_light_keeps_the_product_of_1_less_tis(polished):
 
 
 def test_the_mtf_of_the_polished_camera_falls_to_1_less_tis(polished):
-    """
-    At the frequencies of the lens the MTF is (1 - TIS) times the direct one, but for scatter off the detector.
-
-    The detector gets a share of the scattered light, so that the floor lies between 1 - TIS and 1.
-    """
+    """(1 - TIS) times the direct MTF, but for scatter onto the detector: the floor lies between 1 - TIS and 1."""
     scene = polished[1].to_scene()
     found = mistray.transfer(scene, 0.0, frequencies_per_mm=[0.0, 100.0, 300.0], rays=4000, max_reflections=0)[0]
     floor = found.veiling_floor

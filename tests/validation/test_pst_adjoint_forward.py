@@ -1,13 +1,5 @@
-"""The PST backward and forward: two samplings of one integral, on nine scenes with ghosts and scatter.
-
-The backward trace starts on the detector and sorts its rays by where they leave; the one with the light starts
-a plane wave for each angle. They share the surfaces, the coatings and the BSDFs of the kernel, not the sampling, the
-weights nor the books. A PST is wrong in both only where those that they share are, which other tests check.
-
-Of each number z = (adjoint - forward)/(their standard errors together). An error from 32 batches makes z a Student t of
-31 degrees of freedom at least; z is turned into the normal variable of the same probability. Where single rays carry
-much of the light, errors are themselves uncertain: such numbers do not enter.
-"""
+"""The PST backward and forward, two samplings of one integral, on nine scenes with ghosts and scatter: differences over
+their errors, a Student t of 31 degrees of freedom, as normal variables; numbers that single rays carry do not enter."""
 
 from __future__ import annotations
 
@@ -154,12 +146,7 @@ def check(name: str, adjoint: Pst, forward: Pst, case: Case) -> None:
 )
 @pytest.mark.parametrize("method", ["joined", "adjoint"])
 def test_scenes(name: str, method: str) -> None:
-    """
-    Totals at six angles within 3 standard errors, classes by chi-square, in both conventions.
-
-    By chance a scene fails in 1.6 % (six totals) and less than 1 % of the seeds (classes: 0.1 % if they were
-    independent, but those of one angle share their start rays).
-    """
+    """In both conventions; by chance a scene fails in 1.6 % (totals) and less than 1 % (classes) of the seeds."""
     case = CASES[name]
     adjoint, forward = both(name, case, method)
     assert (adjoint.method, forward.method) == (method, "forward")

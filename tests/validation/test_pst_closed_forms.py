@@ -1,9 +1,5 @@
-"""PSTs of real traces, by both methods, against closed forms and quadrature in float64.
-
-Cells cover the whole hemisphere where an integral over the sky is wanted. A number must lie within 5 standard errors of
-the exact one, and its error must be below the limit that is written at the test. Errors come from 32 batches, so that a
-false alarm has the probability 2e-5 (Student's t of 31 degrees of freedom); there are about 300 numbers.
-"""
+"""PSTs by both methods against closed forms and quadrature in float64: within 5 standard errors of 32 batches, false
+alarm 2e-5 each of about 300 numbers, with errors below the limits at the tests."""
 
 from __future__ import annotations
 
@@ -85,10 +81,7 @@ class TestDirect:
     @pytest.mark.long
     @METHODS
     def test_phone_camera_on_axis(self, method: str) -> None:
-        """Its stop lies before all lenses and is its entrance pupil; fourteen surfaces transmit 0.98 and 0.99.
-
-        The stop is 0.075 mm thick: two circles, shifted by that times tan θ, limit the light.
-        """
+        """Fourteen surfaces transmit 0.98 and 0.99; the stop of 0.075 mm limits the light by two shifted circles."""
         camera = mistray.load("phone_camera")
         found = of(camera, method, (4_000_000, 60_000), [0], 2.0, max_reflections=0, max_scatters=0)
         area = found.facts["detector_area_mm2"]
@@ -129,10 +122,7 @@ def plate_text(bsdf: str, plate_z: float, radius: float, half: float = 0.05) -> 
 
 
 class TestFirstOrderScatter:
-    """BSDF cos θ π NA² and its like; the lens is a real one that is all but ideal, see `oracles.ideal_lens`.
-
-    The oracle is averaged over the cells, and the size of the detector, 0.06°, costs less than 1e-3.
-    """
+    """BSDF cos θ π NA² and its like over the cells; the size of the detector, 0.06°, costs less than 1e-3."""
 
     ONCE = {"max_scatters": 1, "max_reflections": 0}
 
@@ -176,13 +166,8 @@ class TestVeilingGlare:
     @METHODS
     @pytest.mark.parametrize("row", vectors.rows("vgi_retro.csv"), ids=lambda r: f"{r['R_det']}-{r['R_w1']}")
     def test_retro_ghost(self, load_scene: Load, row: dict[str, str], method: str) -> None:
-        """Light that the detector sends back to the window returns to the black patch: R_det R_window of E_white.
-
-        The lens is telecentric, and its pupil is a ring, so that the ghost of every point is a ring, 0.5 … 1.3 mm in
-        radius (0.3 … 0.8°), which leaves out the patch of 0.2° about that point. All orders of the ghost are in E_black
-        and in E_white alike, so that their quotient is the number of first order. Aberration of the pupil costs 0.2 %
-        of the ghost (at F/8; 0.8 % at F/4).
-        """
+        """R_det R_window of E_white: a telecentric lens with a pupil ring, so that the ghost of a point is a ring that
+        leaves out the black patch about it; aberration of the pupil costs 0.2 % at F/8."""
         r_det, r1, r2 = (float(row[key]) for key in ("R_det", "R_w1", "R_w2"))
         n, t, gap = 1.5168, 1.0, 10.0
         focus = 100 + t * (n - 1) / n
@@ -213,10 +198,7 @@ class TestCavities:
     @pytest.mark.parametrize("rho", [0.05, 0.5, 1.0])
     @pytest.mark.parametrize("length", [1.0, 2.0, 4.0])
     def test_diffuse_tube(self, load_scene: Load, length: float, rho: float, method: str) -> None:
-        """A sky of radiance 1 through the tube: E / π is the transmission; its entrance is like a Lambertian disc.
-
-        60 wall reflections leave 1e-6 inside at most.
-        """
+        """A sky is like a Lambertian entrance: E / π is the transmission; 60 reflections leave 1e-6 inside."""
         text = scatter_scene(
             beam_xml(1.0),
             placed_xml("frustum", "wall", wall_xml(rho), r0=1.0, z0=0.0, r1=1.0, z1=length),
@@ -233,11 +215,7 @@ class TestCavities:
     @METHODS
     @pytest.mark.parametrize("rho", [0.5, 0.9])
     def test_integrating_sphere(self, load_scene: Load, rho: float, method: str) -> None:
-        """E / π = f / (1 - ρ(1 - f)) everywhere on the wall of a sphere whose port of area fraction f sees the sky.
-
-        The detector is a cap of the sphere and scatters as the wall does. A black tube keeps light from its rear side,
-        and a belt of 0.3 mm closes the gap between the two halves. 60 reflections leave 1e-4 inside.
-        """
+        """E / π = f / (1 - ρ(1 - f)); tube and belt close the gaps of the halves, 60 reflections leave 1e-4."""
         port, cap, width = 4.0, 3.0, 9.999
         half, wall, rim = float(np.sqrt(100 - width**2)), wall_xml(rho), {"semi_diameter": width}
         text = scatter_scene(
@@ -254,10 +232,7 @@ class TestCavities:
 
 
 def cavity_text(*parts: str, wall: str, inner: str = "air", glass_from: float | None = None) -> str:
-    """A can of radius 1, open towards the light, with a detector in its bottom that scatters all light, as it does.
-
-    Behind ``glass_from`` it is filled with the material ``inner``.
-    """
+    """A can of radius 1 with a white detector in its bottom; behind ``glass_from`` it is filled with ``inner``."""
     white = scattering_xml([bsdf_xml("paint", reflectance=1.0)], front=inner, R=0.0)
     filled, end = glass_from is not None, 1.2
     behind, rim = (white, glass_from) if filled else (wall, end)
@@ -309,12 +284,7 @@ class TestWhiteFurnace:
 
     @pytest.mark.slow
     def test_phone_camera(self) -> None:
-        """The whole camera: its coatings have R + T = 1; its barrel, lens edges and detector scatter everything.
-
-        The camera is a good trap: most rays make more than the 64 events that a path can have. A backward ray
-        loses nothing, so that it leaves by the front at last, and adding what is cut is exact. The detector's albedo
-        must be 1 like all others: a black one would be a cold spot that the rest sees.
-        """
+        """All coatings have R + T = 1, all else scatters all: a backward ray leaves at last, what is cut is added."""
         scene = white_camera().to_scene()
         e = source_irradiance(of(scene, "adjoint", (100_000, 0), **ONE_BRANCH), SkyRadiance(), "total")
         seen = see(scene, rays=100_000, **ONE_BRANCH)

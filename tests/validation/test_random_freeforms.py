@@ -1,8 +1,4 @@
-"""Random freeforms: closed books, no NaN, and the paths of a float64 tracer that shares no code with the kernel.
-
-A scene follows from its number alone: two to five surfaces with Zernike polynomials up to order 8, tilts and decentres,
-within circles, ellipses, rectangles and polygons anywhere, some with holes; lenses, mirrors and plates that absorb.
-"""
+"""Random freeforms, each from its number alone: closed books, no NaN, and the paths of a tracer in float64."""
 
 from __future__ import annotations
 

@@ -1,12 +1,5 @@
-"""A thousand random systems: no NaN, no negative power, no hang, closed books, no ray lost without a reason.
-
-What is launched is detected, absorbed, escapes or is cut for a reason that is told, to `CLOSURE`; light that is in
-glass does not get out of it other than through its surfaces. A tenth of the scenes is traced by the float64 oracle as
-well, path by path. What makes no sense is refused in one clear line.
-
-A scene follows from its number alone: ``python tests/random_scenes.py NUMBER FOLDER`` writes it. Those that fail, and
-one that hangs, stay in the temporary folder of the test, whose path is in the message.
-"""
+"""A thousand random systems (``python tests/random_scenes.py NUMBER FOLDER``): no NaN, closed books, the oracle's
+paths; scenes with a fault stay in the test's temporary folder."""
 
 from __future__ import annotations
 
@@ -48,11 +41,7 @@ def numbers(structure: int, count: int) -> Iterable[int]:
 
 
 def sampling_fault(t: Any) -> list[str]:
-    """
-    What was to be scattered less what the scattered rays carry must be 0 on average.
-
-    Rare strong rays make the error of few rays too small, hence the wide limits.
-    """
+    """What was to be scattered less what scattered rays carry is 0 on average; wide limits for rare strong rays."""
     found = []
     for run in t._runs:
         by_batch = run.channels[SAMPLING] / run.rays

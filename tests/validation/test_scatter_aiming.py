@@ -1,10 +1,5 @@
-"""Aimed scatter: the same answer as without aiming, and how much sooner; see docs/scatter.md.
-
-Aimed and unaimed runs of six scenes with scatter on every surface are compared as a whole and by the surface that
-scatters first. The gain is the ratio of variance × time. Where an unaimed run of reasonable size has no hit at all, its
-variance is known all the same: every hit of an unaimed run carries nearly the same flux w, so that the variance of a
-power P is P w, with w = (what the surface scatters) / (number of rays).
-"""
+"""Aimed scatter of six scenes: the answer as without aim, and how much sooner, by the ratio of variance × time; unaimed
+hits carry nearly the same flux w, so that the variance of a power P without hits is P w."""
 
 from __future__ import annotations
 
@@ -63,9 +58,7 @@ def scattered(t: mistray.Trace) -> tuple[float, float]:
 
 @pytest.mark.parametrize("name", CASES)
 def test_aimed_and_unaimed_agree(name: str, tmp_path: Path) -> None:
-    """The total within 3 standard errors (six scenes: false alarm 2 %), each surface within 4.5 (Student's t with 31
-    degrees of freedom and some 15 surfaces a scene: 1e-2 for all scenes together).
-    """
+    """Totals within 3 standard errors (false alarm 2 % of six), surfaces within 4.5 (1e-2 for all scenes)."""
     field_deg, few, many = CASES[name]
     path = SCENES / name / "scene.xml"
     text = path.read_text(encoding="utf-8")
@@ -90,9 +83,7 @@ def test_aimed_and_unaimed_agree(name: str, tmp_path: Path) -> None:
 
 
 class TestWorldWithoutImportanceSampling:
-    """TracePro's example: one ray in eight meets a lens of A = 2e-5, B = 1e-6, g = 2, and 30° off lies a detector of
-    4e-6 sr. Scatter takes 3.464e-11 of the light there: it needs 2e10 rays for an even chance of one hit.
-    """
+    """TracePro's example: A = 2e-5, B = 1e-6, g = 2, a detector of 4e-6 sr 30° off gets 3.464e-11 of the light."""
 
     A, B, G = 2e-5, 1e-6, 2.0
     RAYS = 200_000
