@@ -34,9 +34,7 @@ PATHS = {
     "plate across": [Face(60, 0, "T", 1.7, COATED), Face(25, 55, "T", 1.0, COATED)],
     "ghost in a plate": [
         Face(45, 20, "T", 1.5),
-        Face(28, 140, "R", 1.0),
-        Face(40, 250, "R", 1.0),
-        Face(20, 60, "T", 1.0),
+        *(Face(*x, 1.0) for x in ((28, 140, "R"), (40, 250, "R"), (20, 60, "T"))),
     ],
     "bare mirrors": [Face(45, 90, "R", ALUMINIUM, PROTECTED), Face(60, 30, "R", SILVER, PROTECTED)],
     "coated mirrors": [
@@ -46,9 +44,7 @@ PATHS = {
     ],
     "total reflection": [
         Face(45, 10, "T", 1.7),
-        Face(50, 40, "I", 1.0),
-        Face(60, 110, "I", 1.0),
-        Face(30, 70, "T", 1.0),
+        *(Face(*x, 1.0) for x in ((50, 40, "I"), (60, 110, "I"), (30, 70, "T"))),
     ],
     "splitter": [Face(40, 75, "T", 1.5, COATED), Face(45, 15, "I", 1.0, SPLITTER), Face(35, 190, "T", 1.0, SPLITTER)],
 }

@@ -42,9 +42,6 @@ def tube(*more: str, length: float = 2.0, rho: float = 0.1, beam: str | None = N
     )
 
 
-# -- the opening ---------------------------------------------------------------------------------------------------
-
-
 def test_opening_of_a_tube(load_scene) -> None:
     """Its mouth, a thousandth of the length before it; 2 % in the radius, as it is found by some hundred rays."""
     found, _ = opening_of(load_scene(tube()))
@@ -55,9 +52,6 @@ def test_opening_of_a_tube(load_scene) -> None:
         assert np.linalg.norm(half) == pytest.approx(1.0, abs=0.03)
         assert abs(half[2]) < 1e-9
     assert abs(found.u @ found.v) < 1e-9
-
-
-# -- the design path in reverse ------------------------------------------------------------------------------------
 
 
 def trail(path: DesignPath, o: np.ndarray, d: np.ndarray) -> list[np.ndarray]:
@@ -90,9 +84,6 @@ def test_rays_go_back_the_way_they_came(name: str) -> None:
     np.testing.assert_allclose(hits[-1], forward[0] + t[:, None] * d, atol=1e-9 * size)
 
 
-# -- exits ---------------------------------------------------------------------------------------------------------
-
-
 def test_views_of_a_window_and_of_a_deep_surface(load_scene) -> None:
     """A plate in front sees the sky with one side; one at the end of a tube of 20 radii hardly."""
     table, found = exits_of(mistray.load("plate"))
@@ -101,8 +92,8 @@ def test_views_of_a_window_and_of_a_deep_surface(load_scene) -> None:
     assert views["plate_front"] == 1.0
     assert 0.1 < views["plate_rear"] < 1.0  # total reflection keeps 75 % of its rays in the plate
     deep = [
-        placed_xml("asphere", "front", scattering_xml([], "air", "1.5"), at=(0, 0, 18), semi_diameter=0.999),
-        placed_xml("asphere", "rear", scattering_xml([], "1.5", "air"), at=(0, 0, 19), semi_diameter=0.999),
+        placed_xml("asphere", name, scattering_xml([], *media), at=(0, 0, z), semi_diameter=0.999)
+        for name, media, z in (("front", ("air", "1.5"), 18), ("rear", ("1.5", "air"), 19))
     ]
     table, found = exits_of(load_scene(tube(*deep, length=20.0)))
     views = {table.ids[i]: view for i, view in found.views.items()}
@@ -128,7 +119,7 @@ def test_targets_of_a_tube(load_scene) -> None:
     assert closed.start is None
 
 
-@pytest.mark.parametrize("beam", ["", beam_xml(0.5, at=(50.0, 0.0, 0.0))], ids=["no source", "no path"])
+@pytest.mark.parametrize("beam", ["", beam_xml(0.5, at=(50.0, 0.0, 0.0))])
 def test_without_a_path(load_scene, beam: str) -> None:
     """A detector that no design light reaches starts towards what it sees of the outside."""
     table, found = exits_of(load_scene(tube(length=2.5, beam=beam)))
@@ -140,11 +131,7 @@ def test_without_a_path(load_scene, beam: str) -> None:
     assert (table.ids.index("tube"), False) in found.aims
 
 
-@pytest.mark.parametrize(
-    ("at", "along", "light"),
-    [((50.0, 0.0, 0.0), 1.0, None), ((0.0, 0.0, 9.0), -1.0, [0, 0, -1])],
-    ids=["aside", "behind"],
-)
+@pytest.mark.parametrize(("at", "along", "light"), [((50.0, 0.0, 0.0), 1.0, None), ((0.0, 0.0, 9.0), -1.0, [0, 0, -1])])
 def test_another_source_is_not_taken_for_one_before(load_scene, at, along, light) -> None:
     """What is kept of a scene depends on where its source stands and shines; without one there is no light."""
     meter = placed_xml("asphere", "detector", at=(0.0, 0.0, 2.0), **DETECTOR)

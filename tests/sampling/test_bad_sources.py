@@ -96,11 +96,8 @@ def test_one_line(lamp: dict[str, Any], words: tuple[str, ...], tmp_path: Path) 
     for name, text in FILES.items():
         (tmp_path / name).write_text(text)
     mi.Bitmap(np.zeros((4, 8, 3), dtype=np.float32)).write(str(tmp_path / "dark.exr"))
-    files = {
-        key: str(tmp_path / str(value))
-        for key, value in lamp.items()
-        if str(value).endswith(("csv", "dat", "ies", "exr"))
-    }
+    kinds = ("csv", "dat", "ies", "exr")
+    files = {key: str(tmp_path / str(value)) for key, value in lamp.items() if str(value).endswith(kinds)}
     with pytest.raises(mistray.MistrayError) as error:
         mistray.trace(lit({"id": "my lamp", **lamp, **files}, block=BLOCK), rays=1000)
     message = str(error.value)

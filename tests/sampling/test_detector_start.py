@@ -25,9 +25,6 @@ AXIS = np.array([0.0, 0.0, 1.0])  # of the light
 AT = np.array([1.0, -2.0, 30.0])
 
 
-# -- places --------------------------------------------------------------------------------------------------------
-
-
 class TestCurve:
     def points(self, place: np.ndarray, dimensions: int) -> np.ndarray:
         rng = mi.PCG32(size=len(place), initstate=3)
@@ -74,9 +71,6 @@ def test_places_are_stratified() -> None:
     # False alarm 6e-5 each
     assert abs(within.mean() - 0.5) < 4 * np.sqrt(1 / 12 / lanes)
     assert abs((within**2).mean() - 1 / 3) < 4 * np.sqrt(4 / 45 / lanes)
-
-
-# -- rays ----------------------------------------------------------------------------------------------------------
 
 
 SAG = 10 - np.sqrt(10**2 - 6**2)  # of a sphere of radius 10 at 6
@@ -144,7 +138,7 @@ def averages(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return values.mean(axis=1), values.std(axis=1) / np.sqrt(values.shape[1])
 
 
-@pytest.mark.parametrize("both_sides", [False, True], ids=["front", "both"])
+@pytest.mark.parametrize("both_sides", [False, True])
 @pytest.mark.parametrize("how", ["plain", "aimed"])
 @pytest.mark.parametrize("name", DETECTORS)
 def test_detector_is_lambertian(detector_table, name: str, how: str, both_sides: bool) -> None:

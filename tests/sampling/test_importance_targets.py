@@ -13,15 +13,7 @@ import pytest
 import vectors
 from lit_detector import discs
 from oracles import nonsequential
-from oracles.scatter_scenes import (
-    beam_xml,
-    bsdf_xml,
-    lenses_text,
-    placed_xml,
-    scatter_scene,
-    scattering_xml,
-    wall_xml,
-)
+from oracles.scatter_scenes import beam_xml, bsdf_xml, lenses_text, placed_xml, scatter_scene, scattering_xml, wall_xml
 from oracles.scene_xml import read_scene
 
 import mistray
@@ -49,17 +41,11 @@ def space_of(path: DesignPath, name: str) -> int:
     return 1 + [path.table.ids[step.surface] for step in path.steps].index(name)
 
 
-def named(table: SurfaceTable, found: dict[tuple[int, bool], Any]) -> dict[tuple[str, str], Any]:
-    """By name of the surface and side."""
-    return {(table.ids[surface], "back" if to_back else "front"): value for (surface, to_back), value in found.items()}
-
-
 def aims_of(scene: Any, **settings: Any) -> dict[tuple[str, str], AimSet]:
+    """By name of the surface and side."""
     table = SurfaceTable(scene, 550.0)
-    return named(table, importance_targets(table, scene, Settings(**settings)))
-
-
-# -- paraxial images -----------------------------------------------------------------------------------------------
+    found = importance_targets(table, scene, Settings(**settings))
+    return {(table.ids[surface], "back" if to_back else "front"): value for (surface, to_back), value in found.items()}
 
 
 def test_paraxial_images_are_those_of_the_audited_table():
@@ -123,8 +109,6 @@ def test_images_in_folded_systems():
     assert np.linalg.norm(images.paraxial[0].u) / distance == pytest.approx(12.7 / 1270, rel=1e-3)
 
 
-# -- real rays -----------------------------------------------------------------------------------------------------
-
 # From these no target of one shape for all points catches 10 % of its rays: the window is wider than the entrance
 WIDE = {"window_front": 0.05}
 LENS_SCENES = ["cooke_triplet", "double_gauss", "singlet_window_detector", "newtonian", "lens_and_reflector", "plate"]
@@ -176,14 +160,11 @@ def test_targets_hold_the_light_that_reaches_the_detector(name):
         assert np.mean(landed[held]) > WIDE.get(surface, 0.1), surface
 
 
-# -- what structure sees -------------------------------------------------------------------------------------------
-
-
 def test_a_wall_before_a_lens_aims_at_what_the_lens_shows(load_scene):
     """A tube before a singlet: rays through the lens reach the detector from it, so it aims at the detector's image."""
     lens = [
-        placed_xml("asphere", "front", scattering_xml([], "air", "1.5"), at=(0, 0, 0), radius=50.0, semi_diameter=8.0),
-        placed_xml("asphere", "rear", scattering_xml([], "1.5", "air"), at=(0, 0, 4), radius=-50.0, semi_diameter=8.0),
+        placed_xml("asphere", name, scattering_xml([], *media), at=(0, 0, z), radius=radius, semi_diameter=8.0)
+        for name, media, z, radius in (("front", ("air", "1.5"), 0, 50.0), ("rear", ("1.5", "air"), 4, -50.0))
     ]
     tube = placed_xml("frustum", "tube", wall_xml(0.1), r0=8.5, z0=-60.0, r1=8.5, z1=-1.0)
     vane = placed_xml("frustum", "vane", wall_xml(0.1), r0=7.0, z0=-40.0, r1=8.5, z1=-40.0)
@@ -214,9 +195,6 @@ def test_what_is_hidden_is_no_target(load_scene):
     found = aims_of(load_scene(scatter_scene(beam, plate, meter)))
     assert set(found) == {("plate", "back")}
     np.testing.assert_allclose(found["plate", "back"].targets[0].centre, [0, 0, 30], atol=1e-6)
-
-
-# -- which targets a trace uses ------------------------------------------------------------------------------------
 
 
 def given(name: str, kind: str = "disk", place: dict[str, Any] | None = None, **properties: Any) -> str:
@@ -334,9 +312,6 @@ def of_kind(name: str, number: int = 0, rays: int = 2) -> str:
     return given(f"t{number}", values.pop("kind", "disk"), place=place, surfaces="sheet", rays=rays, **values)
 
 
-# -- rays of the kernel --------------------------------------------------------------------------------------------
-
-
 def sheet(*targets: str) -> str:
     """A sheet that scatters as a Lambertian, and a disc of radius 2, the detector."""
     diffuser = bsdf_xml("paint", reflectance=0.5, event="transmission", relative_to="specular")
@@ -354,7 +329,7 @@ def scattered_share(trace: mistray.Trace) -> tuple[float, float]:
     return power / trace.energy.launched_W, se / trace.energy.launched_W
 
 
-@pytest.mark.parametrize("kinds", [*([kind] for kind in KINDS), list(KINDS)], ids=lambda kinds: " ".join(kinds[:2]))
+@pytest.mark.parametrize("kinds", [*([kind] for kind in KINDS), list(KINDS)])
 def test_every_kind_of_target_gives_the_same_light(load_scene, kinds):
     """Half of that from disc to disc within 3.9 errors, false alarm 1e-4 each; all on one surface count once."""
     targets = [of_kind(kind, number, 1 + (number + 1) % 3) for number, kind in enumerate(kinds)]
@@ -364,7 +339,7 @@ def test_every_kind_of_target_gives_the_same_light(load_scene, kinds):
     assert se < (0.05 if len(kinds) == 1 else 0.01) * expected
 
 
-@pytest.mark.parametrize("reverse", [False, True], ids=["real", "virtual"])
+@pytest.mark.parametrize("reverse", [False, True])
 def test_share_of_aimed_rays_that_land(load_scene, reverse):
     """A target of twice the area of the detector, in its plane: half of the rays land; 5 standard errors (6e-7)."""
     scale = (np.sqrt(2) * 2,) * 2 + (1.0,)
@@ -377,10 +352,7 @@ def test_share_of_aimed_rays_that_land(load_scene, reverse):
     assert row.aimed == pytest.approx(20_000, rel=1e-3)
     assert abs(row.landed / row.aimed - 0.5) < 5 * 0.5 / np.sqrt(row.aimed)
 
-
-def test_automatic_targets_catch_all(load_scene):
-    """All aimed rays of the sheet land; that they change nothing is shown by test_five_kinds.py."""
     aimed, blind = (mistray.trace(load_scene(sheet()), rays=40_000, aim=aim) for aim in ("auto", "none"))
-    (row,) = aimed.aiming
+    (row,) = aimed.aiming  # automatic ones catch all
     assert row.landed == row.aimed > 0
     assert blind.aiming == []

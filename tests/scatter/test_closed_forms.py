@@ -205,16 +205,10 @@ def test_totals_at_random_parameters_and_angles() -> None:
     rng = np.random.default_rng(1)
     cases: list[tuple[Any, scatter_integrals.Profile]] = []
     for _ in range(25):
-        b, g, length, slope = (
-            10 ** rng.uniform(-11.9, 0),
-            rng.uniform(0, 4),
-            10 ** rng.uniform(-5, -0.3),
-            rng.uniform(-4, -0.1),
-        )
-        cases += [
-            (ABg(1.0, b, g), scatter_integrals.abg(1.0, b, g)),
-            (HarveyShack(1.0, length, slope), scatter_integrals.harvey_shack(1.0, length, slope)),
-        ]
+        b, g, length, slope = rng.uniform([-11.9, 0, -5, -4], [0, 4, -0.3, -0.1])
+        cases.append((ABg(1.0, 10**b, g), scatter_integrals.abg(1.0, 10**b, g)))
+        profile = scatter_integrals.harvey_shack(1.0, 10**length, slope)
+        cases.append((HarveyShack(1.0, 10**length, slope), profile))
     for width in (1e-3, 0.05, 0.5, 3.0):
         flat = math.pi * width**2 * -math.expm1(-1 / width**2)
         cases.append((Gaussian(0.2, width), lambda r, w=width, flat=flat: 0.2 / flat * np.exp(-((r / w) ** 2))))

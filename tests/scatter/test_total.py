@@ -13,10 +13,12 @@ from scipy.integrate import quad
 from mistray.errors import MistrayError
 from mistray.scatter.evaluate import bsdf
 from mistray.scatter.lobe import Lobe, RatioTable
-from mistray.scatter.radial import R_MAX, RadialTable, node_radii, ring_flux
+from mistray.scatter.radial import R_MAX, RadialTable
 from mistray.scatter.total import check_budget, lobe_total, totals
 
 legendre = functools.cache(np.polynomial.legendre.leggauss)
+THERE = np.sin(np.radians(20)) * np.array([np.cos(np.radians(70)), np.sin(np.radians(70)), 0])
+THERE[2] = np.cos(np.radians(20))
 
 
 def brute(lobe: Lobe, theta: float, n_in: float, n_out: float) -> float:
@@ -84,9 +86,27 @@ def test_against_brute_quadrature(name: str, theta_deg: float) -> None:
         assert value == pytest.approx(brute(lobe, theta, n_in, n_out), rel=1e-3 if lobe.ratio else 1e-4)
 
 
+@pytest.mark.parametrize("axes", ["radial", "cosines"])
+def test_ratio(axes: str) -> None:
+    """A table that is linear in each of its variables is exact: cos θ0 + log(r/r_min)/log(2/r_min) + ψ/π."""
+    a, b, c = np.meshgrid(np.linspace(0, 1, 3), np.linspace(0, 1, 5), np.linspace(0, 1, 4), indexing="ij")
+    x, y = THERE[0] - np.sin(np.radians(40)), THERE[1]
+    radial = np.log(np.hypot(x, y) / 0.01) / np.log(200) + np.arctan2(y, x) / np.pi
+    expected = np.cos(np.radians(40)) + (radial if axes == "radial" else np.cos(np.radians(20)) + 70 / 180)
+    found, plain = (
+        bsdf([Lobe("reflection", wide, ratio=ratio)], "reflection", np.cos(np.radians(40)), THERE[None], 1.0, 1.5, 1.0)
+        for ratio in (RatioTable(a + b + c, 0.01, axes=axes), None)
+    )
+    assert found[0] == pytest.approx(expected * plain[0], rel=1e-12)
+
+
 def test_nothing_is_transmitted_beyond_the_critical_angle() -> None:
+    """But what is scattered about the normal."""
     cos_i = np.cos(np.radians([30.0, 41.0, 42.0, 80.0]))
     assert (lobe_total(LOBES["transmission"], cos_i, 1.5, 1.0) > 0).tolist() == [True, True, False, False]
+    for centre, expected in (("specular", 0.0), ("normal", wide(np.sin(np.radians(20))))):
+        lobe = Lobe("transmission", wide, centre=centre)
+        assert bsdf([lobe], "transmission", cos_i[3], THERE[None], 1.5, 1.0, 1.0)[0] == pytest.approx(expected)
 
 
 def test_shares_and_losses() -> None:
@@ -146,16 +166,6 @@ def test_a_profile_ends_where_it_is_told_to() -> None:
     table = RadialTable.of(PROFILES["constant"], 1.0)
     assert table.within(np.array([1.0, R_MAX])) == pytest.approx([0.3 * np.pi] * 2, rel=1e-3)
     assert table.value(np.array([1.5]))[0] < 1e-25
-
-
-@pytest.mark.parametrize("name", PROFILES)
-def test_the_alias_table_has_the_shares_of_the_cells(name: str) -> None:
-    table = RadialTable.of(PROFILES[name])
-    count = len(table.probability)
-    share = table.probability / count
-    np.add.at(share, table.alias, (1 - table.probability) / count)
-    flux = ring_flux(node_radii()[:-1], table.log2_values)
-    assert share[1:] == pytest.approx(flux / table.total, abs=1e-15)
 
 
 @pytest.mark.parametrize(
